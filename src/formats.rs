@@ -1,0 +1,87 @@
+//! Bytes to structs and back, one file per format: no batch, no stage, no configuration, no thread.
+//!
+//! Whatever a file says of its own sizes passes a limit before anything is allocated, and every error names the file,
+//! the byte and the field.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+pub mod bytes;
+
+/// What can be wrong with a file.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The operating system refused.
+    #[error("{}: cannot {action}: {source}", file.display())]
+    Io {
+        /// The file concerned.
+        file: PathBuf,
+        /// What was tried, as a verb: "open", "read the header".
+        action: &'static str,
+        /// The system's own words.
+        source: io::Error,
+    },
+    /// The bytes are not what the format says.
+    #[error("{}: byte {offset}: {field}: {problem}; {remedy}", file.display())]
+    Malformed {
+        /// The file concerned.
+        file: PathBuf,
+        /// Where the field starts, from the beginning of the file.
+        offset: u64,
+        /// The field's name in the specification.
+        field: String,
+        /// What is wrong with it.
+        problem: String,
+        /// What the user can do.
+        remedy: String,
+    },
+    /// The file as a whole cannot be used: another format, a missing companion, an unsupported version.
+    #[error("{}: {problem}; {remedy}", file.display())]
+    Unusable {
+        /// The file concerned.
+        file: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+        /// What the user can do.
+        remedy: String,
+    },
+}
+
+impl Error {
+    /// An input or output error, for `map_err`: `File::open(path).map_err(Error::io(path, "open"))`.
+    pub fn io<'a>(file: &'a Path, action: &'static str) -> impl Fn(io::Error) -> Error + 'a {
+        move |source| Error::Io { file: file.to_path_buf(), action, source }
+    }
+
+    /// The file as a whole cannot be used.
+    pub fn unusable(file: &Path, problem: impl Into<String>, remedy: impl Into<String>) -> Error {
+        Error::Unusable { file: file.to_path_buf(), problem: problem.into(), remedy: remedy.into() }
+    }
+
+    /// A field that is not what the format says.
+    pub fn malformed(
+        file: &Path,
+        offset: u64,
+        field: impl Into<String>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Error {
+        Error::Malformed {
+            file: file.to_path_buf(),
+            offset,
+            field: field.into(),
+            problem: problem.into(),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// The file concerned.
+    pub fn file(&self) -> &Path {
+        match self {
+            Error::Io { file, .. } | Error::Malformed { file, .. } | Error::Unusable { file, .. } => file,
+        }
+    }
+}
+
+/// Shorthand for results of this module.
+pub type Result<T> = std::result::Result<T, Error>;
