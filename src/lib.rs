@@ -2,4 +2,8 @@
 //!
 //! The map of the crate is `ARCHITECTURE.md`; the manual of the stages is `docs/stages.md`, or `wavex stages`.
 
+pub mod batch;
 pub mod formats;
+pub mod job;
+pub mod kernels;
+pub mod stage;

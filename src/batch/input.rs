@@ -1,0 +1,130 @@
+//! What is known of a recording as a whole.
+
+use std::path::PathBuf;
+
+/// Facts about one input that every stage of a run may need.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InputInfo {
+    /// The file; empty for a simulated one.
+    pub path: PathBuf,
+    /// What outputs are named after: the file's name without its extension.
+    pub stem: String,
+    /// The format in words: `PulseWaves 0.3`.
+    pub format: String,
+    /// The instrument's name.
+    pub instrument: Option<String>,
+    /// The instrument's serial number.
+    pub serial: Option<String>,
+    /// The usual time between samples, ns; a block says its own.
+    pub sampling_interval_ns: f64,
+    /// The largest value that the digitiser can give, where known: a sample there is saturated.
+    pub full_scale_dn: Option<u16>,
+    /// Speed of the pulse in air, m/s.
+    pub group_velocity_mps: f64,
+    /// The nominal pulse rate, Hz.
+    pub pulse_rate_hz: Option<f64>,
+    /// What `gps_time_s` counts.
+    pub time_scale: TimeScale,
+    /// The GPS week of the first shot.
+    pub gps_week: Option<u32>,
+    /// When it was recorded, as (day of year from 1, year): dates outputs, so that they repeat to the bit.
+    pub recorded: Option<(u16, u16)>,
+    /// The frame of origins and directions.
+    pub frame: Frame,
+    /// The frame's coordinate reference system, as WKT, where the frame is a map.
+    pub crs_wkt: Option<String>,
+    /// Scale and offset with which the input stores coordinates, where it does: outputs take the same.
+    pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
+    /// How the moment of emission is known.
+    pub emission_reference: EmissionReference,
+    /// Amplitude tables of the low and of the high power channel.
+    pub amplitude_low: Option<AmplitudeTable>,
+    /// See `amplitude_low`.
+    pub amplitude_high: Option<AmplitudeTable>,
+    /// Range tables: digitiser steps to seconds.
+    pub range_low: Option<AmplitudeTable>,
+    /// See `range_low`.
+    pub range_high: Option<AmplitudeTable>,
+}
+
+/// What GPS times count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeScale {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds of the day.
+    Day,
+    /// Seconds since 1980-01-06 minus 1e9.
+    Adjusted,
+    /// Not said by the file.
+    Unknown,
+}
+
+/// The frame of a geometry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Frame {
+    /// The scanner's own.
+    Scanner,
+    /// The aircraft's: forward, right, down.
+    Body,
+    /// A map's or the earth's: already georeferenced.
+    Map,
+}
+
+/// How the moment of emission is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EmissionReference {
+    /// The outgoing pulse was recorded with each shot and is fitted.
+    OutgoingPulse,
+    /// The file's own return locations carry it: their mean difference to the fitted echoes.
+    ReturnLocations,
+    /// Only the shot's clock is known.
+    Clock,
+}
+
+/// Pairs of digitiser steps and what they mean, in ascending order of the steps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AmplitudeTable {
+    pairs: Vec<(f64, f64)>,
+}
+
+impl AmplitudeTable {
+    /// A table of at least two defined pairs; entries that are not finite or beyond ±1e30 are undefined and left out.
+    pub fn new(pairs: impl IntoIterator<Item = (f64, f64)>) -> Option<AmplitudeTable> {
+        let defined = |&(x, y): &(f64, f64)| x.is_finite() && y.is_finite() && y.abs() < 1e30;
+        let mut pairs: Vec<(f64, f64)> = pairs.into_iter().filter(defined).collect();
+        pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        pairs.dedup_by(|a, b| a.0 == b.0);
+        (pairs.len() >= 2).then_some(AmplitudeTable { pairs })
+    }
+
+    /// The defined pairs.
+    pub fn pairs(&self) -> &[(f64, f64)] {
+        &self.pairs
+    }
+
+    /// The value at `dn` digitiser steps (background + amplitude), linear between entries, clamped to the defined part.
+    pub fn at(&self, dn: f64) -> f64 {
+        let after = self.pairs.partition_point(|pair| pair.0 <= dn);
+        let Some(&(x1, y1)) = self.pairs.get(after) else {
+            return self.pairs[self.pairs.len() - 1].1;
+        };
+        let Some(&(x0, y0)) = after.checked_sub(1).and_then(|before| self.pairs.get(before)) else {
+            return y1;
+        };
+        y0 + (y1 - y0) * (dn - x0) / (x1 - x0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_is_linear_inside_and_clamped_outside() {
+        let table = AmplitudeTable::new([(1.0, -2e37), (9.0, 0.0), (11.0, 1.0), (21.0, 2.0)]).unwrap();
+        let at = [8.0, 9.0, 10.0, 16.0, 21.0, 300.0].map(|dn| table.at(dn));
+        assert_eq!(at, [0.0, 0.0, 0.5, 1.5, 2.0, 2.0]);
+        assert_eq!(AmplitudeTable::new([(1.0, -2e37), (2.0, 3.0)]), None);
+    }
+}

@@ -1,0 +1,68 @@
+//! The counters of a scan line.
+
+/// What happened on one scan line; `np...` count returns, `nw...` waveforms.
+///
+/// Two laws hold after `decompose`:
+/// `n_candidates + n_added = np + np_filtered + np_merged + np_xtalk_dropped` and
+/// `nw = nw_empty + nw_deleted + nw_with_points`.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct LineStats {
+    /// Time of the line's first shot, s, on the input's scale; NaN where unknown.
+    pub gps_time_s: f64,
+    /// Waveforms: shots with at least one echo block.
+    pub nw: u64,
+    /// Returns kept, withheld ones included.
+    pub np: u64,
+    /// Returns touched by the emission's cross-talk.
+    pub np_xtalk: u64,
+    /// Candidates rejected by a threshold.
+    pub np_filtered: u64,
+    /// Candidates merged with another.
+    pub np_merged: u64,
+    /// Outliers above their neighbours.
+    pub np_air: u64,
+    /// Outliers below their neighbours.
+    pub np_low: u64,
+    /// Returns whose intensity was corrected for range.
+    pub np_range: u64,
+    /// Returns whose intensity was corrected for the atmosphere.
+    pub np_atm: u64,
+    /// Returns whose range was corrected by amplitude.
+    pub np_ibrc: u64,
+    /// Returns whose amplitude was corrected by the instrument's table.
+    pub np_ibic: u64,
+    /// Waveforms without any return.
+    pub nw_empty: u64,
+    /// Waveforms with saturated samples.
+    pub nw_saturated: u64,
+    /// Waveforms that needed iterative refinement.
+    pub nw_refined1x: u64,
+    /// Waveforms that needed a second one.
+    pub nw_refined2x: u64,
+    /// Waveforms that could not be used.
+    pub nw_deleted: u64,
+    /// Waveforms with a return cut off by the block's edge.
+    pub nw_truncated: u64,
+    /// Points with coordinates.
+    pub n_georef: u64,
+    /// Height above the line's own ground, m; NaN where unknown.
+    pub agl_m: Agl,
+    /// Candidates found by the first detection.
+    pub n_candidates: u64,
+    /// Candidates added by later passes.
+    pub n_added: u64,
+    /// Waveforms with at least one return.
+    pub nw_with_points: u64,
+    /// Returns dropped because of cross-talk.
+    pub np_xtalk_dropped: u64,
+}
+
+/// A height above ground, m, that is unknown (NaN) until it is computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Agl(pub f64);
+
+impl Default for Agl {
+    fn default() -> Agl {
+        Agl(f64::NAN)
+    }
+}

@@ -1,0 +1,82 @@
+//! The returns found in waveforms.
+
+/// The returns of a line, ordered by emission, then by time.
+pub type Returns = Vec<Return>;
+
+/// One return: an echo of one emission.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Return {
+    /// Index of the emission, in the batch, that caused it.
+    pub emission: u32,
+    /// 1 for the first return of its emission.
+    pub return_number: u8,
+    /// How many returns the emission has, withheld ones included.
+    pub number_of_returns: u8,
+    /// The receiver that gave the intensity.
+    pub channel: ReturnChannel,
+    /// Bits of [`flags`].
+    pub flags: u16,
+    /// Emissions between the causing shot and the reception; -1 where unresolved.
+    pub mta_zone: i16,
+    /// Echo minus outgoing pulse, both at the peak of the response, ns.
+    pub time_of_flight_ns: f64,
+    /// Standard deviation of `time_of_flight_ns`, ns.
+    pub time_of_flight_sd_ns: f64,
+    /// Range along the beam from the emission's origin, m.
+    pub range_m: f64,
+    /// Standard deviation of `range_m`, m.
+    pub range_sd_m: f64,
+    /// Height of the fitted pulse's peak above the background, digitiser steps.
+    pub amplitude_dn: f64,
+    /// Standard deviation of `amplitude_dn`, digitiser steps.
+    pub amplitude_sd_dn: f64,
+    /// Amplitude above the detection limit by the input's table, dB; NaN where it has none.
+    pub amplitude_db: f64,
+    /// Full width at half maximum over that of the system response; 1 for a flat target.
+    pub width_ratio: f64,
+    /// Standard deviation of `width_ratio`.
+    pub width_ratio_sd: f64,
+    /// Full width at half maximum, ns.
+    pub fwhm_ns: f64,
+    /// Full width at half maximum of the target along the beam, m.
+    pub thickness_m: f64,
+    /// Standard deviation of `thickness_m`, m.
+    pub thickness_sd_m: f64,
+    /// (chi-square - degrees of freedom) / sqrt(2 degrees of freedom) of the waveform's fit.
+    pub deviation_ratio: f64,
+    /// Amplitude after all corrections.
+    pub intensity: f64,
+    /// Standard deviation of `intensity`.
+    pub intensity_sd: f64,
+    /// Marked as an outlier: kept, and said to be one.
+    pub withheld: bool,
+    /// LAS class: 0, or 20 for outliers.
+    pub class: u8,
+}
+
+/// The receiver that gave a return its intensity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReturnChannel {
+    /// The sensitive receiver.
+    Low,
+    /// The receiver for strong echoes.
+    High,
+    /// Fitted in both.
+    Joint,
+}
+
+impl ReturnChannel {
+    /// As tables write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            ReturnChannel::Low => "low",
+            ReturnChannel::High => "high",
+            ReturnChannel::Joint => "joint",
+        }
+    }
+}
+
+/// Bits of [`Return::flags`]: the low byte is the LAS user data of BayesWavEx 1.1, section 3.
+pub mod flags {
+    pub use crate::kernels::flags::*;
+}

@@ -1,0 +1,222 @@
+//! Emissions and the sample blocks recorded for them.
+
+/// The receivers of an instrument. Their codes in files live in `formats` only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Channel {
+    /// The receiver for strong echoes (RIEGL's HI).
+    HighPower,
+    /// The more sensitive receiver, for weak echoes (RIEGL's LO).
+    LowPower,
+    /// A receiver that only tells of saturation.
+    Saturation,
+    /// The outgoing pulse.
+    Reference,
+}
+
+/// One laser shot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Emission {
+    /// Running number of the emission in its input, from 0.
+    pub shot: u64,
+    /// Time on the input's [`super::TimeScale`], s; NaN where unknown.
+    pub gps_time_s: f64,
+    /// The shot's time on the instrument's clock, ps from any origin: ranges are formed from this.
+    pub clock_ps: i64,
+    /// Where the beam starts, m, in the input's [`super::Frame`].
+    pub origin_m: [f64; 3],
+    /// Unit vector along the outgoing beam, in the input's frame.
+    pub direction: [f64; 3],
+    /// Metres in the frame per metre of range along this beam: 1, but for map projections.
+    pub frame_scale: f64,
+    /// The emission's time after `clock_ps`, ns: the peak of the outgoing pulse once it is fitted, else 0.
+    pub emission_ns: f64,
+    /// Standard deviation of `emission_ns`, ns; NaN until it is known.
+    pub emission_sd_ns: f64,
+    /// Mirror facet.
+    pub facet: u16,
+    /// Bits of [`emission_flags`].
+    pub flags: u16,
+    /// Emissions between this shot and the reception of its echoes; `None` while unresolved.
+    pub mta_zone: Option<i16>,
+    /// Scan angle, degrees, NaN where unknown; positive to the right of the flight direction.
+    pub scan_angle_deg: f32,
+}
+
+/// Bits of [`Emission::flags`]; 0 to 2 as the container and RIEGL count them.
+pub mod emission_flags {
+    /// The clock is synchronised with GPS.
+    pub const SYNCHRONISED: u16 = 1;
+    /// It was synchronised within the last second.
+    pub const SYNCHRONISED_WITHIN_LAST_SECOND: u16 = 1 << 1;
+    /// A record of the instrument's housekeeping.
+    pub const HOUSEKEEPING: u16 = 1 << 2;
+    /// The mirror moves in the positive direction (LAS: scan direction flag).
+    pub const SCAN_DIRECTION_POSITIVE: u16 = 1 << 8;
+    /// The last shot of a scan line (LAS: edge of flight line).
+    pub const EDGE_OF_FLIGHT_LINE: u16 = 1 << 9;
+}
+
+/// A run of samples that one receiver recorded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Block {
+    /// Index of the emission, in the batch, that the block belongs to.
+    pub emission: u32,
+    /// The receiver.
+    pub channel: Channel,
+    /// The multiple-time-around zone of this block, where it differs from the emission's.
+    pub zone: Option<i16>,
+    /// Time of the first sample after the emission's `clock_ps`, ns.
+    pub start_ns: f64,
+    /// Time between samples, ns.
+    pub interval_ns: f64,
+    /// The first sample's place in the arena.
+    first: u32,
+    /// How many samples there are.
+    len: u32,
+}
+
+/// A return that the instrument itself computed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OnlineReturn {
+    /// Index of the emission, in the batch.
+    pub emission: u32,
+    /// Time after the emission's `clock_ps`, ns.
+    pub time_ns: f64,
+    /// Amplitude in the instrument's own unit; NaN where it gave none.
+    pub amplitude: f32,
+}
+
+/// The sample blocks of a line, ordered by emission, with their samples in one arena.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Blocks {
+    list: Vec<Block>,
+    arena: Vec<u16>,
+    /// What the instrument itself found, ordered by emission.
+    pub online: Vec<OnlineReturn>,
+}
+
+impl Blocks {
+    /// Adds a block of `samples` (digitiser steps). Blocks come in the order of their emissions.
+    ///
+    /// # Panics
+    /// Where the line's arena would pass 2^32 samples, which [`super::MAX_SHOTS_PER_LINE`] keeps out of reach.
+    pub fn push(
+        &mut self,
+        emission: u32,
+        channel: Channel,
+        zone: Option<i16>,
+        start_ns: f64,
+        interval_ns: f64,
+        samples: &[u16],
+    ) {
+        debug_assert!(self.list.last().is_none_or(|last| last.emission <= emission));
+        assert!(self.arena.len() + samples.len() <= u32::MAX as usize, "a scan line of over 2^32 samples");
+        let (first, len) = (self.arena.len() as u32, samples.len() as u32);
+        self.list.push(Block { emission, channel, zone, start_ns, interval_ns, first, len });
+        self.arena.extend_from_slice(samples);
+    }
+
+    /// The blocks, ordered by emission.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &Block> + '_ {
+        self.list.iter()
+    }
+
+    /// How many blocks there are.
+    pub fn len(&self) -> usize {
+        self.list.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.list.is_empty()
+    }
+
+    /// The samples of one of these blocks, digitiser steps.
+    pub fn samples(&self, block: &Block) -> &[u16] {
+        &self.arena[block.first as usize..][..block.len as usize]
+    }
+
+    /// The blocks of each emission that has any: `(emission, its blocks)`, in order.
+    pub fn by_emission(&self) -> impl Iterator<Item = (u32, &[Block])> + '_ {
+        self.list.chunk_by(|a, b| a.emission == b.emission).map(|blocks| (blocks[0].emission, blocks))
+    }
+
+    /// The instrument's own returns of one emission.
+    pub fn online_of(&self, emission: u32) -> &[OnlineReturn] {
+        let from = self.online.partition_point(|online| online.emission < emission);
+        let until = self.online.partition_point(|online| online.emission <= emission);
+        &self.online[from..until]
+    }
+
+    /// How many emissions have at least one echo block: `nw` (DEFINITIONS: waveform).
+    pub fn waveforms(&self) -> usize {
+        self.by_emission().filter(|(_, blocks)| blocks.iter().any(|block| block.channel.is_echo())).count()
+    }
+
+    /// The memory taken, in bytes.
+    pub fn bytes(&self) -> usize {
+        self.list.capacity() * size_of::<Block>()
+            + self.arena.capacity() * size_of::<u16>()
+            + self.online.capacity() * size_of::<OnlineReturn>()
+    }
+}
+
+impl Channel {
+    /// Whether the channel records echoes.
+    pub fn is_echo(self) -> bool {
+        matches!(self, Channel::HighPower | Channel::LowPower)
+    }
+}
+
+impl Block {
+    /// How many samples the block has.
+    pub fn len(&self) -> usize {
+        self.len as usize
+    }
+
+    /// Whether the block has no samples.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The time of a position in the block (samples, fractions allowed) after the emission's clock, ns.
+    pub fn time_ns(&self, position_samples: f64) -> f64 {
+        self.start_ns + position_samples * self.interval_ns
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_share_an_arena_and_keep_their_emission() {
+        let mut blocks = Blocks::default();
+        blocks.push(0, Channel::Reference, None, 0.0, 1.0, &[1, 2]);
+        blocks.push(0, Channel::LowPower, None, 100.0, 1.0, &[3, 4, 5]);
+        blocks.push(2, Channel::Reference, None, 0.0, 1.0, &[6]);
+        let groups: Vec<(u32, usize)> = blocks.by_emission().map(|(e, blocks)| (e, blocks.len())).collect();
+        assert_eq!(groups, [(0, 2), (2, 1)]);
+        let samples: Vec<&[u16]> = blocks.iter().map(|block| blocks.samples(block)).collect();
+        assert_eq!(samples, [&[1, 2][..], &[3, 4, 5], &[6]]);
+        assert_eq!(blocks.waveforms(), 1, "a shot with only its outgoing pulse is no waveform");
+    }
+
+    #[test]
+    fn online_returns_are_found_by_emission() {
+        let online = |emission, time_ns| OnlineReturn { emission, time_ns, amplitude: f32::NAN };
+        let blocks =
+            Blocks { online: vec![online(1, 5.0), online(1, 9.0), online(4, 7.0)], ..Blocks::default() };
+        let times = |e| blocks.online_of(e).iter().map(|o| o.time_ns).collect::<Vec<_>>();
+        assert_eq!(times(0), Vec::<f64>::new());
+        assert_eq!(times(1), [5.0, 9.0]);
+        assert_eq!(times(4), [7.0]);
+    }
+
+    #[test]
+    fn a_position_in_a_block_has_a_time() {
+        let mut blocks = Blocks::default();
+        blocks.push(0, Channel::LowPower, None, 100.5, 0.5, &[0; 8]);
+        assert_eq!(blocks.iter().next().unwrap().time_ns(3.0), 102.0);
+    }
+}

@@ -1,0 +1,7 @@
+//! Numbers to numbers.
+pub mod flags {
+    //! Flags.
+}
+/// What calibration finds.
+#[derive(Debug, Clone)]
+pub struct SensorModel {}

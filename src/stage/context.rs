@@ -1,0 +1,202 @@
+//! A stage's counters, and what it has to say.
+
+use std::collections::BTreeMap;
+
+use hdrhistogram::Histogram;
+
+use super::WholeFile;
+use crate::batch::Batch;
+
+/// What can be counted on its way through a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Item {
+    /// Emissions.
+    Shots,
+    /// Sample blocks.
+    Blocks,
+    /// Returns and points.
+    Returns,
+}
+
+impl Item {
+    /// All of them.
+    pub const ALL: [Item; 3] = [Item::Shots, Item::Blocks, Item::Returns];
+
+    /// As reports write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Item::Shots => "shots",
+            Item::Blocks => "blocks",
+            Item::Returns => "returns",
+        }
+    }
+
+    /// How many a batch holds.
+    pub fn count(self, batch: &Batch) -> u64 {
+        match self {
+            Item::Shots => batch.emissions.len() as u64,
+            Item::Blocks => batch.blocks().map_or(0, |blocks| blocks.len()) as u64,
+            Item::Returns => batch.n_returns() as u64,
+        }
+    }
+}
+
+/// What a stage is given besides its lines.
+#[derive(Debug, Default)]
+pub struct Context {
+    /// What the stage has counted so far.
+    pub(crate) counters: Counters,
+    /// Files that are whole and wait for the end of the run.
+    pub(crate) whole: Vec<WholeFile>,
+}
+
+/// What a stage has counted, measured and said.
+#[derive(Debug, Default)]
+pub struct Counters {
+    /// Items dropped, by what they are and why.
+    pub rejected: BTreeMap<(Item, &'static str), u64>,
+    /// Quantities measured, by name.
+    pub observed: BTreeMap<&'static str, Distribution>,
+    /// What the user should know, each thing once, in order.
+    pub notes: Vec<String>,
+}
+
+impl Context {
+    /// Drops `n` items for a reason. This is the only way to drop anything.
+    pub fn reject(&mut self, item: Item, reason: &'static str, n: u64) {
+        if n > 0 {
+            *self.counters.rejected.entry((item, reason)).or_default() += n;
+        }
+    }
+
+    /// Adds a value to the distribution `name`, whose unit is part of the name. Negative values count as 0.
+    pub fn observe(&mut self, name: &'static str, value: f64) {
+        self.counters.observed.entry(name).or_default().add(value);
+    }
+
+    /// Tells the user something, once per run: it is logged and stands in the report.
+    pub fn note(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        if !self.counters.notes.contains(&text) {
+            tracing::warn!("{text}");
+            self.counters.notes.push(text);
+        }
+    }
+
+    /// Keeps a file that is whole: it gets its final name when every stage has succeeded.
+    pub fn keep(&mut self, file: WholeFile) {
+        self.whole.push(file);
+    }
+
+    /// What has been counted so far.
+    pub fn counters(&self) -> &Counters {
+        &self.counters
+    }
+}
+
+impl Counters {
+    /// Adds what another worker of the same stage has counted.
+    pub fn merge(&mut self, other: Counters) {
+        for (key, n) in other.rejected {
+            *self.rejected.entry(key).or_default() += n;
+        }
+        for (name, distribution) in other.observed {
+            self.observed.entry(name).or_default().merge(&distribution);
+        }
+        for note in other.notes {
+            if !self.notes.contains(&note) {
+                self.notes.push(note);
+            }
+        }
+    }
+
+    /// How many of `item` were dropped, whatever the reason.
+    pub fn rejected_of(&self, item: Item) -> u64 {
+        self.rejected.iter().filter(|((of, _), _)| *of == item).map(|(_, n)| n).sum()
+    }
+}
+
+/// The distribution of a quantity, to three significant digits, from a millionth up.
+#[derive(Clone, Debug)]
+pub struct Distribution {
+    millionths: Histogram<u64>,
+}
+
+impl Default for Distribution {
+    fn default() -> Distribution {
+        let millionths =
+            Histogram::new(3).unwrap_or_else(|_| unreachable!("3 digits are within hdrhistogram's limits"));
+        Distribution { millionths }
+    }
+}
+
+impl Distribution {
+    /// Adds a value; negative and undefined ones count as 0.
+    pub fn add(&mut self, value: f64) {
+        // A float converts to the nearest integer in range: NaN and negatives become 0.
+        self.millionths.saturating_record((value * 1e6).round() as u64);
+    }
+
+    /// Adds another distribution.
+    pub fn merge(&mut self, other: &Distribution) {
+        // The histograms resize by themselves: an addition can only fail where that is switched off.
+        let _ = self.millionths.add(&other.millionths);
+    }
+
+    /// How many values were added.
+    pub fn count(&self) -> u64 {
+        self.millionths.len()
+    }
+
+    /// Their mean.
+    pub fn mean(&self) -> f64 {
+        self.millionths.mean() / 1e6
+    }
+
+    /// The value below which `percent` of them lie.
+    pub fn percentile(&self, percent: f64) -> f64 {
+        self.millionths.value_at_percentile(percent) as f64 / 1e6
+    }
+
+    /// The largest.
+    pub fn max(&self) -> f64 {
+        self.millionths.max() as f64 / 1e6
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rejects_add_up_by_item_and_reason() {
+        let mut cx = Context::default();
+        cx.reject(Item::Shots, "truncated", 2);
+        cx.reject(Item::Shots, "truncated", 1);
+        cx.reject(Item::Shots, "no direction", 4);
+        cx.reject(Item::Returns, "outside", 0);
+        assert_eq!(cx.counters.rejected[&(Item::Shots, "truncated")], 3);
+        assert_eq!(cx.counters.rejected_of(Item::Shots), 7);
+        assert_eq!(cx.counters.rejected.len(), 2, "nothing rejected leaves no trace");
+    }
+
+    #[test]
+    fn a_note_is_said_once() {
+        let mut cx = Context::default();
+        cx.note("no outgoing pulse");
+        cx.note("no outgoing pulse");
+        assert_eq!(cx.counters.notes, ["no outgoing pulse"]);
+    }
+
+    #[test]
+    fn distributions_keep_three_digits() {
+        let mut a = Distribution::default();
+        (1..=100).for_each(|value| a.add(f64::from(value)));
+        let mut b = Distribution::default();
+        [f64::NAN, -1.0].into_iter().for_each(|value| b.add(value));
+        a.merge(&b);
+        assert_eq!(a.count(), 102);
+        assert!((a.percentile(50.0) - 49.0).abs() < 0.1, "{}", a.percentile(50.0));
+        assert!((a.max() - 100.0).abs() < 0.1);
+    }
+}

@@ -1,0 +1,144 @@
+//! Files that appear under their final name only when they are whole.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use crate::formats::{Error, Result};
+
+/// A file being written beside its final name. Dropped before [`OutputFile::finish`], it is removed.
+#[derive(Debug)]
+pub struct OutputFile {
+    writer: BufWriter<File>,
+    partial: Partial,
+}
+
+/// A file that is complete and waits for its final name. Dropped before [`WholeFile::publish`], it is removed.
+#[derive(Debug)]
+pub struct WholeFile {
+    partial: Partial,
+}
+
+/// A file under a temporary name, removed when dropped unless it was renamed.
+#[derive(Debug)]
+struct Partial {
+    temporary: PathBuf,
+    path: PathBuf,
+    renamed: bool,
+}
+
+impl OutputFile {
+    /// Begins the file that is to become `path`; its folder is made where it is missing.
+    pub fn create(path: &Path) -> Result<OutputFile> {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        fs::create_dir_all(folder).map_err(Error::io(folder, "make the folder"))?;
+        let Some(name) = path.file_name() else {
+            return Err(Error::unusable(path, "no file name", "give the output a name, as in `out/*.laz`"));
+        };
+        let temporary = folder.join(format!(".{}.{}.partial", name.to_string_lossy(), std::process::id()));
+        let file = File::create(&temporary).map_err(Error::io(path, "create"))?;
+        let partial = Partial { temporary, path: path.to_path_buf(), renamed: false };
+        Ok(OutputFile { writer: BufWriter::with_capacity(1 << 18, file), partial })
+    }
+
+    /// The final name.
+    pub fn path(&self) -> &Path {
+        &self.partial.path
+    }
+
+    /// Writes what is buffered down to the disk: from here on the file is whole.
+    pub fn finish(self) -> Result<WholeFile> {
+        let path = self.partial.path.clone();
+        let file = self.writer.into_inner().map_err(|e| Error::io(&path, "write")(e.into_error()))?;
+        file.sync_all().map_err(Error::io(&path, "write"))?;
+        Ok(WholeFile { partial: self.partial })
+    }
+}
+
+impl Write for OutputFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.writer.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.writer.flush()
+    }
+}
+
+impl Seek for OutputFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.writer.seek(to)
+    }
+}
+
+impl WholeFile {
+    /// The final name.
+    pub fn path(&self) -> &Path {
+        &self.partial.path
+    }
+
+    /// Gives the file its final name, in place of what stood there before.
+    pub fn publish(mut self) -> Result<PathBuf> {
+        let partial = &mut self.partial;
+        fs::rename(&partial.temporary, &partial.path)
+            .map_err(Error::io(&partial.path, "give the final name to"))?;
+        partial.renamed = true;
+        Ok(partial.path.clone())
+    }
+}
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        if !self.renamed {
+            // Nothing can be done about a temporary file that resists: its name says what it is.
+            let _ = fs::remove_file(&self.temporary);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(folder)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_has_its_name_only_when_it_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/points.laz");
+        let mut file = OutputFile::create(&path).unwrap();
+        file.write_all(b"abc").unwrap();
+        assert!(!path.exists());
+        let whole = file.finish().unwrap();
+        assert!(!path.exists());
+        whole.publish().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"abc");
+        assert_eq!(names(path.parent().unwrap()), ["points.laz"]);
+    }
+
+    #[test]
+    fn an_abandoned_file_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut file = OutputFile::create(&folder.path().join("a.txt")).unwrap();
+        file.write_all(b"abc").unwrap();
+        drop(file);
+        drop(OutputFile::create(&folder.path().join("b.txt")).unwrap().finish().unwrap());
+        assert_eq!(names(folder.path()), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let blocker = folder.path().join("file");
+        fs::write(&blocker, b"").unwrap();
+        let error = OutputFile::create(&blocker.join("out.laz")).unwrap_err().to_string();
+        assert!(error.contains("cannot make the folder"), "{error}");
+    }
+}

@@ -1,0 +1,78 @@
+//! Where a run takes place: which input, which folders, how many threads.
+
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{OutputFile, Result};
+
+/// What a stage knows of the run that it is made for.
+#[derive(Clone, Debug)]
+pub struct Site {
+    /// The input of this run: a file, or `-` for standard input; empty where the source makes its own data.
+    pub input: PathBuf,
+    /// What outputs are named after.
+    pub stem: String,
+    /// Where relative input paths start.
+    pub input_dir: PathBuf,
+    /// Where relative output paths start.
+    pub output_dir: PathBuf,
+    /// How many threads a stage may use for itself.
+    pub threads: usize,
+}
+
+impl Site {
+    /// The file that an output pattern means in this run: `*` is the input's stem.
+    pub fn output_path(&self, pattern: &str) -> PathBuf {
+        self.output_dir.join(pattern.replace('*', &self.stem))
+    }
+
+    /// Begins the output file that a pattern means in this run.
+    pub fn create(&self, pattern: &str) -> Result<OutputFile> {
+        Ok(OutputFile::create(&self.output_path(pattern))?)
+    }
+
+    /// A path of the job, from where inputs are.
+    pub fn input_path(&self, path: &Path) -> PathBuf {
+        self.input_dir.join(path)
+    }
+}
+
+/// One path or several; each may be a pattern (`*`, `?`, `[...]`, `**`).
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Paths {
+    /// A file or a pattern.
+    One(String),
+    /// Several of them.
+    Many(Vec<String>),
+}
+
+impl Paths {
+    /// The paths as they were written.
+    pub fn patterns(&self) -> &[String] {
+        match self {
+            Paths::One(path) => std::slice::from_ref(path),
+            Paths::Many(paths) => paths,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_star_is_the_stem_of_the_input() {
+        let site = Site {
+            input: "in/flight7.pls".into(),
+            stem: "flight7".into(),
+            input_dir: "in".into(),
+            output_dir: "out".into(),
+            threads: 1,
+        };
+        assert_eq!(site.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));
+        assert_eq!(site.output_path("/abs/all.laz"), Path::new("/abs/all.laz"));
+    }
+}
