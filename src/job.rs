@@ -37,10 +37,13 @@ pub struct JobSettings {
     pub input_dir: Option<String>,
     /// Where relative output paths start; the job file's folder when not given. A relative one starts there, too.
     pub output_dir: Option<String>,
+    /// How many scan lines may wait between two stages. The results do not depend on it.
+    #[schemars(range(min = 1))]
+    pub channel_capacity: usize,
 }
 
 impl Default for JobSettings {
     fn default() -> JobSettings {
-        JobSettings { threads: 0, memory_mb: 1024, input_dir: None, output_dir: None }
+        JobSettings { threads: 0, memory_mb: 1024, input_dir: None, output_dir: None, channel_capacity: 16 }
     }
 }

@@ -3,5 +3,5 @@ pub mod flags {
     //! Flags.
 }
 /// What calibration finds.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, schemars::JsonSchema)]
 pub struct SensorModel {}

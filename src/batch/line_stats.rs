@@ -57,6 +57,43 @@ pub struct LineStats {
     pub np_xtalk_dropped: u64,
 }
 
+impl LineStats {
+    /// Every counter with its name, in the order of the fields.
+    pub fn counts(&self) -> [(&'static str, u64); 22] {
+        [
+            ("nw", self.nw),
+            ("np", self.np),
+            ("np_xtalk", self.np_xtalk),
+            ("np_filtered", self.np_filtered),
+            ("np_merged", self.np_merged),
+            ("np_air", self.np_air),
+            ("np_low", self.np_low),
+            ("np_range", self.np_range),
+            ("np_atm", self.np_atm),
+            ("np_ibrc", self.np_ibrc),
+            ("np_ibic", self.np_ibic),
+            ("nw_empty", self.nw_empty),
+            ("nw_saturated", self.nw_saturated),
+            ("nw_refined1x", self.nw_refined1x),
+            ("nw_refined2x", self.nw_refined2x),
+            ("nw_deleted", self.nw_deleted),
+            ("nw_truncated", self.nw_truncated),
+            ("n_georef", self.n_georef),
+            ("n_candidates", self.n_candidates),
+            ("n_added", self.n_added),
+            ("nw_with_points", self.nw_with_points),
+            ("np_xtalk_dropped", self.np_xtalk_dropped),
+        ]
+    }
+
+    /// Whether the two laws hold.
+    pub fn laws_hold(&self) -> bool {
+        self.n_candidates + self.n_added
+            == self.np + self.np_filtered + self.np_merged + self.np_xtalk_dropped
+            && self.nw == self.nw_empty + self.nw_deleted + self.nw_with_points
+    }
+}
+
 /// A height above ground, m, that is unknown (NaN) until it is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Agl(pub f64);

@@ -1,0 +1,103 @@
+//! Runs a job: one thread per stage (several for a map), bounded channels between them, and a report at the end.
+//!
+//! This is the only place that knows of threads and channels. Three promises are kept here:
+//! * the end of a stream is said, by an `End` message: a channel that hangs up means that the run has failed, and the
+//!   first true cause is reported, not its echoes;
+//! * lines come out in the order they came in, whatever the number of workers;
+//! * no file gets its final name before every stage has succeeded.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::job::Job;
+use crate::stage::{Plan, Site, StageError};
+
+mod chain;
+mod failure;
+mod inputs;
+mod link;
+mod meter;
+mod progress;
+mod report;
+mod trace;
+mod worker;
+
+pub use failure::{Cancel, Cause, RunError};
+pub use progress::{Progress, ProgressMode};
+pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals};
+
+/// Where a job runs, and how.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Where relative input paths start.
+    pub input_dir: PathBuf,
+    /// Where relative output paths start.
+    pub output_dir: PathBuf,
+    /// Workers per map; 0: as many as the machine has cores.
+    pub threads: usize,
+    /// How many lines may wait between two stages.
+    pub channel_capacity: usize,
+    /// Keep what a trace needs.
+    pub profile: bool,
+    /// Ends the run early when it is set.
+    pub cancel: Cancel,
+    /// How to show how far the run is.
+    pub progress: ProgressMode,
+}
+
+impl Options {
+    /// The options that a job asks for, in these folders.
+    pub fn of_job(job: &Job, input_dir: impl Into<PathBuf>, output_dir: impl Into<PathBuf>) -> Options {
+        Options {
+            input_dir: input_dir.into(),
+            output_dir: output_dir.into(),
+            threads: job.settings.threads,
+            channel_capacity: job.settings.channel_capacity,
+            profile: false,
+            cancel: Cancel::default(),
+            progress: ProgressMode::Never,
+        }
+    }
+
+    fn workers(&self) -> usize {
+        match self.threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            threads => threads,
+        }
+    }
+}
+
+/// Runs the chain once per input, and says what happened.
+///
+/// # Errors
+/// The first true cause, with its stage and input. The outputs of inputs that were finished before it stay; of the one
+/// that failed, no file is left.
+pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
+    failure::catch_panic_messages();
+    let started = Instant::now();
+    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
+        return Err(RunError::of_job(StageError::failed("the job has no source", "begin it with a reader")));
+    };
+    let inputs = inputs::expand(source.paths(), source.stem(), &options.input_dir)?;
+    let mut report = RunReport::new(job, options.workers());
+    let mut progress = Progress::new(options.progress, inputs.len());
+    for input in inputs {
+        let site = Site {
+            input: input.path,
+            stem: input.stem,
+            input_dir: options.input_dir.clone(),
+            output_dir: options.output_dir.clone(),
+            threads: options.workers(),
+        };
+        let result = chain::run(job, &Arc::new(site), options, &mut progress)?;
+        report.add(result);
+    }
+    report.wall_s = started.elapsed().as_secs_f64();
+    Ok(report)
+}
+
+/// Writes the trace of a profiled run for Perfetto or chrome://tracing (the Trace Event Format, JSON).
+pub fn write_trace(report: &RunReport, out: &mut dyn std::io::Write) -> std::io::Result<()> {
+    trace::write(report, out)
+}

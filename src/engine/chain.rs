@@ -1,0 +1,164 @@
+//! One run of the chain over one input: spawn, watch, join, publish.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::RecvTimeoutError;
+
+use super::failure::{Failure, RunError, THREAD_PREFIX, guarded};
+use super::link::{Inlet, Outlet, link};
+use super::meter::Meter;
+use super::report::{InputReport, StageReport, Totals};
+use super::worker::{Desk, Exit, Gauge, Shared, run_map, run_sink, run_source, run_transform};
+use super::{Cause, Options, Progress};
+use crate::batch::Budget;
+use crate::job::{Job, JobStage};
+use crate::stage::{Context, Plan, Result, Site, StageError, WholeFile};
+
+/// What a stage's workers leave behind: one entry each.
+type Leavings = Mutex<Vec<(Meter, Context)>>;
+
+/// Runs the chain over one input.
+pub(super) fn run(
+    job: &Job,
+    site: &Arc<Site>,
+    options: &Options,
+    progress: &mut Progress,
+) -> std::result::Result<InputReport, RunError> {
+    let started = Instant::now();
+    let shared = shared(job, options);
+    let leavings: Vec<Leavings> = job.stages.iter().map(|_| Leavings::default()).collect();
+    progress.begin(&site.stem);
+    std::thread::scope(|scope| {
+        let (alive, all_gone) = crossbeam_channel::bounded::<()>(0);
+        for (index, work) in plan(job, options).into_iter().enumerate() {
+            for (worker, (inlet, exit)) in work.into_iter().enumerate() {
+                let (stage, shared, leavings, alive) =
+                    (&job.stages[index], &shared, &leavings[index], alive.clone());
+                let body = move || {
+                    run_worker(stage, site, shared, inlet, exit, options.profile, leavings);
+                    drop(alive);
+                };
+                let name = format!("{THREAD_PREFIX}{}-{worker}", stage.id);
+                if let Err(error) = std::thread::Builder::new().name(name).spawn_scoped(scope, body) {
+                    let failed = StageError::failed(
+                        format!("no thread could be started: {error}"),
+                        "lower `threads` or raise the system's limit of processes",
+                    );
+                    shared.failure.fail(&stage.id, &site.input, Cause::Stage(failed));
+                }
+            }
+        }
+        drop(alive);
+        while all_gone.recv_timeout(Duration::from_millis(100)) == Err(RecvTimeoutError::Timeout) {
+            progress.show(&shared.gauge);
+        }
+    });
+    progress.end(&shared.gauge);
+    let budget_peak = shared.budget.peak();
+    let totals = shared.totals.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+    if let Some(error) = shared.failure.into_error(&site.input) {
+        return Err(error);
+    }
+    let (stages, whole) = collect(job, leavings);
+    let outputs = publish(whole).map_err(|(stage, error)| RunError {
+        stage: Some(stage),
+        input: Some(site.input.clone()),
+        cause: Cause::Stage(error),
+    })?;
+    Ok(InputReport::new(site, started, totals, stages, outputs, budget_peak))
+}
+
+/// Every stage's workers, each with where its lines come from and where they go.
+fn plan(job: &Job, options: &Options) -> Vec<Vec<(Option<Inlet>, Exit)>> {
+    let workers = |stage: &JobStage| match stage.planned.plan {
+        Plan::Map(_) => options.workers(),
+        _ => 1,
+    };
+    let mut inlet: Option<Inlet> = None;
+    let mut plan = Vec::with_capacity(job.stages.len());
+    for (index, stage) in job.stages.iter().enumerate() {
+        let n = workers(stage);
+        let next = job.stages.get(index + 1).map(|next| link(options.channel_capacity, n, workers(next)));
+        let (outlet, next_inlet): (Option<Outlet>, Option<Inlet>) = next.unzip();
+        let exits = || outlet.as_ref().map_or(Exit::Out, |outlet| Exit::To(outlet.another()));
+        plan.push((0..n).map(|_| (inlet.as_ref().map(Inlet::another), exits())).collect());
+        inlet = next_inlet;
+    }
+    plan
+}
+
+fn shared(job: &Job, options: &Options) -> Shared {
+    let limit =
+        usize::try_from(job.settings.memory_mb).unwrap_or(usize::MAX / 1_000_000).saturating_mul(1_000_000);
+    let transforms =
+        job.stages.iter().filter(|stage| matches!(stage.planned.plan, Plan::Transform(_))).count();
+    // What all transforms hold back, each with one line over its share, stays below three quarters of the limit: there
+    // is always room for one more line, so a run cannot come to a standstill.
+    let transforms = transforms.max(1);
+    Shared {
+        failure: Failure::new(options.cancel.clone()),
+        budget: Budget::new(limit),
+        may_hold_bytes: limit / (2 * transforms),
+        largest_line_bytes: limit / (4 * transforms),
+        gauge: Gauge::default(),
+        totals: Mutex::new(Totals::default()),
+    }
+}
+
+/// The whole life of a worker, from the making of its stage to its last counter.
+fn run_worker(
+    stage: &JobStage,
+    site: &Arc<Site>,
+    shared: &Shared,
+    inlet: Option<Inlet>,
+    exit: Exit,
+    profile: bool,
+    leavings: &Leavings,
+) {
+    let mut desk = Desk { shared, exit, meter: Meter::new(profile), cx: Context::default() };
+    let result = guarded(|| work(stage, site, inlet, &mut desk));
+    if let Err(cause) = result {
+        shared.failure.fail(&stage.id, &site.input, cause);
+    }
+    let Desk { meter, cx, .. } = desk;
+    leavings.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push((meter, cx));
+}
+
+fn work(stage: &JobStage, site: &Site, inlet: Option<Inlet>, desk: &mut Desk) -> Result<()> {
+    match (&stage.planned.plan, inlet) {
+        (Plan::Source(plan), None) => run_source(plan.make(site)?, desk),
+        (Plan::Map(plan), Some(mut inlet)) => run_map(plan.make(site)?, &mut inlet, desk),
+        (Plan::Transform(plan), Some(mut inlet)) => run_transform(plan.make(site)?, &mut inlet, desk),
+        (Plan::Sink(plan), Some(mut inlet)) => run_sink(plan.make(site)?, &mut inlet, desk),
+        _ => Err(StageError::failed(
+            "a source stands first in a job, and only there",
+            "check the job with `wavex check`",
+        )),
+    }
+}
+
+/// What each stage did, and the files that are whole.
+fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String, WholeFile)>) {
+    let mut whole = Vec::new();
+    let mut reports = Vec::new();
+    for (stage, leavings) in job.stages.iter().zip(leavings) {
+        let workers = leavings.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let count = workers.len();
+        let mut meter = Meter::new(false);
+        let mut cx = Context::default();
+        for (worker, (its_meter, its_cx)) in workers.into_iter().enumerate() {
+            meter.merge(its_meter, worker);
+            cx.counters.merge(its_cx.counters);
+            whole.extend(its_cx.whole.into_iter().map(|file| (stage.id.clone(), file)));
+        }
+        reports.push(StageReport::new(stage, count, meter, cx.counters));
+    }
+    (reports, whole)
+}
+
+/// Gives every whole file its final name.
+fn publish(whole: Vec<(String, WholeFile)>) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
+    whole.into_iter().map(|(stage, file)| file.publish().map_err(|error| (stage, error.into()))).collect()
+}

@@ -1,0 +1,120 @@
+//! From the paths of a reader to the inputs of the runs.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::RunError;
+use crate::stage::{Paths, StageError};
+
+/// One run's input.
+#[derive(Debug, PartialEq)]
+pub(super) struct Input {
+    pub(super) path: PathBuf,
+    pub(super) stem: String,
+}
+
+/// The inputs, in the order of the job; those of a pattern in the order of their names.
+pub(super) fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Result<Vec<Input>, RunError> {
+    let Some(paths) = paths else {
+        return Ok(vec![Input { path: PathBuf::new(), stem: stem.to_string() }]);
+    };
+    let mut inputs = Vec::new();
+    let mut stems: BTreeMap<String, PathBuf> = BTreeMap::new();
+    for pattern in paths.patterns() {
+        for path in matches(pattern, input_dir)? {
+            if inputs.iter().any(|input: &Input| input.path == path) {
+                continue;
+            }
+            let stem = stem_of(&path);
+            if let Some(other) = stems.insert(stem.clone(), path.clone()) {
+                return Err(RunError::of_job(StageError::failed(
+                    format!(
+                        "{} and {} would have outputs of the same names",
+                        other.display(),
+                        path.display()
+                    ),
+                    "run them as two jobs with different output folders",
+                )));
+            }
+            inputs.push(Input { path, stem });
+        }
+    }
+    Ok(inputs)
+}
+
+fn stem_of(path: &Path) -> String {
+    match path.to_str() {
+        Some("-") => "stdin".into(),
+        _ => path.file_stem().map_or(String::new(), |stem| stem.to_string_lossy().into_owned()),
+    }
+}
+
+fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
+    if pattern == "-" {
+        return Ok(vec![PathBuf::from("-")]);
+    }
+    let path = input_dir.join(pattern);
+    if !pattern.contains(['*', '?', '[']) || path.exists() {
+        return Ok(vec![path]);
+    }
+    let fail = |problem: String, remedy: &str| RunError::of_job(StageError::failed(problem, remedy));
+    // Only the job's own words are a pattern: a folder may have brackets in its name.
+    let folder = glob::Pattern::escape(&input_dir.to_string_lossy());
+    let whole = if Path::new(pattern).is_absolute() { pattern.into() } else { format!("{folder}/{pattern}") };
+    let found = glob::glob(&whole)
+        .map_err(|e| fail(format!("`{pattern}` is no pattern: {e}"), "write it as in `lines/*.pls`"))?;
+    let mut paths = Vec::new();
+    for entry in found {
+        paths.push(entry.map_err(|e| fail(e.to_string(), "check the folder's permissions"))?);
+    }
+    if paths.is_empty() {
+        return Err(fail(
+            format!("no file matches `{}`", path.display()),
+            "check `path` of the reader and `input_dir` of the job",
+        ));
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn patterns_give_files_in_order_each_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path().join("with [brackets]");
+        fs::create_dir(&dir).unwrap();
+        for name in ["b.pls", "a.pls", "c.las"] {
+            fs::write(dir.join(name), b"").unwrap();
+        }
+        let paths = Paths::Many(vec!["c.las".into(), "*.pls".into(), "a.pls".into()]);
+        let inputs = expand(Some(&paths), "", &dir).unwrap();
+        let stems: Vec<&str> = inputs.iter().map(|input| input.stem.as_str()).collect();
+        assert_eq!(stems, ["c", "a", "b"]);
+    }
+
+    #[test]
+    fn a_pattern_without_files_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = expand(Some(&Paths::One("*.sdf".into())), "", folder.path()).unwrap_err();
+        let expected = format!(
+            "no file matches `{}`; check `path` of the reader and `input_dir` of the job",
+            folder.path().join("*.sdf").display()
+        );
+        assert_eq!(error.to_string(), expected);
+    }
+
+    #[test]
+    fn inputs_of_one_name_are_refused() {
+        let paths = Paths::Many(vec!["a/x.pls".into(), "b/x.pls".into()]);
+        let error = expand(Some(&paths), "", Path::new("in")).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "in/a/x.pls and in/b/x.pls would have outputs of the same names; \
+             run them as two jobs with different output folders"
+        );
+    }
+}

@@ -1,0 +1,128 @@
+//! What a worker measures of itself: where its time goes, and how many items pass.
+
+use std::time::{Duration, Instant};
+
+use hdrhistogram::Histogram;
+
+use crate::batch::Batch;
+use crate::stage::Item;
+
+/// The time and the items of one worker, or of all workers of a stage.
+#[derive(Clone, Debug)]
+pub(super) struct Meter {
+    pub(super) working: Duration,
+    pub(super) waiting: Duration,
+    pub(super) blocked: Duration,
+    pub(super) lines_in: u64,
+    pub(super) lines_out: u64,
+    pub(super) items_in: [u64; 3],
+    pub(super) items_out: [u64; 3],
+    /// Working time per line, ns.
+    pub(super) latency_ns: Histogram<u64>,
+    /// When each line was worked on, where a trace is wanted.
+    pub(super) spans: Vec<Span>,
+    tracing: bool,
+    lap: Instant,
+    line_working: Duration,
+}
+
+/// A stretch of work on one line, since the run's start.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Span {
+    pub(super) worker: usize,
+    pub(super) start: Instant,
+    pub(super) length: Duration,
+}
+
+/// The most spans that a worker keeps: a trace of a longer run shows its beginning.
+const MAX_SPANS: usize = 100_000;
+
+impl Meter {
+    pub(super) fn new(tracing: bool) -> Meter {
+        let latency_ns =
+            Histogram::new(3).unwrap_or_else(|_| unreachable!("3 digits are within hdrhistogram's limits"));
+        Meter {
+            working: Duration::ZERO,
+            waiting: Duration::ZERO,
+            blocked: Duration::ZERO,
+            lines_in: 0,
+            lines_out: 0,
+            items_in: [0; 3],
+            items_out: [0; 3],
+            latency_ns,
+            spans: Vec::new(),
+            tracing,
+            lap: Instant::now(),
+            line_working: Duration::ZERO,
+        }
+    }
+
+    /// The time since the last call.
+    fn lap(&mut self) -> Duration {
+        let now = Instant::now();
+        let lap = now - self.lap;
+        self.lap = now;
+        lap
+    }
+
+    /// The time until now was spent waiting for input.
+    pub(super) fn waited(&mut self) {
+        let lap = self.lap();
+        self.waiting += lap;
+    }
+
+    /// The time until now was spent waiting for room in the output.
+    pub(super) fn was_blocked(&mut self) {
+        let lap = self.lap();
+        self.blocked += lap;
+    }
+
+    /// The time until now was spent working on the current line.
+    pub(super) fn worked(&mut self) {
+        let start = self.lap;
+        let length = self.lap();
+        self.line_working += length;
+        if self.tracing && self.spans.len() < MAX_SPANS {
+            self.spans.push(Span { worker: 0, start, length });
+        }
+    }
+
+    /// The work on the current line is done.
+    pub(super) fn line_done(&mut self) {
+        self.latency_ns.saturating_record(self.line_working.as_nanos() as u64);
+        self.working += self.line_working;
+        self.line_working = Duration::ZERO;
+    }
+
+    pub(super) fn took(&mut self, batch: &Batch) {
+        self.lines_in += 1;
+        count(&mut self.items_in, batch);
+    }
+
+    pub(super) fn gave(&mut self, batch: &Batch) {
+        self.lines_out += 1;
+        count(&mut self.items_out, batch);
+    }
+
+    /// Adds another worker of the same stage.
+    pub(super) fn merge(&mut self, other: Meter, worker: usize) {
+        self.working += other.working;
+        self.waiting += other.waiting;
+        self.blocked += other.blocked;
+        self.lines_in += other.lines_in;
+        self.lines_out += other.lines_out;
+        for item in 0..3 {
+            self.items_in[item] += other.items_in[item];
+            self.items_out[item] += other.items_out[item];
+        }
+        // The histograms resize by themselves.
+        let _ = self.latency_ns.add(&other.latency_ns);
+        self.spans.extend(other.spans.into_iter().map(|span| Span { worker, ..span }));
+    }
+}
+
+fn count(items: &mut [u64; 3], batch: &Batch) {
+    for (count, item) in items.iter_mut().zip(Item::ALL) {
+        *count += item.count(batch);
+    }
+}

@@ -1,0 +1,35 @@
+//! The trace of a profiled run, in the Trace Event Format that Perfetto and chrome://tracing open.
+
+use std::io::{self, Write};
+
+use serde_json::json;
+
+use super::report::RunReport;
+
+/// One track per worker, one slice per stretch of work on a line; times in microseconds from the first slice.
+pub(super) fn write(report: &RunReport, out: &mut dyn Write) -> io::Result<()> {
+    let spans = || report.inputs.iter().flat_map(|input| &input.stages).flat_map(|stage| &stage.spans);
+    let origin = spans().map(|span| span.start).min();
+    let mut events = Vec::new();
+    let mut track = 0;
+    for input in &report.inputs {
+        for stage in &input.stages {
+            for worker in 0..stage.workers {
+                track += 1;
+                let name = format!("{} {} #{worker}", input.stem, stage.id);
+                events.push(
+                    json!({"ph": "M", "name": "thread_name", "pid": 1, "tid": track, "args": {"name": name}}),
+                );
+                for span in stage.spans.iter().filter(|span| span.worker == worker) {
+                    let start_us = origin.map_or(0.0, |origin| (span.start - origin).as_secs_f64() * 1e6);
+                    let length_us = span.length.as_secs_f64() * 1e6;
+                    events.push(json!({
+                        "ph": "X", "name": stage.r#type, "pid": 1, "tid": track, "ts": start_us, "dur": length_us
+                    }));
+                }
+            }
+        }
+    }
+    serde_json::to_writer(&mut *out, &json!({"traceEvents": events, "displayTimeUnit": "ms"}))?;
+    writeln!(out)
+}

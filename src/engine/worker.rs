@@ -1,0 +1,175 @@
+//! The body of a stage's thread, one function per role.
+
+use std::sync::Arc;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::failure::Failure;
+use super::link::{Inlet, Outlet};
+use super::meter::Meter;
+use super::report::Totals;
+use crate::batch::{Batch, Budget};
+use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
+
+/// What the threads of one chain share.
+pub(super) struct Shared {
+    pub(super) failure: Failure,
+    pub(super) budget: Arc<Budget>,
+    pub(super) may_hold_bytes: usize,
+    pub(super) largest_line_bytes: usize,
+    pub(super) gauge: Gauge,
+    pub(super) totals: Mutex<Totals>,
+}
+
+/// How far a run is.
+#[derive(Debug, Default)]
+pub(super) struct Gauge {
+    /// The part of the input that was read, in millionths; `u64::MAX` where that cannot be said.
+    pub(super) read_ppm: AtomicU64,
+    pub(super) lines: AtomicU64,
+    pub(super) shots: AtomicU64,
+}
+
+/// Where lines leave a worker: to the next stage, or out of the chain.
+pub(super) enum Exit {
+    To(Outlet),
+    Out,
+}
+
+/// A worker's own things.
+pub(super) struct Desk<'a> {
+    pub(super) shared: &'a Shared,
+    pub(super) exit: Exit,
+    pub(super) meter: Meter,
+    pub(super) cx: Context,
+}
+
+impl Desk<'_> {
+    /// Gives a line on.
+    fn send(&mut self, place: u64, mut batch: Batch) -> Result<()> {
+        batch.recount();
+        self.meter.gave(&batch);
+        match &self.exit {
+            Exit::To(outlet) => outlet.send(place, batch)?,
+            Exit::Out => self.leave(&batch),
+        }
+        self.meter.was_blocked();
+        Ok(())
+    }
+
+    /// A line leaves the chain: what it counted is added to the run's totals.
+    fn leave(&self, batch: &Batch) {
+        self.shared.gauge.lines.fetch_add(1, Ordering::Relaxed);
+        self.shared.gauge.shots.fetch_add(batch.emissions.len() as u64, Ordering::Relaxed);
+        self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(batch);
+    }
+
+    fn end(&mut self) -> Result<()> {
+        match &self.exit {
+            Exit::To(outlet) => outlet.end(),
+            Exit::Out => Ok(()),
+        }
+    }
+
+    /// The next line, unless the run is ending.
+    fn take(&mut self, inlet: &mut Inlet) -> Result<Option<(u64, Batch)>> {
+        let next = inlet.next()?;
+        self.meter.waited();
+        if self.shared.failure.stopping() {
+            return Err(StageError::Stopped);
+        }
+        if let Some((_, batch)) = &next {
+            self.meter.took(batch);
+        }
+        Ok(next)
+    }
+}
+
+/// Reads to the end of the input; a line waits until it fits into the budget.
+pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut Desk) -> Result<()> {
+    let mut place = 0;
+    loop {
+        let next = source.next(&mut desk.cx);
+        desk.meter.worked();
+        desk.meter.line_done();
+        let Some(mut batch) = next? else { break };
+        let read = source.progress().map_or(u64::MAX, |part| (part.clamp(0.0, 1.0) * 1e6) as u64);
+        desk.shared.gauge.read_ppm.store(read, Ordering::Relaxed);
+        let bytes = batch.bytes();
+        if bytes > desk.shared.largest_line_bytes {
+            return Err(too_large(batch.line, bytes, desk.shared));
+        }
+        let failure = &desk.shared.failure;
+        batch.ticket = desk.shared.budget.take(bytes, || failure.stopping());
+        if batch.ticket.is_none() || failure.stopping() {
+            return Err(StageError::Stopped);
+        }
+        desk.send(place, batch)?;
+        place += 1;
+    }
+    desk.end()
+}
+
+fn too_large(line: u32, bytes: usize, shared: &Shared) -> StageError {
+    let needed_mb =
+        (shared.budget.limit() as f64 * bytes as f64 / shared.largest_line_bytes as f64 / 1e6).ceil();
+    StageError::failed(
+        format!("scan line {line} takes {:.1} MB, too much for the job's memory_mb", bytes as f64 / 1e6),
+        format!("set memory_mb to {needed_mb} or more"),
+    )
+}
+
+/// Changes lines one by one; one of several workers.
+pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
+    while let Some((place, batch)) = desk.take(inlet)? {
+        let result = map.map(batch, &mut desk.cx);
+        desk.meter.worked();
+        desk.meter.line_done();
+        desk.send(place, result?)?;
+    }
+    desk.end()
+}
+
+/// Takes lines, and gives them on when the stage says so.
+pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
+    let mut place = 0;
+    loop {
+        let next = desk.take(inlet)?;
+        let ended = next.is_none();
+        // The stage borrows the counters while it gives lines on, so they leave the desk for that time.
+        let mut cx = std::mem::take(&mut desk.cx);
+        let may_hold_bytes = desk.shared.may_hold_bytes;
+        let mut emit = |batch: Batch| {
+            desk.meter.worked();
+            place += 1;
+            desk.send(place - 1, batch)
+        };
+        let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);
+        let result = match next {
+            Some((_, batch)) => stage.process(batch, &mut out),
+            None => stage.finish(&mut out),
+        };
+        desk.cx = cx;
+        desk.meter.worked();
+        desk.meter.line_done();
+        result?;
+        if ended {
+            return desk.end();
+        }
+    }
+}
+
+/// Writes lines and passes them on.
+pub(super) fn run_sink(mut sink: Box<dyn Sink>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
+    while let Some((place, batch)) = desk.take(inlet)? {
+        let result = sink.write(&batch, &mut desk.cx);
+        desk.meter.worked();
+        desk.meter.line_done();
+        result?;
+        desk.send(place, batch)?;
+    }
+    sink.finish(&mut desk.cx)?;
+    desk.meter.worked();
+    desk.meter.line_done();
+    desk.end()
+}
