@@ -5,6 +5,8 @@
 pub mod batch;
 pub mod engine;
 pub mod formats;
+pub mod geo;
 pub mod job;
 pub mod kernels;
 pub mod stage;
+pub mod stages;

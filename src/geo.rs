@@ -1,0 +1,3 @@
+//! Time and geometry: numbers to numbers.
+
+pub mod time;

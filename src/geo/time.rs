@@ -1,0 +1,74 @@
+//! GPS time scales.
+
+use crate::batch::{InputInfo, TimeScale};
+
+/// Seconds of a GPS week.
+pub const WEEK_S: f64 = 604_800.0;
+
+/// What "adjusted" GPS time leaves out, s (ASPRS LAS 1.4 R15, section 2.4, global encoding).
+pub const ADJUSTMENT_S: f64 = 1e9;
+
+/// Adjusted GPS time of a time on the input's scale; `None` where the input does not tell enough.
+pub fn adjusted_gps_time(input: &InputInfo, gps_time_s: f64) -> Option<f64> {
+    match (input.time_scale, input.gps_week) {
+        (TimeScale::Adjusted, _) => Some(gps_time_s),
+        // The difference is a whole number below 2^53: the fraction of a second keeps its bits.
+        (TimeScale::Week, Some(week)) => Some(f64::from(week) * WEEK_S - ADJUSTMENT_S + gps_time_s),
+        _ => None,
+    }
+}
+
+/// The GPS week that a Gregorian date lies in, and the day of that week from Sunday; `None` before 1980-01-06.
+pub fn gps_week(year: i32, month: u32, day: u32) -> Option<(u32, u32)> {
+    let days = days_since_epoch(year, month, day) - days_since_epoch(1980, 1, 6);
+    let days = u32::try_from(days).ok()?;
+    Some((days / 7, days % 7))
+}
+
+/// The Gregorian date (year, day of the year from 1) of an adjusted GPS time, leap seconds left out.
+pub fn day_of_year(adjusted_s: f64) -> Option<(u16, u16)> {
+    let days = ((adjusted_s + ADJUSTMENT_S) / 86_400.0).floor();
+    if !(0.0..1e6).contains(&days) {
+        return None;
+    }
+    let day = days as i64 + days_since_epoch(1980, 1, 6);
+    let mut year = 1980;
+    while days_since_epoch(year + 1, 1, 1) <= day {
+        year += 1;
+    }
+    Some((year as u16, (day - days_since_epoch(year, 1, 1) + 1) as u16))
+}
+
+/// Days from 0000-03-01 in the Gregorian calendar, counted with years that begin in March.
+fn days_since_epoch(year: i32, month: u32, day: u32) -> i64 {
+    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
+    let year = i64::from(year);
+    365 * year + year.div_euclid(4) - year.div_euclid(100)
+        + year.div_euclid(400)
+        + i64::from((153 * month + 2) / 5)
+        + i64::from(day)
+        - 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weeks_begin_on_sundays() {
+        assert_eq!(gps_week(1980, 1, 6), Some((0, 0)));
+        assert_eq!(gps_week(1980, 1, 13), Some((1, 0)));
+        assert_eq!(gps_week(2015, 8, 31), Some((1860, 1)));
+        assert_eq!(gps_week(2019, 4, 7), Some((2048, 0)), "the second rollover");
+        assert_eq!(gps_week(1980, 1, 5), None);
+    }
+
+    #[test]
+    fn adjusted_time_has_a_date() {
+        // 2011-09-14 01:46:40 GPS is 1e9 seconds after the epoch.
+        assert_eq!(day_of_year(0.0), Some((2011, 257)));
+        assert_eq!(day_of_year(-1e9), Some((1980, 6)));
+        assert_eq!(day_of_year(-2e9), None);
+        assert_eq!(day_of_year(f64::NAN), None);
+    }
+}
