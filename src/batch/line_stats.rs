@@ -45,8 +45,8 @@ pub struct LineStats {
     pub nw_truncated: u64,
     /// Points with coordinates.
     pub n_georef: u64,
-    /// Height above the line's own ground, m; NaN where unknown.
-    pub agl_m: Agl,
+    /// Height above the line's own ground, m, where known.
+    pub agl_m: Option<f64>,
     /// Candidates found by the first detection.
     pub n_candidates: u64,
     /// Candidates added by later passes.
@@ -91,15 +91,5 @@ impl LineStats {
         self.n_candidates + self.n_added
             == self.np + self.np_filtered + self.np_merged + self.np_xtalk_dropped
             && self.nw == self.nw_empty + self.nw_deleted + self.nw_with_points
-    }
-}
-
-/// A height above ground, m, that is unknown (NaN) until it is computed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Agl(pub f64);
-
-impl Default for Agl {
-    fn default() -> Agl {
-        Agl(f64::NAN)
     }
 }

@@ -117,7 +117,7 @@ fn row(stats: &LineStats, gps_time_s: f64) -> String {
         stats.n_georef,
     ];
     let counts = counts.map(|count| count.to_string()).join(" ");
-    format!("{} {counts} {}", number(gps_time_s, 6), number(stats.agl_m.0, 2))
+    format!("{} {counts} {}", number(gps_time_s, 6), number(stats.agl_m.unwrap_or(f64::NAN), 2))
 }
 
 fn number(value: f64, digits: usize) -> String {
@@ -127,7 +127,6 @@ fn number(value: f64, digits: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::Agl;
 
     #[test]
     fn a_row_has_the_columns_in_their_order() {
@@ -150,7 +149,7 @@ mod tests {
             nw_deleted: 16,
             nw_truncated: 17,
             n_georef: 18,
-            agl_m: Agl(1500.0),
+            agl_m: Some(1500.0),
             ..LineStats::default()
         };
         let row = row(&stats, 101_238_765.25);
