@@ -1,0 +1,30 @@
+# The commands of every day. `just` lists them.
+
+default:
+    @just --list
+
+# Everything that must hold before a change lands
+ci:
+    bash .ci/run
+
+# Tests; set WAVEX_DATA to a folder of real recordings to run those on them, too
+test *ARGS:
+    cargo test {{ARGS}}
+
+# Format and lint
+lint:
+    cargo fmt --all
+    cargo clippy --all-targets -- -D warnings
+
+# The demo job
+demo:
+    cargo run --release -- run jobs/demo.toml
+
+# What the engine costs, and where a whole job spends its time
+bench:
+    cargo bench --bench engine
+    cargo bench --bench whole_job
+
+# Licences and advisories of the dependencies (needs cargo-deny)
+deny:
+    cargo deny check
