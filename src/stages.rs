@@ -1,4 +1,5 @@
 //! The stages, one file each; `registry.rs` lists them.
 
 pub mod georeference;
+mod lines;
 pub mod write_lstat;

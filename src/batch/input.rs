@@ -47,6 +47,34 @@ pub struct InputInfo {
     pub range_high: Option<AmplitudeTable>,
 }
 
+impl Default for InputInfo {
+    /// A recording of which nothing is known but that it was sampled every nanosecond in vacuum.
+    fn default() -> InputInfo {
+        InputInfo {
+            path: PathBuf::new(),
+            stem: String::new(),
+            format: String::new(),
+            instrument: None,
+            serial: None,
+            sampling_interval_ns: 1.0,
+            full_scale_dn: None,
+            group_velocity_mps: 299_792_458.0,
+            pulse_rate_hz: None,
+            time_scale: TimeScale::Unknown,
+            gps_week: None,
+            recorded: None,
+            frame: Frame::Scanner,
+            crs_wkt: None,
+            coordinate_grid: None,
+            emission_reference: EmissionReference::Clock,
+            amplitude_low: None,
+            amplitude_high: None,
+            range_low: None,
+            range_high: None,
+        }
+    }
+}
+
 /// What GPS times count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeScale {

@@ -42,6 +42,26 @@ pub struct Emission {
     pub scan_angle_deg: f32,
 }
 
+impl Default for Emission {
+    /// A shot straight down from the frame's origin, of which nothing else is known.
+    fn default() -> Emission {
+        Emission {
+            shot: 0,
+            gps_time_s: f64::NAN,
+            clock_ps: 0,
+            origin_m: [0.0; 3],
+            direction: [0.0, 0.0, -1.0],
+            frame_scale: 1.0,
+            emission_ns: 0.0,
+            emission_sd_ns: f64::NAN,
+            facet: 0,
+            flags: 0,
+            mta_zone: None,
+            scan_angle_deg: f32::NAN,
+        }
+    }
+}
+
 /// Bits of [`Emission::flags`]; 0 to 2 as the container and RIEGL count them.
 pub mod emission_flags {
     /// The clock is synchronised with GPS.

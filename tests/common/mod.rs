@@ -16,28 +16,7 @@ use wavex::stage::{
 };
 
 pub fn input_info() -> InputInfo {
-    InputInfo {
-        path: "".into(),
-        stem: "test".into(),
-        format: "test".into(),
-        instrument: None,
-        serial: None,
-        sampling_interval_ns: 1.0,
-        full_scale_dn: Some(255),
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
-        time_scale: TimeScale::Unknown,
-        gps_week: None,
-        recorded: None,
-        frame: Frame::Map,
-        crs_wkt: None,
-        coordinate_grid: None,
-        emission_reference: EmissionReference::Clock,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
-    }
+    InputInfo { stem: "test".into(), format: "test".into(), frame: Frame::Map, ..InputInfo::default() }
 }
 
 pub fn emission(shot: u64) -> Emission {
@@ -46,14 +25,9 @@ pub fn emission(shot: u64) -> Emission {
         gps_time_s: shot as f64 * 1e-5,
         clock_ps: shot as i64 * 10_000_000,
         origin_m: [0.0, 0.0, 1000.0],
-        direction: [0.0, 0.0, -1.0],
-        frame_scale: 1.0,
-        emission_ns: 0.0,
-        emission_sd_ns: f64::NAN,
-        facet: 0,
-        flags: 0,
         mta_zone: Some(0),
         scan_angle_deg: 0.0,
+        ..Emission::default()
     }
 }
 

@@ -1,0 +1,153 @@
+//! Where one scan line ends and the next begins, for readers of files that do not say it.
+
+use std::sync::Arc;
+
+use crate::batch::{Batch, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emission_flags};
+
+/// Collects shots into scan lines.
+///
+/// A line ends after a shot with the edge-of-flight-line flag, and before one whose scan direction flag or facet differs
+/// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots (DEFINITIONS: scan line).
+pub(super) struct Lines {
+    input: Arc<InputInfo>,
+    next_line: u32,
+    emissions: Vec<Emission>,
+    blocks: Blocks,
+    sweep: Sweep,
+}
+
+/// The usual movement of the beam from shot to shot.
+#[derive(Default)]
+struct Sweep {
+    /// Running mean of the difference of consecutive directions.
+    step: [f64; 3],
+    shots: usize,
+}
+
+/// A beam that moves back by more than this many usual steps has begun a new sweep.
+const JUMP_STEPS: f64 = 8.0;
+/// So many shots must have shown the usual step before a jump can be told.
+const STEADY_SHOTS: usize = 8;
+
+impl Lines {
+    pub(super) fn new(input: Arc<InputInfo>) -> Lines {
+        Lines {
+            input,
+            next_line: 0,
+            emissions: Vec::new(),
+            blocks: Blocks::default(),
+            sweep: Sweep::default(),
+        }
+    }
+
+    /// Whether a shot would begin a new line: then [`Lines::take`] the one at hand first.
+    pub(super) fn ends_before(&self, next: &Emission) -> bool {
+        let Some(last) = self.emissions.last() else { return false };
+        let flag = |emission: &Emission| emission.flags & emission_flags::SCAN_DIRECTION_POSITIVE;
+        self.emissions.len() >= MAX_SHOTS_PER_LINE
+            || last.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0
+            || flag(last) != flag(next)
+            || last.facet != next.facet
+            || self.sweep.jumps(last.direction, next.direction)
+    }
+
+    /// Adds a shot; its blocks go to [`Lines::blocks`] with the index returned.
+    pub(super) fn add(&mut self, emission: Emission) -> u32 {
+        if let Some(last) = self.emissions.last() {
+            self.sweep.learn(last.direction, emission.direction);
+        }
+        self.emissions.push(emission);
+        (self.emissions.len() - 1) as u32
+    }
+
+    /// Where the blocks of the line at hand go.
+    pub(super) fn blocks(&mut self) -> &mut Blocks {
+        &mut self.blocks
+    }
+
+    /// The line at hand, if it has any shots.
+    pub(super) fn take(&mut self) -> Option<Batch> {
+        if self.emissions.is_empty() {
+            return None;
+        }
+        self.sweep = Sweep::default();
+        let line = self.next_line;
+        self.next_line += 1;
+        let emissions = std::mem::take(&mut self.emissions);
+        Some(Batch::of_shots(Arc::clone(&self.input), line, emissions, std::mem::take(&mut self.blocks)))
+    }
+}
+
+impl Sweep {
+    fn learn(&mut self, from: [f64; 3], to: [f64; 3]) {
+        self.shots += 1;
+        let weight = 1.0 / self.shots.min(32) as f64;
+        for axis in 0..3 {
+            self.step[axis] += weight * (to[axis] - from[axis] - self.step[axis]);
+        }
+    }
+
+    fn jumps(&self, from: [f64; 3], to: [f64; 3]) -> bool {
+        let step: [f64; 3] = std::array::from_fn(|axis| to[axis] - from[axis]);
+        let along = dot(step, self.step);
+        let usual = dot(self.step, self.step);
+        self.shots >= STEADY_SHOTS && along < -JUMP_STEPS * usual
+    }
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shot(angle_deg: f64) -> Emission {
+        let (sin, cos) = angle_deg.to_radians().sin_cos();
+        Emission { direction: [sin, 0.0, -cos], ..Emission::default() }
+    }
+
+    /// The lengths of the lines that the shots make.
+    fn lengths(shots: impl IntoIterator<Item = Emission>) -> Vec<usize> {
+        let mut lines = Lines::new(Arc::new(InputInfo::default()));
+        let mut lengths = Vec::new();
+        for shot in shots {
+            if lines.ends_before(&shot) {
+                lengths.extend(lines.take().map(|line| line.emissions.len()));
+            }
+            lines.add(shot);
+        }
+        lengths.extend(lines.take().map(|line| line.emissions.len()));
+        lengths
+    }
+
+    #[test]
+    fn a_beam_that_jumps_back_begins_a_line() {
+        let angles =
+            [0.0, 1.0, 2.0].map(|line| (0..100).map(move |i| -30.0 + 0.6 * f64::from(i) + line * 0.001));
+        assert_eq!(lengths(angles.into_iter().flatten().map(shot)), [100, 100, 100]);
+    }
+
+    #[test]
+    fn gaps_in_a_sweep_do_not_end_it() {
+        let angles = (0..100).filter(|i| !(40..70).contains(i)).map(|i| shot(-30.0 + 0.6 * f64::from(i)));
+        assert_eq!(lengths(angles), [70]);
+    }
+
+    #[test]
+    fn flags_and_facets_end_lines() {
+        use emission_flags::{EDGE_OF_FLIGHT_LINE, SCAN_DIRECTION_POSITIVE};
+        let with = |flags, facet| Emission { flags, facet, ..shot(0.0) };
+        let edge = [with(0, 0), with(EDGE_OF_FLIGHT_LINE, 0), with(0, 0)];
+        assert_eq!(lengths(edge), [2, 1]);
+        let turned = [with(0, 0), with(0, 0), with(0, 0), with(SCAN_DIRECTION_POSITIVE, 0)];
+        assert_eq!(lengths(turned), [3, 1]);
+        assert_eq!(lengths([with(0, 0), with(0, 1), with(0, 1)]), [1, 2]);
+    }
+
+    #[test]
+    fn no_line_is_longer_than_the_limit() {
+        assert_eq!(lengths((0..5000).map(|_| shot(3.0))), [4096, 904]);
+    }
+}
