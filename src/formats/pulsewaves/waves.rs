@@ -71,7 +71,7 @@ impl Waves {
         &self.segments
     }
 
-    /// The samples of one of [`Waves::segments`], in digitiser steps; empty for a segment of other waves.
+    /// The samples of `segment`, in digitiser steps; it must be one of [`Waves::segments`] of these waves.
     pub fn samples(&self, segment: &Segment) -> &[u16] {
         self.samples.get(segment.range.clone()).unwrap_or(&[])
     }

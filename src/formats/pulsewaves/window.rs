@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::formats::{Error, Result};
 
-/// How much is read ahead, in bytes: about a hundred pulses with their waves.
+/// How much is read ahead, in bytes: more than a thousand pulse records, or the waves of some hundred pulses.
 const READ_AHEAD: usize = 1 << 16;
 
 const CUT: &str = "it is cut off or damaged: copy it again from its source";
