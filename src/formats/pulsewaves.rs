@@ -1,0 +1,232 @@
+//! PulseWaves 0.3: pulses (`.pls`) and their waves (`.wvs`), raw.
+//!
+//! The layout is that of the open specification (rapidlasso, "PulseWaves - Full Waveform LiDAR Specification",
+//! version 0.3 revision 6), with what its reference library of revisions 7 to 11 does beyond it: lookup tables, signed
+//! durations, the order of two fields of a descriptor. All numbers are little-endian. The compressed twin
+//! (`.plz`, `.wvz`) is refused with a remedy.
+//!
+//! A pulse is an anchor, a target 1000 sampling units further along the beam, and an offset to its waves; its
+//! descriptor says how these are laid out. What is wrong with the header or a record is an error of the file; what is
+//! wrong with one pulse is an error of that pulse, and the next can be read.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use super::{Error, Result};
+
+mod descriptor;
+mod header;
+mod pulse;
+mod table;
+#[cfg(test)]
+mod tests;
+mod vlr;
+mod waves;
+mod window;
+
+pub use descriptor::{Descriptor, Kind, Sampling};
+pub use header::{Header, TimeAxis};
+pub use pulse::Pulse;
+pub use table::{LookupTable, LookupTables};
+pub use vlr::{Crs, Record, Scanner};
+pub use waves::{Segment, Waves};
+
+use vlr::Records;
+use window::Window;
+
+/// What to do about a compressed file.
+const UNCOMPRESS: &str = "uncompress the pair with rapidlasso's pulsezip (pulsezip -i in.plz -o out.pls)";
+
+/// A pair of pulse and waves file, open for reading.
+#[derive(Debug)]
+pub struct Reader {
+    pulses: Window<File>,
+    waves: Window<File>,
+    header: Header,
+    records: Records,
+    pulse_count: u64,
+}
+
+impl Reader {
+    /// Opens the pulse file `path` and the waves file of the same name beside it, and reads header and records.
+    ///
+    /// # Errors
+    /// A file that cannot be opened, is empty, of another format or version, compressed, or cut off before its first
+    /// pulse; a waves file that is missing; a header or record that is not what the specification says. A file that
+    /// holds fewer pulses than it promises opens: see [`Reader::check_complete`].
+    pub fn open(path: &Path) -> Result<Reader> {
+        let mut pulses = open(path)?;
+        let length = pulses.length().min(header::HEADER_BYTES as u64) as usize;
+        let header = Header::parse(path, pulses.bytes(0, length, "header")?.1)?;
+        if header.offset_to_pulses > pulses.length() {
+            let problem =
+                format!("the pulses start at byte {} and the file ends before", header.offset_to_pulses);
+            return Err(Error::unusable(path, problem, "it is cut off: copy it again from its source"));
+        }
+        let records = Records::read(&mut pulses, &header)?;
+        let end = records.appended_at.unwrap_or(pulses.length());
+        let held = (end - header.offset_to_pulses) / u64::from(header.pulse_size);
+        let mut waves = open(&waves_path(path)?)?;
+        let length = waves.length().min(header::WAVES_HEADER_BYTES as u64) as usize;
+        let (file, bytes) = waves.bytes(0, length, "header")?;
+        header::check_waves_header(file, bytes)?;
+        let pulse_count = held.min(header.pulse_count);
+        Ok(Reader { pulses, waves, header, records, pulse_count })
+    }
+
+    /// The header.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// All records in front of the pulses and behind them, in the order of the file.
+    pub fn records(&self) -> &[Record] {
+        &self.records.list
+    }
+
+    /// The scanners by their index, 1 to 255.
+    pub fn scanners(&self) -> &BTreeMap<u8, Scanner> {
+        &self.records.scanners
+    }
+
+    /// The pulse descriptors by their index, 1 to 255.
+    pub fn descriptors(&self) -> &BTreeMap<u8, Descriptor> {
+        &self.records.descriptors
+    }
+
+    /// The lookup tables by their index, 1 to 255, which [`Sampling::lookup_table_index`] names.
+    pub fn tables(&self) -> &BTreeMap<u8, LookupTables> {
+        &self.records.tables
+    }
+
+    /// The coordinate reference system as the file has it.
+    pub fn crs(&self) -> &Crs {
+        &self.records.crs
+    }
+
+    /// How many pulses can be read: those that the header promises, if the file holds them.
+    pub fn pulse_count(&self) -> u64 {
+        self.pulse_count
+    }
+
+    /// Whether the file holds all pulses that its header promises.
+    ///
+    /// # Errors
+    /// The number of pulses promised and held, where it does not.
+    pub fn check_complete(&self) -> Result<()> {
+        match self.pulse_count < self.header.pulse_count {
+            true => Err(self.missing(self.pulse_count)),
+            false => Ok(()),
+        }
+    }
+
+    /// Pulse `index`, from 0. Reads in order are buffered.
+    ///
+    /// # Errors
+    /// There is no such pulse, or the file cannot be read.
+    pub fn pulse(&mut self, index: u64) -> Result<Pulse> {
+        if index >= self.pulse_count {
+            return Err(self.missing(index));
+        }
+        let at = self.header.record_at(index);
+        let known = self.header.known_pulse_bytes();
+        let (file, bytes) = self.pulses.bytes(at, known, "pulse record")?;
+        Pulse::parse(file, at, bytes, index, &self.header)
+    }
+
+    /// Replaces the content of `waves` by the segments of `pulse`. Reads in the order of the file are buffered.
+    ///
+    /// # Errors
+    /// The pulse names a descriptor that is missing or asks for what is not supported (among others samples of more
+    /// than 16 bits), or its waves do not lie within the waves file. `waves` is empty then, and the reader can read on.
+    pub fn waves(&mut self, pulse: &Pulse, waves: &mut Waves) -> Result<()> {
+        waves.clear();
+        let file = self.pulses.file();
+        let descriptor = descriptor(file, &self.header, &self.records, pulse)?;
+        let offset = wave_offset(file, &self.header, self.waves.length(), pulse)?;
+        waves.read(&mut self.waves, offset, pulse.index, descriptor)
+    }
+
+    /// Pulse `index` is not there.
+    fn missing(&self, index: u64) -> Error {
+        let promised = self.header.pulse_count;
+        let (problem, remedy) = if index < promised {
+            let held = self.pulse_count;
+            (
+                format!("the header promises {promised} pulses and the file holds {held}"),
+                "the file is cut off: copy it again from its source",
+            )
+        } else {
+            (format!("there are {promised} pulses"), "ask for one of them")
+        };
+        Error::malformed(
+            self.pulses.file(),
+            self.header.record_at(index),
+            format!("pulse {index}"),
+            problem,
+            remedy,
+        )
+    }
+}
+
+/// The descriptor of the pulse, if its waves can be read by it.
+fn descriptor<'r>(
+    file: &Path,
+    header: &Header,
+    records: &'r Records,
+    pulse: &Pulse,
+) -> Result<&'r Descriptor> {
+    let index = pulse.descriptor;
+    let bad = |field: String, problem: String| {
+        let field = format!("pulse {}: {field}", pulse.index);
+        let remedy = "leave the pulse out, or export the files with 8 or 16 bit uncompressed waves";
+        Error::malformed(file, header.record_at(pulse.index).saturating_add(44), field, problem, remedy)
+    };
+    let descriptor = records.descriptors.get(&index).ok_or_else(|| {
+        bad("pulse descriptor index".to_string(), format!("the file has no descriptor {index}"))
+    })?;
+    match descriptor.problem() {
+        Some((field, problem)) => Err(bad(format!("descriptor {index}: {field}"), problem)),
+        None => Ok(descriptor),
+    }
+}
+
+/// Where the waves of the pulse start, if that is behind the header of the waves file of `length` bytes and within it.
+fn wave_offset(file: &Path, header: &Header, length: u64, pulse: &Pulse) -> Result<u64> {
+    let range = header::WAVES_HEADER_BYTES as u64..length;
+    u64::try_from(pulse.wave_offset).ok().filter(|offset| range.contains(offset)).ok_or_else(|| {
+        let field = format!("pulse {}: offset to waves", pulse.index);
+        let problem = format!(
+            "{} lies outside of the waves file's bytes {} to {length}",
+            pulse.wave_offset, range.start
+        );
+        let remedy = "leave the pulse out, or copy both files again: the waves file may be cut off";
+        Error::malformed(file, header.record_at(pulse.index).saturating_add(8), field, problem, remedy)
+    })
+}
+
+/// A window over the file.
+fn open(path: &Path) -> Result<Window<File>> {
+    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let about = file.metadata().map_err(Error::io(path, "open"))?;
+    if !about.is_file() {
+        return Err(Error::unusable(path, "this is not a file", "give a .pls file"));
+    }
+    Ok(Window::new(file, path, about.len()))
+}
+
+/// The waves file of the pulse file `path`: the same name ending in `wvs`, lower or upper case.
+fn waves_path(path: &Path) -> Result<PathBuf> {
+    let upper = path.extension().is_some_and(|e| e.to_string_lossy().starts_with('P'));
+    let endings = if upper { ["WVS", "wvs"] } else { ["wvs", "WVS"] };
+    let found = endings.iter().map(|e| path.with_extension(e)).find(|p| p.exists());
+    found.ok_or_else(|| {
+        if ["wvz", "WVZ"].iter().any(|e| path.with_extension(e).exists()) {
+            return Error::unusable(path, "its waves are compressed (.wvz)", UNCOMPRESS);
+        }
+        let wanted = path.with_extension("wvs");
+        let problem = format!("its waves file {} is missing", wanted.display());
+        Error::unusable(path, problem, "put it beside the pulse file")
+    })
+}

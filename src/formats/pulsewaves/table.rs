@@ -1,0 +1,85 @@
+//! Lookup tables: what a sample's digitiser step stands for.
+
+use std::path::Path;
+
+use super::descriptor::{DESCRIPTION_BYTES, record};
+use crate::formats::Result;
+use crate::formats::bytes::Fields;
+
+/// Fixed fields of the record that heads the tables, description included, in bytes.
+const SET_BYTES: u32 = 76;
+/// Fixed fields of one table, description included, in bytes; 84 with the compression field of later revisions.
+const TABLE_BYTES: u32 = 80;
+/// The data type of the entries: 32-bit float. No other is defined.
+const FLOAT: u8 = 8;
+
+/// The lookup tables of one record (`PulseWaves_Spec` 300001 to 300255; revision 7 and later of the peer library, the
+/// text of specification 0.3 names them without a layout).
+#[derive(Debug, Clone, PartialEq)]
+pub struct LookupTables {
+    /// The writer's words on the record.
+    pub description: String,
+    /// The tables, in the order of the file.
+    pub tables: Vec<LookupTable>,
+}
+
+/// One lookup table: `entries[n]` is what digitiser step `n` stands for.
+///
+/// In files of RIEGL instruments these are decibels above the detection limit, by the height of the *fitted* pulse
+/// over the zero of the digitiser, and steps below the limit hold about -2e37.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LookupTable {
+    /// Code of the unit. No list of them is published; RIEGL's decibels carry 1.
+    pub unit_of_measurement: u16,
+    /// Options; no bit is published.
+    pub options: u8,
+    /// The writer's words on the table.
+    pub description: String,
+    /// One value per digitiser step, from step 0 on.
+    pub entries: Vec<f32>,
+}
+
+impl LookupTables {
+    /// Reads the payload of a lookup table record, which stood at byte `base` of `file`.
+    pub(super) fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<LookupTables> {
+        let mut f = Fields::new(file, base, payload);
+        let (mut head, description) = record(file, &mut f, "lookup tables", SET_BYTES)?;
+        head.skip(8, "lookup tables: size, reserved")?;
+        let count = head.u32("lookup tables: number of tables")?;
+        let mut tables = Vec::new();
+        for _ in 0..count {
+            tables.push(LookupTable::parse(file, &mut f)?);
+        }
+        Ok(LookupTables { description, tables })
+    }
+}
+
+impl LookupTable {
+    fn parse<'a>(file: &'a Path, f: &mut Fields<'a>) -> Result<LookupTable> {
+        let (mut head, description) = record(file, f, "lookup table", TABLE_BYTES)?;
+        head.skip(8, "lookup table: size, reserved")?;
+        let count = head.u32("lookup table: number of entries")?;
+        let unit_of_measurement = head.u16("lookup table: unit of measurement")?;
+        let at = head.clone();
+        let data_type = head.u8("lookup table: data type")?;
+        if data_type != FLOAT {
+            let problem = format!("{data_type} is unknown, only {FLOAT} (32-bit float) is defined");
+            return Err(at.bad(
+                "lookup table: data type",
+                problem,
+                "export the file again with float tables",
+            ));
+        }
+        let options = head.u8("lookup table: options")?;
+        let at = head.clone();
+        let compression = if head.left() >= 4 + DESCRIPTION_BYTES { head.u32("compression")? } else { 0 };
+        if compression != 0 {
+            let problem = format!("scheme {compression} is unknown");
+            return Err(at.bad("lookup table: compression", problem, "export the file again uncompressed"));
+        }
+        let bytes = (count as usize).saturating_mul(4);
+        let entries = f.take(bytes, "lookup table: entries")?.chunks_exact(4);
+        let entries = entries.map(|e| f32::from_le_bytes([e[0], e[1], e[2], e[3]])).collect();
+        Ok(LookupTable { unit_of_measurement, options, description, entries })
+    }
+}

@@ -1,0 +1,201 @@
+//! The waves of a pulse: segments of samples.
+
+use std::io::{Read, Seek};
+use std::ops::Range;
+
+use super::descriptor::{Descriptor, Kind, Sampling};
+use super::window::Window;
+use crate::formats::{Error, Result};
+
+/// The most bytes that the waves of one pulse may take: at one sample per ns and byte more than 600 km of range.
+const MOST_BYTES: u64 = 1 << 22;
+/// The most segments that one pulse may have.
+const MOST_SEGMENTS: usize = 1 << 16;
+
+const DAMAGED: &str = "leave the pulse out, or copy or export the pair of files again";
+
+/// The segments of one pulse. Reused from pulse to pulse it allocates nothing once it has seen the largest.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Waves {
+    segments: Vec<Segment>,
+    samples: Vec<u16>,
+}
+
+/// A run of samples at equal distances in time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Segment {
+    /// Which sampling of the descriptor, from 0.
+    pub sampling: u16,
+    /// Which segment of that sampling, from 0.
+    pub number: u16,
+    /// Outgoing or returning.
+    pub kind: Kind,
+    /// The detector.
+    pub channel: u8,
+    /// Bits of a sample: 8 or 16.
+    pub bits: u8,
+    /// The stored duration, 0 where none is stored.
+    pub quantized_duration: i32,
+    /// Time from the anchor to the first sample in sampling units, `scale * quantized_duration + offset`; negative
+    /// where the segment starts before the anchor. `None` where the sampling stores no durations: for a reader that
+    /// follows the specification the segment then starts at the anchor, yet writers leave the duration out where
+    /// they do not know it as well.
+    pub duration: Option<f64>,
+    /// Sampling units from one sample to the next.
+    pub units_per_sample: f64,
+    /// Time from one sample to the next, ns.
+    pub sample_units_ns: f64,
+    range: Range<usize>,
+}
+
+impl Segment {
+    /// How many samples there are.
+    pub fn sample_count(&self) -> usize {
+        self.range.len()
+    }
+
+    /// Sampling units from the anchor to sample `k`, fractions included; for [`super::Pulse::position`].
+    pub fn duration_of(&self, k: f64) -> f64 {
+        self.duration.unwrap_or(0.0) + k * self.units_per_sample
+    }
+}
+
+impl Waves {
+    /// No segments yet.
+    pub fn new() -> Waves {
+        Waves::default()
+    }
+
+    /// The segments in the order of the file: sampling by sampling.
+    pub fn segments(&self) -> &[Segment] {
+        &self.segments
+    }
+
+    /// The samples of `segment`, in digitiser steps; it must be one of [`Waves::segments`] of these waves.
+    pub fn samples(&self, segment: &Segment) -> &[u16] {
+        self.samples.get(segment.range.clone()).unwrap_or(&[])
+    }
+
+    /// Forgets the segments and keeps the memory.
+    pub(super) fn clear(&mut self) {
+        self.segments.clear();
+        self.samples.clear();
+    }
+
+    /// Replaces the segments by those of pulse `pulse`, which stand at byte `offset` of the waves file. After an error
+    /// there are none.
+    pub(super) fn read<R: Read + Seek>(
+        &mut self,
+        window: &mut Window<R>,
+        offset: u64,
+        pulse: u64,
+        descriptor: &Descriptor,
+    ) -> Result<()> {
+        self.clear();
+        let mut walk = Walk { window, pulse, start: offset, at: offset };
+        let read = self.read_all(&mut walk, descriptor);
+        if read.is_err() {
+            self.clear();
+        }
+        read
+    }
+
+    fn read_all<R: Read + Seek>(&mut self, walk: &mut Walk<'_, R>, descriptor: &Descriptor) -> Result<()> {
+        walk.take(usize::from(descriptor.extra_wave_bytes), "extra waves bytes")?;
+        for (number, sampling) in descriptor.samplings.iter().enumerate() {
+            let units_per_sample = descriptor.units_per_sample(sampling);
+            let segments = match sampling.segment_count_bits {
+                0 => u32::from(sampling.segment_count),
+                bits => walk.unsigned(bits, "number of segments")?,
+            };
+            for segment in 0..segments {
+                if self.segments.len() >= MOST_SEGMENTS {
+                    return Err(walk.bad("segments", format!("there are more than {MOST_SEGMENTS}")));
+                }
+                let place = (number as u16, segment as u16);
+                self.read_segment(walk, sampling, place, units_per_sample)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn read_segment<R: Read + Seek>(
+        &mut self,
+        walk: &mut Walk<'_, R>,
+        sampling: &Sampling,
+        (number, segment): (u16, u16),
+        units_per_sample: f64,
+    ) -> Result<()> {
+        let quantized = match sampling.duration_bits {
+            0 => None,
+            bits => Some(walk.signed(bits, "duration from anchor")?),
+        };
+        let count = match sampling.sample_count_bits {
+            0 => sampling.sample_count,
+            bits => walk.unsigned(bits, "number of samples")?,
+        };
+        let start = self.samples.len();
+        let bytes_per_sample = if sampling.bits_per_sample > 8 { 2 } else { 1 };
+        let bytes = walk.take((count as usize).saturating_mul(bytes_per_sample), "samples")?;
+        if bytes_per_sample == 1 {
+            self.samples.extend(bytes.iter().map(|&b| u16::from(b)));
+        } else {
+            self.samples.extend(bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])));
+        }
+        self.segments.push(Segment {
+            sampling: number,
+            number: segment,
+            kind: sampling.kind,
+            channel: sampling.channel,
+            bits: (8 * bytes_per_sample) as u8,
+            quantized_duration: quantized.unwrap_or(0),
+            duration: quantized.map(|q| sampling.duration_scale * f64::from(q) + sampling.duration_offset),
+            units_per_sample,
+            sample_units_ns: sampling.sample_units_ns,
+            range: start..self.samples.len(),
+        });
+        Ok(())
+    }
+}
+
+/// A walk over the waves of one pulse.
+struct Walk<'a, R> {
+    window: &'a mut Window<R>,
+    pulse: u64,
+    start: u64,
+    at: u64,
+}
+
+impl<R: Read + Seek> Walk<'_, R> {
+    /// The next `n` bytes.
+    fn take(&mut self, n: usize, field: &str) -> Result<&[u8]> {
+        let at = self.at;
+        let left = self.window.length().saturating_sub(at);
+        if n as u64 > left {
+            return Err(self.bad(field, format!("{n} bytes are needed and {left} are left in the file")));
+        }
+        if at + n as u64 - self.start > MOST_BYTES {
+            return Err(self.bad(field, format!("the waves of the pulse take more than {MOST_BYTES} bytes")));
+        }
+        self.at += n as u64;
+        Ok(self.window.bytes(at, n, field)?.1)
+    }
+
+    /// The next number of `bits` bits: 8 or 16.
+    fn unsigned(&mut self, bits: u8, field: &str) -> Result<u32> {
+        let bytes = self.take(usize::from(bits / 8), field)?;
+        Ok(bytes.iter().rev().fold(0, |number, &byte| (number << 8) | u32::from(byte)))
+    }
+
+    /// The next signed number of `bits` bits: 8, 16 or 32.
+    fn signed(&mut self, bits: u8, field: &str) -> Result<i32> {
+        let unused = 32 - u32::from(bits);
+        Ok(((self.unsigned(bits, field)? << unused) as i32) >> unused)
+    }
+
+    /// An error at the next field.
+    fn bad(&self, field: &str, problem: String) -> Error {
+        let field = format!("pulse {}: {field}", self.pulse);
+        Error::malformed(self.window.file(), self.at, field, problem, DAMAGED)
+    }
+}
