@@ -40,6 +40,11 @@ impl Lines {
         }
     }
 
+    /// What is known of the recording.
+    pub(super) fn input(&self) -> &InputInfo {
+        &self.input
+    }
+
     /// Whether a shot would begin a new line: then [`Lines::take`] the one at hand first.
     pub(super) fn ends_before(&self, next: &Emission) -> bool {
         let Some(last) = self.emissions.last() else { return false };

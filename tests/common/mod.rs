@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{Batch, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, TimeScale};
+use wavex::batch::{Batch, Blocks, Channel, Emission, Frame, InputInfo, Kind};
 use wavex::engine::Options;
 use wavex::job::{Job, JobSettings, JobStage};
 use wavex::stage::{

@@ -131,7 +131,7 @@ mod tests {
     fn what_the_file_does_not_hold_is_an_error() {
         let mut window = window(100);
         assert_eq!(window.bytes(99, 1, "x").unwrap().1, [99]);
-        assert_eq!(window.bytes(100, 0, "x").unwrap().1, []);
+        assert!(window.bytes(100, 0, "x").unwrap().1.is_empty());
         assert!(window.bytes(u64::MAX, 2, "x").is_err());
         assert!(window.bytes(0, usize::MAX, "x").is_err());
         assert_eq!(

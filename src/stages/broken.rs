@@ -1,0 +1,82 @@
+//! Bad items of a file: one is counted and passed over; a file that ends with them is cut off.
+
+use crate::formats::{Error, Result};
+use crate::stage::{Context, Item};
+
+/// The bad items since the last good one.
+#[derive(Debug, Default)]
+pub(super) struct BrokenRun {
+    first: Option<Error>,
+}
+
+impl BrokenRun {
+    /// Whether an item can be used. One that is malformed is rejected, its error told once.
+    ///
+    /// # Errors
+    /// The file cannot be read at all: that concerns more than one item.
+    pub(super) fn accepts<T>(
+        &mut self,
+        read: Result<T>,
+        cx: &mut Context,
+        item: Item,
+        reason: &'static str,
+    ) -> Result<bool> {
+        match read {
+            Ok(_) => {
+                self.first = None;
+                Ok(true)
+            }
+            Err(error @ Error::Io { .. }) => Err(error),
+            Err(error) => {
+                cx.reject(item, reason, 1);
+                if cx.counters().rejected_of(item) == 1 {
+                    cx.note(format!("{reason} was left out, and so is every further one: {error}"));
+                }
+                self.first.get_or_insert(error);
+                Ok(false)
+            }
+        }
+    }
+
+    /// At the end of a file: an error if the last item was bad.
+    pub(super) fn check_at_end(&mut self) -> Result<()> {
+        self.first.take().map_or(Ok(()), Err)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    fn bad(offset: u64) -> Result<()> {
+        Err(Error::malformed(Path::new("a.wvs"), offset, "samples", "cut", "copy it again"))
+    }
+
+    #[test]
+    fn bad_items_are_counted_and_told_once() {
+        let (mut broken, mut cx) = (BrokenRun::default(), Context::default());
+        for read in [bad(1), bad(2), Ok(())] {
+            broken.accepts(read, &mut cx, Item::Shots, "a pulse that cannot be read").unwrap();
+        }
+        assert_eq!(cx.counters().rejected_of(Item::Shots), 2);
+        assert_eq!(
+            cx.counters().notes,
+            ["a pulse that cannot be read was left out, and so is every further one: \
+              a.wvs: byte 1: samples: cut; copy it again"]
+        );
+        assert!(broken.check_at_end().is_ok());
+    }
+
+    #[test]
+    fn a_file_that_ends_with_bad_items_is_cut_off() {
+        let (mut broken, mut cx) = (BrokenRun::default(), Context::default());
+        for read in [Ok(()), bad(3), bad(4)] {
+            broken.accepts(read, &mut cx, Item::Shots, "a pulse that cannot be read").unwrap();
+        }
+        assert_eq!(
+            broken.check_at_end().unwrap_err().to_string(),
+            "a.wvs: byte 3: samples: cut; copy it again"
+        );
+    }
+}

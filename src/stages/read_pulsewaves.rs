@@ -1,0 +1,273 @@
+//! PulseWaves files as lines of shots.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::broken::BrokenRun;
+use super::lines::Lines;
+use crate::batch::{
+    AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, TimeScale,
+    emission_flags,
+};
+use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
+use crate::geo::beam_length::BeamLength;
+use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+
+/// The stage's place in the registry.
+pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
+
+/// Reads PulseWaves 0.3: a `.pls` file of pulses and the `.wvs` file of their waves beside it.
+///
+/// Every pulse becomes a shot, every segment of samples a block. Outgoing segments are the reference channel; the
+/// returning channels of RIEGL's files are 0 high power and 1 low power, and a file with a single returning channel has
+/// it as low power. Amplitude tables (digitiser steps to dB) are taken over.
+///
+/// Beams are stored as two points rounded to the file's grid. Their length per nanosecond is averaged over the file where
+/// rounding is all that makes them differ, so that a range of 500 m is not wrong by up to 14 mm on a grid of 1 cm.
+///
+/// Where an outgoing segment has no start time (RIEGL's files of 2013), its samples count from the anchor, and only the
+/// fraction of a sample is known of the emission: ranges then share an unknown offset of whole samples.
+///
+/// Rejects pulses whose waves cannot be read, and goes on with the next. A file that ends with such pulses is cut off:
+/// that is an error. Compressed files (`.plz`, `.wvz`) are refused.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReadPulseWaves {
+    /// The `.pls` file, several, or a pattern.
+    pub path: Paths,
+}
+
+impl Config for ReadPulseWaves {}
+
+impl SourceConfig for ReadPulseWaves {
+    fn paths(&self) -> Option<&Paths> {
+        Some(&self.path)
+    }
+
+    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+        Ok(Box::new(PulseWavesSource::open(&site.input, &site.stem)?))
+    }
+}
+
+struct PulseWavesSource {
+    reader: Reader,
+    next_pulse: u64,
+    waves: Waves,
+    lines: Lines,
+    beams: BeamLength,
+    receivers: Receivers,
+    first_t: i64,
+    /// The shot that begins the next line, and its sampling unit, ns.
+    last_seen: Option<(Emission, f64)>,
+    broken: BrokenRun,
+}
+
+/// Which receivers a file's returning channels are.
+struct Receivers {
+    single: bool,
+}
+
+impl Receivers {
+    fn of(&self, segment: &Segment) -> Option<Channel> {
+        match (segment.kind, segment.channel) {
+            (SegmentKind::Outgoing, _) => Some(Channel::Reference),
+            (SegmentKind::Returning, _) if self.single => Some(Channel::LowPower),
+            (SegmentKind::Returning, 0) => Some(Channel::HighPower),
+            (SegmentKind::Returning, 1) => Some(Channel::LowPower),
+            (SegmentKind::Returning, 2) => Some(Channel::Saturation),
+            _ => None,
+        }
+    }
+}
+
+/// So many pulses, spread over the file, show how long its beams are.
+const BEAMS_LOOKED_AT: u64 = 10_000;
+/// Sampling units between the anchor and the target of a pulse (PulseWaves 0.3, "Pulse Record").
+const UNITS_TO_TARGET: f64 = 1000.0;
+
+impl PulseWavesSource {
+    fn open(path: &Path, stem: &str) -> Result<PulseWavesSource> {
+        let mut reader = Reader::open(path)?;
+        reader.check_complete()?;
+        let unit_ns =
+            reader.descriptors().values().map(|d| d.sample_units_ns).find(|ns| *ns > 0.0).unwrap_or(1.0);
+        let beams = look_at_beams(&mut reader, unit_ns)?;
+        let single = returning_channels(&reader).len() < 2;
+        let input = Arc::new(describe(&reader, path, stem, &beams));
+        let first_t = reader.header().min_t;
+        Ok(PulseWavesSource {
+            reader,
+            next_pulse: 0,
+            waves: Waves::new(),
+            lines: Lines::new(input),
+            beams,
+            receivers: Receivers { single },
+            first_t,
+            last_seen: None,
+            broken: BrokenRun::default(),
+        })
+    }
+
+    /// Adds a pulse to the line at hand.
+    fn add(&mut self, (emission, unit_ns): (Emission, f64), cx: &mut Context) {
+        let index = self.lines.add(emission);
+        for segment in self.waves.segments() {
+            let Some(channel) = self.receivers.of(segment) else {
+                cx.reject(Item::Blocks, "a channel of no known meaning", 1);
+                continue;
+            };
+            let start_ns = segment.duration_of(0.0) * unit_ns;
+            let samples = self.waves.samples(segment);
+            self.lines.blocks().push(index, channel, None, start_ns, segment.sample_units_ns, samples);
+        }
+    }
+
+    fn emission(&self, pulse: &Pulse, unit_ns: f64) -> Emission {
+        let beam = pulse.step.map(|metres| metres / unit_ns);
+        let own_length = beam.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let clock_s = (pulse.t.wrapping_sub(self.first_t)) as f64 * self.reader.header().t_scale_s;
+        let flag = |set: bool, bit: u16| if set { bit } else { 0 };
+        Emission {
+            shot: pulse.index,
+            gps_time_s: gps_time_s(&self.reader, pulse),
+            clock_ps: (clock_s * 1e12).round() as i64,
+            origin_m: pulse.anchor,
+            direction: beam.map(|x| x / own_length),
+            frame_scale: self.beams.of(beam) / self.input_speed(),
+            facet: u16::from(pulse.mirror_facet),
+            flags: flag(pulse.edge_of_scan_line, emission_flags::EDGE_OF_FLIGHT_LINE)
+                | flag(pulse.scan_direction, emission_flags::SCAN_DIRECTION_POSITIVE),
+            mta_zone: Some(0),
+            ..Emission::default()
+        }
+    }
+
+    /// Metres of range per nanosecond.
+    fn input_speed(&self) -> f64 {
+        self.lines.input().group_velocity_mps * 0.5e-9
+    }
+}
+
+impl Source for PulseWavesSource {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+        loop {
+            if let Some(shot) = self.last_seen.take() {
+                self.add(shot, cx);
+            }
+            if self.next_pulse == self.reader.pulse_count() {
+                self.broken.check_at_end()?;
+                return Ok(self.lines.take());
+            }
+            let pulse = self.reader.pulse(self.next_pulse)?;
+            self.next_pulse += 1;
+            let read = self.reader.waves(&pulse, &mut self.waves);
+            if !self.broken.accepts(read, cx, Item::Shots, "a pulse whose waves cannot be read")? {
+                continue;
+            }
+            let unit_ns = unit_ns(&self.reader, &pulse);
+            let emission = self.emission(&pulse, unit_ns);
+            if !emission.direction.iter().all(|x| x.is_finite()) {
+                cx.reject(Item::Shots, "a pulse without direction", 1);
+                continue;
+            }
+            self.last_seen = Some((emission, unit_ns));
+            if self.lines.ends_before(&emission) {
+                return Ok(self.lines.take());
+            }
+        }
+    }
+
+    fn progress(&self) -> Option<f64> {
+        Some(self.next_pulse as f64 / self.reader.pulse_count().max(1) as f64)
+    }
+}
+
+/// The sampling unit of a pulse, ns: the anchor and the target lie a thousand of them apart.
+fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
+    reader.descriptors().get(&pulse.descriptor).map_or(1.0, |descriptor| descriptor.sample_units_ns)
+}
+
+fn look_at_beams(reader: &mut Reader) -> Result<BeamLength> {
+    let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
+    let mut beams = Vec::new();
+    let mut index = 0;
+    while index < reader.pulse_count() {
+        let pulse = reader.pulse(index)?;
+        let unit_ns = unit_ns(reader, &pulse);
+        beams.push(pulse.step.map(|metres| metres / unit_ns));
+        index += stride;
+    }
+    Ok(BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET))
+}
+
+fn returning_channels(reader: &Reader) -> BTreeSet<u8> {
+    let samplings = reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
+    samplings
+        .filter(|sampling| sampling.kind == SegmentKind::Returning)
+        .map(|sampling| sampling.channel)
+        .collect()
+}
+
+fn gps_time_s(reader: &Reader, pulse: &Pulse) -> f64 {
+    match reader.header().time_axis() {
+        TimeAxis::Standard => pulse.gps_time_s - crate::geo::time::ADJUSTMENT_S,
+        TimeAxis::WeekSeconds | TimeAxis::Undecided => pulse.gps_time_s,
+    }
+}
+
+fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> InputInfo {
+    let header = reader.header();
+    let scanner = reader.scanners().values().next();
+    let text = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
+    let samplings = || reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
+    let outgoing = samplings().any(|sampling| sampling.kind == SegmentKind::Outgoing);
+    let bits = samplings().map(|sampling| sampling.bits_per_sample).max();
+    InputInfo {
+        path: path.to_path_buf(),
+        stem: stem.to_string(),
+        format: format!("PulseWaves {}.{}", header.version.0, header.version.1),
+        instrument: scanner.and_then(|scanner| text(&scanner.instrument)),
+        serial: scanner.and_then(|scanner| text(&scanner.serial)),
+        sampling_interval_ns: samplings().map(|s| s.sample_units_ns).find(|ns| *ns > 0.0).unwrap_or(1.0),
+        full_scale_dn: (bits == Some(8)).then_some(255),
+        group_velocity_mps: beams.vertical().map_or(GROUP_VELOCITY_MPS, |metres_per_ns| metres_per_ns * 2e9),
+        pulse_rate_hz: scanner.map(|s| s.pulse_frequency_khz * 1e3).filter(|hz| *hz > 0.0),
+        time_scale: match header.time_axis() {
+            TimeAxis::WeekSeconds => TimeScale::Week,
+            TimeAxis::Standard => TimeScale::Adjusted,
+            TimeAxis::Undecided => TimeScale::Unknown,
+        },
+        gps_week: None,
+        recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
+        frame: Frame::Map,
+        crs_wkt: reader.crs().wkt.clone(),
+        coordinate_grid: Some((header.scale, header.offset)),
+        emission_reference: if outgoing {
+            EmissionReference::OutgoingPulse
+        } else {
+            EmissionReference::Clock
+        },
+        amplitude_low: amplitude_table(reader, 1),
+        amplitude_high: amplitude_table(reader, 0),
+        range_low: None,
+        range_high: None,
+    }
+}
+
+/// Speed of a near infrared pulse in the air near the ground, m/s, where the file does not show it.
+const GROUP_VELOCITY_MPS: f64 = 299_707_502.0;
+
+/// The amplitude table of a returning channel.
+fn amplitude_table(reader: &Reader, channel: u8) -> Option<AmplitudeTable> {
+    let mut samplings = reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
+    let of_channel = |s: &&crate::formats::pulsewaves::Sampling| {
+        s.kind == SegmentKind::Returning && s.channel == channel && s.lookup_table_index > 0
+    };
+    let index = u8::try_from(samplings.find(of_channel)?.lookup_table_index).ok()?;
+    let entries = &reader.tables().get(&index)?.tables.first()?.entries;
+    AmplitudeTable::new(entries.iter().enumerate().map(|(dn, value)| (dn as f64, f64::from(*value))))
+}
