@@ -352,9 +352,12 @@ fn read_all(path: &Path) -> (u64, u64) {
     (reader.pulse_count(), with_waves)
 }
 
-/// Where to cut a file of `n` bytes: at 40 places over its first kilobytes and 40 over the whole.
+/// Where to cut a file of `n` bytes: at 40 places over its first kilobytes and 40 over the whole, in order.
 fn cuts(n: usize) -> Vec<usize> {
-    (0..40).flat_map(|i| [i * n.min(4000) / 40 + i % 7, i * n / 40 + i % 5]).filter(|&c| c < n).collect()
+    let places = (0..40).flat_map(|i| [i * n.min(4000) / 40 + i % 7, i * n / 40 + i % 5]);
+    let mut places: Vec<usize> = places.filter(|&cut| cut < n).collect();
+    places.sort_unstable();
+    places
 }
 
 #[test]
@@ -378,11 +381,7 @@ fn a_recording_cut_anywhere_never_panics_and_loses_only_what_is_gone() {
             assert_eq!(read_all(&path), (held.min(all), held.min(all)), "{} cut at {cut}", name.display());
         }
         let mut before = 0;
-        for cut in {
-            let mut cuts = cuts(wvs.len());
-            cuts.sort();
-            cuts
-        } {
+        for cut in cuts(wvs.len()) {
             write(dir.path(), &pls, &wvs[..cut]);
             let (pulses, with_waves) = read_all(&path);
             assert_eq!(pulses, if cut < 60 { 0 } else { all });
@@ -411,6 +410,7 @@ proptest! {
         }
         let dir = tempfile::tempdir().unwrap();
         let (pulses, with_waves) = read_all(&write(dir.path(), &pls, &wvs));
-        prop_assert!(pulses <= 4 && with_waves <= pulses);
+        // Damage to both the count and the marker behind the pulses makes records of what stands there.
+        prop_assert!(352 + 48 * pulses <= pls.len() as u64 && with_waves <= pulses);
     }
 }
