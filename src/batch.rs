@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use crate::kernels::SensorModel;
+use crate::kernels::sensor_model::SensorModel;
 
 mod budget;
 mod input;

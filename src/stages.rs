@@ -1,7 +1,10 @@
 //! The stages, one file each; `registry.rs` lists them.
 
 mod broken;
+pub mod decompose;
 pub mod georeference;
 mod lines;
+pub mod read_las;
 pub mod read_pulsewaves;
+pub mod write_las;
 pub mod write_lstat;

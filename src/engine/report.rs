@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::meter::{Meter, Span};
 use crate::batch::{Batch, EmissionReference, Frame, InputInfo, TimeScale};
 use crate::job::{Job, JobSettings, JobStage};
-use crate::kernels::SensorModel;
+use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Counters, Distribution, Item, RoleName, Site};
 
 /// What a run did (`report.json`).

@@ -93,8 +93,6 @@ impl PulseWavesSource {
     fn open(path: &Path, stem: &str) -> Result<PulseWavesSource> {
         let mut reader = Reader::open(path)?;
         reader.check_complete()?;
-        let unit_ns =
-            reader.descriptors().values().map(|d| d.sample_units_ns).find(|ns| *ns > 0.0).unwrap_or(1.0);
         let beams = look_at_beams(&mut reader)?;
         let single = returning_channels(&reader).len() < 2;
         let input = Arc::new(describe(&reader, path, stem, &beams));

@@ -1,0 +1,1 @@
+//! What the sensor is like, found from the recording itself.

@@ -1,0 +1,436 @@
+//! LAS full waveform as lines of shots.
+
+use std::collections::{HashSet, VecDeque};
+use std::path::Path;
+use std::sync::Arc;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::broken::BrokenRun;
+use super::lines::Lines;
+use crate::batch::{
+    Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, OnlineReturn, TimeScale,
+    emission_flags,
+};
+use crate::formats::las::{GpsTime, Point, Reader, Wave};
+use crate::geo::beam_length::BeamLength;
+use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+
+/// The stage's place in the registry.
+pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
+
+/// Reads full-waveform LAS and LAZ 1.3 and 1.4: point formats 4, 5, 9 and 10, waveform packets inside the file or in a
+/// `.wdp` file beside it.
+///
+/// Points of one pulse share its waveforms: consecutive points of the same time and direction become one shot again, in
+/// the order of the file. The file's own points are not used, but for one thing: the format carries no outgoing pulse, and
+/// the part of a sample by which a shot left its raster survives only in the locations that the points have in their
+/// waveforms. Where they are there, times of flight are tied to them (see `decompose`); where a file gives none, the
+/// report says so.
+///
+/// The format does not tell where the scanner was: ranges count from the first sample of a shot's first waveform, and
+/// coordinates are right all the same. All waveforms count as low power.
+///
+/// Rejects points without waveform, points whose waveform cannot be read, and waveforms that come again after other
+/// pulses (in files that are not ordered by time), and goes on with the next.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReadLas {
+    /// The `.las` or `.laz` file, several, or a pattern.
+    pub path: Paths,
+}
+
+impl Config for ReadLas {}
+
+impl SourceConfig for ReadLas {
+    fn paths(&self) -> Option<&Paths> {
+        Some(&self.path)
+    }
+
+    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+        Ok(Box::new(LasSource::open(&site.input, &site.stem)?))
+    }
+}
+
+struct LasSource {
+    reader: Reader,
+    points_read: u64,
+    points: u64,
+    /// The point that was read last, the first of the next pulse.
+    ahead: Option<Point>,
+    pulse: Vec<Point>,
+    /// A finished shot that begins the next line.
+    waiting: Option<Shot>,
+    next_shot: u64,
+    geometry: Geometry,
+    lines: Lines,
+    recent: Recent,
+    broken: BrokenRun,
+}
+
+/// A pulse put together again.
+struct Shot {
+    emission: Emission,
+    waveforms: Waveforms,
+}
+
+/// The waveforms of a pulse.
+#[derive(Default)]
+struct Waveforms {
+    packets: Vec<Packet>,
+    /// Where the locations of the pulse's points lie.
+    online: Vec<OnlineReturn>,
+    /// Where the first sample of the first waveform lies; `None` where no waveform can be used.
+    origin_m: Option<[f64; 3]>,
+}
+
+/// One waveform of a shot.
+struct Packet {
+    start_ns: f64,
+    interval_ns: f64,
+    samples: Vec<u16>,
+}
+
+/// What the beams of a file have in common.
+struct Geometry {
+    beams: BeamLength,
+    group_velocity_mps: f64,
+    /// Some files' direction vectors point down the beam, others' up to the sensor.
+    towards_sensor: bool,
+    has_locations: bool,
+}
+
+/// So many points show the geometry of a file.
+const POINTS_LOOKED_AT: usize = 10_000;
+/// Directions of points of one pulse differ by less than this, as a cosine.
+const SAME_BEAM: f64 = 1e-9;
+
+impl LasSource {
+    fn open(path: &Path, stem: &str) -> Result<LasSource> {
+        let geometry = Geometry::learn(&mut Reader::open(path)?)?;
+        let reader = Reader::open(path)?;
+        let input = describe(&reader, path, stem, &geometry);
+        Ok(LasSource {
+            points_read: 0,
+            points: reader.header().n_points,
+            ahead: None,
+            pulse: Vec::new(),
+            waiting: None,
+            next_shot: 0,
+            lines: Lines::new(Arc::new(input)),
+            recent: Recent::default(),
+            broken: BrokenRun::default(),
+            reader,
+            geometry,
+        })
+    }
+
+    /// Collects the points of the next pulse; false at the end of the file.
+    fn next_pulse(&mut self, cx: &mut Context) -> Result<bool> {
+        self.pulse.clear();
+        self.pulse.extend(self.ahead.take());
+        loop {
+            let mut point = Point::default();
+            if !self.reader.next_point(&mut point)? {
+                return Ok(!self.pulse.is_empty());
+            }
+            self.points_read += 1;
+            if point.wave.descriptor == 0 {
+                cx.reject(Item::Returns, "a point without waveform", 1);
+                continue;
+            }
+            if !is_usable(&point) {
+                cx.reject(Item::Returns, "a point without direction or location", 1);
+                continue;
+            }
+            if self.pulse.last().is_none_or(|last| same_pulse(last, &point)) {
+                self.pulse.push(point);
+            } else {
+                self.ahead = Some(point);
+                return Ok(true);
+            }
+        }
+    }
+
+    /// Puts the pulse at hand together; `None` where none of its waveforms can be used.
+    fn shot(&mut self, cx: &mut Context) -> Result<Option<Shot>> {
+        let Some(first) = self.pulse.first() else { return Ok(None) };
+        let (time_s, scan_angle_deg, direction_positive) =
+            (first.gps_time, first.scan_angle_deg, first.scan_direction);
+        let beam = self.geometry.beam(&first.wave);
+        let length = beam.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let direction = beam.map(|x| x / length);
+        let metres_per_ns = self.geometry.beams.of(beam);
+        let waveforms = self.waveforms(direction, metres_per_ns, cx)?;
+        let Some(origin_m) = waveforms.origin_m else { return Ok(None) };
+        let flag = |set: bool, bit: u16| if set { bit } else { 0 };
+        let edge = self.pulse.iter().any(|point| point.edge_of_flight_line);
+        let emission = Emission {
+            shot: self.next_shot,
+            gps_time_s: gps_time_s(&self.reader, time_s),
+            clock_ps: clock_ps(time_s),
+            origin_m,
+            direction,
+            frame_scale: metres_per_ns / (self.geometry.group_velocity_mps * 0.5e-9),
+            flags: flag(edge, emission_flags::EDGE_OF_FLIGHT_LINE)
+                | flag(direction_positive, emission_flags::SCAN_DIRECTION_POSITIVE),
+            mta_zone: Some(0),
+            scan_angle_deg,
+            ..Emission::default()
+        };
+        self.next_shot += 1;
+        Ok(Some(Shot { emission, waveforms }))
+    }
+
+    /// The waveforms of the pulse at hand.
+    fn waveforms(&mut self, direction: [f64; 3], metres_per_ns: f64, cx: &mut Context) -> Result<Waveforms> {
+        let mut found = Waveforms::default();
+        for i in 0..self.pulse.len() {
+            let wave = self.pulse[i].wave;
+            if self.pulse[..i].iter().any(|earlier| earlier.wave.offset == wave.offset) {
+                continue;
+            }
+            if !self.recent.is_new(wave.offset) {
+                cx.reject(Item::Blocks, "a waveform that was read with an earlier pulse", 1);
+                continue;
+            }
+            let mut samples = Vec::new();
+            let read = self.reader.packet(&wave, &mut samples);
+            let interval_ns =
+                read.as_ref().map_or(0.0, |descriptor| f64::from(descriptor.spacing_ps) / 1000.0);
+            if !self.broken.accepts(read, cx, Item::Blocks, "a point's waveform that cannot be read")? {
+                continue;
+            }
+            let start_m = first_sample(&self.pulse, wave.offset, &self.geometry);
+            let origin_m = *found.origin_m.get_or_insert(start_m);
+            let along_m: f64 = (0..3).map(|axis| (start_m[axis] - origin_m[axis]) * direction[axis]).sum();
+            let start_ns = along_m / metres_per_ns;
+            for point in self.pulse.iter().filter(|point| point.wave.offset == wave.offset) {
+                let time_ns = start_ns + f64::from(point.wave.location_ps) / 1000.0;
+                found.online.push(OnlineReturn {
+                    emission: 0,
+                    time_ns,
+                    amplitude: f32::from(point.intensity),
+                });
+            }
+            found.packets.push(Packet { start_ns, interval_ns, samples });
+        }
+        found.online.sort_by(|a, b| a.time_ns.total_cmp(&b.time_ns));
+        Ok(found)
+    }
+
+    fn add(&mut self, shot: Shot) {
+        let index = self.lines.add(shot.emission);
+        let blocks = self.lines.blocks();
+        for packet in &shot.waveforms.packets {
+            blocks.push(index, Channel::LowPower, None, packet.start_ns, packet.interval_ns, &packet.samples);
+        }
+        if self.geometry.has_locations {
+            blocks.online.extend(
+                shot.waveforms.online.into_iter().map(|online| OnlineReturn { emission: index, ..online }),
+            );
+        }
+    }
+}
+
+impl Source for LasSource {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+        if !self.geometry.has_locations {
+            cx.note(
+                "the file's points have no locations in their waveforms: nothing tells which part of a sample the \
+                 emissions miss their raster by, and the standard deviations of ranges include it",
+            );
+        }
+        loop {
+            if let Some(shot) = self.waiting.take() {
+                self.add(shot);
+            }
+            if !self.next_pulse(cx)? {
+                self.broken.check_at_end()?;
+                return Ok(self.lines.take());
+            }
+            let Some(shot) = self.shot(cx)? else { continue };
+            let ends = self.lines.ends_before(&shot.emission);
+            self.waiting = Some(shot);
+            if ends {
+                return Ok(self.lines.take());
+            }
+        }
+    }
+
+    fn progress(&self) -> Option<f64> {
+        Some(self.points_read as f64 / self.points.max(1) as f64)
+    }
+}
+
+impl Geometry {
+    /// Looks at the first points of a file.
+    fn learn(reader: &mut Reader) -> Result<Geometry> {
+        let mut vectors: Vec<[f64; 3]> = Vec::new();
+        let mut has_locations = false;
+        let mut point = Point::default();
+        while vectors.len() < POINTS_LOOKED_AT && reader.next_point(&mut point)? {
+            if point.wave.descriptor != 0 && is_usable(&point) {
+                vectors.push(point.wave.direction_per_ps.map(|x| f64::from(x) * 1000.0));
+                has_locations |= point.wave.location_ps != 0.0;
+            }
+        }
+        let up = vectors.iter().filter(|vector| vector[2] > 0.0).count();
+        let towards_sensor = 2 * up >= vectors.len();
+        let beams = BeamLength::learn(&vectors, reader.header().scale, LEARN_BASELINE_NS);
+        let mut lengths: Vec<f64> = vectors.iter().map(|vector| beams.of(*vector)).collect();
+        lengths.sort_by(f64::total_cmp);
+        let median = lengths.get(lengths.len() / 2).copied();
+        let metres_per_ns = beams.vertical().or(median).unwrap_or(0.149_853_751);
+        Ok(Geometry { beams, group_velocity_mps: metres_per_ns * 2e9, towards_sensor, has_locations })
+    }
+
+    /// Displacement down the beam per nanosecond, m.
+    fn beam(&self, wave: &Wave) -> [f64; 3] {
+        let sign = if self.towards_sensor { -1000.0 } else { 1000.0 };
+        wave.direction_per_ps.map(|x| sign * f64::from(x))
+    }
+}
+
+/// Writers take a beam's vector over about this time: what its rounding is worth.
+const LEARN_BASELINE_NS: f64 = 1000.0;
+
+/// Where the first sample of a waveform lies, m: the mean of what its points say.
+///
+/// Sample `i` lies at `P + (location − i × spacing) × vector` (LAS 1.4 R15, "Parametric dx, dy, dz").
+fn first_sample(pulse: &[Point], packet_offset: u64, geometry: &Geometry) -> [f64; 3] {
+    let sharing = || pulse.iter().filter(|point| point.wave.offset == packet_offset);
+    let n = sharing().count().max(1) as f64;
+    let mut mean_m = [0.0; 3];
+    for point in sharing() {
+        let beam = geometry.beam(&point.wave);
+        let back_ns = f64::from(point.wave.location_ps) / 1000.0;
+        for (axis, at) in [point.x, point.y, point.z].into_iter().enumerate() {
+            mean_m[axis] += (at - beam[axis] * back_ns) / n;
+        }
+    }
+    mean_m
+}
+
+fn is_usable(point: &Point) -> bool {
+    let wave = &point.wave;
+    let square: f32 = wave.direction_per_ps.iter().map(|x| x * x).sum();
+    wave.location_ps.is_finite() && square.is_finite() && square > 0.0
+}
+
+/// Whether two consecutive points belong to one pulse.
+fn same_pulse(a: &Point, b: &Point) -> bool {
+    let (u, v) = (a.wave.direction_per_ps.map(f64::from), b.wave.direction_per_ps.map(f64::from));
+    let dot = |u: [f64; 3], v: [f64; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+    let cosine = dot(u, v) / (dot(u, u) * dot(v, v)).sqrt();
+    a.gps_time == b.gps_time
+        && a.scanner_channel == b.scanner_channel
+        && a.return_number != b.return_number
+        && cosine > 1.0 - SAME_BEAM
+}
+
+/// Seconds to whole picoseconds.
+fn clock_ps(time_s: f64) -> i64 {
+    // Adjusted times of 1e9 s do not fit: the clock may count from any origin, so that whole days are left out.
+    ((time_s.rem_euclid(1e6)) * 1e12).round() as i64
+}
+
+fn gps_time_s(reader: &Reader, time_s: f64) -> f64 {
+    match reader.header().gps_time() {
+        GpsTime::Standard { offset_s } => time_s + offset_s - crate::geo::time::ADJUSTMENT_S,
+        GpsTime::Week => time_s,
+    }
+}
+
+fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> InputInfo {
+    let header = reader.header();
+    InputInfo {
+        path: path.to_path_buf(),
+        stem: stem.to_string(),
+        format: format!(
+            "LAS {}.{}, point format {}",
+            header.version.0, header.version.1, header.point_format
+        ),
+        instrument: Some(header.system_identifier.clone()).filter(|name| !name.is_empty()),
+        group_velocity_mps: geometry.group_velocity_mps,
+        time_scale: match header.gps_time() {
+            GpsTime::Standard { .. } => TimeScale::Adjusted,
+            GpsTime::Week => TimeScale::Week,
+        },
+        recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
+        frame: Frame::Map,
+        crs_wkt: reader.wkt(),
+        coordinate_grid: Some((header.scale, header.offset)),
+        emission_reference: match geometry.has_locations {
+            true => EmissionReference::ReturnLocations,
+            false => EmissionReference::Clock,
+        },
+        ..InputInfo::default()
+    }
+}
+
+/// The waveforms that were read lately, by where they stand: one that comes again would be decomposed twice.
+#[derive(Default)]
+struct Recent {
+    offsets: HashSet<u64>,
+    order: VecDeque<u64>,
+}
+
+/// So many waveforms are remembered.
+const REMEMBERED: usize = 1 << 16;
+
+impl Recent {
+    fn is_new(&mut self, offset: u64) -> bool {
+        if !self.offsets.insert(offset) {
+            return false;
+        }
+        self.order.push_back(offset);
+        if self.order.len() > REMEMBERED
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.offsets.remove(&oldest);
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_waveform_is_read_once() {
+        let mut recent = Recent::default();
+        assert!(recent.is_new(60));
+        assert!(recent.is_new(180));
+        assert!(!recent.is_new(60));
+        (0..REMEMBERED as u64).for_each(|i| assert!(recent.is_new(1000 + i)));
+        assert!(recent.is_new(60), "what was long ago is forgotten");
+    }
+
+    fn point(gps_time: f64, return_number: u8, offset: u64) -> Point {
+        let wave =
+            Wave { descriptor: 1, offset, size: 60, location_ps: 0.0, direction_per_ps: [0.0, 0.0, 1.5e-4] };
+        Point { gps_time, return_number, wave, ..Point::default() }
+    }
+
+    #[test]
+    fn points_of_one_time_and_beam_are_one_pulse() {
+        assert!(same_pulse(&point(1.0, 1, 60), &point(1.0, 2, 60)));
+        assert!(same_pulse(&point(1.0, 1, 60), &point(1.0, 2, 180)), "a second waveform of the same pulse");
+        assert!(!same_pulse(&point(1.0, 1, 60), &point(1.000_002, 2, 60)));
+        assert!(
+            !same_pulse(&point(1.0, 1, 60), &point(1.0, 1, 180)),
+            "a time too coarse to tell pulses apart"
+        );
+        let mut tilted = point(1.0, 2, 60);
+        tilted.wave.direction_per_ps[0] = 1e-7;
+        assert!(!same_pulse(&point(1.0, 1, 60), &tilted));
+    }
+
+    #[test]
+    fn clocks_keep_their_picoseconds() {
+        assert_eq!(clock_ps(400_992.338_303), 400_992_338_303_000_000);
+    }
+}
