@@ -1,0 +1,32 @@
+//! LAS and LAZ: full-waveform input (point formats 4, 5, 9 and 10) and point cloud output (point format 6).
+//!
+//! The specification is ASPRS LAS 1.4 R15; older versions differ in the length of the header only, and LAS 1.5 adds
+//! three fields to its end. Compression is LASzip's, through the `laz` crate.
+//!
+//! [`Reader`] gives points one by one and, on request, the waveform packet of a point; [`Writer`] takes points one by
+//! one and compresses them in parallel slabs. Neither allocates per point.
+
+mod chunks;
+mod descriptor;
+mod extra_bytes;
+mod header;
+mod packets;
+mod point;
+mod reader;
+mod records;
+mod vlr;
+mod writer;
+
+pub use descriptor::Descriptor;
+pub use extra_bytes::{
+    AMP, ATTRIBUTES, ATTRIBUTES_1_0, CHANNEL, DEV_RATIO, DataType, ExtraAttribute, ExtraBytes, INT_ERR,
+    RANGE_ERR, RAW_AMP, TARGET_THICK, THICK_ERR, WIDE_ERR, WIDE_RATIO, quantise,
+};
+pub use header::{GpsTime, Header};
+pub use point::{Point, PointOut, Wave};
+pub use reader::Reader;
+pub use vlr::Vlr;
+pub use writer::{Writer, WriterOptions};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,409 @@
+//! Point data records: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
+
+/// Degrees per step of the scan angle in formats 6 to 10.
+const SCAN_ANGLE_STEP_DEG: f64 = 0.006;
+/// Largest scan angle in these steps: 180 degrees.
+const SCAN_ANGLE_MAX: f64 = 30_000.0;
+
+/// A point as read: what the file holds, with coordinates and angle also in their units.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Point {
+    /// Coordinates as stored.
+    pub raw: [i32; 3],
+    /// Coordinate in the file's coordinate system, `raw * scale + offset`.
+    pub x: f64,
+    /// Coordinate in the file's coordinate system.
+    pub y: f64,
+    /// Coordinate in the file's coordinate system.
+    pub z: f64,
+    /// Strength of the return, of no common scale.
+    pub intensity: u16,
+    /// Which return of the pulse, from 1; at most 7 in formats 0 to 5, 15 in the others.
+    pub return_number: u8,
+    /// How many returns the pulse has.
+    pub number_of_returns: u8,
+    /// The mirror moved from the left side of the track to the right.
+    pub scan_direction: bool,
+    /// The last point before the scan turned.
+    pub edge_of_flight_line: bool,
+    /// Class of the ASPRS list; at most 31 in formats 0 to 5.
+    pub classification: u8,
+    /// Made by other means than lidar.
+    pub synthetic: bool,
+    /// A model key point.
+    pub key_point: bool,
+    /// To be treated as deleted.
+    pub withheld: bool,
+    /// In the overlap of flight lines; formats 6 to 10 only.
+    pub overlap: bool,
+    /// Channel (scanner head) 0 to 3; formats 6 to 10 only.
+    pub scanner_channel: u8,
+    /// Scan angle, degrees, positive to the right: whole degrees in formats 0 to 5, steps of 0.006 in the others.
+    pub scan_angle_deg: f32,
+    /// For the user.
+    pub user_data: u8,
+    /// The file or flight line that the point comes from.
+    pub point_source_id: u16,
+    /// Time of the point on the scale of [`Header::gps_time`](super::Header::gps_time), s; 0 in formats without it.
+    pub gps_time: f64,
+    /// The waveform the point was found in.
+    pub wave: Wave,
+}
+
+/// Where the waveform of a point is and how it lies in space.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Wave {
+    /// Index of the waveform's descriptor, 1 to 255; 0: the point has no waveform.
+    pub descriptor: u8,
+    /// Start of the packet, bytes from the beginning of the record of waveform packets, its header included.
+    pub offset: u64,
+    /// Length of the packet, bytes.
+    pub size: u32,
+    /// Time from the first sample to the point, ps.
+    pub location_ps: f32,
+    /// Change of position per picosecond backwards in time, in units of the coordinate system: it points from the target
+    /// to the sensor (see [`Wave::sample_position`]).
+    pub direction_per_ps: [f32; 3],
+}
+
+impl Wave {
+    /// Position of a sample: `P + (location - sample * spacing) * direction`.
+    ///
+    /// `point` is the point's position, `sample` counts from 0 and may be fractional. The specification's anchor is the
+    /// first sample, `P + location * direction`; its further formula, which adds time times direction to the anchor,
+    /// would not lead back to the point. Files of RIEGL and Leica instruments follow the sign used here.
+    pub fn sample_position(&self, point: [f64; 3], sample: f64, spacing_ps: f64) -> [f64; 3] {
+        let time_ps = f64::from(self.location_ps) - sample * spacing_ps;
+        std::array::from_fn(|axis| point[axis] + time_ps * f64::from(self.direction_per_ps[axis]))
+    }
+}
+
+/// Where the fields of a point format stand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Layout {
+    /// Bytes that the format needs; what a record has beyond them are extra bytes.
+    pub(super) length: usize,
+    /// Formats 0 to 5.
+    legacy: bool,
+    gps_time: Option<usize>,
+    /// Start of the 29 bytes on the waveform, formats 4, 5, 9 and 10.
+    pub(super) wave: Option<usize>,
+}
+
+impl Layout {
+    /// Layout of `format`, which is at most 10.
+    pub(super) fn of(format: u8) -> Layout {
+        let (length, wave) = match format {
+            0 => (20, None),
+            1 => (28, None),
+            2 => (26, None),
+            3 => (34, None),
+            4 => (57, Some(28)),
+            5 => (63, Some(34)),
+            6 => (30, None),
+            7 => (36, None),
+            8 => (38, None),
+            9 => (59, Some(30)),
+            _ => (67, Some(38)),
+        };
+        let gps_time = match format {
+            0 | 2 => None,
+            1..=5 => Some(20),
+            _ => Some(22),
+        };
+        Layout { length, legacy: format <= 5, gps_time, wave }
+    }
+
+    /// Reads one record of at least [`Layout::length`] bytes.
+    pub(super) fn decode(&self, record: &[u8], scale: &[f64; 3], offset: &[f64; 3], point: &mut Point) {
+        point.raw = std::array::from_fn(|axis| i32::from_le_bytes(at(record, 4 * axis)));
+        [point.x, point.y, point.z] =
+            std::array::from_fn(|axis| f64::from(point.raw[axis]) * scale[axis] + offset[axis]);
+        point.intensity = u16::from_le_bytes(at(record, 12));
+        if self.legacy {
+            legacy_flags(record, point);
+        } else {
+            flags(record, point);
+        }
+        point.gps_time = self.gps_time.map_or(0.0, |start| f64::from_le_bytes(at(record, start)));
+        point.wave = self.wave.map_or_else(Wave::default, |start| wave(&record[start..]));
+    }
+}
+
+/// Bytes 14 to 19 of formats 0 to 5.
+fn legacy_flags(record: &[u8], point: &mut Point) {
+    let (returns, class) = (record[14], record[15]);
+    point.return_number = returns & 7;
+    point.number_of_returns = returns >> 3 & 7;
+    point.scan_direction = returns & 1 << 6 != 0;
+    point.edge_of_flight_line = returns & 1 << 7 != 0;
+    point.classification = class & 31;
+    point.synthetic = class & 1 << 5 != 0;
+    point.key_point = class & 1 << 6 != 0;
+    point.withheld = class & 1 << 7 != 0;
+    point.overlap = false;
+    point.scanner_channel = 0;
+    point.scan_angle_deg = f32::from(i8::from_le_bytes([record[16]]));
+    point.user_data = record[17];
+    point.point_source_id = u16::from_le_bytes(at(record, 18));
+}
+
+/// Bytes 14 to 21 of formats 6 to 10.
+fn flags(record: &[u8], point: &mut Point) {
+    let (returns, bits) = (record[14], record[15]);
+    point.return_number = returns & 15;
+    point.number_of_returns = returns >> 4;
+    point.synthetic = bits & 1 != 0;
+    point.key_point = bits & 1 << 1 != 0;
+    point.withheld = bits & 1 << 2 != 0;
+    point.overlap = bits & 1 << 3 != 0;
+    point.scanner_channel = bits >> 4 & 3;
+    point.scan_direction = bits & 1 << 6 != 0;
+    point.edge_of_flight_line = bits & 1 << 7 != 0;
+    point.classification = record[16];
+    point.user_data = record[17];
+    let steps = i16::from_le_bytes(at(record, 18));
+    point.scan_angle_deg = (f64::from(steps) * SCAN_ANGLE_STEP_DEG) as f32;
+    point.point_source_id = u16::from_le_bytes(at(record, 20));
+}
+
+fn wave(bytes: &[u8]) -> Wave {
+    let float = |start| f32::from_le_bytes(at(bytes, start));
+    Wave {
+        descriptor: bytes[0],
+        offset: u64::from_le_bytes(at(bytes, 1)),
+        size: u32::from_le_bytes(at(bytes, 9)),
+        location_ps: float(13),
+        direction_per_ps: [float(17), float(21), float(25)],
+    }
+}
+
+/// The `N` bytes from `start` on.
+fn at<const N: usize>(bytes: &[u8], start: usize) -> [u8; N] {
+    let mut out = [0; N];
+    out.copy_from_slice(&bytes[start..start + N]);
+    out
+}
+
+/// A point to be written. What does not fit its field is clamped, never wrapped.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PointOut {
+    /// Coordinate in the file's coordinate system.
+    pub x: f64,
+    /// Coordinate in the file's coordinate system.
+    pub y: f64,
+    /// Coordinate in the file's coordinate system.
+    pub z: f64,
+    /// Strength of the return.
+    pub intensity: u16,
+    /// Which return of the pulse, from 1 to 15.
+    pub return_number: u8,
+    /// How many returns the pulse has, at most 15.
+    pub number_of_returns: u8,
+    /// The mirror moved from the left side of the track to the right.
+    pub scan_direction: bool,
+    /// The last point before the scan turned.
+    pub edge_of_flight_line: bool,
+    /// Class of the ASPRS list.
+    pub classification: u8,
+    /// To be treated as deleted.
+    pub withheld: bool,
+    /// Channel, 0 to 3.
+    pub scanner_channel: u8,
+    /// Scan angle, degrees, within -180 to 180; NaN becomes 0.
+    pub scan_angle_deg: f32,
+    /// For the user.
+    pub user_data: u8,
+    /// The file or flight line that the point comes from.
+    pub point_source_id: u16,
+    /// Time of the point on the scale that the writer was told, s.
+    pub gps_time: f64,
+}
+
+/// Length of a record of format 6 without extra bytes.
+pub(super) const FORMAT_6: usize = 30;
+
+impl PointOut {
+    /// The record of format 6 at the quantised coordinates `raw`.
+    pub(super) fn encode(&self, raw: [i32; 3]) -> [u8; FORMAT_6] {
+        let mut record = [0; FORMAT_6];
+        for (axis, value) in raw.iter().enumerate() {
+            record[4 * axis..4 * axis + 4].copy_from_slice(&value.to_le_bytes());
+        }
+        record[12..14].copy_from_slice(&self.intensity.to_le_bytes());
+        record[14] = self.return_number.min(15) | self.number_of_returns.min(15) << 4;
+        record[15] = u8::from(self.withheld) << 2
+            | self.scanner_channel.min(3) << 4
+            | u8::from(self.scan_direction) << 6
+            | u8::from(self.edge_of_flight_line) << 7;
+        record[16] = self.classification;
+        record[17] = self.user_data;
+        let steps = (f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG).round();
+        let steps = steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX) as i16;
+        record[18..20].copy_from_slice(&steps.to_le_bytes());
+        record[20..22].copy_from_slice(&self.point_source_id.to_le_bytes());
+        record[22..30].copy_from_slice(&self.gps_time.to_le_bytes());
+        record
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::made::any_point;
+    use super::*;
+    use proptest::prelude::*;
+
+    const UNIT: ([f64; 3], [f64; 3]) = ([1.0; 3], [0.0; 3]);
+
+    fn decode(format: u8, record: &[u8]) -> Point {
+        let mut point = Point::default();
+        Layout::of(format).decode(record, &UNIT.0, &UNIT.1, &mut point);
+        point
+    }
+
+    /// The 29 bytes on a waveform.
+    fn wave_bytes() -> Vec<u8> {
+        let mut bytes = vec![2];
+        bytes.extend(180u64.to_le_bytes());
+        bytes.extend(120u32.to_le_bytes());
+        for value in [19204.0f32, 1e-5, -2e-5, 1.4e-4] {
+            bytes.extend(value.to_le_bytes());
+        }
+        bytes
+    }
+
+    const WAVE: Wave = Wave {
+        descriptor: 2,
+        offset: 180,
+        size: 120,
+        location_ps: 19204.0,
+        direction_per_ps: [1e-5, -2e-5, 1.4e-4],
+    };
+
+    #[test]
+    fn format_4_is_read_field_by_field() {
+        let mut record = vec![1, 0, 0, 0, 0xfe, 0xff, 0xff, 0xff, 0, 0, 1, 0, 0x34, 0x12];
+        record.extend([0b11_010_001, 0b111_00010, 0xf1, 7, 0x02, 0x01]);
+        record.extend(1e6f64.to_le_bytes());
+        record.extend(wave_bytes());
+        let point = decode(4, &record);
+        assert_eq!(point.raw, [1, -2, 65536]);
+        let expected = Point {
+            raw: [1, -2, 65536],
+            x: 1.0,
+            y: -2.0,
+            z: 65536.0,
+            intensity: 0x1234,
+            return_number: 1,
+            number_of_returns: 2,
+            scan_direction: true,
+            edge_of_flight_line: true,
+            classification: 2,
+            synthetic: true,
+            key_point: true,
+            withheld: true,
+            scan_angle_deg: -15.0,
+            user_data: 7,
+            point_source_id: 258,
+            gps_time: 1e6,
+            wave: WAVE,
+            ..Point::default()
+        };
+        assert_eq!(point, expected);
+    }
+
+    #[test]
+    fn format_9_is_read_field_by_field() {
+        let mut record = vec![0; 12];
+        record.extend([0, 1, 0xf3, 0b1010_1101, 40, 9, 0x18, 0xfc, 5, 0]);
+        record.extend((-2.5f64).to_le_bytes());
+        record.extend(wave_bytes());
+        let expected = Point {
+            intensity: 256,
+            return_number: 3,
+            number_of_returns: 15,
+            synthetic: true,
+            withheld: true,
+            overlap: true,
+            scanner_channel: 2,
+            edge_of_flight_line: true,
+            classification: 40,
+            user_data: 9,
+            scan_angle_deg: -6.0,
+            point_source_id: 5,
+            gps_time: -2.5,
+            wave: WAVE,
+            ..Point::default()
+        };
+        assert_eq!(decode(9, &record), expected);
+    }
+
+    #[test]
+    fn formats_5_and_10_have_colours_before_the_waveform() {
+        for (format, colours_at, colours) in [(5, 28, 6), (10, 30, 8)] {
+            let mut record = vec![0; colours_at];
+            record.extend(vec![0xaa; colours]);
+            record.extend(wave_bytes());
+            assert_eq!(record.len(), Layout::of(format).length);
+            assert_eq!(decode(format, &record).wave, WAVE);
+        }
+    }
+
+    #[test]
+    fn formats_without_waveforms_have_none() {
+        for (format, length) in [(0, 20), (1, 28), (2, 26), (3, 34), (6, 30), (7, 36), (8, 38)] {
+            assert_eq!(Layout::of(format).length, length);
+            assert_eq!(decode(format, &vec![1; length]).wave, Wave::default());
+        }
+    }
+
+    #[test]
+    fn the_sample_at_the_location_is_the_point_and_earlier_ones_lie_towards_the_sensor() {
+        let wave = Wave { location_ps: 2000.0, direction_per_ps: [0.0, 0.0, 1.5e-4], ..Wave::default() };
+        assert_eq!(wave.sample_position([1.0, 2.0, 3.0], 2.0, 1000.0), [1.0, 2.0, 3.0]);
+        let first = wave.sample_position([1.0, 2.0, 3.0], 0.0, 1000.0);
+        assert!((first[2] - 3.3).abs() < 1e-7, "{first:?}");
+    }
+
+    #[test]
+    fn what_does_not_fit_is_clamped() {
+        let point = PointOut {
+            return_number: 200,
+            number_of_returns: 16,
+            scanner_channel: 9,
+            scan_angle_deg: 1e9,
+            ..PointOut::default()
+        };
+        let back = decode(6, &point.encode([i32::MAX, i32::MIN, 0]));
+        assert_eq!((back.return_number, back.number_of_returns, back.scanner_channel), (15, 15, 3));
+        assert_eq!(back.scan_angle_deg, 180.0);
+        assert_eq!(back.raw, [i32::MAX, i32::MIN, 0]);
+        assert!(!back.withheld && !back.edge_of_flight_line && !back.scan_direction);
+        let nan = PointOut { scan_angle_deg: f32::NAN, ..PointOut::default() };
+        assert_eq!(decode(6, &nan.encode([0; 3])).scan_angle_deg, 0.0);
+    }
+
+    proptest! {
+        #[test]
+        fn a_record_reads_back_as_it_was_written(point in any_point(), raw in any::<[i32; 3]>()) {
+            let back = decode(6, &point.encode(raw));
+            prop_assert_eq!(back.raw, raw);
+            let again = PointOut {
+                x: point.x, y: point.y, z: point.z,
+                intensity: back.intensity,
+                return_number: back.return_number,
+                number_of_returns: back.number_of_returns,
+                scan_direction: back.scan_direction,
+                edge_of_flight_line: back.edge_of_flight_line,
+                classification: back.classification,
+                withheld: back.withheld,
+                scanner_channel: back.scanner_channel,
+                scan_angle_deg: back.scan_angle_deg,
+                user_data: back.user_data,
+                point_source_id: back.point_source_id,
+                gps_time: back.gps_time,
+            };
+            prop_assert_eq!(again, point);
+        }
+    }
+}
