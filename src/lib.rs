@@ -6,4 +6,6 @@ pub mod batch;
 pub mod formats;
 pub mod job;
 pub mod kernels;
+pub mod simulation;
 pub mod stage;
+pub mod stages;
