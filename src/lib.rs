@@ -8,5 +8,6 @@ pub mod formats;
 pub mod geo;
 pub mod job;
 pub mod kernels;
+pub mod simulation;
 pub mod stage;
 pub mod stages;

@@ -6,5 +6,6 @@ pub mod georeference;
 mod lines;
 pub mod read_las;
 pub mod read_pulsewaves;
+pub mod simulate;
 pub mod write_las;
 pub mod write_lstat;

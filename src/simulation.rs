@@ -1,0 +1,27 @@
+//! A lidar that exists only as numbers: what the stage `simulate` is made of.
+//!
+//! Each part stands by itself, so that another can take its place: the [`scanner`] says when and where each pulse goes,
+//! the [`scene`] what it meets, the [`receiver`] what is recorded of it, and [`truth`] what a perfect evaluation would
+//! find.
+//!
+//! # The same bytes everywhere
+//! Random numbers come from a generator of our own ([`random`]), started afresh for each shot from the seed, the scan
+//! line and the shot's place in it: no line depends on another. Sines, exponentials, logarithms and error functions
+//! come from the crate `libm`, never from `std`, whose results differ between platforms in the last bit. What else is
+//! done with a number (`+ - * /`, square root, rounding) IEEE 754 defines to the bit.
+
+pub mod noise;
+pub mod pulse;
+pub mod random;
+pub mod receiver;
+pub mod scanner;
+pub mod scene;
+pub mod truth;
+
+/// Speed of the pulse in the simulated air, m/s: as an instrument's file has said it.
+pub const GROUP_VELOCITY_MPS: f64 = 299_710_540.0;
+
+/// The time from emission to echo at a range, ns.
+pub fn time_of_flight_ns(range_m: f64) -> f64 {
+    2e9 * range_m / GROUP_VELOCITY_MPS
+}

@@ -1,0 +1,109 @@
+//! The receiver's noise: normal, stationary, and related from sample to sample.
+
+use super::random::{Normal, Random};
+
+/// An autoregressive process whose autocorrelation at the first lags is given.
+///
+/// The order is the number of lags. The first samples of each block come from the lower orders of the same recursion,
+/// so that a block is stationary from its first sample on.
+#[derive(Clone, Debug)]
+pub struct Noise {
+    /// By order: the weights of the past samples, the oldest first, and the standard deviation of what is new.
+    orders: Vec<(Vec<f64>, f64)>,
+    normal: Normal,
+}
+
+impl Noise {
+    /// Noise of standard deviation `sd` and of this autocorrelation at lags 1, 2, ...; `None` where no process has it.
+    ///
+    /// Levinson-Durbin recursion: Brockwell and Davis 1991, "Time Series: Theory and Methods", section 5.2.
+    pub fn new(sd: f64, autocorrelation: &[f64]) -> Option<Noise> {
+        let mut weights: Vec<f64> = Vec::new();
+        let mut variance = 1.0;
+        let mut orders = vec![(Vec::new(), sd)];
+        for (order, &rho) in autocorrelation.iter().enumerate() {
+            let known: f64 = (0..order).map(|lag| weights[lag] * autocorrelation[order - 1 - lag]).sum();
+            let reflection = (rho - known) / variance;
+            variance *= 1.0 - reflection * reflection;
+            // Negated, so that an undefined number is refused, too.
+            if !(variance > 0.0 && reflection.abs() < 1.0) {
+                return None;
+            }
+            let previous = weights.clone();
+            weights.iter_mut().zip(previous.iter().rev()).for_each(|(w, p)| *w -= reflection * p);
+            weights.push(reflection);
+            orders.push((weights.iter().rev().copied().collect(), sd * f64::sqrt(variance)));
+        }
+        Some(Noise { orders, normal: Normal::default() })
+    }
+
+    /// Fills a block with noise that is independent of any other block's.
+    pub fn fill(&self, random: &mut Random, block: &mut [f64]) {
+        block.iter_mut().for_each(|sample| *sample = self.normal.draw(random));
+        for (k, (weights, sd)) in self.orders.iter().enumerate().take(block.len()) {
+            block[k] = next(&block[..k], weights, sd * block[k]);
+        }
+        let Some((weights, sd)) = self.orders.last() else { return };
+        for k in self.orders.len()..block.len() {
+            block[k] = next(&block[k - weights.len()..k], weights, sd * block[k]);
+        }
+    }
+}
+
+/// The sample after `past` (the oldest first), of which `news` does not depend on it.
+fn next(past: &[f64], weights: &[f64], news: f64) -> f64 {
+    // The newest sample comes last: the rest of the sum does not wait for it.
+    past.iter().zip(weights).fold(news, |sum, (sample, weight)| sum + sample * weight)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::random::Purpose;
+    use super::*;
+
+    const MEASURED: [f64; 4] = [0.63, 0.42, 0.22, 0.11];
+
+    #[test]
+    fn of_order_one_the_weight_is_the_correlation() {
+        let noise = Noise::new(2.0, &[0.6]).unwrap();
+        assert_eq!(noise.orders[1].0, [0.6]);
+        assert!((noise.orders[1].1 - 1.6).abs() < 1e-15, "2 sqrt(1 - 0.6^2)");
+    }
+
+    /// The weights of the highest order fulfil the equations of Yule and Walker.
+    #[test]
+    fn weights_reproduce_the_autocorrelation() {
+        let noise = Noise::new(1.0, &MEASURED).unwrap();
+        let (weights, _) = &noise.orders[4];
+        let rho = |lag: i32| if lag == 0 { 1.0 } else { MEASURED[lag.unsigned_abs() as usize - 1] };
+        for lag in 1..=4 {
+            let sum: f64 = (1..=4).map(|j| weights[4 - j as usize] * rho(lag - j)).sum();
+            assert!((sum - rho(lag)).abs() < 1e-14, "lag {lag}: {sum}");
+        }
+    }
+
+    /// Every sample of a block, the first ones included, has the given spread and correlations.
+    #[test]
+    fn a_block_is_stationary_from_its_first_sample_on() {
+        let (noise, n) = (Noise::new(0.93, &MEASURED).unwrap(), 200_000);
+        let mut sums = [[0.0; 8]; 8];
+        for shot in 0..n {
+            let mut block = [0.0; 8];
+            noise.fill(&mut Random::of_shot(1, 0, shot, Purpose::Noise), &mut block);
+            for (i, j) in (0..8).flat_map(|i| (0..=i).map(move |j| (i, j))) {
+                sums[i][j] += block[i] * block[j] / (f64::from(n) * 0.93 * 0.93);
+            }
+        }
+        for (i, j) in (0..8).flat_map(|i: usize| (i.saturating_sub(4)..=i).map(move |j| (i, j))) {
+            let expected = if i == j { 1.0 } else { MEASURED[i - j - 1] };
+            assert!((sums[i][j] - expected).abs() < 0.014, "{i}, {j}: {}", sums[i][j]);
+        }
+    }
+
+    #[test]
+    fn what_no_process_can_have_is_refused() {
+        for impossible in [&[1.0][..], &[-1.2], &[0.9, 0.1], &[f64::NAN], &[0.5, f64::INFINITY]] {
+            assert!(Noise::new(1.0, impossible).is_none(), "{impossible:?}");
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! Random numbers that depend on a key alone, and on no machine.
+//!
+//! A [`Random`] is xoshiro256++ (Blackman and Vigna 2021, "Scrambled linear pseudorandom number generators", ACM TOMS
+//! 47:36) whose 256 bits come from SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable pseudorandom number
+//! generators", OOPSLA), as its authors advise. Streams of different keys share no stretch, so that no two shots ever
+//! see the same noise.
+
+mod normal;
+
+pub use normal::Normal;
+
+/// What a stream is for: changing one part of the simulator leaves the numbers of the others as they were.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// Moment and energy of the emission.
+    Laser,
+    /// Noise of the receiver.
+    Noise,
+}
+
+/// A stream of random numbers.
+#[derive(Clone, Debug)]
+pub struct Random {
+    state: [u64; 4],
+}
+
+impl Random {
+    /// The stream of one shot (its place in the line) for one purpose.
+    pub fn of_shot(seed: u64, line: u32, shot: u32, purpose: Purpose) -> Random {
+        Random::from_key(hash([purpose as u64, seed, u64::from(line), u64::from(shot)]))
+    }
+
+    /// The stream of a key.
+    fn from_key(key: u64) -> Random {
+        let state = [1, 2, 3, 4].map(|n: u64| mix(key.wrapping_add(n.wrapping_mul(GOLDEN))));
+        Random { state }
+    }
+
+    /// 64 random bits.
+    pub fn bits(&mut self) -> u64 {
+        let s = &mut self.state;
+        let result = s[0].wrapping_add(s[3]).rotate_left(23).wrapping_add(s[0]);
+        let shifted = s[1] << 17;
+        s[2] ^= s[0];
+        s[3] ^= s[1];
+        s[1] ^= s[2];
+        s[0] ^= s[3];
+        s[2] ^= shifted;
+        s[3] = s[3].rotate_left(45);
+        result
+    }
+
+    /// A number in [0, 1), of 53 random bits.
+    pub fn uniform(&mut self) -> f64 {
+        unit(self.bits())
+    }
+}
+
+/// A number in [0, 1) that belongs to a point of a lattice: the grain of a scene.
+pub fn lattice(key: u64, x: i64, y: i64) -> f64 {
+    unit(hash([key, x as u64, y as u64]))
+}
+
+/// 64 bits that depend on every bit of `words`; two keys that differ only in the last word never give the same.
+pub fn hash<const N: usize>(words: [u64; N]) -> u64 {
+    words.into_iter().fold(0, |hash, word| mix(hash.wrapping_add(GOLDEN) ^ word))
+}
+
+/// 2^64 divided by the golden ratio: the step of SplitMix64.
+const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// The output function of SplitMix64, a permutation of the 64-bit numbers.
+fn mix(z: u64) -> u64 {
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// The upper 53 bits as a number in [0, 1).
+fn unit(bits: u64) -> f64 {
+    const STEP: f64 = 1.0 / (1u64 << 53) as f64;
+    (bits >> 11) as f64 * STEP
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The published sequence of SplitMix64 for the seed 1234567.
+    #[test]
+    fn a_key_is_spread_by_splitmix64() {
+        let expected = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431];
+        assert_eq!(Random::from_key(1234567).state, expected);
+    }
+
+    /// The published sequence of xoshiro256++ for the state 1, 2, 3, 4.
+    #[test]
+    fn bits_are_those_of_xoshiro256_plus_plus() {
+        let mut random = Random { state: [1, 2, 3, 4] };
+        let expected = [41943041, 58720359, 3588806011781223, 3591011842654386, 9228616714210784205];
+        assert_eq!([(); 5].map(|()| random.bits()), expected);
+    }
+
+    #[test]
+    fn shots_lines_seeds_and_purposes_have_streams_of_their_own() {
+        let first = |seed, line, shot, purpose| Random::of_shot(seed, line, shot, purpose).bits();
+        let base = first(1, 2, 3, Purpose::Laser);
+        assert_eq!(base, first(1, 2, 3, Purpose::Laser));
+        let others = [
+            first(2, 2, 3, Purpose::Laser),
+            first(1, 3, 3, Purpose::Laser),
+            first(1, 2, 4, Purpose::Laser),
+            first(1, 3, 2, Purpose::Laser),
+            first(1, 2, 3, Purpose::Noise),
+        ];
+        assert!(others.iter().all(|&other| other != base));
+    }
+
+    #[test]
+    fn uniform_numbers_fill_the_interval_evenly() {
+        let mut random = Random::from_key(7);
+        let mut counts = [0u32; 100];
+        (0..1_000_000).for_each(|_| counts[(random.uniform() * 100.0) as usize] += 1);
+        let chi2: f64 = counts.iter().map(|&n| (f64::from(n) - 1e4).powi(2) / 1e4).sum();
+        assert!((60.0..145.0).contains(&chi2), "99 degrees of freedom, chi-square {chi2}");
+    }
+
+    #[test]
+    fn neighbours_on_a_lattice_are_unrelated() {
+        let n = 300;
+        let value = |x, y| lattice(5, x, y) - 0.5;
+        let mut products = [0.0; 2];
+        for (x, y) in (-n..n).flat_map(|x| (-n..n).map(move |y| (x, y))) {
+            products[0] += value(x, y) * value(x + 1, y);
+            products[1] += value(x, y) * value(x, y + 1);
+        }
+        let sd = (4 * n * n) as f64;
+        for product in products {
+            assert!(product.abs() < 4.0 * sd.sqrt() / 12.0, "{product}");
+        }
+    }
+}

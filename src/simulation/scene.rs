@@ -1,0 +1,247 @@
+//! What a pulse meets: level ground, a building, and a wood above the ground.
+//!
+//! The scene is a function of the place alone, with no memory and no order: a spot looks the same from every line.
+
+mod building;
+mod canopy;
+mod texture;
+
+use building::Building;
+use canopy::Canopy;
+use texture::Texture;
+
+use super::scanner::GROUND_HEIGHT_M;
+
+/// Angle between the beam's axis and the place where its intensity has fallen to 1/e^2, radians.
+const HALF_DIVERGENCE_RAD: f64 = 0.25e-3;
+/// A hit with less than this share of the pulse is not there at all.
+const LEAST_SHARE: f64 = 0.02;
+/// Where the building and the wood stand, as shares of the swath across and along the flight.
+const BUILDING_AREA: Area = Area { x: [0.15, 0.30], y: [0.25, 0.75] };
+const CANOPY_AREA: Area = Area { x: [0.55, 0.95], y: [0.0, 1.0] };
+
+/// A rectangle of the map, m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Area {
+    /// From west to east.
+    pub x: [f64; 2],
+    /// From south to north.
+    pub y: [f64; 2],
+}
+
+/// A part of a pulse that comes back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Distance along the beam, m.
+    pub range_m: f64,
+    /// Energy that comes back, over that from level ground of mean reflectance straight below the aircraft.
+    pub energy: f64,
+    /// Standard deviation of the distance within the beam, m.
+    pub spread_m: f64,
+}
+
+/// Level ground with what stands on it.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    ground: Surface,
+    building: Option<Building>,
+    canopy: Option<Canopy>,
+    /// Range at which level ground gives energy 1, m.
+    reference_range_m: f64,
+}
+
+/// A material.
+#[derive(Clone, Copy, Debug)]
+struct Surface {
+    /// Mean reflectance, over that of the ground.
+    reflectance: f64,
+    /// Standard deviation of its height within a footprint, m.
+    roughness_m: f64,
+    texture: Texture,
+}
+
+/// A beam on its way through the scene.
+#[derive(Clone, Copy, Debug)]
+struct Beam {
+    origin_m: [f64; 3],
+    direction: [f64; 3],
+}
+
+impl Scene {
+    /// A scene in the swath `area`, seen from `flying_height_m` above the ground; a height of 0 leaves the building or
+    /// the wood out.
+    pub fn new(
+        seed: u64,
+        area: Area,
+        flying_height_m: f64,
+        building_height_m: f64,
+        canopy_height_m: f64,
+    ) -> Scene {
+        Scene {
+            ground: Surface { reflectance: 1.0, roughness_m: 0.02, texture: Texture::new(seed, 1, 6.0) },
+            building: (building_height_m > 0.0)
+                .then(|| Building::new(seed, area.part(BUILDING_AREA), building_height_m)),
+            canopy: (canopy_height_m > 0.0)
+                .then(|| Canopy::new(seed, area.part(CANOPY_AREA), canopy_height_m)),
+            reference_range_m: flying_height_m,
+        }
+    }
+
+    /// What a beam meets, in order of range. The direction is a unit vector that points down.
+    pub fn hits(&self, origin_m: [f64; 3], direction: [f64; 3], hits: &mut Vec<Hit>) {
+        hits.clear();
+        let beam = Beam { origin_m, direction };
+        let mut left = 1.0;
+        if let Some(canopy) = &self.canopy {
+            left = canopy.hits(&beam, left, self.reference_range_m, hits);
+        }
+        if let Some(building) = &self.building {
+            left = building.hits(&beam, left, self.reference_range_m, hits);
+        }
+        if left >= LEAST_SHARE {
+            let range_m = beam.range_to(GROUND_HEIGHT_M);
+            hits.push(self.ground.hit(&beam, range_m, beam.cosine(), left, self.reference_range_m));
+        }
+        hits.sort_by(|a, b| a.range_m.total_cmp(&b.range_m));
+    }
+}
+
+impl Surface {
+    /// The echo of the share `share` of a pulse that meets the surface at a range; `cosine` is that of the angle
+    /// between beam and normal. The footprint spreads the echo where it lies askew.
+    fn hit(&self, beam: &Beam, range_m: f64, cosine: f64, share: f64, reference_range_m: f64) -> Hit {
+        let [x, y, z] = beam.at(range_m);
+        // Walls have a grain along their height.
+        let grain = 0.5 + self.texture.at(x + z, y);
+        let distance = reference_range_m / range_m;
+        // The intensity's standard deviation is half the radius at 1/e^2.
+        let footprint_sd_m = 0.5 * HALF_DIVERGENCE_RAD * range_m;
+        let tangent2 = 1.0 / (cosine * cosine) - 1.0;
+        let spread2 = self.roughness_m * self.roughness_m + footprint_sd_m * footprint_sd_m * tangent2;
+        Hit {
+            range_m,
+            energy: share * self.reflectance * grain * cosine * distance * distance,
+            spread_m: spread2.sqrt(),
+        }
+    }
+}
+
+impl Beam {
+    /// The point at a range.
+    fn at(&self, range_m: f64) -> [f64; 3] {
+        core::array::from_fn(|axis| self.origin_m[axis] + range_m * self.direction[axis])
+    }
+
+    /// The range at which the beam reaches a height, m.
+    fn range_to(&self, height_m: f64) -> f64 {
+        (self.origin_m[2] - height_m) / self.cosine()
+    }
+
+    /// Cosine of the angle from straight down.
+    fn cosine(&self) -> f64 {
+        -self.direction[2]
+    }
+}
+
+impl Area {
+    /// The part of the area between two shares of its width and of its length.
+    fn part(&self, shares: Area) -> Area {
+        let part = |[from, to]: [f64; 2], shares: [f64; 2]| shares.map(|share| from + share * (to - from));
+        Area { x: part(self.x, shares.x), y: part(self.y, shares.y) }
+    }
+
+    /// How far a point lies inside the area, m; negative outside.
+    fn depth_m(&self, x: f64, y: f64) -> f64 {
+        let inside = |[from, to]: [f64; 2], at: f64| (at - from).min(to - at);
+        inside(self.x, x).min(inside(self.y, y))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SWATH: Area = Area { x: [-400.0, 600.0], y: [0.0, 100.0] };
+
+    /// A beam from 600 m above the ground that reaches it at (x, 50).
+    fn beam_to(x: f64) -> Beam {
+        let length = (x * x + 600.0 * 600.0).sqrt();
+        let direction = [x / length, 0.0, -600.0 / length];
+        Beam { origin_m: [0.0, 50.0, GROUND_HEIGHT_M + 600.0], direction }
+    }
+
+    fn hits(scene: &Scene, x: f64) -> Vec<Hit> {
+        let (beam, mut hits) = (beam_to(x), Vec::new());
+        scene.hits(beam.origin_m, beam.direction, &mut hits);
+        hits
+    }
+
+    #[test]
+    fn bare_ground_is_level() {
+        let scene = Scene::new(1, SWATH, 600.0, 0.0, 0.0);
+        for x in [-390.0, 0.0, 123.4, 580.0] {
+            let hits = hits(&scene, x);
+            assert_eq!(hits.len(), 1);
+            let [px, _, pz] = beam_to(x).at(hits[0].range_m);
+            assert!((px - x).abs() < 1e-9 && (pz - GROUND_HEIGHT_M).abs() < 1e-9);
+        }
+        // At 45 degrees the footprint's spread along the beam is that across it.
+        let hit = hits(&scene, 600.0)[0];
+        let footprint_sd = 0.125e-3 * hit.range_m;
+        assert!((hit.spread_m.powi(2) - footprint_sd.powi(2) - 0.02f64.powi(2)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn energy_falls_with_the_square_of_the_range_and_the_cosine() {
+        let scene = Scene::new(1, SWATH, 600.0, 0.0, 0.0);
+        let n = 4000;
+        let mean = |from: f64| {
+            (0..n).map(|k| hits(&scene, from + 0.05 * f64::from(k))[0].energy).sum::<f64>() / f64::from(n)
+        };
+        let cosine = 600.0 / 600f64.hypot(400.0);
+        assert!((mean(-100.0) - 1.0).abs() < 0.05, "{}", mean(-100.0));
+        assert!((mean(300.0) / cosine.powi(3) - 1.0).abs() < 0.06, "{}", mean(300.0));
+    }
+
+    #[test]
+    fn a_roof_stands_above_the_ground_and_throws_a_shadow() {
+        let scene = Scene::new(1, SWATH, 600.0, 8.0, 0.0);
+        // The building reaches from -250 to -100: a wall faces the aircraft, the other lies in shadow.
+        let height = |x: f64| beam_to(x).at(hits(&scene, x)[0].range_m)[2] - GROUND_HEIGHT_M;
+        assert!((height(-180.0) - 8.0).abs() < 1e-9);
+        assert!(height(-99.0).abs() < 1e-9);
+        let wall = height(-100.6);
+        assert!((0.5..7.5).contains(&wall), "the wall is hit below its top: {wall}");
+        let x = beam_to(-100.6).at(hits(&scene, -100.6)[0].range_m)[0];
+        assert!((x + 100.0).abs() < 1e-9);
+        assert!((height(-252.0) - 8.0).abs() < 1e-9, "behind the far edge the roof throws a shadow");
+        assert!(height(-255.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_footprint_across_the_roofs_edge_comes_back_twice() {
+        let scene = Scene::new(1, SWATH, 600.0, 8.0, 0.0);
+        // The beam's axis passes the far edge of the roof (at x = -250) 2 cm outside it.
+        let at_ground = -250.02 * 600.0 / 592.0;
+        let found = hits(&scene, at_ground);
+        assert_eq!(found.len(), 2);
+        let heights: Vec<f64> =
+            found.iter().map(|hit| beam_to(at_ground).at(hit.range_m)[2] - GROUND_HEIGHT_M).collect();
+        assert!((heights[0] - 8.0).abs() < 1e-9 && heights[1].abs() < 1e-9, "{heights:?}");
+    }
+
+    #[test]
+    fn a_wood_lets_one_to_four_echoes_come_back() {
+        let scene = Scene::new(1, SWATH, 600.0, 0.0, 18.0);
+        let mut counts = [0; 6];
+        for k in 0..4000 {
+            let hits = hits(&scene, 160.0 + 0.09 * f64::from(k));
+            assert!(hits.windows(2).all(|pair| pair[0].range_m < pair[1].range_m));
+            assert!(hits.iter().map(|hit| hit.energy).sum::<f64>() < 2.0);
+            counts[hits.len()] += 1;
+        }
+        assert_eq!((counts[0], counts[5]), (0, 0));
+        assert!(counts[1..5].iter().all(|&n| n > 100), "{counts:?}");
+        assert_eq!(hits(&scene, 100.0).len(), 1, "outside the wood");
+    }
+}

@@ -1,0 +1,85 @@
+//! A wood: layers of leaves with gaps.
+
+use super::super::scanner::GROUND_HEIGHT_M;
+use super::{Area, Beam, Hit, LEAST_SHARE, Surface, Texture};
+
+/// Layers of leaves, from the top down, each with gaps of its own.
+#[derive(Clone, Debug)]
+pub(super) struct Canopy {
+    area: Area,
+    layers: [Layer; 3],
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Layer {
+    /// Height of its highest place above the ground, m.
+    height_m: f64,
+    /// The most that it takes from a beam.
+    density: f64,
+    /// The value of the texture up to which there is a gap.
+    gap: f64,
+    crowns: Texture,
+    leaves: Surface,
+}
+
+/// How far the lowest place of a layer lies below its highest, over its height.
+const RELIEF: f64 = 0.25;
+/// Between gap and full density the texture rises by this much.
+const RISE: f64 = 0.25;
+
+impl Canopy {
+    pub(super) fn new(seed: u64, area: Area, height_m: f64) -> Canopy {
+        let layer = |name, height, density, gap, roughness_m| Layer {
+            height_m: height * height_m,
+            density,
+            gap,
+            crowns: Texture::new(seed, name, 5.0),
+            leaves: Surface { reflectance: 1.1, roughness_m, texture: Texture::new(seed, name + 1, 1.0) },
+        };
+        let layers = [
+            layer(10, 1.0, 0.75, 0.35, 0.30),
+            layer(20, 0.6, 0.60, 0.45, 0.35),
+            // Undergrowth, whose echoes run into those of the ground.
+            layer(30, 0.1, 0.50, 0.45, 0.12),
+        ];
+        Canopy { area, layers }
+    }
+
+    /// Adds the echoes of a beam of which the share `left` arrives, and says what is left of it below.
+    pub(super) fn hits(
+        &self,
+        beam: &Beam,
+        mut left: f64,
+        reference_range_m: f64,
+        hits: &mut Vec<Hit>,
+    ) -> f64 {
+        for layer in &self.layers {
+            let range_m = layer.range_m(beam);
+            let [x, y, _] = beam.at(range_m);
+            if self.area.depth_m(x, y) < 0.0 {
+                continue;
+            }
+            let taken = left * layer.cover(x, y);
+            if taken >= LEAST_SHARE {
+                // Leaves look the same from all sides: no cosine.
+                hits.push(layer.leaves.hit(beam, range_m, 1.0, taken, reference_range_m));
+                left -= taken;
+            }
+        }
+        left
+    }
+}
+
+impl Layer {
+    /// The range at which a beam meets the layer, which is the highest in the middle of crowns.
+    fn range_m(&self, beam: &Beam) -> f64 {
+        let height = |relief: f64| GROUND_HEIGHT_M + self.height_m * (1.0 - RELIEF * (1.0 - relief));
+        let [x, y, _] = beam.at(beam.range_to(height(0.5)));
+        beam.range_to(height(self.crowns.coarse(x, y)))
+    }
+
+    /// The share of a beam that the layer takes at a place.
+    fn cover(&self, x: f64, y: f64) -> f64 {
+        self.density * ((self.crowns.at(x, y) - self.gap) / RISE).clamp(0.0, 1.0)
+    }
+}

@@ -1,0 +1,76 @@
+//! Irregularity that belongs to a place.
+
+use super::super::random::{hash, lattice};
+
+/// A smooth random field: values between 0 and 1 on a square lattice, blended between its points (value noise), in two
+/// sizes of grain.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Texture {
+    keys: [u64; 2],
+    per_cell: [f64; 2],
+}
+
+/// Share of the coarse grain.
+const COARSE: f64 = 0.6;
+/// How much smaller the fine grain is.
+const FINENESS: f64 = 7.0;
+
+impl Texture {
+    /// A field of its own for each seed and `name`, whose coarse grain has this size, m.
+    pub(super) fn new(seed: u64, name: u64, grain_m: f64) -> Texture {
+        let keys = [0, 1].map(|octave| hash([seed, name, octave]));
+        Texture { keys, per_cell: [1.0 / grain_m, FINENESS / grain_m] }
+    }
+
+    /// The value at a place, between 0 and 1, 0.5 in the mean.
+    pub(super) fn at(&self, x: f64, y: f64) -> f64 {
+        COARSE * self.coarse(x, y) + (1.0 - COARSE) * self.octave(1, x, y)
+    }
+
+    /// The coarse grain alone, between 0 and 1, 0.5 in the mean.
+    pub(super) fn coarse(&self, x: f64, y: f64) -> f64 {
+        self.octave(0, x, y)
+    }
+
+    fn octave(&self, octave: usize, x: f64, y: f64) -> f64 {
+        let (key, per_cell) = (self.keys[octave], self.per_cell[octave]);
+        let (x, y) = (x * per_cell, y * per_cell);
+        let (column, row) = (x.floor(), y.floor());
+        let (i, j) = (column as i64, row as i64);
+        let (u, v) = (smooth(x - column), smooth(y - row));
+        let value = |di, dj| lattice(key, i + di, j + dj);
+        let south = value(0, 0) + u * (value(1, 0) - value(0, 0));
+        let north = value(0, 1) + u * (value(1, 1) - value(0, 1));
+        south + v * (north - south)
+    }
+}
+
+/// From 0 to 1 with level ends.
+fn smooth(t: f64) -> f64 {
+    t * t * (3.0 - 2.0 * t)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_field_is_continuous_and_centred() {
+        let texture = Texture::new(1, 2, 5.0);
+        let places =
+            || (0..200).flat_map(|i| (0..200).map(move |j| (0.9 * f64::from(i), 0.9 * f64::from(j))));
+        let mean = places().map(|(x, y)| texture.at(x, y)).sum::<f64>() / 40_000.0;
+        assert!((mean - 0.5).abs() < 0.02, "{mean}");
+        for (x, y) in places() {
+            let value = texture.at(x, y);
+            assert!((0.0..1.0).contains(&value));
+            assert!((texture.at(x + 1e-6, y + 1e-6) - value).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_field_is_not_that_of_another_name_or_seed() {
+        let at = |seed, name| Texture::new(seed, name, 5.0).at(12.3, 45.6);
+        assert!(at(1, 2) != at(1, 3) && at(1, 2) != at(2, 2));
+    }
+}

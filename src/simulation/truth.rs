@@ -1,0 +1,70 @@
+//! What a perfect evaluation of the recorded waveforms would find.
+
+use std::io::Write;
+
+/// An echo that stands in a recorded block.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrueReturn {
+    /// Running number of the emission.
+    pub shot: u64,
+    /// 1 for the first return of its emission.
+    pub return_number: u8,
+    /// How many returns the emission has.
+    pub number_of_returns: u8,
+    /// The emission's time after the shot's clock, ns.
+    pub emission_ns: f64,
+    /// Time from the emission to the echo, ns.
+    pub time_of_flight_ns: f64,
+    /// Distance along the beam, m.
+    pub range_m: f64,
+    /// Height of the peak above the background, DN; beyond the digitiser's limits where the echo is saturated.
+    pub amplitude_dn: f64,
+    /// Full width at half maximum over that of a flat target's echo (of Gaussians with the response's width).
+    pub width_ratio: f64,
+    /// Where the echo comes from, m, in the map.
+    pub point_m: [f64; 3],
+}
+
+/// The columns of a table of truth.
+pub const COLUMNS: &str = "shot,return_number,number_of_returns,emission_ns,time_of_flight_ns,range_m,amplitude_dn,\
+                           width_ratio,x,y,z";
+
+impl TrueReturn {
+    /// Adds a row of the table with these [`COLUMNS`] to `out`. Each number has as many digits as it takes to read the
+    /// same bits back.
+    pub fn write(&self, out: &mut Vec<u8>) {
+        let [x, y, z] = self.point_m;
+        // Writing to memory never fails.
+        let _ = write!(out, "{},{},{},", self.shot, self.return_number, self.number_of_returns);
+        let _ = write!(out, "{},{},{},", self.emission_ns, self.time_of_flight_ns, self.range_m);
+        let _ = writeln!(out, "{},{},{x},{y},{z}", self.amplitude_dn, self.width_ratio);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_reads_back_to_the_bit() {
+        let truth = TrueReturn {
+            shot: 7,
+            return_number: 2,
+            number_of_returns: 3,
+            emission_ns: 0.1 + 0.2,
+            time_of_flight_ns: 4003.1,
+            range_m: 600.0 / 0.7,
+            amplitude_dn: 1.0 / 3.0,
+            width_ratio: 1.0,
+            point_m: [320_000.25, 5_300_000.1, 400.0],
+        };
+        let mut row = Vec::new();
+        truth.write(&mut row);
+        let row = String::from_utf8(row).unwrap();
+        assert_eq!(
+            row,
+            "7,2,3,0.30000000000000004,4003.1,857.1428571428572,0.3333333333333333,1,320000.25,5300000.1,400\n"
+        );
+        assert_eq!(row.split(',').count(), COLUMNS.split(',').count());
+    }
+}
