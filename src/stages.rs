@@ -1,6 +1,7 @@
 //! The stages, one file each; `registry.rs` lists them.
 
 mod broken;
+pub mod calibrate;
 pub mod decompose;
 pub mod georeference;
 mod lines;

@@ -137,7 +137,7 @@ impl Blocks {
     }
 
     /// The blocks, ordered by emission.
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = &Block> + '_ {
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &Block> + Clone + '_ {
         self.list.iter()
     }
 

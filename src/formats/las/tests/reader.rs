@@ -268,7 +268,7 @@ fn a_bad_packet_is_lost_alone() {
     let good = Wave { descriptor: 1, offset: 60, size: 8, ..Wave::default() };
     let mut problem = |wave: Wave| {
         let words = words(reader.packet(&wave, &mut samples).unwrap_err());
-        assert_eq!(samples, []);
+        assert!(samples.is_empty());
         reader.packet(&good, &mut samples).unwrap();
         assert_eq!(samples, [1, 2, 3, 258]);
         words
@@ -352,7 +352,7 @@ fn what_else_a_file_says_is_kept() {
     assert_eq!((reader.evlrs()[0].length, reader.evlrs()[0].data.len()), (8, 0));
     assert_eq!(reader.extra_bytes_descriptors()[0].name, "Amp");
     let mut point = Point::default();
-    assert_eq!(reader.extra_bytes(), []);
+    assert!(reader.extra_bytes().is_empty());
     assert!(reader.next_point(&mut point).unwrap());
     assert_eq!(reader.extra_bytes(), [0, 1]);
     assert!(reader.next_point(&mut point).unwrap());
