@@ -7,6 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub mod bytes;
+pub mod container;
 
 /// What can be wrong with a file.
 #[derive(Debug, thiserror::Error)]

@@ -7,3 +7,4 @@ pub mod formats;
 pub mod job;
 pub mod kernels;
 pub mod stage;
+pub mod stages;
