@@ -7,6 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub mod bytes;
+pub mod container;
 pub mod las;
 pub mod pulsewaves;
 

@@ -2,11 +2,15 @@
 
 mod broken;
 pub mod calibrate;
+mod container_info;
 pub mod decompose;
 pub mod georeference;
 mod lines;
+pub mod read_arrow;
 pub mod read_las;
 pub mod read_pulsewaves;
 pub mod simulate;
+pub mod write_arrow;
 pub mod write_las;
 pub mod write_lstat;
+pub mod write_table;

@@ -1,0 +1,160 @@
+//! The rows of a scan line, gathered to be written as one record batch.
+
+use std::sync::Arc;
+
+use arrow_array::{
+    ArrayRef, FixedSizeListArray, Float32Array, Float64Array, Int16Array, Int64Array, ListArray, RecordBatch,
+    StructArray, UInt8Array, UInt16Array, UInt32Array, UInt64Array,
+};
+use arrow_buffer::{NullBuffer, OffsetBuffer, ScalarBuffer};
+use arrow_schema::{ArrowError, DataType, Field, SchemaRef};
+
+use super::layout::{BLOCK, Kind, ONLINE, fields};
+use super::{ContainerBlock, ContainerOnline, ContainerShot};
+
+/// The rows of a scan line, column by column. Blocks and online returns belong to the shot added last.
+#[derive(Debug, Default)]
+pub struct LineBuilder {
+    shot: Vec<u64>,
+    line: Vec<u32>,
+    gps_time_s: Vec<Option<f64>>,
+    clock_ps: Vec<i64>,
+    origin: Vec<f64>,
+    direction: Vec<f64>,
+    facet: Vec<u16>,
+    flags: Vec<u16>,
+    mta_zone: Vec<Option<i16>>,
+    scan_angle_deg: Vec<Option<f32>>,
+    frame_scale: Vec<Option<f64>>,
+    /// How many blocks each shot has.
+    blocks: Vec<usize>,
+    channel: Vec<u8>,
+    start_ns: Vec<f64>,
+    zone: Vec<Option<i16>>,
+    interval_ns: Vec<Option<f64>>,
+    /// How many samples each block has.
+    lengths: Vec<usize>,
+    samples: Vec<u16>,
+    /// How many online returns each shot has.
+    online: Vec<usize>,
+    time_ns: Vec<f64>,
+    amplitude: Vec<f32>,
+}
+
+impl LineBuilder {
+    /// No rows yet.
+    pub fn new() -> LineBuilder {
+        LineBuilder::default()
+    }
+
+    /// Adds a row without blocks.
+    pub fn shot(&mut self, shot: &ContainerShot) {
+        self.shot.push(shot.shot);
+        self.line.push(shot.line);
+        self.gps_time_s.push(shot.gps_time_s);
+        self.clock_ps.push(shot.clock_ps);
+        self.origin.extend(shot.origin_m);
+        self.direction.extend(shot.direction);
+        self.facet.push(shot.facet);
+        self.flags.push(shot.flags);
+        self.mta_zone.push(shot.mta_zone);
+        self.scan_angle_deg.push(shot.scan_angle_deg);
+        self.frame_scale.push(shot.frame_scale);
+        self.blocks.push(0);
+        self.online.push(0);
+    }
+
+    /// Adds a block to the last row; before the first row, nothing.
+    pub fn block(&mut self, block: &ContainerBlock) {
+        let Some(blocks) = self.blocks.last_mut() else { return };
+        *blocks += 1;
+        self.channel.push(block.channel);
+        self.start_ns.push(block.start_ns);
+        self.zone.push(block.zone);
+        self.interval_ns.push(block.interval_ns);
+        self.lengths.push(block.samples.len());
+        self.samples.extend_from_slice(block.samples);
+    }
+
+    /// Adds an online return to the last row; before the first row, nothing.
+    pub fn online(&mut self, online: &ContainerOnline) {
+        let Some(count) = self.online.last_mut() else { return };
+        *count += 1;
+        self.time_ns.push(online.time_ns);
+        self.amplitude.push(online.amplitude);
+    }
+
+    /// How many rows there are.
+    pub fn rows(&self) -> usize {
+        self.shot.len()
+    }
+
+    /// The record batch; an error where a list would pass 2^31 items, the most that Arrow's lists can have.
+    pub(super) fn finish(self, schema: SchemaRef) -> Result<RecordBatch, ArrowError> {
+        let samples = list(Kind::Samples, &self.lengths, array(UInt16Array::from(self.samples)), None)?;
+        let blocks = StructArray::try_new(
+            fields(BLOCK),
+            vec![
+                array(UInt8Array::from(self.channel)),
+                array(Float64Array::from(self.start_ns)),
+                array(samples),
+                array(Int16Array::from(self.zone)),
+                array(Float64Array::from(self.interval_ns)),
+            ],
+            None,
+        )?;
+        let online = StructArray::try_new(
+            fields(ONLINE),
+            vec![array(Float64Array::from(self.time_ns)), array(Float32Array::from(self.amplitude))],
+            None,
+        )?;
+        let some_online: NullBuffer = self.online.iter().map(|&count| count > 0).collect();
+        let columns = vec![
+            array(UInt64Array::from(self.shot)),
+            array(UInt32Array::from(self.line)),
+            array(Float64Array::from(self.gps_time_s)),
+            array(Int64Array::from(self.clock_ps)),
+            array(triple(self.origin)?),
+            array(triple(self.direction)?),
+            array(UInt16Array::from(self.facet)),
+            array(UInt16Array::from(self.flags)),
+            array(Int16Array::from(self.mta_zone)),
+            array(list(Kind::Structs(BLOCK), &self.blocks, array(blocks), None)?),
+            array(list(Kind::Structs(ONLINE), &self.online, array(online), Some(some_online))?),
+            array(Float32Array::from(self.scan_angle_deg)),
+            array(Float64Array::from(self.frame_scale)),
+        ];
+        RecordBatch::try_new(schema, columns)
+    }
+}
+
+fn array(array: impl arrow_array::Array + 'static) -> ArrayRef {
+    Arc::new(array)
+}
+
+fn triple(values: Vec<f64>) -> Result<FixedSizeListArray, ArrowError> {
+    let item = Arc::new(Field::new("item", DataType::Float64, false));
+    FixedSizeListArray::try_new(item, 3, array(Float64Array::from(values)), None)
+}
+
+fn list(
+    kind: Kind,
+    lengths: &[usize],
+    values: ArrayRef,
+    nulls: Option<NullBuffer>,
+) -> Result<ListArray, ArrowError> {
+    let DataType::List(item) = kind.data_type() else {
+        return Err(ArrowError::SchemaError("not a list".into()));
+    };
+    if i32::try_from(values.len()).is_err() {
+        return Err(ArrowError::InvalidArgumentError("a scan line with a list of over 2^31 items".into()));
+    }
+    let mut offsets = Vec::with_capacity(lengths.len() + 1);
+    offsets.push(0_i32);
+    let mut end = 0;
+    offsets.extend(lengths.iter().map(|&length| {
+        end += length;
+        end as i32
+    }));
+    ListArray::try_new(item, OffsetBuffer::new(ScalarBuffer::from(offsets)), values, nulls)
+}

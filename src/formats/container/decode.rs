@@ -1,0 +1,124 @@
+//! From a message to a line: the one place where `arrow-ipc` decodes.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use arrow_array::{ArrayRef, RecordBatch};
+use arrow_buffer::Buffer;
+use arrow_ipc::convert::try_fb_to_schema;
+use arrow_ipc::reader::read_record_batch;
+use arrow_ipc::{Endianness, Field as FbField, MessageHeader, MetadataVersion, root_as_message};
+use arrow_schema::{DataType, Field, FieldRef, Schema, SchemaRef};
+
+use super::messages::{Message, first_line};
+use super::place::{DAMAGED, Place};
+use super::{ContainerLine, guard};
+use crate::formats::Result;
+
+/// The schema that a file or stream starts with.
+pub(super) fn schema_of(schema: arrow_ipc::Schema, place: Place) -> Result<Schema> {
+    if schema.endianness() != Endianness::Little {
+        return Err(place.bad("schema", "the numbers are big-endian", "write the file on a common machine"));
+    }
+    for field in schema.fields().iter().flatten() {
+        check_unions(field, place)?;
+    }
+    try_fb_to_schema(schema).map_err(|e| place.bad("schema", e.to_string(), "leave such columns out"))
+}
+
+/// `arrow-ipc` panics on a union of over 128 types.
+fn check_unions(field: FbField, place: Place) -> Result<()> {
+    let children = field.children().unwrap_or_default();
+    if field.type_as_union().is_some() && children.len() > 128 {
+        let name = field.name().unwrap_or_default();
+        return Err(place.bad(format!("column `{name}`"), "a union of over 128 types", "leave it out"));
+    }
+    children.iter().try_for_each(|child| check_unions(child, place))
+}
+
+/// How the record batches of one container are decoded.
+pub(super) struct Decoder {
+    /// The container's columns, each allowed to hold nulls: what they hold is checked with better words.
+    schema: SchemaRef,
+    /// Where the columns of the layout stand; see [`super::layout::find`].
+    columns: Vec<Option<usize>>,
+    /// Those that are there.
+    present: Vec<usize>,
+}
+
+impl Decoder {
+    /// `columns` as [`super::layout::find`] gives them.
+    pub(super) fn new(schema: &Schema, columns: Vec<Option<usize>>) -> Decoder {
+        let fields: Vec<FieldRef> = schema.fields().iter().map(nullable).collect();
+        let present = columns.iter().flatten().copied().collect();
+        Decoder { schema: Arc::new(Schema::new(fields)), columns, present }
+    }
+
+    /// The line in a message; `None` where the message is none.
+    pub(super) fn line(&self, message: &Message, place: Place) -> Result<Option<ContainerLine>> {
+        let parsed =
+            root_as_message(&message.metadata).map_err(|e| place.bad("message", first_line(&e), DAMAGED))?;
+        let (Some(batch), version) = (parsed.header_as_record_batch(), parsed.version()) else {
+            return match parsed.header_type() {
+                // Only columns that are passed over can have a dictionary.
+                MessageHeader::DictionaryBatch | MessageHeader::NONE => Ok(None),
+                _ => Err(place.bad("message", "neither a record batch nor a dictionary", DAMAGED)),
+            };
+        };
+        if version < MetadataVersion::V4 {
+            let problem = format!("a record batch of the metadata version {version:?}");
+            return Err(place.bad("message", problem, "write it with Arrow 0.8 or later"));
+        }
+        guard::check(&batch, version, &self.schema, &self.present, &message.body, place)?;
+        let decode = |columns: &[usize]| decode(&message.body, batch, &self.schema, columns, version);
+        let decoded = match decode(&self.present) {
+            Ok(decoded) => decoded,
+            Err(error) => {
+                // The decoder does not say which column it was at: whichever fails by itself, too.
+                let culprit =
+                    self.present.iter().find_map(|&column| Some((column, decode(&[column]).err()?)));
+                let (column, problem) = culprit.map_or_else(
+                    || ("record batch".to_string(), error),
+                    |(column, error)| (format!("column `{}`", self.schema.field(column).name()), error),
+                );
+                return Err(place.bad(self.rows(&column, batch.length(), place), problem, DAMAGED));
+            }
+        };
+        ContainerLine::try_new(&self.arrays(&decoded), place).map(Some)
+    }
+
+    /// A column and the rows that a record batch has.
+    fn rows(&self, column: &str, rows: i64, place: Place) -> String {
+        let last = place.first_row + (rows.max(1) as u64 - 1);
+        format!("{column}, rows {} to {last}", place.first_row)
+    }
+
+    /// The columns of the layout.
+    fn arrays(&self, decoded: &RecordBatch) -> Vec<Option<ArrayRef>> {
+        let mut arrays = decoded.columns().iter();
+        self.columns.iter().map(|column| column.and_then(|_| arrays.next().cloned())).collect()
+    }
+}
+
+/// A record batch with the columns `columns`, in that order.
+fn decode(
+    body: &Buffer,
+    batch: arrow_ipc::RecordBatch,
+    schema: &SchemaRef,
+    columns: &[usize],
+    version: MetadataVersion,
+) -> std::result::Result<RecordBatch, String> {
+    read_record_batch(body, batch, Arc::clone(schema), &HashMap::new(), Some(columns), &version)
+        .map_err(|error| error.to_string())
+}
+
+/// The same field, allowed to hold nulls, and so on inwards.
+fn nullable(field: &FieldRef) -> FieldRef {
+    let data_type = match field.data_type() {
+        DataType::List(item) => DataType::List(nullable(item)),
+        DataType::FixedSizeList(item, n) => DataType::FixedSizeList(nullable(item), *n),
+        DataType::Struct(fields) => DataType::Struct(fields.iter().map(nullable).collect()),
+        other => other.clone(),
+    };
+    Arc::new(Field::new(field.name(), data_type, true))
+}

@@ -1,0 +1,470 @@
+//! The schema's metadata: what a container says of the recording as a whole.
+
+use arrow_schema::Metadata;
+use serde::{Deserialize, Serialize};
+
+use super::layout::KEYS;
+use super::place::Place;
+use super::{VERSION, layout};
+use crate::formats::{Error, Result};
+
+/// What a container says of the recording as a whole; see [`layout::KEYS`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct ContainerHeader {
+    /// The instrument's name.
+    pub instrument: Option<String>,
+    /// The instrument's serial number.
+    pub serial: Option<String>,
+    /// Time between samples unless a block says another, ns; finite and above 0.
+    pub sampling_interval_ns: f64,
+    /// Speed of the pulse in air, m/s; above 0, at most that of light in vacuum.
+    pub group_velocity_mps: f64,
+    /// The nominal pulse rate, Hz; finite and above 0.
+    pub pulse_rate_hz: Option<f64>,
+    /// What `gps_time_s` counts.
+    pub time_scale: TimeScale,
+    /// GPS week of the first shot.
+    pub gps_week: Option<u32>,
+    /// The frame of origins and directions.
+    pub frame: Frame,
+    /// Coordinate reference system of the frame, WKT.
+    pub crs_wkt: Option<String>,
+    /// Digitiser steps to dB, low power; pairs that are not defined are left out when read.
+    pub amplitude_low: Option<Vec<(f64, f64)>>,
+    /// Digitiser steps to dB, high power.
+    pub amplitude_high: Option<Vec<(f64, f64)>>,
+    /// Digitiser steps to seconds, low power.
+    pub range_low: Option<Vec<(f64, f64)>>,
+    /// Digitiser steps to seconds, high power.
+    pub range_high: Option<Vec<(f64, f64)>>,
+    /// Day of the recording, as (day of the year from 1, year from 1 to 9999).
+    pub recorded: Option<(u16, u16)>,
+    /// The largest value that the digitiser can give.
+    pub full_scale_dn: Option<u16>,
+    /// Scale and offset of the coordinates in the recording's own file.
+    pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
+    /// How the moment of emission is known; `None`: to be told from the blocks.
+    pub emission_reference: Option<EmissionReference>,
+}
+
+/// An enumeration whose values have names in the metadata.
+macro_rules! named {
+    ($(#[$doc:meta])* $name:ident { $($(#[$value_doc:meta])* $value:ident = $text:literal,)+ }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum $name {
+            $($(#[$value_doc])* $value,)+
+        }
+
+        impl $name {
+            /// As the metadata writes it.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $($name::$value => $text,)+
+                }
+            }
+
+            fn of(text: &str) -> Option<$name> {
+                match text {
+                    $($text => Some($name::$value),)+
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+named! {
+    /// What `gps_time_s` counts.
+    TimeScale {
+        /// Seconds of the GPS week.
+        Week = "week",
+        /// Seconds of the day.
+        Day = "day",
+        /// Seconds since 1980-01-06 minus 1e9.
+        Adjusted = "adjusted",
+        /// Not known.
+        Unknown = "unknown",
+    }
+}
+
+named! {
+    /// The frame of `origin` and `direction`.
+    Frame {
+        /// The scanner's own.
+        Scanner = "scanner",
+        /// The aircraft's: forward, right, down.
+        Body = "body",
+        /// A map's or the earth's.
+        Map = "map",
+    }
+}
+
+named! {
+    /// How the moment of emission is known.
+    EmissionReference {
+        /// From the outgoing pulse recorded with each shot.
+        OutgoingPulse = "outgoing_pulse",
+        /// From the return locations of the recording's own file.
+        ReturnLocations = "return_locations",
+        /// From the shot's clock alone.
+        Clock = "clock",
+    }
+}
+
+/// The value of `wavex.tables`. An undefined number is written as null, which is how JSON says NaN.
+#[derive(Default, Serialize, Deserialize)]
+#[serde(default)]
+struct Tables {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    amplitude_low: Option<Table>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    amplitude_high: Option<Table>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    range_low: Option<Table>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    range_high: Option<Table>,
+}
+
+type Table = Vec<(Option<f64>, Option<f64>)>;
+
+/// The value of `wavex.coordinate_grid`.
+#[derive(Serialize, Deserialize)]
+struct Grid {
+    scale: [f64; 3],
+    offset: [f64; 3],
+}
+
+/// Speed of light in vacuum, m/s: no pulse is faster.
+const LIGHT_MPS: f64 = 299_792_458.0;
+
+impl ContainerHeader {
+    /// The header as metadata.
+    pub(super) fn to_metadata(&self) -> Metadata {
+        let number = |value: f64| value.to_string();
+        let grid = self.coordinate_grid.map(|(scale, offset)| json(&Grid { scale, offset }));
+        let values = [
+            ("wavex.container", Some(VERSION.to_string())),
+            ("wavex.instrument", self.instrument.clone()),
+            ("wavex.serial", self.serial.clone()),
+            ("wavex.sampling_interval_ns", Some(number(self.sampling_interval_ns))),
+            ("wavex.group_velocity_mps", Some(number(self.group_velocity_mps))),
+            ("wavex.pulse_rate_hz", self.pulse_rate_hz.map(number)),
+            ("wavex.time_scale", Some(self.time_scale.name().to_string())),
+            ("wavex.gps_week", self.gps_week.map(|week| week.to_string())),
+            ("wavex.frame", Some(self.frame.name().to_string())),
+            ("wavex.crs", self.crs_wkt.clone()),
+            ("wavex.tables", self.tables()),
+            ("wavex.recorded", self.recorded.and_then(iso_date)),
+            ("wavex.full_scale_dn", self.full_scale_dn.map(|dn| dn.to_string())),
+            ("wavex.coordinate_grid", grid),
+            ("wavex.emission_reference", self.emission_reference.map(|by| by.name().to_string())),
+        ];
+        debug_assert!(values.iter().map(|value| value.0).eq(KEYS.iter().map(|key| key.name)));
+        values.into_iter().filter_map(|(key, value)| Some((key, value?))).collect()
+    }
+
+    fn tables(&self) -> Option<String> {
+        let table = |pairs: &Option<Vec<(f64, f64)>>| {
+            let defined = |&(x, y): &(f64, f64)| (Some(x), Some(y));
+            pairs.as_ref().map(|pairs| pairs.iter().map(defined).collect::<Table>())
+        };
+        let tables = Tables {
+            amplitude_low: table(&self.amplitude_low),
+            amplitude_high: table(&self.amplitude_high),
+            range_low: table(&self.range_low),
+            range_high: table(&self.range_high),
+        };
+        let text = json(&tables);
+        (text != "{}").then_some(text)
+    }
+
+    /// Reads the header out of the metadata; errors name the key.
+    pub(super) fn from_metadata(metadata: &Metadata, place: Place) -> Result<ContainerHeader> {
+        let keys = Keys { metadata, place };
+        keys.version()?;
+        let tables: Tables = keys.json("wavex.tables")?.unwrap_or_default();
+        let grid: Option<Grid> = keys.json("wavex.coordinate_grid")?;
+        let positive = |value: &f64| value.is_finite() && *value > 0.0;
+        let speed = |value: &f64| *value > 0.0 && *value <= LIGHT_MPS;
+        Ok(ContainerHeader {
+            instrument: keys.text("wavex.instrument").map(str::to_string),
+            serial: keys.text("wavex.serial").map(str::to_string),
+            sampling_interval_ns: keys.needed("wavex.sampling_interval_ns", |text| number(text, positive))?,
+            group_velocity_mps: keys.needed("wavex.group_velocity_mps", |text| number(text, speed))?,
+            pulse_rate_hz: keys.value("wavex.pulse_rate_hz", |text| number(text, positive))?,
+            time_scale: keys.needed("wavex.time_scale", TimeScale::of)?,
+            gps_week: keys.value("wavex.gps_week", |text| text.parse().ok())?,
+            frame: keys.needed("wavex.frame", Frame::of)?,
+            crs_wkt: keys.text("wavex.crs").map(str::to_string),
+            amplitude_low: tables.amplitude_low.map(defined),
+            amplitude_high: tables.amplitude_high.map(defined),
+            range_low: tables.range_low.map(defined),
+            range_high: tables.range_high.map(defined),
+            recorded: keys.value("wavex.recorded", day_of_year)?,
+            full_scale_dn: keys.value("wavex.full_scale_dn", |text| text.parse().ok())?,
+            coordinate_grid: grid.map(|grid| (grid.scale, grid.offset)),
+            emission_reference: keys.value("wavex.emission_reference", EmissionReference::of)?,
+        })
+    }
+}
+
+/// The metadata, with errors that name the key.
+struct Keys<'a> {
+    metadata: &'a Metadata,
+    place: Place<'a>,
+}
+
+impl<'a> Keys<'a> {
+    fn text(&self, key: &str) -> Option<&'a str> {
+        self.metadata.get(key).map(String::as_str)
+    }
+
+    fn version(&self) -> Result<()> {
+        match self.text("wavex.container") {
+            Some(VERSION) => Ok(()),
+            Some(other) => Err(Error::unusable(
+                self.place.file,
+                format!("a waveform container of version `{other}`, where {VERSION} is known"),
+                "use a newer wavex",
+            )),
+            None => Err(Error::unusable(
+                self.place.file,
+                "an Arrow file, but no waveform container: its metadata has no key `wavex.container`",
+                "give its schema the metadata that schemas/container.json lists",
+            )),
+        }
+    }
+
+    fn value<T>(&self, key: &str, parse: impl Fn(&'a str) -> Option<T>) -> Result<Option<T>> {
+        self.text(key).map(|text| parse(text).ok_or_else(|| self.wrong(key, text))).transpose()
+    }
+
+    fn needed<T>(&self, key: &str, parse: impl Fn(&'a str) -> Option<T>) -> Result<T> {
+        self.value(key, parse)?.ok_or_else(|| {
+            let remedy = format!("add it to the schema's metadata: {}", form(key));
+            self.place.bad(format!("metadata `{key}`"), "is missing", &remedy)
+        })
+    }
+
+    fn json<T: Deserialize<'a>>(&self, key: &str) -> Result<Option<T>> {
+        self.value(key, |text| serde_json::from_str(text).ok())
+    }
+
+    fn wrong(&self, key: &str, text: &str) -> Error {
+        let shown: String = text.chars().take(60).collect();
+        let remedy = format!("write a {}", form(key));
+        self.place.bad(format!("metadata `{key}`"), format!("`{shown}` is no value for it"), &remedy)
+    }
+}
+
+fn form(key: &str) -> &'static str {
+    layout::KEYS.iter().find(|known| known.name == key).map_or("string", |known| known.form)
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
+}
+
+fn number(text: &str, fits: impl Fn(&f64) -> bool) -> Option<f64> {
+    text.trim().parse().ok().filter(fits)
+}
+
+fn defined(table: Table) -> Vec<(f64, f64)> {
+    table.into_iter().filter_map(|(x, y)| Some((x?, y?))).collect()
+}
+
+/// Days of the months of a year in the Gregorian calendar.
+fn month_lengths(year: u16) -> [u16; 12] {
+    let leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
+    [31, if leap { 29 } else { 28 }, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31]
+}
+
+/// (day of the year from 1, year) as ISO 8601; `None` where there is no such day.
+fn iso_date((mut day, year): (u16, u16)) -> Option<String> {
+    if day == 0 || !(1..=9999).contains(&year) {
+        return None;
+    }
+    for (month, length) in (1..).zip(month_lengths(year)) {
+        if day <= length {
+            return Some(format!("{year:04}-{month:02}-{day:02}"));
+        }
+        day -= length;
+    }
+    None
+}
+
+/// The inverse of [`iso_date`].
+fn day_of_year(text: &str) -> Option<(u16, u16)> {
+    let mut parts = text.splitn(3, '-');
+    let mut part = |digits: usize| {
+        let part = parts.next()?;
+        let plain = part.len() == digits && part.bytes().all(|byte| byte.is_ascii_digit());
+        plain.then(|| part.parse::<u16>().ok()).flatten()
+    };
+    let (year, month, day) = (part(4)?, part(2)?, part(2)?);
+    let lengths = month_lengths(year);
+    let before = lengths.get(..usize::from(month.checked_sub(1)?))?;
+    let valid = year > 0 && day > 0 && day <= *lengths.get(before.len())?;
+    valid.then(|| (before.iter().sum::<u16>() + day, year))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    fn place() -> Place<'static> {
+        Place { file: Path::new("a.arrow"), offset: 8, first_row: 0 }
+    }
+
+    fn header() -> ContainerHeader {
+        ContainerHeader {
+            instrument: Some("LMS-Q680i".into()),
+            serial: Some("9997".into()),
+            sampling_interval_ns: 1.0,
+            group_velocity_mps: 299_707_502.1,
+            pulse_rate_hz: Some(400e3),
+            time_scale: TimeScale::Week,
+            gps_week: Some(1747),
+            frame: Frame::Map,
+            crs_wkt: Some("GEOCCS[\"x\"]".into()),
+            amplitude_low: Some(vec![(9.0, 0.0), (255.0, 19.7)]),
+            amplitude_high: None,
+            range_low: None,
+            range_high: Some(vec![(9.0, -1e-11), (255.0, 0.1 + 0.2)]),
+            recorded: Some((60, 2012)),
+            full_scale_dn: Some(255),
+            coordinate_grid: Some(([0.001, 0.01, 0.1], [4e6, 0.0, -1.5])),
+            emission_reference: Some(EmissionReference::ReturnLocations),
+        }
+    }
+
+    #[test]
+    fn a_header_becomes_strings_and_comes_back() {
+        let metadata = header().to_metadata();
+        let text: Vec<(&str, &str)> = metadata.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
+        let expected = [
+            ("wavex.container", "1"),
+            ("wavex.coordinate_grid", r#"{"scale":[0.001,0.01,0.1],"offset":[4000000.0,0.0,-1.5]}"#),
+            ("wavex.crs", "GEOCCS[\"x\"]"),
+            ("wavex.emission_reference", "return_locations"),
+            ("wavex.frame", "map"),
+            ("wavex.full_scale_dn", "255"),
+            ("wavex.gps_week", "1747"),
+            ("wavex.group_velocity_mps", "299707502.1"),
+            ("wavex.instrument", "LMS-Q680i"),
+            ("wavex.pulse_rate_hz", "400000"),
+            ("wavex.recorded", "2012-02-29"),
+            ("wavex.sampling_interval_ns", "1"),
+            ("wavex.serial", "9997"),
+            (
+                "wavex.tables",
+                r#"{"amplitude_low":[[9.0,0.0],[255.0,19.7]],"range_high":[[9.0,-1e-11],[255.0,0.30000000000000004]]}"#,
+            ),
+            ("wavex.time_scale", "week"),
+        ];
+        assert_eq!(text, expected);
+        assert_eq!(ContainerHeader::from_metadata(&metadata, place()).unwrap(), header());
+    }
+
+    #[test]
+    fn what_is_not_known_is_left_out() {
+        let short = ContainerHeader {
+            instrument: None,
+            serial: None,
+            pulse_rate_hz: None,
+            gps_week: None,
+            crs_wkt: None,
+            amplitude_low: None,
+            range_high: None,
+            recorded: None,
+            full_scale_dn: None,
+            coordinate_grid: None,
+            emission_reference: None,
+            ..header()
+        };
+        let metadata = short.to_metadata();
+        let required: Vec<&str> = KEYS.iter().filter(|key| key.required).map(|key| key.name).collect();
+        assert!(required.iter().all(|key| metadata.contains_key(key)));
+        assert_eq!(metadata.len(), required.len());
+        assert_eq!(ContainerHeader::from_metadata(&metadata, place()).unwrap(), short);
+        for key in required.iter().skip(1) {
+            let mut less = metadata.clone();
+            less.remove(key);
+            let error = ContainerHeader::from_metadata(&less, place()).unwrap_err().to_string();
+            assert!(
+                error.starts_with(&format!("a.arrow: byte 8: metadata `{key}`: is missing; ")),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn undefined_entries_of_tables_are_left_out_and_other_keys_passed_over() {
+        let metadata = header()
+            .to_metadata()
+            .with("wavex.tables", r#"{"amplitude_high":[[1,null],[9,0],[10,0.5]],"other":3}"#)
+            .with("pandas", "{}");
+        let header = ContainerHeader::from_metadata(&metadata, place()).unwrap();
+        assert_eq!(header.amplitude_high, Some(vec![(9.0, 0.0), (10.0, 0.5)]));
+        assert_eq!(header.amplitude_low, None);
+    }
+
+    #[test]
+    fn a_wrong_value_is_named_with_its_form() {
+        let cases = [
+            ("wavex.sampling_interval_ns", "0", "number > 0"),
+            ("wavex.sampling_interval_ns", "inf", "number > 0"),
+            ("wavex.group_velocity_mps", "3e8", "number > 0, at most 299792458"),
+            ("wavex.pulse_rate_hz", "NaN", "number > 0"),
+            ("wavex.time_scale", "utc", "`week`, `day`, `adjusted` or `unknown`"),
+            ("wavex.frame", "ned", "`scanner`, `body` or `map`"),
+            ("wavex.gps_week", "-1", "whole number"),
+            ("wavex.tables", "[[1,2]]", "JSON object of arrays of pairs"),
+            ("wavex.tables", r#"{"range_low":[[1]]}"#, "JSON object of arrays of pairs"),
+            ("wavex.recorded", "2013-02-29", "`YYYY-MM-DD`"),
+            ("wavex.recorded", "2013-13-01", "`YYYY-MM-DD`"),
+            ("wavex.recorded", "13-01-01", "`YYYY-MM-DD`"),
+            ("wavex.recorded", "2013-+1-01", "`YYYY-MM-DD`"),
+            ("wavex.full_scale_dn", "65536", "whole number up to 65535"),
+            ("wavex.emission_reference", "none", "`outgoing_pulse`, `return_locations` or `clock`"),
+        ];
+        for (key, value, form) in cases {
+            let metadata = header().to_metadata().with(key, value);
+            let error = ContainerHeader::from_metadata(&metadata, place()).unwrap_err().to_string();
+            let expected =
+                format!("a.arrow: byte 8: metadata `{key}`: `{value}` is no value for it; write a {form}");
+            assert_eq!(error, expected);
+        }
+    }
+
+    #[test]
+    fn another_version_and_another_file_are_told_apart() {
+        let newer = header().to_metadata().with("wavex.container", "2");
+        let error = ContainerHeader::from_metadata(&newer, place()).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "a.arrow: a waveform container of version `2`, where 1 is known; use a newer wavex"
+        );
+        let error = ContainerHeader::from_metadata(&Metadata::default(), place()).unwrap_err().to_string();
+        assert!(
+            error.contains("no waveform container: its metadata has no key `wavex.container`"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn every_day_of_a_leap_year_and_of_another_has_a_date() {
+        for (year, days) in [(2012, 366), (2013, 365), (2000, 366), (1900, 365), (1, 365), (9999, 365)] {
+            for day in 1..=days {
+                let text = iso_date((day, year)).unwrap();
+                assert_eq!(day_of_year(&text), Some((day, year)), "{text}");
+            }
+            assert_eq!(iso_date((days + 1, year)), None);
+        }
+        assert_eq!(iso_date((0, 2012)), None);
+        assert_eq!(iso_date((1, 10_000)), None);
+        assert_eq!(iso_date((366, 2012)).as_deref(), Some("2012-12-31"));
+    }
+}

@@ -1,0 +1,265 @@
+//! The columns and metadata keys of a container: the one list that reader, writer and description share.
+
+use std::sync::Arc;
+
+use arrow_schema::{DataType, Field, Fields, Metadata, Schema};
+use serde_json::{Value, json};
+
+use super::place::Place;
+use crate::formats::Result;
+
+/// A column, or a field of a column that is a list of structs.
+#[derive(Debug)]
+pub struct Column {
+    /// Its name.
+    pub name: &'static str,
+    /// Its type.
+    pub kind: Kind,
+    /// Whether it may hold nulls.
+    pub nullable: bool,
+    /// Whether a container without it is refused.
+    pub required: bool,
+    /// What it means.
+    pub meaning: &'static str,
+}
+
+/// The type of a [`Column`].
+#[derive(Debug)]
+pub enum Kind {
+    /// Unsigned, 8 bits.
+    U8,
+    /// Unsigned, 16 bits.
+    U16,
+    /// Unsigned, 32 bits.
+    U32,
+    /// Unsigned, 64 bits.
+    U64,
+    /// Signed, 16 bits.
+    I16,
+    /// Signed, 64 bits.
+    I64,
+    /// IEEE 754 single.
+    F32,
+    /// IEEE 754 double.
+    F64,
+    /// Fixed-size list of three doubles.
+    Triple,
+    /// List of unsigned 16-bit numbers.
+    Samples,
+    /// List of structs.
+    Structs(&'static [Column]),
+}
+
+/// A key of the schema's metadata.
+#[derive(Debug)]
+pub struct Key {
+    /// Its name.
+    pub name: &'static str,
+    /// Whether a container without it is refused.
+    pub required: bool,
+    /// What its value, a string, looks like.
+    pub form: &'static str,
+    /// What it means.
+    pub meaning: &'static str,
+}
+
+const fn required(name: &'static str, kind: Kind, meaning: &'static str) -> Column {
+    Column { name, kind, nullable: false, required: true, meaning }
+}
+
+const fn optional(name: &'static str, kind: Kind, meaning: &'static str) -> Column {
+    Column { name, kind, nullable: true, required: false, meaning }
+}
+
+const fn or_null(mut column: Column) -> Column {
+    column.nullable = true;
+    column
+}
+
+/// The columns. Those that are not required are extensions of this project: other programs may leave them out and
+/// pass them over, and a null says the same as their absence.
+#[rustfmt::skip]
+pub static COLUMNS: &[Column] = &[
+    required("shot", Kind::U64, "running number of the emission, from 0"),
+    required("line", Kind::U32, "scan line, from 0; rows of one record batch with another number begin another line"),
+    or_null(required("gps_time_s", Kind::F64, "time of the shot, s, on the scale of `wavex.time_scale`")),
+    required("clock_ps", Kind::I64, "the shot's time on the instrument's clock, ps from any origin; ranges are formed from this"),
+    required("origin", Kind::Triple, "where the beam starts, m, in `wavex.frame`"),
+    required("direction", Kind::Triple, "unit vector along the outgoing beam, in `wavex.frame`"),
+    required("facet", Kind::U16, "mirror facet"),
+    required("flags", Kind::U16, "bit 0 synchronised, 1 within the last second, 2 housekeeping, 8 the mirror moves in the positive direction, 9 last shot of a scan line"),
+    or_null(required("mta_zone", Kind::I16, "null: blocks stand with the shot in whose record they were stored; a number: with the one that caused them, so many emissions before their reception, unless a block has its own `zone`")),
+    required("blocks", Kind::Structs(BLOCK), "the recorded sample blocks"),
+    or_null(required("online", Kind::Structs(ONLINE), "returns that the instrument itself computed")),
+    optional("scan_angle_deg", Kind::F32, "scan angle, degrees, positive to the right of the flight direction; null: unknown"),
+    optional("frame_scale", Kind::F64, "metres in the frame per metre of range along the beam; null: 1"),
+];
+
+/// The fields of the column `blocks`.
+#[rustfmt::skip]
+pub static BLOCK: &[Column] = &[
+    required("channel", Kind::U8, "0 high power, 1 low power (the sensitive one), 2 saturation, 3 reference (outgoing pulse)"),
+    required("start_ns", Kind::F64, "time of the first sample after the row's `clock_ps`, ns"),
+    required("samples", Kind::Samples, "digitiser steps"),
+    optional("zone", Kind::I16, "zone of this block; null: the row's `mta_zone`"),
+    optional("interval_ns", Kind::F64, "time between samples, ns; null: `wavex.sampling_interval_ns`"),
+];
+
+/// The fields of the column `online`.
+#[rustfmt::skip]
+pub static ONLINE: &[Column] = &[
+    required("time_ns", Kind::F64, "time after the row's `clock_ps`, ns"),
+    required("amplitude", Kind::F32, "in the instrument's own unit; NaN where it gave none"),
+];
+
+const fn key(name: &'static str, required: bool, form: &'static str, meaning: &'static str) -> Key {
+    Key { name, required, form, meaning }
+}
+
+/// The keys of the schema's metadata. Numbers are written so that reading them gives the same bits.
+#[rustfmt::skip]
+pub static KEYS: &[Key] = &[
+    key("wavex.container", true, "`1`", "version of this layout"),
+    key("wavex.instrument", false, "text", "the instrument's name"),
+    key("wavex.serial", false, "text", "the instrument's serial number"),
+    key("wavex.sampling_interval_ns", true, "number > 0", "time between samples, ns, unless a block says another"),
+    key("wavex.group_velocity_mps", true, "number > 0, at most 299792458", "speed of the pulse in air, m/s"),
+    key("wavex.pulse_rate_hz", false, "number > 0", "the nominal pulse rate, Hz"),
+    key("wavex.time_scale", true, "`week`, `day`, `adjusted` or `unknown`", "what `gps_time_s` counts: seconds of the GPS week, of the day, since 1980-01-06 minus 1e9"),
+    key("wavex.gps_week", false, "whole number", "GPS week of the first shot"),
+    key("wavex.frame", true, "`scanner`, `body` or `map`", "the frame of `origin` and `direction`"),
+    key("wavex.crs", false, "WKT", "coordinate reference system of the frame `map`"),
+    key("wavex.tables", false, "JSON object of arrays of pairs", "`amplitude_low`, `amplitude_high`: [digitiser steps, dB]; `range_low`, `range_high`: [digitiser steps, seconds]"),
+    key("wavex.recorded", false, "`YYYY-MM-DD`", "extension: day of the recording; dates outputs"),
+    key("wavex.full_scale_dn", false, "whole number up to 65535", "extension: the largest value that the digitiser can give"),
+    key("wavex.coordinate_grid", false, "JSON object {`scale`: [x, y, z], `offset`: [x, y, z]}", "extension: the grid on which the recording's own file stored coordinates; point outputs take the same"),
+    key("wavex.emission_reference", false, "`outgoing_pulse`, `return_locations` or `clock`", "extension: how the moment of emission is known; without it `outgoing_pulse` where the first scan line has blocks of channel 3, else `clock`"),
+];
+
+impl Kind {
+    /// The Arrow type.
+    pub fn data_type(&self) -> DataType {
+        let item = |data_type| Arc::new(Field::new("item", data_type, false));
+        match self {
+            Kind::U8 => DataType::UInt8,
+            Kind::U16 => DataType::UInt16,
+            Kind::U32 => DataType::UInt32,
+            Kind::U64 => DataType::UInt64,
+            Kind::I16 => DataType::Int16,
+            Kind::I64 => DataType::Int64,
+            Kind::F32 => DataType::Float32,
+            Kind::F64 => DataType::Float64,
+            Kind::Triple => DataType::FixedSizeList(item(DataType::Float64), 3),
+            Kind::Samples => DataType::List(item(DataType::UInt16)),
+            Kind::Structs(columns) => DataType::List(item(DataType::Struct(fields(columns)))),
+        }
+    }
+
+    /// The type in words.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Kind::U8 => "u8",
+            Kind::U16 => "u16",
+            Kind::U32 => "u32",
+            Kind::U64 => "u64",
+            Kind::I16 => "i16",
+            Kind::I64 => "i64",
+            Kind::F32 => "f32",
+            Kind::F64 => "f64",
+            Kind::Triple => "fixed-size list of 3 f64",
+            Kind::Samples => "list of u16",
+            Kind::Structs(_) => "list of struct",
+        }
+    }
+}
+
+impl Column {
+    /// The Arrow field.
+    pub fn field(&self) -> Field {
+        Field::new(self.name, self.kind.data_type(), self.nullable)
+    }
+}
+
+/// The fields of some columns.
+pub(super) fn fields(columns: &[Column]) -> Fields {
+    columns.iter().map(Column::field).collect()
+}
+
+/// The schema of a container with this metadata.
+pub(super) fn schema(metadata: Metadata) -> Schema {
+    Schema::new_with_metadata(fields(COLUMNS), metadata)
+}
+
+/// Where the columns of [`COLUMNS`] stand in a schema, in their order; `None` for an optional one that is not there.
+/// An error names the column that is missing or has another type. Names of list items and the schema's own word on
+/// nullability do not matter: what the columns hold is checked instead.
+pub(super) fn find(schema: &Schema, place: Place) -> Result<Vec<Option<usize>>> {
+    find_in(schema.fields(), COLUMNS, "", place)
+}
+
+fn find_in(found: &Fields, columns: &[Column], prefix: &str, place: Place) -> Result<Vec<Option<usize>>> {
+    columns.iter().map(|column| find_one(found, column, prefix, place)).collect()
+}
+
+fn find_one(found: &Fields, column: &Column, prefix: &str, place: Place) -> Result<Option<usize>> {
+    let path = format!("{prefix}{}", column.name);
+    let Some((index, field)) = found.find(column.name) else {
+        if !column.required {
+            return Ok(None);
+        }
+        let problem = format!("there is no such column, a {} is expected", column.kind.name());
+        return Err(place.bad(
+            format!("column `{path}`"),
+            problem,
+            "write it as schemas/container.json says",
+        ));
+    };
+    let same = match (&column.kind, field.data_type()) {
+        (Kind::Triple, DataType::FixedSizeList(item, 3)) => *item.data_type() == DataType::Float64,
+        (Kind::Samples, DataType::List(item)) => *item.data_type() == DataType::UInt16,
+        (Kind::Structs(inner), DataType::List(item)) => match item.data_type() {
+            DataType::Struct(found) => find_in(found, inner, &format!("{path}."), place).map(|_| true)?,
+            _ => false,
+        },
+        (kind, found) => kind.data_type() == *found,
+    };
+    if !same {
+        let problem = format!("the type is {} and should be {}", field.data_type(), column.kind.name());
+        return Err(place.bad(format!("column `{path}`"), problem, "cast it before writing the container"));
+    }
+    Ok(Some(index))
+}
+
+/// The layout as JSON, for people and programs: what `schemas/container.json` holds.
+pub fn description() -> Value {
+    let keys: Vec<Value> = KEYS
+        .iter()
+        .map(|key| json!({"key": key.name, "required": key.required, "form": key.form, "meaning": key.meaning}))
+        .collect();
+    json!({
+        "title": "wavex open waveform container, version 1",
+        "format": "Apache Arrow IPC, file or stream; buffers plain, LZ4_FRAME or ZSTD",
+        "record_batch": "one scan line",
+        "row": "one shot",
+        "columns": describe(COLUMNS),
+        "metadata": keys,
+    })
+}
+
+fn describe(columns: &[Column]) -> Vec<Value> {
+    columns.iter().map(describe_one).collect()
+}
+
+fn describe_one(column: &Column) -> Value {
+    let mut value = json!({
+        "name": column.name,
+        "type": column.kind.name(),
+        "nullable": column.nullable,
+        "required": column.required,
+        "meaning": column.meaning,
+    });
+    if let (Kind::Structs(inner), Some(object)) = (&column.kind, value.as_object_mut()) {
+        object.insert("fields".into(), describe(inner).into());
+    }
+    value
+}

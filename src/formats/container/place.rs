@@ -1,0 +1,55 @@
+//! Where in a container something is wrong.
+
+use std::path::Path;
+
+use crate::formats::Error;
+
+/// A record batch or another part of a container, for errors.
+#[derive(Clone, Copy)]
+pub(super) struct Place<'a> {
+    /// The file's name; `-` for standard input.
+    pub(super) file: &'a Path,
+    /// Where the part starts, bytes from the beginning of the file.
+    pub(super) offset: u64,
+    /// The first row of the record batch, counted through the whole container from 0.
+    pub(super) first_row: u64,
+}
+
+impl Place<'_> {
+    /// Something is wrong with a field of the part.
+    pub(super) fn bad(&self, field: impl Into<String>, problem: impl Into<String>, remedy: &str) -> Error {
+        Error::malformed(self.file, self.offset, field, problem, remedy)
+    }
+
+    /// Something is wrong with a column in `row` of the record batch.
+    pub(super) fn bad_row(
+        &self,
+        column: &str,
+        row: usize,
+        problem: impl Into<String>,
+        remedy: &str,
+    ) -> Error {
+        let row = self.first_row + row as u64;
+        self.bad(format!("column `{column}`, row {row}"), problem, remedy)
+    }
+
+    /// Something is wrong with a column; the row is given where it is known.
+    pub(super) fn bad_column(
+        &self,
+        column: &str,
+        row: Option<usize>,
+        problem: impl Into<String>,
+        remedy: &str,
+    ) -> Error {
+        match row {
+            Some(row) => self.bad_row(column, row, problem, remedy),
+            None => self.bad(format!("column `{column}`"), problem, remedy),
+        }
+    }
+}
+
+/// What to do about a file whose bytes contradict themselves.
+pub(super) const DAMAGED: &str = "the file is damaged: copy it again from its source";
+
+/// What to do about a file that ends too early.
+pub(super) const CUT_OFF: &str = "the file is cut off: copy it again from its source";
