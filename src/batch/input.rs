@@ -104,6 +104,9 @@ pub enum Frame {
 pub enum EmissionReference {
     /// The outgoing pulse was recorded with each shot and is fitted.
     OutgoingPulse,
+    /// The outgoing pulse was recorded without the time of its first sample: the shot's clock is the sample nearest to
+    /// its peak, so that its fitted position counts from there and lies within half a sample.
+    OutgoingPulseFraction,
     /// The file's own return locations carry it: their mean difference to the fitted echoes.
     ReturnLocations,
     /// Only the shot's clock is known.

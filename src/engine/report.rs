@@ -64,7 +64,8 @@ pub struct InputReport {
     pub time_scale: Option<String>,
     /// `scanner`, `body` or `map`.
     pub frame: Option<String>,
-    /// How the moment of emission is known: `outgoing_pulse`, `return_locations` or `clock`.
+    /// How the moment of emission is known: `outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or
+    /// `clock`.
     pub emission_reference: Option<String>,
     /// Duration of this run, s.
     pub wall_s: f64,
@@ -393,6 +394,7 @@ fn frame(frame: Frame) -> &'static str {
 fn emission_reference(reference: EmissionReference) -> &'static str {
     match reference {
         EmissionReference::OutgoingPulse => "outgoing_pulse",
+        EmissionReference::OutgoingPulseFraction => "outgoing_pulse_fraction",
         EmissionReference::ReturnLocations => "return_locations",
         EmissionReference::Clock => "clock",
     }

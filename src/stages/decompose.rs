@@ -204,7 +204,7 @@ impl Shot<'_> {
         let interval_ns = self.input.sampling_interval_ns;
         let unknown = Departure { time_ns: 0.0, sd_ns: unknown_within_a_sample_ns(interval_ns) };
         if self.input.emission_reference != EmissionReference::ReturnLocations {
-            if self.input.emission_reference == EmissionReference::OutgoingPulse {
+            if self.input.emission_reference != EmissionReference::Clock {
                 cx.note("shots whose outgoing pulse cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
             }
             return unknown;
@@ -261,7 +261,12 @@ impl Kernels {
         let strongest = found.returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
         let sd_ns = strongest.position_sd_samples * block.interval_ns;
         cx.observe("emission_sd_ns", sd_ns);
-        Some(Departure { time_ns: block.time_ns(strongest.position_samples), sd_ns })
+        let position = strongest.position_samples;
+        let time_ns = match shot.input.emission_reference {
+            EmissionReference::OutgoingPulseFraction => (position - position.round()) * block.interval_ns,
+            _ => block.time_ns(position),
+        };
+        Some(Departure { time_ns, sd_ns })
     }
 
     /// Decomposes the echo blocks of a shot.

