@@ -6,4 +6,12 @@ pub mod batch;
 pub mod formats;
 pub mod job;
 pub mod kernels;
+pub mod registry;
 pub mod stage;
+
+// The stages of the integration tests serve the unit tests, too: there the crate goes by its own name.
+#[cfg(test)]
+extern crate self as wavex;
+#[cfg(test)]
+#[path = "../tests/stages/mod.rs"]
+mod test_stages;
