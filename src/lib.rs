@@ -3,6 +3,7 @@
 //! The map of the crate is `ARCHITECTURE.md`; the manual of the stages is `docs/stages.md`, or `wavex stages`.
 
 pub mod batch;
+pub mod cli;
 pub mod formats;
 pub mod job;
 pub mod kernels;
