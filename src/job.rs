@@ -1,22 +1,58 @@
 //! A job: TOML text to a chain of stages that is known to fit. No input or output happens here.
+//!
+//! Two passes: the text becomes a table that knows where each value stands, and `[job]` and each stage's `type` and
+//! `id` are taken out of it (`draft`); then every stage reads what is left of its own keys. A serde enum tagged by
+//! `type` would be shorter, and would point its errors at the wrong stage.
 
-use crate::stage::{Planned, StageSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::batch::Kind;
+use crate::registry;
+use crate::stage::{Keys, Planned, StageSpec};
+
+mod chain;
+mod draft;
+mod errors;
+mod example;
+mod manual;
+mod outputs;
+mod overrides;
+mod schema;
+mod sources;
+mod tables;
+mod validate;
+
+pub use errors::{JobError, JobErrors};
+pub use example::example_job;
+pub use manual::{manual, manual_of, summary};
+pub use overrides::Override;
+pub use schema::job_schema;
+
+use sources::Sources;
+
 /// A job that can be run.
-#[derive(Clone)]
+#[derive(Clone, Debug, Default)]
 pub struct Job {
+    /// What messages call it: the file it was read from.
+    pub name: String,
+    /// Its text as it was written, so that it can be archived and repeated.
+    pub text: String,
+    /// What was set from outside the text, in order.
+    pub overrides: Vec<Override>,
     /// The table `[job]`.
     pub settings: JobSettings,
     /// The chain, in order: one source, then what takes its lines.
     pub stages: Vec<JobStage>,
+    /// What the user should know before it runs.
+    pub notes: Vec<String>,
 }
 
 /// A stage of a job.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct JobStage {
-    /// What the job calls it: its `id`, or its type, numbered where that occurs more than once (`write_las-2`).
+    /// What the job calls it: its `id`, or its type; where several stages without an `id` share one type, they are
+    /// numbered in order (`write_las-1`, `write_las-2`).
     pub id: String,
     /// Its place in the registry.
     pub spec: &'static StageSpec,
@@ -31,7 +67,7 @@ pub struct JobSettings {
     /// How many threads work in the pools of `decompose` and its like; 0: as many as the machine has cores.
     pub threads: usize,
     /// A bound on the memory taken by the scan lines that are under way, MB.
-    #[schemars(range(min = 64))]
+    #[schemars(range(min = 64, max = 1_000_000_000))]
     pub memory_mb: u64,
     /// Where relative input paths start; the job file's folder when not given. A relative one starts there, too.
     pub input_dir: Option<String>,
@@ -46,4 +82,104 @@ impl Default for JobSettings {
     fn default() -> JobSettings {
         JobSettings { threads: 0, memory_mb: 1024, input_dir: None, output_dir: None, channel_capacity: 16 }
     }
+}
+
+impl JobSettings {
+    /// The keys of the table with their meaning.
+    pub fn keys() -> Keys {
+        Keys::of(JobSettings::json_schema)
+    }
+}
+
+impl Job {
+    /// Reads a job of the stages in the registry; `name` is what errors call the text.
+    ///
+    /// # Errors
+    /// Everything that is wrong with the job, each with its place in the text or in an override.
+    pub fn parse(name: &str, text: &str, overrides: &[Override]) -> Result<Job, JobErrors> {
+        Job::parse_with(registry::STAGES, name, text, overrides)
+    }
+
+    /// The same, with a list of stages of one's own.
+    ///
+    /// # Errors
+    /// See [`Job::parse`].
+    pub fn parse_with(
+        stages: &[&'static StageSpec],
+        name: &str,
+        text: &str,
+        overrides: &[Override],
+    ) -> Result<Job, JobErrors> {
+        let sources = Sources::new(name, text, overrides);
+        match read(stages, text, &sources) {
+            Ok((settings, stages)) => Ok(Job {
+                name: name.to_owned(),
+                text: text.to_owned(),
+                overrides: overrides.to_vec(),
+                notes: notes(&stages),
+                settings,
+                stages,
+            }),
+            Err(errors) => Err(JobErrors::new(errors, sources)),
+        }
+    }
+
+    /// The chain as a line, with the kind of lines wherever it changes:
+    /// `read_las -> Shots -> decompose -> Returns -> write_table`.
+    pub fn chain(&self) -> String {
+        let mut words: Vec<String> = Vec::new();
+        let mut kind: Option<Kind> = None;
+        for stage in &self.stages {
+            words.push(stage.id.clone());
+            let gives = stage.spec.gives(kind);
+            if gives != kind {
+                words.extend(gives.map(|kind| kind.to_string()));
+            }
+            kind = gives;
+        }
+        words.join(" -> ")
+    }
+}
+
+/// The settings and the stages, or everything that is wrong with them.
+fn read(
+    stages: &[&'static StageSpec],
+    text: &str,
+    sources: &Sources,
+) -> Result<(JobSettings, Vec<JobStage>), Vec<JobError>> {
+    let padded: Vec<String> = sources.overrides().map(|(start, text)| overrides::pad(start, text)).collect();
+    let (changes, mut errors) = overrides::read(sources, &padded);
+    let root = match draft::syntax(text) {
+        Ok(root) => root,
+        Err(syntax) => return Err(syntax.into_iter().chain(errors).collect()),
+    };
+    let (mut draft, problems) = draft::Draft::new(root, stages);
+    errors.extend(problems);
+    errors.extend(overrides::apply(changes, &mut draft));
+
+    let settings = tables::settings(draft.settings, &mut errors);
+    let links: Vec<chain::Link> = draft.stages.iter().map(chain::Link::of).collect();
+    errors.extend(chain::check(&links, stages));
+    let planned: Vec<Option<tables::Stage>> =
+        draft.stages.into_iter().map(|stage| tables::stage(stage, &mut errors)).collect();
+    errors.extend(outputs::check(&planned, settings.as_ref()));
+
+    match settings {
+        Some(settings) if errors.is_empty() => {
+            Ok((settings, planned.into_iter().flatten().map(|stage| stage.stage).collect()))
+        }
+        _ => Err(errors),
+    }
+}
+
+/// What the user should know of a chain that fits.
+fn notes(stages: &[JobStage]) -> Vec<String> {
+    let writes = stages.iter().any(|stage| matches!(stage.planned.plan, crate::stage::Plan::Sink(_)));
+    if writes {
+        return Vec::new();
+    }
+    vec![
+        "no stage of this job writes a file: a run counts and measures, and leaves only its report"
+            .to_owned(),
+    ]
 }

@@ -1,1 +1,7 @@
-fn main() {}
+//! The program `wavex`: see [`wavex::cli`].
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    wavex::cli::main()
+}

@@ -6,17 +6,21 @@
 use crate::batch::Batch;
 
 mod context;
+mod keys;
 mod output_file;
 mod site;
 mod spec;
+mod words;
 
 pub use context::{Context, Counters, Distribution, Item};
+pub use keys::{Key, Keys};
 pub use output_file::{OutputFile, WholeFile};
 pub use site::{Paths, Site};
 pub use spec::{
-    Config, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig, StageSpec,
+    Config, ConfigError, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig, StageSpec,
     TransformConfig,
 };
+pub use words::{bounds, choices, listed, takes};
 
 /// Why a stage cannot go on.
 #[derive(Debug, thiserror::Error)]

@@ -6,7 +6,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Map, Paths, Result, Sink, Site, Source, Transform};
+use super::{Keys, Map, Paths, Result, Sink, Site, Source, Transform};
 use crate::batch::Kind;
 
 /// The keys of a stage in a job. Its doc comment is the stage's page in the manual, and each field's doc comment that
@@ -88,6 +88,17 @@ pub enum RoleName {
     Sink,
 }
 
+impl std::fmt::Display for RoleName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            RoleName::Source => "source",
+            RoleName::Map => "map",
+            RoleName::Transform => "transform",
+            RoleName::Sink => "sink",
+        })
+    }
+}
+
 /// A stage with its keys, ready to be made on a thread of its own.
 #[derive(Clone)]
 pub enum Plan {
@@ -101,8 +112,19 @@ pub enum Plan {
     Sink(Arc<dyn SinkPlan>),
 }
 
+impl std::fmt::Debug for Plan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Plan::Source(_) => "Source",
+            Plan::Map(_) => "Map",
+            Plan::Transform(_) => "Transform",
+            Plan::Sink(_) => "Sink",
+        })
+    }
+}
+
 /// [`Plan`], and the keys with every default spelled out.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct Planned {
     /// How to make the stage.
     pub plan: Plan,
@@ -210,7 +232,7 @@ impl StageSpec {
             accepts: &[],
             makes: Some(makes),
             after: &[],
-            schema: SchemaGenerator::root_schema_for_stage::<C>,
+            schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Source(config)),
         }
     }
@@ -227,7 +249,7 @@ impl StageSpec {
             accepts,
             makes,
             after: &[],
-            schema: SchemaGenerator::root_schema_for_stage::<C>,
+            schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Map(config)),
         }
     }
@@ -240,7 +262,7 @@ impl StageSpec {
             accepts,
             makes: None,
             after: &[],
-            schema: SchemaGenerator::root_schema_for_stage::<C>,
+            schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Transform(config)),
         }
     }
@@ -253,26 +275,25 @@ impl StageSpec {
             accepts,
             makes: None,
             after: &[],
-            schema: SchemaGenerator::root_schema_for_stage::<C>,
+            schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Sink(config)),
         }
+    }
+
+    /// The kind that leaves the stage where `given` enters it; `None` where neither is known.
+    pub fn gives(&self, given: Option<Kind>) -> Option<Kind> {
+        self.makes.or(given)
+    }
+
+    /// Its keys with their meaning, and the stage's page of the manual.
+    pub fn keys(&self) -> Keys {
+        Keys::of(self.schema)
     }
 
     /// The same, but one of `stages` must stand before it.
     pub const fn after(mut self, stages: &'static [&'static str]) -> StageSpec {
         self.after = stages;
         self
-    }
-}
-
-/// The generator's way to a stage's keys, as a function that can stand in a constant.
-trait StageSchema {
-    fn root_schema_for_stage<C: JsonSchema>(&mut self) -> Schema;
-}
-
-impl StageSchema for SchemaGenerator {
-    fn root_schema_for_stage<C: JsonSchema>(&mut self) -> Schema {
-        C::json_schema(self)
     }
 }
 

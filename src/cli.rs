@@ -1,0 +1,243 @@
+//! The command line: arguments in, one error at most out, and an exit code.
+//!
+//! 0: done; 1: the run failed; 2: the job or the command line is wrong.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{ArgAction, Args, CommandFactory, Parser, Subcommand, ValueEnum};
+
+use crate::job::{Job, JobErrors, Override, job_schema};
+use crate::registry::STAGES;
+use crate::stage::StageError;
+
+mod check;
+mod convert;
+mod init;
+mod run;
+mod stages;
+mod terminal;
+
+use terminal::print;
+
+/// Turns recorded full-waveform lidar into point clouds.
+#[derive(Parser)]
+#[command(name = "wavex", version, after_help = EXIT_CODES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    #[command(flatten)]
+    loudness: Loudness,
+}
+
+const EXIT_CODES: &str = "Exit status: 0 done; 1 the run failed; 2 the job or the command line is wrong";
+
+/// How much is said besides results and errors.
+#[derive(Args, Clone, Copy)]
+struct Loudness {
+    /// Say more: -v tells what is done, -vv also the details
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    verbose: u8,
+    /// Say nothing but errors
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run a job
+    ///
+    /// Relative paths in the job start at its folder, or at its `input_dir` and `output_dir`. Outputs get their names
+    /// only when the whole run has succeeded.
+    Run {
+        #[command(flatten)]
+        job: JobArgs,
+        #[command(flatten)]
+        machine: Machine,
+    },
+    /// Say what is wrong with a job, or what it will do, without reading any data
+    Check {
+        #[command(flatten)]
+        job: JobArgs,
+    },
+    /// List the stages, or explain one with all its keys
+    Stages {
+        /// The stage to explain
+        name: Option<String>,
+    },
+    /// Print the JSON Schema of a job, for editors that check and complete TOML
+    ///
+    /// Save it as job.schema.json and begin a job with the line `#:schema job.schema.json`.
+    Schema,
+    /// Write a commented job to start from
+    Init {
+        /// The file to write, which must not exist yet; standard output when not given
+        file: Option<PathBuf>,
+    },
+    /// Copy recorded waveforms into the open container (Arrow)
+    Convert {
+        /// The recording: .las, .laz, .pls or .arrow; a pattern in quotation marks means several
+        input: String,
+        /// The container to write: .arrow; with several inputs, `*` stands for the name of each
+        output: String,
+        #[command(flatten)]
+        machine: Machine,
+    },
+    /// Print the completions of a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Which job, and what is different this time.
+#[derive(Args)]
+struct JobArgs {
+    /// The job's file (TOML); `-` for standard input
+    job: PathBuf,
+    /// Set a key of the job, this time: STAGE is the stage's id or type, or `job`; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    set: Vec<String>,
+}
+
+/// What a run does with the machine and with the terminal.
+#[derive(Args, Clone, Copy)]
+struct Machine {
+    /// How many threads work at once; 0: one for each core [default: the job's `threads`]
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Say at the end how long each stage worked and waited
+    #[arg(long)]
+    profile: bool,
+    /// Whether to show how far the run is; auto: a bar on a terminal, lines elsewhere
+    #[arg(long, value_name = "WHEN", default_value = "auto")]
+    progress: When,
+}
+
+/// Whether to show progress.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum When {
+    /// A bar on a terminal, lines elsewhere
+    Auto,
+    /// A bar
+    Always,
+    /// Nothing
+    Never,
+}
+
+/// Why a command did not do what was asked.
+#[derive(Debug)]
+enum Failure {
+    /// The job is wrong.
+    Job(JobErrors),
+    /// The command line, or what it names, is wrong: what, and what to do about it.
+    Wrong(String),
+    /// The run failed.
+    Run(StageError),
+}
+
+impl Failure {
+    /// What the shell is told.
+    fn exit_code(&self) -> u8 {
+        match self {
+            Failure::Run(_) => 1,
+            Failure::Job(_) | Failure::Wrong(_) => 2,
+        }
+    }
+
+    /// What the user is told; ends with a line feed.
+    fn message(&self, colour: bool) -> String {
+        match self {
+            Failure::Job(errors) => errors.render(colour),
+            Failure::Wrong(problem) => format!("{}: {problem}\n", terminal::error_word(colour)),
+            Failure::Run(error) => format!("{}: {error}\n", terminal::error_word(colour)),
+        }
+    }
+}
+
+impl From<JobErrors> for Failure {
+    fn from(errors: JobErrors) -> Failure {
+        Failure::Job(errors)
+    }
+}
+
+/// The program: reads the arguments of the process, does what they say, and tells what went wrong.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    terminal::log(cli.loudness.verbose, cli.loudness.quiet);
+    match dispatch(cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            terminal::print_error(&failure.message(terminal::colour()));
+            ExitCode::from(failure.exit_code())
+        }
+    }
+}
+
+fn dispatch(cli: Cli) -> Result<(), Failure> {
+    let quiet = cli.loudness.quiet;
+    match cli.command {
+        Command::Run { job, machine } => run::run(&job, machine, quiet),
+        Command::Check { job } => check::check(&job),
+        Command::Stages { name } => stages::stages(STAGES, name.as_deref()),
+        Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
+        Command::Init { file } => init::init(STAGES, file.as_deref()),
+        Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "wavex", &mut script);
+            print(&String::from_utf8_lossy(&script))
+        }
+    }
+}
+
+impl JobArgs {
+    /// The job with what is set on the command line, which `more` adds to.
+    fn read(&self, more: impl IntoIterator<Item = Override>) -> Result<Job, Failure> {
+        let (name, text) = if self.is_stdin() {
+            ("standard input".to_owned(), std::io::read_to_string(std::io::stdin()))
+        } else {
+            (self.job.display().to_string(), std::fs::read_to_string(&self.job))
+        };
+        let text = text.map_err(|error| Failure::Wrong(format!("{name}: cannot read the job: {error}")))?;
+        let overrides: Vec<Override> = self.set.iter().map(Override::new).chain(more).collect();
+        Ok(Job::parse(&name, &text, &overrides)?)
+    }
+
+    /// The folder that relative paths of the job start from.
+    fn folder(&self) -> PathBuf {
+        let folder = self.job.parent().filter(|folder| !self.is_stdin() && !folder.as_os_str().is_empty());
+        folder.map_or(PathBuf::from("."), PathBuf::from)
+    }
+
+    fn is_stdin(&self) -> bool {
+        self.job.as_os_str() == "-"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        // clap itself panics on what contradicts itself, and says what.
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_failed_run_is_told_from_a_wrong_job() {
+        let wrong = Failure::Wrong("no such file".into());
+        let failed = Failure::Run(StageError::failed("the disk is full", "make room"));
+        assert_eq!((wrong.exit_code(), failed.exit_code()), (2, 1));
+        assert_eq!(failed.message(false), "error: the disk is full; make room\n");
+        assert_eq!(wrong.message(true), "\x1b[1;31merror\x1b[0m: no such file\n");
+    }
+
+    #[test]
+    fn relative_paths_start_at_the_folder_of_the_job() {
+        let folder = |job: &str| JobArgs { job: job.into(), set: Vec::new() }.folder();
+        let folders = ["a/b.toml", "b.toml", "-"].map(folder);
+        assert_eq!(folders, ["a", ".", "."].map(PathBuf::from));
+    }
+}

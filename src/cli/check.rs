@@ -1,0 +1,143 @@
+//! `wavex check`: what can be said of a job without its data.
+
+use std::collections::BTreeSet;
+use std::fs::{self, OpenOptions};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::{Failure, JobArgs, print, run};
+use crate::job::Job;
+use crate::stage::Plan;
+
+/// Says what the job will do, or what is wrong with it.
+pub(super) fn check(args: &JobArgs) -> Result<(), Failure> {
+    let job = args.read(None)?;
+    print(&report(&job, &args.folder()).map_err(Failure::Wrong)?)
+}
+
+/// What a job that stands in `folder` will do, or why it cannot.
+fn report(job: &Job, folder: &Path) -> Result<String, String> {
+    let (input_dir, output_dir) = run::folders(job, folder);
+    let mut said = format!("{} fits\n  chain:  {}\n", job.name, job.chain());
+    said += &format!("  inputs: {}\n", input_dir.display());
+    for folder in output_folders(job, &output_dir) {
+        let found = writable(&folder)?;
+        said += &format!("  output: {} ({found})\n", folder.display());
+    }
+    for note in &job.notes {
+        said += &format!("  note:   {note}\n");
+    }
+    Ok(said)
+}
+
+/// The folders that the job writes to, as far as the input's name does not decide about them.
+fn output_folders(job: &Job, output_dir: &Path) -> BTreeSet<PathBuf> {
+    let mut folders = BTreeSet::new();
+    for stage in &job.stages {
+        if let Plan::Sink(sink) = &stage.planned.plan {
+            let known = |pattern: &str| pattern.split('*').next().unwrap_or_default().to_owned();
+            // What stands before the first `*` is a folder up to its last separator.
+            let known = sink.outputs().into_iter().map(known);
+            folders.extend(known.map(|known| folder_of(&output_dir.join(known))));
+        }
+    }
+    folders
+}
+
+/// A path up to its last separator.
+fn folder_of(path: &Path) -> PathBuf {
+    let ends_in_separator = path.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
+    let folder = if ends_in_separator { Some(path) } else { path.parent() };
+    let folder: PathBuf = folder.map_or_else(PathBuf::new, |folder| folder.components().collect());
+    if folder.as_os_str().is_empty() { PathBuf::from(".") } else { folder }
+}
+
+/// Whether files can be made in a folder, or the folder itself: in words, or why not. Nothing stays behind.
+fn writable(folder: &Path) -> Result<&'static str, String> {
+    let exists = folder.exists();
+    let existing = folder.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("."));
+    match try_file_in(existing) {
+        Ok(()) if exists => Ok("can be written"),
+        Ok(()) => Ok("will be made"),
+        Err(error) => {
+            let action = if exists { "cannot write to this folder" } else { "cannot make this folder" };
+            let remedy = "choose another one with `output_dir` or in the `path` of the sink";
+            Err(format!("{}: {action}: {error}; {remedy}", folder.display()))
+        }
+    }
+}
+
+/// Makes an empty file in a folder, and removes it.
+fn try_file_in(folder: &Path) -> io::Result<()> {
+    let file = folder.join(format!(".wavex-check.{}.partial", std::process::id()));
+    OpenOptions::new().write(true).create_new(true).open(&file)?;
+    fs::remove_file(&file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_stages;
+
+    #[test]
+    fn what_a_job_will_do_is_said_without_its_data() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = "[job]\noutput_dir = \"out\"\n\n[[stage]]\ntype = \"simulate\"\n\n\
+                    [[stage]]\ntype = \"write_lstat\"\npath = \"lines/*.txt\"\n\n\
+                    [[stage]]\ntype = \"write_shots\"\npath = \"*.arrow\"\n";
+        let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[]).unwrap();
+        let said = report(&job, folder.path()).unwrap().replace(&folder.path().display().to_string(), "HERE");
+        let expected = "\
+a.toml fits
+  chain:  simulate -> Shots -> write_lstat -> write_shots
+  inputs: HERE
+  output: HERE/out (will be made)
+  output: HERE/out/lines (will be made)
+";
+        assert_eq!(said, expected);
+    }
+
+    #[test]
+    fn a_job_that_writes_nothing_is_noted() {
+        let text = "[[stage]]\ntype = \"simulate\"\n";
+        let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[]).unwrap();
+        let expected = "\
+a.toml fits
+  chain:  simulate -> Shots
+  inputs: .
+  note:   no stage of this job writes a file: a run counts and measures, and leaves only its report
+";
+        assert_eq!(report(&job, Path::new(".")).unwrap(), expected);
+    }
+
+    #[test]
+    fn a_folder_ends_before_the_first_star() {
+        let folder = |known: &str| folder_of(&Path::new("out").join(known));
+        assert_eq!(folder(""), Path::new("out"), "`*.laz`");
+        assert_eq!(folder("las/"), Path::new("out/las"), "`las/*.laz`");
+        assert_eq!(folder("las/all.laz"), Path::new("out/las"));
+        assert_eq!(folder("flight_"), Path::new("out"), "`flight_*/a.laz`");
+        assert_eq!(folder("/elsewhere/all.laz"), Path::new("/elsewhere"));
+        assert_eq!(folder_of(Path::new("all.laz")), Path::new("."));
+    }
+
+    #[test]
+    fn a_folder_is_tried_and_nothing_stays_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(writable(folder.path()), Ok("can be written"));
+        assert_eq!(writable(&folder.path().join("new/las")), Ok("will be made"));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_file_is_no_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        let error = writable(&file.join("las")).unwrap_err();
+        let begins = format!("{}: cannot make this folder: ", file.join("las").display());
+        assert!(error.starts_with(&begins), "{error}");
+        let ends = "; choose another one with `output_dir` or in the `path` of the sink";
+        assert!(error.ends_with(ends), "{error}");
+    }
+}

@@ -1,0 +1,74 @@
+//! `wavex stages`: the list of stages, and the page of one.
+
+use super::{Failure, print};
+use crate::job::{manual_of, summary};
+use crate::registry::{find_in, nearest_of};
+use crate::stage::StageSpec;
+
+/// Prints the list, or one stage's page.
+pub(super) fn stages(known: &[&'static StageSpec], name: Option<&str>) -> Result<(), Failure> {
+    match name {
+        None => print(&list(known)),
+        Some(name) => print(&page(known, name)?),
+    }
+}
+
+/// A line for each stage: its name, what it takes and makes, and its first sentence.
+fn list(known: &[&'static StageSpec]) -> String {
+    let widest = |width: fn(&&'static StageSpec) -> usize| known.iter().map(width).max().unwrap_or(0);
+    let (name_width, flow_width) = (widest(|spec| spec.name.len()), widest(|spec| flow(spec).len()));
+    let line = |spec: &&'static StageSpec| {
+        format!("{:name_width$}  {:flow_width$}  {}\n", spec.name, flow(spec), summary(spec))
+    };
+    known.iter().map(line).collect()
+}
+
+/// What goes in and what comes out, where that differs.
+fn flow(spec: &StageSpec) -> String {
+    let takes: Vec<String> = spec.accepts.iter().map(ToString::to_string).collect();
+    match spec.makes {
+        Some(makes) => format!("{} -> {makes}", takes.join("|")).trim_start().to_owned(),
+        None => takes.join("|"),
+    }
+}
+
+fn page(known: &[&'static StageSpec], name: &str) -> Result<String, Failure> {
+    if let Some(spec) = find_in(known, name) {
+        return Ok(manual_of(spec));
+    }
+    let names: Vec<&str> = known.iter().map(|spec| spec.name).collect();
+    let meant = nearest_of(name, names.iter().copied());
+    let meant = meant.map(|name| format!("; did you mean `{name}`?")).unwrap_or_default();
+    let names = names.join(", ");
+    Err(Failure::Wrong(format!("there is no stage `{name}`{meant} (the stages: {names})")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_stages;
+
+    #[test]
+    fn the_list_has_a_line_for_each_stage() {
+        let listed = list(&test_stages::STAGES[..5]);
+        let expected = "\
+read_las      -> Shots           Reads waveforms from LAS files.
+simulate      -> Shots           Makes waveforms of a known scene.
+calibrate     Shots              Learns the sensor from the first waveforms.
+decompose     Shots -> Returns   Finds the returns in each waveform.
+georeference  Returns -> Points  Computes coordinates.
+";
+        assert_eq!(listed, expected);
+    }
+
+    #[test]
+    fn a_stage_has_a_page_and_a_misspelt_one_has_not() {
+        assert_eq!(page(test_stages::STAGES, "simulate").unwrap(), manual_of(&test_stages::SIMULATE));
+        let error = page(&test_stages::STAGES[..2], "simulat").unwrap_err();
+        let expected =
+            "error: there is no stage `simulat`; did you mean `simulate`? (the stages: read_las, simulate)\n";
+        assert_eq!(error.message(false), expected);
+        let error = page(&test_stages::STAGES[..2], "fly").unwrap_err();
+        assert_eq!(error.message(false), "error: there is no stage `fly` (the stages: read_las, simulate)\n");
+    }
+}

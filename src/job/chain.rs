@@ -1,0 +1,168 @@
+//! Whether the stages fit one behind the other, and what to insert where they do not.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+
+use super::JobError;
+use super::draft::DraftStage;
+use crate::batch::Kind;
+use crate::registry::find_in;
+use crate::stage::{RoleName, StageSpec, listed};
+
+/// What the chain needs to know of a stage.
+pub(super) struct Link {
+    /// Its place in the registry; `None` where the job names a stage that does not exist.
+    pub spec: Option<&'static StageSpec>,
+    /// Where the job names it.
+    pub named_at: Range<usize>,
+}
+
+impl Link {
+    pub(super) fn of(stage: &DraftStage) -> Link {
+        Link { spec: stage.spec, named_at: stage.named_at.clone() }
+    }
+
+    fn is(&self, name: &str) -> bool {
+        self.spec.is_some_and(|spec| spec.name == name)
+    }
+}
+
+/// What keeps the stages from fitting; `known` is what the remedies may name.
+pub(super) fn check(links: &[Link], known: &[&'static StageSpec]) -> Vec<JobError> {
+    let mut errors = Vec::new();
+    // The kind of the lines behind the stages so far; `None` where that cannot be said.
+    let mut kind: Option<Kind> = None;
+    for (at, link) in links.iter().enumerate() {
+        let Some(spec) = link.spec else {
+            kind = None;
+            continue;
+        };
+        let chain = Chain { links, known, at, spec };
+        let problem = match (at, spec.role) {
+            (0, RoleName::Source) => None,
+            (0, _) => Some(chain.no_source()),
+            (_, RoleName::Source) => Some(chain.second_source()),
+            _ => chain.wrong_kind(kind).or_else(|| chain.too_early()),
+        };
+        errors.extend(problem.map(|(problem, help)| JobError::at(link.named_at.clone(), problem).help(help)));
+        // Behind a stage that does not fit, the chain goes on as if it did.
+        kind = spec.gives(match (kind, spec.accepts) {
+            (Some(kind), accepts) if accepts.contains(&kind) => Some(kind),
+            (_, &[only]) => Some(only),
+            _ => None,
+        });
+    }
+    errors
+}
+
+/// A stage at its place in the chain.
+struct Chain<'c> {
+    links: &'c [Link],
+    known: &'c [&'static StageSpec],
+    at: usize,
+    spec: &'static StageSpec,
+}
+
+/// What is wrong, and what to do about it.
+type Problem = (String, String);
+
+impl Chain<'_> {
+    fn no_source(&self) -> Problem {
+        let sources = self.known.iter().filter(|spec| spec.role == RoleName::Source);
+        let sources: Vec<String> = sources.map(|spec| quoted(spec.name)).collect();
+        let problem = format!("`{}` cannot be the first stage: nothing makes lines for it", self.spec.name);
+        (problem, format!("begin with a source: {}", listed(&sources, "or")))
+    }
+
+    fn second_source(&self) -> Problem {
+        let problem = format!("`{}` is a source, and only the first stage can be one", self.spec.name);
+        (problem, "name several inputs in the `path` of one source, or write two jobs".to_owned())
+    }
+
+    /// The lines that come here are not of a kind that the stage takes.
+    fn wrong_kind(&self, given: Option<Kind>) -> Option<Problem> {
+        let given = given.filter(|given| !self.spec.accepts.contains(given))?;
+        let takes: Vec<String> = self.spec.accepts.iter().map(Kind::to_string).collect();
+        let name = self.spec.name;
+        let problem =
+            format!("`{name}` takes {}, and the lines that come here are {given}", listed(&takes, "or"));
+        let help = if let Some(route) = self.route(given) {
+            let names: Vec<String> = route.iter().map(|spec| quoted(spec.name)).collect();
+            format!("insert {} before it", listed(&names, "and"))
+        } else if let Some(earlier) = self.last_fit() {
+            format!("move it up, behind `{}`", earlier.name)
+        } else {
+            format!("no stage makes {} of {given}", listed(&takes, "or"))
+        };
+        Some((problem, help))
+    }
+
+    /// A stage that must stand before this one does not.
+    fn too_early(&self) -> Option<Problem> {
+        let (before, behind) = self.links.split_at(self.at);
+        let after = self.spec.after;
+        let is_one = |link: &&Link| after.iter().any(|name| link.is(name));
+        // A stage that does not exist may be a slip of the pen for the one that is missing.
+        if after.is_empty() || before.iter().any(|link| is_one(&link) || link.spec.is_none()) {
+            return None;
+        }
+        let names: Vec<String> = after.iter().map(|name| quoted(name)).collect();
+        let names = listed(&names, "or");
+        let problem = format!("`{}` needs {names} before it", self.spec.name);
+        let help = match behind.iter().find(is_one).and_then(|link| link.spec) {
+            Some(later) => format!("move `{}` up, before it", later.name),
+            None => format!("insert {names} before it"),
+        };
+        Some((problem, help))
+    }
+
+    /// The fewest stages that lead from the kind given to one that the stage takes, each with the stages that must
+    /// stand before it.
+    fn route(&self, given: Kind) -> Option<Vec<&'static StageSpec>> {
+        let mut open = VecDeque::from([(given, Vec::new())]);
+        let mut seen = vec![given];
+        while let Some((kind, route)) = open.pop_front() {
+            if self.spec.accepts.contains(&kind) {
+                return Some(route);
+            }
+            for &spec in self.known.iter().filter(|spec| spec.accepts.contains(&kind)) {
+                let made = spec.makes.unwrap_or(kind);
+                if !seen.contains(&made) {
+                    seen.push(made);
+                    let mut longer = route.clone();
+                    longer.extend(self.missing_before(spec, &route));
+                    longer.push(spec);
+                    open.push_back((made, longer));
+                }
+            }
+        }
+        None
+    }
+
+    /// The stage that must stand before `spec`, unless one of those that may stands in the chain or on the route.
+    fn missing_before(&self, spec: &StageSpec, route: &[&StageSpec]) -> Option<&'static StageSpec> {
+        let in_chain = |name: &&str| self.links[..self.at].iter().any(|link| link.is(name));
+        let on_route = |name: &&str| route.iter().any(|spec| spec.name == *name);
+        if spec.after.iter().any(|name| in_chain(name) || on_route(name)) {
+            return None;
+        }
+        find_in(self.known, spec.after.first()?)
+    }
+
+    /// The last stage before this one behind which the lines are of a kind that it takes.
+    fn last_fit(&self) -> Option<&'static StageSpec> {
+        let mut kind = None;
+        let mut fit = None;
+        for spec in self.links[..self.at].iter().filter_map(|link| link.spec) {
+            kind = spec.gives(kind);
+            if kind.is_some_and(|kind| self.spec.accepts.contains(&kind)) {
+                fit = Some(spec);
+            }
+        }
+        fit
+    }
+}
+
+fn quoted(name: &str) -> String {
+    format!("`{name}`")
+}

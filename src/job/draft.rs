@@ -1,0 +1,225 @@
+//! The first pass: the text as a table whose values know their place, with `[job]`, and each stage's `type` and `id`,
+//! taken out of it.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::{JobError, JobSettings};
+use crate::registry::{find_in, nearest_of};
+use crate::stage::StageSpec;
+
+/// A job whose stages have a name, and whose keys nobody has read yet.
+pub(super) struct Draft<'t> {
+    /// The keys of `[job]`.
+    pub settings: Spanned<DeTable<'t>>,
+    /// The stages in order.
+    pub stages: Vec<DraftStage<'t>>,
+}
+
+/// A stage whose keys nobody has read yet.
+pub(super) struct DraftStage<'t> {
+    /// Where the stage is named: its `type`, or its header where it has none.
+    pub named_at: Range<usize>,
+    /// What errors call it: its type, or what stands in the type's place.
+    pub type_name: String,
+    /// Its place in the registry, where it has one.
+    pub spec: Option<&'static StageSpec>,
+    /// What the job calls it.
+    pub id: String,
+    /// Where its `id` stands, if it has one.
+    id_at: Option<Range<usize>>,
+    /// Its keys; the span is that of the header.
+    pub keys: Spanned<DeTable<'t>>,
+}
+
+/// The text as a table, or what keeps it from being TOML: of several errors in a line only the first that the parser
+/// met, because the others mostly follow from it.
+pub(super) fn syntax(text: &str) -> Result<DeTable<'_>, Vec<JobError>> {
+    let (root, problems) = DeTable::parse_recoverable(text);
+    if problems.is_empty() {
+        return Ok(root.into_inner());
+    }
+    let mut of_lines: BTreeMap<usize, JobError> = BTreeMap::new();
+    for problem in &problems {
+        let span = problem.span().unwrap_or_default();
+        let line = text.get(..span.start).unwrap_or_default().matches('\n').count();
+        of_lines.entry(line).or_insert_with(|| syntax_error(span, problem));
+    }
+    Err(of_lines.into_values().collect())
+}
+
+/// What keeps a text from being TOML.
+pub(super) fn syntax_error(span: Range<usize>, problem: &toml::de::Error) -> JobError {
+    let error = JobError::at(span, format!("this is not TOML: {}", problem.message()));
+    if problem.message().starts_with("string values must be quoted") {
+        return error.help("write text between quotation marks: `\"text\"`");
+    }
+    error
+}
+
+impl<'t> Draft<'t> {
+    /// Takes the text's table apart; what stands there and should not is told beside the rest.
+    pub(super) fn new(mut root: DeTable<'t>, known: &[&'static StageSpec]) -> (Draft<'t>, Vec<JobError>) {
+        let mut errors = Vec::new();
+        let settings = root.remove("job").and_then(|job| table(job, "[job]", &mut errors));
+        let settings = settings.unwrap_or_else(|| Spanned::new(0..0, DeTable::new()));
+        let stages = root.remove("stage").map_or_else(Vec::new, |value| elements(value, &mut errors));
+        let mut stages: Vec<DraftStage> =
+            stages.into_iter().map(|keys| DraftStage::new(keys, known, &mut errors)).collect();
+        name(&mut stages, &mut errors);
+        errors.extend(root.keys().map(unknown));
+        if stages.is_empty() && errors.is_empty() {
+            let help = "`wavex init` writes one to start from; `wavex stages` lists the stages";
+            errors.push(JobError::of_job("the job has no stage").help(help));
+        }
+        (Draft { settings, stages }, errors)
+    }
+}
+
+impl<'t> DraftStage<'t> {
+    fn new(
+        mut keys: Spanned<DeTable<'t>>,
+        known: &[&'static StageSpec],
+        errors: &mut Vec<JobError>,
+    ) -> DraftStage<'t> {
+        let (type_name, type_at) = take_text(&mut keys, "type", errors);
+        let (id, id_at) = take_text(&mut keys, "id", errors);
+        let spec = type_name.as_deref().and_then(|name| find_in(known, name));
+        match (&type_name, &type_at) {
+            (_, None) => {
+                errors.push(JobError::at(keys.span(), "this stage has no `type`").help(names(known)))
+            }
+            (Some(name), Some(at)) if spec.is_none() => errors.push(unknown_type(name, at, known)),
+            _ => {}
+        }
+        DraftStage {
+            named_at: type_at.unwrap_or(keys.span()),
+            type_name: type_name.unwrap_or("stage".to_owned()),
+            spec,
+            // An `id` that is no text is an error already, and the stage goes by its type.
+            id_at: id_at.filter(|_| id.is_some()),
+            id: id.unwrap_or_default(),
+            keys,
+        }
+    }
+}
+
+/// Takes a text that is no key of the stage's own, and where it stands.
+fn take_text(
+    keys: &mut Spanned<DeTable>,
+    key: &str,
+    errors: &mut Vec<JobError>,
+) -> (Option<String>, Option<Range<usize>>) {
+    let Some(value) = keys.get_mut().remove(key) else {
+        return (None, None);
+    };
+    let span = value.span();
+    match value.into_inner() {
+        DeValue::String(text) => (Some(text.into_owned()), Some(span)),
+        other => {
+            let problem = format!("`{key}` must be text; this is {}", super::validate::kind_of(&other));
+            errors.push(JobError::at(span.clone(), problem));
+            (None, Some(span))
+        }
+    }
+}
+
+/// Gives each stage without an `id` the name of its type, numbered where several share one; refuses names that cannot
+/// be told apart or cannot be used in `--set`.
+fn name(stages: &mut [DraftStage], errors: &mut Vec<JobError>) {
+    let mut of_type: BTreeMap<String, (usize, usize)> = BTreeMap::new();
+    for stage in stages.iter().filter(|stage| stage.id_at.is_none()) {
+        of_type.entry(stage.type_name.clone()).or_default().0 += 1;
+    }
+    for stage in stages.iter_mut() {
+        if let (None, Some((n, number))) = (&stage.id_at, of_type.get_mut(&stage.type_name)) {
+            *number += 1;
+            let numbered = format!("{}-{number}", stage.type_name);
+            stage.id = if *n > 1 { numbered } else { stage.type_name.clone() };
+        }
+    }
+    let mut seen: Vec<&str> = Vec::new();
+    for stage in stages.iter() {
+        let at = stage.id_at.clone().unwrap_or(stage.named_at.clone());
+        if seen.contains(&stage.id.as_str()) {
+            let error = JobError::at(at, format!("two stages are called `{}`", stage.id));
+            errors.push(error.help("give one of them another `id`"));
+        } else if stage.id_at.is_some() && !usable(&stage.id) {
+            let error = JobError::at(at, format!("a stage cannot be called `{}`", stage.id));
+            errors.push(error.help("an `id` has letters, digits, `_` and `-`, and is not `job`"));
+        }
+        seen.push(&stage.id);
+    }
+}
+
+/// Whether `--set` can name a stage so.
+fn usable(id: &str) -> bool {
+    let plain = |character: char| character.is_ascii_alphanumeric() || matches!(character, '_' | '-');
+    !id.is_empty() && id.chars().all(plain) && id != "job"
+}
+
+/// A value that must be a table.
+fn table<'t>(
+    value: Spanned<DeValue<'t>>,
+    header: &str,
+    errors: &mut Vec<JobError>,
+) -> Option<Spanned<DeTable<'t>>> {
+    let span = value.span();
+    match value.into_inner() {
+        DeValue::Table(table) => Some(Spanned::new(span, table)),
+        _ => {
+            let name = header.trim_matches(['[', ']']);
+            let error = JobError::at(span, format!("`{name}` must be a table"));
+            errors.push(error.help(format!("write `{header}` above its keys")));
+            None
+        }
+    }
+}
+
+/// The elements of a list of tables.
+fn elements<'t>(value: Spanned<DeValue<'t>>, errors: &mut Vec<JobError>) -> Vec<Spanned<DeTable<'t>>> {
+    let span = value.span();
+    match value.into_inner() {
+        DeValue::Array(items) => {
+            items.into_iter().filter_map(|item| table(item, "[[stage]]", errors)).collect()
+        }
+        _ => {
+            let error = JobError::at(span, "`stage` must be a list of tables");
+            errors.push(error.help("write `[[stage]]`, with two brackets, above the keys of each stage"));
+            Vec::new()
+        }
+    }
+}
+
+/// A name at the top that is neither `job` nor `stage`.
+fn unknown(key: &Spanned<std::borrow::Cow<str>>) -> JobError {
+    let name = key.get_ref();
+    let help = if JobSettings::keys().get(name).is_some() {
+        format!("`{name}` belongs below `[job]`")
+    } else {
+        match nearest_of(name, ["job", "stage"]) {
+            Some("job") => "did you mean `[job]`?".to_owned(),
+            Some(_) => "did you mean `[[stage]]`?".to_owned(),
+            None => "a job has one table `[job]` and a `[[stage]]` for each of its stages".to_owned(),
+        }
+    };
+    JobError::at(key.span(), format!("`{name}` is no part of a job")).help(help)
+}
+
+fn unknown_type(name: &str, at: &Range<usize>, known: &[&'static StageSpec]) -> JobError {
+    let error = JobError::at(at.clone(), format!("there is no stage `{name}`"));
+    error.meant(name, known.iter().map(|spec| spec.name)).help(names(known))
+}
+
+/// The stages that exist.
+fn names(known: &[&'static StageSpec]) -> String {
+    let names: Vec<&str> = known.iter().map(|spec| spec.name).collect();
+    if names.is_empty() {
+        "there are no stages".to_owned()
+    } else {
+        format!("the stages: {}", names.join(", "))
+    }
+}

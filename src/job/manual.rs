@@ -1,0 +1,153 @@
+//! The manual of the stages, made from the doc comments of their keys.
+
+use std::fmt::Write;
+
+use serde_json::Value;
+
+use super::JobSettings;
+use crate::stage::{Key, Keys, RoleName, StageSpec, listed};
+
+/// The manual of these stages in Markdown: `docs/stages.md`.
+pub fn manual(stages: &[&'static StageSpec]) -> String {
+    let mut page = String::from(INTRODUCTION);
+    for spec in stages {
+        let (role, flow, first) = (spec.role, flow(spec), cell(&summary(spec)));
+        // Writing to a String cannot fail.
+        let _ = writeln!(page, "| [`{0}`](#{0}) | {role} | {flow} | {first} |", spec.name);
+    }
+    page += "\n## `[job]`\n\n";
+    page += JobSettings::keys().doc();
+    page += "\n\n";
+    page += &key_table(&JobSettings::keys());
+    for spec in stages {
+        let keys = spec.keys();
+        let _ = write!(
+            page,
+            "\n## `{}`\n\n{}.\n\n{}\n\n{}",
+            spec.name,
+            place(spec),
+            keys.doc(),
+            key_table(&keys)
+        );
+    }
+    page
+}
+
+const INTRODUCTION: &str = "\
+# The stages
+
+A job is a list of stages: a source makes scan lines, the stages behind it change them, and sinks write them and pass
+them on. This page is made from the code by `cargo test --test generated`; `wavex stages NAME` shows a part of it.
+
+Lines are of three kinds: Shots (emissions and recorded waveforms), Returns (the echoes found in them) and Points
+(returns with coordinates).
+
+| stage | role | lines | |
+|---|---|---|---|
+";
+
+/// The manual of one stage for a terminal.
+pub fn manual_of(spec: &StageSpec) -> String {
+    let keys = spec.keys();
+    let mut page = format!("{}: {}\n\n{}\n", spec.name, place(spec), keys.doc());
+    for key in keys.iter() {
+        let default = match (key.required, key.default()) {
+            (true, _) => "; must be given".to_owned(),
+            (false, Some(default)) => format!("; default {}", toml_text(default)),
+            (false, None) => String::new(),
+        };
+        let unit = key.unit().map(|unit| format!(", in {unit}")).unwrap_or_default();
+        let _ = write!(page, "\n  {} ({}{unit}{default})\n", key.name, key.takes());
+        for line in key.meaning().lines() {
+            page += format!("      {line}").trim_end();
+            page += "\n";
+        }
+    }
+    page
+}
+
+/// The first sentence of a stage's page.
+pub fn summary(spec: &StageSpec) -> String {
+    first_sentence(spec.keys().doc())
+}
+
+/// The first sentence of a text, in one line.
+pub(super) fn first_sentence(text: &str) -> String {
+    let paragraph = text.split("\n\n").next().unwrap_or_default();
+    let line = paragraph.split_whitespace().collect::<Vec<_>>().join(" ");
+    match line.split_once(". ") {
+        Some((sentence, _)) => format!("{sentence}."),
+        None => line,
+    }
+}
+
+/// A default as a job would write it.
+pub(super) fn toml_text(value: &Value) -> String {
+    match value {
+        Value::Array(items) => format!("[{}]", items.iter().map(toml_text).collect::<Vec<_>>().join(", ")),
+        Value::Object(members) => {
+            let entries: Vec<String> =
+                members.iter().map(|(key, value)| format!("{key} = {}", toml_text(value))).collect();
+            format!("{{ {} }}", entries.join(", "))
+        }
+        Value::String(text) => toml::Value::String(text.clone()).to_string(),
+        other => other.to_string(),
+    }
+}
+
+/// What a stage takes and makes: `Shots → Returns`.
+fn flow(spec: &StageSpec) -> String {
+    let takes: Vec<String> = spec.accepts.iter().map(ToString::to_string).collect();
+    match (takes.as_slice(), spec.makes) {
+        ([], Some(makes)) => format!("→ {makes}"),
+        (takes, Some(makes)) => format!("{} → {makes}", listed(takes, "or")),
+        (takes, None) => listed(takes, "or"),
+    }
+}
+
+/// A stage's place in a chain, in words.
+fn place(spec: &StageSpec) -> String {
+    let takes: Vec<String> = spec.accepts.iter().map(ToString::to_string).collect();
+    let takes = listed(&takes, "or");
+    let flow = match (spec.role, spec.makes) {
+        (RoleName::Source, Some(makes)) => format!("makes {makes}"),
+        (RoleName::Source, None) => "makes lines".to_owned(),
+        (_, Some(makes)) => format!("takes {takes}, makes {makes}"),
+        (RoleName::Sink, None) => format!("takes {takes} and passes them on"),
+        (_, None) => format!("takes {takes} and keeps the kind"),
+    };
+    let after: Vec<String> = spec.after.iter().map(|name| format!("`{name}`")).collect();
+    let after =
+        if after.is_empty() { after.concat() } else { format!("; needs {} before it", listed(&after, "or")) };
+    let role = match spec.role {
+        RoleName::Source => "A source",
+        RoleName::Map => "A map",
+        RoleName::Transform => "A transform",
+        RoleName::Sink => "A sink",
+    };
+    format!("{role}: {flow}{after}")
+}
+
+/// The keys as a table in Markdown.
+fn key_table(keys: &Keys) -> String {
+    let mut table = String::from("| key | type | default | unit | meaning |\n|---|---|---|---|---|\n");
+    for key in keys.iter() {
+        let (takes, meaning) = (cell(&key.takes()), cell(key.meaning()));
+        let unit = key.unit().unwrap_or_default();
+        let _ = writeln!(table, "| `{}` | {takes} | {} | {unit} | {meaning} |", key.name, default_cell(&key));
+    }
+    if keys.iter().next().is_none() { "It has no keys.\n".to_owned() } else { table }
+}
+
+fn default_cell(key: &Key) -> String {
+    match (key.required, key.default()) {
+        (true, _) => "must be given".to_owned(),
+        (false, Some(default)) => format!("`{}`", cell(&toml_text(default))),
+        (false, None) => "none".to_owned(),
+    }
+}
+
+/// A text as the cell of a table in Markdown: one line, and bars that do not end the cell.
+fn cell(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|")
+}

@@ -1,0 +1,131 @@
+//! The texts that a job comes from, laid end to end: its file, then each override. A span past the end of the file is
+//! one of an override, so that an error needs no word about where its span comes from.
+
+use std::ops::Range;
+
+use super::Override;
+
+/// The job's text and its overrides.
+#[derive(Clone, Debug)]
+pub(super) struct Sources {
+    file: Source,
+    overrides: Vec<Source>,
+}
+
+#[derive(Clone, Debug)]
+struct Source {
+    name: String,
+    text: String,
+    /// Where the text begins among all texts.
+    start: usize,
+}
+
+/// A span, as an error shows it.
+#[derive(Debug, PartialEq)]
+pub(super) struct Place<'s> {
+    /// The file, or `--set`.
+    pub name: &'s str,
+    /// From 1.
+    pub line: usize,
+    /// In characters, from 1.
+    pub column: usize,
+    /// The line.
+    pub text: String,
+    /// How many characters of it stand before the span.
+    pub before: usize,
+    /// How many characters of it the span covers, at least 1.
+    pub width: usize,
+}
+
+impl Sources {
+    pub(super) fn new(name: &str, text: &str, overrides: &[Override]) -> Sources {
+        let file = Source { name: name.to_owned(), text: text.to_owned(), start: 0 };
+        let mut end = text.len();
+        let follow = |change: &Override| {
+            // One byte between two texts: the end of one is not the beginning of the next.
+            let start = end + 1;
+            end = start + change.text.len();
+            Source { name: "--set".to_owned(), text: change.text.clone(), start }
+        };
+        Sources { file, overrides: overrides.iter().map(follow).collect() }
+    }
+
+    /// What errors call the job.
+    pub(super) fn name(&self) -> &str {
+        &self.file.name
+    }
+
+    /// Each override, and where its text begins.
+    pub(super) fn overrides(&self) -> impl Iterator<Item = (usize, &str)> {
+        self.overrides.iter().map(|source| (source.start, source.text.as_str()))
+    }
+
+    /// Where a span is.
+    pub(super) fn place(&self, span: &Range<usize>) -> Place<'_> {
+        let source = self.overrides.iter().rfind(|source| source.start <= span.start).unwrap_or(&self.file);
+        let text = &source.text;
+        let start = text.floor_char_boundary(span.start - source.start);
+        let end = text.floor_char_boundary(span.end.saturating_sub(source.start)).max(start);
+        let line_start = text[..start].rfind('\n').map_or(0, |at| at + 1);
+        let line_end = text[start..].find('\n').map_or(text.len(), |at| start + at);
+        let before = shown(&text[line_start..start]).chars().count();
+        Place {
+            name: &source.name,
+            line: text[..start].matches('\n').count() + 1,
+            column: before + 1,
+            text: shown(text[line_start..line_end].trim_end()),
+            before,
+            width: shown(text[start..end.min(line_end)].trim_end()).chars().count().max(1),
+        }
+    }
+}
+
+/// A text as a terminal may show it, one column per character: tabs are blanks, and other characters that command
+/// the terminal are replaced.
+pub(super) fn shown(text: &str) -> String {
+    let visible = |character: char| match character {
+        '\t' => ' ',
+        character if character.is_control() => '\u{fffd}',
+        character => character,
+    };
+    text.chars().filter(|&character| character != '\u{feff}').map(visible).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(text: &str, overrides: &[&str], span: Range<usize>) -> (String, usize, usize, String, usize) {
+        let overrides: Vec<Override> = overrides.iter().map(|&text| Override::new(text)).collect();
+        let sources = Sources::new("job.toml", text, &overrides);
+        let place = sources.place(&span);
+        (place.name.to_owned(), place.line, place.column, place.text, place.width)
+    }
+
+    #[test]
+    fn a_span_has_a_line_and_a_column() {
+        let at = place("a = 1\n\tbé = 22\r\nc", &[], 13..15);
+        assert_eq!(at, ("job.toml".into(), 2, 7, " bé = 22".into(), 2));
+        assert_eq!(place("a = 1\n", &[], 6..6), ("job.toml".into(), 2, 1, String::new(), 1));
+        assert_eq!(place("", &[], 0..0), ("job.toml".into(), 1, 1, String::new(), 1));
+    }
+
+    #[test]
+    fn a_span_over_lines_ends_with_its_first() {
+        assert_eq!(place("a = [\n1,\n2]", &[], 4..11), ("job.toml".into(), 1, 5, "a = [".into(), 1));
+    }
+
+    #[test]
+    fn spans_past_the_end_are_those_of_the_overrides() {
+        let texts = ["x.y=1", "z.w=2"];
+        assert_eq!(place("ab", &texts, 3..4), ("--set".into(), 1, 1, "x.y=1".into(), 1));
+        assert_eq!(place("ab", &texts, 2..2).0, "job.toml", "the end of the file is still the file");
+        assert_eq!(place("ab", &texts, 11..14), ("--set".into(), 1, 3, "z.w=2".into(), 3));
+    }
+
+    #[test]
+    fn what_would_command_a_terminal_is_not_shown() {
+        assert_eq!(place("a\x1b[2Jb = 1", &[], 0..1).3, "a\u{fffd}[2Jb = 1");
+        assert_eq!(place("\u{feff}ab = 1", &[], 4..5), ("job.toml".into(), 1, 2, "ab = 1".into(), 1));
+    }
+}

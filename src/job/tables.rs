@@ -1,0 +1,130 @@
+//! The second pass: what is left of each table becomes the settings, or a stage that can be made.
+
+use std::ops::Range;
+
+use serde::Deserialize;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::draft::DraftStage;
+use super::{JobError, JobSettings, JobStage, validate};
+use crate::stage::{ConfigError, InvalidKey, Keys};
+
+/// A stage that can be made, and where its texts stand.
+pub(super) struct Stage {
+    /// The stage.
+    pub stage: JobStage,
+    /// Where it is named.
+    pub named_at: Range<usize>,
+    /// Every text among its keys, with its place.
+    texts: Vec<Spanned<String>>,
+}
+
+impl Stage {
+    /// Where a text among its keys stands; where the stage is named, if the text is a default.
+    pub(super) fn place_of(&self, text: &str) -> Range<usize> {
+        let same = |found: &&Spanned<String>| found.get_ref() == text;
+        self.texts.iter().find(same).map_or(self.named_at.clone(), Spanned::span)
+    }
+}
+
+/// The settings of `[job]`.
+pub(super) fn settings(table: Spanned<DeTable>, errors: &mut Vec<JobError>) -> Option<JobSettings> {
+    let keys = JobSettings::keys();
+    let problems = validate::check("`[job]`", &keys, &table);
+    if !problems.is_empty() {
+        errors.extend(problems);
+        return None;
+    }
+    let places = Places::of(&table);
+    match JobSettings::deserialize(toml::de::Deserializer::from(table)) {
+        Ok(settings) => Some(settings),
+        Err(error) => {
+            errors.push(places.refused(&keys, &error));
+            None
+        }
+    }
+}
+
+/// A stage with its keys read.
+pub(super) fn stage(draft: DraftStage, errors: &mut Vec<JobError>) -> Option<Stage> {
+    let spec = draft.spec?;
+    let keys = spec.keys();
+    let problems = validate::check(&format!("`{}`", spec.name), &keys, &draft.keys);
+    if !problems.is_empty() {
+        errors.extend(problems);
+        return None;
+    }
+    let places = Places::of(&draft.keys);
+    let mut texts = Vec::new();
+    draft.keys.get_ref().values().for_each(|value| collect_texts(value, &mut texts));
+    match (spec.parse)(draft.keys) {
+        Ok(planned) => {
+            let stage = JobStage { id: draft.id, spec, planned };
+            Some(Stage { stage, named_at: draft.named_at, texts })
+        }
+        Err(ConfigError::Toml(error)) => {
+            errors.push(places.refused(&keys, &error));
+            None
+        }
+        Err(ConfigError::Key(invalid)) => {
+            errors.push(places.invalid(&keys, &invalid));
+            None
+        }
+    }
+}
+
+/// Where the entries of a table stand.
+struct Places {
+    header: Range<usize>,
+    entries: Vec<(String, Range<usize>)>,
+}
+
+impl Places {
+    fn of(table: &Spanned<DeTable>) -> Places {
+        let entries = table.get_ref().iter().map(|(key, value)| (key.get_ref().to_string(), value.span()));
+        Places { header: table.span(), entries: entries.collect() }
+    }
+
+    /// A value that the schema lets pass and the stage's own type does not.
+    fn refused(&self, keys: &Keys, error: &toml::de::Error) -> JobError {
+        let span = error.span().unwrap_or(self.header.clone());
+        let within =
+            |(_, place): &&(String, Range<usize>)| place.start <= span.start && span.end <= place.end;
+        let Some(key) = self.entries.iter().find(within).and_then(|(name, _)| keys.get(name)) else {
+            return JobError::at(span, error.message());
+        };
+        // serde's own words are of Rust's types; those of a type that reads its texts itself are of the matter.
+        let of_types = ["invalid type: ", "invalid value: ", "invalid length "];
+        let message = match error.message() {
+            message if of_types.iter().any(|words| message.starts_with(words)) => "this value cannot be used",
+            message => message,
+        };
+        let error = JobError::at(span, format!("`{}`: {message}", key.name));
+        error.help(format!("`{}` takes {}", key.name, key.takes()))
+    }
+
+    /// A value that the stage cannot use.
+    fn invalid(&self, keys: &Keys, invalid: &InvalidKey) -> JobError {
+        let InvalidKey { key, problem } = invalid;
+        if let Some((_, place)) = self.entries.iter().find(|(name, _)| name == key) {
+            return JobError::at(place.clone(), format!("`{key}`: {problem}"));
+        }
+        let default = keys.get(key).and_then(|key| key.default().map(|value| format!(", {value},")));
+        let error = JobError::at(self.header.clone(), format!("`{key}`: {problem}"));
+        error.help(format!(
+            "the job does not give `{key}`, and its default{} does not fit here",
+            default.unwrap_or_default()
+        ))
+    }
+}
+
+/// Every text in a value.
+fn collect_texts(value: &Spanned<DeValue>, texts: &mut Vec<Spanned<String>>) {
+    match value.get_ref() {
+        DeValue::String(text) => texts.push(Spanned::new(value.span(), text.clone().into_owned())),
+        DeValue::Array(items) => items.iter().for_each(|item| collect_texts(item, texts)),
+        DeValue::Table(table) => table.values().for_each(|value| collect_texts(value, texts)),
+        _ => {}
+    }
+}

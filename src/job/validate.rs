@@ -1,0 +1,210 @@
+//! The keys of a table against their schema: everything that is wrong with them at once, each at its own place, where
+//! serde would stop at the first. An editor that knows the schema refuses the same things.
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use serde_json::Value;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::JobError;
+use super::manual::first_sentence;
+use crate::stage::{Keys, bounds, choices, takes};
+
+/// What is wrong with the keys in `table`; `owner` is what errors call it, as in "`decompose`".
+pub(super) fn check(owner: &str, keys: &Keys, table: &Spanned<DeTable>) -> Vec<JobError> {
+    check_table(owner, keys.schema(), table.get_ref(), &table.span())
+}
+
+/// Whether a schema takes text, and nothing but text.
+pub(super) fn only_text(schema: &Value) -> bool {
+    choices(schema).is_some() || schema.get("type").is_some_and(|name| name == "string")
+}
+
+/// What a value is, in words.
+pub(super) fn kind_of(value: &DeValue) -> String {
+    match value {
+        DeValue::String(_) => "text".to_owned(),
+        DeValue::Integer(number) => format!("the number {number}"),
+        DeValue::Float(number) => format!("the number {number}"),
+        DeValue::Boolean(value) => format!("`{value}`"),
+        DeValue::Datetime(_) => "a date or a time".to_owned(),
+        DeValue::Array(_) => "a list".to_owned(),
+        DeValue::Table(_) => "a table".to_owned(),
+    }
+}
+
+fn check_table(owner: &str, schema: &Value, table: &DeTable, header: &Range<usize>) -> Vec<JobError> {
+    let Some(properties) = schema.get("properties").and_then(Value::as_object) else {
+        return Vec::new();
+    };
+    let mut errors = Vec::new();
+    for (key, value) in table {
+        match properties.get(key.get_ref().as_ref()) {
+            Some(schema) => errors.extend(Given { owner, name: &format!("`{key}`"), schema, value }.check()),
+            None => errors.push(unknown_key(owner, key, properties.keys())),
+        }
+    }
+    let required = schema.get("required").and_then(Value::as_array).into_iter().flatten();
+    for key in required.filter_map(Value::as_str).filter(|key| !table.contains_key(*key)) {
+        let schema = properties.get(key).unwrap_or(&Value::Null);
+        errors.push(missing_key(owner, key, schema, header));
+    }
+    errors
+}
+
+fn unknown_key<'k>(
+    owner: &str,
+    key: &Spanned<Cow<str>>,
+    known: impl Iterator<Item = &'k String>,
+) -> JobError {
+    let known: Vec<&str> = known.map(String::as_str).collect();
+    let error = JobError::at(key.span(), format!("{owner} has no key `{key}`"));
+    match known.as_slice() {
+        [] => error.help("it has no keys"),
+        known => {
+            error.meant(key.get_ref(), known.iter().copied()).help(format!("its keys: {}", known.join(", ")))
+        }
+    }
+}
+
+fn missing_key(owner: &str, key: &str, schema: &Value, header: &Range<usize>) -> JobError {
+    let meaning = first_sentence(schema.get("description").and_then(Value::as_str).unwrap_or_default());
+    let error = JobError::at(header.clone(), format!("{owner} needs the key `{key}`"));
+    error.help(format!("add `{key} = ...`, {}: {meaning}", takes(schema)))
+}
+
+/// A value that a job gives, and what may stand in its place.
+#[derive(Clone, Copy)]
+struct Given<'g> {
+    /// The table that it stands in, as errors call it.
+    owner: &'g str,
+    /// What errors call the value.
+    name: &'g str,
+    schema: &'g Value,
+    value: &'g Spanned<DeValue<'g>>,
+}
+
+impl Given<'_> {
+    fn check(&self) -> Vec<JobError> {
+        if let Some(choices) = choices(self.schema) {
+            return self.check_choice(&choices).into_iter().collect();
+        }
+        let branches = self.schema.get("anyOf").or_else(|| self.schema.get("oneOf"));
+        if let Some(branches) = branches.and_then(Value::as_array) {
+            return self.check_branches(branches);
+        }
+        if !self.is_of_type() {
+            return vec![self.wrong_type()];
+        }
+        match self.value.get_ref() {
+            DeValue::Integer(_) | DeValue::Float(_) => self.check_number().into_iter().collect(),
+            DeValue::Table(table) => {
+                let owner = format!("{} of {}", self.name, self.owner);
+                check_table(&owner, self.schema, table, &self.value.span())
+            }
+            DeValue::Array(items) => {
+                let name = &format!("an item of {}", self.name);
+                let schema = self.schema.get("items").unwrap_or(&Value::Null);
+                let of_items = items.iter().flat_map(|value| Given { name, schema, value, ..*self }.check());
+                self.check_length(items.len()).into_iter().chain(of_items).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// One of several schemas must hold: if none does, the one that the value comes closest to tells why.
+    fn check_branches(&self, branches: &[Value]) -> Vec<JobError> {
+        let each = branches.iter().map(|schema| Given { schema, ..*self }).filter(Given::is_of_type);
+        let closest = each.map(|given| given.check()).min_by_key(Vec::len);
+        match (closest, self.value.get_ref()) {
+            (Some(errors), _) if errors.is_empty() => errors,
+            // Among texts none is closer than another: all that may stand there is named.
+            (Some(_), DeValue::String(text)) => vec![self.wrong_text(text)],
+            (Some(errors), _) => errors,
+            (None, _) => vec![self.wrong_type()],
+        }
+    }
+
+    /// Whether the value is of the schema's type at all.
+    fn is_of_type(&self) -> bool {
+        let fits = |name: &Value| {
+            matches!(
+                (name.as_str(), self.value.get_ref()),
+                (Some("string"), DeValue::String(_))
+                    | (Some("integer"), DeValue::Integer(_))
+                    | (Some("number"), DeValue::Integer(_) | DeValue::Float(_))
+                    | (Some("boolean"), DeValue::Boolean(_))
+                    | (Some("array"), DeValue::Array(_))
+                    | (Some("object"), DeValue::Table(_))
+            )
+        };
+        match self.schema.get("type") {
+            Some(Value::Array(names)) => names.iter().any(fits),
+            Some(name) => fits(name),
+            None => true,
+        }
+    }
+
+    fn wrong_type(&self) -> JobError {
+        let error = self.must_be(&takes(self.schema), &kind_of(self.value.get_ref()));
+        let wanted = self.schema.get("type").and_then(Value::as_str);
+        match (self.value.get_ref(), wanted) {
+            (DeValue::String(text), Some("number" | "integer")) if text.parse::<f64>().is_ok() => {
+                error.help(format!("write numbers without quotation marks: {text}"))
+            }
+            (DeValue::Float(_), Some("integer")) => error.help("write it without point and exponent"),
+            (DeValue::Integer(_) | DeValue::Float(_) | DeValue::Datetime(_), _) if only_text(self.schema) => {
+                error.help("write text between quotation marks: `\"text\"`")
+            }
+            _ => error,
+        }
+    }
+
+    fn check_choice(&self, choices: &[&str]) -> Option<JobError> {
+        match self.value.get_ref() {
+            DeValue::String(text) if choices.contains(&text.as_ref()) => None,
+            DeValue::String(text) => Some(self.wrong_text(text).meant(text, choices.iter().copied())),
+            _ => Some(self.wrong_type()),
+        }
+    }
+
+    fn wrong_text(&self, text: &str) -> JobError {
+        self.must_be(&takes(self.schema), &format!("{text:?}"))
+    }
+
+    fn check_number(&self) -> Option<JobError> {
+        let limit = |keyword: &str| self.schema.get(keyword).and_then(Value::as_f64);
+        let (given, written) = match self.value.get_ref() {
+            DeValue::Integer(number) => {
+                let given = i64::from_str_radix(number.as_str(), number.radix());
+                (given.map_or(f64::INFINITY, |given| given as f64), number.to_string())
+            }
+            DeValue::Float(number) => (number.as_str().parse().unwrap_or(f64::NAN), number.to_string()),
+            _ => return None,
+        };
+        if !given.is_finite() {
+            let problem = if given.is_nan() { "no number" } else { "too large" };
+            return Some(self.must_be(&takes(self.schema), &format!("{written}, which is {problem}")));
+        }
+        let holds = limit("minimum").is_none_or(|min| given >= min)
+            && limit("maximum").is_none_or(|max| given <= max)
+            && limit("exclusiveMinimum").is_none_or(|min| given > min)
+            && limit("exclusiveMaximum").is_none_or(|max| given < max);
+        let bounds = bounds(self.schema).filter(|_| !holds)?;
+        Some(self.must_be(&bounds, &written))
+    }
+
+    fn check_length(&self, n: usize) -> Option<JobError> {
+        let limit = |keyword: &str| self.schema.get(keyword).and_then(Value::as_u64);
+        let n = n as u64;
+        let holds =
+            limit("minItems").is_none_or(|min| n >= min) && limit("maxItems").is_none_or(|max| n <= max);
+        (!holds).then(|| self.must_be(&takes(self.schema), &format!("a list of {n}")))
+    }
+
+    fn must_be(&self, wanted: &str, given: &str) -> JobError {
+        JobError::at(self.value.span(), format!("{} must be {wanted}; this is {given}", self.name))
+    }
+}

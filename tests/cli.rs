@@ -1,0 +1,226 @@
+//! The program itself: what it prints, where, and its exit code.
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
+
+use std::fs;
+use std::io::Write;
+use std::process::{Command, Stdio};
+
+/// What a run of the program leaves.
+#[derive(Debug, PartialEq)]
+struct Outcome {
+    code: Option<i32>,
+    out: String,
+    err: String,
+}
+
+/// Runs the program with these arguments and this standard input.
+fn wavex_with_input(arguments: &[&str], input: &str) -> Outcome {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    program.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = program.spawn().unwrap();
+    // A program that does not read its input may be gone already.
+    let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
+    let output = child.wait_with_output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    Outcome { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+}
+
+fn wavex(arguments: &[&str]) -> Outcome {
+    wavex_with_input(arguments, "")
+}
+
+/// The arguments are refused with this message, and nothing else is printed.
+fn refused(outcome: Outcome, expected: &str) {
+    assert_eq!(outcome, Outcome { code: Some(2), out: String::new(), err: expected.to_owned() });
+}
+
+#[test]
+fn the_help_names_every_command() {
+    let expected = "\
+Turns recorded full-waveform lidar into point clouds
+
+Usage: wavex [OPTIONS] <COMMAND>
+
+Commands:
+  run          Run a job
+  check        Say what is wrong with a job, or what it will do, without reading any data
+  stages       List the stages, or explain one with all its keys
+  schema       Print the JSON Schema of a job, for editors that check and complete TOML
+  init         Write a commented job to start from
+  convert      Copy recorded waveforms into the open container (Arrow)
+  completions  Print the completions of a shell
+  help         Print this message or the help of the given subcommand(s)
+
+Options:
+  -v, --verbose...  Say more: -v tells what is done, -vv also the details
+  -q, --quiet       Say nothing but errors
+  -h, --help        Print help
+  -V, --version     Print version
+
+Exit status: 0 done; 1 the run failed; 2 the job or the command line is wrong
+";
+    let asked = wavex(&["--help"]);
+    assert_eq!(asked, Outcome { code: Some(0), out: expected.to_owned(), err: String::new() });
+    let without_a_command = wavex(&[]);
+    assert_eq!(without_a_command, Outcome { code: Some(2), out: String::new(), err: expected.to_owned() });
+}
+
+#[test]
+fn the_help_of_run_explains_its_options() {
+    let help = wavex(&["run", "--help"]);
+    assert_eq!((help.code, help.err.as_str()), (Some(0), ""));
+    for part in [
+        "Usage: wavex run [OPTIONS] <JOB>",
+        "The job's file (TOML); `-` for standard input",
+        "--set <STAGE.KEY=VALUE>",
+        "--threads <N>",
+        "--profile",
+        "--progress <WHEN>",
+        "- auto:   A bar on a terminal, lines elsewhere",
+    ] {
+        assert!(help.out.contains(part), "{part}\nis not in\n{}", help.out);
+    }
+}
+
+#[test]
+fn the_version_is_that_of_the_crate() {
+    let version = wavex(&["--version"]);
+    assert_eq!(version.out, format!("wavex {}\n", env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn a_command_line_that_is_wrong_is_refused() {
+    for arguments in
+        [&["fly"][..], &["run"], &["run", "a.toml", "--progress", "often"], &["check", "-q", "-v", "a.toml"]]
+    {
+        let outcome = wavex(arguments);
+        assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""), "{arguments:?}");
+        assert!(outcome.err.starts_with("error: "), "{}", outcome.err);
+    }
+}
+
+#[test]
+fn a_job_that_cannot_be_read_is_refused() {
+    let outcome = wavex(&["run", "no/such/job.toml"]);
+    assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""));
+    assert!(outcome.err.starts_with("error: no/such/job.toml: cannot read the job: "), "{}", outcome.err);
+}
+
+#[test]
+fn a_wrong_job_is_refused_in_plain_text() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = folder.path().join("job.toml");
+    fs::write(&job, "[job]\nmemory_mb = 8\n").unwrap();
+    let job = job.to_str().unwrap();
+    let expected = format!(
+        "error: the job has no stage\n --> {job}\n = help: `wavex init` writes one to start from; \
+         `wavex stages` lists the stages\n\n\
+         error: `memory_mb` must be at least 64 and at most 1000000000; this is 8\n \
+         --> {job}:2:13\n  |\n2 | memory_mb = 8\n  |             ^\n"
+    );
+    for command in ["run", "check"] {
+        refused(wavex(&[command, job]), &expected);
+    }
+}
+
+#[test]
+fn a_job_may_come_from_standard_input() {
+    let expected = "\
+error: `threads` must be at least 0; this is -1
+ --> standard input:4:11
+  |
+4 | threads = -1
+  |           ^^
+";
+    let outcome = wavex_with_input(&["check", "-"], "[[stage]]\ntype = \"read_las\"\n[job]\nthreads = -1\n");
+    assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""));
+    assert!(outcome.err.contains(expected), "{}", outcome.err);
+}
+
+#[test]
+fn values_set_on_the_command_line_are_checked_like_those_of_the_job() {
+    let outcome = wavex(&["run", "-", "--set", "job.thread=2", "--threads", "4"]);
+    let expected = "\
+error: `[job]` has no key `thread`
+ --> --set:1:5
+  |
+1 | job.thread=2
+  |     ^^^^^^
+  |
+  = help: did you mean `threads`?
+  = help: its keys: threads, memory_mb, input_dir, output_dir
+";
+    assert_eq!(outcome.code, Some(2));
+    assert!(outcome.err.ends_with(expected), "{}", outcome.err);
+}
+
+#[test]
+fn the_stages_of_the_registry_are_listed_and_explained() {
+    let listed = wavex(&["stages"]);
+    assert_eq!((listed.code, listed.err.as_str()), (Some(0), ""));
+    assert_eq!(listed.out.lines().count(), wavex::registry::STAGES.len());
+    for spec in wavex::registry::STAGES {
+        assert!(listed.out.lines().any(|line| line.starts_with(spec.name)), "{}", listed.out);
+        assert_eq!(wavex(&["stages", spec.name]).out, wavex::job::manual_of(spec));
+    }
+}
+
+#[test]
+fn a_stage_that_does_not_exist_is_refused() {
+    let outcome = wavex(&["stages", "fly_home"]);
+    assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""));
+    assert!(outcome.err.starts_with("error: there is no stage `fly_home`"), "{}", outcome.err);
+}
+
+#[test]
+fn the_schema_is_json() {
+    let outcome = wavex(&["schema"]);
+    assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""));
+    let schema: serde_json::Value = serde_json::from_str(&outcome.out).unwrap();
+    assert_eq!(schema, wavex::job::job_schema(wavex::registry::STAGES));
+}
+
+#[test]
+fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
+    let printed = wavex(&["init"]);
+    assert_eq!((printed.code, printed.err.as_str()), (Some(0), ""));
+    assert_eq!(printed.out, wavex::job::example_job(wavex::registry::STAGES));
+
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("job.toml");
+    let file = file.to_str().unwrap();
+    let written = wavex(&["init", file]);
+    assert_eq!(written, Outcome { code: Some(0), out: String::new(), err: String::new() });
+    assert_eq!(fs::read_to_string(file).unwrap(), printed.out);
+
+    fs::write(file, "mine").unwrap();
+    let expected = format!("error: {file}: the file exists already; choose another name, or remove it\n");
+    refused(wavex(&["init", file]), &expected);
+    assert_eq!(fs::read_to_string(file).unwrap(), "mine");
+}
+
+#[test]
+fn an_input_of_an_unknown_kind_is_not_converted() {
+    let expected = "error: flight.sdf: the name does not say what kind of recording this is; \
+                    an input ends in .las, .laz, .pls or .arrow\n";
+    refused(wavex(&["convert", "flight.sdf", "flight.arrow"]), expected);
+}
+
+#[test]
+fn completions_are_those_of_the_shell() {
+    for (shell, begins) in [("bash", "_wavex() {"), ("zsh", "#compdef wavex"), ("fish", "# Print an optspec")]
+    {
+        let outcome = wavex(&["completions", shell]);
+        assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""), "{shell}");
+        assert!(outcome.out.starts_with(begins), "{shell}: {}", outcome.out);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_reader_that_has_seen_enough_is_no_failure() {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    let mut child = program.args(["completions", "zsh"]).stdout(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}

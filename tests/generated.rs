@@ -1,0 +1,65 @@
+//! Files that are made from the code. A test that finds one out of date writes it anew, and fails, so that the new file
+//! is looked at and committed.
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
+
+use std::fs;
+use std::path::Path;
+
+use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
+use wavex::registry::{STAGES, find};
+
+/// Writes a file of the repository where it is not as it should be, and says so.
+fn check(name: &str, expected: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
+    // A checkout may end lines in another way; a missing file is an empty one.
+    let found = fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n");
+    if found != expected {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(&path, expected).unwrap();
+        panic!("{name} was out of date and has been written anew: look at it and commit it");
+    }
+}
+
+#[test]
+fn the_schema_of_jobs_is_up_to_date() {
+    check("schemas/job.schema.json", &format!("{:#}\n", job_schema(STAGES)));
+}
+
+#[test]
+fn the_manual_of_the_stages_is_up_to_date() {
+    check("docs/stages.md", &manual(STAGES));
+}
+
+#[test]
+fn every_stage_and_every_key_says_what_it_is_for() {
+    for key in JobSettings::keys().iter() {
+        assert_ne!(key.meaning(), "", "[job]: {}", key.name);
+    }
+    for spec in STAGES {
+        assert_ne!(spec.keys().doc(), "", "{}", spec.name);
+        for key in spec.keys().iter() {
+            assert_ne!(key.meaning(), "", "{}: {}", spec.name, key.name);
+            assert!(!["type", "id"].contains(&key.name), "{}: `{}` is taken", spec.name, key.name);
+        }
+    }
+}
+
+#[test]
+fn names_of_stages_are_unique_and_those_they_need_exist() {
+    for (at, spec) in STAGES.iter().enumerate() {
+        assert!(STAGES[..at].iter().all(|other| other.name != spec.name), "{} stands twice", spec.name);
+        assert_ne!(spec.name, "job", "`--set job.KEY` means the table [job]");
+        for needed in spec.after {
+            assert!(find(needed).is_some(), "{} needs `{needed}`, which does not exist", spec.name);
+        }
+    }
+}
+
+#[test]
+fn the_job_that_init_writes_fits_as_soon_as_its_stages_exist() {
+    let example = example_job(STAGES);
+    let needed = ["read_las", "calibrate", "decompose", "georeference", "write_las"];
+    let complete = needed.iter().all(|name| find(name).is_some());
+    let parsed = Job::parse("example", &example, &[]);
+    assert!(parsed.is_ok() || !complete, "{}", parsed.unwrap_err());
+}

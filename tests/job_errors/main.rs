@@ -1,0 +1,53 @@
+//! What is wrong with a job, in the words and at the place that the user is shown: one test per message.
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
+
+use wavex::job::{Job, JobErrors, Override};
+
+#[path = "../stages/mod.rs"]
+mod stages;
+
+mod chain;
+mod keys;
+mod nested_keys;
+mod never_panics;
+mod overrides;
+mod stages_and_ids;
+mod syntax;
+
+/// A job that fits.
+const FULL: &str = "\
+[[stage]]
+type = \"read_las\"
+path = \"flight.las\"
+
+[[stage]]
+type = \"calibrate\"
+
+[[stage]]
+type = \"decompose\"
+
+[[stage]]
+type = \"georeference\"
+
+[[stage]]
+type = \"write_las\"
+";
+
+fn parse(text: &str, overrides: &[&str]) -> Result<Job, JobErrors> {
+    let overrides: Vec<Override> = overrides.iter().copied().map(Override::new).collect();
+    Job::parse_with(stages::STAGES, "job.toml", text, &overrides)
+}
+
+/// The job, which begins behind the first line feed of `text`, has exactly these errors.
+fn check(text: &str, expected: &str) {
+    check_set(text, &[], expected);
+}
+
+/// The same, with overrides.
+fn check_set(text: &str, overrides: &[&str], expected: &str) {
+    let text = text.strip_prefix('\n').unwrap_or(text);
+    match parse(text, overrides) {
+        Ok(job) => panic!("no error: {}", job.chain()),
+        Err(errors) => assert_eq!(errors.to_string(), expected.strip_prefix('\n').unwrap_or(expected)),
+    }
+}
