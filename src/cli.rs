@@ -9,11 +9,11 @@ use clap::{ArgAction, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 
 use crate::job::{Job, JobErrors, Override, job_schema};
 use crate::registry::STAGES;
-use crate::stage::StageError;
 
 mod check;
 mod convert;
 mod init;
+mod log;
 mod run;
 mod stages;
 mod terminal;
@@ -106,7 +106,7 @@ struct Machine {
     /// How many threads work at once; 0: one for each core [default: the job's `threads`]
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Say at the end how long each stage worked and waited
+    /// Say at the end how long each stage took per scan line, and write a trace for Perfetto (trace.json)
     #[arg(long)]
     profile: bool,
     /// Whether to show how far the run is; auto: a bar on a terminal, lines elsewhere
@@ -132,8 +132,8 @@ enum Failure {
     Job(JobErrors),
     /// The command line, or what it names, is wrong: what, and what to do about it.
     Wrong(String),
-    /// The run failed.
-    Run(StageError),
+    /// The run failed: why.
+    Run(String),
 }
 
 impl Failure {
@@ -149,8 +149,9 @@ impl Failure {
     fn message(&self, colour: bool) -> String {
         match self {
             Failure::Job(errors) => errors.render(colour),
-            Failure::Wrong(problem) => format!("{}: {problem}\n", terminal::error_word(colour)),
-            Failure::Run(error) => format!("{}: {error}\n", terminal::error_word(colour)),
+            Failure::Wrong(problem) | Failure::Run(problem) => {
+                format!("{}: {problem}\n", terminal::error_word(colour))
+            }
         }
     }
 }
@@ -164,7 +165,7 @@ impl From<JobErrors> for Failure {
 /// The program: reads the arguments of the process, does what they say, and tells what went wrong.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    terminal::log(cli.loudness.verbose, cli.loudness.quiet);
+    log::begin(cli.loudness.verbose, cli.loudness.quiet);
     match dispatch(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
@@ -228,7 +229,7 @@ mod tests {
     #[test]
     fn a_failed_run_is_told_from_a_wrong_job() {
         let wrong = Failure::Wrong("no such file".into());
-        let failed = Failure::Run(StageError::failed("the disk is full", "make room"));
+        let failed = Failure::Run("the disk is full; make room".into());
         assert_eq!((wrong.exit_code(), failed.exit_code()), (2, 1));
         assert_eq!(failed.message(false), "error: the disk is full; make room\n");
         assert_eq!(wrong.message(true), "\x1b[1;31merror\x1b[0m: no such file\n");

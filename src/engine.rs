@@ -56,7 +56,7 @@ impl Options {
             channel_capacity: job.settings.channel_capacity,
             profile: false,
             cancel: Cancel::default(),
-            progress: ProgressMode::Never,
+            progress: ProgressMode::Hidden,
         }
     }
 

@@ -76,11 +76,23 @@ pub struct JobSettings {
     /// How many scan lines may wait between two stages. The results do not depend on it.
     #[schemars(range(min = 1))]
     pub channel_capacity: usize,
+    /// The report of the run (JSON), in the folder of the outputs; empty: none.
+    pub report: String,
+    /// The log of the run, in the folder of the outputs; empty: none.
+    pub log: String,
 }
 
 impl Default for JobSettings {
     fn default() -> JobSettings {
-        JobSettings { threads: 0, memory_mb: 1024, input_dir: None, output_dir: None, channel_capacity: 16 }
+        JobSettings {
+            threads: 0,
+            memory_mb: 1024,
+            input_dir: None,
+            output_dir: None,
+            channel_capacity: 16,
+            report: "report.json".into(),
+            log: "wavex.log".into(),
+        }
     }
 }
 

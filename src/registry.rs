@@ -1,9 +1,25 @@
 //! The list of all stages. A stage exists for jobs, the manual and the tests as soon as it stands here.
 
 use crate::stage::StageSpec;
+use crate::stages::{
+    calibrate, decompose, georeference, read_arrow, read_las, read_pulsewaves, simulate, write_arrow,
+    write_las, write_lstat, write_table,
+};
 
 /// Every stage that a job can name, in the order of the manual: sources, what changes lines, sinks.
-pub const STAGES: &[&StageSpec] = &[];
+pub const STAGES: &[&StageSpec] = &[
+    &read_las::STAGE,
+    &read_pulsewaves::STAGE,
+    &read_arrow::STAGE,
+    &simulate::STAGE,
+    &calibrate::STAGE,
+    &decompose::STAGE,
+    &georeference::STAGE,
+    &write_las::STAGE,
+    &write_lstat::STAGE,
+    &write_table::STAGE,
+    &write_arrow::STAGE,
+];
 
 /// The stage of this name.
 pub fn find(name: &str) -> Option<&'static StageSpec> {

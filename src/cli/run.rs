@@ -1,37 +1,14 @@
 //! `wavex run`: a job's text to a finished run.
 
-use std::io::IsTerminal;
+use std::fmt::Write as _;
+use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
-use super::{Failure, JobArgs, Machine, When};
+use super::{Failure, JobArgs, Machine, When, log, terminal};
+use crate::engine::{self, Cancel, Options, ProgressMode, RunReport};
+use crate::formats::Error;
 use crate::job::{Job, Override};
-use crate::stage::StageError;
-
-/// What the engine is asked to do.
-#[derive(Debug)]
-pub(super) struct Request<'j> {
-    /// The job; its `threads` are those of the command line, where it names any.
-    pub job: &'j Job,
-    /// Where relative input paths start.
-    pub input_dir: PathBuf,
-    /// Where relative output paths start.
-    pub output_dir: PathBuf,
-    /// Whether to say at the end how long each stage worked and waited.
-    pub profile: bool,
-    /// How to show how far the run is.
-    pub progress: Progress,
-}
-
-/// How to show how far a run is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Progress {
-    /// A bar, for a terminal.
-    Bar,
-    /// A line now and then.
-    Lines,
-    /// Not at all.
-    Hidden,
-}
+use crate::stage::{OutputFile, StageError};
 
 /// Reads the job and runs it.
 pub(super) fn run(args: &JobArgs, machine: Machine, quiet: bool) -> Result<(), Failure> {
@@ -45,8 +22,81 @@ pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -
         tracing::warn!("{note}");
     }
     let (input_dir, output_dir) = folders(job, folder);
-    let progress = machine.progress(quiet, std::io::stderr().is_terminal());
-    start(&Request { job, input_dir, output_dir, profile: machine.profile, progress }).map_err(Failure::Run)
+    let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
+    if !job.settings.log.is_empty() {
+        log::to_file(&output_dir.join(&job.settings.log)).map_err(|error| failed(&error))?;
+    }
+    tracing::info!("wavex {}: {} ({})", env!("CARGO_PKG_VERSION"), job.name, job.chain());
+    let options = Options {
+        profile: machine.profile,
+        progress: machine.progress(quiet, std::io::stderr().is_terminal()),
+        ..Options::of_job(job, input_dir, &output_dir)
+    };
+    stop_on_signals(&options.cancel);
+    let report = engine::run(job, &options).map_err(|error| {
+        tracing::debug!("{error}");
+        failed(&error)
+    })?;
+    if !job.settings.report.is_empty() {
+        write_report(&report, &output_dir.join(&job.settings.report)).map_err(|error| failed(&error))?;
+    }
+    if machine.profile {
+        write_trace(&report, &output_dir.join("trace.json")).map_err(|error| failed(&error))?;
+    }
+    if quiet { Ok(()) } else { terminal::print(&summary(&report, machine.profile)) }
+}
+
+/// Ctrl-C and a request to terminate end the run in order; a second one ends the process at once.
+fn stop_on_signals(cancel: &Cancel) {
+    let cancel = cancel.clone();
+    let handler = move || {
+        if cancel.is_cancelled() {
+            std::process::exit(1);
+        }
+        cancel.cancel();
+    };
+    if let Err(error) = ctrlc::set_handler(handler) {
+        tracing::debug!("signals are not handled: {error}");
+    }
+}
+
+fn write_report(report: &RunReport, path: &Path) -> Result<(), StageError> {
+    let mut file = OutputFile::create(path)?;
+    let json = format!("{:#}\n", serde_json::to_value(report).unwrap_or_default());
+    file.write_all(json.as_bytes()).map_err(Error::io(path, "write the report"))?;
+    file.finish()?.publish()?;
+    Ok(())
+}
+
+fn write_trace(report: &RunReport, path: &Path) -> Result<(), StageError> {
+    let mut file = OutputFile::create(path)?;
+    engine::write_trace(report, &mut file).map_err(Error::io(path, "write the trace"))?;
+    file.finish()?.publish()?;
+    Ok(())
+}
+
+/// What the user sees at the end: for each input where the time went, what was dropped, and what was written.
+fn summary(report: &RunReport, profile: bool) -> String {
+    let mut text = String::new();
+    for input in &report.inputs {
+        let totals = |name: &str| input.totals.get(name).copied().unwrap_or(0);
+        let (waveforms, returns) = (totals("nw"), totals("np"));
+        let _ =
+            writeln!(text, "{}: {waveforms} waveforms, {returns} returns, {:.1} s", input.stem, input.wall_s);
+        text.push_str(&input.table());
+        if profile {
+            text.push_str(&input.latency_table());
+        }
+        for stage in &input.stages {
+            for (what, n) in &stage.rejected {
+                let _ = writeln!(text, "{}: rejected {n} {what}", stage.id);
+            }
+        }
+        for output in &input.outputs {
+            let _ = writeln!(text, "wrote {}", output.display());
+        }
+    }
+    text
 }
 
 /// Where relative input and output paths of a job start that stands in `folder`.
@@ -55,26 +105,19 @@ pub(super) fn folders(job: &Job, folder: &Path) -> (PathBuf, PathBuf) {
     (from(&job.settings.input_dir), from(&job.settings.output_dir))
 }
 
-/// Hands the run to the engine: the only place that knows how it is called.
-fn start(request: &Request) -> Result<(), StageError> {
-    let Request { job, input_dir, output_dir, profile, progress } = request;
-    tracing::debug!(?input_dir, ?output_dir, profile, ?progress, threads = job.settings.threads, "run");
-    Err(StageError::failed("running jobs is unavailable: this build has no engine", "use one that has"))
-}
-
 impl Machine {
     /// What the command line sets of the job.
     pub(super) fn overrides(self) -> Option<Override> {
         self.threads.map(|threads| Override::new(format!("job.threads={threads}")))
     }
 
-    fn progress(self, quiet: bool, on_terminal: bool) -> Progress {
+    fn progress(self, quiet: bool, on_terminal: bool) -> ProgressMode {
         match self.progress {
-            _ if quiet => Progress::Hidden,
-            When::Never => Progress::Hidden,
-            When::Always => Progress::Bar,
-            When::Auto if on_terminal => Progress::Bar,
-            When::Auto => Progress::Lines,
+            _ if quiet => ProgressMode::Hidden,
+            When::Never => ProgressMode::Hidden,
+            When::Always => ProgressMode::Bar,
+            When::Auto if on_terminal => ProgressMode::Bar,
+            When::Auto => ProgressMode::Lines,
         }
     }
 }
@@ -83,7 +126,6 @@ impl Machine {
 mod tests {
     use super::*;
     use crate::job::JobSettings;
-    use crate::test_stages;
 
     #[test]
     fn folders_start_at_the_job() {
@@ -100,24 +142,15 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_an_engine_fails() {
-        let job = Job::parse_with(test_stages::STAGES, "a.toml", "[[stage]]\ntype = \"simulate\"\n", &[]);
-        let machine = Machine { threads: None, profile: false, progress: When::Auto };
-        let failure = run_job(&job.unwrap(), Path::new("."), machine, true).unwrap_err();
-        let expected = "error: running jobs is unavailable: this build has no engine; use one that has\n";
-        assert_eq!((failure.exit_code(), failure.message(false).as_str()), (1, expected));
-    }
-
-    #[test]
     fn a_bar_is_for_terminals() {
         let shown = |progress, quiet, on_terminal| {
             Machine { threads: None, profile: false, progress }.progress(quiet, on_terminal)
         };
-        assert_eq!(shown(When::Auto, false, true), Progress::Bar);
-        assert_eq!(shown(When::Auto, false, false), Progress::Lines);
-        assert_eq!(shown(When::Always, false, false), Progress::Bar);
-        assert_eq!(shown(When::Never, false, true), Progress::Hidden);
-        assert_eq!(shown(When::Always, true, true), Progress::Hidden);
+        assert_eq!(shown(When::Auto, false, true), ProgressMode::Bar);
+        assert_eq!(shown(When::Auto, false, false), ProgressMode::Lines);
+        assert_eq!(shown(When::Always, false, false), ProgressMode::Bar);
+        assert_eq!(shown(When::Never, false, true), ProgressMode::Hidden);
+        assert_eq!(shown(When::Always, true, true), ProgressMode::Hidden);
     }
 
     #[test]

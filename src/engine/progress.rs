@@ -1,6 +1,6 @@
 //! How far a run is: a bar on a terminal, plain lines elsewhere.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -11,13 +11,13 @@ use super::worker::Gauge;
 /// How to show how far a run is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum ProgressMode {
-    /// A bar where standard error is a terminal, plain lines elsewhere.
+    /// A bar, for a terminal.
+    Bar,
+    /// A line now and then.
+    Lines,
+    /// Not at all.
     #[default]
-    Auto,
-    /// A bar, whatever standard error is.
-    Always,
-    /// Nothing.
-    Never,
+    Hidden,
 }
 
 /// Shows how far a run is, on standard error.
@@ -47,9 +47,7 @@ impl Progress {
         self.stem = stem.to_string();
         self.started = Instant::now();
         self.next_line = LINE_EVERY;
-        let on_terminal = std::io::stderr().is_terminal();
-        let wanted = self.mode == ProgressMode::Always || (self.mode == ProgressMode::Auto && on_terminal);
-        self.bar = wanted.then(|| {
+        self.bar = (self.mode == ProgressMode::Bar).then(|| {
             let bar = ProgressBar::with_draw_target(Some(1_000_000), ProgressDrawTarget::stderr());
             let style = ProgressStyle::with_template("{prefix} [{bar:30}] {percent:>3}% {msg}, {eta} left");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
@@ -66,7 +64,7 @@ impl Progress {
                 bar.set_position(read);
             }
             bar.set_message(rate);
-        } else if self.mode == ProgressMode::Auto && self.started.elapsed() >= self.next_line {
+        } else if self.mode == ProgressMode::Lines && self.started.elapsed() >= self.next_line {
             self.next_line += LINE_EVERY;
             let part = if read == u64::MAX { String::new() } else { format!("{:.0} %, ", read as f64 / 1e4) };
             self.line(&format!("{part}{rate}{}", self.time_left(read)));
@@ -78,7 +76,7 @@ impl Progress {
         if let Some(bar) = self.bar.take() {
             bar.finish_and_clear();
         }
-        if self.mode != ProgressMode::Never {
+        if self.mode != ProgressMode::Hidden {
             self.line(&format!("{rate}, {:.1} s", self.started.elapsed().as_secs_f64()));
         }
     }

@@ -23,7 +23,7 @@ mod tests;
 use flight::Flight;
 
 /// The place of `simulate` in the registry.
-pub const SPEC: StageSpec = StageSpec::source::<Simulate>("simulate", Kind::Shots);
+pub const STAGE: StageSpec = StageSpec::source::<Simulate>("simulate", Kind::Shots);
 
 /// Time between samples, ns.
 const INTERVAL_NS: f64 = 1.0;

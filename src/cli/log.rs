@@ -1,0 +1,72 @@
+//! The log: what happens on standard error, and in a file beside the outputs.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::{Mutex, MutexGuard};
+
+use tracing::level_filters::LevelFilter;
+use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer, fmt};
+
+use super::terminal;
+use crate::formats::{Error, Result};
+
+/// The log's file, once a run has one: the log itself begins with the process.
+static FILE: Mutex<Option<File>> = Mutex::new(None);
+
+/// Begins the log on standard error: warnings, or as much as is asked for; `RUST_LOG` has the last word.
+pub(super) fn begin(verbose: u8, quiet: bool) {
+    let level = match (quiet, verbose) {
+        (true, _) => LevelFilter::ERROR,
+        (false, 0) => LevelFilter::WARN,
+        (false, 1) => LevelFilter::INFO,
+        (false, _) => LevelFilter::DEBUG,
+    };
+    let wanted = EnvFilter::builder().with_default_directive(level.into()).from_env_lossy();
+    let on_terminal =
+        fmt::layer().with_writer(io::stderr).with_ansi(terminal::colour()).without_time().with_target(false);
+    let in_file = fmt::layer().with_writer(ToFile).with_ansi(false).with_target(false);
+    let log = tracing_subscriber::registry()
+        .with(on_terminal.with_filter(wanted))
+        .with(in_file.with_filter(LevelFilter::DEBUG));
+    // A log that exists already stays: this is the process's first unless a test has made one.
+    let _ = log.try_init();
+}
+
+/// From here on the log goes into this file, too.
+pub(super) fn to_file(path: &Path) -> Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(Error::io(folder, "make the folder"))?;
+    }
+    let file = File::create(path).map_err(Error::io(path, "create the log"))?;
+    *lock() = Some(file);
+    Ok(())
+}
+
+fn lock() -> MutexGuard<'static, Option<File>> {
+    FILE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// Writes to the log's file, where there is one.
+struct ToFile;
+
+impl<'a> MakeWriter<'a> for ToFile {
+    type Writer = ToFile;
+
+    fn make_writer(&'a self) -> ToFile {
+        ToFile
+    }
+}
+
+impl Write for ToFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        lock().as_mut().map_or(Ok(bytes.len()), |file| file.write(bytes))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        lock().as_mut().map_or(Ok(()), File::flush)
+    }
+}
