@@ -1,1 +1,131 @@
+//! What `read_arrow` and `write_arrow` share: the facts of a recording, and the channels, as a container says them.
 
+use std::path::PathBuf;
+
+use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, InputInfo, TimeScale};
+use crate::formats::container::{self, ContainerHeader, channel};
+
+/// The header of a container with these facts.
+pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {
+    let pairs = |table: &Option<AmplitudeTable>| table.as_ref().map(|table| table.pairs().to_vec());
+    ContainerHeader {
+        instrument: info.instrument.clone(),
+        serial: info.serial.clone(),
+        sampling_interval_ns: info.sampling_interval_ns,
+        group_velocity_mps: info.group_velocity_mps,
+        pulse_rate_hz: info.pulse_rate_hz,
+        time_scale: time_scale_of(info.time_scale),
+        gps_week: info.gps_week,
+        frame: match info.frame {
+            Frame::Scanner => container::Frame::Scanner,
+            Frame::Body => container::Frame::Body,
+            Frame::Map => container::Frame::Map,
+        },
+        crs_wkt: info.crs_wkt.clone(),
+        amplitude_low: pairs(&info.amplitude_low),
+        amplitude_high: pairs(&info.amplitude_high),
+        range_low: pairs(&info.range_low),
+        range_high: pairs(&info.range_high),
+        recorded: info.recorded,
+        full_scale_dn: info.full_scale_dn,
+        coordinate_grid: info.coordinate_grid,
+        emission_reference: Some(match info.emission_reference {
+            EmissionReference::OutgoingPulse => container::EmissionReference::OutgoingPulse,
+            EmissionReference::ReturnLocations => container::EmissionReference::ReturnLocations,
+            EmissionReference::Clock => container::EmissionReference::Clock,
+        }),
+    }
+}
+
+/// What times count, in a container's words.
+pub(super) fn time_scale_of(time_scale: TimeScale) -> container::TimeScale {
+    match time_scale {
+        TimeScale::Week => container::TimeScale::Week,
+        TimeScale::Day => container::TimeScale::Day,
+        TimeScale::Adjusted => container::TimeScale::Adjusted,
+        TimeScale::Unknown => container::TimeScale::Unknown,
+    }
+}
+
+/// The facts that a container's header says; `reference` stands in where it does not say how emissions are known.
+pub(super) fn info_of(
+    header: &ContainerHeader,
+    path: PathBuf,
+    stem: String,
+    format: String,
+    reference: EmissionReference,
+) -> InputInfo {
+    let table = |pairs: &Option<Vec<(f64, f64)>>| pairs.clone().and_then(AmplitudeTable::new);
+    InputInfo {
+        path,
+        stem,
+        format,
+        instrument: header.instrument.clone(),
+        serial: header.serial.clone(),
+        sampling_interval_ns: header.sampling_interval_ns,
+        full_scale_dn: header.full_scale_dn,
+        group_velocity_mps: header.group_velocity_mps,
+        pulse_rate_hz: header.pulse_rate_hz,
+        time_scale: match header.time_scale {
+            container::TimeScale::Week => TimeScale::Week,
+            container::TimeScale::Day => TimeScale::Day,
+            container::TimeScale::Adjusted => TimeScale::Adjusted,
+            container::TimeScale::Unknown => TimeScale::Unknown,
+        },
+        gps_week: header.gps_week,
+        recorded: header.recorded,
+        frame: match header.frame {
+            container::Frame::Scanner => Frame::Scanner,
+            container::Frame::Body => Frame::Body,
+            container::Frame::Map => Frame::Map,
+        },
+        crs_wkt: header.crs_wkt.clone(),
+        coordinate_grid: header.coordinate_grid,
+        emission_reference: match header.emission_reference {
+            Some(container::EmissionReference::OutgoingPulse) => EmissionReference::OutgoingPulse,
+            Some(container::EmissionReference::ReturnLocations) => EmissionReference::ReturnLocations,
+            Some(container::EmissionReference::Clock) => EmissionReference::Clock,
+            None => reference,
+        },
+        amplitude_low: table(&header.amplitude_low),
+        amplitude_high: table(&header.amplitude_high),
+        range_low: table(&header.range_low),
+        range_high: table(&header.range_high),
+    }
+}
+
+/// A channel's code in a container.
+pub(super) fn code_of(receiver: Channel) -> u8 {
+    match receiver {
+        Channel::HighPower => channel::HIGH_POWER,
+        Channel::LowPower => channel::LOW_POWER,
+        Channel::Saturation => channel::SATURATION,
+        Channel::Reference => channel::REFERENCE,
+    }
+}
+
+/// The channel of a code; `None` for a code that has none.
+pub(super) fn channel_of(code: u8) -> Option<Channel> {
+    match code {
+        channel::HIGH_POWER => Some(Channel::HighPower),
+        channel::LOW_POWER => Some(Channel::LowPower),
+        channel::SATURATION => Some(Channel::Saturation),
+        channel::REFERENCE => Some(Channel::Reference),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channels_count_as_in_the_container() {
+        let channels = [0, 1, 2, 3, 4, 255].map(channel_of);
+        let expected =
+            [Channel::HighPower, Channel::LowPower, Channel::Saturation, Channel::Reference].map(Some);
+        assert_eq!(channels[..4], expected);
+        assert_eq!(channels[4..], [None, None]);
+        assert_eq!(expected.map(|channel| code_of(channel.unwrap())), [0, 1, 2, 3]);
+    }
+}

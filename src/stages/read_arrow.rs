@@ -1,1 +1,229 @@
-//! todo
+//! `read_arrow`: recorded waveforms from the open container.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::container_info::{channel_of, info_of};
+use crate::batch::{
+    Batch, Blocks, Emission, EmissionReference, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
+};
+use crate::formats::container::{
+    self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
+};
+use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+
+/// The stage's place in the registry.
+pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Shots);
+
+/// Reads recorded waveforms from the open waveform container: Arrow IPC, one record batch per scan line, one row per
+/// shot, as pyarrow, Polars, DuckDB and R write it. The columns and metadata keys stand in `schemas/container.json`.
+///
+/// The file format and the stream format are told apart by their content; both may be compressed with LZ4 or ZSTD.
+/// Columns and metadata keys that the container does not know are passed over. A missing column, one of another type,
+/// a null where none may be, or a list that points outside its items ends the run with an error that names the column
+/// and the row.
+///
+/// A scan line ends with its record batch, where the column `line` changes, and after 4096 shots: the parts of a
+/// longer line keep its number. Record batches may have at most 1 GiB.
+///
+/// Without the key `wavex.emission_reference`, the moment of emission is taken from the outgoing pulse where the first
+/// record batch has a block of channel 3, else from the shot's clock.
+///
+/// Rejected, and counted with their blocks, are shots with: an origin or a direction that is not finite, a direction
+/// that is not a unit vector (to 1e-6: 1 mm at 1 km), a time that is infinite, a clock that is earlier than that of
+/// the shot before it in its line, a frame scale that is not above 0, a block of an unknown channel, a block without a
+/// time or with an interval that is not above 0, an online return without a time. The line goes on without them.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// The containers: a file, a pattern, or several of them; `-` is standard input. The job runs once for each.
+    pub path: Paths,
+}
+
+impl stage::Config for Config {
+    fn check(&self) -> std::result::Result<(), InvalidKey> {
+        let patterns = self.path.patterns();
+        InvalidKey::unless(!patterns.is_empty(), "path", "at least one file is needed")?;
+        InvalidKey::unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")
+    }
+}
+
+impl SourceConfig for Config {
+    fn paths(&self) -> Option<&Paths> {
+        Some(&self.path)
+    }
+
+    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+        Ok(Box::new(ReadArrow::open(&site.input, &site.stem)?))
+    }
+}
+
+/// A container that is being read.
+struct ReadArrow {
+    reader: ContainerReader,
+    info: Arc<InputInfo>,
+    /// The record batch at hand, and its first row that was not given on.
+    at: Option<(ContainerLine, usize)>,
+}
+
+/// By how much the length of a direction may differ from 1.
+const UNIT_TOLERANCE: f64 = 1e-6;
+
+impl ReadArrow {
+    fn open(path: &Path, stem: &str) -> Result<ReadArrow> {
+        let mut reader = match path.as_os_str() == "-" {
+            true => ContainerReader::from_stream(path, Box::new(std::io::stdin()))?,
+            false => ContainerReader::open(path)?,
+        };
+        let first = reader.next_line()?;
+        let reference = match first.as_ref().is_some_and(has_outgoing_pulse) {
+            true => EmissionReference::OutgoingPulse,
+            false => EmissionReference::Clock,
+        };
+        let format = format!("wavex container {} (Arrow IPC {})", container::VERSION, reader.form());
+        let info = info_of(reader.header(), path.to_path_buf(), stem.to_string(), format, reference);
+        Ok(ReadArrow { reader, info: Arc::new(info), at: first.map(|line| (line, 0)) })
+    }
+
+    /// The next rows that are a line, from the record batch at hand.
+    fn part(&mut self, cx: &mut Context) -> Option<Batch> {
+        let (line, from) = self.at.take()?;
+        if from >= line.rows() {
+            return None;
+        }
+        let number = line.line(from);
+        let mut part = Part::default();
+        let mut row = from;
+        while row < line.rows() && line.line(row) == number && part.emissions.len() < MAX_SHOTS_PER_LINE {
+            part.add(&line, row, &self.info, cx);
+            row += 1;
+        }
+        self.at = Some((line, row));
+        Some(Batch::of_shots(Arc::clone(&self.info), number, part.emissions, part.blocks))
+    }
+}
+
+impl Source for ReadArrow {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+        loop {
+            match self.part(cx) {
+                Some(batch) if !batch.emissions.is_empty() => return Ok(Some(batch)),
+                // A line whose every shot was rejected.
+                Some(_) => continue,
+                None => {}
+            }
+            let Some(line) = self.reader.next_line()? else { break };
+            self.at = Some((line, 0));
+        }
+        if self.reader.ended_without_mark() {
+            cx.note("the Arrow stream ends without its end mark: lines may be missing");
+        }
+        Ok(None)
+    }
+
+    fn progress(&self) -> Option<f64> {
+        self.reader.progress()
+    }
+}
+
+fn has_outgoing_pulse(line: &ContainerLine) -> bool {
+    let is_reference = |block: ContainerBlock| block.channel == container::channel::REFERENCE;
+    (0..line.rows()).any(|row| line.blocks(row).any(is_reference))
+}
+
+/// A line that grows row by row.
+#[derive(Default)]
+struct Part {
+    emissions: Vec<Emission>,
+    blocks: Blocks,
+}
+
+impl Part {
+    /// Adds a row, or rejects it.
+    fn add(&mut self, line: &ContainerLine, row: usize, info: &InputInfo, cx: &mut Context) {
+        let shot = line.shot(row);
+        let earlier = self.emissions.last().is_some_and(|last| shot.clock_ps < last.clock_ps);
+        let clock = earlier.then_some("the clock runs backwards");
+        let wrong = clock
+            .or_else(|| wrong_shot(&shot))
+            .or_else(|| line.blocks(row).find_map(wrong_block))
+            .or_else(|| line.online(row).find_map(wrong_online));
+        if let Some(reason) = wrong {
+            cx.reject(Item::Shots, reason, 1);
+            cx.reject(Item::Blocks, reason, line.blocks(row).len() as u64);
+            return;
+        }
+        let emission = self.emissions.len() as u32;
+        self.emissions.push(emission_of(&shot));
+        for block in line.blocks(row) {
+            let Some(channel) = channel_of(block.channel) else { continue };
+            let interval_ns = block.interval_ns.unwrap_or(info.sampling_interval_ns);
+            self.blocks.push(emission, channel, block.zone, block.start_ns, interval_ns, block.samples);
+        }
+        let online = |online: ContainerOnline| OnlineReturn {
+            emission,
+            time_ns: online.time_ns,
+            amplitude: online.amplitude,
+        };
+        self.blocks.online.extend(line.online(row).map(online));
+    }
+}
+
+fn emission_of(shot: &ContainerShot) -> Emission {
+    Emission {
+        shot: shot.shot,
+        gps_time_s: shot.gps_time_s.unwrap_or(f64::NAN),
+        clock_ps: shot.clock_ps,
+        origin_m: shot.origin_m,
+        direction: shot.direction,
+        frame_scale: shot.frame_scale.unwrap_or(1.0),
+        emission_ns: 0.0,
+        emission_sd_ns: f64::NAN,
+        facet: shot.facet,
+        flags: shot.flags,
+        mta_zone: shot.mta_zone,
+        scan_angle_deg: shot.scan_angle_deg.unwrap_or(f32::NAN),
+    }
+}
+
+/// Why a shot cannot be used, if so.
+fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
+    let length = shot.direction.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let not_positive = |value: f64| !(value.is_finite() && value > 0.0);
+    if !shot.origin_m.iter().all(|x| x.is_finite()) {
+        Some("the origin is not finite")
+    } else if !length.is_finite() {
+        Some("the direction is not finite")
+    } else if (length - 1.0).abs() > UNIT_TOLERANCE {
+        Some("the direction is no unit vector")
+    } else if shot.gps_time_s.is_some_and(f64::is_infinite) {
+        Some("the time is infinite")
+    } else if shot.frame_scale.is_some_and(not_positive) {
+        Some("the frame scale is not above 0")
+    } else {
+        None
+    }
+}
+
+/// Why a block cannot be used, if so.
+fn wrong_block(block: ContainerBlock) -> Option<&'static str> {
+    if channel_of(block.channel).is_none() {
+        Some("a block of an unknown channel")
+    } else if !block.start_ns.is_finite() {
+        Some("a block without a time")
+    } else if block.interval_ns.is_some_and(|interval| !(interval.is_finite() && interval > 0.0)) {
+        Some("a block whose interval is not above 0")
+    } else {
+        None
+    }
+}
+
+fn wrong_online(online: ContainerOnline) -> Option<&'static str> {
+    (!online.time_ns.is_finite()).then_some("an online return without a time")
+}
+
+#[cfg(test)]
+mod tests;

@@ -25,7 +25,7 @@ const CONTINUATION: [u8; 4] = [0xff; 4];
 const MAX_METADATA_BYTES: usize = 1 << 24;
 
 /// Memory taken for a stream's message before its bytes have come, bytes.
-const MAX_AHEAD: usize = 1 << 24;
+const MAX_AHEAD: usize = 1 << 22;
 
 /// Bytes that can be read from anywhere.
 pub(super) trait Searchable: Read + Seek {}

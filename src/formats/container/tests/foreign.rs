@@ -1,0 +1,215 @@
+//! Record batches that other programs could have written.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use arrow_array::types::Int8Type;
+use arrow_array::{
+    Array, ArrayRef, DictionaryArray, Float64Array, Int32Array, Int64Array, ListArray, RecordBatch,
+    StringArray, StringViewArray, StructArray, UInt16Array, UInt64Array, UnionArray,
+};
+use arrow_buffer::{NullBuffer, ScalarBuffer};
+use arrow_ipc::writer::{FileWriter, StreamWriter};
+use arrow_schema::{DataType, Field, Fields, Schema, SchemaRef, UnionFields};
+
+use super::*;
+
+/// The columns of [`lines`]' first line by name, to be changed and written as another program would.
+fn columns() -> BTreeMap<usize, (Field, ArrayRef)> {
+    let schema: SchemaRef = Arc::new(layout::schema(header().to_metadata()));
+    let batch = builder(&lines()[0]).finish(schema.clone()).unwrap();
+    let fields = schema.fields().iter().map(|field| field.as_ref().clone());
+    fields.zip(batch.columns().to_vec()).enumerate().collect()
+}
+
+fn position(name: &str) -> usize {
+    layout::COLUMNS.iter().position(|column| column.name == name).unwrap()
+}
+
+fn written(columns: BTreeMap<usize, (Field, ArrayRef)>) -> Vec<u8> {
+    let (fields, arrays): (Vec<Field>, Vec<ArrayRef>) = columns.into_values().unzip();
+    let schema = Arc::new(Schema::new_with_metadata(fields, header().to_metadata()));
+    let batch = RecordBatch::try_new(schema.clone(), arrays).unwrap();
+    let mut writer = StreamWriter::try_new(Vec::new(), &schema).unwrap();
+    writer.write(&batch).unwrap();
+    writer.into_inner().unwrap()
+}
+
+/// The stream of the first line with one column in place of another.
+fn with_column(name: &str, array: ArrayRef) -> Vec<u8> {
+    let mut columns = columns();
+    let field = Field::new(name, array.data_type().clone(), true);
+    columns.insert(position(name), (field, array));
+    written(columns)
+}
+
+#[test]
+fn each_missing_column_is_named() {
+    for column in layout::COLUMNS {
+        let mut columns = columns();
+        columns.remove(&position(column.name));
+        let result = read_stream(written(columns));
+        if column.required {
+            let error = result.unwrap_err().to_string();
+            let expected = format!(
+                "-: byte 0: column `{}`: there is no such column, a {} is expected; \
+                 write it as schemas/container.json says",
+                column.name,
+                column.kind.name()
+            );
+            assert_eq!(error, expected);
+        } else {
+            assert_eq!(result.unwrap()[0].len(), 5, "{} is optional", column.name);
+        }
+    }
+}
+
+#[test]
+fn another_type_is_named() {
+    let shots = Arc::new(Int64Array::from(vec![0, 1, 2, 3, 4]));
+    assert_eq!(
+        complaint(with_column("shot", shots)),
+        "byte 0: column `shot`: the type is Int64 and should be u64; cast it before writing the container"
+    );
+    let column = |name: &'static str, list: ArrayRef| {
+        let DataType::List(item) = columns()[&position("blocks")].0.data_type().clone() else { panic!() };
+        let rows = columns()[&position("blocks")].1.as_any().downcast_ref::<ListArray>().unwrap().clone();
+        let structs = rows.values().as_any().downcast_ref::<StructArray>().unwrap().clone();
+        let (fields, mut arrays, _) = structs.into_parts();
+        let at = fields.iter().position(|field| field.name() == name).unwrap();
+        let mut fields: Vec<Field> = fields.iter().map(|field| field.as_ref().clone()).collect();
+        fields[at] = Field::new(name, list.data_type().clone(), true);
+        arrays[at] = list;
+        let structs = StructArray::try_new(Fields::from(fields), arrays, None).unwrap();
+        let item = Arc::new(Field::new(item.name(), structs.data_type().clone(), true));
+        Arc::new(ListArray::try_new(item, rows.offsets().clone(), Arc::new(structs), None).unwrap())
+    };
+    let blocks = column("start_ns", Arc::new(Int32Array::from(vec![0; 6])));
+    assert_eq!(
+        complaint(with_column("blocks", blocks)),
+        "byte 0: column `blocks.start_ns`: the type is Int32 and should be f64; \
+         cast it before writing the container"
+    );
+    // The reference blocks of shots 0, 2, 3 and 4, and the low-power blocks of 2 and 3.
+    let starts = vec![Some(0.0), Some(0.0), Some(0.0), Some(0.0), None, Some(0.0)];
+    let blocks = column("start_ns", Arc::new(Float64Array::from(starts)));
+    let error = complaint(with_column("blocks", blocks));
+    assert!(
+        error.ends_with(
+            "column `blocks.start_ns`, row 3: a null, where none may be; fill it or leave the row out"
+        ),
+        "{error}"
+    );
+    let blocks = column("zone", Arc::new(Int32Array::from(vec![0; 6])));
+    let error = complaint(with_column("blocks", blocks));
+    assert!(error.contains("column `blocks.zone`: the type is Int32 and should be i16"), "{error}");
+}
+
+#[test]
+fn nulls_are_named_by_column_and_row() {
+    let shots = UInt64Array::from(vec![Some(0), Some(1), Some(2), None, None]);
+    let error = complaint(with_column("shot", Arc::new(shots)));
+    assert!(
+        error.ends_with("column `shot`, row 3: a null, where none may be; fill it or leave the row out"),
+        "{error}"
+    );
+
+    let nulls = || Some(NullBuffer::from(vec![true, true, false, true, true]));
+    let item = Arc::new(Field::new("item", DataType::Float64, true));
+    let values: ArrayRef = Arc::new(Float64Array::from(vec![0.0; 15]));
+    let triples = arrow_array::FixedSizeListArray::new(item.clone(), 3, values, nulls());
+    let error = complaint(with_column("origin", Arc::new(triples)));
+    assert!(error.contains("column `origin`, row 2: a null"), "{error}");
+
+    let values: Float64Array = (0..15).map(|i| (i != 13).then_some(0.5)).collect();
+    let triples = arrow_array::FixedSizeListArray::new(item, 3, Arc::new(values), None);
+    let error = complaint(with_column("direction", Arc::new(triples)));
+    assert!(error.contains("column `direction`, row 4: a null"), "{error}");
+
+    let blocks = columns()[&position("blocks")].1.as_any().downcast_ref::<ListArray>().unwrap().clone();
+    let (item, offsets, values, _) = blocks.into_parts();
+    let blocks = ListArray::new(item, offsets, values, nulls());
+    let error = complaint(with_column("blocks", Arc::new(blocks)));
+    assert!(error.contains("column `blocks`, row 2: a null"), "{error}");
+}
+
+#[test]
+fn a_null_sample_is_named_by_its_row() {
+    let blocks = columns()[&position("blocks")].1.as_any().downcast_ref::<ListArray>().unwrap().clone();
+    let (_, offsets, structs, _) = blocks.into_parts();
+    let structs = structs.as_any().downcast_ref::<StructArray>().unwrap().clone();
+    let (fields, mut arrays, _) = structs.into_parts();
+    let samples = arrays[2].as_any().downcast_ref::<ListArray>().unwrap().clone();
+    let (_, of_blocks, values, _) = samples.into_parts();
+    let values = values.as_any().downcast_ref::<UInt16Array>().unwrap().clone();
+    // Shot 0 has 6 samples; of shot 2 the reference block ends at 12 and the other at 34.
+    let values: UInt16Array = (0..values.len()).map(|i| (i != 20).then(|| values.value(i))).collect();
+    let item = Arc::new(Field::new("item", DataType::UInt16, true));
+    arrays[2] = Arc::new(ListArray::new(item, of_blocks, Arc::new(values), None));
+    let mut fields: Vec<Field> = fields.iter().map(|field| field.as_ref().clone()).collect();
+    fields[2] = Field::new("samples", arrays[2].data_type().clone(), true);
+    let structs = StructArray::new(Fields::from(fields), arrays, None);
+    let item = Arc::new(Field::new("element", structs.data_type().clone(), true));
+    let blocks = ListArray::new(item, offsets, Arc::new(structs), None);
+    let error = complaint(with_column("blocks", Arc::new(blocks)));
+    assert!(error.contains("column `blocks.samples`, row 2: a null"), "{error}");
+}
+
+#[test]
+fn unknown_columns_of_any_type_are_passed_over() {
+    let text: ArrayRef = Arc::new(StringArray::from(vec!["a", "b", "c", "d", "e"]));
+    let view: ArrayRef =
+        Arc::new(StringViewArray::from(vec!["a", "b", "c", "d", "longer than twelve bytes"]));
+    let names: DictionaryArray<Int8Type> = vec!["a", "b", "a", "b", "a"].into_iter().collect();
+    let union = UnionArray::try_new(
+        UnionFields::from_fields([Field::new("a", DataType::Int32, false)]),
+        ScalarBuffer::from(vec![0_i8; 5]),
+        None,
+        vec![Arc::new(Int32Array::from(vec![1; 5]))],
+    )
+    .unwrap();
+    let nothing: ArrayRef = Arc::new(arrow_array::NullArray::new(5));
+    let blocks = columns()[&position("blocks")].1.clone();
+    let extra = [text, view, Arc::new(names), Arc::new(union), nothing, blocks];
+    let mut columns: Vec<(Field, ArrayRef)> = columns().into_values().collect();
+    for (index, array) in extra.into_iter().enumerate() {
+        // Before, between and behind the known ones.
+        let field = Field::new(format!("extra{index}"), array.data_type().clone(), true);
+        columns.insert(index * 3, (field, array));
+    }
+    let columns: BTreeMap<usize, (Field, ArrayRef)> = columns.into_iter().enumerate().collect();
+    assert_eq!(read_stream(written(columns.clone())).unwrap(), lines()[..1]);
+
+    let (fields, arrays): (Vec<Field>, Vec<ArrayRef>) = columns.into_values().unzip();
+    let schema = Arc::new(Schema::new_with_metadata(fields, header().to_metadata()));
+    let batch = RecordBatch::try_new(schema.clone(), arrays).unwrap();
+    let mut writer = FileWriter::try_new(Vec::new(), &schema).unwrap();
+    writer.write(&batch).unwrap();
+    assert_eq!(read_file(&writer.into_inner().unwrap()).unwrap(), lines()[..1]);
+}
+
+/// `blocks` with a further field in its structs.
+fn with_inner_field(array: ArrayRef) -> Vec<u8> {
+    let blocks = columns()[&position("blocks")].1.as_any().downcast_ref::<ListArray>().unwrap().clone();
+    let (_, offsets, structs, _) = blocks.into_parts();
+    let (fields, mut arrays, _) =
+        structs.as_any().downcast_ref::<StructArray>().unwrap().clone().into_parts();
+    let mut fields: Vec<Field> = fields.iter().map(|field| field.as_ref().clone()).collect();
+    fields.insert(1, Field::new("gate", array.data_type().clone(), true));
+    arrays.insert(1, array);
+    let structs = StructArray::new(Fields::from(fields), arrays, None);
+    let item = Arc::new(Field::new("item", structs.data_type().clone(), true));
+    with_column("blocks", Arc::new(ListArray::new(item, offsets, Arc::new(structs), None)))
+}
+
+#[test]
+fn unknown_fields_of_blocks_are_passed_over_where_that_can_be_done() {
+    let gates = Arc::new(StringArray::from(vec!["a", "b", "c", "d", "e", "f"]));
+    assert_eq!(read_stream(with_inner_field(gates)).unwrap(), lines()[..1]);
+    let gates: DictionaryArray<Int8Type> = vec!["a", "b", "a", "b", "a", "b"].into_iter().collect();
+    let error = complaint(with_inner_field(Arc::new(gates)));
+    assert!(
+        error.contains("column `blocks.gate`: a list cannot be passed over that holds a Dictionary"),
+        "{error}"
+    );
+}

@@ -1,0 +1,301 @@
+//! The law of the container: what is written comes back.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use proptest::collection::vec;
+use proptest::option;
+use proptest::prelude::*;
+
+use super::*;
+use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, OnlineReturn, TimeScale};
+use crate::stage::{Config as _, Source, SourceConfig};
+use crate::stages::read_arrow;
+
+fn site(folder: &Path, input: &str) -> Site {
+    Site {
+        input: folder.join(input),
+        stem: "made".into(),
+        input_dir: folder.to_path_buf(),
+        output_dir: folder.to_path_buf(),
+        threads: 1,
+    }
+}
+
+/// Writes batches as a job does; what was said about it.
+fn write(folder: &Path, config: &Config, batches: &[Batch]) -> Context {
+    let mut cx = Context::default();
+    let mut sink = config.make(&site(folder, "")).unwrap();
+    batches.iter().for_each(|batch| sink.write(batch, &mut cx).unwrap());
+    sink.finish(&mut cx).unwrap();
+    for whole in cx.whole.drain(..) {
+        whole.publish().unwrap();
+    }
+    cx
+}
+
+fn read(folder: &Path) -> Vec<Batch> {
+    let config: read_arrow::Config = toml::from_str("path = \"made.arrow\"").unwrap();
+    let mut source: Box<dyn Source> = config.make(&site(folder, "made.arrow")).unwrap();
+    let mut cx = Context::default();
+    let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
+    assert!(cx.counters().rejected.is_empty() && cx.counters().notes.is_empty(), "{:?}", cx.counters());
+    batches
+}
+
+fn number() -> impl Strategy<Value = f64> {
+    prop_oneof![-1e9..1e9, Just(0.0), Just(-0.0), Just(f64::MIN_POSITIVE), Just(0.1 + 0.2)]
+}
+
+fn positive() -> impl Strategy<Value = f64> {
+    prop_oneof![1e-9..1e9, Just(1.0), Just(0.5)]
+}
+
+fn table() -> impl Strategy<Value = Option<AmplitudeTable>> {
+    option::of(vec((number(), number()), 2..5).prop_map(AmplitudeTable::new)).prop_map(Option::flatten)
+}
+
+fn unit() -> impl Strategy<Value = [f64; 3]> {
+    (-3.2..3.2, -1.6..1.6_f64).prop_map(|(azimuth, elevation): (f64, f64)| {
+        let across = elevation.cos();
+        [across * azimuth.cos(), across * azimuth.sin(), elevation.sin()]
+    })
+}
+
+prop_compose! {
+    fn sensor()(
+        instrument in option::of(".{0,8}"),
+        serial in option::of("[0-9]{4}"),
+        sampling_interval_ns in positive(),
+        full_scale_dn in option::of(any::<u16>()),
+        group_velocity_mps in 2e8..299_792_458.0,
+        pulse_rate_hz in option::of(positive()),
+        recorded in option::of((1..=365_u16, 1..=9999_u16)),
+        emission_reference in prop::sample::select(vec![
+            EmissionReference::OutgoingPulse, EmissionReference::ReturnLocations, EmissionReference::Clock,
+        ]),
+        tables in (table(), table(), table(), table()),
+    ) -> InputInfo {
+        InputInfo {
+            path: PathBuf::from("made.sdf"),
+            stem: "made".into(),
+            format: "made".into(),
+            instrument,
+            serial,
+            sampling_interval_ns,
+            full_scale_dn,
+            group_velocity_mps,
+            pulse_rate_hz,
+            time_scale: TimeScale::Unknown,
+            gps_week: None,
+            recorded,
+            frame: Frame::Scanner,
+            crs_wkt: None,
+            coordinate_grid: None,
+            emission_reference,
+            amplitude_low: tables.0,
+            amplitude_high: tables.1,
+            range_low: tables.2,
+            range_high: tables.3,
+        }
+    }
+}
+
+prop_compose! {
+    fn info()(
+        sensor in sensor(),
+        time_scale in prop::sample::select(vec![
+            TimeScale::Week, TimeScale::Day, TimeScale::Adjusted, TimeScale::Unknown,
+        ]),
+        gps_week in option::of(any::<u32>()),
+        frame in prop::sample::select(vec![Frame::Scanner, Frame::Body, Frame::Map]),
+        crs_wkt in option::of("[A-Z\\[\\]\"]{0,20}"),
+        coordinate_grid in option::of((prop::array::uniform3(positive()), prop::array::uniform3(number()))),
+    ) -> InputInfo {
+        InputInfo { time_scale, gps_week, frame, crs_wkt, coordinate_grid, ..sensor }
+    }
+}
+
+prop_compose! {
+    fn emission()(
+        shot in any::<u64>(),
+        gps_time_s in prop_oneof![number(), Just(f64::NAN)],
+        origin_m in prop::array::uniform3(number()),
+        direction in unit(),
+        frame_scale in prop_oneof![Just(1.0), 0.9..1.1],
+        facet in any::<u16>(),
+        flags in any::<u16>(),
+        mta_zone in option::of(any::<i16>()),
+        scan_angle_deg in prop_oneof![Just(f32::NAN), -90.0..90.0_f32],
+    ) -> Emission {
+        Emission {
+            shot,
+            gps_time_s,
+            clock_ps: 0,
+            origin_m,
+            direction,
+            frame_scale,
+            emission_ns: 0.0,
+            emission_sd_ns: f64::NAN,
+            facet,
+            flags,
+            mta_zone,
+            scan_angle_deg,
+        }
+    }
+}
+
+type MadeBlock = (Channel, f64, Option<f64>, Option<i16>, Vec<u16>);
+type MadeShot = (Emission, u32, Vec<MadeBlock>, Vec<(f64, f32)>);
+
+fn block() -> impl Strategy<Value = MadeBlock> {
+    let channels = vec![Channel::HighPower, Channel::LowPower, Channel::Saturation, Channel::Reference];
+    let samples = vec(any::<u16>(), 0..30);
+    (prop::sample::select(channels), number(), option::of(positive()), option::of(any::<i16>()), samples)
+}
+
+fn shot() -> impl Strategy<Value = MadeShot> {
+    let amplitude = prop_oneof![any::<f32>(), Just(f32::NAN)];
+    (emission(), any::<u32>(), vec(block(), 0..4), vec((number(), amplitude), 0..3))
+}
+
+fn batch(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> Batch {
+    let mut emissions = Vec::new();
+    let mut blocks = Blocks::default();
+    let mut clock_ps = i64::from(line) - 7_000_000_000;
+    for (index, (mut emission, later_ps, own, online)) in (0..).zip(shots) {
+        clock_ps += i64::from(later_ps);
+        emission.clock_ps = clock_ps;
+        emissions.push(emission);
+        for (channel, start_ns, interval_ns, zone, samples) in own {
+            let interval_ns = interval_ns.unwrap_or(info.sampling_interval_ns);
+            blocks.push(index, channel, zone, start_ns, interval_ns, &samples);
+        }
+        let online = online.into_iter();
+        blocks.online.extend(online.map(|(time_ns, amplitude)| OnlineReturn {
+            emission: index,
+            time_ns,
+            amplitude,
+        }));
+    }
+    Batch::of_shots(Arc::clone(info), line, emissions, blocks)
+}
+
+/// All that a batch holds, with every bit of its numbers: a NaN is equal to a NaN, and -0 is not 0.
+fn words(batch: &Batch) -> String {
+    format!("{} {:?} {:?} {:?}", batch.line, batch.emissions, batch.content, batch.stats)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+
+    #[test]
+    fn what_is_written_comes_back(
+        info in info(),
+        lines in vec((any::<u32>(), vec(shot(), 1..6)), 1..4),
+        compression in prop::sample::select(vec![Compression::None, Compression::Lz4, Compression::Zstd]),
+    ) {
+        let info = Arc::new(info);
+        let batches: Vec<Batch> =
+            lines.into_iter().map(|(line, shots)| batch(&info, line, shots)).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let cx = write(folder.path(), &Config { compression, ..Config::default() }, &batches);
+        prop_assert!(cx.counters().rejected.is_empty());
+        let found = read(folder.path());
+        let expected: Vec<String> = batches.iter().map(words).collect();
+        prop_assert_eq!(found.iter().map(words).collect::<Vec<_>>(), expected);
+        let about = InputInfo {
+            path: folder.path().join("made.arrow"),
+            format: "wavex container 1 (Arrow IPC file)".into(),
+            ..info.as_ref().clone()
+        };
+        prop_assert_eq!(found[0].input.as_ref(), &about);
+    }
+}
+
+fn plain_info() -> Arc<InputInfo> {
+    let table = AmplitudeTable::new([(9.0, 0.0), (255.0, 19.7)]);
+    Arc::new(InputInfo {
+        path: "made.sdf".into(),
+        stem: "made".into(),
+        format: "made".into(),
+        instrument: None,
+        serial: None,
+        sampling_interval_ns: 1.0,
+        full_scale_dn: None,
+        group_velocity_mps: 299_707_502.0,
+        pulse_rate_hz: None,
+        time_scale: TimeScale::Week,
+        gps_week: None,
+        recorded: None,
+        frame: Frame::Body,
+        crs_wkt: None,
+        coordinate_grid: None,
+        emission_reference: EmissionReference::Clock,
+        amplitude_low: table,
+        amplitude_high: None,
+        range_low: None,
+        range_high: None,
+    })
+}
+
+#[test]
+fn without_a_shot_there_is_no_file_but_a_note() {
+    let folder = tempfile::tempdir().unwrap();
+    let empty = Batch::of_shots(plain_info(), 0, vec![], Blocks::default());
+    for batches in [&[][..], &[empty][..]] {
+        let cx = write(folder.path(), &Config::default(), batches);
+        assert_eq!(cx.counters().notes, ["no container is written: there was not a single shot"]);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}
+
+#[test]
+fn an_abandoned_container_leaves_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
+    let shot = Emission {
+        shot: 0,
+        gps_time_s: 0.0,
+        clock_ps: 0,
+        origin_m: [0.0; 3],
+        direction: [0.0, 0.0, 1.0],
+        frame_scale: 1.0,
+        emission_ns: 0.0,
+        emission_sd_ns: f64::NAN,
+        facet: 0,
+        flags: 0,
+        mta_zone: None,
+        scan_angle_deg: 0.0,
+    };
+    let batch = Batch::of_shots(plain_info(), 0, vec![shot], Blocks::default());
+    sink.write(&batch, &mut Context::default()).unwrap();
+    drop(sink);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn keys_have_defaults_and_limits() {
+    let config: Config = toml::from_str("").unwrap();
+    assert_eq!((config.path.as_str(), config.compression), ("*.arrow", Compression::Lz4));
+    assert_eq!(config.outputs(), ["*.arrow"]);
+    let config: Config = toml::from_str("path = \"-\"\ncompression = \"none\"").unwrap();
+    assert_eq!((config.outputs().len(), config.compression), (0, Compression::None));
+    assert_eq!(config.check(), Ok(()));
+    let config: Config = toml::from_str("path = \"\"").unwrap();
+    assert_eq!(config.check(), Err(InvalidKey::new("path", "the path is empty")));
+    let error = toml::from_str::<Config>("compression = \"gzip\"").unwrap_err().to_string();
+    assert!(error.contains("expected one of `none`, `lz4`, `zstd`"), "{error}");
+    let error = toml::from_str::<Config>("level = 3").unwrap_err().to_string();
+    assert!(error.contains("unknown field `level`"), "{error}");
+}
+
+#[test]
+fn other_kinds_of_batches_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
+    let mut batch = Batch::of_shots(plain_info(), 0, vec![], Blocks::default());
+    batch.content = crate::batch::Content::Returns(vec![]);
+    let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
+    assert_eq!(error, "write_arrow was given Returns, and writes Shots; put it before `decompose`");
+}

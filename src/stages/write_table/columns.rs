@@ -1,0 +1,169 @@
+//! The columns of a table of returns: names, types, meanings, and where each value comes from.
+
+use std::sync::Arc;
+
+use arrow_array::{
+    ArrayRef, BooleanArray, Float64Array, Int16Array, RecordBatch, StringArray, UInt8Array, UInt16Array,
+    UInt64Array,
+};
+use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
+use serde_json::{Value, json};
+
+use crate::batch::Return;
+
+/// One return, with what the table needs of its emission.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// Running number of the emission.
+    pub shot: u64,
+    /// Time of the shot, s; NaN where unknown.
+    pub gps_time_s: f64,
+    /// The return.
+    pub found: Return,
+    /// Where it lies in the output frame, once that is known.
+    pub point: Option<[f64; 3]>,
+}
+
+/// A column.
+pub(super) struct Column {
+    name: &'static str,
+    values: Values,
+    meaning: &'static str,
+}
+
+/// The type of a column, and how a row gives its value; `Maybe...` may be null.
+enum Values {
+    U8(fn(&Row) -> u8),
+    U16(fn(&Row) -> u16),
+    U64(fn(&Row) -> u64),
+    MaybeI16(fn(&Row) -> Option<i16>),
+    F64(fn(&Row) -> f64),
+    MaybeF64(fn(&Row) -> Option<f64>),
+    Bool(fn(&Row) -> bool),
+    Text(fn(&Row) -> &'static str),
+}
+
+fn known(value: f64) -> Option<f64> {
+    Some(value).filter(|value| !value.is_nan())
+}
+
+const fn column(name: &'static str, values: Values, meaning: &'static str) -> Column {
+    Column { name, values, meaning }
+}
+
+#[rustfmt::skip]
+pub(super) static COLUMNS: &[Column] = &[
+    column("shot", Values::U64(|row| row.shot), "running number of the emission, from 0"),
+    column("gps_time_s", Values::MaybeF64(|row| known(row.gps_time_s)), "time of the shot, s, on the scale of the metadata `wavex.time_scale`"),
+    column("return_number", Values::U8(|row| row.found.return_number), "1 for the first return of its emission"),
+    column("number_of_returns", Values::U8(|row| row.found.number_of_returns), "how many returns the emission has, withheld ones included"),
+    column("channel", Values::Text(|row| row.found.channel.name()), "the receiver that gave the intensity: `low`, `high` or `joint`"),
+    column("mta_zone", Values::MaybeI16(|row| Some(row.found.mta_zone).filter(|&zone| zone != -1)), "emissions between the causing shot and the reception; null where unresolved"),
+    column("range_m", Values::F64(|row| row.found.range_m), "range along the beam from the emission's origin, m"),
+    column("range_sd_m", Values::F64(|row| row.found.range_sd_m), "standard deviation of range_m"),
+    column("time_of_flight_ns", Values::F64(|row| row.found.time_of_flight_ns), "echo minus outgoing pulse, both at the peak of the response, ns"),
+    column("time_of_flight_sd_ns", Values::F64(|row| row.found.time_of_flight_sd_ns), "standard deviation of time_of_flight_ns"),
+    column("amplitude_dn", Values::F64(|row| row.found.amplitude_dn), "height of the fitted pulse's peak above the background, digitiser steps"),
+    column("amplitude_sd_dn", Values::F64(|row| row.found.amplitude_sd_dn), "standard deviation of amplitude_dn"),
+    column("amplitude_db", Values::MaybeF64(|row| known(row.found.amplitude_db)), "amplitude above the detection limit by the input's table, dB; null where it has none"),
+    column("width_ratio", Values::F64(|row| row.found.width_ratio), "full width at half maximum over that of the system response; 1 for a flat target"),
+    column("width_ratio_sd", Values::F64(|row| row.found.width_ratio_sd), "standard deviation of width_ratio"),
+    column("fwhm_ns", Values::F64(|row| row.found.fwhm_ns), "full width at half maximum, ns"),
+    column("thickness_m", Values::F64(|row| row.found.thickness_m), "full width at half maximum of the target along the beam, m"),
+    column("thickness_sd_m", Values::F64(|row| row.found.thickness_sd_m), "standard deviation of thickness_m"),
+    column("deviation_ratio", Values::F64(|row| row.found.deviation_ratio), "(chi-square - degrees of freedom) / sqrt(2 degrees of freedom) of the waveform's fit, with its sign"),
+    column("intensity", Values::F64(|row| row.found.intensity), "amplitude after all corrections"),
+    column("intensity_sd", Values::F64(|row| row.found.intensity_sd), "standard deviation of intensity"),
+    column("flags", Values::U16(|row| row.found.flags), "low byte: the LAS user data; 8 overdriven, 9 truncated, 10 split, 11 zone uncertain"),
+    column("withheld", Values::Bool(|row| row.found.withheld), "marked as an outlier"),
+    column("class", Values::U8(|row| row.found.class), "LAS class: 0, or 20 for outliers"),
+    column("x", Values::MaybeF64(|row| row.point.map(|point| point[0])), "coordinate in the output frame; null before `georeference`"),
+    column("y", Values::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
+    column("z", Values::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),
+];
+
+impl Values {
+    fn data_type(&self) -> DataType {
+        match self {
+            Values::U8(_) => DataType::UInt8,
+            Values::U16(_) => DataType::UInt16,
+            Values::U64(_) => DataType::UInt64,
+            Values::MaybeI16(_) => DataType::Int16,
+            Values::F64(_) | Values::MaybeF64(_) => DataType::Float64,
+            Values::Bool(_) => DataType::Boolean,
+            Values::Text(_) => DataType::Utf8,
+        }
+    }
+
+    fn nullable(&self) -> bool {
+        matches!(self, Values::MaybeI16(_) | Values::MaybeF64(_))
+    }
+
+    fn array(&self, rows: &[Row]) -> ArrayRef {
+        let rows = rows.iter();
+        match self {
+            Values::U8(value) => Arc::new(UInt8Array::from_iter_values(rows.map(value))),
+            Values::U16(value) => Arc::new(UInt16Array::from_iter_values(rows.map(value))),
+            Values::U64(value) => Arc::new(UInt64Array::from_iter_values(rows.map(value))),
+            Values::MaybeI16(value) => Arc::new(rows.map(value).collect::<Int16Array>()),
+            Values::F64(value) => Arc::new(Float64Array::from_iter_values(rows.map(value))),
+            Values::MaybeF64(value) => Arc::new(rows.map(value).collect::<Float64Array>()),
+            Values::Bool(value) => Arc::new(rows.map(|row| Some(value(row))).collect::<BooleanArray>()),
+            Values::Text(value) => Arc::new(StringArray::from_iter_values(rows.map(value))),
+        }
+    }
+}
+
+/// The schema of a table whose times count `time_scale`.
+pub(super) fn schema(time_scale: &str) -> SchemaRef {
+    let field =
+        |column: &Column| Field::new(column.name, column.values.data_type(), column.values.nullable());
+    let fields: Vec<Field> = COLUMNS.iter().map(field).collect();
+    let metadata = [("wavex.table", "1"), ("wavex.time_scale", time_scale)];
+    Arc::new(Schema::new_with_metadata(fields, metadata))
+}
+
+/// The rows as a record batch.
+pub(super) fn record_batch(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch, ArrowError> {
+    let arrays = COLUMNS.iter().map(|column| column.values.array(rows)).collect();
+    RecordBatch::try_new(Arc::clone(schema), arrays)
+}
+
+/// The table as JSON, for people and programs: what `schemas/return_table.json` holds.
+pub fn description() -> Value {
+    let name = |values: &Values| match values {
+        Values::U8(_) => "u8",
+        Values::U16(_) => "u16",
+        Values::U64(_) => "u64",
+        Values::MaybeI16(_) => "i16",
+        Values::F64(_) | Values::MaybeF64(_) => "f64",
+        Values::Bool(_) => "bool",
+        Values::Text(_) => "utf8",
+    };
+    let columns: Vec<Value> = COLUMNS
+        .iter()
+        .map(|column| {
+            json!({
+                "name": column.name,
+                "type": name(&column.values),
+                "nullable": column.values.nullable(),
+                "meaning": column.meaning,
+            })
+        })
+        .collect();
+    json!({
+        "title": "wavex table of returns, version 1",
+        "format": "Apache Arrow IPC file, Apache Parquet, or CSV with a header line and nothing for null",
+        "row": "one return, ordered by emission, then by time",
+        "columns": columns,
+        "metadata": [
+            {"key": "wavex.table", "form": "`1`", "meaning": "version of this layout; not in CSV"},
+            {
+                "key": "wavex.time_scale",
+                "form": "`week`, `day`, `adjusted` or `unknown`",
+                "meaning": "what `gps_time_s` counts: seconds of the GPS week, of the day, since 1980-01-06 minus 1e9; \
+                            not in CSV",
+            },
+        ],
+    })
+}
