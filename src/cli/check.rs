@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 
 use super::{Failure, JobArgs, print, run};
 use crate::job::Job;
-use crate::stage::Plan;
 
 /// Says what the job will do, or what is wrong with it.
 pub(super) fn check(args: &JobArgs) -> Result<(), Failure> {
@@ -33,13 +32,10 @@ fn report(job: &Job, folder: &Path) -> Result<String, String> {
 /// The folders that the job writes to, as far as the input's name does not decide about them.
 fn output_folders(job: &Job, output_dir: &Path) -> BTreeSet<PathBuf> {
     let mut folders = BTreeSet::new();
-    for stage in &job.stages {
-        if let Plan::Sink(sink) = &stage.planned.plan {
-            let known = |pattern: &str| pattern.split('*').next().unwrap_or_default().to_owned();
-            // What stands before the first `*` is a folder up to its last separator.
-            let known = sink.outputs().into_iter().map(known);
-            folders.extend(known.map(|known| folder_of(&output_dir.join(known))));
-        }
+    for pattern in job.stages.iter().flat_map(|stage| stage.planned.plan.outputs()) {
+        // What stands before the first `*` is a folder up to its last separator.
+        let known = pattern.split('*').next().unwrap_or_default();
+        folders.insert(folder_of(&output_dir.join(known)));
     }
     folders
 }

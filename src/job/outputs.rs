@@ -77,10 +77,7 @@ impl Input {
 
 /// The patterns that a stage writes.
 fn patterns(stage: &Stage) -> Vec<(&Stage, &str)> {
-    match &stage.stage.planned.plan {
-        Plan::Sink(sink) => sink.outputs().into_iter().map(|pattern| (stage, pattern)).collect(),
-        _ => Vec::new(),
-    }
+    stage.stage.planned.plan.outputs().into_iter().map(|pattern| (stage, pattern)).collect()
 }
 
 /// A path without the steps that lead nowhere: `./a/./b` is `a/b`.

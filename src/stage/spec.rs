@@ -49,6 +49,11 @@ pub trait SourceConfig: Config {
         "out"
     }
 
+    /// Patterns of the files that the source writes besides.
+    fn outputs(&self) -> Vec<&str> {
+        Vec::new()
+    }
+
     /// Opens the input of a run.
     fn make(&self, site: &Site) -> Result<Box<dyn Source>>;
 }
@@ -123,6 +128,17 @@ impl std::fmt::Debug for Plan {
     }
 }
 
+impl Plan {
+    /// Patterns of the files that the stage writes.
+    pub fn outputs(&self) -> Vec<&str> {
+        match self {
+            Plan::Source(source) => source.outputs(),
+            Plan::Sink(sink) => sink.outputs(),
+            Plan::Map(_) | Plan::Transform(_) => Vec::new(),
+        }
+    }
+}
+
 /// [`Plan`], and the keys with every default spelled out.
 #[derive(Clone, Debug)]
 pub struct Planned {
@@ -138,6 +154,8 @@ pub trait SourcePlan: Send + Sync {
     fn paths(&self) -> Option<&Paths>;
     /// See [`SourceConfig::stem`].
     fn stem(&self) -> &str;
+    /// See [`SourceConfig::outputs`].
+    fn outputs(&self) -> Vec<&str>;
     /// See [`SourceConfig::make`].
     fn make(&self, site: &Site) -> Result<Box<dyn Source>>;
 }
@@ -168,6 +186,9 @@ impl<C: SourceConfig> SourcePlan for C {
     }
     fn stem(&self) -> &str {
         SourceConfig::stem(self)
+    }
+    fn outputs(&self) -> Vec<&str> {
+        SourceConfig::outputs(self)
     }
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
         SourceConfig::make(self, site)

@@ -31,6 +31,7 @@ pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {
         coordinate_grid: info.coordinate_grid,
         emission_reference: Some(match info.emission_reference {
             EmissionReference::OutgoingPulse => container::EmissionReference::OutgoingPulse,
+            EmissionReference::OutgoingPulseFraction => container::EmissionReference::OutgoingPulseFraction,
             EmissionReference::ReturnLocations => container::EmissionReference::ReturnLocations,
             EmissionReference::Clock => container::EmissionReference::Clock,
         }),
@@ -83,6 +84,9 @@ pub(super) fn info_of(
         coordinate_grid: header.coordinate_grid,
         emission_reference: match header.emission_reference {
             Some(container::EmissionReference::OutgoingPulse) => EmissionReference::OutgoingPulse,
+            Some(container::EmissionReference::OutgoingPulseFraction) => {
+                EmissionReference::OutgoingPulseFraction
+            }
             Some(container::EmissionReference::ReturnLocations) => EmissionReference::ReturnLocations,
             Some(container::EmissionReference::Clock) => EmissionReference::Clock,
             None => reference,

@@ -175,6 +175,10 @@ impl SourceConfig for Simulate {
         &self.stem
     }
 
+    fn outputs(&self) -> Vec<&str> {
+        self.truth.iter().map(String::as_str).collect()
+    }
+
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
         let truth = match &self.truth {
             Some(pattern) => Some(TruthFile::create(site, pattern)?),

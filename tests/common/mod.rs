@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wavex::batch::{Batch, Blocks, Channel, Emission, Frame, InputInfo, Kind};
 use wavex::engine::Options;
-use wavex::job::{Job, JobSettings, JobStage};
+use wavex::job::{Job, JobStage};
 use wavex::stage::{
     Config, Context, Item, Map, MapConfig, Output, Paths, Result, Sink, SinkConfig, Site, Source,
     SourceConfig, StageError, StageSpec, Transform, TransformConfig,
@@ -226,7 +226,7 @@ pub const WRITE_NUMBERS: StageSpec = StageSpec::sink::<WriteNumbers>("write_numb
 /// A job of these stages, each with its keys as TOML.
 pub fn job(stages: &[(&'static StageSpec, &str)]) -> Job {
     let stages = stages.iter().map(|(spec, keys)| stage(spec, keys)).collect();
-    Job { settings: JobSettings::default(), stages }
+    Job { stages, ..Job::default() }
 }
 
 pub fn stage(spec: &'static StageSpec, keys: &str) -> JobStage {

@@ -105,6 +105,9 @@ named! {
     EmissionReference {
         /// From the outgoing pulse recorded with each shot.
         OutgoingPulse = "outgoing_pulse",
+        /// From the outgoing pulse, recorded without the time of its first sample: the clock is the sample nearest to
+        /// its peak.
+        OutgoingPulseFraction = "outgoing_pulse_fraction",
         /// From the return locations of the recording's own file.
         ReturnLocations = "return_locations",
         /// From the shot's clock alone.
@@ -428,7 +431,11 @@ mod tests {
             ("wavex.recorded", "13-01-01", "`YYYY-MM-DD`"),
             ("wavex.recorded", "2013-+1-01", "`YYYY-MM-DD`"),
             ("wavex.full_scale_dn", "65536", "whole number up to 65535"),
-            ("wavex.emission_reference", "none", "`outgoing_pulse`, `return_locations` or `clock`"),
+            (
+                "wavex.emission_reference",
+                "none",
+                "`outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or `clock`",
+            ),
         ];
         for (key, value, form) in cases {
             let metadata = header().to_metadata().with(key, value);

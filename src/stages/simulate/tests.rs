@@ -355,10 +355,10 @@ fn noise_that_nothing_can_have_is_an_error_with_a_remedy() {
 
 #[test]
 fn a_job_without_keys_has_the_defaults() {
-    let planned = (SPEC.parse)(toml::de::DeTable::parse("").unwrap()).unwrap();
+    let planned = (STAGE.parse)(toml::de::DeTable::parse("").unwrap()).unwrap();
     assert_eq!(planned.resolved, serde_json::to_value(Simulate::default()).unwrap());
-    assert!((SPEC.parse)(toml::de::DeTable::parse("lines = 0").unwrap()).is_err());
-    assert!((SPEC.parse)(toml::de::DeTable::parse("line = 10").unwrap()).is_err());
+    assert!((STAGE.parse)(toml::de::DeTable::parse("lines = 0").unwrap()).is_err());
+    assert!((STAGE.parse)(toml::de::DeTable::parse("line = 10").unwrap()).is_err());
 }
 
 /// The demonstration's flight can be flown, and is small enough to be waited for.
