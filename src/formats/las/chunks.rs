@@ -114,6 +114,9 @@ impl Chunks {
         self.at = self.next_at;
         self.next_at += chunk.bytes;
         self.left = chunk.points;
+        if chunk.points == 0 {
+            return Ok(());
+        }
         // The buffer serves all chunks; the table's sizes add up to less than the file's.
         let mut bytes = self.decoder.take().map(|old| old.box_into_inner().into_inner()).unwrap_or_default();
         bytes.resize(chunk.bytes as usize, 0);

@@ -93,7 +93,7 @@ pub struct Header {
 impl Header {
     /// Reads the header from the first bytes of `file`, of which there are `file_length` in all.
     ///
-    /// `bytes` holds the file's first [`HEADER_1_5`] bytes, or all of them if there are fewer.
+    /// `bytes` holds the file's first 393 bytes (the longest header there is), or all of them if there are fewer.
     ///
     /// # Errors
     /// The file is empty, not LAS, of an unknown version or point format, or its sizes contradict each other.

@@ -95,8 +95,8 @@ impl<W: Write + Seek> Writer<W> {
         let record_length = FORMAT_6 + extra;
         let laz = compressed.then(|| laz_vlr(path, extra)).transpose()?;
         let vlrs = vlrs(path, options, laz.as_ref())?;
-        let header = header(options, record_length, &vlrs, compressed);
-        let points_at = (header.len() + vlrs.iter().map(Vec::len).sum::<usize>()) as u64;
+        let offset_to_points = usize::from(HEADER_1_4) + vlrs.iter().map(Vec::len).sum::<usize>();
+        let header = header(options, record_length, vlrs.len(), offset_to_points, compressed);
         let write = |sink: &mut W| {
             sink.write_all(&header)?;
             vlrs.iter().try_for_each(|vlr| sink.write_all(vlr))?;
@@ -117,7 +117,7 @@ impl<W: Write + Seek> Writer<W> {
             compression: laz.map(|laz| Compression {
                 laz,
                 table: ChunkTable::default(),
-                table_offset_at: points_at,
+                table_offset_at: offset_to_points as u64,
             }),
             totals: Totals { points: 0, by_return: [0; 15], min: [i32::MAX; 3], max: [i32::MIN; 3] },
         })
@@ -127,7 +127,7 @@ impl<W: Write + Seek> Writer<W> {
     ///
     /// # Errors
     /// A coordinate does not fit 32 bits at this scale and offset (or is not finite), the extra bytes are not as many as
-    /// the options say, or the sink refuses. The point is not written then.
+    /// the options say: the point is left out then. Or the sink refuses: the file cannot be completed then.
     pub fn write_point(&mut self, point: &PointOut, extra: &[u8]) -> Result<()> {
         if FORMAT_6 + extra.len() != self.record_length {
             let problem = format!(
@@ -337,11 +337,16 @@ fn text<const N: usize>(text: &str) -> [u8; N] {
 }
 
 /// The header of LAS 1.4 with zeros for what only the points know.
-fn header(options: &WriterOptions, record_length: usize, vlrs: &[Vec<u8>], compressed: bool) -> Vec<u8> {
+fn header(
+    options: &WriterOptions,
+    record_length: usize,
+    n_vlrs: usize,
+    offset_to_points: usize,
+    compressed: bool,
+) -> Vec<u8> {
     let bit = |set: bool, bit: u16| if set { bit } else { 0 };
     let encoding =
         bit(options.adjusted_gps_time, encoding::ADJUSTED_TIME) | bit(options.wkt.is_some(), encoding::WKT);
-    let offset_to_points = usize::from(HEADER_1_4) + vlrs.iter().map(Vec::len).sum::<usize>();
     let mut header = Vec::with_capacity(HEADER_1_4.into());
     header.extend(b"LASF");
     header.extend(options.file_source_id.to_le_bytes());
@@ -354,7 +359,7 @@ fn header(options: &WriterOptions, record_length: usize, vlrs: &[Vec<u8>], compr
     header.extend(options.creation_year.to_le_bytes());
     header.extend(HEADER_1_4.to_le_bytes());
     header.extend((offset_to_points as u32).to_le_bytes());
-    header.extend((vlrs.len() as u32).to_le_bytes());
+    header.extend((n_vlrs as u32).to_le_bytes());
     header.push(POINT_FORMAT | if compressed { 0x80 } else { 0 });
     header.extend((record_length as u16).to_le_bytes());
     header.extend([0; 24]); // legacy counts: 0 for formats 6 and above

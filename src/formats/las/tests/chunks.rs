@@ -60,11 +60,13 @@ fn start(made: &Made, items: usize) -> usize {
 fn chunks_follow_each_other() {
     for (minor, format) in [(3, 4), (4, 9)] {
         let made = many(minor, format);
-        for chunk in [100, 999, 1000, 1001, 50_000] {
-            let points = read(&made.laz(chunk)).unwrap();
+        let fixed = [100, 999, 1000, 1001, 50_000].map(|chunk| made.laz(chunk));
+        let variable = [1, 1024, 2999].map(|first| made.laz_in_two(first));
+        for bytes in fixed.iter().chain(&variable) {
+            let points = read(bytes).unwrap();
             assert_eq!(points.len(), 3000);
             for (i, point) in (0..3000).zip(&points) {
-                assert_eq!((point.raw[0], point.wave.descriptor), (i * i, 1), "chunks of {chunk}");
+                assert_eq!((point.raw[0], point.wave.descriptor), (i * i, 1));
             }
         }
     }

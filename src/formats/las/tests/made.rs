@@ -126,19 +126,37 @@ impl Made {
 
     /// The compressed file, in chunks of `chunk` points, without the tail.
     pub(crate) fn laz(&self, chunk: u32) -> Vec<u8> {
-        let extra = self.record_length - if self.format == 4 { 57 } else { 59 };
-        let builder = laz::LazVlrBuilder::default().with_point_format(self.format, extra).unwrap();
-        let laz = builder.with_fixed_chunk_size(chunk).build();
-        let mut data = Vec::new();
-        laz.write_to(&mut data).unwrap();
-        let mut with = Made { format: self.format | 0x80, ..self.clone() };
-        with.vlrs.push(vlr("laszip encoded", 22204, &data));
-        let mut cursor = Cursor::new(with.start());
-        cursor.seek(SeekFrom::End(0)).unwrap();
-        let mut compressor = laz::LasZipCompressor::new(cursor, laz).unwrap();
+        let laz = self.compression().with_fixed_chunk_size(chunk).build();
+        let mut compressor = laz::ParLasZipCompressor::new(self.before_points(&laz), laz).unwrap();
         compressor.compress_many(&self.records.concat()).unwrap();
         compressor.done().unwrap();
         compressor.into_inner().into_inner()
+    }
+
+    /// The compressed file, in two chunks, the first of `first` points, without the tail.
+    pub(crate) fn laz_in_two(&self, first: usize) -> Vec<u8> {
+        let laz = self.compression().with_variable_chunk_size().build();
+        let mut compressor = laz::ParLasZipCompressor::new(self.before_points(&laz), laz).unwrap();
+        let (first, second) = self.records.split_at(first);
+        compressor.compress_chunks([first.concat(), second.concat()]).unwrap();
+        compressor.done().unwrap();
+        compressor.into_inner().into_inner()
+    }
+
+    fn compression(&self) -> laz::LazVlrBuilder {
+        let extra = self.record_length - if self.format == 4 { 57 } else { 59 };
+        laz::LazVlrBuilder::default().with_point_format(self.format, extra).unwrap()
+    }
+
+    /// What stands before compressed points.
+    fn before_points(&self, laz: &laz::LazVlr) -> Cursor<Vec<u8>> {
+        let mut data = Vec::new();
+        laz.write_to(&mut data).unwrap();
+        let mut made = Made { format: self.format | 0x80, ..self.clone() };
+        made.vlrs.push(vlr("laszip encoded", 22204, &data));
+        let mut cursor = Cursor::new(made.start());
+        cursor.seek(SeekFrom::End(0)).unwrap();
+        cursor
     }
 }
 

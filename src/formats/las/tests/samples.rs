@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use crate::formats::las::{GpsTime, Point, Reader};
+use crate::formats::las::{GpsTime, Point, Reader, Wave};
 
 /// The folder of real files, if there is one.
 fn data() -> Option<PathBuf> {
@@ -116,6 +116,28 @@ fn a_file_whose_waveforms_are_missing_says_so() {
     assert!(error.to_string().contains(expected), "{error}");
 }
 
+#[test]
+fn a_recording_says_what_it_is() {
+    let Some(data) = data() else { return };
+    let reader = Reader::open(&data.join("riegl_q680i_dev").join("riegl_q680i_dev.las")).unwrap();
+    let header = reader.header();
+    assert_eq!((header.version, header.point_format, header.record_length), ((1, 4), 9, 63));
+    assert_eq!((header.n_points, header.n_vlrs, header.n_evlrs), (667, 105, 0));
+    assert_eq!(header.n_points_by_return[..5], [606, 58, 3, 0, 0]);
+    assert_eq!(header.generating_software, "RiPROCESS 1.6.5.664");
+    assert_eq!((header.creation_day, header.creation_year), (188, 2015));
+    assert_eq!(header.gps_time(), GpsTime::Week);
+    let descriptor = |index| reader.descriptor(&Wave { descriptor: index, ..Default::default() });
+    let lengths = (1..=255u8).filter_map(|index| descriptor(index).ok()).map(|found| found.samples);
+    assert_eq!(lengths.collect::<Vec<_>>(), [60, 120], "98 more are empty");
+    // The file has a WKT although its header does not say it.
+    assert!(!header.says_wkt() && reader.wkt().unwrap().starts_with("PROJCS[\"UTM_North zone 33\""));
+    assert_eq!(reader.projection(34735).unwrap().data.len(), 208);
+    let extra: Vec<_> =
+        reader.extra_bytes_descriptors().iter().map(|e| (e.name.as_str(), e.start, e.bytes)).collect();
+    assert_eq!(extra, [("Amplitude", 0, 2), ("Pulse width", 2, 2)]);
+}
+
 /// A column of a table with a line of names.
 fn column(table: &str, name: &str) -> Vec<f64> {
     let mut lines = table.lines();
@@ -144,7 +166,6 @@ fn a_recording_agrees_with_the_vendors_table() {
     }
 }
 
-/// The header of this recording's reader, and where its anchors lie.
 #[test]
 fn returns_of_one_pulse_have_one_anchor() {
     let Some(data) = data() else { return };
@@ -158,7 +179,7 @@ fn returns_of_one_pulse_have_one_anchor() {
         }
         let gap = |sign: f64| {
             let [a, b] = [a, b].map(|p| {
-                let wave = super::super::Wave { location_ps: sign as f32 * p.wave.location_ps, ..p.wave };
+                let wave = Wave { location_ps: sign as f32 * p.wave.location_ps, ..p.wave };
                 wave.sample_position([p.x, p.y, p.z], 0.0, 1000.0)
             });
             a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
@@ -172,6 +193,18 @@ fn returns_of_one_pulse_have_one_anchor() {
     assert!(worst_ours < 0.005, "{worst_ours}");
 }
 
+/// Where a waveform is strongest, in samples: the top of the parabola through the strongest sample and its neighbours.
+fn peak(samples: &[u16]) -> f64 {
+    let (mut at, mut strongest) = (0, 0);
+    for (i, &sample) in samples.iter().enumerate() {
+        if sample > strongest {
+            (at, strongest) = (i, sample);
+        }
+    }
+    let [before, top, after] = [at - 1, at, at + 1].map(|i| f64::from(samples[i]));
+    at as f64 + 0.5 * (before - after) / (before - 2.0 * top + after)
+}
+
 #[test]
 fn packets_hold_the_samples_of_the_pulsewaves_twin() {
     let Some(data) = data() else { return };
@@ -179,7 +212,7 @@ fn packets_hold_the_samples_of_the_pulsewaves_twin() {
     let waves = fs::read(folder.join("riegl_q680i_dev.wvs")).unwrap();
     let mut reader = Reader::open(&folder.join("riegl_q680i_dev.las")).unwrap();
     let (mut point, mut samples, mut n, mut from) = (Point::default(), Vec::new(), 0, 0);
-    let mut last_offset = 0;
+    let (mut last_offset, mut singles, mut sum_ps) = (0, 0, 0.0);
     while reader.next_point(&mut point).unwrap() {
         let descriptor = reader.packet(&point.wave, &mut samples).unwrap();
         assert_eq!((descriptor.bits, descriptor.spacing_ps), (16, 1000));
@@ -192,9 +225,20 @@ fn packets_hold_the_samples_of_the_pulsewaves_twin() {
             last_offset = point.wave.offset;
         }
         assert_eq!(waves[from..from + bytes.len()], bytes);
+        if point.number_of_returns == 1 {
+            let gap_ps =
+                f64::from(point.wave.location_ps) - f64::from(descriptor.spacing_ps) * peak(&samples);
+            assert!(gap_ps.abs() < 600.0, "point {n}: {gap_ps} ps");
+            sum_ps += gap_ps;
+            singles += 1;
+        }
         n += 1;
     }
-    assert_eq!(n, 667);
+    assert_eq!((n, singles), (667, 549));
+    // Locations count from the first sample. The vendor subtracts the outgoing pulse's position from them, which is any
+    // fraction of a sample up to half of one: single gaps say no more, but they average out.
+    let mean_ps = sum_ps / f64::from(singles);
+    assert!(mean_ps.abs() < 50.0, "{mean_ps} ps");
 }
 
 /// Opens a file and reads all points and packets; what is wrong with single packets does not count.
