@@ -234,6 +234,8 @@ impl Kernels {
         let settings = DecomposeSettings {
             detection_sigma: config.detection_sigma,
             width_ratio: config.width_ratio,
+            // A receiver's response is no Gaussian: what a Gaussian leaves of a strong single echo looks like two.
+            split_evidence: None,
             ..DecomposeSettings::default()
         };
         let make = |channel: &Option<ChannelModel>| {

@@ -1,11 +1,13 @@
 //! Points as LAS or LAZ.
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Batch, Emission, InputInfo, Kind, Return, ReturnChannel, emission_flags};
 use crate::formats::las::{
-    AMP, ATTRIBUTES, CHANNEL, DEV_RATIO, ExtraAttribute, INT_ERR, PointOut, RANGE_ERR, TARGET_THICK,
+    AMP, ATTRIBUTES, CHANNEL, DEV_RATIO, ExtraAttribute, INT_ERR, PointOut, RANGE_ERR, RAW_AMP, TARGET_THICK,
     THICK_ERR, WIDE_ERR, WIDE_RATIO, Writer, WriterOptions,
 };
 use crate::geo::time::{adjusted_gps_time, day_of_year};
@@ -76,6 +78,7 @@ impl SinkConfig for WriteLas {
             attributes,
             threads: site.threads,
             state: State::Empty(file),
+            input: None,
             extra: Vec::new(),
         }))
     }
@@ -86,7 +89,9 @@ impl WriteLas {
     fn attributes(&self) -> Vec<ExtraAttribute> {
         let is_uncertainty =
             |attribute: &ExtraAttribute| [RANGE_ERR, INT_ERR, WIDE_ERR, THICK_ERR].contains(attribute);
-        let wanted = |attribute: &&ExtraAttribute| self.uncertainty || !is_uncertainty(attribute);
+        let wanted = |attribute: &&ExtraAttribute| {
+            **attribute != RAW_AMP && (self.uncertainty || !is_uncertainty(attribute))
+        };
         if self.extra_attributes { ATTRIBUTES.iter().filter(wanted).copied().collect() } else { Vec::new() }
     }
 
@@ -129,6 +134,7 @@ struct LasSink {
     attributes: Vec<ExtraAttribute>,
     threads: usize,
     state: State,
+    input: Option<Arc<InputInfo>>,
     extra: Vec<u8>,
 }
 
@@ -167,6 +173,11 @@ impl Sink for LasSink {
         if batch.input.crs_wkt.is_none() {
             cx.note("the input names no coordinate reference system that can be written as WKT: the file has none");
         }
+        // The first point decides about the offset of the coordinates, so that a file begins with it.
+        self.input.get_or_insert_with(|| Arc::clone(&batch.input));
+        if points.is_empty() {
+            return Ok(());
+        }
         let mut extra = std::mem::take(&mut self.extra);
         let attributes = self.attributes.clone();
         let input = &batch.input;
@@ -183,7 +194,8 @@ impl Sink for LasSink {
     }
 
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
-        self.writer(&InputInfo::default(), None, f64::NAN)?;
+        let input = self.input.take().unwrap_or_default();
+        self.writer(&input, None, f64::NAN)?;
         if let State::Open(writer) = self.state {
             if writer.n_points() == 0 {
                 cx.note("not a single point was found");

@@ -183,20 +183,21 @@ fn saturated_pulses_are_unbiased() {
     }
 }
 
-/// The complete chain makes 0.40 to 0.50 of the up-crossings of Rice's formula (ALGORITHMS.md 5.4).
+/// The complete chain makes fewer returns than Rice's formula has up-crossings (ALGORITHMS.md A6).
 #[test]
 fn noise_alone_gives_as_few_returns_as_theory_says() {
     let mut simulation = Simulation::new(10, 255);
-    for (sigma, blocks) in [(3.5, 20_000), (4.5, 20_000)] {
+    for sigma in [3.5f64, 4.5] {
+        let blocks = 20_000;
         simulation.settings.detection_sigma = sigma;
         let mut returns = 0;
         simulation.run(blocks, |_| vec![], |_, outcome| returns += outcome.returns.len());
         let beta = 0.44; // rad/ns, of this noise; 0.40 to 0.50 for any like it
-        let rice = 60.0 * beta / std::f64::consts::TAU * (-0.5 * sigma * sigma as f64).exp();
+        let rice = 60.0 * beta / std::f64::consts::TAU * (-0.5 * sigma * sigma).exp();
         let measured = returns as f64 / blocks as f64;
         println!("noise alone at {sigma} sigma: {measured:.2e} returns per block, Rice {rice:.2e}");
         if sigma < 4.0 {
-            assert!((0.3..0.8).contains(&(measured / rice)), "{measured} {rice}");
+            assert!((0.5..1.0).contains(&(measured / rice)), "{measured} {rice}");
         } else {
             assert!(measured <= 2.5e-4, "{measured}");
         }
@@ -327,39 +328,5 @@ proptest! {
             prop_assert!(numbers.iter().all(|v| v.is_finite()), "{r:?}");
             prop_assert!(r.amplitude_dn > 0.0 && r.position_sd_samples > 0.0);
         }
-    }
-}
-#[test]
-fn explore_far() {
-    for sigma in [3.5, 4.5] {
-        let mut simulation = Simulation::new(77, 255);
-        simulation.settings.detection_sigma = sigma;
-        let (mut n, mut c, mut edge, mut added, mut multi) = (0, 0, 0, 0, 0);
-        let mut w = vec![];
-        let blocks = if sigma < 4.0 { 40000 } else { 600000 };
-        simulation.run(
-            blocks,
-            |_| vec![],
-            |_, o| {
-                n += o.returns.len();
-                c += o.counts.n_candidates;
-                added += o.counts.n_added;
-                if o.returns.len() > 1 {
-                    multi += o.returns.len() - 1;
-                }
-                for r in o.returns {
-                    if r.position_samples < 4.0 || r.position_samples > 55.0 {
-                        edge += 1;
-                    }
-                    w.push(r.width_ratio);
-                }
-            },
-        );
-        w.sort_by(f64::total_cmp);
-        println!(
-            "far {sigma}: returns {n} cand {c} edge {edge} added {added} multi {multi} per block {:.2e} widths {:?}",
-            n as f64 / blocks as f64,
-            [0.1, 0.25, 0.5, 0.75, 0.9].map(|q| w[(w.len() as f64 * q) as usize])
-        );
     }
 }
