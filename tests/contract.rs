@@ -58,17 +58,11 @@ fn names_are_verbs_and_roles_have_their_kinds() {
 }
 
 /// Lines of the simulator with lines in between that hold no emission, and one whose emissions hold no block.
-#[derive(Clone, Deserialize, Serialize, JsonSchema)]
+#[derive(Clone, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct Gaps {
     /// Whether any line has shots at all.
     only_empty: bool,
-}
-
-impl Default for Gaps {
-    fn default() -> Gaps {
-        Gaps { only_empty: false }
-    }
 }
 
 impl Config for Gaps {}

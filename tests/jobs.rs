@@ -1,5 +1,10 @@
 //! Every job of the repository is whole, and the demo runs.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and tells its figures"
+)]
 
 #[path = "common/recordings.rs"]
 #[allow(dead_code, reason = "each test binary uses its own part")]

@@ -1,5 +1,10 @@
 //! Real recordings, against what others made of them. Run with `WAVEX_DATA` set; skipped, loudly, without.
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and tells its figures"
+)]
 
 #[path = "common/recordings.rs"]
 mod recordings;
@@ -109,4 +114,22 @@ fn las_keeps_the_crs_and_ties_its_times_to_the_file() {
     let las = std::fs::read(out.path().join("riegl_q680i_dev.laz")).unwrap();
     let wkt = b"PROJCS[\"UTM_North zone 33\"";
     assert!(las.windows(wkt.len()).any(|window| window == wkt));
+}
+
+#[test]
+fn a_recording_of_sixteen_thousand_pulses_comes_through_whole() {
+    let Some(data) = data() else { return };
+    let out = tempfile::tempdir().unwrap();
+    let report = run_job("example3.toml", &data, out.path(), &["calibrate.waveforms=2000"]);
+    assert_eq!(report.totals["nw"], 16_486);
+    assert_eq!(report.totals["nw_deleted"], 0);
+    assert_eq!(report.emission_reference.as_deref(), Some("outgoing_pulse_fraction"));
+    let velocity_mps = report.group_velocity_mps.unwrap();
+    // RIEGL's own, by the step of the durations in the file: 299 713 794 +- 18 m/s.
+    assert!((velocity_mps / 299_713_794.0 - 1.0).abs() < 5e-5, "{velocity_mps}");
+    let low_power = report.sensor_model.unwrap().low_power.unwrap();
+    println!("noise {:.3} DN, lag 1 {:.3}", low_power.noise_sd_dn, low_power.autocorrelation[0]);
+    assert!((0.80..0.90).contains(&low_power.noise_sd_dn), "{}", low_power.noise_sd_dn);
+    assert!((0.57..0.66).contains(&low_power.autocorrelation[0]), "{}", low_power.autocorrelation[0]);
+    assert!((4.0..4.4).contains(&low_power.pulse_fwhm_ns), "{}", low_power.pulse_fwhm_ns);
 }
