@@ -3,3 +3,4 @@
 //! The map of the crate is `ARCHITECTURE.md`; the manual of the stages is `docs/stages.md`, or `wavex stages`.
 
 pub mod formats;
+pub mod kernels;

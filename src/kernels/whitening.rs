@@ -1,0 +1,263 @@
+//! Exact whitening of a block of samples in stationary autoregressive noise, with samples left out.
+//!
+//! What Cholesky's factor of the noise's covariance does to a vector, `L⁻¹ y`, a predictor does in time linear in the
+//! block's length: each sample minus what the used samples before it tell of it, over the standard deviation of that
+//! error. The predictor is Kalman's (1960) with the last `p` values of the noise as state; it starts with the
+//! stationary covariance, so the first rows are those of Durbin and Levinson, and a sample left out is one without an
+//! update, so the rows behind a gap are those of the covariance's exact sub-matrix.
+
+use super::noise::{ArNoise, MAX_ORDER};
+
+/// One sample's row: the inverse standard deviation of its prediction error (0 for a sample left out), and how the
+/// error corrects the state.
+#[derive(Debug, Clone, Copy, Default)]
+struct Row {
+    weight: f64,
+    gain: [f64; MAX_ORDER],
+}
+
+/// The whitening matrix of a block, `W = L⁻¹`, for one noise model and one choice of used samples.
+#[derive(Debug, Clone)]
+pub struct Whitener {
+    noise: ArNoise,
+    /// Values in the predictor's state: the order, but at least one.
+    states: usize,
+    used: Vec<bool>,
+    rows: Vec<Row>,
+}
+
+impl Whitener {
+    /// A whitener for blocks of up to `capacity` samples; a longer one makes it grow.
+    pub fn new(noise: ArNoise, capacity: usize) -> Whitener {
+        let states = noise.order().max(1);
+        Whitener { noise, states, used: Vec::with_capacity(capacity), rows: Vec::with_capacity(capacity) }
+    }
+
+    /// The noise it whitens.
+    pub fn noise(&self) -> &ArNoise {
+        &self.noise
+    }
+
+    /// Which samples of the block take part.
+    pub fn used(&self) -> &[bool] {
+        &self.used
+    }
+
+    /// How many samples of the block take part.
+    pub fn used_count(&self) -> usize {
+        self.used.iter().filter(|&&used| used).count()
+    }
+
+    /// Prepares for a block of `used.len()` samples of which those marked take part. Returns whether this is another
+    /// choice than before.
+    pub fn set_used(&mut self, used: &[bool]) -> bool {
+        if self.used == used {
+            return false;
+        }
+        self.used.clear();
+        self.used.extend_from_slice(used);
+        self.rows.clear();
+        let mut covariance = self.stationary_covariance();
+        for &used in &self.used {
+            self.rows.push(if used { update(&mut covariance, self.states) } else { Row::default() });
+            self.predict_covariance(&mut covariance);
+        }
+        true
+    }
+
+    /// Replaces `values` by `W values`; samples left out become zero.
+    ///
+    /// `values` are as many as the block's samples, and zero before index `first`.
+    pub fn whiten_from(&self, first: usize, values: &mut [f64]) {
+        let mut state = [0.0; MAX_ORDER];
+        for (value, row) in values.iter_mut().zip(&self.rows).skip(first) {
+            let error = *value - state[0];
+            *value = error * row.weight;
+            for (s, gain) in state.iter_mut().zip(&row.gain).take(self.states) {
+                *s += gain * error;
+            }
+            self.predict(&mut state);
+        }
+    }
+
+    /// Replaces `values` by `W values`; samples left out become zero.
+    pub fn whiten(&self, values: &mut [f64]) {
+        self.whiten_from(0, values);
+    }
+
+    /// Replaces `values` by `Wᵀ values`, so that after [`Whitener::whiten`] they are `Σ⁻¹ y` on the used samples.
+    pub fn whiten_transposed(&self, values: &mut [f64]) {
+        let mut costate = [0.0; MAX_ORDER];
+        for (value, row) in values.iter_mut().zip(&self.rows).rev() {
+            self.predict_transposed(&mut costate);
+            let back: f64 = row.gain.iter().zip(&costate).take(self.states).map(|(g, c)| g * c).sum();
+            *value = row.weight * *value + back;
+            costate[0] -= *value;
+        }
+    }
+
+    fn stationary_covariance(&self) -> [[f64; MAX_ORDER]; MAX_ORDER] {
+        let mut lags = [0.0; MAX_ORDER];
+        self.noise.autocovariance_into(&mut lags[..self.states]);
+        let mut covariance = [[0.0; MAX_ORDER]; MAX_ORDER];
+        for i in 0..self.states {
+            for j in 0..self.states {
+                covariance[i][j] = lags[i.abs_diff(j)];
+            }
+        }
+        covariance
+    }
+
+    fn predict(&self, state: &mut [f64; MAX_ORDER]) {
+        let next: f64 = self.noise.coefficients().iter().zip(state.iter()).map(|(c, s)| c * s).sum();
+        state.copy_within(0..self.states - 1, 1);
+        state[0] = next;
+    }
+
+    fn predict_transposed(&self, costate: &mut [f64; MAX_ORDER]) {
+        let first = costate[0];
+        costate.copy_within(1..self.states, 0);
+        costate[self.states - 1] = 0.0;
+        for (c, coefficient) in costate.iter_mut().zip(self.noise.coefficients()) {
+            *c += coefficient * first;
+        }
+    }
+
+    fn predict_covariance(&self, covariance: &mut [[f64; MAX_ORDER]; MAX_ORDER]) {
+        let n = self.states;
+        let mut cross = [0.0; MAX_ORDER];
+        for (i, value) in cross.iter_mut().enumerate().take(n) {
+            *value = self.noise.coefficients().iter().zip(covariance.iter()).map(|(c, row)| c * row[i]).sum();
+        }
+        let told: f64 = self.noise.coefficients().iter().zip(&cross).map(|(c, v)| c * v).sum();
+        for i in (1..n).rev() {
+            for j in (1..n).rev() {
+                covariance[i][j] = covariance[i - 1][j - 1];
+            }
+        }
+        for i in 1..n {
+            covariance[0][i] = cross[i - 1];
+            covariance[i][0] = cross[i - 1];
+        }
+        covariance[0][0] = told + self.noise.innovation_variance();
+    }
+}
+
+/// Takes a used sample into the state's covariance and gives its row.
+fn update(covariance: &mut [[f64; MAX_ORDER]; MAX_ORDER], states: usize) -> Row {
+    let first = covariance[0];
+    let mut row = Row { weight: 1.0 / first[0].sqrt(), gain: [0.0; MAX_ORDER] };
+    for i in 0..states {
+        row.gain[i] = first[i] / first[0];
+    }
+    for i in 0..states {
+        for j in 0..states {
+            covariance[i][j] -= row.gain[i] * first[j];
+        }
+    }
+    row
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Covariance of the used samples.
+    fn dense_covariance(noise: &ArNoise, used: &[bool]) -> DMatrix<f64> {
+        let mut lags = vec![0.0; used.len()];
+        noise.autocovariance_into(&mut lags);
+        let kept: Vec<usize> = (0..used.len()).filter(|&i| used[i]).collect();
+        DMatrix::from_fn(kept.len(), kept.len(), |i, j| lags[kept[i].abs_diff(kept[j])])
+    }
+
+    fn check_against_cholesky(coefficients: &[f64], used: &[bool], values: &[f64]) {
+        let noise = ArNoise::new(coefficients, 0.8).unwrap();
+        let covariance = dense_covariance(&noise, used);
+        let mut whitener = Whitener::new(noise, used.len());
+        whitener.set_used(used);
+        let mut white = values.to_vec();
+        whitener.whiten(&mut white);
+
+        let kept: Vec<usize> = (0..used.len()).filter(|&i| used[i]).collect();
+        let picked = DVector::from_iterator(kept.len(), kept.iter().map(|&i| values[i]));
+        let factor = covariance.clone().cholesky().unwrap();
+        let dense = factor.l().solve_lower_triangular(&picked).unwrap();
+        let solved = factor.solve(&picked);
+        let mut back = white.clone();
+        whitener.whiten_transposed(&mut back);
+        for (row, &i) in kept.iter().enumerate() {
+            assert!((white[i] - dense[row]).abs() < 1e-9, "whitened sample {i}: {} {}", white[i], dense[row]);
+            assert!((back[i] - solved[row]).abs() < 1e-8, "solved sample {i}: {} {}", back[i], solved[row]);
+        }
+        for i in (0..used.len()).filter(|&i| !used[i]) {
+            assert_eq!(white[i], 0.0);
+            assert_eq!(back[i], 0.0);
+        }
+    }
+
+    #[test]
+    fn whitening_is_the_inverse_of_choleskys_factor() {
+        let values: Vec<f64> = (0..40).map(|k| (k as f64 * 1.7).sin() * 3.0 + k as f64 * 0.1).collect();
+        for coefficients in [&[][..], &[0.6], &[0.9, -0.4], &[0.9, -0.5, 0.2], &[0.5, 0.1, -0.2, 0.1]] {
+            check_against_cholesky(coefficients, &[true; 40], &values);
+            let mut gaps = [true; 40];
+            gaps[..2].fill(false);
+            gaps[9] = false;
+            gaps[11] = false;
+            gaps[20..29].fill(false);
+            gaps[39] = false;
+            check_against_cholesky(coefficients, &gaps, &values);
+        }
+    }
+
+    /// `W Σ Wᵀ` is the identity on the used samples.
+    #[test]
+    fn the_covariance_of_whitened_noise_is_the_identity() {
+        let noise = ArNoise::new(&[0.9, -0.5, 0.2], 1.3).unwrap();
+        let used: Vec<bool> = (0..30).map(|k| !(12..17).contains(&k)).collect();
+        let mut lags = vec![0.0; 30];
+        noise.autocovariance_into(&mut lags);
+        let mut whitener = Whitener::new(noise, 30);
+        whitener.set_used(&used);
+        let mut product = DMatrix::from_fn(30, 30, |i, j| lags[usize::abs_diff(i, j)]);
+        for _ in 0..2 {
+            for mut column in product.column_iter_mut() {
+                whitener.whiten(column.as_mut_slice());
+            }
+            product = product.transpose();
+        }
+        for i in 0..30 {
+            for j in 0..30 {
+                let exact = if i == j && used[i] { 1.0 } else { 0.0 };
+                assert!((product[(i, j)] - exact).abs() < 1e-12, "{i} {j}: {}", product[(i, j)]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_column_that_starts_late_may_be_whitened_from_there() {
+        let mut whitener = Whitener::new(ArNoise::new(&[0.7, -0.2], 1.0).unwrap(), 20);
+        assert!(whitener.set_used(&[true; 20]));
+        assert!(!whitener.set_used(&[true; 20]));
+        let mut whole: Vec<f64> = (0..20).map(|k| if k < 8 { 0.0 } else { k as f64 }).collect();
+        let mut late = whole.clone();
+        whitener.whiten(&mut whole);
+        whitener.whiten_from(8, &mut late);
+        assert_eq!(whole, late);
+    }
+
+    proptest! {
+        #[test]
+        fn any_choice_of_samples_is_whitened_exactly(
+            used in prop::collection::vec(any::<bool>(), 1..25),
+            reflection in prop::collection::vec(-0.9f64..0.9, 0..5),
+            values in prop::collection::vec(-50.0f64..50.0, 25),
+        ) {
+            let coefficients = crate::kernels::simulated::coefficients_from_reflection(&reflection);
+            check_against_cholesky(&coefficients, &used, &values[..used.len()]);
+        }
+    }
+}
