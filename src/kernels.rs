@@ -6,8 +6,12 @@
 //! (DN), and a pulse stands where its peak stands.
 
 pub mod cholesky;
+pub mod decompose;
+pub mod detect;
+pub mod flags;
 pub mod gauss_fit;
 pub mod noise;
+pub mod sensor_model;
 pub mod whitening;
 
 #[cfg(test)]

@@ -27,9 +27,6 @@ const MAX_LN_WIDTH_STEP: f64 = 0.4;
 const MIN_HEIGHT_PART: f64 = 0.2;
 /// The smallest height over the noise's standard deviation: keeps the normal matrix regular.
 const MIN_HEIGHT_SD: f64 = 1e-3;
-/// A fit has converged when the next step promises less than this decrease of chi-square: steps of 1e-5 of the
-/// parameters' standard deviations.
-const DECREASE_TOLERANCE: f64 = 1e-10;
 /// Damping below which the promised decrease tells that the optimum is near.
 const NEAR_NEWTON: f64 = 1e-2;
 
@@ -89,6 +86,28 @@ impl Termination {
     /// Whether the parameters are an optimum and their covariance is known.
     pub fn is_optimum(self) -> bool {
         matches!(self, Termination::Converged | Termination::AtBound | Termination::NoDecrease)
+    }
+}
+
+/// When a fit ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Iterations at most.
+    pub iterations: usize,
+    /// Converged is what the next step promises to lower chi-square by less than this; the square of what is left to
+    /// go, in standard deviations of the parameters.
+    pub decrease: f64,
+}
+
+impl Limits {
+    /// Parameters to within 1e-5 of their standard deviations.
+    pub fn exact(iterations: usize) -> Limits {
+        Limits { iterations, decrease: 1e-10 }
+    }
+
+    /// Chi-square to within what an acceptance turns on.
+    pub fn rough(iterations: usize) -> Limits {
+        Limits { iterations, decrease: 1e-2 }
     }
 }
 
@@ -185,13 +204,7 @@ impl GaussFit {
     /// Fits pulses to `target_dn`, the samples less the known background, from the given start values.
     ///
     /// The whitener tells which samples are used; it is prepared for a block of `target_dn`'s length.
-    pub fn fit(
-        &mut self,
-        whitener: &Whitener,
-        target_dn: &[f64],
-        start: &[Pulse],
-        max_iterations: usize,
-    ) -> Fit {
+    pub fn fit(&mut self, whitener: &Whitener, target_dn: &[f64], start: &[Pulse], limits: Limits) -> Fit {
         self.pulses.clear();
         self.offset_dn = 0.0;
         let mut fit = Fit {
@@ -211,7 +224,7 @@ impl GaussFit {
             return fit;
         }
         self.prepare(target_dn.len(), fit.parameters);
-        self.minimise(whitener, target_dn, max_iterations, &mut fit);
+        self.minimise(whitener, target_dn, limits, &mut fit);
         fit
     }
 
@@ -231,8 +244,7 @@ impl GaussFit {
         self.trial.extend_from_slice(&self.pulses);
     }
 
-    fn minimise(&mut self, whitener: &Whitener, target_dn: &[f64], max_iterations: usize, fit: &mut Fit) {
-        let min_height_dn = MIN_HEIGHT_SD * whitener.noise().sd();
+    fn minimise(&mut self, whitener: &Whitener, target_dn: &[f64], limits: Limits, fit: &mut Fit) {
         let mut objective = self.try_point(whitener, target_dn, self.offset_dn);
         self.accept(self.offset_dn);
         let mut damping = 1e-3;
@@ -241,15 +253,13 @@ impl GaussFit {
             fit.termination = Termination::Singular;
             return;
         }
-        while fit.iterations < max_iterations {
+        while fit.iterations < limits.iterations {
             self.form_normal_equations(whitener);
             fit.iterations += 1;
-            match self.descend(whitener, target_dn, min_height_dn, &mut objective, &mut damping) {
-                Some(termination) => {
-                    fit.termination = termination;
-                    break;
-                }
-                None => continue,
+            let descent = self.descend(whitener, target_dn, limits.decrease, &mut objective, &mut damping);
+            if let Some(termination) = descent {
+                fit.termination = termination;
+                break;
             }
         }
         if fit.termination == Termination::IterationLimit {
@@ -266,17 +276,18 @@ impl GaussFit {
         &mut self,
         whitener: &Whitener,
         target_dn: &[f64],
-        min_height_dn: f64,
+        decrease: f64,
         objective: &mut f64,
         damping: &mut f64,
     ) -> Option<Termination> {
+        let min_height_dn = MIN_HEIGHT_SD * whitener.noise().sd();
         while *damping < 1e10 {
             if !self.solve_damped(*damping) {
                 *damping *= 10.0;
                 continue;
             }
             let (offset, at_bound) = self.step_within_limits(target_dn.len(), min_height_dn);
-            if *damping <= NEAR_NEWTON && self.promised_decrease() < DECREASE_TOLERANCE {
+            if *damping <= NEAR_NEWTON && self.promised_decrease() < decrease {
                 return Some(if at_bound { Termination::AtBound } else { Termination::Converged });
             }
             let value = self.try_point(whitener, target_dn, offset);

@@ -110,7 +110,7 @@ pub fn fit_by_bic(autocovariance: &[f64], samples: u64, max_order: usize) -> Opt
     for m in 1..=max_order.min(MAX_ORDER).min(lags.len()) {
         let told: f64 = (0..m - 1).map(|j| predictor[j] * autocovariance[m - 1 - j]).sum();
         let k = (autocovariance[m] - told) / error;
-        if !(k.abs() < 1.0) {
+        if k.is_nan() || k.abs() >= 1.0 {
             break;
         }
         let shorter = predictor;

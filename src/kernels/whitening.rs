@@ -147,12 +147,10 @@ impl Whitener {
 fn update(covariance: &mut [[f64; MAX_ORDER]; MAX_ORDER], states: usize) -> Row {
     let first = covariance[0];
     let mut row = Row { weight: 1.0 / first[0].sqrt(), gain: [0.0; MAX_ORDER] };
-    for i in 0..states {
+    for (i, line) in covariance.iter_mut().enumerate().take(states) {
         row.gain[i] = first[i] / first[0];
-    }
-    for i in 0..states {
-        for j in 0..states {
-            covariance[i][j] -= row.gain[i] * first[j];
+        for (value, told) in line.iter_mut().zip(&first).take(states) {
+            *value -= row.gain[i] * told;
         }
     }
     row

@@ -1,0 +1,277 @@
+//! One waveform to its returns: detection, joint fit, a second look at what the fit leaves, and what does not stand up.
+//!
+//! The plain form of ALGORITHMS.md S4 to S8 with Gaussian pulses. What a real receiver adds to a Gaussian (after-pulse,
+//! slow tail) is found as returns of its own where it stands out of the noise.
+
+use super::detect::{Candidate, Detector, next_plateau, plateau_candidate};
+use super::flags;
+use super::sensor_model::{ChannelModel, ModelError};
+use scene::{Found, Scene};
+
+mod refine;
+mod scene;
+#[cfg(test)]
+mod tests;
+
+/// How waveforms are decomposed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DecomposeSettings {
+    /// Threshold of detection and of what is kept, in standard deviations of the noise of the matched filter.
+    pub detection_sigma: f64,
+    /// Least and greatest width over the calibrated width; a return is dropped only when two standard deviations of
+    /// its width do not reach into the range.
+    pub width_ratio: [f64; 2],
+    /// Iterations of one fit at most.
+    pub iterations: usize,
+    /// Standard deviation of the prior on the logarithm of the width of pulses that overlap: the spread of the widths
+    /// of isolated pulses (empirical Bayes). Isolated pulses have no prior.
+    pub overlap_ln_width_sd: f64,
+    /// How much two pulses must lower chi-square against one widened pulse to stand in its place; `None`: widened pulses
+    /// are not tried, but where the residual has a maximum.
+    pub split_evidence: Option<f64>,
+    /// Samples that the receiver needs after saturation before they can be used.
+    pub recovery_samples: usize,
+    /// Returns of one waveform at most; of more candidates the strongest are kept.
+    pub max_returns: usize,
+}
+
+impl Default for DecomposeSettings {
+    fn default() -> DecomposeSettings {
+        DecomposeSettings {
+            detection_sigma: 4.5,
+            width_ratio: [0.8, 10.0],
+            iterations: 50,
+            overlap_ln_width_sd: 0.15,
+            split_evidence: Some(16.0),
+            recovery_samples: 1,
+            max_returns: 24,
+        }
+    }
+}
+
+/// One return of a waveform. Its place is that of the peak.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Return {
+    /// Samples from the block's first, with fraction.
+    pub position_samples: f64,
+    /// Standard deviation of the position, samples.
+    pub position_sd_samples: f64,
+    /// Height of the peak above the background, DN.
+    pub amplitude_dn: f64,
+    /// Standard deviation of the amplitude, DN.
+    pub amplitude_sd_dn: f64,
+    /// Width over the calibrated width.
+    pub width_ratio: f64,
+    /// Standard deviation of the width ratio.
+    pub width_ratio_sd: f64,
+    /// Full width at half maximum, ns.
+    pub fwhm_ns: f64,
+    /// `(χ² - ν)/√(2ν)` of the waveform; 0 where no degree of freedom is left.
+    pub deviation_ratio: f64,
+    /// Bits of [`super::flags`].
+    pub flags: u16,
+}
+
+/// What became of the candidates: `n_candidates + n_added = np + np_filtered + np_merged + np_xtalk_dropped`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Maxima of the matched filter over the threshold, and saturated plateaus.
+    pub n_candidates: u32,
+    /// Pulses found in what the first fit left.
+    pub n_added: u32,
+    /// Returns.
+    pub np: u32,
+    /// Dropped: too weak, too narrow or wide, outside the block, not to be fitted, or beyond the greatest number.
+    pub np_filtered: u32,
+    /// United with a neighbour they could not be told from.
+    pub np_merged: u32,
+    /// Dropped as cross-talk of an emission; always 0 here, where emissions are not known.
+    pub np_xtalk_dropped: u32,
+}
+
+/// A decomposed waveform.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Decomposition<'a> {
+    /// The returns, by position.
+    pub returns: &'a [Return],
+    /// What became of the candidates.
+    pub counts: Counts,
+    /// `χ²` of what the returns and the background leave.
+    pub chi_square: f64,
+    /// Samples used.
+    pub samples: usize,
+    /// Parameters fitted.
+    pub parameters: usize,
+    /// Fitted offset from the channel's background, DN; 0 where the background is fixed.
+    pub background_offset_dn: f64,
+    /// Whether samples are saturated.
+    pub saturated: bool,
+    /// Whether a fit was made.
+    pub refined_once: bool,
+    /// Whether a further fit was needed: pulses were added, or a fit went astray.
+    pub refined_twice: bool,
+}
+
+impl Decomposition<'_> {
+    /// Samples less parameters.
+    pub fn degrees_of_freedom(&self) -> usize {
+        self.samples.saturating_sub(self.parameters)
+    }
+
+    /// `(χ² - ν)/√(2ν)`; 0 where no degree of freedom is left.
+    pub fn deviation_ratio(&self) -> f64 {
+        match self.degrees_of_freedom() {
+            0 => 0.0,
+            nu => (self.chi_square - nu as f64) / (2.0 * nu as f64).sqrt(),
+        }
+    }
+}
+
+/// Decomposes the waveforms of one channel; keeps its memory from one to the next.
+#[derive(Debug, Clone)]
+pub struct Decomposer {
+    model: ChannelModel,
+    settings: DecomposeSettings,
+    scene: Scene,
+    detector: Detector,
+    candidates: Vec<Candidate>,
+    returns: Vec<Return>,
+    counts: Counts,
+    refined_twice: bool,
+}
+
+impl Decomposer {
+    /// For blocks of up to `max_samples` samples of the channel; longer ones make it take more memory.
+    pub fn new(
+        model: &ChannelModel,
+        settings: &DecomposeSettings,
+        max_samples: usize,
+    ) -> Result<Decomposer, ModelError> {
+        let scene = Scene::new(model, settings, max_samples)?;
+        let detector =
+            Detector::new(model.fwhm_samples(), model.offset_precision(), scene.whitener(), max_samples);
+        Ok(Decomposer {
+            model: model.clone(),
+            settings: settings.clone(),
+            scene,
+            detector,
+            candidates: Vec::with_capacity(max_samples),
+            returns: Vec::with_capacity(settings.max_returns),
+            counts: Counts::default(),
+            refined_twice: false,
+        })
+    }
+
+    /// The channel it decomposes.
+    pub fn model(&self) -> &ChannelModel {
+        &self.model
+    }
+
+    /// Decomposes one block; `start_phase` is the index of its first sample modulo 4.
+    pub fn decompose(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
+        self.counts = Counts::default();
+        self.refined_twice = false;
+        self.returns.clear();
+        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
+            self.detector.prepare(self.scene.whitener());
+        }
+        self.find_candidates(samples);
+        if !self.scene.found.is_empty() {
+            self.scene.fit_all();
+            self.add_from_residual();
+            self.prune();
+        }
+        self.report(samples)
+    }
+
+    /// Candidates of the matched filter and of saturated plateaus become the first pulses.
+    fn find_candidates(&mut self, samples: &[u16]) {
+        let scene = &mut self.scene;
+        self.detector.filter(scene.whitener(), scene.target_dn());
+        self.candidates.clear();
+        self.detector.maxima(self.settings.detection_sigma, &mut self.candidates);
+        let width = self.model.fwhm_samples();
+        let mut from = 0;
+        while let Some(plateau) = next_plateau(samples, self.model.full_scale_dn, from) {
+            let near = plateau.start as f64 - width..plateau.end as f64 + width;
+            // What the filter makes of a plateau's flanks is the plateau's own pulse.
+            self.candidates.retain(|c| c.statistic.is_infinite() || !near.contains(&c.position_samples));
+            from = plateau.end;
+            self.candidates.push(plateau_candidate(scene.target_dn(), plateau, width));
+        }
+        self.counts.n_candidates = self.candidates.len() as u32;
+        self.candidates.sort_by(|a, b| b.statistic.total_cmp(&a.statistic));
+        let kept = self.candidates.len().min(self.settings.max_returns);
+        self.counts.np_filtered += (self.candidates.len() - kept) as u32;
+        scene.found.extend(self.candidates.iter().take(kept).map(Found::from_candidate));
+    }
+
+    /// Turns the pulses that are left into returns.
+    fn report(&mut self, samples: &[u16]) -> Decomposition<'_> {
+        let found = &self.scene.found;
+        self.counts.np = found.len() as u32;
+        let outcome = Decomposition {
+            returns: &[],
+            counts: self.counts,
+            chi_square: self.scene.chi_square(),
+            samples: self.scene.whitener().used_count(),
+            parameters: 3 * found.len() + usize::from(self.model.offset_precision().is_some()),
+            background_offset_dn: self.scene.offset_dn(),
+            saturated: samples.iter().any(|&s| f64::from(s) >= self.model.full_scale_dn),
+            refined_once: self.counts.n_candidates > 0,
+            refined_twice: self.refined_twice || found.iter().any(|f| f.flags & flags::DIVERGED != 0),
+        };
+        let deviation_ratio = outcome.deviation_ratio();
+        for f in found {
+            let width_ratio = f.pulse.ln_width_ratio.exp();
+            self.returns.push(Return {
+                position_samples: f.pulse.position_samples,
+                position_sd_samples: f.sd[1],
+                amplitude_dn: f.pulse.height_dn,
+                amplitude_sd_dn: f.sd[0],
+                width_ratio,
+                width_ratio_sd: width_ratio * f.sd[2],
+                fwhm_ns: width_ratio * self.model.pulse_fwhm_ns,
+                deviation_ratio,
+                flags: f.flags | flags::REFINED | block_flags(samples, &self.model, f),
+            });
+        }
+        self.set_overlaps();
+        Decomposition { returns: &self.returns, ..outcome }
+    }
+
+    fn set_overlaps(&mut self) {
+        for i in 1..self.returns.len() {
+            if self.scene.overlap(i - 1, i) {
+                self.returns[i - 1].flags |= flags::OVERLAP;
+                self.returns[i].flags |= flags::OVERLAP;
+            }
+        }
+    }
+}
+
+/// The flags that saturation and the block's ends set.
+fn block_flags(samples: &[u16], model: &ChannelModel, found: &Found) -> u16 {
+    let width = model.fwhm_samples() * found.pulse.ln_width_ratio.exp();
+    let position = found.pulse.position_samples;
+    let mut flags = 0;
+    if position < 0.7 * width || position > samples.len() as f64 - 1.0 - 0.25 * width {
+        flags |= flags::TRUNCATED;
+    }
+    let saturated = |k: usize| f64::from(samples[k]) >= model.full_scale_dn;
+    let within = |before: f64, after: f64| {
+        let first = (position - before * width).ceil().max(0.0) as usize;
+        let end = ((position + after * width).floor() + 1.0).max(0.0) as usize;
+        first.min(samples.len())..end.min(samples.len())
+    };
+    if within(1.0, 1.0).any(saturated) {
+        flags |= flags::SATURATED;
+        let core = within(0.5, 0.5);
+        let lost = core.clone().filter(|&k| saturated(k)).count();
+        let no_flank = within(1.5, 0.0).all(saturated) || within(0.0, 1.5).all(saturated);
+        if lost as f64 > 0.6 * core.len() as f64 || no_flank {
+            flags |= flags::EXTREMELY_SATURATED;
+        }
+    }
+    flags
+}

@@ -1,0 +1,195 @@
+//! A second look at what the first fit leaves, and what does not stand up.
+
+use super::scene::Found;
+use super::{Counts, Decomposer};
+use crate::kernels::detect::Candidate;
+use crate::kernels::flags;
+
+/// A pulse is added when it lowers chi-square by this part of the threshold's square.
+const GAIN_PART: f64 = 0.8;
+/// Maxima of the filtered residual from this part of the threshold on are worth a trial.
+const TRIAL_PART: f64 = 0.5;
+/// Trials on one residual at most.
+const TRIALS: usize = 3;
+/// A pulse wider than this times the calibrated width may hide two.
+const HIDING_WIDTH_RATIO: f64 = 1.04;
+/// Standard deviation of a Gaussian over its full width at half maximum.
+const SD_OF_FWHM: f64 = 0.424_660_900_144_009_5;
+/// Nearer than so many calibrated widths, and in any case than one sample, two pulses are one.
+const LEAST_SEPARATION_WIDTHS: f64 = 0.25;
+
+/// How the pulses of a cluster start, when one is added.
+#[derive(Clone, Copy)]
+enum Start {
+    /// As they are.
+    AsFitted,
+    /// With the calibrated width, held for some iterations.
+    CalibratedWidth,
+    /// The nearest one in two of calibrated width, the first with this part of its energy, whose first moments are
+    /// its own.
+    Apart(f64),
+}
+
+impl Decomposer {
+    /// Adds pulses where the residual has maxima or a widened pulse is better told by two, as long as one is worth its
+    /// parameters.
+    pub(super) fn add_from_residual(&mut self) {
+        while self.scene.found.len() < self.settings.max_returns && (self.add_one() || self.split_one()) {
+            self.counts.n_added += 1;
+            self.refined_twice = true;
+        }
+        if self.counts.n_added > 0 {
+            self.scene.fit_all();
+        }
+    }
+
+    /// Adds a pulse at one of the residual's greatest maxima.
+    fn add_one(&mut self) -> bool {
+        self.detector.filter(self.scene.whitener(), self.scene.residual_dn());
+        self.candidates.clear();
+        self.detector.maxima(TRIAL_PART * self.settings.detection_sigma, &mut self.candidates);
+        self.candidates.sort_by(|a, b| b.statistic.total_cmp(&a.statistic));
+        let gain = GAIN_PART * self.settings.detection_sigma.powi(2);
+        let starts = [Start::AsFitted, Start::CalibratedWidth, Start::Apart(0.5)];
+        (0..self.candidates.len().min(TRIALS)).any(|i| {
+            let candidate = self.candidates[i];
+            let nearest = self.nearest(candidate.position_samples);
+            nearest.is_some_and(|nearest| self.try_starts(&starts, &candidate, nearest, gain))
+        })
+    }
+
+    /// Divides the first widened pulse that two pulses tell better.
+    fn split_one(&mut self) -> bool {
+        let Some(gain) = self.settings.split_evidence else { return false };
+        let starts = [0.5, 0.7, 0.3].map(Start::Apart);
+        (0..self.scene.found.len()).any(|i| {
+            let p = self.scene.found[i].pulse;
+            let half = Candidate {
+                position_samples: p.position_samples,
+                statistic: 0.0,
+                height_dn: p.height_dn,
+                ln_width_ratio: 0.0,
+            };
+            self.try_starts(&starts, &half, i, gain)
+        })
+    }
+
+    fn nearest(&self, position_samples: f64) -> Option<usize> {
+        let distance = |i: usize| (self.scene.found[i].pulse.position_samples - position_samples).abs();
+        (0..self.scene.found.len()).min_by(|&i, &j| distance(i).total_cmp(&distance(j)))
+    }
+
+    /// Fits with one pulse more, from several starts, and keeps the best if it lowers chi-square enough.
+    fn try_starts(&mut self, starts: &[Start], candidate: &Candidate, nearest: usize, gain: f64) -> bool {
+        self.scene.save();
+        for &start in starts {
+            self.scene.restore();
+            if let Some(added) = self.start_with(candidate, nearest, start) {
+                self.scene.fit_around(added, matches!(start, Start::CalibratedWidth));
+                self.scene.keep_if_best();
+            }
+        }
+        self.scene.settle(gain)
+    }
+
+    /// Puts the start values of a trial in place and returns the new pulse's index; `None` where the pulse nearest to
+    /// the candidate is not one that may hide two, for the starts that are about it.
+    fn start_with(&mut self, candidate: &Candidate, nearest: usize, start: Start) -> Option<usize> {
+        let width = self.scene.fwhm_samples();
+        let neighbour = &mut self.scene.found[nearest];
+        let ratio = neighbour.pulse.ln_width_ratio.exp();
+        let distance = (neighbour.pulse.position_samples - candidate.position_samples).abs();
+        let widened = distance < 1.5 * width * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO;
+        match start {
+            Start::AsFitted => Some(self.scene.insert(Found::from_candidate(candidate))),
+            _ if !widened => None,
+            Start::CalibratedWidth => {
+                neighbour.flags |= flags::DIVERGED;
+                let mut added = Found::from_candidate(candidate);
+                added.flags |= flags::DIVERGED;
+                Some(self.scene.insert(added))
+            }
+            Start::Apart(part) => {
+                let separation = SD_OF_FWHM * width * ((ratio * ratio - 1.0) / (part * (1.0 - part))).sqrt();
+                let (centre, energy) = (neighbour.pulse.position_samples, ratio * neighbour.pulse.height_dn);
+                let flags = neighbour.flags | flags::SPLIT;
+                *neighbour = Found::new(part * energy, centre - (1.0 - part) * separation, 0.0);
+                neighbour.flags = flags;
+                let mut second = Found::new((1.0 - part) * energy, centre + part * separation, 0.0);
+                second.flags = flags;
+                Some(self.scene.insert(second))
+            }
+        }
+    }
+
+    /// Removes what does not stand up, one after the other, the others being fitted anew each time.
+    pub(super) fn prune(&mut self) {
+        while self.remove_failed() || self.merge_nearest() || self.remove_weakest() || self.remove_misshapen()
+        {
+            self.scene.fit_all();
+        }
+    }
+
+    fn filter_out(counts: &mut Counts, found: &mut Vec<Found>, index: Option<usize>) -> bool {
+        if let Some(index) = index {
+            found.remove(index);
+            counts.np_filtered += 1;
+        }
+        index.is_some()
+    }
+
+    /// The weakest of the pulses that could not be determined.
+    fn remove_failed(&mut self) -> bool {
+        let found = &mut self.scene.found;
+        let failed = (0..found.len())
+            .filter(|&i| found[i].failed)
+            .min_by(|&i, &j| found[i].pulse.height_dn.total_cmp(&found[j].pulse.height_dn));
+        Self::filter_out(&mut self.counts, found, failed)
+    }
+
+    /// The nearest two pulses, where they cannot be told apart.
+    fn merge_nearest(&mut self) -> bool {
+        let least = (LEAST_SEPARATION_WIDTHS * self.scene.fwhm_samples()).max(1.0);
+        let found = &mut self.scene.found;
+        let gap = |i: usize| found[i].pulse.position_samples - found[i - 1].pulse.position_samples;
+        let Some(i) = (1..found.len()).filter(|&i| gap(i) < least).min_by(|&i, &j| gap(i).total_cmp(&gap(j)))
+        else {
+            return false;
+        };
+        let right = found.remove(i);
+        let left = &mut found[i - 1];
+        let (a, b) = (left.pulse.height_dn, right.pulse.height_dn);
+        left.pulse.position_samples =
+            (a * left.pulse.position_samples + b * right.pulse.position_samples) / (a + b);
+        left.pulse.height_dn = a + b;
+        left.flags = (left.flags | right.flags) & !flags::SPLIT;
+        self.counts.np_merged += 1;
+        true
+    }
+
+    /// The weakest pulse, where a pulse of calibrated width and its height does not reach the threshold.
+    fn remove_weakest(&mut self) -> bool {
+        let mut weakest = (self.settings.detection_sigma, None);
+        for (i, f) in self.scene.found.iter().enumerate() {
+            let per_dn = self.detector.significance_per_dn(self.scene.whitener(), f.pulse.position_samples);
+            let significance = per_dn * f.pulse.height_dn;
+            if significance < weakest.0 {
+                weakest = (significance, Some(i));
+            }
+        }
+        Self::filter_out(&mut self.counts, &mut self.scene.found, weakest.1)
+    }
+
+    /// The first pulse whose width is out of range by more than two standard deviations, or that peaks outside the
+    /// block.
+    fn remove_misshapen(&mut self) -> bool {
+        let [narrowest, widest] = self.settings.width_ratio.map(f64::ln);
+        let last = self.scene.target_dn().len() as f64;
+        let misshapen = self.scene.found.iter().position(|f| {
+            let (u, reach) = (f.pulse.ln_width_ratio, 2.0 * f.sd[2]);
+            let outside = f.pulse.position_samples < -1.0 || f.pulse.position_samples > last;
+            u + reach < narrowest || u - reach > widest || outside
+        });
+        Self::filter_out(&mut self.counts, &mut self.scene.found, misshapen)
+    }
+}

@@ -1,0 +1,285 @@
+//! Where pulses may stand: local maxima of the matched filter of the calibrated pulse on whitened samples.
+//!
+//! The statistic at lag `t` is `m(t) = g_tᵀ S⁻¹ y / √E(t)` with `E(t) = g_tᵀ S⁻¹ g_t`, `g_t` the pulse of unit height
+//! at sample `t` and `S` the covariance of the noise on the used samples. In noise alone it has mean 0 and variance 1
+//! at every lag, so a threshold on it is in standard deviations of the noise. An unknown background of precision `q`
+//! is part of the noise, `S = Σ + 11ᵀ/q`, by the formula of Sherman and Morrison.
+
+use std::ops::Range;
+
+use super::gauss_fit::{FOUR_LN_2, Pulse};
+use super::whitening::Whitener;
+
+/// Half length of the filter's pulse in its widths: the main lobe (REALDATA.md, section 1).
+const HALF_LENGTH_WIDTHS: f64 = 1.5;
+/// Lags at which less than this part of the pulse's energy lies in used samples are not looked at.
+const LEAST_ENERGY_PART: f64 = 0.3;
+/// Two maxima are two candidates only with a dip between them that is this part of the threshold deep: what noise
+/// makes on the back of one wide pulse is one candidate.
+const DIP_PART: f64 = 0.5;
+
+/// A place where a pulse may stand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// Place of the maximum, samples from the block's first.
+    pub position_samples: f64,
+    /// The statistic at the maximum's sample, in standard deviations of the noise; infinite for a saturated plateau.
+    pub statistic: f64,
+    /// A first measure of the pulse's height, DN.
+    pub height_dn: f64,
+    /// A first measure of the logarithm of its width ratio.
+    pub ln_width_ratio: f64,
+}
+
+/// Workspace of the matched filter for one pulse width.
+#[derive(Debug, Clone)]
+pub struct Detector {
+    fwhm_samples: f64,
+    offset_precision: Option<f64>,
+    template: Vec<f64>,
+    full_energy: f64,
+    /// By lag: `g_tᵀ Σ⁻¹ g_t`, and with an unknown background what remains of it.
+    energy: Vec<f64>,
+    /// By lag: `g_tᵀ Σ⁻¹ 1`.
+    template_offset: Vec<f64>,
+    /// `Σ⁻¹ 1`.
+    offset_solved: Vec<f64>,
+    /// `1ᵀ Σ⁻¹ 1 + q`.
+    offset_information: f64,
+    solved: Vec<f64>,
+    statistic: Vec<f64>,
+}
+
+impl Detector {
+    /// A filter for pulses of the calibrated width, in the whitener's noise, for blocks of up to `max_samples` samples
+    /// (longer ones make it grow). `offset_precision` as in [`super::gauss_fit::GaussFit::new`].
+    pub fn new(
+        fwhm_samples: f64,
+        offset_precision: Option<f64>,
+        whitener: &Whitener,
+        max_samples: usize,
+    ) -> Detector {
+        // A pulse longer than any block need not be laid out: what lies beyond the block is never asked for.
+        let half = (HALF_LENGTH_WIDTHS * fwhm_samples).ceil().clamp(1.0, 1e4) as usize;
+        let template: Vec<f64> = (0..=2 * half)
+            .map(|k| (-FOUR_LN_2 * ((k as f64 - half as f64) / fwhm_samples).powi(2)).exp())
+            .collect();
+        let mut long = Whitener::new(whitener.noise().clone(), 4 * half);
+        long.set_used(&vec![true; 4 * half + 1]);
+        let mut column = vec![0.0; 4 * half + 1];
+        column[half..=3 * half].copy_from_slice(&template);
+        long.whiten(&mut column);
+        Detector {
+            fwhm_samples,
+            offset_precision,
+            template,
+            full_energy: column.iter().map(|v| v * v).sum(),
+            energy: Vec::with_capacity(max_samples),
+            template_offset: Vec::with_capacity(max_samples),
+            offset_solved: Vec::with_capacity(max_samples),
+            offset_information: f64::INFINITY,
+            solved: Vec::with_capacity(max_samples),
+            statistic: Vec::with_capacity(max_samples),
+        }
+    }
+
+    /// Prepares for the whitener's block and choice of samples; to be called again when they change.
+    pub fn prepare(&mut self, whitener: &Whitener) {
+        let samples = whitener.used().len();
+        self.prepare_offset(whitener);
+        self.energy.clear();
+        self.template_offset.clear();
+        self.solved.clear();
+        self.solved.resize(samples, 0.0);
+        for lag in 0..samples {
+            let (first, part) = within_block(&self.template, lag, samples);
+            self.solved.fill(0.0);
+            self.solved[first..first + part.len()].copy_from_slice(part);
+            let cross = dot(&self.solved, &self.offset_solved);
+            whitener.whiten_from(first, &mut self.solved);
+            let known: f64 = self.solved[first..].iter().map(|v| v * v).sum();
+            self.energy.push(known - cross * cross / self.offset_information);
+            self.template_offset.push(cross);
+        }
+    }
+
+    fn prepare_offset(&mut self, whitener: &Whitener) {
+        self.offset_solved.clear();
+        self.offset_solved.resize(whitener.used().len(), 0.0);
+        self.offset_information = f64::INFINITY;
+        if let Some(precision) = self.offset_precision {
+            self.offset_solved.fill(1.0);
+            whitener.whiten(&mut self.offset_solved);
+            let information: f64 = self.offset_solved.iter().map(|v| v * v).sum();
+            if information + precision > 0.0 {
+                self.offset_information = information + precision;
+            }
+            whitener.whiten_transposed(&mut self.offset_solved);
+        }
+    }
+
+    /// Filters `values_dn`, the samples less the background (or less the pulses already found). The statistic by lag:
+    /// minus infinity where too little of the pulse lies in used samples.
+    pub fn filter(&mut self, whitener: &Whitener, values_dn: &[f64]) -> &[f64] {
+        self.solved.clear();
+        self.solved.extend_from_slice(values_dn);
+        whitener.whiten(&mut self.solved);
+        whitener.whiten_transposed(&mut self.solved);
+        let offset: f64 = match self.offset_precision {
+            Some(_) => self.solved.iter().sum::<f64>() / self.offset_information,
+            None => 0.0,
+        };
+        self.statistic.clear();
+        for lag in 0..values_dn.len() {
+            let (first, part) = within_block(&self.template, lag, values_dn.len());
+            let product = dot(part, &self.solved[first..]) - self.template_offset[lag] * offset;
+            let enough = self.energy[lag] >= LEAST_ENERGY_PART * self.full_energy;
+            self.statistic.push(if enough { product / self.energy[lag].sqrt() } else { f64::NEG_INFINITY });
+        }
+        &self.statistic
+    }
+
+    /// Appends the local maxima of the last filtering that reach `threshold`, from left to right: each with a dip of at
+    /// least half the threshold before the next.
+    pub fn maxima(&self, threshold: f64, candidates: &mut Vec<Candidate>) {
+        let already = candidates.len();
+        let mut lowest_since = f64::NEG_INFINITY;
+        for lag in 0..self.statistic.len() {
+            let value = self.statistic[lag];
+            lowest_since = lowest_since.min(value);
+            let rises = lag == 0 || self.statistic[lag - 1] < value;
+            let falls = self.statistic.get(lag + 1).is_none_or(|&next| next <= value);
+            if !(value >= threshold && rises && falls) {
+                continue;
+            }
+            let candidate = self.candidate(lag);
+            match candidates[already..].last_mut() {
+                Some(last) if last.statistic.min(value) - lowest_since < DIP_PART * threshold => {
+                    if value > last.statistic {
+                        *last = candidate;
+                        lowest_since = value;
+                    }
+                }
+                _ => {
+                    candidates.push(candidate);
+                    lowest_since = value;
+                }
+            }
+        }
+    }
+
+    /// A maximum's place by the parabola through it and its neighbours, its height by the filter's gain.
+    fn candidate(&self, lag: usize) -> Candidate {
+        let at =
+            |lag: Option<usize>| lag.and_then(|k| self.statistic.get(k)).copied().filter(|v| v.is_finite());
+        let value = self.statistic[lag];
+        let shift = match (at(lag.checked_sub(1)), at(Some(lag + 1))) {
+            (Some(before), Some(after)) if before + after - 2.0 * value < 0.0 => {
+                0.5 * (before - after) / (before + after - 2.0 * value)
+            }
+            _ => 0.0,
+        };
+        Candidate {
+            position_samples: lag as f64 + shift.clamp(-0.5, 0.5),
+            statistic: value,
+            height_dn: value / self.energy[lag].sqrt(),
+            ln_width_ratio: 0.0,
+        }
+    }
+
+    /// `√E` of a pulse of calibrated width at a place between samples: its significance is its height times this.
+    pub fn significance_per_dn(&mut self, whitener: &Whitener, position_samples: f64) -> f64 {
+        let pulse = Pulse { height_dn: 1.0, position_samples, ln_width_ratio: 0.0, ln_width_precision: 0.0 };
+        self.solved.fill(0.0);
+        pulse.add_to(self.fwhm_samples, 1.0, &mut self.solved);
+        let cross = dot(&self.solved, &self.offset_solved);
+        whitener.whiten(&mut self.solved);
+        let known: f64 = self.solved.iter().map(|v| v * v).sum();
+        (known - cross * cross / self.offset_information).max(0.0).sqrt()
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+/// The part of the pulse at `lag` that lies within the block, and the sample where it starts.
+fn within_block(template: &[f64], lag: usize, samples: usize) -> (usize, &[f64]) {
+    let half = template.len() / 2;
+    let first = lag.saturating_sub(half);
+    let end = (lag + half + 1).min(samples);
+    let skipped = first + half - lag;
+    (first, &template[skipped..skipped + (end - first)])
+}
+
+/// The next run of saturated samples at or after `from`; runs with a single free sample between them are one.
+pub fn next_plateau(samples: &[u16], full_scale_dn: f64, from: usize) -> Option<Range<usize>> {
+    let saturated = |k: usize| samples.get(k).is_some_and(|&s| f64::from(s) >= full_scale_dn);
+    let start = (from..samples.len()).find(|&k| saturated(k))?;
+    let mut end = start + 1;
+    while saturated(end) || saturated(end + 1) {
+        end += 1;
+    }
+    Some(start..end)
+}
+
+/// The candidate of a saturated plateau, told from where its flanks cross 0.3 and 0.8 of the plateau's level.
+///
+/// With both flanks free these give place, width and height of a Gaussian; with one, place and height for the
+/// calibrated width; with none the plateau's centre stands in. `values_dn` are the samples less the background.
+pub fn plateau_candidate(values_dn: &[f64], plateau: Range<usize>, fwhm_samples: f64) -> Candidate {
+    const LOW: f64 = 0.3;
+    const HIGH: f64 = 0.8;
+    let level = plateau.clone().filter_map(|k| values_dn.get(k)).fold(1e-6, |a: f64, &b| a.max(b));
+    let rise = |part: f64| crossing(values_dn, (0..plateau.start).rev(), -1.0, level, part);
+    let fall = |part: f64| crossing(values_dn, plateau.end..values_dn.len(), 1.0, level, part);
+    let drop = (HIGH / LOW).ln();
+    let calibrated = FOUR_LN_2 / (fwhm_samples * fwhm_samples);
+    let (position, ln_width, outside) = match ((rise(LOW), rise(HIGH)), (fall(LOW), fall(HIGH))) {
+        ((Some(a), Some(b)), (Some(d), Some(c))) => {
+            let (wide, narrow) = (0.5 * (d - a), 0.5 * (c - b));
+            let curvature = drop / (wide * wide - narrow * narrow).max(1e-6);
+            ((a + b + c + d) / 4.0, (-0.5 * (curvature / calibrated).ln()).clamp(-0.4, 1.2), narrow)
+        }
+        ((Some(low), Some(high)), _) | (_, (Some(low), Some(high))) => {
+            let position = 0.5 * (drop / calibrated / nonzero(high - low) + low + high);
+            (position, 0.0, position - high)
+        }
+        _ => (0.5 * (plateau.start as f64 + plateau.end as f64 - 1.0), 0.0, 0.0),
+    };
+    let growth = FOUR_LN_2 * (outside / (fwhm_samples * ln_width.exp())).powi(2);
+    Candidate {
+        position_samples: position
+            .clamp(plateau.start as f64 - fwhm_samples, plateau.end as f64 + fwhm_samples),
+        statistic: f64::INFINITY,
+        height_dn: level * (HIGH * growth.min(7.0).exp()).max(1.0),
+        ln_width_ratio: ln_width,
+    }
+}
+
+/// Where the values, followed outwards from a plateau at `level`, first fall below its given part; `direction` is that
+/// of the walk.
+fn crossing(
+    values: &[f64],
+    walk: impl Iterator<Item = usize>,
+    direction: f64,
+    level: f64,
+    part: f64,
+) -> Option<f64> {
+    let mut inner = level;
+    for k in walk {
+        let value = *values.get(k)?;
+        if value < part * level {
+            return Some(k as f64 - direction * (part * level - value) / nonzero(inner - value));
+        }
+        inner = value;
+    }
+    None
+}
+
+fn nonzero(x: f64) -> f64 {
+    if x.abs() < 1e-9 { 1e-9f64.copysign(x) } else { x }
+}
+
+#[cfg(test)]
+mod tests;

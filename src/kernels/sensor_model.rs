@@ -1,0 +1,199 @@
+//! What `calibrate` finds out about a sensor and `decompose` relies on, channel by channel.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::noise::{ArNoise, MAX_ORDER};
+
+/// A sensor: one model for each channel that was calibrated.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SensorModel {
+    /// The sensitive channel, for weak echoes (RIEGL: low power, LO).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub low_power: Option<ChannelModel>,
+    /// The coarse channel, for strong echoes (RIEGL: high power, HI).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub high_power: Option<ChannelModel>,
+    /// The channel for echoes that saturate the others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub saturation: Option<ChannelModel>,
+    /// The outgoing pulse.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference: Option<ChannelModel>,
+}
+
+/// How the background of a waveform is told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Background {
+    /// It is the channel's: `background_dn`, by the sample's phase.
+    Fixed,
+    /// It is a free parameter of each waveform, drawn to `background_dn` with the spread `background_sd_dn`.
+    PerWaveform,
+}
+
+/// One channel of a sensor. DN are steps of the digitiser.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ChannelModel {
+    /// Time from sample to sample, ns; positive.
+    pub sampling_interval_ns: f64,
+    /// Samples at or above this are saturated, DN; positive.
+    pub full_scale_dn: f64,
+    /// How the background of a waveform is told.
+    pub background: Background,
+    /// Level without a pulse, DN, by the sample's index modulo 4.
+    pub background_dn: [f64; 4],
+    /// Spread of the level from block to block, DN; 0 where none was measured. With `per_waveform`, the standard
+    /// deviation of the prior on a waveform's level; 0 is then no prior.
+    pub background_sd_dn: f64,
+    /// Standard deviation of the noise of one sample, quantisation included, DN; positive.
+    pub noise_sd_dn: f64,
+    /// Correlation of the noise as measured, at lags of 1, 2, … samples.
+    pub autocorrelation: Vec<f64>,
+    /// Coefficients `φ_1 …` of the noise's autoregressive model; none for white noise.
+    pub ar: Vec<f64>,
+    /// Standard deviation of that model's innovation, DN; positive.
+    pub innovation_sd_dn: f64,
+    /// Full width at half maximum of a pulse from a flat target, ns; positive.
+    pub pulse_fwhm_ns: f64,
+    /// Spread of that width from pulse to pulse, ns.
+    pub pulse_fwhm_sd_ns: f64,
+    /// Blocks the model was found from.
+    pub waveforms: u64,
+    /// Single, unsaturated pulses the width was found from; 0 where there were too few and the width is a first
+    /// measure, taken from the samples above half the height.
+    pub pulses: u64,
+}
+
+/// A model that describes no channel.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("sensor model: {field}: {problem}; calibrate anew, or correct the saved model")]
+pub struct ModelError {
+    /// The field's name.
+    pub field: &'static str,
+    /// What is wrong with it.
+    pub problem: String,
+}
+
+impl ChannelModel {
+    /// Checks that the numbers describe a channel, and gives the noise they describe.
+    pub fn noise(&self) -> Result<ArNoise, ModelError> {
+        let positive = [
+            ("sampling_interval_ns", self.sampling_interval_ns),
+            ("full_scale_dn", self.full_scale_dn),
+            ("noise_sd_dn", self.noise_sd_dn),
+            ("innovation_sd_dn", self.innovation_sd_dn),
+            ("pulse_fwhm_ns", self.pulse_fwhm_ns),
+        ];
+        for (field, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(ModelError { field, problem: format!("{value} is not a positive number") });
+            }
+        }
+        if let Some(level) = self.background_dn.iter().find(|level| !level.is_finite()) {
+            return Err(ModelError { field: "background_dn", problem: format!("{level} is not a number") });
+        }
+        if !(self.background_sd_dn >= 0.0 && self.background_sd_dn.is_finite()) {
+            let problem = format!("{} is not a standard deviation", self.background_sd_dn);
+            return Err(ModelError { field: "background_sd_dn", problem });
+        }
+        ArNoise::new(&self.ar, self.innovation_sd_dn).ok_or_else(|| ModelError {
+            field: "ar",
+            problem: format!("{:?} is no stationary process of at most {MAX_ORDER} coefficients", self.ar),
+        })
+    }
+
+    /// The calibrated width in samples.
+    pub fn fwhm_samples(&self) -> f64 {
+        self.pulse_fwhm_ns / self.sampling_interval_ns
+    }
+
+    /// The background at sample `index` of a block whose first sample has index `start_phase` modulo 4.
+    pub fn background_at(&self, start_phase: u8, index: usize) -> f64 {
+        self.background_dn[(usize::from(start_phase) + index) % 4]
+    }
+
+    /// The precision of a waveform's own offset from `background_dn`, 1/DN²; `None` where the background is fixed.
+    pub fn offset_precision(&self) -> Option<f64> {
+        match self.background {
+            Background::Fixed => None,
+            Background::PerWaveform if self.background_sd_dn > 0.0 => Some(self.background_sd_dn.powi(-2)),
+            Background::PerWaveform => Some(0.0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model() -> ChannelModel {
+        ChannelModel {
+            sampling_interval_ns: 0.5,
+            full_scale_dn: 255.0,
+            background: Background::Fixed,
+            background_dn: [1.0, 2.0, 3.0, 4.0],
+            background_sd_dn: 0.5,
+            noise_sd_dn: 1.25,
+            autocorrelation: vec![0.6, 0.36],
+            ar: vec![0.6],
+            innovation_sd_dn: 1.0,
+            pulse_fwhm_ns: 4.0,
+            pulse_fwhm_sd_ns: 0.1,
+            waveforms: 200,
+            pulses: 150,
+        }
+    }
+
+    #[test]
+    fn units_and_phases() {
+        let mut model = model();
+        assert_eq!(model.fwhm_samples(), 8.0);
+        assert_eq!([0, 1, 2, 3, 4].map(|k| model.background_at(3, k)), [4.0, 1.0, 2.0, 3.0, 4.0]);
+        assert!((model.noise().unwrap().sd() - 1.25).abs() < 1e-12);
+        assert_eq!(model.offset_precision(), None);
+        model.background = Background::PerWaveform;
+        assert_eq!(model.offset_precision(), Some(4.0));
+        model.background_sd_dn = 0.0;
+        assert_eq!(model.offset_precision(), Some(0.0));
+    }
+
+    #[test]
+    fn a_model_survives_json_and_absent_channels_stay_absent() {
+        let sensor = SensorModel { low_power: Some(model()), ..SensorModel::default() };
+        let text = serde_json::to_string(&sensor).unwrap();
+        assert!(!text.contains("reference") && text.contains("\"background\":\"fixed\""), "{text}");
+        assert_eq!(serde_json::from_str::<SensorModel>(&text).unwrap(), sensor);
+        assert!(serde_json::from_str::<SensorModel>("{\"low\":null}").is_err());
+    }
+
+    #[test]
+    fn what_describes_no_channel_is_named() {
+        let check = |change: fn(&mut ChannelModel), expected: &str| {
+            let mut model = model();
+            change(&mut model);
+            assert_eq!(model.noise().unwrap_err().to_string(), expected);
+        };
+        check(
+            |m| m.innovation_sd_dn = 0.0,
+            "sensor model: innovation_sd_dn: 0 is not a positive number; \
+             calibrate anew, or correct the saved model",
+        );
+        check(
+            |m| m.background_dn[2] = f64::NAN,
+            "sensor model: background_dn: NaN is not a number; calibrate anew, or correct the saved model",
+        );
+        check(
+            |m| m.background_sd_dn = -1.0,
+            "sensor model: background_sd_dn: -1 is not a standard deviation; \
+             calibrate anew, or correct the saved model",
+        );
+        check(
+            |m| m.ar = vec![1.5],
+            "sensor model: ar: [1.5] is no stationary process of at most 8 coefficients; \
+             calibrate anew, or correct the saved model",
+        );
+    }
+}
