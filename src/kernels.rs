@@ -5,14 +5,18 @@
 //! squares), [`whitening`] and [`noise`]. Positions are in samples from the block's first, heights in digitiser steps
 //! (DN), and a pulse stands where its peak stands.
 
+pub mod calibrate;
 pub mod cholesky;
 pub mod decompose;
 pub mod detect;
 pub mod flags;
 pub mod gauss_fit;
 pub mod noise;
+pub mod outgoing;
 pub mod sensor_model;
 pub mod whitening;
 
+#[cfg(test)]
+mod recordings;
 #[cfg(test)]
 pub(crate) mod simulated;

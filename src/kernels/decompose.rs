@@ -29,6 +29,8 @@ pub struct DecomposeSettings {
     /// How much two pulses must lower chi-square against one widened pulse to stand in its place; `None`: widened pulses
     /// are not tried, but where the residual has a maximum.
     pub split_evidence: Option<f64>,
+    /// Pulses added to those detection finds, at most; 0 leaves it at those.
+    pub max_added: u32,
     /// Samples that the receiver needs after saturation before they can be used.
     pub recovery_samples: usize,
     /// Returns of one waveform at most; of more candidates the strongest are kept.
@@ -43,6 +45,7 @@ impl Default for DecomposeSettings {
             iterations: 50,
             overlap_ln_width_sd: 0.15,
             split_evidence: Some(16.0),
+            max_added: 16,
             recovery_samples: 1,
             max_returns: 24,
         }

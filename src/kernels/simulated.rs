@@ -1,7 +1,8 @@
 //! Waveforms whose truth is known, for tests: a small generator of random numbers, correlated noise, pulses.
 
 use super::gauss_fit::{FOUR_LN_2, Pulse};
-use super::noise::ArNoise;
+use super::noise::{ArNoise, fit_by_bic};
+use super::sensor_model::{Background, ChannelModel};
 
 /// SplitMix64 (Steele, Lea, Flood 2014): a counter through a mixing function; one seed, one sequence.
 pub(crate) struct Random(u64);
@@ -54,6 +55,29 @@ pub(crate) fn noise(random: &mut Random, noise: &ArNoise, samples: usize) -> Vec
         out.push(told + sd * random.normal());
     }
     out.split_off(run_in)
+}
+
+/// The 8-bit channel, sampled at 1 GHz, whose noise is the process rounded to whole steps: 1/12 DN² more at lag 0.
+pub(crate) fn channel(process: &ArNoise, fwhm_samples: f64, background_dn: f64) -> ChannelModel {
+    let mut lags = [0.0; 6];
+    process.autocovariance_into(&mut lags);
+    lags[0] += 1.0 / 12.0;
+    let noise = fit_by_bic(&lags, 1_000_000, 4).unwrap();
+    ChannelModel {
+        sampling_interval_ns: 1.0,
+        full_scale_dn: 255.0,
+        background: Background::Fixed,
+        background_dn: [background_dn; 4],
+        background_sd_dn: 0.0,
+        noise_sd_dn: noise.sd(),
+        autocorrelation: lags[1..].iter().map(|r| r / lags[0]).collect(),
+        ar: noise.coefficients().to_vec(),
+        innovation_sd_dn: noise.innovation_variance().sqrt(),
+        pulse_fwhm_ns: fwhm_samples,
+        pulse_fwhm_sd_ns: 0.1,
+        waveforms: 1000,
+        pulses: 1000,
+    }
 }
 
 /// A pulse of the given height, position and width ratio, without a prior.

@@ -8,7 +8,7 @@ use crate::kernels::flags;
 /// A pulse is added when it lowers chi-square by this part of the threshold's square.
 const GAIN_PART: f64 = 0.8;
 /// Maxima of the filtered residual from this part of the threshold on are worth a trial.
-const TRIAL_PART: f64 = 0.5;
+const TRIAL_PART: f64 = 0.75;
 /// Trials on one residual at most.
 const TRIALS: usize = 3;
 /// A pulse wider than this times the calibrated width may hide two.
@@ -34,7 +34,10 @@ impl Decomposer {
     /// Adds pulses where the residual has maxima or a widened pulse is better told by two, as long as one is worth its
     /// parameters.
     pub(super) fn add_from_residual(&mut self) {
-        while self.scene.found.len() < self.settings.max_returns && (self.add_one() || self.split_one()) {
+        let room = |d: &Decomposer| {
+            d.scene.found.len() < d.settings.max_returns && d.counts.n_added < d.settings.max_added
+        };
+        while room(self) && (self.add_one() || self.split_one()) {
             self.counts.n_added += 1;
             self.refined_twice = true;
         }

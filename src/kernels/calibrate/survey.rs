@@ -1,0 +1,82 @@
+//! One pass over the blocks with the model at hand: free samples, widths, what the fits leave.
+
+use super::Block;
+use super::noise_statistics::NoiseStatistics;
+use super::width::{Width, Widths};
+use crate::kernels::decompose::{Decomposer, Decomposition, Return};
+use crate::kernels::flags;
+
+/// A sample is free of a pulse so many of the pulse's widths before its peak (ALGORITHMS.md S1: 8 ns of 4.25).
+const FREE_WIDTHS: f64 = 1.9;
+/// Pulses from this height on, in standard deviations of the noise, have a width worth knowing.
+const STRONG_SD: f64 = 20.0;
+/// A pulse is single when others reach no more than this part of its height…
+const MINOR_PART: f64 = 0.1;
+/// … and stand farther off than so many of its widths.
+const APART_WIDTHS: f64 = 2.0;
+
+/// What a pass has seen.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Survey {
+    pub(super) blocks: u64,
+    pub(super) noise: NoiseStatistics,
+    pub(super) widths: Widths,
+    offsets_dn: Vec<f64>,
+    residual_sds: Vec<f64>,
+}
+
+impl Survey {
+    pub(super) fn add(&mut self, decomposer: &mut Decomposer, block: Block<'_>) {
+        let fwhm_samples = decomposer.model().fwhm_samples();
+        let strong_dn = STRONG_SD * decomposer.model().noise_sd_dn;
+        let outcome = decomposer.decompose(block.samples, block.start_phase);
+        self.blocks += 1;
+        self.offsets_dn.push(outcome.background_offset_dn);
+        if outcome.degrees_of_freedom() > 0 {
+            self.residual_sds.push((outcome.chi_square / outcome.degrees_of_freedom() as f64).sqrt());
+        }
+        let free = free_samples(&outcome, fwhm_samples, block.samples.len());
+        self.noise.add(&block.samples[..free], block.start_phase);
+        if let Some(r) = single(&outcome, fwhm_samples).filter(|r| r.amplitude_dn >= strong_dn) {
+            let sd = r.width_ratio_sd / r.width_ratio;
+            self.widths.0.push(Width { ln_fwhm: r.fwhm_ns.ln(), sd, deviation_ratio: r.deviation_ratio });
+        }
+    }
+
+    /// Median of the fitted offsets and their robust spread, DN.
+    pub(super) fn offset_dn(&self) -> (f64, f64) {
+        let mut sorted = self.offsets_dn.clone();
+        sorted.sort_by(f64::total_cmp);
+        let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
+        (at(0.5), 0.5 * (at(0.841_345) - at(0.158_655)))
+    }
+
+    /// Median standard deviation of what the fits leave, in standard deviations of the noise.
+    pub(super) fn residual_sd(&self) -> f64 {
+        let mut sorted = self.residual_sds.clone();
+        sorted.sort_by(f64::total_cmp);
+        sorted.get(sorted.len() / 2).copied().unwrap_or(1.0)
+    }
+}
+
+/// How many of the block's first samples come before any pulse.
+fn free_samples(outcome: &Decomposition<'_>, fwhm_samples: f64, samples: usize) -> usize {
+    let begins = |r: &Return| r.position_samples - FREE_WIDTHS * fwhm_samples * r.width_ratio.max(1.0);
+    let first = outcome.returns.iter().map(begins).fold(f64::INFINITY, f64::min);
+    (first.max(0.0).floor() as usize).min(samples)
+}
+
+/// The strongest return, if it is whole, unsaturated, and what else there is does not touch it: an after-pulse does no
+/// harm to the width.
+fn single<'a>(outcome: &Decomposition<'a>, fwhm_samples: f64) -> Option<&'a Return> {
+    let returns = outcome.returns;
+    let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
+    let apart = |r: &Return| {
+        let distance = (r.position_samples - strongest.position_samples).abs();
+        std::ptr::eq(r, strongest)
+            || (r.amplitude_dn <= MINOR_PART * strongest.amplitude_dn
+                && distance > APART_WIDTHS * fwhm_samples)
+    };
+    let whole = strongest.flags & (flags::SATURATED | flags::TRUNCATED) == 0;
+    (whole && returns.iter().all(apart)).then_some(strongest)
+}

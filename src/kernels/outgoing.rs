@@ -1,0 +1,92 @@
+//! Where in its block the outgoing pulse stands: the zero of every time of flight.
+//!
+//! The same estimator as for echoes, on the main lobe alone: what follows the pulse (after-pulse, slow tail, an echo
+//! that happens to come in) does not pull it.
+
+use super::decompose::{DecomposeSettings, Decomposer, Return};
+use super::sensor_model::{ChannelModel, ModelError};
+
+/// Half of the window that is fitted, in widths of the pulse.
+const HALF_WINDOW_WIDTHS: f64 = 1.5;
+
+/// Fits outgoing pulses of one channel; keeps its memory from one to the next.
+#[derive(Debug, Clone)]
+pub struct OutgoingFitter {
+    /// Finds the pulse in the whole block.
+    finder: Decomposer,
+    /// Fits it in its window.
+    fitter: Decomposer,
+}
+
+impl OutgoingFitter {
+    /// For blocks of up to `max_samples` samples of the reference channel; longer ones make it take more memory.
+    pub fn new(model: &ChannelModel, max_samples: usize) -> Result<OutgoingFitter, ModelError> {
+        let settings = DecomposeSettings {
+            max_returns: 1,
+            max_added: 0,
+            split_evidence: None,
+            ..DecomposeSettings::default()
+        };
+        let finder = Decomposer::new(model, &settings, max_samples)?;
+        Ok(OutgoingFitter { fitter: finder.clone(), finder })
+    }
+
+    /// The block's strongest pulse; `start_phase` is the index of the block's first sample modulo 4.
+    ///
+    /// `None` where no pulse stands out of the noise, or none that can be fitted.
+    pub fn fit(&mut self, samples: &[u16], start_phase: u8) -> Option<Return> {
+        let half = HALF_WINDOW_WIDTHS * self.finder.model().fwhm_samples();
+        let position = self.finder.decompose(samples, start_phase).returns.first()?.position_samples;
+        let first = (position - half).ceil().max(0.0) as usize;
+        let end = ((position + half).floor().max(0.0) as usize).saturating_add(1).min(samples.len());
+        let window = samples.get(first..end)?;
+        let phase = (usize::from(start_phase) + first) % 4;
+        let mut pulse = *self.fitter.decompose(window, phase as u8).returns.first()?;
+        pulse.position_samples += first as f64;
+        Some(pulse)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::flags;
+    use crate::kernels::noise::ArNoise;
+    use crate::kernels::simulated::{Random, analogue, channel, digitised, moments, pulse};
+
+    const FWHM: f64 = 4.5;
+
+    /// Blocks of 24 samples, the pulse near the middle, and behind it a disturbance that its window leaves out.
+    #[test]
+    fn position_and_its_standard_deviation_are_true() {
+        let process = ArNoise::new(&[0.6], 0.8).unwrap();
+        let model = channel(&process, FWHM, 2.0);
+        let mut fitter = OutgoingFitter::new(&model, 24).unwrap();
+        let mut random = Random::new(21);
+        let (mut errors, mut scores) = (vec![], vec![]);
+        for i in 0..3000 {
+            let truth = pulse(180.0, 10.0 + random.uniform(), 1.0);
+            let mut values = analogue(&mut random, &process, 24, 2.0, FWHM, &[truth]);
+            if i % 2 == 0 {
+                values[20..].iter_mut().for_each(|v| *v += 30.0);
+            }
+            let found = fitter.fit(&digitised(&values, 255), (i % 4) as u8).unwrap();
+            errors.push(found.position_samples - truth.position_samples);
+            scores.push(errors[errors.len() - 1] / found.position_sd_samples);
+            assert_eq!(found.flags & flags::SATURATED, 0);
+        }
+        let ((bias, sd), (_, z)) = (moments(&errors), moments(&scores));
+        println!("outgoing: bias {bias:.5} sd {sd:.5} samples, z {z:.3}");
+        assert!(bias.abs() < 4.0 * sd / 3000f64.sqrt(), "{bias} {sd}");
+        assert!((0.95..1.05).contains(&z), "{z}");
+    }
+
+    #[test]
+    fn a_block_without_a_pulse_has_none() {
+        let model = channel(&ArNoise::new(&[], 0.8).unwrap(), FWHM, 2.0);
+        let mut fitter = OutgoingFitter::new(&model, 24).unwrap();
+        assert_eq!(fitter.fit(&[2; 24], 0), None);
+        assert_eq!(fitter.fit(&[], 0), None);
+        assert_eq!(fitter.fit(&[255; 24], 0), None);
+    }
+}
