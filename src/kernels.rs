@@ -6,7 +6,7 @@
 //! (DN), and a pulse stands where its peak stands.
 
 pub mod calibrate;
-pub mod cholesky;
+mod cholesky;
 pub mod decompose;
 pub mod detect;
 pub mod flags;
