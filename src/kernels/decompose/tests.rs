@@ -277,6 +277,26 @@ fn widths_out_of_range_are_filtered() {
     assert!(returns.is_empty() && counts.np_filtered == counts.n_candidates, "{returns:?}");
 }
 
+/// Two pulses that were told apart by nothing become one again, and are counted.
+#[test]
+fn returns_nearer_than_a_sample_are_merged() {
+    let model = channel(&process(), FWHM, 20.0);
+    let mut values = vec![20.0; 60];
+    pulse(100.0, 30.2, 1.0).add_to(FWHM, 1.0, &mut values);
+    let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), 60).unwrap();
+    let samples = digitised(&values, 255);
+    decomposer.decompose(&samples, 0);
+    decomposer.returns.clear();
+    decomposer.scene.found = vec![Found::new(60.0, 29.9, 0.0), Found::new(40.0, 30.6, 0.0)];
+    decomposer.counts = Counts { n_candidates: 2, ..Counts::default() };
+    decomposer.prune();
+    let outcome = decomposer.report(&samples);
+    check_counts(&outcome);
+    assert_eq!((outcome.counts.np, outcome.counts.np_merged), (1, 1));
+    assert!((outcome.returns[0].position_samples - 30.2).abs() < 0.02, "{:?}", outcome.returns);
+    assert!((outcome.returns[0].amplitude_dn - 100.0).abs() < 1.0);
+}
+
 #[test]
 fn of_too_many_candidates_the_strongest_are_kept() {
     let pulses = [pulse(60.0, 10.0, 1.0), pulse(100.0, 25.0, 1.0), pulse(80.0, 40.0, 1.0)];
