@@ -6,4 +6,17 @@ pub mod batch;
 pub mod cli;
 pub mod engine;
 pub mod formats;
+pub mod geo;
+pub mod job;
 pub mod kernels;
+pub mod registry;
+pub mod simulation;
+pub mod stage;
+pub mod stages;
+
+// The stages of the integration tests serve the unit tests, too: there the crate goes by its own name.
+#[cfg(test)]
+extern crate self as wavex;
+#[cfg(test)]
+#[path = "../tests/stages/mod.rs"]
+mod test_stages;
