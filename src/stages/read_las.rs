@@ -20,8 +20,9 @@ use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceCon
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
 
-/// Reads full-waveform LAS and LAZ 1.3 and 1.4: point formats 4, 5, 9 and 10, waveform packets inside the file or in a
-/// `.wdp` file beside it.
+/// Reads full-waveform LAS and LAZ.
+///
+/// Versions 1.3 and 1.4, point formats 4, 5, 9 and 10, waveform packets inside the file or in a `.wdp` file beside it.
 ///
 /// Points of one pulse share its waveforms: consecutive points of the same time and direction become one shot again, in
 /// the order of the file. The file's own points are not used, but for one thing: the format carries no outgoing pulse, and

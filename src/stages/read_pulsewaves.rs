@@ -20,7 +20,7 @@ use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceCon
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
 
-/// Reads PulseWaves 0.3: a `.pls` file of pulses and the `.wvs` file of their waves beside it.
+/// Reads PulseWaves: a `.pls` file of pulses, version 0.3, and the `.wvs` file of their waves beside it.
 ///
 /// Every pulse becomes a shot, every segment of samples a block. Outgoing segments are the reference channel; the
 /// returning channels of RIEGL's files are 0 high power and 1 low power, and a file with a single returning channel has

@@ -17,7 +17,7 @@ use crate::stage::{Config, Context, InvalidKey, OutputFile, Result, Sink, SinkCo
 pub const STAGE: StageSpec =
     StageSpec::sink::<WriteLas>("write_las", &[Kind::Points]).after(&["georeference"]);
 
-/// Writes LAS or LAZ 1.4, point format 6; the extension of `path` decides which.
+/// Writes points as LAS or LAZ 1.4, point format 6: the extension of `path` decides which.
 ///
 /// Intensity is the corrected intensity, rounded. Return numbers, scan angle, scan direction and edge of flight line are
 /// those of the emission; times are adjusted GPS time where the input tells the week, else as the input has them, and the
