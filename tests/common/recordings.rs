@@ -3,8 +3,10 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use wavex::batch::Channel;
 use wavex::engine::{self, InputReport, Options};
 use wavex::job::{Job, Override};
+use wavex::stage::{Context, Plan, Planned, Site};
 
 /// The folder of real recordings, or `None`, said loudly.
 pub fn data() -> Option<PathBuf> {
@@ -67,4 +69,30 @@ pub fn median(values: &[f64]) -> f64 {
     let n = sorted.len();
     assert!(n > 0, "a median of nothing");
     (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0
+}
+
+/// The low power samples of every block that a reader finds, in order.
+pub fn samples(reader: &str, path: &Path) -> Vec<Vec<u16>> {
+    let spec = wavex::registry::find(reader).expect("a reader of the registry");
+    let keys = toml::toml! { path = "unused" }.to_string();
+    let table = toml::de::DeTable::parse(&keys).expect("the test's own TOML");
+    let Ok(Planned { plan: Plan::Source(source), .. }) = (spec.parse)(table) else {
+        panic!("{reader} is a source")
+    };
+    let site = Site {
+        input: path.to_path_buf(),
+        stem: String::new(),
+        input_dir: PathBuf::new(),
+        output_dir: PathBuf::new(),
+        threads: 1,
+    };
+    let mut source = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
+    let mut cx = Context::default();
+    let mut found = Vec::new();
+    while let Some(batch) = source.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
+        let blocks = batch.blocks().expect("a reader gives waveforms");
+        let low_power = blocks.iter().filter(|block| block.channel == Channel::LowPower);
+        found.extend(low_power.map(|block| blocks.samples(block).to_vec()));
+    }
+    found
 }
