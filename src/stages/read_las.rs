@@ -13,6 +13,7 @@ use crate::batch::{
     Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, OnlineReturn, TimeScale,
     emission_flags,
 };
+use crate::formats::geokeys;
 use crate::formats::las::{GpsTime, Point, Reader, Wave};
 use crate::geo::beam_length::BeamLength;
 use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
@@ -92,6 +93,9 @@ struct Packet {
     interval_ns: f64,
     samples: Vec<u16>,
 }
+
+/// Record of the GeoTIFF keys (LAS 1.4 R15, "GeoKeyDirectoryTag").
+const GEO_KEYS: u16 = 34735;
 
 /// What the beams of a file have in common.
 struct Geometry {
@@ -361,7 +365,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
         },
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         frame: Frame::Map,
-        crs_wkt: reader.wkt(),
+        crs_wkt: reader.wkt().or_else(|| geokeys::wkt(&reader.projection(GEO_KEYS)?.data)),
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference: match geometry.has_locations {
             true => EmissionReference::ReturnLocations,

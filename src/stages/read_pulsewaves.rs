@@ -13,6 +13,7 @@ use crate::batch::{
     AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, TimeScale,
     emission_flags,
 };
+use crate::formats::geokeys;
 use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
 use crate::geo::beam_length::BeamLength;
 use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
@@ -249,7 +250,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> Inp
         gps_week: None,
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         frame: Frame::Map,
-        crs_wkt: reader.crs().wkt.clone(),
+        crs_wkt: reader.crs().wkt.clone().or_else(|| geokeys::wkt(reader.crs().geo_keys.as_deref()?)),
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference,
         amplitude_low: amplitude_table(reader, 1),

@@ -171,7 +171,7 @@ impl Sink for LasSink {
             return Ok(());
         };
         if batch.input.crs_wkt.is_none() {
-            cx.note("the input names no coordinate reference system that can be written as WKT: the file has none");
+            cx.note("the input names no coordinate reference system by WKT or EPSG code: the file has none");
         }
         // The first point decides about the offset of the coordinates, so that a file begins with it.
         self.input.get_or_insert_with(|| Arc::clone(&batch.input));
