@@ -9,6 +9,7 @@ pub mod calibrate;
 mod cholesky;
 pub mod decompose;
 pub mod detect;
+pub mod false_alarms;
 pub mod flags;
 pub mod gauss_fit;
 pub mod noise;
