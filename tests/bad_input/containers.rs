@@ -1,15 +1,17 @@
 //! The waveform container.
 
+use std::fs::File;
+use std::io::Write;
 use std::path::Path;
 
-use serde_json::json;
+use serde_json::{Value, json};
 use wavex::formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference, Frame,
     LineBuilder, TimeScale, channel,
 };
 
 use crate::support::shots::{echo, time_s};
-use crate::support::{Place, TO_TABLE, notes, rejected};
+use crate::support::{Outcome, Place, TO_TABLE, notes, outcome, rejected};
 
 const CUT: &str = "the file is cut off: copy it again from its source";
 const DAMAGED: &str = "the file is damaged: copy it again from its source";
@@ -56,6 +58,23 @@ fn shot(shot: usize) -> ContainerShot {
 fn container(shots: usize, compression: Compression, change: impl Fn(usize, &mut ContainerShot)) -> Vec<u8> {
     let file = std::io::Cursor::new(Vec::new());
     let mut writer = ContainerWriter::file(file, Path::new("a.arrow"), &header(), compression).unwrap();
+    write(&mut writer, shots, change);
+    writer.finish().unwrap().into_inner()
+}
+
+/// The same as a stream.
+fn stream() -> Vec<u8> {
+    let mut writer =
+        ContainerWriter::stream(Vec::new(), Path::new("-"), &header(), Compression::None).unwrap();
+    write(&mut writer, 250, |_, _| {});
+    writer.finish().unwrap()
+}
+
+fn write<W: Write>(
+    writer: &mut ContainerWriter<W>,
+    shots: usize,
+    change: impl Fn(usize, &mut ContainerShot),
+) {
     for line in (0..shots).collect::<Vec<_>>().chunks(100) {
         let mut rows = LineBuilder::new();
         for &number in line {
@@ -74,7 +93,6 @@ fn container(shots: usize, compression: Compression, change: impl Fn(usize, &mut
         }
         writer.write(rows).unwrap();
     }
-    writer.finish().unwrap().into_inner()
 }
 
 #[track_caller]
@@ -112,6 +130,34 @@ fn sizes_that_lie() {
 }
 
 #[test]
+fn a_stream_that_ends_between_two_lines_is_noted() {
+    let mut whole = stream();
+    whole.truncate(whole.len() - 8);
+    let place = Place::with(&[("a.arrows", &whole)]);
+    let mut command =
+        place.command("[[stage]]\ntype = 'read_arrow'\npath = '-'\n[[stage]]\ntype = 'write_lstat'\n");
+    command.stdin(File::open(place.path("a.arrows")).unwrap());
+    assert_eq!(outcome(&mut command), Outcome { code: Some(0), err: String::new() });
+    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    assert_eq!(
+        notes(&report["inputs"][0]),
+        ["the Arrow stream ends without its end mark: lines may be missing"]
+    );
+    assert_eq!(report["inputs"][0]["totals"]["nw"], json!(250));
+    assert_eq!(place.outputs(), ["report.json", "stdin_lstat.txt"]);
+}
+
+#[test]
+fn a_stream_that_ends_within_a_line_is_cut_off() {
+    let mut whole = stream();
+    whole.truncate(whole.len() - 9);
+    let place = Place::with(&[("a.arrow", &whole)]);
+    let at = whole.len();
+    let message = format!("byte 51968: body of a message: the bytes end at byte {at}; {CUT}");
+    place.fails("read_arrow", "a.arrow", &format!("stage read_arrow: ./a.arrow: {message}"));
+}
+
+#[test]
 fn a_shot_that_cannot_be_is_counted_and_passed_over() {
     let bytes = container(250, Compression::None, |number, shot| {
         if number == 100 {
@@ -133,6 +179,9 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
         "the input is not georeferenced: its points are in the frame of the scanner",
     ];
     assert_eq!(notes(&input), expected);
+    // Whichever of the workers had something to say, and however many.
+    let log = place.text("out/wavex.log");
+    expected.iter().for_each(|note| assert_eq!(log.matches(note).count(), 1, "{log}"));
 }
 
 #[test]

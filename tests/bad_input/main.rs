@@ -8,5 +8,6 @@ mod containers;
 mod las;
 mod outputs;
 mod pulsewaves;
+mod recordings;
 mod runs;
 mod wrong_files;

@@ -4,7 +4,10 @@ use std::fs;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use crate::support::Place;
+use serde_json::Value;
+
+use crate::support::las::Las;
+use crate::support::{Outcome, Place, outcome};
 
 /// A flight that takes hours, on its way into every kind of output.
 const LONG: &str = "\
@@ -44,6 +47,25 @@ fn begin(place: &Place) -> Child {
         }
         std::thread::sleep(Duration::from_millis(20));
     }
+}
+
+/// A folder may have a name that JSON cannot hold.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_folder_whose_name_is_no_unicode_is_reported_all_the_same() {
+    use std::os::unix::ffi::OsStrExt;
+    let las = Las::new(3);
+    let place = Place::new();
+    let folder = place.path("").join(std::ffi::OsStr::from_bytes(b"caf\xe9"));
+    fs::create_dir(&folder).unwrap();
+    fs::write(folder.join("a.las"), las.las()).unwrap();
+    fs::write(folder.join("a.wdp"), &las.packets).unwrap();
+    fs::write(folder.join("job.toml"), "[[stage]]\ntype = 'read_las'\npath = 'a.las'\n").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    command.args(["-q", "run"]).arg(folder.join("job.toml"));
+    assert_eq!(outcome(&mut command), Outcome { code: Some(0), err: String::new() });
+    let report: Value = serde_json::from_slice(&fs::read(folder.join("report.json")).unwrap()).unwrap();
+    assert!(report["inputs"][0]["path"].as_str().unwrap().ends_with("caf\u{fffd}/a.las"), "{report}");
 }
 
 #[cfg(unix)]

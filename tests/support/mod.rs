@@ -103,6 +103,8 @@ impl Place {
     pub fn left_nothing(&self, outcome: Outcome, message: &str) {
         assert_eq!(outcome, Outcome { code: Some(1), err: format!("error: {message}\n") });
         assert_eq!(self.outputs(), Vec::<String>::new(), "a failed run leaves nothing");
+        let log = self.text("out/wavex.log");
+        assert!(log.contains(message), "the log does not tell why the run failed:\n{log}");
     }
 
     /// Runs a job that must succeed, and gives its report of the only input.
@@ -124,10 +126,13 @@ impl Place {
         names
     }
 
-    /// The times of the returns in a table, in the order of the table, as it writes them.
+    /// The times of the shots that have returns in a table, in its order, as it writes them.
     pub fn times(&self, table: &str) -> Vec<String> {
         let text = self.text(table);
-        text.lines().skip(1).map(|row| row.split(',').nth(1).unwrap().to_owned()).collect()
+        let times = text.lines().skip(1).map(|row| row.split(',').nth(1).unwrap().to_owned());
+        let mut times: Vec<String> = times.collect();
+        times.dedup();
+        times
     }
 }
 
