@@ -36,7 +36,8 @@ pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_arrow", &[Kind::Sh
 pub struct Config {
     /// The file to write; `*` is the input's name. `-` is standard output, in the stream format.
     pub path: String,
-    /// How the buffers are packed: a file of 8-bit samples shrinks to about a third with `lz4`, and further with `zstd`.
+    /// How the buffers are packed: 8-bit samples, which take 16 bits here, shrink to about a half with `lz4` and to
+    /// about a third with `zstd`.
     pub compression: Compression,
 }
 

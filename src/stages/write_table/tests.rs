@@ -309,3 +309,38 @@ fn the_columns_stand_in_the_schemas() {
         panic!("schemas/return_table.json was not what the code says: it is now; commit it");
     }
 }
+
+/// A disk that is full after some bytes.
+struct Full(usize);
+
+impl std::io::Write for Full {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0 = self.0.checked_sub(bytes.len()).ok_or_else(|| std::io::Error::other("no space left"))?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error_in_each_format() {
+    for format in [Format::Arrow, Format::Parquet, Format::Csv] {
+        for room in [0, 5000] {
+            let rows = (0..1000).map(|shot| Row {
+                shot,
+                gps_time_s: shot as f64,
+                found: found(0, shot as f64),
+                point: None,
+            });
+            let written =
+                TableWriter::new(Full(room), Path::new("a.table"), format, "week").and_then(|mut table| {
+                    rows.into_iter().try_for_each(|row| table.push(row))?;
+                    table.finish()
+                });
+            let Err(error) = written else { panic!("{format:?} was written") };
+            assert_eq!(error.to_string(), "a.table: cannot write: no space left", "{format:?}");
+        }
+    }
+}

@@ -158,6 +158,8 @@ fn arrow_error(error: ParquetError) -> ArrowError {
 fn failed(file: &Path, error: ArrowError) -> Error {
     match error {
         ArrowError::IoError(_, source) => Error::io(file, "write")(source),
+        // The columns are such as CSV can hold: what fails is the disk, of which only the words come through.
+        ArrowError::CsvError(words) => Error::io(file, "write")(std::io::Error::other(words)),
         other => Error::unusable(file, other.to_string(), "write the table in another format"),
     }
 }

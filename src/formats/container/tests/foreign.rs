@@ -213,3 +213,44 @@ fn unknown_fields_of_blocks_are_passed_over_where_that_can_be_done() {
         "{error}"
     );
 }
+
+/// The row of shot `n` as `tests/python/read_container.py` makes it.
+fn python_row(n: u64) -> Row {
+    let x = n as f64;
+    let samples = |count: u64, step: u64| (0..count).map(|i| (step * n + i) as u16).collect();
+    let (interval_ns, zone) = ((n == 3).then_some(0.5), (n == 6).then_some(1));
+    Row {
+        shot: ContainerShot {
+            shot: n,
+            line: (n / 4) as u32,
+            gps_time_s: (n % 5 != 4).then_some(1000.0 + x / 2.0),
+            clock_ps: n as i64 * 2_500_000,
+            origin_m: [x, 2.0 * x, 3.0 * x],
+            direction: [0.6, 0.0, -0.8],
+            facet: (n % 4) as u16,
+            flags: 1,
+            mta_zone: (n % 2 == 1).then_some(2),
+            scan_angle_deg: (n > 0).then_some(n as f32 - 6.0),
+            frame_scale: (n == 7).then_some(0.9996),
+        },
+        blocks: vec![
+            (channel::REFERENCE, 0.25, None, None, samples(6, 1)),
+            (channel::LOW_POWER, 100.0 + x, interval_ns, zone, samples(8 + n, 10)),
+        ],
+        online: (0..n % 3).map(|i| ContainerOnline { time_ns: 100.0 + i as f64, amplitude: 1.5 }).collect(),
+    }
+}
+
+/// Written by pyarrow 26 with `tests/python/read_container.py --write`: all fields nullable, and in front a column of
+/// a dictionary that nobody knows.
+#[test]
+fn what_pyarrow_writes_is_read() {
+    let file = include_bytes!("pyarrow_zstd.arrow");
+    let stream = include_bytes!("pyarrow_lz4.arrows");
+    let expected: Vec<Vec<Row>> =
+        (0..3).map(|line| (4 * line..4 * line + 4).map(python_row).collect()).collect();
+    assert_eq!(read_file(file).unwrap(), expected);
+    assert_eq!(read_stream(file.to_vec()).unwrap(), expected);
+    assert_eq!(read_file(stream).unwrap(), expected);
+    assert_eq!(read_stream(stream.to_vec()).unwrap(), expected);
+}

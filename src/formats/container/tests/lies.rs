@@ -120,3 +120,210 @@ fn what_a_buffer_is_said_to_unpack_to_must_be_possible() {
         assert!(error.contains("column `blocks`, rows 0 to 0: "), "{most}: {error}");
     }
 }
+
+/// The footer's first record batch: offset, length of the metadata, length of the body.
+fn first_block(whole: &[u8]) -> (i64, i32, i64) {
+    let end = whole.len() - 10;
+    let length = i32::from_le_bytes(*whole[end..].first_chunk().unwrap()) as usize;
+    let footer = arrow_ipc::root_as_footer(&whole[end - length..end]).unwrap();
+    let block = footer.recordBatches().unwrap().get(0);
+    (block.offset(), block.metaDataLength(), block.bodyLength())
+}
+
+fn block_bytes((offset, head, body): (i64, i32, i64)) -> Vec<u8> {
+    [&offset.to_le_bytes()[..], &head.to_le_bytes(), &[0; 4], &body.to_le_bytes()].concat()
+}
+
+#[test]
+fn a_footer_that_lies_is_refused() {
+    let whole = write(&lines()[..1], true, Compression::None);
+    let length = whole.len() - 10;
+    for lie in [i32::MAX, -1, whole.len() as i32 - 17] {
+        let mut bytes = whole.clone();
+        bytes[length..length + 4].copy_from_slice(&lie.to_le_bytes());
+        let error = read_file(&bytes).unwrap_err().to_string();
+        let expected =
+            format!("a.arrow: byte {length}: length of the footer: it is {lie}; the file is damaged");
+        assert!(error.starts_with(&expected), "{error}");
+    }
+    let (offset, head, body) = first_block(&whole);
+    for lie in [
+        (offset + 4096, head, body),
+        (7, head, body),
+        (-8, head, body),
+        (i64::MAX, head, body),
+        (offset, 7, body),
+        (offset, -1, body),
+        (offset, head, i64::MAX),
+        (offset, head, -1),
+    ] {
+        let mut bytes = whole.clone();
+        patch(&mut bytes, &block_bytes((offset, head, body)), &block_bytes(lie));
+        let error = read_file(&bytes).unwrap_err().to_string();
+        let (offset, head, body) = lie;
+        let expected =
+            format!("footer, record batch 0: {head} + {body} bytes at byte {offset} do not lie in the file");
+        assert!(error.contains(&expected), "{error}");
+    }
+}
+
+#[test]
+fn a_message_longer_than_its_place_is_refused() {
+    let whole = write(&lines()[..1], true, Compression::None);
+    let (offset, ..) = first_block(&whole);
+    for lie in [i32::MAX, -1, 1 << 20] {
+        let mut bytes = whole.clone();
+        bytes[offset as usize + 4..][..4].copy_from_slice(&lie.to_le_bytes());
+        let error = read_file(&bytes).unwrap_err().to_string();
+        let expected = format!("byte {offset}: length of the metadata: it passes the record batch");
+        assert!(error.contains(&expected), "{error}");
+        let error = complaint(bytes);
+        let expected = match lie {
+            1_048_576 => "metadata of a message: the bytes end at byte".to_string(),
+            _ => format!("length of a message: it is {lie}; the file is damaged"),
+        };
+        assert!(error.starts_with(&format!("byte {offset}: ")) || lie == 1 << 20, "{error}");
+        assert!(error.contains(&expected), "{error}");
+    }
+}
+
+#[test]
+fn a_body_of_an_impossible_length_is_refused() {
+    let whole = write(&lines()[..1], true, Compression::None);
+    let (offset, head, body) = first_block(&whole);
+    // It stands in the footer, too, which a stream does not read.
+    let metadata = offset as usize..offset as usize + head as usize;
+    for (lie, problem) in [
+        (
+            i64::MAX,
+            "length of the body: a record batch of 9223372036854775807 bytes, where at most 1073741824 are read; write one record batch per scan line",
+        ),
+        (
+            (1 << 30) + 1,
+            "length of the body: a record batch of 1073741825 bytes, where at most 1073741824 are read",
+        ),
+        (-1, "length of the body: it is -1; the file is damaged"),
+        (1 << 29, "body of a message: the bytes end at byte"),
+    ] {
+        let mut bytes = whole.clone();
+        patch(&mut bytes[metadata.clone()], &body.to_le_bytes(), &i64::to_le_bytes(lie));
+        let error = complaint(bytes);
+        assert!(error.contains(problem), "{error}");
+    }
+}
+
+/// A stream's first message, the schema, and the rest.
+fn schema_and_rest() -> (Vec<u8>, Vec<u8>) {
+    let mut schema = write(&lines()[..1], false, Compression::None);
+    let length = i32::from_le_bytes(*schema[4..].first_chunk().unwrap()) as usize;
+    let rest = schema.split_off(8 + length);
+    (schema, rest)
+}
+
+#[test]
+fn a_stream_has_one_schema_and_that_first() {
+    let (schema, rest) = schema_and_rest();
+    let error = complaint(rest.clone());
+    assert!(error.starts_with("byte 0: schema: the first message is no schema"), "{error}");
+    let error = complaint([schema.clone(), schema.clone(), rest].concat());
+    let expected = format!("byte {}: message: neither a record batch nor a dictionary", schema.len());
+    assert!(error.starts_with(&expected), "{error}");
+}
+
+/// What is said of a stream in whose record batch's metadata the bytes `from` are replaced, place by place.
+fn complaints(from: &[u8], to: &[u8]) -> Vec<String> {
+    let (schema, rest) = schema_and_rest();
+    let head = 8 + i32::from_le_bytes(*rest[4..].first_chunk().unwrap()) as usize;
+    let places = (8..head - from.len()).filter(|&at| rest[at..].starts_with(from));
+    let changed = places.map(|at| {
+        let mut bytes = [schema.clone(), rest.clone()].concat();
+        bytes[schema.len() + at..][..to.len()].copy_from_slice(to);
+        bytes
+    });
+    changed.filter_map(|bytes| read_stream(bytes).err()).map(|error| error.to_string()).collect()
+}
+
+fn expect_one(complaints: &[String], expected: &str) {
+    let found = complaints.iter().filter(|error| error.contains(expected)).count();
+    assert_eq!(found, 1, "{expected}: {complaints:?}");
+}
+
+#[test]
+fn a_record_batch_of_another_shape_is_refused() {
+    let found = complaints(&5_i64.to_le_bytes(), &(-5_i64).to_le_bytes());
+    expect_one(&found, "record batch: it has -5 rows; the file is damaged");
+    expect_one(&found, "column `shot`: -5 values, 0 of them null, where 5 are expected");
+    let found = complaints(&5_i64.to_le_bytes(), &6_i64.to_le_bytes());
+    expect_one(&found, "column `shot`: 5 values, 0 of them null, where 6 are expected");
+    expect_one(&found, "column `facet`: 6 values, 0 of them null, where 5 are expected");
+    // The 23 nodes: the first is of five values, none of them null.
+    let first = [&5_i64.to_le_bytes()[..], &[0; 8]].concat();
+    let nodes = |n: u32| [&n.to_le_bytes()[..], &first].concat();
+    let count = (1..100).find(|&n| has(&nodes(n))).unwrap();
+    let found = complaints(&nodes(count), &nodes(count - 1));
+    expect_one(&found, "column `frame_scale`: the record batch lists fewer buffers than its schema needs");
+    // Version 5 counts as 4, and 3 as 2.
+    let found = complaints(&4_i16.to_le_bytes(), &2_i16.to_le_bytes());
+    expect_one(
+        &found,
+        "message: a record batch of the metadata version V3; write it with Arrow 0.8 or later",
+    );
+}
+
+fn has(bytes: &[u8]) -> bool {
+    schema_and_rest().1.windows(bytes.len()).any(|window| window == bytes)
+}
+
+#[test]
+fn a_union_of_too_many_types_is_refused() {
+    use arrow_schema::{DataType, Field, Fields, Schema};
+    // A struct of 129 fields, made a union by its tag: 13 is a struct, 14 a union.
+    let inner: Fields = (0..129).map(|i| Field::new(i.to_string(), DataType::Int8, true)).collect();
+    let field = Field::new("many", DataType::Struct(inner), true);
+    let schema = Schema::new_with_metadata(vec![field], header().to_metadata());
+    let writer = arrow_ipc::writer::StreamWriter::try_new(Vec::new(), &schema).unwrap();
+    let whole = writer.into_inner().unwrap();
+    let found = (0..whole.len()).filter(|&at| whole[at] == 13).filter(|&at| {
+        let mut bytes = whole.clone();
+        bytes[at] = 14;
+        complaint(bytes).starts_with("byte 0: column `many`: a union of over 128 types; leave it out")
+    });
+    assert_eq!(found.count(), 1);
+}
+
+#[test]
+fn big_endian_numbers_are_refused() {
+    let mut made = arrow_ipc::convert::IpcSchemaEncoder::new().schema_to_fb(&arrow_schema::Schema::empty());
+    made.reset();
+    let mut schema = arrow_ipc::SchemaBuilder::new(&mut made);
+    schema.add_endianness(arrow_ipc::Endianness::Big);
+    let root = schema.finish();
+    made.finish(root, None);
+    let schema = arrow_ipc::root_as_schema(made.finished_data()).unwrap();
+    let place = place::Place { file: Path::new("a.arrow"), offset: 0, first_row: 0 };
+    let error = decode::schema_of(schema, place).unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "a.arrow: byte 0: schema: the numbers are big-endian; write the file on a common machine"
+    );
+}
+
+/// A disk that is full.
+struct Full;
+
+impl std::io::Write for Full {
+    fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+        Err(std::io::Error::other("no space left"))
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error() {
+    let result = ContainerWriter::file(Full, Path::new("a.arrow"), &header(), Compression::None);
+    let Err(error) = result else { panic!("it was written") };
+    assert_eq!(error.to_string(), "a.arrow: cannot write: no space left");
+}

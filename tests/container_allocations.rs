@@ -1,0 +1,127 @@
+//! A container that lies about its lengths gets no more memory than an honest one of its size could need.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::io::Cursor;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use wavex::formats::Result;
+use wavex::formats::container::{
+    Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter, Frame,
+    LineBuilder, TimeScale, channel,
+};
+
+/// The system's allocator, with a note of the largest request.
+struct Noting;
+
+static LARGEST: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: every request is passed on to the system's allocator as it came.
+unsafe impl GlobalAlloc for Noting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        LARGEST.fetch_max(layout.size(), Ordering::Relaxed);
+        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        LARGEST.fetch_max(size, Ordering::Relaxed);
+        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Noting = Noting;
+
+/// The largest single request that a container of a few KB may cause: what a stream reads ahead (4 MiB), or the
+/// largest block that an LZ4 frame may declare (8 MiB), with its window.
+const MOST_BYTES: usize = 16 << 20;
+
+fn container(compression: Compression) -> Result<Vec<u8>> {
+    let header = ContainerHeader {
+        instrument: None,
+        serial: None,
+        sampling_interval_ns: 1.0,
+        group_velocity_mps: 299_707_502.0,
+        pulse_rate_hz: None,
+        time_scale: TimeScale::Week,
+        gps_week: None,
+        frame: Frame::Scanner,
+        crs_wkt: None,
+        amplitude_low: None,
+        amplitude_high: None,
+        range_low: None,
+        range_high: None,
+        recorded: None,
+        full_scale_dn: None,
+        coordinate_grid: None,
+        emission_reference: None,
+    };
+    let mut line = LineBuilder::new();
+    line.shot(&ContainerShot {
+        shot: 0,
+        line: 0,
+        gps_time_s: None,
+        clock_ps: 0,
+        origin_m: [0.0; 3],
+        direction: [0.0, 0.0, 1.0],
+        facet: 0,
+        flags: 0,
+        mta_zone: None,
+        scan_angle_deg: None,
+        frame_scale: None,
+    });
+    line.block(&ContainerBlock {
+        channel: channel::LOW_POWER,
+        start_ns: 0.0,
+        interval_ns: None,
+        zone: None,
+        samples: &[3; 200],
+    });
+    let mut writer = ContainerWriter::file(Vec::new(), Path::new("made.arrow"), &header, compression)?;
+    writer.write(line)?;
+    writer.finish()
+}
+
+fn read(path: &Path) -> usize {
+    let Ok(mut reader) = ContainerReader::open(path) else { return 0 };
+    std::iter::from_fn(|| reader.next_line().ok().flatten()).count()
+}
+
+fn read_stream(bytes: Vec<u8>) -> usize {
+    let from = Box::new(Cursor::new(bytes));
+    let Ok(mut reader) = ContainerReader::from_stream(Path::new("-"), from) else { return 0 };
+    std::iter::from_fn(|| reader.next_line().ok().flatten()).count()
+}
+
+#[test]
+fn no_length_that_lies_takes_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("made.arrow");
+    for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
+        let whole = container(compression).unwrap();
+        std::fs::write(&path, &whole).unwrap();
+        assert_eq!((read(&path), read_stream(whole.clone())), (1, 1));
+        LARGEST.store(0, Ordering::Relaxed);
+        for at in (0..whole.len() - 4).step_by(4) {
+            for lie in [i32::MAX, 0x0fff_fff8] {
+                let mut bytes = whole.clone();
+                bytes[at..at + 4].copy_from_slice(&lie.to_le_bytes());
+                // The footer, and what it points to, is read from a file; all else as in a stream.
+                if at % 16 == 0 || at > whole.len() - 200 {
+                    std::fs::write(&path, &bytes).unwrap();
+                    assert!(read(&path) <= 1);
+                }
+                assert!(read_stream(bytes) <= 1);
+                let largest = LARGEST.load(Ordering::Relaxed);
+                assert!(largest < MOST_BYTES, "{compression:?}, {lie} at byte {at}: {largest} bytes");
+            }
+        }
+    }
+}
