@@ -80,16 +80,18 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
         return Err(RunError::of_job(StageError::failed("the job has no source", "begin it with a reader")));
     };
     let inputs = inputs::expand(source.paths(), source.stem(), &options.input_dir)?;
+    let site = |input: inputs::Input| Site {
+        input: input.path,
+        stem: input.stem,
+        input_dir: options.input_dir.clone(),
+        output_dir: options.output_dir.clone(),
+        threads: options.workers(),
+    };
+    let sites: Vec<Site> = inputs.into_iter().map(site).collect();
+    inputs::keep_from_outputs(job, &sites)?;
     let mut report = RunReport::new(job, options.workers());
-    let mut progress = Progress::new(options.progress, inputs.len());
-    for input in inputs {
-        let site = Site {
-            input: input.path,
-            stem: input.stem,
-            input_dir: options.input_dir.clone(),
-            output_dir: options.output_dir.clone(),
-            threads: options.workers(),
-        };
+    let mut progress = Progress::new(options.progress, sites.len());
+    for site in sites {
         let result = chain::run(job, &Arc::new(site), options, &mut progress)?;
         report.add(result);
     }

@@ -16,7 +16,7 @@ pub mod pulsewaves;
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system refused.
-    #[error("{}: cannot {action}: {source}", file.display())]
+    #[error("{}: cannot {action}: {source}{}", file.display(), remedy_of(source.kind()))]
     Io {
         /// The file concerned.
         file: PathBuf,
@@ -84,6 +84,22 @@ impl Error {
         match self {
             Error::Io { file, .. } | Error::Malformed { file, .. } | Error::Unusable { file, .. } => file,
         }
+    }
+}
+
+/// What the user can do where the system refuses, as the end of a message; empty where its own words must do.
+fn remedy_of(kind: io::ErrorKind) -> &'static str {
+    use io::ErrorKind::{
+        AlreadyExists, FileTooLarge, IsADirectory, NotADirectory, NotFound, PermissionDenied, QuotaExceeded,
+        ReadOnlyFilesystem, StorageFull,
+    };
+    match kind {
+        NotFound => "; check the path",
+        IsADirectory => "; give a file",
+        AlreadyExists | NotADirectory => "; choose another folder: a file is in the way",
+        PermissionDenied | ReadOnlyFilesystem => "; check the permissions, or choose another folder",
+        StorageFull | QuotaExceeded | FileTooLarge => "; make room, or write to another disk",
+        _ => "",
     }
 }
 

@@ -5,8 +5,11 @@
 use std::fs;
 use std::path::Path;
 
+use schemars::generate::SchemaSettings;
+use wavex::engine::RunReport;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
 use wavex::registry::{STAGES, find};
+use wavex::stages::write_lstat;
 
 /// Writes a file of the repository where it is not as it should be, and says so.
 fn check(name: &str, expected: &str) {
@@ -23,6 +26,18 @@ fn check(name: &str, expected: &str) {
 #[test]
 fn the_schema_of_jobs_is_up_to_date() {
     check("schemas/job.schema.json", &format!("{:#}\n", job_schema(STAGES)));
+}
+
+#[test]
+fn the_schema_of_reports_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12().for_serialize();
+    let schema = settings.into_generator().into_root_schema_for::<RunReport>();
+    check("schemas/report.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_columns_of_line_statistics_are_up_to_date() {
+    check("schemas/lstat.json", &format!("{:#}\n", write_lstat::description()));
 }
 
 #[test]

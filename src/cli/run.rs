@@ -33,12 +33,17 @@ pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -
         ..Options::of_job(job, input_dir, &output_dir)
     };
     stop_on_signals(&options.cancel);
+    // What keeps the report from being written is better known before the run than after it.
+    let report_file = match job.settings.report.as_str() {
+        "" => None,
+        name => Some(OutputFile::create(&output_dir.join(name)).map_err(|error| failed(&error))?),
+    };
     let report = engine::run(job, &options).map_err(|error| {
         tracing::debug!("{error}");
         failed(&error)
     })?;
-    if !job.settings.report.is_empty() {
-        write_report(&report, &output_dir.join(&job.settings.report)).map_err(|error| failed(&error))?;
+    if let Some(file) = report_file {
+        write_report(&report, file).map_err(|error| failed(&error))?;
     }
     if machine.profile {
         write_trace(&report, &output_dir.join("trace.json")).map_err(|error| failed(&error))?;
@@ -60,10 +65,10 @@ fn stop_on_signals(cancel: &Cancel) {
     }
 }
 
-fn write_report(report: &RunReport, path: &Path) -> Result<(), StageError> {
-    let mut file = OutputFile::create(path)?;
-    let json = format!("{:#}\n", serde_json::to_value(report).unwrap_or_default());
-    file.write_all(json.as_bytes()).map_err(Error::io(path, "write the report"))?;
+fn write_report(report: &RunReport, mut file: OutputFile) -> Result<(), StageError> {
+    let json = serde_json::to_string_pretty(report).map_err(std::io::Error::from);
+    let written = json.and_then(|json| writeln!(file, "{json}"));
+    written.map_err(|error| Error::io(file.path(), "write the report")(error))?;
     file.finish()?.publish()?;
     Ok(())
 }

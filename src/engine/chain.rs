@@ -104,6 +104,7 @@ fn shared(job: &Job, options: &Options) -> Shared {
         largest_line_bytes: limit / (4 * transforms),
         gauge: Gauge::default(),
         totals: Mutex::new(Totals::default()),
+        cx: Context::default(),
     }
 }
 
@@ -117,7 +118,7 @@ fn run_worker(
     profile: bool,
     leavings: &Leavings,
 ) {
-    let mut desk = Desk { shared, exit, meter: Meter::new(profile), cx: Context::default() };
+    let mut desk = Desk { shared, exit, meter: Meter::new(profile), cx: shared.cx.another() };
     let result = guarded(|| work(stage, site, inlet, &mut desk));
     if let Err(cause) = result {
         shared.failure.fail(&stage.id, &site.input, cause);

@@ -1,10 +1,11 @@
 //! From the paths of a reader to the inputs of the runs.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::RunError;
-use crate::stage::{Paths, StageError};
+use crate::job::Job;
+use crate::stage::{Paths, Site, StageError};
 
 /// One run's input.
 #[derive(Debug, PartialEq)]
@@ -75,6 +76,21 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     }
     paths.sort();
     Ok(paths)
+}
+
+/// No output of any run may take the place of an input of any run: `job` compares the names, here are the files.
+pub(super) fn keep_from_outputs(job: &Job, sites: &[Site]) -> Result<(), RunError> {
+    let inputs: BTreeSet<PathBuf> = sites.iter().filter_map(|site| site.input.canonicalize().ok()).collect();
+    let patterns = || job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());
+    let mut outputs = sites.iter().flat_map(|site| patterns().map(|pattern| site.output_path(pattern)));
+    // An output that does not exist yet is no input.
+    match outputs.find(|path| path.canonicalize().is_ok_and(|path| inputs.contains(&path))) {
+        None => Ok(()),
+        Some(path) => Err(RunError::of_job(StageError::failed(
+            format!("the output {} would replace an input", path.display()),
+            "give the output another folder or another name",
+        ))),
+    }
 }
 
 #[cfg(test)]

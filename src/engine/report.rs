@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::meter::{Meter, Span};
 use crate::batch::{Batch, EmissionReference, Frame, InputInfo, TimeScale};
@@ -47,6 +47,8 @@ pub struct StageKeys {
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct InputReport {
     /// The file; empty for a simulated input.
+    #[serde(serialize_with = "path_as_text")]
+    #[schemars(with = "String")]
     pub path: PathBuf,
     /// What its outputs are named after.
     pub stem: String,
@@ -78,6 +80,8 @@ pub struct InputReport {
     /// The stages, in order.
     pub stages: Vec<StageReport>,
     /// The files written.
+    #[serde(serialize_with = "paths_as_text")]
+    #[schemars(with = "Vec<String>")]
     pub outputs: Vec<PathBuf>,
 }
 
@@ -372,6 +376,15 @@ impl RunReport {
     pub(super) fn add(&mut self, input: InputReport) {
         self.inputs.push(input);
     }
+}
+
+/// A path as JSON can hold it: what is not Unicode is replaced.
+fn path_as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(&path.to_string_lossy())
+}
+
+fn paths_as_text<S: Serializer>(paths: &[PathBuf], to: S) -> Result<S::Ok, S::Error> {
+    to.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }
 
 fn time_scale(scale: TimeScale) -> &'static str {

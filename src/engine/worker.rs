@@ -19,6 +19,8 @@ pub(super) struct Shared {
     pub(super) largest_line_bytes: usize,
     pub(super) gauge: Gauge,
     pub(super) totals: Mutex<Totals>,
+    /// What the contexts of all workers come from.
+    pub(super) cx: Context,
 }
 
 /// How far a run is.

@@ -121,6 +121,12 @@ impl Reader {
         }
     }
 
+    /// How many bytes stand behind the last pulse and belong to no record: what a cut leaves of the appended records.
+    pub fn stray_bytes(&self) -> u64 {
+        let end = self.records.appended_at.unwrap_or(self.pulses.length());
+        end.saturating_sub(self.header.record_at(self.header.pulse_count))
+    }
+
     /// Pulse `index`, from 0. Reads in order are buffered.
     ///
     /// # Errors

@@ -22,19 +22,27 @@ struct Line {
 
 /// What remains may be larger than the rounding explains by this factor.
 const TOLERANCE: f64 = 1.5;
+/// A beam whose length differs from the usual one by more than this part is a damaged record: projections stretch by a
+/// tenth of it.
+const STRAY_PART: f64 = 0.01;
+/// With more than one damaged record in so many, none of the others is trusted either.
+const BEAMS_PER_STRAY: usize = 20;
 /// Fewer beams than this show nothing.
 const FEWEST_BEAMS: usize = 30;
 
 impl BeamLength {
     /// Learns from `beams`, displacements per nanosecond, m, each the difference of two points that were rounded to
-    /// `grid_m` and lie `baseline_ns` apart.
+    /// `grid_m` and lie `baseline_ns` apart. A few that are damaged do not matter.
     pub fn learn(beams: &[[f64; 3]], grid_m: [f64; 3], baseline_ns: f64) -> BeamLength {
         // Each coordinate of the difference carries two rounding errors, each uniform over a grid step.
         let rounding_m_per_ns =
             grid_m.iter().fold(0.0, |most: f64, step| most.max(*step)) / 6f64.sqrt() / baseline_ns;
-        let fitted = fit(beams);
-        let rms_m_per_ns = fitted.map_or(f64::INFINITY, |line| line.rms_m_per_ns(beams));
-        let explained = rms_m_per_ns <= TOLERANCE * rounding_m_per_ns && beams.len() >= FEWEST_BEAMS;
+        let sound = sound(beams);
+        let enough =
+            sound.len() >= FEWEST_BEAMS && (beams.len() - sound.len()) * BEAMS_PER_STRAY <= beams.len();
+        let fitted = fit(&sound);
+        let rms_m_per_ns = fitted.map_or(f64::INFINITY, |line| line.rms_m_per_ns(&sound));
+        let explained = enough && rms_m_per_ns <= TOLERANCE * rounding_m_per_ns;
         BeamLength { model: fitted.filter(|_| explained), rms_m_per_ns, rounding_m_per_ns }
     }
 
@@ -72,15 +80,21 @@ impl Line {
     }
 }
 
-/// The line through (vertical part)^2 and length^2 by least squares; flat where all beams are alike.
+/// The beams about as long as most are.
+fn sound(beams: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let mut lengths: Vec<f64> = beams.iter().map(|beam| dot(*beam, *beam).sqrt()).collect();
+    lengths.sort_by(f64::total_cmp);
+    let usual = lengths.get(lengths.len() / 2).copied().unwrap_or(f64::NAN);
+    let is_sound = |beam: &&[f64; 3]| (dot(**beam, **beam).sqrt() / usual - 1.0).abs() <= STRAY_PART;
+    beams.iter().filter(is_sound).copied().collect()
+}
+
+/// The line through (vertical part)^2 and length^2 by least squares; flat where all beams are alike. No beam has the
+/// length 0.
 fn fit(beams: &[[f64; 3]]) -> Option<Line> {
-    let pairs: Vec<(f64, f64)> = beams
-        .iter()
-        .map(|beam| (beam[2] * beam[2], dot(*beam, *beam)))
-        .filter(|(_, square)| *square > 0.0)
-        .map(|(vertical, square)| (vertical / square, square))
-        .collect();
-    if pairs.len() != beams.len() || pairs.is_empty() {
+    let pair = |beam: &[f64; 3]| (beam[2] * beam[2] / dot(*beam, *beam), dot(*beam, *beam));
+    let pairs: Vec<(f64, f64)> = beams.iter().map(pair).collect();
+    if pairs.is_empty() {
         return None;
     }
     let n = pairs.len() as f64;
@@ -140,6 +154,19 @@ mod tests {
         let length = BeamLength::learn(&beams, [0.01; 3], 1000.0);
         assert_eq!(length.vertical(), None);
         assert_eq!(length.of(beams[0]), dot(beams[0], beams[0]).sqrt());
+    }
+
+    #[test]
+    fn a_few_damaged_records_change_nothing_and_many_are_not_passed_over() {
+        let whole = beams(1.0, 0.01);
+        let vertical = |beams: &[[f64; 3]]| BeamLength::learn(beams, [0.01; 3], 1000.0).vertical();
+        for stray in [[0.0; 3], [f64::NAN; 3], [f64::INFINITY, 0.0, 1.0], [1e9, 0.0, 0.1], [1e-9, 0.0, 0.0]] {
+            let mut few = whole.clone();
+            few.insert(1000, stray);
+            assert_eq!(vertical(&few), vertical(&whole), "{stray:?}");
+            few.extend([stray; 200]);
+            assert_eq!(vertical(&few), None, "{stray:?}");
+        }
     }
 
     #[test]

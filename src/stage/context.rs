@@ -1,6 +1,7 @@
 //! A stage's counters, and what it has to say.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
 
 use hdrhistogram::Histogram;
 
@@ -48,6 +49,8 @@ pub struct Context {
     pub(crate) counters: Counters,
     /// Files that are whole and wait for the end of the run.
     pub(crate) whole: Vec<WholeFile>,
+    /// The notes of all workers of the run, so that each is logged once.
+    said: Arc<Mutex<BTreeSet<String>>>,
 }
 
 /// What a stage has counted, measured and said.
@@ -62,6 +65,11 @@ pub struct Counters {
 }
 
 impl Context {
+    /// The context of another worker of the same run.
+    pub(crate) fn another(&self) -> Context {
+        Context { said: Arc::clone(&self.said), ..Context::default() }
+    }
+
     /// Drops `n` items for a reason. This is the only way to drop anything.
     pub fn reject(&mut self, item: Item, reason: &'static str, n: u64) {
         if n > 0 {
@@ -77,10 +85,14 @@ impl Context {
     /// Tells the user something, once per run: it is logged and stands in the report.
     pub fn note(&mut self, text: impl Into<String>) {
         let text = text.into();
-        if !self.counters.notes.contains(&text) {
-            tracing::warn!("{text}");
-            self.counters.notes.push(text);
+        if self.counters.notes.contains(&text) {
+            return;
         }
+        let mut said = self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        if said.insert(text.clone()) {
+            tracing::warn!("{text}");
+        }
+        self.counters.notes.push(text);
     }
 
     /// Keeps a file that is whole: it gets its final name when every stage has succeeded.

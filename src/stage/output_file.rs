@@ -35,6 +35,10 @@ impl OutputFile {
         let Some(name) = path.file_name() else {
             return Err(Error::unusable(path, "no file name", "give the output a name, as in `out/*.laz`"));
         };
+        if path.is_dir() {
+            let remedy = "choose another name, or remove the folder";
+            return Err(Error::unusable(path, "a folder has the name of this output", remedy));
+        }
         let temporary = folder.join(format!(".{}.{}.partial", name.to_string_lossy(), std::process::id()));
         let file = File::create(&temporary).map_err(Error::io(path, "create"))?;
         let partial = Partial { temporary, path: path.to_path_buf(), renamed: false };
@@ -131,6 +135,17 @@ mod tests {
         drop(file);
         drop(OutputFile::create(&folder.path().join("b.txt")).unwrap().finish().unwrap());
         assert_eq!(names(folder.path()), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_folder_of_the_same_name_is_told_before_anything_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points.laz");
+        fs::create_dir(&path).unwrap();
+        let error = OutputFile::create(&path).unwrap_err().to_string();
+        let expected = "a folder has the name of this output; choose another name, or remove the folder";
+        assert_eq!(error, format!("{}: {expected}", path.display()));
+        assert_eq!(names(folder.path()), ["points.laz"]);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use crate::stage::{Context, Item};
 #[derive(Debug, Default)]
 pub(super) struct BrokenRun {
     first: Option<Error>,
+    told: bool,
 }
 
 impl BrokenRun {
@@ -29,7 +30,7 @@ impl BrokenRun {
             Err(error @ Error::Io { .. }) => Err(error),
             Err(error) => {
                 cx.reject(item, reason, 1);
-                if cx.counters().rejected_of(item) == 1 {
+                if !std::mem::replace(&mut self.told, true) {
                     cx.note(format!("{reason} was left out, and so is every further one: {error}"));
                 }
                 self.first.get_or_insert(error);
@@ -56,10 +57,11 @@ mod tests {
     #[test]
     fn bad_items_are_counted_and_told_once() {
         let (mut broken, mut cx) = (BrokenRun::default(), Context::default());
+        cx.reject(Item::Shots, "for another reason", 1);
         for read in [bad(1), bad(2), Ok(())] {
             broken.accepts(read, &mut cx, Item::Shots, "a pulse that cannot be read").unwrap();
         }
-        assert_eq!(cx.counters().rejected_of(Item::Shots), 2);
+        assert_eq!(cx.counters().rejected_of(Item::Shots), 3);
         assert_eq!(
             cx.counters().notes,
             ["a pulse that cannot be read was left out, and so is every further one: \

@@ -204,11 +204,16 @@ impl Shot<'_> {
     fn anchored_departure(&self, found: &[Found], cx: &mut Context) -> Departure {
         let interval_ns = self.input.sampling_interval_ns;
         let unknown = Departure { time_ns: 0.0, sd_ns: unknown_within_a_sample_ns(interval_ns) };
-        if self.input.emission_reference != EmissionReference::ReturnLocations {
-            if self.input.emission_reference != EmissionReference::Clock {
-                cx.note("shots whose outgoing pulse cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
+        match self.input.emission_reference {
+            EmissionReference::ReturnLocations => {}
+            EmissionReference::Clock => {
+                cx.note("the input has neither outgoing pulses nor return locations: nothing tells which part of a sample the emissions miss their raster by, and the standard deviations of ranges include it");
+                return unknown;
             }
-            return unknown;
+            EmissionReference::OutgoingPulse | EmissionReference::OutgoingPulseFraction => {
+                cx.note("shots whose outgoing pulse cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
+                return unknown;
+            }
         }
         let nearest = |time_ns: f64| {
             let differences = found.iter().map(|found| (found.time_ns - time_ns, found.time_sd_ns));

@@ -7,7 +7,8 @@ use crate::batch::{Batch, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emiss
 /// Collects shots into scan lines.
 ///
 /// A line ends after a shot with the edge-of-flight-line flag, and before one whose scan direction flag or facet differs
-/// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots (DEFINITIONS: scan line).
+/// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots (DEFINITIONS: scan line) or
+/// [`MOST_BYTES`].
 pub(super) struct Lines {
     input: Arc<InputInfo>,
     next_line: u32,
@@ -24,6 +25,8 @@ struct Sweep {
     shots: usize,
 }
 
+/// What a line may take, 16 kB a shot: only where a damaged file makes waveforms of whatever it holds is it more.
+const MOST_BYTES: usize = 64 << 20;
 /// A beam that moves back by more than this many usual steps has begun a new sweep.
 const JUMP_STEPS: f64 = 8.0;
 /// So many shots must have shown the usual step before a jump can be told.
@@ -50,6 +53,7 @@ impl Lines {
         let Some(last) = self.emissions.last() else { return false };
         let flag = |emission: &Emission| emission.flags & emission_flags::SCAN_DIRECTION_POSITIVE;
         self.emissions.len() >= MAX_SHOTS_PER_LINE
+            || self.blocks.bytes() >= MOST_BYTES
             || last.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0
             || flag(last) != flag(next)
             || last.facet != next.facet
@@ -107,6 +111,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::batch::Channel;
 
     fn shot(angle_deg: f64) -> Emission {
         let (sin, cos) = angle_deg.to_radians().sin_cos();
@@ -154,5 +159,12 @@ mod tests {
     #[test]
     fn no_line_is_longer_than_the_limit() {
         assert_eq!(lengths((0..5000).map(|_| shot(3.0))), [4096, 904]);
+        let mut lines = Lines::new(Arc::new(InputInfo::default()));
+        let megabytes = vec![0; 10 << 20];
+        for shot_is_last in [false, false, false, true] {
+            let index = lines.add(shot(3.0));
+            lines.blocks().push(index, Channel::LowPower, None, 0.0, 1.0, &megabytes);
+            assert_eq!(lines.ends_before(&shot(3.0)), shot_is_last);
+        }
     }
 }

@@ -14,7 +14,7 @@ use crate::batch::{
     emission_flags,
 };
 use crate::formats::geokeys;
-use crate::formats::las::{GpsTime, Point, Reader, Wave};
+use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
 use crate::geo::beam_length::BeamLength;
 use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
@@ -104,10 +104,14 @@ struct Geometry {
     /// Some files' direction vectors point down the beam, others' up to the sensor.
     towards_sensor: bool,
     has_locations: bool,
+    /// How the first waveform that can be read is stored.
+    sampling: Option<Descriptor>,
 }
 
 /// So many points show the geometry of a file.
 const POINTS_LOOKED_AT: usize = 10_000;
+/// The format counts so many returns of a pulse: more points of one time and direction are several pulses.
+const MOST_RETURNS: usize = 15;
 /// Directions of points of one pulse differ by less than this, as a cosine.
 const SAME_BEAM: f64 = 1e-9;
 
@@ -149,7 +153,8 @@ impl LasSource {
                 cx.reject(Item::Returns, "a point without direction or location", 1);
                 continue;
             }
-            if self.pulse.last().is_none_or(|last| same_pulse(last, &point)) {
+            let has_room = self.pulse.len() < MOST_RETURNS;
+            if self.pulse.last().is_none_or(|last| has_room && same_pulse(last, &point)) {
                 self.pulse.push(point);
             } else {
                 self.ahead = Some(point);
@@ -241,12 +246,6 @@ impl LasSource {
 
 impl Source for LasSource {
     fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
-        if !self.geometry.has_locations {
-            cx.note(
-                "the file's points have no locations in their waveforms: nothing tells which part of a sample the \
-                 emissions miss their raster by, and the standard deviations of ranges include it",
-            );
-        }
         loop {
             if let Some(shot) = self.waiting.take() {
                 self.add(shot);
@@ -273,12 +272,13 @@ impl Geometry {
     /// Looks at the first points of a file.
     fn learn(reader: &mut Reader) -> Result<Geometry> {
         let mut vectors: Vec<[f64; 3]> = Vec::new();
-        let mut has_locations = false;
+        let (mut has_locations, mut sampling) = (false, None);
         let mut point = Point::default();
         while vectors.len() < POINTS_LOOKED_AT && reader.next_point(&mut point)? {
             if point.wave.descriptor != 0 && is_usable(&point) {
                 vectors.push(point.wave.direction_per_ps.map(|x| f64::from(x) * 1000.0));
                 has_locations |= point.wave.location_ps != 0.0;
+                sampling = sampling.or_else(|| reader.descriptor(&point.wave).ok().copied());
             }
         }
         let up = vectors.iter().filter(|vector| vector[2] > 0.0).count();
@@ -288,7 +288,8 @@ impl Geometry {
         lengths.sort_by(f64::total_cmp);
         let median = lengths.get(lengths.len() / 2).copied();
         let metres_per_ns = beams.vertical().or(median).unwrap_or(0.149_853_751);
-        Ok(Geometry { beams, group_velocity_mps: metres_per_ns * 2e9, towards_sensor, has_locations })
+        let group_velocity_mps = metres_per_ns * 2e9;
+        Ok(Geometry { beams, group_velocity_mps, towards_sensor, has_locations, sampling })
     }
 
     /// Displacement down the beam per nanosecond, m.
@@ -350,6 +351,10 @@ fn gps_time_s(reader: &Reader, time_s: f64) -> f64 {
 
 fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> InputInfo {
     let header = reader.header();
+    let unknown = InputInfo::default();
+    let interval_ns = geometry.sampling.map(|sampling| f64::from(sampling.spacing_ps) / 1000.0);
+    // Sixteen bits are often a place for fewer: then nothing tells where the digitiser ends.
+    let bits = geometry.sampling.map(|sampling| sampling.bits).filter(|bits| *bits < 16);
     InputInfo {
         path: path.to_path_buf(),
         stem: stem.to_string(),
@@ -358,6 +363,8 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
             header.version.0, header.version.1, header.point_format
         ),
         instrument: Some(header.system_identifier.clone()).filter(|name| !name.is_empty()),
+        sampling_interval_ns: interval_ns.unwrap_or(unknown.sampling_interval_ns),
+        full_scale_dn: bits.map(|bits| (1 << bits) - 1),
         group_velocity_mps: geometry.group_velocity_mps,
         time_scale: match header.gps_time() {
             GpsTime::Standard { .. } => TimeScale::Adjusted,
@@ -371,7 +378,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
             true => EmissionReference::ReturnLocations,
             false => EmissionReference::Clock,
         },
-        ..InputInfo::default()
+        ..unknown
     }
 }
 

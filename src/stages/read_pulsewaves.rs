@@ -160,6 +160,10 @@ impl Source for PulseWavesSource {
             }
             if self.next_pulse == self.reader.pulse_count() {
                 self.broken.check_at_end()?;
+                if self.reader.stray_bytes() > 0 {
+                    let stray = self.reader.stray_bytes();
+                    cx.note(format!("the {stray} bytes behind the last pulse are no records: the file may be cut off, and lack a coordinate system or tables"));
+                }
                 return Ok(self.lines.take());
             }
             let pulse = self.reader.pulse(self.next_pulse)?;

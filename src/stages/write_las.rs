@@ -6,12 +6,15 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Batch, Emission, InputInfo, Kind, Return, ReturnChannel, emission_flags};
+use crate::formats::Error;
 use crate::formats::las::{
     AMP, ATTRIBUTES, CHANNEL, DEV_RATIO, ExtraAttribute, INT_ERR, PointOut, RANGE_ERR, RAW_AMP, TARGET_THICK,
     THICK_ERR, WIDE_ERR, WIDE_RATIO, Writer, WriterOptions,
 };
 use crate::geo::time::{adjusted_gps_time, day_of_year};
-use crate::stage::{Config, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, Site, StageSpec};
+use crate::stage::{
+    Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageSpec,
+};
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec =
@@ -80,6 +83,7 @@ impl SinkConfig for WriteLas {
             state: State::Empty(file),
             input: None,
             extra: Vec::new(),
+            refused: None,
         }))
     }
 }
@@ -136,7 +140,12 @@ struct LasSink {
     state: State,
     input: Option<Arc<InputInfo>>,
     extra: Vec<u8>,
+    /// Why the first point was left out that does not fit into the file's coordinates.
+    refused: Option<Error>,
 }
+
+/// What becomes of a point at a place that cannot be: it must not cost the others.
+const TOO_FAR: &str = "a point too far away for the coordinates of the file";
 
 /// The header needs to know the input: it is written when the first line comes.
 enum State {
@@ -182,11 +191,23 @@ impl Sink for LasSink {
         let attributes = self.attributes.clone();
         let input = &batch.input;
         let writer = self.writer(input, points.first().copied(), batch.stats.gps_time_s)?;
+        let mut refused = None;
         for (r, position) in returns.iter().zip(points) {
             let point = point(input, &batch.emissions[r.emission as usize], r, *position);
             extra.clear();
             attributes.iter().for_each(|attribute| attribute.push(value(attribute, r), &mut extra));
-            writer.write_point(&point, &extra)?;
+            match writer.write_point(&point, &extra) {
+                Ok(()) => {}
+                Err(error @ Error::Io { .. }) => return Err(error.into()),
+                Err(error) => {
+                    cx.reject(Item::Returns, TOO_FAR, 1);
+                    refused.get_or_insert(error);
+                }
+            }
+        }
+        if let (Some(error), None) = (refused, &self.refused) {
+            cx.note(format!("{TOO_FAR} was left out, and so is every further one: {error}"));
+            self.refused = Some(error);
         }
         self.extra = extra;
         cx.observe("points_per_line", points.len() as f64);
@@ -198,6 +219,8 @@ impl Sink for LasSink {
         self.writer(&input, None, f64::NAN)?;
         if let State::Open(writer) = self.state {
             if writer.n_points() == 0 {
+                // Not one point fits: then it is the file's coordinates that are wrong.
+                self.refused.map_or(Ok(()), Err)?;
                 cx.note("not a single point was found");
             }
             cx.keep(writer.finish()?.finish()?);

@@ -4,6 +4,7 @@ use std::io::Write;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
 use crate::batch::{Batch, Kind, LineStats};
 use crate::formats::Error;
@@ -14,28 +15,55 @@ use crate::stage::{Config, Context, OutputFile, Result, Sink, SinkConfig, Site, 
 pub const STAGE: StageSpec =
     StageSpec::sink::<WriteLstat>("write_lstat", &[Kind::Shots, Kind::Returns, Kind::Points]);
 
+/// A column: its name, its value, and what it means.
+struct Column(&'static str, Values, &'static str);
+
+/// Where a column takes its value from.
+enum Values {
+    /// A counter.
+    Count(fn(&LineStats) -> u64),
+    /// Seconds, to a microsecond.
+    Time,
+    /// Metres, to a centimetre.
+    Metres(fn(&LineStats) -> Option<f64>),
+}
+
+use Values::{Count, Metres, Time};
+
 /// The columns of BayesWavEx 1.1 (section 3, stat files), in their order.
-pub const COLUMNS: [&str; 20] = [
-    "gps_time",
-    "nw",
-    "np",
-    "np_xtalk",
-    "np_filtered",
-    "np_merged",
-    "np_air",
-    "np_low",
-    "np_range",
-    "np_atm",
-    "np_ibrc",
-    "np_ibic",
-    "nw_empty",
-    "nw_saturated",
-    "nw_refined1x",
-    "nw_refined2x",
-    "nw_deleted",
-    "nw_truncated",
-    "n_georef",
-    "AGL",
+const COLUMNS: [Column; 20] = [
+    Column(
+        "gps_time",
+        Time,
+        "time of the line's first shot, s: adjusted GPS time where the input tells enough, else as the input has it",
+    ),
+    Column("nw", Count(|stats| stats.nw), "waveforms: shots with at least one echo block"),
+    Column("np", Count(|stats| stats.np), "returns kept, withheld ones included"),
+    Column("np_xtalk", Count(|stats| stats.np_xtalk), "returns touched by the emission's cross-talk"),
+    Column("np_filtered", Count(|stats| stats.np_filtered), "candidates rejected by a threshold"),
+    Column("np_merged", Count(|stats| stats.np_merged), "candidates merged with another"),
+    Column("np_air", Count(|stats| stats.np_air), "outliers above their neighbours"),
+    Column("np_low", Count(|stats| stats.np_low), "outliers below their neighbours"),
+    Column("np_range", Count(|stats| stats.np_range), "returns whose intensity was corrected for range"),
+    Column("np_atm", Count(|stats| stats.np_atm), "returns whose intensity was corrected for the atmosphere"),
+    Column("np_ibrc", Count(|stats| stats.np_ibrc), "returns whose range was corrected by amplitude"),
+    Column(
+        "np_ibic",
+        Count(|stats| stats.np_ibic),
+        "returns whose amplitude was corrected by the instrument's table",
+    ),
+    Column("nw_empty", Count(|stats| stats.nw_empty), "waveforms without any return"),
+    Column("nw_saturated", Count(|stats| stats.nw_saturated), "waveforms with saturated samples"),
+    Column("nw_refined1x", Count(|stats| stats.nw_refined1x), "waveforms that needed iterative refinement"),
+    Column("nw_refined2x", Count(|stats| stats.nw_refined2x), "waveforms that needed a second one"),
+    Column("nw_deleted", Count(|stats| stats.nw_deleted), "waveforms that could not be used"),
+    Column(
+        "nw_truncated",
+        Count(|stats| stats.nw_truncated),
+        "waveforms with a return cut off by the block's edge",
+    ),
+    Column("n_georef", Count(|stats| stats.n_georef), "points with coordinates"),
+    Column("AGL", Metres(|stats| stats.agl_m), "height above the line's own ground, m"),
 ];
 
 /// Writes the counters of every scan line as text.
@@ -71,7 +99,7 @@ impl SinkConfig for WriteLstat {
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
         let mut file = site.create(&self.path)?;
         if self.header {
-            writeln!(file, "# {}", COLUMNS.join(" "))
+            writeln!(file, "# {}", COLUMNS.each_ref().map(|column| column.0).join(" "))
                 .map_err(Error::io(&site.output_path(&self.path), "write"))?;
         }
         Ok(Box::new(LstatWriter { file }))
@@ -98,28 +126,30 @@ impl Sink for LstatWriter {
 
 /// A line's row, in the order of [`COLUMNS`].
 fn row(stats: &LineStats, gps_time_s: f64) -> String {
-    let counts = [
-        stats.nw,
-        stats.np,
-        stats.np_xtalk,
-        stats.np_filtered,
-        stats.np_merged,
-        stats.np_air,
-        stats.np_low,
-        stats.np_range,
-        stats.np_atm,
-        stats.np_ibrc,
-        stats.np_ibic,
-        stats.nw_empty,
-        stats.nw_saturated,
-        stats.nw_refined1x,
-        stats.nw_refined2x,
-        stats.nw_deleted,
-        stats.nw_truncated,
-        stats.n_georef,
-    ];
-    let counts = counts.map(|count| count.to_string()).join(" ");
-    format!("{} {counts} {}", number(gps_time_s, 6), number(stats.agl_m.unwrap_or(f64::NAN), 2))
+    let text = |column: &Column| match column.1 {
+        Time => number(gps_time_s, 6),
+        Count(count) => count(stats).to_string(),
+        Metres(metres) => number(metres(stats).unwrap_or(f64::NAN), 2),
+    };
+    COLUMNS.each_ref().map(text).join(" ")
+}
+
+/// The file as JSON, for people and programs: what `schemas/lstat.json` holds.
+pub fn description() -> Value {
+    let column = |Column(name, values, meaning): &Column| {
+        let kind = match values {
+            Count(_) => "u64",
+            Time | Metres(_) => "f64",
+        };
+        json!({"name": name, "type": kind, "nullable": kind == "f64", "meaning": meaning})
+    };
+    json!({
+        "title": "wavex statistics of scan lines: the columns of BayesWavEx 1.1",
+        "format": "text: columns separated by one blank, `nan` where something is not known; a first line that begins \
+                   with `#` names the columns, unless the job leaves it out",
+        "row": "one scan line, in order of time",
+        "columns": COLUMNS.each_ref().map(column),
+    })
 }
 
 fn number(value: f64, digits: usize) -> String {

@@ -68,6 +68,9 @@ impl Messages {
         len: u64,
     ) -> Result<(Messages, Schema)> {
         let start = read_up_to(&mut from, MAGIC.len()).map_err(Error::io(name, "read"))?;
+        if start.is_empty() {
+            return Err(Error::unusable(name, "the file is empty", "copy it again from its source"));
+        }
         from.seek(SeekFrom::Start(0)).map_err(Error::io(name, "read"))?;
         if start == MAGIC {
             let (messages, schema) = FileMessages::open(name, from, len)?;

@@ -6,6 +6,9 @@ use super::vlr::{SPEC, Vlr};
 use crate::formats::Result;
 use crate::formats::bytes::Fields;
 
+/// The most samples that a packet may have: at one per ns more than 600 km of range.
+const MOST_SAMPLES: u32 = 1 << 22;
+
 /// How the samples of a waveform packet are stored and spaced.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Descriptor {
@@ -73,6 +76,10 @@ impl Descriptor {
         if self.samples == 0 || self.spacing_ps == 0 {
             let problem = format!("it is empty ({} samples every {} ps)", self.samples, self.spacing_ps);
             return Some((problem, "the point has no waveform: leave it out"));
+        }
+        if self.samples > MOST_SAMPLES {
+            let problem = format!("{} samples are more than the {MOST_SAMPLES} that are read", self.samples);
+            return Some((problem, "the descriptor is damaged: export the file again"));
         }
         if self.compression != 0 {
             return Some((format!("compression {} is not defined", self.compression), EXPORT));
@@ -160,6 +167,11 @@ mod tests {
         assert_eq!(
             said(Descriptor { spacing_ps: 0, ..descriptor(8, 60) }).as_deref(),
             Some("it is empty (60 samples every 0 ps)")
+        );
+        assert_eq!(said(descriptor(8, MOST_SAMPLES)), None);
+        assert_eq!(
+            said(descriptor(8, MOST_SAMPLES + 1)).as_deref(),
+            Some("4194305 samples are more than the 4194304 that are read")
         );
         assert_eq!(
             said(Descriptor { compression: 1, ..descriptor(8, 60) }).as_deref(),

@@ -90,7 +90,8 @@ pub(super) fn read_evlrs(
     let mut at = header.start_of_evlrs;
     let mut evlrs = Vec::new();
     for number in 1..=header.n_evlrs {
-        seek(input, file, at)?;
+        // What lies behind the end of the file is told by the reading.
+        seek(input, file, at.min(file_length))?;
         let evlr = read_evlr(input, file, at, file_length, number)?;
         at = evlr.offset + evlr.length;
         evlrs.push(evlr);

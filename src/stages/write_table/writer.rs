@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use arrow_array::RecordBatch;
 use arrow_ipc::CompressionType;
 use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
 use arrow_schema::{ArrowError, SchemaRef};
@@ -54,9 +55,10 @@ pub struct TableWriter<W: Write + Send> {
 }
 
 enum Form<W: Write + Send> {
-    Arrow(FileWriter<W>),
+    Arrow(Box<FileWriter<W>>),
     Parquet(Box<ArrowWriter<W>>),
-    Csv(arrow_csv::Writer<W>),
+    /// And whether the header line is written.
+    Csv(W, bool),
 }
 
 impl<W: Write + Send> TableWriter<W> {
@@ -68,11 +70,11 @@ impl<W: Write + Send> TableWriter<W> {
             Format::Arrow => IpcWriteOptions::default()
                 .try_with_compression(Some(CompressionType::LZ4_FRAME))
                 .and_then(|options| FileWriter::try_new_with_options(to, &schema, options))
-                .map(Form::Arrow),
+                .map(|writer| Form::Arrow(Box::new(writer))),
             Format::Parquet => ArrowWriter::try_new(to, Arc::clone(&schema), Some(properties(&schema)))
                 .map(|writer| Form::Parquet(Box::new(writer)))
                 .map_err(arrow_error),
-            Format::Csv => Ok(Form::Csv(arrow_csv::Writer::new(to))),
+            Format::Csv => Ok(Form::Csv(to, false)),
         };
         let form = form.map_err(|error| failed(file, error))?;
         let mut table = TableWriter { form, schema, rows: Vec::new(), file: file.to_path_buf() };
@@ -96,7 +98,10 @@ impl<W: Write + Send> TableWriter<W> {
         batch
             .and_then(|batch| match &mut self.form {
                 Form::Arrow(writer) => writer.write(&batch),
-                Form::Csv(writer) => writer.write(&batch),
+                Form::Csv(to, has_header) => {
+                    let header = !std::mem::replace(has_header, true);
+                    to.write_all(&csv(&batch, header)?).map_err(ArrowError::from)
+                }
                 Form::Parquet(writer) => {
                     writer.write(&batch).and_then(|()| writer.flush()).map_err(arrow_error)
                 }
@@ -112,11 +117,17 @@ impl<W: Write + Send> TableWriter<W> {
         match self.form {
             Form::Arrow(writer) => writer.into_inner(),
             Form::Parquet(writer) => writer.into_inner().map_err(arrow_error),
-            // The rows were flushed: nothing is left that could fail.
-            Form::Csv(writer) => Ok(writer.into_inner()),
+            Form::Csv(to, _) => Ok(to),
         }
         .map_err(|error| failed(&self.file, error))
     }
+}
+
+/// Rows as text. They are made in memory because the writer's own errors do not keep those of the system.
+fn csv(batch: &RecordBatch, header: bool) -> std::result::Result<Vec<u8>, ArrowError> {
+    let mut writer = arrow_csv::WriterBuilder::new().with_header(header).build(Vec::new());
+    writer.write(batch)?;
+    Ok(writer.into_inner())
 }
 
 /// Dictionaries are off: hardly a number of a table occurs twice, and ZSTD finds those that do. The metadata stands

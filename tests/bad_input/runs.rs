@@ -1,0 +1,87 @@
+//! Runs that are ended from outside.
+
+use std::fs;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use serde_json::Value;
+
+use crate::support::las::Las;
+use crate::support::{Outcome, Place, outcome};
+
+/// A flight that takes hours, on its way into every kind of output.
+const LONG: &str = "\
+[[stage]]
+type = 'simulate'
+lines = 1000000
+shots_per_line = 20
+canopy_height_m = 0.0
+truth = '*_truth.csv'
+[[stage]]
+type = 'write_arrow'
+[[stage]]
+type = 'calibrate'
+waveforms = 300
+[[stage]]
+type = 'decompose'
+[[stage]]
+type = 'georeference'
+[[stage]]
+type = 'write_las'
+path = '*.laz'
+[[stage]]
+type = 'write_table'
+[[stage]]
+type = 'write_lstat'
+";
+
+/// Starts a long run, and waits until it has begun all its outputs and written to some.
+fn begin(place: &Place) -> Child {
+    let child = place.command(LONG).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let is_written =
+        |name: &String| fs::metadata(place.path("out").join(name)).is_ok_and(|about| about.len() > 0);
+    loop {
+        let outputs = place.outputs();
+        if outputs.iter().any(is_written) && outputs.len() >= 6 {
+            return child;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// A folder may have a name that JSON cannot hold.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_folder_whose_name_is_no_unicode_is_reported_all_the_same() {
+    use std::os::unix::ffi::OsStrExt;
+    let las = Las::new(3);
+    let place = Place::new();
+    let folder = place.path("").join(std::ffi::OsStr::from_bytes(b"caf\xe9"));
+    fs::create_dir(&folder).unwrap();
+    fs::write(folder.join("a.las"), las.las()).unwrap();
+    fs::write(folder.join("a.wdp"), &las.packets).unwrap();
+    fs::write(folder.join("job.toml"), "[[stage]]\ntype = 'read_las'\npath = 'a.las'\n").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    command.args(["-q", "run"]).arg(folder.join("job.toml"));
+    assert_eq!(outcome(&mut command), Outcome { code: Some(0), err: String::new() });
+    let report: Value = serde_json::from_slice(&fs::read(folder.join("report.json")).unwrap()).unwrap();
+    assert!(report["inputs"][0]["path"].as_str().unwrap().ends_with("caf\u{fffd}/a.las"), "{report}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_signal_ends_a_run_in_order() {
+    for signal in ["INT", "TERM", "HUP"] {
+        let place = Place::new();
+        let child = begin(&place);
+        assert!(place.outputs().iter().all(|name| name.ends_with(".partial")), "{:?}", place.outputs());
+        let killed =
+            Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
+        assert!(killed.success());
+        let output = child.wait_with_output().unwrap();
+        let err = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "SIG{signal}: {err}");
+        assert_eq!(err, "error: interrupted; no unfinished output was left behind\n");
+        assert_eq!(place.outputs(), Vec::<String>::new(), "SIG{signal}");
+    }
+}

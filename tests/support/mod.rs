@@ -1,0 +1,177 @@
+//! A folder with inputs, a job in it, and what the program makes of both.
+#![allow(dead_code, missing_docs, reason = "each test binary uses its own part")]
+
+pub mod las;
+pub mod pulsewaves;
+pub mod shots;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+
+/// The end of a job that finds points, writes them as a table, and needs few waveforms.
+pub const TO_TABLE: &str = "\
+[[stage]]
+type = 'calibrate'
+waveforms = 300
+[[stage]]
+type = 'decompose'
+[[stage]]
+type = 'georeference'
+[[stage]]
+type = 'write_table'
+path = '*.csv'
+";
+
+/// A folder of inputs; outputs go into `out` in it.
+pub struct Place {
+    folder: tempfile::TempDir,
+}
+
+/// What a run of the program leaves.
+#[derive(Debug, PartialEq)]
+pub struct Outcome {
+    /// `None` where a signal ended the program.
+    pub code: Option<i32>,
+    /// What it printed to standard error.
+    pub err: String,
+}
+
+impl Place {
+    pub fn new() -> Place {
+        Place { folder: tempfile::tempdir().unwrap() }
+    }
+
+    /// A folder with these files.
+    pub fn with(files: &[(&str, &[u8])]) -> Place {
+        let place = Place::new();
+        files.iter().for_each(|(name, bytes)| place.write(name, bytes));
+        place
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    pub fn write(&self, name: &str, bytes: &[u8]) {
+        let path = self.path(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+
+    pub fn text(&self, name: &str) -> String {
+        fs::read_to_string(self.path(name)).unwrap()
+    }
+
+    /// Writes the job of these stages, and gives the command that runs it, in this folder and without a word.
+    pub fn command(&self, stages: &str) -> Command {
+        self.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{stages}").as_bytes());
+        // Whoever believes a size that lies runs out of this memory. Where the shell knows no such limit, there is none.
+        let mut command = Command::new("sh");
+        command.args([
+            "-c",
+            "ulimit -v 1500000 2>/dev/null; exec \"$0\" \"$@\"",
+            env!("CARGO_BIN_EXE_wavex"),
+        ]);
+        command.args(["--quiet", "run", "job.toml"]).current_dir(self.folder.path());
+        command.stdin(Stdio::null()).env_remove("RUST_LOG");
+        command
+    }
+
+    /// Runs the job of these stages.
+    pub fn run(&self, stages: &str) -> Outcome {
+        outcome(&mut self.command(stages))
+    }
+
+    /// Runs the job of a reader of `input` and the stages behind it.
+    pub fn read(&self, reader: &str, input: &str, stages: &str) -> Outcome {
+        self.run(&format!("[[stage]]\ntype = '{reader}'\npath = '{input}'\n{stages}"))
+    }
+
+    /// Runs a job that must fail with this message, and leave nothing but its log.
+    #[track_caller]
+    pub fn fails(&self, reader: &str, input: &str, message: &str) {
+        let stages = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
+        self.left_nothing(self.read(reader, input, stages), message);
+    }
+
+    /// The run failed with this message, and left nothing but its log.
+    #[track_caller]
+    pub fn left_nothing(&self, outcome: Outcome, message: &str) {
+        assert_eq!(outcome, Outcome { code: Some(1), err: format!("error: {message}\n") });
+        assert_eq!(self.outputs(), Vec::<String>::new(), "a failed run leaves nothing");
+        let log = self.text("out/wavex.log");
+        assert!(log.contains(message), "the log does not tell why the run failed:\n{log}");
+    }
+
+    /// Runs a job that must succeed, and gives its report of the only input.
+    #[track_caller]
+    pub fn succeeds(&self, reader: &str, input: &str, stages: &str) -> Value {
+        let outcome = self.read(reader, input, stages);
+        assert_eq!(outcome, Outcome { code: Some(0), err: String::new() });
+        let report: Value = serde_json::from_str(&self.text("out/report.json")).unwrap();
+        assert_eq!(report["inputs"].as_array().unwrap().len(), 1);
+        report["inputs"][0].clone()
+    }
+
+    /// What lies in the folder of outputs besides the log, at any depth.
+    pub fn outputs(&self) -> Vec<String> {
+        let mut names = Vec::new();
+        collect(&self.path("out"), "", &mut names);
+        names.retain(|name| name != "wavex.log");
+        names.sort();
+        names
+    }
+
+    /// The times of the shots that have returns in a table, in its order, as it writes them.
+    pub fn times(&self, table: &str) -> Vec<String> {
+        let text = self.text(table);
+        let times = text.lines().skip(1).map(|row| row.split(',').nth(1).unwrap().to_owned());
+        let mut times: Vec<String> = times.collect();
+        times.dedup();
+        times
+    }
+}
+
+/// Runs a command to its end.
+pub fn outcome(command: &mut Command) -> Outcome {
+    let output = command.stdout(Stdio::null()).stderr(Stdio::piped()).output().unwrap();
+    Outcome { code: output.status.code(), err: String::from_utf8(output.stderr).unwrap() }
+}
+
+fn collect(folder: &Path, prefix: &str, names: &mut Vec<String>) {
+    for entry in fs::read_dir(folder).into_iter().flatten() {
+        let entry = entry.unwrap();
+        let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+        match entry.file_type().unwrap().is_dir() {
+            true => collect(&entry.path(), &format!("{name}/"), names),
+            false => names.push(name),
+        }
+    }
+}
+
+/// What the stages of an input rejected, all together.
+pub fn rejected(input: &Value) -> BTreeMap<String, u64> {
+    let stages = input["stages"].as_array().unwrap();
+    let rejected = stages.iter().flat_map(|stage| stage["rejected"].as_object().unwrap());
+    rejected.map(|(what, n)| (what.clone(), n.as_u64().unwrap())).collect()
+}
+
+/// What the stages of an input had to say, all together.
+pub fn notes(input: &Value) -> Vec<String> {
+    let stages = input["stages"].as_array().unwrap();
+    let notes = stages.iter().flat_map(|stage| stage["notes"].as_array().unwrap());
+    notes.map(|note| note.as_str().unwrap().to_owned()).collect()
+}
+
+/// The folder of real recordings; `None`, and a word about it, where there is none.
+pub fn data() -> Option<PathBuf> {
+    let data = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
+    if data.is_none() {
+        println!("skipped: WAVEX_DATA not set");
+    }
+    data
+}

@@ -1,0 +1,39 @@
+//! A recording of simple pulses, the same in every format: a level ground below a scanner that looks straight down.
+
+/// Samples of a waveform, 1 ns apart.
+pub const SAMPLES: usize = 48;
+
+/// Length of a nanosecond of range, m.
+pub const METRES_PER_NS: f64 = 0.149_853_751;
+
+/// Background of 3 digitiser steps, noise of about one step, and a Gaussian pulse of `amplitude_dn` and 4.5 ns full width
+/// at half maximum around sample `peak`.
+pub fn waveform(shot: usize, peak: f64, amplitude_dn: f64) -> Vec<u8> {
+    let mut state = (shot as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let mut uniform = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as f64 / (1u64 << 31) as f64
+    };
+    let sample = |i: usize| {
+        // The sum of 12 uniform numbers is close to normal, with a variance of 1.
+        let noise: f64 = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let x = (i as f64 - peak) / (4.5 / 2.354_82);
+        (3.0 + noise + amplitude_dn * (-0.5 * x * x).exp()).round().clamp(0.0, 255.0) as u8
+    };
+    (0..SAMPLES).map(sample).collect()
+}
+
+/// The echo of a shot.
+pub fn echo(shot: usize) -> Vec<u8> {
+    waveform(shot, peak(shot), 60.0)
+}
+
+/// Where the echo of a shot lies, in samples.
+pub fn peak(shot: usize) -> f64 {
+    24.0 + 0.1 * (shot % 10) as f64
+}
+
+/// The time of a shot, s.
+pub fn time_s(shot: usize) -> f64 {
+    1000.0 + shot as f64 / 1024.0
+}

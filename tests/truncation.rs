@@ -1,0 +1,162 @@
+//! Recordings that were cut off anywhere: an error, or fewer shots; never a panic.
+//!
+//! The parts of a file that are there are true, and the rest is missing: what a copy leaves that was broken off, or a
+//! disk that filled up while the file was written.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::zombie_processes,
+    reason = "a test fails by panicking, and tells what it skips; the caller waits for what `begin` starts"
+)]
+
+mod common;
+#[path = "support/mod.rs"]
+mod support;
+
+use std::collections::BTreeSet;
+use std::fs::{self, OpenOptions};
+use std::path::Path;
+
+use wavex::engine::{self, Cause};
+use wavex::stage::StageSpec;
+use wavex::stages::{read_arrow, read_las, read_pulsewaves, simulate, write_arrow};
+
+/// Headers end before this byte: up to here every byte is a place to cut.
+const HEADERS: usize = 400;
+/// So many places more, spread over the rest, and as many at the end.
+const SPREAD: usize = 24;
+
+/// How many shots a reader finds in a file and what it has to say, or the error with which it ends.
+fn read(reader: &'static StageSpec, path: &Path) -> Result<(u64, Vec<String>), String> {
+    let job = common::job(&[(reader, &format!("path = '{}'", path.display()))]);
+    match engine::run(&job, &common::into(&job, path.parent().unwrap())) {
+        Ok(report) => {
+            let reader = &report.inputs[0].stages[0];
+            Ok((reader.items_out.shots, reader.notes.clone()))
+        }
+        Err(error) => {
+            assert!(matches!(error.cause, Cause::Stage(_)), "{error}");
+            Err(error.to_string())
+        }
+    }
+}
+
+/// Where to cut a file of `length` bytes.
+fn cuts(length: usize) -> BTreeSet<usize> {
+    let spread = (0..SPREAD).map(|i| HEADERS + i * length.saturating_sub(HEADERS) / SPREAD + i % 8);
+    let end = (1..=SPREAD).map(|i| length.saturating_sub(i));
+    (0..HEADERS).chain(spread).chain(end).filter(|cut| *cut < length).collect()
+}
+
+/// Where the last record of a file ends that must not be missing: nothing says how many are appended to pulses.
+fn end_of_records(extension: &str, bytes: &[u8]) -> usize {
+    let number = |at: usize| u32::from_le_bytes(*bytes[at..].first_chunk().unwrap()) as usize;
+    if extension == "pls" { number(176) + number(184) * number(200) } else { bytes.len() }
+}
+
+/// Cuts each file of a recording everywhere, and gives how many shots the whole has, or why it cannot be read.
+fn cut_everywhere(
+    reader: &'static StageSpec,
+    data: &Path,
+    name: &str,
+    extensions: &[&str],
+) -> Result<u64, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |extension: &str| folder.path().join("a").with_extension(extension);
+    for extension in extensions {
+        fs::copy(data.join(format!("{name}.{extension}")), path(extension)).unwrap();
+    }
+    let whole = read(reader, &path(extensions[0])).map(|(shots, _)| shots);
+    for extension in extensions {
+        let bytes = fs::read(path(extension)).unwrap();
+        // From behind, so that the file has to be written only once.
+        for cut in cuts(bytes.len()).into_iter().rev() {
+            OpenOptions::new().write(true).open(path(extension)).unwrap().set_len(cut as u64).unwrap();
+            let what = format!("{name}.{extension}, cut at {cut}");
+            match read(reader, &path(extensions[0])) {
+                Ok((found, notes)) => {
+                    assert_eq!(Ok(found), whole, "{what}");
+                    assert!(cut >= end_of_records(extension, &bytes), "{what}");
+                    assert!(
+                        notes.iter().any(|note| note.contains("the file may be cut off")),
+                        "{what}: {notes:?}"
+                    );
+                }
+                // Of a file that cannot be read anyway, the cut is what is told.
+                Err(error) => assert_ne!(Err(error), whole, "{what}"),
+            }
+        }
+        fs::write(path(extension), &bytes).unwrap();
+    }
+    whole
+}
+
+const RIEGL: &str = "riegl_q680i_dev/riegl_q680i_dev";
+
+/// The points of these files refer to waveforms that the program which made them left out.
+#[track_caller]
+fn cut_points_without_waveforms(extension: &str, names: &[&str]) {
+    let Some(data) = support::data() else { return };
+    for name in names {
+        let name = format!("las_wavepackets/{name}");
+        let problem = cut_everywhere(&read_las::STAGE, &data, &name, &[extension]).unwrap_err();
+        assert!(problem.contains("a point refers to waveform descriptor"), "{name}: {problem}");
+    }
+}
+
+#[test]
+fn las() {
+    let names = ["pdrf4-1.3", "pdrf5-1.3", "pdrf9-1.4", "pdrf10-1.4", "pdrf9-1.5", "pdrf10-1.5"];
+    cut_points_without_waveforms("las", &names);
+}
+
+#[test]
+fn laz() {
+    cut_points_without_waveforms("laz", &["pdrf4-1.3", "pdrf5-1.3", "pdrf9-1.4", "pdrf10-1.4"]);
+}
+
+#[test]
+fn laz_beside_a_file_of_no_waveforms() {
+    let Some(data) = support::data() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    fs::copy(data.join("las_wavepackets/fullwave.laz"), folder.path().join("fullwave.laz")).unwrap();
+    fs::write(folder.path().join("fullwave.wdp"), &support::las::Las::new(0).packets).unwrap();
+    let problem = cut_everywhere(&read_las::STAGE, folder.path(), "fullwave", &["laz", "wdp"]).unwrap_err();
+    assert!(problem.contains("do not lie among the packets (60 to 60)"), "{problem}");
+}
+
+#[test]
+fn las_with_waveforms() {
+    let Some(data) = support::data() else { return };
+    assert_eq!(cut_everywhere(&read_las::STAGE, &data, RIEGL, &["las", "wdp"]), Ok(607));
+}
+
+#[test]
+fn container() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = common::job(&[(&simulate::STAGE, "lines = 3\nshots_per_line = 20"), (&write_arrow::STAGE, "")]);
+    engine::run(&job, &common::into(&job, folder.path())).unwrap();
+    assert_eq!(cut_everywhere(&read_arrow::STAGE, folder.path(), "simulated", &["arrow"]), Ok(60));
+}
+
+#[test]
+fn pulsewaves() {
+    let Some(data) = support::data() else { return };
+    for (name, shots) in [
+        ("pulsewaves/geolas_example1", 1000),
+        ("pulsewaves/las13fwf_example1", 1000),
+        ("pulsewaves/lvis_example1", 1000),
+        ("pulsewaves/optech_example1", 998),
+        ("pulsewaves/riegl_example3", 16_486),
+        ("pulsewaves/test", 15),
+        (RIEGL, 607),
+    ] {
+        assert_eq!(
+            cut_everywhere(&read_pulsewaves::STAGE, &data, name, &["pls", "wvs"]),
+            Ok(shots),
+            "{name}"
+        );
+    }
+}
