@@ -12,6 +12,7 @@ use crate::registry::STAGES;
 
 mod check;
 mod convert;
+mod false_alarms;
 mod init;
 mod log;
 mod run;
@@ -83,11 +84,32 @@ enum Command {
         #[command(flatten)]
         machine: Machine,
     },
+    /// Print how many returns of noise alone each threshold lets through
+    ///
+    /// The table to choose `detection_sigma` by: false returns per waveform, by threshold and correlation of the noise.
+    FalseAlarms(FalseAlarmArgs),
     /// Print the completions of a shell
     Completions {
         /// The shell
         shell: clap_complete::Shell,
     },
+}
+
+/// Which noise, and which thresholds.
+#[derive(Args)]
+struct FalseAlarmArgs {
+    /// Correlations of the noise, one column each: 0.6 from one sample to the next, or 0.63:0.42:0.22 at several lags
+    #[arg(long, num_args = 1.., value_name = "RHO", default_values = ["0", "0.3", "0.6", "0.63:0.42:0.22:0.11"])]
+    correlation: Vec<String>,
+    /// Thresholds, one row each
+    #[arg(long, num_args = 1.., value_name = "SIGMA", default_values_t = [3.5, 4.0, 4.5, 5.0, 5.5, 6.0])]
+    sigma: Vec<f64>,
+    /// Full width at half maximum of a pulse, samples
+    #[arg(long, default_value_t = 4.5)]
+    fwhm: f64,
+    /// Samples of a waveform
+    #[arg(long, default_value_t = 60.0)]
+    samples: f64,
 }
 
 /// Which job, and what is different this time.
@@ -184,6 +206,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
         Command::Init { file } => init::init(STAGES, file.as_deref()),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
+        Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "wavex", &mut script);

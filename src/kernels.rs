@@ -6,9 +6,10 @@
 //! (DN), and a pulse stands where its peak stands.
 
 pub mod calibrate;
-pub mod cholesky;
+mod cholesky;
 pub mod decompose;
 pub mod detect;
+pub mod false_alarms;
 pub mod flags;
 pub mod gauss_fit;
 pub mod noise;

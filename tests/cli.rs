@@ -42,14 +42,15 @@ Turns recorded full-waveform lidar into point clouds
 Usage: wavex [OPTIONS] <COMMAND>
 
 Commands:
-  run          Run a job
-  check        Say what is wrong with a job, or what it will do, without reading any data
-  stages       List the stages, or explain one with all its keys
-  schema       Print the JSON Schema of a job, for editors that check and complete TOML
-  init         Write a commented job to start from
-  convert      Copy recorded waveforms into the open container (Arrow)
-  completions  Print the completions of a shell
-  help         Print this message or the help of the given subcommand(s)
+  run           Run a job
+  check         Say what is wrong with a job, or what it will do, without reading any data
+  stages        List the stages, or explain one with all its keys
+  schema        Print the JSON Schema of a job, for editors that check and complete TOML
+  init          Write a commented job to start from
+  convert       Copy recorded waveforms into the open container (Arrow)
+  false-alarms  Print how many returns of noise alone each threshold lets through
+  completions   Print the completions of a shell
+  help          Print this message or the help of the given subcommand(s)
 
 Options:
   -v, --verbose...  Say more: -v tells what is done, -vv also the details

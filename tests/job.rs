@@ -219,6 +219,12 @@ fn the_example_in_full() {
 #threads = 0
 # A bound on the memory taken by the scan lines that are under way, MB.
 #memory_mb = 1024
+# How many scan lines may wait between two stages.
+#channel_capacity = 16
+# The report of the run (JSON), in the folder of the outputs; empty: none.
+#report = "report.json"
+# The log of the run, in the folder of the outputs; empty: none.
+#log = "wavex.log"
 # Not set: input_dir, output_dir
 
 # Reads waveforms from LAS files.

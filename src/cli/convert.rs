@@ -18,7 +18,7 @@ fn job_text(input: &str, output: &str) -> Result<String, String> {
     let reader = reader_of(input)?;
     let quoted = |text: &str| toml::Value::String(text.to_owned());
     Ok(format!(
-        "[[stage]]\ntype = \"{reader}\"\npath = {}\n\n[[stage]]\ntype = \"write_arrow\"\npath = {}\n",
+        "[job]\nreport = \"\"\nlog = \"\"\n\n[[stage]]\ntype = \"{reader}\"\npath = {}\n\n[[stage]]\ntype = \"write_arrow\"\npath = {}\n",
         quoted(input),
         quoted(output)
     ))

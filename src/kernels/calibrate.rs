@@ -26,6 +26,8 @@ const MIN_PULSES: usize = 10;
 const PASSES: usize = 2;
 /// With fewer free samples in a block, in widths of a pulse, what seems free is the rise of a pulse.
 const MIN_FREE_WIDTHS: f64 = 1.0;
+/// Pulses that are looked for beside those of detection, where the background is unknown.
+const MAX_OVERLOOKED: u32 = 4;
 /// Background that spreads from block to block by more than this part of the noise's variance is a waveform's own.
 const DRIFT_PART: f64 = 0.5;
 /// The least spread of a waveform's own background, in standard deviations of the noise.
@@ -68,7 +70,7 @@ pub struct CalibrationSettings {
     pub max_ar_order: usize,
     /// Where the background is taken from.
     pub background: BackgroundChoice,
-    /// How waveforms are decomposed while calibrating.
+    /// How waveforms are decomposed while calibrating; pulses are added or divided as calibration needs it.
     pub decompose: DecomposeSettings,
 }
 
@@ -81,7 +83,7 @@ impl CalibrationSettings {
             min_blocks: 200,
             max_ar_order: 4,
             background: BackgroundChoice::Auto,
-            decompose: DecomposeSettings { max_added: 0, ..DecomposeSettings::default() },
+            decompose: DecomposeSettings::default(),
         }
     }
 
@@ -145,30 +147,44 @@ where
         let (found_pulses, needed) = (look.pulses as u64, MIN_PULSES as u64);
         return Err(CalibrationError::TooFewPulses { found: found_pulses, needed, blocks: found });
     }
-    let mut background = match settings.background {
+    let background = match settings.background {
         BackgroundChoice::PerWaveform => Background::PerWaveform,
         BackgroundChoice::Fixed | BackgroundChoice::Auto => Background::Fixed,
     };
     let mut model = first_model(&look, background, settings, found);
+    let mut free = true;
     for pass in 0..PASSES {
-        let mut survey = survey(blocks.clone(), &model, settings)?;
-        if pass == 0 && settings.background == BackgroundChoice::Auto && is_own(&survey, &model) {
-            background = Background::PerWaveform;
-            model = first_model(&look, background, settings, found);
-            survey = self::survey(blocks.clone(), &model, settings)?;
+        let mut survey = survey(blocks.clone(), &model, free, settings)?;
+        free = has_free_samples(&survey, &model, settings);
+        if pass == 0 && settings.background == BackgroundChoice::Auto && (!free || drifts(&survey)) {
+            model = first_model(&look, Background::PerWaveform, settings, found);
+            survey = self::survey(blocks.clone(), &model, free, settings)?;
+            free = free && has_free_samples(&survey, &model, settings);
         }
-        model = better_model(&survey, &model, background, settings);
+        model = better_model(&survey, &model, free, settings);
     }
     model.noise()?;
     Ok(model)
 }
 
+/// Decomposes all blocks with the model at hand.
+///
+/// Pulses are those that detection finds: on a pulse that is no Gaussian a second look would find others beside it,
+/// and make it narrow. Only beside a strong pulse on an unknown background can detection overlook one, which then
+/// would stand in the free samples; there a few are added.
 fn survey<'a>(
     blocks: impl Iterator<Item = Block<'a>>,
     model: &ChannelModel,
+    free: bool,
     settings: &CalibrationSettings,
 ) -> Result<Survey, ModelError> {
-    let mut decomposer = Decomposer::new(model, &settings.decompose, 0)?;
+    let overlooked = free && model.background == Background::PerWaveform;
+    let settings = DecomposeSettings {
+        max_added: if overlooked { MAX_OVERLOOKED } else { 0 },
+        split_evidence: None,
+        ..settings.decompose.clone()
+    };
+    let mut decomposer = Decomposer::new(model, &settings, 0)?;
     let mut survey = Survey::default();
     for block in blocks {
         survey.add(&mut decomposer, block);
@@ -176,13 +192,18 @@ fn survey<'a>(
     Ok(survey)
 }
 
-/// Whether the background is each waveform's own affair.
-fn is_own(survey: &Survey, model: &ChannelModel) -> bool {
-    !has_free_samples(survey, model) || survey.noise.drift_variance() > DRIFT_PART * survey.noise.variance()
+/// Whether the level changes from block to block by as much as the noise.
+fn drifts(survey: &Survey) -> bool {
+    survey.noise.drift_variance() > DRIFT_PART * survey.noise.variance()
 }
 
-fn has_free_samples(survey: &Survey, model: &ChannelModel) -> bool {
-    survey.noise.samples() as f64 >= MIN_FREE_WIDTHS * model.fwhm_samples() * survey.blocks as f64
+/// Whether blocks begin before their pulses; with a fixed background by choice, whether any does.
+fn has_free_samples(survey: &Survey, model: &ChannelModel, settings: &CalibrationSettings) -> bool {
+    let samples = survey.noise.samples() as f64;
+    match settings.background {
+        BackgroundChoice::Fixed => samples > 0.0,
+        _ => samples >= MIN_FREE_WIDTHS * model.fwhm_samples() * survey.blocks as f64,
+    }
 }
 
 /// What a first look tells: white noise, no phases.
@@ -218,12 +239,11 @@ fn first_model(
 fn better_model(
     survey: &Survey,
     last: &ChannelModel,
-    background: Background,
+    free: bool,
     settings: &CalibrationSettings,
 ) -> ChannelModel {
-    let mut model = ChannelModel { background, waveforms: survey.blocks, ..last.clone() };
-    let free = has_free_samples(survey, last) || settings.background == BackgroundChoice::Fixed;
-    if free && survey.noise.samples() > 0 {
+    let mut model = ChannelModel { waveforms: survey.blocks, ..last.clone() };
+    if free {
         from_free_samples(&mut model, survey, settings);
     } else {
         from_residuals(&mut model, survey);
@@ -238,18 +258,16 @@ fn better_model(
 
 /// Background and noise from samples before the first pulse of their block.
 fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &CalibrationSettings) {
-    let drift_variance = survey.noise.drift_variance();
+    let drift_sd = survey.noise.drift_variance().sqrt();
     let mut autocovariance = survey.noise.autocovariance();
     if model.background == Background::PerWaveform {
         // The drift is told apart by the free background, so it is no noise.
-        for r in &mut autocovariance {
-            *r -= drift_variance;
-        }
+        autocovariance = survey.noise.autocovariance_without_drift().unwrap_or(autocovariance);
     }
     autocovariance[0] = autocovariance[0].max(QUANTISATION_VARIANCE);
     let noise = fit_by_bic(&autocovariance, survey.noise.samples(), settings.max_ar_order);
-    model.background_dn = survey.noise.background_dn(model.background_dn);
-    model.background_sd_dn = drift_variance.sqrt();
+    model.background_dn = survey.noise.background_dn();
+    model.background_sd_dn = drift_sd;
     if model.background == Background::PerWaveform {
         // No drift seen is still no certainty of a level, and 0 would be no prior at all.
         model.background_sd_dn = model.background_sd_dn.max(LEAST_DRIFT_SD * autocovariance[0].sqrt());

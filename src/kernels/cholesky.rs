@@ -2,7 +2,7 @@
 
 /// Replaces the lower triangle of the symmetric `n` by `n` matrix by its factor `L`, `L Lᵀ = A`. The upper triangle is
 /// neither read nor written. `false` where the matrix is not positive definite; its contents are then spoiled.
-pub fn factor(matrix: &mut [f64], n: usize) -> bool {
+pub(super) fn factor(matrix: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         for i in j..n {
             let (above, row_i) = matrix.split_at_mut(i * n);
@@ -23,7 +23,7 @@ pub fn factor(matrix: &mut [f64], n: usize) -> bool {
 }
 
 /// Replaces `b` by the solution of `L Lᵀ x = b`.
-pub fn solve(factor: &[f64], n: usize, b: &mut [f64]) {
+pub(super) fn solve(factor: &[f64], n: usize, b: &mut [f64]) {
     for i in 0..n {
         let told: f64 = factor[i * n..i * n + i].iter().zip(b.iter()).map(|(l, x)| l * x).sum();
         b[i] = (b[i] - told) / factor[i * n + i];
@@ -35,7 +35,7 @@ pub fn solve(factor: &[f64], n: usize, b: &mut [f64]) {
 }
 
 /// Writes the inverse of `L Lᵀ` into the `n` by `n` matrix `inverse`.
-pub fn invert(factor: &[f64], n: usize, inverse: &mut [f64]) {
+pub(super) fn invert(factor: &[f64], n: usize, inverse: &mut [f64]) {
     for (i, row) in inverse.chunks_exact_mut(n).take(n).enumerate() {
         row.fill(0.0);
         row[i] = 1.0;

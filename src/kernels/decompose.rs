@@ -203,7 +203,7 @@ impl Decomposer {
             self.candidates.push(plateau_candidate(scene.target_dn(), plateau, width));
         }
         self.counts.n_candidates = self.candidates.len() as u32;
-        self.candidates.sort_by(|a, b| b.statistic.total_cmp(&a.statistic));
+        self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
         let kept = self.candidates.len().min(self.settings.max_returns);
         self.counts.np_filtered += (self.candidates.len() - kept) as u32;
         scene.found.extend(self.candidates.iter().take(kept).map(Found::from_candidate));

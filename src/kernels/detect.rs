@@ -130,11 +130,11 @@ impl Detector {
             None => 0.0,
         };
         self.statistic.clear();
-        for lag in 0..values_dn.len() {
-            let (first, part) = within_block(&self.template, lag, values_dn.len());
-            let product = dot(part, &self.solved[first..]) - self.template_offset[lag] * offset;
-            let enough = self.energy[lag] >= LEAST_ENERGY_PART * self.full_energy;
-            self.statistic.push(if enough { product / self.energy[lag].sqrt() } else { f64::NEG_INFINITY });
+        for (lag, (&energy, cross)) in self.energy.iter().zip(&self.template_offset).enumerate() {
+            let (first, part) = within_block(&self.template, lag, self.energy.len());
+            let product = dot(part, self.solved.get(first..).unwrap_or_default()) - cross * offset;
+            let enough = energy >= LEAST_ENERGY_PART * self.full_energy;
+            self.statistic.push(if enough { product / energy.sqrt() } else { f64::NEG_INFINITY });
         }
         &self.statistic
     }

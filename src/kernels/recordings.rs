@@ -1,28 +1,31 @@
-//! The plain form on real recordings, found through `WAVEX_DATA`.
+//! The plain form on real recordings, which `WAVEX_DATA` tells where to find; nothing of them stands here.
 
 use std::io::Read;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::calibrate::{Block, CalibrationSettings, calibrate};
 use super::decompose::{DecomposeSettings, Decomposer};
+use super::outgoing::OutgoingFitter;
+use super::sensor_model::Background;
+use super::simulated::moments;
 
-fn data(name: &str) -> Option<PathBuf> {
-    let Some(folder) = std::env::var_os("WAVEX_DATA") else {
+fn data() -> Option<PathBuf> {
+    let folder = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
+    if folder.is_none() {
         println!("skipped: WAVEX_DATA not set");
-        return None;
-    };
-    Some(PathBuf::from(folder).join(name))
+    }
+    folder
 }
 
-/// Sample lines of a text dump of PulseWaves, by kind of sampling (1 outgoing, 2 returning).
-fn segments(path: &std::path::Path, kind: &str) -> Vec<Vec<u16>> {
+/// Segments of a text dump of PulseWaves whose sampling is of the given kind: "1" outgoing, "2" returning.
+fn segments(dump: &Path, kind: &str, count: usize) -> Vec<Vec<u16>> {
     let mut text = String::new();
-    flate2::read::GzDecoder::new(std::fs::File::open(path).unwrap()).read_to_string(&mut text).unwrap();
+    flate2::read::GzDecoder::new(std::fs::File::open(dump).unwrap()).read_to_string(&mut text).unwrap();
     text.lines()
-        .filter_map(|line| line.strip_prefix("S "))
-        .filter_map(|line| line.split_once(':'))
+        .filter_map(|line| line.strip_prefix("S ")?.split_once(':'))
         .filter(|(head, _)| head.split_whitespace().nth(1) == Some(kind))
         .map(|(_, samples)| samples.split_whitespace().map(|s| s.parse().unwrap()).collect())
+        .take(count)
         .collect()
 }
 
@@ -30,250 +33,144 @@ fn blocks(segments: &[Vec<u16>]) -> impl Iterator<Item = Block<'_>> + Clone {
     segments.iter().map(|samples| Block { samples, start_phase: 0 })
 }
 
-#[test]
-fn explore() {
-    let Some(path) = data("pulsewaves/riegl_example3.txt.gz") else { return };
-    if std::env::var_os("NEON").is_none() {
-        for (kind, settings) in [
-            ("2", CalibrationSettings::echoes(1.0, 255.0)),
-            ("1", CalibrationSettings::reference(1.0, 255.0)),
-        ] {
-            let segments = segments(&path, kind);
-            println!("{} segments", segments.len());
-            let t = std::time::Instant::now();
-            let model = calibrate(blocks(&segments), &settings).unwrap();
-            println!("{model:?} {:.1} us", t.elapsed().as_secs_f64() * 1e6 / segments.len() as f64);
-            for (split, add) in [(None, 0), (None, 16), (Some(16.0), 16)] {
-                let mut d = Decomposer::new(
-                    &model,
-                    &DecomposeSettings {
-                        split_evidence: split,
-                        max_added: add,
-                        ..DecomposeSettings::default()
-                    },
-                    80,
-                )
-                .unwrap();
-                let t = std::time::Instant::now();
-                let mut n = 0;
-                let mut dev = vec![];
-                let mut after = 0;
-                for s in &segments {
-                    let o = d.decompose(s, 0);
-                    n += o.returns.len();
-                    if o.returns.len() == 1 {
-                        dev.push(o.deviation_ratio());
-                    }
-                    for i in 1..o.returns.len() {
-                        let dt = o.returns[i].position_samples - o.returns[i - 1].position_samples;
-                        if (9.0..12.5).contains(&dt)
-                            && o.returns[i].amplitude_dn < 0.1 * o.returns[i - 1].amplitude_dn
-                        {
-                            after += 1;
-                        }
-                    }
-                }
-                dev.sort_by(f64::total_cmp);
-                println!(
-                    "{split:?} {add}: {n} returns, after-pulses {after}, {} singles median dev {:?} {:.1} us",
-                    dev.len(),
-                    dev.get(dev.len() / 2),
-                    t.elapsed().as_secs_f64() * 1e6 / segments.len() as f64
-                );
-            }
-        }
-    }
-    let csv = std::fs::read_to_string(data("neon/return_1_250.csv").unwrap()).unwrap();
-    let segments: Vec<Vec<u16>> = csv
-        .lines()
-        .skip(1)
-        .map(|l| {
-            let mut v: Vec<u16> = l.split(',').map(|s| s.parse().unwrap_or(0)).collect();
-            while v.last() == Some(&0) {
-                v.pop();
-            }
-            v
-        })
-        .collect();
-    println!(
-        "neon {} lengths {:?}",
-        segments.len(),
-        segments.iter().take(20).map(Vec::len).collect::<Vec<_>>()
-    );
-    let t = std::time::Instant::now();
-    let model = calibrate(blocks(&segments), &CalibrationSettings::echoes(1.0, 4095.0)).unwrap();
-    println!("{model:?} {:.1} us", t.elapsed().as_secs_f64() * 1e6 / segments.len() as f64);
-    for split in [None, Some(16.0)] {
-        let mut d = Decomposer::new(
-            &model,
-            &DecomposeSettings { split_evidence: split, ..DecomposeSettings::default() },
-            80,
-        )
-        .unwrap();
-        let r = std::fs::read_to_string(data("neon/decomposition_1_250.csv").unwrap()).unwrap();
-        let rows: Vec<(usize, f64, f64)> = r
-            .lines()
-            .skip(1)
-            .map(|l| {
-                let f: Vec<f64> = l.split(',').map(|x| x.parse().unwrap_or(f64::NAN)).collect();
-                (f[0] as usize, f[2], f[1])
-            })
-            .collect();
-        let mut diffs = vec![];
-        let mut total = 0;
-        let (mut w3, mut w1) = (0, 0);
-        let mut one = 0;
-        let mut singles = 0;
-        let t = std::time::Instant::now();
-        for (i, s) in segments.iter().enumerate() {
-            let o = d.decompose(s, 0);
-            total += o.returns.len();
-            let theirs: Vec<_> = rows.iter().filter(|r| r.0 == i + 1).collect();
-            for t in &theirs {
-                let m = o
-                    .returns
-                    .iter()
-                    .map(|r| (r.position_samples + 1.0 - t.1).abs())
-                    .fold(f64::INFINITY, f64::min);
-                if m < 3.0 {
-                    w3 += 1
-                }
-                if m < 1.0 {
-                    w1 += 1
-                }
-            }
-            if theirs.len() == 1 {
-                singles += 1;
-                if o.returns.len() == 1 {
-                    one += 1;
-                }
-                if let Some(r) = o.returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn)) {
-                    diffs.push(r.position_samples - theirs[0].1);
-                }
-            }
-        }
-        diffs.sort_by(f64::total_cmp);
-        let med = diffs[diffs.len() / 2];
-        println!(
-            "neon {} theirs {total} ours; within 3: {w3}, 1: {w1}; single waveforms {singles} ours one {one}; median {med} within .25: {}, .5: {}, 1 {} {:.1} us",
-            rows.len(),
-            diffs.iter().filter(|d| (*d - med).abs() < 0.25).count(),
-            diffs.iter().filter(|d| (*d - med).abs() < 0.5).count(),
-            diffs.iter().filter(|d| (*d - med).abs() < 1.0).count(),
-            t.elapsed().as_secs_f64() * 1e6 / segments.len() as f64
-        );
-    }
+/// Rows of numbers under a heading; what is no number becomes NaN.
+fn table(path: &Path) -> Vec<Vec<f64>> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let row = |line: &str| line.split(',').map(|v| v.parse().unwrap_or(f64::NAN)).collect();
+    text.lines().skip(1).map(row).collect()
 }
+
+/// Median, and half of what lies between the 16th and the 84th percentile.
+fn robust(values: &mut [f64]) -> (f64, f64) {
+    values.sort_by(f64::total_cmp);
+    let at = |part: f64| values[(part * values.len() as f64) as usize];
+    (at(0.5), 0.5 * (at(0.841) - at(0.159)))
+}
+
+/// RIEGL LMS-Q680, 8 bit, 1 GHz.
 #[test]
-fn explore_neon() {
-    use super::sensor_model::{Background, ChannelModel};
-    let Some(path) = data("neon/return_1_250.csv") else { return };
-    let csv = std::fs::read_to_string(path).unwrap();
-    let segments: Vec<Vec<u16>> = csv
-        .lines()
-        .skip(1)
-        .map(|l| {
-            let mut v: Vec<u16> = l.split(',').map(|s| s.parse().unwrap_or(0)).collect();
-            while v.last() == Some(&0) {
-                v.pop();
-            }
-            v
-        })
-        .collect();
-    let r = std::fs::read_to_string(data("neon/decomposition_1_250.csv").unwrap()).unwrap();
-    let rows: Vec<(usize, f64, f64)> = r
-        .lines()
-        .skip(1)
-        .map(|l| {
-            let f: Vec<f64> = l.split(',').map(|x| x.parse().unwrap_or(f64::NAN)).collect();
-            (f[0] as usize, f[2], f[1])
-        })
-        .collect();
-    for (bg, sd, fwhm, bsd, maxr, maxa) in [
-        (212.0, 1.8, 18.0, 15.0, 1, 0),
-        (212.0, 1.8, 18.0, 5.0, 1, 0),
-        (212.0, 1.8, 18.0, 15.0, 24, 0),
-        (212.0, 1.8, 18.0, 5.0, 24, 0),
-        (212.0, 1.8, 15.0, 5.0, 24, 0),
-        (212.0, 1.8, 18.0, 5.0, 24, 16),
-        (212.0, 3.6, 18.0, 5.0, 24, 16),
-        (212.0, 8.0, 18.0, 5.0, 24, 16),
-        (212.0, 8.0, 18.0, 5.0, 24, 0),
-        (212.0, 20.0, 18.0, 5.0, 24, 0),
-        (212.0, 20.0, 18.0, 5.0, 24, 16),
-    ] {
-        let model = ChannelModel {
-            sampling_interval_ns: 1.0,
-            full_scale_dn: 4095.0,
-            background: Background::PerWaveform,
-            background_dn: [bg; 4],
-            background_sd_dn: bsd,
-            noise_sd_dn: sd,
-            autocorrelation: vec![],
-            ar: vec![],
-            innovation_sd_dn: sd,
-            pulse_fwhm_ns: fwhm,
-            pulse_fwhm_sd_ns: 0.0,
-            waveforms: 1,
-            pulses: 1,
-        };
-        let mut d = Decomposer::new(
-            &model,
-            &DecomposeSettings {
-                split_evidence: None,
-                max_returns: maxr,
-                max_added: maxa,
-                ..DecomposeSettings::default()
-            },
-            80,
-        )
-        .unwrap();
-        let mut diffs = vec![];
-        let mut total = 0;
-        let (mut w3, mut w1) = (0, 0);
-        let mut one = 0;
-        let mut res = vec![];
-        let mut offs = vec![];
-        for (i, s) in segments.iter().enumerate() {
-            let o = d.decompose(s, 0);
-            total += o.returns.len();
-            res.push((o.chi_square / o.degrees_of_freedom() as f64).sqrt() * sd);
-            offs.push(o.background_offset_dn);
-            let theirs: Vec<_> = rows.iter().filter(|r| r.0 == i + 1).collect();
-            for t in &theirs {
-                let m = o
-                    .returns
-                    .iter()
-                    .map(|r| (r.position_samples + 1.0 - t.1).abs())
-                    .fold(f64::INFINITY, f64::min);
-                if m < 3.0 {
-                    w3 += 1
-                }
-                if m < 1.0 {
-                    w1 += 1
-                }
-            }
-            if theirs.len() == 1 {
-                if o.returns.len() == 1 {
-                    one += 1;
-                }
-                if let Some(r) = o.returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn)) {
-                    diffs.push(r.position_samples - theirs[0].1);
-                }
-            }
-        }
-        diffs.sort_by(f64::total_cmp);
-        res.sort_by(f64::total_cmp);
-        offs.sort_by(f64::total_cmp);
-        let med = diffs[diffs.len() / 2];
-        println!(
-            "bg {bg} sd {sd} fwhm {fwhm} bsd {bsd} max {maxr} add {maxa}: ours {total}; within 3: {w3}, 1: {w1}; ours one {one}; n {} median {med} within .25: {}, .5: {}, 1 {} res {} off {:?}",
-            diffs.len(),
-            diffs.iter().filter(|d| (*d - med).abs() < 0.25).count(),
-            diffs.iter().filter(|d| (*d - med).abs() < 0.5).count(),
-            diffs.iter().filter(|d| (*d - med).abs() < 1.0).count(),
-            res[125],
-            [0.1, 0.5, 0.9].map(|q| offs[(q * 250.0) as usize])
-        );
+fn riegl_echoes_are_calibrated_and_decomposed() {
+    let Some(folder) = data() else { return };
+    let echoes = segments(&folder.join("pulsewaves/riegl_example3.txt.gz"), "2", 3000);
+    let model = calibrate(blocks(&echoes), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
+    println!("{model:?}");
+    assert_eq!(model.background, Background::Fixed);
+    assert!(model.background_dn.iter().all(|level| (1.7..2.0).contains(level)));
+    assert!((0.80..0.90).contains(&model.noise_sd_dn));
+    assert!((0.58..0.66).contains(&model.autocorrelation[0]));
+    assert!((4.0..4.2).contains(&model.pulse_fwhm_ns));
+    let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), 80).unwrap();
+    let (mut returns, mut without) = (0, 0);
+    for samples in &echoes {
+        let outcome = decomposer.decompose(samples, 0);
+        let c = outcome.counts;
+        assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
+        returns += outcome.returns.len();
+        without += usize::from(outcome.returns.is_empty());
     }
+    println!("{returns} returns in {} waveforms, {without} without", echoes.len());
+    assert!(without * 100 < echoes.len());
+}
+
+#[test]
+fn riegl_outgoing_pulses_are_calibrated_and_fitted() {
+    let Some(folder) = data() else { return };
+    let pulses = segments(&folder.join("pulsewaves/riegl_example3.txt.gz"), "1", 3000);
+    let model = calibrate(blocks(&pulses), &CalibrationSettings::reference(1.0, 255.0)).unwrap();
+    println!("{model:?}");
+    assert!((0.78..0.90).contains(&model.noise_sd_dn));
+    assert!((4.2..4.4).contains(&model.pulse_fwhm_ns));
+    let mut fitter = OutgoingFitter::new(&model, 80).unwrap();
+    let fits: Vec<_> = pulses.iter().map(|samples| fitter.fit(samples, 0).unwrap()).collect();
+    let sd = moments(&fits.iter().map(|f| f.position_sd_samples).collect::<Vec<_>>()).0;
+    let width = moments(&fits.iter().map(|f| f.fwhm_ns).collect::<Vec<_>>());
+    let height = moments(&fits.iter().map(|f| f.amplitude_dn).collect::<Vec<_>>());
+    println!("position sd {sd:.5} samples, width {width:.4?} ns, height {height:.2?} DN");
+    assert!((0.005..0.010).contains(&sd));
+    assert!(width.1 < 0.06 && height.1 < 0.05 * height.0);
+}
+
+/// RIEGL LMS-Q680i against the vendor's own returns. Without the outgoing pulse the position within a sample is open.
+#[test]
+fn riegl_singles_agree_with_the_vendor() {
+    let Some(folder) = data() else { return };
+    let folder = folder.join("riegl_q680i_dev");
+    let packets = std::fs::read(folder.join("riegl_q680i_dev.wdp")).unwrap();
+    let rows = table(&folder.join("riegl_q680i_dev_vendor_returns.csv"));
+    let samples = |row: &Vec<f64>| -> Vec<u16> {
+        let (start, size) = (row[9] as usize, row[10] as usize);
+        packets[start..start + size].chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect()
+    };
+    let first: Vec<_> = rows.iter().filter(|row| row[3] == 1.0).collect();
+    let waveforms: Vec<_> = first.iter().map(|row| samples(row)).collect();
+    let model = calibrate(blocks(&waveforms), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
+    println!("{model:?}");
+    let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), 60).unwrap();
+    let (mut positions, mut widths) = (vec![], vec![]);
+    for (row, samples) in first.iter().zip(&waveforms).filter(|(row, _)| row[4] == 1.0) {
+        let returns = decomposer.decompose(samples, 0).returns;
+        let found = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn)).unwrap();
+        positions.push(found.position_samples - row[11] / 1000.0);
+        widths.push(found.fwhm_ns - row[13]);
+    }
+    let (n, position, width) = (positions.len(), robust(&mut positions), robust(&mut widths));
+    println!("{n} singles: position less the vendor's {position:.3?} ns, width {width:.3?} ns");
+    assert!((0.90..0.96).contains(&model.noise_sd_dn) && (0.58..0.66).contains(&model.autocorrelation[0]));
+    // Even and odd samples of this digitiser stand on different levels.
+    for (phase, level) in [2.18, 2.41, 2.18, 2.41].iter().enumerate() {
+        assert!((model.background_dn[phase] - level).abs() < 0.05);
+    }
+    assert!(position.1 < 0.5);
+    assert!(width.0.abs() < 0.05 && width.1 < 0.08);
+}
+
+/// NEON (Optech Gemini): pulses of 15 ns in short blocks that begin on the rise, against an R package's Gaussians.
+#[test]
+fn neon_is_decomposed_unattended() {
+    let Some(folder) = data() else { return };
+    let waveforms: Vec<Vec<u16>> = table(&folder.join("neon/return_1_250.csv"))
+        .iter()
+        .map(|row| {
+            // Rows are filled up with zeros.
+            let end = row.iter().rposition(|&v| v > 0.0).map_or(0, |last| last + 1);
+            row[..end].iter().map(|&v| v as u16).collect()
+        })
+        .collect();
+    let model = calibrate(blocks(&waveforms), &CalibrationSettings::echoes(1.0, 4095.0)).unwrap();
+    println!("{model:?}");
+    assert_eq!(model.background, Background::PerWaveform);
+    let theirs = table(&folder.join("neon/decomposition_1_250.csv"));
+    // Their package has one Gaussian for each maximum, however skewed; so has detection alone.
+    let [second_look, detection] = [16, 0].map(|max_added| {
+        let settings = DecomposeSettings { max_added, ..DecomposeSettings::default() };
+        let mut decomposer = Decomposer::new(&model, &settings, 104).unwrap();
+        let mut differences = singles_less_theirs(&mut decomposer, &waveforms, &theirs);
+        let (constant, spread) = robust(&mut differences);
+        let near = differences.iter().filter(|d| (*d - constant).abs() < 0.25).count();
+        println!(
+            "at most {max_added} added: {} singles, constant {constant:.3} ns, spread {spread:.3} ns, \
+             within 0.25 ns {near}",
+            differences.len()
+        );
+        (differences.len(), constant, near)
+    });
+    assert_eq!((second_look.0, detection.0), (156, 156));
+    // They count samples from 1.
+    assert!((detection.1 + 1.0).abs() < 0.15);
+    assert!(detection.2 * 100 >= 85 * detection.0);
+}
+
+/// Position of the strongest return less the component's, for waveforms that have one component.
+fn singles_less_theirs(decomposer: &mut Decomposer, waveforms: &[Vec<u16>], theirs: &[Vec<f64>]) -> Vec<f64> {
+    let mut differences = vec![];
+    for (i, samples) in waveforms.iter().enumerate() {
+        let components: Vec<f64> =
+            theirs.iter().filter(|row| row[0] as usize == i + 1).map(|row| row[2]).collect();
+        let returns = decomposer.decompose(samples, 0).returns;
+        let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn));
+        if let ([u], Some(strongest)) = (&components[..], strongest) {
+            differences.push(strongest.position_samples - u);
+        }
+    }
+    differences
 }

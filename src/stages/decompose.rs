@@ -10,7 +10,8 @@ use crate::batch::{
     LineStats, Return, ReturnChannel, Returns, flags,
 };
 use crate::kernels::decompose::{DecomposeSettings, Decomposer, Decomposition};
-use crate::kernels::sensor_model::{ChannelModel, SensorModel};
+use crate::kernels::outgoing::OutgoingFitter;
+use crate::kernels::sensor_model::{ChannelModel, ModelError, SensorModel};
 use crate::stage::{Config, Context, InvalidKey, Item, Map, MapConfig, Result, Site, StageError, StageSpec};
 
 /// The stage's place in the registry.
@@ -90,7 +91,7 @@ struct DecomposeLine {
 struct Kernels {
     low: Option<Decomposer>,
     high: Option<Decomposer>,
-    reference: Option<Decomposer>,
+    reference: Option<OutgoingFitter>,
 }
 
 /// A return before its range is known.
@@ -234,23 +235,32 @@ impl Shot<'_> {
     }
 }
 
+/// Blocks of up to so many samples take no further memory.
+const BLOCK_SAMPLES: usize = 256;
+
+fn unusable(error: ModelError) -> StageError {
+    StageError::failed(error.to_string(), "calibrate on a longer part of the recording")
+}
+
 impl Kernels {
     fn new(model: &SensorModel, config: &Decompose) -> Result<Kernels> {
         let settings = DecomposeSettings {
             detection_sigma: config.detection_sigma,
             width_ratio: config.width_ratio,
+            // A receiver's response is no Gaussian: what a Gaussian leaves of a strong single echo looks like two.
+            split_evidence: None,
             ..DecomposeSettings::default()
         };
         let make = |channel: &Option<ChannelModel>| {
-            let decomposer = channel.as_ref().map(|channel| Decomposer::new(channel, &settings, 256));
-            decomposer.transpose().map_err(|error| {
-                StageError::failed(error.to_string(), "calibrate on a longer part of the recording")
-            })
+            let decomposer =
+                channel.as_ref().map(|channel| Decomposer::new(channel, &settings, BLOCK_SAMPLES));
+            decomposer.transpose().map_err(unusable)
         };
+        let reference = model.reference.as_ref().map(|channel| OutgoingFitter::new(channel, BLOCK_SAMPLES));
         Ok(Kernels {
             low: make(&model.low_power)?,
             high: make(&model.high_power)?,
-            reference: make(&model.reference)?,
+            reference: reference.transpose().map_err(unusable)?,
         })
     }
 
@@ -261,12 +271,10 @@ impl Kernels {
             // A block without samples carries the fitted time itself (RIEGL's files made from RXP).
             return Some(Departure { time_ns: block.start_ns, sd_ns: 0.0 });
         }
-        let decomposer = self.reference.as_mut()?;
-        let found = decomposer.decompose(shot.blocks.samples(block), 0);
-        let strongest = found.returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
-        let sd_ns = strongest.position_sd_samples * block.interval_ns;
+        let pulse = self.reference.as_mut()?.fit(shot.blocks.samples(block), 0)?;
+        let sd_ns = pulse.position_sd_samples * block.interval_ns;
         cx.observe("emission_sd_ns", sd_ns);
-        let position = strongest.position_samples;
+        let position = pulse.position_samples;
         let time_ns = match shot.input.emission_reference {
             EmissionReference::OutgoingPulseFraction => (position - position.round()) * block.interval_ns,
             _ => block.time_ns(position),

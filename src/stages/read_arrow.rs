@@ -18,8 +18,9 @@ use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source,
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Shots);
 
-/// Reads recorded waveforms from the open waveform container: Arrow IPC, one record batch per scan line, one row per
-/// shot, as pyarrow, Polars, DuckDB and R write it. The columns and metadata keys stand in `schemas/container.json`.
+/// Reads recorded waveforms from the open waveform container (Arrow IPC).
+///
+/// One record batch per scan line, one row per shot, as pyarrow, Polars, DuckDB and R write it. The columns and metadata keys stand in `schemas/container.json`.
 ///
 /// The file format and the stream format are told apart by their content; both may be compressed with LZ4 or ZSTD.
 /// Columns and metadata keys that the container does not know are passed over. A missing column, one of another type,

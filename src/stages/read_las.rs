@@ -13,6 +13,7 @@ use crate::batch::{
     Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, OnlineReturn, TimeScale,
     emission_flags,
 };
+use crate::formats::geokeys;
 use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
 use crate::geo::beam_length::BeamLength;
 use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
@@ -20,8 +21,9 @@ use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceCon
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
 
-/// Reads full-waveform LAS and LAZ 1.3 and 1.4: point formats 4, 5, 9 and 10, waveform packets inside the file or in a
-/// `.wdp` file beside it.
+/// Reads full-waveform LAS and LAZ.
+///
+/// Versions 1.3 and 1.4, point formats 4, 5, 9 and 10, waveform packets inside the file or in a `.wdp` file beside it.
 ///
 /// Points of one pulse share its waveforms: consecutive points of the same time and direction become one shot again, in
 /// the order of the file. The file's own points are not used, but for one thing: the format carries no outgoing pulse, and
@@ -91,6 +93,9 @@ struct Packet {
     interval_ns: f64,
     samples: Vec<u16>,
 }
+
+/// Record of the GeoTIFF keys (LAS 1.4 R15, "GeoKeyDirectoryTag").
+const GEO_KEYS: u16 = 34735;
 
 /// What the beams of a file have in common.
 struct Geometry {
@@ -367,7 +372,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
         },
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         frame: Frame::Map,
-        crs_wkt: reader.wkt(),
+        crs_wkt: reader.wkt().or_else(|| geokeys::wkt(&reader.projection(GEO_KEYS)?.data)),
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference: match geometry.has_locations {
             true => EmissionReference::ReturnLocations,

@@ -13,6 +13,7 @@ use crate::batch::{
     AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, TimeScale,
     emission_flags,
 };
+use crate::formats::geokeys;
 use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
 use crate::geo::beam_length::BeamLength;
 use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
@@ -20,7 +21,7 @@ use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceCon
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
 
-/// Reads PulseWaves 0.3: a `.pls` file of pulses and the `.wvs` file of their waves beside it.
+/// Reads PulseWaves: a `.pls` file of pulses, version 0.3, and the `.wvs` file of their waves beside it.
 ///
 /// Every pulse becomes a shot, every segment of samples a block. Outgoing segments are the reference channel; the
 /// returning channels of RIEGL's files are 0 high power and 1 low power, and a file with a single returning channel has
@@ -253,7 +254,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> Inp
         gps_week: None,
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         frame: Frame::Map,
-        crs_wkt: reader.crs().wkt.clone(),
+        crs_wkt: reader.crs().wkt.clone().or_else(|| geokeys::wkt(reader.crs().geo_keys.as_deref()?)),
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference,
         amplitude_low: amplitude_table(reader, 1),

@@ -32,8 +32,10 @@ const FULL_SCALE_DN: u16 = 255;
 /// Full width at half maximum of a Gaussian response, ns.
 const GAUSSIAN_FWHM_NS: f64 = 4.5;
 
-/// Makes the recording of a flight that never took place: a scanner with a rotating mirror over level ground, a building
-/// and a wood, recorded as an airborne instrument with one receiver records it. The truth of every return can be
+/// Makes the recording of a flight that never took place.
+///
+/// A scanner with a rotating mirror flies over level ground, a building and a wood, and records them as an airborne
+/// instrument with one receiver does. The truth of every return can be
 /// written beside it.
 ///
 /// The same keys give the same bytes on every machine, and a scan line does not depend on the others.

@@ -18,9 +18,10 @@ use crate::stage::{
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_arrow", &[Kind::Shots]);
 
-/// Writes recorded waveforms as the open waveform container, which pyarrow, Polars, DuckDB and R open without wavex
-/// and `read_arrow` reads: Arrow IPC in the file format, one record batch per scan line, one row per shot. The columns
-/// and metadata keys stand in `schemas/container.json`.
+/// Writes recorded waveforms as the open waveform container (Arrow IPC).
+///
+/// pyarrow, Polars, DuckDB and R open it without wavex, and `read_arrow` reads it: the file format, one record batch per
+/// scan line, one row per shot. The columns and metadata keys stand in `schemas/container.json`.
 ///
 /// What comes back from `read_arrow` is equal to the bit: emissions, blocks, samples, online returns, and what is known
 /// of the recording but for its path and format. Not written is what the chain finds by itself: the fitted moment of

@@ -1,12 +1,14 @@
 //! Points as LAS or LAZ.
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Batch, Emission, InputInfo, Kind, Return, ReturnChannel, emission_flags};
 use crate::formats::Error;
 use crate::formats::las::{
-    AMP, ATTRIBUTES, CHANNEL, DEV_RATIO, ExtraAttribute, INT_ERR, PointOut, RANGE_ERR, TARGET_THICK,
+    AMP, ATTRIBUTES, CHANNEL, DEV_RATIO, ExtraAttribute, INT_ERR, PointOut, RANGE_ERR, RAW_AMP, TARGET_THICK,
     THICK_ERR, WIDE_ERR, WIDE_RATIO, Writer, WriterOptions,
 };
 use crate::geo::time::{adjusted_gps_time, day_of_year};
@@ -18,7 +20,7 @@ use crate::stage::{
 pub const STAGE: StageSpec =
     StageSpec::sink::<WriteLas>("write_las", &[Kind::Points]).after(&["georeference"]);
 
-/// Writes LAS or LAZ 1.4, point format 6; the extension of `path` decides which.
+/// Writes points as LAS or LAZ 1.4, point format 6: the extension of `path` decides which.
 ///
 /// Intensity is the corrected intensity, rounded. Return numbers, scan angle, scan direction and edge of flight line are
 /// those of the emission; times are adjusted GPS time where the input tells the week, else as the input has them, and the
@@ -79,6 +81,7 @@ impl SinkConfig for WriteLas {
             attributes,
             threads: site.threads,
             state: State::Empty(file),
+            input: None,
             extra: Vec::new(),
             refused: None,
         }))
@@ -90,7 +93,9 @@ impl WriteLas {
     fn attributes(&self) -> Vec<ExtraAttribute> {
         let is_uncertainty =
             |attribute: &ExtraAttribute| [RANGE_ERR, INT_ERR, WIDE_ERR, THICK_ERR].contains(attribute);
-        let wanted = |attribute: &&ExtraAttribute| self.uncertainty || !is_uncertainty(attribute);
+        let wanted = |attribute: &&ExtraAttribute| {
+            **attribute != RAW_AMP && (self.uncertainty || !is_uncertainty(attribute))
+        };
         if self.extra_attributes { ATTRIBUTES.iter().filter(wanted).copied().collect() } else { Vec::new() }
     }
 
@@ -133,6 +138,7 @@ struct LasSink {
     attributes: Vec<ExtraAttribute>,
     threads: usize,
     state: State,
+    input: Option<Arc<InputInfo>>,
     extra: Vec<u8>,
     /// Why the first point was left out that does not fit into the file's coordinates.
     refused: Option<Error>,
@@ -174,7 +180,12 @@ impl Sink for LasSink {
             return Ok(());
         };
         if batch.input.crs_wkt.is_none() {
-            cx.note("the input names no coordinate reference system that can be written as WKT: the file has none");
+            cx.note("the input names no coordinate reference system by WKT or EPSG code: the file has none");
+        }
+        // The first point decides about the offset of the coordinates, so that a file begins with it.
+        self.input.get_or_insert_with(|| Arc::clone(&batch.input));
+        if points.is_empty() {
+            return Ok(());
         }
         let mut extra = std::mem::take(&mut self.extra);
         let attributes = self.attributes.clone();
@@ -204,7 +215,8 @@ impl Sink for LasSink {
     }
 
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
-        self.writer(&InputInfo::default(), None, f64::NAN)?;
+        let input = self.input.take().unwrap_or_default();
+        self.writer(&input, None, f64::NAN)?;
         if let State::Open(writer) = self.state {
             if writer.n_points() == 0 {
                 // Not one point fits: then it is the file's coordinates that are wrong.

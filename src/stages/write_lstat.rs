@@ -66,8 +66,10 @@ const COLUMNS: [Column; 20] = [
     Column("AGL", Metres(|stats| stats.agl_m), "height above the line's own ground, m"),
 ];
 
-/// Writes `*_lstat.txt`: one row of counters per scan line, separated by blanks, after a first line that begins with `#`
-/// and names the 20 columns of BayesWavEx 1.1.
+/// Writes the counters of every scan line as text.
+///
+/// One row per line, separated by blanks, after a first line that begins with `#` and names the 20 columns of
+/// BayesWavEx 1.1.
 ///
 /// `gps_time` is that of the line's first shot: adjusted GPS time, as in the LAS file, where the input tells enough, else
 /// as the input has it. `np...` count returns, `nw...` waveforms. `AGL` is the height above ground in metres. What is not

@@ -18,8 +18,10 @@ pub use writer::{Format, ROWS_PER_GROUP, TableWriter};
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_table", &[Kind::Returns, Kind::Points]);
 
-/// Writes every return as a row of a table, in full precision: what LAS rounds (amplitudes, deviation ratios, times)
-/// stands here as it was computed, with every standard deviation. The file is Arrow IPC (`pyarrow.ipc.open_file`,
+/// Writes every return as a row of a table, in full precision.
+///
+/// What LAS rounds (amplitudes, deviation ratios, times) stands here as it was computed, with every standard deviation.
+/// The file is Arrow IPC (`pyarrow.ipc.open_file`,
 /// `polars.read_ipc`), Parquet (`read_parquet` of DuckDB, pandas and R) or CSV.
 ///
 /// The columns, in this order, are: shot, gps_time_s, return_number, number_of_returns, channel, mta_zone, range_m,

@@ -2,25 +2,42 @@
 
 /// Lags at which products are kept, 0 included.
 const LAGS: usize = 6;
+/// Samples that tell a phase's level to a twentieth of the noise.
+const MIN_PHASE_SAMPLES: u64 = 400;
 
-/// Sums of one lag and one phase of the earlier sample.
+/// Sums over pairs of samples of one lag, the earlier of one phase.
 #[derive(Debug, Clone, Copy, Default)]
-struct Products {
+struct Pairs {
     count: u64,
     product: f64,
     earlier: f64,
     later: f64,
+    squares: f64,
 }
 
-/// Running sums over stretches of free samples: level by phase modulo 4, autocovariance at lags 0 to 5, and the
-/// drift from stretch to stretch.
+impl Pairs {
+    /// Sum of products about the means `a` of the earlier and `b` of the later sample.
+    fn product_about(&self, a: f64, b: f64) -> f64 {
+        self.product - b * self.earlier - a * self.later + a * b * self.count as f64
+    }
+
+    /// Sum of half the squared differences, likewise.
+    fn half_difference_about(&self, a: f64, b: f64) -> f64 {
+        let squares =
+            self.squares - 2.0 * (a * self.earlier + b * self.later) + (a * a + b * b) * self.count as f64;
+        0.5 * squares - self.product_about(a, b)
+    }
+}
+
+/// Running sums over stretches of free samples: level by phase modulo 4, autocovariance at lags 0 to 5, and how much
+/// of it is a drift of the level from stretch to stretch.
 #[derive(Debug, Clone, Default)]
 pub struct NoiseStatistics {
     /// By lag and phase.
-    products: [[Products; 4]; LAGS],
+    pairs: [[Pairs; 4]; LAGS],
     /// Level that sums are taken about, so that squares stay small.
     origin_dn: f64,
-    /// Products of all pairs of a stretch farther apart than the lags kept.
+    /// Half the squared differences of all pairs of a stretch farther apart than the lags kept.
     distant: f64,
     distant_pairs: f64,
 }
@@ -32,78 +49,91 @@ impl NoiseStatistics {
             self.origin_dn = samples.first().map_or(0.0, |&s| f64::from(s));
         }
         let value = |k: usize| f64::from(samples[k]) - self.origin_dn;
-        let (mut sum, mut near, mut square) = (0.0, 0.0, 0.0);
-        for (k, _) in samples.iter().enumerate() {
+        let (mut sum, mut square, mut near) = (0.0, 0.0, 0.0);
+        for k in 0..samples.len() {
             let later = value(k);
             sum += later;
             square += later * later;
             for lag in 0..LAGS.min(k + 1) {
                 let earlier = value(k - lag);
-                let phase = (usize::from(start_phase) + k - lag) % 4;
-                let cell = &mut self.products[lag][phase];
+                let cell = &mut self.pairs[lag][(usize::from(start_phase) + k - lag) % 4];
                 cell.count += 1;
                 cell.product += earlier * later;
                 cell.earlier += earlier;
                 cell.later += later;
-                near += if lag > 0 { earlier * later } else { 0.0 };
+                cell.squares += earlier * earlier + later * later;
+                near += 0.5 * (later - earlier) * (later - earlier);
             }
         }
         if samples.len() > LAGS {
+            // Over all pairs, the squared differences add up to n Σx² - (Σx)².
+            self.distant += 0.5 * (samples.len() as f64 * square - sum * sum) - near;
             let beyond = (samples.len() - LAGS) as f64;
-            self.distant += 0.5 * (sum * sum - square) - near;
             self.distant_pairs += 0.5 * beyond * (beyond + 1.0);
         }
     }
 
     /// Samples seen.
     pub fn samples(&self) -> u64 {
-        self.products[0].iter().map(|cell| cell.count).sum()
+        self.pairs[0].iter().map(|cell| cell.count).sum()
     }
 
-    /// Mean level by phase, DN; `otherwise` for phases without a sample.
-    pub fn background_dn(&self, otherwise: [f64; 4]) -> [f64; 4] {
-        let mut levels = otherwise;
-        for (level, cell) in levels.iter_mut().zip(&self.products[0]) {
-            if cell.count > 0 {
-                *level = self.origin_dn + cell.earlier / cell.count as f64;
-            }
-        }
-        levels
+    /// Mean level by phase, DN; of all samples for phases seen too rarely to tell a difference. 0 without samples.
+    pub fn background_dn(&self) -> [f64; 4] {
+        let cells = &self.pairs[0];
+        let level = |sum: f64, count: u64| self.origin_dn + sum / count.max(1) as f64;
+        let overall = level(cells.iter().map(|c| c.earlier).sum(), self.samples());
+        cells.map(|c| if c.count >= MIN_PHASE_SAMPLES { level(c.earlier, c.count) } else { overall })
     }
 
-    /// Autocovariance about the phases' means at lags 0 to 5, DN²; as many lags as there are pairs for.
+    /// Autocovariance about the phases' means at lags 0 to 5, DN², a drift of the level included; as many lags as there
+    /// are pairs for.
     pub fn autocovariance(&self) -> Vec<f64> {
-        let means = self.background_dn([self.origin_dn; 4]).map(|level| level - self.origin_dn);
-        let mut out = Vec::with_capacity(LAGS);
-        for (lag, cells) in self.products.iter().enumerate() {
-            let count: u64 = cells.iter().map(|cell| cell.count).sum();
-            if count == 0 {
-                break;
-            }
-            let mut sum = 0.0;
-            for (phase, cell) in cells.iter().enumerate() {
-                let (a, b) = (means[phase], means[(phase + lag) % 4]);
-                sum += cell.product - b * cell.earlier - a * cell.later + a * b * cell.count as f64;
-            }
-            out.push(sum / count as f64);
-        }
-        if out.is_empty() { vec![0.0] } else { out }
+        let lags = self.means(Pairs::product_about);
+        if lags.is_empty() { vec![0.0] } else { lags }
     }
 
-    /// Variance of one sample, DN².
+    /// Autocovariance without what a drift of the level adds, which is the same at every lag: from differences within
+    /// a stretch, in which a level cancels, samples farther apart than the lags kept being taken for uncorrelated.
+    /// `None` where no stretch is that long.
+    pub fn autocovariance_without_drift(&self) -> Option<Vec<f64>> {
+        if self.distant_pairs < 1.0 {
+            return None;
+        }
+        let levels = self.background_dn();
+        let mean = levels.iter().sum::<f64>() / 4.0;
+        let of_phases = levels.iter().map(|l| (l - mean) * (l - mean)).sum::<f64>() / 4.0;
+        let variance = self.distant / self.distant_pairs - of_phases;
+        Some(self.means(Pairs::half_difference_about).iter().map(|half| variance - half).collect())
+    }
+
+    /// Mean over the pairs of each lag of a sum about the phases' means.
+    fn means(&self, sum_about: fn(&Pairs, f64, f64) -> f64) -> Vec<f64> {
+        let means = self.background_dn().map(|level| level - self.origin_dn);
+        self.pairs
+            .iter()
+            .enumerate()
+            .map(|(lag, cells)| {
+                let count: u64 = cells.iter().map(|cell| cell.count).sum();
+                let sum = |(phase, cell)| sum_about(cell, means[phase], means[(phase + lag) % 4]);
+                (count, cells.iter().enumerate().map(sum).sum::<f64>())
+            })
+            .take_while(|(count, _)| *count > 0)
+            .map(|(count, sum)| sum / count as f64)
+            .collect()
+    }
+
+    /// Variance of one sample, DN², a drift of the level included.
     pub fn variance(&self) -> f64 {
         self.autocovariance()[0]
     }
 
-    /// Variance of the level from stretch to stretch, DN²: what samples farther apart than the noise's correlation
-    /// still have in common. 0 where no stretch is that long.
+    /// Variance of the level from stretch to stretch, DN²; 0 where no stretch is long enough to tell.
     pub fn drift_variance(&self) -> f64 {
-        if self.distant_pairs < 1.0 {
-            return 0.0;
+        match self.autocovariance_without_drift() {
+            Some(noise) => (self.variance() - noise[0]).max(0.0),
+            None => 0.0,
         }
-        let cells = &self.products[0];
-        let mean = cells.iter().map(|c| c.earlier).sum::<f64>() / self.samples() as f64;
-        (self.distant / self.distant_pairs - mean * mean).max(0.0)
     }
 }
 
@@ -114,23 +144,27 @@ mod tests {
     use crate::kernels::simulated::{Random, digitised, noise};
 
     #[test]
-    fn moments_of_a_stretch_by_hand() {
+    fn moments_of_stretches_by_hand() {
         let mut statistics = NoiseStatistics::default();
-        statistics.add(&[5, 7, 6, 10], 2); // phases 2 3 0 1: each its own mean
-        assert_eq!(statistics.background_dn([0.0; 4]), [6.0, 10.0, 5.0, 7.0]);
+        statistics.add(&[5, 7, 6, 10], 2);
+        assert_eq!(statistics.background_dn(), [7.0; 4]);
+        assert_eq!(statistics.autocovariance(), [3.5, -1.0, 1.0, -6.0]);
+        // Phases 2 3 0 1, each with its own mean; then deviations -2 0 -2 0 and 2 0 2 0.
+        (1..400).for_each(|_| statistics.add(&[5, 7, 6, 10], 2));
+        assert_eq!(statistics.background_dn(), [6.0, 10.0, 5.0, 7.0]);
         assert_eq!(statistics.autocovariance(), [0.0; 4]);
-        statistics.add(&[9, 7, 10, 10], 2); // deviations -2 0 -2 0, then 2 0 2 0
-        assert_eq!(statistics.background_dn([0.0; 4]), [8.0, 10.0, 7.0, 7.0]);
+        (0..400).for_each(|_| statistics.add(&[9, 7, 10, 10], 2));
+        assert_eq!(statistics.background_dn(), [8.0, 10.0, 7.0, 7.0]);
         assert_eq!(statistics.autocovariance(), [2.0, 0.0, 2.0, 0.0]);
-        assert_eq!(statistics.samples(), 8);
-        assert_eq!(statistics.drift_variance(), 0.0);
+        assert_eq!((statistics.samples(), statistics.drift_variance()), (3200, 0.0));
+        assert_eq!(statistics.autocovariance_without_drift(), None);
     }
 
     #[test]
     fn without_samples_nothing_is_told() {
         let mut statistics = NoiseStatistics::default();
         statistics.add(&[], 0);
-        assert_eq!(statistics.background_dn([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(statistics.background_dn(), [0.0; 4]);
         assert_eq!((statistics.variance(), statistics.drift_variance()), (0.0, 0.0));
     }
 
@@ -163,8 +197,12 @@ mod tests {
         for (lag, (got, exact)) in drifting.autocovariance().iter().zip(exact).enumerate() {
             assert!((got - exact - 0.25).abs() < 0.02 * noise_variance, "lag {lag}: {got} {exact}");
         }
-        for (got, level) in stable.background_dn([0.0; 4]).iter().zip(levels) {
+        for (got, level) in stable.background_dn().iter().zip(levels) {
             assert!((got - 20.5 - level).abs() < 0.01, "{got} {level}");
+        }
+        let freed = drifting.autocovariance_without_drift().unwrap();
+        for (lag, (got, exact)) in freed.iter().zip(exact).enumerate() {
+            assert!((got - exact).abs() < 0.02 * noise_variance, "lag {lag}: {got} {exact}");
         }
         assert!(stable.drift_variance() < 0.005, "{}", stable.drift_variance());
         assert!((drifting.drift_variance() - 0.25).abs() < 0.01, "{}", drifting.drift_variance());

@@ -51,7 +51,7 @@ impl Decomposer {
         self.detector.filter(self.scene.whitener(), self.scene.residual_dn());
         self.candidates.clear();
         self.detector.maxima(TRIAL_PART * self.settings.detection_sigma, &mut self.candidates);
-        self.candidates.sort_by(|a, b| b.statistic.total_cmp(&a.statistic));
+        self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
         let gain = GAIN_PART * self.settings.detection_sigma.powi(2);
         let starts = [Start::AsFitted, Start::CalibratedWidth, Start::Apart(0.5)];
         (0..self.candidates.len().min(TRIALS)).any(|i| {

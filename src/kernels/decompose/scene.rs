@@ -206,7 +206,7 @@ impl Scene {
     }
 
     fn sort(&mut self) {
-        self.found.sort_by(|a, b| a.pulse.position_samples.total_cmp(&b.pulse.position_samples));
+        self.found.sort_unstable_by(|a, b| a.pulse.position_samples.total_cmp(&b.pulse.position_samples));
     }
 
     /// Fits all pulses, cluster by cluster; again where widths and places that came out make other clusters.

@@ -183,20 +183,21 @@ fn saturated_pulses_are_unbiased() {
     }
 }
 
-/// The complete chain makes 0.40 to 0.50 of the up-crossings of Rice's formula (ALGORITHMS.md 5.4).
+/// The complete chain makes fewer returns than Rice's formula has up-crossings (ALGORITHMS.md A6).
 #[test]
 fn noise_alone_gives_as_few_returns_as_theory_says() {
     let mut simulation = Simulation::new(10, 255);
-    for (sigma, blocks) in [(3.5, 20_000), (4.5, 20_000)] {
+    for sigma in [3.5f64, 4.5] {
+        let blocks = 20_000;
         simulation.settings.detection_sigma = sigma;
         let mut returns = 0;
         simulation.run(blocks, |_| vec![], |_, outcome| returns += outcome.returns.len());
         let beta = 0.44; // rad/ns, of this noise; 0.40 to 0.50 for any like it
-        let rice = 60.0 * beta / std::f64::consts::TAU * (-0.5 * sigma * sigma as f64).exp();
+        let rice = 60.0 * beta / std::f64::consts::TAU * (-0.5 * sigma * sigma).exp();
         let measured = returns as f64 / blocks as f64;
         println!("noise alone at {sigma} sigma: {measured:.2e} returns per block, Rice {rice:.2e}");
         if sigma < 4.0 {
-            assert!((0.3..0.8).contains(&(measured / rice)), "{measured} {rice}");
+            assert!((0.5..1.0).contains(&(measured / rice)), "{measured} {rice}");
         } else {
             assert!(measured <= 2.5e-4, "{measured}");
         }
@@ -276,6 +277,26 @@ fn widths_out_of_range_are_filtered() {
     assert!(returns.is_empty() && counts.np_filtered == counts.n_candidates, "{returns:?}");
 }
 
+/// Two pulses that were told apart by nothing become one again, and are counted.
+#[test]
+fn returns_nearer_than_a_sample_are_merged() {
+    let model = channel(&process(), FWHM, 20.0);
+    let mut values = vec![20.0; 60];
+    pulse(100.0, 30.2, 1.0).add_to(FWHM, 1.0, &mut values);
+    let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), 60).unwrap();
+    let samples = digitised(&values, 255);
+    decomposer.decompose(&samples, 0);
+    decomposer.returns.clear();
+    decomposer.scene.found = vec![Found::new(60.0, 29.9, 0.0), Found::new(40.0, 30.6, 0.0)];
+    decomposer.counts = Counts { n_candidates: 2, ..Counts::default() };
+    decomposer.prune();
+    let outcome = decomposer.report(&samples);
+    check_counts(&outcome);
+    assert_eq!((outcome.counts.np, outcome.counts.np_merged), (1, 1));
+    assert!((outcome.returns[0].position_samples - 30.2).abs() < 0.02, "{:?}", outcome.returns);
+    assert!((outcome.returns[0].amplitude_dn - 100.0).abs() < 1.0);
+}
+
 #[test]
 fn of_too_many_candidates_the_strongest_are_kept() {
     let pulses = [pulse(60.0, 10.0, 1.0), pulse(100.0, 25.0, 1.0), pulse(80.0, 40.0, 1.0)];
@@ -327,39 +348,5 @@ proptest! {
             prop_assert!(numbers.iter().all(|v| v.is_finite()), "{r:?}");
             prop_assert!(r.amplitude_dn > 0.0 && r.position_sd_samples > 0.0);
         }
-    }
-}
-#[test]
-fn explore_far() {
-    for sigma in [3.5, 4.5] {
-        let mut simulation = Simulation::new(77, 255);
-        simulation.settings.detection_sigma = sigma;
-        let (mut n, mut c, mut edge, mut added, mut multi) = (0, 0, 0, 0, 0);
-        let mut w = vec![];
-        let blocks = if sigma < 4.0 { 40000 } else { 600000 };
-        simulation.run(
-            blocks,
-            |_| vec![],
-            |_, o| {
-                n += o.returns.len();
-                c += o.counts.n_candidates;
-                added += o.counts.n_added;
-                if o.returns.len() > 1 {
-                    multi += o.returns.len() - 1;
-                }
-                for r in o.returns {
-                    if r.position_samples < 4.0 || r.position_samples > 55.0 {
-                        edge += 1;
-                    }
-                    w.push(r.width_ratio);
-                }
-            },
-        );
-        w.sort_by(f64::total_cmp);
-        println!(
-            "far {sigma}: returns {n} cand {c} edge {edge} added {added} multi {multi} per block {:.2e} widths {:?}",
-            n as f64 / blocks as f64,
-            [0.1, 0.25, 0.5, 0.75, 0.9].map(|q| w[(w.len() as f64 * q) as usize])
-        );
     }
 }

@@ -1,0 +1,74 @@
+//! The coordinate reference system of older LAS and of PulseWaves files: GeoTIFF keys.
+
+/// Key of the model type: 1 projected, 2 geographic, 3 geocentric (GeoTIFF 1.0, section 6.3.1.1).
+const MODEL_TYPE: u16 = 1024;
+/// Key of the geographic coordinate reference system (GeoTIFF 1.0, section 6.3.2.1).
+const GEOGRAPHIC: u16 = 2048;
+/// Key of the projected coordinate reference system (GeoTIFF 1.0, section 6.3.3.1).
+const PROJECTED: u16 = 3072;
+/// Codes from here on are no EPSG codes: 32767 is "user-defined".
+const USER_DEFINED: u16 = 32767;
+
+/// The EPSG code that a directory of GeoTIFF keys (record 34735) names; `None` where it defines a system of its own, or
+/// is damaged.
+pub fn epsg(directory: &[u8]) -> Option<u16> {
+    let words: Vec<u16> =
+        directory.chunks_exact(2).map(|word| u16::from_le_bytes([word[0], word[1]])).collect();
+    let (head, entries) = words.split_at_checked(4)?;
+    let entries = entries.chunks_exact(4).take(usize::from(head[3]));
+    // An entry is: key, where its value stands (0: in the entry itself), count, value.
+    let value =
+        |key: u16| entries.clone().find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3]);
+    let code = match value(MODEL_TYPE)? {
+        1 => value(PROJECTED)?,
+        _ => value(GEOGRAPHIC)?,
+    };
+    (code > 1023 && code < USER_DEFINED).then_some(code)
+}
+
+/// The coordinate reference system of an EPSG code as WKT 1.
+pub fn wkt_of_epsg(code: u16) -> Option<String> {
+    crs_definitions::from_code(code).map(|definition| definition.wkt.to_string())
+}
+
+/// The coordinate reference system that a directory of GeoTIFF keys names, as WKT 1.
+pub fn wkt(directory: &[u8]) -> Option<String> {
+    wkt_of_epsg(epsg(directory)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn directory(entries: &[[u16; 4]]) -> Vec<u8> {
+        let head = [1, 1, 0, entries.len() as u16];
+        head.iter().chain(entries.as_flattened()).flat_map(|word| word.to_le_bytes()).collect()
+    }
+
+    #[test]
+    fn a_projected_system_is_told_by_its_code() {
+        let utm =
+            directory(&[[1024, 0, 1, 1], [1026, 34737, 18, 0], [3072, 0, 1, 32633], [3076, 0, 1, 9001]]);
+        assert_eq!(epsg(&utm), Some(32633));
+        assert!(wkt(&utm).unwrap().starts_with("PROJCS[\"WGS 84 / UTM zone 33N\""));
+    }
+
+    #[test]
+    fn a_geographic_system_is_told_by_its_code() {
+        assert_eq!(epsg(&directory(&[[1024, 0, 1, 2], [2048, 0, 1, 4258]])), Some(4258));
+    }
+
+    #[test]
+    fn a_system_of_the_files_own_has_no_code() {
+        assert_eq!(epsg(&directory(&[[1024, 0, 1, 1], [3072, 0, 1, 32767]])), None);
+        assert_eq!(epsg(&directory(&[[1024, 0, 1, 3]])), None);
+    }
+
+    #[test]
+    fn damaged_keys_are_no_code() {
+        let whole = directory(&[[1024, 0, 1, 1], [3072, 0, 1, 32633]]);
+        for length in 0..whole.len() {
+            assert_eq!(epsg(&whole[..length]), None, "{length}");
+        }
+    }
+}

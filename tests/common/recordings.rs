@@ -1,0 +1,98 @@
+//! Real recordings, and other people's results beside them.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use wavex::batch::Channel;
+use wavex::engine::{self, InputReport, Options};
+use wavex::job::{Job, Override};
+use wavex::stage::{Context, Plan, Planned, Site};
+
+/// The folder of real recordings, or `None`, said loudly.
+pub fn data() -> Option<PathBuf> {
+    let folder = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
+    if folder.is_none() {
+        println!("skipped: WAVEX_DATA not set");
+    }
+    folder
+}
+
+/// Runs a job of the folder `jobs` on the recordings, into `out`.
+pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputReport {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs").join(name);
+    let text = std::fs::read_to_string(&path).expect("the job stands in the repository");
+    let overrides: Vec<Override> = set.iter().map(|text| Override::new(*text)).collect();
+    let job = Job::parse(name, &text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
+    let options = Options::of_job(&job, data, out);
+    let mut report = engine::run(&job, &options).unwrap_or_else(|error| panic!("{error}"));
+    report.inputs.remove(0)
+}
+
+/// A table of numbers by column; what is no number is NaN.
+pub struct Table {
+    columns: HashMap<String, usize>,
+    rows: Vec<Vec<f64>>,
+}
+
+impl Table {
+    pub fn read(path: &Path) -> Table {
+        let text =
+            std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let mut lines = text.lines();
+        let names = lines.next().expect("a first line with names").split(',');
+        let columns = names.enumerate().map(|(i, name)| (name.to_string(), i)).collect();
+        let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect();
+        Table { columns, rows: lines.map(row).collect() }
+    }
+
+    /// The numbers of a column.
+    pub fn column(&self, name: &str) -> Vec<f64> {
+        let i = self.columns[name];
+        self.rows.iter().map(|row| row[i]).collect()
+    }
+
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+}
+
+/// Median, and 1.4826 times the median deviation from it.
+pub fn robust(values: &[f64]) -> (f64, f64) {
+    let centre = median(values);
+    let deviations: Vec<f64> = values.iter().map(|value| (value - centre).abs()).collect();
+    (centre, 1.4826 * median(&deviations))
+}
+
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len();
+    assert!(n > 0, "a median of nothing");
+    (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0
+}
+
+/// The low power samples of every block that a reader finds, in order.
+pub fn samples(reader: &str, path: &Path) -> Vec<Vec<u16>> {
+    let spec = wavex::registry::find(reader).expect("a reader of the registry");
+    let keys = toml::toml! { path = "unused" }.to_string();
+    let table = toml::de::DeTable::parse(&keys).expect("the test's own TOML");
+    let Ok(Planned { plan: Plan::Source(source), .. }) = (spec.parse)(table) else {
+        panic!("{reader} is a source")
+    };
+    let site = Site {
+        input: path.to_path_buf(),
+        stem: String::new(),
+        input_dir: PathBuf::new(),
+        output_dir: PathBuf::new(),
+        threads: 1,
+    };
+    let mut source = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
+    let mut cx = Context::default();
+    let mut found = Vec::new();
+    while let Some(batch) = source.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
+        let blocks = batch.blocks().expect("a reader gives waveforms");
+        let low_power = blocks.iter().filter(|block| block.channel == Channel::LowPower);
+        found.extend(low_power.map(|block| blocks.samples(block).to_vec()));
+    }
+    found
+}

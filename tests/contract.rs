@@ -1,0 +1,201 @@
+//! What holds for every stage in the registry.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use common::{into, stage};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use wavex::batch::{Batch, Blocks, InputInfo, Kind};
+use wavex::engine::{self, InputReport};
+use wavex::job::{Job, JobStage};
+use wavex::registry::{self, STAGES};
+use wavex::stage::{Config, Context, Item, Paths, Result, RoleName, Site, Source, SourceConfig, StageSpec};
+
+/// Endings of the names of quantities, by which their unit can be told.
+const UNITS: [&str; 16] = [
+    "_m", "_ns", "_ps", "_s", "_us", "_deg", "_hz", "_mps", "_dn", "_db", "_mb", "_ppm", "_ratio", "_sigma",
+    "_rate", "_step",
+];
+/// Quantities without a unit, and whose name says so.
+const PLAIN_NUMBERS: [&str; 1] = ["noise_autocorrelation"];
+
+#[test]
+fn every_stage_and_every_key_is_explained() {
+    for spec in STAGES {
+        let keys = spec.keys();
+        assert!(keys.doc().len() > 80, "{}: its doc comment is its page in the manual", spec.name);
+        for key in keys.iter() {
+            assert!(key.meaning().len() > 10, "{}.{} has no meaning", spec.name, key.name);
+        }
+    }
+}
+
+#[test]
+fn every_quantity_carries_its_unit_in_its_name() {
+    for spec in STAGES {
+        for key in spec.keys().iter() {
+            let holds_numbers = key.schema.to_string().contains("\"number\"");
+            let has_unit =
+                UNITS.iter().any(|unit| key.name.ends_with(unit)) || PLAIN_NUMBERS.contains(&key.name);
+            assert!(!holds_numbers || has_unit, "{}.{}: which unit?", spec.name, key.name);
+        }
+    }
+}
+
+#[test]
+fn names_are_verbs_and_roles_have_their_kinds() {
+    let mut seen = BTreeMap::new();
+    for spec in STAGES {
+        assert!(seen.insert(spec.name, ()).is_none(), "{} stands twice in the registry", spec.name);
+        assert_eq!(spec.role == RoleName::Source, spec.accepts.is_empty(), "{}", spec.name);
+        assert!(spec.after.iter().all(|name| registry::find(name).is_some()), "{}", spec.name);
+    }
+}
+
+/// Lines of the simulator with lines in between that hold no emission, and one whose emissions hold no block.
+#[derive(Clone, Default, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+struct Gaps {
+    /// Whether any line has shots at all.
+    only_empty: bool,
+}
+
+impl Config for Gaps {}
+
+impl SourceConfig for Gaps {
+    fn paths(&self) -> Option<&Paths> {
+        None
+    }
+
+    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+        let keys = "lines = 4\nshots_per_line = 120\nseed = 7";
+        let wavex::stage::Plan::Source(simulate) =
+            stage(registry::find("simulate").unwrap(), keys).planned.plan
+        else {
+            unreachable!("simulate is a source")
+        };
+        Ok(Box::new(GapSource { lines: simulate.make(site)?, step: 0, only_empty: self.only_empty }))
+    }
+}
+
+struct GapSource {
+    lines: Box<dyn Source>,
+    step: u32,
+    only_empty: bool,
+}
+
+impl Source for GapSource {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+        self.step += 1;
+        let mut batch = match self.step {
+            1 | 4 | 7 => Some(Batch::of_shots(empty_input(), 0, Vec::new(), Blocks::default())),
+            5 if !self.only_empty => self.lines.next(cx)?.map(without_blocks),
+            2 | 3 | 6 if !self.only_empty => self.lines.next(cx)?,
+            2..=7 => return self.next(cx),
+            _ => None,
+        };
+        batch.iter_mut().for_each(|batch| batch.line = self.step);
+        Ok(batch)
+    }
+}
+
+fn empty_input() -> Arc<InputInfo> {
+    Arc::new(common::input_info())
+}
+
+fn without_blocks(line: Batch) -> Batch {
+    Batch::of_shots(line.input, line.line, line.emissions, Blocks::default())
+}
+
+const GAPS: StageSpec = StageSpec::source::<Gaps>("gaps", Kind::Shots);
+
+/// The shortest chain that ends in a stage: what must stand before it, and the stage with its defaults.
+fn chain_to(spec: &'static StageSpec, only_empty: bool) -> Job {
+    let source = stage(&GAPS, if only_empty { "only_empty = true" } else { "" });
+    let mut stages: Vec<JobStage> = vec![source];
+    let chain = ["calibrate", "decompose", "georeference"].map(|name| registry::find(name).unwrap());
+    let mut kind = Kind::Shots;
+    for before in chain {
+        let needed = spec.after.iter().any(|name| !stages.iter().any(|stage| stage.spec.name == *name));
+        if before.name == spec.name || (spec.accepts.contains(&kind) && !needed) {
+            break;
+        }
+        kind = before.makes.unwrap_or(kind);
+        stages.push(stage(before, ""));
+    }
+    stages.push(stage(spec, ""));
+    Job { stages, ..Job::default() }
+}
+
+fn run(job: &Job, folder: &Path) -> InputReport {
+    engine::run(job, &into(job, folder)).unwrap().inputs.remove(0)
+}
+
+#[test]
+fn no_stage_drops_anything_without_a_reason() {
+    for spec in STAGES.iter().filter(|spec| spec.role != RoleName::Source) {
+        let folder = tempfile::tempdir().unwrap();
+        let report = run(&chain_to(spec, false), folder.path());
+        let stage = report.stages.last().unwrap();
+        assert_eq!(stage.r#type, spec.name);
+        assert!(stage.items_in.shots == 480, "{}: the lines reach it: {stage:?}", spec.name);
+        assert_eq!(stage.lines_in, 7, "{}", spec.name);
+        assert_eq!(stage.lines_out, stage.lines_in, "{}", spec.name);
+        for item in Item::ALL {
+            let made_here = item == Item::Returns && spec.name == "decompose";
+            let used_up = item == Item::Blocks && spec.name == "decompose";
+            if !made_here && !used_up {
+                let (given, passed) =
+                    (stage.items_in.of(item), stage.items_out.of(item) + stage.rejected_of(item));
+                assert_eq!(given, passed, "{}: {}", spec.name, item.name());
+            }
+        }
+        assert_eq!(report.outputs.len(), usize::from(spec.role == RoleName::Sink), "{}", spec.name);
+    }
+}
+
+#[test]
+fn sources_give_what_they_say_and_number_their_shots() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = common::job(&[(registry::find("simulate").unwrap(), "lines = 2\nshots_per_line = 50")]);
+    let report = run(&job, folder.path());
+    assert_eq!((report.stages[0].lines_out, report.stages[0].items_out.shots), (2, 100));
+}
+
+#[test]
+fn lines_without_shots_pass_through_every_stage() {
+    for spec in STAGES.iter().filter(|spec| spec.role != RoleName::Source) {
+        let folder = tempfile::tempdir().unwrap();
+        let job = chain_to(spec, true);
+        let outcome = engine::run(&job, &into(&job, folder.path()));
+        if job.stages.iter().any(|stage| stage.spec.name == "calibrate") {
+            // Nothing can be said of a sensor without a single waveform: an error, and a clear one.
+            let error = outcome.unwrap_err().to_string();
+            assert!(
+                error.contains("calibration needs 200 waveforms of the channel and there were 0"),
+                "{error}"
+            );
+        } else {
+            let report = outcome.unwrap().inputs.remove(0);
+            assert_eq!(report.stages.last().unwrap().lines_out, 3, "{}", spec.name);
+        }
+    }
+}
+
+#[test]
+fn the_counters_of_lines_obey_their_laws() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = run(&chain_to(registry::find("write_table").unwrap(), false), folder.path());
+    let total = |name: &str| report.totals[name];
+    assert!(total("np") > 300, "{:?}", report.totals);
+    assert_eq!(
+        total("n_candidates") + total("n_added"),
+        total("np") + total("np_filtered") + total("np_merged") + total("np_xtalk_dropped")
+    );
+    assert_eq!(total("nw"), total("nw_empty") + total("nw_deleted") + total("nw_with_points"));
+}
