@@ -215,7 +215,6 @@ fn a_coordinate_system_that_is_missing_is_noted() {
     let whole = PulseWaves::new(250);
     let stages = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'");
     let input = place(&whole.pls(), &whole.waves).succeeds("read_pulsewaves", "a.pls", &stages);
-    let expected =
-        ["the input names no coordinate reference system that can be written as WKT: the file has none"];
+    let expected = ["the input names no coordinate reference system by WKT or EPSG code: the file has none"];
     assert_eq!(notes(&input), expected);
 }
