@@ -55,7 +55,7 @@ pub struct TableWriter<W: Write + Send> {
 }
 
 enum Form<W: Write + Send> {
-    Arrow(FileWriter<W>),
+    Arrow(Box<FileWriter<W>>),
     Parquet(Box<ArrowWriter<W>>),
     /// And whether the header line is written.
     Csv(W, bool),
@@ -70,7 +70,7 @@ impl<W: Write + Send> TableWriter<W> {
             Format::Arrow => IpcWriteOptions::default()
                 .try_with_compression(Some(CompressionType::LZ4_FRAME))
                 .and_then(|options| FileWriter::try_new_with_options(to, &schema, options))
-                .map(Form::Arrow),
+                .map(|writer| Form::Arrow(Box::new(writer))),
             Format::Parquet => ArrowWriter::try_new(to, Arc::clone(&schema), Some(properties(&schema)))
                 .map(|writer| Form::Parquet(Box::new(writer)))
                 .map_err(arrow_error),
