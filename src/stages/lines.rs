@@ -8,7 +8,8 @@ use crate::batch::{Batch, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emiss
 ///
 /// A line ends after a shot with the edge-of-flight-line flag, and before one whose scan direction flag or facet differs
 /// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots (DEFINITIONS: scan line) or
-/// [`MOST_BYTES`].
+/// [`MOST_BYTES`]. It also ends where time runs backwards, as between flights that were put into one file: a line's shots
+/// are in order of time.
 pub(super) struct Lines {
     input: Arc<InputInfo>,
     next_line: u32,
@@ -57,6 +58,7 @@ impl Lines {
             || last.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0
             || flag(last) != flag(next)
             || last.facet != next.facet
+            || last.clock_ps > next.clock_ps
             || self.sweep.jumps(last.direction, next.direction)
     }
 
@@ -157,11 +159,17 @@ mod tests {
     }
 
     #[test]
+    fn time_does_not_run_backwards_in_a_line() {
+        let at = |clock_ps| Emission { clock_ps, ..shot(0.0) };
+        assert_eq!(lengths([at(5), at(5), at(7), at(6), at(8)]), [3, 2]);
+    }
+
+    #[test]
     fn no_line_is_longer_than_the_limit() {
         assert_eq!(lengths((0..5000).map(|_| shot(3.0))), [4096, 904]);
         let mut lines = Lines::new(Arc::new(InputInfo::default()));
         let megabytes = vec![0; 10 << 20];
-        for shot_is_last in [false, false, false, true] {
+        for shot_is_last in [false, false, true] {
             let index = lines.add(shot(3.0));
             lines.blocks().push(index, Channel::LowPower, None, 0.0, 1.0, &megabytes);
             assert_eq!(lines.ends_before(&shot(3.0)), shot_is_last);

@@ -4,7 +4,7 @@ use std::fs::{self, OpenOptions};
 use std::process::{Command, Stdio};
 
 use crate::support::las::Las;
-use crate::support::{Outcome, Place, TO_TABLE, outcome};
+use crate::support::{Outcome, Place, TO_TABLE, outcome, skipped};
 
 const READ: &str = "[[stage]]\ntype = 'read_las'\npath = 'a.las'\n";
 const COPY: &str = "[[stage]]\ntype = 'write_arrow'\n";
@@ -72,7 +72,7 @@ fn a_folder_that_must_not_be_written_to() {
     permissions.set_readonly(true);
     fs::set_permissions(place.path("out"), permissions).unwrap();
     if fs::write(place.path("out/try"), b"").is_ok() {
-        println!("skipped: this user (root?) may write to a folder that is read-only");
+        skipped("this user may write to folders that are read-only (root?)");
         return;
     }
     let message = "./out/wavex.log: cannot create the log: Permission denied (os error 13); \

@@ -35,18 +35,22 @@ type = 'write_table'
 type = 'write_lstat'
 ";
 
-/// Starts a long run, and waits until it has begun all its outputs and written to some.
-fn begin(place: &Place) -> Child {
-    let child = place.command(LONG).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+/// Whether a run has begun all its outputs and written to some.
+fn has_begun(place: &Place) -> bool {
+    let outputs = place.outputs();
     let is_written =
         |name: &String| fs::metadata(place.path("out").join(name)).is_ok_and(|about| about.len() > 0);
-    loop {
-        let outputs = place.outputs();
-        if outputs.iter().any(is_written) && outputs.len() >= 6 {
-            return child;
-        }
+    outputs.len() >= 6 && outputs.iter().any(is_written)
+}
+
+/// Starts a long run, and waits until it is well under way.
+fn begin(place: &Place) -> Child {
+    let mut child = place.command(LONG).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    while !has_begun(place) {
+        assert_eq!(child.try_wait().unwrap(), None, "the run ended by itself");
         std::thread::sleep(Duration::from_millis(20));
     }
+    child
 }
 
 /// A folder may have a name that JSON cannot hold.

@@ -167,11 +167,17 @@ pub fn notes(input: &Value) -> Vec<String> {
     notes.map(|note| note.as_str().unwrap().to_owned()).collect()
 }
 
+/// Says that a test was not run, and why.
+#[allow(clippy::print_stdout, reason = "a test that did nothing must not pass in silence")]
+pub fn skipped(why: &str) {
+    println!("skipped: {why}");
+}
+
 /// The folder of real recordings; `None`, and a word about it, where there is none.
 pub fn data() -> Option<PathBuf> {
     let data = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
     if data.is_none() {
-        println!("skipped: WAVEX_DATA not set");
+        skipped("WAVEX_DATA not set");
     }
     data
 }

@@ -68,9 +68,6 @@ impl Messages {
         len: u64,
     ) -> Result<(Messages, Schema)> {
         let start = read_up_to(&mut from, MAGIC.len()).map_err(Error::io(name, "read"))?;
-        if start.is_empty() {
-            return Err(Error::unusable(name, "the file is empty", "copy it again from its source"));
-        }
         from.seek(SeekFrom::Start(0)).map_err(Error::io(name, "read"))?;
         if start == MAGIC {
             let (messages, schema) = FileMessages::open(name, from, len)?;
@@ -243,6 +240,9 @@ enum State {
 impl StreamMessages {
     fn open(name: &Path, mut from: Box<dyn Read>) -> Result<(StreamMessages, Schema)> {
         let start = read_up_to(&mut from, 8).map_err(Error::io(name, "read"))?;
+        if start.is_empty() {
+            return Err(Error::unusable(name, "the file is empty", "copy it again from its source"));
+        }
         let is_file = start.starts_with(MAGIC);
         let (from, at): (Box<dyn Read>, u64) = match is_file {
             true => (from, 8),

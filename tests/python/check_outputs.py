@@ -1,0 +1,235 @@
+"""Runs the program and reads what it wrote with other programs: pyarrow, DuckDB, laspy.
+
+    python3 -m venv venv
+    venv/bin/pip install -r tests/python/requirements.txt
+    venv/bin/python tests/python/check_outputs.py target/release/wavex
+
+With WAVEX_DATA set to a folder of real recordings, those are checked, too. Prints a line per check; exit code 1 where one
+fails.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+import read_container as made_up
+from check_points import check_points, check_same_points
+from check_waveforms import check_against_dump, check_container, check_same_waveforms, read_container, read_dump
+from checks import Checks, numbers, same_column
+from read_container import SCHEMAS, arrow_type, sql
+
+SIMULATED = """
+[[stage]]
+type = "simulate"
+stem = "flight"
+lines = 5
+shots_per_line = 200
+"""
+# Every sink, behind whatever makes shots.
+SINKS = """
+[[stage]]
+type = "write_arrow"
+
+[[stage]]
+type = "calibrate"
+waveforms = 600
+
+[[stage]]
+type = "decompose"
+
+[[stage]]
+type = "georeference"
+
+[[stage]]
+type = "write_las"
+id = "las"
+path = "*.las"
+
+[[stage]]
+type = "write_las"
+id = "laz"
+path = "*.laz"
+
+[[stage]]
+type = "write_table"
+id = "table_arrow"
+path = "*_returns.arrow"
+
+[[stage]]
+type = "write_table"
+id = "table_parquet"
+path = "*_returns.parquet"
+
+[[stage]]
+type = "write_table"
+id = "table_csv"
+path = "*_returns.csv"
+
+[[stage]]
+type = "write_lstat"
+"""
+
+
+def reader(stage, path):
+    return f"\n[[stage]]\ntype = \"{stage}\"\npath = '{path}'\n"
+
+
+def run(program, folder, job):
+    """Runs a job in a folder; its standard output."""
+    (folder / "job.toml").write_text(job)
+    return command([program, "--quiet", "run", folder / "job.toml"])
+
+
+def command(words):
+    done = subprocess.run([str(word) for word in words], capture_output=True)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(map(str, words))}: exit code {done.returncode}: {done.stderr.decode()}")
+    return done.stdout
+
+
+def check_survey(checks, name, program, source):
+    """A job with every sink, and all that it wrote."""
+    with checks.of(name), tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        run(program, folder, source + SINKS)
+        report = json.loads((folder / "report.json").read_text())
+        stem = report["inputs"][0]["stem"]
+        output = lambda ending: folder / f"{stem}{ending}"
+        with checks.of(f"{name}, report.json"):
+            check_report(checks, report, folder)
+        report = report["inputs"][0]
+        container = read_container(output(".arrow"))
+        with checks.of(f"{name}, container"):
+            check_container(checks, output(".arrow"), container, report)
+            check_copies(checks, program, folder, output(".arrow"), container)
+        with checks.of(f"{name}, tables"):
+            table = check_tables(checks, output, report)
+        las = {}
+        for ending in ["las", "laz"]:
+            with checks.of(f"{name}, {ending}"):
+                las[ending] = check_points(checks, output(f".{ending}"), table, container)
+        with checks.of(f"{name}, laz"):
+            check_same_points(checks, las["las"], las["laz"])
+        with checks.of(f"{name}, line statistics"):
+            check_line_statistics(checks, output("_lstat.txt"), container, report)
+
+
+def check_report(checks, report, folder):
+    schema = json.loads((SCHEMAS / "report.schema.json").read_text())
+    errors = [f"{error.json_path}: {error.message}" for error in jsonschema.Draft202012Validator(schema).iter_errors(report)]
+    checks.equal("is as its schema says", errors[:3], [])
+    (of_input,) = report["inputs"]
+    written = sorted(Path(path).name for path in of_input["outputs"])
+    others = {"job.toml", "wavex.log", "report.json"}
+    checks.equal("names every file that was written", written, sorted({path.name for path in folder.iterdir()} - others))
+    checks.that("lists its totals", of_input["totals"]["np"] > 0 and of_input["totals"]["nw"] > 0)
+    total = of_input["totals"].get
+    found = total("np") + total("np_filtered") + total("np_merged") + total("np_xtalk_dropped")
+    checks.equal("accounts for every candidate", found, total("n_candidates") + total("n_added"))
+    waveforms = total("nw_empty") + total("nw_deleted") + total("nw_with_points")
+    checks.equal("accounts for every waveform", waveforms, total("nw"))
+
+
+def check_copies(checks, program, folder, path, container):
+    """What the program reads of its own containers, and writes to a pipe, is the same once more."""
+    copy = folder / "copy.arrow"
+    command([program, "--quiet", "convert", path, copy])
+    check_same_waveforms(checks, "convert gives the same again", container, read_container(copy))
+    piped = run(program, folder, "[job]\nreport = ''\nlog = ''\n" + reader("read_arrow", path)
+                + "\n[[stage]]\ntype = 'write_arrow'\npath = '-'\n")
+    with pa.ipc.open_stream(piped) as stream:
+        check_same_waveforms(checks, "standard output gives the same again", container, stream.read_all())
+
+
+def check_tables(checks, output, report):
+    """The three formats hold the same; the table."""
+    table = pa.ipc.open_file(output("_returns.arrow")).read_all()
+    layout = json.loads((SCHEMAS / "return_table.json").read_text())["columns"]
+    checks.equal("have the columns of their description", table.schema.names, [column["name"] for column in layout])
+    for column in layout:
+        field = table.schema.field(column["name"])
+        checks.equal(f"{field.name} has its type", (field.type, field.nullable), (arrow_type(column), column["nullable"]))
+    checks.equal("have a row per return", table.num_rows, report["totals"]["np"])
+    parquet = pa.parquet.read_table(output("_returns.parquet"))
+    types = pa.csv.ConvertOptions(column_types=dict(zip(table.schema.names, table.schema.types)), null_values=[""])
+    csv = pa.csv.read_csv(output("_returns.csv"), convert_options=types)
+    for name, other in [("Parquet", parquet), ("CSV", csv)]:
+        differ = [column for column in table.schema.names if not same_column(table.column(column), other.column(column))]
+        checks.equal(f"{name} holds the same as Arrow", (other.schema.names, differ), (table.schema.names, []))
+    sources = [f"read_parquet('{output('_returns.parquet')}')", f"read_csv('{output('_returns.csv')}')", "arrow"]
+    query = "select count(*), sum(range_m), sum(z), sum(amplitude_dn), count(amplitude_db), sum(flags)::bigint from "
+    expected = [table.num_rows, *(float(np.sum(numbers(table, name))) for name in ["range_m", "z", "amplitude_dn"]),
+                len(table) - table.column("amplitude_db").null_count, int(np.sum(numbers(table, "flags")))]
+    for source in sources:
+        found = sql(query + source, arrow=table)
+        checks.that(f"DuckDB sums up the same from {source.split('(')[0]}", np.allclose(found, expected, rtol=1e-12), found)
+    return table
+
+
+def check_line_statistics(checks, path, container, report):
+    head, *rows = path.read_text().splitlines()
+    names = [column["name"] for column in json.loads((SCHEMAS / "lstat.json").read_text())["columns"]]
+    checks.equal("have the 20 columns of their description", (head, len(names)), ("# " + " ".join(names), 20))
+    values = np.array([[float(word) for word in row.split(" ")] for row in rows])
+    checks.equal("have a row per scan line", len(rows), report["stages"][0]["lines_out"])
+    for column, name in enumerate(names):
+        if name in report["totals"]:
+            checks.equal(f"{name} adds up to the report's", int(values[:, column].sum()), report["totals"][name])
+    first = np.unique(numbers(container, "line"), return_index=True)[1]
+    times = numbers(container, "gps_time_s").astype(float)[first]
+    since_first = values[:, 0] - values[0, 0]
+    checks.within("gps_time is that of each line's first shot", since_first, times - times[0], 2e-6)
+
+
+def check_example3(checks, program, data):
+    """A recording of RIEGL's, sample for sample as the format's own library reads it."""
+    pls = data / "pulsewaves" / "riegl_example3.pls"
+    with checks.of("riegl_example3"), tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.arrow"
+        command([program, "--quiet", "convert", pls, path])
+        table = read_container(path)
+        check_against_dump(checks, table, read_dump(pls.with_suffix(".txt.gz")), pls)
+
+
+def check_made_up(checks, program):
+    """The files of the example `write_container`, where it has been built."""
+    example = Path(program).parent / "examples" / "write_container"
+    if not example.exists():
+        print(f"skipped: {example} has not been built")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        command([example, folder])
+        for path in sorted(Path(folder).iterdir()):
+            with checks.of(path.name):
+                made_up.check(path)
+                checks.that("is as the example made it", True)
+
+
+def main():
+    program = Path(sys.argv[1]).resolve()
+    checks = Checks()
+    check_made_up(checks, program)
+    check_survey(checks, "simulated", program, SIMULATED)
+    data = os.environ.get("WAVEX_DATA")
+    if data is None:
+        print("skipped: WAVEX_DATA not set")
+    else:
+        data = Path(data).resolve()
+        recording = data / "riegl_q680i_dev" / "riegl_q680i_dev"
+        check_survey(checks, "riegl_q680i_dev, LAS", program, reader("read_las", f"{recording}.las"))
+        check_survey(checks, "riegl_q680i_dev, PulseWaves", program, reader("read_pulsewaves", f"{recording}.pls"))
+        check_example3(checks, program, data)
+    return checks.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""LAS and LAZ, as laspy reads them, against the table of the same returns."""
+
+import json
+
+import laspy
+import numpy as np
+import pyarrow.compute as pc
+
+from checks import numbers
+
+WEEK_S = 604_800
+ADJUSTMENT_S = 1_000_000_000
+SCAN_ANGLE_STEP_DEG = 0.006
+# Name, type, step and value of 0 of each extra attribute (BayesWavEx 1.1, section 3), and what NaN is stored as.
+ATTRIBUTES = [
+    ("WideRatio", "u1", 0.025, 0.5, 0),
+    ("TargetThick", "u1", 0.008, 0.0, 0),
+    ("Amp", "u2", 1.0, 0.0, 0),
+    ("DevRatio", "u1", 0.1, 0.0, 0),
+    ("RangeErr", "u1", 0.001, 0.0, 255),
+    ("IntErr", "u1", 0.2, 0.0, 255),
+    ("WideErr", "u1", 0.002, 0.0, 255),
+    ("ThickErr", "u1", 0.001, 0.0, 255),
+    ("Channel", "u1", 1.0, 0.0, 0),
+]
+
+
+def attribute_values(table):
+    """What each extra attribute stands for, in full precision."""
+    db, dn = numbers(table, "amplitude_db"), numbers(table, "amplitude_dn")
+    return {
+        "WideRatio": numbers(table, "width_ratio"),
+        "TargetThick": numbers(table, "thickness_m"),
+        "Amp": np.where(np.isnan(db), dn, 7.0 * 10.0 ** (db / 10.0)),
+        "DevRatio": numbers(table, "deviation_ratio"),
+        "RangeErr": numbers(table, "range_sd_m"),
+        "IntErr": numbers(table, "intensity_sd"),
+        "WideErr": numbers(table, "width_ratio_sd"),
+        "ThickErr": numbers(table, "thickness_sd_m"),
+        "Channel": pc.equal(table.column("channel"), "high").to_numpy().astype(float),
+    }
+
+
+def check_points(checks, path, table, container):
+    las = laspy.read(path)
+    header = las.header
+    checks.equal("is LAS 1.4, point format 6", (str(header.version), header.point_format.id), ("1.4", 6))
+    checks.equal("has a point for each return of the table", len(las.points), table.num_rows)
+    check_header(checks, las)
+    check_crs(checks, header, container.schema.metadata)
+    for axis, step in zip("xyz", header.scales):
+        # Half a step, and what the doubles of a coordinate leave.
+        checks.within(f"{axis} is that of the table", las[axis], numbers(table, axis), step / 2 + 1e-8)
+    check_fields(checks, las, table)
+    check_emissions(checks, las, table, container)
+    check_times(checks, las, table, container.schema.metadata)
+    check_attributes(checks, las, table)
+    return las
+
+
+def check_header(checks, las):
+    header = las.header
+    by_return = np.bincount(np.asarray(las.return_number), minlength=16)[1:16]
+    checks.equal("points by return add up", list(header.number_of_points_by_return), by_return.tolist())
+    found = [las.xyz.min(axis=0), las.xyz.max(axis=0)]
+    checks.within("the bounding box is that of the points", [header.mins, header.maxs], found, 1e-8)
+    checks.that("says which program made it", header.generating_software.startswith("wavex "))
+
+
+def check_crs(checks, header, metadata):
+    records = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == ("LASF_Projection", 2112)]
+    crs = metadata.get(b"wavex.crs", b"").decode()
+    checks.equal("has the coordinate reference system of the input", [vlr.string for vlr in records], [crs] if crs else [])
+    checks.equal("says that it is WKT where there is one", header.global_encoding.wkt, bool(crs))
+
+
+def check_fields(checks, las, table):
+    rounded = np.clip(np.floor(numbers(table, "intensity") + 0.5), 0, 65535)
+    checks.within("intensity is that of the table, rounded", las.intensity, rounded, 0)
+    for field, column, most in [
+        ("return_number", "return_number", 15),
+        ("number_of_returns", "number_of_returns", 15),
+        ("classification", "class", 255),
+        ("withheld", "withheld", 1),
+    ]:
+        expected = np.minimum(numbers(table, column).astype(int), most)
+        checks.within(f"{field} is that of the table", las[field], expected, 0)
+    flags = numbers(table, "flags").astype(int) & 0xFF
+    checks.within("user_data holds the flags of the fit", las.user_data, flags, 0)
+    zone = np.maximum(numbers(table, "mta_zone", null=0), 0)
+    checks.within("point_source_id is the multiple-time-around zone", las.point_source_id, zone, 0)
+    for field in ["synthetic", "key_point", "overlap", "scanner_channel"]:
+        checks.that(f"{field} is not set", not np.any(las[field]))
+
+
+def check_emissions(checks, las, table, container):
+    """What points have from their emissions, by the shot that the table names."""
+    rows = np.searchsorted(numbers(container, "shot"), numbers(table, "shot"))
+    flags = numbers(container, "flags").astype(int)[rows]
+    checks.within("scan_direction_flag is that of the shot", las.scan_direction_flag, flags >> 8 & 1, 0)
+    checks.within("edge_of_flight_line is that of the shot", las.edge_of_flight_line, flags >> 9 & 1, 0)
+    angle = numbers(container, "scan_angle_deg", null=0.0).astype(float)[rows]
+    stored = las.scan_angle * SCAN_ANGLE_STEP_DEG
+    checks.within("scan_angle is that of the shot", stored, angle, SCAN_ANGLE_STEP_DEG / 2 + 1e-9)
+
+
+def check_times(checks, las, table, metadata):
+    scale, week = metadata[b"wavex.time_scale"].decode(), metadata.get(b"wavex.gps_week")
+    adjusted = scale == "adjusted" or (scale == "week" and week is not None)
+    offset = int(week) * WEEK_S - ADJUSTMENT_S if scale == "week" and week is not None else 0
+    checks.equal("says whether its times are adjusted", int(las.header.global_encoding.gps_time_type), int(adjusted))
+    times = offset + numbers(table, "gps_time_s", null=0.0)
+    checks.within("gps_time is that of the table", las.gps_time, times, 0)
+
+
+def check_attributes(checks, las, table):
+    names = list(las.point_format.extra_dimension_names)
+    checks.equal("has the extra attributes in their order", names, [name for name, *_ in ATTRIBUTES])
+    values = attribute_values(table)
+    for name, kind, step, zero, unknown in ATTRIBUTES:
+        stored = las.points.array[name]
+        about = las.point_format.dimension_by_name(name)
+        scale = 1.0 if about.scales is None else about.scales[0]
+        offset = 0.0 if about.offsets is None else about.offsets[0]
+        layout = (stored.dtype.str[1:], scale, offset)
+        checks.equal(f"{name} has its type and step", layout, (kind, step, zero))
+        steps = np.clip((values[name] - zero) / step, 0, np.iinfo(stored.dtype).max)
+        steps = np.where(np.isnan(steps), unknown, steps)
+        checks.within(f"{name} is that of the table", stored, steps, 0.5 + 1e-9)
+
+
+def check_same_points(checks, las, laz):
+    checks.that("holds the same points as LAS", np.array_equal(las.points.array, laz.points.array))
+    records = lambda file: [(vlr.user_id, vlr.record_id) for vlr in file.header.vlrs if vlr.user_id != "laszip encoded"]
+    checks.equal("has the same records as LAS", json.dumps(records(laz)), json.dumps(records(las)))
