@@ -11,6 +11,7 @@ pub mod decompose;
 pub mod detect;
 pub mod flags;
 pub mod gauss_fit;
+pub mod lockstep;
 pub mod noise;
 pub mod outgoing;
 pub mod sensor_model;
