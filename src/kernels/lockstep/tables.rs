@@ -163,7 +163,7 @@ impl Tables {
     }
 
     /// The whitened slow tail of a unit pulse at a phase, from 23 samples behind the peak's sample to 86; 16 zeros
-    /// before and behind. The row's taper ends where it begins, so row and tail add up to the whole response.
+    /// before and behind. It begins where the row ends, so row and tail add up to the whole response.
     pub(super) fn tail(&self, phase: usize) -> &[f32; TAIL + 2 * LANES] {
         const NOTHING: &[f32; TAIL + 2 * LANES] = &[0.0; TAIL + 2 * LANES];
         self.tail.get(phase).unwrap_or(NOTHING)
