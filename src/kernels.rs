@@ -12,6 +12,7 @@ pub mod detect;
 pub mod false_alarms;
 pub mod flags;
 pub mod gauss_fit;
+pub mod lockstep;
 pub mod noise;
 pub mod outgoing;
 pub mod sensor_model;

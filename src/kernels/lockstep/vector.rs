@@ -1,0 +1,198 @@
+//! Sixteen `f32` in lock-step: the one place of the fast kernels that knows instruction sets, and the only `unsafe`.
+//!
+//! Every kernel is written once against [`Simd`] and compiled once per path. All paths hold sixteen lanes (AVX2 in two
+//! registers, the portable one in an array) and round alike: a multiplication that is added is fused everywhere, division
+//! and square root are IEEE 754's, and [`Simd::sum_each`] adds in one fixed tree. So the paths agree to the bit.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod portable;
+
+/// Lanes of a vector.
+pub(super) const LANES: usize = 16;
+
+/// What a register holds, as memory.
+pub(super) type Sixteen = [f32; LANES];
+
+/// The operations of one instruction set. A value of the type is the proof that the processor has it.
+///
+/// Masks have bit `i` for lane `i`. `min` and `max` give the second operand where either is not a number, as SSE does.
+pub(super) trait Simd: Copy {
+    /// Sixteen lanes.
+    type V: Copy;
+
+    fn splat(self, value: f32) -> Self::V;
+    fn load(self, from: &Sixteen) -> Self::V;
+    fn store(self, value: Self::V, to: &mut Sixteen);
+    /// Whole numbers as `f32`.
+    fn widen(self, from: &[u16; LANES]) -> Self::V;
+    fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    fn div(self, a: Self::V, b: Self::V) -> Self::V;
+    fn sqrt(self, a: Self::V) -> Self::V;
+    fn min(self, a: Self::V, b: Self::V) -> Self::V;
+    fn max(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a b + c`, rounded once.
+    fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// `c − a b`, rounded once.
+    fn fnma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// Lanes with `a ≥ b`.
+    fn ge(self, a: Self::V, b: Self::V) -> u16;
+    /// Lanes with `a > b`.
+    fn gt(self, a: Self::V, b: Self::V) -> u16;
+    /// `yes` in the lanes of the mask, `no` in the others.
+    fn select(self, mask: u16, yes: Self::V, no: Self::V) -> Self::V;
+    /// To the nearest whole number, ties to even; magnitudes below 2²².
+    fn round(self, a: Self::V) -> Self::V;
+    /// The nearest whole numbers, ties to even; magnitudes below 2²².
+    fn to_i32(self, a: Self::V, to: &mut [i32; LANES]);
+    /// Lane `i` is the sum of `of[i]`'s lanes: lanes 8 apart first, then 4, 2, 1.
+    fn sum_each(self, of: &[Self::V; LANES]) -> Self::V;
+}
+
+/// A computation that is the same on every path.
+pub(super) trait Kernel {
+    type Output;
+    fn run<S: Simd>(self, simd: S) -> Self::Output;
+}
+
+/// An instruction set that the kernels are compiled for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Path {
+    /// AVX-512 F, BW, DQ and VL.
+    Avx512,
+    /// AVX2 with FMA.
+    Avx2,
+    /// Plain arrays. On aarch64 this is NEON, whose fused multiply-add every such processor has; on x86-64 without FMA
+    /// it is exact and slow, as each fused operation is then computed by the library.
+    Portable,
+}
+
+impl Path {
+    /// Every path, fastest first.
+    pub const ALL: [Path; 3] = [Path::Avx512, Path::Avx2, Path::Portable];
+
+    /// Whether this processor has it.
+    pub fn is_available(self) -> bool {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx512 => avx512::Avx512::detect().is_some(),
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx2 => avx2::Avx2::detect().is_some(),
+            #[cfg(not(target_arch = "x86_64"))]
+            Path::Avx512 | Path::Avx2 => false,
+            Path::Portable => true,
+        }
+    }
+
+    /// The fastest path that this processor has.
+    pub fn best() -> Path {
+        Path::ALL.into_iter().find(|path| path.is_available()).unwrap_or(Path::Portable)
+    }
+
+    /// Runs a kernel on this path, or on the portable one where the processor lacks it.
+    pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx512 => match avx512::Avx512::detect() {
+                Some(simd) => simd.run(kernel),
+                None => kernel.run(portable::Portable),
+            },
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx2 => match avx2::Avx2::detect() {
+                Some(simd) => simd.run(kernel),
+                None => kernel.run(portable::Portable),
+            },
+            _ => kernel.run(portable::Portable),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every operation once, on values that no operation treats specially, and on the edges of rounding.
+    struct Everything;
+
+    impl Kernel for Everything {
+        type Output = Vec<u32>;
+
+        fn run<S: Simd>(self, s: S) -> Vec<u32> {
+            let mut rows = [[0.0; LANES]; LANES];
+            for (r, row) in rows.iter_mut().enumerate() {
+                for (k, value) in row.iter_mut().enumerate() {
+                    *value = ((r * 31 + k * 17) as f32 * 0.731).sin() * 40.0 + (k as f32 - 7.5);
+                }
+            }
+            let v: [S::V; LANES] = std::array::from_fn(|i| s.load(&rows[i]));
+            let mut bits = Vec::new();
+            let (ge, gt) = (s.ge(v[0], v[1]), s.gt(v[2], v[3]));
+            bits.extend([
+                u32::from(ge),
+                u32::from(gt),
+                u32::from(s.ge(v[4], v[4])),
+                u32::from(s.gt(v[4], v[4])),
+            ]);
+            let halves = s.mul(s.round(v[5]), s.splat(0.5));
+            let not_a_number = s.sqrt(s.splat(-1.0));
+            let shown = [
+                s.add(v[0], v[1]),
+                s.sub(v[0], v[1]),
+                s.mul(v[0], v[1]),
+                s.div(v[0], v[1]),
+                s.sqrt(s.mul(v[2], v[2])),
+                s.min(v[0], v[1]),
+                s.max(v[0], v[1]),
+                s.max(not_a_number, v[6]),
+                s.min(not_a_number, v[6]),
+                s.fma(v[0], v[1], v[2]),
+                s.fnma(v[0], v[1], v[2]),
+                s.select(ge, v[7], v[8]),
+                s.round(v[9]),
+                s.round(halves),
+                s.sum_each(&v),
+                s.widen(&[0, 1, 2, 3, 255, 256, 4095, 65535, 8, 9, 10, 11, 12, 13, 14, 15]),
+            ];
+            for value in shown {
+                let mut out = [0.0; LANES];
+                s.store(value, &mut out);
+                bits.extend(out.map(f32::to_bits));
+            }
+            let mut whole = [0; LANES];
+            s.to_i32(halves, &mut whole);
+            bits.extend(whole.map(|i| i as u32));
+            bits
+        }
+    }
+
+    #[test]
+    fn every_path_gives_the_same_bits() {
+        let plain = Path::Portable.run(Everything);
+        for path in Path::ALL.into_iter().filter(|path| path.is_available()) {
+            assert_eq!(path.run(Everything), plain, "{path:?}");
+        }
+    }
+
+    #[test]
+    fn sums_follow_the_tree() {
+        struct Sum;
+        impl Kernel for Sum {
+            type Output = Sixteen;
+            fn run<S: Simd>(self, s: S) -> Sixteen {
+                let v: [S::V; LANES] = std::array::from_fn(|i| s.splat(i as f32));
+                let mut out = [0.0; LANES];
+                s.store(s.sum_each(&v), &mut out);
+                out
+            }
+        }
+        for path in Path::ALL {
+            assert_eq!(path.run(Sum), std::array::from_fn(|i| 16.0 * i as f32), "{path:?}");
+        }
+        assert!(Path::best().is_available());
+    }
+}

@@ -1,0 +1,178 @@
+//! Sixteen lanes in two registers of AVX2, with fused multiply-add.
+
+use std::arch::x86_64::*;
+
+use super::{Kernel, LANES, Simd, Sixteen};
+
+/// Exists only where [`Avx2::detect`] has found the instructions.
+#[derive(Clone, Copy)]
+pub(super) struct Avx2(());
+
+/// Lanes 0 to 7, lanes 8 to 15.
+type Pair = [__m256; 2];
+
+impl Avx2 {
+    pub(super) fn detect() -> Option<Avx2> {
+        (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Avx2(()))
+    }
+
+    /// Runs the kernel in a function that is compiled for these instructions.
+    pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        #[target_feature(enable = "avx2,fma")]
+        fn inner<K: Kernel>(simd: Avx2, kernel: K) -> K::Output {
+            kernel.run(simd)
+        }
+        // SAFETY: `self` exists, so `detect` has found every feature that `inner` is compiled for.
+        unsafe { inner(self, kernel) }
+    }
+}
+
+/// The operations on registers alone, half by half.
+macro_rules! register {
+    ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
+        #[inline(always)]
+        fn $name(self, $($a: Pair),*) -> Pair {
+            // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+            unsafe { [$intrinsic($($a[0]),*), $intrinsic($($a[1]),*)] }
+        }
+    )*};
+}
+
+/// The halves of what a reference covers.
+#[inline(always)]
+fn halves<T>(of: &[T; LANES]) -> [*const T; 2] {
+    let (low, high) = of.split_at(LANES / 2);
+    [low.as_ptr(), high.as_ptr()]
+}
+
+impl Avx2 {
+    /// One bit per lane whose sign is set.
+    #[inline(always)]
+    fn mask(self, of: Pair) -> u16 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { (_mm256_movemask_ps(of[0]) | (_mm256_movemask_ps(of[1]) << 8)) as u16 }
+    }
+
+    /// Lane `i` is the sum of `v[i]`'s lanes, 4 apart first, then 2, 1.
+    #[inline(always)]
+    fn sum_eight(self, v: &mut [__m256; 8]) -> __m256 {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe {
+            for i in 0..4 {
+                let (a, b) = (v[i], v[i + 4]);
+                v[i] = _mm256_add_ps(_mm256_blend_ps::<0xf0>(a, b), _mm256_permute2f128_ps::<0x21>(a, b));
+            }
+            for i in 0..2 {
+                let (a, b) = (v[i], v[i + 2]);
+                v[i] = _mm256_add_ps(_mm256_blend_ps::<0xcc>(a, b), _mm256_shuffle_ps::<0x4e>(a, b));
+            }
+            let (a, b) = (v[0], v[1]);
+            let crossed = _mm256_permute_ps::<0xb1>(_mm256_blend_ps::<0xaa>(b, a));
+            _mm256_add_ps(_mm256_blend_ps::<0xaa>(a, b), crossed)
+        }
+    }
+}
+
+impl Simd for Avx2 {
+    type V = Pair;
+
+    register! {
+        add(a, b) = _mm256_add_ps;
+        sub(a, b) = _mm256_sub_ps;
+        mul(a, b) = _mm256_mul_ps;
+        div(a, b) = _mm256_div_ps;
+        sqrt(a) = _mm256_sqrt_ps;
+        min(a, b) = _mm256_min_ps;
+        max(a, b) = _mm256_max_ps;
+        fma(a, b, c) = _mm256_fmadd_ps;
+        fnma(a, b, c) = _mm256_fnmadd_ps;
+    }
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> Pair {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { [_mm256_set1_ps(value); 2] }
+    }
+    #[inline(always)]
+    fn load(self, from: &Sixteen) -> Pair {
+        let [low, high] = halves(from);
+        // SAFETY: as above; each half covers the eight values that are read, at any alignment.
+        unsafe { [_mm256_loadu_ps(low), _mm256_loadu_ps(high)] }
+    }
+    #[inline(always)]
+    fn store(self, value: Pair, to: &mut Sixteen) {
+        let (low, high) = to.split_at_mut(LANES / 2);
+        // SAFETY: as above; each half covers the eight values that are written, at any alignment.
+        unsafe {
+            _mm256_storeu_ps(low.as_mut_ptr(), value[0]);
+            _mm256_storeu_ps(high.as_mut_ptr(), value[1]);
+        }
+    }
+    #[inline(always)]
+    fn widen(self, from: &[u16; LANES]) -> Pair {
+        let [low, high] = halves(from);
+        // SAFETY: as above; each half covers the 16 bytes that are read, at any alignment.
+        unsafe {
+            let (low, high) = (_mm_loadu_si128(low.cast()), _mm_loadu_si128(high.cast()));
+            [_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(low)), _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(high))]
+        }
+    }
+    #[inline(always)]
+    fn ge(self, a: Pair, b: Pair) -> u16 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        self.mask(unsafe {
+            [_mm256_cmp_ps::<_CMP_GE_OQ>(a[0], b[0]), _mm256_cmp_ps::<_CMP_GE_OQ>(a[1], b[1])]
+        })
+    }
+    #[inline(always)]
+    fn gt(self, a: Pair, b: Pair) -> u16 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        self.mask(unsafe {
+            [_mm256_cmp_ps::<_CMP_GT_OQ>(a[0], b[0]), _mm256_cmp_ps::<_CMP_GT_OQ>(a[1], b[1])]
+        })
+    }
+    #[inline(always)]
+    fn select(self, mask: u16, yes: Pair, no: Pair) -> Pair {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe {
+            let bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+            let mut out = no;
+            for (half, out) in out.iter_mut().enumerate() {
+                let set = _mm256_and_si256(_mm256_set1_epi32(i32::from(mask >> (8 * half))), bit);
+                let lanes = _mm256_castsi256_ps(_mm256_cmpeq_epi32(set, bit));
+                *out = _mm256_blendv_ps(*out, yes[half], lanes);
+            }
+            out
+        }
+    }
+    #[inline(always)]
+    fn round(self, a: Pair) -> Pair {
+        const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { [_mm256_round_ps::<NEAREST>(a[0]), _mm256_round_ps::<NEAREST>(a[1])] }
+    }
+    #[inline(always)]
+    fn to_i32(self, a: Pair, to: &mut [i32; LANES]) {
+        let (low, high) = to.split_at_mut(LANES / 2);
+        // SAFETY: `self` exists, so the processor has the instructions; each half covers the eight values that are
+        // written, at any alignment.
+        unsafe {
+            _mm256_storeu_si256(low.as_mut_ptr().cast(), _mm256_cvtps_epi32(a[0]));
+            _mm256_storeu_si256(high.as_mut_ptr().cast(), _mm256_cvtps_epi32(a[1]));
+        }
+    }
+    #[inline(always)]
+    fn sum_each(self, of: &[Pair; LANES]) -> Pair {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        let mut low = unsafe { [_mm256_add_ps(of[0][0], of[0][1]); 8] };
+        let mut high = low;
+        for i in 0..8 {
+            // SAFETY: as above.
+            unsafe {
+                low[i] = _mm256_add_ps(of[i][0], of[i][1]);
+                high[i] = _mm256_add_ps(of[i + 8][0], of[i + 8][1]);
+            }
+        }
+        [self.sum_eight(&mut low), self.sum_eight(&mut high)]
+    }
+}

@@ -1,0 +1,133 @@
+//! Sixteen lanes in one register of AVX-512.
+
+use std::arch::x86_64::*;
+
+use super::{Kernel, LANES, Simd, Sixteen};
+
+/// Exists only where [`Avx512::detect`] has found the instructions.
+#[derive(Clone, Copy)]
+pub(super) struct Avx512(());
+
+impl Avx512 {
+    pub(super) fn detect() -> Option<Avx512> {
+        let found = is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("fma");
+        found.then_some(Avx512(()))
+    }
+
+    /// Runs the kernel in a function that is compiled for these instructions.
+    pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma")]
+        fn inner<K: Kernel>(simd: Avx512, kernel: K) -> K::Output {
+            kernel.run(simd)
+        }
+        // SAFETY: `self` exists, so `detect` has found every feature that `inner` is compiled for.
+        unsafe { inner(self, kernel) }
+    }
+}
+
+/// The operations on registers alone.
+macro_rules! register {
+    ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
+        #[inline(always)]
+        fn $name(self, $($a: __m512),*) -> __m512 {
+            // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+            unsafe { $intrinsic($($a),*) }
+        }
+    )*};
+}
+
+/// Lanes 4 apart change places: from `a` what goes down, from `b` what goes up.
+const SWAP_4: [i32; 16] = [4, 5, 6, 7, 16, 17, 18, 19, 12, 13, 14, 15, 24, 25, 26, 27];
+/// Neighbours change places.
+const SWAP_1: [i32; 16] = [1, 16, 3, 18, 5, 20, 7, 22, 9, 24, 11, 26, 13, 28, 15, 30];
+
+impl Simd for Avx512 {
+    type V = __m512;
+
+    register! {
+        add(a, b) = _mm512_add_ps;
+        sub(a, b) = _mm512_sub_ps;
+        mul(a, b) = _mm512_mul_ps;
+        div(a, b) = _mm512_div_ps;
+        sqrt(a) = _mm512_sqrt_ps;
+        min(a, b) = _mm512_min_ps;
+        max(a, b) = _mm512_max_ps;
+        fma(a, b, c) = _mm512_fmadd_ps;
+        fnma(a, b, c) = _mm512_fnmadd_ps;
+    }
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> __m512 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { _mm512_set1_ps(value) }
+    }
+    #[inline(always)]
+    fn load(self, from: &Sixteen) -> __m512 {
+        // SAFETY: as above; the reference covers the sixteen values that are read, at any alignment.
+        unsafe { _mm512_loadu_ps(from.as_ptr()) }
+    }
+    #[inline(always)]
+    fn store(self, value: __m512, to: &mut Sixteen) {
+        // SAFETY: as above; the reference covers the sixteen values that are written, at any alignment.
+        unsafe { _mm512_storeu_ps(to.as_mut_ptr(), value) }
+    }
+    #[inline(always)]
+    fn widen(self, from: &[u16; LANES]) -> __m512 {
+        // SAFETY: as above; the reference covers the 32 bytes that are read, at any alignment.
+        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.as_ptr().cast()))) }
+    }
+    #[inline(always)]
+    fn ge(self, a: __m512, b: __m512) -> u16 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { _mm512_cmp_ps_mask::<_CMP_GE_OQ>(a, b) }
+    }
+    #[inline(always)]
+    fn gt(self, a: __m512, b: __m512) -> u16 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b) }
+    }
+    #[inline(always)]
+    fn select(self, mask: u16, yes: __m512, no: __m512) -> __m512 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { _mm512_mask_blend_ps(mask, no, yes) }
+    }
+    #[inline(always)]
+    fn round(self, a: __m512) -> __m512 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(a) }
+    }
+    #[inline(always)]
+    fn to_i32(self, a: __m512, to: &mut [i32; LANES]) {
+        // SAFETY: `self` exists, so the processor has the instructions; the reference covers the sixteen values that are
+        // written, at any alignment.
+        unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), _mm512_cvtps_epi32(a)) }
+    }
+    #[inline(always)]
+    fn sum_each(self, of: &[__m512; LANES]) -> __m512 {
+        // SAFETY: `self` exists, so the processor has the instructions; the constants cover the 64 bytes that are read.
+        unsafe {
+            let swap_4 = _mm512_loadu_si512(SWAP_4.as_ptr().cast());
+            let swap_1 = _mm512_loadu_si512(SWAP_1.as_ptr().cast());
+            let mut v = *of;
+            for i in 0..8 {
+                let (a, b) = (v[i], v[i + 8]);
+                v[i] = _mm512_add_ps(_mm512_mask_blend_ps(0xff00, a, b), _mm512_shuffle_f32x4::<0x4e>(a, b));
+            }
+            for i in 0..4 {
+                let (a, b) = (v[i], v[i + 4]);
+                let crossed = _mm512_permutex2var_ps(a, swap_4, b);
+                v[i] = _mm512_add_ps(_mm512_mask_blend_ps(0xf0f0, a, b), crossed);
+            }
+            for i in 0..2 {
+                let (a, b) = (v[i], v[i + 2]);
+                v[i] = _mm512_add_ps(_mm512_mask_blend_ps(0xcccc, a, b), _mm512_shuffle_ps::<0x4e>(a, b));
+            }
+            let (a, b) = (v[0], v[1]);
+            _mm512_add_ps(_mm512_mask_blend_ps(0xaaaa, a, b), _mm512_permutex2var_ps(a, swap_1, b))
+        }
+    }
+}

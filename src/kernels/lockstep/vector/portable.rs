@@ -1,0 +1,120 @@
+//! Sixteen lanes in an array.
+
+use super::{LANES, Simd, Sixteen};
+
+/// Needs nothing of the processor.
+#[derive(Clone, Copy)]
+pub(super) struct Portable;
+
+/// Lane by lane.
+macro_rules! each {
+    ($lane:ident => $value:expr) => {{
+        let mut out = [Default::default(); LANES];
+        for $lane in 0..LANES {
+            out[$lane] = $value;
+        }
+        out
+    }};
+}
+
+/// One bit per lane.
+macro_rules! mask {
+    ($lane:ident => $set:expr) => {{
+        let mut bits = 0u16;
+        for $lane in 0..LANES {
+            bits |= u16::from($set) << $lane;
+        }
+        bits
+    }};
+}
+
+impl Simd for Portable {
+    type V = Sixteen;
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> Sixteen {
+        [value; LANES]
+    }
+    #[inline(always)]
+    fn load(self, from: &Sixteen) -> Sixteen {
+        *from
+    }
+    #[inline(always)]
+    fn store(self, value: Sixteen, to: &mut Sixteen) {
+        *to = value;
+    }
+    #[inline(always)]
+    fn widen(self, from: &[u16; LANES]) -> Sixteen {
+        each!(i => f32::from(from[i]))
+    }
+    #[inline(always)]
+    fn add(self, a: Sixteen, b: Sixteen) -> Sixteen {
+        each!(i => a[i] + b[i])
+    }
+    #[inline(always)]
+    fn sub(self, a: Sixteen, b: Sixteen) -> Sixteen {
+        each!(i => a[i] - b[i])
+    }
+    #[inline(always)]
+    fn mul(self, a: Sixteen, b: Sixteen) -> Sixteen {
+        each!(i => a[i] * b[i])
+    }
+    #[inline(always)]
+    fn div(self, a: Sixteen, b: Sixteen) -> Sixteen {
+        each!(i => a[i] / b[i])
+    }
+    #[inline(always)]
+    fn sqrt(self, a: Sixteen) -> Sixteen {
+        each!(i => a[i].sqrt())
+    }
+    #[inline(always)]
+    fn min(self, a: Sixteen, b: Sixteen) -> Sixteen {
+        each!(i => if a[i] < b[i] { a[i] } else { b[i] })
+    }
+    #[inline(always)]
+    fn max(self, a: Sixteen, b: Sixteen) -> Sixteen {
+        each!(i => if a[i] > b[i] { a[i] } else { b[i] })
+    }
+    #[inline(always)]
+    fn fma(self, a: Sixteen, b: Sixteen, c: Sixteen) -> Sixteen {
+        each!(i => a[i].mul_add(b[i], c[i]))
+    }
+    #[inline(always)]
+    fn fnma(self, a: Sixteen, b: Sixteen, c: Sixteen) -> Sixteen {
+        each!(i => (-a[i]).mul_add(b[i], c[i]))
+    }
+    #[inline(always)]
+    fn ge(self, a: Sixteen, b: Sixteen) -> u16 {
+        mask!(i => a[i] >= b[i])
+    }
+    #[inline(always)]
+    fn gt(self, a: Sixteen, b: Sixteen) -> u16 {
+        mask!(i => a[i] > b[i])
+    }
+    #[inline(always)]
+    fn select(self, mask: u16, yes: Sixteen, no: Sixteen) -> Sixteen {
+        each!(i => if mask & (1 << i) == 0 { no[i] } else { yes[i] })
+    }
+    #[inline(always)]
+    fn round(self, a: Sixteen) -> Sixteen {
+        each!(i => a[i].round_ties_even())
+    }
+    #[inline(always)]
+    fn to_i32(self, a: Sixteen, to: &mut [i32; LANES]) {
+        *to = each!(i => a[i].round_ties_even() as i32);
+    }
+    #[inline(always)]
+    fn sum_each(self, of: &[Sixteen; LANES]) -> Sixteen {
+        let mut sums = [0.0; LANES];
+        for (sum, v) in sums.iter_mut().zip(of) {
+            let mut lanes = *v;
+            for half in [8, 4, 2, 1] {
+                for i in 0..half {
+                    lanes[i] += lanes[i + half];
+                }
+            }
+            *sum = lanes[0];
+        }
+        sums
+    }
+}
