@@ -10,10 +10,15 @@ mod cholesky;
 pub mod decompose;
 pub mod detect;
 pub mod flags;
+mod fourier;
 pub mod gauss_fit;
 pub mod noise;
 pub mod outgoing;
+pub mod response;
+pub mod response_calibrate;
 pub mod sensor_model;
+pub mod shape;
+pub mod templates;
 pub mod whitening;
 
 #[cfg(test)]

@@ -8,6 +8,8 @@
 
 #[path = "common/recordings.rs"]
 mod recordings;
+#[path = "common/agreement.rs"]
+mod agreement;
 
 use std::path::Path;
 
@@ -132,4 +134,72 @@ fn a_recording_of_sixteen_thousand_pulses_comes_through_whole() {
     assert!((0.80..0.90).contains(&low_power.noise_sd_dn), "{}", low_power.noise_sd_dn);
     assert!((0.57..0.66).contains(&low_power.autocorrelation[0]), "{}", low_power.autocorrelation[0]);
     assert!((4.0..4.4).contains(&low_power.pulse_fwhm_ns), "{}", low_power.pulse_fwhm_ns);
+}
+
+/// REALDATA's figures for one setting: each beside what is asked for.
+fn agreement(data: &Path, set: &[&str]) -> Vec<agreement::Pulse> {
+    let out = tempfile::tempdir().unwrap();
+    let report = run_job("q680i_pulsewaves.toml", data, out.path(), set);
+    let model = report.sensor_model.unwrap();
+    for channel in [&model.low_power, &model.reference].into_iter().flatten() {
+        println!(
+            "model: {} singles, width {:.3} ns, factor {:.3}, response {:?}",
+            channel.pulses,
+            channel.pulse_fwhm_ns,
+            channel.pulse_error_factor,
+            channel.response.as_ref().map(|r| (r.echoes, r.nodes.len(), r.shape_sd))
+        );
+    }
+    let vendor = Table::read(&data.join("riegl_q680i_dev/riegl_q680i_dev_vendor_returns.csv"));
+    let ours = Table::read(&out.path().join("riegl_q680i_dev_returns.csv"));
+    agreement::pulses(&vendor, &ours)
+}
+
+#[test]
+fn returns_are_riegls_and_few_more() {
+    let Some(data) = data() else { return };
+    for set in [&[][..], &["decompose.split_evidence=false", "decompose.template_error=0.0075"]] {
+        let pulses = agreement(&data, set);
+        let vendor: usize = pulses.iter().map(|p| p.vendor.len()).sum();
+        let missed: Vec<_> = pulses.iter().flat_map(|p| p.missed()).collect();
+        let extra: usize = pulses.iter().map(|p| p.extra().count()).sum();
+        println!("{set:?}: {vendor} returns, {} missed, {extra} extra", missed.len());
+        for p in &pulses {
+            for m in p.missed() { println!("missed {:.2} ns {:.2} dB of {:?}", m.time_ns, m.amplitude_db, p.vendor.iter().map(|v| (v.time_ns - m.time_ns, v.amplitude_db)).collect::<Vec<_>>()); }
+            for m in p.extra() { println!("extra {:.1} DN w {:.2} flags {:b} of {:?}", m.amplitude_dn, m.fwhm_ns, m.flags, p.ours.iter().map(|v| (((v.time_ns - m.time_ns)*100.0).round()/100.0, v.amplitude_dn.round())).collect::<Vec<_>>()); }
+        }
+        let mut single = (vec![], vec![], vec![], vec![], vec![]);
+        let mut multi = (vec![], vec![]);
+        let mut devs = vec![];
+        for p in &pulses {
+            for &(i, j) in &p.pairs {
+                let (v, o) = (p.vendor[i], p.ours[j]);
+                let d = 1000.0 * (o.time_ns - v.time_ns);
+                if p.vendor.len() == 1 && p.ours.len() == 1 {
+                    single.0.push(o.amplitude_dn);
+                    single.1.push(d);
+                    single.2.push(o.amplitude_db - v.amplitude_db);
+                    single.3.push(o.fwhm_ns - v.fwhm_ns);
+                    single.4.push(1000.0 * o.sd_ns);
+                    if o.amplitude_dn < 190.0 { devs.push(o.deviation_ratio); }
+                } else if p.vendor.len() > 1 {
+                    multi.0.push(d);
+                    if p.separation_ns(i) > 12.0 { multi.1.push(d); }
+                }
+            }
+        }
+        let left = agreement::without_trend(&single.0, &single.1);
+        let (bias, _) = robust(&single.1);
+        println!("singles {} median {bias:.1} robust {:.1}, without trend {:.1} ps; sd median {:.1}", single.0.len(), agreement::spread(&single.1), agreement::spread(&left), median(&single.4));
+        let z: Vec<f64> = left.iter().zip(&single.4).map(|(d, s)| d / s).collect();
+        println!("coverage {:.3} {:.3}", agreement::share(&z, |z| z.abs() < 1.0), agreement::share(&z, |z| z.abs() < 2.0));
+        println!("multi {} {:.1}; far {} {:.1}", multi.0.len(), agreement::spread(&multi.0), multi.1.len(), agreement::spread(&multi.1));
+        println!("dB {:?} within .05 {:.3}", robust(&single.2), agreement::share(&single.2, |d| d.abs() < 0.05));
+        println!("fwhm {:?} within .15 {:.3}", robust(&single.3), agreement::share(&single.3, |d| d.abs() < 0.15));
+        println!("dev {:?} {:.4} of {}", robust(&devs), agreement::share(&devs, |d| d.abs() < 3.0), devs.len());
+        for (lo, hi) in [(0.,60.),(60.,110.),(110.,130.),(130.,145.),(145.,155.),(155.,165.),(165.,175.),(175.,190.),(190.,210.),(210.,260.)] {
+            let sel: Vec<f64> = single.0.iter().zip(&single.1).filter(|(a,_)| **a>=lo && **a<hi).map(|x| *x.1).collect();
+            if sel.len() > 3 { println!("{lo}-{hi}: {} {:?}", sel.len(), robust(&sel)); }
+        }
+    }
 }

@@ -1,0 +1,72 @@
+//! What errors of the response look like: echoes that are not there, beside strong ones.
+//!
+//! A response known to the part `κ` of a pulse's height `a` leaves behind it, in the matched filter, something of the size
+//! `κ a √E`; with the noise it makes the threshold `T √(1 + Σ (κ a √E)²)` (ALGORITHMS.md S5).
+
+use super::{Decomposer, OVERDRIVEN_ERROR};
+use crate::kernels::gauss_fit::Pulse;
+
+/// What is seen of a candidate's strength is told from what stronger ones leave there from so many widths on.
+const TOLD_WIDTHS: f64 = 1.5;
+/// The template error is the greatest within so many widths (4 ns of 4.4).
+const ENVELOPE_WIDTHS: f64 = 0.9;
+
+impl Decomposer {
+    /// Whether a pulse overdrives the receiver.
+    pub(super) fn overdrives(&self, pulse: &Pulse) -> bool {
+        self.model.response.is_some()
+            && pulse.height_dn > self.settings.overdriven_part * self.model.full_scale_dn
+    }
+
+    /// The error of the response so many samples behind a pulse, as part of its height.
+    fn template_error(&self, pulse: &Pulse, lag_samples: f64) -> f64 {
+        let Some(response) = &self.model.response else { return 0.0 };
+        if self.overdrives(pulse) {
+            return OVERDRIVEN_ERROR.max(self.settings.template_error);
+        }
+        let reach = (ENVELOPE_WIDTHS * self.model.fwhm_samples()).round() as i32;
+        let near = (-reach..=reach).map(|k| response.template_error_at(lag_samples + f64::from(k)));
+        near.fold(self.settings.template_error, f64::max)
+    }
+
+    /// The threshold of detection at a place, raised by what pulses higher than `below_dn`'s own may leave there; the
+    /// pulse that stands at the place itself does not count.
+    pub(super) fn threshold_at(&self, position_samples: f64, height_dn: f64) -> f64 {
+        let threshold = self.settings.detection_sigma;
+        if self.model.response.is_none() {
+            return threshold;
+        }
+        let per_dn = self.detector.full_significance_per_dn();
+        let mut sum = 1.0;
+        for f in &self.scene.found {
+            let lag = position_samples - f.pulse.position_samples;
+            let stronger = height_dn.is_infinite() || f.pulse.height_dn > height_dn;
+            if stronger {
+                sum += (self.template_error(&f.pulse, lag) * f.pulse.height_dn * per_dn).powi(2);
+            }
+        }
+        threshold * sum.sqrt()
+    }
+
+    /// Drops candidates that are no more than what stronger ones leave behind them. The candidates are sorted by
+    /// their statistic; what is dropped wrongly stands in the residual of the first fit.
+    pub(super) fn screen_candidates(&mut self) {
+        if self.model.response.is_none() {
+            return;
+        }
+        let told = TOLD_WIDTHS * self.model.fwhm_samples();
+        let mut kept = 0;
+        for i in 0..self.candidates.len() {
+            let candidate = self.candidates[i];
+            let left = self.candidates[..kept].iter().fold(0.0, |sum, stronger| {
+                let lag = candidate.position_samples - stronger.position_samples;
+                sum + if lag > told { stronger.height_dn * self.detector.echo(lag) } else { 0.0 }
+            });
+            if candidate.statistic - left >= self.settings.detection_sigma {
+                self.candidates[kept] = candidate;
+                kept += 1;
+            }
+        }
+        self.candidates.truncate(kept);
+    }
+}
