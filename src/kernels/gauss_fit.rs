@@ -362,10 +362,8 @@ impl GaussFit {
         for pulse in &self.pulses {
             let parts = [columns.next(), columns.next(), columns.next()];
             let [Some(by_height), Some(by_position), Some(by_width)] = parts else { return };
-            let first = self.shape.add_derivatives(
-                pulse,
-                [&mut *by_height, &mut *by_position, &mut *by_width],
-            );
+            let first =
+                self.shape.add_derivatives(pulse, [&mut *by_height, &mut *by_position, &mut *by_width]);
             for column in [by_height, by_position, by_width] {
                 whitener.whiten_from(first, column);
             }

@@ -174,37 +174,3 @@ fn singles_less_theirs(decomposer: &mut Decomposer, waveforms: &[Vec<u16>], thei
     }
     differences
 }
-
-#[test]
-fn zz_response() {
-    let Some(folder) = data() else { return };
-    let folder = folder.join("riegl_q680i_dev");
-    let packets = std::fs::read(folder.join("riegl_q680i_dev.wdp")).unwrap();
-    let rows = table(&folder.join("riegl_q680i_dev_vendor_returns.csv"));
-    let samples = |row: &Vec<f64>| -> Vec<u16> {
-        let (start, size) = (row[9] as usize, row[10] as usize);
-        packets[start..start + size].chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect()
-    };
-    let first: Vec<_> = rows.iter().filter(|row| row[3] == 1.0).collect();
-    let waveforms: Vec<_> = first.iter().map(|row| samples(row)).collect();
-    let settings = CalibrationSettings::echoes(1.0, 255.0);
-    let model = calibrate(blocks(&waveforms), &settings).unwrap();
-    let t = std::time::Instant::now();
-    let out = super::response_calibrate::calibrate_response(blocks(&waveforms), &model, &settings).unwrap();
-    println!("{:?} usable {} factor {} fwhm {}", t.elapsed(), out.usable_echoes, out.model.pulse_error_factor, out.model.pulse_fwhm_ns);
-    let r = out.model.response.as_ref().unwrap();
-    println!("echoes {} sd {} nodes {}", r.echoes, r.shape_sd, r.nodes.len());
-    println!("kappa {:.4?}", r.template_error);
-    for node in &r.nodes {
-        println!("{} {:.4?}", node.peak_dn, node.values.iter().step_by(8).collect::<Vec<_>>());
-    }
-    for split in [None, Some(16.0)] {
-    let s = DecomposeSettings { split_evidence: split, ..DecomposeSettings::default() };
-    let mut decomposer = Decomposer::new(&out.model, &s, 60).unwrap();
-    let t = std::time::Instant::now();
-    let mut n = 0;
-    let mut devs = vec![];
-    for w in &waveforms { let d = decomposer.decompose(w, 0); n += d.returns.len(); if d.returns.len()==1 && d.returns[0].amplitude_dn < 190.0 { devs.push(d.deviation_ratio()); } }
-    println!("{n} returns {:?} per waveform {:?}; dev {:?} {}", t.elapsed(), t.elapsed() / 607, robust(&mut devs), devs.len());
-    }
-}

@@ -69,7 +69,7 @@ impl SystemResponse {
             if node.values.len() != length {
                 return fail(format!("{} values instead of {length}", node.values.len()));
             }
-            let bad = node.values.iter().find(|value| !(value.abs() <= 1.01));
+            let bad = node.values.iter().find(|value| value.is_nan() || value.abs() > 1.01);
             if let Some(value) = bad {
                 return fail(format!("value {value} is not a part of the peak"));
             }
@@ -172,4 +172,63 @@ fn synthesis(series: &[Complex], steps: usize) -> Vec<f64> {
     }
     fourier::transform(&mut values, 1.0);
     values.iter().map(|c| c[0]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bell(centre: f64) -> Vec<f64> {
+        (0..=400).map(|k| (-((f64::from(k) - centre) / 20.0).powi(2)).exp()).collect()
+    }
+
+    fn response() -> SystemResponse {
+        SystemResponse {
+            first_sample: -12,
+            nodes: vec![ResponseNode { peak_dn: 155.0, values: bell(96.0) }],
+            template_error: vec![0.0, 0.001, 0.002],
+            echoes: 200,
+            shape_sd: 1e-3,
+        }
+    }
+
+    #[test]
+    fn an_estimate_gets_its_peak_at_zero_and_the_height_one() {
+        let crooked: Vec<f64> = bell(99.3).iter().map(|v| 1.7 * v).collect();
+        let fwhm_samples = 40.0 * 2f64.ln().sqrt() / STEPS_PER_SAMPLE as f64;
+        let values = normalised(&crooked, -96, fwhm_samples).unwrap();
+        for (k, (got, exact)) in values.iter().zip(bell(96.0)).enumerate() {
+            assert!((got - exact).abs() < 1e-4, "{k}: {got} {exact}");
+        }
+        assert!((fwhm(&values) / STEPS_PER_SAMPLE as f64 - fwhm_samples).abs() < 1e-2);
+        assert_eq!(normalised(&[0.0; 100], -50, 4.0), None);
+    }
+
+    #[test]
+    fn the_template_error_is_told_by_the_sample() {
+        let response = response();
+        assert_eq!(response.check(), Ok(()));
+        assert!((response.fwhm_samples() - 40.0 * 2f64.ln().sqrt() / 8.0).abs() < 1e-3);
+        let errors = [-13.0, -12.0, -11.4, -9.6, 50.0].map(|t| response.template_error_at(t));
+        assert_eq!(errors, [0.0, 0.0, 0.001, 0.002, 0.0]);
+    }
+
+    #[test]
+    fn what_describes_no_response_is_named() {
+        let check = |change: fn(&mut SystemResponse), expected: &str| {
+            let mut response = response();
+            change(&mut response);
+            let found = response.check().unwrap_err().to_string();
+            let remedy = "; calibrate anew, or correct the saved model";
+            assert_eq!(found, format!("sensor model: response: {expected}{remedy}"));
+        };
+        check(|r| r.nodes.clear(), "there is none");
+        check(|r| r.first_sample = 3, "first_sample 3 puts the peak outside the values");
+        check(|r| r.first_sample = i32::MIN, "first_sample -2147483648 puts the peak outside the values");
+        check(|r| r.first_sample = -11, "the value at the peak is not 1");
+        check(|r| r.nodes[0].peak_dn = -1.0, "peak_dn -1 does not rise");
+        check(|r| r.nodes[0].values[7] = f64::NAN, "value NaN is not a part of the peak");
+        check(|r| r.nodes[0].values.resize(70_000, 0.0), "70000 values are more than 65536");
+        check(|r| r.nodes.push(ResponseNode { peak_dn: 171.0, values: vec![] }), "0 values instead of 401");
+    }
 }

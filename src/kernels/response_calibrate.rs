@@ -40,6 +40,8 @@ const WORST_PART: f64 = 0.1;
 /// Half of the window about the mode of the widths: in standard deviations of one, and at least.
 const WINDOW_SD: f64 = 1.5;
 const LEAST_WINDOW: f64 = 0.015;
+/// With fewer echoes in the window it is made twice as wide: the noise of the response weighs more than its blur.
+const ENOUGH_NARROW: usize = 300;
 /// The response reaches at least so many full widths behind the peak (62 ns of 4.4).
 const LEAST_REACH_WIDTHS: f64 = 14.0;
 
@@ -135,11 +137,7 @@ fn singles<'a>(
 }
 
 /// The strongest return, if it is whole and what else there is stands well behind it and is minor.
-fn strongest<'a>(
-    outcome: &Decomposition<'a>,
-    minor_part: f64,
-    fwhm_samples: f64,
-) -> Option<&'a Return> {
+fn strongest<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64) -> Option<&'a Return> {
     let returns = outcome.returns;
     let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
     let minor = |r: &Return| {
@@ -153,6 +151,11 @@ fn strongest<'a>(
 
 /// The echoes that fit well and that nothing widened: those about the mode of the widths.
 fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
+    let narrow = within_window(singles, LEAST_WINDOW);
+    if narrow.len() >= ENOUGH_NARROW { narrow } else { within_window(singles, 2.0 * LEAST_WINDOW) }
+}
+
+fn within_window<'a>(singles: &[Single<'a>], least_window: f64) -> Vec<Single<'a>> {
     let mut kept = singles.to_vec();
     kept.sort_by(|a, b| a.fitted.deviation_ratio.total_cmp(&b.fitted.deviation_ratio));
     kept.truncate(kept.len() - (kept.len() as f64 * WORST_PART) as usize);
@@ -160,7 +163,7 @@ fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
     widths.sort_by(f64::total_cmp);
     let mut sds: Vec<f64> = kept.iter().map(|s| s.fitted.width_ratio_sd / s.fitted.width_ratio).collect();
     sds.sort_by(f64::total_cmp);
-    let window = (WINDOW_SD * sds.get(sds.len() / 2).copied().unwrap_or(0.0)).max(LEAST_WINDOW);
+    let window = (WINDOW_SD * sds.get(sds.len() / 2).copied().unwrap_or(0.0)).max(least_window);
     let mode = densest(&widths, window);
     kept.retain(|single| (single.ln_width() - mode).abs() <= window);
     kept
@@ -181,14 +184,17 @@ fn densest(sorted: &[f64], half_width: f64) -> f64 {
 /// The heights that have echoes enough for a response of their own; the first of them stands for all that are weaker.
 fn node_heights(singles: &[Single<'_>], full_scale_dn: f64) -> Vec<f64> {
     let heights = NODE_PARTS.map(|part| part * full_scale_dn);
-    let mut nodes = vec![heights[0]];
-    for (i, &height) in heights.iter().enumerate().skip(1) {
-        let low = 0.5 * (heights[i - 1] + height);
+    let mut nodes = Vec::new();
+    for (i, &height) in heights.iter().enumerate() {
+        let low = if i > 0 { 0.5 * (heights[i - 1] + height) } else { 0.0 };
         let high = heights.get(i + 1).map_or(f64::INFINITY, |next| 0.5 * (height + next));
         let count = singles.iter().filter(|s| (low..high).contains(&s.fitted.amplitude_dn)).count();
         if count >= MIN_ECHOES {
             nodes.push(height);
         }
+    }
+    if nodes.is_empty() {
+        nodes.push(heights[0]);
     }
     nodes
 }

@@ -8,8 +8,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Batch, Channel, InputInfo, Kind};
-use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
 use crate::formats::Error;
+use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
 use crate::kernels::response_calibrate::{MIN_ECHOES, calibrate_response};
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{
@@ -266,14 +266,16 @@ fn load(path: &Path) -> Result<SensorModel> {
     const REMEDY: &str = "load a file that `save` of calibrate has written, or calibrate anew";
     let size = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
     if size > MAX_MODEL_BYTES {
-        return Err(Error::unusable(path, &format!("{size} bytes are too many for a sensor model"), REMEDY).into());
+        return Err(
+            Error::unusable(path, format!("{size} bytes are too many for a sensor model"), REMEDY).into()
+        );
     }
     let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
     let model: SensorModel = serde_json::from_str(&text)
-        .map_err(|error| Error::unusable(path, &format!("no sensor model: {error}"), REMEDY))?;
+        .map_err(|error| Error::unusable(path, format!("no sensor model: {error}"), REMEDY))?;
     let channels = [&model.low_power, &model.high_power, &model.saturation, &model.reference];
     for channel in channels.into_iter().flatten() {
-        channel.check().map_err(|error| Error::unusable(path, &error.to_string(), REMEDY))?;
+        channel.check().map_err(|error| Error::unusable(path, error.to_string(), REMEDY))?;
     }
     Ok(model)
 }

@@ -13,7 +13,6 @@ pub struct Echo {
     pub amplitude_db: f64,
     pub fwhm_ns: f64,
     pub sd_ns: f64,
-    pub flags: u16,
     pub deviation_ratio: f64,
 }
 
@@ -68,8 +67,7 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
     let count = vendor.column("pulse_index").into_iter().fold(0.0, f64::max) as usize + 1;
     let mut pulses = vec![Pulse::default(); count];
     let column = |name: &str| vendor.column(name);
-    let (time, db, fwhm) =
-        (column("range_units_from_anchor"), column("amplitude_db"), column("fwhm_ns"));
+    let (time, db, fwhm) = (column("range_units_from_anchor"), column("amplitude_db"), column("fwhm_ns"));
     for (i, pulse) in column("pulse_index").into_iter().enumerate() {
         pulses[pulse as usize].vendor.push(Echo {
             time_ns: time[i],
@@ -77,13 +75,12 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
             amplitude_db: db[i],
             fwhm_ns: fwhm[i],
             sd_ns: f64::NAN,
-            flags: 0,
             deviation_ratio: f64::NAN,
         });
     }
     let column = |name: &str| ours.column(name);
     let (time, dn, db) = (column("time_of_flight_ns"), column("amplitude_dn"), column("amplitude_db"));
-    let (fwhm, sd, flags) = (column("fwhm_ns"), column("time_of_flight_sd_ns"), column("flags"));
+    let (fwhm, sd) = (column("fwhm_ns"), column("time_of_flight_sd_ns"));
     let deviation = column("deviation_ratio");
     for (i, pulse) in column("shot").into_iter().enumerate() {
         if let Some(pulse) = pulses.get_mut(pulse as usize) {
@@ -93,7 +90,6 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
                 amplitude_db: db[i],
                 fwhm_ns: fwhm[i],
                 sd_ns: sd[i],
-                flags: flags[i] as u16,
                 deviation_ratio: deviation[i],
             });
         }
@@ -102,14 +98,12 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
     pulses
 }
 
-/// Robust standard deviation of what a cubic in `x` leaves of `y`: fitted on one half and applied to the other, both ways.
+/// What a cubic in `x` leaves of `y`: fitted on one half and applied to the other, both ways.
 pub fn without_trend(x: &[f64], y: &[f64]) -> Vec<f64> {
     let mut left = vec![f64::NAN; y.len()];
     for half in 0..2 {
         let fitted = |i: &usize| i % 2 == half;
-        let coefficients = cubic(
-            &(0..x.len()).filter(fitted).map(|i| (x[i], y[i])).collect::<Vec<_>>(),
-        );
+        let coefficients = cubic(&(0..x.len()).filter(fitted).map(|i| (x[i], y[i])).collect::<Vec<_>>());
         for i in (0..x.len()).filter(|i| !fitted(i)) {
             left[i] = y[i] - powers(x[i]).iter().zip(coefficients).map(|(p, c)| p * c).sum::<f64>();
         }
@@ -136,9 +130,8 @@ fn cubic(points: &[(f64, f64)]) -> [f64; 4] {
             }
         }
         coefficients = solve(matrix);
-        let rest = |(x, y): &(f64, f64)| {
-            y - powers(*x).iter().zip(coefficients).map(|(p, c)| p * c).sum::<f64>()
-        };
+        let rest =
+            |(x, y): &(f64, f64)| y - powers(*x).iter().zip(coefficients).map(|(p, c)| p * c).sum::<f64>();
         let (centre, sd) = robust(&points.iter().map(rest).collect::<Vec<_>>());
         points.retain(|point| (rest(point) - centre).abs() < 3.5 * sd);
     }
@@ -149,9 +142,8 @@ fn cubic(points: &[(f64, f64)]) -> [f64; 4] {
 fn solve(mut m: [[f64; 5]; 4]) -> [f64; 4] {
     for i in 0..4 {
         let pivot = m[i];
-        for (j, row) in m.iter_mut().enumerate().filter(|(j, _)| *j != i) {
+        for (_, row) in m.iter_mut().enumerate().filter(|(j, _)| *j != i) {
             let factor = row[i] / pivot[i];
-            let _ = j;
             (0..5).for_each(|k| row[k] -= factor * pivot[k]);
         }
     }

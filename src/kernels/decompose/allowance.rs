@@ -11,6 +11,11 @@ const TOLD_WIDTHS: f64 = 1.5;
 /// The template error is the greatest within so many widths (4 ns of 4.4).
 const ENVELOPE_WIDTHS: f64 = 0.9;
 
+/// Where a response can be wrong as a pulse can be: its main lobe and its after-pulse, in widths from the peak …
+const LOBE_WIDTHS: std::ops::Range<f64> = -2.5..3.2;
+/// … and the part of the least template error elsewhere, in the slow and smooth tail (REALDATA.md: at most 0.0012).
+const FAR_PART: f64 = 0.5;
+
 impl Decomposer {
     /// Whether a pulse overdrives the receiver.
     pub(super) fn overdrives(&self, pulse: &Pulse) -> bool {
@@ -26,11 +31,13 @@ impl Decomposer {
         }
         let reach = (ENVELOPE_WIDTHS * self.model.fwhm_samples()).round() as i32;
         let near = (-reach..=reach).map(|k| response.template_error_at(lag_samples + f64::from(k)));
-        near.fold(self.settings.template_error, f64::max)
+        let widths = lag_samples / self.model.fwhm_samples();
+        let least = if LOBE_WIDTHS.contains(&widths) { 1.0 } else { FAR_PART };
+        near.fold(least * self.settings.template_error, f64::max)
     }
 
-    /// The threshold of detection at a place, raised by what pulses higher than `below_dn`'s own may leave there; the
-    /// pulse that stands at the place itself does not count.
+    /// The threshold of detection at a place, raised by what pulses higher than `height_dn` may leave there; an
+    /// infinite height means all pulses.
     pub(super) fn threshold_at(&self, position_samples: f64, height_dn: f64) -> f64 {
         let threshold = self.settings.detection_sigma;
         if self.model.response.is_none() {

@@ -76,7 +76,10 @@ impl Decomposer {
                 height_dn: p.height_dn,
                 ln_width_ratio: 0.0,
             };
-            self.try_starts(&starts, &half, i, gain)
+            // What an error of the response would look like is no evidence.
+            let allowed =
+                self.threshold_at(p.position_samples, f64::INFINITY) / self.settings.detection_sigma;
+            self.try_starts(&starts, &half, i, gain * allowed * allowed)
         })
     }
 

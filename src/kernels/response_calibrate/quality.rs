@@ -30,9 +30,11 @@ impl<'a> Quality<'a> {
         let noise = model.noise()?;
         let mut autocovariance = vec![0.0; longest];
         noise.autocovariance_into(&mut autocovariance);
-        let samples = model.response.as_ref().and_then(|r| r.nodes.first()).map_or(0, |node| {
-            node.values.len() / crate::kernels::response::STEPS_PER_SAMPLE
-        });
+        let samples = model
+            .response
+            .as_ref()
+            .and_then(|r| r.nodes.first())
+            .map_or(0, |node| node.values.len() / crate::kernels::response::STEPS_PER_SAMPLE);
         Ok(Quality {
             model,
             fitter: GaussFit::new(shape.clone(), model.offset_precision(), longest, 1),

@@ -42,11 +42,6 @@ impl Basis {
         self.knots[0]..self.knots[self.knots.len() - 1]
     }
 
-    /// The knots of spline `j` from its second to its fourth: where it has its weight.
-    pub(super) fn centre(&self, j: usize) -> f64 {
-        self.knots[j + 2]
-    }
-
     /// The splines that differ from zero at a time, by index, and their values there (de Boor 1972).
     pub(super) fn at(&self, time: f64) -> impl Iterator<Item = (usize, f64)> {
         let t = &self.knots;
@@ -115,6 +110,5 @@ mod tests {
         for (got, exact) in at_knot.iter().zip([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0, 0.0]) {
             assert!((got - exact).abs() < 1e-12, "{at_knot:?}");
         }
-        assert_eq!(basis.at(basis.centre(6)).map(|(j, _)| j).next(), Some(5));
     }
 }
