@@ -113,6 +113,8 @@ pub struct Decomposition<'a> {
     pub counts: Counts,
     /// `χ²` of what the returns and the background leave.
     pub chi_square: f64,
+    /// What the pulses' own deviations from the response add to `χ²` on average; 0 where none were seen.
+    pub expected_excess: f64,
     /// Samples used.
     pub samples: usize,
     /// Parameters fitted.
@@ -133,11 +135,14 @@ impl Decomposition<'_> {
         self.samples.saturating_sub(self.parameters)
     }
 
-    /// `(χ² - ν)/√(2ν)`; 0 where no degree of freedom is left.
+    /// `(χ² - ν)/√(2ν)` with [`Decomposition::expected_excess`] added to `ν`; 0 where no degree of freedom is left.
     pub fn deviation_ratio(&self) -> f64 {
         match self.degrees_of_freedom() {
             0 => 0.0,
-            nu => (self.chi_square - nu as f64) / (2.0 * nu as f64).sqrt(),
+            nu => {
+                let expected = nu as f64 + self.expected_excess;
+                (self.chi_square - expected) / (2.0 * expected).sqrt()
+            }
         }
     }
 }
@@ -231,6 +236,7 @@ impl Decomposer {
             returns: &[],
             counts: self.counts,
             chi_square: self.scene.chi_square(),
+            expected_excess: self.expected_excess(),
             samples: self.scene.whitener().used_count(),
             parameters: 3 * found.len() + usize::from(self.model.offset_precision().is_some()),
             background_offset_dn: self.scene.offset_dn(),

@@ -36,6 +36,20 @@ impl Decomposer {
         near.fold(least * self.settings.template_error, f64::max)
     }
 
+    /// `Σ (κ_k a/σ)²` over pulses and samples with the template error that calibration saw (ALGORITHMS.md S7).
+    pub(super) fn expected_excess(&self) -> f64 {
+        let Some(response) = &self.model.response else { return 0.0 };
+        let used = self.scene.whitener().used();
+        let of_pulse = |pulse: &Pulse| -> f64 {
+            let part = pulse.height_dn / self.model.noise_sd_dn;
+            let samples = used.iter().enumerate().filter(|(_, used)| **used);
+            samples
+                .map(|(k, _)| (part * response.template_error_at(k as f64 - pulse.position_samples)).powi(2))
+                .sum()
+        };
+        self.scene.found.iter().map(|f| of_pulse(&f.pulse)).sum()
+    }
+
     /// The threshold of detection at a place, raised by what pulses higher than `height_dn` may leave there; an
     /// infinite height means all pulses.
     pub(super) fn threshold_at(&self, position_samples: f64, height_dn: f64) -> f64 {
