@@ -1,8 +1,9 @@
 //! Numbers to numbers: slices in, values out. No file, no clock, no batch, no stage.
 //!
-//! This is the plain form, in `f64`: a sensor model is found by [`calibrate`], and [`decompose`] finds the pulses of one
-//! waveform as Gaussians in correlated noise. Its parts are [`detect`] (matched filter), [`gauss_fit`] (joint least
-//! squares), [`whitening`] and [`noise`]. Positions are in samples from the block's first, heights in digitiser steps
+//! This is the plain form, in `f64`: a sensor model is found by [`calibrate`] and [`response_calibrate`], and
+//! [`decompose`] finds the pulses of one waveform in correlated noise: widened copies of the system response
+//! ([`response`], [`templates`]), or Gaussians ([`shape`]). Its parts are [`detect`] (matched filter), [`gauss_fit`] (joint
+//! least squares), [`whitening`] and [`noise`]. Positions are in samples from the block's first, heights in digitiser steps
 //! (DN), and a pulse stands where its peak stands.
 
 pub mod calibrate;
@@ -11,11 +12,16 @@ pub mod decompose;
 pub mod detect;
 pub mod false_alarms;
 pub mod flags;
+mod fourier;
 pub mod gauss_fit;
 pub mod lockstep;
 pub mod noise;
 pub mod outgoing;
+pub mod response;
+pub mod response_calibrate;
 pub mod sensor_model;
+pub mod shape;
+pub mod templates;
 pub mod whitening;
 
 #[cfg(test)]

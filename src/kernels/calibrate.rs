@@ -230,6 +230,8 @@ fn first_model(
         innovation_sd_dn: noise_sd_dn,
         pulse_fwhm_ns: look.fwhm_samples * settings.sampling_interval_ns,
         pulse_fwhm_sd_ns: 0.0,
+        pulse_error_factor: 1.0,
+        response: None,
         waveforms: blocks,
         pulses: 0,
     }

@@ -8,10 +8,14 @@ use super::flags;
 use super::sensor_model::{ChannelModel, ModelError};
 use scene::{Found, Scene};
 
+mod allowance;
 mod refine;
 mod scene;
 #[cfg(test)]
 mod tests;
+
+/// Error of the response behind a pulse that overdrives the receiver (REALDATA.md, section 1).
+pub const OVERDRIVEN_ERROR: f64 = 0.06;
 
 /// How waveforms are decomposed.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,6 +35,12 @@ pub struct DecomposeSettings {
     pub split_evidence: Option<f64>,
     /// Pulses added to those detection finds, at most; 0 leaves it at those.
     pub max_added: u32,
+    /// How well the system response is known at least, as part of a pulse's height: thresholds beside a strong pulse are
+    /// raised by what an error of this size looks like. Gaussians have no such allowance.
+    pub template_error: f64,
+    /// Pulses higher than this part of the full scale overdrive the receiver though no sample is saturated: they are
+    /// flagged, not divided, and the response is known to [`OVERDRIVEN_ERROR`] only. For models with a response.
+    pub overdriven_part: f64,
     /// Samples that the receiver needs after saturation before they can be used.
     pub recovery_samples: usize,
     /// Returns of one waveform at most; of more candidates the strongest are kept.
@@ -46,6 +56,8 @@ impl Default for DecomposeSettings {
             overlap_ln_width_sd: 0.15,
             split_evidence: Some(16.0),
             max_added: 16,
+            template_error: 0.005,
+            overdriven_part: 210.0 / 255.0,
             recovery_samples: 1,
             max_returns: 24,
         }
@@ -101,6 +113,8 @@ pub struct Decomposition<'a> {
     pub counts: Counts,
     /// `χ²` of what the returns and the background leave.
     pub chi_square: f64,
+    /// What the pulses' own deviations from the response add to `χ²` on average; 0 where none were seen.
+    pub expected_excess: f64,
     /// Samples used.
     pub samples: usize,
     /// Parameters fitted.
@@ -121,11 +135,14 @@ impl Decomposition<'_> {
         self.samples.saturating_sub(self.parameters)
     }
 
-    /// `(χ² - ν)/√(2ν)`; 0 where no degree of freedom is left.
+    /// `(χ² - ν)/√(2ν)` with [`Decomposition::expected_excess`] added to `ν`; 0 where no degree of freedom is left.
     pub fn deviation_ratio(&self) -> f64 {
         match self.degrees_of_freedom() {
             0 => 0.0,
-            nu => (self.chi_square - nu as f64) / (2.0 * nu as f64).sqrt(),
+            nu => {
+                let expected = nu as f64 + self.expected_excess;
+                (self.chi_square - expected) / (2.0 * expected).sqrt()
+            }
         }
     }
 }
@@ -152,7 +169,7 @@ impl Decomposer {
     ) -> Result<Decomposer, ModelError> {
         let scene = Scene::new(model, settings, max_samples)?;
         let detector =
-            Detector::new(model.fwhm_samples(), model.offset_precision(), scene.whitener(), max_samples);
+            Detector::new(scene.shape().clone(), model.offset_precision(), scene.whitener(), max_samples);
         Ok(Decomposer {
             model: model.clone(),
             settings: settings.clone(),
@@ -204,8 +221,10 @@ impl Decomposer {
         }
         self.counts.n_candidates = self.candidates.len() as u32;
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
+        self.screen_candidates();
+        let scene = &mut self.scene;
         let kept = self.candidates.len().min(self.settings.max_returns);
-        self.counts.np_filtered += (self.candidates.len() - kept) as u32;
+        self.counts.np_filtered = self.counts.n_candidates - kept as u32;
         scene.found.extend(self.candidates.iter().take(kept).map(Found::from_candidate));
     }
 
@@ -217,6 +236,7 @@ impl Decomposer {
             returns: &[],
             counts: self.counts,
             chi_square: self.scene.chi_square(),
+            expected_excess: self.expected_excess(),
             samples: self.scene.whitener().used_count(),
             parameters: 3 * found.len() + usize::from(self.model.offset_precision().is_some()),
             background_offset_dn: self.scene.offset_dn(),
@@ -227,16 +247,20 @@ impl Decomposer {
         let deviation_ratio = outcome.deviation_ratio();
         for f in found {
             let width_ratio = f.pulse.ln_width_ratio.exp();
+            let factor = self.model.pulse_error_factor;
             self.returns.push(Return {
                 position_samples: f.pulse.position_samples,
-                position_sd_samples: f.sd[1],
+                position_sd_samples: factor * f.sd[1],
                 amplitude_dn: f.pulse.height_dn,
-                amplitude_sd_dn: f.sd[0],
+                amplitude_sd_dn: factor * f.sd[0],
                 width_ratio,
-                width_ratio_sd: width_ratio * f.sd[2],
+                width_ratio_sd: factor * width_ratio * f.sd[2],
                 fwhm_ns: width_ratio * self.model.pulse_fwhm_ns,
                 deviation_ratio,
-                flags: f.flags | flags::REFINED | block_flags(samples, &self.model, f),
+                flags: f.flags
+                    | flags::REFINED
+                    | block_flags(samples, &self.model, f)
+                    | if self.overdrives(&f.pulse) { flags::OVERDRIVEN } else { 0 },
             });
         }
         self.set_overlaps();

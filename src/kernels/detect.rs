@@ -8,6 +8,7 @@
 use std::ops::Range;
 
 use super::gauss_fit::{FOUR_LN_2, Pulse};
+use super::shape::Shape;
 use super::whitening::Whitener;
 
 /// Half length of the filter's pulse in its widths: the main lobe (REALDATA.md, section 1).
@@ -17,6 +18,9 @@ const LEAST_ENERGY_PART: f64 = 0.3;
 /// Two maxima are two candidates only with a dip between them that is this part of the threshold deep: what noise
 /// makes on the back of one wide pulse is one candidate.
 const DIP_PART: f64 = 0.5;
+
+/// How far behind a pulse its echo in the filter is known, samples.
+const ECHO_SAMPLES: usize = 256;
 
 /// A place where a pulse may stand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,10 +38,12 @@ pub struct Candidate {
 /// Workspace of the matched filter for one pulse width.
 #[derive(Debug, Clone)]
 pub struct Detector {
-    fwhm_samples: f64,
+    shape: Shape,
     offset_precision: Option<f64>,
     template: Vec<f64>,
     full_energy: f64,
+    /// By whole sample of time behind a pulse of height 1 and calibrated width: the filter's statistic.
+    echo: Vec<f64>,
     /// By lag: `g_tᵀ Σ⁻¹ g_t`, and with an unknown background what remains of it.
     energy: Vec<f64>,
     /// By lag: `g_tᵀ Σ⁻¹ 1`.
@@ -54,26 +60,34 @@ impl Detector {
     /// A filter for pulses of the calibrated width, in the whitener's noise, for blocks of up to `max_samples` samples
     /// (longer ones make it grow). `offset_precision` as in [`super::gauss_fit::GaussFit::new`].
     pub fn new(
-        fwhm_samples: f64,
+        shape: impl Into<Shape>,
         offset_precision: Option<f64>,
         whitener: &Whitener,
         max_samples: usize,
     ) -> Detector {
         // A pulse longer than any block need not be laid out: what lies beyond the block is never asked for.
-        let half = (HALF_LENGTH_WIDTHS * fwhm_samples).ceil().clamp(1.0, 1e4) as usize;
-        let template: Vec<f64> = (0..=2 * half)
-            .map(|k| (-FOUR_LN_2 * ((k as f64 - half as f64) / fwhm_samples).powi(2)).exp())
-            .collect();
+        let shape = shape.into();
+        let half = (HALF_LENGTH_WIDTHS * shape.fwhm_samples()).ceil().clamp(1.0, 1e4) as usize;
+        let mut template = vec![0.0; 2 * half + 1];
+        shape.add(&unit_pulse(half as f64), 1.0, &mut template);
         let mut long = Whitener::new(whitener.noise().clone(), 4 * half);
         long.set_used(&vec![true; 4 * half + 1]);
         let mut column = vec![0.0; 4 * half + 1];
         column[half..=3 * half].copy_from_slice(&template);
         long.whiten(&mut column);
+        let full_energy: f64 = column.iter().map(|v| v * v).sum();
+        long.whiten_transposed(&mut column);
+        let solved = column;
+        let mut pulse = vec![0.0; 4 * half + 1 + ECHO_SAMPLES];
+        // The filter stands still at its own middle, the pulse moves ahead of it.
+        shape.add(&unit_pulse((2 * half) as f64), 1.0, &mut pulse);
+        let echo = (0..ECHO_SAMPLES).map(|lag| dot(&solved, &pulse[lag..]) / full_energy.sqrt()).collect();
         Detector {
-            fwhm_samples,
+            echo,
+            shape,
             offset_precision,
             template,
-            full_energy: column.iter().map(|v| v * v).sum(),
+            full_energy,
             energy: Vec::with_capacity(max_samples),
             template_offset: Vec::with_capacity(max_samples),
             offset_solved: Vec::with_capacity(max_samples),
@@ -187,16 +201,36 @@ impl Detector {
         }
     }
 
+    /// `√E` of a pulse of calibrated width that lies wholly in used samples.
+    pub fn full_significance_per_dn(&self) -> f64 {
+        self.full_energy.sqrt()
+    }
+
+    /// The statistic that a pulse of height 1 and calibrated width leaves so many samples behind its peak: the main lobe,
+    /// then what the receiver's after-pulse and tail look like to the filter.
+    pub fn echo(&self, lag_samples: f64) -> f64 {
+        if lag_samples < 0.0 {
+            return 0.0;
+        }
+        let at = |k: usize| self.echo.get(k).copied().unwrap_or(0.0);
+        let (k, part) = (lag_samples as usize, lag_samples.fract());
+        (1.0 - part) * at(k) + part * at(k.saturating_add(1))
+    }
+
     /// `√E` of a pulse of calibrated width at a place between samples: its significance is its height times this.
     pub fn significance_per_dn(&mut self, whitener: &Whitener, position_samples: f64) -> f64 {
-        let pulse = Pulse { height_dn: 1.0, position_samples, ln_width_ratio: 0.0, ln_width_precision: 0.0 };
         self.solved.fill(0.0);
-        pulse.add_to(self.fwhm_samples, 1.0, &mut self.solved);
+        self.shape.add(&unit_pulse(position_samples), 1.0, &mut self.solved);
         let cross = dot(&self.solved, &self.offset_solved);
         whitener.whiten(&mut self.solved);
         let known: f64 = self.solved.iter().map(|v| v * v).sum();
         (known - cross * cross / self.offset_information).max(0.0).sqrt()
     }
+}
+
+/// A pulse of height 1 and calibrated width.
+fn unit_pulse(position_samples: f64) -> Pulse {
+    Pulse { height_dn: 1.0, position_samples, ln_width_ratio: 0.0, ln_width_precision: 0.0 }
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

@@ -1,6 +1,7 @@
-//! Gaussian pulses fitted jointly to a block of samples by least squares in the whitened domain.
+//! Pulses fitted jointly to a block of samples by least squares in the whitened domain.
 //!
-//! The model of sample `k` is `b + Σ a_i exp(-4 ln 2 (k - t_i)² / (W e^{u_i})²)`: heights `a`, positions `t`,
+//! The model of sample `k` is `b + Σ a_i s(k - t_i, u_i)` with the shape `s` of height 1, a Gaussian
+//! `exp(-4 ln 2 (k - t)² / (W e^u)²)` or the calibrated response: heights `a`, positions `t`,
 //! logarithms `u` of the width over the calibrated width `W`, and an offset `b` where the background is not known.
 //! What is made smallest is `‖L⁻¹(y - model)‖² + Σ (u_i/s_i)² + (b/s_b)²`, with `L` the factor of the noise's
 //! covariance on the used samples: the posterior's logarithm for Gaussian priors on `u` and `b`. The method is that of
@@ -8,6 +9,7 @@
 //! inverse of the normal matrix at the optimum, priors included.
 
 use super::cholesky;
+use super::shape::Shape;
 use super::whitening::Whitener;
 
 #[cfg(test)]
@@ -18,7 +20,7 @@ pub const FOUR_LN_2: f64 = 2.772_588_722_239_781;
 /// Beyond so many of its widths a pulse is zero in double precision (`exp(-4 ln 2 · 3.65²) = 1e-16`).
 const SUPPORT_WIDTHS: f64 = 3.65;
 /// The shortest and the longest pulse, over the calibrated width; beyond, a fit has left what can be measured.
-const LN_WIDTH_BOUNDS: [f64; 2] = [-1.5, 3.2];
+pub(super) const LN_WIDTH_BOUNDS: [f64; 2] = [-1.5, 3.2];
 /// The farthest a step may move a pulse, in its own widths (ALGORITHMS.md S6: 1.5 samples for a pulse of 4.25).
 const MAX_MOVE_WIDTHS: f64 = 0.35;
 /// The largest change of a width's logarithm in a step.
@@ -30,7 +32,7 @@ const MIN_HEIGHT_SD: f64 = 1e-3;
 /// Damping below which the promised decrease tells that the optimum is near.
 const NEAR_NEWTON: f64 = 1e-2;
 
-/// One Gaussian pulse.
+/// One pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pulse {
     /// Height of the peak above the background, digitiser steps.
@@ -44,7 +46,8 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// Adds `sign` times the pulse to `values`, the samples of a block; `fwhm_samples` is the calibrated width.
+    /// Adds `sign` times the pulse as a Gaussian to `values`, the samples of a block; `fwhm_samples` is the calibrated
+    /// width.
     pub fn add_to(&self, fwhm_samples: f64, sign: f64, values: &mut [f64]) {
         let width = fwhm_samples * self.ln_width_ratio.exp();
         let (first, end) = support(self.position_samples, width, values.len());
@@ -52,6 +55,23 @@ impl Pulse {
             let x = (k as f64 - self.position_samples) / width;
             *value += sign * self.height_dn * (-FOUR_LN_2 * x * x).exp();
         }
+    }
+
+    /// Writes the Gaussian's derivatives by height, position and width's logarithm to columns of a block's length.
+    /// Returns the first sample that it wrote to.
+    pub(super) fn add_derivatives_to(&self, fwhm_samples: f64, columns: [&mut [f64]; 3]) -> usize {
+        let [by_height, by_position, by_width] = columns;
+        let width = fwhm_samples * self.ln_width_ratio.exp();
+        let (first, end) = support(self.position_samples, width, by_height.len());
+        for k in first..end {
+            let x = (k as f64 - self.position_samples) / width;
+            let shape = (-FOUR_LN_2 * x * x).exp();
+            let slope = 2.0 * FOUR_LN_2 * x * self.height_dn * shape;
+            by_height[k] = shape;
+            by_position[k] = slope / width;
+            by_width[k] = slope * x;
+        }
+        first
     }
 }
 
@@ -129,7 +149,7 @@ pub struct Fit {
 /// Workspace of the fit; no memory is taken while fitting blocks and pulses within its capacities.
 #[derive(Debug, Clone)]
 pub struct GaussFit {
-    fwhm_samples: f64,
+    shape: Shape,
     offset_precision: Option<f64>,
     max_pulses: usize,
     pulses: Vec<Pulse>,
@@ -147,20 +167,20 @@ pub struct GaussFit {
 }
 
 impl GaussFit {
-    /// A workspace for pulses of the calibrated width `fwhm_samples`.
+    /// A workspace for pulses of the shape (of a number: Gaussians of that full width at half maximum, samples).
     ///
     /// `offset_precision` is `None` where the background is known (and was subtracted), else `1/s_b²` of the offset's
     /// prior about zero, in 1/DN² (0: no prior). Blocks longer than `max_samples` make the workspace grow; more than
     /// `max_pulses` pulses are refused.
     pub fn new(
-        fwhm_samples: f64,
+        shape: impl Into<Shape>,
         offset_precision: Option<f64>,
         max_samples: usize,
         max_pulses: usize,
     ) -> GaussFit {
         let parameters = 3 * max_pulses + 1;
         GaussFit {
-            fwhm_samples,
+            shape: shape.into(),
             offset_precision,
             max_pulses,
             pulses: Vec::with_capacity(max_pulses),
@@ -199,6 +219,18 @@ impl GaussFit {
     /// Standard deviations of pulse `i`: height (DN), position (samples), width's logarithm.
     pub fn pulse_sd(&self, i: usize) -> [f64; 3] {
         [0, 1, 2].map(|part| self.covariance(3 * i + part, 3 * i + part).sqrt())
+    }
+
+    /// How parameter `i` of the last fit follows the whitened samples, to first order: its row of the covariance times the
+    /// derivatives. [`Whitener::whiten_transposed`] turns it into weights of the samples themselves.
+    pub(super) fn weights(&self, i: usize) -> Vec<f64> {
+        let samples = self.residual.len();
+        let mut weights = vec![0.0; samples];
+        for (j, column) in self.columns.chunks_exact(samples.max(1)).enumerate().take(self.parameters()) {
+            let factor = self.covariance(i, j);
+            weights.iter_mut().zip(column).for_each(|(w, c)| *w += factor * c);
+        }
+        weights
     }
 
     /// Fits pulses to `target_dn`, the samples less the known background, from the given start values.
@@ -309,7 +341,7 @@ impl GaussFit {
         }
         let mut prior = self.offset_precision.unwrap_or(0.0) * offset * offset;
         for pulse in &self.trial {
-            pulse.add_to(self.fwhm_samples, -1.0, &mut self.trial_residual);
+            self.shape.add(pulse, -1.0, &mut self.trial_residual);
             prior += pulse.ln_width_precision * pulse.ln_width_ratio * pulse.ln_width_ratio;
         }
         whitener.whiten(&mut self.trial_residual);
@@ -330,16 +362,8 @@ impl GaussFit {
         for pulse in &self.pulses {
             let parts = [columns.next(), columns.next(), columns.next()];
             let [Some(by_height), Some(by_position), Some(by_width)] = parts else { return };
-            let width = self.fwhm_samples * pulse.ln_width_ratio.exp();
-            let (first, end) = support(pulse.position_samples, width, samples);
-            for k in first..end {
-                let x = (k as f64 - pulse.position_samples) / width;
-                let shape = (-FOUR_LN_2 * x * x).exp();
-                let slope = 2.0 * FOUR_LN_2 * x * pulse.height_dn * shape;
-                by_height[k] = shape;
-                by_position[k] = slope / width;
-                by_width[k] = slope * x;
-            }
+            let first =
+                self.shape.add_derivatives(pulse, [&mut *by_height, &mut *by_position, &mut *by_width]);
             for column in [by_height, by_position, by_width] {
                 whitener.whiten_from(first, column);
             }
@@ -392,17 +416,19 @@ impl GaussFit {
     /// trial's offset, and whether a bound of the parameters held something back.
     fn step_within_limits(&mut self, samples: usize, min_height_dn: f64) -> (f64, bool) {
         let mut at_bound = false;
+        let fwhm_samples = self.shape.fwhm_samples();
+        let [narrowest, widest] = self.shape.ln_width_bounds();
         for (i, (trial, pulse)) in self.trial.iter_mut().zip(&self.pulses).enumerate() {
             let step = &mut self.step[3 * i..3 * i + 3];
-            let width = self.fwhm_samples * pulse.ln_width_ratio.exp();
+            let width = fwhm_samples * pulse.ln_width_ratio.exp();
             let lowest_height = min_height_dn.max(MIN_HEIGHT_PART * pulse.height_dn);
             trial.height_dn = (pulse.height_dn + step[0]).max(lowest_height);
             let moved =
                 pulse.position_samples + step[1].clamp(-MAX_MOVE_WIDTHS * width, MAX_MOVE_WIDTHS * width);
             trial.position_samples =
-                moved.clamp(-2.0 * self.fwhm_samples, samples as f64 - 1.0 + 2.0 * self.fwhm_samples);
+                moved.clamp(-2.0 * fwhm_samples, samples as f64 - 1.0 + 2.0 * fwhm_samples);
             let widened = pulse.ln_width_ratio + step[2].clamp(-MAX_LN_WIDTH_STEP, MAX_LN_WIDTH_STEP);
-            trial.ln_width_ratio = widened.clamp(LN_WIDTH_BOUNDS[0], LN_WIDTH_BOUNDS[1]);
+            trial.ln_width_ratio = widened.clamp(narrowest, widest);
             at_bound |= trial.position_samples != moved || trial.ln_width_ratio != widened;
             step[0] = trial.height_dn - pulse.height_dn;
             step[1] = trial.position_samples - pulse.position_samples;

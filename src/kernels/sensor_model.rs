@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::noise::{ArNoise, MAX_ORDER};
+use super::response::SystemResponse;
 
 /// A sensor: one model for each channel that was calibrated.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -60,11 +61,22 @@ pub struct ChannelModel {
     pub pulse_fwhm_ns: f64,
     /// Spread of that width from pulse to pulse, ns.
     pub pulse_fwhm_sd_ns: f64,
+    /// How much larger errors on a pulse are than the noise before it lets expect: its standard deviations are
+    /// multiplied by this. 1 where it was not measured.
+    #[serde(default = "one")]
+    pub pulse_error_factor: f64,
+    /// The system response; absent where pulses are taken to be Gaussians of the width `pulse_fwhm_ns`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub response: Option<SystemResponse>,
     /// Blocks the model was found from.
     pub waveforms: u64,
     /// Single, unsaturated pulses the width was found from; 0 where there were too few and the width is a first
     /// measure, taken from the samples above half the height.
     pub pulses: u64,
+}
+
+fn one() -> f64 {
+    1.0
 }
 
 /// A model that describes no channel.
@@ -86,6 +98,7 @@ impl ChannelModel {
             ("noise_sd_dn", self.noise_sd_dn),
             ("innovation_sd_dn", self.innovation_sd_dn),
             ("pulse_fwhm_ns", self.pulse_fwhm_ns),
+            ("pulse_error_factor", self.pulse_error_factor),
         ];
         for (field, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
@@ -103,6 +116,12 @@ impl ChannelModel {
             field: "ar",
             problem: format!("{:?} is no stationary process of at most {MAX_ORDER} coefficients", self.ar),
         })
+    }
+
+    /// Checks that the numbers describe a channel and its response.
+    pub fn check(&self) -> Result<(), ModelError> {
+        self.noise()?;
+        self.response.as_ref().map_or(Ok(()), SystemResponse::check)
     }
 
     /// The calibrated width in samples.
@@ -142,6 +161,8 @@ mod tests {
             innovation_sd_dn: 1.0,
             pulse_fwhm_ns: 4.0,
             pulse_fwhm_sd_ns: 0.1,
+            pulse_error_factor: 1.0,
+            response: None,
             waveforms: 200,
             pulses: 150,
         }

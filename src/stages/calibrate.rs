@@ -1,23 +1,31 @@
 //! What the sensor is like, found from the recording itself.
 
+use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Batch, Channel, InputInfo, Kind};
+use crate::formats::Error;
 use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
+use crate::kernels::response_calibrate::{MIN_ECHOES, calibrate_response};
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{
-    Config, InvalidKey, Output, Result, Site, StageError, StageSpec, Transform, TransformConfig,
+    Config, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Transform, TransformConfig,
 };
+
+/// A model has a few thousand numbers: what is larger is none.
+const MAX_MODEL_BYTES: u64 = 1 << 26;
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Kind::Shots]);
 
 /// Finds, from the first waveforms, what `decompose` must know of the sensor: for each receiver the background (by sample
-/// index modulo 4, or one per waveform where no sample is free of signal), the noise and its correlation, and the width of
-/// a pulse from a flat target. Noise is told from signal by fitted pulses, never by a threshold on samples.
+/// index modulo 4, or one per waveform where no sample is free of signal), the noise and its correlation, and the shape of
+/// a pulse from a flat target: the system response with its after-pulse and tail, found from single echoes, its error, and
+/// how much larger errors on a pulse are than the noise lets expect. Noise is told from signal by fitted pulses, never by a threshold on samples.
 ///
 /// Holds back the first lines until it has enough waveforms, then lets everything through; the model travels with every
 /// line, and stands in the report. Fewer than 200 waveforms of the sensitive receiver are an error. A receiver of which
@@ -29,6 +37,25 @@ pub struct Calibrate {
     pub waveforms: u64,
     /// The background of a waveform: the receiver's (`fixed`), its own (`per_waveform`), or decided from the data (`auto`).
     pub background: BackgroundKey,
+    /// The shape of a pulse: the system response found from single echoes (`auto`), or a Gaussian of the measured width
+    /// (`gaussian`).
+    pub response: ResponseKey,
+    /// A file to keep the model in, as JSON, for runs that are to repeat this one exactly.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub save: Option<String>,
+    /// A file that `save` has written: its model is used, and nothing is calibrated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub load: Option<PathBuf>,
+}
+
+/// The shape of a pulse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ResponseKey {
+    /// The system response where there are 150 usable single echoes, else a Gaussian; the report says so.
+    Auto,
+    /// A Gaussian of the measured width.
+    Gaussian,
 }
 
 /// Where the background comes from.
@@ -45,7 +72,13 @@ pub enum BackgroundKey {
 
 impl Default for Calibrate {
     fn default() -> Calibrate {
-        Calibrate { waveforms: 100_000, background: BackgroundKey::Auto }
+        Calibrate {
+            waveforms: 100_000,
+            background: BackgroundKey::Auto,
+            response: ResponseKey::Auto,
+            save: None,
+            load: None,
+        }
     }
 }
 
@@ -56,13 +89,19 @@ impl Config for Calibrate {
 }
 
 impl TransformConfig for Calibrate {
-    fn make(&self, _site: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
+        let model = match &self.load {
+            Some(path) => Some(Arc::new(load(&site.input_path(path))?)),
+            None => None,
+        };
+        let save = self.save.as_ref().map(|pattern| site.create(pattern)).transpose()?;
         Ok(Box::new(Calibrator {
             config: self.clone(),
             held: Vec::new(),
             held_bytes: 0,
             waveforms: 0,
-            model: None,
+            model,
+            save,
         }))
     }
 }
@@ -73,10 +112,13 @@ struct Calibrator {
     held_bytes: usize,
     waveforms: u64,
     model: Option<Arc<SensorModel>>,
+    /// Where the model is to be kept, until it is.
+    save: Option<OutputFile>,
 }
 
 impl Transform for Calibrator {
     fn process(&mut self, mut batch: Batch, out: &mut Output) -> Result<()> {
+        self.save(out)?;
         if let Some(model) = &self.model {
             batch.model = Some(Arc::clone(model));
             return out.emit(batch);
@@ -104,9 +146,23 @@ impl Calibrator {
     fn release(&mut self, out: &mut Output) -> Result<()> {
         let model = Arc::new(self.calibrate(out)?);
         self.model = Some(Arc::clone(&model));
+        self.save(out)?;
         for mut batch in std::mem::take(&mut self.held) {
             batch.model = Some(Arc::clone(&model));
             out.emit(batch)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the model where it is to be kept.
+    fn save(&mut self, out: &mut Output) -> Result<()> {
+        if let Some(model) = &self.model
+            && let Some(mut file) = self.save.take()
+        {
+            let text = serde_json::to_string_pretty(&**model)
+                .map_err(|error| StageError::failed(error.to_string(), "report this as a defect of wavex"))?;
+            writeln!(file, "{text}").map_err(Error::io(file.path(), "write"))?;
+            out.cx.keep(file.finish()?);
         }
         Ok(())
     }
@@ -128,7 +184,7 @@ impl Calibrator {
     fn channel(&self, channel: Channel, out: &mut Output) -> Result<Option<ChannelModel>> {
         let settings = self.settings(channel);
         match calibrate::calibrate(self.blocks(channel), &settings) {
-            Ok(model) => Ok(Some(model)),
+            Ok(model) => self.with_response(channel, model, &settings, out).map(Some),
             Err(CalibrationError::TooFewBlocks { found: 0, .. }) => Ok(None),
             Err(error @ CalibrationError::TooFewBlocks { .. }) => {
                 out.cx.note(format!("{} was not calibrated and is not used: {error}", name(channel)));
@@ -136,6 +192,31 @@ impl Calibrator {
             }
             Err(error) => Err(failed(channel, &error)),
         }
+    }
+
+    /// Adds the system response where it is wanted and there are echoes enough.
+    fn with_response(
+        &self,
+        channel: Channel,
+        model: ChannelModel,
+        settings: &CalibrationSettings,
+        out: &mut Output,
+    ) -> Result<ChannelModel> {
+        if self.config.response == ResponseKey::Gaussian {
+            return Ok(model);
+        }
+        let calibrated = calibrate_response(self.blocks(channel), &model, settings)
+            .map_err(|error| failed(channel, &error))?;
+        if calibrated.model.response.is_none() {
+            out.cx.note(format!(
+                "{}: pulses are taken to be Gaussians {:.2} ns wide: the system response needs {MIN_ECHOES} strong single \
+                 pulses and there were {}",
+                name(channel),
+                calibrated.model.pulse_fwhm_ns,
+                calibrated.usable_echoes
+            ));
+        }
+        Ok(calibrated.model)
     }
 
     fn settings(&self, channel: Channel) -> CalibrationSettings {
@@ -180,6 +261,25 @@ fn name(channel: Channel) -> &'static str {
     }
 }
 
+/// A model that was kept.
+fn load(path: &Path) -> Result<SensorModel> {
+    const REMEDY: &str = "load a file that `save` of calibrate has written, or calibrate anew";
+    let size = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
+    if size > MAX_MODEL_BYTES {
+        return Err(
+            Error::unusable(path, format!("{size} bytes are too many for a sensor model"), REMEDY).into()
+        );
+    }
+    let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+    let model: SensorModel = serde_json::from_str(&text)
+        .map_err(|error| Error::unusable(path, format!("no sensor model: {error}"), REMEDY))?;
+    let channels = [&model.low_power, &model.high_power, &model.saturation, &model.reference];
+    for channel in channels.into_iter().flatten() {
+        channel.check().map_err(|error| Error::unusable(path, error.to_string(), REMEDY))?;
+    }
+    Ok(model)
+}
+
 fn failed(channel: Channel, error: &CalibrationError) -> StageError {
     let text = format!("{}: {error}", name(channel));
     match text.rsplit_once("; ") {
@@ -210,6 +310,7 @@ mod tests {
             held_bytes: 0,
             waveforms: 0,
             model: None,
+            save: None,
         };
         let mut cx = Context::default();
         let mut emit = |_: Batch| Ok(());

@@ -52,11 +52,11 @@ impl Decomposer {
         self.candidates.clear();
         self.detector.maxima(TRIAL_PART * self.settings.detection_sigma, &mut self.candidates);
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
-        let gain = GAIN_PART * self.settings.detection_sigma.powi(2);
         let starts = [Start::AsFitted, Start::CalibratedWidth, Start::Apart(0.5)];
         (0..self.candidates.len().min(TRIALS)).any(|i| {
             let candidate = self.candidates[i];
             let nearest = self.nearest(candidate.position_samples);
+            let gain = GAIN_PART * self.threshold_at(candidate.position_samples, f64::INFINITY).powi(2);
             nearest.is_some_and(|nearest| self.try_starts(&starts, &candidate, nearest, gain))
         })
     }
@@ -67,13 +67,19 @@ impl Decomposer {
         let starts = [0.5, 0.7, 0.3].map(Start::Apart);
         (0..self.scene.found.len()).any(|i| {
             let p = self.scene.found[i].pulse;
+            if self.overdrives(&p) {
+                return false;
+            }
             let half = Candidate {
                 position_samples: p.position_samples,
                 statistic: 0.0,
                 height_dn: p.height_dn,
                 ln_width_ratio: 0.0,
             };
-            self.try_starts(&starts, &half, i, gain)
+            // What an error of the response would look like is no evidence.
+            let allowed =
+                self.threshold_at(p.position_samples, f64::INFINITY) / self.settings.detection_sigma;
+            self.try_starts(&starts, &half, i, gain * allowed * allowed)
         })
     }
 
@@ -170,14 +176,16 @@ impl Decomposer {
         true
     }
 
-    /// The weakest pulse, where a pulse of calibrated width and its height does not reach the threshold.
+    /// The weakest pulse, where a pulse of calibrated width and its energy does not reach the threshold.
     fn remove_weakest(&mut self) -> bool {
-        let mut weakest = (self.settings.detection_sigma, None);
-        for (i, f) in self.scene.found.iter().enumerate() {
-            let per_dn = self.detector.significance_per_dn(self.scene.whitener(), f.pulse.position_samples);
-            let significance = per_dn * f.pulse.height_dn;
-            if significance < weakest.0 {
-                weakest = (significance, Some(i));
+        let mut weakest = (1.0, None);
+        for i in 0..self.scene.found.len() {
+            let p = self.scene.found[i].pulse;
+            let per_dn = self.detector.significance_per_dn(self.scene.whitener(), p.position_samples);
+            let energy = p.height_dn * p.ln_width_ratio.exp();
+            let part = per_dn * energy / self.threshold_at(p.position_samples, p.height_dn);
+            if part < weakest.0 {
+                weakest = (part, Some(i));
             }
         }
         Self::filter_out(&mut self.counts, &mut self.scene.found, weakest.1)

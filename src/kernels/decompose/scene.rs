@@ -6,6 +6,7 @@ use crate::kernels::detect::Candidate;
 use crate::kernels::flags;
 use crate::kernels::gauss_fit::{GaussFit, Limits, Pulse};
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
+use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
 use super::DecomposeSettings;
@@ -51,6 +52,7 @@ struct Saved {
 #[derive(Debug, Clone)]
 pub(super) struct Scene {
     pub(super) found: Vec<Found>,
+    shape: Shape,
     fwhm_samples: f64,
     offset_is_free: bool,
     overlap_precision: f64,
@@ -76,17 +78,19 @@ impl Scene {
         settings: &DecomposeSettings,
         max_samples: usize,
     ) -> Result<Scene, ModelError> {
-        let fwhm_samples = model.fwhm_samples();
+        let shape = Shape::of(model)?;
+        let fwhm_samples = shape.fwhm_samples();
         let pulses = settings.max_returns;
         let saved = || Saved { found: Vec::with_capacity(pulses), ..Saved::default() };
         Ok(Scene {
             found: Vec::with_capacity(pulses),
+            shape: shape.clone(),
             fwhm_samples,
             offset_is_free: model.offset_precision().is_some(),
             overlap_precision: settings.overlap_ln_width_sd.powi(-2),
             limits: Limits::exact(settings.iterations),
             whitener: Whitener::new(model.noise()?, max_samples),
-            fitter: GaussFit::new(fwhm_samples, model.offset_precision(), max_samples, pulses),
+            fitter: GaussFit::new(shape.clone(), model.offset_precision(), max_samples, pulses),
             target_dn: Vec::with_capacity(max_samples),
             used: Vec::with_capacity(max_samples),
             residual_dn: Vec::with_capacity(max_samples),
@@ -98,6 +102,10 @@ impl Scene {
             before: saved(),
             best: saved(),
         })
+    }
+
+    pub(super) fn shape(&self) -> &Shape {
+        &self.shape
     }
 
     pub(super) fn whitener(&self) -> &Whitener {
@@ -167,7 +175,7 @@ impl Scene {
         self.residual_dn.clear();
         self.residual_dn.extend(self.target_dn.iter().map(|y| y - self.offset_dn));
         for f in &self.found {
-            f.pulse.add_to(self.fwhm_samples, -1.0, &mut self.residual_dn);
+            self.shape.add(&f.pulse, -1.0, &mut self.residual_dn);
         }
         self.whitened.clear();
         self.whitened.extend_from_slice(&self.residual_dn);
@@ -277,7 +285,7 @@ impl Scene {
             if cluster.contains(&i) {
                 self.starts.push(f.pulse);
             } else {
-                f.pulse.add_to(self.fwhm_samples, -1.0, &mut self.residual_dn);
+                self.shape.add(&f.pulse, -1.0, &mut self.residual_dn);
             }
         }
         let fit = self.fitter.fit(&self.whitener, &self.residual_dn, &self.starts, limits);

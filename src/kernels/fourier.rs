@@ -1,0 +1,71 @@
+//! A plain Fourier transform of power-of-two length (Cooley and Tukey 1965), for tables that are made once.
+
+use std::f64::consts::TAU;
+
+/// A complex number: real and imaginary part.
+pub(super) type Complex = [f64; 2];
+
+/// The product of two complex numbers.
+pub(super) fn times(a: Complex, b: Complex) -> Complex {
+    [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
+}
+
+/// Replaces `values`, a power of two many, by `Σ_k values_k exp(sign 2πi jk/n)`; nothing is scaled.
+pub(super) fn transform(values: &mut [Complex], sign: f64) {
+    let n = values.len();
+    debug_assert!(n.is_power_of_two());
+    let shift = usize::BITS - n.trailing_zeros();
+    for i in 1..n {
+        let j = i.reverse_bits() >> shift;
+        if i < j {
+            values.swap(i, j);
+        }
+    }
+    let roots: Vec<Complex> = (0..n / 2)
+        .map(|k| {
+            let (sin, cos) = (sign * TAU * k as f64 / n as f64).sin_cos();
+            [cos, sin]
+        })
+        .collect();
+    let mut half = 1;
+    while half < n {
+        let stride = n / (2 * half);
+        for pair in values.chunks_exact_mut(2 * half) {
+            let (low, high) = pair.split_at_mut(half);
+            for ((a, b), root) in low.iter_mut().zip(high).zip(roots.iter().step_by(stride)) {
+                let turned = times(*b, *root);
+                *b = [a[0] - turned[0], a[1] - turned[1]];
+                *a = [a[0] + turned[0], a[1] + turned[1]];
+            }
+        }
+        half *= 2;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_and_back_and_a_pure_oscillation() {
+        let n = 32;
+        let wave = |k: usize| {
+            let phase = TAU * 5.0 * k as f64 / n as f64;
+            [phase.cos(), phase.sin()]
+        };
+        let mut values: Vec<Complex> = (0..n).map(wave).collect();
+        transform(&mut values, -1.0);
+        for (j, value) in values.iter().enumerate() {
+            let exact = if j == 5 { n as f64 } else { 0.0 };
+            assert!((value[0] - exact).abs() < 1e-12 && value[1].abs() < 1e-12, "{j}: {value:?}");
+        }
+        transform(&mut values, 1.0);
+        for (k, value) in values.iter().enumerate() {
+            assert!((value[0] / n as f64 - wave(k)[0]).abs() < 1e-14);
+            assert!((value[1] / n as f64 - wave(k)[1]).abs() < 1e-14);
+        }
+        let mut single = [[3.0, 4.0]];
+        transform(&mut single, 1.0);
+        assert_eq!(single, [[3.0, 4.0]]);
+    }
+}

@@ -1,0 +1,236 @@
+//! A channel's system response from single echoes (ALGORITHMS.md S2, REALDATA.md section 1).
+//!
+//! Blocks are decomposed with the model at hand. Of the strong, unsaturated single echoes those of the narrow population
+//! are taken, their heights and places fitted with the width held; then one linear least-squares problem in the
+//! whitened domain gives the splines of the response, and the next round starts with it. The zero of time is the peak,
+//! the width ratio 1 the mode of the widths.
+
+use super::calibrate::{Block, CalibrationError, CalibrationSettings};
+use super::decompose::{DecomposeSettings, Decomposer, Decomposition, Return};
+use super::flags;
+use super::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
+use super::sensor_model::{ChannelModel, ModelError};
+use quality::Quality;
+use solve::Problem;
+use spline::Basis;
+
+mod quality;
+mod solve;
+mod spline;
+#[cfg(test)]
+mod tests;
+
+/// Fewer usable single echoes do not tell a response.
+pub const MIN_ECHOES: usize = 150;
+/// Blocks that are looked at, at most: more would not change the response by what can be measured.
+const MAX_BLOCKS: usize = 12_000;
+/// Rounds; in each, echoes beside the strongest one are allowed up to this part of its height: a Gaussian finds the
+/// after-pulse as an echo, a first response may leave something of it.
+const MINOR_PARTS: [f64; 4] = [0.1, 0.03, 0.0, 0.0];
+/// How well the response is known in each round, as part of the height.
+const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
+/// Heights of usable echoes: at least so many standard deviations of the noise, …
+const STRONG_SD: f64 = 30.0;
+/// … and at most this part of the full scale, above which the receiver is overdriven (210 of 255 DN).
+pub(super) const OVERDRIVEN_PART: f64 = 210.0 / 255.0;
+/// Heights with a response of their own, as parts of the full scale (155, 171, 182 and 200 of 255 DN).
+const NODE_PARTS: [f64; 4] = [155.0 / 255.0, 171.0 / 255.0, 182.0 / 255.0, 200.0 / 255.0];
+/// Waveforms that fit badly, this part of all, are left out.
+const WORST_PART: f64 = 0.1;
+/// Half of the window about the mode of the widths: in standard deviations of one, and at least.
+const WINDOW_SD: f64 = 1.5;
+const LEAST_WINDOW: f64 = 0.015;
+/// With fewer echoes in the window it is made twice as wide: the noise of the response weighs more than its blur.
+const ENOUGH_NARROW: usize = 300;
+/// The response reaches at least so many full widths behind the peak (62 ns of 4.4).
+const LEAST_REACH_WIDTHS: f64 = 14.0;
+
+/// A single echo.
+#[derive(Debug, Clone, Copy)]
+struct Single<'a> {
+    block: Block<'a>,
+    fitted: Return,
+}
+
+impl Single<'_> {
+    fn ln_width(&self) -> f64 {
+        self.fitted.width_ratio.ln()
+    }
+}
+
+/// What became of a search for the response.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibrated {
+    /// The model: with a response where there are [`MIN_ECHOES`] usable echoes, else as it was.
+    pub model: ChannelModel,
+    /// Usable single echoes.
+    pub usable_echoes: usize,
+}
+
+/// Adds the system response to a channel's model that [`super::calibrate::calibrate`] has made from the same blocks.
+pub fn calibrate_response<'a>(
+    blocks: impl Iterator<Item = Block<'a>>,
+    model: &ChannelModel,
+    settings: &CalibrationSettings,
+) -> Result<Calibrated, CalibrationError> {
+    let mut blocks: Vec<Block<'a>> = blocks.take(MAX_BLOCKS).collect();
+    let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0);
+    let mut model = ChannelModel { response: None, pulse_error_factor: 1.0, ..model.clone() };
+    let gaussian = model.clone();
+    let mut usable_echoes = 0;
+    for (minor_part, error) in MINOR_PARTS.into_iter().zip(ERRORS) {
+        let singles = singles(&blocks, &model, settings, minor_part, error)?;
+        usable_echoes = singles.len();
+        if usable_echoes < MIN_ECHOES {
+            return Ok(Calibrated { model: gaussian, usable_echoes });
+        }
+        // What is not nearly single is not looked at again.
+        blocks = singles.iter().map(|single| single.block).collect();
+        let narrow = narrow_population(&singles);
+        match better_response(&narrow, &model, longest)? {
+            Some(response) => model = with_response(&model, response, narrow.len()),
+            None => return Ok(Calibrated { model: gaussian, usable_echoes }),
+        }
+    }
+    let singles = self::singles(&blocks, &model, settings, 0.0, ERRORS[3])?;
+    let mut quality = Quality::new(&model, longest)?;
+    singles.iter().for_each(|single| quality.add(single));
+    let (factor, template_error) = (quality.pulse_error_factor(), quality.template_error());
+    model.pulse_error_factor = factor;
+    if let Some(response) = &mut model.response {
+        response.template_error = template_error;
+    }
+    Ok(Calibrated { model, usable_echoes })
+}
+
+fn with_response(model: &ChannelModel, response: SystemResponse, echoes: usize) -> ChannelModel {
+    let fwhm_ns = response.fwhm_samples() * model.sampling_interval_ns;
+    let pulse_fwhm_ns = if fwhm_ns > 0.0 { fwhm_ns } else { model.pulse_fwhm_ns };
+    ChannelModel { response: Some(response), pulse_fwhm_ns, pulses: echoes as u64, ..model.clone() }
+}
+
+/// The usable single echoes among the blocks.
+fn singles<'a>(
+    blocks: &[Block<'a>],
+    model: &ChannelModel,
+    settings: &CalibrationSettings,
+    minor_part: f64,
+    template_error: f64,
+) -> Result<Vec<Single<'a>>, ModelError> {
+    let settings = DecomposeSettings {
+        max_added: if model.response.is_some() { 4 } else { 0 },
+        split_evidence: None,
+        template_error,
+        ..settings.decompose.clone()
+    };
+    let mut decomposer = Decomposer::new(model, &settings, 0)?;
+    let heights = STRONG_SD * model.noise_sd_dn..OVERDRIVEN_PART * model.full_scale_dn;
+    let mut found = Vec::new();
+    for block in blocks {
+        let outcome = decomposer.decompose(block.samples, block.start_phase);
+        let single = strongest(&outcome, minor_part, model.fwhm_samples());
+        if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
+            found.push(Single { block: *block, fitted: *fitted });
+        }
+    }
+    Ok(found)
+}
+
+/// The strongest return, if it is whole and what else there is stands well behind it and is minor.
+fn strongest<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64) -> Option<&'a Return> {
+    let returns = outcome.returns;
+    let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
+    let minor = |r: &Return| {
+        std::ptr::eq(r, strongest)
+            || (r.amplitude_dn <= minor_part * strongest.amplitude_dn
+                && r.position_samples - strongest.position_samples > 1.5 * fwhm_samples)
+    };
+    let bad = flags::SATURATED | flags::TRUNCATED | flags::DIVERGED;
+    (strongest.flags & bad == 0 && returns.iter().all(minor)).then_some(strongest)
+}
+
+/// The echoes that fit well and that nothing widened: those about the mode of the widths.
+fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
+    let narrow = within_window(singles, LEAST_WINDOW);
+    if narrow.len() >= ENOUGH_NARROW { narrow } else { within_window(singles, 2.0 * LEAST_WINDOW) }
+}
+
+fn within_window<'a>(singles: &[Single<'a>], least_window: f64) -> Vec<Single<'a>> {
+    let mut kept = singles.to_vec();
+    kept.sort_by(|a, b| a.fitted.deviation_ratio.total_cmp(&b.fitted.deviation_ratio));
+    kept.truncate(kept.len() - (kept.len() as f64 * WORST_PART) as usize);
+    let mut widths: Vec<f64> = kept.iter().map(Single::ln_width).collect();
+    widths.sort_by(f64::total_cmp);
+    let mut sds: Vec<f64> = kept.iter().map(|s| s.fitted.width_ratio_sd / s.fitted.width_ratio).collect();
+    sds.sort_by(f64::total_cmp);
+    let window = (WINDOW_SD * sds.get(sds.len() / 2).copied().unwrap_or(0.0)).max(least_window);
+    let mode = densest(&widths, window);
+    kept.retain(|single| (single.ln_width() - mode).abs() <= window);
+    kept
+}
+
+/// Centre of the window of this half width that holds the most of the sorted values.
+fn densest(sorted: &[f64], half_width: f64) -> f64 {
+    let mut best = (0, 0.0);
+    for (i, low) in sorted.iter().enumerate() {
+        let end = sorted.partition_point(|value| *value <= low + 2.0 * half_width);
+        if end - i > best.0 {
+            best = (end - i, sorted[i..end].iter().sum::<f64>() / (end - i) as f64);
+        }
+    }
+    best.1
+}
+
+/// The heights that have echoes enough for a response of their own; the first of them stands for all that are weaker.
+fn node_heights(singles: &[Single<'_>], full_scale_dn: f64) -> Vec<f64> {
+    let heights = NODE_PARTS.map(|part| part * full_scale_dn);
+    let mut nodes = Vec::new();
+    for (i, &height) in heights.iter().enumerate() {
+        let low = if i > 0 { 0.5 * (heights[i - 1] + height) } else { 0.0 };
+        let high = heights.get(i + 1).map_or(f64::INFINITY, |next| 0.5 * (height + next));
+        let count = singles.iter().filter(|s| (low..high).contains(&s.fitted.amplitude_dn)).count();
+        if count >= MIN_ECHOES {
+            nodes.push(height);
+        }
+    }
+    if nodes.is_empty() {
+        nodes.push(heights[0]);
+    }
+    nodes
+}
+
+/// The response that tells the echoes best; `None` where the equations have no solution.
+fn better_response(
+    narrow: &[Single<'_>],
+    model: &ChannelModel,
+    longest: usize,
+) -> Result<Option<SystemResponse>, ModelError> {
+    let fwhm = model.fwhm_samples();
+    let reach = (LEAST_REACH_WIDTHS * fwhm).max(longest as f64 + 2.0 * fwhm);
+    let basis = Basis::new(fwhm, reach);
+    let nodes = node_heights(narrow, model.full_scale_dn);
+    let mut problem = Problem::new(model, &basis, &nodes, longest)?;
+    narrow.iter().for_each(|single| problem.add(single));
+    let Some(solution) = problem.solve() else { return Ok(None) };
+    let first_sample = basis.extent().start.floor() as i32;
+    let last_sample = basis.extent().end.ceil() as i32;
+    let first_step = i64::from(first_sample) * STEPS_PER_SAMPLE as i64;
+    let steps = ((last_sample - first_sample) as usize) * STEPS_PER_SAMPLE + 1;
+    let mut response = SystemResponse {
+        first_sample,
+        nodes: Vec::new(),
+        template_error: Vec::new(),
+        echoes: narrow.len() as u64,
+        shape_sd: solution.shape_sd,
+    };
+    for (&peak_dn, coefficients) in nodes.iter().zip(&solution.coefficients) {
+        let value = |k: usize| {
+            let time = (first_step + k as i64) as f64 / STEPS_PER_SAMPLE as f64;
+            basis.at(time).map(|(j, value)| value * coefficients[j]).sum::<f64>()
+        };
+        let values: Vec<f64> = (0..steps).map(value).collect();
+        let Some(values) = normalised(&values, first_step, fwhm) else { return Ok(None) };
+        response.nodes.push(ResponseNode { peak_dn, values });
+    }
+    Ok(response.check().is_ok().then_some(response))
+}

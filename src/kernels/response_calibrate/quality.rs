@@ -1,0 +1,133 @@
+//! How well the response tells single echoes: its error by time, and the error of places by the even/odd test.
+
+use super::Single;
+use crate::kernels::gauss_fit::{GaussFit, Limits, Pulse};
+use crate::kernels::sensor_model::{ChannelModel, ModelError};
+use crate::kernels::shape::Shape;
+use crate::kernels::whitening::Whitener;
+
+/// Half of what lies between these is the standard deviation of a normal distribution.
+const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
+/// A mean stands out of the noise from so many of its standard deviations on.
+const SIGNIFICANT: f64 = 2.0;
+
+pub(super) struct Quality<'a> {
+    model: &'a ChannelModel,
+    shape: Shape,
+    fitter: GaussFit,
+    whitener: Whitener,
+    /// Difference of the places told by even and by odd samples, over its expected standard deviation.
+    scores: Vec<f64>,
+    /// By sample of time from the response's first: excess of the squared residual over the noise, as part of the
+    /// squared height: number, sum, sum of squares.
+    excess: Vec<[f64; 3]>,
+    autocovariance: Vec<f64>,
+}
+
+impl<'a> Quality<'a> {
+    pub(super) fn new(model: &'a ChannelModel, longest: usize) -> Result<Quality<'a>, ModelError> {
+        let shape = Shape::of(model)?;
+        let noise = model.noise()?;
+        let mut autocovariance = vec![0.0; longest];
+        noise.autocovariance_into(&mut autocovariance);
+        let samples = model
+            .response
+            .as_ref()
+            .and_then(|r| r.nodes.first())
+            .map_or(0, |node| node.values.len() / crate::kernels::response::STEPS_PER_SAMPLE);
+        Ok(Quality {
+            model,
+            fitter: GaussFit::new(shape.clone(), model.offset_precision(), longest, 1),
+            shape,
+            whitener: Whitener::new(noise, longest),
+            scores: Vec::new(),
+            excess: vec![[0.0; 3]; samples],
+            autocovariance,
+        })
+    }
+
+    pub(super) fn add(&mut self, single: &Single<'_>) {
+        let block = single.block;
+        let level = |k: usize| self.model.background_at(block.start_phase, k);
+        let target: Vec<f64> =
+            block.samples.iter().enumerate().map(|(k, &s)| f64::from(s) - level(k)).collect();
+        let start = Pulse {
+            height_dn: single.fitted.amplitude_dn,
+            position_samples: single.fitted.position_samples,
+            ln_width_ratio: single.ln_width(),
+            ln_width_precision: 0.0,
+        };
+        self.add_residual(&target, start);
+        let [even, odd] = [0, 1].map(|parity| self.place_of_half(&target, start, parity));
+        if let (Some((even, weights_even)), Some((odd, weights_odd))) = (even, odd) {
+            let weights: Vec<f64> = weights_even.iter().zip(weights_odd).map(|(a, b)| a - b).collect();
+            let variance = self.variance(&weights);
+            if variance > 0.0 {
+                self.scores.push((even - odd) / variance.sqrt());
+            }
+        }
+    }
+
+    /// The place that every other sample tells, and how it follows each sample.
+    fn place_of_half(&mut self, target: &[f64], start: Pulse, parity: usize) -> Option<(f64, Vec<f64>)> {
+        let used: Vec<bool> = (0..target.len()).map(|k| k % 2 == parity).collect();
+        self.whitener.set_used(&used);
+        let fit = self.fitter.fit(&self.whitener, target, &[start], Limits::exact(30));
+        if !fit.termination.is_optimum() {
+            return None;
+        }
+        let mut weights = self.fitter.weights(1);
+        self.whitener.whiten_transposed(&mut weights);
+        Some((self.fitter.pulses().first()?.position_samples, weights))
+    }
+
+    /// Variance that the noise gives to a weighted sum of samples.
+    fn variance(&self, weights: &[f64]) -> f64 {
+        let mut sum = 0.0;
+        for (i, a) in weights.iter().enumerate() {
+            for (j, b) in weights.iter().enumerate() {
+                sum += a * b * self.autocovariance.get(i.abs_diff(j)).copied().unwrap_or(0.0);
+            }
+        }
+        sum
+    }
+
+    fn add_residual(&mut self, target: &[f64], pulse: Pulse) {
+        let mut residual = target.to_vec();
+        self.shape.add(&pulse, -1.0, &mut residual);
+        let first = self.model.response.as_ref().map_or(0, |response| response.first_sample);
+        let noise = self.model.noise_sd_dn.powi(2);
+        for (k, r) in residual.iter().enumerate() {
+            let lag = (k as f64 - pulse.position_samples).round() - f64::from(first);
+            if lag >= 0.0
+                && let Some([count, sum, squares]) = self.excess.get_mut(lag as usize)
+            {
+                let value = (r * r - noise) / pulse.height_dn.powi(2);
+                *count += 1.0;
+                *sum += value;
+                *squares += value * value;
+            }
+        }
+    }
+
+    /// The template error by time: 0 where it does not stand out of the noise.
+    pub(super) fn template_error(&self) -> Vec<f64> {
+        let error = |[count, sum, squares]: &[f64; 3]| {
+            if *count < 20.0 {
+                return 0.0;
+            }
+            let mean = sum / count;
+            let sd = ((squares / count - mean * mean) / count).max(0.0).sqrt();
+            (mean - SIGNIFICANT * sd).max(0.0).sqrt()
+        };
+        self.excess.iter().map(error).collect()
+    }
+
+    /// Spread of the scores, at least 1.
+    pub(super) fn pulse_error_factor(&self) -> f64 {
+        let mut sorted = self.scores.clone();
+        sorted.sort_by(f64::total_cmp);
+        let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
+        (0.5 * (at(PERCENTILES[1]) - at(PERCENTILES[0]))).max(1.0)
+    }
+}

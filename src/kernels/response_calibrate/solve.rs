@@ -1,0 +1,193 @@
+//! The linear problem: which splines tell the echoes best, in the whitened domain.
+
+use super::Single;
+use super::spline::Basis;
+use crate::kernels::cholesky;
+use crate::kernels::gauss_fit::{GaussFit, Limits, Pulse};
+use crate::kernels::sensor_model::{ChannelModel, ModelError};
+use crate::kernels::shape::Shape;
+use crate::kernels::whitening::Whitener;
+
+/// Precision of a prior that holds a width in its place.
+pub(super) const FROZEN: f64 = 1e8;
+/// Part of the greatest diagonal element that is added to all.
+const RIDGE: f64 = 1e-6;
+/// Standard deviation of the second difference of neighbouring splines in the tail: a slow tail is smooth.
+const TAIL_BEND_SD: f64 = 0.004;
+/// Standard deviation of the first difference there: where there is no data, a tail goes to zero.
+const TAIL_SLOPE_SD: f64 = 0.003;
+/// Standard deviation of the difference of a spline from one node to the next.
+const NODE_CHANGE_SD: f64 = 0.02;
+
+/// The normal equations of the splines of all nodes.
+pub(super) struct Problem<'a> {
+    model: &'a ChannelModel,
+    basis: &'a Basis,
+    nodes: &'a [f64],
+    fitter: GaussFit,
+    whitener: Whitener,
+    normal: Vec<f64>,
+    right: Vec<f64>,
+    target: Vec<f64>,
+    columns: Vec<f64>,
+}
+
+/// The splines by node.
+pub(super) struct Solution {
+    pub(super) coefficients: Vec<Vec<f64>>,
+    /// Root mean square uncertainty of the first node's main lobe.
+    pub(super) shape_sd: f64,
+}
+
+impl<'a> Problem<'a> {
+    pub(super) fn new(
+        model: &'a ChannelModel,
+        basis: &'a Basis,
+        nodes: &'a [f64],
+        longest: usize,
+    ) -> Result<Problem<'a>, ModelError> {
+        let unknowns = basis.len() * nodes.len();
+        Ok(Problem {
+            model,
+            basis,
+            nodes,
+            fitter: GaussFit::new(Shape::of(model)?, model.offset_precision(), longest, 1),
+            whitener: Whitener::new(model.noise()?, longest),
+            normal: vec![0.0; unknowns * unknowns],
+            right: vec![0.0; unknowns],
+            target: Vec::new(),
+            columns: Vec::new(),
+        })
+    }
+
+    /// Takes in an echo: its height and place are fitted with the calibrated width.
+    pub(super) fn add(&mut self, single: &Single<'_>) {
+        let samples = single.block.samples;
+        self.whitener.set_used(&vec![true; samples.len()]);
+        self.target.clear();
+        let level = |k: usize| self.model.background_at(single.block.start_phase, k);
+        self.target.extend(samples.iter().enumerate().map(|(k, &s)| f64::from(s) - level(k)));
+        let start = Pulse {
+            height_dn: single.fitted.amplitude_dn,
+            position_samples: single.fitted.position_samples,
+            ln_width_ratio: 0.0,
+            ln_width_precision: FROZEN,
+        };
+        let fit = self.fitter.fit(&self.whitener, &self.target, &[start], Limits::exact(30));
+        let (true, Some(&pulse)) = (fit.termination.is_optimum(), self.fitter.pulses().first()) else {
+            return;
+        };
+        let offset = self.fitter.offset_dn();
+        self.target.iter_mut().for_each(|value| *value -= offset);
+        self.whitener.whiten(&mut self.target);
+        self.fill_columns(&pulse, samples.len());
+        self.accumulate(pulse.height_dn, samples.len());
+    }
+
+    fn fill_columns(&mut self, pulse: &Pulse, samples: usize) {
+        self.columns.clear();
+        self.columns.resize(self.basis.len() * samples, 0.0);
+        for k in 0..samples {
+            for (j, value) in self.basis.at(k as f64 - pulse.position_samples) {
+                self.columns[j * samples + k] = pulse.height_dn * value;
+            }
+        }
+        for column in self.columns.chunks_exact_mut(samples.max(1)) {
+            if let Some(first) = column.iter().position(|value| *value != 0.0) {
+                self.whitener.whiten_from(first, column);
+            }
+        }
+    }
+
+    fn accumulate(&mut self, height_dn: f64, samples: usize) {
+        let count = self.basis.len();
+        let unknowns = count * self.nodes.len();
+        let shares = shares(self.nodes, height_dn);
+        let column = |j: usize| &self.columns[j * samples..(j + 1) * samples];
+        let seen: Vec<usize> = (0..count).filter(|&j| column(j).iter().any(|v| *v != 0.0)).collect();
+        for &i in &seen {
+            let told = dot(column(i), &self.target);
+            for &(node, share) in &shares {
+                self.right[node * count + i] += share * told;
+            }
+            for &j in &seen {
+                let product = dot(column(i), column(j));
+                for &(a, share_a) in &shares {
+                    for &(b, share_b) in &shares {
+                        self.normal[(a * count + i) * unknowns + b * count + j] +=
+                            share_a * share_b * product;
+                    }
+                }
+            }
+        }
+    }
+
+    /// What is known beforehand: tails are smooth, and neighbouring nodes alike.
+    fn add_priors(&mut self) {
+        let (count, unknowns) = (self.basis.len(), self.right.len());
+        let greatest = (0..unknowns).map(|i| self.normal[i * unknowns + i]).fold(0.0, f64::max);
+        for i in 0..unknowns {
+            self.normal[i * unknowns + i] += RIDGE * greatest;
+        }
+        for node in 0..self.nodes.len() {
+            for j in self.basis.lobe..count {
+                // Beyond the last spline stands zero.
+                let terms = [(j.wrapping_sub(1), 1.0), (j, -2.0), (j + 1, 1.0)];
+                let terms = terms.map(|(j, c)| (if j < count { Some(node * count + j) } else { None }, c));
+                self.add_square(&terms, TAIL_BEND_SD.powi(-2));
+                self.add_square(&[(terms[1].0, 1.0), (terms[2].0, -1.0)], TAIL_SLOPE_SD.powi(-2));
+            }
+            if node > 0 {
+                for j in 0..count {
+                    let terms = [(Some(node * count + j), 1.0), (Some((node - 1) * count + j), -1.0)];
+                    self.add_square(&terms, NODE_CHANGE_SD.powi(-2));
+                }
+            }
+        }
+    }
+
+    fn add_square(&mut self, terms: &[(Option<usize>, f64)], precision: f64) {
+        let unknowns = self.right.len();
+        for &(i, a) in terms {
+            for &(j, b) in terms {
+                if let (Some(i), Some(j)) = (i, j) {
+                    self.normal[i * unknowns + j] += precision * a * b;
+                }
+            }
+        }
+    }
+
+    /// Solves; `None` where the equations are singular.
+    pub(super) fn solve(mut self) -> Option<Solution> {
+        self.add_priors();
+        let (count, unknowns) = (self.basis.len(), self.right.len());
+        if !cholesky::factor(&mut self.normal, unknowns) {
+            return None;
+        }
+        cholesky::solve(&self.normal, unknowns, &mut self.right);
+        let lobe = self.basis.lobe.max(1);
+        let variance = |i: usize| {
+            let mut unit = vec![0.0; unknowns];
+            unit[i] = 1.0;
+            cholesky::solve(&self.normal, unknowns, &mut unit);
+            unit[i]
+        };
+        let mean = (0..lobe).map(variance).sum::<f64>() / lobe as f64;
+        let coefficients = self.right.chunks_exact(count).map(<[f64]>::to_vec).collect();
+        Some(Solution { coefficients, shape_sd: mean.sqrt() })
+    }
+}
+
+/// The nodes around a height and their parts.
+fn shares(nodes: &[f64], height_dn: f64) -> Vec<(usize, f64)> {
+    let above = nodes.partition_point(|peak_dn| *peak_dn <= height_dn);
+    if above == 0 || above == nodes.len() {
+        return vec![(above.saturating_sub(1), 1.0)];
+    }
+    let part = (height_dn - nodes[above - 1]) / (nodes[above] - nodes[above - 1]);
+    vec![(above - 1, 1.0 - part), (above, part)]
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}

@@ -1,0 +1,293 @@
+//! Tables of a response widened by a Gaussian, and their interpolation in time and width.
+//!
+//! `s(t, u) = h_v(t) / max h_v` with `h_v = h ⊗ N(0, v)`, `v = v0 (e^{2u} - 1)` and `v0` the variance of a Gaussian of
+//! the response's full width at half maximum: `e^u` is the width over the response's (ALGORITHMS.md 1.1). By the heat
+//! equation all derivatives are derivatives in time, so one Fourier transform gives them for each width. Between the
+//! table's places a bicubic Hermite polynomial stands: values, slopes and mixed slope are exact there, and value and
+//! slopes are continuous everywhere, as a descent needs them.
+
+use std::f64::consts::PI;
+
+use super::fourier::{self, Complex};
+use super::response::{STEPS_PER_SAMPLE, bins, spectrum};
+
+/// Step of the table in the width's logarithm.
+const LN_WIDTH_STEP: f64 = 0.05;
+/// The narrowest and the widest pulse in the table, as logarithms of the width ratio: 0.55 and 12.2.
+const LN_WIDTH_RANGE: [f64; 2] = [-0.6, 2.5];
+/// A Gaussian is laid out to so many standard deviations.
+const REACH_SD: f64 = 5.0;
+/// Narrower than the response means to raise high frequencies, at most by `e` to this: beyond there is only noise.
+const MAX_LN_GAIN: f64 = 4.0;
+/// Values kept for each place: the shape, its slope in time, its slope in the width's logarithm, the mixed slope.
+const CHANNELS: usize = 4;
+
+/// One width's rows: for each phase of a sample and each channel the values from sample `first` on.
+#[derive(Debug, Clone)]
+struct Knot {
+    first: i64,
+    length: usize,
+    rows: Vec<f64>,
+}
+
+impl Knot {
+    fn row(&self, phase: usize, channel: usize) -> &[f64] {
+        let start = (phase * CHANNELS + channel) * self.length;
+        &self.rows[start..start + self.length]
+    }
+}
+
+/// The tables of one response.
+#[derive(Debug, Clone)]
+pub struct Templates {
+    knots: Vec<Knot>,
+}
+
+/// What of a shape is wanted.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Part {
+    /// The shape.
+    Value,
+    /// Its derivative in time, per sample.
+    ByTime,
+    /// Its derivative in the width's logarithm.
+    ByLnWidth,
+}
+
+impl Templates {
+    /// Tables for the response with these values, eight to the sample, the first at `first_sample` from the peak.
+    ///
+    /// The values are as [`super::response::SystemResponse::check`] wants them.
+    pub fn new(values: &[f64], first_sample: i32, fwhm_samples: f64) -> Templates {
+        let v0 = fwhm_samples * fwhm_samples / (8.0 * std::f64::consts::LN_2);
+        let last = LN_WIDTH_RANGE[1];
+        let reach = |u: f64| (REACH_SD * (v0 * ((2.0 * u).exp() - 1.0)).max(v0).sqrt()).ceil() as i64;
+        let samples = values.len().div_ceil(STEPS_PER_SAMPLE) as i64;
+        let longest = (samples + 2 * reach(last)) as usize;
+        let steps = (longest * STEPS_PER_SAMPLE).next_power_of_two();
+        let first_step = i64::from(first_sample) * STEPS_PER_SAMPLE as i64;
+        let series = spectrum(values, first_step, steps, bins(steps));
+        let count = ((last - LN_WIDTH_RANGE[0]) / LN_WIDTH_STEP).round() as usize + 1;
+        let knots = (0..count).map(|i| {
+            let u = LN_WIDTH_RANGE[0] + i as f64 * LN_WIDTH_STEP;
+            let margin = if u > 0.0 { reach(u) } else { reach(0.0) };
+            let extent = (i64::from(first_sample) - margin, (samples + 2 * margin) as usize);
+            knot(&series, steps, v0, u, extent)
+        });
+        Templates { knots: knots.collect() }
+    }
+
+    /// The logarithms of the width ratio that the tables reach to.
+    pub fn ln_width_bounds() -> [f64; 2] {
+        LN_WIDTH_RANGE
+    }
+
+    /// Adds `factor` times a part of the shape with its peak at `position_samples` to `values`, the samples of a block.
+    pub(super) fn add(
+        &self,
+        part: Part,
+        position_samples: f64,
+        ln_width_ratio: f64,
+        factor: f64,
+        values: &mut [f64],
+    ) {
+        let [low, high] = LN_WIDTH_RANGE;
+        let at = (ln_width_ratio.clamp(low, high) - low) / LN_WIDTH_STEP;
+        let index = (at.floor() as usize).min(self.knots.len() - 2);
+        let by_width = Hermite::new(at - index as f64, LN_WIDTH_STEP);
+        let whole = (-position_samples).floor();
+        let steps = (-position_samples - whole) * STEPS_PER_SAMPLE as f64;
+        let phase = (steps.floor() as usize).min(STEPS_PER_SAMPLE - 1);
+        let by_time = Hermite::new(steps - phase as f64, 1.0 / STEPS_PER_SAMPLE as f64);
+        let (time, width) = match part {
+            Part::Value => (by_time.value(), by_width.value()),
+            Part::ByTime => (by_time.slope(), by_width.value()),
+            Part::ByLnWidth => (by_time.value(), by_width.slope()),
+        };
+        for (j, knot) in self.knots[index..index + 2].iter().enumerate() {
+            // Sample k of the block is sample k + whole of the row, counted from the peak.
+            let offset = whole as i64 - knot.first;
+            let begin = (-offset).clamp(0, values.len() as i64) as usize;
+            let skipped = (offset + begin as i64).max(0) as usize;
+            if skipped >= knot.length {
+                continue;
+            }
+            let target = &mut values[begin..];
+            for (i, (a, b)) in [(time[0], time[1]), (time[2], time[3])].into_iter().enumerate() {
+                let rows = [0, 1, 2, 3].map(|channel| &knot.row(phase + i, channel)[skipped..]);
+                let (c, d) = (width[2 * j], width[2 * j + 1]);
+                let weights = [a * c, b * c, a * d, b * d].map(|w| w * factor);
+                accumulate(target, rows, weights);
+            }
+        }
+    }
+}
+
+fn accumulate(target: &mut [f64], rows: [&[f64]; 4], weights: [f64; 4]) {
+    let n = target.len().min(rows[0].len());
+    let [r0, r1, r2, r3] = rows.map(|row| &row[..n]);
+    let [w0, w1, w2, w3] = weights;
+    for (k, value) in target[..n].iter_mut().enumerate() {
+        *value += w0 * r0[k] + w1 * r1[k] + w2 * r2[k] + w3 * r3[k];
+    }
+}
+
+/// Weights of a cubic Hermite polynomial at a part `x` of a step: of value and slope at the left, then at the right.
+struct Hermite {
+    x: f64,
+    step: f64,
+}
+
+impl Hermite {
+    fn new(x: f64, step: f64) -> Hermite {
+        Hermite { x, step }
+    }
+
+    fn value(&self) -> [f64; 4] {
+        let (x, rest) = (self.x, 1.0 - self.x);
+        [
+            (1.0 + 2.0 * x) * rest * rest,
+            x * rest * rest * self.step,
+            (3.0 - 2.0 * x) * x * x,
+            -x * x * rest * self.step,
+        ]
+    }
+
+    fn slope(&self) -> [f64; 4] {
+        let x = self.x;
+        let level = 6.0 * x * (x - 1.0) / self.step;
+        [level, 1.0 + x * (3.0 * x - 4.0), -level, x * (3.0 * x - 2.0)]
+    }
+}
+
+/// The rows of one width: `extent` is their first sample and their length.
+fn knot(series: &[Complex], steps: usize, v0: f64, u: f64, extent: (i64, usize)) -> Knot {
+    let square = (2.0 * u).exp();
+    let variance = v0 * (square - 1.0);
+    let mut shape = vec![[0.0, 0.0]; steps];
+    let mut by_width = vec![[0.0, 0.0]; steps];
+    for (j, c) in series.iter().enumerate() {
+        let omega = 2.0 * PI * j as f64 * STEPS_PER_SAMPLE as f64 / steps as f64;
+        let exponent = -0.5 * omega * omega * variance;
+        let bent = (exponent / MAX_LN_GAIN).tanh();
+        let (ln_gain, bend) =
+            if exponent > 0.0 { (MAX_LN_GAIN * bent, 1.0 - bent * bent) } else { (exponent, 1.0) };
+        let gain = ln_gain.exp();
+        let gain_by_width = -gain * bend * omega * omega * v0 * square;
+        put(&mut shape, j, [c[0] * gain, c[1] * gain], omega);
+        put(&mut by_width, j, [c[0] * gain_by_width, c[1] * gain_by_width], omega);
+    }
+    fourier::transform(&mut shape, 1.0);
+    fourier::transform(&mut by_width, 1.0);
+    let (top, top_by_width) = peak(&shape, &by_width);
+    let (first, length) = extent;
+    let mut rows = Vec::with_capacity((STEPS_PER_SAMPLE + 1) * CHANNELS * length);
+    for phase in 0..=STEPS_PER_SAMPLE {
+        for channel in 0..CHANNELS {
+            rows.extend((0..length).map(|k| {
+                let step = (first + k as i64) * STEPS_PER_SAMPLE as i64 + phase as i64;
+                let at = step.rem_euclid(steps as i64) as usize;
+                let part = channel % 2;
+                let value = shape[at][part] / top;
+                if channel < 2 { value } else { (by_width[at][part] - value * top_by_width) / top }
+            }));
+        }
+    }
+    Knot { first, length, rows }
+}
+
+/// Puts term `j` of a real series and of its derivative in time into one complex series: the first comes out as the real
+/// part, the second as the imaginary one.
+fn put(target: &mut [Complex], j: usize, c: Complex, omega: f64) {
+    // f + i g with g's coefficient iω c: at j it is c + i (iω c) = (1 - ω) c, at -j it is (1 + ω) c*.
+    target[j] = [c[0] * (1.0 - omega), c[1] * (1.0 - omega)];
+    if j > 0 {
+        let mirrored = target.len() - j;
+        target[mirrored] = [c[0] * (1.0 + omega), -c[1] * (1.0 + omega)];
+    }
+}
+
+/// The greatest value of a shape, and how it changes with the width's logarithm.
+fn peak(shape: &[Complex], by_width: &[Complex]) -> (f64, f64) {
+    let n = shape.len();
+    let at = (0..n).fold(0, |best, k| if shape[k][0] > shape[best][0] { k } else { best });
+    let (before, after) = (shape[(at + n - 1) % n][1], shape[(at + 1) % n][1]);
+    let step = 1.0 / STEPS_PER_SAMPLE as f64;
+    let curvature = (after - before) / (2.0 * step);
+    let shift = if curvature < 0.0 { (-shape[at][1] / curvature).clamp(-step, step) } else { 0.0 };
+    let top = shape[at][0] + 0.5 * shape[at][1] * shift;
+    (top, by_width[at][0] + by_width[at][1] * shift)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FWHM: f64 = 4.4;
+
+    fn gaussian(first: i32, last: i32) -> Vec<f64> {
+        let steps = STEPS_PER_SAMPLE as i32;
+        let shape = |k: i32| {
+            let x = f64::from(k) / f64::from(steps) / FWHM;
+            (-4.0 * std::f64::consts::LN_2 * x * x).exp()
+        };
+        (first * steps..=last * steps).map(shape).collect()
+    }
+
+    /// A Gaussian widened by a Gaussian is one: closed forms for value and both slopes.
+    #[test]
+    fn a_gaussian_response_gives_gaussians() {
+        let tables = Templates::new(&gaussian(-12, 30), -12, FWHM);
+        for (position, u) in [(20.0, 0.0), (19.3, 0.013), (25.77, 0.4), (3.1, 0.21), (30.5, 1.3)] {
+            let width = FWHM * f64::exp(u);
+            let mut parts = [vec![0.0; 60], vec![0.0; 60], vec![0.0; 60]];
+            for (values, part) in parts.iter_mut().zip([Part::Value, Part::ByTime, Part::ByLnWidth]) {
+                tables.add(part, position, u, 1.0, values);
+            }
+            for k in 0..60 {
+                let x = (k as f64 - position) / width;
+                let c = 8.0 * std::f64::consts::LN_2;
+                let value = (-0.5 * c * x * x).exp();
+                let exact = [value, -c * x / width * value, c * x * x * value];
+                for (values, exact) in parts.iter().zip(exact) {
+                    assert!((values[k] - exact).abs() < 2e-5, "{position} {u} {k}: {} {exact}", values[k]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn slopes_are_those_of_the_value() {
+        let skewed: Vec<f64> = {
+            let plain = gaussian(-12, 50);
+            let late = gaussian(-20, 42);
+            plain.iter().zip(late).map(|(a, b)| a + 0.05 * b).collect()
+        };
+        let tables = Templates::new(&skewed, -12, FWHM);
+        let value = |position: f64, u: f64| {
+            let mut values = vec![0.0; 50];
+            tables.add(Part::Value, position, u, 3.0, &mut values);
+            values
+        };
+        let (position, u, step) = (17.4321, -0.137, 1e-6);
+        let mut slopes = [vec![0.0; 50], vec![0.0; 50]];
+        tables.add(Part::ByTime, position, u, -3.0, &mut slopes[0]);
+        tables.add(Part::ByLnWidth, position, u, 3.0, &mut slopes[1]);
+        let [ahead, behind] = [value(position + step, u), value(position - step, u)];
+        let [wider, narrower] = [value(position, u + step), value(position, u - step)];
+        for k in 0..50 {
+            assert!(((ahead[k] - behind[k]) / (2.0 * step) - slopes[0][k]).abs() < 1e-7);
+            assert!(((wider[k] - narrower[k]) / (2.0 * step) - slopes[1][k]).abs() < 1e-7);
+        }
+    }
+
+    #[test]
+    fn a_pulse_outside_its_block_leaves_nothing() {
+        let tables = Templates::new(&gaussian(-12, 30), -12, FWHM);
+        for position in [-1e4, 1e4] {
+            let mut values = vec![0.0; 20];
+            tables.add(Part::Value, position, 0.0, 1.0, &mut values);
+            assert!(values.iter().all(|v| *v == 0.0));
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! Our returns beside the vendor's: pairs, what is missed, what is extra.
+
+use super::recordings::{Table, median, robust};
+
+/// Returns farther apart than this are not the same, ns.
+const PAIR_NS: f64 = 3.0;
+
+/// One return, the vendor's or ours.
+#[derive(Clone, Copy, Debug)]
+pub struct Echo {
+    pub time_ns: f64,
+    pub amplitude_dn: f64,
+    pub amplitude_db: f64,
+    pub fwhm_ns: f64,
+    pub sd_ns: f64,
+    pub deviation_ratio: f64,
+}
+
+/// The returns of one pulse.
+#[derive(Default, Clone)]
+pub struct Pulse {
+    pub vendor: Vec<Echo>,
+    pub ours: Vec<Echo>,
+    /// Indices of the vendor's and of ours.
+    pub pairs: Vec<(usize, usize)>,
+}
+
+impl Pulse {
+    /// The nearest two first, as long as any are near enough; each return once.
+    fn pair(&mut self) {
+        let mut all = Vec::new();
+        for (i, theirs) in self.vendor.iter().enumerate() {
+            for (j, ours) in self.ours.iter().enumerate() {
+                all.push(((theirs.time_ns - ours.time_ns).abs(), i, j));
+            }
+        }
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (distance, i, j) in all {
+            let free = self.pairs.iter().all(|pair| pair.0 != i && pair.1 != j);
+            if distance <= PAIR_NS && free {
+                self.pairs.push((i, j));
+            }
+        }
+    }
+
+    /// The vendor's returns that have no partner.
+    pub fn missed(&self) -> impl Iterator<Item = &Echo> {
+        let paired = |i: &usize| self.pairs.iter().all(|pair| pair.0 != *i);
+        (0..self.vendor.len()).filter(paired).map(|i| &self.vendor[i])
+    }
+
+    /// Ours that have no partner.
+    pub fn extra(&self) -> impl Iterator<Item = &Echo> {
+        let paired = |j: &usize| self.pairs.iter().all(|pair| pair.1 != *j);
+        (0..self.ours.len()).filter(paired).map(|j| &self.ours[j])
+    }
+
+    /// Distance of the vendor's return `i` to the nearest other of the pulse, ns.
+    pub fn separation_ns(&self, i: usize) -> f64 {
+        let others = self.vendor.iter().enumerate().filter(|(k, _)| *k != i);
+        others.map(|(_, other)| (other.time_ns - self.vendor[i].time_ns).abs()).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// All pulses of a recording.
+pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
+    let count = vendor.column("pulse_index").into_iter().fold(0.0, f64::max) as usize + 1;
+    let mut pulses = vec![Pulse::default(); count];
+    let column = |name: &str| vendor.column(name);
+    let (time, db, fwhm) = (column("range_units_from_anchor"), column("amplitude_db"), column("fwhm_ns"));
+    for (i, pulse) in column("pulse_index").into_iter().enumerate() {
+        pulses[pulse as usize].vendor.push(Echo {
+            time_ns: time[i],
+            amplitude_dn: f64::NAN,
+            amplitude_db: db[i],
+            fwhm_ns: fwhm[i],
+            sd_ns: f64::NAN,
+            deviation_ratio: f64::NAN,
+        });
+    }
+    let column = |name: &str| ours.column(name);
+    let (time, dn, db) = (column("time_of_flight_ns"), column("amplitude_dn"), column("amplitude_db"));
+    let (fwhm, sd) = (column("fwhm_ns"), column("time_of_flight_sd_ns"));
+    let deviation = column("deviation_ratio");
+    for (i, pulse) in column("shot").into_iter().enumerate() {
+        if let Some(pulse) = pulses.get_mut(pulse as usize) {
+            pulse.ours.push(Echo {
+                time_ns: time[i],
+                amplitude_dn: dn[i],
+                amplitude_db: db[i],
+                fwhm_ns: fwhm[i],
+                sd_ns: sd[i],
+                deviation_ratio: deviation[i],
+            });
+        }
+    }
+    pulses.iter_mut().for_each(Pulse::pair);
+    pulses
+}
+
+/// What a cubic in `x` leaves of `y`: fitted on one half and applied to the other, both ways.
+pub fn without_trend(x: &[f64], y: &[f64]) -> Vec<f64> {
+    let mut left = vec![f64::NAN; y.len()];
+    for half in 0..2 {
+        let fitted = |i: &usize| i % 2 == half;
+        let coefficients = cubic(&(0..x.len()).filter(fitted).map(|i| (x[i], y[i])).collect::<Vec<_>>());
+        for i in (0..x.len()).filter(|i| !fitted(i)) {
+            left[i] = y[i] - powers(x[i]).iter().zip(coefficients).map(|(p, c)| p * c).sum::<f64>();
+        }
+    }
+    left
+}
+
+fn powers(x: f64) -> [f64; 4] {
+    let t = x / 100.0 - 1.0;
+    [1.0, t, t * t, t * t * t]
+}
+
+/// A cubic by least squares, twice without what lies far off.
+fn cubic(points: &[(f64, f64)]) -> [f64; 4] {
+    let mut points = points.to_vec();
+    let mut coefficients = [0.0; 4];
+    for _ in 0..3 {
+        let mut matrix = [[0.0; 5]; 4];
+        for (x, y) in &points {
+            let p = powers(*x);
+            for i in 0..4 {
+                (0..4).for_each(|j| matrix[i][j] += p[i] * p[j]);
+                matrix[i][4] += p[i] * y;
+            }
+        }
+        coefficients = solve(matrix);
+        let rest =
+            |(x, y): &(f64, f64)| y - powers(*x).iter().zip(coefficients).map(|(p, c)| p * c).sum::<f64>();
+        let (centre, sd) = robust(&points.iter().map(rest).collect::<Vec<_>>());
+        points.retain(|point| (rest(point) - centre).abs() < 3.5 * sd);
+    }
+    coefficients
+}
+
+/// Gauss's elimination of four equations.
+fn solve(mut m: [[f64; 5]; 4]) -> [f64; 4] {
+    for i in 0..4 {
+        let pivot = m[i];
+        for (_, row) in m.iter_mut().enumerate().filter(|(j, _)| *j != i) {
+            let factor = row[i] / pivot[i];
+            (0..5).for_each(|k| row[k] -= factor * pivot[k]);
+        }
+    }
+    [0, 1, 2, 3].map(|i| m[i][4] / m[i][i])
+}
+
+/// Part of the values that `test` holds for.
+pub fn share(values: &[f64], test: impl Fn(f64) -> bool) -> f64 {
+    values.iter().filter(|value| test(**value)).count() as f64 / values.len().max(1) as f64
+}
+
+/// Robust standard deviation about the median.
+pub fn spread(values: &[f64]) -> f64 {
+    let centre = median(values);
+    1.4826 * median(&values.iter().map(|value| (value - centre).abs()).collect::<Vec<_>>())
+}
