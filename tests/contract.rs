@@ -22,7 +22,7 @@ const UNITS: [&str; 16] = [
     "_rate", "_step",
 ];
 /// Quantities without a unit, and whose name says so.
-const PLAIN_NUMBERS: [&str; 1] = ["noise_autocorrelation"];
+const PLAIN_NUMBERS: [&str; 3] = ["noise_autocorrelation", "split_evidence", "template_error"];
 
 #[test]
 fn every_stage_and_every_key_is_explained() {
