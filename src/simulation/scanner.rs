@@ -18,7 +18,7 @@ const CLOCK_START_NS: i64 = 1_000_000_000_000;
 /// Facets of the rotating mirror.
 const FACETS: u32 = 4;
 
-/// The coordinate reference system of [`START_M`]: WGS 84 / UTM zone 33N (EPSG:32633) as WKT 1 (OGC 01-009).
+/// The coordinate reference system of `START_M`: WGS 84 / UTM zone 33N (EPSG:32633) as WKT 1 (OGC 01-009).
 pub const CRS_WKT: &str = concat!(
     r#"PROJCS["WGS 84 / UTM zone 33N",GEOGCS["WGS 84",DATUM["WGS_1984","#,
     r#"SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG","6326"]],"#,
