@@ -14,7 +14,7 @@ mod words;
 
 pub use context::{Context, Counters, Distribution, Item};
 pub use keys::{Key, Keys};
-pub use output_file::{OutputFile, WholeFile};
+pub use output_file::{OutputFile, WholeFile, remove_unfinished_files};
 pub use site::{Paths, Site};
 pub use spec::{
     Config, ConfigError, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig, StageSpec,

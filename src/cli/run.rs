@@ -5,10 +5,10 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use super::{Failure, JobArgs, Machine, When, log, terminal};
-use crate::engine::{self, Cancel, Options, ProgressMode, RunReport};
+use crate::engine::{self, Cancel, Cause, Options, ProgressMode, RunError, RunReport};
 use crate::formats::Error;
 use crate::job::{Job, Override};
-use crate::stage::{OutputFile, StageError};
+use crate::stage::{OutputFile, StageError, remove_unfinished_files};
 
 /// Reads the job and runs it.
 pub(super) fn run(args: &JobArgs, machine: Machine, quiet: bool) -> Result<(), Failure> {
@@ -51,12 +51,17 @@ pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -
     if quiet { Ok(()) } else { terminal::print(&summary(&report, machine.profile)) }
 }
 
-/// Ctrl-C and a request to terminate end the run in order; a second one ends the process at once.
+/// Ctrl-C and a request to terminate end the run in order, as soon as every stage has done the line it is at; a second one
+/// ends the process at once.
 fn stop_on_signals(cancel: &Cancel) {
     let cancel = cancel.clone();
     let handler = move || {
         if cancel.is_cancelled() {
-            std::process::exit(1);
+            remove_unfinished_files();
+            let error = RunError { stage: None, input: None, cause: Cause::Interrupted };
+            let interrupted = Failure::Run(error.to_string());
+            terminal::print_error(&interrupted.message(terminal::colour()));
+            std::process::exit(interrupted.exit_code().into());
         }
         cancel.cancel();
     };

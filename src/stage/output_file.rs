@@ -1,8 +1,10 @@
 //! Files that appear under their final name only when they are whole.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard};
 
 use crate::formats::{Error, Result};
 
@@ -27,6 +29,22 @@ struct Partial {
     renamed: bool,
 }
 
+/// The temporary files of this process, for an end without time for anything else.
+static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    // Each change is one insertion or removal: a panic elsewhere cannot leave the set half done.
+    UNFINISHED.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// Removes every file that has no final name yet: for a process that ends at once.
+pub fn remove_unfinished_files() {
+    for path in unfinished().iter() {
+        // As where one is dropped.
+        let _ = fs::remove_file(path);
+    }
+}
+
 impl OutputFile {
     /// Begins the file that is to become `path`; its folder is made where it is missing.
     pub fn create(path: &Path) -> Result<OutputFile> {
@@ -41,7 +59,7 @@ impl OutputFile {
         }
         let temporary = folder.join(format!(".{}.{}.partial", name.to_string_lossy(), std::process::id()));
         let file = File::create(&temporary).map_err(Error::io(path, "create"))?;
-        let partial = Partial { temporary, path: path.to_path_buf(), renamed: false };
+        let partial = Partial::new(temporary, path);
         Ok(OutputFile { writer: BufWriter::with_capacity(1 << 18, file), partial })
     }
 
@@ -91,8 +109,16 @@ impl WholeFile {
     }
 }
 
+impl Partial {
+    fn new(path_now: PathBuf, path: &Path) -> Partial {
+        unfinished().insert(path_now.clone());
+        Partial { temporary: path_now, path: path.to_path_buf(), renamed: false }
+    }
+}
+
 impl Drop for Partial {
     fn drop(&mut self) {
+        unfinished().remove(&self.temporary);
         if !self.renamed {
             // Nothing can be done about a temporary file that resists: its name says what it is.
             let _ = fs::remove_file(&self.temporary);

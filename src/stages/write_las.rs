@@ -32,6 +32,9 @@ pub const STAGE: StageSpec =
 /// `Channel` (0 low, 1 high power), with the scales, offsets and types of BayesWavEx 1.1. All values are clamped to what
 /// their type can hold, never wrapped.
 ///
+/// Rejected, and counted, are points too far away for 32-bit coordinates of the step; where that is every point, it is an
+/// error.
+///
 /// The bytes do not depend on the number of threads, and the creation date is that of the data.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]

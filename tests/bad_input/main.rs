@@ -16,5 +16,6 @@ mod las;
 mod outputs;
 mod pulsewaves;
 mod recordings;
+#[cfg(unix)]
 mod runs;
 mod wrong_files;

@@ -44,8 +44,8 @@ fn has_begun(place: &Place) -> bool {
 }
 
 /// Starts a long run, and waits until it is well under way.
-fn begin(place: &Place) -> Child {
-    let mut child = place.command(LONG).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+fn begin(place: &Place, job: &str) -> Child {
+    let mut child = place.command(job).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     while !has_begun(place) {
         assert_eq!(child.try_wait().unwrap(), None, "the run ended by itself");
         std::thread::sleep(Duration::from_millis(20));
@@ -72,20 +72,49 @@ fn a_folder_whose_name_is_no_unicode_is_reported_all_the_same() {
     assert!(report["inputs"][0]["path"].as_str().unwrap().ends_with("caf\u{fffd}/a.las"), "{report}");
 }
 
-#[cfg(unix)]
+/// Sends a signal to a run.
+fn send(signal: &str, to: &Child) {
+    let sent = Command::new("kill").args([&format!("-{signal}"), &to.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+}
+
+/// A run that was interrupted ends with this, and leaves nothing.
+#[track_caller]
+fn ends(place: &Place, child: Child) {
+    let output = child.wait_with_output().unwrap();
+    let err = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(err, "error: interrupted; no unfinished output was left behind\n");
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(place.outputs(), Vec::<String>::new());
+}
+
 #[test]
 fn a_signal_ends_a_run_in_order() {
     for signal in ["INT", "TERM", "HUP"] {
         let place = Place::new();
-        let child = begin(&place);
+        let child = begin(&place, LONG);
         assert!(place.outputs().iter().all(|name| name.ends_with(".partial")), "{:?}", place.outputs());
-        let killed =
-            Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
-        assert!(killed.success());
-        let output = child.wait_with_output().unwrap();
-        let err = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "SIG{signal}: {err}");
-        assert_eq!(err, "error: interrupted; no unfinished output was left behind\n");
-        assert_eq!(place.outputs(), Vec::<String>::new(), "SIG{signal}");
+        send(signal, &child);
+        ends(&place, child);
     }
+}
+
+#[test]
+fn a_second_signal_ends_a_stage_that_takes_its_time() {
+    let place = Place::new();
+    let child = begin(&place, &LONG.replace("waveforms = 300", "waveforms = 20000"));
+    // Nothing more is written once calibration has begun and all the queues before it are full.
+    let written = || {
+        let outputs = place.outputs();
+        outputs.iter().map(|name| fs::metadata(place.path("out").join(name)).unwrap().len()).sum::<u64>()
+    };
+    let mut before = 0;
+    while before != written() {
+        before = written();
+        std::thread::sleep(Duration::from_millis(500));
+    }
+    send("INT", &child);
+    std::thread::sleep(Duration::from_millis(100));
+    send("INT", &child);
+    ends(&place, child);
 }
