@@ -69,3 +69,23 @@ fn threads_queues_and_repetition_change_no_byte() {
         assert_eq!(digests(threads, capacity), first, "{threads} threads, {capacity} lines in a queue");
     }
 }
+
+/// The returns of a small simulated flight, with these keys of `calibrate`, in `folder`.
+fn returns(folder: &std::path::Path, name: &str, calibrate: &str) -> Vec<u8> {
+    let text = format!(
+        "[[stage]]\ntype = 'simulate'\nlines = 3\nshots_per_line = 120\n[[stage]]\ntype = 'calibrate'\n{calibrate}\n\
+         [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\npath = '{name}'\n"
+    );
+    let job = Job::parse("model.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    engine::run(&job, &Options::of_job(&job, folder, folder)).unwrap();
+    std::fs::read(folder.join(name)).unwrap()
+}
+
+#[test]
+fn a_saved_sensor_model_gives_the_same_returns_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let found = returns(folder.path(), "found.csv", "save = 'model.json'");
+    let again = returns(folder.path(), "again.csv", "load = 'model.json'");
+    assert!(found.len() > 10_000, "there are returns: {} bytes", found.len());
+    assert!(found == again, "to the byte");
+}
