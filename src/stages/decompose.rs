@@ -31,8 +31,9 @@ pub const STAGE: StageSpec =
 /// Per return: `time_of_flight_ns` (echo minus outgoing pulse), `range_m` = group velocity / 2 × time of flight,
 /// `amplitude_dn` (height of the fitted peak above the background, digitiser steps), `width_ratio` (full width at half
 /// maximum over that of the calibrated pulse), `thickness_m` = group velocity / 2 × √(fwhm² − calibrated fwhm²), 0 for
-/// pulses that are not widened, `deviation_ratio` = (χ² − ν) / √(2ν) of the waveform's fit with ν degrees of freedom, and
-/// `intensity`: 7 × 10^(dB/10) by the instrument's amplitude table, else `amplitude_dn`.
+/// pulses that are not widened, `deviation_ratio` = (χ² − ν) / √(2ν) of the waveform's fit, where ν are its degrees of
+/// freedom plus what the error of the calibrated response is expected to add, and `intensity`: 7 × 10^(dB/10) by the
+/// instrument's amplitude table, else `amplitude_dn`.
 ///
 /// Counts `np np_filtered np_merged nw_empty nw_saturated nw_refined1x nw_refined2x nw_truncated nw_deleted`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
