@@ -6,6 +6,7 @@
 //! least squares), [`whitening`] and [`noise`]. Positions are in samples from the block's first, heights in digitiser steps
 //! (DN), and a pulse stands where its peak stands.
 
+mod allowance;
 pub mod calibrate;
 mod cholesky;
 pub mod decompose;

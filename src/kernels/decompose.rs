@@ -259,7 +259,7 @@ impl Decomposer {
                 deviation_ratio,
                 flags: f.flags
                     | flags::REFINED
-                    | block_flags(samples, &self.model, f)
+                    | block_flags(samples, &self.model, f.pulse.position_samples, f.pulse.ln_width_ratio)
                     | if self.overdrives(&f.pulse) { flags::OVERDRIVEN } else { 0 },
             });
         }
@@ -278,9 +278,14 @@ impl Decomposer {
 }
 
 /// The flags that saturation and the block's ends set.
-fn block_flags(samples: &[u16], model: &ChannelModel, found: &Found) -> u16 {
-    let width = model.fwhm_samples() * found.pulse.ln_width_ratio.exp();
-    let position = found.pulse.position_samples;
+pub(super) fn block_flags(
+    samples: &[u16],
+    model: &ChannelModel,
+    position_samples: f64,
+    ln_width_ratio: f64,
+) -> u16 {
+    let width = model.fwhm_samples() * ln_width_ratio.exp();
+    let position = position_samples;
     let mut flags = 0;
     if position < 0.7 * width || position > samples.len() as f64 - 1.0 - 0.25 * width {
         flags |= flags::TRUNCATED;

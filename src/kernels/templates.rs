@@ -160,20 +160,33 @@ impl Hermite {
     }
 }
 
+/// What widening by `e^u` does to a frequency (radians per sample): the gain, and its first and second derivative by `u`.
+///
+/// `v0` is the variance of a Gaussian of the response's width, samples².
+pub(super) fn widening_gain(omega: f64, v0: f64, u: f64) -> [f64; 3] {
+    let square = (2.0 * u).exp();
+    let exponent = -0.5 * omega * omega * v0 * (square - 1.0);
+    let by_u = -omega * omega * v0 * square;
+    // Narrowing raises high frequencies, which are mostly noise: the exponent is bent to a limit.
+    let (ln_gain, slope, bend) = if exponent > 0.0 {
+        let bent = (exponent / MAX_LN_GAIN).tanh();
+        let slope = 1.0 - bent * bent;
+        (MAX_LN_GAIN * bent, slope, -2.0 * bent * slope / MAX_LN_GAIN)
+    } else {
+        (exponent, 1.0, 0.0)
+    };
+    let gain = ln_gain.exp();
+    let first = slope * by_u;
+    [gain, gain * first, gain * (first * first + bend * by_u * by_u + slope * 2.0 * by_u)]
+}
+
 /// The rows of one width: `extent` is their first sample and their length.
 fn knot(series: &[Complex], steps: usize, v0: f64, u: f64, extent: (i64, usize)) -> Knot {
-    let square = (2.0 * u).exp();
-    let variance = v0 * (square - 1.0);
     let mut shape = vec![[0.0, 0.0]; steps];
     let mut by_width = vec![[0.0, 0.0]; steps];
     for (j, c) in series.iter().enumerate() {
         let omega = 2.0 * PI * j as f64 * STEPS_PER_SAMPLE as f64 / steps as f64;
-        let exponent = -0.5 * omega * omega * variance;
-        let bent = (exponent / MAX_LN_GAIN).tanh();
-        let (ln_gain, bend) =
-            if exponent > 0.0 { (MAX_LN_GAIN * bent, 1.0 - bent * bent) } else { (exponent, 1.0) };
-        let gain = ln_gain.exp();
-        let gain_by_width = -gain * bend * omega * omega * v0 * square;
+        let [gain, gain_by_width, _] = widening_gain(omega, v0, u);
         put(&mut shape, j, [c[0] * gain, c[1] * gain], omega);
         put(&mut by_width, j, [c[0] * gain_by_width, c[1] * gain_by_width], omega);
     }

@@ -1,16 +1,24 @@
-//! Sixteen waveforms as rows: samples without background, whitened samples, the detection statistic.
+//! Waveforms as rows: samples without background and the detection statistic for sixteen at a time, and what of the
+//! whitened samples the pulses found so far leave, for a whole batch.
 //!
 //! A row belongs to one waveform, and every operation on it looks at that row alone.
 
-use super::tables::{Aligned, MAX_ORDER, TAPS, TAPS_BEFORE, Tables};
+use super::tables::{Aligned, FILTER_BEFORE, FILTER_LAGS, MAX_ORDER, ROW, TAPS, TAPS_BEFORE, Tables};
+use super::template::{Site, VECTORS, leaves_block, tail, template, weights};
 use super::vector::{LANES, Simd, Sixteen};
 
 /// Zeros before the first sample.
 pub(super) const FRONT: usize = 32;
-/// Zeros behind the last sample: what a window of a pulse at the block's end still reads.
+/// Zeros behind the last sample: what a frame of a pulse at the block's end still reads.
 const BACK: usize = 80;
 /// Samples that are filtered at a time.
-const CHUNK: usize = 64;
+pub(super) const CHUNK: usize = 64;
+/// Waveforms of a batch.
+pub(super) const BATCH: usize = 128;
+/// Rows of residuals: the batch's, as many for trials, and one that stays empty, for lanes without work.
+const RESIDUALS: usize = 2 * BATCH + 1;
+/// The row that stays empty.
+pub(super) const EMPTY: usize = 2 * BATCH;
 
 /// The sixteen values from `at` on; zeros where the row has not that many.
 #[inline(always)]
@@ -34,90 +42,113 @@ pub(super) struct Rows {
     stride: usize,
     capacity: usize,
     samples: Aligned,
-    pub(super) whitened: Aligned,
     statistic: Aligned,
-    /// Samples of each waveform.
-    pub(super) lengths: [usize; LANES],
-    /// Samples that the rows held before: what lies beyond is zero.
+    /// Samples that the rows of `samples` held before: what lies beyond is zero.
     before: [usize; LANES],
+    residual: Aligned,
+    /// Samples of each row of `residual`.
+    lengths: [usize; RESIDUALS],
     gain: Aligned,
     gain_length: usize,
 }
 
 impl Rows {
-    /// For blocks of up to `capacity` samples.
-    pub(super) fn new(capacity: usize) -> Rows {
-        let capacity = capacity.div_ceil(CHUNK).max(1) * CHUNK;
+    /// For blocks of up to `samples` samples.
+    pub(super) fn new(samples: usize) -> Rows {
+        let capacity = samples.div_ceil(CHUNK).max(1) * CHUNK;
         let stride = FRONT + capacity + BACK;
+        let mut lengths = [0; RESIDUALS];
+        lengths[EMPTY] = CHUNK;
         Rows {
             stride,
             capacity,
             samples: Aligned::zeros(stride * LANES),
-            whitened: Aligned::zeros(stride * LANES),
             statistic: Aligned::zeros(stride * LANES),
-            lengths: [0; LANES],
             before: [0; LANES],
+            residual: Aligned::zeros(stride * RESIDUALS),
+            lengths,
             gain: Aligned::zeros(capacity + LANES),
             gain_length: 0,
         }
     }
 
-    /// Where a waveform's row starts, its first sample `FRONT` behind.
-    #[inline(always)]
-    pub(super) fn row_start(&self, waveform: usize) -> usize {
-        waveform * self.stride
+    /// Samples that a row can hold.
+    pub(super) fn capacity(&self) -> usize {
+        self.capacity
     }
 
-    /// Takes up to sixteen blocks, minus the background. What is beyond the capacity is left out; missing blocks are
-    /// empty.
+    /// Samples of the waveform in a row.
+    #[inline(always)]
+    pub(super) fn length(&self, row: usize) -> usize {
+        self.lengths.get(row).copied().unwrap_or(0)
+    }
+
+    /// Takes up to sixteen blocks of at most [`Rows::capacity`] samples, minus the background; missing blocks are empty.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&mut self, s: S, tables: &Tables, blocks: &[&[u16]]) {
         for w in 0..LANES {
             let block = blocks.get(w).copied().unwrap_or_default();
             let block = block.get(..self.capacity).unwrap_or(block);
-            self.lengths[w] = block.len();
+            let row = &mut self.samples.as_mut_slice()[w * self.stride..][..self.stride];
             if self.before[w] != block.len() {
                 self.before[w] = block.len();
-                self.samples.as_mut_slice()[w * self.stride..][..self.stride].fill(0.0);
-                self.whitened.as_mut_slice()[w * self.stride..][..self.stride].fill(0.0);
+                row.fill(0.0);
             }
-            let row = &mut self.samples.as_mut_slice()[w * self.stride..][..self.stride];
             load_row(s, &tables.background, block, row);
         }
     }
 
-    /// Whitens the rows. The first samples, as many as the noise's order, only predict; they and what lies beyond the
-    /// block become 0.
-    #[inline(always)]
-    pub(super) fn whiten<S: Simd>(&mut self, s: S, tables: &Tables, count: usize) {
-        for w in 0..count.min(LANES) {
-            let n = self.lengths[w];
-            let from = &self.samples.as_slice()[w * self.stride..][..self.stride];
-            let to = &mut self.whitened.as_mut_slice()[w * self.stride..][..self.stride];
-            whiten_row(s, tables, n, from, to);
-        }
-    }
-
-    /// Computes the statistic of every position of the rows.
+    /// Computes the statistic of every position of the rows that are loaded.
     #[inline(always)]
     pub(super) fn filter<S: Simd>(&mut self, s: S, tables: &Tables, count: usize) {
         for w in 0..count.min(LANES) {
-            let n = self.lengths[w];
+            let n = self.before[w];
             if n != self.gain_length {
                 self.set_gain(tables, n);
             }
             let from = &self.samples.as_slice()[w * self.stride..][..self.stride];
             let to = &mut self.statistic.as_mut_slice()[w * self.stride..][..self.stride];
             for c in (0..n).step_by(CHUNK) {
-                filter_chunk(s, &tables.taps, self.gain.as_slice(), c, from, to);
+                filter_chunk::<S, TAPS, TAPS_BEFORE>(s, &tables.taps, self.gain.as_slice(), c, from, to);
             }
         }
     }
 
-    /// The positions `c` to `c + 63` of a waveform that are local maxima of at least the threshold, one bit each.
+    /// Whitens the rows that are loaded into the residuals from row `first` on. The first samples, as many as the noise's
+    /// order, only predict; they and what lies beyond the block become 0.
     #[inline(always)]
-    pub(super) fn maxima<S: Simd>(&self, s: S, waveform: usize, c: usize, threshold: S::V) -> u64 {
-        let row = self.statistic_row(waveform);
+    pub(super) fn whiten<S: Simd>(&mut self, s: S, tables: &Tables, count: usize, first: usize) {
+        for w in 0..count.min(LANES) {
+            let n = self.before[w];
+            let from = &self.samples.as_slice()[w * self.stride..][..self.stride];
+            let to = &mut self.residual.as_mut_slice()[(first + w) * self.stride..][..self.stride];
+            if self.lengths[first + w] != n {
+                self.lengths[first + w] = n;
+                to.fill(0.0);
+            }
+            whiten_row(s, tables, n, from, to);
+        }
+    }
+
+    /// Computes the statistic of a residual's positions, in the first row of statistics.
+    #[inline(always)]
+    pub(super) fn filter_residual<S: Simd>(&mut self, s: S, tables: &Tables, row: usize) {
+        let n = self.lengths[row];
+        if n != self.gain_length {
+            self.set_gain(tables, n);
+        }
+        let from = &self.residual.as_slice()[row * self.stride..][..self.stride];
+        let to = &mut self.statistic.as_mut_slice()[..self.stride];
+        for c in (0..n).step_by(CHUNK) {
+            const BEFORE: usize = FILTER_BEFORE as usize;
+            filter_chunk::<S, FILTER_LAGS, BEFORE>(s, &tables.matched, self.gain.as_slice(), c, from, to);
+        }
+    }
+
+    /// The positions `c` to `c + 63` of a row of statistics that are local maxima of at least the threshold, one bit each.
+    #[inline(always)]
+    pub(super) fn maxima<S: Simd>(&self, s: S, lane: usize, c: usize, threshold: S::V) -> u64 {
+        let row = self.statistic_row(lane);
         let mut bits = 0;
         for q in (0..CHUNK).step_by(LANES) {
             let at = FRONT + c + q;
@@ -132,8 +163,75 @@ impl Rows {
 
     /// The statistic, position 0 at `FRONT`.
     #[inline(always)]
-    pub(super) fn statistic_row(&self, waveform: usize) -> &[f32] {
-        &self.statistic.as_slice()[waveform * self.stride..][..self.stride]
+    pub(super) fn statistic_row(&self, lane: usize) -> &[f32] {
+        &self.statistic.as_slice()[lane * self.stride..][..self.stride]
+    }
+
+    /// What the pulses leave of a row, sample 0 at `FRONT`.
+    #[inline(always)]
+    pub(super) fn residual_row(&self, row: usize) -> &[f32] {
+        &self.residual.as_slice()[row * self.stride..][..self.stride]
+    }
+
+    /// Copies one residual to another row.
+    #[inline(always)]
+    pub(super) fn copy(&mut self, from: usize, to: usize) {
+        let (from_at, to_at) = (from * self.stride, to * self.stride);
+        self.residual.as_mut_slice().copy_within(from_at..from_at + self.stride, to_at);
+        self.lengths[to] = self.lengths[from];
+    }
+
+    /// Adds `sign` times a pulse, its tail included, to a residual.
+    #[inline(always)]
+    pub(super) fn add<S: Simd, const STRONG: bool>(
+        &mut self,
+        s: S,
+        tables: &Tables,
+        row: usize,
+        site: &Site,
+        sign: f32,
+    ) {
+        let n = self.lengths[row];
+        let to = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
+        let inside = !leaves_block(site.first, ROW, tables.order, n);
+        let factor = s.splat(sign * site.height);
+        for c in 0..VECTORS {
+            let first = site.first + (c * LANES) as i32;
+            let at = FRONT.saturating_add_signed(first as isize);
+            let mut values = template::<S, STRONG>(s, tables, site, LANES + c * LANES).pulse;
+            if !inside {
+                values = s.mul(values, weights(s, first, tables.order, n));
+            }
+            put(s, s.fma(factor, values, s.load(sixteen(to, at))), to, at);
+        }
+        let mut first = site.first + ROW as i32;
+        let mut from = 0;
+        while first < n as i32 {
+            let at = FRONT.saturating_add_signed(first as isize);
+            let mut values = s.mul(s.splat(sign), tail::<S, STRONG>(s, tables, site, from));
+            if first < tables.order as i32 || first + LANES as i32 > n as i32 {
+                values = s.mul(values, weights(s, first, tables.order, n));
+            }
+            put(s, s.add(values, s.load(sixteen(to, at))), to, at);
+            first += LANES as i32;
+            from += LANES as i32;
+        }
+    }
+
+    /// Sums of squares of sixteen residuals.
+    #[inline(always)]
+    pub(super) fn chi_squares<S: Simd>(&self, s: S, rows: &[usize; LANES]) -> Sixteen {
+        let mut sums = [s.splat(0.0); LANES];
+        for (sum, &row) in sums.iter_mut().zip(rows) {
+            let values = self.residual_row(row);
+            for c in (0..self.lengths[row]).step_by(LANES) {
+                let value = s.load(sixteen(values, FRONT + c));
+                *sum = s.fma(value, value, *sum);
+            }
+        }
+        let mut out = [0.0; LANES];
+        s.store(s.sum_each(&sums), &mut out);
+        out
     }
 
     /// 1 within a block of `n` samples, the edges' factors at its ends, 0 beyond.
@@ -188,10 +286,18 @@ fn whiten_row<S: Simd>(s: S, tables: &Tables, n: usize, from: &[f32], to: &mut [
     }
 }
 
+/// Sixty-four positions of the statistic: taps over what stands `BEFORE` samples before a position and later.
 #[inline(always)]
-fn filter_chunk<S: Simd>(s: S, taps: &[f32; TAPS], gain: &[f32], c: usize, from: &[f32], to: &mut [f32]) {
+fn filter_chunk<S: Simd, const N: usize, const BEFORE: usize>(
+    s: S,
+    taps: &[f32; N],
+    gain: &[f32],
+    c: usize,
+    from: &[f32],
+    to: &mut [f32],
+) {
     const REACH: usize = CHUNK + 2 * LANES;
-    let Some(window) = from.get(FRONT + c - TAPS_BEFORE..).and_then(|row| row.first_chunk::<REACH>()) else {
+    let Some(window) = from.get(FRONT + c - BEFORE..).and_then(|row| row.first_chunk::<REACH>()) else {
         return;
     };
     let mut sums = [s.splat(0.0); CHUNK / LANES];

@@ -34,14 +34,30 @@ pub(super) fn factor<S: Simd, const P: usize>(s: S, mut a: [[S::V; P]; P]) -> Fa
 }
 
 impl<V: Copy, const P: usize> Factors<V, P> {
-    /// Replaces the right side by the solution.
+    /// Replaces the right side by `L⁻¹ b`.
     #[inline(always)]
-    pub(super) fn solve<S: Simd<V = V>>(&self, s: S, b: &mut [V; P]) {
+    fn forward<S: Simd<V = V>>(&self, s: S, b: &mut [V; P]) {
         for j in 0..P {
             for i in j + 1..P {
                 b[i] = s.fnma(self.lower[i][j], b[j], b[i]);
             }
         }
+    }
+
+    /// What each unknown, beside those before it, explains of the sum of squares whose equations these are.
+    #[inline(always)]
+    pub(super) fn explained<S: Simd<V = V>>(&self, s: S, mut b: [V; P]) -> [V; P] {
+        self.forward(s, &mut b);
+        for (value, inverse) in b.iter_mut().zip(&self.inverse_pivots) {
+            *value = s.mul(s.mul(*value, *value), *inverse);
+        }
+        b
+    }
+
+    /// Replaces the right side by the solution.
+    #[inline(always)]
+    pub(super) fn solve<S: Simd<V = V>>(&self, s: S, b: &mut [V; P]) {
+        self.forward(s, b);
         for (value, inverse) in b.iter_mut().zip(&self.inverse_pivots) {
             *value = s.mul(*value, *inverse);
         }

@@ -1,24 +1,31 @@
-//! What the kernels look up: whitened templates over width and phase, their inverse Fisher matrices, the filters.
+//! What the kernels look up: whitened templates over height, width and phase, inverse Fisher matrices, the filters.
 
-use super::spectrum::Spectrum;
+use super::series::{Series, Widened};
 use super::vector::{LANES, Sixteen};
+use crate::kernels::gauss_fit::FOUR_LN_2;
 use crate::kernels::noise::ArNoise;
+use crate::kernels::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
+use crate::kernels::sensor_model::ChannelModel;
 
-/// Samples of a template row: from 9 before the peak's sample to 22 behind it.
+/// Samples of a template row: from 11 before the peak's sample to 20 behind it, past the after-pulse.
 pub(super) const ROW: usize = 32;
 /// Row samples before the peak's.
-pub(super) const BEFORE_PEAK: i32 = 9;
+pub(super) const BEFORE_PEAK: i32 = 11;
 /// Table positions per sample.
 pub(super) const PHASES: usize = 16;
 /// Widths of the table.
-pub(super) const KNOTS: usize = 64;
+pub(super) const KNOTS: usize = 38;
 /// `ln` of the narrowest width ratio, 0.6.
 pub(super) const U_MIN: f64 = -0.510_825_623_765_990_7;
-/// `ln` of the widest width ratio, about 3.16.
-pub(super) const U_MAX: f64 = 1.15;
 /// Between knots.
-pub(super) const U_STEP: f64 = (U_MAX - U_MIN) / (KNOTS - 1) as f64;
-/// Templates per entry: `h, h_t, h_tt, h_u, h_uu, h_tu`.
+pub(super) const U_STEP: f64 = 0.026_4;
+/// `ln` of the widest width ratio, 1.59.
+pub(super) const U_MAX: f64 = U_MIN + (KNOTS - 1) as f64 * U_STEP;
+/// Full width at half maximum of the widest pulse whose rise a row holds, samples.
+const WIDEST_FWHM: f64 = 7.0;
+/// Full widths at half maximum, samples, that rows and filters are made for.
+const FWHM_RANGE: std::ops::RangeInclusive<f64> = 1.5..=6.0;
+/// Templates per entry: `s, s_t, s_tt, s_u, s_uu, s_tu`.
 pub(super) const TEMPLATES: usize = 6;
 /// A row and the zeros behind it; those before the first row open the entry.
 pub(super) const ROW_STRIDE: usize = ROW + LANES;
@@ -27,19 +34,17 @@ pub(super) const ENTRY: usize = LANES + TEMPLATES * ROW_STRIDE;
 /// Highest order of the noise that the kernels whiten.
 pub(super) const MAX_ORDER: usize = 4;
 /// Lags of the matched filter behind the whitening filter, from 6 before the peak.
-const FILTER_LAGS: usize = 14;
-const FILTER_BEFORE: i32 = 6;
+pub(super) const FILTER_LAGS: usize = 14;
+pub(super) const FILTER_BEFORE: i32 = 6;
 /// Taps of whitening and matched filter in one.
 pub(super) const TAPS: usize = FILTER_LAGS + MAX_ORDER;
 /// The first tap meets the sample this many before the position.
 pub(super) const TAPS_BEFORE: usize = FILTER_BEFORE as usize + MAX_ORDER;
 /// Widths of the bank, as knots: `first + k stride`.
 pub(super) const BANK: usize = 6;
-const BANK_FIRST: usize = 14;
-const BANK_STRIDE: usize = 9;
-/// Samples of the slow tail that the tables hold, behind the row.
-pub(super) const TAIL: usize = 64;
-/// Least share of a pulse's energy with which a position at the block's edge is searched (ALGORITHMS.md, S4).
+const BANK_FIRST: usize = 12;
+const BANK_STRIDE: usize = 5;
+/// Least share of a pulse's energy with which a position at the block's edge is searched.
 const LEAST_ENERGY: f64 = 0.3;
 
 /// Values that start on a cache line.
@@ -68,20 +73,33 @@ impl Aligned {
     }
 }
 
+/// The templates of the response for one height of the peak.
+pub(super) struct Node {
+    pub(super) peak_dn: f32,
+    entries: Aligned,
+    /// Per phase the whitened response behind the row, sixteen zeros before and behind.
+    tails: Aligned,
+}
+
 /// Everything that depends on one channel's response and noise, for all threads.
 ///
-/// 1.2 MB of templates; what one width uses, 19 KB, stays in the first-level cache.
+/// 0.75 MB of templates for each height that has a response of its own; what one width uses, 19 KB, stays in the
+/// first-level cache.
 pub struct Tables {
-    entries: Aligned,
-    /// Per entry the inverse Fisher matrix of a unit pulse, lower triangle: aa, aτ, ττ, au, τu, uu.
+    pub(super) nodes: Vec<Node>,
+    /// Per entry the inverse Fisher matrix of a pulse of height 1, lower triangle: aa, aτ, ττ, au, τu, uu.
     inverse_fisher: Vec<[f32; 8]>,
     /// Per phase the six rows of the bank, each of unit energy.
     bank: Aligned,
     /// Inverse root of the energies of the bank's rows.
     pub(super) bank_scale: [f32; BANK],
-    /// Per phase the whitened tail of the unwidened pulse, from sample `ROW` of the row on; zeros around.
-    tail: Vec<[f32; TAIL + 2 * LANES]>,
+    /// By knot what the tail of a pulse of height 1 is multiplied with: widening lowers the peak, not the tail.
+    tail_gain: [f32; KNOTS],
+    /// Values of a tail, the zeros included.
+    tail_stride: usize,
     pub(super) taps: [f32; TAPS],
+    /// The matched filter on whitened samples.
+    pub(super) matched: [f32; FILTER_LAGS],
     /// What the statistic is multiplied with at the first positions of a block, and at the last.
     pub(super) leading: Sixteen,
     pub(super) trailing: Sixteen,
@@ -90,58 +108,86 @@ pub struct Tables {
     pub(super) order: usize,
     /// The background by sample number modulo 4, for vectors that start at sample 0 to 3 modulo 4.
     pub(super) background: [Sixteen; 4],
+    /// Full width at half maximum of a pulse of width ratio 1, samples.
+    pub(super) fwhm_samples: f64,
+    /// The greatest `ln` width ratio that rows hold.
+    pub(super) u_max: f32,
 }
 
 impl Tables {
-    /// Tables for a response, the noise of the samples (order at most 4) and the background by sample number modulo 4,
-    /// in digitiser steps. `None` where the order is higher or the response's width is not between 1 and 8 samples:
-    /// rows and filters are made for pulses of about 4 samples.
-    pub fn new(response: &Spectrum, noise: &ArNoise, background_dn: [f64; 4]) -> Option<Tables> {
-        let fwhm = response.fwhm_samples();
-        if noise.order() > MAX_ORDER || !(1.0..=8.0).contains(&fwhm) {
+    /// Tables for a channel. `None` where the fast kernels are not made for it: a background that is each waveform's own,
+    /// noise of an order above 4, a pulse narrower than 1.5 or wider than 6 samples, or a model that describes no channel.
+    pub fn new(model: &ChannelModel) -> Option<Tables> {
+        let fwhm = model.fwhm_samples();
+        let noise = model.noise().ok()?;
+        let fits = noise.order() <= MAX_ORDER && FWHM_RANGE.contains(&fwhm);
+        if !fits || model.offset_precision().is_some() || model.check().is_err() {
             return None;
         }
-        let whitened = response.whitened(noise);
-        let variance = (fwhm / (8.0 * 2f64.ln()).sqrt()).powi(2);
+        let gaussian;
+        let response = match &model.response {
+            Some(response) => response,
+            None => {
+                gaussian = gaussian_response(fwhm);
+                &gaussian
+            }
+        };
+        let mut tables = Tables::empty(model, &noise, response);
+        let filter = Whitening { taps: tables.whitening.map(f64::from) };
+        for (i, node) in response.nodes.iter().enumerate() {
+            let reach = 2 * ROW;
+            let series = Series::new(&node.values, response.first_sample, fwhm, reach);
+            tables.add_node(&series, node.peak_dn, &filter, i == 0);
+            if i == 0 {
+                tables.set_filter(&series.widened(0.0), &filter, &noise);
+            }
+        }
+        tables.fill_bank();
+        Some(tables)
+    }
+
+    fn empty(model: &ChannelModel, noise: &ArNoise, response: &SystemResponse) -> Tables {
         let mut whitening = [0.0; MAX_ORDER + 1];
         let scale = noise.innovation_variance().sqrt().recip();
         whitening[0] = scale as f32;
         for (tap, coefficient) in whitening[1..].iter_mut().zip(noise.coefficients()) {
             *tap = (-coefficient * scale) as f32;
         }
-        let (taps, leading, trailing) = filter(response, &whitened, noise);
-        let mut tables = Tables {
-            entries: Aligned::zeros(KNOTS * PHASES * ENTRY),
+        let values = response.nodes.first().map_or(0, |node| node.values.len());
+        let end = i64::from(response.first_sample) + values.div_ceil(STEPS_PER_SAMPLE) as i64;
+        let tail = (end + MAX_ORDER as i64 - (ROW as i64 - i64::from(BEFORE_PEAK))).max(1) as usize;
+        Tables {
+            nodes: Vec::with_capacity(response.nodes.len()),
             inverse_fisher: Vec::with_capacity(KNOTS * PHASES),
             bank: Aligned::zeros(PHASES * BANK * ROW),
             bank_scale: [0.0; BANK],
-            tail: Vec::with_capacity(PHASES),
-            taps: taps.map(|tap| tap as f32),
-            leading,
-            trailing,
+            tail_gain: [1.0; KNOTS],
+            tail_stride: tail.div_ceil(LANES) * LANES + 2 * LANES,
+            taps: [0.0; TAPS],
+            matched: [0.0; FILTER_LAGS],
+            leading: [0.0; LANES],
+            trailing: [0.0; LANES],
             whitening,
             order: noise.order(),
             background: std::array::from_fn(|first| {
-                std::array::from_fn(|lane| background_dn[(first + lane) % 4] as f32)
+                std::array::from_fn(|lane| model.background_dn[(first + lane) % 4] as f32)
             }),
-        };
-        tables.fill_templates(&whitened, variance);
-        tables.fill_bank();
-        tables.fill_tail(&whitened);
-        Some(tables)
+            fwhm_samples: model.fwhm_samples(),
+            u_max: (WIDEST_FWHM / model.fwhm_samples()).ln().min(U_MAX) as f32,
+        }
     }
 
-    /// The templates of a knot and phase: zeros, then rows with zeros behind each.
+    /// The templates of a height, knot and phase: zeros, then rows with zeros behind each.
     #[inline(always)]
-    pub(super) fn entry(&self, index: usize) -> &[f32; ENTRY] {
+    pub(super) fn entry(&self, node: usize, index: usize) -> &[f32; ENTRY] {
         const NOTHING: &[f32; ENTRY] = &[0.0; ENTRY];
-        match self.entries.as_slice().get(index * ENTRY..) {
+        match self.nodes.get(node).and_then(|node| node.entries.as_slice().get(index * ENTRY..)) {
             Some(from) => from.first_chunk().unwrap_or(NOTHING),
             None => NOTHING,
         }
     }
 
-    /// The inverse Fisher matrix of a unit pulse: aa, aτ, ττ, au, τu, uu; two values more make it a power of two.
+    /// The inverse Fisher matrix of a pulse of height 1: aa, aτ, ττ, au, τu, uu; two values more make it a power of two.
     #[inline(always)]
     pub(super) fn inverse_fisher(&self, index: usize) -> [f32; 8] {
         self.inverse_fisher.get(index).copied().unwrap_or([0.0; 8])
@@ -162,40 +208,60 @@ impl Tables {
         U_MIN + (BANK_FIRST + k * BANK_STRIDE) as f64 * U_STEP
     }
 
-    /// The whitened slow tail of a unit pulse at a phase, from 23 samples behind the peak's sample to 86; 16 zeros
-    /// before and behind. It begins where the row ends, so row and tail add up to the whole response.
-    pub(super) fn tail(&self, phase: usize) -> &[f32; TAIL + 2 * LANES] {
-        const NOTHING: &[f32; TAIL + 2 * LANES] = &[0.0; TAIL + 2 * LANES];
-        self.tail.get(phase).unwrap_or(NOTHING)
+    /// The whitened response behind the row of an entry; sixteen zeros before and behind. Row and tail add up to the whole
+    /// response.
+    #[inline(always)]
+    pub(super) fn tail(&self, node: usize, index: usize) -> &[f32] {
+        let at = index % PHASES * self.tail_stride;
+        let tails = self.nodes.get(node).map(|node| node.tails.as_slice());
+        tails.and_then(|tails| tails.get(at..at + self.tail_stride)).unwrap_or(&[])
     }
 
-    fn fill_templates(&mut self, whitened: &Spectrum, v0: f64) {
-        let mut derivatives = [[0.0; 5]; ROW];
-        let entries = self.entries.as_mut_slice();
-        for (index, entry) in entries.chunks_exact_mut(ENTRY).enumerate() {
-            let u = U_MIN + (index / PHASES) as f64 * U_STEP;
-            let scale = v0 * (2.0 * u).exp();
-            let first = -f64::from(BEFORE_PEAK) - (index % PHASES) as f64 / PHASES as f64;
-            whitened.derivatives_into(scale - v0, first, &mut derivatives);
-            let mut fisher = [0.0; 6];
-            for (k, &[h, t, tt, ttt, tttt]) in derivatives.iter().enumerate() {
-                let values = [h, t, tt, scale * tt, 2.0 * scale * tt + scale * scale * tttt, scale * ttt];
-                for (template, value) in values.iter().enumerate() {
-                    entry[LANES + template * ROW_STRIDE + k] = *value as f32;
-                }
-                let row = [h, -t, scale * tt];
-                for (f, (i, j)) in fisher.iter_mut().zip(LOWER) {
-                    *f += row[i] * row[j];
+    /// What the tail of an entry's pulse is multiplied with, beside its height.
+    #[inline(always)]
+    pub(super) fn tail_gain(&self, index: usize) -> f32 {
+        self.tail_gain.get(index / PHASES).copied().unwrap_or(1.0)
+    }
+
+    /// Height from which the response is not the first node's, DN; infinite with one node.
+    pub(super) fn strong_dn(&self) -> f32 {
+        if self.nodes.len() > 1 { self.nodes[0].peak_dn } else { f32::INFINITY }
+    }
+
+    fn add_node(&mut self, series: &Series, peak_dn: f64, filter: &Whitening, is_first: bool) {
+        let mut node = Node {
+            peak_dn: peak_dn as f32,
+            entries: Aligned::zeros(KNOTS * PHASES * ENTRY),
+            tails: Aligned::zeros(PHASES * self.tail_stride),
+        };
+        let calibrated = series.widened(0.0);
+        let tail_samples = self.tail_stride - 2 * LANES;
+        for (phase, tail) in node.tails.as_mut_slice().chunks_exact_mut(self.tail_stride).enumerate() {
+            let from = ROW as i64 - i64::from(BEFORE_PEAK);
+            for (k, value) in tail[LANES..].iter_mut().enumerate().take(tail_samples) {
+                *value = filter.at(&calibrated, 0, from + k as i64, phase) as f32;
+            }
+        }
+        for (knot, entries) in node.entries.as_mut_slice().chunks_exact_mut(ENTRY * PHASES).enumerate() {
+            let u = U_MIN + knot as f64 * U_STEP;
+            let widened = series.widened(u);
+            if is_first {
+                self.tail_gain[knot] = (calibrated.top / widened.top) as f32;
+            }
+            for (phase, entry) in entries.chunks_exact_mut(ENTRY).enumerate() {
+                let fisher = fill_entry(entry, &widened, phase, filter);
+                if is_first {
+                    self.inverse_fisher.push(inverse(fisher));
                 }
             }
-            self.inverse_fisher.push(inverse(fisher));
         }
+        self.nodes.push(node);
     }
 
     fn fill_bank(&mut self) {
         for phase in 0..PHASES {
             for k in 0..BANK {
-                let entry = *self.entry((BANK_FIRST + k * BANK_STRIDE) * PHASES + phase);
+                let entry = *self.entry(0, (BANK_FIRST + k * BANK_STRIDE) * PHASES + phase);
                 let row = &entry[LANES..LANES + ROW];
                 let scale = row.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt().recip();
                 let at = (phase * BANK + k) * ROW;
@@ -210,18 +276,75 @@ impl Tables {
         }
     }
 
-    fn fill_tail(&mut self, whitened: &Spectrum) {
-        let mut derivatives = [[0.0; 5]; TAIL];
-        for phase in 0..PHASES {
-            let first = ROW as f64 - f64::from(BEFORE_PEAK) - phase as f64 / PHASES as f64;
-            whitened.derivatives_into(0.0, first, &mut derivatives);
-            let mut row = [0.0; TAIL + 2 * LANES];
-            for (out, values) in row[LANES..].iter_mut().zip(&derivatives) {
-                *out = values[0] as f32;
+    /// Taps of whitening and matched filter in one, of unit output variance, and what makes it so at a block's edges,
+    /// where samples are missing (taken as background): the inverse standard deviation, or 0 where too little energy is
+    /// left.
+    fn set_filter(&mut self, pulse: &Widened, filter: &Whitening, noise: &ArNoise) {
+        let template: [f64; FILTER_LAGS] =
+            std::array::from_fn(|k| filter.at(pulse, 0, k as i64 - i64::from(FILTER_BEFORE), 0));
+        let norm = template.iter().map(|v| v * v).sum::<f64>().sqrt().recip();
+        let mut taps = [0.0; TAPS];
+        for (i, value) in template.iter().enumerate() {
+            for (lag, tap) in filter.taps.iter().enumerate() {
+                taps[i + MAX_ORDER - lag] += norm * tap * value;
             }
-            self.tail.push(row);
+        }
+        let mut lags = [0.0; TAPS];
+        noise.autocovariance_into(&mut lags);
+        let at = |i: usize| pulse.at(0, (i as i64 - TAPS_BEFORE as i64) * PHASES as i64);
+        let part = |used: std::ops::Range<usize>| {
+            let signal: f64 = used.clone().map(|i| taps[i] * at(i)).sum();
+            let pairs = used.clone().flat_map(|i| used.clone().map(move |j| (i, j)));
+            let variance: f64 = pairs.map(|(i, j)| taps[i] * taps[j] * lags[i.abs_diff(j)]).sum();
+            (signal, variance)
+        };
+        let whole = part(0..TAPS).0.powi(2);
+        let gain = |(signal, variance): (f64, f64)| {
+            let enough = signal > 0.0 && signal * signal >= LEAST_ENERGY * whole * variance;
+            if enough { variance.sqrt().recip() as f32 } else { 0.0 }
+        };
+        let behind = TAPS - TAPS_BEFORE;
+        self.leading = std::array::from_fn(|k| match TAPS_BEFORE.saturating_sub(k) {
+            0 => 1.0,
+            missing => gain(part(missing..TAPS)),
+        });
+        self.trailing = std::array::from_fn(|k| match behind.saturating_sub(LANES - k) {
+            0 => 1.0,
+            missing => gain(part(0..TAPS - missing)),
+        });
+        self.taps = taps.map(|tap| tap as f32);
+        self.matched = template.map(|value| (value * norm) as f32);
+    }
+}
+
+/// The whitening filter in the steady state.
+struct Whitening {
+    taps: [f64; MAX_ORDER + 1],
+}
+
+impl Whitening {
+    /// A whitened shape at a whole sample behind the peak's, the peak standing `phase` steps late.
+    fn at(&self, shapes: &Widened, shape: usize, sample: i64, phase: usize) -> f64 {
+        let step = |lag: usize| (sample - lag as i64) * PHASES as i64 - phase as i64;
+        self.taps.iter().enumerate().map(|(lag, tap)| tap * shapes.at(shape, step(lag))).sum()
+    }
+}
+
+/// Fills the templates of a width and phase, and gives their Fisher matrix (height, position, width), lower triangle.
+fn fill_entry(entry: &mut [f32], widened: &Widened, phase: usize, filter: &Whitening) -> [f64; 6] {
+    let mut fisher = [0.0; 6];
+    for k in 0..ROW {
+        let sample = k as i64 - i64::from(BEFORE_PEAK);
+        let values: [f64; TEMPLATES] = std::array::from_fn(|shape| filter.at(widened, shape, sample, phase));
+        for (template, value) in values.iter().enumerate() {
+            entry[LANES + template * ROW_STRIDE + k] = *value as f32;
+        }
+        let row = [values[0], -values[1], values[3]];
+        for (f, (i, j)) in fisher.iter_mut().zip(LOWER) {
+            *f += row[i] * row[j];
         }
     }
+    fisher
 }
 
 /// Lower triangle of a 3 x 3 matrix, row by row.
@@ -245,43 +368,17 @@ fn inverse(m: [f64; 6]) -> [f32; 8] {
     out
 }
 
-/// Taps of whitening and matched filter in one, of unit output variance, and what makes it so at a block's edges, where
-/// samples are missing (taken as background): the inverse standard deviation, or 0 where too little energy is left.
-fn filter(response: &Spectrum, whitened: &Spectrum, noise: &ArNoise) -> ([f64; TAPS], Sixteen, Sixteen) {
-    let mut template = [[0.0; 5]; FILTER_LAGS];
-    whitened.derivatives_into(0.0, -f64::from(FILTER_BEFORE), &mut template);
-    let energy: f64 = template.iter().map(|v| v[0] * v[0]).sum();
-    let scale = (energy * noise.innovation_variance()).sqrt().recip();
-    let mut taps = [0.0; TAPS];
-    for (i, values) in template.iter().enumerate() {
-        taps[i + MAX_ORDER] += scale * values[0];
-        for (lag, coefficient) in noise.coefficients().iter().enumerate() {
-            taps[i + MAX_ORDER - lag - 1] -= scale * coefficient * values[0];
-        }
+/// A Gaussian of the calibrated width as a response.
+fn gaussian_response(fwhm_samples: f64) -> SystemResponse {
+    let reach = (2.5 * fwhm_samples).ceil() as i32;
+    let steps = STEPS_PER_SAMPLE as i32;
+    let value = |k: i32| (-FOUR_LN_2 * (f64::from(k) / f64::from(steps) / fwhm_samples).powi(2)).exp();
+    let values = (-reach * steps..=reach * steps).map(value).collect();
+    SystemResponse {
+        first_sample: -reach,
+        nodes: vec![ResponseNode { peak_dn: 1.0, values }],
+        template_error: Vec::new(),
+        echoes: 0,
+        shape_sd: 0.0,
     }
-    let mut lags = [0.0; TAPS];
-    noise.autocovariance_into(&mut lags);
-    let mut pulse = [[0.0; 5]; TAPS];
-    response.derivatives_into(0.0, -(TAPS_BEFORE as f64), &mut pulse);
-    let part = |used: std::ops::Range<usize>| {
-        let signal: f64 = used.clone().map(|i| taps[i] * pulse[i][0]).sum();
-        let pairs = used.clone().flat_map(|i| used.clone().map(move |j| (i, j)));
-        let variance: f64 = pairs.map(|(i, j)| taps[i] * taps[j] * lags[i.abs_diff(j)]).sum();
-        (signal, variance)
-    };
-    let whole = part(0..TAPS).0.powi(2);
-    let gain = |(signal, variance): (f64, f64)| {
-        let enough = signal > 0.0 && signal * signal >= LEAST_ENERGY * whole * variance;
-        if enough { variance.sqrt().recip() as f32 } else { 0.0 }
-    };
-    let behind = TAPS - TAPS_BEFORE;
-    let leading = std::array::from_fn(|k| match TAPS_BEFORE.saturating_sub(k) {
-        0 => 1.0,
-        missing => gain(part(missing..TAPS)),
-    });
-    let trailing = std::array::from_fn(|k| match behind.saturating_sub(LANES - k) {
-        0 => 1.0,
-        missing => gain(part(0..TAPS - missing)),
-    });
-    (taps, leading, trailing)
 }

@@ -1,42 +1,55 @@
 //! A pulse's whitened template and its derivatives, out of the tables.
 
+use super::fit::Values;
 use super::rows::sixteen;
-use super::tables::{BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, U_MAX, U_MIN, U_STEP};
+use super::tables::{BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, Tables, U_MIN, U_STEP};
 use super::vector::{LANES, Simd, Sixteen};
 
-/// Sixteen pulses, one per waveform: amplitude, position and `ln` of the width ratio.
+/// Sixteen pulses, one per row: height, position and `ln` of the width ratio.
 #[derive(Clone, Copy)]
 pub(super) struct Pulses<V> {
-    pub(super) amplitude: V,
+    pub(super) height: V,
     pub(super) position: V,
     pub(super) width: V,
 }
 
 /// Positions are kept this many samples around the block.
 const OUTSIDE: f32 = 8.0;
-/// Least share of its amplitude that an iteration leaves to a pulse.
+/// Least share of its height that an iteration leaves to a pulse.
 const LEAST_LEFT: f32 = 0.2;
+/// Largest change of position (samples) and of `ln` width in one iteration.
+const LIMITS: [f32; 2] = [1.5, 0.4];
 
 impl<V: Copy> Pulses<V> {
-    /// The pulses after a step, within the limits of one iteration (ALGORITHMS.md, S6) and of the tables.
+    /// The pulses after a step, within the limits of one iteration and of the tables.
     #[inline(always)]
-    pub(super) fn stepped<S: Simd<V = V>>(self, s: S, step: &[V], limits: [f32; 2], last: V) -> Pulses<V> {
+    pub(super) fn stepped<S: Simd<V = V>>(self, s: S, step: [V; 3], last: V, u_max: f32) -> Pulses<V> {
         let next = Pulses {
-            amplitude: s.max(s.add(self.amplitude, step[0]), s.mul(self.amplitude, s.splat(LEAST_LEFT))),
-            position: s.add(self.position, bounded(s, step[1], limits[0])),
-            width: s.add(self.width, bounded(s, step[2], limits[1])),
+            height: s.max(s.add(self.height, step[0]), s.mul(self.height, s.splat(LEAST_LEFT))),
+            position: s.add(self.position, bounded(s, step[1], LIMITS[0])),
+            width: s.add(self.width, bounded(s, step[2], LIMITS[1])),
         };
-        next.within(s, last)
+        next.within(s, last, u_max)
     }
 
     /// The pulses within what the tables and rows hold; what is not a number becomes the lower bound.
     #[inline(always)]
-    pub(super) fn within<S: Simd<V = V>>(self, s: S, last: V) -> Pulses<V> {
+    pub(super) fn within<S: Simd<V = V>>(self, s: S, last: V, u_max: f32) -> Pulses<V> {
         let outside = s.splat(OUTSIDE);
         Pulses {
-            amplitude: s.max(self.amplitude, s.splat(1e-6)),
+            height: s.max(self.height, s.splat(1e-3)),
             position: s.min(s.max(self.position, s.sub(s.splat(0.0), outside)), s.add(last, outside)),
-            width: s.min(s.max(self.width, s.splat(U_MIN as f32)), s.splat(U_MAX as f32)),
+            width: s.min(s.max(self.width, s.splat(U_MIN as f32)), s.splat(u_max)),
+        }
+    }
+
+    /// `self` in the lanes of the mask, `other` in the rest.
+    #[inline(always)]
+    pub(super) fn select<S: Simd<V = V>>(self, s: S, mask: u16, other: Pulses<V>) -> Pulses<V> {
+        Pulses {
+            height: s.select(mask, self.height, other.height),
+            position: s.select(mask, self.position, other.position),
+            width: s.select(mask, self.width, other.width),
         }
     }
 }
@@ -47,78 +60,139 @@ pub(super) fn bounded<S: Simd>(s: S, value: S::V, limit: f32) -> S::V {
     s.min(s.max(value, s.splat(-limit)), s.splat(limit))
 }
 
-/// Where the tables hold sixteen pulses, and how far the pulses are from there.
-pub(super) struct Sites {
+/// Where the tables hold a pulse, and how far the pulse is from there.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Site {
     /// Entry of knot and phase.
-    pub(super) entry: [usize; LANES],
+    pub(super) entry: usize,
     /// Block sample of the row's first.
-    pub(super) first: [i32; LANES],
+    pub(super) first: i32,
     /// Table position minus the pulse's, samples.
-    pub(super) late: Sixteen,
+    pub(super) late: f32,
     /// The pulse's `ln` width minus the knot's.
-    pub(super) wider: Sixteen,
-    pub(super) amplitude: Sixteen,
+    pub(super) wider: f32,
+    pub(super) height: f32,
+    /// The response's nodes around the height, and the part of the second.
+    pub(super) nodes: [usize; 2],
+    pub(super) share: f32,
+    /// Height over the distance of the nodes: what the response's change with the height adds to a derivative by it.
+    pub(super) change: f32,
 }
 
-impl Sites {
-    /// The entries nearest to pulses that are [`Pulses::within`] the tables.
-    #[inline(always)]
-    pub(super) fn of<S: Simd>(s: S, pulses: &Pulses<S::V>) -> Sites {
-        let phases = PHASES as f32;
-        let above = s.sub(pulses.width, s.splat(U_MIN as f32));
-        let knot = s.mul(above, s.splat(1.0 / U_STEP as f32));
-        let phase = s.mul(pulses.position, s.splat(phases));
-        let mut sites = Sites {
-            entry: [0; LANES],
-            first: [0; LANES],
-            late: [0.0; LANES],
-            wider: [0.0; LANES],
-            amplitude: [0.0; LANES],
+impl Site {
+    /// The site of one pulse within the tables, its height followed by the response.
+    pub(super) fn of(tables: &Tables, [height, position, width]: Values) -> Site {
+        let above = width.clamp(U_MIN as f32, tables.u_max) - U_MIN as f32;
+        let knot = (above * (1.0 / U_STEP as f32)).round_ties_even();
+        let phase = (position * PHASES as f32).round_ties_even();
+        let site = Site {
+            entry: knot as usize * PHASES + (phase as i32 & (PHASES as i32 - 1)) as usize,
+            first: (phase as i32).div_euclid(PHASES as i32) - BEFORE_PEAK,
+            late: phase / PHASES as f32 - position,
+            wider: above - knot * U_STEP as f32,
+            height,
+            ..Site::default()
         };
-        let rounded = s.round(phase);
-        s.store(s.fma(rounded, s.splat(1.0 / phases), s.sub(s.splat(0.0), pulses.position)), &mut sites.late);
-        s.store(s.fnma(s.round(knot), s.splat(U_STEP as f32), above), &mut sites.wider);
-        s.store(pulses.amplitude, &mut sites.amplitude);
-        let (mut knots, mut steps) = ([0; LANES], [0; LANES]);
-        s.to_i32(knot, &mut knots);
-        s.to_i32(phase, &mut steps);
-        for w in 0..LANES {
-            let knot = (knots[w].max(0) as usize).min(KNOTS - 1);
-            sites.entry[w] = knot * PHASES + (steps[w] & (PHASES as i32 - 1)) as usize;
-            sites.first[w] = steps[w].div_euclid(PHASES as i32) - BEFORE_PEAK;
-        }
-        sites
+        site.with_nodes(tables)
     }
 
-    /// Whether any row of the first `count` reaches beyond the samples that count: those from `order` to the length.
-    #[inline(always)]
-    pub(super) fn at_edge(&self, frame: usize, order: usize, lengths: &[usize; LANES], count: usize) -> bool {
-        let mut edge = false;
-        for w in 0..count.min(LANES) {
-            edge |= leaves_block(self.first[w], frame, order, lengths[w]);
+    /// The response's nodes around the pulse's height.
+    fn with_nodes(mut self, tables: &Tables) -> Site {
+        let nodes = &tables.nodes;
+        let above = nodes.iter().take_while(|node| node.peak_dn <= self.height).count();
+        if above == 0 || above == nodes.len() {
+            self.nodes = [above.saturating_sub(1); 2];
+        } else {
+            let (low, high) = (nodes[above - 1].peak_dn, nodes[above].peak_dn);
+            self.nodes = [above - 1, above];
+            self.share = (self.height - low) / (high - low);
+            self.change = self.height / (high - low);
         }
-        edge
+        self
     }
 }
 
-/// Whether a frame reaches beyond the samples that count.
+/// The sites of sixteen pulses that are [`Pulses::within`] the tables; with `STRONG` the response follows the height.
+#[inline(always)]
+pub(super) fn sites<S: Simd, const STRONG: bool>(
+    s: S,
+    tables: &Tables,
+    pulses: &Pulses<S::V>,
+) -> [Site; LANES] {
+    let phases = PHASES as f32;
+    let above = s.sub(pulses.width, s.splat(U_MIN as f32));
+    let knot = s.mul(above, s.splat(1.0 / U_STEP as f32));
+    let phase = s.mul(pulses.position, s.splat(phases));
+    let rounded = s.round(phase);
+    let (mut late, mut wider, mut height) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    s.store(s.fma(rounded, s.splat(1.0 / phases), s.sub(s.splat(0.0), pulses.position)), &mut late);
+    s.store(s.fnma(s.round(knot), s.splat(U_STEP as f32), above), &mut wider);
+    s.store(pulses.height, &mut height);
+    let (mut knots, mut steps) = ([0; LANES], [0; LANES]);
+    s.to_i32(knot, &mut knots);
+    s.to_i32(phase, &mut steps);
+    let mut sites = [Site::default(); LANES];
+    for (w, site) in sites.iter_mut().enumerate() {
+        let knot = (knots[w].max(0) as usize).min(KNOTS - 1);
+        *site = Site {
+            entry: knot * PHASES + (steps[w] & (PHASES as i32 - 1)) as usize,
+            first: steps[w].div_euclid(PHASES as i32) - BEFORE_PEAK,
+            late: late[w],
+            wider: wider[w],
+            height: height[w],
+            ..Site::default()
+        };
+        if STRONG {
+            *site = site.with_nodes(tables);
+        }
+    }
+    sites
+}
+
+/// Whether a frame reaches beyond the samples that count: those from `order` to the length.
 #[inline(always)]
 pub(super) fn leaves_block(first: i32, frame: usize, order: usize, length: usize) -> bool {
     first < order as i32 || first + frame as i32 > length as i32
 }
 
-/// How many samples of a frame count.
-#[inline(always)]
-pub(super) fn counted(first: i32, frame: usize, order: usize, length: usize) -> i32 {
-    ((first + frame as i32).min(length as i32) - first.max(order as i32)).max(0)
+/// Sixteen samples of a pulse of height 1: the pulse, and its derivatives by height (times the height: the pulse
+/// itself where the response does not follow the height), time and width.
+#[derive(Clone, Copy)]
+pub(super) struct Template<V> {
+    pub(super) pulse: V,
+    pub(super) by_height: V,
+    pub(super) by_time: V,
+    pub(super) by_width: V,
 }
 
-/// Sixteen samples of `h`, `h_t` and `h_u` at a pulse: second-order Taylor from its entry.
-///
-/// `at` counts from the row's first sample, from −16 to 32; beyond the row all three are 0. The error of
-/// `h` is below 5e-5 of the peak from a width ratio of 0.9 up, below 4e-4 from 0.8 up.
+/// A site's template. `at` counts from the entry's first value, 16 before the row's; beyond the row all is 0.
 #[inline(always)]
-pub(super) fn template<S: Simd>(s: S, entry: &[f32; ENTRY], at: usize, late: S::V, wider: S::V) -> [S::V; 3] {
+pub(super) fn template<S: Simd, const STRONG: bool>(
+    s: S,
+    tables: &Tables,
+    site: &Site,
+    at: usize,
+) -> Template<S::V> {
+    let (late, wider) = (s.splat(site.late), s.splat(site.wider));
+    let [mut pulse, mut by_time, mut by_width] =
+        expanded(s, tables.entry(site.nodes[0], site.entry), at, late, wider);
+    let mut by_height = pulse;
+    if STRONG {
+        let other = expanded(s, tables.entry(site.nodes[1], site.entry), at, late, wider);
+        let share = s.splat(site.share);
+        let change = s.sub(other[0], pulse);
+        pulse = s.fma(share, change, pulse);
+        by_height = s.fma(s.splat(site.change), change, pulse);
+        by_time = s.fma(share, s.sub(other[1], by_time), by_time);
+        by_width = s.fma(share, s.sub(other[2], by_width), by_width);
+    }
+    Template { pulse, by_height, by_time, by_width }
+}
+
+/// Second-order Taylor expansion from an entry. The error of the pulse is below 5e-5 of the peak from a width ratio of
+/// 0.9 up, below 4e-4 from 0.8 up.
+#[inline(always)]
+fn expanded<S: Simd>(s: S, entry: &[f32; ENTRY], at: usize, late: S::V, wider: S::V) -> [S::V; 3] {
     let [h, t, tt, u, uu, tu] = [
         s.load(sixteen(entry, at)),
         s.load(sixteen(entry, at + ROW_STRIDE)),
@@ -134,10 +208,22 @@ pub(super) fn template<S: Simd>(s: S, entry: &[f32; ENTRY], at: usize, late: S::
     [s.fma(s.mul(half, wider), s.add(u, h_u), by_t), h_t, h_u]
 }
 
+/// Sixteen samples of a site's tail, from so many samples behind its row's end (negative: before), times its height.
+#[inline(always)]
+pub(super) fn tail<S: Simd, const STRONG: bool>(s: S, tables: &Tables, site: &Site, from: i32) -> S::V {
+    let at = usize::try_from(from + LANES as i32).unwrap_or(usize::MAX);
+    let mut values = s.load(sixteen(tables.tail(site.nodes[0], site.entry), at));
+    if STRONG {
+        let other = s.load(sixteen(tables.tail(site.nodes[1], site.entry), at));
+        values = s.fma(s.splat(site.share), s.sub(other, values), values);
+    }
+    s.mul(values, s.splat(site.height * tables.tail_gain(site.entry)))
+}
+
 /// 1 for the samples of a window that count, 0 for the others.
 #[inline(always)]
 pub(super) fn weights<S: Simd>(s: S, first: i32, order: usize, length: usize) -> S::V {
-    let mut weights = [0.0; LANES];
+    let mut weights: Sixteen = [0.0; LANES];
     for (k, weight) in weights.iter_mut().enumerate() {
         let sample = first + k as i32;
         *weight = f32::from(u8::from(sample >= order as i32 && sample < length as i32));
@@ -145,5 +231,5 @@ pub(super) fn weights<S: Simd>(s: S, first: i32, order: usize, length: usize) ->
     s.load(&weights)
 }
 
-/// A window of a row that holds a template.
+/// Vectors of a template's row.
 pub(super) const VECTORS: usize = ROW / LANES;

@@ -94,20 +94,43 @@ impl Path {
         Path::ALL.into_iter().find(|path| path.is_available()).unwrap_or(Path::Portable)
     }
 
+    /// This path, or the portable one where the processor lacks it.
+    pub(super) fn processor(self) -> Processor {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx512 => avx512::Avx512::detect().map_or(Processor::Portable, Processor::Avx512),
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx2 => avx2::Avx2::detect().map_or(Processor::Portable, Processor::Avx2),
+            _ => Processor::Portable,
+        }
+    }
+
     /// Runs a kernel on this path, or on the portable one where the processor lacks it.
+    #[cfg(test)]
+    pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        self.processor().run(kernel)
+    }
+}
+
+/// A path that the processor has been found to have.
+#[derive(Clone, Copy)]
+pub(super) enum Processor {
+    #[cfg(target_arch = "x86_64")]
+    Avx512(avx512::Avx512),
+    #[cfg(target_arch = "x86_64")]
+    Avx2(avx2::Avx2),
+    Portable,
+}
+
+impl Processor {
+    /// Runs a kernel in a function that is compiled for the path's instructions.
     pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
             #[cfg(target_arch = "x86_64")]
-            Path::Avx512 => match avx512::Avx512::detect() {
-                Some(simd) => simd.run(kernel),
-                None => kernel.run(portable::Portable),
-            },
+            Processor::Avx512(simd) => simd.run(kernel),
             #[cfg(target_arch = "x86_64")]
-            Path::Avx2 => match avx2::Avx2::detect() {
-                Some(simd) => simd.run(kernel),
-                None => kernel.run(portable::Portable),
-            },
-            _ => kernel.run(portable::Portable),
+            Processor::Avx2(simd) => simd.run(kernel),
+            Processor::Portable => kernel.run(portable::Portable),
         }
     }
 }

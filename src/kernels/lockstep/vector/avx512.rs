@@ -6,7 +6,7 @@ use super::{Kernel, LANES, Simd, Sixteen};
 
 /// Exists only where [`Avx512::detect`] has found the instructions.
 #[derive(Clone, Copy)]
-pub(super) struct Avx512(());
+pub(in crate::kernels::lockstep) struct Avx512(());
 
 impl Avx512 {
     pub(super) fn detect() -> Option<Avx512> {

@@ -1,0 +1,381 @@
+//! A batch of waveforms from samples to fitted pulses.
+
+use super::Mode;
+use super::candidates::Candidates;
+use super::fit::{Job, Values};
+use super::jobs::{Done, Queues, add};
+use super::limits::Limits;
+use super::rows::{BATCH, EMPTY, Rows};
+use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
+use super::start::{FromBank, OneStep, Stepped};
+use super::tables::{ROW, Tables};
+use super::trials::Trial;
+use super::vector::{Kernel, LANES, Processor, Simd};
+use crate::kernels::calibrate::Block;
+use crate::kernels::decompose::{Counts, DecomposeSettings};
+
+/// What a thread keeps from batch to batch.
+pub(super) struct Workspace {
+    pub(super) rows: Rows,
+    pub(super) scenes: Vec<Scene>,
+    pub(super) queues: Queues,
+    pub(super) done: Vec<Done>,
+    pub(super) trials: Vec<Trial>,
+    /// Waveforms whose residual is still to be searched.
+    pub(super) active: Vec<usize>,
+    /// Pulses that may be two: row and values, and their number in the waveform.
+    pub(super) suspects: Vec<(usize, Values)>,
+    pub(super) suspect_numbers: Vec<usize>,
+    pub(super) candidates: Vec<Candidates>,
+    pub(super) squares: Vec<f32>,
+    pub(super) scores: Vec<f32>,
+    stepped: Vec<Stepped>,
+}
+
+impl Workspace {
+    pub(super) fn new(samples: usize) -> Workspace {
+        Workspace {
+            rows: Rows::new(samples),
+            scenes: Vec::with_capacity(BATCH),
+            queues: Queues::default(),
+            done: Vec::with_capacity(BATCH),
+            trials: Vec::with_capacity(BATCH),
+            active: Vec::with_capacity(BATCH),
+            suspects: Vec::with_capacity(BATCH),
+            suspect_numbers: Vec::with_capacity(BATCH),
+            candidates: Vec::with_capacity(BATCH),
+            squares: Vec::with_capacity(BATCH),
+            scores: Vec::with_capacity(BATCH),
+            stepped: Vec::with_capacity(BATCH),
+        }
+    }
+}
+
+/// The batch's work: at most [`BATCH`] blocks in, scenes in the workspace out.
+pub(super) struct Decompose<'a> {
+    pub(super) on: Processor,
+    pub(super) tables: &'a Tables,
+    pub(super) limits: &'a mut Limits,
+    pub(super) settings: &'a DecomposeSettings,
+    pub(super) mode: Mode,
+    pub(super) full_scale_dn: f64,
+    pub(super) work: &'a mut Workspace,
+    pub(super) blocks: &'a [Block<'a>],
+}
+
+impl Decompose<'_> {
+    /// Does the work.
+    pub(super) fn run(mut self) {
+        self.detect();
+        match self.mode {
+            Mode::Fastest => self.step_each(false),
+            Mode::FastSeparated => {
+                self.step_each(true);
+                self.set_due(1);
+                self.fit_clusters(2);
+            }
+            Mode::Refined => {
+                self.set_due(1);
+                self.fit_clusters(1);
+                // Again, to what the fitted neighbours leave, and in the clusters that places and widths now make.
+                self.set_due(2);
+                self.fit_clusters(1);
+            }
+        }
+        self.sum_squares();
+        if self.mode == Mode::Refined && self.settings.max_added > 0 {
+            self.search_residuals();
+        }
+    }
+
+    pub(super) fn fwhm(&self) -> f32 {
+        self.tables.fwhm_samples as f32
+    }
+
+    /// Loads, filters and whitens all blocks, and starts a scene for each with its candidates.
+    fn detect(&mut self) {
+        let threshold = self.settings.detection_sigma as f32;
+        let Workspace { rows, candidates, scenes, .. } = &mut *self.work;
+        self.on.run(Detect { tables: self.tables, rows, blocks: self.blocks, threshold, out: candidates });
+        scenes.clear();
+        for i in 0..self.blocks.len() {
+            let mut found = self.work.candidates[i];
+            found.screen(threshold, self.fwhm(), &self.limits.echo, self.limits.per_dn);
+            let scene = self.scene(&self.blocks[i], &found);
+            self.work.scenes.push(scene);
+        }
+    }
+
+    /// The first pulses of a waveform: its candidates.
+    fn scene(&self, block: &Block<'_>, found: &Candidates) -> Scene {
+        let plain = Scene::left_to_plain();
+        let saturated = self.full_scale_dn.ceil().clamp(0.0, 65_535.0) as u16;
+        let highest = block.samples.iter().fold(0, |a, &b| a.max(b));
+        let is_long = block.samples.len() > self.work.rows.capacity();
+        let kept = found.as_slice();
+        if highest >= saturated || block.start_phase % 4 != 0 || is_long {
+            return plain;
+        }
+        if found.too_many || kept.len() > self.settings.max_returns.min(MAX_PULSES) {
+            return plain;
+        }
+        let mut scene = Scene::default();
+        scene.counts = Counts {
+            n_candidates: found.found as u32,
+            np_filtered: (found.found - kept.len()) as u32,
+            ..Counts::default()
+        };
+        for candidate in kept {
+            let height = candidate.statistic / self.limits.per_dn;
+            scene.push(Pulse { values: [height, candidate.position_samples, 0.0], ..Pulse::default() });
+        }
+        scene.sort();
+        scene
+    }
+
+    /// The clusters of waveforms with at least so many pulses are to be fitted.
+    pub(super) fn set_due(&mut self, pulses: usize) {
+        for scene in &mut self.work.scenes {
+            scene.sort();
+            scene.is_due = scene.way == Way::Fast && scene.pulses().len() >= pulses;
+        }
+    }
+
+    /// Takes all pulses off their waveform's row, where they are not yet.
+    fn take_off_all(&mut self, row: usize) {
+        let scene = &mut self.work.scenes[row];
+        if !scene.taken_off {
+            scene.taken_off = true;
+            for pulse in scene.pulses() {
+                add(self.on, self.tables, &mut self.work.rows, row, pulse.values, -1.0);
+            }
+        }
+    }
+
+    /// One step on each pulse, or on those that overlap no other.
+    fn step_each(&mut self, separated: bool) {
+        let fwhm = self.fwhm();
+        for number in 0..MAX_PULSES {
+            let mut jobs = [Job::<1> { row: 0, pulses: [[0.0; 3]] }; BATCH];
+            let mut count = 0;
+            for row in 0..self.work.scenes.len() {
+                let scene = &self.work.scenes[row];
+                let pulses = scene.pulses().len();
+                if scene.way == Way::Plain || number >= pulses {
+                    continue;
+                }
+                let overlaps = (number > 0 && scene.overlap(number - 1, number, fwhm))
+                    || (number + 1 < pulses && scene.overlap(number, number + 1, fwhm));
+                let values = scene.pulses()[number].values;
+                if pulses > 1 {
+                    self.take_off_all(row);
+                }
+                if overlaps && separated {
+                    continue;
+                }
+                if pulses > 1 {
+                    add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
+                }
+                jobs[count] = Job { row, pulses: [values] };
+                count += 1;
+            }
+            self.step_group(&mut jobs[..count], number);
+        }
+    }
+
+    fn step_group(&mut self, jobs: &mut [Job<1>], number: usize) {
+        let (on, tables) = (self.on, self.tables);
+        let Workspace { rows, scenes, stepped, .. } = &mut *self.work;
+        on.run(FromBank { tables, rows, jobs });
+        on.run(OneStep { tables, rows, jobs, out: stepped });
+        for (job, stepped) in jobs.iter().zip(stepped) {
+            let fitted = &stepped.fitted;
+            let scene = &mut scenes[job.row];
+            if !fitted.is_optimum || fitted.pulses[0][2] >= tables.u_max {
+                // The tabulated matrix is that of whole rows, and of widths that a row holds.
+                scene.way = Way::Plain;
+                continue;
+            }
+            scene.chi_square = stepped.chi_square;
+            scene.samples = ROW;
+            let pulse = &mut scene.pulses_mut()[number];
+            (pulse.values, pulse.sds) = (fitted.pulses[0], fitted.sds[0]);
+            if scene.taken_off {
+                add(on, tables, rows, job.row, fitted.pulses[0], -1.0);
+            }
+        }
+    }
+
+    /// Fits the clusters of at least so many pulses in the waveforms that are due: the first of each waveform, then the
+    /// second, and so on.
+    pub(super) fn fit_clusters(&mut self, least: usize) {
+        for number in 0..MAX_PULSES {
+            let mut singles = [Job::<1> { row: 0, pulses: [[0.0; 3]] }; BATCH];
+            let mut count = 0;
+            let mut any = false;
+            for row in 0..self.work.scenes.len() {
+                let scene = &self.work.scenes[row];
+                let cluster = if scene.is_due { scene.cluster(number, self.fwhm()) } else { None };
+                let Some(cluster) = cluster else { continue };
+                any = true;
+                if cluster.len() > MAX_CLUSTER {
+                    self.work.scenes[row].give_up();
+                } else if cluster.len() >= least
+                    && let Some(single) = self.queue_cluster(row, cluster)
+                {
+                    singles[count] = single;
+                    count += 1;
+                }
+            }
+            if !any {
+                break;
+            }
+            let jobs = &mut singles[..count];
+            self.on.run(FromBank { tables: self.tables, rows: &self.work.rows, jobs });
+            for job in jobs.iter() {
+                // The first pulse of a cluster of one: it is the one at its place.
+                let at =
+                    self.work.scenes[job.row].pulses().partition_point(|p| p.position() < job.pulses[0][1]);
+                self.work.queues.push(self.tables, job.row, &job.pulses, at);
+            }
+            self.run_clusters();
+        }
+    }
+
+    /// Puts a cluster back on its row and in its queue; gives it back where it is one pulse that has never been fitted, and
+    /// whose start values the bank is to find.
+    fn queue_cluster(&mut self, row: usize, cluster: std::ops::Range<usize>) -> Option<Job<1>> {
+        if self.work.scenes[row].taken_off || cluster.len() < self.work.scenes[row].pulses().len() {
+            self.take_off_all(row);
+            for i in cluster.clone() {
+                let values = self.work.scenes[row].pulses()[i].values;
+                add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
+            }
+        }
+        let mut values = [[0.0; 3]; MAX_CLUSTER];
+        let pulses = &self.work.scenes[row].pulses()[cluster.clone()];
+        for (values, pulse) in values.iter_mut().zip(pulses) {
+            *values = pulse.values;
+        }
+        if let [pulse] = pulses
+            && pulse.sds[1] <= 0.0
+        {
+            return Some(Job { row, pulses: [pulse.values] });
+        }
+        self.work.queues.push(self.tables, row, &values[..cluster.len()], cluster.start);
+        None
+    }
+
+    /// Does the jobs that wait, and takes their pulses off the rows.
+    fn run_clusters(&mut self) {
+        let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
+        let work = &mut *self.work;
+        work.queues.run(self.on, self.tables, &work.rows, precision, &mut work.done);
+        for done in &work.done {
+            let scene = &mut work.scenes[done.row];
+            let held = done.values().iter().all(|values| values[2] < self.tables.u_max);
+            if !(done.is_optimum && held) {
+                scene.give_up();
+                continue;
+            }
+            scene.taken_off |= done.values().len() == scene.pulses().len();
+            let pulses = &mut scene.pulses_mut()[done.tag..done.tag + done.values().len()];
+            for ((pulse, values), sds) in pulses.iter_mut().zip(done.values()).zip(done.sds()) {
+                (pulse.values, pulse.sds) = (*values, *sds);
+                add(self.on, self.tables, &mut work.rows, done.row, *values, -1.0);
+            }
+        }
+    }
+
+    /// Chi-square of all waveforms whose pulses have been taken off.
+    pub(super) fn sum_squares(&mut self) {
+        let Workspace { rows, scenes, squares, .. } = &mut *self.work;
+        self.on.run(ChiSquares { rows, which: 0..scenes.len(), out: squares });
+        for (row, (scene, square)) in scenes.iter_mut().zip(squares).enumerate() {
+            if scene.taken_off || scene.pulses().is_empty() {
+                scene.chi_square = *square;
+                scene.samples = rows.length(row).saturating_sub(self.tables.order);
+            }
+        }
+    }
+}
+
+/// Loads, filters and whitens blocks, and finds the candidates of each.
+pub(super) struct Detect<'a> {
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a mut Rows,
+    pub(super) blocks: &'a [Block<'a>],
+    pub(super) threshold: f32,
+    pub(super) out: &'a mut Vec<Candidates>,
+}
+
+impl Kernel for Detect<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let Detect { tables, rows, threshold, out, .. } = self;
+        out.clear();
+        for (group, blocks) in self.blocks.chunks(LANES).enumerate() {
+            let mut samples: [&[u16]; LANES] = [&[]; LANES];
+            for (samples, block) in samples.iter_mut().zip(blocks) {
+                *samples = block.samples;
+            }
+            let samples = &samples[..blocks.len()];
+            rows.load(s, tables, samples);
+            rows.filter(s, tables, samples.len());
+            rows.whiten(s, tables, samples.len(), group * LANES);
+            for (lane, samples) in samples.iter().enumerate() {
+                let length = samples.len().min(rows.capacity());
+                out.push(Candidates::of_row(s, rows, lane, length, threshold));
+            }
+        }
+    }
+}
+
+/// The candidates in what the pulses of some waveforms leave.
+pub(super) struct Search<'a> {
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a mut Rows,
+    pub(super) which: &'a [usize],
+    pub(super) threshold: f32,
+    pub(super) out: &'a mut Vec<Candidates>,
+}
+
+impl Kernel for Search<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        self.out.clear();
+        for &row in self.which {
+            self.rows.filter_residual(s, self.tables, row);
+            let length = self.rows.length(row);
+            self.out.push(Candidates::of_row(s, self.rows, 0, length, self.threshold));
+        }
+    }
+}
+
+/// Chi-square of consecutive rows.
+pub(super) struct ChiSquares<'a> {
+    pub(super) rows: &'a Rows,
+    pub(super) which: std::ops::Range<usize>,
+    pub(super) out: &'a mut Vec<f32>,
+}
+
+impl Kernel for ChiSquares<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        self.out.clear();
+        for first in self.which.clone().step_by(LANES) {
+            let mut rows = [EMPTY; LANES];
+            for (row, which) in rows.iter_mut().zip(first..self.which.end) {
+                *row = which;
+            }
+            let count = (self.which.end - first).min(LANES);
+            self.out.extend_from_slice(&self.rows.chi_squares(s, &rows)[..count]);
+        }
+    }
+}

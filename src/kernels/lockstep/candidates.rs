@@ -1,0 +1,138 @@
+//! Detection: local maxima of the matched filter, and which of them may be pulses.
+
+use super::rows::{CHUNK, FRONT, Rows};
+use super::vector::Simd;
+
+/// Two maxima are two candidates only with a dip between them that is this part of the threshold deep: what noise makes on
+/// the back of one wide pulse is one candidate.
+const DIP_PART: f32 = 0.5;
+/// What is seen of a candidate's strength is told from what stronger ones leave there from so many widths on.
+const TOLD_WIDTHS: f32 = 1.5;
+/// Candidates of one waveform that are held; a waveform with more is left to the plain kernels.
+const MAX_CANDIDATES: usize = 16;
+
+/// A local maximum of the matched filter.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Candidate {
+    /// Vertex of the parabola through the maximum and its neighbours, samples from the block's first.
+    pub position_samples: f32,
+    /// The statistic at the maximum's sample, in units of its own noise.
+    pub statistic: f32,
+}
+
+/// The candidates of one waveform.
+#[derive(Clone, Copy)]
+pub(super) struct Candidates {
+    all: [Candidate; MAX_CANDIDATES],
+    count: usize,
+    /// Candidates that were found, those screened out later included.
+    pub(super) found: usize,
+    /// Whether there were more than are held.
+    pub(super) too_many: bool,
+}
+
+impl Candidates {
+    pub(super) fn none() -> Candidates {
+        let all = [Candidate::default(); MAX_CANDIDATES];
+        Candidates { all, count: 0, found: 0, too_many: false }
+    }
+
+    pub(super) fn as_slice(&self) -> &[Candidate] {
+        &self.all[..self.count]
+    }
+
+    /// The maxima of a row of statistics, from left to right, those without a dip between them being one.
+    #[inline(always)]
+    pub(super) fn of_row<S: Simd>(
+        s: S,
+        rows: &Rows,
+        lane: usize,
+        samples: usize,
+        threshold: f32,
+    ) -> Candidates {
+        let mut out = Candidates::none();
+        let row = rows.statistic_row(lane);
+        let limit = s.splat(threshold);
+        let mut last = 0;
+        for c in (0..samples).step_by(CHUNK) {
+            let mut bits = rows.maxima(s, lane, c, limit);
+            while bits != 0 {
+                let at = FRONT + c + bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                let candidate = candidate(row, at);
+                match out.all[..out.count].last_mut() {
+                    Some(before) if !dips(row, last, at, DIP_PART * threshold) => {
+                        if candidate.statistic > before.statistic {
+                            *before = candidate;
+                            last = at;
+                        }
+                        continue;
+                    }
+                    _ => last = at,
+                }
+                match out.all.get_mut(out.count) {
+                    Some(place) => *place = candidate,
+                    None => {
+                        out.too_many = true;
+                        return out;
+                    }
+                }
+                out.count += 1;
+            }
+        }
+        out.found = out.count;
+        out
+    }
+
+    /// Sorts by strength and drops what is no more than stronger ones leave behind them: `echo` is the statistic that a
+    /// pulse of height 1 leaves by whole sample behind its peak, `per_dn` the statistic of its peak.
+    pub(super) fn screen(&mut self, threshold: f32, fwhm_samples: f32, echo: &[f32], per_dn: f32) {
+        if self.count < 2 {
+            return;
+        }
+        self.all[..self.count].sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
+        let told = TOLD_WIDTHS * fwhm_samples;
+        let mut kept = 0;
+        for i in 0..self.count {
+            let candidate = self.all[i];
+            let left: f32 = self.all[..kept]
+                .iter()
+                .map(|stronger| {
+                    let lag = candidate.position_samples - stronger.position_samples;
+                    if lag > told { stronger.statistic / per_dn * interpolated(echo, lag) } else { 0.0 }
+                })
+                .sum();
+            if candidate.statistic - left >= threshold {
+                self.all[kept] = candidate;
+                kept += 1;
+            }
+        }
+        self.count = kept;
+    }
+}
+
+fn interpolated(echo: &[f32], lag: f32) -> f32 {
+    let at = |k: usize| echo.get(k).copied().unwrap_or(0.0);
+    let (k, part) = (lag as usize, lag.fract());
+    (1.0 - part) * at(k) + part * at(k + 1)
+}
+
+/// Whether the statistic between two maxima falls so far below the lower one.
+#[inline(always)]
+fn dips(row: &[f32], from: usize, to: usize, depth: f32) -> bool {
+    let between = row.get(from..=to).unwrap_or_default();
+    let lowest = between.iter().fold(f32::INFINITY, |a, &b| a.min(b));
+    let lower = row.get(from).copied().unwrap_or(0.0).min(row.get(to).copied().unwrap_or(0.0));
+    lower - lowest >= depth
+}
+
+#[inline(always)]
+pub(super) fn candidate(row: &[f32], at: usize) -> Candidate {
+    let [left, centre, right] = match row.get(at - 1..) {
+        Some(from) => *from.first_chunk().unwrap_or(&[0.0; 3]),
+        None => [0.0; 3],
+    };
+    let bend = left - 2.0 * centre + right;
+    let shift = if bend < 0.0 { (0.5 * (left - right) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    Candidate { position_samples: (at - FRONT) as f32 + shift, statistic: centre }
+}

@@ -1,0 +1,382 @@
+//! One, two or three pulses jointly, on sixteen rows at a time: Levenberg and Marquardt's descent.
+
+use super::rows::{EMPTY, FRONT, Rows, sixteen};
+use super::solve::factor;
+use super::tables::{ROW, Tables};
+use super::template::{Pulses, Site, leaves_block, sites, tail, template, weights};
+use super::vector::{Kernel, LANES, Simd};
+
+/// Values of a pulse: height (DN), position (samples from the block's first), `ln` of the width ratio.
+pub(super) type Values = [f32; 3];
+
+/// Pulses to be fitted to a row that holds them and nothing else.
+#[derive(Clone, Copy)]
+pub(super) struct Job<const P: usize> {
+    pub(super) row: usize,
+    /// Start values, in order of position.
+    pub(super) pulses: [Values; P],
+}
+
+impl<const P: usize> Job<P> {
+    /// What a lane without work does.
+    const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P] };
+}
+
+/// Fitted pulses.
+#[derive(Clone, Copy)]
+pub(super) struct Fitted<const P: usize> {
+    pub(super) pulses: [Values; P],
+    /// Standard deviations of the values.
+    pub(super) sds: [Values; P],
+    /// Whether the fit ended at an optimum inside what tables and frame hold.
+    pub(super) is_optimum: bool,
+}
+
+/// Converged is what the next step promises to lower chi-square by less than this: the square of what is left to go, in
+/// standard deviations. The step is still taken.
+const DECREASE: f32 = 1e-3;
+/// Marquardt's factor at first, and the least and greatest one.
+const DAMPING: [f32; 3] = [1e-3, 1e-6, 1e6];
+/// Damping up to which a small promise tells that the optimum is near.
+const NEAR_NEWTON: f32 = 1e-2;
+
+/// The normal equations at a point, and what is to be made small there.
+#[derive(Clone, Copy)]
+struct Point<V, const N: usize> {
+    matrix: [[V; N]; N],
+    side: [V; N],
+    objective: V,
+}
+
+impl<V: Copy, const N: usize> Point<V, N> {
+    #[inline(always)]
+    fn select<S: Simd<V = V>>(self, s: S, mask: u16, other: Point<V, N>) -> Point<V, N> {
+        let mut out = other;
+        for i in 0..N {
+            for j in 0..=i {
+                out.matrix[i][j] = s.select(mask, self.matrix[i][j], other.matrix[i][j]);
+            }
+            out.side[i] = s.select(mask, self.side[i], other.side[i]);
+        }
+        out.objective = s.select(mask, self.objective, other.objective);
+        out
+    }
+}
+
+/// Fits all jobs of one kind. `precision` is that of the prior which draws `ln` widths to 0.
+pub(super) struct Fit<'a, const P: usize, const N: usize, const C: usize, const D: usize, const STRONG: bool>
+{
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a Rows,
+    pub(super) jobs: &'a [Job<P>],
+    pub(super) precision: f32,
+    pub(super) iterations: usize,
+    pub(super) out: &'a mut Vec<Fitted<P>>,
+}
+
+impl<const P: usize, const N: usize, const C: usize, const D: usize, const STRONG: bool> Kernel
+    for Fit<'_, P, N, C, D, STRONG>
+{
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let mut sums: Sums<S::V, D> = [[s.splat(0.0); LANES]; D];
+        let Fit { tables, rows, precision, iterations, out, .. } = self;
+        out.clear();
+        for jobs in self.jobs.chunks(LANES) {
+            let fitted =
+                fit::<S, P, N, C, D, STRONG>(s, tables, rows, jobs, precision, iterations, &mut sums);
+            out.extend_from_slice(&fitted[..jobs.len()]);
+        }
+    }
+}
+
+/// Sixteen rows with `P` pulses each. `N` is `3 P`, `C` the vectors of a frame, `D` the products of `N + 1` columns.
+struct Group<'a, S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> {
+    s: S,
+    tables: &'a Tables,
+    rows: &'a Rows,
+    row: [usize; LANES],
+    last: S::V,
+    precision: f32,
+    sums: &'a mut [[S::V; LANES]; D],
+}
+
+/// The products before their sums: per product one vector of each row.
+type Sums<V, const D: usize> = [[V; LANES]; D];
+
+/// Frames that start with the first pulse's row; a later row starts at most this many samples on.
+const fn farthest(vectors: usize) -> i32 {
+    (vectors * LANES - ROW) as i32
+}
+
+/// Fits up to sixteen jobs. `precision` is that of the prior which draws `ln` widths to 0.
+#[inline(always)]
+pub(super) fn fit<
+    S: Simd,
+    const P: usize,
+    const N: usize,
+    const C: usize,
+    const D: usize,
+    const STRONG: bool,
+>(
+    s: S,
+    tables: &Tables,
+    rows: &Rows,
+    jobs: &[Job<P>],
+    precision: f32,
+    iterations: usize,
+    sums: &mut Sums<S::V, D>,
+) -> [Fitted<P>; LANES] {
+    const { assert!(N == 3 * P && D == (N + 1) * (N + 2) / 2 && C * LANES >= ROW) };
+    let mut group: Group<'_, S, P, N, C, D> = Group {
+        s,
+        tables,
+        rows,
+        row: std::array::from_fn(|w| jobs.get(w).unwrap_or(&Job::IDLE).row),
+        last: s.splat(0.0),
+        precision,
+        sums,
+    };
+    let lengths: [f32; LANES] = std::array::from_fn(|w| rows.length(group.row[w]).saturating_sub(1) as f32);
+    group.last = s.load(&lengths);
+    let zero = s.splat(0.0);
+    let mut start = [Pulses { height: zero, position: zero, width: zero }; P];
+    for (p, pulse) in start.iter_mut().enumerate() {
+        let mut values = [[0.0; LANES]; 3];
+        for w in 0..LANES {
+            let of_job = jobs.get(w).unwrap_or(&Job::IDLE).pulses[p];
+            for i in 0..3 {
+                values[i][w] = of_job[i];
+            }
+        }
+        let [height, position, width] = [s.load(&values[0]), s.load(&values[1]), s.load(&values[2])];
+        *pulse = Pulses { height, position, width }.within(s, group.last, tables.u_max);
+    }
+    group.descend::<STRONG>(start, (1u32 << jobs.len().min(LANES)).wrapping_sub(1) as u16, iterations)
+}
+
+impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Group<'_, S, P, N, C, D> {
+    #[inline(always)]
+    fn descend<const STRONG: bool>(
+        &mut self,
+        start: [Pulses<S::V>; P],
+        lanes: u16,
+        iterations: usize,
+    ) -> [Fitted<P>; LANES] {
+        let s = self.s;
+        let zero = s.splat(0.0);
+        let (mut pulses, mut trial) = (start, start);
+        let (mut active, mut inside) = (lanes, lanes);
+        // The first point is taken whatever it is.
+        let mut point = Point { matrix: [[zero; N]; N], side: [zero; N], objective: s.splat(f32::MAX) };
+        let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
+        for _ in 0..=iterations {
+            let next = self.evaluate::<STRONG>(&trial, &mut inside);
+            let better = active & s.ge(point.objective, next.objective);
+            for p in 0..P {
+                pulses[p] = trial[p].select(s, better, pulses[p]);
+            }
+            point = next.select(s, better, point);
+            damping = self.next_damping(damping, better);
+            let step = self.step(&point, damping);
+            let mut promised = zero;
+            for i in 0..N {
+                promised = s.fma(step[i], point.side[i], promised);
+            }
+            let near = s.ge(s.splat(DECREASE), promised) & s.ge(s.splat(NEAR_NEWTON), damping);
+            let done = active & near;
+            active &= !near;
+            for p in 0..P {
+                let part = [step[3 * p], step[3 * p + 1], step[3 * p + 2]];
+                trial[p] = pulses[p].stepped(s, part, self.last, self.tables.u_max);
+                pulses[p] = trial[p].select(s, done, pulses[p]);
+                trial[p] = trial[p].select(s, active, pulses[p]);
+            }
+            if active == 0 {
+                break;
+            }
+        }
+        self.results(&pulses, &point, lanes & !active & inside)
+    }
+
+    /// Less damping behind a step that lowered the objective, more behind one that did not. One pulse alone needs none at
+    /// first.
+    #[inline(always)]
+    fn next_damping(&self, damping: S::V, better: u16) -> S::V {
+        let s = self.s;
+        let (less, more) = (s.mul(damping, s.splat(0.1)), s.mul(damping, s.splat(10.0)));
+        let less = s.max(less, s.splat(if P == 1 { 0.0 } else { DAMPING[1] }));
+        let more = s.min(s.max(more, s.splat(DAMPING[0])), s.splat(DAMPING[2]));
+        s.select(better, less, more)
+    }
+
+    /// Solves the damped equations.
+    #[inline(always)]
+    fn step(&self, point: &Point<S::V, N>, damping: S::V) -> [S::V; N] {
+        let s = self.s;
+        let mut damped = point.matrix;
+        for (i, row) in damped.iter_mut().enumerate() {
+            row[i] = s.fma(damping, row[i], row[i]);
+        }
+        let mut step = point.side;
+        factor(s, damped).solve(s, &mut step);
+        step
+    }
+
+    /// The equations at sixteen points; takes lanes whose pulses are too far apart for the frame out of `inside`.
+    #[inline(always)]
+    fn evaluate<const STRONG: bool>(
+        &mut self,
+        pulses: &[Pulses<S::V>; P],
+        inside: &mut u16,
+    ) -> Point<S::V, N> {
+        let s = self.s;
+        let mut of_pulse = [[Site::default(); LANES]; P];
+        for (sites_of, pulse) in of_pulse.iter_mut().zip(pulses) {
+            *sites_of = sites::<S, STRONG>(s, self.tables, pulse);
+        }
+        for w in 0..LANES {
+            let mut first = of_pulse[0][w].first;
+            let mut end = first;
+            for sites_of in &of_pulse[1..] {
+                first = first.min(sites_of[w].first);
+                end = end.max(sites_of[w].first);
+            }
+            if end - first > farthest(C) {
+                *inside &= !(1 << w);
+            }
+            self.products::<STRONG>(&of_pulse, first, w);
+        }
+        self.equations(pulses)
+    }
+
+    /// The products of one row's columns.
+    #[inline(always)]
+    fn products<const STRONG: bool>(&mut self, of_pulse: &[[Site; LANES]; P], first: i32, w: usize) {
+        let columns = self.columns::<STRONG>(of_pulse, first, w);
+        let s = self.s;
+        let mut k = 0;
+        for i in 0..=N {
+            for j in 0..=i {
+                let (a, b) = (columns[i], columns[j]);
+                let mut sum = s.mul(a[0], b[0]);
+                for c in 1..C {
+                    sum = s.fma(a[c], b[c], sum);
+                }
+                self.sums[k][w] = sum;
+                k += 1;
+            }
+        }
+    }
+
+    /// Derivatives and residual of one row's frame. The array has room for three pulses and the residual.
+    #[inline(always)]
+    fn columns<const STRONG: bool>(
+        &self,
+        of_pulse: &[[Site; LANES]; P],
+        first: i32,
+        w: usize,
+    ) -> [[S::V; C]; 10] {
+        let s = self.s;
+        let zero = s.splat(0.0);
+        let row = self.rows.residual_row(self.row[w]);
+        let length = self.rows.length(self.row[w]);
+        let edge = leaves_block(first, C * LANES, self.tables.order, length);
+        let mut out = [[zero; C]; 10];
+        for c in 0..C {
+            let start = (c * LANES) as i32;
+            let mut residual = s.load(sixteen(row, FRONT.saturating_add_signed((first + start) as isize)));
+            for (p, sites_of) in of_pulse.iter().enumerate() {
+                let site = &sites_of[w];
+                let shift = (site.first - first).clamp(0, farthest(C));
+                let height = s.splat(site.height);
+                if start + LANES as i32 > shift && start < shift + ROW as i32 {
+                    let at = LANES.saturating_add_signed((start - shift) as isize);
+                    let shape = template::<S, STRONG>(s, self.tables, site, at);
+                    out[3 * p][c] = shape.by_height;
+                    out[3 * p + 1][c] = shape.by_time;
+                    out[3 * p + 2][c] = shape.by_width;
+                    residual = s.fnma(height, shape.pulse, residual);
+                }
+                if start + LANES as i32 > shift + ROW as i32 {
+                    let behind = tail::<S, STRONG>(s, self.tables, site, start - shift - ROW as i32);
+                    residual = s.sub(residual, behind);
+                }
+            }
+            out[N][c] = residual;
+            if edge {
+                let weight = weights(s, first + start, self.tables.order, length);
+                for column in out.iter_mut().take(N + 1) {
+                    column[c] = s.mul(column[c], weight);
+                }
+            }
+        }
+        out
+    }
+
+    /// Normal matrix (lower triangle), right side and objective out of the products.
+    #[inline(always)]
+    fn equations(&self, pulses: &[Pulses<S::V>; P]) -> Point<S::V, N> {
+        let s = self.s;
+        let zero = s.splat(0.0);
+        // The derivatives by position and width are −a s_t and a s_u.
+        let mut scale = [s.splat(1.0); N];
+        for (p, pulse) in pulses.iter().enumerate() {
+            scale[3 * p + 1] = s.sub(zero, pulse.height);
+            scale[3 * p + 2] = pulse.height;
+        }
+        let mut point = Point { matrix: [[zero; N]; N], side: [zero; N], objective: zero };
+        let mut k = 0;
+        for i in 0..N {
+            for j in 0..=i {
+                point.matrix[i][j] = s.mul(s.sum_each(&self.sums[k]), s.mul(scale[i], scale[j]));
+                k += 1;
+            }
+        }
+        for i in 0..N {
+            point.side[i] = s.mul(s.sum_each(&self.sums[k]), scale[i]);
+            k += 1;
+        }
+        point.objective = s.sum_each(&self.sums[k]);
+        let precision = s.splat(self.precision);
+        for (p, pulse) in pulses.iter().enumerate() {
+            let u = 3 * p + 2;
+            let pull = s.mul(precision, pulse.width);
+            point.matrix[u][u] = s.add(point.matrix[u][u], precision);
+            point.side[u] = s.sub(point.side[u], pull);
+            point.objective = s.fma(pull, pulse.width, point.objective);
+        }
+        point
+    }
+
+    #[inline(always)]
+    fn results(
+        &self,
+        pulses: &[Pulses<S::V>; P],
+        point: &Point<S::V, N>,
+        optimum: u16,
+    ) -> [Fitted<P>; LANES] {
+        let s = self.s;
+        let variances = factor(s, point.matrix).inverse_diagonal(s);
+        let nothing = Fitted { pulses: [[0.0; 3]; P], sds: [[0.0; 3]; P], is_optimum: false };
+        let mut out = [nothing; LANES];
+        for (p, pulse) in pulses.iter().enumerate() {
+            for (i, value) in [pulse.height, pulse.position, pulse.width].into_iter().enumerate() {
+                let (mut values, mut sds) = ([0.0; LANES], [0.0; LANES]);
+                s.store(value, &mut values);
+                s.store(s.sqrt(variances[3 * p + i]), &mut sds);
+                for (w, fitted) in out.iter_mut().enumerate() {
+                    fitted.pulses[p][i] = values[w];
+                    fitted.sds[p][i] = sds[w];
+                }
+            }
+        }
+        for (w, fitted) in out.iter_mut().enumerate() {
+            let known = fitted.sds.iter().flatten().all(|sd| sd.is_finite() && *sd > 0.0);
+            fitted.is_optimum = known && optimum & (1 << w) != 0;
+        }
+        out
+    }
+}

@@ -1,0 +1,170 @@
+//! Fits that wait for others of their kind.
+
+use super::fit::{Fit, Fitted, Job, Values};
+use super::rows::Rows;
+use super::scene::MAX_CLUSTER;
+use super::tables::Tables;
+use super::template::Site;
+use super::vector::{Kernel, Processor, Simd};
+
+/// Iterations of one fit at most.
+const ITERATIONS: usize = 12;
+/// Heights from this part of the one where the response begins to follow the height: they may end above.
+const NEARLY_STRONG: f32 = 0.93;
+
+/// Jobs of one size with what their results belong to.
+#[derive(Clone)]
+pub(super) struct Queue<const P: usize> {
+    jobs: Vec<Job<P>>,
+    tags: Vec<usize>,
+    fitted: Vec<Fitted<P>>,
+}
+
+impl<const P: usize> Default for Queue<P> {
+    fn default() -> Queue<P> {
+        Queue { jobs: Vec::new(), tags: Vec::new(), fitted: Vec::new() }
+    }
+}
+
+impl<const P: usize> Queue<P> {
+    pub(super) fn push(&mut self, job: Job<P>, tag: usize) {
+        self.jobs.push(job);
+        self.tags.push(tag);
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.jobs.clear();
+        self.tags.clear();
+    }
+
+    /// The jobs done, in order.
+    fn results(&self) -> impl Iterator<Item = (&Job<P>, usize, &Fitted<P>)> {
+        self.jobs.iter().zip(&self.tags).zip(&self.fitted).map(|((job, &tag), fitted)| (job, tag, fitted))
+    }
+}
+
+/// Jobs of each size, by whether the response follows the height.
+#[derive(Clone, Default)]
+pub(super) struct Queues {
+    pub(super) one: [Queue<1>; 2],
+    pub(super) two: [Queue<2>; 2],
+    pub(super) three: [Queue<3>; 2],
+}
+
+/// Whether the response may follow the height of one of the pulses.
+pub(super) fn is_strong(tables: &Tables, pulses: &[Values]) -> bool {
+    pulses.iter().any(|pulse| pulse[0] > NEARLY_STRONG * tables.strong_dn())
+}
+
+/// Pulses that a job came to.
+#[derive(Clone, Copy)]
+pub(super) struct Done {
+    pub(super) row: usize,
+    pub(super) tag: usize,
+    pub(super) is_optimum: bool,
+    count: usize,
+    values: [Values; MAX_CLUSTER],
+    sds: [Values; MAX_CLUSTER],
+}
+
+impl Done {
+    pub(super) fn values(&self) -> &[Values] {
+        &self.values[..self.count]
+    }
+
+    pub(super) fn sds(&self) -> &[Values] {
+        &self.sds[..self.count]
+    }
+
+    fn of<const P: usize>(row: usize, tag: usize, fitted: &Fitted<P>) -> Done {
+        let (mut values, mut sds) = ([[0.0; 3]; MAX_CLUSTER], [[0.0; 3]; MAX_CLUSTER]);
+        values[..P].copy_from_slice(&fitted.pulses);
+        sds[..P].copy_from_slice(&fitted.sds);
+        Done { row, tag, is_optimum: fitted.is_optimum, count: P, values, sds }
+    }
+}
+
+impl Queues {
+    /// Puts pulses, at most three, where they belong.
+    pub(super) fn push(&mut self, tables: &Tables, row: usize, pulses: &[Values], tag: usize) {
+        let strong = usize::from(is_strong(tables, pulses));
+        match *pulses {
+            [a] => self.one[strong].push(Job { row, pulses: [a] }, tag),
+            [a, b] => self.two[strong].push(Job { row, pulses: [a, b] }, tag),
+            [a, b, c] => self.three[strong].push(Job { row, pulses: [a, b, c] }, tag),
+            _ => {}
+        }
+    }
+
+    /// Does all jobs; what they come to goes to `done`, which is emptied first. `precision` is that of the prior on the
+    /// widths of pulses that overlap.
+    pub(super) fn run(
+        &mut self,
+        on: Processor,
+        tables: &Tables,
+        rows: &Rows,
+        precision: f32,
+        done: &mut Vec<Done>,
+    ) {
+        done.clear();
+        drain::<1, 3, 2, 10>(on, &mut self.one, tables, rows, 0.0, done);
+        drain::<2, 6, 3, 28>(on, &mut self.two, tables, rows, precision, done);
+        drain::<3, 9, 4, 55>(on, &mut self.three, tables, rows, precision, done);
+    }
+}
+
+fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
+    on: Processor,
+    [weak, strong]: &mut [Queue<P>; 2],
+    tables: &Tables,
+    rows: &Rows,
+    precision: f32,
+    done: &mut Vec<Done>,
+) {
+    let iterations = ITERATIONS;
+    if !weak.jobs.is_empty() {
+        let Queue { jobs, fitted: out, .. } = &mut *weak;
+        on.run(Fit::<P, N, C, D, false> { tables, rows, jobs, precision, iterations, out });
+        for (job, tag, fitted) in weak.results() {
+            if fitted.pulses.iter().any(|pulse| pulse[0] > tables.strong_dn()) {
+                strong.push(Job { row: job.row, pulses: fitted.pulses }, tag);
+            } else {
+                done.push(Done::of(job.row, tag, fitted));
+            }
+        }
+        weak.clear();
+    }
+    if !strong.jobs.is_empty() {
+        let Queue { jobs, fitted: out, .. } = &mut *strong;
+        on.run(Fit::<P, N, C, D, true> { tables, rows, jobs, precision, iterations, out });
+        done.extend(strong.results().map(|(job, tag, fitted)| Done::of(job.row, tag, fitted)));
+        strong.clear();
+    }
+}
+
+/// Adds `sign` times a pulse to a row.
+pub(super) fn add(on: Processor, tables: &Tables, rows: &mut Rows, row: usize, values: Values, sign: f32) {
+    on.run(Add { tables, rows, row, site: Site::of(tables, values), sign });
+}
+
+struct Add<'a> {
+    tables: &'a Tables,
+    rows: &'a mut Rows,
+    row: usize,
+    site: Site,
+    sign: f32,
+}
+
+impl Kernel for Add<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let Add { tables, rows, row, site, sign } = self;
+        if site.height >= tables.strong_dn() {
+            rows.add::<S, true>(s, tables, row, &site, sign);
+        } else {
+            rows.add::<S, false>(s, tables, row, &site, sign);
+        }
+    }
+}

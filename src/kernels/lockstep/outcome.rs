@@ -1,0 +1,171 @@
+//! From fitted pulses to returns.
+
+use std::ops::Range;
+
+use super::limits::Limits;
+use super::scene::{Scene, Way};
+use crate::kernels::decompose::{DecomposeSettings, Decomposer, Decomposition, Return, block_flags};
+use crate::kernels::flags;
+use crate::kernels::sensor_model::ChannelModel;
+
+/// Nearer than so many calibrated widths, and in any case than one sample, two pulses are one.
+const LEAST_SEPARATION_WIDTHS: f32 = 0.25;
+
+/// The returns of many waveforms; keeps its memory from one use to the next.
+#[derive(Debug, Clone, Default)]
+pub struct Outcomes {
+    returns: Vec<Return>,
+    waveforms: Vec<(Range<usize>, Decomposition<'static>)>,
+}
+
+impl Outcomes {
+    /// Waveforms there are.
+    pub fn len(&self) -> usize {
+        self.waveforms.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.waveforms.is_empty()
+    }
+
+    /// What became of one waveform; `None` beyond the last.
+    pub fn get(&self, index: usize) -> Option<Decomposition<'_>> {
+        let (returns, rest) = self.waveforms.get(index)?;
+        Some(Decomposition { returns: self.returns.get(returns.clone())?, ..*rest })
+    }
+
+    /// What became of each waveform, in order.
+    pub fn iter(&self) -> impl Iterator<Item = Decomposition<'_>> {
+        self.waveforms
+            .iter()
+            .map(|(returns, rest)| Decomposition { returns: &self.returns[returns.clone()], ..*rest })
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.returns.clear();
+        self.waveforms.clear();
+    }
+
+    pub(super) fn push(&mut self, outcome: &Decomposition<'_>) {
+        let first = self.returns.len();
+        self.returns.extend_from_slice(outcome.returns);
+        let range = first..self.returns.len();
+        self.waveforms.push((range, Decomposition { returns: &[], ..*outcome }));
+    }
+}
+
+/// What makes returns of a waveform's pulses.
+pub(super) struct Finish<'a> {
+    pub(super) model: &'a ChannelModel,
+    pub(super) settings: &'a DecomposeSettings,
+    pub(super) limits: &'a mut Limits,
+    pub(super) plain: &'a mut Decomposer,
+    /// Whether pulses that do not stand up are just dropped, their neighbours not being fitted anew.
+    pub(super) drops: bool,
+    pub(super) flags: u16,
+}
+
+impl Finish<'_> {
+    /// Gives the returns of a waveform.
+    pub(super) fn give(
+        &mut self,
+        samples: &[u16],
+        start_phase: u8,
+        scene: &mut Scene,
+        outcomes: &mut Outcomes,
+    ) {
+        let stands =
+            scene.way == Way::Fast && (self.stands(scene, samples.len()) || self.drop(scene, samples.len()));
+        if !stands {
+            outcomes.push(&self.plain.decompose(samples, start_phase));
+            return;
+        }
+        let mut outcome = Decomposition {
+            returns: &[],
+            counts: scene.counts,
+            chi_square: f64::from(scene.chi_square),
+            expected_excess: 0.0,
+            samples: scene.samples,
+            parameters: 3 * scene.pulses().len(),
+            background_offset_dn: 0.0,
+            saturated: false,
+            refined_once: scene.counts.n_candidates > 0 && self.flags & flags::REFINED != 0,
+            refined_twice: scene.refined_twice,
+        };
+        outcome.counts.np = scene.pulses().len() as u32;
+        for pulse in scene.pulses() {
+            let [height, position, _] = pulse.values.map(f64::from);
+            outcome.expected_excess += self.limits.allowance.expected_excess(position, height, samples.len());
+        }
+        let first = outcomes.returns.len();
+        let deviation_ratio = outcome.deviation_ratio();
+        for (i, pulse) in scene.pulses().iter().enumerate() {
+            let neighbours = [i.checked_sub(1), Some(i + 1).filter(|&j| j < scene.pulses().len())];
+            let fwhm = self.model.fwhm_samples() as f32;
+            let overlaps = neighbours.into_iter().flatten().any(|j| scene.overlap(i, j, fwhm));
+            let [height, position, ln_width] = pulse.values.map(f64::from);
+            let sds = pulse.sds.map(|sd| self.model.pulse_error_factor * f64::from(sd));
+            let width_ratio = ln_width.exp();
+            let overdriven = self.limits.allowance.overdrives(height);
+            outcomes.returns.push(Return {
+                position_samples: position,
+                position_sd_samples: sds[1],
+                amplitude_dn: height,
+                amplitude_sd_dn: sds[0],
+                width_ratio,
+                width_ratio_sd: width_ratio * sds[2],
+                fwhm_ns: width_ratio * self.model.pulse_fwhm_ns,
+                deviation_ratio,
+                flags: pulse.flags
+                    | self.flags
+                    | block_flags(samples, self.model, position, ln_width)
+                    | if overlaps { flags::OVERLAP } else { 0 }
+                    | if overdriven { flags::OVERDRIVEN } else { 0 },
+            });
+        }
+        outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
+    }
+
+    fn stands(&mut self, scene: &Scene, samples: usize) -> bool {
+        let least = (LEAST_SEPARATION_WIDTHS * self.model.fwhm_samples() as f32).max(1.0);
+        let apart = scene.pulses().windows(2).all(|pair| pair[1].position() - pair[0].position() >= least);
+        apart && (0..scene.pulses().len()).all(|i| self.is_return(scene, i, samples))
+    }
+
+    /// Whether a pulse is strong enough, of admissible width, and inside the block.
+    fn is_return(&mut self, scene: &Scene, i: usize, samples: usize) -> bool {
+        let pulse = &scene.pulses()[i];
+        let [narrowest, widest] = self.settings.width_ratio.map(f64::ln);
+        let [_, position, u] = pulse.values.map(f64::from);
+        let reach = 2.0 * f64::from(pulse.sds[2]);
+        let shaped = u + reach >= narrowest && u - reach <= widest;
+        shaped
+            && (-1.0..=samples as f64).contains(&position)
+            && self.limits.is_significant(scene, pulse, samples)
+    }
+
+    /// Drops what does not stand up, where neighbours need not be fitted anew.
+    fn drop(&mut self, scene: &mut Scene, samples: usize) -> bool {
+        if !self.drops {
+            return false;
+        }
+        let least = (LEAST_SEPARATION_WIDTHS * self.model.fwhm_samples() as f32).max(1.0);
+        let mut i = 0;
+        while i < scene.pulses().len() {
+            let near = i > 0 && scene.pulses()[i].position() - scene.pulses()[i - 1].position() < least;
+            if near {
+                let weaker =
+                    if scene.pulses()[i].values[0] < scene.pulses()[i - 1].values[0] { i } else { i - 1 };
+                scene.replace(weaker..weaker + 1, &[]);
+                scene.counts.np_merged += 1;
+            } else if !self.is_return(scene, i, samples) {
+                scene.replace(i..i + 1, &[]);
+                scene.counts.np_filtered += 1;
+            } else {
+                i += 1;
+            }
+        }
+        true
+    }
+}

@@ -1,0 +1,151 @@
+//! A waveform of the batch and the pulses that explain it so far.
+
+use std::ops::Range;
+
+use super::fit::Values;
+use crate::kernels::decompose::Counts;
+
+/// Pulses nearer than so many of their widths are fitted jointly and bear on each other.
+pub(super) const CLUSTER_WIDTHS: f32 = 3.0;
+/// Pulses of one waveform that the fast kernels hold; waveforms with more are decomposed by the plain ones.
+pub(super) const MAX_PULSES: usize = 8;
+/// Pulses that the fast kernels fit jointly.
+pub(super) const MAX_CLUSTER: usize = 3;
+
+/// A pulse, and what is known of it beside its values.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Pulse {
+    pub(super) values: Values,
+    pub(super) sds: Values,
+    pub(super) flags: u16,
+}
+
+impl Pulse {
+    pub(super) fn position(&self) -> f32 {
+        self.values[1]
+    }
+
+    pub(super) fn width_ratio(&self) -> f32 {
+        self.values[2].exp()
+    }
+}
+
+/// How a waveform is dealt with.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+pub(super) enum Way {
+    /// By the fast kernels.
+    #[default]
+    Fast,
+    /// By the plain ones: it is not what the fast ones are made for.
+    Plain,
+}
+
+#[derive(Clone, Copy, Default)]
+pub(super) struct Scene {
+    pub(super) way: Way,
+    pulses: [Pulse; MAX_PULSES],
+    count: usize,
+    /// Whether the pulses have been taken off the waveform's row.
+    pub(super) taken_off: bool,
+    /// Whether its clusters are to be fitted.
+    pub(super) is_due: bool,
+    pub(super) chi_square: f32,
+    /// Samples that chi-square is the sum over.
+    pub(super) samples: usize,
+    pub(super) counts: Counts,
+    pub(super) refined_twice: bool,
+}
+
+impl Scene {
+    pub(super) fn pulses(&self) -> &[Pulse] {
+        &self.pulses[..self.count]
+    }
+
+    pub(super) fn pulses_mut(&mut self) -> &mut [Pulse] {
+        &mut self.pulses[..self.count]
+    }
+
+    /// A waveform that the plain kernels are to decompose.
+    pub(super) fn left_to_plain() -> Scene {
+        Scene { way: Way::Plain, ..Scene::default() }
+    }
+
+    /// Leaves the waveform to the plain kernels.
+    pub(super) fn give_up(&mut self) {
+        self.way = Way::Plain;
+        self.is_due = false;
+    }
+
+    /// Adds a pulse behind the others; `false` where there is no room.
+    pub(super) fn push(&mut self, pulse: Pulse) -> bool {
+        let Some(place) = self.pulses.get_mut(self.count) else { return false };
+        *place = pulse;
+        self.count += 1;
+        true
+    }
+
+    /// Puts the given pulses in the place of some; `false` where there is no room.
+    pub(super) fn replace(&mut self, old: Range<usize>, new: &[Pulse]) -> bool {
+        let count = self.count - old.len() + new.len();
+        if count > MAX_PULSES {
+            return false;
+        }
+        self.pulses.copy_within(old.end..self.count, old.start + new.len());
+        self.pulses[old.start..old.start + new.len()].copy_from_slice(new);
+        self.count = count;
+        true
+    }
+
+    pub(super) fn sort(&mut self) {
+        self.pulses[..self.count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
+    }
+
+    /// Whether two pulses are near enough to bear on each other.
+    pub(super) fn overlap(&self, i: usize, j: usize, fwhm_samples: f32) -> bool {
+        let (a, b) = (&self.pulses[i], &self.pulses[j]);
+        (a.position() - b.position()).abs() < reach(a, fwhm_samples).max(reach(b, fwhm_samples))
+    }
+
+    /// The end of the cluster that starts with a pulse, the pulses being sorted.
+    pub(super) fn cluster_end(&self, start: usize, fwhm_samples: f32) -> usize {
+        let mut end = start + 1;
+        while end < self.count && self.overlap(end - 1, end, fwhm_samples) {
+            end += 1;
+        }
+        end
+    }
+
+    /// The cluster of this number, the pulses being sorted.
+    pub(super) fn cluster(&self, number: usize, fwhm_samples: f32) -> Option<Range<usize>> {
+        let mut start = 0;
+        for _ in 0..number {
+            if start >= self.count {
+                return None;
+            }
+            start = self.cluster_end(start, fwhm_samples);
+        }
+        (start < self.count).then(|| start..self.cluster_end(start, fwhm_samples))
+    }
+
+    /// The pulses, the sorted ones, that a pulse at this place would be in one cluster with.
+    pub(super) fn cluster_around(&self, position: f32, fwhm_samples: f32) -> Range<usize> {
+        let near = |p: &Pulse| (p.position() - position).abs() < reach(p, fwhm_samples);
+        let Some(first) = self.pulses().iter().position(near) else {
+            let at = self.pulses().partition_point(|p| p.position() < position);
+            return at..at;
+        };
+        let last = self.pulses().iter().rposition(near).unwrap_or(first);
+        let (mut start, mut end) = (first, last + 1);
+        while start > 0 && self.overlap(start - 1, start, fwhm_samples) {
+            start -= 1;
+        }
+        while end < self.count && self.overlap(end - 1, end, fwhm_samples) {
+            end += 1;
+        }
+        start..end
+    }
+}
+
+fn reach(pulse: &Pulse, fwhm_samples: f32) -> f32 {
+    CLUSTER_WIDTHS * fwhm_samples * pulse.width_ratio().max(1.0)
+}

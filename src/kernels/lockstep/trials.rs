@@ -1,0 +1,329 @@
+//! A second look at what the first fit leaves: pulses that were overlooked, and widened pulses that are two.
+
+use std::ops::Range;
+
+use super::batch::{ChiSquares, Decompose, Search, Workspace};
+use super::candidates::Candidate;
+use super::gate::Scores;
+use super::jobs::add;
+use super::rows::BATCH;
+use super::scene::{MAX_CLUSTER, Pulse, Scene, Way};
+use crate::kernels::flags;
+
+/// A pulse is added when it lowers chi-square by this part of the threshold's square.
+const GAIN_PART: f64 = 0.8;
+/// Maxima of the filtered residual from this part of the threshold on are worth a trial.
+const TRIAL_PART: f32 = 0.75;
+/// Maxima of one residual that are tried.
+const MAXIMA: usize = 2;
+/// Rounds of adding; a waveform that still changes is left to the plain kernels.
+const ROUNDS: usize = 4;
+/// A pulse wider than this times the calibrated width may hide two.
+const HIDING_WIDTH_RATIO: f32 = 1.04;
+/// Standard deviation of a Gaussian over its full width at half maximum.
+const SD_OF_FWHM: f32 = 0.424_660_9;
+/// Parts of the energy that the first of two pulses starts with.
+const PARTS: [f32; 3] = [0.5, 0.7, 0.3];
+
+/// A cluster that may take the place of another.
+#[derive(Clone, Copy)]
+pub(super) struct Trial {
+    row: usize,
+    old: (usize, usize),
+    pulses: [Pulse; MAX_CLUSTER],
+    count: usize,
+    /// By how much chi-square must fall.
+    gain: f32,
+    chi_square: f32,
+}
+
+impl Trial {
+    fn old(&self) -> Range<usize> {
+        self.old.0..self.old.1
+    }
+
+    fn pulses(&self) -> &[Pulse] {
+        &self.pulses[..self.count]
+    }
+}
+
+impl Decompose<'_> {
+    /// Adds and divides pulses as long as one is worth its values.
+    pub(super) fn search_residuals(&mut self) {
+        let work = &mut *self.work;
+        work.active.clear();
+        let scenes = work.scenes.iter().enumerate();
+        let begun = scenes.filter(|(_, scene)| scene.way == Way::Fast && !scene.pulses().is_empty());
+        work.active.extend(begun.map(|(row, _)| row));
+        for _ in 0..ROUNDS {
+            if self.work.active.is_empty() {
+                return;
+            }
+            self.start_round();
+            self.plan_additions();
+            self.run_trials();
+            if let Some(evidence) = self.settings.split_evidence {
+                self.plan_divisions(evidence);
+                self.run_trials();
+            }
+            self.end_round();
+        }
+        for i in 0..self.work.active.len() {
+            let row = self.work.active[i];
+            self.work.scenes[row].give_up();
+        }
+    }
+
+    fn start_round(&mut self) {
+        for scene in &mut self.work.scenes {
+            scene.is_due = false;
+        }
+    }
+
+    /// Waveforms that changed stay active, as long as there is room for more; their clusters are fitted again.
+    fn end_round(&mut self) {
+        let scenes = &self.work.scenes;
+        self.work.active.retain(|&row| scenes[row].is_due);
+        for scene in &mut self.work.scenes {
+            // A single cluster has just been fitted.
+            scene.is_due &= scene.cluster(1, self.tables.fwhm_samples as f32).is_some();
+        }
+        self.fit_clusters(1);
+        self.sum_squares();
+        let (scenes, settings) = (&self.work.scenes, self.settings);
+        self.work.active.retain(|&row| {
+            let scene = &scenes[row];
+            let room =
+                scene.pulses().len() < settings.max_returns && scene.counts.n_added < settings.max_added;
+            room && scene.way == Way::Fast
+        });
+    }
+
+    /// Trials with one more pulse at the greatest maxima of each residual.
+    fn plan_additions(&mut self) {
+        let least = TRIAL_PART * self.settings.detection_sigma as f32;
+        let Workspace { rows, active, candidates, .. } = &mut *self.work;
+        self.on.run(Search { tables: self.tables, rows, which: active, threshold: least, out: candidates });
+        for i in 0..self.work.active.len() {
+            let row = self.work.active[i];
+            let found = self.work.candidates[i];
+            let mut tried = [false; 16];
+            for _ in 0..MAXIMA {
+                let mut best: Option<(usize, f64)> = None;
+                for (k, candidate) in found.as_slice().iter().enumerate().filter(|(k, _)| !tried[*k]) {
+                    let raise =
+                        self.limits.raise(&self.work.scenes[row], candidate.position_samples, f32::INFINITY);
+                    let strength = f64::from(candidate.statistic) / raise;
+                    let better = best.is_none_or(|(_, strongest)| strength > strongest);
+                    if strength >= f64::from(least) && better {
+                        best = Some((k, strength));
+                    }
+                }
+                let Some((k, _)) = best else { break };
+                tried[k] = true;
+                self.plan_addition(row, &found.as_slice()[k]);
+            }
+        }
+    }
+
+    fn plan_addition(&mut self, row: usize, candidate: &Candidate) {
+        let scene = self.work.scenes[row];
+        let position = candidate.position_samples;
+        let threshold = self.settings.detection_sigma * self.limits.raise(&scene, position, f32::INFINITY);
+        let gain = (GAIN_PART * threshold * threshold) as f32;
+        let old = scene.cluster_around(position, self.fwhm());
+        if old.len() >= MAX_CLUSTER {
+            self.work.scenes[row].give_up();
+            return;
+        }
+        let values = [candidate.statistic / self.limits.per_dn, position, 0.0];
+        let added = Pulse { values, ..Pulse::default() };
+        self.plan(row, &scene, old.clone(), Change::Add(added), gain);
+        let distance = |i: &usize| (scene.pulses()[*i].position() - position).abs();
+        let nearest = old.clone().min_by(|i, j| distance(i).total_cmp(&distance(j)));
+        let Some(nearest) = nearest else { return };
+        let ratio = scene.pulses()[nearest].width_ratio();
+        if distance(&nearest) < 1.5 * self.fwhm() * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO {
+            self.plan(row, &scene, old.clone(), Change::AddToNarrow(added, nearest), gain);
+            self.plan(row, &scene, old, Change::Divide(nearest, PARTS[0]), gain);
+        }
+    }
+
+    /// Trials with widened pulses divided, where the score of their residual speaks for it.
+    fn plan_divisions(&mut self, evidence: f64) {
+        self.work.suspects.clear();
+        self.work.suspect_numbers.clear();
+        for i in 0..self.work.active.len() {
+            let row = self.work.active[i];
+            let scene = &self.work.scenes[row];
+            if scene.is_due || scene.way == Way::Plain {
+                continue;
+            }
+            for (number, pulse) in scene.pulses().iter().enumerate() {
+                let height = f64::from(pulse.values[0]);
+                if pulse.width_ratio() > HIDING_WIDTH_RATIO && !self.limits.allowance.overdrives(height) {
+                    self.work.suspects.push((row, pulse.values));
+                    self.work.suspect_numbers.push(number);
+                }
+            }
+        }
+        let Workspace { rows, suspects, scores, .. } = &mut *self.work;
+        self.on.run(Scores { tables: self.tables, rows, pulses: suspects, out: scores });
+        for i in 0..self.work.suspects.len() {
+            let (row, values) = self.work.suspects[i];
+            if f64::from(self.work.scores[i]) > self.limits.score_gate(values[0]) {
+                self.plan_division(row, self.work.suspect_numbers[i], evidence);
+            }
+        }
+    }
+
+    fn plan_division(&mut self, row: usize, number: usize, evidence: f64) {
+        let scene = self.work.scenes[row];
+        let position = scene.pulses()[number].position();
+        // What an error of the response would look like is no evidence.
+        let raise = self.limits.raise(&scene, position, f32::INFINITY);
+        let gain = (evidence * raise * raise) as f32;
+        let old = scene.cluster_around(position, self.fwhm());
+        if old.len() >= MAX_CLUSTER {
+            self.work.scenes[row].give_up();
+            return;
+        }
+        for part in PARTS {
+            self.plan(row, &scene, old.clone(), Change::Divide(number, part), gain);
+        }
+    }
+
+    fn plan(&mut self, row: usize, scene: &Scene, old: Range<usize>, change: Change, gain: f32) {
+        let mut pulses = [Pulse::default(); MAX_CLUSTER];
+        let count = old.len() + 1;
+        pulses[..old.len()].copy_from_slice(&scene.pulses()[old.clone()]);
+        match change {
+            Change::Add(added) => pulses[count - 1] = added,
+            Change::AddToNarrow(added, nearest) => {
+                pulses[..old.len()].iter_mut().for_each(|p| p.values[2] = 0.0);
+                pulses[nearest - old.start].flags |= flags::DIVERGED;
+                pulses[count - 1] = Pulse { flags: flags::DIVERGED, ..added };
+            }
+            Change::Divide(number, part) => {
+                let [first, second] = divided(&scene.pulses()[number], part, self.fwhm());
+                pulses[number - old.start] = first;
+                pulses[count - 1] = second;
+            }
+        }
+        pulses[..count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
+        let old = (old.start, old.end);
+        self.work.trials.push(Trial { row, old, pulses, count, gain, chi_square: f32::INFINITY });
+    }
+
+    /// Fits all trials on rows of their own, and takes up the best of each waveform where it is worth it.
+    fn run_trials(&mut self) {
+        for first in (0..self.work.trials.len()).step_by(BATCH) {
+            let end = (first + BATCH).min(self.work.trials.len());
+            self.fit_trials(first..end);
+        }
+        let mut first = 0;
+        while first < self.work.trials.len() {
+            let row = self.work.trials[first].row;
+            let mut best = first;
+            let mut end = first;
+            while end < self.work.trials.len() && self.work.trials[end].row == row {
+                if self.work.trials[end].chi_square < self.work.trials[best].chi_square {
+                    best = end;
+                }
+                end += 1;
+            }
+            let trial = self.work.trials[best];
+            let scene = &self.work.scenes[row];
+            if scene.way == Way::Fast && scene.chi_square - trial.chi_square >= trial.gain {
+                self.take_up(&trial);
+            }
+            first = end;
+        }
+        self.work.trials.clear();
+    }
+
+    fn fit_trials(&mut self, trials: Range<usize>) {
+        let (on, tables) = (self.on, self.tables);
+        let work = &mut *self.work;
+        for (row, at) in (BATCH..).zip(trials.clone()) {
+            let trial = &work.trials[at];
+            work.rows.copy(trial.row, row);
+            for pulse in &work.scenes[trial.row].pulses()[trial.old()] {
+                add(on, tables, &mut work.rows, row, pulse.values, 1.0);
+            }
+            let mut values = [[0.0; 3]; MAX_CLUSTER];
+            for (values, pulse) in values.iter_mut().zip(trial.pulses()) {
+                *values = pulse.values;
+            }
+            work.queues.push(tables, row, &values[..trial.count], at);
+        }
+        let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
+        work.queues.run(on, tables, &work.rows, precision, &mut work.done);
+        for done in &work.done {
+            if !done.is_optimum || done.values().iter().any(|values| values[2] >= tables.u_max) {
+                continue;
+            }
+            let trial = &mut work.trials[done.tag];
+            // Marks the trial as one that came to an end; the sum follows.
+            trial.chi_square = 0.0;
+            for (i, (values, sds)) in done.values().iter().zip(done.sds()).enumerate() {
+                (trial.pulses[i].values, trial.pulses[i].sds) = (*values, *sds);
+                add(on, tables, &mut work.rows, done.row, *values, -1.0);
+            }
+        }
+        let which = BATCH..BATCH + trials.len();
+        on.run(ChiSquares { rows: &work.rows, which, out: &mut work.squares });
+        for (trial, square) in work.trials[trials].iter_mut().zip(&work.squares) {
+            if trial.chi_square <= 0.0 {
+                trial.chi_square = *square;
+            }
+        }
+    }
+
+    fn take_up(&mut self, trial: &Trial) {
+        let work = &mut *self.work;
+        let scene = &mut work.scenes[trial.row];
+        for pulse in &scene.pulses()[trial.old()] {
+            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values, 1.0);
+        }
+        if !scene.replace(trial.old(), trial.pulses()) {
+            scene.give_up();
+            return;
+        }
+        for pulse in trial.pulses() {
+            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values, -1.0);
+        }
+        scene.chi_square = trial.chi_square;
+        scene.sort();
+        scene.counts.n_added += 1;
+        scene.refined_twice = true;
+        scene.is_due = true;
+    }
+}
+
+/// What a trial makes of a cluster.
+#[derive(Clone, Copy)]
+enum Change {
+    /// One pulse more.
+    Add(Pulse),
+    /// One pulse more, all starting with the calibrated width; this one is nearest to it.
+    AddToNarrow(Pulse, usize),
+    /// This pulse becomes two of the calibrated width, the first with this part of its energy.
+    Divide(usize, f32),
+}
+
+/// Two pulses of the calibrated width whose first moments are those of a widened one.
+fn divided(pulse: &Pulse, part: f32, fwhm_samples: f32) -> [Pulse; 2] {
+    let [height, centre, width] = pulse.values;
+    let ratio = width.exp();
+    let separation =
+        SD_OF_FWHM * fwhm_samples * ((ratio * ratio - 1.0) / (part * (1.0 - part))).max(0.0).sqrt();
+    let energy = ratio * height;
+    let flags = pulse.flags | flags::SPLIT;
+    let of = |part: f32, position: f32| Pulse {
+        values: [part * energy, position, 0.0],
+        flags,
+        ..Pulse::default()
+    };
+    [of(part, centre - (1.0 - part) * separation), of(1.0 - part, centre + part * separation)]
+}
