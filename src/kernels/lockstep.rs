@@ -53,14 +53,12 @@ pub use outcome::Outcomes;
 pub use tables::Tables;
 pub use vector::Path;
 
-use batch::{Decompose, Workspace};
+use batch::{Decompose, Detect, Workspace};
 use limits::Limits;
 use outcome::Finish;
 use rows::BATCH;
 use scene::{Scene, Way};
 
-/// Blocks up to so many samples are decomposed in lock-step.
-const MAX_SAMPLES: usize = 4096;
 /// A deviation ratio beyond this calls for refinement.
 const DEVIANT: f64 = 3.0;
 
@@ -88,7 +86,7 @@ pub struct Lockstep {
     work: Workspace,
     /// The scenes of a first, fast look while some of its waveforms are refined.
     first_look: Vec<Scene>,
-    pub plain_count: usize,
+    left_to_plain: u64,
 }
 
 impl Lockstep {
@@ -112,7 +110,7 @@ impl Lockstep {
             plain: Decomposer::new(model, settings, 0)?,
             work: Workspace::new(0),
             first_look: Vec::new(),
-            plain_count: 0,
+            left_to_plain: 0,
         })
     }
 
@@ -127,13 +125,32 @@ impl Lockstep {
         &self.model
     }
 
+    /// Waveforms that the plain kernels decomposed since the start.
+    pub fn left_to_plain(&self) -> u64 {
+        self.left_to_plain
+    }
+
+    /// Finds the local maxima of the matched filter that reach the threshold, each with its block's index; `found` is
+    /// emptied first. Nothing without tables.
+    pub fn detect(&mut self, blocks: &[Block<'_>], found: &mut Vec<(u32, Candidate)>) {
+        found.clear();
+        let Some(tables) = self.tables.clone() else { return };
+        let threshold = self.settings.detection_sigma as f32;
+        for (batch, blocks) in blocks.chunks(BATCH).enumerate() {
+            self.work.make_room(blocks);
+            let Workspace { rows, candidates: out, .. } = &mut self.work;
+            self.path.processor().run(Detect { tables: &tables, rows, blocks, threshold, out });
+            for (i, candidates) in out.iter().enumerate() {
+                let index = (batch * BATCH + i) as u32;
+                found.extend(candidates.as_slice().iter().map(|candidate| (index, *candidate)));
+            }
+        }
+    }
+
     /// Decomposes blocks; `outcomes` is emptied first, and then holds one outcome for each, in order.
     pub fn decompose(&mut self, blocks: &[Block<'_>], outcomes: &mut Outcomes) {
         outcomes.clear();
-        let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0).min(MAX_SAMPLES);
-        if longest > self.work.rows.capacity() {
-            self.work = Workspace::new(longest);
-        }
+        self.work.make_room(blocks);
         for blocks in blocks.chunks(BATCH) {
             self.batch(blocks, outcomes);
         }
@@ -150,12 +167,9 @@ impl Lockstep {
         if !self.refine_when_needed {
             let mut scenes = std::mem::take(&mut self.work.scenes);
             let mut finish = self.finish(self.mode);
-            let mut pc = 0;
             for (block, scene) in blocks.iter().zip(&mut scenes) {
-                pc += usize::from(scene.way == Way::Plain);
                 finish.give(block.samples, block.start_phase, scene, outcomes);
             }
-            self.plain_count += pc;
             self.work.scenes = scenes;
             return;
         }
@@ -166,17 +180,21 @@ impl Lockstep {
         let Lockstep { path, limits, settings, model, work, .. } = self;
         let full_scale_dn = model.full_scale_dn;
         let on = path.processor();
-        Decompose { on, tables, limits, settings, mode, full_scale_dn, work, blocks }.run();
+        let fit_flags = flags::REFINED;
+        Decompose { on, tables, limits, settings, mode, full_scale_dn, fit_flags, work, blocks }.run();
     }
 
     fn finish(&mut self, mode: Mode) -> Finish<'_> {
+        let held = self.tables.as_ref().map_or(f32::INFINITY, |tables| tables.u_held);
         Finish {
             model: &self.model,
             settings: &self.settings,
             limits: &mut self.limits,
             plain: &mut self.plain,
+            left_to_plain: &mut self.left_to_plain,
             drops: mode != Mode::Refined,
-            flags: if mode == Mode::Refined { flags::REFINED } else { 0 },
+            u_held: if mode == Mode::Refined { held } else { f32::INFINITY },
+            is_refined: mode == Mode::Refined,
         }
     }
 

@@ -8,7 +8,7 @@ use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
 use super::start::{FromBank, OneStep, Stepped};
-use super::tables::{ROW, Tables};
+use super::tables::{ROW, Tables, U_MAX};
 use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
 use crate::kernels::calibrate::Block;
@@ -32,7 +32,18 @@ pub(super) struct Workspace {
     stepped: Vec<Stepped>,
 }
 
+/// Blocks up to so many samples are decomposed in lock-step.
+const MAX_SAMPLES: usize = 4096;
+
 impl Workspace {
+    /// Makes room for the longest of the blocks.
+    pub(super) fn make_room(&mut self, blocks: &[Block<'_>]) {
+        let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0).min(MAX_SAMPLES);
+        if longest > self.rows.capacity() {
+            self.rows = Rows::new(longest);
+        }
+    }
+
     pub(super) fn new(samples: usize) -> Workspace {
         Workspace {
             rows: Rows::new(samples),
@@ -59,6 +70,8 @@ pub(super) struct Decompose<'a> {
     pub(super) settings: &'a DecomposeSettings,
     pub(super) mode: Mode,
     pub(super) full_scale_dn: f64,
+    /// Set on pulses that are fitted by iteration.
+    pub(super) fit_flags: u16,
     pub(super) work: &'a mut Workspace,
     pub(super) blocks: &'a [Block<'a>],
 }
@@ -77,9 +90,10 @@ impl Decompose<'_> {
             Mode::Refined => {
                 self.set_due(1);
                 self.fit_clusters(1);
-                // Again, to what the fitted neighbours leave, and in the clusters that places and widths now make.
+                // Again, to what the fitted neighbours leave.
                 self.set_due(2);
                 self.fit_clusters(1);
+                self.fit_other_clusters();
             }
         }
         self.sum_squares();
@@ -135,10 +149,27 @@ impl Decompose<'_> {
 
     /// The clusters of waveforms with at least so many pulses are to be fitted.
     pub(super) fn set_due(&mut self, pulses: usize) {
+        let fwhm = self.fwhm();
         for scene in &mut self.work.scenes {
-            scene.sort();
             scene.is_due = scene.way == Way::Fast && scene.pulses().len() >= pulses;
+            if scene.is_due {
+                scene.sort();
+                scene.set_clusters(fwhm);
+            }
         }
+    }
+
+    /// Fits the waveforms whose places and widths now make other clusters than those that were fitted.
+    pub(super) fn fit_other_clusters(&mut self) {
+        let fwhm = self.fwhm();
+        for scene in &mut self.work.scenes {
+            scene.is_due = scene.is_due && scene.way == Way::Fast;
+            if scene.is_due {
+                scene.sort();
+                scene.is_due = scene.set_clusters(fwhm);
+            }
+        }
+        self.fit_clusters(1);
     }
 
     /// Takes all pulses off their waveform's row, where they are not yet.
@@ -185,15 +216,15 @@ impl Decompose<'_> {
 
     fn step_group(&mut self, jobs: &mut [Job<1>], number: usize) {
         let (on, tables) = (self.on, self.tables);
-        let Workspace { rows, scenes, stepped, .. } = &mut *self.work;
+        let Workspace { rows, scenes, stepped, queues, .. } = &mut *self.work;
         on.run(FromBank { tables, rows, jobs });
         on.run(OneStep { tables, rows, jobs, out: stepped });
         for (job, stepped) in jobs.iter().zip(stepped) {
             let fitted = &stepped.fitted;
             let scene = &mut scenes[job.row];
-            if !fitted.is_optimum || fitted.pulses[0][2] >= tables.u_max {
-                // The tabulated matrix is that of whole rows, and of widths that a row holds.
-                scene.way = Way::Plain;
+            if !fitted.is_optimum || fitted.pulses[0][2] >= U_MAX as f32 {
+                // The tabulated matrix is that of whole rows: others are fitted.
+                queues.push(tables, job.row, &job.pulses, number);
                 continue;
             }
             scene.chi_square = stepped.chi_square;
@@ -204,6 +235,7 @@ impl Decompose<'_> {
                 add(on, tables, rows, job.row, fitted.pulses[0], -1.0);
             }
         }
+        self.run_clusters();
     }
 
     /// Fits the clusters of at least so many pulses in the waveforms that are due: the first of each waveform, then the
@@ -215,7 +247,7 @@ impl Decompose<'_> {
             let mut any = false;
             for row in 0..self.work.scenes.len() {
                 let scene = &self.work.scenes[row];
-                let cluster = if scene.is_due { scene.cluster(number, self.fwhm()) } else { None };
+                let cluster = if scene.is_due { scene.cluster(number) } else { None };
                 let Some(cluster) = cluster else { continue };
                 any = true;
                 if cluster.len() > MAX_CLUSTER {
@@ -258,7 +290,7 @@ impl Decompose<'_> {
             *values = pulse.values;
         }
         if let [pulse] = pulses
-            && pulse.sds[1] <= 0.0
+            && !pulse.is_fitted()
         {
             return Some(Job { row, pulses: [pulse.values] });
         }
@@ -273,15 +305,14 @@ impl Decompose<'_> {
         work.queues.run(self.on, self.tables, &work.rows, precision, &mut work.done);
         for done in &work.done {
             let scene = &mut work.scenes[done.row];
-            let held = done.values().iter().all(|values| values[2] < self.tables.u_max);
-            if !(done.is_optimum && held) {
-                scene.give_up();
-                continue;
-            }
             scene.taken_off |= done.values().len() == scene.pulses().len();
+            // Without an optimum the pulse counts as not fitted: another may join it, or the plain kernels decide.
+            let settled = done.is_optimum && done.values().iter().all(|values| values[2] < U_MAX as f32);
             let pulses = &mut scene.pulses_mut()[done.tag..done.tag + done.values().len()];
             for ((pulse, values), sds) in pulses.iter_mut().zip(done.values()).zip(done.sds()) {
-                (pulse.values, pulse.sds) = (*values, *sds);
+                pulse.values = *values;
+                pulse.sds = if settled { *sds } else { [0.0; 3] };
+                pulse.flags |= self.fit_flags;
                 add(self.on, self.tables, &mut work.rows, done.row, *values, -1.0);
             }
         }

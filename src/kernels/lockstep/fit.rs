@@ -30,6 +30,8 @@ pub(super) struct Fitted<const P: usize> {
     pub(super) sds: [Values; P],
     /// Whether the fit ended at an optimum inside what tables and frame hold.
     pub(super) is_optimum: bool,
+    /// Whether more iterations may bring it there.
+    pub(super) may_go_on: bool,
 }
 
 /// Converged is what the next step promises to lower chi-square by less than this: the square of what is left to go, in
@@ -37,6 +39,8 @@ pub(super) struct Fitted<const P: usize> {
 const DECREASE: f32 = 1e-3;
 /// Marquardt's factor at first, and the least and greatest one.
 const DAMPING: [f32; 3] = [1e-3, 1e-6, 1e6];
+/// No step with this damping lowers the objective: the optimum, where the response's change with the height has a kink.
+const NO_DECREASE: f32 = 1e2;
 /// Damping up to which a small promise tells that the optimum is near.
 const NEAR_NEWTON: f32 = 1e-2;
 
@@ -152,7 +156,7 @@ pub(super) fn fit<
             }
         }
         let [height, position, width] = [s.load(&values[0]), s.load(&values[1]), s.load(&values[2])];
-        *pulse = Pulses { height, position, width }.within(s, group.last, tables.u_max);
+        *pulse = Pulses { height, position, width }.within(s, group.last);
     }
     group.descend::<STRONG>(start, (1u32 << jobs.len().min(LANES)).wrapping_sub(1) as u16, iterations)
 }
@@ -187,10 +191,10 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             }
             let near = s.ge(s.splat(DECREASE), promised) & s.ge(s.splat(NEAR_NEWTON), damping);
             let done = active & near;
-            active &= !near;
+            active &= !near & !s.ge(damping, s.splat(NO_DECREASE));
             for p in 0..P {
                 let part = [step[3 * p], step[3 * p + 1], step[3 * p + 2]];
-                trial[p] = pulses[p].stepped(s, part, self.last, self.tables.u_max);
+                trial[p] = pulses[p].stepped(s, part, self.last);
                 pulses[p] = trial[p].select(s, done, pulses[p]);
                 trial[p] = trial[p].select(s, active, pulses[p]);
             }
@@ -198,7 +202,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
                 break;
             }
         }
-        self.results(&pulses, &point, lanes & !active & inside)
+        self.results(&pulses, &point, lanes & !active & inside, active & inside)
     }
 
     /// Less damping behind a step that lowered the objective, more behind one that did not. One pulse alone needs none at
@@ -357,10 +361,12 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         pulses: &[Pulses<S::V>; P],
         point: &Point<S::V, N>,
         optimum: u16,
+        active: u16,
     ) -> [Fitted<P>; LANES] {
         let s = self.s;
         let variances = factor(s, point.matrix).inverse_diagonal(s);
-        let nothing = Fitted { pulses: [[0.0; 3]; P], sds: [[0.0; 3]; P], is_optimum: false };
+        let nothing =
+            Fitted { pulses: [[0.0; 3]; P], sds: [[0.0; 3]; P], is_optimum: false, may_go_on: false };
         let mut out = [nothing; LANES];
         for (p, pulse) in pulses.iter().enumerate() {
             for (i, value) in [pulse.height, pulse.position, pulse.width].into_iter().enumerate() {
@@ -376,6 +382,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         for (w, fitted) in out.iter_mut().enumerate() {
             let known = fitted.sds.iter().flatten().all(|sd| sd.is_finite() && *sd > 0.0);
             fitted.is_optimum = known && optimum & (1 << w) != 0;
+            fitted.may_go_on = active & (1 << w) != 0;
         }
         out
     }

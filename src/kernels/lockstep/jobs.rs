@@ -7,8 +7,8 @@ use super::tables::Tables;
 use super::template::Site;
 use super::vector::{Kernel, Processor, Simd};
 
-/// Iterations of one fit at most.
-const ITERATIONS: usize = 12;
+/// Iterations of one fit at most: nearly all need fewer than the first number, the others go on together.
+const ITERATIONS: [usize; 2] = [7, 24];
 /// Heights from this part of the one where the response begins to follow the height: they may end above.
 const NEARLY_STRONG: f32 = 0.93;
 
@@ -18,11 +18,13 @@ pub(super) struct Queue<const P: usize> {
     jobs: Vec<Job<P>>,
     tags: Vec<usize>,
     fitted: Vec<Fitted<P>>,
+    /// Fits at the front that want more iterations.
+    unsettled: usize,
 }
 
 impl<const P: usize> Default for Queue<P> {
     fn default() -> Queue<P> {
-        Queue { jobs: Vec::new(), tags: Vec::new(), fitted: Vec::new() }
+        Queue { jobs: Vec::new(), tags: Vec::new(), fitted: Vec::new(), unsettled: 0 }
     }
 }
 
@@ -32,14 +34,37 @@ impl<const P: usize> Queue<P> {
         self.tags.push(tag);
     }
 
-    pub(super) fn clear(&mut self) {
-        self.jobs.clear();
-        self.tags.clear();
+    fn fit<const N: usize, const C: usize, const D: usize, const STRONG: bool>(
+        &mut self,
+        on: Processor,
+        tables: &Tables,
+        rows: &Rows,
+        precision: f32,
+        iterations: usize,
+    ) {
+        self.unsettled = 0;
+        if !self.jobs.is_empty() {
+            let Queue { jobs, fitted: out, .. } = self;
+            on.run(Fit::<P, N, C, D, STRONG> { tables, rows, jobs, precision, iterations, out });
+        }
     }
 
-    /// The jobs done, in order.
-    fn results(&self) -> impl Iterator<Item = (&Job<P>, usize, &Fitted<P>)> {
-        self.jobs.iter().zip(&self.tags).zip(&self.fitted).map(|((job, &tag), fitted)| (job, tag, fitted))
+    /// Gives a fit that is done, or keeps it for more iterations.
+    fn settle(&mut self, i: usize, iterations: usize, done: &mut Vec<Done>) {
+        let (fitted, tag, row) = (self.fitted[i], self.tags[i], self.jobs[i].row);
+        if fitted.may_go_on && iterations < ITERATIONS[1] {
+            self.jobs[self.unsettled] = Job { row, pulses: fitted.pulses };
+            self.tags[self.unsettled] = tag;
+            self.unsettled += 1;
+        } else {
+            done.push(Done::of(row, tag, &fitted));
+        }
+    }
+
+    /// Leaves the fits that were kept for more iterations.
+    fn go_on(&mut self) {
+        self.jobs.truncate(self.unsettled);
+        self.tags.truncate(self.unsettled);
     }
 }
 
@@ -121,24 +146,22 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     precision: f32,
     done: &mut Vec<Done>,
 ) {
-    let iterations = ITERATIONS;
-    if !weak.jobs.is_empty() {
-        let Queue { jobs, fitted: out, .. } = &mut *weak;
-        on.run(Fit::<P, N, C, D, false> { tables, rows, jobs, precision, iterations, out });
-        for (job, tag, fitted) in weak.results() {
+    for iterations in ITERATIONS {
+        weak.fit::<N, C, D, false>(on, tables, rows, precision, iterations);
+        for i in 0..weak.jobs.len() {
+            let (job, tag, fitted) = (weak.jobs[i], weak.tags[i], weak.fitted[i]);
             if fitted.pulses.iter().any(|pulse| pulse[0] > tables.strong_dn()) {
                 strong.push(Job { row: job.row, pulses: fitted.pulses }, tag);
             } else {
-                done.push(Done::of(job.row, tag, fitted));
+                weak.settle(i, iterations, done);
             }
         }
-        weak.clear();
-    }
-    if !strong.jobs.is_empty() {
-        let Queue { jobs, fitted: out, .. } = &mut *strong;
-        on.run(Fit::<P, N, C, D, true> { tables, rows, jobs, precision, iterations, out });
-        done.extend(strong.results().map(|(job, tag, fitted)| Done::of(job.row, tag, fitted)));
-        strong.clear();
+        weak.go_on();
+        strong.fit::<N, C, D, true>(on, tables, rows, precision, iterations);
+        for i in 0..strong.jobs.len() {
+            strong.settle(i, iterations, done);
+        }
+        strong.go_on();
     }
 }
 

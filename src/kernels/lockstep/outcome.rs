@@ -61,9 +61,12 @@ pub(super) struct Finish<'a> {
     pub(super) settings: &'a DecomposeSettings,
     pub(super) limits: &'a mut Limits,
     pub(super) plain: &'a mut Decomposer,
+    pub(super) left_to_plain: &'a mut u64,
     /// Whether pulses that do not stand up are just dropped, their neighbours not being fitted anew.
     pub(super) drops: bool,
-    pub(super) flags: u16,
+    pub(super) is_refined: bool,
+    /// Pulses wider than this, as `ln` of the width ratio, are left to the plain kernels.
+    pub(super) u_held: f32,
 }
 
 impl Finish<'_> {
@@ -75,9 +78,12 @@ impl Finish<'_> {
         scene: &mut Scene,
         outcomes: &mut Outcomes,
     ) {
-        let stands =
-            scene.way == Way::Fast && (self.stands(scene, samples.len()) || self.drop(scene, samples.len()));
+        let held = scene.pulses().iter().all(|p| p.is_fitted() && p.values[2] <= self.u_held);
+        let stands = scene.way == Way::Fast
+            && held
+            && (self.stands(scene, samples.len()) || self.drop(scene, samples.len()));
         if !stands {
+            *self.left_to_plain += 1;
             outcomes.push(&self.plain.decompose(samples, start_phase));
             return;
         }
@@ -90,7 +96,8 @@ impl Finish<'_> {
             parameters: 3 * scene.pulses().len(),
             background_offset_dn: 0.0,
             saturated: false,
-            refined_once: scene.counts.n_candidates > 0 && self.flags & flags::REFINED != 0,
+            refined_once: scene.pulses().iter().any(|p| p.flags & flags::REFINED != 0)
+                || self.is_refined && scene.counts.n_candidates > 0,
             refined_twice: scene.refined_twice,
         };
         outcome.counts.np = scene.pulses().len() as u32;
@@ -118,7 +125,6 @@ impl Finish<'_> {
                 fwhm_ns: width_ratio * self.model.pulse_fwhm_ns,
                 deviation_ratio,
                 flags: pulse.flags
-                    | self.flags
                     | block_flags(samples, self.model, position, ln_width)
                     | if overlaps { flags::OVERLAP } else { 0 }
                     | if overdriven { flags::OVERDRIVEN } else { 0 },

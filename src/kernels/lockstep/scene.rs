@@ -25,6 +25,11 @@ impl Pulse {
         self.values[1]
     }
 
+    /// Whether it has been fitted, and its standard deviations are known.
+    pub(super) fn is_fitted(&self) -> bool {
+        self.sds[1] > 0.0
+    }
+
     pub(super) fn width_ratio(&self) -> f32 {
         self.values[2].exp()
     }
@@ -45,6 +50,8 @@ pub(super) struct Scene {
     pub(super) way: Way,
     pulses: [Pulse; MAX_PULSES],
     count: usize,
+    /// Ends of the clusters that are fitted jointly, in order; 0 behind the last.
+    ends: [u8; MAX_PULSES],
     /// Whether the pulses have been taken off the waveform's row.
     pub(super) taken_off: bool,
     /// Whether its clusters are to be fitted.
@@ -115,16 +122,25 @@ impl Scene {
         end
     }
 
-    /// The cluster of this number, the pulses being sorted.
-    pub(super) fn cluster(&self, number: usize, fwhm_samples: f32) -> Option<Range<usize>> {
-        let mut start = 0;
-        for _ in 0..number {
-            if start >= self.count {
-                return None;
+    /// Divides the sorted pulses into the clusters that are fitted jointly; returns whether they are others than before.
+    pub(super) fn set_clusters(&mut self, fwhm_samples: f32) -> bool {
+        let before = self.ends;
+        self.ends = [0; MAX_PULSES];
+        let mut end = 0;
+        for number in 0..MAX_PULSES {
+            if end < self.count {
+                end = self.cluster_end(end, fwhm_samples);
+                self.ends[number] = end as u8;
             }
-            start = self.cluster_end(start, fwhm_samples);
         }
-        (start < self.count).then(|| start..self.cluster_end(start, fwhm_samples))
+        self.ends != before
+    }
+
+    /// The cluster of this number.
+    pub(super) fn cluster(&self, number: usize) -> Option<Range<usize>> {
+        let end = usize::from(*self.ends.get(number)?);
+        let start = number.checked_sub(1).map_or(0, |before| usize::from(self.ends[before]));
+        (start < end).then_some(start..end)
     }
 
     /// The pulses, the sorted ones, that a pulse at this place would be in one cluster with.

@@ -158,7 +158,7 @@ fn one_step<S: Simd>(
     let lengths: Sixteen = std::array::from_fn(|w| rows.length(row_of(w)).saturating_sub(1) as f32);
     let last = s.load(&lengths);
     let pulses = Pulses { height: s.load(&of(0)), position: s.load(&of(1)), width: s.load(&of(2)) };
-    let pulses = pulses.within(s, last, tables.u_max);
+    let pulses = pulses.within(s, last);
     let sites = sites::<S, true>(s, tables, &pulses);
     let mut inverse = [[0.0; LANES]; 6];
     for (w, site) in sites.iter().enumerate() {
@@ -198,7 +198,7 @@ fn one_step<S: Simd>(
     let told = s.fma(unit[0], right[0], s.fma(unit[1], right[1], s.mul(unit[2], right[2])));
     let per_height = s.div(s.splat(1.0), pulses.height);
     let step = [unit[0], s.mul(unit[1], per_height), s.mul(unit[2], per_height)];
-    let stepped = pulses.stepped(s, step, last, tables.u_max);
+    let stepped = pulses.stepped(s, step, last);
     let per_height = s.div(s.splat(1.0), stepped.height);
     let squared = s.mul(per_height, per_height);
     let variances = [aa, s.mul(tt, squared), s.mul(uu, squared)];
@@ -217,7 +217,7 @@ fn gathered<S: Simd>(
     chi_square: S::V,
     is_whole: impl Fn(usize) -> bool,
 ) -> [Stepped; LANES] {
-    let nothing = Fitted { pulses: [[0.0; 3]], sds: [[0.0; 3]], is_optimum: false };
+    let nothing = Fitted { pulses: [[0.0; 3]], sds: [[0.0; 3]], is_optimum: false, may_go_on: false };
     let mut out = [Stepped { fitted: nothing, chi_square: 0.0 }; LANES];
     let (mut value, mut sd, mut square) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     s.store(chi_square, &mut square);

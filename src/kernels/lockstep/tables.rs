@@ -14,12 +14,12 @@ pub(super) const BEFORE_PEAK: i32 = 11;
 /// Table positions per sample.
 pub(super) const PHASES: usize = 16;
 /// Widths of the table.
-pub(super) const KNOTS: usize = 38;
+pub(super) const KNOTS: usize = 52;
 /// `ln` of the narrowest width ratio, 0.6.
 pub(super) const U_MIN: f64 = -0.510_825_623_765_990_7;
 /// Between knots.
 pub(super) const U_STEP: f64 = 0.026_4;
-/// `ln` of the widest width ratio, 1.59.
+/// `ln` of the widest width ratio, 2.3.
 pub(super) const U_MAX: f64 = U_MIN + (KNOTS - 1) as f64 * U_STEP;
 /// Full width at half maximum of the widest pulse whose rise a row holds, samples.
 const WIDEST_FWHM: f64 = 7.0;
@@ -43,7 +43,7 @@ pub(super) const TAPS_BEFORE: usize = FILTER_BEFORE as usize + MAX_ORDER;
 /// Widths of the bank, as knots: `first + k stride`.
 pub(super) const BANK: usize = 6;
 const BANK_FIRST: usize = 12;
-const BANK_STRIDE: usize = 5;
+const BANK_STRIDE: usize = 7;
 /// Least share of a pulse's energy with which a position at the block's edge is searched.
 const LEAST_ENERGY: f64 = 0.3;
 
@@ -83,7 +83,7 @@ pub(super) struct Node {
 
 /// Everything that depends on one channel's response and noise, for all threads.
 ///
-/// 0.75 MB of templates for each height that has a response of its own; what one width uses, 19 KB, stays in the
+/// 1 MB of templates for each height that has a response of its own; what one width uses, 19 KB, stays in the
 /// first-level cache.
 pub struct Tables {
     pub(super) nodes: Vec<Node>,
@@ -110,8 +110,8 @@ pub struct Tables {
     pub(super) background: [Sixteen; 4],
     /// Full width at half maximum of a pulse of width ratio 1, samples.
     pub(super) fwhm_samples: f64,
-    /// The greatest `ln` width ratio that rows hold.
-    pub(super) u_max: f32,
+    /// The greatest `ln` width ratio whose rise a row holds.
+    pub(super) u_held: f32,
 }
 
 impl Tables {
@@ -173,7 +173,7 @@ impl Tables {
                 std::array::from_fn(|lane| model.background_dn[(first + lane) % 4] as f32)
             }),
             fwhm_samples: model.fwhm_samples(),
-            u_max: (WIDEST_FWHM / model.fwhm_samples()).ln().min(U_MAX) as f32,
+            u_held: (WIDEST_FWHM / model.fwhm_samples()).ln().min(U_MAX) as f32,
         }
     }
 

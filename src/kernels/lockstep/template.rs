@@ -2,7 +2,7 @@
 
 use super::fit::Values;
 use super::rows::sixteen;
-use super::tables::{BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, Tables, U_MIN, U_STEP};
+use super::tables::{BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, Tables, U_MAX, U_MIN, U_STEP};
 use super::vector::{LANES, Simd, Sixteen};
 
 /// Sixteen pulses, one per row: height, position and `ln` of the width ratio.
@@ -23,23 +23,23 @@ const LIMITS: [f32; 2] = [1.5, 0.4];
 impl<V: Copy> Pulses<V> {
     /// The pulses after a step, within the limits of one iteration and of the tables.
     #[inline(always)]
-    pub(super) fn stepped<S: Simd<V = V>>(self, s: S, step: [V; 3], last: V, u_max: f32) -> Pulses<V> {
+    pub(super) fn stepped<S: Simd<V = V>>(self, s: S, step: [V; 3], last: V) -> Pulses<V> {
         let next = Pulses {
             height: s.max(s.add(self.height, step[0]), s.mul(self.height, s.splat(LEAST_LEFT))),
             position: s.add(self.position, bounded(s, step[1], LIMITS[0])),
             width: s.add(self.width, bounded(s, step[2], LIMITS[1])),
         };
-        next.within(s, last, u_max)
+        next.within(s, last)
     }
 
     /// The pulses within what the tables and rows hold; what is not a number becomes the lower bound.
     #[inline(always)]
-    pub(super) fn within<S: Simd<V = V>>(self, s: S, last: V, u_max: f32) -> Pulses<V> {
+    pub(super) fn within<S: Simd<V = V>>(self, s: S, last: V) -> Pulses<V> {
         let outside = s.splat(OUTSIDE);
         Pulses {
             height: s.max(self.height, s.splat(1e-3)),
             position: s.min(s.max(self.position, s.sub(s.splat(0.0), outside)), s.add(last, outside)),
-            width: s.min(s.max(self.width, s.splat(U_MIN as f32)), s.splat(u_max)),
+            width: s.min(s.max(self.width, s.splat(U_MIN as f32)), s.splat(U_MAX as f32)),
         }
     }
 
@@ -82,7 +82,7 @@ pub(super) struct Site {
 impl Site {
     /// The site of one pulse within the tables, its height followed by the response.
     pub(super) fn of(tables: &Tables, [height, position, width]: Values) -> Site {
-        let above = width.clamp(U_MIN as f32, tables.u_max) - U_MIN as f32;
+        let above = width.clamp(U_MIN as f32, U_MAX as f32) - U_MIN as f32;
         let knot = (above * (1.0 / U_STEP as f32)).round_ties_even();
         let phase = (position * PHASES as f32).round_ties_even();
         let site = Site {

@@ -97,6 +97,7 @@ fn returns_are_those_of_the_plain_kernels() {
     let waveforms = scenes(&model, 1, 3000);
     let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
     let outcomes = decompose(&mut fast(&model, Mode::Refined, Path::best()), &waveforms);
+    let mut all = vec![];
     let (mut same, mut values, mut near, mut total) = (0, 0, 0, 0);
     for (samples, found) in waveforms.iter().zip(outcomes.iter()) {
         let expected = plain.decompose(samples, 0);
@@ -133,34 +134,21 @@ fn returns_are_those_of_the_plain_kernels() {
                 (a.position_sd_samples / b.position_sd_samples - 1.0) / 0.3,
             ];
             values += 1;
+            if errors.iter().any(|e| e.abs() > 0.5) {
+                println!("OFF {errors:.2?} {:.1} {:.1}", a.amplitude_dn, b.amplitude_dn);
+            }
             near += usize::from(errors.iter().all(|e| e.abs() < 0.1));
         }
+    }
+    for i in 0..4 {
+        let mut v: Vec<f64> = all.iter().map(|e| e[i]).collect();
+        v.sort_by(f64::total_cmp);
+        println!(
+            "value {i}: {:.3?}",
+            [0.5, 0.9, 0.95, 0.99, 0.999].map(|p| v[(p * v.len() as f64) as usize])
+        );
     }
     println!("{total} returns; the same number in {same} of {}; near {near} of {values}", waveforms.len());
     assert!(same * 100 >= 99 * waveforms.len());
     assert!(near * 100 >= 99 * values);
-}
-
-#[test]
-fn speed() {
-    let model = model();
-    let waveforms = scenes(&model, 1, 20000);
-    for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
-        let mut f = fast(&model, mode, Path::best());
-        decompose(&mut f, &waveforms[..1000]);
-        let t = std::time::Instant::now();
-        let outcomes = decompose(&mut f, &waveforms);
-        let n: usize = outcomes.iter().map(|o| o.returns.len()).sum();
-        println!(
-            "{mode:?}: {:.3} us per waveform, {n} returns; plain {}",
-            t.elapsed().as_secs_f64() * 1e6 / 20000.0,
-            f.plain_count
-        );
-    }
-    let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
-    let t = std::time::Instant::now();
-    for w in &waveforms[..2000] {
-        plain.decompose(w, 0);
-    }
-    println!("plain: {:.3} us per waveform", t.elapsed().as_secs_f64() * 1e6 / 2000.0);
 }

@@ -8,6 +8,7 @@ use super::gate::Scores;
 use super::jobs::add;
 use super::rows::BATCH;
 use super::scene::{MAX_CLUSTER, Pulse, Scene, Way};
+use super::tables::U_MAX;
 use crate::kernels::flags;
 
 /// A pulse is added when it lowers chi-square by this part of the threshold's square.
@@ -84,9 +85,13 @@ impl Decompose<'_> {
     fn end_round(&mut self) {
         let scenes = &self.work.scenes;
         self.work.active.retain(|&row| scenes[row].is_due);
+        let fwhm = self.fwhm();
         for scene in &mut self.work.scenes {
-            // A single cluster has just been fitted.
-            scene.is_due &= scene.cluster(1, self.tables.fwhm_samples as f32).is_some();
+            if scene.is_due {
+                // A single cluster has just been fitted.
+                scene.set_clusters(fwhm);
+                scene.is_due = scene.cluster(1).is_some();
+            }
         }
         self.fit_clusters(1);
         self.sum_squares();
@@ -233,8 +238,11 @@ impl Decompose<'_> {
                 end += 1;
             }
             let trial = self.work.trials[best];
-            let scene = &self.work.scenes[row];
-            if scene.way == Way::Fast && scene.chi_square - trial.chi_square >= trial.gain {
+            let scene = &mut self.work.scenes[row];
+            if trial.chi_square.is_infinite() {
+                // No trial came to an end: the plain kernels decide.
+                scene.give_up();
+            } else if scene.way == Way::Fast && scene.chi_square - trial.chi_square >= trial.gain {
                 self.take_up(&trial);
             }
             first = end;
@@ -260,7 +268,7 @@ impl Decompose<'_> {
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
         work.queues.run(on, tables, &work.rows, precision, &mut work.done);
         for done in &work.done {
-            if !done.is_optimum || done.values().iter().any(|values| values[2] >= tables.u_max) {
+            if !done.is_optimum || done.values().iter().any(|values| values[2] >= U_MAX as f32) {
                 continue;
             }
             let trial = &mut work.trials[done.tag];
@@ -268,6 +276,7 @@ impl Decompose<'_> {
             trial.chi_square = 0.0;
             for (i, (values, sds)) in done.values().iter().zip(done.sds()).enumerate() {
                 (trial.pulses[i].values, trial.pulses[i].sds) = (*values, *sds);
+                trial.pulses[i].flags |= flags::REFINED;
                 add(on, tables, &mut work.rows, done.row, *values, -1.0);
             }
         }
