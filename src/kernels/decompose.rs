@@ -11,6 +11,7 @@ use scene::{Found, Scene};
 mod allowance;
 mod refine;
 mod scene;
+mod score;
 #[cfg(test)]
 mod tests;
 
@@ -33,6 +34,9 @@ pub struct DecomposeSettings {
     /// How much two pulses must lower chi-square against one widened pulse to stand in its place; `None`: widened pulses
     /// are not tried, but where the residual has a maximum.
     pub split_evidence: Option<f64>,
+    /// Rao's score, chi-square with two degrees of freedom for one pulse, below which a widened pulse is not tried as
+    /// two; 0 tries all of them.
+    pub split_score: f64,
     /// Pulses added to those detection finds, at most; 0 leaves it at those.
     pub max_added: u32,
     /// How well the system response is known at least, as part of a pulse's height: thresholds beside a strong pulse are
@@ -55,6 +59,7 @@ impl Default for DecomposeSettings {
             iterations: 50,
             overlap_ln_width_sd: 0.15,
             split_evidence: Some(16.0),
+            split_score: 6.0,
             max_added: 16,
             template_error: 0.005,
             overdriven_part: 210.0 / 255.0,

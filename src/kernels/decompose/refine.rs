@@ -67,7 +67,7 @@ impl Decomposer {
         let starts = [0.5, 0.7, 0.3].map(Start::Apart);
         (0..self.scene.found.len()).any(|i| {
             let p = self.scene.found[i].pulse;
-            if self.overdrives(&p) {
+            if self.overdrives(&p) || !self.may_hide_two(i) {
                 return false;
             }
             let half = Candidate {
@@ -81,6 +81,12 @@ impl Decomposer {
                 self.threshold_at(p.position_samples, f64::INFINITY) / self.settings.detection_sigma;
             self.try_starts(&starts, &half, i, gain * allowed * allowed)
         })
+    }
+
+    /// Whether a pulse is wide enough for two, and its residual looks like two.
+    fn may_hide_two(&mut self, index: usize) -> bool {
+        self.scene.found[index].pulse.ln_width_ratio.exp() > HIDING_WIDTH_RATIO
+            && (self.settings.split_score <= 0.0 || self.scene.score(index) > self.settings.split_score)
     }
 
     fn nearest(&self, position_samples: f64) -> Option<usize> {

@@ -10,6 +10,7 @@ use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
 use super::DecomposeSettings;
+use super::score::Score;
 
 /// Pulses nearer than so many of their widths are fitted jointly and bear on each other.
 const CLUSTER_WIDTHS: f64 = 3.0;
@@ -70,6 +71,7 @@ pub(super) struct Scene {
     cluster_ends: Vec<usize>,
     before: Saved,
     best: Saved,
+    score: Score,
 }
 
 impl Scene {
@@ -101,6 +103,7 @@ impl Scene {
             cluster_ends: Vec::with_capacity(pulses),
             before: saved(),
             best: saved(),
+            score: Score::new(max_samples, pulses),
         })
     }
 
@@ -307,6 +310,14 @@ impl Scene {
                 f.flags |= flags::DIVERGED;
             }
         }
+    }
+
+    /// How much pulse `index` looks like two, by [`Score::statistic`]; the residual is up to date.
+    pub(super) fn score(&mut self, index: usize) -> f64 {
+        let cluster = self.cluster_around(index);
+        let pulses = self.found[cluster].iter().map(|f| f.pulse);
+        let pulse = self.found[index].pulse;
+        self.score.statistic(&self.shape, &self.whitener, self.offset_is_free, pulses, pulse, &self.whitened)
     }
 
     /// Puts a pulse in its place in the order and returns its index.
