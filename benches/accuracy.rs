@@ -702,10 +702,10 @@ fn saturated(bench: &mut Bench, model: &ChannelModel) {
     }
 }
 
-/// Samples below the end of the scale, but for the one behind a saturated one.
+/// Samples within the scale, but for the one behind a saturated one.
 fn unsaturated(samples: &[u16]) -> Vec<bool> {
     let at_end = |k: usize| f64::from(samples[k]) >= EIGHT_BITS;
-    (0..samples.len()).map(|k| !(at_end(k) || k > 0 && at_end(k - 1))).collect()
+    (0..samples.len()).map(|k| samples[k] > 0 && !(at_end(k) || k > 0 && at_end(k - 1))).collect()
 }
 
 /// What the engine takes for one waveform with one return.

@@ -15,8 +15,6 @@ const TRIALS: usize = 3;
 const HIDING_WIDTH_RATIO: f64 = 1.04;
 /// Standard deviation of a Gaussian over its full width at half maximum.
 const SD_OF_FWHM: f64 = 0.424_660_900_144_009_5;
-/// Nearer than so many calibrated widths, and in any case than one sample, two pulses are one.
-const LEAST_SEPARATION_WIDTHS: f64 = 0.25;
 
 /// How the pulses of a cluster start, when one is added.
 #[derive(Clone, Copy)]
@@ -164,7 +162,7 @@ impl Decomposer {
 
     /// The nearest two pulses, where they cannot be told apart.
     fn merge_nearest(&mut self) -> bool {
-        let least = (LEAST_SEPARATION_WIDTHS * self.scene.fwhm_samples()).max(1.0);
+        let least = self.scene.least_separation();
         let found = &mut self.scene.found;
         let gap = |i: usize| found[i].pulse.position_samples - found[i - 1].pulse.position_samples;
         let Some(i) = (1..found.len()).filter(|&i| gap(i) < least).min_by(|&i, &j| gap(i).total_cmp(&gap(j)))
