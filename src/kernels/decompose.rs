@@ -23,6 +23,8 @@ pub const OVERDRIVEN_ERROR: f64 = 0.06;
 pub struct DecomposeSettings {
     /// Threshold of detection and of what is kept, in standard deviations of the noise of the matched filter.
     pub detection_sigma: f64,
+    /// Threshold of the last of two or more returns instead: behind others it is most often false.
+    pub detection_sigma_last: Option<f64>,
     /// Least and greatest width over the calibrated width; a return is dropped only when two standard deviations of
     /// its width do not reach into the range.
     pub width_ratio: [f64; 2],
@@ -55,6 +57,7 @@ impl Default for DecomposeSettings {
     fn default() -> DecomposeSettings {
         DecomposeSettings {
             detection_sigma: 4.5,
+            detection_sigma_last: None,
             width_ratio: [0.8, 10.0],
             iterations: 50,
             overlap_ln_width_sd: 0.15,
@@ -66,6 +69,13 @@ impl Default for DecomposeSettings {
             recovery_samples: 1,
             max_returns: 24,
         }
+    }
+}
+
+impl DecomposeSettings {
+    /// The lower one of the two thresholds.
+    fn least_sigma(&self) -> f64 {
+        self.detection_sigma_last.map_or(self.detection_sigma, |last| last.min(self.detection_sigma))
     }
 }
 
@@ -211,10 +221,11 @@ impl Decomposer {
 
     /// Candidates of the matched filter and of saturated plateaus become the first pulses.
     fn find_candidates(&mut self, samples: &[u16]) {
-        let scene = &mut self.scene;
-        self.detector.filter(scene.whitener(), scene.target_dn());
+        self.detector.filter(self.scene.whitener(), self.scene.target_dn());
         self.candidates.clear();
-        self.detector.maxima(self.settings.detection_sigma, &mut self.candidates);
+        let least_sigma = self.settings.least_sigma();
+        self.detector.maxima(least_sigma, &mut self.candidates);
+        self.drop_weak_candidates();
         let width = self.model.fwhm_samples();
         let mut from = 0;
         while let Some(plateau) = next_plateau(samples, self.model.full_scale_dn, from) {
@@ -222,7 +233,7 @@ impl Decomposer {
             // What the filter makes of a plateau's flanks is the plateau's own pulse.
             self.candidates.retain(|c| c.statistic.is_infinite() || !near.contains(&c.position_samples));
             from = plateau.end;
-            self.candidates.push(plateau_candidate(scene.target_dn(), plateau, width));
+            self.candidates.push(plateau_candidate(self.scene.target_dn(), plateau, width));
         }
         self.counts.n_candidates = self.candidates.len() as u32;
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));

@@ -48,7 +48,7 @@ impl Decomposer {
     fn add_one(&mut self) -> bool {
         self.detector.filter(self.scene.whitener(), self.scene.residual_dn());
         self.candidates.clear();
-        self.detector.maxima(TRIAL_PART * self.settings.detection_sigma, &mut self.candidates);
+        self.detector.maxima(TRIAL_PART * self.settings.least_sigma(), &mut self.candidates);
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
         let starts = [Start::AsFitted, Start::CalibratedWidth, Start::Apart(0.5)];
         (0..self.candidates.len().min(TRIALS)).any(|i| {
@@ -62,7 +62,7 @@ impl Decomposer {
     /// Divides the first widened pulse that two pulses tell better.
     fn split_one(&mut self) -> bool {
         let Some(gain) = self.settings.split_evidence else { return false };
-        let starts = [0.5, 0.7, 0.3].map(Start::Apart);
+        let starts = [0.5, 0.8, 0.2].map(Start::Apart);
         (0..self.scene.found.len()).any(|i| {
             let p = self.scene.found[i].pulse;
             if self.overdrives(&p) || !self.may_hide_two(i) {
@@ -75,8 +75,7 @@ impl Decomposer {
                 ln_width_ratio: 0.0,
             };
             // What an error of the response would look like is no evidence.
-            let allowed =
-                self.threshold_at(p.position_samples, f64::INFINITY) / self.settings.detection_sigma;
+            let allowed = self.allowance_at(p.position_samples, f64::INFINITY);
             self.try_starts(&starts, &half, i, gain * allowed * allowed)
         })
     }
