@@ -201,7 +201,7 @@ pub struct Instrument {
 impl Instrument {
     /// Two seeds: waveforms of a cell, and a part of them.
     pub fn new(response: &Arc<Response>, cell: u64, part: u32) -> Instrument {
-        let lags: Vec<f64> = (1..=LAGS).map(|lag| autocorrelation(lag)).collect();
+        let lags: Vec<f64> = (1..=LAGS).map(autocorrelation).collect();
         Instrument {
             response: response.clone(),
             noise: Arc::new(Noise::new(NOISE_SD_DN, &lags).expect("a process")),
