@@ -20,7 +20,12 @@ pub fn false_alarms(bench: &mut Bench, model: &ChannelModel) {
         for sigma in [3.5, 4.0, 4.5] {
             let theory = Theory::of(model, sigma);
             let settings = DecomposeSettings { detection_sigma: sigma, ..DecomposeSettings::default() };
-            let blocks = if sigma < 4.0 { blocks / 10 } else { blocks };
+            // So many that the discrete formula is checked to 2 % and less.
+            let blocks = match sigma {
+                3.5 => blocks / 2,
+                4.0 => 2 * blocks,
+                _ => blocks,
+            };
             let cell = Cell { count: blocks, ..bench.cell(6000 + (10.0 * sigma) as u64, model, &settings) };
             let all = bench.observe(&cell, |instrument, engine| {
                 let samples = instrument.record(&[], EIGHT_BITS);
