@@ -11,6 +11,7 @@ use scene::{Found, Scene};
 mod allowance;
 mod refine;
 mod scene;
+mod score;
 #[cfg(test)]
 mod tests;
 
@@ -22,6 +23,8 @@ pub const OVERDRIVEN_ERROR: f64 = 0.06;
 pub struct DecomposeSettings {
     /// Threshold of detection and of what is kept, in standard deviations of the noise of the matched filter.
     pub detection_sigma: f64,
+    /// Threshold of the last of two or more returns instead: behind others it is most often false.
+    pub detection_sigma_last: Option<f64>,
     /// Least and greatest width over the calibrated width; a return is dropped only when two standard deviations of
     /// its width do not reach into the range.
     pub width_ratio: [f64; 2],
@@ -33,6 +36,9 @@ pub struct DecomposeSettings {
     /// How much two pulses must lower chi-square against one widened pulse to stand in its place; `None`: widened pulses
     /// are not tried, but where the residual has a maximum.
     pub split_evidence: Option<f64>,
+    /// Rao's score, chi-square with two degrees of freedom for one pulse, below which a widened pulse is not tried as
+    /// two; 0 tries all of them.
+    pub split_score: f64,
     /// Pulses added to those detection finds, at most; 0 leaves it at those.
     pub max_added: u32,
     /// How well the system response is known at least, as part of a pulse's height: thresholds beside a strong pulse are
@@ -51,16 +57,25 @@ impl Default for DecomposeSettings {
     fn default() -> DecomposeSettings {
         DecomposeSettings {
             detection_sigma: 4.5,
+            detection_sigma_last: None,
             width_ratio: [0.8, 10.0],
             iterations: 50,
             overlap_ln_width_sd: 0.15,
             split_evidence: Some(16.0),
+            split_score: 6.0,
             max_added: 16,
             template_error: 0.005,
             overdriven_part: 210.0 / 255.0,
             recovery_samples: 1,
             max_returns: 24,
         }
+    }
+}
+
+impl DecomposeSettings {
+    /// The lower one of the two thresholds.
+    fn least_sigma(&self) -> f64 {
+        self.detection_sigma_last.map_or(self.detection_sigma, |last| last.min(self.detection_sigma))
     }
 }
 
@@ -206,10 +221,11 @@ impl Decomposer {
 
     /// Candidates of the matched filter and of saturated plateaus become the first pulses.
     fn find_candidates(&mut self, samples: &[u16]) {
-        let scene = &mut self.scene;
-        self.detector.filter(scene.whitener(), scene.target_dn());
+        self.detector.filter(self.scene.whitener(), self.scene.target_dn());
         self.candidates.clear();
-        self.detector.maxima(self.settings.detection_sigma, &mut self.candidates);
+        let least_sigma = self.settings.least_sigma();
+        self.detector.maxima(least_sigma, &mut self.candidates);
+        self.drop_weak_candidates();
         let width = self.model.fwhm_samples();
         let mut from = 0;
         while let Some(plateau) = next_plateau(samples, self.model.full_scale_dn, from) {
@@ -217,7 +233,7 @@ impl Decomposer {
             // What the filter makes of a plateau's flanks is the plateau's own pulse.
             self.candidates.retain(|c| c.statistic.is_infinite() || !near.contains(&c.position_samples));
             from = plateau.end;
-            self.candidates.push(plateau_candidate(scene.target_dn(), plateau, width));
+            self.candidates.push(plateau_candidate(self.scene.target_dn(), plateau, width));
         }
         self.counts.n_candidates = self.candidates.len() as u32;
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));

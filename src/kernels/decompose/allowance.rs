@@ -53,9 +53,36 @@ impl Decomposer {
     /// The threshold of detection at a place, raised by what pulses higher than `height_dn` may leave there; an
     /// infinite height means all pulses.
     pub(super) fn threshold_at(&self, position_samples: f64, height_dn: f64) -> f64 {
-        let threshold = self.settings.detection_sigma;
+        self.sigma_at(position_samples) * self.allowance_at(position_samples, height_dn)
+    }
+
+    /// The threshold at a place without any allowance: another one behind all other pulses.
+    fn sigma_at(&self, position_samples: f64) -> f64 {
+        let found = &self.scene.found;
+        let behind_others = |_: &f64| {
+            found.iter().any(|f| f.pulse.position_samples < position_samples)
+                && found.iter().all(|f| f.pulse.position_samples <= position_samples)
+        };
+        self.settings.detection_sigma_last.filter(behind_others).unwrap_or(self.settings.detection_sigma)
+    }
+
+    /// Drops candidates below the threshold, but for the last one behind others where that may be weaker. The
+    /// candidates are sorted by position.
+    pub(super) fn drop_weak_candidates(&mut self) {
+        let sigma = self.settings.detection_sigma;
+        let others = self.candidates.iter().rev().skip(1).any(|c| c.statistic >= sigma);
+        let mut left = self.candidates.len();
+        self.candidates.retain(|c| {
+            left -= 1;
+            c.statistic >= sigma || (left == 0 && others)
+        });
+    }
+
+    /// By what part thresholds are raised at a place by what pulses higher than `height_dn` may leave there; an
+    /// infinite height means all pulses.
+    pub(super) fn allowance_at(&self, position_samples: f64, height_dn: f64) -> f64 {
         if self.model.response.is_none() {
-            return threshold;
+            return 1.0;
         }
         let per_dn = self.detector.full_significance_per_dn();
         let mut sum = 1.0;
@@ -66,7 +93,7 @@ impl Decomposer {
                 sum += (self.template_error(&f.pulse, lag) * f.pulse.height_dn * per_dn).powi(2);
             }
         }
-        threshold * sum.sqrt()
+        sum.sqrt()
     }
 
     /// Drops candidates that are no more than what stronger ones leave behind them. The candidates are sorted by
@@ -83,7 +110,7 @@ impl Decomposer {
                 let lag = candidate.position_samples - stronger.position_samples;
                 sum + if lag > told { stronger.height_dn * self.detector.echo(lag) } else { 0.0 }
             });
-            if candidate.statistic - left >= self.settings.detection_sigma {
+            if candidate.statistic - left >= self.settings.least_sigma() {
                 self.candidates[kept] = candidate;
                 kept += 1;
             }

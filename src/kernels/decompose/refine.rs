@@ -15,8 +15,6 @@ const TRIALS: usize = 3;
 const HIDING_WIDTH_RATIO: f64 = 1.04;
 /// Standard deviation of a Gaussian over its full width at half maximum.
 const SD_OF_FWHM: f64 = 0.424_660_900_144_009_5;
-/// Nearer than so many calibrated widths, and in any case than one sample, two pulses are one.
-const LEAST_SEPARATION_WIDTHS: f64 = 0.25;
 
 /// How the pulses of a cluster start, when one is added.
 #[derive(Clone, Copy)]
@@ -50,7 +48,7 @@ impl Decomposer {
     fn add_one(&mut self) -> bool {
         self.detector.filter(self.scene.whitener(), self.scene.residual_dn());
         self.candidates.clear();
-        self.detector.maxima(TRIAL_PART * self.settings.detection_sigma, &mut self.candidates);
+        self.detector.maxima(TRIAL_PART * self.settings.least_sigma(), &mut self.candidates);
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
         let starts = [Start::AsFitted, Start::CalibratedWidth, Start::Apart(0.5)];
         (0..self.candidates.len().min(TRIALS)).any(|i| {
@@ -64,10 +62,10 @@ impl Decomposer {
     /// Divides the first widened pulse that two pulses tell better.
     fn split_one(&mut self) -> bool {
         let Some(gain) = self.settings.split_evidence else { return false };
-        let starts = [0.5, 0.7, 0.3].map(Start::Apart);
+        let starts = [0.5, 0.8, 0.2].map(Start::Apart);
         (0..self.scene.found.len()).any(|i| {
             let p = self.scene.found[i].pulse;
-            if self.overdrives(&p) {
+            if self.overdrives(&p) || !self.may_hide_two(i) {
                 return false;
             }
             let half = Candidate {
@@ -77,10 +75,15 @@ impl Decomposer {
                 ln_width_ratio: 0.0,
             };
             // What an error of the response would look like is no evidence.
-            let allowed =
-                self.threshold_at(p.position_samples, f64::INFINITY) / self.settings.detection_sigma;
+            let allowed = self.allowance_at(p.position_samples, f64::INFINITY);
             self.try_starts(&starts, &half, i, gain * allowed * allowed)
         })
+    }
+
+    /// Whether a pulse is wide enough for two, and its residual looks like two.
+    fn may_hide_two(&mut self, index: usize) -> bool {
+        self.scene.found[index].pulse.ln_width_ratio.exp() > HIDING_WIDTH_RATIO
+            && (self.settings.split_score <= 0.0 || self.scene.score(index) > self.settings.split_score)
     }
 
     fn nearest(&self, position_samples: f64) -> Option<usize> {
@@ -158,7 +161,7 @@ impl Decomposer {
 
     /// The nearest two pulses, where they cannot be told apart.
     fn merge_nearest(&mut self) -> bool {
-        let least = (LEAST_SEPARATION_WIDTHS * self.scene.fwhm_samples()).max(1.0);
+        let least = self.scene.least_separation();
         let found = &mut self.scene.found;
         let gap = |i: usize| found[i].pulse.position_samples - found[i - 1].pulse.position_samples;
         let Some(i) = (1..found.len()).filter(|&i| gap(i) < least).min_by(|&i, &j| gap(i).total_cmp(&gap(j)))

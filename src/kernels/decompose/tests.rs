@@ -306,6 +306,54 @@ fn of_too_many_candidates_the_strongest_are_kept() {
     assert_eq!((counts.n_candidates, counts.np_filtered, counts.np), (3, 1, 2));
 }
 
+/// The last of several returns has a threshold of its own; the first and a lonely one have not.
+#[test]
+fn the_last_of_several_returns_has_its_own_threshold() {
+    let found = |pulses: &[Pulse], detection_sigma: f64, detection_sigma_last: Option<f64>| {
+        let settings =
+            DecomposeSettings { detection_sigma, detection_sigma_last, ..DecomposeSettings::default() };
+        let (returns, _) = decompose_exact(pulses, 255, &settings);
+        returns.iter().map(|r| r.position_samples.round()).collect::<Vec<_>>()
+    };
+    // 12 DN are between 5 and 8 standard deviations of the filtered noise.
+    let (strong, weak) = (pulse(120.0, 25.0, 1.0), pulse(12.0, 45.0, 1.0));
+    assert_eq!(found(&[strong, weak], 5.0, None), [25.0, 45.0]);
+    assert_eq!(found(&[strong, weak], 5.0, Some(8.0)), [25.0]);
+    assert_eq!(found(&[strong, weak], 8.0, None), [25.0]);
+    assert_eq!(found(&[strong, weak], 8.0, Some(5.0)), [25.0, 45.0]);
+    let (weak_first, lonely) = (pulse(12.0, 10.0, 1.0), weak);
+    assert_eq!(found(&[weak_first, strong], 5.0, Some(8.0)), [10.0, 25.0]);
+    assert_eq!(found(&[weak_first, strong], 8.0, Some(5.0)), [25.0]);
+    assert_eq!(found(&[lonely], 5.0, Some(8.0)), [45.0]);
+    assert_eq!(found(&[lonely], 8.0, Some(5.0)), [0.0; 0]);
+}
+
+/// One widened pulse passes the score as often as noise lets expect; pairs that can be told apart always do.
+#[test]
+fn the_score_tells_pairs_from_widened_pulses() {
+    let mut simulation = Simulation::new(41, 4095);
+    simulation.settings.max_added = 0;
+    let mut scores = |pulses: &[Pulse]| {
+        let mut decomposer = Decomposer::new(&simulation.model, &simulation.settings, 60).unwrap();
+        let mut score = || {
+            let values = analogue(&mut simulation.random, &process(), 60, BACKGROUND, FWHM, pulses);
+            decomposer.decompose(&digitised(&values, 4095), 0);
+            decomposer.scene.score(0)
+        };
+        (0..500).map(|_| score()).collect::<Vec<f64>>()
+    };
+    let passes = |scores: &[f64]| scores.iter().filter(|q| **q > 6.0).count();
+    let single = scores(&[pulse(100.0, 30.0, 1.5)]);
+    // Chi-square with two degrees of freedom is greater than 6 in 5 %, 25 of 500; the third direction adds a few.
+    assert!((10..=50).contains(&passes(&single)), "{}", passes(&single));
+    assert!((1.6..2.6).contains(&moments(&single).0), "{}", moments(&single).0);
+    let half = 0.4 * FWHM;
+    let equal = scores(&[pulse(100.0, 30.0 - half, 1.0), pulse(100.0, 30.0 + half, 1.0)]);
+    assert!(passes(&equal) >= 498, "{}", passes(&equal));
+    let unequal = scores(&[pulse(100.0, 30.0, 1.0), pulse(30.0, 30.0 + 1.8 * half, 1.0)]);
+    assert!(passes(&unequal) >= 490, "{}", passes(&unequal));
+}
+
 #[test]
 fn a_model_of_no_channel_is_refused() {
     let mut model = channel(&process(), FWHM, 20.0);

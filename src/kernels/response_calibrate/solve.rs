@@ -37,6 +37,8 @@ pub(super) struct Solution {
     pub(super) coefficients: Vec<Vec<f64>>,
     /// Root mean square uncertainty of the first node's main lobe.
     pub(super) shape_sd: f64,
+    /// By how much the splines lower the objective, against none.
+    decrease: f64,
 }
 
 impl<'a> Problem<'a> {
@@ -157,14 +159,44 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Solves; `None` where the equations are singular.
-    pub(super) fn solve(mut self) -> Option<Solution> {
+    /// Solves with as many nodes as the echoes call for: all, or the first for all heights where the others tell
+    /// the echoes better by no more than their noise does (Akaike 1974: two for each parameter more). `None` where the
+    /// equations are singular.
+    pub(super) fn solve(self) -> Option<Solution> {
+        let one = self.with_one_node();
+        let more = 2.0 * (self.right.len() - one.right.len()) as f64;
+        let all = self.solve_all()?;
+        match one.solve_all() {
+            Some(one) if all.decrease - one.decrease <= more => Some(one),
+            _ => Some(all),
+        }
+    }
+
+    /// The problem with the same splines at all heights: shares of nodes sum to one, so its equations are sums.
+    fn with_one_node(&self) -> Problem<'a> {
+        let (count, unknowns) = (self.basis.len(), self.right.len());
+        let nodes = &self.nodes[..1];
+        let mut normal = vec![0.0; count * count];
+        let mut right = vec![0.0; count];
+        for (i, told) in self.right.iter().enumerate() {
+            right[i % count] += told;
+            for j in 0..unknowns {
+                normal[(i % count) * count + j % count] += self.normal[i * unknowns + j];
+            }
+        }
+        let (fitter, whitener) = (self.fitter.clone(), self.whitener.clone());
+        Problem { nodes, fitter, whitener, normal, right, target: Vec::new(), columns: Vec::new(), ..*self }
+    }
+
+    fn solve_all(mut self) -> Option<Solution> {
         self.add_priors();
         let (count, unknowns) = (self.basis.len(), self.right.len());
+        let told = self.right.clone();
         if !cholesky::factor(&mut self.normal, unknowns) {
             return None;
         }
         cholesky::solve(&self.normal, unknowns, &mut self.right);
+        let decrease = dot(&told, &self.right);
         let lobe = self.basis.lobe.max(1);
         let variance = |i: usize| {
             let mut unit = vec![0.0; unknowns];
@@ -174,7 +206,7 @@ impl<'a> Problem<'a> {
         };
         let mean = (0..lobe).map(variance).sum::<f64>() / lobe as f64;
         let coefficients = self.right.chunks_exact(count).map(<[f64]>::to_vec).collect();
-        Some(Solution { coefficients, shape_sd: mean.sqrt() })
+        Some(Solution { coefficients, shape_sd: mean.sqrt(), decrease })
     }
 }
 
