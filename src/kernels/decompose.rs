@@ -17,6 +17,9 @@ mod tests;
 
 /// Error of the response behind a pulse that overdrives the receiver (REALDATA.md, section 1).
 pub const OVERDRIVEN_ERROR: f64 = 0.06;
+/// A sample of 0 is cut off where the background stands so many standard deviations of the noise above that: it is what
+/// the undershoot of a strong pulse leaves.
+pub(super) const CLEAR_OF_ZERO_SD: f64 = 5.0;
 
 /// How waveforms are decomposed.
 #[derive(Debug, Clone, PartialEq)]
@@ -74,7 +77,7 @@ impl Default for DecomposeSettings {
 
 impl DecomposeSettings {
     /// The lower one of the two thresholds.
-    fn least_sigma(&self) -> f64 {
+    pub(super) fn least_sigma(&self) -> f64 {
         self.detection_sigma_last.map_or(self.detection_sigma, |last| last.min(self.detection_sigma))
     }
 }

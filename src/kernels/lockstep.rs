@@ -44,7 +44,7 @@ mod tests;
 use std::sync::Arc;
 
 use super::calibrate::Block;
-use super::decompose::{DecomposeSettings, Decomposer};
+use super::decompose::{CLEAR_OF_ZERO_SD, DecomposeSettings, Decomposer};
 use super::flags;
 use super::sensor_model::{ChannelModel, ModelError};
 
@@ -179,9 +179,23 @@ impl Lockstep {
     fn run(&mut self, tables: &Tables, blocks: &[Block<'_>], mode: Mode) {
         let Lockstep { path, limits, settings, model, work, .. } = self;
         let full_scale_dn = model.full_scale_dn;
+        let lowest = model.background_dn.iter().fold(f64::INFINITY, |a, &b| a.min(b));
+        let clear_of_zero = lowest >= CLEAR_OF_ZERO_SD * model.noise_sd_dn;
         let on = path.processor();
         let fit_flags = flags::REFINED;
-        Decompose { on, tables, limits, settings, mode, full_scale_dn, fit_flags, work, blocks }.run();
+        Decompose {
+            on,
+            tables,
+            limits,
+            settings,
+            mode,
+            full_scale_dn,
+            clear_of_zero,
+            fit_flags,
+            work,
+            blocks,
+        }
+        .run();
     }
 
     fn finish(&mut self, mode: Mode) -> Finish<'_> {
@@ -232,7 +246,7 @@ impl Lockstep {
             || (1..scene.pulses().len()).any(|i| scene.overlap(i - 1, i, fwhm));
         let free = scene.samples as f64 - 3.0 * scene.pulses().len() as f64;
         let excess: f64 = (scene.pulses().iter())
-            .map(|p| self.limits.allowance.expected_excess(p.position().into(), p.values[0].into(), samples))
+            .map(|p| self.limits.allowance.expected_excess(p.position().into(), p.height().into(), samples))
             .sum();
         let expected = free.max(1.0) + excess;
         overlaps || (f64::from(scene.chi_square) - expected) / (2.0 * expected).sqrt() > DEVIANT

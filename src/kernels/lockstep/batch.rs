@@ -70,6 +70,8 @@ pub(super) struct Decompose<'a> {
     pub(super) settings: &'a DecomposeSettings,
     pub(super) mode: Mode,
     pub(super) full_scale_dn: f64,
+    /// Whether the background is so high that a sample of 0 has been cut off.
+    pub(super) clear_of_zero: bool,
     /// Set on pulses that are fitted by iteration.
     pub(super) fit_flags: u16,
     pub(super) work: &'a mut Workspace,
@@ -108,14 +110,15 @@ impl Decompose<'_> {
 
     /// Loads, filters and whitens all blocks, and starts a scene for each with its candidates.
     fn detect(&mut self) {
-        let threshold = self.settings.detection_sigma as f32;
+        let threshold = self.limits.least_sigma as f32;
         let Workspace { rows, candidates, scenes, .. } = &mut *self.work;
         self.on.run(Detect { tables: self.tables, rows, blocks: self.blocks, threshold, out: candidates });
         scenes.clear();
         for i in 0..self.blocks.len() {
-            let mut found = self.work.candidates[i];
-            found.screen(threshold, self.fwhm(), &self.limits.echo, self.limits.per_dn);
-            let scene = self.scene(&self.blocks[i], &found);
+            let found = &mut self.work.candidates[i];
+            found.drop_weak(self.settings.detection_sigma as f32);
+            found.screen(threshold, self.tables.fwhm_samples as f32, &self.limits.echo, self.limits.per_dn);
+            let scene = self.scene(&self.blocks[i], &self.work.candidates[i]);
             self.work.scenes.push(scene);
         }
     }
@@ -124,10 +127,14 @@ impl Decompose<'_> {
     fn scene(&self, block: &Block<'_>, found: &Candidates) -> Scene {
         let plain = Scene::left_to_plain();
         let saturated = self.full_scale_dn.ceil().clamp(0.0, 65_535.0) as u16;
-        let highest = block.samples.iter().fold(0, |a, &b| a.max(b));
+        let (mut lowest, mut highest) = (u16::MAX, 0);
+        for &sample in block.samples {
+            (lowest, highest) = (lowest.min(sample), highest.max(sample));
+        }
         let is_long = block.samples.len() > self.work.rows.capacity();
         let kept = found.as_slice();
-        if highest >= saturated || block.start_phase % 4 != 0 || is_long {
+        let is_cut_off = highest >= saturated || (lowest == 0 && self.clear_of_zero);
+        if is_cut_off || block.start_phase % 4 != 0 || is_long {
             return plain;
         }
         if found.too_many || kept.len() > self.settings.max_returns.min(MAX_PULSES) {
@@ -141,7 +148,7 @@ impl Decompose<'_> {
         };
         for candidate in kept {
             let height = candidate.statistic / self.limits.per_dn;
-            scene.push(Pulse { values: [height, candidate.position_samples, 0.0], ..Pulse::default() });
+            scene.push(Pulse::new([height, candidate.position_samples, 0.0]));
         }
         scene.sort();
         scene
@@ -178,7 +185,7 @@ impl Decompose<'_> {
         if !scene.taken_off {
             scene.taken_off = true;
             for pulse in scene.pulses() {
-                add(self.on, self.tables, &mut self.work.rows, row, pulse.values, -1.0);
+                add(self.on, self.tables, &mut self.work.rows, row, pulse.values(), -1.0);
             }
         }
     }
@@ -197,7 +204,7 @@ impl Decompose<'_> {
                 }
                 let overlaps = (number > 0 && scene.overlap(number - 1, number, fwhm))
                     || (number + 1 < pulses && scene.overlap(number, number + 1, fwhm));
-                let values = scene.pulses()[number].values;
+                let values = scene.pulses()[number].values();
                 if pulses > 1 {
                     self.take_off_all(row);
                 }
@@ -230,7 +237,8 @@ impl Decompose<'_> {
             scene.chi_square = stepped.chi_square;
             scene.samples = ROW;
             let pulse = &mut scene.pulses_mut()[number];
-            (pulse.values, pulse.sds) = (fitted.pulses[0], fitted.sds[0]);
+            pulse.set_values(fitted.pulses[0]);
+            pulse.sds = fitted.sds[0];
             if scene.taken_off {
                 add(on, tables, rows, job.row, fitted.pulses[0], -1.0);
             }
@@ -280,19 +288,19 @@ impl Decompose<'_> {
         if self.work.scenes[row].taken_off || cluster.len() < self.work.scenes[row].pulses().len() {
             self.take_off_all(row);
             for i in cluster.clone() {
-                let values = self.work.scenes[row].pulses()[i].values;
+                let values = self.work.scenes[row].pulses()[i].values();
                 add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
             }
         }
         let mut values = [[0.0; 3]; MAX_CLUSTER];
         let pulses = &self.work.scenes[row].pulses()[cluster.clone()];
         for (values, pulse) in values.iter_mut().zip(pulses) {
-            *values = pulse.values;
+            *values = pulse.values();
         }
         if let [pulse] = pulses
             && !pulse.is_fitted()
         {
-            return Some(Job { row, pulses: [pulse.values] });
+            return Some(Job { row, pulses: [pulse.values()] });
         }
         self.work.queues.push(self.tables, row, &values[..cluster.len()], cluster.start);
         None
@@ -310,7 +318,7 @@ impl Decompose<'_> {
             let settled = done.is_optimum && done.values().iter().all(|values| values[2] < U_MAX as f32);
             let pulses = &mut scene.pulses_mut()[done.tag..done.tag + done.values().len()];
             for ((pulse, values), sds) in pulses.iter_mut().zip(done.values()).zip(done.sds()) {
-                pulse.values = *values;
+                pulse.set_values(*values);
                 pulse.sds = if settled { *sds } else { [0.0; 3] };
                 pulse.flags |= self.fit_flags;
                 add(self.on, self.tables, &mut work.rows, done.row, *values, -1.0);

@@ -1,6 +1,7 @@
 //! Detection: local maxima of the matched filter, and which of them may be pulses.
 
 use super::rows::{CHUNK, FRONT, Rows};
+use super::scene::MAX_PULSES;
 use super::vector::Simd;
 
 /// Two maxima are two candidates only with a dip between them that is this part of the threshold deep: what noise makes on
@@ -9,7 +10,7 @@ const DIP_PART: f32 = 0.5;
 /// What is seen of a candidate's strength is told from what stronger ones leave there from so many widths on.
 const TOLD_WIDTHS: f32 = 1.5;
 /// Candidates of one waveform that are held; a waveform with more is left to the plain kernels.
-const MAX_CANDIDATES: usize = 16;
+const MAX_CANDIDATES: usize = MAX_PULSES;
 
 /// A local maximum of the matched filter.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -82,6 +83,21 @@ impl Candidates {
         }
         out.found = out.count;
         out
+    }
+
+    /// Drops those below a threshold, but for the last one behind others, which may have another. They are in order of
+    /// position.
+    pub(super) fn drop_weak(&mut self, threshold: f32) {
+        let last = self.count.saturating_sub(1);
+        let others = self.all[..last].iter().any(|c| c.statistic >= threshold);
+        let mut kept = 0;
+        for i in 0..self.count {
+            if self.all[i].statistic >= threshold || (i == last && others) {
+                self.all[kept] = self.all[i];
+                kept += 1;
+            }
+        }
+        (self.count, self.found) = (kept, kept);
     }
 
     /// Sorts by strength and drops what is no more than stronger ones leave behind them: `echo` is the statistic that a

@@ -3,7 +3,8 @@
 //! Two pulses near each other differ from one of free height, place and width first by the third and fourth derivative in
 //! time. By the heat equation these are, but for what the fitted values explain, the mixed derivative `s_tu` and the second
 //! one `s_uu`. With `P` the projection beside the fitted values' directions, `q = ‖P r‖²` on the span of the two follows
-//! chi-square of two degrees of freedom under one pulse.
+//! chi-square of two degrees of freedom under one pulse. Two equal pulses some way apart leave more than these directions
+//! show: what they would leave is a third one, of known sign, and the greater of the two figures counts.
 
 use super::fit::Values;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
@@ -12,10 +13,13 @@ use super::tables::{ROW, ROW_STRIDE, Tables};
 use super::template::{Site, VECTORS, leaves_block, template, weights};
 use super::vector::{Kernel, LANES, Simd};
 
-/// The fitted values' directions and the two of a division.
-const N: usize = 5;
-/// Products of the five columns with each other and with the residual.
+/// The fitted values' directions and the three of a division.
+const N: usize = 6;
+/// Products of the columns with each other and with the residual.
 const PRODUCTS: usize = N * (N + 1) / 2 + N;
+
+/// Standard deviation of a Gaussian over its full width at half maximum.
+const SD_OF_FWHM: f32 = 0.424_660_9;
 
 /// Products before their sums.
 type GateSums<V> = [[V; LANES]; PRODUCTS];
@@ -52,27 +56,42 @@ fn scores<S: Simd>(
 ) -> [f32; LANES] {
     for w in 0..LANES {
         let (row, values) = pulses.get(w).copied().unwrap_or((EMPTY, [1.0, 20.0, 0.0]));
-        products(s, tables, rows, row, &Site::of(tables, values), w, sums);
+        let site = Site::of(tables, values);
+        products(s, tables, rows, row, &site, &halves(tables, values), w, sums);
     }
     let zero = s.splat(0.0);
-    let (mut matrix, mut side) = ([[zero; N]; N], [zero; N]);
-    let mut k = 0;
-    for i in 0..N {
+    let mut products = [zero; PRODUCTS];
+    for (product, sums) in products.iter_mut().zip(sums.iter()) {
+        *product = s.sum_each(sums);
+    }
+    let bent = equations::<S, 5>(s, &products, [0, 1, 2, 3, 4]);
+    let two = s.add(bent[3].0, bent[4].0);
+    let (equal, along) = equations::<S, 4>(s, &products, [0, 1, 2, 5])[3];
+    let equal = s.select(s.gt(along, zero), equal, zero);
+    let mut out = [0.0; LANES];
+    s.store(s.max(two, equal), &mut out);
+    out
+}
+
+/// What each of some columns, beside those before it, explains of the residual's square, and the sign of its part.
+#[inline(always)]
+fn equations<S: Simd, const M: usize>(
+    s: S,
+    products: &[S::V; PRODUCTS],
+    columns: [usize; M],
+) -> [(S::V, S::V); M] {
+    let zero = s.splat(0.0);
+    let (mut matrix, mut side) = ([[zero; M]; M], [zero; M]);
+    for i in 0..M {
         for j in 0..=i {
-            matrix[i][j] = s.sum_each(&sums[k]);
-            k += 1;
+            let (a, b) = (columns[i], columns[j]);
+            matrix[i][j] = products[a * (a + 1) / 2 + b];
         }
         // A direction that the block does not hold tells nothing.
         matrix[i][i] = s.add(matrix[i][i], s.splat(1e-6));
+        side[i] = products[N * (N + 1) / 2 + columns[i]];
     }
-    for value in side.iter_mut() {
-        *value = s.sum_each(&sums[k]);
-        k += 1;
-    }
-    let shares = factor(s, matrix).explained(s, side);
-    let mut out = [0.0; LANES];
-    s.store(s.add(shares[3], shares[4]), &mut out);
-    out
+    factor(s, matrix).explained(s, side)
 }
 
 #[inline(always)]
@@ -82,6 +101,7 @@ fn products<S: Simd>(
     rows: &Rows,
     row: usize,
     site: &Site,
+    pair: &[Site; 2],
     w: usize,
     sums: &mut GateSums<S::V>,
 ) {
@@ -99,6 +119,7 @@ fn products<S: Simd>(
             shape.by_width,
             s.load(sixteen(entry, at + 5 * ROW_STRIDE)),
             s.load(sixteen(entry, at + 4 * ROW_STRIDE)),
+            equal_pair(s, tables, pair, first),
         ];
         if edge {
             let weight = weights(s, first, tables.order, length);
@@ -122,4 +143,25 @@ fn products<S: Simd>(
     for (sums, acc) in sums.iter_mut().zip(acc) {
         sums[w] = acc;
     }
+}
+
+/// The two equal pulses of calibrated width that have a widened pulse's energy, centre and variance.
+fn halves(tables: &Tables, [height, position, width]: Values) -> [Site; 2] {
+    let ratio = width.exp();
+    let reach = SD_OF_FWHM * tables.fwhm_samples as f32 * (ratio * ratio - 1.0).max(0.0).sqrt();
+    let half = |position: f32| Site::of(tables, [0.5 * ratio * height, position, 0.0]);
+    [half(position - reach), half(position + reach)]
+}
+
+/// Sixteen samples of two pulses, from a sample of the block on, as part of the pulse they are taken for.
+#[inline(always)]
+fn equal_pair<S: Simd>(s: S, tables: &Tables, pair: &[Site; 2], first: i32) -> S::V {
+    let mut sum = s.splat(0.0);
+    for site in pair {
+        let at = first - site.first + LANES as i32;
+        if (1..(LANES + ROW) as i32).contains(&at) {
+            sum = s.add(sum, template::<S, false>(s, tables, site, at as usize).pulse);
+        }
+    }
+    sum
 }

@@ -13,11 +13,6 @@ const ECHO_SAMPLES: usize = 256;
 /// Pulses so many widths inside the block have the significance of whole ones.
 const WHOLE_WIDTHS: [f64; 2] = [2.0, 2.5];
 
-/// Gates of the score test, chi-square of two degrees of freedom: for pulses up to so many standard deviations of the noise
-/// high, and for higher ones.
-const SCORE_GATES: [f64; 2] = [4.6, 6.0];
-const WEAK_SNR: f64 = 30.0;
-
 /// Thresholds of one channel.
 pub(super) struct Limits {
     /// The matched filter's statistic by whole sample behind a pulse of height 1.
@@ -26,8 +21,10 @@ pub(super) struct Limits {
     pub(super) per_dn: f32,
     pub(super) allowance: Allowance,
     detection_sigma: f64,
+    detection_sigma_last: Option<f64>,
+    /// The lower one of the two.
+    pub(super) least_sigma: f64,
     fwhm_samples: f64,
-    noise_sd_dn: f64,
     /// For pulses at the ends of blocks.
     detector: Detector,
     whitener: Whitener,
@@ -43,8 +40,9 @@ impl Limits {
             per_dn: detector.full_significance_per_dn() as f32,
             allowance: Allowance::new(model, settings.template_error, overdriven_dn),
             detection_sigma: settings.detection_sigma,
+            detection_sigma_last: settings.detection_sigma_last,
+            least_sigma: settings.least_sigma(),
             fwhm_samples: model.fwhm_samples(),
-            noise_sd_dn: model.noise_sd_dn,
             detector,
             whitener,
         })
@@ -53,13 +51,16 @@ impl Limits {
     /// By how much the threshold at a place rises for what pulses of a waveform higher than `height_dn` leave there; all
     /// pulses, where that is infinite.
     pub(super) fn raise(&self, scene: &Scene, position: f32, height_dn: f32) -> f64 {
-        let others = scene.pulses().iter().map(|p| (f64::from(p.position()), f64::from(p.values[0])));
+        let others = scene.pulses().iter().map(|p| (f64::from(p.position()), f64::from(p.height())));
         self.allowance.raise(f64::from(position), f64::from(height_dn), f64::from(self.per_dn), others)
     }
 
-    /// The score from which a widened pulse of this height is tried as two: 5 % of single pulses reach it, 10 % of weak ones.
-    pub(super) fn score_gate(&self, height_dn: f32) -> f64 {
-        if f64::from(height_dn) < WEAK_SNR * self.noise_sd_dn { SCORE_GATES[0] } else { SCORE_GATES[1] }
+    /// The threshold at a place, raised by what pulses higher than `height_dn` leave there; another one behind all others.
+    pub(super) fn threshold(&self, scene: &Scene, position: f32, height_dn: f32) -> f64 {
+        let mut others = scene.pulses().iter().map(Pulse::position);
+        let is_last = others.clone().any(|p| p < position) && others.all(|p| p <= position);
+        let sigma = self.detection_sigma_last.filter(|_| is_last).unwrap_or(self.detection_sigma);
+        sigma * self.raise(scene, position, height_dn)
     }
 
     /// Whether a fitted pulse reaches the threshold, taken with the energy it has and the calibrated width.
@@ -68,9 +69,8 @@ impl Limits {
         let [before, behind] = WHOLE_WIDTHS.map(|widths| widths * self.fwhm_samples);
         let is_whole = position >= before && position <= samples as f64 - 1.0 - behind;
         let per_dn = if is_whole { f64::from(self.per_dn) } else { self.at_edge(position, samples) };
-        let energy = f64::from(pulse.values[0] * pulse.width_ratio());
-        let raise = self.raise(scene, pulse.position(), pulse.values[0]);
-        per_dn * energy >= self.detection_sigma * raise
+        let energy = f64::from(pulse.height() * pulse.width_ratio());
+        per_dn * energy >= self.threshold(scene, pulse.position(), pulse.height())
     }
 
     fn at_edge(&mut self, position: f64, samples: usize) -> f64 {

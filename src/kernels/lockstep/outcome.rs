@@ -9,7 +9,7 @@ use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
 
 /// Nearer than so many calibrated widths, and in any case than one sample, two pulses are one.
-const LEAST_SEPARATION_WIDTHS: f32 = 0.25;
+pub(super) const LEAST_SEPARATION_WIDTHS: f32 = 0.25;
 
 /// The returns of many waveforms; keeps its memory from one use to the next.
 #[derive(Debug, Clone, Default)]
@@ -78,7 +78,7 @@ impl Finish<'_> {
         scene: &mut Scene,
         outcomes: &mut Outcomes,
     ) {
-        let held = scene.pulses().iter().all(|p| p.is_fitted() && p.values[2] <= self.u_held);
+        let held = scene.pulses().iter().all(|p| p.is_fitted() && p.values()[2] <= self.u_held);
         let stands = scene.way == Way::Fast
             && held
             && (self.stands(scene, samples.len()) || self.drop(scene, samples.len()));
@@ -102,7 +102,7 @@ impl Finish<'_> {
         };
         outcome.counts.np = scene.pulses().len() as u32;
         for pulse in scene.pulses() {
-            let [height, position, _] = pulse.values.map(f64::from);
+            let [height, position, _] = pulse.values().map(f64::from);
             outcome.expected_excess += self.limits.allowance.expected_excess(position, height, samples.len());
         }
         let first = outcomes.returns.len();
@@ -111,7 +111,7 @@ impl Finish<'_> {
             let neighbours = [i.checked_sub(1), Some(i + 1).filter(|&j| j < scene.pulses().len())];
             let fwhm = self.model.fwhm_samples() as f32;
             let overlaps = neighbours.into_iter().flatten().any(|j| scene.overlap(i, j, fwhm));
-            let [height, position, ln_width] = pulse.values.map(f64::from);
+            let [height, position, ln_width] = pulse.values().map(f64::from);
             let sds = pulse.sds.map(|sd| self.model.pulse_error_factor * f64::from(sd));
             let width_ratio = ln_width.exp();
             let overdriven = self.limits.allowance.overdrives(height);
@@ -143,7 +143,7 @@ impl Finish<'_> {
     fn is_return(&mut self, scene: &Scene, i: usize, samples: usize) -> bool {
         let pulse = &scene.pulses()[i];
         let [narrowest, widest] = self.settings.width_ratio.map(f64::ln);
-        let [_, position, u] = pulse.values.map(f64::from);
+        let [_, position, u] = pulse.values().map(f64::from);
         let reach = 2.0 * f64::from(pulse.sds[2]);
         let shaped = u + reach >= narrowest && u - reach <= widest;
         shaped
@@ -162,7 +162,7 @@ impl Finish<'_> {
             let near = i > 0 && scene.pulses()[i].position() - scene.pulses()[i - 1].position() < least;
             if near {
                 let weaker =
-                    if scene.pulses()[i].values[0] < scene.pulses()[i - 1].values[0] { i } else { i - 1 };
+                    if scene.pulses()[i].height() < scene.pulses()[i - 1].height() { i } else { i - 1 };
                 scene.replace(weaker..weaker + 1, &[]);
                 scene.counts.np_merged += 1;
             } else if !self.is_return(scene, i, samples) {

@@ -13,14 +13,45 @@ pub(super) const MAX_PULSES: usize = 8;
 pub(super) const MAX_CLUSTER: usize = 3;
 
 /// A pulse, and what is known of it beside its values.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 pub(super) struct Pulse {
-    pub(super) values: Values,
+    values: Values,
+    /// `e` to the last value, which is asked for often.
+    width_ratio: f32,
     pub(super) sds: Values,
     pub(super) flags: u16,
 }
 
+impl Default for Pulse {
+    fn default() -> Pulse {
+        Pulse::new([0.0; 3])
+    }
+}
+
 impl Pulse {
+    /// A pulse that is not fitted.
+    pub(super) fn new(values: Values) -> Pulse {
+        Pulse { values, width_ratio: values[2].exp(), sds: [0.0; 3], flags: 0 }
+    }
+
+    /// The pulse with other flags.
+    pub(super) fn flagged(self, flags: u16) -> Pulse {
+        Pulse { flags, ..self }
+    }
+
+    pub(super) fn values(&self) -> Values {
+        self.values
+    }
+
+    pub(super) fn set_values(&mut self, values: Values) {
+        self.values = values;
+        self.width_ratio = values[2].exp();
+    }
+
+    pub(super) fn height(&self) -> f32 {
+        self.values[0]
+    }
+
     pub(super) fn position(&self) -> f32 {
         self.values[1]
     }
@@ -31,7 +62,7 @@ impl Pulse {
     }
 
     pub(super) fn width_ratio(&self) -> f32 {
-        self.values[2].exp()
+        self.width_ratio
     }
 }
 

@@ -44,14 +44,16 @@ impl<V: Copy, const P: usize> Factors<V, P> {
         }
     }
 
-    /// What each unknown, beside those before it, explains of the sum of squares whose equations these are.
+    /// What each unknown, beside those before it, explains of the sum of squares whose equations these are, and a value of
+    /// its sign.
     #[inline(always)]
-    pub(super) fn explained<S: Simd<V = V>>(&self, s: S, mut b: [V; P]) -> [V; P] {
+    pub(super) fn explained<S: Simd<V = V>>(&self, s: S, mut b: [V; P]) -> [(V, V); P] {
         self.forward(s, &mut b);
-        for (value, inverse) in b.iter_mut().zip(&self.inverse_pivots) {
-            *value = s.mul(s.mul(*value, *value), *inverse);
+        let mut out = [(b[0], b[0]); P];
+        for ((value, inverse), out) in b.iter().zip(&self.inverse_pivots).zip(&mut out) {
+            *out = (s.mul(s.mul(*value, *value), *inverse), *value);
         }
-        b
+        out
     }
 
     /// Replaces the right side by the solution.

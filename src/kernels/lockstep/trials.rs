@@ -6,8 +6,9 @@ use super::batch::{ChiSquares, Decompose, Search, Workspace};
 use super::candidates::Candidate;
 use super::gate::Scores;
 use super::jobs::add;
+use super::outcome::LEAST_SEPARATION_WIDTHS;
 use super::rows::BATCH;
-use super::scene::{MAX_CLUSTER, Pulse, Scene, Way};
+use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
 use super::tables::U_MAX;
 use crate::kernels::flags;
 
@@ -24,7 +25,7 @@ const HIDING_WIDTH_RATIO: f32 = 1.04;
 /// Standard deviation of a Gaussian over its full width at half maximum.
 const SD_OF_FWHM: f32 = 0.424_660_9;
 /// Parts of the energy that the first of two pulses starts with.
-const PARTS: [f32; 3] = [0.5, 0.7, 0.3];
+const PARTS: [f32; 3] = [0.5, 0.8, 0.2];
 
 /// A cluster that may take the place of another.
 #[derive(Clone, Copy)]
@@ -36,6 +37,9 @@ pub(super) struct Trial {
     /// By how much chi-square must fall.
     gain: f32,
     chi_square: f32,
+    /// Chi-square and the priors' part: without it a narrow pulse with a wide one often tells the samples as well as the
+    /// true pair does.
+    objective: f32,
 }
 
 impl Trial {
@@ -106,13 +110,13 @@ impl Decompose<'_> {
 
     /// Trials with one more pulse at the greatest maxima of each residual.
     fn plan_additions(&mut self) {
-        let least = TRIAL_PART * self.settings.detection_sigma as f32;
+        let least = TRIAL_PART * self.limits.least_sigma as f32;
         let Workspace { rows, active, candidates, .. } = &mut *self.work;
         self.on.run(Search { tables: self.tables, rows, which: active, threshold: least, out: candidates });
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
             let found = self.work.candidates[i];
-            let mut tried = [false; 16];
+            let mut tried = [false; MAX_PULSES];
             for _ in 0..MAXIMA {
                 let mut best: Option<(usize, f64)> = None;
                 for (k, candidate) in found.as_slice().iter().enumerate().filter(|(k, _)| !tried[*k]) {
@@ -134,15 +138,14 @@ impl Decompose<'_> {
     fn plan_addition(&mut self, row: usize, candidate: &Candidate) {
         let scene = self.work.scenes[row];
         let position = candidate.position_samples;
-        let threshold = self.settings.detection_sigma * self.limits.raise(&scene, position, f32::INFINITY);
+        let threshold = self.limits.threshold(&scene, position, f32::INFINITY);
         let gain = (GAIN_PART * threshold * threshold) as f32;
         let old = scene.cluster_around(position, self.fwhm());
         if old.len() >= MAX_CLUSTER {
             self.work.scenes[row].give_up();
             return;
         }
-        let values = [candidate.statistic / self.limits.per_dn, position, 0.0];
-        let added = Pulse { values, ..Pulse::default() };
+        let added = Pulse::new([candidate.statistic / self.limits.per_dn, position, 0.0]);
         self.plan(row, &scene, old.clone(), Change::Add(added), gain);
         let distance = |i: &usize| (scene.pulses()[*i].position() - position).abs();
         let nearest = old.clone().min_by(|i, j| distance(i).total_cmp(&distance(j)));
@@ -165,9 +168,9 @@ impl Decompose<'_> {
                 continue;
             }
             for (number, pulse) in scene.pulses().iter().enumerate() {
-                let height = f64::from(pulse.values[0]);
+                let height = f64::from(pulse.height());
                 if pulse.width_ratio() > HIDING_WIDTH_RATIO && !self.limits.allowance.overdrives(height) {
-                    self.work.suspects.push((row, pulse.values));
+                    self.work.suspects.push((row, pulse.values()));
                     self.work.suspect_numbers.push(number);
                 }
             }
@@ -175,8 +178,8 @@ impl Decompose<'_> {
         let Workspace { rows, suspects, scores, .. } = &mut *self.work;
         self.on.run(Scores { tables: self.tables, rows, pulses: suspects, out: scores });
         for i in 0..self.work.suspects.len() {
-            let (row, values) = self.work.suspects[i];
-            if f64::from(self.work.scores[i]) > self.limits.score_gate(values[0]) {
+            let (row, _) = self.work.suspects[i];
+            if f64::from(self.work.scores[i]) > self.settings.split_score {
                 self.plan_division(row, self.work.suspect_numbers[i], evidence);
             }
         }
@@ -205,9 +208,9 @@ impl Decompose<'_> {
         match change {
             Change::Add(added) => pulses[count - 1] = added,
             Change::AddToNarrow(added, nearest) => {
-                pulses[..old.len()].iter_mut().for_each(|p| p.values[2] = 0.0);
+                pulses[..old.len()].iter_mut().for_each(|p| p.set_values([p.height(), p.position(), 0.0]));
                 pulses[nearest - old.start].flags |= flags::DIVERGED;
-                pulses[count - 1] = Pulse { flags: flags::DIVERGED, ..added };
+                pulses[count - 1] = added.flagged(flags::DIVERGED);
             }
             Change::Divide(number, part) => {
                 let [first, second] = divided(&scene.pulses()[number], part, self.fwhm());
@@ -217,7 +220,15 @@ impl Decompose<'_> {
         }
         pulses[..count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
         let old = (old.start, old.end);
-        self.work.trials.push(Trial { row, old, pulses, count, gain, chi_square: f32::INFINITY });
+        self.work.trials.push(Trial {
+            row,
+            old,
+            pulses,
+            count,
+            gain,
+            chi_square: f32::INFINITY,
+            objective: f32::INFINITY,
+        });
     }
 
     /// Fits all trials on rows of their own, and takes up the best of each waveform where it is worth it.
@@ -232,7 +243,7 @@ impl Decompose<'_> {
             let mut best = first;
             let mut end = first;
             while end < self.work.trials.len() && self.work.trials[end].row == row {
-                if self.work.trials[end].chi_square < self.work.trials[best].chi_square {
+                if self.work.trials[end].objective < self.work.trials[best].objective {
                     best = end;
                 }
                 end += 1;
@@ -242,7 +253,10 @@ impl Decompose<'_> {
             if trial.chi_square.is_infinite() {
                 // No trial came to an end: the plain kernels decide.
                 scene.give_up();
-            } else if scene.way == Way::Fast && scene.chi_square - trial.chi_square >= trial.gain {
+            } else if scene.way == Way::Fast
+                && trial.objective.is_finite()
+                && scene.chi_square - trial.chi_square >= trial.gain
+            {
                 self.take_up(&trial);
             }
             first = end;
@@ -257,11 +271,11 @@ impl Decompose<'_> {
             let trial = &work.trials[at];
             work.rows.copy(trial.row, row);
             for pulse in &work.scenes[trial.row].pulses()[trial.old()] {
-                add(on, tables, &mut work.rows, row, pulse.values, 1.0);
+                add(on, tables, &mut work.rows, row, pulse.values(), 1.0);
             }
             let mut values = [[0.0; 3]; MAX_CLUSTER];
             for (values, pulse) in values.iter_mut().zip(trial.pulses()) {
-                *values = pulse.values;
+                *values = pulse.values();
             }
             work.queues.push(tables, row, &values[..trial.count], at);
         }
@@ -275,16 +289,24 @@ impl Decompose<'_> {
             // Marks the trial as one that came to an end; the sum follows.
             trial.chi_square = 0.0;
             for (i, (values, sds)) in done.values().iter().zip(done.sds()).enumerate() {
-                (trial.pulses[i].values, trial.pulses[i].sds) = (*values, *sds);
+                trial.pulses[i].set_values(*values);
+                trial.pulses[i].sds = *sds;
                 trial.pulses[i].flags |= flags::REFINED;
                 add(on, tables, &mut work.rows, done.row, *values, -1.0);
             }
         }
+        let least = (LEAST_SEPARATION_WIDTHS * tables.fwhm_samples as f32).max(1.0);
         let which = BATCH..BATCH + trials.len();
         on.run(ChiSquares { rows: &work.rows, which, out: &mut work.squares });
         for (trial, square) in work.trials[trials].iter_mut().zip(&work.squares) {
             if trial.chi_square <= 0.0 {
                 trial.chi_square = *square;
+                let old = &work.scenes[trial.row].pulses()[trial.old()];
+                // What brings two pulses so near that they would be one is no improvement.
+                if too_near(trial.pulses(), least) <= too_near(old, least) {
+                    let widths: f32 = trial.pulses().iter().map(|p| p.values()[2].powi(2)).sum();
+                    trial.objective = square + if trial.count > 1 { precision * widths } else { 0.0 };
+                }
             }
         }
     }
@@ -293,14 +315,14 @@ impl Decompose<'_> {
         let work = &mut *self.work;
         let scene = &mut work.scenes[trial.row];
         for pulse in &scene.pulses()[trial.old()] {
-            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values, 1.0);
+            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), 1.0);
         }
         if !scene.replace(trial.old(), trial.pulses()) {
             scene.give_up();
             return;
         }
         for pulse in trial.pulses() {
-            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values, -1.0);
+            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), -1.0);
         }
         scene.chi_square = trial.chi_square;
         scene.sort();
@@ -321,18 +343,19 @@ enum Change {
     Divide(usize, f32),
 }
 
+/// Neighbours nearer to each other than this.
+fn too_near(pulses: &[Pulse], least: f32) -> usize {
+    pulses.windows(2).filter(|pair| pair[1].position() - pair[0].position() < least).count()
+}
+
 /// Two pulses of the calibrated width whose first moments are those of a widened one.
 fn divided(pulse: &Pulse, part: f32, fwhm_samples: f32) -> [Pulse; 2] {
-    let [height, centre, width] = pulse.values;
-    let ratio = width.exp();
+    let [height, centre, _] = pulse.values();
+    let ratio = pulse.width_ratio();
     let separation =
         SD_OF_FWHM * fwhm_samples * ((ratio * ratio - 1.0) / (part * (1.0 - part))).max(0.0).sqrt();
     let energy = ratio * height;
     let flags = pulse.flags | flags::SPLIT;
-    let of = |part: f32, position: f32| Pulse {
-        values: [part * energy, position, 0.0],
-        flags,
-        ..Pulse::default()
-    };
+    let of = |part: f32, position: f32| Pulse::new([part * energy, position, 0.0]).flagged(flags);
     [of(part, centre - (1.0 - part) * separation), of(1.0 - part, centre + part * separation)]
 }
