@@ -13,6 +13,7 @@ mod refine;
 mod scene;
 #[cfg(test)]
 mod tests;
+mod view;
 
 /// Error of the response behind a pulse that overdrives the receiver (REALDATA.md, section 1).
 pub const OVERDRIVEN_ERROR: f64 = 0.06;

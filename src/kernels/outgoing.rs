@@ -16,6 +16,8 @@ pub struct OutgoingFitter {
     finder: Decomposer,
     /// Fits it in its window.
     fitter: Decomposer,
+    /// The window's first sample in the block.
+    first: usize,
 }
 
 impl OutgoingFitter {
@@ -28,7 +30,7 @@ impl OutgoingFitter {
             ..DecomposeSettings::default()
         };
         let finder = Decomposer::new(model, &settings, max_samples)?;
-        Ok(OutgoingFitter { fitter: finder.clone(), finder })
+        Ok(OutgoingFitter { fitter: finder.clone(), finder, first: 0 })
     }
 
     /// The block's strongest pulse; `start_phase` is the index of the block's first sample modulo 4.
@@ -43,7 +45,13 @@ impl OutgoingFitter {
         let phase = (usize::from(start_phase) + first) % 4;
         let mut pulse = *self.fitter.decompose(window, phase as u8).returns.first()?;
         pulse.position_samples += first as f64;
+        self.first = first;
         Some(pulse)
+    }
+
+    /// The fit of the last block's window, and the window's first sample.
+    pub fn window(&self) -> (usize, &Decomposer) {
+        (self.first, &self.fitter)
     }
 }
 

@@ -122,6 +122,11 @@ impl Scene {
         &self.residual_dn
     }
 
+    /// The residual, whitened, as of the last [`Scene::update_residual`].
+    pub(super) fn whitened(&self) -> &[f64] {
+        &self.whitened
+    }
+
     pub(super) fn offset_dn(&self) -> f64 {
         self.offset_dn
     }
