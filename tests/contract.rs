@@ -22,7 +22,8 @@ const UNITS: [&str; 16] = [
     "_rate", "_step",
 ];
 /// Quantities without a unit, and whose name says so.
-const PLAIN_NUMBERS: [&str; 3] = ["noise_autocorrelation", "split_evidence", "template_error"];
+const PLAIN_NUMBERS: [&str; 4] =
+    ["noise_autocorrelation", "split_evidence", "template_error", "detection_sigma_last"];
 
 #[test]
 fn every_stage_and_every_key_is_explained() {

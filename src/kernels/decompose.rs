@@ -23,6 +23,8 @@ pub const OVERDRIVEN_ERROR: f64 = 0.06;
 pub struct DecomposeSettings {
     /// Threshold of detection and of what is kept, in standard deviations of the noise of the matched filter.
     pub detection_sigma: f64,
+    /// The same for the last of two or more returns, where it is higher.
+    pub detection_sigma_last: Option<f64>,
     /// Least and greatest width over the calibrated width; a return is dropped only when two standard deviations of
     /// its width do not reach into the range.
     pub width_ratio: [f64; 2],
@@ -52,6 +54,7 @@ impl Default for DecomposeSettings {
     fn default() -> DecomposeSettings {
         DecomposeSettings {
             detection_sigma: 4.5,
+            detection_sigma_last: None,
             width_ratio: [0.8, 10.0],
             iterations: 50,
             overlap_ln_width_sd: 0.15,

@@ -26,6 +26,9 @@ pub const SPLIT: u16 = 1 << 10;
 /// The MTA zone was decided against little evidence.
 pub const ZONE_UNCERTAIN: u16 = 1 << 11;
 
+/// The flags of cross-talk between emissions and echoes.
+pub const CROSSTALK: u16 = EMISSION_ON_ECHO | EMISSION_IN_BLOCK | ECHO_ON_OUTGOING;
+
 /// Every flag with its name in words, by bit.
 pub const NAMES: [(u16, &str); 12] = [
     (REFINED, "refined"),

@@ -9,6 +9,7 @@ use crate::batch::{Batch, Content, Kind, Returns};
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
 
+mod crosstalk;
 mod found;
 mod shots;
 
@@ -28,19 +29,23 @@ pub const STAGE: StageSpec =
 ///
 /// Of two receivers the sensitive one is used; the other where the sensitive one is saturated or did not record.
 ///
-/// Per return: `time_of_flight_ns` (echo minus outgoing pulse), `range_m` = group velocity / 2 × time of flight,
-/// `amplitude_dn` (height of the fitted peak above the background, digitiser steps), `width_ratio` (full width at half
-/// maximum over that of the calibrated pulse), `thickness_m` = group velocity / 2 × √(fwhm² − calibrated fwhm²), 0 for
-/// pulses that are not widened, `deviation_ratio` = (χ² − ν) / √(2ν) of the waveform's fit, where ν are its degrees of
-/// freedom plus what the error of the calibrated response is expected to add, and `intensity`: 7 × 10^(dB/10) by the
-/// instrument's amplitude table, else `amplitude_dn`.
+/// Per return: `time_of_flight_ns`, `range_m`, `amplitude_dn`, `width_ratio`, `thickness_m`, `intensity`, each with its
+/// standard deviation, and `deviation_ratio` and `flags`. Their definitions, with formulas and units, stand in
+/// `docs/returns.md`, the method in `docs/method.md`.
 ///
-/// Counts `np np_filtered np_merged nw_empty nw_saturated nw_refined1x nw_refined2x nw_truncated nw_deleted`.
+/// A block that was being recorded when another shot of the line left holds what leaked in from that emission, as a pulse
+/// like any other. Returns within three widths of that moment have flag bit 3, the block's other returns bit 4. Where an
+/// echo lies on a shot's outgoing pulse, all its returns have bit 5, and the standard deviation of their ranges is 0.255 m.
+///
+/// Counts `np np_xtalk np_xtalk_dropped np_filtered np_merged nw_empty nw_saturated nw_refined1x nw_refined2x nw_truncated nw_deleted`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Decompose {
     /// Detection threshold, in standard deviations of the noise after the matched filter.
     pub detection_sigma: f64,
+    /// The same for the last of two or more returns of a block, where it is to be higher: for receivers that ring behind
+    /// strong echoes. A last return below it is dropped, and the one before it becomes the last; `false`: no other threshold.
+    pub detection_sigma_last: NumberOrFalse,
     /// Smallest and largest width of a return over that of the calibrated pulse. A return is dropped only where two
     /// standard deviations of its width do not reach into the range.
     pub width_ratio: [f64; 2],
@@ -49,27 +54,38 @@ pub struct Decompose {
     /// How much two returns must lower chi-square against one widened return to stand in its place; `false`: widened returns
     /// are not divided. At 16 fewer than one single return in a thousand is divided; at 11, three in a thousand, and closer
     /// pairs are told apart. Without effect where pulses are taken to be Gaussians.
-    pub split_evidence: SplitEvidence,
+    pub split_evidence: NumberOrFalse,
     /// How well the system response is known at least, as part of a return's amplitude: what an error of this size looks
     /// like is no return. Raise it where strong returns are followed by false ones.
     pub template_error: f64,
+    /// Drop returns that overlap what leaks in from the emission of another shot (flag bit 3).
+    pub drop_emission_crosstalk: bool,
 }
 
-/// A gain in chi-square, or `false`.
+/// A number, or `false` for none.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
-pub enum SplitEvidence {
-    /// The least gain.
-    Gain(f64),
-    /// `false`: never.
-    Never(bool),
+pub enum NumberOrFalse {
+    /// The number.
+    Number(f64),
+    /// `false`.
+    Without(bool),
 }
 
-impl SplitEvidence {
-    fn gain(self) -> Option<f64> {
+impl NumberOrFalse {
+    /// The number, where there is one.
+    pub fn number(self) -> Option<f64> {
         match self {
-            SplitEvidence::Gain(gain) => Some(gain),
-            SplitEvidence::Never(_) => None,
+            NumberOrFalse::Number(number) => Some(number),
+            NumberOrFalse::Without(_) => None,
+        }
+    }
+
+    /// Whether it is a number that is within, or `false` and not `true`.
+    fn is_within(self, range: std::ops::RangeInclusive<f64>) -> bool {
+        match self {
+            NumberOrFalse::Number(number) => range.contains(&number),
+            NumberOrFalse::Without(with) => !with,
         }
     }
 }
@@ -78,10 +94,12 @@ impl Default for Decompose {
     fn default() -> Decompose {
         Decompose {
             detection_sigma: 4.5,
+            detection_sigma_last: NumberOrFalse::Without(false),
             width_ratio: [0.8, 10.0],
             timing_error_ns: 0.004,
-            split_evidence: SplitEvidence::Gain(16.0),
+            split_evidence: NumberOrFalse::Number(16.0),
             template_error: 0.005,
+            drop_emission_crosstalk: false,
         }
     }
 }
@@ -104,11 +122,16 @@ impl Config for Decompose {
             "timing_error_ns",
             "it must lie between 0 and 1",
         )?;
-        let split = match self.split_evidence {
-            SplitEvidence::Gain(gain) => (4.0..=1e6).contains(&gain),
-            SplitEvidence::Never(split) => !split,
-        };
-        InvalidKey::unless(split, "split_evidence", "it must lie between 4 and 1000000, or be `false`")?;
+        InvalidKey::unless(
+            self.detection_sigma_last.is_within(self.detection_sigma..=1000.0),
+            "detection_sigma_last",
+            "it must lie between detection_sigma and 1000, or be `false`",
+        )?;
+        InvalidKey::unless(
+            self.split_evidence.is_within(4.0..=1e6),
+            "split_evidence",
+            "it must lie between 4 and 1000000, or be `false`",
+        )?;
         InvalidKey::unless(
             (0.0..=1.0).contains(&self.template_error),
             "template_error",

@@ -183,12 +183,24 @@ impl Decomposer {
             let p = self.scene.found[i].pulse;
             let per_dn = self.detector.significance_per_dn(self.scene.whitener(), p.position_samples);
             let energy = p.height_dn * p.ln_width_ratio.exp();
-            let part = per_dn * energy / self.threshold_at(p.position_samples, p.height_dn);
+            let threshold = self.threshold_at(p.position_samples, p.height_dn) * self.raised_for_last(i);
+            let part = per_dn * energy / threshold;
             if part < weakest.0 {
                 weakest = (part, Some(i));
             }
         }
         Self::filter_out(&mut self.counts, &mut self.scene.found, weakest.1)
+    }
+
+    /// How much higher the threshold is for a pulse because it is the last of two or more.
+    fn raised_for_last(&self, index: usize) -> f64 {
+        let pulses = self.scene.found.len();
+        match self.settings.detection_sigma_last {
+            Some(last) if pulses > 1 && index + 1 == pulses => {
+                (last / self.settings.detection_sigma).max(1.0)
+            }
+            _ => 1.0,
+        }
     }
 
     /// The first pulse whose width is out of range by more than two standard deviations, or that peaks outside the

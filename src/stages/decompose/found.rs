@@ -1,8 +1,11 @@
 //! A pulse of a block as a return of its shot.
 
 use super::shots::Departure;
-use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel};
+use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel, flags};
 use crate::kernels::decompose::Return as Pulse;
+
+/// Standard deviation of a range that cannot be relied upon, m: the largest that the LAS attribute `RangeErr` can hold.
+const UNRELIABLE_RANGE_SD_M: f64 = 0.255;
 
 /// A return before its range is known.
 #[derive(Clone, Copy)]
@@ -12,9 +15,10 @@ pub(super) struct Found {
     pub(super) time_sd_ns: f64,
     pub(super) channel: ReturnChannel,
     pub(super) zone: i16,
-    pub(super) fwhm_calibrated_ns: f64,
     pub(super) background_dn: f64,
     pub(super) fitted: Pulse,
+    /// Bits beside those of the fit.
+    pub(super) flags: u16,
 }
 
 impl Found {
@@ -22,8 +26,12 @@ impl Found {
         let half_speed_m_per_ns = input.group_velocity_mps * 0.5e-9;
         let fitted = self.fitted;
         let time_of_flight_ns = self.time_ns - departure.time_ns;
-        let time_of_flight_sd_ns =
+        let known_sd_ns =
             (self.time_sd_ns.powi(2) + departure.sd_ns.powi(2) + timing_error_ns.powi(2)).sqrt();
+        // Nothing tells by how much an echo on the outgoing pulse moves it.
+        let unreliable = departure.flags & flags::ECHO_ON_OUTGOING != 0;
+        let least_sd_ns = if unreliable { UNRELIABLE_RANGE_SD_M / half_speed_m_per_ns } else { 0.0 };
+        let time_of_flight_sd_ns = known_sd_ns.max(least_sd_ns);
         let (thickness_m, thickness_sd_m) = self.thickness(half_speed_m_per_ns);
         let table = match self.channel {
             ReturnChannel::High => &input.amplitude_high,
@@ -35,7 +43,7 @@ impl Found {
             return_number: 0,
             number_of_returns: 0,
             channel: self.channel,
-            flags: fitted.flags,
+            flags: fitted.flags | self.flags | departure.flags,
             mta_zone: self.zone,
             time_of_flight_ns,
             time_of_flight_sd_ns,
@@ -62,8 +70,8 @@ impl Found {
     /// With `d = fwhm² − fwhm0²` and `σ_d` its standard deviation, `T = v/2 √max(d, 0)` and
     /// `σ_T = v/2 σ_d / (2 √max(d, σ_d))`, which stays finite for a flat target (docs/method.md, Uncertainties).
     fn thickness(&self, half_speed_m_per_ns: f64) -> (f64, f64) {
-        let calibrated = self.fwhm_calibrated_ns;
         let (ratio, ratio_sd) = (self.fitted.width_ratio, self.fitted.width_ratio_sd);
+        let calibrated = self.fitted.fwhm_ns / ratio;
         let widening = calibrated.powi(2) * (ratio.powi(2) - 1.0);
         let widening_sd = calibrated.powi(2) * 2.0 * ratio * ratio_sd;
         let sd = widening_sd / (2.0 * widening.max(widening_sd).sqrt());

@@ -1,6 +1,7 @@
 //! One shot after another: its outgoing pulse, its echo blocks, its returns.
 
 use super::Decompose;
+use super::crosstalk::Departures;
 use super::found::Found;
 use crate::batch::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
@@ -16,6 +17,8 @@ use crate::stage::{Context, Item, Result, StageError};
 pub(super) struct Departure {
     pub(super) time_ns: f64,
     pub(super) sd_ns: f64,
+    /// Bits that all returns of the shot have.
+    pub(super) flags: u16,
 }
 
 /// The standard deviation of a position that may be anywhere within one sample: uniform.
@@ -106,7 +109,8 @@ impl Shot<'_> {
     /// is the part of a sample by which the departure misses the clock.
     fn anchored_departure(&self, found: &[Found], cx: &mut Context) -> Departure {
         let interval_ns = self.input.sampling_interval_ns;
-        let unknown = Departure { time_ns: 0.0, sd_ns: unknown_within_a_sample_ns(interval_ns) };
+        let sd_ns = unknown_within_a_sample_ns(interval_ns);
+        let unknown = Departure { time_ns: 0.0, sd_ns, flags: 0 };
         match self.input.emission_reference {
             EmissionReference::ReturnLocations => {}
             EmissionReference::Clock => {
@@ -134,7 +138,7 @@ impl Shot<'_> {
             return unknown;
         }
         // The anchor shares its error with the echoes that it was found from, so it adds none of its own.
-        Departure { time_ns: sum / weights, sd_ns: 0.0 }
+        Departure { time_ns: sum / weights, sd_ns: 0.0, flags: 0 }
     }
 }
 
@@ -151,6 +155,7 @@ pub(crate) struct ShotDecomposer {
     high: Option<Decomposer>,
     reference: Option<OutgoingFitter>,
     timing_error_ns: f64,
+    drop_emission_crosstalk: bool,
     found: Vec<Found>,
 }
 
@@ -159,6 +164,7 @@ impl ShotDecomposer {
     pub(crate) fn new(model: &SensorModel, config: &Decompose) -> Result<ShotDecomposer> {
         let settings = DecomposeSettings {
             detection_sigma: config.detection_sigma,
+            detection_sigma_last: config.detection_sigma_last.number(),
             width_ratio: config.width_ratio,
             template_error: config.template_error,
             ..DecomposeSettings::default()
@@ -166,7 +172,7 @@ impl ShotDecomposer {
         let make = |channel: &Option<ChannelModel>| {
             let decomposer = channel.as_ref().map(|channel| {
                 // A receiver's response is no Gaussian: what a Gaussian leaves of a strong single echo looks like two.
-                let split_evidence = channel.response.as_ref().and(config.split_evidence.gain());
+                let split_evidence = channel.response.as_ref().and(config.split_evidence.number());
                 let settings = DecomposeSettings { split_evidence, ..settings.clone() };
                 Decomposer::new(channel, &settings, BLOCK_SAMPLES)
             });
@@ -178,6 +184,7 @@ impl ShotDecomposer {
             high: make(&model.high_power)?,
             reference: reference.transpose().map_err(unusable)?,
             timing_error_ns: config.timing_error_ns,
+            drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
         })
     }
@@ -193,16 +200,22 @@ impl ShotDecomposer {
         cx: &mut Context,
         watch: &mut impl Watch,
     ) -> Result<()> {
-        let Some(emission) = emissions.get_mut(shot.index as usize) else {
+        let Some(emission) = emissions.get(shot.index as usize) else {
             cx.reject(Item::Blocks, "its emission is not in the line", shot.of_shot.len() as u64);
             return Ok(());
         };
         let departure = self.departure(shot, cx, watch);
+        let others = Departures::of(emissions, shot, departure.map_or(0.0, |departure| departure.time_ns));
         self.found.clear();
-        self.find(shot, emission, stats, cx, watch)?;
+        self.find(shot, emission, &others, stats, cx, watch)?;
         let departure = departure.unwrap_or_else(|| shot.anchored_departure(&self.found, cx));
-        (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
+        if let Some(emission) = emissions.get_mut(shot.index as usize) {
+            (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
+        }
+        let first = returns.len();
         self.finish(shot, departure, returns);
+        let touched = returns[first..].iter().filter(|found| found.flags & flags::CROSSTALK != 0).count();
+        stats.np_xtalk += touched as u64;
         Ok(())
     }
 
@@ -224,7 +237,7 @@ impl ShotDecomposer {
         let block = shot.of_shot.iter().find(|block| block.channel == Channel::Reference)?;
         if block.is_empty() {
             // A block without samples carries the fitted time itself (RIEGL's files made from RXP).
-            return Some(Departure { time_ns: block.start_ns, sd_ns: 0.0 });
+            return Some(Departure { time_ns: block.start_ns, sd_ns: 0.0, flags: 0 });
         }
         let fitter = self.reference.as_mut()?;
         let pulse = fitter.fit(shot.blocks.samples(block), 0)?;
@@ -236,7 +249,7 @@ impl ShotDecomposer {
             _ => block.time_ns(position),
         };
         watch.outgoing(block, pulse, fitter);
-        Some(Departure { time_ns, sd_ns })
+        Some(Departure { time_ns, sd_ns, flags: pulse.flags & flags::ECHO_ON_OUTGOING })
     }
 
     /// Decomposes the echo blocks of a shot.
@@ -244,6 +257,7 @@ impl ShotDecomposer {
         &mut self,
         shot: &Shot,
         emission: &Emission,
+        others: &Departures,
         stats: &mut LineStats,
         cx: &mut Context,
         watch: &mut impl Watch,
@@ -275,19 +289,23 @@ impl ShotDecomposer {
             };
             waveform.used = true;
             let model = decomposer.model();
-            let (fwhm_calibrated_ns, background_dn) = (model.pulse_fwhm_ns, mean(&model.background_dn));
+            let (fwhm_ns, background_dn) = (model.pulse_fwhm_ns, mean(&model.background_dn));
             let result = decomposer.decompose(shot.blocks.samples(block), 0);
             waveform.add(&result, stats);
             let fit = BlockFit::of(channel, &result);
+            let in_block = self.found.len();
             self.found.extend(result.returns.iter().map(|fitted| Found {
                 time_ns: block.time_ns(fitted.position_samples),
                 time_sd_ns: fitted.position_sd_samples * block.interval_ns,
                 channel,
                 zone,
-                fwhm_calibrated_ns,
                 background_dn: background_dn + result.background_offset_dn,
                 fitted: *fitted,
+                flags: 0,
             }));
+            let dropped =
+                others.mark(block, fwhm_ns, self.drop_emission_crosstalk, &mut self.found, in_block);
+            stats.np_xtalk_dropped += dropped;
             watch.echoes(block, fit, decomposer);
         }
         waveform.count(&self.found, stats, cx);
