@@ -8,6 +8,7 @@ use std::path::Path;
 use schemars::generate::SchemaSettings;
 use wavex::engine::RunReport;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
+use wavex::kernels::sensor_model::SensorModel;
 use wavex::registry::{STAGES, find};
 use wavex::stages::write_lstat;
 
@@ -33,6 +34,13 @@ fn the_schema_of_reports_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<RunReport>();
     check("schemas/report.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_sensor_models_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12();
+    let schema = settings.into_generator().into_root_schema_for::<SensorModel>();
+    check("schemas/sensor_model.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

@@ -49,7 +49,11 @@ impl OutgoingFitter {
     pub fn fit(&mut self, samples: &[u16], start_phase: u8) -> Option<Return> {
         let half = HALF_WINDOW_WIDTHS * self.finder.model().fwhm_samples();
         let position = self.finder.decompose(samples, start_phase).returns.first()?.position_samples;
-        let first = (position - half).ceil().max(0.0) as usize;
+        let mut first = (position - half).ceil().max(0.0) as usize;
+        if self.finder.model().digitiser.odd_sample_shift != 0.0 {
+            // Odd samples of the block stay odd in the window.
+            first -= first % 2;
+        }
         let end = ((position + half).floor().max(0.0) as usize).saturating_add(1).min(samples.len());
         let window = samples.get(first..end)?;
         let phase = (usize::from(start_phase) + first) % 4;

@@ -3,6 +3,12 @@
 use std::sync::Arc;
 
 use crate::batch::{Batch, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emission_flags};
+use crate::stage::InvalidKey;
+
+/// What all readers ask of their key `odd_sample_shift`.
+pub(super) fn check_odd_sample_shift(shift: f64) -> Result<(), InvalidKey> {
+    InvalidKey::unless(shift.abs() < 0.5, "odd_sample_shift", "it must lie between -0.5 and 0.5")
+}
 
 /// Collects shots into scan lines.
 ///

@@ -169,8 +169,9 @@ impl Panel<'_> {
             svg.line("limit", [left, y.at(limit)], [right, y.at(limit)]);
         }
         let samples = &self.block.samples;
-        for (k, (&value, &used)) in samples.residual.iter().zip(&samples.used).enumerate() {
-            let x = self.at(k as f64);
+        let residual = samples.residual.iter().zip(&samples.used);
+        for ((&value, &used), &taken_at) in residual.zip(&samples.taken_at) {
+            let x = self.at(taken_at);
             if used {
                 svg.line("stem", [x, y.at(0.0)], [x, y.at(value)]);
                 svg.circle("sample", [x, y.at(value)], 2.2);
@@ -211,14 +212,14 @@ fn visible(pulse: &[f64]) -> std::ops::Range<usize> {
 
 /// The samples of a block as dots; `window` is the sample to which the first of `used` belongs.
 fn dots(svg: &mut Svg, samples: &SeenSamples, window: usize, x: impl Fn(f64) -> f64, y: impl Fn(f64) -> f64) {
-    for (k, &sample) in samples.samples_dn.iter().enumerate() {
+    for (k, (&fitted_dn, &taken_at)) in samples.fitted_dn.iter().zip(&samples.taken_at).enumerate() {
         let used = k.checked_sub(window).and_then(|k| samples.used.get(k)).copied().unwrap_or(false);
         let class = match (samples.is_saturated(k), used) {
             (true, _) => "sat",
             (false, true) => "sample",
             (false, false) => "left",
         };
-        svg.circle(class, [x(k as f64), y(f64::from(sample))], 2.6);
+        svg.circle(class, [x(taken_at), y(fitted_dn)], 2.6);
     }
 }
 

@@ -33,6 +33,10 @@ pub(super) struct SeenSamples {
     pub(super) start_ns: f64,
     pub(super) interval_ns: f64,
     pub(super) samples_dn: Vec<u16>,
+    /// The samples as they were fitted: less the receiver's tail, where the model has one.
+    pub(super) fitted_dn: Vec<f64>,
+    /// When each was taken, samples after the first.
+    pub(super) taken_at: Vec<f64>,
     pub(super) full_scale_dn: f64,
     /// Which samples took part in the fit.
     pub(super) used: Vec<bool>,
@@ -91,13 +95,29 @@ impl<'a> Seen<'a> {
         Explained { file, emission, returns, blocks, outgoing: self.outgoing, model, threshold, remarks }
     }
 
-    fn samples(&self, block: &Block, decomposer: &Decomposer, background_offset_dn: f64) -> SeenSamples {
+    /// `window` is the block's sample that the decomposer was given first.
+    fn samples(
+        &self,
+        block: &Block,
+        decomposer: &Decomposer,
+        background_offset_dn: f64,
+        window: usize,
+    ) -> SeenSamples {
         let model = decomposer.model();
+        let samples = self.line.samples(block);
+        let mut fitted_dn: Vec<f64> = samples.iter().map(|&sample| f64::from(sample)).collect();
+        for (k, (fitted, signal)) in
+            (window..).zip(fitted_dn.iter_mut().skip(window).zip(decomposer.signal_dn()))
+        {
+            *fitted = signal + model.background_at(0, k);
+        }
         let pulses = 0..decomposer.returns().len();
         SeenSamples {
             start_ns: block.start_ns,
             interval_ns: block.interval_ns,
-            samples_dn: self.line.samples(block).to_vec(),
+            samples_dn: samples.to_vec(),
+            fitted_dn,
+            taken_at: (0..samples.len()).map(|k| model.digitiser.time_of(k)).collect(),
             full_scale_dn: model.full_scale_dn,
             used: decomposer.used().to_vec(),
             background_dn: mean_background_dn(model) + background_offset_dn,
@@ -110,12 +130,12 @@ impl<'a> Seen<'a> {
 impl Watch for Seen<'_> {
     fn outgoing(&mut self, block: &Block, pulse: Pulse, fitter: &OutgoingFitter) {
         let (window, decomposer) = fitter.window();
-        let samples = self.samples(block, decomposer, 0.0);
+        let samples = self.samples(block, decomposer, 0.0, window);
         self.outgoing = Some(SeenPulse { samples, pulse, window });
     }
 
     fn echoes(&mut self, block: &Block, fit: BlockFit, decomposer: &Decomposer) {
-        let samples = self.samples(block, decomposer, fit.background_offset_dn);
+        let samples = self.samples(block, decomposer, fit.background_offset_dn, 0);
         let peaks = decomposer.returns().iter().map(|pulse| block.time_ns(pulse.position_samples));
         self.blocks.push(SeenBlock { samples, fit, peaks_ns: peaks.collect() });
     }

@@ -151,9 +151,9 @@ impl Scene {
         self.target_dn.clear();
         self.used.clear();
         let mut recovering = 0;
-        for (k, &sample) in samples.iter().enumerate() {
+        model.signal_into(samples, start_phase, &mut self.target_dn);
+        for &sample in samples {
             let value = f64::from(sample);
-            self.target_dn.push(value - model.background_at(start_phase, k));
             if value >= model.full_scale_dn {
                 recovering = recovery_samples + 1;
             }

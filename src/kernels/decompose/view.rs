@@ -13,6 +13,11 @@ impl Decomposer {
         self.scene.whitener().used()
     }
 
+    /// What its samples stand above the channel's background, DN, as it was fitted.
+    pub fn signal_dn(&self) -> &[f64] {
+        self.scene.target_dn()
+    }
+
     /// What the fit leaves, whitened: in standard deviations, independent from sample to sample where the model is
     /// right; 0 for samples that took no part.
     pub fn standardised_residual(&self) -> &[f64] {
@@ -27,12 +32,13 @@ impl Decomposer {
         };
         let points = samples.saturating_sub(1) * per_sample + usize::from(samples > 0);
         let mut curve = vec![0.0; points];
+        let shape = self.scene.shape().on_time();
         for phase in 0..per_sample {
             // The shape knows whole samples: what lies between is seen by moving the pulse the other way.
             let mut pulse = found.pulse;
             pulse.position_samples -= phase as f64 / per_sample as f64;
             let mut values = vec![0.0; samples];
-            self.scene.shape().add(&pulse, 1.0, &mut values);
+            shape.add(&pulse, 1.0, &mut values);
             for (point, value) in curve.iter_mut().skip(phase).step_by(per_sample).zip(values) {
                 *point = value;
             }
