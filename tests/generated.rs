@@ -6,6 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use schemars::generate::SchemaSettings;
+use wavex::batch::flags::NAMES;
 use wavex::engine::RunReport;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
 use wavex::kernels::sensor_model::SensorModel;
@@ -51,6 +52,14 @@ fn the_columns_of_line_statistics_are_up_to_date() {
 #[test]
 fn the_manual_of_the_stages_is_up_to_date() {
     check("docs/stages.md", &manual(STAGES));
+}
+
+#[test]
+fn the_page_on_returns_names_every_flag() {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/returns.md")).unwrap();
+    for (bit, (_, name)) in NAMES.iter().enumerate() {
+        assert!(page.contains(&format!("| {bit} | {name} | ")), "bit {bit}, {name}");
+    }
 }
 
 #[test]

@@ -106,7 +106,7 @@ impl Digitiser {
 
     fn check(&self) -> Result<(), ModelError> {
         let shift = self.odd_sample_shift;
-        if !(shift.abs() < 1.0) {
+        if shift.is_nan() || shift.abs() >= 1.0 {
             let problem = format!("{shift} does not lie between -1 and 1");
             return Err(ModelError { field: "odd_sample_shift", problem });
         }

@@ -13,7 +13,7 @@ pub(super) fn check_odd_sample_shift(shift: f64) -> Result<(), InvalidKey> {
 /// Collects shots into scan lines.
 ///
 /// A line ends after a shot with the edge-of-flight-line flag, and before one whose scan direction flag or facet differs
-/// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots (DEFINITIONS: scan line) or
+/// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots or
 /// [`MOST_BYTES`]. It also ends where time runs backwards, as between flights that were put into one file: a line's shots
 /// are in order of time.
 pub(super) struct Lines {

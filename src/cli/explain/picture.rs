@@ -133,7 +133,7 @@ impl Panel<'_> {
         }
         let fit = curve(samples.fit_dn(), 0.0);
         svg.curve("fit", fit.iter().map(|&(at, dn)| [self.at(at), clip(dn)]));
-        dots(svg, samples, 0, |k| self.at(k), |dn| clip(dn));
+        dots(svg, samples, 0, |k| self.at(k), clip);
         self.numbers(svg, &y);
     }
 
