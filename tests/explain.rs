@@ -167,6 +167,8 @@ fn what_cannot_be_explained_is_said() {
         Place::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.sdf", b"")]);
     let message = "a.arrow: there is no shot 99; its 260 shots have the numbers 100 to 359";
     refused(&place, &["-q", "a.arrow", "--shot", "99"], 2, message);
+    let message = "--out a.arrow: the picture is SVG: give it a name that ends in .svg";
+    refused(&place, &["a.arrow", "--shot", "101", "--out", "a.arrow"], 2, message);
     let message = "a.arrow: shot 102 has no recorded echoes; choose another one";
     refused(&place, &["-q", "a.arrow", "--shot", "102"], 2, message);
     let message = "timeless.arrow: its shots have no times; choose one with --shot";

@@ -1,5 +1,6 @@
 //! `wavex explain`: one shot, from its samples to its returns, as a table and as a picture.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
@@ -8,7 +9,7 @@ use super::{ExplainArgs, Failure, JobArgs, convert, run, terminal};
 use crate::batch::{Batch, Returns};
 use crate::formats::Error;
 use crate::job::{Job, JobStage, Override};
-use crate::stage::{Context, Plan, Site, SourcePlan, TransformConfig};
+use crate::stage::{Context, OutputFile, Plan, Site, SourcePlan, TransformConfig};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{Decompose, Shot, ShotDecomposer};
 use seen::{Explained, Seen};
@@ -22,6 +23,12 @@ mod upstream;
 
 /// Prints the table of a shot's returns and writes its picture.
 pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
+    if let Some(out) = &args.out
+        && !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"))
+    {
+        let problem = "the picture is SVG: give it a name that ends in .svg";
+        return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));
+    }
     let chain = Chain::of(args)?;
     let shot = match (args.shot, args.time) {
         (Some(shot), _) => shot,
@@ -30,10 +37,17 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     let line = chain.line_of(shot)?;
     let explained = decompose(line, shot, &chain)?;
     let path = args.out.clone().unwrap_or_else(|| format!("{}_shot_{shot}.svg", chain.site.stem).into());
-    std::fs::write(&path, picture::draw(&explained))
-        .map_err(|error| failed(&Error::io(&path, "write")(error)))?;
+    write(&path, &picture::draw(&explained)).map_err(|error| failed(&error))?;
     let said = format!("{}\nwrote {}\n", table::table(&explained), path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
+}
+
+/// Writes a picture, which has its name only when it is whole.
+fn write(path: &Path, picture: &str) -> crate::formats::Result<()> {
+    let mut file = OutputFile::create(path)?;
+    file.write_all(picture.as_bytes()).map_err(Error::io(path, "write"))?;
+    file.finish()?.publish()?;
+    Ok(())
 }
 
 /// A job's stages up to `decompose`, over one recording.
