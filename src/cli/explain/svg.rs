@@ -163,7 +163,7 @@ mod tests {
     fn ticks_are_round_and_within() {
         let ticks = |low, high, wanted| Scale { from: [low, high], to: [0.0, 1.0] }.ticks(wanted);
         assert_eq!(ticks(0.0, 100.0, 5.0), (vec![0.0, 20.0, 40.0, 60.0, 80.0, 100.0], 0));
-        assert_eq!(ticks(-0.3, 0.31, 3.0), (vec![-0.2, 0.0, 0.2], 1));
+        assert_eq!(ticks(-0.3, 0.31, 4.0), (vec![-0.2, 0.0, 0.2], 1));
         assert_eq!(ticks(4003.2, 4059.0, 6.0).0, [4010.0, 4020.0, 4030.0, 4040.0, 4050.0]);
         assert_eq!(ticks(5.0, 5.0, 4.0).0.len(), 1, "a span of nothing has no endless list of ticks");
     }

@@ -69,6 +69,12 @@ impl BlockFit {
             background_offset_dn: result.background_offset_dn,
         }
     }
+
+    /// So many of its returns were dropped as cross-talk.
+    fn drop(&mut self, dropped: u64) {
+        self.counts.np = self.counts.np.saturating_sub(dropped as u32);
+        self.counts.np_xtalk_dropped += dropped as u32;
+    }
 }
 
 /// Looks on while a shot is decomposed; `()` looks away.
@@ -292,7 +298,7 @@ impl ShotDecomposer {
             let (fwhm_ns, background_dn) = (model.pulse_fwhm_ns, mean(&model.background_dn));
             let result = decomposer.decompose(shot.blocks.samples(block), 0);
             waveform.add(&result, stats);
-            let fit = BlockFit::of(channel, &result);
+            let mut fit = BlockFit::of(channel, &result);
             let in_block = self.found.len();
             self.found.extend(result.returns.iter().map(|fitted| Found {
                 time_ns: block.time_ns(fitted.position_samples),
@@ -306,6 +312,7 @@ impl ShotDecomposer {
             let dropped =
                 others.mark(block, fwhm_ns, self.drop_emission_crosstalk, &mut self.found, in_block);
             stats.np_xtalk_dropped += dropped;
+            fit.drop(dropped);
             watch.echoes(block, fit, decomposer);
         }
         waveform.count(&self.found, stats, cx);
