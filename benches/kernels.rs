@@ -14,7 +14,7 @@ use wavex::kernels::gauss_fit::Pulse;
 use wavex::kernels::lockstep::{Candidate, Lockstep, Mode, Outcomes, Path, Tables};
 use wavex::kernels::noise::ArNoise;
 use wavex::kernels::response::{ResponseNode, SystemResponse};
-use wavex::kernels::sensor_model::{Background, ChannelModel};
+use wavex::kernels::sensor_model::{Background, ChannelModel, Digitiser};
 use wavex::kernels::shape::Shape;
 
 const WAVEFORMS: usize = 20_000;
@@ -85,6 +85,7 @@ fn model(noise: &ArNoise) -> ChannelModel {
         pulse_fwhm_sd_ns: 0.1,
         pulse_error_factor: 1.0,
         response: Some(response),
+        digitiser: Digitiser::default(),
         waveforms: 1000,
         pulses: 1000,
     }

@@ -20,7 +20,7 @@ pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
 pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};
 
-/// The longest a scan line may be before a reader ends it, in shots (DEFINITIONS: scan line).
+/// The longest a scan line may be before a reader ends it, in shots.
 pub const MAX_SHOTS_PER_LINE: usize = 4096;
 
 /// One scan line on its way down the chain.

@@ -12,6 +12,7 @@ use crate::registry::STAGES;
 
 mod check;
 mod convert;
+mod explain;
 mod false_alarms;
 mod init;
 mod log;
@@ -88,6 +89,11 @@ enum Command {
     ///
     /// The table to choose `detection_sigma` by: false returns per waveform, by threshold and correlation of the noise.
     FalseAlarms(FalseAlarmArgs),
+    /// Show one shot: its samples, the fit, what the fit leaves, and its returns
+    ///
+    /// Calibrates from the recording as a run would, decomposes one shot, prints its returns with their standard
+    /// deviations, and draws a picture (SVG, which any browser shows).
+    Explain(ExplainArgs),
     /// Print the completions of a shell
     Completions {
         /// The shell
@@ -110,6 +116,32 @@ struct FalseAlarmArgs {
     /// Samples of a waveform
     #[arg(long, default_value_t = 60.0)]
     samples: f64,
+}
+
+/// Which shot of which recording, and how it is decomposed.
+#[derive(Args)]
+#[command(group = clap::ArgGroup::new("which").required(true))]
+struct ExplainArgs {
+    /// The recording: .las, .laz, .pls or .arrow
+    file: PathBuf,
+    /// The shot's number, as in the column `shot` of write_table
+    #[arg(long, value_name = "N", group = "which")]
+    shot: Option<u64>,
+    /// The shot nearest to this time, as in the column `gps_time_s` of write_table
+    #[arg(long, value_name = "GPS_SECONDS", group = "which", allow_negative_numbers = true)]
+    time: Option<f64>,
+    /// Take the keys of the stages up to decompose from this job; of its reader, too, where that reads such files
+    #[arg(long, value_name = "FILE")]
+    job: Option<PathBuf>,
+    /// Set a key of the job, this time: as for `wavex run`; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    set: Vec<String>,
+    /// A sensor model that `save` of calibrate has written: nothing is calibrated anew
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// The picture to write [default: STEM_shot_N.svg in the current folder]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
 }
 
 /// Which job, and what is different this time.
@@ -207,6 +239,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Init { file } => init::init(STAGES, file.as_deref()),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
+        Command::Explain(args) => explain::explain(&args, quiet),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "wavex", &mut script);

@@ -23,6 +23,7 @@ mod report;
 mod trace;
 mod worker;
 
+pub(crate) use chain::may_hold_bytes;
 pub use failure::{Cancel, Cause, RunError};
 pub use progress::{Progress, ProgressMode};
 pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals};

@@ -17,8 +17,8 @@ pub use keys::{Key, Keys};
 pub use output_file::{OutputFile, WholeFile, remove_unfinished_files};
 pub use site::{Paths, Site};
 pub use spec::{
-    Config, ConfigError, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig, StageSpec,
-    TransformConfig,
+    Config, ConfigError, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
+    SourcePlan, StageSpec, TransformConfig,
 };
 pub use words::{bounds, choices, listed, takes};
 

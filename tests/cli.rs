@@ -49,6 +49,7 @@ Commands:
   init          Write a commented job to start from
   convert       Copy recorded waveforms into the open container (Arrow)
   false-alarms  Print how many returns of noise alone each threshold lets through
+  explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
   completions   Print the completions of a shell
   help          Print this message or the help of the given subcommand(s)
 

@@ -22,7 +22,14 @@ const UNITS: [&str; 16] = [
     "_rate", "_step",
 ];
 /// Quantities without a unit, and whose name says so.
-const PLAIN_NUMBERS: [&str; 3] = ["noise_autocorrelation", "split_evidence", "template_error"];
+const PLAIN_NUMBERS: [&str; 6] = [
+    "noise_autocorrelation",
+    "split_evidence",
+    "template_error",
+    "detection_sigma_last",
+    "odd_sample_shift",
+    "decay_amplitude",
+];
 
 #[test]
 fn every_stage_and_every_key_is_explained() {

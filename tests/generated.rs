@@ -6,8 +6,10 @@ use std::fs;
 use std::path::Path;
 
 use schemars::generate::SchemaSettings;
+use wavex::batch::flags::NAMES;
 use wavex::engine::RunReport;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
+use wavex::kernels::sensor_model::SensorModel;
 use wavex::registry::{STAGES, find};
 use wavex::stages::write_lstat;
 
@@ -36,6 +38,13 @@ fn the_schema_of_reports_is_up_to_date() {
 }
 
 #[test]
+fn the_schema_of_sensor_models_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12();
+    let schema = settings.into_generator().into_root_schema_for::<SensorModel>();
+    check("schemas/sensor_model.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
 fn the_columns_of_line_statistics_are_up_to_date() {
     check("schemas/lstat.json", &format!("{:#}\n", write_lstat::description()));
 }
@@ -43,6 +52,14 @@ fn the_columns_of_line_statistics_are_up_to_date() {
 #[test]
 fn the_manual_of_the_stages_is_up_to_date() {
     check("docs/stages.md", &manual(STAGES));
+}
+
+#[test]
+fn the_page_on_returns_names_every_flag() {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/returns.md")).unwrap();
+    for (bit, (_, name)) in NAMES.iter().enumerate() {
+        assert!(page.contains(&format!("| {bit} | {name} | ")), "bit {bit}, {name}");
+    }
 }
 
 #[test]

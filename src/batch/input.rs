@@ -17,6 +17,8 @@ pub struct InputInfo {
     pub serial: Option<String>,
     /// The usual time between samples, ns; a block says its own.
     pub sampling_interval_ns: f64,
+    /// Odd samples of a block were taken so much later than their index says, samples.
+    pub odd_sample_shift: f64,
     /// The largest value that the digitiser can give, where known: a sample there is saturated.
     pub full_scale_dn: Option<u16>,
     /// Speed of the pulse in air, m/s.
@@ -57,6 +59,7 @@ impl Default for InputInfo {
             instrument: None,
             serial: None,
             sampling_interval_ns: 1.0,
+            odd_sample_shift: 0.0,
             full_scale_dn: None,
             group_velocity_mps: 299_792_458.0,
             pulse_rate_hz: None,

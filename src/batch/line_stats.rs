@@ -13,7 +13,7 @@ pub struct LineStats {
     pub nw: u64,
     /// Returns kept, withheld ones included.
     pub np: u64,
-    /// Returns touched by the emission's cross-talk.
+    /// Returns kept that have one of the flags of cross-talk, bits 3 to 5.
     pub np_xtalk: u64,
     /// Candidates rejected by a threshold.
     pub np_filtered: u64,
@@ -53,7 +53,7 @@ pub struct LineStats {
     pub n_added: u64,
     /// Waveforms with at least one return.
     pub nw_with_points: u64,
-    /// Returns dropped because of cross-talk.
+    /// Returns dropped because they overlap what leaks in from an emission.
     pub np_xtalk_dropped: u64,
 }
 

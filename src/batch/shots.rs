@@ -168,7 +168,7 @@ impl Blocks {
         &self.online[from..until]
     }
 
-    /// How many emissions have at least one echo block: `nw` (DEFINITIONS: waveform).
+    /// How many emissions have at least one echo block, which makes them waveforms: `nw`.
     pub fn waveforms(&self) -> usize {
         self.by_emission().filter(|(_, blocks)| blocks.iter().any(|block| block.channel.is_echo())).count()
     }

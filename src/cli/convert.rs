@@ -25,7 +25,7 @@ fn job_text(input: &str, output: &str) -> Result<String, String> {
 }
 
 /// The stage that reads files with this name's extension.
-fn reader_of(input: &str) -> Result<&'static str, String> {
+pub(super) fn reader_of(input: &str) -> Result<&'static str, String> {
     let extension = Path::new(input).extension().unwrap_or_default().to_string_lossy().to_lowercase();
     match extension.as_str() {
         "las" | "laz" => Ok("read_las"),

@@ -72,7 +72,7 @@ mod tests {
             table.lines().skip(3).map(|line| line.split_whitespace().collect()).collect();
         assert_eq!(rows[0], ["sigma", "0", "0.6", "0.63:0.42:0.22:0.11"]);
         assert_eq!((rows[1][0], rows[1].len(), rows[2][0]), ("4", 4, "4.5"));
-        // ALGORITHMS 5.4: 1.7e-4 per 60 ns at 4.5 for a bandwidth of 0.44 rad/ns, between white noise and this.
+        // Rice's formula gives 1.7e-4 per 60 ns at 4.5 for a bandwidth of 0.44 rad/ns, between white noise and this.
         assert!(rows[2][1].starts_with("1.6e-4") || rows[2][1].starts_with("1.5"), "{}", rows[2][1]);
     }
 

@@ -89,18 +89,29 @@ fn plan(job: &Job, options: &Options) -> Vec<Vec<(Option<Inlet>, Exit)>> {
     plan
 }
 
-fn shared(job: &Job, options: &Options) -> Shared {
+/// How many bytes the lines of a job may take, and how many transforms share in holding them back; at least one.
+fn memory(job: &Job) -> (usize, usize) {
     let limit =
         usize::try_from(job.settings.memory_mb).unwrap_or(usize::MAX / 1_000_000).saturating_mul(1_000_000);
     let transforms =
         job.stages.iter().filter(|stage| matches!(stage.planned.plan, Plan::Transform(_))).count();
+    (limit, transforms.max(1))
+}
+
+/// How many bytes of lines each transform of a job may hold back.
+pub(crate) fn may_hold_bytes(job: &Job) -> usize {
+    let (limit, transforms) = memory(job);
+    limit / (2 * transforms)
+}
+
+fn shared(job: &Job, options: &Options) -> Shared {
+    let (limit, transforms) = memory(job);
     // What all transforms hold back, each with one line over its share, stays below three quarters of the limit: there
     // is always room for one more line, so a run cannot come to a standstill.
-    let transforms = transforms.max(1);
     Shared {
         failure: Failure::new(options.cancel.clone()),
         budget: Budget::new(limit),
-        may_hold_bytes: limit / (2 * transforms),
+        may_hold_bytes: may_hold_bytes(job),
         largest_line_bytes: limit / (4 * transforms),
         gauge: Gauge::default(),
         totals: Mutex::new(Totals::default()),

@@ -7,7 +7,7 @@
 
 use super::decompose::{DecomposeSettings, Decomposer};
 use super::noise::{ArNoise, fit_by_bic};
-use super::sensor_model::{Background, ChannelModel, ModelError};
+use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError};
 use first_look::FirstLook;
 use survey::Survey;
 
@@ -70,6 +70,8 @@ pub struct CalibrationSettings {
     pub max_ar_order: usize,
     /// Where the background is taken from.
     pub background: BackgroundChoice,
+    /// What is known beforehand of how samples are taken.
+    pub digitiser: Digitiser,
     /// How waveforms are decomposed while calibrating; pulses are added or divided as calibration needs it.
     pub decompose: DecomposeSettings,
 }
@@ -83,6 +85,7 @@ impl CalibrationSettings {
             min_blocks: 200,
             max_ar_order: 4,
             background: BackgroundChoice::Auto,
+            digitiser: Digitiser::default(),
             decompose: DecomposeSettings::default(),
         }
     }
@@ -232,6 +235,7 @@ fn first_model(
         pulse_fwhm_sd_ns: 0.0,
         pulse_error_factor: 1.0,
         response: None,
+        digitiser: settings.digitiser,
         waveforms: blocks,
         pulses: 0,
     }

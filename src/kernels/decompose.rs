@@ -14,6 +14,7 @@ mod scene;
 mod score;
 #[cfg(test)]
 mod tests;
+mod view;
 
 /// Error of the response behind a pulse that overdrives the receiver (REALDATA.md, section 1).
 pub const OVERDRIVEN_ERROR: f64 = 0.06;

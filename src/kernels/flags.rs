@@ -26,9 +26,43 @@ pub const SPLIT: u16 = 1 << 10;
 /// The MTA zone was decided against little evidence.
 pub const ZONE_UNCERTAIN: u16 = 1 << 11;
 
+/// The flags of cross-talk between emissions and echoes.
+pub const CROSSTALK: u16 = EMISSION_ON_ECHO | EMISSION_IN_BLOCK | ECHO_ON_OUTGOING;
+
+/// Every flag with its name in words, by bit.
+pub const NAMES: [(u16, &str); 12] = [
+    (REFINED, "refined"),
+    (OVERLAP, "overlap"),
+    (DIVERGED, "diverged"),
+    (EMISSION_ON_ECHO, "emission on echo"),
+    (EMISSION_IN_BLOCK, "emission in block"),
+    (ECHO_ON_OUTGOING, "echo on outgoing pulse"),
+    (SATURATED, "saturated"),
+    (EXTREMELY_SATURATED, "extremely saturated"),
+    (OVERDRIVEN, "overdriven"),
+    (TRUNCATED, "truncated"),
+    (SPLIT, "split"),
+    (ZONE_UNCERTAIN, "zone uncertain"),
+];
+
+/// The flags that are set, in words: `refined, overlap`; `none` where none is.
+pub fn words(flags: u16) -> String {
+    let set: Vec<&str> = NAMES.iter().filter(|(bit, _)| flags & bit != 0).map(|(_, name)| *name).collect();
+    if set.is_empty() { "none".to_owned() } else { set.join(", ") }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn flags_are_told_in_words() {
+        assert_eq!(words(0), "none");
+        assert_eq!(words(REFINED | OVERLAP | SATURATED), "refined, overlap, saturated");
+        for (bit, (flag, _)) in NAMES.into_iter().enumerate() {
+            assert_eq!(flag, 1 << bit);
+        }
+    }
 
     #[test]
     fn every_flag_has_its_own_bit_in_the_documented_order() {

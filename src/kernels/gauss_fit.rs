@@ -9,7 +9,7 @@
 //! inverse of the normal matrix at the optimum, priors included.
 
 use super::cholesky;
-use super::shape::Shape;
+use super::shape::{Lane, Shape};
 use super::whitening::Whitener;
 
 #[cfg(test)]
@@ -49,21 +49,32 @@ impl Pulse {
     /// Adds `sign` times the pulse as a Gaussian to `values`, the samples of a block; `fwhm_samples` is the calibrated
     /// width.
     pub fn add_to(&self, fwhm_samples: f64, sign: f64, values: &mut [f64]) {
+        self.add_lane_to(fwhm_samples, sign, Lane::All, values);
+    }
+
+    /// The same for some of the samples.
+    pub(super) fn add_lane_to(&self, fwhm_samples: f64, sign: f64, lane: Lane, values: &mut [f64]) {
         let width = fwhm_samples * self.ln_width_ratio.exp();
         let (first, end) = support(self.position_samples, width, values.len());
-        for (k, value) in values.iter_mut().enumerate().take(end).skip(first) {
+        for (k, value) in values.iter_mut().enumerate().take(end).skip(lane.from(first)).step_by(lane.step())
+        {
             let x = (k as f64 - self.position_samples) / width;
             *value += sign * self.height_dn * (-FOUR_LN_2 * x * x).exp();
         }
     }
 
     /// Writes the Gaussian's derivatives by height, position and width's logarithm to columns of a block's length.
-    /// Returns the first sample that it wrote to.
-    pub(super) fn add_derivatives_to(&self, fwhm_samples: f64, columns: [&mut [f64]; 3]) -> usize {
+    /// Returns the first sample that can differ from zero.
+    pub(super) fn add_derivatives_to(
+        &self,
+        fwhm_samples: f64,
+        lane: Lane,
+        columns: [&mut [f64]; 3],
+    ) -> usize {
         let [by_height, by_position, by_width] = columns;
         let width = fwhm_samples * self.ln_width_ratio.exp();
         let (first, end) = support(self.position_samples, width, by_height.len());
-        for k in first..end {
+        for k in (lane.from(first)..end).step_by(lane.step()) {
             let x = (k as f64 - self.position_samples) / width;
             let shape = (-FOUR_LN_2 * x * x).exp();
             let slope = 2.0 * FOUR_LN_2 * x * self.height_dn * shape;

@@ -4,10 +4,13 @@
 //! that happens to come in) does not pull it.
 
 use super::decompose::{DecomposeSettings, Decomposer, Return};
+use super::flags;
 use super::sensor_model::{ChannelModel, ModelError};
 
 /// Half of the window that is fitted, in widths of the pulse.
 const HALF_WINDOW_WIDTHS: f64 = 1.5;
+/// A fit with a deviation ratio above this may hold more than the outgoing pulse: there a second pulse is tried.
+const SUSPICIOUS: f64 = 3.0;
 
 /// Fits outgoing pulses of one channel; keeps its memory from one to the next.
 #[derive(Debug, Clone)]
@@ -16,6 +19,11 @@ pub struct OutgoingFitter {
     finder: Decomposer,
     /// Fits it in its window.
     fitter: Decomposer,
+    /// The window's first sample in the block.
+    first: usize,
+    /// Tries two pulses in the window; only with a calibrated response, as what a Gaussian leaves of any pulse looks like
+    /// a second one.
+    two: Option<Decomposer>,
 }
 
 impl OutgoingFitter {
@@ -28,22 +36,42 @@ impl OutgoingFitter {
             ..DecomposeSettings::default()
         };
         let finder = Decomposer::new(model, &settings, max_samples)?;
-        Ok(OutgoingFitter { fitter: finder.clone(), finder })
+        let settings = DecomposeSettings { max_returns: 2, max_added: 1, ..DecomposeSettings::default() };
+        let two =
+            model.response.as_ref().map(|_| Decomposer::new(model, &settings, max_samples)).transpose()?;
+        Ok(OutgoingFitter { fitter: finder.clone(), finder, first: 0, two })
     }
 
     /// The block's strongest pulse; `start_phase` is the index of the block's first sample modulo 4.
     ///
-    /// `None` where no pulse stands out of the noise, or none that can be fitted.
+    /// `None` where no pulse stands out of the noise, or none that can be fitted. The flag
+    /// [`flags::ECHO_ON_OUTGOING`] is set where the window holds a second pulse.
     pub fn fit(&mut self, samples: &[u16], start_phase: u8) -> Option<Return> {
         let half = HALF_WINDOW_WIDTHS * self.finder.model().fwhm_samples();
         let position = self.finder.decompose(samples, start_phase).returns.first()?.position_samples;
-        let first = (position - half).ceil().max(0.0) as usize;
+        let mut first = (position - half).ceil().max(0.0) as usize;
+        if self.finder.model().digitiser.odd_sample_shift != 0.0 {
+            // Odd samples of the block stay odd in the window.
+            first -= first % 2;
+        }
         let end = ((position + half).floor().max(0.0) as usize).saturating_add(1).min(samples.len());
         let window = samples.get(first..end)?;
         let phase = (usize::from(start_phase) + first) % 4;
         let mut pulse = *self.fitter.decompose(window, phase as u8).returns.first()?;
+        if pulse.deviation_ratio > SUSPICIOUS
+            && let Some(two) = &mut self.two
+            && two.decompose(window, phase as u8).returns.len() > 1
+        {
+            pulse.flags |= flags::ECHO_ON_OUTGOING;
+        }
         pulse.position_samples += first as f64;
+        self.first = first;
         Some(pulse)
+    }
+
+    /// The fit of the last block's window, and the window's first sample.
+    pub fn window(&self) -> (usize, &Decomposer) {
+        (self.first, &self.fitter)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The system response: what the digitiser records of an infinitely short echo from a flat target.
 //!
-//! It is laser pulse, receiver and digitiser in one, asymmetric, with an after-pulse and a slow tail (ALGORITHMS.md
-//! 1.1; REALDATA.md, section 1). Its peak stands at time 0 and has the height 1. A receiver that compresses strong echoes
+//! It is laser pulse, receiver and digitiser in one, asymmetric, with an after-pulse and a slow tail
+//! (docs/method.md, Signal model). Its peak stands at time 0 and has the height 1. A receiver that compresses strong echoes
 //! has several, each for one height of the peak; between them shapes are interpolated linearly.
 
 use schemars::JsonSchema;
@@ -17,7 +17,7 @@ const MAX_SAMPLES: usize = 8192;
 /// Frequency times full width at half maximum from where on, and up to where, a response is faded out: what a pulse
 /// of this width has there is below 1e-4, what an estimate has there is noise.
 const FADED: [f64; 2] = [1.8, 2.3];
-/// Nothing is kept beyond this frequency, cycles per sample (ALGORITHMS.md 1.1).
+/// Nothing is kept beyond this frequency, cycles per sample: just above the highest that samples can tell.
 const MAX_FREQUENCY: f64 = 0.55;
 
 /// The calibrated system response of one channel.

@@ -68,11 +68,64 @@ pub struct ChannelModel {
     /// The system response; absent where pulses are taken to be Gaussians of the width `pulse_fwhm_ns`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub response: Option<SystemResponse>,
+    /// What the digitiser and the receiver do to samples beside noise; nothing where it is absent.
+    #[serde(default, skip_serializing_if = "Digitiser::is_plain")]
+    pub digitiser: Digitiser,
     /// Blocks the model was found from.
     pub waveforms: u64,
     /// Single, unsaturated pulses the width was found from; 0 where there were too few and the width is a first
     /// measure, taken from the samples above half the height.
     pub pulses: u64,
+}
+
+/// What is known beforehand of how samples are taken.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Digitiser {
+    /// Odd samples of a block were taken so much later than their index says, samples; above -1 and below 1.
+    pub odd_sample_shift: f64,
+    /// The exponential tail that the receiver adds to a signal; absent where it is part of the response.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decay: Option<Decay>,
+}
+
+/// An exponential tail: `D_k = λ D_{k-1} + A (1 - λ) s_{k-1}` with `λ = e^(-1/T)`, of the signal `s` before sample `k`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Decay {
+    /// Area of the tail over that of the signal, `A`.
+    pub amplitude: f64,
+    /// Time constant, samples, `T`; positive.
+    pub time_samples: f64,
+}
+
+impl Digitiser {
+    pub(super) fn is_plain(&self) -> bool {
+        *self == Digitiser::default()
+    }
+
+    fn check(&self) -> Result<(), ModelError> {
+        let shift = self.odd_sample_shift;
+        if shift.is_nan() || shift.abs() >= 1.0 {
+            let problem = format!("{shift} does not lie between -1 and 1");
+            return Err(ModelError { field: "odd_sample_shift", problem });
+        }
+        match self.decay {
+            Some(Decay { amplitude, time_samples })
+                if !(amplitude.abs() < 1.0 && time_samples > 0.0 && time_samples.is_finite()) =>
+            {
+                let problem =
+                    format!("no tail has the amplitude {amplitude} and lasts {time_samples} samples");
+                Err(ModelError { field: "decay", problem })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// When sample `k` of a block was taken, samples after its first.
+    pub fn time_of(&self, k: usize) -> f64 {
+        k as f64 + if k % 2 == 1 { self.odd_sample_shift } else { 0.0 }
+    }
 }
 
 fn one() -> f64 {
@@ -121,6 +174,7 @@ impl ChannelModel {
     /// Checks that the numbers describe a channel and its response.
     pub fn check(&self) -> Result<(), ModelError> {
         self.noise()?;
+        self.digitiser.check()?;
         self.response.as_ref().map_or(Ok(()), SystemResponse::check)
     }
 
@@ -132,6 +186,24 @@ impl ChannelModel {
     /// The background at sample `index` of a block whose first sample has index `start_phase` modulo 4.
     pub fn background_at(&self, start_phase: u8, index: usize) -> f64 {
         self.background_dn[(usize::from(start_phase) + index) % 4]
+    }
+
+    /// Appends what the samples of a block stand above the background, DN, less the tail that the digitiser's decay says;
+    /// before the block there was no signal.
+    pub fn signal_into(&self, samples: &[u16], start_phase: u8, signal_dn: &mut Vec<f64>) {
+        let level = |k: usize| self.background_at(start_phase, k);
+        let above = samples.iter().enumerate().map(|(k, &sample)| f64::from(sample) - level(k));
+        let Some(decay) = self.digitiser.decay else {
+            signal_dn.extend(above);
+            return;
+        };
+        let kept = (-1.0 / decay.time_samples).exp();
+        let mut tail_dn = 0.0;
+        signal_dn.extend(above.map(|above_dn| {
+            let signal_dn = above_dn - tail_dn;
+            tail_dn = kept * tail_dn + decay.amplitude * (1.0 - kept) * signal_dn;
+            signal_dn
+        }));
     }
 
     /// The precision of a waveform's own offset from `background_dn`, 1/DN²; `None` where the background is fixed.
@@ -163,6 +235,7 @@ mod tests {
             pulse_fwhm_sd_ns: 0.1,
             pulse_error_factor: 1.0,
             response: None,
+            digitiser: Digitiser::default(),
             waveforms: 200,
             pulses: 150,
         }
@@ -191,11 +264,29 @@ mod tests {
     }
 
     #[test]
+    fn a_tail_is_taken_off_by_its_recursion() {
+        let mut model = model();
+        model.digitiser.decay = Some(Decay { amplitude: 0.5, time_samples: 1.0 / 2f64.ln() });
+        model.background_dn = [2.0; 4];
+        // λ = 1/2: the signal 8, 4, 0, 0 leaves the tail 0, 2, 2, 1.
+        let mut signal = Vec::new();
+        model.signal_into(&[10, 8, 4, 3], 0, &mut signal);
+        assert!(
+            signal.iter().zip([8.0, 4.0, 0.0, 0.0]).all(|(a, b): (&f64, f64)| (a - b).abs() < 1e-12),
+            "{signal:?}"
+        );
+        model.digitiser.decay = None;
+        model.signal_into(&[10], 0, &mut signal);
+        assert_eq!(signal.last(), Some(&8.0));
+        assert_eq!(Digitiser { odd_sample_shift: 0.1, decay: None }.time_of(3), 3.1);
+    }
+
+    #[test]
     fn what_describes_no_channel_is_named() {
         let check = |change: fn(&mut ChannelModel), expected: &str| {
             let mut model = model();
             change(&mut model);
-            assert_eq!(model.noise().unwrap_err().to_string(), expected);
+            assert_eq!(model.check().unwrap_err().to_string(), expected);
         };
         check(
             |m| m.innovation_sd_dn = 0.0,
@@ -209,6 +300,16 @@ mod tests {
         check(
             |m| m.background_sd_dn = -1.0,
             "sensor model: background_sd_dn: -1 is not a standard deviation; \
+             calibrate anew, or correct the saved model",
+        );
+        check(
+            |m| m.digitiser.odd_sample_shift = 1.0,
+            "sensor model: odd_sample_shift: 1 does not lie between -1 and 1; \
+             calibrate anew, or correct the saved model",
+        );
+        check(
+            |m| m.digitiser.decay = Some(Decay { amplitude: 0.1, time_samples: 0.0 }),
+            "sensor model: decay: no tail has the amplitude 0.1 and lasts 0 samples; \
              calibrate anew, or correct the saved model",
         );
         check(

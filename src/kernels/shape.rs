@@ -9,14 +9,42 @@ use super::templates::{Part, Templates};
 
 /// A family of pulses: by height, place and width.
 #[derive(Debug, Clone)]
-pub enum Shape {
-    /// Gaussians; the calibrated width in samples.
-    Gaussian {
-        /// Full width at half maximum of a pulse of width ratio 1, samples.
-        fwhm_samples: f64,
-    },
+pub struct Shape {
+    family: Family,
+    /// Odd samples were taken so much later, samples.
+    odd_sample_shift: f64,
+}
+
+#[derive(Debug, Clone)]
+enum Family {
+    /// Gaussians of this calibrated full width at half maximum, samples.
+    Gaussian { fwhm_samples: f64 },
     /// The system response, widened by a Gaussian.
     Response(Arc<ResponseShape>),
+}
+
+/// Which samples of a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Lane {
+    All,
+    Even,
+    Odd,
+}
+
+impl Lane {
+    /// The first of these samples at or after one.
+    pub(super) fn from(self, first: usize) -> usize {
+        match self {
+            Lane::All => first,
+            Lane::Even => first + first % 2,
+            Lane::Odd => first + (first + 1) % 2,
+        }
+    }
+
+    /// From one of these samples to the next.
+    pub(super) fn step(self) -> usize {
+        if self == Lane::All { 1 } else { 2 }
+    }
 }
 
 /// The tables of a channel's response.
@@ -30,48 +58,57 @@ pub struct ResponseShape {
 impl From<f64> for Shape {
     /// Gaussians of this full width at half maximum, samples.
     fn from(fwhm_samples: f64) -> Shape {
-        Shape::Gaussian { fwhm_samples }
+        Shape { family: Family::Gaussian { fwhm_samples }, odd_sample_shift: 0.0 }
     }
 }
 
 impl Shape {
     /// The shape that a channel's model describes.
     pub fn of(model: &ChannelModel) -> Result<Shape, ModelError> {
-        match &model.response {
-            None => Ok(Shape::from(model.fwhm_samples())),
-            Some(response) => Shape::of_response(response, model.fwhm_samples()),
-        }
+        let shape = match &model.response {
+            None => Shape::from(model.fwhm_samples()),
+            Some(response) => Shape::of_response(response, model.fwhm_samples())?,
+        };
+        Ok(Shape { odd_sample_shift: model.digitiser.odd_sample_shift, ..shape })
     }
 
     fn of_response(response: &SystemResponse, fwhm_samples: f64) -> Result<Shape, ModelError> {
         response.check()?;
         let table = |values: &[f64]| Templates::new(values, response.first_sample, fwhm_samples);
         let nodes = response.nodes.iter().map(|node| (node.peak_dn, table(&node.values))).collect();
-        Ok(Shape::Response(Arc::new(ResponseShape { fwhm_samples, nodes })))
+        let family = Family::Response(Arc::new(ResponseShape { fwhm_samples, nodes }));
+        Ok(Shape { family, odd_sample_shift: 0.0 })
+    }
+
+    /// The same shape, all of whose samples are taken at their index.
+    pub fn on_time(&self) -> Shape {
+        Shape { odd_sample_shift: 0.0, ..self.clone() }
     }
 
     /// Full width at half maximum of a pulse of width ratio 1, samples.
     pub fn fwhm_samples(&self) -> f64 {
-        match self {
-            Shape::Gaussian { fwhm_samples } => *fwhm_samples,
-            Shape::Response(response) => response.fwhm_samples,
+        match &self.family {
+            Family::Gaussian { fwhm_samples } => *fwhm_samples,
+            Family::Response(response) => response.fwhm_samples,
         }
     }
 
     /// The least and the greatest logarithm of a width ratio that can be fitted.
     pub fn ln_width_bounds(&self) -> [f64; 2] {
-        match self {
-            Shape::Gaussian { .. } => gauss_fit::LN_WIDTH_BOUNDS,
-            Shape::Response(_) => Templates::ln_width_bounds(),
+        match &self.family {
+            Family::Gaussian { .. } => gauss_fit::LN_WIDTH_BOUNDS,
+            Family::Response(_) => Templates::ln_width_bounds(),
         }
     }
 
     /// Adds `sign` times the pulse to `values`, the samples of a block.
     pub fn add(&self, pulse: &Pulse, sign: f64, values: &mut [f64]) {
-        match self {
-            Shape::Gaussian { fwhm_samples } => pulse.add_to(*fwhm_samples, sign, values),
-            Shape::Response(response) => {
-                response.add(Part::Value, pulse, sign * pulse.height_dn, values);
+        for (lane, pulse) in self.lanes(pulse).into_iter().flatten() {
+            match &self.family {
+                Family::Gaussian { fwhm_samples } => pulse.add_lane_to(*fwhm_samples, sign, lane, values),
+                Family::Response(response) => {
+                    response.add(Part::Value, &pulse, sign * pulse.height_dn, lane, values);
+                }
             }
         }
     }
@@ -79,17 +116,25 @@ impl Shape {
     /// Adds the pulse's derivatives by height, position and width's logarithm to columns of a block's length. Returns
     /// the first sample that can differ from zero.
     pub fn add_derivatives(&self, pulse: &Pulse, columns: [&mut [f64]; 3]) -> usize {
-        match self {
-            Shape::Gaussian { fwhm_samples } => pulse.add_derivatives_to(*fwhm_samples, columns),
-            Shape::Response(response) => {
-                let [by_height, by_position, by_width] = columns;
-                response.add(Part::Value, pulse, 1.0, by_height);
-                response.add_change_with_height(pulse, by_height);
-                response.add(Part::ByTime, pulse, -pulse.height_dn, by_position);
-                response.add(Part::ByLnWidth, pulse, pulse.height_dn, by_width);
-                0
-            }
+        let [by_height, by_position, by_width] = columns;
+        let mut first = usize::MAX;
+        for (lane, pulse) in self.lanes(pulse).into_iter().flatten() {
+            let columns = [&mut *by_height, &mut *by_position, &mut *by_width];
+            first = first.min(match &self.family {
+                Family::Gaussian { fwhm_samples } => pulse.add_derivatives_to(*fwhm_samples, lane, columns),
+                Family::Response(response) => response.add_derivatives(&pulse, lane, columns),
+            });
         }
+        first
+    }
+
+    /// The pulse as the samples of each lane see it: what was taken later sees it earlier.
+    fn lanes(&self, pulse: &Pulse) -> [Option<(Lane, Pulse)>; 2] {
+        if self.odd_sample_shift == 0.0 {
+            return [Some((Lane::All, *pulse)), None];
+        }
+        let earlier = Pulse { position_samples: pulse.position_samples - self.odd_sample_shift, ..*pulse };
+        [Some((Lane::Even, *pulse)), Some((Lane::Odd, earlier))]
     }
 }
 
@@ -105,10 +150,19 @@ impl ResponseShape {
         (above - 1, above, (height_dn - low) / (high - low))
     }
 
-    fn add(&self, part: Part, pulse: &Pulse, factor: f64, values: &mut [f64]) {
+    fn add_derivatives(&self, pulse: &Pulse, lane: Lane, columns: [&mut [f64]; 3]) -> usize {
+        let [by_height, by_position, by_width] = columns;
+        self.add(Part::Value, pulse, 1.0, lane, by_height);
+        self.add_change_with_height(pulse, lane, by_height);
+        self.add(Part::ByTime, pulse, -pulse.height_dn, lane, by_position);
+        self.add(Part::ByLnWidth, pulse, pulse.height_dn, lane, by_width);
+        0
+    }
+
+    fn add(&self, part: Part, pulse: &Pulse, factor: f64, lane: Lane, values: &mut [f64]) {
         let (low, high, share) = self.around(pulse.height_dn);
         let mut add = |node: usize, factor: f64| {
-            self.nodes[node].1.add(part, pulse.position_samples, pulse.ln_width_ratio, factor, values);
+            self.nodes[node].1.add(part, pulse.position_samples, pulse.ln_width_ratio, factor, lane, values);
         };
         add(low, (1.0 - share) * factor);
         if share > 0.0 {
@@ -117,7 +171,7 @@ impl ResponseShape {
     }
 
     /// What the shape's own change with the height adds to the derivative by it.
-    fn add_change_with_height(&self, pulse: &Pulse, by_height: &mut [f64]) {
+    fn add_change_with_height(&self, pulse: &Pulse, lane: Lane, by_height: &mut [f64]) {
         let (low, high, _) = self.around(pulse.height_dn);
         if low == high {
             return;
@@ -125,7 +179,44 @@ impl ResponseShape {
         let per_dn = pulse.height_dn / (self.nodes[high].0 - self.nodes[low].0);
         for (node, factor) in [(low, -per_dn), (high, per_dn)] {
             let table = &self.nodes[node].1;
-            table.add(Part::Value, pulse.position_samples, pulse.ln_width_ratio, factor, by_height);
+            table.add(Part::Value, pulse.position_samples, pulse.ln_width_ratio, factor, lane, by_height);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PULSE: Pulse =
+        Pulse { height_dn: 50.0, position_samples: 12.3, ln_width_ratio: 0.2, ln_width_precision: 0.0 };
+
+    /// Even samples as they stand, odd ones as of a pulse that much earlier; values and derivatives.
+    #[test]
+    fn odd_samples_are_seen_at_their_own_time() {
+        let plain = Shape::from(4.5);
+        let shifted = Shape { odd_sample_shift: 0.1, ..plain.clone() };
+        let earlier = Pulse { position_samples: PULSE.position_samples - 0.1, ..PULSE };
+        let all = |shape: &Shape, pulse: &Pulse| {
+            let mut parts = vec![vec![0.0; 40]; 4];
+            shape.add(pulse, 1.0, &mut parts[0]);
+            let [_, a, b, c] = parts.get_disjoint_mut([0, 1, 2, 3]).unwrap();
+            shape.add_derivatives(pulse, [a, b, c]);
+            parts
+        };
+        let (seen, on_time, late) = (all(&shifted, &PULSE), all(&plain, &PULSE), all(&plain, &earlier));
+        for part in 0..4 {
+            for k in 0..40 {
+                let expected = if k % 2 == 0 { on_time[part][k] } else { late[part][k] };
+                assert_eq!(seen[part][k], expected, "{part} {k}");
+            }
+        }
+        assert_eq!(all(&shifted.on_time(), &PULSE), on_time);
+    }
+
+    #[test]
+    fn lanes_begin_at_or_after_a_sample() {
+        let begins = |lane: Lane| [4, 5].map(|first| lane.from(first));
+        assert_eq!([Lane::All, Lane::Even, Lane::Odd].map(begins), [[4, 5], [4, 6], [5, 5]]);
     }
 }

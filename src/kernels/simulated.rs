@@ -2,7 +2,7 @@
 
 use super::gauss_fit::{FOUR_LN_2, Pulse};
 use super::noise::{ArNoise, fit_by_bic};
-use super::sensor_model::{Background, ChannelModel};
+use super::sensor_model::{Background, ChannelModel, Digitiser};
 
 /// SplitMix64 (Steele, Lea, Flood 2014): a counter through a mixing function; one seed, one sequence.
 pub(crate) struct Random(u64);
@@ -77,6 +77,7 @@ pub(crate) fn channel(process: &ArNoise, fwhm_samples: f64, background_dn: f64) 
         pulse_fwhm_sd_ns: 0.1,
         pulse_error_factor: 1.0,
         response: None,
+        digitiser: Digitiser::default(),
         waveforms: 1000,
         pulses: 1000,
     }

@@ -1,7 +1,7 @@
 //! Tables of a response widened by a Gaussian, and their interpolation in time and width.
 //!
 //! `s(t, u) = h_v(t) / max h_v` with `h_v = h ⊗ N(0, v)`, `v = v0 (e^{2u} - 1)` and `v0` the variance of a Gaussian of
-//! the response's full width at half maximum: `e^u` is the width over the response's (ALGORITHMS.md 1.1). By the heat
+//! the response's full width at half maximum: `e^u` is the width over the response's (docs/method.md, Signal model). By the heat
 //! equation all derivatives are derivatives in time, so one Fourier transform gives them for each width. Between the
 //! table's places a bicubic Hermite polynomial stands: values, slopes and mixed slope are exact there, and value and
 //! slopes are continuous everywhere, as a descent needs them.
@@ -10,6 +10,7 @@ use std::f64::consts::PI;
 
 use super::fourier::{self, Complex};
 use super::response::{STEPS_PER_SAMPLE, bins, spectrum};
+use super::shape::Lane;
 
 /// Step of the table in the width's logarithm.
 const LN_WIDTH_STEP: f64 = 0.05;
@@ -82,13 +83,15 @@ impl Templates {
         LN_WIDTH_RANGE
     }
 
-    /// Adds `factor` times a part of the shape with its peak at `position_samples` to `values`, the samples of a block.
+    /// Adds `factor` times a part of the shape with its peak at `position_samples` to these `values` among the samples of a
+    /// block.
     pub(super) fn add(
         &self,
         part: Part,
         position_samples: f64,
         ln_width_ratio: f64,
         factor: f64,
+        lane: Lane,
         values: &mut [f64],
     ) {
         let [low, high] = LN_WIDTH_RANGE;
@@ -107,7 +110,7 @@ impl Templates {
         for (j, knot) in self.knots[index..index + 2].iter().enumerate() {
             // Sample k of the block is sample k + whole of the row, counted from the peak.
             let offset = whole as i64 - knot.first;
-            let begin = (-offset).clamp(0, values.len() as i64) as usize;
+            let begin = lane.from((-offset).clamp(0, values.len() as i64) as usize).min(values.len());
             let skipped = (offset + begin as i64).max(0) as usize;
             if skipped >= knot.length {
                 continue;
@@ -117,16 +120,23 @@ impl Templates {
                 let rows = [0, 1, 2, 3].map(|channel| &knot.row(phase + i, channel)[skipped..]);
                 let (c, d) = (width[2 * j], width[2 * j + 1]);
                 let weights = [a * c, b * c, a * d, b * d].map(|w| w * factor);
-                accumulate(target, rows, weights);
+                accumulate(target, rows, weights, lane.step());
             }
         }
     }
 }
 
-fn accumulate(target: &mut [f64], rows: [&[f64]; 4], weights: [f64; 4]) {
+fn accumulate(target: &mut [f64], rows: [&[f64]; 4], weights: [f64; 4], step: usize) {
     let n = target.len().min(rows[0].len());
     let [r0, r1, r2, r3] = rows.map(|row| &row[..n]);
     let [w0, w1, w2, w3] = weights;
+    // Without the step the loop is over neighbours, sixteen at a time.
+    if step > 1 {
+        for k in (0..n).step_by(step) {
+            target[k] += w0 * r0[k] + w1 * r1[k] + w2 * r2[k] + w3 * r3[k];
+        }
+        return;
+    }
     for (k, value) in target[..n].iter_mut().enumerate() {
         *value += w0 * r0[k] + w1 * r1[k] + w2 * r2[k] + w3 * r3[k];
     }
@@ -255,7 +265,7 @@ mod tests {
             let width = FWHM * f64::exp(u);
             let mut parts = [vec![0.0; 60], vec![0.0; 60], vec![0.0; 60]];
             for (values, part) in parts.iter_mut().zip([Part::Value, Part::ByTime, Part::ByLnWidth]) {
-                tables.add(part, position, u, 1.0, values);
+                tables.add(part, position, u, 1.0, Lane::All, values);
             }
             for k in 0..60 {
                 let x = (k as f64 - position) / width;
@@ -279,13 +289,13 @@ mod tests {
         let tables = Templates::new(&skewed, -12, FWHM);
         let value = |position: f64, u: f64| {
             let mut values = vec![0.0; 50];
-            tables.add(Part::Value, position, u, 3.0, &mut values);
+            tables.add(Part::Value, position, u, 3.0, Lane::All, &mut values);
             values
         };
         let (position, u, step) = (17.4321, -0.137, 1e-6);
         let mut slopes = [vec![0.0; 50], vec![0.0; 50]];
-        tables.add(Part::ByTime, position, u, -3.0, &mut slopes[0]);
-        tables.add(Part::ByLnWidth, position, u, 3.0, &mut slopes[1]);
+        tables.add(Part::ByTime, position, u, -3.0, Lane::All, &mut slopes[0]);
+        tables.add(Part::ByLnWidth, position, u, 3.0, Lane::All, &mut slopes[1]);
         let [ahead, behind] = [value(position + step, u), value(position - step, u)];
         let [wider, narrower] = [value(position, u + step), value(position, u - step)];
         for k in 0..50 {
@@ -299,7 +309,7 @@ mod tests {
         let tables = Templates::new(&gaussian(-12, 30), -12, FWHM);
         for position in [-1e4, 1e4] {
             let mut values = vec![0.0; 20];
-            tables.add(Part::Value, position, 0.0, 1.0, &mut values);
+            tables.add(Part::Value, position, 0.0, 1.0, Lane::All, &mut values);
             assert!(values.iter().all(|v| *v == 0.0));
         }
     }

@@ -11,7 +11,7 @@ use crate::batch::{Batch, Channel, InputInfo, Kind};
 use crate::formats::Error;
 use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
 use crate::kernels::response_calibrate::{MIN_ECHOES, calibrate_response};
-use crate::kernels::sensor_model::{ChannelModel, SensorModel};
+use crate::kernels::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use crate::stage::{
     Config, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Transform, TransformConfig,
 };
@@ -30,6 +30,10 @@ pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Ki
 /// Holds back the first lines until it has enough waveforms, then lets everything through; the model travels with every
 /// line, and stands in the report. Fewer than 200 waveforms of the sensitive receiver are an error. A receiver of which
 /// there are fewer, or an outgoing pulse that was recorded fewer than 20 times, is left out, and the report says so.
+///
+/// A saved model is this instrument's preset: `load` uses it as it is, in another run or on another recording, down to a
+/// single waveform. It may lack channels, which are then not used, and may be written by hand: its form stands in
+/// `schemas/sensor_model.schema.json`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Calibrate {
@@ -40,12 +44,46 @@ pub struct Calibrate {
     /// The shape of a pulse: the system response found from single echoes (`auto`), or a Gaussian of the measured width
     /// (`gaussian`).
     pub response: ResponseKey,
+    /// Area of the exponential tail that the receiver adds to an echo, over that of the echo, above -0.9 and below 0.9;
+    /// `"auto"`: a tail is part of the response, which reaches to the end of the block.
+    pub decay_amplitude: AutoOrNumber,
+    /// Time constant of that tail, ns; `"auto"` as above. Both are given, or neither.
+    pub decay_time_ns: AutoOrNumber,
     /// A file to keep the model in, as JSON, for runs that are to repeat this one exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub save: Option<String>,
     /// A file that `save` has written: its model is used, and nothing is calibrated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub load: Option<PathBuf>,
+}
+
+/// A number, or `auto`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum AutoOrNumber {
+    /// The number.
+    Number(f64),
+    /// Found from the recording.
+    Auto(Auto),
+}
+
+/// The word `auto`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Auto {
+    /// Found from the recording.
+    Auto,
+}
+
+impl AutoOrNumber {
+    const AUTO: AutoOrNumber = AutoOrNumber::Auto(Auto::Auto);
+
+    fn number(self) -> Option<f64> {
+        match self {
+            AutoOrNumber::Number(number) => Some(number),
+            AutoOrNumber::Auto(_) => None,
+        }
+    }
 }
 
 /// The shape of a pulse.
@@ -76,6 +114,8 @@ impl Default for Calibrate {
             waveforms: 100_000,
             background: BackgroundKey::Auto,
             response: ResponseKey::Auto,
+            decay_amplitude: AutoOrNumber::AUTO,
+            decay_time_ns: AutoOrNumber::AUTO,
             save: None,
             load: None,
         }
@@ -84,7 +124,23 @@ impl Default for Calibrate {
 
 impl Config for Calibrate {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        InvalidKey::unless(self.waveforms >= 200, "waveforms", "at least 200 waveforms are needed")
+        InvalidKey::unless(self.waveforms >= 200, "waveforms", "at least 200 waveforms are needed")?;
+        let (amplitude, time_ns) = (self.decay_amplitude.number(), self.decay_time_ns.number());
+        InvalidKey::unless(
+            amplitude.is_none_or(|amplitude| amplitude.abs() < 0.9),
+            "decay_amplitude",
+            "it must lie between -0.9 and 0.9, or be \"auto\"",
+        )?;
+        InvalidKey::unless(
+            time_ns.is_none_or(|time_ns| time_ns > 0.0 && time_ns <= 1e6),
+            "decay_time_ns",
+            "it must be above 0 and at most 1000000, or \"auto\"",
+        )?;
+        let (given, missing) = match amplitude {
+            Some(_) => ("decay_amplitude", "it needs decay_time_ns beside it"),
+            None => ("decay_time_ns", "it needs decay_amplitude beside it"),
+        };
+        InvalidKey::unless(amplitude.is_some() == time_ns.is_some(), given, missing)
     }
 }
 
@@ -120,6 +176,7 @@ impl Transform for Calibrator {
     fn process(&mut self, mut batch: Batch, out: &mut Output) -> Result<()> {
         self.save(out)?;
         if let Some(model) = &self.model {
+            self.compare(model, &batch.input, out);
             batch.model = Some(Arc::clone(model));
             return out.emit(batch);
         }
@@ -227,6 +284,7 @@ impl Calibrator {
             Channel::Reference => CalibrationSettings::reference(input.sampling_interval_ns, full_scale_dn),
             _ => CalibrationSettings::echoes(input.sampling_interval_ns, full_scale_dn),
         };
+        let settings = CalibrationSettings { digitiser: self.digitiser(channel, input), ..settings };
         match (channel, self.config.background) {
             (Channel::Reference, _) | (_, BackgroundKey::Auto) => settings,
             (_, BackgroundKey::Fixed) => {
@@ -235,6 +293,34 @@ impl Calibrator {
             (_, BackgroundKey::PerWaveform) => {
                 CalibrationSettings { background: BackgroundChoice::PerWaveform, ..settings }
             }
+        }
+    }
+
+    /// What the job says of how a channel's samples are taken: a tail is the echo receivers'.
+    fn digitiser(&self, channel: Channel, input: &InputInfo) -> Digitiser {
+        let given = self.config.decay_amplitude.number().zip(self.config.decay_time_ns.number());
+        let decay = given.filter(|_| channel.is_echo()).map(|(amplitude, time_ns)| Decay {
+            amplitude,
+            time_samples: time_ns / input.sampling_interval_ns,
+        });
+        Digitiser { odd_sample_shift: input.odd_sample_shift, decay }
+    }
+
+    /// Says so where a loaded model was made for samples taken otherwise.
+    fn compare(&self, model: &SensorModel, input: &InputInfo, out: &mut Output) {
+        if self.config.load.is_none() {
+            return;
+        }
+        let channels = [
+            (Channel::LowPower, &model.low_power),
+            (Channel::HighPower, &model.high_power),
+            (Channel::Reference, &model.reference),
+        ];
+        let differs = |(channel, known): &(Channel, &Option<ChannelModel>)| {
+            known.as_ref().is_some_and(|known| known.digitiser != self.digitiser(*channel, input))
+        };
+        if channels.iter().any(differs) {
+            out.cx.note("the loaded model was calibrated with another odd_sample_shift, decay_amplitude or decay_time_ns than this job gives: the model's own are used");
         }
     }
 

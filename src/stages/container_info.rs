@@ -64,6 +64,7 @@ pub(super) fn info_of(
         instrument: header.instrument.clone(),
         serial: header.serial.clone(),
         sampling_interval_ns: header.sampling_interval_ns,
+        odd_sample_shift: 0.0,
         full_scale_dn: header.full_scale_dn,
         group_velocity_mps: header.group_velocity_mps,
         pulse_rate_hz: header.pulse_rate_hz,

@@ -3,11 +3,17 @@
 use std::sync::Arc;
 
 use crate::batch::{Batch, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emission_flags};
+use crate::stage::InvalidKey;
+
+/// What all readers ask of their key `odd_sample_shift`.
+pub(super) fn check_odd_sample_shift(shift: f64) -> Result<(), InvalidKey> {
+    InvalidKey::unless(shift.abs() < 0.5, "odd_sample_shift", "it must lie between -0.5 and 0.5")
+}
 
 /// Collects shots into scan lines.
 ///
 /// A line ends after a shot with the edge-of-flight-line flag, and before one whose scan direction flag or facet differs
-/// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots (DEFINITIONS: scan line) or
+/// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots or
 /// [`MOST_BYTES`]. It also ends where time runs backwards, as between flights that were put into one file: a line's shots
 /// are in order of time.
 pub(super) struct Lines {

@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{channel_of, info_of};
+use super::lines::check_odd_sample_shift;
 use crate::batch::{
     Batch, Blocks, Emission, EmissionReference, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
 };
@@ -42,13 +43,18 @@ pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Sho
 pub struct Config {
     /// The containers: a file, a pattern, or several of them; `-` is standard input. The job runs once for each.
     pub path: Paths,
+    /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
+    /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
+    #[serde(default)]
+    pub odd_sample_shift: f64,
 }
 
 impl stage::Config for Config {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         let patterns = self.path.patterns();
         InvalidKey::unless(!patterns.is_empty(), "path", "at least one file is needed")?;
-        InvalidKey::unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")
+        InvalidKey::unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")?;
+        check_odd_sample_shift(self.odd_sample_shift)
     }
 }
 
@@ -58,7 +64,7 @@ impl SourceConfig for Config {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        Ok(Box::new(ReadArrow::open(&site.input, &site.stem)?))
+        Ok(Box::new(ReadArrow::open(&site.input, &site.stem, self.odd_sample_shift)?))
     }
 }
 
@@ -74,7 +80,7 @@ struct ReadArrow {
 const UNIT_TOLERANCE: f64 = 1e-6;
 
 impl ReadArrow {
-    fn open(path: &Path, stem: &str) -> Result<ReadArrow> {
+    fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<ReadArrow> {
         let mut reader = match path.as_os_str() == "-" {
             true => ContainerReader::from_stream(path, Box::new(std::io::stdin()))?,
             false => ContainerReader::open(path)?,
@@ -85,7 +91,8 @@ impl ReadArrow {
             false => EmissionReference::Clock,
         };
         let format = format!("wavex container {} (Arrow IPC {})", container::VERSION, reader.form());
-        let info = info_of(reader.header(), path.to_path_buf(), stem.to_string(), format, reference);
+        let mut info = info_of(reader.header(), path.to_path_buf(), stem.to_string(), format, reference);
+        info.odd_sample_shift = odd_sample_shift;
         Ok(ReadArrow { reader, info: Arc::new(info), at: first.map(|line| (line, 0)) })
     }
 

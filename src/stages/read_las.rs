@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::broken::BrokenRun;
-use super::lines::Lines;
+use super::lines::{Lines, check_odd_sample_shift};
 use crate::batch::{
     Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, OnlineReturn, TimeScale,
     emission_flags,
@@ -16,7 +16,7 @@ use crate::batch::{
 use crate::formats::geokeys;
 use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
 use crate::geo::beam_length::BeamLength;
-use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
@@ -41,9 +41,17 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shot
 pub struct ReadLas {
     /// The `.las` or `.laz` file, several, or a pattern.
     pub path: Paths,
+    /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
+    /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
+    #[serde(default)]
+    pub odd_sample_shift: f64,
 }
 
-impl Config for ReadLas {}
+impl Config for ReadLas {
+    fn check(&self) -> std::result::Result<(), InvalidKey> {
+        check_odd_sample_shift(self.odd_sample_shift)
+    }
+}
 
 impl SourceConfig for ReadLas {
     fn paths(&self) -> Option<&Paths> {
@@ -51,7 +59,7 @@ impl SourceConfig for ReadLas {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        Ok(Box::new(LasSource::open(&site.input, &site.stem)?))
+        Ok(Box::new(LasSource::open(&site.input, &site.stem, self.odd_sample_shift)?))
     }
 }
 
@@ -116,10 +124,10 @@ const MOST_RETURNS: usize = 15;
 const SAME_BEAM: f64 = 1e-9;
 
 impl LasSource {
-    fn open(path: &Path, stem: &str) -> Result<LasSource> {
+    fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<LasSource> {
         let geometry = Geometry::learn(&mut Reader::open(path)?)?;
         let reader = Reader::open(path)?;
-        let input = describe(&reader, path, stem, &geometry);
+        let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &geometry) };
         Ok(LasSource {
             points_read: 0,
             points: reader.header().n_points,

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::broken::BrokenRun;
-use super::lines::Lines;
+use super::lines::{Lines, check_odd_sample_shift};
 use crate::batch::{
     AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, TimeScale,
     emission_flags,
@@ -16,7 +16,7 @@ use crate::batch::{
 use crate::formats::geokeys;
 use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
 use crate::geo::beam_length::BeamLength;
-use crate::stage::{Config, Context, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
@@ -41,9 +41,17 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewave
 pub struct ReadPulseWaves {
     /// The `.pls` file, several, or a pattern.
     pub path: Paths,
+    /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
+    /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
+    #[serde(default)]
+    pub odd_sample_shift: f64,
 }
 
-impl Config for ReadPulseWaves {}
+impl Config for ReadPulseWaves {
+    fn check(&self) -> std::result::Result<(), InvalidKey> {
+        check_odd_sample_shift(self.odd_sample_shift)
+    }
+}
 
 impl SourceConfig for ReadPulseWaves {
     fn paths(&self) -> Option<&Paths> {
@@ -51,7 +59,7 @@ impl SourceConfig for ReadPulseWaves {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        Ok(Box::new(PulseWavesSource::open(&site.input, &site.stem)?))
+        Ok(Box::new(PulseWavesSource::open(&site.input, &site.stem, self.odd_sample_shift)?))
     }
 }
 
@@ -92,12 +100,13 @@ const BEAMS_LOOKED_AT: u64 = 10_000;
 const UNITS_TO_TARGET: f64 = 1000.0;
 
 impl PulseWavesSource {
-    fn open(path: &Path, stem: &str) -> Result<PulseWavesSource> {
+    fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<PulseWavesSource> {
         let mut reader = Reader::open(path)?;
         reader.check_complete()?;
         let beams = look_at_beams(&mut reader)?;
         let single = returning_channels(&reader).len() < 2;
-        let input = Arc::new(describe(&reader, path, stem, &beams));
+        let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &beams) };
+        let input = Arc::new(input);
         let first_t = reader.header().min_t;
         Ok(PulseWavesSource {
             reader,
@@ -242,6 +251,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> Inp
         format: format!("PulseWaves {}.{}", header.version.0, header.version.1),
         instrument: scanner.and_then(|scanner| text(&scanner.instrument)),
         serial: scanner.and_then(|scanner| text(&scanner.serial)),
+        odd_sample_shift: 0.0,
         sampling_interval_ns: samplings().map(|s| s.sample_units_ns).find(|ns| *ns > 0.0).unwrap_or(1.0),
         full_scale_dn: (bits == Some(8)).then_some(255),
         group_velocity_mps: beams.vertical().map_or(GROUP_VELOCITY_MPS, |metres_per_ns| metres_per_ns * 2e9),

@@ -24,7 +24,7 @@ pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_arrow", &[Kind::Sh
 /// scan line, one row per shot. The columns and metadata keys stand in `schemas/container.json`.
 ///
 /// What comes back from `read_arrow` is equal to the bit: emissions, blocks, samples, online returns, and what is known
-/// of the recording but for its path and format. Not written is what the chain finds by itself: the fitted moment of
+/// of the recording but for its path, its format and the reader's `odd_sample_shift`. Not written is what the chain finds by itself: the fitted moment of
 /// emission, and the sensor model of `calibrate`.
 ///
 /// The columns `scan_angle_deg` and `frame_scale` and the fields `zone` and `interval_ns` of blocks are this program's

@@ -275,7 +275,7 @@ fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
     }
 }
 
-/// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak's height (DEFINITIONS: amplitude).
+/// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak's height.
 fn linear_amplitude(r: &Return) -> f64 {
     if r.amplitude_db.is_nan() { r.amplitude_dn } else { 7.0 * 10f64.powf(r.amplitude_db / 10.0) }
 }

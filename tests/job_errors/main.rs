@@ -11,6 +11,7 @@ mod keys;
 mod nested_keys;
 mod never_panics;
 mod overrides;
+mod stage_keys;
 mod stages_and_ids;
 mod syntax;
 

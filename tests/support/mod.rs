@@ -1,6 +1,7 @@
 //! A folder with inputs, a job in it, and what the program makes of both.
 #![allow(dead_code, missing_docs, reason = "each test binary uses its own part")]
 
+pub mod container;
 pub mod las;
 pub mod pulsewaves;
 pub mod shots;

@@ -186,7 +186,8 @@ impl Decomposer {
             let p = self.scene.found[i].pulse;
             let per_dn = self.detector.significance_per_dn(self.scene.whitener(), p.position_samples);
             let energy = p.height_dn * p.ln_width_ratio.exp();
-            let part = per_dn * energy / self.threshold_at(p.position_samples, p.height_dn);
+            let threshold = self.threshold_at(p.position_samples, p.height_dn);
+            let part = per_dn * energy / threshold;
             if part < weakest.0 {
                 weakest = (part, Some(i));
             }

@@ -129,6 +129,11 @@ impl Scene {
         &self.residual_dn
     }
 
+    /// The residual, whitened, as of the last [`Scene::update_residual`].
+    pub(super) fn whitened(&self) -> &[f64] {
+        &self.whitened
+    }
+
     pub(super) fn offset_dn(&self) -> f64 {
         self.offset_dn
     }
@@ -159,10 +164,10 @@ impl Scene {
         self.used.clear();
         let clear_dn = CLEAR_OF_ZERO_SD * model.noise_sd_dn;
         let mut recovering = 0;
+        model.signal_into(samples, start_phase, &mut self.target_dn);
         for (k, &sample) in samples.iter().enumerate() {
             let value = f64::from(sample);
             let background = model.background_at(start_phase, k);
-            self.target_dn.push(value - background);
             if value >= model.full_scale_dn {
                 recovering = recovery_samples + 1;
             }

@@ -134,12 +134,14 @@ impl Decompose<'_> {
         let is_long = block.samples.len() > self.work.rows.capacity();
         let kept = found.as_slice();
         let is_cut_off = highest >= saturated || (lowest == 0 && self.clear_of_zero);
-        if is_cut_off || block.start_phase % 4 != 0 || is_long {
+        if is_cut_off || !block.start_phase.is_multiple_of(4) || is_long {
             return plain;
         }
-        if found.too_many || kept.len() > self.settings.max_returns.min(MAX_PULSES) {
+        if found.too_many {
             return plain;
         }
+        // The candidates are sorted by strength: of too many the strongest are kept.
+        let kept = &kept[..kept.len().min(self.settings.max_returns)];
         let mut scene = Scene::default();
         scene.counts = Counts {
             n_candidates: found.found as u32,

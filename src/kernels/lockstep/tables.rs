@@ -5,7 +5,7 @@ use super::vector::{LANES, Sixteen};
 use crate::kernels::gauss_fit::FOUR_LN_2;
 use crate::kernels::noise::ArNoise;
 use crate::kernels::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
-use crate::kernels::sensor_model::ChannelModel;
+use crate::kernels::sensor_model::{ChannelModel, Digitiser};
 
 /// Samples of a template row: from 11 before the peak's sample to 20 behind it, past the after-pulse.
 pub(super) const ROW: usize = 32;
@@ -115,12 +115,14 @@ pub struct Tables {
 }
 
 impl Tables {
-    /// Tables for a channel. `None` where the fast kernels are not made for it: a background that is each waveform's own,
+    /// Tables for a channel. `None` where the fast kernels are not made for it: a digitiser that shifts odd samples or leaves
+    /// a tail of its own, a background that is each waveform's own,
     /// noise of an order above 4, a pulse narrower than 1.5 or wider than 6 samples, or a model that describes no channel.
     pub fn new(model: &ChannelModel) -> Option<Tables> {
         let fwhm = model.fwhm_samples();
         let noise = model.noise().ok()?;
-        let fits = noise.order() <= MAX_ORDER && FWHM_RANGE.contains(&fwhm);
+        let is_plain = Digitiser::is_plain(&model.digitiser);
+        let fits = is_plain && noise.order() <= MAX_ORDER && FWHM_RANGE.contains(&fwhm);
         if !fits || model.offset_precision().is_some() || model.check().is_err() {
             return None;
         }

@@ -48,9 +48,8 @@ impl<'a> Quality<'a> {
 
     pub(super) fn add(&mut self, single: &Single<'_>) {
         let block = single.block;
-        let level = |k: usize| self.model.background_at(block.start_phase, k);
-        let target: Vec<f64> =
-            block.samples.iter().enumerate().map(|(k, &s)| f64::from(s) - level(k)).collect();
+        let mut target = Vec::with_capacity(block.samples.len());
+        self.model.signal_into(block.samples, block.start_phase, &mut target);
         let start = Pulse {
             height_dn: single.fitted.amplitude_dn,
             position_samples: single.fitted.position_samples,

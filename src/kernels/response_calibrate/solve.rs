@@ -67,8 +67,7 @@ impl<'a> Problem<'a> {
         let samples = single.block.samples;
         self.whitener.set_used(&vec![true; samples.len()]);
         self.target.clear();
-        let level = |k: usize| self.model.background_at(single.block.start_phase, k);
-        self.target.extend(samples.iter().enumerate().map(|(k, &s)| f64::from(s) - level(k)));
+        self.model.signal_into(samples, single.block.start_phase, &mut self.target);
         let start = Pulse {
             height_dn: single.fitted.amplitude_dn,
             position_samples: single.fitted.position_samples,
@@ -90,7 +89,7 @@ impl<'a> Problem<'a> {
         self.columns.clear();
         self.columns.resize(self.basis.len() * samples, 0.0);
         for k in 0..samples {
-            for (j, value) in self.basis.at(k as f64 - pulse.position_samples) {
+            for (j, value) in self.basis.at(self.model.digitiser.time_of(k) - pulse.position_samples) {
                 self.columns[j * samples + k] = pulse.height_dn * value;
             }
         }

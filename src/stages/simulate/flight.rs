@@ -185,6 +185,7 @@ fn input(config: &Simulate) -> InputInfo {
         instrument: Some("simulated line scanner".to_owned()),
         serial: None,
         sampling_interval_ns: INTERVAL_NS,
+        odd_sample_shift: 0.0,
         full_scale_dn: Some(FULL_SCALE_DN),
         group_velocity_mps: GROUP_VELOCITY_MPS,
         pulse_rate_hz: Some(config.pulse_rate_hz),

@@ -27,6 +27,7 @@ fn info() -> Arc<InputInfo> {
         format: "made".into(),
         instrument: None,
         serial: None,
+        odd_sample_shift: 0.0,
         sampling_interval_ns: 1.0,
         full_scale_dn: None,
         group_velocity_mps: 299_707_502.0,

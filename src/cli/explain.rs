@@ -1,0 +1,237 @@
+//! `wavex explain`: one shot, from its samples to its returns, as a table and as a picture.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+
+use super::{ExplainArgs, Failure, JobArgs, convert, run, terminal};
+use crate::batch::{Batch, Returns};
+use crate::formats::Error;
+use crate::job::{Job, JobStage, Override};
+use crate::stage::{Context, OutputFile, Plan, Site, SourcePlan, TransformConfig};
+use crate::stages::calibrate::Calibrate;
+use crate::stages::decompose::{Decompose, Shot, ShotDecomposer};
+use seen::{Explained, Seen};
+use upstream::{Step, Upstream};
+
+mod picture;
+mod seen;
+mod svg;
+mod table;
+mod upstream;
+
+/// Prints the table of a shot's returns and writes its picture.
+pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
+    if let Some(out) = &args.out
+        && !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"))
+    {
+        let problem = "the picture is SVG: give it a name that ends in .svg";
+        return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));
+    }
+    let chain = Chain::of(args)?;
+    let shot = match (args.shot, args.time) {
+        (Some(shot), _) => shot,
+        (None, time) => chain.nearest(time.unwrap_or_default())?,
+    };
+    let line = chain.line_of(shot)?;
+    let explained = decompose(line, shot, &chain)?;
+    let path = args.out.clone().unwrap_or_else(|| format!("{}_shot_{shot}.svg", chain.site.stem).into());
+    write(&path, &picture::draw(&explained)).map_err(|error| failed(&error))?;
+    let said = format!("{}\nwrote {}\n", table::table(&explained), path.display());
+    if quiet { Ok(()) } else { terminal::print(&said) }
+}
+
+/// Writes a picture, which has its name only when it is whole.
+fn write(path: &Path, picture: &str) -> crate::formats::Result<()> {
+    let mut file = OutputFile::create(path)?;
+    file.write_all(picture.as_bytes()).map_err(Error::io(path, "write"))?;
+    file.finish()?.publish()?;
+    Ok(())
+}
+
+/// A job's stages up to `decompose`, over one recording.
+struct Chain {
+    job: Job,
+    site: Site,
+    /// Keys of `calibrate` in which nothing is saved.
+    calibrate: Calibrate,
+    decompose: Decompose,
+    /// The reader of the recording.
+    source: std::sync::Arc<dyn SourcePlan>,
+}
+
+impl Chain {
+    fn of(args: &ExplainArgs) -> Result<Chain, Failure> {
+        let file = args.file.display().to_string();
+        let reader = convert::reader_of(&file).map_err(Failure::Wrong)?;
+        let default_job = default_job(reader, &file, if args.job.is_some() { &[] } else { &args.set })?;
+        let (job, folder) = match &args.job {
+            None => (default_job.clone(), PathBuf::from(".")),
+            Some(path) => {
+                let job = JobArgs { job: path.clone(), set: args.set.clone() };
+                (job.read(None)?, job.folder())
+            }
+        };
+        let reads_file = job.stages.first().is_some_and(|stage| stage.spec.name == reader);
+        let reading = if reads_file { &job } else { &default_job };
+        let Some(Plan::Source(source)) = reading.stages.first().map(|stage| stage.planned.plan.clone())
+        else {
+            return Err(Failure::Wrong(format!(
+                "{}: the job has no source; begin it with a reader",
+                job.name
+            )));
+        };
+        let mut calibrate: Calibrate = keys_of(&job, "calibrate")?;
+        calibrate.save = None;
+        if let Some(model) = &args.model {
+            // A relative path in the job starts at its input folder, one on the command line at the current one.
+            calibrate.load = Some(std::path::absolute(model).unwrap_or_else(|_| model.clone()));
+        }
+        let decompose = keys_of(&job, "decompose")?;
+        let (input_dir, output_dir) = run::folders(&job, &folder);
+        let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let site = Site { input: args.file.clone(), stem, input_dir, output_dir, threads: 1 };
+        Ok(Chain { job, site, calibrate, decompose, source })
+    }
+
+    fn file(&self) -> &Path {
+        &self.site.input
+    }
+
+    /// The stages between reader and `decompose`, but for sinks.
+    fn steps(&self) -> Result<Vec<Step>, Failure> {
+        let until_decompose = self.job.stages.iter().take_while(|stage| stage.spec.name != "decompose");
+        let mut steps = Vec::new();
+        for stage in until_decompose {
+            let made = match &stage.planned.plan {
+                _ if stage.spec.name == "calibrate" => {
+                    TransformConfig::make(&self.calibrate, &self.site).map(Step::transform)
+                }
+                Plan::Transform(plan) => plan.make(&self.site).map(Step::transform),
+                Plan::Map(plan) => plan.make(&self.site).map(Step::map),
+                Plan::Source(_) | Plan::Sink(_) => continue,
+            };
+            steps.push(made.map_err(|error| failed(&error))?);
+        }
+        Ok(steps)
+    }
+
+    /// The line that holds a shot, ready to be decomposed.
+    fn line_of(&self, shot: u64) -> Result<Batch, Failure> {
+        let source = self.source.make(&self.site).map_err(|error| failed(&error))?;
+        let mut upstream = Upstream::new(source, self.steps()?, crate::engine::may_hold_bytes(&self.job));
+        let mut seen = Numbers::default();
+        let holds = |batch: &Batch| {
+            batch.emissions.iter().for_each(|emission| seen.add(emission.shot));
+            batch.emissions.iter().any(|emission| emission.shot == shot)
+        };
+        let line = upstream.first(holds).map_err(|error| failed(&error))?;
+        line.ok_or_else(|| Failure::Wrong(seen.without(shot, self.file())))
+    }
+
+    /// The shot nearest to a time.
+    fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
+        let source = self.source.make(&self.site).map_err(|error| failed(&error))?;
+        let mut nearest: Option<(f64, u64)> = None;
+        let mut look = |batch: &Batch| {
+            for emission in &batch.emissions {
+                let distance_s = (emission.gps_time_s - time_s).abs();
+                if distance_s.is_finite() && nearest.is_none_or(|(least_s, _)| distance_s < least_s) {
+                    nearest = Some((distance_s, emission.shot));
+                }
+            }
+            false
+        };
+        Upstream::new(source, Vec::new(), 0).first(&mut look).map_err(|error| failed(&error))?;
+        nearest.map(|(_, shot)| shot).ok_or_else(|| {
+            let file = self.file().display();
+            Failure::Wrong(format!("{file}: its shots have no times; choose one with --shot"))
+        })
+    }
+}
+
+/// The numbers of the shots of a recording.
+#[derive(Default)]
+struct Numbers {
+    count: u64,
+    range: Option<(u64, u64)>,
+}
+
+impl Numbers {
+    fn add(&mut self, shot: u64) {
+        self.count += 1;
+        let (first, last) = self.range.unwrap_or((shot, shot));
+        self.range = Some((first.min(shot), last.max(shot)));
+    }
+
+    /// What is said where a shot is not among them.
+    fn without(&self, shot: u64, file: &Path) -> String {
+        let file = file.display();
+        match self.range {
+            None => format!(
+                "{file}: there is no shot {shot}: the recording has no shots at all; choose another file"
+            ),
+            Some((first, last)) => {
+                let count = self.count;
+                format!(
+                    "{file}: there is no shot {shot}; its {count} shots have the numbers {first} to {last}"
+                )
+            }
+        }
+    }
+}
+
+/// Decomposes the shot of a line, looking on.
+fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Failure> {
+    let without = |what: &str| {
+        let file = chain.file().display();
+        Failure::Wrong(format!("{file}: shot {shot} has {what}; choose another one"))
+    };
+    let model = line.model.clone().ok_or_else(|| without("no sensor model"))?;
+    let index = line.emissions.iter().position(|emission| emission.shot == shot).unwrap_or_default();
+    let crate::batch::Content::Shots(blocks) = line.content else {
+        return Err(without("no samples"));
+    };
+    let of_shot = blocks.by_emission().find(|(emission, _)| *emission as usize == index);
+    let echoes = of_shot.filter(|(_, of_shot)| of_shot.iter().any(|block| block.channel.is_echo()));
+    let Some((index, of_shot)) = echoes else {
+        return Err(without("no recorded echoes"));
+    };
+    let mut seen = Seen::new(&blocks);
+    let (mut returns, mut cx) = (Returns::new(), Context::default());
+    let mut shots = ShotDecomposer::new(&model, &chain.decompose).map_err(|error| failed(&error))?;
+    let of_line = Shot { index, blocks: &blocks, of_shot, input: &line.input };
+    shots
+        .decompose(&of_line, &mut line.emissions, &mut returns, &mut line.stats, &mut cx, &mut seen)
+        .map_err(|error| failed(&error))?;
+    let emission = line.emissions[index as usize];
+    let file = chain.file().display().to_string();
+    let threshold = chain.decompose.detection_sigma;
+    Ok(seen.explained(file, emission, returns, &cx, model, threshold))
+}
+
+/// The job of every default.
+fn default_job(reader: &str, file: &str, set: &[String]) -> Result<Job, Failure> {
+    let path = toml::Value::String(file.to_owned());
+    let text = format!(
+        "[[stage]]\ntype = \"{reader}\"\npath = {path}\n\n[[stage]]\ntype = \"calibrate\"\n\n\
+         [[stage]]\ntype = \"decompose\"\n"
+    );
+    let overrides: Vec<Override> = set.iter().map(Override::new).collect();
+    Ok(Job::parse("the job of `wavex explain`", &text, &overrides)?)
+}
+
+/// The keys of a job's first stage of a type.
+fn keys_of<C: DeserializeOwned>(job: &Job, stage: &str) -> Result<C, Failure> {
+    let is_it = |candidate: &&JobStage| candidate.spec.name == stage;
+    let Some(found) = job.stages.iter().find(is_it) else {
+        return Err(Failure::Wrong(format!("{}: the job has no stage `{stage}`; add one", job.name)));
+    };
+    serde_json::from_value(found.planned.resolved.clone())
+        .map_err(|error| Failure::Run(format!("`{stage}`: {error}; report this as a defect of wavex")))
+}
+
+fn failed(error: &dyn std::fmt::Display) -> Failure {
+    Failure::Run(error.to_string())
+}

@@ -1,0 +1,89 @@
+//! The stages before `decompose`, one line after the other on this thread.
+
+use crate::batch::Batch;
+use crate::stage::{Context, Map, Output, Result, Source, StageError, Transform};
+
+/// A reader and the stages behind it.
+pub(super) struct Upstream {
+    source: Box<dyn Source>,
+    cx: Context,
+    steps: Vec<Step>,
+    may_hold_bytes: usize,
+}
+
+/// A stage with its counters.
+pub(super) struct Step {
+    stage: Stage,
+    cx: Context,
+}
+
+enum Stage {
+    Map(Box<dyn Map>),
+    Transform(Box<dyn Transform>),
+}
+
+impl Step {
+    pub(super) fn map(map: Box<dyn Map>) -> Step {
+        Step { stage: Stage::Map(map), cx: Context::default() }
+    }
+
+    pub(super) fn transform(transform: Box<dyn Transform>) -> Step {
+        Step { stage: Stage::Transform(transform), cx: Context::default() }
+    }
+}
+
+impl Upstream {
+    /// `may_hold_bytes` is what each transform may hold back.
+    pub(super) fn new(source: Box<dyn Source>, steps: Vec<Step>, may_hold_bytes: usize) -> Upstream {
+        Upstream { source, cx: Context::default(), steps, may_hold_bytes }
+    }
+
+    /// The first line that is wanted; what comes behind it is not read.
+    pub(super) fn first(&mut self, mut wanted: impl FnMut(&Batch) -> bool) -> Result<Option<Batch>> {
+        let mut found = None;
+        let mut take = |batch: Batch| {
+            if !wanted(&batch) {
+                return Ok(());
+            }
+            found = Some(batch);
+            Err(StageError::Stopped)
+        };
+        match self.run(&mut take) {
+            Ok(()) | Err(StageError::Stopped) => Ok(found),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn run(&mut self, take: &mut dyn FnMut(Batch) -> Result<()>) -> Result<()> {
+        while let Some(batch) = self.source.next(&mut self.cx)? {
+            push(&mut self.steps, batch, self.may_hold_bytes, take)?;
+        }
+        for i in 0..self.steps.len() {
+            let (step, behind) = self.steps[i..].split_at_mut(1);
+            if let Some(Step { stage: Stage::Transform(transform), cx }) = step.first_mut() {
+                let mut emit = |batch| push(behind, batch, self.may_hold_bytes, take);
+                transform.finish(&mut Output::new(cx, self.may_hold_bytes, &mut emit))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Gives a line to the first of these stages, and what comes out of it to the next.
+fn push(
+    steps: &mut [Step],
+    batch: Batch,
+    may_hold_bytes: usize,
+    take: &mut dyn FnMut(Batch) -> Result<()>,
+) -> Result<()> {
+    let Some((step, behind)) = steps.split_first_mut() else {
+        return take(batch);
+    };
+    match &mut step.stage {
+        Stage::Map(map) => push(behind, map.map(batch, &mut step.cx)?, may_hold_bytes, take),
+        Stage::Transform(transform) => {
+            let mut emit = |batch| push(behind, batch, may_hold_bytes, take);
+            transform.process(batch, &mut Output::new(&mut step.cx, may_hold_bytes, &mut emit))
+        }
+    }
+}

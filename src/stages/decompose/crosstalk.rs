@@ -1,0 +1,94 @@
+//! What leaks from the emission of one shot into the block that another shot is being recorded in.
+
+use super::found::Found;
+use super::shots::Shot;
+use crate::batch::{Block, Emission, EmissionReference, flags};
+
+/// A return so many widths of a pulse from an emission is on what leaks in from it.
+const NEAR_WIDTHS: f64 = 3.0;
+
+/// When the other shots of a line left, as seen from one of them.
+pub(super) struct Departures<'a> {
+    /// In order of their clocks; none where block times do not count from the clock.
+    emissions: &'a [Emission],
+    clock_ps: i64,
+    /// How long after its clock a shot leaves: the shot's own delay stands for all.
+    delay_ns: f64,
+}
+
+impl<'a> Departures<'a> {
+    /// `delay_ns` is how long after its clock the shot left.
+    pub(super) fn of(emissions: &'a [Emission], shot: &Shot, delay_ns: f64) -> Departures<'a> {
+        // Where only return locations are known (LAS), blocks count from their own first sample.
+        let known = shot.input.emission_reference != EmissionReference::ReturnLocations;
+        let clock_ps = emissions.get(shot.index as usize).map_or(0, |emission| emission.clock_ps);
+        Departures { emissions: if known { emissions } else { &[] }, clock_ps, delay_ns }
+    }
+
+    /// Times between two moments at which other shots left, all after the shot's clock, ns.
+    fn within(&self, from_ns: f64, to_ns: f64) -> impl Iterator<Item = f64> + '_ {
+        let clock_at = |time_ns: f64| {
+            // A float converts to the nearest integer in range.
+            self.clock_ps.saturating_add(((time_ns - self.delay_ns) * 1000.0) as i64)
+        };
+        let first = self.emissions.partition_point(|emission| emission.clock_ps < clock_at(from_ns));
+        let end = self.emissions.partition_point(|emission| emission.clock_ps <= clock_at(to_ns));
+        let others = self.emissions.get(first..end).unwrap_or_default().iter();
+        // Shots that share a clock cannot be told apart: their times are too coarse.
+        let others = others.filter(|emission| emission.clock_ps != self.clock_ps);
+        others.map(|emission| emission.clock_ps.saturating_sub(self.clock_ps) as f64 / 1000.0 + self.delay_ns)
+    }
+
+    /// Flags what was found in a block, `found[first..]`, where another shot left during it, and drops what overlaps its
+    /// emission where that is wanted. Returns how many were dropped.
+    pub(super) fn mark(
+        &self,
+        block: &Block,
+        fwhm_ns: f64,
+        drop_overlapped: bool,
+        found: &mut Vec<Found>,
+        first: usize,
+    ) -> u64 {
+        let (from_ns, to_ns) = (block.time_ns(0.0), block.time_ns(block.len().saturating_sub(1) as f64));
+        if self.within(from_ns, to_ns).next().is_none() {
+            return 0;
+        }
+        let reach_ns = NEAR_WIDTHS * fwhm_ns;
+        for found in &mut found[first..] {
+            let near = self.within(from_ns, to_ns).any(|left_ns| (left_ns - found.time_ns).abs() <= reach_ns);
+            found.flags |= if near { flags::EMISSION_ON_ECHO } else { flags::EMISSION_IN_BLOCK };
+        }
+        let before = found.len();
+        if drop_overlapped {
+            let mut index = 0;
+            found.retain(|found| {
+                index += 1;
+                index <= first || found.flags & flags::EMISSION_ON_ECHO == 0
+            });
+        }
+        (before - found.len()) as u64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(clock_ps: i64) -> Emission {
+        Emission { clock_ps, ..Emission::default() }
+    }
+
+    #[test]
+    fn departures_count_from_the_shots_clock() {
+        let emissions = [at(0), at(1_000_000), at(1_000_000), at(2_500_000), at(9_000_000)];
+        let of = |clock_ps, delay_ns, from, to| {
+            let departures = Departures { emissions: &emissions, clock_ps, delay_ns };
+            departures.within(from, to).collect::<Vec<f64>>()
+        };
+        assert_eq!(of(0, 0.0, 900.0, 2600.0), [1000.0, 1000.0, 2500.0]);
+        assert_eq!(of(0, 2.0, 1001.0, 1010.0), [1002.0, 1002.0]);
+        assert_eq!(of(1_000_000, 0.0, -10.0, 10.0), [] as [f64; 0], "neither itself nor its equal");
+        assert_eq!(of(2_500_000, 0.0, -1600.0, -1400.0), [-1500.0, -1500.0]);
+        assert_eq!(of(0, 0.0, f64::NEG_INFINITY, f64::INFINITY).len(), 4);
+    }
+}

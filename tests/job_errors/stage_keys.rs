@@ -1,0 +1,55 @@
+//! What the stages of the registry say of their own keys.
+
+use wavex::job::Job;
+
+/// A job whose stage has this line among its keys is refused with this message at that line.
+#[track_caller]
+fn refused(stage: &str, line: &str, message: &str) {
+    let keys = |of: &str| if of == stage { format!("{line}\n") } else { String::new() };
+    let text = format!(
+        "[[stage]]\ntype = \"read_arrow\"\npath = \"a.arrow\"\n{}\n[[stage]]\ntype = \"calibrate\"\n{}\n\
+         [[stage]]\ntype = \"decompose\"\n{}\n",
+        keys("read_arrow"),
+        keys("calibrate"),
+        keys("decompose")
+    );
+    let error = Job::parse("job.toml", &text, &[]).unwrap_err().to_string();
+    let first = error.lines().next().unwrap();
+    assert_eq!(first, format!("error: {message}"));
+    assert!(error.contains(line.lines().next().unwrap()), "{error}");
+}
+
+#[test]
+fn keys_of_decompose() {
+    let problem = "`detection_sigma_last`: it must lie between detection_sigma and 1000, or be `false`";
+    for value in ["4.0", "1001", "true"] {
+        refused("decompose", &format!("detection_sigma_last = {value}"), problem);
+    }
+    let problem = "`split_evidence`: it must lie between 4 and 1000000, or be `false`";
+    refused("decompose", "split_evidence = 3", problem);
+    let problem = "`drop_emission_crosstalk` must be `true` or `false`; this is the number 1";
+    refused("decompose", "drop_emission_crosstalk = 1", problem);
+}
+
+#[test]
+fn keys_of_calibrate() {
+    let problem = "`decay_amplitude`: it must lie between -0.9 and 0.9, or be \"auto\"";
+    refused("calibrate", "decay_amplitude = 0.9\ndecay_time_ns = 20", problem);
+    let problem = "`decay_time_ns`: it must be above 0 and at most 1000000, or \"auto\"";
+    refused("calibrate", "decay_time_ns = 0\ndecay_amplitude = 0.1", problem);
+    let problem = "`decay_amplitude`: it needs decay_time_ns beside it";
+    refused("calibrate", "decay_amplitude = 0.1", problem);
+    let problem = "`decay_time_ns`: it needs decay_amplitude beside it";
+    refused("calibrate", "decay_time_ns = 20", problem);
+}
+
+#[test]
+fn keys_of_readers() {
+    let problem = "`odd_sample_shift`: it must lie between -0.5 and 0.5";
+    refused("read_arrow", "odd_sample_shift = 0.5", problem);
+    for reader in ["read_las", "read_pulsewaves"] {
+        let text = format!("[[stage]]\ntype = \"{reader}\"\npath = \"a\"\nodd_sample_shift = -2\n");
+        let error = Job::parse("job.toml", &text, &[]).unwrap_err().to_string();
+        assert!(error.starts_with(&format!("error: {problem}\n --> job.toml:4:20")), "{error}");
+    }
+}

@@ -1,0 +1,246 @@
+//! Keys of readers, calibrate and decompose: what each changes of the results.
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use std::collections::BTreeMap;
+
+use support::container::{Shot, container};
+use support::{Outcome, Place, shots};
+use wavex::batch::flags::{ECHO_ON_OUTGOING, EMISSION_IN_BLOCK, EMISSION_ON_ECHO};
+use wavex::formats::container::EmissionReference;
+
+const SHOTS: usize = 320;
+/// Channel codes of the container.
+const LOW: u8 = 1;
+const REFERENCE: u8 = 3;
+/// Time from shot to shot.
+const INTERVAL_NS: f64 = 5000.0;
+
+/// A row of a table of returns by column.
+type Row = BTreeMap<String, String>;
+
+fn number(row: &Row, column: &str) -> f64 {
+    row[column].parse().unwrap()
+}
+
+fn flags_of(row: &Row) -> u16 {
+    row["flags"].parse().unwrap()
+}
+
+/// Reads a container with these keys of the stages: the table of returns, and the report of the input.
+fn run(place: &Place, reader: &str, calibrate: &str, decompose: &str) -> (Vec<Row>, serde_json::Value) {
+    let job = format!(
+        "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{reader}\n[[stage]]\ntype = 'calibrate'\n{calibrate}\n\
+         [[stage]]\ntype = 'decompose'\n{decompose}\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n"
+    );
+    assert_eq!(place.run(&job), Outcome { code: Some(0), err: String::new() });
+    let table = place.text("out/a.csv");
+    let mut lines = table.lines().map(|line| line.split(',').map(str::to_owned));
+    let heads: Vec<String> = lines.next().unwrap().collect();
+    let rows = lines.map(|cells| heads.iter().cloned().zip(cells).collect()).collect();
+    let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    (rows, report["inputs"][0]["totals"].clone())
+}
+
+/// A waveform of pulses (sample of the peak, height), with noise of its own.
+fn samples(shot: usize, pulses: &[(f64, f64)]) -> Vec<u16> {
+    samples_at(shot, pulses, |k| k as f64)
+}
+
+/// The same where sample `k` is taken at another time.
+fn samples_at(shot: usize, pulses: &[(f64, f64)], taken_at: impl Fn(usize) -> f64) -> Vec<u16> {
+    let noise = shots::waveform(shot, 1e6, 0.0);
+    let signal = |k: usize| {
+        let of = |&(peak, height): &(f64, f64)| {
+            let x = (taken_at(k) - peak) / (4.5 / 2.354_82);
+            height * f64::exp(-0.5 * x * x)
+        };
+        pulses.iter().map(of).sum::<f64>()
+    };
+    noise
+        .iter()
+        .enumerate()
+        .map(|(k, &n)| (f64::from(n) + signal(k)).round().clamp(0.0, 255.0) as u16)
+        .collect()
+}
+
+/// Shots with an outgoing pulse that leaves at their clock and one echo 1024 ns later; some are different.
+fn recording(change: impl Fn(usize, &mut Shot)) -> Place {
+    let shot = |number: usize| {
+        let place = 0.1 * (number % 7) as f64;
+        let mut shot = Shot {
+            clock_ps: (number as f64 * INTERVAL_NS * 1000.0) as i64,
+            blocks: vec![
+                (REFERENCE, -20.0, samples(1000 + number, &[(20.0, 150.0)])),
+                (LOW, 1000.0, samples(number, &[(24.0 + place, 120.0)])),
+            ],
+        };
+        change(number, &mut shot);
+        shot
+    };
+    let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
+    Place::with(&[("a.arrow", &container(&all, EmissionReference::OutgoingPulse, true))])
+}
+
+fn of_shot(rows: &[Row], shot: usize) -> Vec<&Row> {
+    let shot = (100 + shot).to_string();
+    rows.iter().filter(|row| row["shot"] == shot).collect()
+}
+
+/// Shot 50 is recorded while shot 51 leaves, close to its echo; shot 60 while shot 61 leaves, whose emission leaks in; on
+/// the outgoing pulse of shot 70 lies an echo.
+fn with_crosstalk() -> Place {
+    recording(|number, shot| match number {
+        50 => shot.blocks[1].1 = INTERVAL_NS - 20.0,
+        60 => shot.blocks[1] = (LOW, INTERVAL_NS - 40.0, samples(number, &[(12.0, 120.0), (40.0, 60.0)])),
+        70 => shot.blocks[0].2 = samples(number, &[(20.0, 150.0), (24.0, 60.0)]),
+        _ => {}
+    })
+}
+
+#[test]
+fn crosstalk_is_flagged_and_dropped_on_request() {
+    let place = with_crosstalk();
+    let (rows, totals) = run(&place, "", "", "");
+    let flags =
+        |shot: usize| of_shot(&rows, shot).iter().map(|row| flags_of(row) & 0b11_1000).collect::<Vec<_>>();
+    assert_eq!(flags(50), [EMISSION_ON_ECHO]);
+    assert_eq!(flags(60), [EMISSION_IN_BLOCK, EMISSION_ON_ECHO]);
+    assert_eq!(flags(70), [ECHO_ON_OUTGOING]);
+    let others = (0..SHOTS).filter(|shot| ![50, 60, 70].contains(shot));
+    assert!(others.flat_map(flags).all(|flags| flags == 0));
+    assert_eq!((&totals["np_xtalk"], &totals["np_xtalk_dropped"]), (&4.into(), &0.into()));
+
+    let unreliable = of_shot(&rows, 70)[0];
+    assert!((number(unreliable, "range_sd_m") - 0.255).abs() < 1e-12, "{unreliable:?}");
+    assert!(rows.iter().all(|row| row["shot"] == "170" || number(row, "range_sd_m") < 0.02));
+
+    let (kept, totals) = run(&place, "", "", "drop_emission_crosstalk = true");
+    assert_eq!(of_shot(&kept, 50).len(), 0);
+    assert_eq!(of_shot(&kept, 60).len(), 1);
+    assert_eq!((&totals["np_xtalk"], &totals["np_xtalk_dropped"]), (&2.into(), &2.into()));
+    let total = |name: &str| totals[name].as_u64().unwrap();
+    assert_eq!(
+        total("n_candidates") + total("n_added"),
+        total("np") + total("np_filtered") + total("np_merged") + total("np_xtalk_dropped")
+    );
+    assert_eq!(total("nw"), total("nw_empty") + total("nw_deleted") + total("nw_with_points"));
+}
+
+#[test]
+fn the_last_of_several_returns_may_have_its_own_threshold() {
+    let place = recording(|number, shot| match number {
+        10 => shot.blocks[1].2 = samples(number, &[(14.0, 120.0), (36.0, 9.0)]),
+        11 => shot.blocks[1].2 = samples(number, &[(14.0, 9.0), (36.0, 120.0)]),
+        12 => shot.blocks[1].2 = samples(number, &[(24.0, 9.0)]),
+        _ => {}
+    });
+    let counts = |keys: &str| {
+        let (rows, totals) = run(&place, "", "", keys);
+        ([10, 11, 12].map(|shot| of_shot(&rows, shot).len()), totals["np_filtered"].as_u64().unwrap())
+    };
+    let (without, filtered) = counts("");
+    assert_eq!(without, [2, 2, 1]);
+    let (with, more_filtered) = counts("detection_sigma_last = 30");
+    assert_eq!(with, [1, 2, 1], "neither the first of two nor an only one is the last of several");
+    assert_eq!(more_filtered, filtered + 1);
+}
+
+/// Mean and standard deviation of the mean of `time_of_flight_ns` less the truth, of echoes at 24 + 0.1 (shot % 7).
+fn bias_ns(rows: &[Row]) -> (f64, f64) {
+    let error = |row: &Row| {
+        let place = 0.1 * ((number(row, "shot") as usize - 100) % 7) as f64;
+        number(row, "time_of_flight_ns") - (1024.0 + place)
+    };
+    let errors: Vec<f64> = rows.iter().map(error).filter(|error| error.abs() < 1.0).collect();
+    assert!(errors.len() > SHOTS / 2);
+    let n = errors.len() as f64;
+    let mean = errors.iter().sum::<f64>() / n;
+    let variance = errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (mean, (variance / n).sqrt())
+}
+
+/// Odd samples are taken 0.1 samples late, but only by the echoes' digitiser does it show as a bias: the outgoing pulse is
+/// left out, and times count from the clock.
+#[test]
+fn odd_samples_that_come_late_bias_no_range() {
+    let late = |k: usize| k as f64 + if k % 2 == 1 { 0.1 } else { 0.0 };
+    let shot = |number: usize| Shot {
+        clock_ps: (number as f64 * INTERVAL_NS * 1000.0) as i64,
+        blocks: vec![(LOW, 1000.0, samples_at(number, &[(24.0 + 0.1 * (number % 7) as f64, 120.0)], late))],
+    };
+    let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
+    let place = Place::with(&[("a.arrow", &container(&all, EmissionReference::Clock, true))]);
+    let (without, _) = run(&place, "", "response = 'gaussian'", "");
+    let (bias, sd) = bias_ns(&without);
+    assert!((bias + 0.05).abs() < 4.0 * sd, "half of the shift: {bias} {sd}");
+    let (with, _) = run(&place, "odd_sample_shift = 0.1", "response = 'gaussian'", "");
+    let (bias, sd) = bias_ns(&with);
+    assert!(bias.abs() < 4.0 * sd && sd < 0.004, "{bias} {sd}");
+
+    // With the response of the recording itself, the zero of time is the peak of the response.
+    let (with, _) = run(&place, "odd_sample_shift = 0.1", "save = 'model.json'", "");
+    let (bias, sd) = bias_ns(&with);
+    assert!(bias.abs() < 0.01 + 4.0 * sd, "{bias} {sd}");
+    let model: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
+    assert_eq!(model["low_power"]["digitiser"]["odd_sample_shift"], 0.1);
+}
+
+/// Behind every echo hangs an exponential tail of 40 % of its area. Taken off, no return is found in it, and the widths and
+/// amplitudes are those of the echoes.
+#[test]
+fn a_given_tail_is_taken_off_before_everything_else() {
+    let (amplitude, time_ns) = (0.4, 12.0);
+    let with_tail = |number: usize| {
+        let clean = samples(number, &[(16.0, 120.0)]);
+        let kept = f64::exp(-1.0 / time_ns);
+        let mut tail = 0.0;
+        let digitised = clean.iter().map(|&sample| {
+            let seen = f64::from(sample) + tail;
+            tail = kept * tail + amplitude * (1.0 - kept) * (f64::from(sample) - 3.0);
+            seen.round().clamp(0.0, 255.0) as u16
+        });
+        digitised.collect::<Vec<u16>>()
+    };
+    let shot = |number: usize| Shot {
+        clock_ps: (number as f64 * INTERVAL_NS * 1000.0) as i64,
+        blocks: vec![(LOW, 1000.0, with_tail(number))],
+    };
+    let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
+    let place = Place::with(&[("a.arrow", &container(&all, EmissionReference::Clock, true))]);
+    let gaussian = "response = 'gaussian'";
+    let (without, _) = run(&place, "", gaussian, "");
+    let keys = format!("{gaussian}\ndecay_amplitude = {amplitude}\ndecay_time_ns = {time_ns}");
+    let (with, _) = run(&place, "", &keys, "");
+    assert!(without.len() > SHOTS * 5 / 4, "a Gaussian takes the tail for returns: {}", without.len());
+    assert_eq!(with.len(), SHOTS);
+    let mean = |column: &str| with.iter().map(|row| number(row, column)).sum::<f64>() / with.len() as f64;
+    assert!((mean("amplitude_dn") - 120.0).abs() < 0.5, "{}", mean("amplitude_dn"));
+    assert!((mean("time_of_flight_ns") - 1016.0).abs() < 0.01, "{}", mean("time_of_flight_ns"));
+    assert!((mean("fwhm_ns") - 4.5).abs() < 0.05, "{}", mean("fwhm_ns"));
+}
+
+#[test]
+fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
+    let place = recording(|_, _| {});
+    run(&place, "", "save = 'model.json'", "");
+    let model = place.path("out/model.json");
+    let load = format!("load = '{}'", model.display());
+    let (_, _) = run(&place, "", &load, "");
+    let notes = |place: &Place| place.text("out/report.json").matches("the model's own are used").count();
+    assert_eq!(notes(&place), 0);
+    run(&place, "odd_sample_shift = 0.2", &load, "");
+    assert_eq!(notes(&place), 1);
+
+    // A model that lacks the outgoing pulse serves, too: times then count from the clock.
+    let mut part: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
+    part.as_object_mut().unwrap().remove("reference");
+    place.write("out/part.json", part.to_string().as_bytes());
+    let (rows, _) = run(&place, "", &format!("load = '{}'", place.path("out/part.json").display()), "");
+    assert_eq!(rows.len(), SHOTS);
+    assert!(
+        rows.iter().all(|row| number(row, "time_of_flight_sd_ns") > 0.28),
+        "a part of a sample is unknown"
+    );
+}

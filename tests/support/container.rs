@@ -1,0 +1,66 @@
+//! Containers made by hand: shots that look straight down, each with its blocks.
+
+use wavex::formats::container::{
+    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference, Frame,
+    LineBuilder, TimeScale,
+};
+
+/// A shot of a container.
+pub struct Shot {
+    /// Its time on the instrument's clock, ps.
+    pub clock_ps: i64,
+    /// Channel code, time of the first sample after the clock (ns), samples.
+    pub blocks: Vec<(u8, f64, Vec<u16>)>,
+}
+
+/// A container of one line with these shots, numbered from 100 on; without times where `timed` is false.
+pub fn container(shots: &[Shot], reference: EmissionReference, timed: bool) -> Vec<u8> {
+    let header = ContainerHeader {
+        instrument: None,
+        serial: None,
+        sampling_interval_ns: 1.0,
+        group_velocity_mps: 299_707_502.0,
+        pulse_rate_hz: None,
+        time_scale: TimeScale::Week,
+        gps_week: None,
+        frame: Frame::Scanner,
+        crs_wkt: None,
+        amplitude_low: None,
+        amplitude_high: None,
+        range_low: None,
+        range_high: None,
+        recorded: None,
+        full_scale_dn: Some(255),
+        coordinate_grid: None,
+        emission_reference: Some(reference),
+    };
+    let path = std::path::Path::new("made by hand");
+    let mut writer = ContainerWriter::file(Vec::new(), path, &header, Compression::None).unwrap();
+    let mut line = LineBuilder::new();
+    for (number, shot) in (100..).zip(shots) {
+        line.shot(&ContainerShot {
+            shot: number,
+            line: 0,
+            gps_time_s: timed.then_some(shot.clock_ps as f64 * 1e-12),
+            clock_ps: shot.clock_ps,
+            origin_m: [0.0; 3],
+            direction: [0.0, 0.0, -1.0],
+            facet: 0,
+            flags: 0,
+            mta_zone: Some(0),
+            scan_angle_deg: None,
+            frame_scale: None,
+        });
+        for (channel, start_ns, samples) in &shot.blocks {
+            line.block(&ContainerBlock {
+                channel: *channel,
+                start_ns: *start_ns,
+                zone: None,
+                interval_ns: None,
+                samples,
+            });
+        }
+    }
+    writer.write(line).unwrap();
+    writer.finish().unwrap()
+}
