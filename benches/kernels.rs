@@ -1,7 +1,8 @@
 //! What the fast kernels reach: million waveforms per core-second, by thread CPU time, medians.
 //!
 //! `cargo bench --bench kernels` prints a table. With `WAVEX_YARDSTICK` naming the yardstick's run script it also runs
-//! that, in the same minute, and prints the ratios to it: absolute figures depend on the core, ratios much less.
+//! that, in the same minute, and prints the ratios to it: absolute figures depend on the core, ratios much less. The name of
+//! a run as argument (`-- "mixed, refined"`) does that one alone.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 use std::f64::consts::TAU;
@@ -168,20 +169,21 @@ fn rate(mut work: impl FnMut()) -> f64 {
     rates[RUNS / 2]
 }
 
-/// Standard deviation of error over sigma, where as many returns were found as there are pulses, and the part of the
+/// Robust standard deviation of error over sigma, where as many returns were found as there are pulses, and the part of the
 /// waveforms where that is so.
 fn quality(outcomes: &Outcomes, truths: &[Vec<f64>]) -> (f64, f64) {
-    let (mut n, mut sum, mut right) = (0.0, 0.0, 0.0);
+    let (mut scores, mut right) = (Vec::new(), 0.0);
     for (outcome, truth) in outcomes.iter().zip(truths) {
         if outcome.returns.len() == truth.len() {
             right += 1.0;
             for (r, place) in outcome.returns.iter().zip(truth) {
-                n += 1.0;
-                sum += ((r.position_samples - place) / r.position_sd_samples).powi(2);
+                scores.push(((r.position_samples - place) / r.position_sd_samples).abs());
             }
         }
     }
-    ((sum / n).sqrt(), right / truths.len() as f64)
+    scores.sort_by(f64::total_cmp);
+    // The median of the absolute value of a standard normal variable.
+    (scores[scores.len() / 2] / 0.674_49, right / truths.len() as f64)
 }
 
 fn blocks(samples: &[u16]) -> Vec<Block<'_>> {
@@ -212,17 +214,24 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets) 
         ("mixed, fast_separated", &settings, Mode::FastSeparated, 2),
         ("mixed, fastest", &settings, Mode::Fastest, 2),
     ];
+    let only = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
     for (rate_of, (name, settings, mode, set)) in rates[1..].iter_mut().zip(runs) {
+        if only.as_ref().is_some_and(|only| only != name) {
+            continue;
+        }
         let (samples, truths) = &sets[set];
         let blocks = blocks(samples);
         let mut kernels = kernels(settings, mode);
         let mut outcomes = Outcomes::default();
         *rate_of = rate(|| kernels.decompose(&blocks, &mut outcomes));
+        let before = kernels.left_to_plain();
+        kernels.decompose(&blocks, &mut outcomes);
+        let left = kernels.left_to_plain() - before;
         let (z, right) = quality(&outcomes, truths);
         println!(
             "      {name}: number of returns right in {:.2} %, z of the position {z:.3}, left to the plain kernels {:.2} %",
             100.0 * right,
-            100.0 * kernels.left_to_plain() as f64 / blocks.len() as f64
+            100.0 * left as f64 / blocks.len() as f64
         );
     }
     rates

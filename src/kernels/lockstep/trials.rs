@@ -58,7 +58,9 @@ impl Decompose<'_> {
         let work = &mut *self.work;
         work.active.clear();
         let scenes = work.scenes.iter().enumerate();
-        let begun = scenes.filter(|(_, scene)| scene.way == Way::Fast && !scene.pulses().is_empty());
+        let room = 1..self.settings.max_returns;
+        let begun =
+            scenes.filter(|(_, scene)| scene.way == Way::Fast && room.contains(&scene.pulses().len()));
         work.active.extend(begun.map(|(row, _)| row));
         for _ in 0..ROUNDS {
             if self.work.active.is_empty() {
