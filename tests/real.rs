@@ -10,10 +10,14 @@
 mod agreement;
 #[path = "common/recordings.rs"]
 mod recordings;
+#[path = "common/vendor_free.rs"]
+mod vendor_free;
 
 use std::path::Path;
+use std::sync::OnceLock;
 
 use recordings::{Table, data, median, robust, run_job, samples};
+use vendor_free::{EvenOddScores, Recording, Single, Superposition, tail_statistics};
 
 /// RIEGL's own returns of the Q680i recording, and ours of one route.
 struct Comparison {
@@ -271,4 +275,90 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
     );
     assert!(agreement::spread(&db) <= 0.03 && near[0] >= 0.9 && near[1] >= 0.9);
     assert!(agreement::spread(&deviations) <= 1.1 && near[2] >= 0.975);
+}
+
+/// RIEGL LMS-Q680, calibrated on its first 4000 waveforms and tested on the 12 486 others.
+fn example3(data: &Path) -> &'static Recording {
+    static RECORDING: OnceLock<Recording> = OnceLock::new();
+    RECORDING.get_or_init(|| Recording::of(&data.join("pulsewaves/riegl_example3.pls"), 4000))
+}
+
+#[test]
+fn superposed_echoes_are_told_apart() {
+    let Some(data) = data() else { return };
+    let recording = example3(&data);
+    let singles = recording.singles();
+    let flat = |s: &&Single<'_>| (0.9..1.1).contains(&s.fitted.width_ratio) && s.fitted.deviation_ratio < 3.0;
+    let of_heights = |heights: std::ops::Range<f64>| -> Vec<Single<'_>> {
+        singles.iter().filter(flat).filter(|s| heights.contains(&s.fitted.amplitude_dn)).copied().collect()
+    };
+    let (strong, weak) = (of_heights(100.0..180.0), of_heights(20.0..60.0));
+    println!("{} singles, {} strong and {} weak flat ones", singles.len(), strong.len(), weak.len());
+    let mut superposition = Superposition::new(recording);
+    for (name, first, second) in
+        [("strong, strong", &strong, &strong), ("strong, weak", &strong, &weak), ("weak, strong", &weak, &strong)]
+    {
+        for separation_ns in [2.5, 3.0, 3.5, 4.5, 5.5, 6.5, 8.0] {
+            let count = 400;
+            let (mut both, mut more, mut errors) = (0, 0, [Vec::new(), Vec::new()]);
+            let mut tried = 0;
+            // Partners far from each other in the recording, until enough of them stand at this separation.
+            for i in 0.. {
+                let (a, b) = (&first[(i * 7) % first.len()], &second[(i * 13 + 101) % second.len()]);
+                let at = (b.fitted.position_samples - a.fitted.position_samples - separation_ns).rem_euclid(1.0);
+                if (0.2..0.8).contains(&at) || std::ptr::eq(a.samples, b.samples) {
+                    continue;
+                }
+                let found = superposition.of(a, b, separation_ns);
+                assert!((found.separation_ns - separation_ns).abs() < 0.21);
+                tried += 1;
+                both += usize::from(found.both);
+                more += usize::from(found.more);
+                for (k, (error, z)) in found.errors.into_iter().flatten().enumerate() {
+                    errors[k].push((error, z));
+                }
+                if tried == count {
+                    break;
+                }
+            }
+            let part = |n: usize| 100.0 * n as f64 / count as f64;
+            let told = errors.each_ref().map(|of_one| {
+                let (bias, _) = robust(&of_one.iter().map(|e| 1000.0 * e.0).collect::<Vec<_>>());
+                let (_, z) = robust(&of_one.iter().map(|e| e.1).collect::<Vec<_>>());
+                (bias, z)
+            });
+            println!(
+                "{name}, {separation_ns} ns: both found {:.1} %, three {:.1} %; bias {:+.0} {:+.0} ps, z {:.2} {:.2}",
+                part(both), part(more), told[0].0, told[1].0, told[0].1, told[1].1
+            );
+        }
+    }
+}
+
+#[test]
+fn halves_of_an_echo_tell_the_same_place() {
+    let Some(data) = data() else { return };
+    let recording = example3(&data);
+    let singles = recording.singles();
+    let scores = EvenOddScores::of(recording, &singles);
+    let z = |scores: &[(f64, f64)], heights: std::ops::Range<f64>| {
+        let of: Vec<f64> = scores.iter().filter(|s| heights.contains(&s.0)).map(|s| s.1).collect();
+        if of.len() < 5 { return (0, 0.0, 0.0) }
+        let (m, sd) = robust(&of);
+        (of.len(), m, sd)
+    };
+    println!("factor {:.3}", recording.model.pulse_error_factor);
+    for h in [0.0..20.0, 20.0..40.0, 40.0..60.0, 60.0..80.0, 80.0..100.0,100.0..120.0,120.0..140.0,140.0..155.0,155.0..170.0,170.0..190.0,190.0..210.0, 0.0..300.0] {
+        println!("{h:?}: on {:.3?} off {:.3?}", z(&scores.on, h.clone()), z(&scores.off, h.clone()));
+    }
+}
+
+#[test]
+fn nothing_is_left_behind_echoes() {
+    let Some(data) = data() else { return };
+    let recording = example3(&data);
+    let statistics = tail_statistics(recording, &recording.singles(), 30.0);
+    let mean = statistics.iter().sum::<f64>() / statistics.len() as f64;
+    let sd = (statistics.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / statistics.len() as f64).sqrt();
+    println!("{} places: mean {mean:.3}, sd {sd:.3}, {:?}", statistics.len(), robust(&statistics));
 }

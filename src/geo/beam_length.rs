@@ -29,6 +29,9 @@ const STRAY_PART: f64 = 0.01;
 const BEAMS_PER_STRAY: usize = 20;
 /// Fewer beams than this show nothing.
 const FEWEST_BEAMS: usize = 30;
+/// A slope of fewer of its standard deviations is rounding: carried on to the vertical, it would make ranges wrong by
+/// more than a stretch that small does.
+const SIGNIFICANT_SLOPE_SD: f64 = 4.0;
 
 impl BeamLength {
     /// Learns from `beams`, displacements per nanosecond, m, each the difference of two points that were rounded to
@@ -89,8 +92,8 @@ fn sound(beams: &[[f64; 3]]) -> Vec<[f64; 3]> {
     beams.iter().filter(is_sound).copied().collect()
 }
 
-/// The line through (vertical part)^2 and length^2 by least squares; flat where all beams are alike. No beam has the
-/// length 0.
+/// The line through (vertical part)^2 and length^2 by least squares; flat where the slope does not stand out of what is
+/// left: with beams that are all alike, or in a Cartesian frame. No beam has the length 0.
 fn fit(beams: &[[f64; 3]]) -> Option<Line> {
     let pair = |beam: &[f64; 3]| (beam[2] * beam[2] / dot(*beam, *beam), dot(*beam, *beam));
     let pairs: Vec<(f64, f64)> = beams.iter().map(pair).collect();
@@ -103,8 +106,11 @@ fn fit(beams: &[[f64; 3]]) -> Option<Line> {
         let dx = pair.0 - x;
         (xx + dx * dx / n, xy + dx * (pair.1 - y) / n)
     });
-    // Below a spread of 2 degrees or so the slope would be noise.
+    // Below a spread of 2 degrees or so there is no slope to be seen.
     let slope = if xx > 1e-6 { xy / xx } else { 0.0 };
+    let left = pairs.iter().map(|pair| (pair.1 - y - slope * (pair.0 - x)).powi(2)).sum::<f64>() / n;
+    let slope_sd = (left / (n * xx.max(1e-6))).sqrt();
+    let slope = if slope.abs() > SIGNIFICANT_SLOPE_SD * slope_sd { slope } else { 0.0 };
     Some(Line { horizontal: y - slope * x, slope })
 }
 
@@ -145,6 +151,19 @@ mod tests {
                 assert!((length.of(beam) / true_length - 1.0).abs() < 4e-6, "{scale} {beam:?}");
             }
         }
+    }
+
+    /// Oblique beams only, as in a geocentric frame: the vertical is far outside what was seen.
+    #[test]
+    fn a_slope_that_rounding_explains_is_none() {
+        let oblique: Vec<[f64; 3]> = beams(1.0, 0.01)
+            .iter()
+            .map(|b| [b[0], 0.8 * b[1] - 0.6 * b[2], 0.6 * b[1] + 0.8 * b[2]])
+            .filter(|b| b[0].abs() < 0.03)
+            .map(|b| b.map(|x| (x * 150.0 / 0.01).round() * 0.01 / 150.0))
+            .collect();
+        let vertical = BeamLength::learn(&oblique, [0.01; 3], 150.0).vertical().unwrap();
+        assert!((vertical / SPEED - 1.0).abs() < 4e-6, "{}", vertical / SPEED - 1.0);
     }
 
     #[test]

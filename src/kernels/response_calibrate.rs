@@ -14,11 +14,14 @@ use quality::Quality;
 use solve::Problem;
 use spline::Basis;
 
+mod even_odd;
 mod quality;
 mod solve;
 mod spline;
 #[cfg(test)]
 mod tests;
+
+pub use even_odd::EvenOdd;
 
 /// Fewer usable single echoes do not tell a response.
 pub const MIN_ECHOES: usize = 150;
