@@ -295,9 +295,11 @@ fn superposed_echoes_are_told_apart() {
     let (strong, weak) = (of_heights(100.0..180.0), of_heights(20.0..60.0));
     println!("{} singles, {} strong and {} weak flat ones", singles.len(), strong.len(), weak.len());
     let mut superposition = Superposition::new(recording);
-    for (name, first, second) in
-        [("strong, strong", &strong, &strong), ("strong, weak", &strong, &weak), ("weak, strong", &weak, &strong)]
-    {
+    for (name, first, second) in [
+        ("strong, strong", &strong, &strong),
+        ("strong, weak", &strong, &weak),
+        ("weak, strong", &weak, &strong),
+    ] {
         for separation_ns in [2.5, 3.0, 3.5, 4.5, 5.5, 6.5, 8.0] {
             let count = 400;
             let (mut both, mut more, mut errors) = (0, 0, [Vec::new(), Vec::new()]);
@@ -305,7 +307,8 @@ fn superposed_echoes_are_told_apart() {
             // Partners far from each other in the recording, until enough of them stand at this separation.
             for i in 0.. {
                 let (a, b) = (&first[(i * 7) % first.len()], &second[(i * 13 + 101) % second.len()]);
-                let at = (b.fitted.position_samples - a.fitted.position_samples - separation_ns).rem_euclid(1.0);
+                let at =
+                    (b.fitted.position_samples - a.fitted.position_samples - separation_ns).rem_euclid(1.0);
                 if (0.2..0.8).contains(&at) || std::ptr::eq(a.samples, b.samples) {
                     continue;
                 }
@@ -329,7 +332,12 @@ fn superposed_echoes_are_told_apart() {
             });
             println!(
                 "{name}, {separation_ns} ns: both found {:.1} %, three {:.1} %; bias {:+.0} {:+.0} ps, z {:.2} {:.2}",
-                part(both), part(more), told[0].0, told[1].0, told[0].1, told[1].1
+                part(both),
+                part(more),
+                told[0].0,
+                told[1].0,
+                told[0].1,
+                told[1].1
             );
         }
     }
@@ -343,12 +351,27 @@ fn halves_of_an_echo_tell_the_same_place() {
     let scores = EvenOddScores::of(recording, &singles);
     let z = |scores: &[(f64, f64)], heights: std::ops::Range<f64>| {
         let of: Vec<f64> = scores.iter().filter(|s| heights.contains(&s.0)).map(|s| s.1).collect();
-        if of.len() < 5 { return (0, 0.0, 0.0) }
+        if of.len() < 5 {
+            return (0, 0.0, 0.0);
+        }
         let (m, sd) = robust(&of);
         (of.len(), m, sd)
     };
     println!("factor {:.3}", recording.model.pulse_error_factor);
-    for h in [0.0..20.0, 20.0..40.0, 40.0..60.0, 60.0..80.0, 80.0..100.0,100.0..120.0,120.0..140.0,140.0..155.0,155.0..170.0,170.0..190.0,190.0..210.0, 0.0..300.0] {
+    for h in [
+        0.0..20.0,
+        20.0..40.0,
+        40.0..60.0,
+        60.0..80.0,
+        80.0..100.0,
+        100.0..120.0,
+        120.0..140.0,
+        140.0..155.0,
+        155.0..170.0,
+        170.0..190.0,
+        190.0..210.0,
+        0.0..300.0,
+    ] {
         println!("{h:?}: on {:.3?} off {:.3?}", z(&scores.on, h.clone()), z(&scores.off, h.clone()));
     }
 }
@@ -361,4 +384,59 @@ fn nothing_is_left_behind_echoes() {
     let mean = statistics.iter().sum::<f64>() / statistics.len() as f64;
     let sd = (statistics.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / statistics.len() as f64).sqrt();
     println!("{} places: mean {mean:.3}, sd {sd:.3}, {:?}", statistics.len(), robust(&statistics));
+}
+
+#[test]
+fn explore_q() {
+    let Some(data) = data() else { return };
+    let recording = Recording::of(&data.join("riegl_q680i_dev/riegl_q680i_dev.pls"), 608);
+    let blocks = samples("read_pulsewaves", &data.join("riegl_q680i_dev/riegl_q680i_dev.pls"));
+    let recording = Recording { model: recording.model, blocks };
+    let r = recording.model.response.as_ref().unwrap();
+    println!(
+        "{:?} {:?}",
+        r.nodes.iter().map(|n| n.peak_dn).collect::<Vec<_>>(),
+        r.template_error.iter().take(60).map(|e| (e * 1e4).round()).collect::<Vec<_>>()
+    );
+    let singles = recording.singles();
+    let scores = EvenOddScores::of(&recording, &singles);
+    let z = |scores: &[(f64, f64)], heights: std::ops::Range<f64>| {
+        let of: Vec<f64> = scores.iter().filter(|s| heights.contains(&s.0)).map(|s| s.1).collect();
+        if of.len() < 5 {
+            return (0, 0.0, 0.0);
+        }
+        let (m, sd) = robust(&of);
+        (of.len(), m, sd)
+    };
+    println!("factor {:.3}", recording.model.pulse_error_factor);
+    for h in [
+        0.0..80.0,
+        80.0..120.0,
+        120.0..140.0,
+        140.0..155.0,
+        155.0..170.0,
+        170.0..190.0,
+        190.0..210.0,
+        0.0..300.0,
+    ] {
+        let dev: Vec<f64> = singles
+            .iter()
+            .filter(|s| h.contains(&s.fitted.amplitude_dn))
+            .map(|s| s.fitted.deviation_ratio)
+            .collect();
+        let d = if dev.len() > 4 { robust(&dev) } else { (0.0, 0.0) };
+        println!(
+            "{h:?}: on {:.3?} off {:.3?} dev {:.2?} within 3 {:.3}",
+            z(&scores.on, h.clone()),
+            z(&scores.off, h.clone()),
+            d,
+            dev.iter().filter(|d| d.abs() < 3.0).count() as f64 / dev.len() as f64
+        );
+    }
+    let statistics = tail_statistics(&recording, &singles, 30.0);
+    println!(
+        "{} places: {:?}",
+        statistics.len(),
+        if statistics.len() > 1 { robust(&statistics) } else { (0.0, 0.0) }
+    );
 }

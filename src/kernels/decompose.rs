@@ -255,7 +255,9 @@ impl Decomposer {
                 amplitude_sd_dn: factor * f.sd[0],
                 width_ratio,
                 width_ratio_sd: factor * width_ratio * f.sd[2],
-                fwhm_ns: width_ratio * self.model.pulse_fwhm_ns,
+                fwhm_ns: width_ratio
+                    * self.scene.shape().fwhm_samples_at(f.pulse.height_dn)
+                    * self.model.sampling_interval_ns,
                 deviation_ratio,
                 flags: f.flags
                     | flags::REFINED

@@ -92,9 +92,8 @@ impl<'a> Superposition<'a> {
             ..DecomposeSettings::default()
         };
         let of_shift = |shift: usize| {
-            let background = std::array::from_fn(|k| {
-                model.background_at(0, k) + model.background_at(0, k + 4 - shift)
-            });
+            let background =
+                std::array::from_fn(|k| model.background_at(0, k) + model.background_at(0, k + 4 - shift));
             let noisier = ChannelModel {
                 full_scale_dn: 2.0 * model.full_scale_dn,
                 background_dn: background,
