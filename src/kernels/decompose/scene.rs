@@ -70,6 +70,7 @@ pub(super) struct Scene {
     cluster_ends: Vec<usize>,
     before: Saved,
     best: Saved,
+    best_objective: f64,
 }
 
 impl Scene {
@@ -101,6 +102,7 @@ impl Scene {
             cluster_ends: Vec::with_capacity(pulses),
             before: saved(),
             best: saved(),
+            best_objective: f64::INFINITY,
         })
     }
 
@@ -321,6 +323,7 @@ impl Scene {
     pub(super) fn save(&mut self) {
         store(&mut self.before, &self.found, self.offset_dn, self.chi_square);
         self.best.chi_square = f64::INFINITY;
+        self.best_objective = f64::INFINITY;
     }
 
     /// Back to the state saved.
@@ -328,9 +331,18 @@ impl Scene {
         load(&self.before, &mut self.found, &mut self.offset_dn, &mut self.chi_square);
     }
 
-    /// Remembers the present state if it is the best since the last [`Scene::save`].
+    /// Chi-square and what the priors on the widths add: what the fits make smallest.
+    fn objective(&self) -> f64 {
+        let prior = |f: &Found| f.pulse.ln_width_precision * f.pulse.ln_width_ratio.powi(2);
+        self.chi_square + self.found.iter().map(prior).sum::<f64>()
+    }
+
+    /// Remembers the present state if it is the best since the last [`Scene::save`]: of several ways to divide a pulse that
+    /// tell the samples alike, the one with likely widths.
     pub(super) fn keep_if_best(&mut self) {
-        if self.chi_square < self.best.chi_square {
+        let objective = self.objective();
+        if objective < self.best_objective {
+            self.best_objective = objective;
             store(&mut self.best, &self.found, self.offset_dn, self.chi_square);
         }
     }
