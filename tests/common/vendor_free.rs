@@ -11,7 +11,7 @@ use wavex::kernels::sensor_model::ChannelModel;
 use wavex::kernels::shape::Shape;
 use wavex::kernels::whitening::Whitener;
 
-use super::recordings::samples;
+use super::recordings::{robust, samples};
 
 /// A recording whose model was found from its first blocks and is tested on the others.
 pub struct Recording {
@@ -27,12 +27,14 @@ pub struct Single<'a> {
 }
 
 impl Recording {
-    /// The first `calibrated` blocks of every `1 + skipped` give the model, the rest are the test.
-    pub fn of(path: &Path, calibrated: usize) -> Recording {
-        let mut blocks = samples("read_pulsewaves", path);
-        let rest = blocks.split_off(calibrated.min(blocks.len()));
+    /// Every `of`-th block gives the model, the others are the test; with 1, all are both.
+    pub fn of(path: &Path, of: usize) -> Recording {
+        let (calibrated, rest): (Vec<_>, Vec<_>) =
+            samples("read_pulsewaves", path).into_iter().enumerate().partition(|(i, _)| i % of == 0);
+        let [calibrated, rest] = [calibrated, rest].map(|of| of.into_iter().map(|b| b.1).collect::<Vec<_>>());
+        let rest = if of == 1 { calibrated.clone() } else { rest };
         let settings = CalibrationSettings::echoes(1.0, 255.0);
-        let of_blocks = || blocks.iter().map(|samples| Block { samples, start_phase: 0 });
+        let of_blocks = || calibrated.iter().map(|samples| Block { samples, start_phase: 0 });
         let gaussian = calibrate(of_blocks(), &settings).unwrap();
         let model = calibrate_response(of_blocks(), &gaussian, &settings).unwrap().model;
         assert!(model.response.is_some());
@@ -68,12 +70,20 @@ fn pulse(fitted: &Return) -> Pulse {
 }
 
 /// What became of two recorded echoes in one block.
-pub struct Superposed {
-    pub separation_ns: f64,
-    pub both: bool,
-    pub more: bool,
-    /// Differences to the places told alone, ns, and over their standard deviations.
-    pub errors: Option<[(f64, f64); 2]>,
+struct Superposed {
+    more: bool,
+    /// Where both are found: differences to the places told alone, ns, and over their standard deviations.
+    errors: Option<[(f64, f64); 2]>,
+}
+
+/// What became of many pairs of one separation.
+pub struct Told {
+    /// Parts of the pairs of which both are found, and in which more are.
+    pub both: f64,
+    pub more: f64,
+    /// Of the first and of the second echoes: median error, ps, and robust spread of the normalised errors.
+    pub bias_ps: [f64; 2],
+    pub z: [f64; 2],
 }
 
 /// Adds recorded echoes, two and two.
@@ -87,10 +97,8 @@ impl<'a> Superposition<'a> {
     /// Two blocks have twice the variance of noise of one, and the sum of both backgrounds.
     pub fn new(recording: &'a Recording) -> Superposition<'a> {
         let model = &recording.model;
-        let settings = DecomposeSettings {
-            overdriven_part: 0.5 * DecomposeSettings::default().overdriven_part,
-            ..DecomposeSettings::default()
-        };
+        // No echo overdrove the receiver, however high their sum is.
+        let settings = DecomposeSettings { overdriven_part: 1.0, ..DecomposeSettings::default() };
         let of_shift = |shift: usize| {
             let background =
                 std::array::from_fn(|k| model.background_at(0, k) + model.background_at(0, k + 4 - shift));
@@ -106,8 +114,40 @@ impl<'a> Superposition<'a> {
         Superposition { recording, decomposers: (0..4).map(of_shift).collect() }
     }
 
-    /// The second echo so much behind the first as whole samples allow.
-    pub fn of(&mut self, first: &Single<'_>, second: &Single<'_>, separation_ns: f64) -> Superposed {
+    /// So many pairs whose second echo stands this far behind the first, to a fifth of a sample.
+    pub fn told(
+        &mut self,
+        first: &[Single<'_>],
+        second: &[Single<'_>],
+        separation_ns: f64,
+        pairs: usize,
+    ) -> Told {
+        let mut all = Vec::new();
+        for i in 0.. {
+            // Strides without a common factor: partners are far from each other in the recording.
+            let (a, b) = (&first[(7 * i) % first.len()], &second[(13 * i + 101) % second.len()]);
+            let off = b.fitted.position_samples - a.fitted.position_samples - separation_ns;
+            if (off - off.round()).abs() < 0.2 && !std::ptr::eq(a.samples, b.samples) {
+                all.push(self.of(a, b, separation_ns));
+            }
+            if all.len() == pairs {
+                break;
+            }
+        }
+        let part = |test: &dyn Fn(&Superposed) -> bool| {
+            all.iter().filter(|pair| test(pair)).count() as f64 / pairs as f64
+        };
+        let errors = |k: usize| all.iter().filter_map(move |pair| pair.errors.map(|errors| errors[k]));
+        Told {
+            both: part(&|pair| pair.errors.is_some()),
+            more: part(&|pair| pair.more),
+            bias_ps: [0, 1].map(|k| robust(&errors(k).map(|e| 1000.0 * e.0).collect::<Vec<_>>()).0),
+            z: [0, 1].map(|k| robust(&errors(k).map(|e| e.1).collect::<Vec<_>>()).1),
+        }
+    }
+
+    /// The second echo so far behind the first as whole samples allow.
+    fn of(&mut self, first: &Single<'_>, second: &Single<'_>, separation_ns: f64) -> Superposed {
         assert_eq!(self.recording.model.sampling_interval_ns, 1.0);
         let [at, behind] = [first, second].map(|single| single.fitted.position_samples);
         let shift = (at + separation_ns - behind).round();
@@ -141,7 +181,7 @@ impl<'a> Superposition<'a> {
             }
             _ => None,
         };
-        Superposed { separation_ns, both: errors.is_some(), more: returns.len() > 2, errors }
+        Superposed { more: returns.len() > 2, errors }
     }
 }
 
