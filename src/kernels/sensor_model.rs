@@ -61,6 +61,10 @@ pub struct ChannelModel {
     pub pulse_fwhm_ns: f64,
     /// Spread of that width from pulse to pulse, ns.
     pub pulse_fwhm_sd_ns: f64,
+    /// Standard deviation of pulses about the Gaussian that stands for them, as part of their height, where no sample is
+    /// free of signal and so nothing else tells what a pulse leaves; 0 where it was not measured.
+    #[serde(default)]
+    pub pulse_shape_error: f64,
     /// How much larger errors on a pulse are than the noise before it lets expect: its standard deviations are
     /// multiplied by this. 1 where it was not measured.
     #[serde(default = "one")]
@@ -112,6 +116,10 @@ impl ChannelModel {
             let problem = format!("{} is not a standard deviation", self.background_sd_dn);
             return Err(ModelError { field: "background_sd_dn", problem });
         }
+        if !(self.pulse_shape_error >= 0.0 && self.pulse_shape_error.is_finite()) {
+            let problem = format!("{} is not a standard deviation", self.pulse_shape_error);
+            return Err(ModelError { field: "pulse_shape_error", problem });
+        }
         ArNoise::new(&self.ar, self.innovation_sd_dn).ok_or_else(|| ModelError {
             field: "ar",
             problem: format!("{:?} is no stationary process of at most {MAX_ORDER} coefficients", self.ar),
@@ -161,6 +169,7 @@ mod tests {
             innovation_sd_dn: 1.0,
             pulse_fwhm_ns: 4.0,
             pulse_fwhm_sd_ns: 0.1,
+            pulse_shape_error: 0.0,
             pulse_error_factor: 1.0,
             response: None,
             waveforms: 200,
@@ -209,6 +218,11 @@ mod tests {
         check(
             |m| m.background_sd_dn = -1.0,
             "sensor model: background_sd_dn: -1 is not a standard deviation; \
+             calibrate anew, or correct the saved model",
+        );
+        check(
+            |m| m.pulse_shape_error = f64::NAN,
+            "sensor model: pulse_shape_error: NaN is not a standard deviation; \
              calibrate anew, or correct the saved model",
         );
         check(

@@ -25,13 +25,15 @@ impl Decomposer {
 
     /// The error of the response so many samples behind a pulse, as part of its height.
     fn template_error(&self, pulse: &Pulse, lag_samples: f64) -> f64 {
-        let Some(response) = &self.model.response else { return 0.0 };
+        let widths = lag_samples / self.model.fwhm_samples();
+        let Some(response) = &self.model.response else {
+            return if LOBE_WIDTHS.contains(&widths) { self.model.pulse_shape_error } else { 0.0 };
+        };
         if self.overdrives(pulse) {
             return OVERDRIVEN_ERROR.max(self.settings.template_error);
         }
         let reach = (ENVELOPE_WIDTHS * self.model.fwhm_samples()).round() as i32;
         let near = (-reach..=reach).map(|k| response.template_error_at(lag_samples + f64::from(k)));
-        let widths = lag_samples / self.model.fwhm_samples();
         let least = if LOBE_WIDTHS.contains(&widths) { 1.0 } else { FAR_PART };
         near.fold(least * self.settings.template_error, f64::max)
     }
@@ -54,7 +56,8 @@ impl Decomposer {
     /// infinite height means all pulses.
     pub(super) fn threshold_at(&self, position_samples: f64, height_dn: f64) -> f64 {
         let threshold = self.settings.detection_sigma;
-        if self.model.response.is_none() {
+        // What a Gaussian leaves of a pulse is a reason to add nothing there, and none to drop what stands by itself.
+        if self.model.response.is_none() && height_dn.is_finite() {
             return threshold;
         }
         let per_dn = self.detector.full_significance_per_dn();
