@@ -8,6 +8,8 @@
 
 #[path = "common/agreement.rs"]
 mod agreement;
+#[path = "common/neon.rs"]
+mod neon;
 #[path = "common/planes.rs"]
 mod planes;
 #[path = "common/recordings.rs"]
@@ -19,6 +21,8 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use recordings::{Table, data, median, robust, run_job, samples};
+use wavex::kernels::outgoing::OutgoingFitter;
+
 use vendor_free::{EvenOddScores, Recording, Single, Superposition, tail_statistics};
 
 /// RIEGL's own returns of the Q680i recording, and ours of one route.
@@ -386,4 +390,56 @@ fn points_lie_on_planes_and_waveforms_fit() {
         residuals.all_mm, residuals.half_mm, residuals.tenth_mm, residuals.stored_mm
     );
     assert!(residuals.all_mm <= 18.0 && residuals.all_mm < residuals.stored_mm, "{}", residuals.all_mm);
+}
+
+/// NEON, Optech Gemini: pulses of 15 ns, blocks that begin on the rise, 250 waveforms.
+#[test]
+fn long_pulses_without_free_samples_come_through_unattended() {
+    let Some(data) = data() else { return };
+    let folder = data.join("neon");
+    let out = tempfile::tempdir().unwrap();
+    neon::to_container(&folder, &out.path().join("neon.arrow"));
+    let job = "[job]\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'neon.arrow'\n[[stage]]\ntype = 'calibrate'\n\
+               [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
+    let report = recordings::run("neon", job, out.path(), out.path(), &[]);
+    let model = report.sensor_model.unwrap();
+    let (low_power, reference) = (model.low_power.unwrap(), model.reference.unwrap());
+    println!(
+        "NEON: echoes {:.2} ns wide, level {:.1} +- {:.1} DN, fits leave {:.2} % of the height; outgoing pulses {:.2} ns wide",
+        low_power.pulse_fwhm_ns,
+        low_power.background_dn[0],
+        low_power.background_sd_dn,
+        100.0 * low_power.pulse_shape_error,
+        reference.pulse_fwhm_ns
+    );
+    // Where each pulse left, to tell places in the block from times of flight.
+    let mut fitter = OutgoingFitter::new(&reference, 64).unwrap();
+    let departures: Vec<f64> = neon::waveforms(&folder.join("outg_1_250.csv"))
+        .iter()
+        .map(|samples| fitter.fit(samples, 0).unwrap().position_samples)
+        .collect();
+    let returns = Table::read(&out.path().join("neon.csv"));
+    let [shot, time, dn] = ["shot", "time_of_flight_ns", "amplitude_dn"].map(|name| returns.column(name));
+    let theirs = neon::rows(&folder.join("decomposition_1_250.csv"));
+    let mut differences = Vec::new();
+    for (i, departure_ns) in departures.iter().enumerate() {
+        let components: Vec<f64> = theirs.iter().filter(|c| c[0] as usize == i + 1).map(|c| c[2]).collect();
+        let ours = (0..returns.len()).filter(|&j| shot[j] as usize == i);
+        let strongest = ours.max_by(|&a, &b| dn[a].total_cmp(&dn[b])).expect("every waveform has a return");
+        if let [place] = components[..] {
+            differences.push(time[strongest] + departure_ns - neon::START_NS - place);
+        }
+    }
+    let (constant, sd) = robust(&differences);
+    let near = agreement::share(&differences, |d| (d - constant).abs() < 0.25);
+    println!(
+        "NEON: {} returns in {} waveforms; of {} with one component {:.1} % within 0.25 ns of the R package (goal 95) after \
+         a constant of {constant:.3} ns, robust {sd:.3} ns",
+        returns.len(),
+        report.totals["nw"],
+        differences.len(),
+        100.0 * near
+    );
+    assert_eq!(report.totals["nw_empty"], 0);
+    assert!(differences.len() == 156 && near >= 0.95, "{near}");
 }

@@ -21,9 +21,14 @@ pub fn data() -> Option<PathBuf> {
 pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputReport {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs").join(name);
     let text = std::fs::read_to_string(&path).expect("the job stands in the repository");
+    run(name, &text, data, out, set)
+}
+
+/// Runs a job on the inputs in a folder, into `out`.
+pub fn run(name: &str, text: &str, inputs: &Path, out: &Path, set: &[&str]) -> InputReport {
     let overrides: Vec<Override> = set.iter().map(|text| Override::new(*text)).collect();
-    let job = Job::parse(name, &text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
-    let options = Options::of_job(&job, data, out);
+    let job = Job::parse(name, text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
+    let options = Options::of_job(&job, inputs, out);
     let mut report = engine::run(&job, &options).unwrap_or_else(|error| panic!("{error}"));
     report.inputs.remove(0)
 }
