@@ -7,7 +7,7 @@
 
 use super::decompose::{DecomposeSettings, Decomposer};
 use super::noise::{ArNoise, fit_by_bic};
-use super::sensor_model::{Background, ChannelModel, ModelError};
+use super::sensor_model::{Background, ChannelModel, ModelError, ModelUncertainty};
 use first_look::FirstLook;
 use survey::Survey;
 
@@ -16,6 +16,7 @@ mod noise_statistics;
 mod survey;
 #[cfg(test)]
 mod tests;
+pub(super) mod uncertainty;
 mod width;
 
 pub use noise_statistics::NoiseStatistics;
@@ -235,6 +236,7 @@ fn first_model(
         pulse_shape_error: 0.0,
         pulse_error_factor: 1.0,
         response: None,
+        uncertainty: ModelUncertainty::default(),
         waveforms: blocks,
         pulses: 0,
     }
@@ -259,6 +261,8 @@ fn better_model(
         model.pulse_fwhm_sd_ns = width.fwhm_sd_ns;
         model.pulses = width.pulses;
     }
+    let told = if free { uncertainty::of_free_samples } else { uncertainty::of_residuals };
+    model.uncertainty = told(&model, survey);
     model
 }
 

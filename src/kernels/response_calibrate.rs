@@ -5,6 +5,7 @@
 //! whitened domain gives the splines of the response, and the next round starts with it. The zero of time is the peak,
 //! the width ratio 1 the mode of the widths.
 
+use super::calibrate::uncertainty::SPREAD_OF_MODE;
 use super::calibrate::{Block, CalibrationError, CalibrationSettings};
 use super::decompose::{DecomposeSettings, Decomposer, Decomposition, Return};
 use super::flags;
@@ -97,8 +98,11 @@ pub fn calibrate_response<'a>(
     let singles = self::singles(&blocks, &model, settings, 0.0, ERRORS[3])?;
     let mut quality = Quality::new(&model, longest)?;
     singles.iter().for_each(|single| quality.add(single));
-    let (factor, template_error) = (quality.pulse_error_factor(), quality.template_error());
+    let (factor, factor_sd) = (quality.pulse_error_factor(), quality.pulse_error_factor_sd());
+    let template_error = quality.template_error();
     model.pulse_error_factor = factor;
+    model.uncertainty.pulse_error_factor = factor_sd;
+    model.uncertainty.pulse_fwhm_ns = fwhm_sd_ns(&model, &singles);
     if let Some(response) = &mut model.response {
         response.template_error = template_error;
     }
@@ -199,6 +203,16 @@ fn within_window<'a>(singles: &[Single<'a>], least_window: f64) -> Vec<Single<'a
     let mode = densest(&widths, window);
     kept.retain(|single| (single.ln_width() - mode).abs() <= window);
     kept
+}
+
+/// Standard deviation of the response's width, ns: the mode of the narrow echoes', whose spread the window cuts to 0.743 of
+/// what it is.
+fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
+    let widths: Vec<f64> = narrow_population(singles).iter().map(Single::ln_width).collect();
+    let n = widths.len().max(1) as f64;
+    let mean = widths.iter().sum::<f64>() / n;
+    let sd = (widths.iter().map(|width| (width - mean).powi(2)).sum::<f64>() / n).sqrt();
+    SPREAD_OF_MODE * sd / 0.743 / n.sqrt() * model.pulse_fwhm_ns
 }
 
 /// Centre of the window of this half width that holds the most of the sorted values.

@@ -72,11 +72,32 @@ pub struct ChannelModel {
     /// The system response; absent where pulses are taken to be Gaussians of the width `pulse_fwhm_ns`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub response: Option<SystemResponse>,
+    /// How well these numbers are known.
+    #[serde(default)]
+    pub uncertainty: ModelUncertainty,
     /// Blocks the model was found from.
     pub waveforms: u64,
     /// Single, unsaturated pulses the width was found from; 0 where there were too few and the width is a first
     /// measure, taken from the samples above half the height.
     pub pulses: u64,
+}
+
+/// How well the numbers of a [`ChannelModel`] are known: standard deviations of the estimates, by the names of the numbers.
+/// That of the response stands with it (`shape_sd`). 0 where it was not told.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelUncertainty {
+    /// Of the level of one phase, DN: the noise over the root of the free samples, their correlation and the drift from
+    /// block to block counted in.
+    pub background_dn: f64,
+    /// Of the standard deviation of the noise, DN: `σ √((1 + 2 Σ ρ_k²) / 2n)` of `n` free samples.
+    pub noise_sd_dn: f64,
+    /// Of the correlation at each lag (Bartlett 1946).
+    pub autocorrelation: Vec<f64>,
+    /// Of the full width at half maximum, ns: the mode of as many widths, `1.45 s / √n`, with `s` their spread.
+    pub pulse_fwhm_ns: f64,
+    /// Of the error factor: `0.96 f / √n` of `n` scores, it being half of what lies between two of their percentiles.
+    pub pulse_error_factor: f64,
 }
 
 fn one() -> f64 {
@@ -172,6 +193,7 @@ mod tests {
             pulse_shape_error: 0.0,
             pulse_error_factor: 1.0,
             response: None,
+            uncertainty: ModelUncertainty { noise_sd_dn: 0.01, ..ModelUncertainty::default() },
             waveforms: 200,
             pulses: 150,
         }
@@ -197,6 +219,16 @@ mod tests {
         assert!(!text.contains("reference") && text.contains("\"background\":\"fixed\""), "{text}");
         assert_eq!(serde_json::from_str::<SensorModel>(&text).unwrap(), sensor);
         assert!(serde_json::from_str::<SensorModel>("{\"low\":null}").is_err());
+    }
+
+    #[test]
+    fn a_model_of_before_its_uncertainty_was_told_still_loads() {
+        let mut value = serde_json::to_value(model()).unwrap();
+        for field in ["uncertainty", "pulse_shape_error", "pulse_error_factor"] {
+            value.as_object_mut().unwrap().remove(field).unwrap();
+        }
+        let loaded: ChannelModel = serde_json::from_value(value).unwrap();
+        assert_eq!(loaded, ChannelModel { uncertainty: ModelUncertainty::default(), ..model() });
     }
 
     #[test]

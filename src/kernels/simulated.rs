@@ -78,6 +78,7 @@ pub(crate) fn channel(process: &ArNoise, fwhm_samples: f64, background_dn: f64) 
         pulse_shape_error: 0.0,
         pulse_error_factor: 1.0,
         response: None,
+        uncertainty: Default::default(),
         waveforms: 1000,
         pulses: 1000,
     }

@@ -60,7 +60,15 @@ impl Survey {
         median(&self.residual_sds, 1.0)
     }
 
-    /// The same over the height of the block's highest pulse, per DN.
+    /// Half of what lies between the 16th and the 84th percentile of those.
+    pub(super) fn residual_spread(&self) -> f64 {
+        let mut sorted = self.residual_sds.clone();
+        sorted.sort_by(f64::total_cmp);
+        let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
+        0.5 * (at(0.841_345) - at(0.158_655))
+    }
+
+    /// The same median over the height of the block's highest pulse, per DN.
     pub(super) fn residual_part(&self) -> f64 {
         median(&self.residual_parts, 0.0)
     }

@@ -84,6 +84,12 @@ impl<'a> Quality<'a> {
         self.excess.iter().map(error).collect()
     }
 
+    /// Standard deviation of that factor: half the difference of two percentiles of `n` normal values spreads by
+    /// `√(0.925/n)`.
+    pub(super) fn pulse_error_factor_sd(&self) -> f64 {
+        0.962 * self.pulse_error_factor() / (self.scores.len().max(1) as f64).sqrt()
+    }
+
     /// Spread of the scores, at least 1.
     pub(super) fn pulse_error_factor(&self) -> f64 {
         let mut sorted = self.scores.clone();
