@@ -33,12 +33,7 @@ impl Recording {
             samples("read_pulsewaves", path).into_iter().enumerate().partition(|(i, _)| i % of == 0);
         let [calibrated, rest] = [calibrated, rest].map(|of| of.into_iter().map(|b| b.1).collect::<Vec<_>>());
         let rest = if of == 1 { calibrated.clone() } else { rest };
-        let settings = CalibrationSettings::echoes(1.0, 255.0);
-        let of_blocks = || calibrated.iter().map(|samples| Block { samples, start_phase: 0 });
-        let gaussian = calibrate(of_blocks(), &settings).unwrap();
-        let model = calibrate_response(of_blocks(), &gaussian, &settings).unwrap().model;
-        assert!(model.response.is_some());
-        Recording { model, blocks: rest }
+        Recording { model: model_of(&calibrated, &CalibrationSettings::echoes(1.0, 255.0)), blocks: rest }
     }
 
     /// The blocks in which one return is found.
@@ -57,6 +52,15 @@ impl Recording {
         let level = |k: usize| self.model.background_at(0, k);
         samples.iter().enumerate().map(|(k, &s)| f64::from(s) - level(k)).collect()
     }
+}
+
+/// The model with its response that blocks give.
+pub fn model_of(blocks: &[Vec<u16>], settings: &CalibrationSettings) -> ChannelModel {
+    let of_blocks = || blocks.iter().map(|samples| Block { samples, start_phase: 0 });
+    let gaussian = calibrate(of_blocks(), settings).unwrap();
+    let model = calibrate_response(of_blocks(), &gaussian, settings).unwrap().model;
+    assert!(model.response.is_some());
+    model
 }
 
 /// A return as the fit knows it.
