@@ -31,8 +31,8 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewave
 /// rounding is all that makes them differ, so that a range of 500 m is not wrong by up to 14 mm on a grid of 1 cm.
 ///
 /// Where outgoing segments have no start time (RIEGL's files of 2013), the anchor is the whole sample nearest to the
-/// outgoing pulse's peak: on such a recording that reading leaves plane surfaces smooth to 36 mm, where rounding down
-/// leaves 74 mm, and the positions as they stand 170 mm.
+/// outgoing pulse's peak: on such a recording that reading leaves points within 16 mm of the planes of their neighbours,
+/// where each beam's own length leaves 21 mm.
 ///
 /// Rejects pulses whose waves cannot be read, and goes on with the next. A file that ends with such pulses is cut off:
 /// that is an error. Compressed files (`.plz`, `.wvz`) are refused.

@@ -242,3 +242,37 @@ pub fn tail_statistics(recording: &Recording, singles: &[Single<'_>], behind_ns:
     }
     found
 }
+
+/// Maxima and minima of the matched filter of what decomposition leaves, beyond `limit` and within `reach_ns` of the peak of
+/// an echo of at least 100 DN. Echoes that were not found make maxima; the noise and a wrong response make both.
+pub fn left_beside_strong_echoes(
+    recording: &Recording,
+    settings: &DecomposeSettings,
+    limit: f64,
+) -> [usize; 2] {
+    const REACH_NS: f64 = 12.0;
+    let model = &recording.model;
+    let shape = Shape::of(model).unwrap();
+    let mut decomposer = Decomposer::new(model, settings, 80).unwrap();
+    let mut found = [0, 0];
+    for samples in &recording.blocks {
+        let mut rest = recording.target_dn(samples);
+        let mut strong = Vec::new();
+        for fitted in decomposer.decompose(samples, 0).returns {
+            shape.add(&pulse(fitted), -1.0, &mut rest);
+            strong.extend((100.0..200.0).contains(&fitted.amplitude_dn).then_some(fitted.position_samples));
+        }
+        let mut whitener = Whitener::new(model.noise().unwrap(), 80);
+        whitener.set_used(&vec![true; samples.len()]);
+        let mut detector = Detector::new(shape.clone(), None, &whitener, 80);
+        detector.prepare(&whitener);
+        let statistic = detector.filter(&whitener, &rest);
+        for (sign, found) in [1.0, -1.0].into_iter().zip(&mut found) {
+            let at = |k: usize| sign * statistic[k];
+            let near = |k: &usize| strong.iter().any(|place| (*k as f64 - place).abs() < REACH_NS);
+            let peak = |k: &usize| at(*k) > limit && at(*k) >= at(*k - 1) && at(*k) > at(*k + 1);
+            *found += (1..statistic.len() - 1).filter(near).filter(peak).count();
+        }
+    }
+    found
+}
