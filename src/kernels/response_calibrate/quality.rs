@@ -84,17 +84,44 @@ impl<'a> Quality<'a> {
         self.excess.iter().map(error).collect()
     }
 
-    /// Standard deviation of that factor: half the difference of two percentiles of `n` normal values spreads by
-    /// `√(0.925/n)`.
+    /// Standard deviation of that factor.
     pub(super) fn pulse_error_factor_sd(&self) -> f64 {
-        0.962 * self.pulse_error_factor() / (self.scores.len().max(1) as f64).sqrt()
+        factor_sd(self.pulse_error_factor(), self.scores.len())
     }
 
     /// Spread of the scores, at least 1.
     pub(super) fn pulse_error_factor(&self) -> f64 {
-        let mut sorted = self.scores.clone();
-        sorted.sort_by(f64::total_cmp);
-        let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
-        (0.5 * (at(PERCENTILES[1]) - at(PERCENTILES[0]))).max(1.0)
+        spread(&self.scores).max(1.0)
+    }
+}
+
+/// Half the difference of the two percentiles of `n` normal values spreads by `√(0.925/n)`.
+fn factor_sd(factor: f64, scores: usize) -> f64 {
+    0.962 * factor / (scores.max(1) as f64).sqrt()
+}
+
+/// Half of what lies between the two percentiles; 0 without values.
+fn spread(scores: &[f64]) -> f64 {
+    let mut sorted = scores.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
+    0.5 * (at(PERCENTILES[1]) - at(PERCENTILES[0]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::simulated::{Random, moments};
+
+    #[test]
+    fn the_error_factor_spreads_as_it_says() {
+        let mut random = Random::new(8);
+        let factors: Vec<f64> =
+            (0..400).map(|_| spread(&(0..300).map(|_| 1.1 * random.normal()).collect::<Vec<_>>())).collect();
+        let (mean, sd) = moments(&factors);
+        assert!((mean - 1.1).abs() < 0.01, "{mean}");
+        // A spread of four hundred is known to 3.5 %.
+        assert!((sd / factor_sd(1.1, 300) - 1.0).abs() < 0.105, "{sd}");
+        assert_eq!(spread(&[]), 0.0);
     }
 }
