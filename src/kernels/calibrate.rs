@@ -16,7 +16,7 @@ mod noise_statistics;
 mod survey;
 #[cfg(test)]
 mod tests;
-pub(super) mod uncertainty;
+mod uncertainty;
 mod width;
 
 pub use noise_statistics::NoiseStatistics;

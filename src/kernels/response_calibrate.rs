@@ -5,7 +5,6 @@
 //! whitened domain gives the splines of the response, and the next round starts with it. The zero of time is the peak,
 //! the width ratio 1 the mode of the widths.
 
-use super::calibrate::uncertainty::SPREAD_OF_MODE;
 use super::calibrate::{Block, CalibrationError, CalibrationSettings};
 use super::decompose::{DecomposeSettings, Decomposer, Decomposition, Return};
 use super::flags;
@@ -205,14 +204,13 @@ fn within_window<'a>(singles: &[Single<'a>], least_window: f64) -> Vec<Single<'a
     kept
 }
 
-/// Standard deviation of the response's width, ns: the mode of the narrow echoes', whose spread the window cuts to 0.743 of
-/// what it is.
+/// Standard deviation of the response's width, ns: that of the mean width of the echoes it is made of.
 fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
     let widths: Vec<f64> = narrow_population(singles).iter().map(Single::ln_width).collect();
     let n = widths.len().max(1) as f64;
     let mean = widths.iter().sum::<f64>() / n;
     let sd = (widths.iter().map(|width| (width - mean).powi(2)).sum::<f64>() / n).sqrt();
-    SPREAD_OF_MODE * sd / 0.743 / n.sqrt() * model.pulse_fwhm_ns
+    sd / n.sqrt() * model.pulse_fwhm_ns
 }
 
 /// Centre of the window of this half width that holds the most of the sorted values.

@@ -94,7 +94,8 @@ pub struct ModelUncertainty {
     pub noise_sd_dn: f64,
     /// Of the correlation at each lag (Bartlett 1946).
     pub autocorrelation: Vec<f64>,
-    /// Of the full width at half maximum, ns: the mode of as many widths, `1.45 s / √n`, with `s` their spread.
+    /// Of the full width at half maximum, ns: `1.45 s / √n` for the mode of `n` widths of Gaussians that spread by `s`, and
+    /// `s / √n` for a response made of `n` echoes.
     pub pulse_fwhm_ns: f64,
     /// Of the error factor: `0.96 f / √n` of `n` scores, it being half of what lies between two of their percentiles.
     pub pulse_error_factor: f64,

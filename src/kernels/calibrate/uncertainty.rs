@@ -8,7 +8,7 @@ const LAGS: usize = 64;
 /// The mode of a normal distribution, found as the mean of the window of 1.5 standard deviations about itself, spreads by so
 /// many standard deviations over the root of the count: `√(0.552/0.866)/(1 - 0.448)`, with 0.866 of the values in the window,
 /// 0.552 their variance, and 0.448 the part of a shift that the window takes back into the mean.
-pub(crate) const SPREAD_OF_MODE: f64 = 1.446;
+const SPREAD_OF_MODE: f64 = 1.446;
 /// The same for a median: `√(π/2)`.
 const SPREAD_OF_MEDIAN: f64 = 1.253_314_137_315_500_3;
 
