@@ -166,7 +166,7 @@ struct Group<'a> {
 /// their mean height; the first stands for all that are weaker.
 fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
     let heights = NODE_PARTS.map(|part| part * full_scale_dn);
-    let mut groups = Vec::new();
+    let mut groups: Vec<Group<'a>> = Vec::new();
     // Echoes that no group has yet, from the highest down.
     let mut open: Vec<Single<'a>> = Vec::new();
     for (i, &height) in heights.iter().enumerate().rev() {
@@ -174,11 +174,15 @@ fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
         let high = heights.get(i + 1).map_or(f64::INFINITY, |next| 0.5 * (height + next));
         let shared = !open.is_empty();
         open.extend(singles.iter().filter(|s| (low..high).contains(&s.fitted.amplitude_dn)));
-        if i == 0 || open.len() >= MIN_ECHOES {
+        if open.len() >= MIN_ECHOES || (i == 0 && groups.is_empty()) {
             let mean = open.iter().map(|s| s.fitted.amplitude_dn).sum::<f64>() / open.len().max(1) as f64;
             let peak_dn = if shared && i > 0 { mean } else { height };
             groups.push(Group { peak_dn, singles: std::mem::take(&mut open) });
         }
+    }
+    // The outgoing pulse is always strong.
+    if let Some(lowest) = groups.last_mut() {
+        lowest.singles.append(&mut open);
     }
     groups.reverse();
     groups

@@ -91,6 +91,9 @@ const BEAMS_LOOKED_AT: u64 = 10_000;
 /// Sampling units between the anchor and the target of a pulse (PulseWaves 0.3, "Pulse Record").
 const UNITS_TO_TARGET: f64 = 1000.0;
 
+/// No scanner flies that high: such a third coordinate is no height, and the frame is geocentric.
+const NO_HEIGHT_M: f64 = 50_000.0;
+
 impl PulseWavesSource {
     fn open(path: &Path, stem: &str) -> Result<PulseWavesSource> {
         let mut reader = Reader::open(path)?;
@@ -198,14 +201,16 @@ fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
 fn look_at_beams(reader: &mut Reader) -> Result<BeamLength> {
     let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
     let mut beams = Vec::new();
+    let mut projected = true;
     let mut index = 0;
     while index < reader.pulse_count() {
         let pulse = reader.pulse(index)?;
         let unit_ns = unit_ns(reader, &pulse);
+        projected &= pulse.anchor[2].abs() < NO_HEIGHT_M;
         beams.push(pulse.step.map(|metres| metres / unit_ns));
         index += stride;
     }
-    Ok(BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET))
+    Ok(BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET, projected))
 }
 
 fn returning_channels(reader: &Reader) -> BTreeSet<u8> {
