@@ -15,7 +15,7 @@ use wavex::kernels::gauss_fit::Pulse;
 use wavex::kernels::lockstep::{Candidate, Lockstep, Mode, Outcomes, Path, Tables};
 use wavex::kernels::noise::ArNoise;
 use wavex::kernels::response::{ResponseNode, SystemResponse};
-use wavex::kernels::sensor_model::{Background, ChannelModel, Digitiser};
+use wavex::kernels::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
 use wavex::kernels::shape::Shape;
 
 const WAVEFORMS: usize = 20_000;
@@ -84,9 +84,11 @@ fn model(noise: &ArNoise) -> ChannelModel {
         innovation_sd_dn: noise.innovation_variance().sqrt(),
         pulse_fwhm_ns: response.fwhm_samples(),
         pulse_fwhm_sd_ns: 0.1,
+        pulse_shape_error: 0.0,
         pulse_error_factor: 1.0,
         response: Some(response),
         digitiser: Digitiser::default(),
+        uncertainty: ModelUncertainty::default(),
         waveforms: 1000,
         pulses: 1000,
     }

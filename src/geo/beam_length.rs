@@ -29,18 +29,23 @@ const STRAY_PART: f64 = 0.01;
 const BEAMS_PER_STRAY: usize = 20;
 /// Fewer beams than this show nothing.
 const FEWEST_BEAMS: usize = 30;
+/// A slope of fewer of its standard deviations is rounding: carried on to the vertical, it would make ranges wrong by
+/// more than a stretch that small does.
+const SIGNIFICANT_SLOPE_SD: f64 = 4.0;
 
 impl BeamLength {
     /// Learns from `beams`, displacements per nanosecond, m, each the difference of two points that were rounded to
     /// `grid_m` and lie `baseline_ns` apart. A few that are damaged do not matter.
-    pub fn learn(beams: &[[f64; 3]], grid_m: [f64; 3], baseline_ns: f64) -> BeamLength {
+    ///
+    /// `projected` tells whether the frame may be a map, which stretches horizontal distances.
+    pub fn learn(beams: &[[f64; 3]], grid_m: [f64; 3], baseline_ns: f64, projected: bool) -> BeamLength {
         // Each coordinate of the difference carries two rounding errors, each uniform over a grid step.
         let rounding_m_per_ns =
             grid_m.iter().fold(0.0, |most: f64, step| most.max(*step)) / 6f64.sqrt() / baseline_ns;
         let sound = sound(beams);
         let enough =
             sound.len() >= FEWEST_BEAMS && (beams.len() - sound.len()) * BEAMS_PER_STRAY <= beams.len();
-        let fitted = fit(&sound);
+        let fitted = fit(&sound, projected);
         let rms_m_per_ns = fitted.map_or(f64::INFINITY, |line| line.rms_m_per_ns(&sound));
         let explained = enough && rms_m_per_ns <= TOLERANCE * rounding_m_per_ns;
         BeamLength { model: fitted.filter(|_| explained), rms_m_per_ns, rounding_m_per_ns }
@@ -89,9 +94,9 @@ fn sound(beams: &[[f64; 3]]) -> Vec<[f64; 3]> {
     beams.iter().filter(is_sound).copied().collect()
 }
 
-/// The line through (vertical part)^2 and length^2 by least squares; flat where all beams are alike. No beam has the
-/// length 0.
-fn fit(beams: &[[f64; 3]]) -> Option<Line> {
+/// The line through (vertical part)^2 and length^2 by least squares; flat where the slope does not stand out of what is
+/// left: with beams that are all alike, or in a Cartesian frame. No beam has the length 0.
+fn fit(beams: &[[f64; 3]], projected: bool) -> Option<Line> {
     let pair = |beam: &[f64; 3]| (beam[2] * beam[2] / dot(*beam, *beam), dot(*beam, *beam));
     let pairs: Vec<(f64, f64)> = beams.iter().map(pair).collect();
     if pairs.is_empty() {
@@ -103,8 +108,12 @@ fn fit(beams: &[[f64; 3]]) -> Option<Line> {
         let dx = pair.0 - x;
         (xx + dx * dx / n, xy + dx * (pair.1 - y) / n)
     });
-    // Below a spread of 2 degrees or so the slope would be noise.
+    // Below a spread of 2 degrees or so there is no slope to be seen.
     let slope = if xx > 1e-6 { xy / xx } else { 0.0 };
+    let left = pairs.iter().map(|pair| (pair.1 - y - slope * (pair.0 - x)).powi(2)).sum::<f64>() / n;
+    let slope_sd = (left / (n * xx.max(1e-6))).sqrt();
+    let seen = projected && slope.abs() > SIGNIFICANT_SLOPE_SD * slope_sd;
+    let slope = if seen { slope } else { 0.0 };
     Some(Line { horizontal: y - slope * x, slope })
 }
 
@@ -135,7 +144,7 @@ mod tests {
     fn rounding_is_averaged_away() {
         for scale in [1.0, 0.9996, 1.0006] {
             let beams = beams(scale, 0.01);
-            let length = BeamLength::learn(&beams, [0.01; 3], 1000.0);
+            let length = BeamLength::learn(&beams, [0.01; 3], 1000.0, true);
             assert!((length.vertical().unwrap() / SPEED - 1.0).abs() < 2e-6);
             for beam in beams {
                 let vertical = beam[2] / length.of(beam);
@@ -147,11 +156,27 @@ mod tests {
         }
     }
 
+    /// Oblique beams only, as in a geocentric frame: the vertical is far outside what was seen.
+    #[test]
+    fn a_slope_that_rounding_explains_is_none() {
+        let oblique: Vec<[f64; 3]> = beams(1.0, 0.01)
+            .iter()
+            .map(|b| [b[0], 0.8 * b[1] - 0.6 * b[2], 0.6 * b[1] + 0.8 * b[2]])
+            .filter(|b| b[0].abs() < 0.03)
+            .map(|b| b.map(|x| (x * 150.0 / 0.01).round() * 0.01 / 150.0))
+            .collect();
+        let vertical = BeamLength::learn(&oblique, [0.01; 3], 150.0, true).vertical().unwrap();
+        assert!((vertical / SPEED - 1.0).abs() < 4e-6, "{}", vertical / SPEED - 1.0);
+        let whole = beams(1.0, 0.01);
+        let cartesian = BeamLength::learn(&whole, [0.01; 3], 1000.0, false);
+        assert_eq!(Some(cartesian.of(whole[0])), cartesian.vertical());
+    }
+
     #[test]
     fn lengths_that_rounding_does_not_explain_are_kept() {
         let mut beams = beams(1.0, 0.01);
         beams.iter_mut().step_by(2).for_each(|beam| beam.iter_mut().for_each(|x| *x *= 1.001));
-        let length = BeamLength::learn(&beams, [0.01; 3], 1000.0);
+        let length = BeamLength::learn(&beams, [0.01; 3], 1000.0, true);
         assert_eq!(length.vertical(), None);
         assert_eq!(length.of(beams[0]), dot(beams[0], beams[0]).sqrt());
     }
@@ -159,7 +184,7 @@ mod tests {
     #[test]
     fn a_few_damaged_records_change_nothing_and_many_are_not_passed_over() {
         let whole = beams(1.0, 0.01);
-        let vertical = |beams: &[[f64; 3]]| BeamLength::learn(beams, [0.01; 3], 1000.0).vertical();
+        let vertical = |beams: &[[f64; 3]]| BeamLength::learn(beams, [0.01; 3], 1000.0, true).vertical();
         for stray in [[0.0; 3], [f64::NAN; 3], [f64::INFINITY, 0.0, 1.0], [1e9, 0.0, 0.1], [1e-9, 0.0, 0.0]] {
             let mut few = whole.clone();
             few.insert(1000, stray);
@@ -171,8 +196,8 @@ mod tests {
 
     #[test]
     fn no_beams_no_model() {
-        let length = BeamLength::learn(&[], [0.01; 3], 1000.0);
+        let length = BeamLength::learn(&[], [0.01; 3], 1000.0, true);
         assert_eq!(length.of([3.0, 0.0, 4.0]), 5.0);
-        assert_eq!(BeamLength::learn(&[[0.0; 3]; 50], [0.01; 3], 1000.0).vertical(), None);
+        assert_eq!(BeamLength::learn(&[[0.0; 3]; 50], [0.01; 3], 1000.0, true).vertical(), None);
     }
 }

@@ -6,7 +6,7 @@
 use super::sensor_model::ChannelModel;
 
 /// Error of the response behind a pulse that overdrives the receiver.
-pub const OVERDRIVEN_ERROR: f64 = 0.06;
+const OVERDRIVEN_ERROR: f64 = 0.06;
 /// The template error is the greatest within so many widths (4 ns of 4.4).
 const ENVELOPE_WIDTHS: f64 = 0.9;
 /// Where a response can be wrong as a pulse can be: its main lobe and its after-pulse, in widths from the peak …
@@ -17,9 +17,11 @@ const FAR_PART: f64 = 0.5;
 /// How far the response of one channel is to be trusted.
 #[derive(Debug, Clone)]
 pub(super) struct Allowance {
-    /// Whether pulses are told by a response; Gaussians have no allowance.
+    /// Whether pulses are told by a response.
     has_response: bool,
-    least_error: f64,
+    /// Error far from a pulse.
+    far_error: f64,
+    overdriven_error: f64,
     overdriven_dn: f64,
     noise_sd_dn: f64,
     /// Lag of the first entry of the tables, samples.
@@ -34,27 +36,34 @@ impl Allowance {
     /// `least_error` is how well the response is known at least; pulses higher than `overdriven_dn` overdrive the
     /// receiver.
     pub(super) fn new(model: &ChannelModel, least_error: f64, overdriven_dn: f64) -> Allowance {
-        let mut allowance = Allowance {
-            has_response: model.response.is_some(),
-            least_error,
-            overdriven_dn,
-            noise_sd_dn: model.noise_sd_dn,
-            first_lag: 0,
-            errors: Vec::new(),
-            squares: vec![0.0],
-        };
-        let Some(response) = &model.response else { return allowance };
         let fwhm = model.fwhm_samples();
         let reach = (ENVELOPE_WIDTHS * fwhm).round() as i64;
         let margin = reach.max((LOBE_WIDTHS.end * fwhm).ceil() as i64) + 1;
-        allowance.first_lag = i64::from(response.first_sample) - margin;
-        let samples = response.template_error.len() as i64 + 2 * margin;
+        let (first_sample, known) = match &model.response {
+            Some(response) => (i64::from(response.first_sample), response.template_error.len() as i64),
+            None => (-margin, margin),
+        };
+        let measured = |lag: i64| model.response.as_ref().map_or(0.0, |r| r.template_error_at(lag as f64));
+        // A Gaussian is as wrong as its pulses were seen to be, in the main lobe, and nowhere else.
+        let (near_error, far_error) = match &model.response {
+            Some(_) => (least_error, FAR_PART * least_error),
+            None => (model.pulse_shape_error, 0.0),
+        };
+        let mut allowance = Allowance {
+            has_response: model.response.is_some(),
+            far_error,
+            overdriven_error: OVERDRIVEN_ERROR.max(least_error),
+            overdriven_dn,
+            noise_sd_dn: model.noise_sd_dn,
+            first_lag: first_sample - margin,
+            errors: Vec::new(),
+            squares: vec![0.0],
+        };
         let mut sum = 0.0;
-        for lag in (0..samples).map(|k| allowance.first_lag + k) {
-            let near = (-reach..=reach).map(|k| response.template_error_at((lag + k) as f64));
-            let least = if LOBE_WIDTHS.contains(&(lag as f64 / fwhm)) { 1.0 } else { FAR_PART };
-            allowance.errors.push(near.fold(least * least_error, f64::max));
-            sum += response.template_error_at(lag as f64).powi(2);
+        for lag in (0..known + 2 * margin).map(|k| allowance.first_lag + k) {
+            let least = if LOBE_WIDTHS.contains(&(lag as f64 / fwhm)) { near_error } else { far_error };
+            allowance.errors.push((-reach..=reach).map(|k| measured(lag + k)).fold(least, f64::max));
+            sum += measured(lag).powi(2);
             allowance.squares.push(sum);
         }
         allowance
@@ -68,11 +77,11 @@ impl Allowance {
     /// The error of the response so many samples behind a pulse, as part of its height.
     fn error(&self, height_dn: f64, lag_samples: f64) -> f64 {
         if self.overdrives(height_dn) {
-            return OVERDRIVEN_ERROR.max(self.least_error);
+            return self.overdriven_error;
         }
         let index = lag_samples.round() as i64 - self.first_lag;
         let known = usize::try_from(index).ok().and_then(|index| self.errors.get(index));
-        known.copied().unwrap_or(FAR_PART * self.least_error)
+        known.copied().unwrap_or(self.far_error)
     }
 
     /// By how much the threshold at a place rises for what pulses higher than `height_dn` may leave there (an infinite
@@ -85,7 +94,8 @@ impl Allowance {
         per_dn: f64,
         pulses: impl Iterator<Item = (f64, f64)>,
     ) -> f64 {
-        if !self.has_response {
+        // What a Gaussian leaves of a pulse is a reason to add nothing there, and none to drop what stands by itself.
+        if !self.has_response && height_dn.is_finite() {
             return 1.0;
         }
         let mut sum = 1.0;
@@ -97,14 +107,76 @@ impl Allowance {
         sum.sqrt()
     }
 
-    /// `Σ (κ_k a/σ)²` of one pulse over the samples of a block, with the template error that calibration saw.
+    /// `Σ (κ_k a/σ)²` of one pulse over the samples of a block, with the template error that calibration saw: what the
+    /// response's error adds to chi-square on average.
     pub(super) fn expected_excess(&self, position_samples: f64, height_dn: f64, samples: usize) -> f64 {
-        if !self.has_response {
-            return 0.0;
-        }
         let first = -(position_samples.round() as i64) - self.first_lag;
         let last = self.squares.len() as i64 - 1;
         let at = |index: i64| self.squares[index.clamp(0, last) as usize];
         (height_dn / self.noise_sd_dn).powi(2) * (at(first + samples as i64) - at(first))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::noise::ArNoise;
+    use crate::kernels::response::{ResponseNode, SystemResponse};
+    use crate::kernels::simulated::channel;
+
+    fn model(errors: &[f64]) -> ChannelModel {
+        let mut model = channel(&ArNoise::new(&[], 2.0).unwrap(), 4.0, 20.0);
+        let response = SystemResponse {
+            first_sample: -2,
+            nodes: vec![ResponseNode { peak_dn: 155.0, values: vec![1.0; 400] }],
+            template_error: errors.to_vec(),
+            echoes: 200,
+            shape_sd: 1e-3,
+        };
+        model.response = Some(response);
+        model.noise_sd_dn = 2.0;
+        model
+    }
+
+    /// `T √(1 + Σ (κ a √E)²)` with the error's envelope, its least value and that of the tail.
+    #[test]
+    fn thresholds_rise_with_what_strong_pulses_may_leave() {
+        let allowance = Allowance::new(&model(&[0.0, 0.0, 0.0, 0.02, 0.0]), 0.01, 200.0);
+        let raise = |lag: f64| allowance.raise(30.0 + lag, 10.0, 0.5, [(30.0, 100.0)].into_iter());
+        for (lag, error) in
+            [(1.0, 0.02), (5.0, 0.02), (7.0, 0.01), (-9.0, 0.01), (-14.0, 0.005), (90.0, 0.005)]
+        {
+            assert!((raise(lag) - (1.0 + f64::powi(error * 100.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{lag}");
+        }
+        let overdriven = allowance.raise(40.0, 10.0, 0.5, [(30.0, 201.0)].into_iter());
+        assert!((overdriven - (1.0 + f64::powi(0.06 * 201.0 * 0.5, 2)).sqrt()).abs() < 1e-12);
+        let weaker = allowance.raise(31.0, 150.0, 0.5, [(30.0, 100.0)].into_iter());
+        assert_eq!(weaker, 1.0);
+        assert!(allowance.overdrives(201.0) && !allowance.overdrives(200.0));
+    }
+
+    #[test]
+    fn a_gaussian_is_only_a_reason_to_add_nothing() {
+        let mut model = model(&[]);
+        (model.response, model.pulse_shape_error) = (None, 0.07);
+        let allowance = Allowance::new(&model, 0.01, 200.0);
+        let strong = || [(30.0, 100.0)].into_iter();
+        assert_eq!(allowance.raise(33.0, 10.0, 0.5, strong()), 1.0);
+        let any = f64::INFINITY;
+        assert!((allowance.raise(33.0, any, 0.5, strong()) - (1.0 + 3.5f64.powi(2)).sqrt()).abs() < 1e-12);
+        assert_eq!(allowance.raise(60.0, any, 0.5, strong()), 1.0);
+        assert_eq!(allowance.expected_excess(30.0, 100.0, 60), 0.0);
+    }
+
+    #[test]
+    fn the_expected_excess_is_summed_over_the_block() {
+        let allowance = Allowance::new(&model(&[0.01, 0.02, 0.03, 0.04]), 0.0, 200.0);
+        let of = |place: f64, samples: usize| allowance.expected_excess(place, 50.0, samples);
+        let scale = (50.0f64 / 2.0).powi(2);
+        assert!((of(20.0, 60) - scale * 3.0e-3).abs() < 1e-12);
+        // The block begins at the peak: only the errors at and behind it count.
+        assert!((of(0.2, 60) - scale * 2.5e-3).abs() < 1e-12);
+        assert!((of(20.0, 20) - scale * 0.5e-3).abs() < 1e-12);
+        assert_eq!(of(500.0, 60), 0.0);
     }
 }

@@ -7,7 +7,7 @@
 
 use super::decompose::{DecomposeSettings, Decomposer};
 use super::noise::{ArNoise, fit_by_bic};
-use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError};
+use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use first_look::FirstLook;
 use survey::Survey;
 
@@ -16,6 +16,7 @@ mod noise_statistics;
 mod survey;
 #[cfg(test)]
 mod tests;
+mod uncertainty;
 mod width;
 
 pub use noise_statistics::NoiseStatistics;
@@ -34,6 +35,8 @@ const DRIFT_PART: f64 = 0.5;
 const LEAST_DRIFT_SD: f64 = 0.1;
 /// A prior on a waveform's background this much wider than the spread that was seen, where levels can only be guessed.
 const WIDE: f64 = 3.0;
+/// Fits that leave more than so many times the white part of the noise are of pulses that are no Gaussians.
+const MISSHAPEN: f64 = 2.0;
 /// Variance of rounding to whole steps: noise cannot be less.
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
@@ -164,7 +167,7 @@ where
             survey = self::survey(blocks.clone(), &model, free, settings)?;
             free = free && has_free_samples(&survey, &model, settings);
         }
-        model = better_model(&survey, &model, free, settings);
+        model = better_model(&survey, &look, &model, free, settings);
     }
     model.noise()?;
     Ok(model)
@@ -233,9 +236,11 @@ fn first_model(
         innovation_sd_dn: noise_sd_dn,
         pulse_fwhm_ns: look.fwhm_samples * settings.sampling_interval_ns,
         pulse_fwhm_sd_ns: 0.0,
+        pulse_shape_error: 0.0,
         pulse_error_factor: 1.0,
         response: None,
         digitiser: settings.digitiser,
+        uncertainty: ModelUncertainty::default(),
         waveforms: blocks,
         pulses: 0,
     }
@@ -244,6 +249,7 @@ fn first_model(
 /// The model that a survey with the last one gives.
 fn better_model(
     survey: &Survey,
+    look: &FirstLook,
     last: &ChannelModel,
     free: bool,
     settings: &CalibrationSettings,
@@ -252,13 +258,15 @@ fn better_model(
     if free {
         from_free_samples(&mut model, survey, settings);
     } else {
-        from_residuals(&mut model, survey);
+        from_residuals(&mut model, survey, look);
     }
     if let Some(width) = survey.widths.narrow_population() {
         model.pulse_fwhm_ns = width.fwhm_ns;
         model.pulse_fwhm_sd_ns = width.fwhm_sd_ns;
         model.pulses = width.pulses;
     }
+    let told = if free { uncertainty::of_free_samples } else { uncertainty::of_residuals };
+    model.uncertainty = told(&model, survey);
     model
 }
 
@@ -282,16 +290,23 @@ fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &Calib
     set_noise(model, noise);
 }
 
-/// Background and noise where no sample is free: levels from the fits, and white noise as large as what the fits
-/// leave. What they leave is not the receiver's noise alone but also what a pulse is other than a Gaussian, so its
-/// correlation says nothing of the noise's.
-fn from_residuals(model: &mut ChannelModel, survey: &Survey) {
-    let (offset, spread) = survey.offset_dn();
-    model.background_dn = model.background_dn.map(|level| level + offset);
-    model.background_sd_dn = WIDE * spread;
+/// Background and noise where no sample is free: white noise as large as what the fits leave, and the levels of the fits.
+/// What they leave is not the receiver's noise alone but also what a pulse is other than a Gaussian, so its correlation
+/// says nothing of the noise's; and where it is more than noise, a free level has taken up the pulse's skirt, so that
+/// the blocks' smallest samples tell it better.
+fn from_residuals(model: &mut ChannelModel, survey: &Survey, look: &FirstLook) {
+    let residual_sd_dn = model.noise_sd_dn * survey.residual_sd();
+    if residual_sd_dn <= MISSHAPEN * look.white_sd_dn.max(QUANTISATION_VARIANCE.sqrt()) {
+        let (offset, spread) = survey.offset_dn();
+        model.background_dn = model.background_dn.map(|level| level + offset);
+        model.background_sd_dn = WIDE * spread;
+    } else {
+        model.background_dn = [look.floor_level_dn; 4];
+        model.background_sd_dn = look.floor_sd_dn.max(QUANTISATION_VARIANCE.sqrt());
+        model.pulse_shape_error = model.noise_sd_dn * survey.residual_part();
+    }
     model.autocorrelation.clear();
-    let sd = (model.noise_sd_dn * survey.residual_sd()).max(QUANTISATION_VARIANCE.sqrt());
-    set_noise(model, ArNoise::new(&[], sd));
+    set_noise(model, ArNoise::new(&[], residual_sd_dn.max(QUANTISATION_VARIANCE.sqrt())));
 }
 
 fn set_noise(model: &mut ChannelModel, noise: Option<ArNoise>) {

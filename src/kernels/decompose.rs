@@ -3,6 +3,7 @@
 //! The plain form of ALGORITHMS.md S4 to S8 with Gaussian pulses. What a real receiver adds to a Gaussian (after-pulse,
 //! slow tail) is found as returns of its own where it stands out of the noise.
 
+use super::allowance::Allowance;
 use super::detect::{Candidate, Detector, next_plateau, plateau_candidate};
 use super::flags;
 use super::sensor_model::{ChannelModel, ModelError};
@@ -16,8 +17,6 @@ mod score;
 mod tests;
 mod view;
 
-/// Error of the response behind a pulse that overdrives the receiver (REALDATA.md, section 1).
-pub const OVERDRIVEN_ERROR: f64 = 0.06;
 /// A sample of 0 is cut off where the background stands so many standard deviations of the noise above that: it is what
 /// the undershoot of a strong pulse leaves.
 pub(super) const CLEAR_OF_ZERO_SD: f64 = 5.0;
@@ -49,7 +48,7 @@ pub struct DecomposeSettings {
     /// raised by what an error of this size looks like. Gaussians have no such allowance.
     pub template_error: f64,
     /// Pulses higher than this part of the full scale overdrive the receiver though no sample is saturated: they are
-    /// flagged, not divided, and the response is known to [`OVERDRIVEN_ERROR`] only. For models with a response.
+    /// flagged, not divided, and the response is known to 6 % of its height only. For models with a response.
     pub overdriven_part: f64,
     /// Samples that the receiver needs after saturation before they can be used.
     pub recovery_samples: usize,
@@ -171,6 +170,7 @@ impl Decomposition<'_> {
 pub struct Decomposer {
     model: ChannelModel,
     settings: DecomposeSettings,
+    allowance: Allowance,
     scene: Scene,
     detector: Detector,
     candidates: Vec<Candidate>,
@@ -192,6 +192,11 @@ impl Decomposer {
         Ok(Decomposer {
             model: model.clone(),
             settings: settings.clone(),
+            allowance: Allowance::new(
+                model,
+                settings.template_error,
+                settings.overdriven_part * model.full_scale_dn,
+            ),
             scene,
             detector,
             candidates: Vec::with_capacity(max_samples),
@@ -275,12 +280,14 @@ impl Decomposer {
                 amplitude_sd_dn: factor * f.sd[0],
                 width_ratio,
                 width_ratio_sd: factor * width_ratio * f.sd[2],
-                fwhm_ns: width_ratio * self.model.pulse_fwhm_ns,
+                fwhm_ns: width_ratio
+                    * self.scene.shape().fwhm_samples_at(f.pulse.height_dn)
+                    * self.model.sampling_interval_ns,
                 deviation_ratio,
                 flags: f.flags
                     | flags::REFINED
                     | block_flags(samples, &self.model, f.pulse.position_samples, f.pulse.ln_width_ratio)
-                    | if self.overdrives(&f.pulse) { flags::OVERDRIVEN } else { 0 },
+                    | if self.allowance.overdrives(f.pulse.height_dn) { flags::OVERDRIVEN } else { 0 },
             });
         }
         self.set_overlaps();

@@ -14,11 +14,14 @@ use quality::Quality;
 use solve::Problem;
 use spline::Basis;
 
+mod even_odd;
 mod quality;
 mod solve;
 mod spline;
 #[cfg(test)]
 mod tests;
+
+pub use even_odd::EvenOdd;
 
 /// Fewer usable single echoes do not tell a response.
 pub const MIN_ECHOES: usize = 150;
@@ -86,27 +89,30 @@ pub fn calibrate_response<'a>(
         }
         // What is not nearly single is not looked at again.
         blocks = singles.iter().map(|single| single.block).collect();
-        let narrow = narrow_population(&singles);
-        match better_response(&narrow, &model, longest)? {
-            Some(response) => model = with_response(&model, response, narrow.len()),
+        match better_response(&singles, &model, longest)? {
+            Some(response) => model = with_response(&model, response),
             None => return Ok(Calibrated { model: gaussian, usable_echoes }),
         }
     }
     let singles = self::singles(&blocks, &model, settings, 0.0, ERRORS[3])?;
     let mut quality = Quality::new(&model, longest)?;
     singles.iter().for_each(|single| quality.add(single));
-    let (factor, template_error) = (quality.pulse_error_factor(), quality.template_error());
+    let (factor, factor_sd) = (quality.pulse_error_factor(), quality.pulse_error_factor_sd());
+    let template_error = quality.template_error();
     model.pulse_error_factor = factor;
+    model.uncertainty.pulse_error_factor = factor_sd;
+    model.uncertainty.pulse_fwhm_ns = fwhm_sd_ns(&model, &singles);
     if let Some(response) = &mut model.response {
         response.template_error = template_error;
     }
     Ok(Calibrated { model, usable_echoes })
 }
 
-fn with_response(model: &ChannelModel, response: SystemResponse, echoes: usize) -> ChannelModel {
+fn with_response(model: &ChannelModel, response: SystemResponse) -> ChannelModel {
+    let pulses = response.echoes;
     let fwhm_ns = response.fwhm_samples() * model.sampling_interval_ns;
     let pulse_fwhm_ns = if fwhm_ns > 0.0 { fwhm_ns } else { model.pulse_fwhm_ns };
-    ChannelModel { response: Some(response), pulse_fwhm_ns, pulses: echoes as u64, ..model.clone() }
+    ChannelModel { response: Some(response), pulse_fwhm_ns, pulses, ..model.clone() }
 }
 
 /// The usable single echoes among the blocks.
@@ -149,7 +155,40 @@ fn strongest<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64
     (strongest.flags & bad == 0 && returns.iter().all(minor)).then_some(strongest)
 }
 
-/// The echoes that fit well and that nothing widened: those about the mode of the widths.
+/// Echoes of about one height.
+struct Group<'a> {
+    /// The height whose response they tell, DN.
+    peak_dn: f64,
+    singles: Vec<Single<'a>>,
+}
+
+/// The echoes by height, rising. Neighbouring heights of [`NODE_PARTS`] that have too few echoes share one response, at
+/// their mean height; the first stands for all that are weaker.
+fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
+    let heights = NODE_PARTS.map(|part| part * full_scale_dn);
+    let mut groups: Vec<Group<'a>> = Vec::new();
+    // Echoes that no group has yet, from the highest down.
+    let mut open: Vec<Single<'a>> = Vec::new();
+    for (i, &height) in heights.iter().enumerate().rev() {
+        let low = if i > 0 { 0.5 * (heights[i - 1] + height) } else { 0.0 };
+        let high = heights.get(i + 1).map_or(f64::INFINITY, |next| 0.5 * (height + next));
+        let shared = !open.is_empty();
+        open.extend(singles.iter().filter(|s| (low..high).contains(&s.fitted.amplitude_dn)));
+        if open.len() >= MIN_ECHOES || (i == 0 && groups.is_empty()) {
+            let mean = open.iter().map(|s| s.fitted.amplitude_dn).sum::<f64>() / open.len().max(1) as f64;
+            let peak_dn = if shared && i > 0 { mean } else { height };
+            groups.push(Group { peak_dn, singles: std::mem::take(&mut open) });
+        }
+    }
+    // The outgoing pulse is always strong.
+    if let Some(lowest) = groups.last_mut() {
+        lowest.singles.append(&mut open);
+    }
+    groups.reverse();
+    groups
+}
+
+/// The echoes of a group that fit well and that nothing widened: those about the mode of the widths.
 fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
     let narrow = within_window(singles, LEAST_WINDOW);
     if narrow.len() >= ENOUGH_NARROW { narrow } else { within_window(singles, 2.0 * LEAST_WINDOW) }
@@ -169,6 +208,15 @@ fn within_window<'a>(singles: &[Single<'a>], least_window: f64) -> Vec<Single<'a
     kept
 }
 
+/// Standard deviation of the response's width, ns: that of the mean width of the echoes it is made of.
+fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
+    let widths: Vec<f64> = narrow_population(singles).iter().map(Single::ln_width).collect();
+    let n = widths.len().max(1) as f64;
+    let mean = widths.iter().sum::<f64>() / n;
+    let sd = (widths.iter().map(|width| (width - mean).powi(2)).sum::<f64>() / n).sqrt();
+    sd / n.sqrt() * model.pulse_fwhm_ns
+}
+
 /// Centre of the window of this half width that holds the most of the sorted values.
 fn densest(sorted: &[f64], half_width: f64) -> f64 {
     let mut best = (0, 0.0);
@@ -181,34 +229,19 @@ fn densest(sorted: &[f64], half_width: f64) -> f64 {
     best.1
 }
 
-/// The heights that have echoes enough for a response of their own; the first of them stands for all that are weaker.
-fn node_heights(singles: &[Single<'_>], full_scale_dn: f64) -> Vec<f64> {
-    let heights = NODE_PARTS.map(|part| part * full_scale_dn);
-    let mut nodes = Vec::new();
-    for (i, &height) in heights.iter().enumerate() {
-        let low = if i > 0 { 0.5 * (heights[i - 1] + height) } else { 0.0 };
-        let high = heights.get(i + 1).map_or(f64::INFINITY, |next| 0.5 * (height + next));
-        let count = singles.iter().filter(|s| (low..high).contains(&s.fitted.amplitude_dn)).count();
-        if count >= MIN_ECHOES {
-            nodes.push(height);
-        }
-    }
-    if nodes.is_empty() {
-        nodes.push(heights[0]);
-    }
-    nodes
-}
-
 /// The response that tells the echoes best; `None` where the equations have no solution.
 fn better_response(
-    narrow: &[Single<'_>],
+    singles: &[Single<'_>],
     model: &ChannelModel,
     longest: usize,
 ) -> Result<Option<SystemResponse>, ModelError> {
     let fwhm = model.fwhm_samples();
     let reach = (LEAST_REACH_WIDTHS * fwhm).max(longest as f64 + 2.0 * fwhm);
     let basis = Basis::new(fwhm, reach);
-    let nodes = node_heights(narrow, model.full_scale_dn);
+    // A receiver that compresses strong echoes makes them wider: each height has its own mode of the widths.
+    let groups = by_height(singles, model.full_scale_dn);
+    let narrow: Vec<_> = groups.iter().flat_map(|group| narrow_population(&group.singles)).collect();
+    let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
     let mut problem = Problem::new(model, &basis, &nodes, longest)?;
     narrow.iter().for_each(|single| problem.add(single));
     let Some(solution) = problem.solve() else { return Ok(None) };

@@ -61,6 +61,10 @@ pub struct ChannelModel {
     pub pulse_fwhm_ns: f64,
     /// Spread of that width from pulse to pulse, ns.
     pub pulse_fwhm_sd_ns: f64,
+    /// Standard deviation of pulses about the Gaussian that stands for them, as part of their height, where no sample is
+    /// free of signal and so nothing else tells what a pulse leaves; 0 where it was not measured.
+    #[serde(default)]
+    pub pulse_shape_error: f64,
     /// How much larger errors on a pulse are than the noise before it lets expect: its standard deviations are
     /// multiplied by this. 1 where it was not measured.
     #[serde(default = "one")]
@@ -71,6 +75,9 @@ pub struct ChannelModel {
     /// What the digitiser and the receiver do to samples beside noise; nothing where it is absent.
     #[serde(default, skip_serializing_if = "Digitiser::is_plain")]
     pub digitiser: Digitiser,
+    /// How well these numbers are known.
+    #[serde(default)]
+    pub uncertainty: ModelUncertainty,
     /// Blocks the model was found from.
     pub waveforms: u64,
     /// Single, unsaturated pulses the width was found from; 0 where there were too few and the width is a first
@@ -128,6 +135,25 @@ impl Digitiser {
     }
 }
 
+/// How well the numbers of a [`ChannelModel`] are known: standard deviations of the estimates, by the names of the numbers.
+/// That of the response stands with it (`shape_sd`). 0 where it was not told.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelUncertainty {
+    /// Of the level of one phase, DN: the noise over the root of the free samples, their correlation and the drift from
+    /// block to block counted in.
+    pub background_dn: f64,
+    /// Of the standard deviation of the noise, DN: `σ √((1 + 2 Σ ρ_k²) / 2n)` of `n` free samples.
+    pub noise_sd_dn: f64,
+    /// Of the correlation at each lag (Bartlett 1946).
+    pub autocorrelation: Vec<f64>,
+    /// Of the full width at half maximum, ns: `1.45 s / √n` for the mode of `n` widths of Gaussians that spread by `s`, and
+    /// `s / √n` for a response made of `n` echoes.
+    pub pulse_fwhm_ns: f64,
+    /// Of the error factor: `0.96 f / √n` of `n` scores, it being half of what lies between two of their percentiles.
+    pub pulse_error_factor: f64,
+}
+
 fn one() -> f64 {
     1.0
 }
@@ -164,6 +190,10 @@ impl ChannelModel {
         if !(self.background_sd_dn >= 0.0 && self.background_sd_dn.is_finite()) {
             let problem = format!("{} is not a standard deviation", self.background_sd_dn);
             return Err(ModelError { field: "background_sd_dn", problem });
+        }
+        if !(self.pulse_shape_error >= 0.0 && self.pulse_shape_error.is_finite()) {
+            let problem = format!("{} is not a standard deviation", self.pulse_shape_error);
+            return Err(ModelError { field: "pulse_shape_error", problem });
         }
         ArNoise::new(&self.ar, self.innovation_sd_dn).ok_or_else(|| ModelError {
             field: "ar",
@@ -233,9 +263,11 @@ mod tests {
             innovation_sd_dn: 1.0,
             pulse_fwhm_ns: 4.0,
             pulse_fwhm_sd_ns: 0.1,
+            pulse_shape_error: 0.0,
             pulse_error_factor: 1.0,
             response: None,
             digitiser: Digitiser::default(),
+            uncertainty: ModelUncertainty { noise_sd_dn: 0.01, ..ModelUncertainty::default() },
             waveforms: 200,
             pulses: 150,
         }
@@ -282,6 +314,16 @@ mod tests {
     }
 
     #[test]
+    fn a_model_of_before_its_uncertainty_was_told_still_loads() {
+        let mut value = serde_json::to_value(model()).unwrap();
+        for field in ["uncertainty", "pulse_shape_error", "pulse_error_factor"] {
+            value.as_object_mut().unwrap().remove(field).unwrap();
+        }
+        let loaded: ChannelModel = serde_json::from_value(value).unwrap();
+        assert_eq!(loaded, ChannelModel { uncertainty: ModelUncertainty::default(), ..model() });
+    }
+
+    #[test]
     fn what_describes_no_channel_is_named() {
         let check = |change: fn(&mut ChannelModel), expected: &str| {
             let mut model = model();
@@ -305,6 +347,11 @@ mod tests {
         check(
             |m| m.digitiser.odd_sample_shift = 1.0,
             "sensor model: odd_sample_shift: 1 does not lie between -1 and 1; \
+             calibrate anew, or correct the saved model",
+        );
+        check(
+            |m| m.pulse_shape_error = f64::NAN,
+            "sensor model: pulse_shape_error: NaN is not a standard deviation; \
              calibrate anew, or correct the saved model",
         );
         check(

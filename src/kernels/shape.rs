@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::gauss_fit::{self, Pulse};
-use super::response::SystemResponse;
+use super::response::{self, STEPS_PER_SAMPLE, SystemResponse};
 use super::sensor_model::{ChannelModel, ModelError};
 use super::templates::{Part, Templates};
 
@@ -53,6 +53,8 @@ pub struct ResponseShape {
     fwhm_samples: f64,
     /// By the height that they hold for, rising.
     nodes: Vec<(f64, Templates)>,
+    /// Full widths at half maximum of the nodes' responses, samples.
+    node_fwhm_samples: Vec<f64>,
 }
 
 impl From<f64> for Shape {
@@ -76,7 +78,12 @@ impl Shape {
         response.check()?;
         let table = |values: &[f64]| Templates::new(values, response.first_sample, fwhm_samples);
         let nodes = response.nodes.iter().map(|node| (node.peak_dn, table(&node.values))).collect();
-        let family = Family::Response(Arc::new(ResponseShape { fwhm_samples, nodes }));
+        let width = |values: &[f64]| match response::fwhm(values) / STEPS_PER_SAMPLE as f64 {
+            width if width > 0.0 => width,
+            _ => fwhm_samples,
+        };
+        let node_fwhm_samples = response.nodes.iter().map(|node| width(&node.values)).collect();
+        let family = Family::Response(Arc::new(ResponseShape { fwhm_samples, nodes, node_fwhm_samples }));
         Ok(Shape { family, odd_sample_shift: 0.0 })
     }
 
@@ -90,6 +97,19 @@ impl Shape {
         match &self.family {
             Family::Gaussian { fwhm_samples } => *fwhm_samples,
             Family::Response(response) => response.fwhm_samples,
+        }
+    }
+
+    /// Full width at half maximum of a pulse of width ratio 1 and of this height, samples: a receiver that compresses
+    /// strong echoes makes them wider.
+    pub fn fwhm_samples_at(&self, height_dn: f64) -> f64 {
+        match &self.family {
+            Family::Gaussian { fwhm_samples } => *fwhm_samples,
+            Family::Response(response) => {
+                let (low, high, share) = response.around(height_dn);
+                let widths = &response.node_fwhm_samples;
+                (1.0 - share) * widths[low] + share * widths[high]
+            }
         }
     }
 

@@ -75,9 +75,11 @@ pub(crate) fn channel(process: &ArNoise, fwhm_samples: f64, background_dn: f64) 
         innovation_sd_dn: noise.innovation_variance().sqrt(),
         pulse_fwhm_ns: fwhm_samples,
         pulse_fwhm_sd_ns: 0.1,
+        pulse_shape_error: 0.0,
         pulse_error_factor: 1.0,
         response: None,
         digitiser: Digitiser::default(),
+        uncertainty: Default::default(),
         waveforms: 1000,
         pulses: 1000,
     }

@@ -291,7 +291,7 @@ impl Geometry {
         }
         let up = vectors.iter().filter(|vector| vector[2] > 0.0).count();
         let towards_sensor = 2 * up >= vectors.len();
-        let beams = BeamLength::learn(&vectors, reader.header().scale, LEARN_BASELINE_NS);
+        let beams = BeamLength::learn(&vectors, reader.header().scale, LEARN_BASELINE_NS, true);
         let mut lengths: Vec<f64> = vectors.iter().map(|vector| beams.of(*vector)).collect();
         lengths.sort_by(f64::total_cmp);
         let median = lengths.get(lengths.len() / 2).copied();

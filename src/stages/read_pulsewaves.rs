@@ -31,8 +31,8 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewave
 /// rounding is all that makes them differ, so that a range of 500 m is not wrong by up to 14 mm on a grid of 1 cm.
 ///
 /// Where outgoing segments have no start time (RIEGL's files of 2013), the anchor is the whole sample nearest to the
-/// outgoing pulse's peak: on such a recording that reading leaves plane surfaces smooth to 36 mm, where rounding down
-/// leaves 74 mm, and the positions as they stand 170 mm.
+/// outgoing pulse's peak: on such a recording that reading leaves points within 16 mm of the planes of their neighbours,
+/// where each beam's own length leaves 21 mm.
 ///
 /// Rejects pulses whose waves cannot be read, and goes on with the next. A file that ends with such pulses is cut off:
 /// that is an error. Compressed files (`.plz`, `.wvz`) are refused.
@@ -98,6 +98,9 @@ impl Receivers {
 const BEAMS_LOOKED_AT: u64 = 10_000;
 /// Sampling units between the anchor and the target of a pulse (PulseWaves 0.3, "Pulse Record").
 const UNITS_TO_TARGET: f64 = 1000.0;
+
+/// No scanner flies that high: such a third coordinate is no height, and the frame is geocentric.
+const NO_HEIGHT_M: f64 = 50_000.0;
 
 impl PulseWavesSource {
     fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<PulseWavesSource> {
@@ -207,14 +210,16 @@ fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
 fn look_at_beams(reader: &mut Reader) -> Result<BeamLength> {
     let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
     let mut beams = Vec::new();
+    let mut projected = true;
     let mut index = 0;
     while index < reader.pulse_count() {
         let pulse = reader.pulse(index)?;
         let unit_ns = unit_ns(reader, &pulse);
+        projected &= pulse.anchor[2].abs() < NO_HEIGHT_M;
         beams.push(pulse.step.map(|metres| metres / unit_ns));
         index += stride;
     }
-    Ok(BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET))
+    Ok(BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET, projected))
 }
 
 fn returning_channels(reader: &Reader) -> BTreeSet<u8> {

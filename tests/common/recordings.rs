@@ -21,9 +21,14 @@ pub fn data() -> Option<PathBuf> {
 pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputReport {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs").join(name);
     let text = std::fs::read_to_string(&path).expect("the job stands in the repository");
+    run(name, &text, data, out, set)
+}
+
+/// Runs a job on the inputs in a folder, into `out`.
+pub fn run(name: &str, text: &str, inputs: &Path, out: &Path, set: &[&str]) -> InputReport {
     let overrides: Vec<Override> = set.iter().map(|text| Override::new(*text)).collect();
-    let job = Job::parse(name, &text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
-    let options = Options::of_job(&job, data, out);
+    let job = Job::parse(name, text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
+    let options = Options::of_job(&job, inputs, out);
     let mut report = engine::run(&job, &options).unwrap_or_else(|error| panic!("{error}"));
     report.inputs.remove(0)
 }
@@ -73,6 +78,11 @@ pub fn median(values: &[f64]) -> f64 {
 
 /// The low power samples of every block that a reader finds, in order.
 pub fn samples(reader: &str, path: &Path) -> Vec<Vec<u16>> {
+    samples_of(Channel::LowPower, reader, path).into_iter().map(|(_, samples)| samples).collect()
+}
+
+/// The samples of every block of one receiver that a reader finds, in order, with their shots.
+pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<u16>)> {
     let spec = wavex::registry::find(reader).expect("a reader of the registry");
     let keys = toml::toml! { path = "unused" }.to_string();
     let table = toml::de::DeTable::parse(&keys).expect("the test's own TOML");
@@ -91,8 +101,10 @@ pub fn samples(reader: &str, path: &Path) -> Vec<Vec<u16>> {
     let mut found = Vec::new();
     while let Some(batch) = source.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
         let blocks = batch.blocks().expect("a reader gives waveforms");
-        let low_power = blocks.iter().filter(|block| block.channel == Channel::LowPower);
-        found.extend(low_power.map(|block| blocks.samples(block).to_vec()));
+        for block in blocks.iter().filter(|block| block.channel == channel) {
+            let shot = batch.emissions[block.emission as usize].shot;
+            found.push((shot, blocks.samples(block).to_vec()));
+        }
     }
     found
 }

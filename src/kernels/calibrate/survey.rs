@@ -23,6 +23,7 @@ pub(super) struct Survey {
     pub(super) widths: Widths,
     offsets_dn: Vec<f64>,
     residual_sds: Vec<f64>,
+    residual_parts: Vec<f64>,
 }
 
 impl Survey {
@@ -33,7 +34,10 @@ impl Survey {
         self.blocks += 1;
         self.offsets_dn.push(outcome.background_offset_dn);
         if outcome.degrees_of_freedom() > 0 {
-            self.residual_sds.push((outcome.chi_square / outcome.degrees_of_freedom() as f64).sqrt());
+            let sd = (outcome.chi_square / outcome.degrees_of_freedom() as f64).sqrt();
+            self.residual_sds.push(sd);
+            let highest = outcome.returns.iter().map(|r| r.amplitude_dn).fold(0.0, f64::max);
+            self.residual_parts.extend((highest > 0.0).then(|| sd / highest));
         }
         let free = free_samples(&outcome, fwhm_samples, block.samples.len());
         self.noise.add(&block.samples[..free], block.start_phase);
@@ -53,10 +57,27 @@ impl Survey {
 
     /// Median standard deviation of what the fits leave, in standard deviations of the noise.
     pub(super) fn residual_sd(&self) -> f64 {
+        median(&self.residual_sds, 1.0)
+    }
+
+    /// Half of what lies between the 16th and the 84th percentile of those.
+    pub(super) fn residual_spread(&self) -> f64 {
         let mut sorted = self.residual_sds.clone();
         sorted.sort_by(f64::total_cmp);
-        sorted.get(sorted.len() / 2).copied().unwrap_or(1.0)
+        let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
+        0.5 * (at(0.841_345) - at(0.158_655))
     }
+
+    /// The same median over the height of the block's highest pulse, per DN.
+    pub(super) fn residual_part(&self) -> f64 {
+        median(&self.residual_parts, 0.0)
+    }
+}
+
+fn median(values: &[f64], without: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(without)
 }
 
 /// How many of the block's first samples come before any pulse.

@@ -1,53 +1,17 @@
-//! What errors of the response look like: echoes that are not there, beside strong ones.
-//!
-//! A response known to the part `κ` of a pulse's height `a` leaves behind it, in the matched filter, something of the size
-//! `κ a √E`; with the noise it makes the threshold `T √(1 + Σ (κ a √E)²)` (ALGORITHMS.md S5).
+//! Thresholds beside strong pulses: what errors of the response look like is no echo.
 
-use super::{Decomposer, OVERDRIVEN_ERROR};
+use super::Decomposer;
 use crate::kernels::gauss_fit::Pulse;
 
 /// What is seen of a candidate's strength is told from what stronger ones leave there from so many widths on.
 const TOLD_WIDTHS: f64 = 1.5;
-/// The template error is the greatest within so many widths (4 ns of 4.4).
-const ENVELOPE_WIDTHS: f64 = 0.9;
-
-/// Where a response can be wrong as a pulse can be: its main lobe and its after-pulse, in widths from the peak …
-const LOBE_WIDTHS: std::ops::Range<f64> = -2.5..3.2;
-/// … and the part of the least template error elsewhere, in the slow and smooth tail (REALDATA.md: at most 0.0012).
-const FAR_PART: f64 = 0.5;
-
 impl Decomposer {
-    /// Whether a pulse overdrives the receiver.
-    pub(super) fn overdrives(&self, pulse: &Pulse) -> bool {
-        self.model.response.is_some()
-            && pulse.height_dn > self.settings.overdriven_part * self.model.full_scale_dn
-    }
-
-    /// The error of the response so many samples behind a pulse, as part of its height.
-    fn template_error(&self, pulse: &Pulse, lag_samples: f64) -> f64 {
-        let Some(response) = &self.model.response else { return 0.0 };
-        if self.overdrives(pulse) {
-            return OVERDRIVEN_ERROR.max(self.settings.template_error);
-        }
-        let reach = (ENVELOPE_WIDTHS * self.model.fwhm_samples()).round() as i32;
-        let near = (-reach..=reach).map(|k| response.template_error_at(lag_samples + f64::from(k)));
-        let widths = lag_samples / self.model.fwhm_samples();
-        let least = if LOBE_WIDTHS.contains(&widths) { 1.0 } else { FAR_PART };
-        near.fold(least * self.settings.template_error, f64::max)
-    }
-
-    /// `Σ (κ_k a/σ)²` over pulses and samples with the template error that calibration saw (ALGORITHMS.md S7).
+    /// What the response's errors add to chi-square on average.
     pub(super) fn expected_excess(&self) -> f64 {
-        let Some(response) = &self.model.response else { return 0.0 };
-        let used = self.scene.whitener().used();
-        let of_pulse = |pulse: &Pulse| -> f64 {
-            let part = pulse.height_dn / self.model.noise_sd_dn;
-            let samples = used.iter().enumerate().filter(|(_, used)| **used);
-            samples
-                .map(|(k, _)| (part * response.template_error_at(k as f64 - pulse.position_samples)).powi(2))
-                .sum()
-        };
-        self.scene.found.iter().map(|f| of_pulse(&f.pulse)).sum()
+        let samples = self.scene.target_dn().len();
+        let of =
+            |pulse: &Pulse| self.allowance.expected_excess(pulse.position_samples, pulse.height_dn, samples);
+        self.scene.found.iter().map(|f| of(&f.pulse)).sum()
     }
 
     /// The threshold of detection at a place, raised by what pulses higher than `height_dn` may leave there; an
@@ -81,19 +45,9 @@ impl Decomposer {
     /// By what part thresholds are raised at a place by what pulses higher than `height_dn` may leave there; an
     /// infinite height means all pulses.
     pub(super) fn allowance_at(&self, position_samples: f64, height_dn: f64) -> f64 {
-        if self.model.response.is_none() {
-            return 1.0;
-        }
         let per_dn = self.detector.full_significance_per_dn();
-        let mut sum = 1.0;
-        for f in &self.scene.found {
-            let lag = position_samples - f.pulse.position_samples;
-            let stronger = height_dn.is_infinite() || f.pulse.height_dn > height_dn;
-            if stronger {
-                sum += (self.template_error(&f.pulse, lag) * f.pulse.height_dn * per_dn).powi(2);
-            }
-        }
-        sum.sqrt()
+        let pulses = self.scene.found.iter().map(|f| (f.pulse.position_samples, f.pulse.height_dn));
+        self.allowance.raise(position_samples, height_dn, per_dn, pulses)
     }
 
     /// Drops candidates that are no more than what stronger ones leave behind them. The candidates are sorted by

@@ -65,7 +65,7 @@ impl Decomposer {
         let starts = [0.5, 0.8, 0.2].map(Start::Apart);
         (0..self.scene.found.len()).any(|i| {
             let p = self.scene.found[i].pulse;
-            if self.overdrives(&p) || !self.may_hide_two(i) {
+            if self.allowance.overdrives(p.height_dn) || !self.may_hide_two(i) {
                 return false;
             }
             let half = Candidate {

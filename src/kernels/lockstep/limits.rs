@@ -25,6 +25,7 @@ pub(super) struct Limits {
     /// The lower one of the two.
     pub(super) least_sigma: f64,
     fwhm_samples: f64,
+    pub(super) shape: Shape,
     /// For pulses at the ends of blocks.
     detector: Detector,
     whitener: Whitener,
@@ -33,7 +34,8 @@ pub(super) struct Limits {
 impl Limits {
     pub(super) fn new(model: &ChannelModel, settings: &DecomposeSettings) -> Result<Limits, ModelError> {
         let whitener = Whitener::new(model.noise()?, 0);
-        let detector = Detector::new(Shape::of(model)?, model.offset_precision(), &whitener, 0);
+        let shape = Shape::of(model)?;
+        let detector = Detector::new(shape.clone(), model.offset_precision(), &whitener, 0);
         let overdriven_dn = settings.overdriven_part * model.full_scale_dn;
         Ok(Limits {
             echo: (0..ECHO_SAMPLES).map(|lag| detector.echo(lag as f64) as f32).collect(),
@@ -43,6 +45,7 @@ impl Limits {
             detection_sigma_last: settings.detection_sigma_last,
             least_sigma: settings.least_sigma(),
             fwhm_samples: model.fwhm_samples(),
+            shape,
             detector,
             whitener,
         })

@@ -122,7 +122,9 @@ impl Finish<'_> {
                 amplitude_sd_dn: sds[0],
                 width_ratio,
                 width_ratio_sd: width_ratio * sds[2],
-                fwhm_ns: width_ratio * self.model.pulse_fwhm_ns,
+                fwhm_ns: width_ratio
+                    * self.limits.shape.fwhm_samples_at(height)
+                    * self.model.sampling_interval_ns,
                 deviation_ratio,
                 flags: pulse.flags
                     | block_flags(samples, self.model, position, ln_width)

@@ -5,6 +5,7 @@ use crate::kernels::decompose::Return;
 use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::noise::ArNoise;
 use crate::kernels::response::{ResponseNode, SystemResponse};
+use crate::kernels::sensor_model::Background;
 use crate::kernels::shape::Shape;
 use crate::kernels::simulated::{self, Random, digitised, pulse};
 
@@ -89,76 +90,212 @@ fn decompose(fast: &mut Lockstep, waveforms: &[Vec<u16>]) -> Outcomes {
     outcomes
 }
 
-/// Against the plain kernels: the same number of returns in 99 % of the waveforms; of those, 99 % of the values within 0.1
-/// of their standard deviations, which agree within 3 %.
+/// Against the plain kernels: the same number of returns in 99.5 % of the waveforms. Of those, values and standard
+/// deviations differ by less than 0.1 standard deviations (30 % for the standard deviations themselves) in 95 %, by less
+/// than half of one in 99 %: the fast kernels leave out what lies behind a pulse's row and the block's first samples.
 #[test]
 fn returns_are_those_of_the_plain_kernels() {
     let model = model();
     let waveforms = scenes(&model, 1, 3000);
     let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
     let outcomes = decompose(&mut fast(&model, Mode::Refined, Path::best()), &waveforms);
-    let (mut same, mut values, mut near, mut total) = (0, 0, 0, 0);
+    let (mut same, mut differences) = (0, Vec::new());
     for (samples, found) in waveforms.iter().zip(outcomes.iter()) {
         let expected = plain.decompose(samples, 0);
         let c = found.counts;
         assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
-        total += expected.returns.len();
-        if expected.returns.len() != found.returns.len() {
-            let show = |r: &[Return]| -> Vec<_> {
-                r.iter()
-                    .map(|r| {
-                        (
-                            (r.position_samples * 100.0).round() / 100.0,
-                            r.amplitude_dn.round(),
-                            (r.width_ratio * 100.0).round() / 100.0,
-                        )
-                    })
-                    .collect()
-            };
-            println!(
-                "{:?} chi {:.1}\n   {:?} chi {:.1}",
-                show(expected.returns),
-                expected.chi_square,
-                show(found.returns),
-                found.chi_square
-            );
-            continue;
-        }
-        same += 1;
-        for (a, b) in expected.returns.iter().zip(found.returns) {
-            let errors = [
-                (a.position_samples - b.position_samples) / a.position_sd_samples,
-                (a.amplitude_dn - b.amplitude_dn) / a.amplitude_sd_dn,
-                (a.width_ratio - b.width_ratio) / a.width_ratio_sd,
-                (a.position_sd_samples / b.position_sd_samples - 1.0) / 0.3,
-            ];
-            values += 1;
-            near += usize::from(errors.iter().all(|e| e.abs() < 0.1));
+        assert_eq!(c.np as usize, found.returns.len());
+        if expected.returns.len() == found.returns.len() {
+            same += 1;
+            differences.extend(expected.returns.iter().zip(found.returns).map(|(a, b)| difference(a, b)));
         }
     }
-    println!("{total} returns; the same number in {same} of {}; near {near} of {values}", waveforms.len());
-    assert!(same * 100 >= 99 * waveforms.len());
-    assert!(near * 100 >= 99 * values);
+    differences.sort_by(f64::total_cmp);
+    let at = |part: f64| differences[(part * differences.len() as f64) as usize];
+    println!(
+        "the same number in {same} of {}; differences {:?}",
+        waveforms.len(),
+        [0.5, 0.9, 0.95, 0.99].map(at)
+    );
+    assert!(same * 1000 >= 995 * waveforms.len());
+    assert!(at(0.5) < 0.02 && at(0.95) < 0.1 && at(0.99) < 0.5);
+}
+
+/// The greatest difference of two returns in any value, in standard deviations; of those, in parts of 0.3.
+fn difference(a: &Return, b: &Return) -> f64 {
+    let values = [
+        (a.position_samples - b.position_samples) / a.position_sd_samples,
+        (a.amplitude_dn - b.amplitude_dn) / a.amplitude_sd_dn,
+        (a.width_ratio - b.width_ratio) / a.width_ratio_sd,
+        (a.position_sd_samples / b.position_sd_samples - 1.0) / 0.3,
+        (a.amplitude_sd_dn / b.amplitude_sd_dn - 1.0) / 0.3,
+    ];
+    values.into_iter().fold(0.0, |greatest, value| value.abs().max(greatest))
+}
+
+/// Everything that is told of a waveform, as text: `{:?}` tells every value apart.
+fn everything(model: &ChannelModel, path: Path, waveforms: &[Vec<u16>]) -> Vec<String> {
+    let mut told = vec![String::new(); waveforms.len()];
+    for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
+        for refine in [false, true] {
+            let mut kernels = fast(model, mode, path).refine_when_needed(refine);
+            let outcomes = decompose(&mut kernels, waveforms);
+            for (told, outcome) in told.iter_mut().zip(outcomes.iter()) {
+                *told += &format!("{outcome:?}");
+            }
+        }
+    }
+    told
+}
+
+/// Blocks of every kind: none, short, cut, saturated, long, and those of the mixed scene.
+fn mixture(model: &ChannelModel) -> Vec<Vec<u16>> {
+    let shape = Shape::of(model).unwrap();
+    let mut random = Random::new(11);
+    let mut waveforms = scenes(model, 3, 60);
+    for i in 0..40 {
+        let samples = [60, 61, 0, 120, 7, 16, 64, 33, 1, 200][i % 10];
+        let position = [20.3, 0.4, 59.2, 31.7, 5.5][i % 5];
+        let height = [60.0, 230.0, 0.0, 20.0, 400.0, 170.0][i % 6];
+        let pulses = [pulse(height, position, 1.1), pulse(0.5 * height, position + 5.0, 1.0)];
+        waveforms.push(block(model, &shape, &mut random, samples, &pulses));
+    }
+    waveforms
 }
 
 #[test]
-fn why() {
+fn every_path_gives_the_same_bits() {
+    let model = model();
+    let waveforms = mixture(&model);
+    let plain = everything(&model, Path::Portable, &waveforms);
+    for path in Path::ALL {
+        assert_eq!(everything(&model, path, &waveforms), plain, "{path:?}");
+    }
+}
+
+#[test]
+fn a_waveform_gives_the_same_bits_alone_and_among_others() {
+    let model = model();
+    let waveforms = mixture(&model);
+    let together = everything(&model, Path::best(), &waveforms);
+    let reversed: Vec<_> = waveforms.iter().rev().cloned().collect();
+    let mut backwards = everything(&model, Path::best(), &reversed);
+    backwards.reverse();
+    assert_eq!(backwards, together);
+    for (samples, together) in waveforms.iter().zip(&together).step_by(3) {
+        assert_eq!(&everything(&model, Path::best(), std::slice::from_ref(samples))[0], together);
+    }
+}
+
+/// The tables' Taylor expansion against the plain templates: within 1e-4 of the height from a width ratio of 0.9 to 1.5,
+/// whatever the height.
+#[test]
+fn pulses_are_those_of_the_plain_templates() {
+    let mut model = model();
+    // Without a noise model nothing is whitened, so a row shows the pulse itself.
+    (model.ar, model.innovation_sd_dn, model.noise_sd_dn) = (Vec::new(), 1.0, 1.0);
+    let tables = Tables::new(&model).unwrap();
+    let shape = Shape::of(&model).unwrap();
+    let mut rows = rows::Rows::new(SAMPLES);
+    let mut random = Random::new(3);
+    let empty = [0u16; SAMPLES];
+    (model.background_dn, model.background_sd_dn) = ([0.0; 4], 0.0);
+    for _ in 0..300 {
+        let (place, ratio) = (14.0 + 20.0 * random.uniform(), 0.9 + 0.6 * random.uniform());
+        let height = 20.0 + 190.0 * random.uniform();
+        let values = [height as f32, place as f32, ratio.ln() as f32];
+        let block = [Block { samples: &empty, start_phase: 0 }];
+        let mut out = Vec::new();
+        let on = Path::best().processor();
+        on.run(Detect { tables: &tables, rows: &mut rows, blocks: &block, threshold: 4.0, out: &mut out });
+        let before = rows.residual_row(0).to_vec();
+        jobs::add(on, &tables, &mut rows, 0, values, 1.0);
+        let mut exact = vec![0.0; SAMPLES];
+        shape.add(
+            &pulse(f64::from(values[0]), f64::from(values[1]), f64::from(values[2]).exp()),
+            1.0,
+            &mut exact,
+        );
+        // Before and behind the row the tail is that of a pulse of calibrated width.
+        let first = place.round() as usize - 10;
+        for (k, exact) in exact.iter().enumerate().skip(first).take(29) {
+            let found = f64::from(rows.residual_row(0)[rows::FRONT + k] - before[rows::FRONT + k]);
+            assert!((found - exact).abs() < 1e-4 * height, "{values:?} {k}: {found} {exact}");
+        }
+    }
+}
+
+/// A lone pulse's tail is taken off to the end of the block: what is left is noise of unit variance.
+#[test]
+fn nothing_of_a_pulse_is_left_behind_its_row() {
     let model = model();
     let shape = Shape::of(&model).unwrap();
-    let mut random = Random::new(5);
-    let waveforms: Vec<Vec<u16>> = (0..640)
-        .map(|i| {
-            let p = 12.0 + 12.0 * random.uniform();
-            let mut v = vec![pulse(20.0 + 130.0 * random.uniform(), p, 1.0)];
-            if i >= 320 {
-                v.push(pulse(20.0 + 130.0 * random.uniform(), p + 6.0 + 6.0 * random.uniform(), 1.0));
-            }
-            block(&model, &shape, &mut random, SAMPLES, &v)
+    let mut random = Random::new(8);
+    let waveforms: Vec<Vec<u16>> = (0..2000)
+        .map(|_| {
+            let height = 60.0 + 120.0 * random.uniform();
+            let one = pulse(height, 14.0 + 4.0 * random.uniform(), 1.0);
+            block(&model, &shape, &mut random, 80, &[one])
         })
         .collect();
-    let settings = DecomposeSettings { max_added: 0, ..DecomposeSettings::default() };
-    let tables = Some(Arc::new(Tables::new(&model).unwrap()));
-    let mut f = Lockstep::new(&model, tables, &settings, Mode::Refined, Path::best()).unwrap();
-    decompose(&mut f, &waveforms);
-    println!("{} left", f.left_to_plain());
+    let outcomes = decompose(&mut fast(&model, Mode::Refined, Path::best()), &waveforms);
+    let one = outcomes.iter().filter(|outcome| outcome.returns.len() == 1).count();
+    let mean: f64 =
+        outcomes.iter().map(|o| o.chi_square / o.degrees_of_freedom() as f64).sum::<f64>() / 2000.0;
+    println!("one return in {one} of 2000, chi-square per degree of freedom {mean:.4}");
+    assert!(one >= 1990 && (mean - 1.0).abs() < 0.02);
+}
+
+/// The score of single pulses follows chi-square of two degrees of freedom, but for the third, one-sided direction:
+/// its mean is 2 to 2.4, and 5 to 7.5 % are above 6.
+#[test]
+fn the_score_of_one_pulse_is_that_of_noise() {
+    let model = model();
+    let shape = Shape::of(&model).unwrap();
+    let tables = Tables::new(&model).unwrap();
+    let mut random = Random::new(6);
+    let mut scores = Vec::new();
+    let settings = DecomposeSettings { split_evidence: None, ..DecomposeSettings::default() };
+    let shared = Some(Arc::new(Tables::new(&model).unwrap()));
+    let mut kernels = Lockstep::new(&model, shared, &settings, Mode::Refined, Path::best()).unwrap();
+    let waveforms: Vec<Vec<u16>> = (0..BATCH * 30)
+        .map(|_| {
+            let one = pulse(50.0 + 60.0 * random.uniform(), 18.0 + 8.0 * random.uniform(), 1.25);
+            block(&model, &shape, &mut random, SAMPLES, &[one])
+        })
+        .collect();
+    for waveforms in waveforms.chunks(BATCH) {
+        decompose(&mut kernels, waveforms);
+        let found = kernels.work.scenes.iter().enumerate().filter(|(_, scene)| scene.pulses().len() == 1);
+        let pulses: Vec<_> = found.map(|(row, scene)| (row, scene.pulses()[0].values())).collect();
+        let mut out = Vec::new();
+        let rows = &kernels.work.rows;
+        Path::best().processor().run(gate::Scores { tables: &tables, rows, pulses: &pulses, out: &mut out });
+        scores.extend(out);
+    }
+    let mean = scores.iter().sum::<f32>() / scores.len() as f32;
+    let above = scores.iter().filter(|&&score| score > 6.0).count() as f64 / scores.len() as f64;
+    println!("{} scores: mean {mean:.3}, above 6 {above:.4}", scores.len());
+    assert!(scores.len() > 3500 && (1.9..2.4).contains(&mean) && (0.045..0.075).contains(&above));
+}
+
+/// Without tables the plain kernels do everything; with a response of its own for strong echoes heights above it count.
+#[test]
+fn what_the_tables_cannot_hold_is_left_to_the_plain_kernels() {
+    let model = model();
+    assert!(Tables::new(&ChannelModel { ar: vec![0.1; 5], ..model.clone() }).is_none());
+    assert!(Tables::new(&ChannelModel { pulse_fwhm_ns: 9.0, ..model.clone() }).is_none());
+    let drifting =
+        ChannelModel { background: Background::PerWaveform, background_sd_dn: 1.0, ..model.clone() };
+    assert!(Tables::new(&drifting).is_none());
+    let waveforms = scenes(&model, 2, 20);
+    let settings = DecomposeSettings::default();
+    let mut kernels = Lockstep::new(&model, None, &settings, Mode::Refined, Path::best()).unwrap();
+    let outcomes = decompose(&mut kernels, &waveforms);
+    assert_eq!((outcomes.len(), outcomes.is_empty()), (20, false));
+    let mut plain = Decomposer::new(&model, &settings, SAMPLES).unwrap();
+    for (i, samples) in waveforms.iter().enumerate() {
+        assert_eq!(outcomes.get(i), Some(plain.decompose(samples, 0)));
+    }
+    assert_eq!(outcomes.get(20), None);
 }

@@ -1,10 +1,10 @@
 //! How well the response tells single echoes: its error by time, and the error of places by the even/odd test.
 
 use super::Single;
-use crate::kernels::gauss_fit::{GaussFit, Limits, Pulse};
+use super::even_odd::EvenOdd;
+use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
-use crate::kernels::whitening::Whitener;
 
 /// Half of what lies between these is the standard deviation of a normal distribution.
 const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
@@ -14,22 +14,16 @@ const SIGNIFICANT: f64 = 2.0;
 pub(super) struct Quality<'a> {
     model: &'a ChannelModel,
     shape: Shape,
-    fitter: GaussFit,
-    whitener: Whitener,
+    even_odd: EvenOdd,
     /// Difference of the places told by even and by odd samples, over its expected standard deviation.
     scores: Vec<f64>,
     /// By sample of time from the response's first: excess of the squared residual over the noise, as part of the
     /// squared height: number, sum, sum of squares.
     excess: Vec<[f64; 3]>,
-    autocovariance: Vec<f64>,
 }
 
 impl<'a> Quality<'a> {
     pub(super) fn new(model: &'a ChannelModel, longest: usize) -> Result<Quality<'a>, ModelError> {
-        let shape = Shape::of(model)?;
-        let noise = model.noise()?;
-        let mut autocovariance = vec![0.0; longest];
-        noise.autocovariance_into(&mut autocovariance);
         let samples = model
             .response
             .as_ref()
@@ -37,12 +31,10 @@ impl<'a> Quality<'a> {
             .map_or(0, |node| node.values.len() / crate::kernels::response::STEPS_PER_SAMPLE);
         Ok(Quality {
             model,
-            fitter: GaussFit::new(shape.clone(), model.offset_precision(), longest, 1),
-            shape,
-            whitener: Whitener::new(noise, longest),
+            shape: Shape::of(model)?,
+            even_odd: EvenOdd::new(model, longest)?,
             scores: Vec::new(),
             excess: vec![[0.0; 3]; samples],
-            autocovariance,
         })
     }
 
@@ -57,38 +49,7 @@ impl<'a> Quality<'a> {
             ln_width_precision: 0.0,
         };
         self.add_residual(&target, start);
-        let [even, odd] = [0, 1].map(|parity| self.place_of_half(&target, start, parity));
-        if let (Some((even, weights_even)), Some((odd, weights_odd))) = (even, odd) {
-            let weights: Vec<f64> = weights_even.iter().zip(weights_odd).map(|(a, b)| a - b).collect();
-            let variance = self.variance(&weights);
-            if variance > 0.0 {
-                self.scores.push((even - odd) / variance.sqrt());
-            }
-        }
-    }
-
-    /// The place that every other sample tells, and how it follows each sample.
-    fn place_of_half(&mut self, target: &[f64], start: Pulse, parity: usize) -> Option<(f64, Vec<f64>)> {
-        let used: Vec<bool> = (0..target.len()).map(|k| k % 2 == parity).collect();
-        self.whitener.set_used(&used);
-        let fit = self.fitter.fit(&self.whitener, target, &[start], Limits::exact(30));
-        if !fit.termination.is_optimum() {
-            return None;
-        }
-        let mut weights = self.fitter.weights(1);
-        self.whitener.whiten_transposed(&mut weights);
-        Some((self.fitter.pulses().first()?.position_samples, weights))
-    }
-
-    /// Variance that the noise gives to a weighted sum of samples.
-    fn variance(&self, weights: &[f64]) -> f64 {
-        let mut sum = 0.0;
-        for (i, a) in weights.iter().enumerate() {
-            for (j, b) in weights.iter().enumerate() {
-                sum += a * b * self.autocovariance.get(i.abs_diff(j)).copied().unwrap_or(0.0);
-            }
-        }
-        sum
+        self.scores.extend(self.even_odd.score(&target, start));
     }
 
     fn add_residual(&mut self, target: &[f64], pulse: Pulse) {
@@ -122,11 +83,44 @@ impl<'a> Quality<'a> {
         self.excess.iter().map(error).collect()
     }
 
+    /// Standard deviation of that factor.
+    pub(super) fn pulse_error_factor_sd(&self) -> f64 {
+        factor_sd(self.pulse_error_factor(), self.scores.len())
+    }
+
     /// Spread of the scores, at least 1.
     pub(super) fn pulse_error_factor(&self) -> f64 {
-        let mut sorted = self.scores.clone();
-        sorted.sort_by(f64::total_cmp);
-        let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
-        (0.5 * (at(PERCENTILES[1]) - at(PERCENTILES[0]))).max(1.0)
+        spread(&self.scores).max(1.0)
+    }
+}
+
+/// Half the difference of the two percentiles of `n` normal values spreads by `√(0.925/n)`.
+fn factor_sd(factor: f64, scores: usize) -> f64 {
+    0.962 * factor / (scores.max(1) as f64).sqrt()
+}
+
+/// Half of what lies between the two percentiles; 0 without values.
+fn spread(scores: &[f64]) -> f64 {
+    let mut sorted = scores.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
+    0.5 * (at(PERCENTILES[1]) - at(PERCENTILES[0]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::simulated::{Random, moments};
+
+    #[test]
+    fn the_error_factor_spreads_as_it_says() {
+        let mut random = Random::new(8);
+        let factors: Vec<f64> =
+            (0..400).map(|_| spread(&(0..300).map(|_| 1.1 * random.normal()).collect::<Vec<_>>())).collect();
+        let (mean, sd) = moments(&factors);
+        assert!((mean - 1.1).abs() < 0.01, "{mean}");
+        // A spread of four hundred is known to 3.5 %.
+        assert!((sd / factor_sd(1.1, 300) - 1.0).abs() < 0.105, "{sd}");
+        assert_eq!(spread(&[]), 0.0);
     }
 }

@@ -1,18 +1,21 @@
 use super::*;
 use crate::kernels::calibrate::calibrate;
 use crate::kernels::noise::ArNoise;
-use crate::kernels::simulated::{Random, digitised, noise};
+use crate::kernels::simulated::{Random, digitised, moments, noise};
 use crate::simulation::pulse::Shape as Truth;
 
 /// Single echoes of the simulated receiver on a background of 5 DN.
 fn waveforms(count: usize) -> Vec<Vec<u16>> {
+    waveforms_of(&mut Random::new(3), count)
+}
+
+fn waveforms_of(random: &mut Random, count: usize) -> Vec<Vec<u16>> {
     let (truth, process) = (Truth::riegl(), ArNoise::new(&[0.6], 0.7).unwrap());
-    let mut random = Random::new(3);
     (0..count)
         .map(|_| {
             let (height, place) = (60.0 + 120.0 * random.uniform(), 14.0 + 8.0 * random.uniform());
             let widening = if random.uniform() < 0.6 { 0.0 } else { 2.0 * random.uniform() };
-            let mut values = noise(&mut random, &process, 60);
+            let mut values = noise(random, &process, 60);
             for (k, value) in values.iter_mut().enumerate() {
                 *value += 5.0 + height * truth.at(k as f64 - place, widening);
             }
@@ -66,4 +69,32 @@ fn too_few_single_echoes_leave_the_gaussian() {
     let found = calibrate_response(blocks(&waveforms).take(140), &gaussian, &settings).unwrap();
     assert_eq!(found.model, gaussian);
     assert!((100..150).contains(&found.usable_echoes), "{}", found.usable_echoes);
+}
+
+/// Sixteen recordings of the same receiver: the widths of their responses, and the values at two places, spread as each says.
+#[test]
+fn responses_of_repeated_recordings_spread_as_they_say() {
+    let mut random = Random::new(21);
+    let (mut widths, mut values, mut told) = (Vec::new(), [Vec::new(), Vec::new()], [Vec::new(), Vec::new()]);
+    for _ in 0..16 {
+        let waveforms = waveforms_of(&mut random, 400);
+        let settings = CalibrationSettings::echoes(1.0, 255.0);
+        let gaussian = calibrate(blocks(&waveforms), &settings).unwrap();
+        let model = calibrate_response(blocks(&waveforms), &gaussian, &settings).unwrap().model;
+        let response = model.response.as_ref().unwrap();
+        widths.push(model.pulse_fwhm_ns);
+        for (values, time) in values.iter_mut().zip([-3, 6]) {
+            let at = (time - response.first_sample) as usize * STEPS_PER_SAMPLE;
+            values.push(response.nodes[0].values[at]);
+        }
+        told[0].push(model.uncertainty.pulse_fwhm_ns);
+        told[1].push(response.shape_sd);
+    }
+    let [width_sd, shape_sd] = told.each_ref().map(|told| moments(told).0);
+    let spreads = values.each_ref().map(|values| moments(values).1);
+    println!("width {:.5} told {width_sd:.5}; values {spreads:.5?} told {shape_sd:.5}", moments(&widths).1);
+    // A spread of sixteen is known to 18 %.
+    assert!((0.5..1.6).contains(&(moments(&widths).1 / width_sd)));
+    // Single values are surer on the flanks than on average, or less so.
+    assert!(spreads.iter().all(|spread| (0.25..4.0).contains(&(spread / shape_sd))));
 }

@@ -1,0 +1,70 @@
+//! The even/odd test: how far the places differ that every other sample of a recorded pulse tells.
+
+use crate::kernels::gauss_fit::{GaussFit, Limits, Pulse};
+use crate::kernels::sensor_model::{ChannelModel, ModelError};
+use crate::kernels::shape::Shape;
+use crate::kernels::whitening::Whitener;
+
+/// Fits of one pulse to the even and to the odd samples of its block.
+///
+/// Both tell the same place, so their difference is made of the noise alone, recorded noise and not simulated: no truth
+/// is needed, and no other program (REALDATA.md, section 1, correction 7). To first order the places are weighted sums of
+/// the samples, `w_e·y` and `w_o·y`; with `Σ` the covariance of the noise the difference has the variance
+/// `(w_e - w_o)ᵀ Σ (w_e - w_o)`, in which the correlation of even with odd samples is not left out.
+#[derive(Debug, Clone)]
+pub struct EvenOdd {
+    fitter: GaussFit,
+    whitener: Whitener,
+    autocovariance: Vec<f64>,
+}
+
+impl EvenOdd {
+    /// For blocks of the channel of up to `longest` samples; in longer ones noise farther apart than that is taken to be
+    /// uncorrelated.
+    pub fn new(model: &ChannelModel, longest: usize) -> Result<EvenOdd, ModelError> {
+        let noise = model.noise()?;
+        let mut autocovariance = vec![0.0; longest];
+        noise.autocovariance_into(&mut autocovariance);
+        Ok(EvenOdd {
+            fitter: GaussFit::new(Shape::of(model)?, model.offset_precision(), longest, 1),
+            whitener: Whitener::new(noise, longest),
+            autocovariance,
+        })
+    }
+
+    /// The difference of the two places over its standard deviation by the noise model, the error factor left out.
+    ///
+    /// `target_dn` are the samples less the background, `start` is the only pulse in them. `None` where a half cannot
+    /// be fitted.
+    pub fn score(&mut self, target_dn: &[f64], start: Pulse) -> Option<f64> {
+        let (even, weights_even) = self.place(target_dn, start, 0)?;
+        let (odd, weights_odd) = self.place(target_dn, start, 1)?;
+        let weights: Vec<f64> = weights_even.iter().zip(weights_odd).map(|(a, b)| a - b).collect();
+        let variance = self.variance(&weights);
+        (variance > 0.0).then(|| (even - odd) / variance.sqrt())
+    }
+
+    /// The place that every other sample tells, and how it follows each sample.
+    fn place(&mut self, target_dn: &[f64], start: Pulse, parity: usize) -> Option<(f64, Vec<f64>)> {
+        let used: Vec<bool> = (0..target_dn.len()).map(|k| k % 2 == parity).collect();
+        self.whitener.set_used(&used);
+        let fit = self.fitter.fit(&self.whitener, target_dn, &[start], Limits::exact(30));
+        if !fit.termination.is_optimum() {
+            return None;
+        }
+        let mut weights = self.fitter.weights(1);
+        self.whitener.whiten_transposed(&mut weights);
+        Some((self.fitter.pulses().first()?.position_samples, weights))
+    }
+
+    /// Variance that the noise gives to a weighted sum of samples.
+    fn variance(&self, weights: &[f64]) -> f64 {
+        let mut sum = 0.0;
+        for (i, a) in weights.iter().enumerate() {
+            for (j, b) in weights.iter().enumerate() {
+                sum += a * b * self.autocovariance.get(i.abs_diff(j)).copied().unwrap_or(0.0);
+            }
+        }
+        sum
+    }
+}

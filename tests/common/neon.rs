@@ -1,0 +1,80 @@
+//! NEON's waveforms as text: to our container, and an R package's Gaussians beside them.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use wavex::formats::container::{
+    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference, Frame,
+    LineBuilder, TimeScale, channel,
+};
+
+/// When every recorded echo begins after its shot's clock, ns: the time of the first sample is not in the text.
+pub const START_NS: f64 = 3000.0;
+
+/// Rows of numbers below a line of names; what is no number is NaN.
+pub fn rows(path: &Path) -> Vec<Vec<f64>> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect();
+    text.lines().skip(1).map(row).collect()
+}
+
+/// The waveforms of a table; its rows are filled up behind them with zeros or nothing.
+pub fn waveforms(path: &Path) -> Vec<Vec<u16>> {
+    let samples = |row: Vec<f64>| {
+        let end = row.iter().rposition(|value| *value > 0.0).map_or(0, |last| last + 1);
+        row[..end].iter().map(|value| *value as u16).collect()
+    };
+    rows(path).into_iter().map(samples).collect()
+}
+
+/// Writes the recording of `folder` to a container: all shots as one scan line, straight down.
+pub fn to_container(folder: &Path, path: &Path) {
+    let header = ContainerHeader {
+        instrument: Some("Optech Gemini".into()),
+        serial: None,
+        sampling_interval_ns: 1.0,
+        group_velocity_mps: 299_707_502.0,
+        pulse_rate_hz: None,
+        time_scale: TimeScale::Week,
+        gps_week: None,
+        frame: Frame::Map,
+        crs_wkt: None,
+        amplitude_low: None,
+        amplitude_high: None,
+        range_low: None,
+        range_high: None,
+        recorded: None,
+        full_scale_dn: Some(4095),
+        coordinate_grid: None,
+        emission_reference: Some(EmissionReference::OutgoingPulse),
+    };
+    let to = BufWriter::new(File::create(path).unwrap());
+    let mut writer = ContainerWriter::file(to, path, &header, Compression::Lz4).unwrap();
+    let mut line = LineBuilder::new();
+    let outgoing = waveforms(&folder.join("outg_1_250.csv"));
+    for (shot, (echo, outgoing)) in
+        waveforms(&folder.join("return_1_250.csv")).iter().zip(&outgoing).enumerate()
+    {
+        line.shot(&ContainerShot {
+            shot: shot as u64,
+            line: 0,
+            gps_time_s: Some(shot as f64 * 1e-5),
+            clock_ps: shot as i64 * 10_000_000,
+            origin_m: [shot as f64, 0.0, 800.0],
+            direction: [0.0, 0.0, -1.0],
+            facet: 0,
+            flags: 0,
+            mta_zone: Some(0),
+            scan_angle_deg: None,
+            frame_scale: None,
+        });
+        for (channel, start_ns, samples) in
+            [(channel::REFERENCE, 0.0, outgoing), (channel::LOW_POWER, START_NS, echo)]
+        {
+            line.block(&ContainerBlock { channel, start_ns, interval_ns: None, zone: None, samples });
+        }
+    }
+    writer.write(line).unwrap();
+    writer.finish().unwrap().into_inner().unwrap();
+}
