@@ -99,7 +99,7 @@ fn model(noise: &ArNoise) -> ChannelModel {
 enum Scene {
     /// One pulse.
     One,
-    /// Two pulses that detection tells apart and a joint fit must: 6 to 12 samples.
+    /// Two pulses that detection tells apart and a joint fit must: 7 to 13 samples.
     Two,
     /// 15 % nothing, 55 % one pulse, 20 % two, 10 % three, 3 to 20 samples apart; 40 % of the pulses widened by up to 40 %.
     Mixed,
@@ -139,7 +139,7 @@ fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene) -> (Vec<u16>, 
             shape.add(&pulse, 1.0, &mut values);
             truth.push(place);
             place += match scene {
-                Scene::Two => 6.0 + 6.0 * random.uniform(),
+                Scene::Two => 7.0 + 6.0 * random.uniform(),
                 _ => 3.0 + 17.0 * random.uniform(),
             };
         }

@@ -199,7 +199,6 @@ impl Lockstep {
     }
 
     fn finish(&mut self, mode: Mode) -> Finish<'_> {
-        let held = self.tables.as_ref().map_or(f32::INFINITY, |tables| tables.u_held);
         Finish {
             model: &self.model,
             settings: &self.settings,
@@ -207,7 +206,6 @@ impl Lockstep {
             plain: &mut self.plain,
             left_to_plain: &mut self.left_to_plain,
             drops: mode != Mode::Refined,
-            u_held: if mode == Mode::Refined { held } else { f32::INFINITY },
             is_refined: mode == Mode::Refined,
         }
     }

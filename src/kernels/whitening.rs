@@ -14,6 +14,8 @@ use super::noise::{ArNoise, MAX_ORDER};
 struct Row {
     weight: f64,
     gain: [f64; MAX_ORDER],
+    /// Whether the samples before it, as many as the order, are used: then they alone tell the prediction.
+    is_steady: bool,
 }
 
 /// The whitening matrix of a block, `W = L⁻¹`, for one noise model and one choice of used samples.
@@ -58,8 +60,12 @@ impl Whitener {
         self.used.extend_from_slice(used);
         self.rows.clear();
         let mut covariance = self.stationary_covariance();
+        let mut run = 0;
         for &used in &self.used {
-            self.rows.push(if used { update(&mut covariance, self.states) } else { Row::default() });
+            let mut row = if used { update(&mut covariance, self.states) } else { Row::default() };
+            row.is_steady = used && run >= self.noise.order();
+            run = if used { run + 1 } else { 0 };
+            self.rows.push(row);
             self.predict_covariance(&mut covariance);
         }
         true
@@ -69,14 +75,41 @@ impl Whitener {
     ///
     /// `values` are as many as the block's samples, and zero before index `first`.
     pub fn whiten_from(&self, first: usize, values: &mut [f64]) {
-        let mut state = [0.0; MAX_ORDER];
-        for (value, row) in values.iter_mut().zip(&self.rows).skip(first) {
-            let error = *value - state[0];
-            *value = error * row.weight;
-            for (s, gain) in state.iter_mut().zip(&row.gain).take(self.states) {
-                *s += gain * error;
+        match self.states {
+            1 => self.filter::<1>(first, values),
+            2 => self.filter::<2>(first, values),
+            3 => self.filter::<3>(first, values),
+            4 => self.filter::<4>(first, values),
+            _ => self.filter::<MAX_ORDER>(first, values),
+        }
+    }
+
+    /// The filter for a state of at most `N` values.
+    fn filter<const N: usize>(&self, first: usize, values: &mut [f64]) {
+        let mut coefficients = [0.0; N];
+        coefficients.iter_mut().zip(self.noise.coefficients()).for_each(|(c, known)| *c = *known);
+        let predicted = |past: &[f64; N]| -> f64 {
+            let mut next = 0.0;
+            for j in 0..N {
+                next += coefficients[j] * past[j];
             }
-            self.predict(&mut state);
+            next
+        };
+        // The last values: those of the block in the steady state, else the predictor's.
+        let mut past = [0.0; N];
+        for (value, row) in values.iter_mut().zip(&self.rows).skip(first) {
+            let next = predicted(&past);
+            let error = *value - next;
+            past.copy_within(..N - 1, 1);
+            past[0] = next;
+            if row.is_steady {
+                past[0] = *value;
+            } else {
+                for j in 0..N {
+                    past[j] += row.gain[j] * error;
+                }
+            }
+            *value = error * row.weight;
         }
     }
 
@@ -106,12 +139,6 @@ impl Whitener {
             }
         }
         covariance
-    }
-
-    fn predict(&self, state: &mut [f64; MAX_ORDER]) {
-        let next: f64 = self.noise.coefficients().iter().zip(state.iter()).map(|(c, s)| c * s).sum();
-        state.copy_within(0..self.states - 1, 1);
-        state[0] = next;
     }
 
     fn predict_transposed(&self, costate: &mut [f64; MAX_ORDER]) {
@@ -146,7 +173,7 @@ impl Whitener {
 /// Takes a used sample into the state's covariance and gives its row.
 fn update(covariance: &mut [[f64; MAX_ORDER]; MAX_ORDER], states: usize) -> Row {
     let first = covariance[0];
-    let mut row = Row { weight: 1.0 / first[0].sqrt(), gain: [0.0; MAX_ORDER] };
+    let mut row = Row { weight: 1.0 / first[0].sqrt(), gain: [0.0; MAX_ORDER], is_steady: false };
     for (i, line) in covariance.iter_mut().enumerate().take(states) {
         row.gain[i] = first[i] / first[0];
         for (value, told) in line.iter_mut().zip(&first).take(states) {

@@ -156,14 +156,15 @@ impl Decompose<'_> {
         scene
     }
 
-    /// The clusters of waveforms with at least so many pulses are to be fitted.
-    pub(super) fn set_due(&mut self, pulses: usize) {
+    /// The clusters of waveforms with at least so many clusters are to be fitted.
+    pub(super) fn set_due(&mut self, clusters: usize) {
         let fwhm = self.fwhm();
         for scene in &mut self.work.scenes {
-            scene.is_due = scene.way == Way::Fast && scene.pulses().len() >= pulses;
+            scene.is_due = scene.way == Way::Fast;
             if scene.is_due {
                 scene.sort();
-                scene.set_clusters(fwhm);
+                let others = scene.set_clusters(fwhm);
+                scene.is_due = others || scene.cluster(clusters - 1).is_some();
             }
         }
     }

@@ -44,6 +44,16 @@ const NO_DECREASE: f32 = 1e2;
 /// Damping up to which a small promise tells that the optimum is near.
 const NEAR_NEWTON: f32 = 1e-2;
 
+/// Straight code in the place of a short loop: what it runs over stays in registers.
+macro_rules! unrolled {
+    ($i:ident in [$($n:literal)*] if $limit:expr => $body:block) => {
+        $(if $n < $limit {
+            let $i: usize = $n;
+            $body
+        })*
+    };
+}
+
 /// The normal equations at a point, and what is to be made small there.
 #[derive(Clone, Copy)]
 struct Point<V, const N: usize> {
@@ -261,62 +271,57 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
     fn products<const STRONG: bool>(&mut self, of_pulse: &[[Site; LANES]; P], first: i32, w: usize) {
         let columns = self.columns::<STRONG>(of_pulse, first, w);
         let s = self.s;
-        let mut k = 0;
-        for i in 0..=N {
-            for j in 0..=i {
-                let (a, b) = (columns[i], columns[j]);
-                let mut sum = s.mul(a[0], b[0]);
-                for c in 1..C {
-                    sum = s.fma(a[c], b[c], sum);
-                }
-                self.sums[k][w] = sum;
-                k += 1;
-            }
-        }
+        unrolled!(i in [0 1 2 3 4 5 6 7 8 9] if N + 1 => {
+            unrolled!(j in [0 1 2 3 4 5 6 7 8 9] if i + 1 => {
+                let mut sum = s.mul(columns[i][0], columns[j][0]);
+                unrolled!(c in [1 2 3] if C => {
+                    sum = s.fma(columns[i][c], columns[j][c], sum);
+                });
+                self.sums[i * (i + 1) / 2 + j][w] = sum;
+            });
+        });
     }
 
-    /// Derivatives and residual of one row's frame. The array has room for three pulses and the residual.
+    /// Derivatives and residual of one row's frame. The array has room for three pulses, the residual, and four vectors.
     #[inline(always)]
     fn columns<const STRONG: bool>(
         &self,
         of_pulse: &[[Site; LANES]; P],
         first: i32,
         w: usize,
-    ) -> [[S::V; C]; 10] {
+    ) -> [[S::V; 4]; 10] {
         let s = self.s;
-        let zero = s.splat(0.0);
         let row = self.rows.residual_row(self.row[w]);
         let length = self.rows.length(self.row[w]);
         let edge = leaves_block(first, C * LANES, self.tables.order, length);
-        let mut out = [[zero; C]; 10];
-        for c in 0..C {
+        let mut out = [[s.splat(0.0); 4]; 10];
+        unrolled!(c in [0 1 2 3] if C => {
             let start = (c * LANES) as i32;
             let mut residual = s.load(sixteen(row, FRONT.saturating_add_signed((first + start) as isize)));
-            for (p, sites_of) in of_pulse.iter().enumerate() {
-                let site = &sites_of[w];
+            unrolled!(p in [0 1 2] if P => {
+                let site = &of_pulse[p][w];
                 let shift = (site.first - first).clamp(0, farthest(C));
-                let height = s.splat(site.height);
                 if start + LANES as i32 > shift && start < shift + ROW as i32 {
                     let at = LANES.saturating_add_signed((start - shift) as isize);
                     let shape = template::<S, STRONG>(s, self.tables, site, at);
                     out[3 * p][c] = shape.by_height;
                     out[3 * p + 1][c] = shape.by_time;
                     out[3 * p + 2][c] = shape.by_width;
-                    residual = s.fnma(height, shape.pulse, residual);
+                    residual = s.fnma(s.splat(site.height), shape.pulse, residual);
                 }
                 if start + LANES as i32 > shift + ROW as i32 {
                     let behind = tail::<S, STRONG>(s, self.tables, site, start - shift - ROW as i32);
                     residual = s.sub(residual, behind);
                 }
-            }
+            });
             out[N][c] = residual;
             if edge {
                 let weight = weights(s, first + start, self.tables.order, length);
-                for column in out.iter_mut().take(N + 1) {
-                    column[c] = s.mul(column[c], weight);
-                }
+                unrolled!(i in [0 1 2 3 4 5 6 7 8 9] if N + 1 => {
+                    out[i][c] = s.mul(out[i][c], weight);
+                });
             }
-        }
+        });
         out
     }
 

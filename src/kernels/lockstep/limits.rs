@@ -1,6 +1,7 @@
 //! What a pulse must reach to be a return.
 
 use super::scene::{Pulse, Scene};
+use super::tables::BEFORE_PEAK;
 use crate::kernels::allowance::Allowance;
 use crate::kernels::decompose::DecomposeSettings;
 use crate::kernels::detect::Detector;
@@ -12,6 +13,11 @@ use crate::kernels::whitening::Whitener;
 const ECHO_SAMPLES: usize = 256;
 /// Pulses so many widths inside the block have the significance of whole ones.
 const WHOLE_WIDTHS: [f64; 2] = [2.0, 2.5];
+
+/// Standard deviation of a Gaussian over its full width at half maximum.
+const SD_OF_FWHM: f32 = 0.424_660_9;
+/// What of a pulse stands before its row may be so many standard deviations of the noise.
+const LEFT_OUT_SD: f32 = 0.5;
 
 /// Thresholds of one channel.
 pub(super) struct Limits {
@@ -25,6 +31,7 @@ pub(super) struct Limits {
     /// The lower one of the two.
     pub(super) least_sigma: f64,
     fwhm_samples: f64,
+    noise_sd_dn: f64,
     pub(super) shape: Shape,
     /// For pulses at the ends of blocks.
     detector: Detector,
@@ -45,6 +52,7 @@ impl Limits {
             detection_sigma_last: settings.detection_sigma_last,
             least_sigma: settings.least_sigma(),
             fwhm_samples: model.fwhm_samples(),
+            noise_sd_dn: model.noise_sd_dn,
             shape,
             detector,
             whitener,
@@ -64,6 +72,13 @@ impl Limits {
         let is_last = others.clone().any(|p| p < position) && others.all(|p| p <= position);
         let sigma = self.detection_sigma_last.filter(|_| is_last).unwrap_or(self.detection_sigma);
         sigma * self.raise(scene, position, height_dn)
+    }
+
+    /// Whether a row holds a pulse's rise: what it leaves out is less than the noise.
+    pub(super) fn is_held(&self, pulse: &Pulse) -> bool {
+        let sd_samples = SD_OF_FWHM * self.fwhm_samples as f32 * pulse.width_ratio();
+        let left_out = (-0.5 * (BEFORE_PEAK as f32 / sd_samples).powi(2)).exp();
+        pulse.height() * left_out < LEFT_OUT_SD * self.noise_sd_dn as f32
     }
 
     /// Whether a fitted pulse reaches the threshold, taken with the energy it has and the calibrated width.

@@ -65,8 +65,6 @@ pub(super) struct Finish<'a> {
     /// Whether pulses that do not stand up are just dropped, their neighbours not being fitted anew.
     pub(super) drops: bool,
     pub(super) is_refined: bool,
-    /// Pulses wider than this, as `ln` of the width ratio, are left to the plain kernels.
-    pub(super) u_held: f32,
 }
 
 impl Finish<'_> {
@@ -78,7 +76,8 @@ impl Finish<'_> {
         scene: &mut Scene,
         outcomes: &mut Outcomes,
     ) {
-        let held = scene.pulses().iter().all(|p| p.is_fitted() && p.values()[2] <= self.u_held);
+        let held =
+            scene.pulses().iter().all(|p| p.is_fitted() && (!self.is_refined || self.limits.is_held(p)));
         let stands = scene.way == Way::Fast
             && held
             && (self.stands(scene, samples.len()) || self.drop(scene, samples.len()));

@@ -21,8 +21,6 @@ pub(super) const U_MIN: f64 = -0.510_825_623_765_990_7;
 pub(super) const U_STEP: f64 = 0.026_4;
 /// `ln` of the widest width ratio, 2.3.
 pub(super) const U_MAX: f64 = U_MIN + (KNOTS - 1) as f64 * U_STEP;
-/// Full width at half maximum of the widest pulse whose rise a row holds, samples.
-const WIDEST_FWHM: f64 = 7.0;
 /// Full widths at half maximum, samples, that rows and filters are made for.
 const FWHM_RANGE: std::ops::RangeInclusive<f64> = 1.5..=6.0;
 /// Templates per entry: `s, s_t, s_tt, s_u, s_uu, s_tu`.
@@ -110,8 +108,6 @@ pub struct Tables {
     pub(super) background: [Sixteen; 4],
     /// Full width at half maximum of a pulse of width ratio 1, samples.
     pub(super) fwhm_samples: f64,
-    /// The greatest `ln` width ratio whose rise a row holds.
-    pub(super) u_held: f32,
 }
 
 impl Tables {
@@ -175,7 +171,6 @@ impl Tables {
                 std::array::from_fn(|lane| model.background_dn[(first + lane) % 4] as f32)
             }),
             fwhm_samples: model.fwhm_samples(),
-            u_held: (WIDEST_FWHM / model.fwhm_samples()).ln().min(U_MAX) as f32,
         }
     }
 
