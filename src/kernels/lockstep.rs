@@ -45,7 +45,6 @@ use std::sync::Arc;
 
 use super::calibrate::Block;
 use super::decompose::{CLEAR_OF_ZERO_SD, DecomposeSettings, Decomposer};
-use super::flags;
 use super::sensor_model::{ChannelModel, ModelError};
 
 pub use candidates::Candidate;
@@ -182,26 +181,12 @@ impl Lockstep {
         let lowest = model.background_dn.iter().fold(f64::INFINITY, |a, &b| a.min(b));
         let clear_of_zero = lowest >= CLEAR_OF_ZERO_SD * model.noise_sd_dn;
         let on = path.processor();
-        let fit_flags = flags::REFINED;
-        Decompose {
-            on,
-            tables,
-            limits,
-            settings,
-            mode,
-            full_scale_dn,
-            clear_of_zero,
-            fit_flags,
-            work,
-            blocks,
-        }
-        .run();
+        Decompose { on, tables, limits, settings, mode, full_scale_dn, clear_of_zero, work, blocks }.run();
     }
 
     fn finish(&mut self, mode: Mode) -> Finish<'_> {
         Finish {
             model: &self.model,
-            settings: &self.settings,
             limits: &mut self.limits,
             plain: &mut self.plain,
             left_to_plain: &mut self.left_to_plain,

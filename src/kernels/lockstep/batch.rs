@@ -13,6 +13,7 @@ use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
 use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::{Counts, DecomposeSettings};
+use crate::kernels::flags;
 
 /// What a thread keeps from batch to batch.
 pub(super) struct Workspace {
@@ -72,8 +73,6 @@ pub(super) struct Decompose<'a> {
     pub(super) full_scale_dn: f64,
     /// Whether the background is so high that a sample of 0 has been cut off.
     pub(super) clear_of_zero: bool,
-    /// Set on pulses that are fitted by iteration.
-    pub(super) fit_flags: u16,
     pub(super) work: &'a mut Workspace,
     pub(super) blocks: &'a [Block<'a>],
 }
@@ -322,8 +321,14 @@ impl Decompose<'_> {
             let pulses = &mut scene.pulses_mut()[done.tag..done.tag + done.values().len()];
             for ((pulse, values), sds) in pulses.iter_mut().zip(done.values()).zip(done.sds()) {
                 pulse.set_values(*values);
-                pulse.sds = if settled { *sds } else { [0.0; 3] };
-                pulse.flags |= self.fit_flags;
+                pulse.flags |= flags::REFINED;
+                let is_known = sds.iter().all(|sd| sd.is_finite() && *sd > 0.0);
+                if !settled {
+                    pulse.flags |= flags::DIVERGED;
+                }
+                // The fast modes let it stand as it is.
+                let stays = settled || (is_known && self.mode != Mode::Refined);
+                pulse.sds = if stays { *sds } else { [0.0; 3] };
                 add(self.on, self.tables, &mut work.rows, done.row, *values, -1.0);
             }
         }

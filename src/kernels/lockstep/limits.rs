@@ -32,6 +32,7 @@ pub(super) struct Limits {
     pub(super) least_sigma: f64,
     fwhm_samples: f64,
     noise_sd_dn: f64,
+    ln_width_ratio: [f64; 2],
     pub(super) shape: Shape,
     /// For pulses at the ends of blocks.
     detector: Detector,
@@ -53,6 +54,7 @@ impl Limits {
             least_sigma: settings.least_sigma(),
             fwhm_samples: model.fwhm_samples(),
             noise_sd_dn: model.noise_sd_dn,
+            ln_width_ratio: settings.width_ratio.map(f64::ln),
             shape,
             detector,
             whitener,
@@ -81,8 +83,18 @@ impl Limits {
         pulse.height() * left_out < LEFT_OUT_SD * self.noise_sd_dn as f32
     }
 
-    /// Whether a fitted pulse reaches the threshold, taken with the energy it has and the calibrated width.
-    pub(super) fn is_significant(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
+    /// Whether a fitted pulse stands up as a return: inside the block, of admissible width, and strong enough, taken with
+    /// the energy it has and the calibrated width.
+    pub(super) fn is_return(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
+        let [_, position, u] = pulse.values().map(f64::from);
+        let reach = 2.0 * f64::from(pulse.sds[2]);
+        u + reach >= self.ln_width_ratio[0]
+            && u - reach <= self.ln_width_ratio[1]
+            && (-1.0..=samples as f64).contains(&position)
+            && self.is_significant(scene, pulse, samples)
+    }
+
+    fn is_significant(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
         let position = f64::from(pulse.position());
         let [before, behind] = WHOLE_WIDTHS.map(|widths| widths * self.fwhm_samples);
         let is_whole = position >= before && position <= samples as f64 - 1.0 - behind;

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::limits::Limits;
 use super::scene::{Scene, Way};
-use crate::kernels::decompose::{DecomposeSettings, Decomposer, Decomposition, Return, block_flags};
+use crate::kernels::decompose::{Decomposer, Decomposition, Return, block_flags};
 use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
 
@@ -58,7 +58,6 @@ impl Outcomes {
 /// What makes returns of a waveform's pulses.
 pub(super) struct Finish<'a> {
     pub(super) model: &'a ChannelModel,
-    pub(super) settings: &'a DecomposeSettings,
     pub(super) limits: &'a mut Limits,
     pub(super) plain: &'a mut Decomposer,
     pub(super) left_to_plain: &'a mut u64,
@@ -137,19 +136,7 @@ impl Finish<'_> {
     fn stands(&mut self, scene: &Scene, samples: usize) -> bool {
         let least = (LEAST_SEPARATION_WIDTHS * self.model.fwhm_samples() as f32).max(1.0);
         let apart = scene.pulses().windows(2).all(|pair| pair[1].position() - pair[0].position() >= least);
-        apart && (0..scene.pulses().len()).all(|i| self.is_return(scene, i, samples))
-    }
-
-    /// Whether a pulse is strong enough, of admissible width, and inside the block.
-    fn is_return(&mut self, scene: &Scene, i: usize, samples: usize) -> bool {
-        let pulse = &scene.pulses()[i];
-        let [narrowest, widest] = self.settings.width_ratio.map(f64::ln);
-        let [_, position, u] = pulse.values().map(f64::from);
-        let reach = 2.0 * f64::from(pulse.sds[2]);
-        let shaped = u + reach >= narrowest && u - reach <= widest;
-        shaped
-            && (-1.0..=samples as f64).contains(&position)
-            && self.limits.is_significant(scene, pulse, samples)
+        apart && (0..scene.pulses().len()).all(|i| self.limits.is_return(scene, &scene.pulses()[i], samples))
     }
 
     /// Drops what does not stand up, where neighbours need not be fitted anew.
@@ -166,7 +153,7 @@ impl Finish<'_> {
                     if scene.pulses()[i].height() < scene.pulses()[i - 1].height() { i } else { i - 1 };
                 scene.replace(weaker..weaker + 1, &[]);
                 scene.counts.np_merged += 1;
-            } else if !self.is_return(scene, i, samples) {
+            } else if !self.limits.is_return(scene, &scene.pulses()[i], samples) {
                 scene.replace(i..i + 1, &[]);
                 scene.counts.np_filtered += 1;
             } else {

@@ -22,6 +22,8 @@ const MAXIMA: usize = 2;
 const ROUNDS: usize = 4;
 /// A pulse wider than this times the calibrated width may hide two.
 const HIDING_WIDTH_RATIO: f32 = 1.04;
+/// A trial whose fit came to no end is open where it is so near to the gain that is asked for.
+const OPEN_GAIN: f32 = 4.0;
 /// Standard deviation of a Gaussian over its full width at half maximum.
 const SD_OF_FWHM: f32 = 0.424_660_9;
 /// Parts of the energy that the first of two pulses starts with.
@@ -34,9 +36,13 @@ pub(super) struct Trial {
     old: (usize, usize),
     pulses: [Pulse; MAX_CLUSTER],
     count: usize,
+    /// Whether the cluster is part of one that is too large: what comes of it is left to the plain kernels.
+    is_part: bool,
     /// By how much chi-square must fall.
     gain: f32,
     chi_square: f32,
+    /// Whether the fit came to an end at an optimum.
+    has_ended: bool,
     /// Chi-square and the priors' part: without it a narrow pulse with a wide one often tells the samples as well as the
     /// true pair does.
     objective: f32,
@@ -142,20 +148,18 @@ impl Decompose<'_> {
         let position = candidate.position_samples;
         let threshold = self.limits.threshold(&scene, position, f32::INFINITY);
         let gain = (GAIN_PART * threshold * threshold) as f32;
-        let old = scene.cluster_around(position, self.fwhm());
-        if old.len() >= MAX_CLUSTER {
-            self.work.scenes[row].give_up();
-            return;
-        }
+        let whole = scene.cluster_around(position, self.fwhm());
+        let old = part_of(&scene, whole.clone(), position);
+        let is_part = old.len() < whole.len();
         let added = Pulse::new([candidate.statistic / self.limits.per_dn, position, 0.0]);
-        self.plan(row, &scene, old.clone(), Change::Add(added), gain);
+        self.plan(row, &scene, old.clone(), Change::Add(added), gain, is_part);
         let distance = |i: &usize| (scene.pulses()[*i].position() - position).abs();
         let nearest = old.clone().min_by(|i, j| distance(i).total_cmp(&distance(j)));
         let Some(nearest) = nearest else { return };
         let ratio = scene.pulses()[nearest].width_ratio();
         if distance(&nearest) < 1.5 * self.fwhm() * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO {
-            self.plan(row, &scene, old.clone(), Change::AddToNarrow(added, nearest), gain);
-            self.plan(row, &scene, old, Change::Divide(nearest, PARTS[0]), gain);
+            self.plan(row, &scene, old.clone(), Change::AddToNarrow(added, nearest), gain, is_part);
+            self.plan(row, &scene, old, Change::Divide(nearest, PARTS[0]), gain, is_part);
         }
     }
 
@@ -193,17 +197,23 @@ impl Decompose<'_> {
         // What an error of the response would look like is no evidence.
         let raise = self.limits.raise(&scene, position, f32::INFINITY);
         let gain = (evidence * raise * raise) as f32;
-        let old = scene.cluster_around(position, self.fwhm());
-        if old.len() >= MAX_CLUSTER {
-            self.work.scenes[row].give_up();
-            return;
-        }
+        let whole = scene.cluster_around(position, self.fwhm());
+        let old = part_of(&scene, whole.clone(), position);
+        let is_part = old.len() < whole.len();
         for part in PARTS {
-            self.plan(row, &scene, old.clone(), Change::Divide(number, part), gain);
+            self.plan(row, &scene, old.clone(), Change::Divide(number, part), gain, is_part);
         }
     }
 
-    fn plan(&mut self, row: usize, scene: &Scene, old: Range<usize>, change: Change, gain: f32) {
+    fn plan(
+        &mut self,
+        row: usize,
+        scene: &Scene,
+        old: Range<usize>,
+        change: Change,
+        gain: f32,
+        is_part: bool,
+    ) {
         let mut pulses = [Pulse::default(); MAX_CLUSTER];
         let count = old.len() + 1;
         pulses[..old.len()].copy_from_slice(&scene.pulses()[old.clone()]);
@@ -227,6 +237,8 @@ impl Decompose<'_> {
             old,
             pulses,
             count,
+            is_part,
+            has_ended: false,
             gain,
             chi_square: f32::INFINITY,
             objective: f32::INFINITY,
@@ -250,20 +262,26 @@ impl Decompose<'_> {
                 }
                 end += 1;
             }
-            let trial = self.work.trials[best];
-            let scene = &mut self.work.scenes[row];
-            if trial.chi_square.is_infinite() {
-                // No trial came to an end: the plain kernels decide.
-                scene.give_up();
-            } else if scene.way == Way::Fast
-                && trial.objective.is_finite()
-                && scene.chi_square - trial.chi_square >= trial.gain
-            {
-                self.take_up(&trial);
-            }
+            self.judge(first..end, best);
             first = end;
         }
         self.work.trials.clear();
+    }
+
+    /// Takes up the best of a waveform's trials, or leaves the waveform to the plain kernels.
+    fn judge(&mut self, trials: Range<usize>, best: usize) {
+        let trial = self.work.trials[best];
+        let scene = &self.work.scenes[trial.row];
+        if scene.way == Way::Plain {
+            return;
+        }
+        let gained = |trial: &Trial| scene.chi_square - trial.chi_square - trial.gain;
+        let is_open = |trial: &Trial| !trial.has_ended && gained(trial) > -OPEN_GAIN;
+        if trial.objective.is_finite() && gained(&trial) >= 0.0 {
+            self.take_up(&trial);
+        } else if self.work.trials[trials].iter().any(is_open) {
+            self.work.scenes[trial.row].give_up();
+        }
     }
 
     fn fit_trials(&mut self, trials: Range<usize>) {
@@ -284,12 +302,8 @@ impl Decompose<'_> {
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
         work.queues.run(on, tables, &work.rows, precision, &mut work.done);
         for done in &work.done {
-            if !done.is_optimum || done.values().iter().any(|values| values[2] >= U_MAX as f32) {
-                continue;
-            }
             let trial = &mut work.trials[done.tag];
-            // Marks the trial as one that came to an end; the sum follows.
-            trial.chi_square = 0.0;
+            trial.has_ended = done.is_optimum && done.values().iter().all(|values| values[2] < U_MAX as f32);
             for (i, (values, sds)) in done.values().iter().zip(done.sds()).enumerate() {
                 trial.pulses[i].set_values(*values);
                 trial.pulses[i].sds = *sds;
@@ -301,8 +315,8 @@ impl Decompose<'_> {
         let which = BATCH..BATCH + trials.len();
         on.run(ChiSquares { rows: &work.rows, which, out: &mut work.squares });
         for (trial, square) in work.trials[trials].iter_mut().zip(&work.squares) {
-            if trial.chi_square <= 0.0 {
-                trial.chi_square = *square;
+            trial.chi_square = *square;
+            if trial.has_ended {
                 let old = &work.scenes[trial.row].pulses()[trial.old()];
                 // What brings two pulses so near that they would be one is no improvement.
                 if too_near(trial.pulses(), least) <= too_near(old, least) {
@@ -316,12 +330,19 @@ impl Decompose<'_> {
     fn take_up(&mut self, trial: &Trial) {
         let work = &mut *self.work;
         let scene = &mut work.scenes[trial.row];
-        for pulse in &scene.pulses()[trial.old()] {
-            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), 1.0);
-        }
-        if !scene.replace(trial.old(), trial.pulses()) {
+        let before = *scene;
+        if trial.is_part || !scene.replace(trial.old(), trial.pulses()) {
             scene.give_up();
             return;
+        }
+        let samples = work.rows.length(trial.row);
+        if !trial.pulses().iter().all(|pulse| self.limits.is_return(scene, pulse, samples)) {
+            // It would not stand up as returns.
+            *scene = before;
+            return;
+        }
+        for pulse in &before.pulses()[trial.old()] {
+            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), 1.0);
         }
         for pulse in trial.pulses() {
             add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), -1.0);
@@ -343,6 +364,19 @@ enum Change {
     AddToNarrow(Pulse, usize),
     /// This pulse becomes two of the calibrated width, the first with this part of its energy.
     Divide(usize, f32),
+}
+
+/// The cluster, or of one that is too large the two pulses that are nearest to a place.
+fn part_of(scene: &Scene, cluster: Range<usize>, position: f32) -> Range<usize> {
+    if cluster.len() < MAX_CLUSTER {
+        return cluster;
+    }
+    let distance = |i: &usize| {
+        let pulses = &scene.pulses()[*i..*i + 2];
+        pulses.iter().map(|p| (p.position() - position).abs()).sum::<f32>()
+    };
+    let start = (cluster.start..cluster.end - 1).min_by(|i, j| distance(i).total_cmp(&distance(j)));
+    start.map_or(cluster, |start| start..start + 2)
 }
 
 /// Neighbours nearer to each other than this.
