@@ -29,7 +29,7 @@ pub(super) struct Workspace {
     pub(super) suspect_numbers: Vec<usize>,
     pub(super) candidates: Vec<Candidates>,
     pub(super) squares: Vec<f32>,
-    pub(super) scores: Vec<f32>,
+    pub(super) scores: Vec<(f32, bool)>,
     stepped: Vec<Stepped>,
 }
 

@@ -36,7 +36,7 @@ pub(super) struct Fitted<const P: usize> {
 
 /// Converged is what the next step promises to lower chi-square by less than this: the square of what is left to go, in
 /// standard deviations. The step is still taken.
-const DECREASE: f32 = 1e-3;
+const DECREASE: f32 = 1e-2;
 /// Marquardt's factor at first, and the least and greatest one.
 const DAMPING: [f32; 3] = [1e-3, 1e-6, 1e6];
 /// No step with this damping lowers the objective: the optimum, where the response's change with the height has a kink.

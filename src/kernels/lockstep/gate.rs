@@ -29,7 +29,8 @@ pub(super) struct Scores<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
     pub(super) pulses: &'a [(usize, Values)],
-    pub(super) out: &'a mut Vec<f32>,
+    /// The score, and whether the earlier of two pulses would be the stronger one.
+    pub(super) out: &'a mut Vec<(f32, bool)>,
 }
 
 impl Kernel for Scores<'_> {
@@ -53,7 +54,7 @@ fn scores<S: Simd>(
     rows: &Rows,
     pulses: &[(usize, Values)],
     sums: &mut GateSums<S::V>,
-) -> [f32; LANES] {
+) -> [(f32, bool); LANES] {
     for w in 0..LANES {
         let (row, values) = pulses.get(w).copied().unwrap_or((EMPTY, [1.0, 20.0, 0.0]));
         let site = Site::of(tables, values);
@@ -68,8 +69,14 @@ fn scores<S: Simd>(
     let two = s.add(bent[3].0, bent[4].0);
     let (equal, along) = equations::<S, 4>(s, &products, [0, 1, 2, 5])[3];
     let equal = s.select(s.gt(along, zero), equal, zero);
-    let mut out = [0.0; LANES];
-    s.store(s.max(two, equal), &mut out);
+    let mut scores = [0.0; LANES];
+    s.store(s.max(two, equal), &mut scores);
+    // A stronger pulse before a weaker one leaves less than nothing along the third derivative.
+    let earlier = s.gt(zero, bent[3].1);
+    let mut out = [(0.0, false); LANES];
+    for (w, (score, is_earlier)) in out.iter_mut().enumerate() {
+        (*score, *is_earlier) = (scores[w], earlier & (1 << w) != 0);
+    }
     out
 }
 

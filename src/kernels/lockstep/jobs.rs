@@ -7,8 +7,8 @@ use super::tables::Tables;
 use super::template::Site;
 use super::vector::{Kernel, Processor, Simd};
 
-/// Iterations of one fit at most: nearly all need fewer than the first number, the others go on together.
-const ITERATIONS: [usize; 2] = [7, 24];
+/// Iterations of one fit at most: most need fewer than the first number, the others go on together.
+const ITERATIONS: [usize; 3] = [3, 7, 24];
 /// Heights from this part of the one where the response begins to follow the height: they may end above.
 const NEARLY_STRONG: f32 = 0.93;
 
@@ -52,7 +52,7 @@ impl<const P: usize> Queue<P> {
     /// Gives a fit that is done, or keeps it for more iterations.
     fn settle(&mut self, i: usize, iterations: usize, done: &mut Vec<Done>) {
         let (fitted, tag, row) = (self.fitted[i], self.tags[i], self.jobs[i].row);
-        if fitted.may_go_on && iterations < ITERATIONS[1] {
+        if fitted.may_go_on && iterations < ITERATIONS[2] {
             self.jobs[self.unsettled] = Job { row, pulses: fitted.pulses };
             self.tags[self.unsettled] = tag;
             self.unsettled += 1;

@@ -13,8 +13,8 @@ pub(super) const FRONT: usize = 32;
 const BACK: usize = 80;
 /// Samples that are filtered at a time.
 pub(super) const CHUNK: usize = 64;
-/// Waveforms of a batch.
-pub(super) const BATCH: usize = 128;
+/// Waveforms of a batch: enough for full vectors of the rarer fits, and rows that stay in the second-level cache.
+pub(super) const BATCH: usize = 512;
 /// Rows of residuals: the batch's, as many for trials, and one that stays empty, for lanes without work.
 const RESIDUALS: usize = 2 * BATCH + 1;
 /// The row that stays empty.

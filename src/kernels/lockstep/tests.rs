@@ -258,7 +258,7 @@ fn the_score_of_one_pulse_is_that_of_noise() {
     let settings = DecomposeSettings { split_evidence: None, ..DecomposeSettings::default() };
     let shared = Some(Arc::new(Tables::new(&model).unwrap()));
     let mut kernels = Lockstep::new(&model, shared, &settings, Mode::Refined, Path::best()).unwrap();
-    let waveforms: Vec<Vec<u16>> = (0..BATCH * 30)
+    let waveforms: Vec<Vec<u16>> = (0..4096)
         .map(|_| {
             let one = pulse(50.0 + 60.0 * random.uniform(), 18.0 + 8.0 * random.uniform(), 1.25);
             block(&model, &shape, &mut random, SAMPLES, &[one])
@@ -271,7 +271,7 @@ fn the_score_of_one_pulse_is_that_of_noise() {
         let mut out = Vec::new();
         let rows = &kernels.work.rows;
         Path::best().processor().run(gate::Scores { tables: &tables, rows, pulses: &pulses, out: &mut out });
-        scores.extend(out);
+        scores.extend(out.iter().map(|score| score.0));
     }
     let mean = scores.iter().sum::<f32>() / scores.len() as f32;
     let above = scores.iter().filter(|&&score| score > 6.0).count() as f64 / scores.len() as f64;

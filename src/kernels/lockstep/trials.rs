@@ -3,12 +3,12 @@
 use std::ops::Range;
 
 use super::batch::{ChiSquares, Decompose, Search, Workspace};
-use super::candidates::Candidate;
+use super::candidates::{Candidate, Candidates};
 use super::gate::Scores;
 use super::jobs::add;
 use super::outcome::LEAST_SEPARATION_WIDTHS;
 use super::rows::BATCH;
-use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
+use super::scene::{MAX_CLUSTER, Pulse, Scene, Way};
 use super::tables::U_MAX;
 use crate::kernels::flags;
 
@@ -16,8 +16,6 @@ use crate::kernels::flags;
 const GAIN_PART: f64 = 0.8;
 /// Maxima of the filtered residual from this part of the threshold on are worth a trial.
 const TRIAL_PART: f32 = 0.75;
-/// Maxima of one residual that are tried.
-const MAXIMA: usize = 2;
 /// Rounds of adding; a waveform that still changes is left to the plain kernels.
 const ROUNDS: usize = 4;
 /// A pulse wider than this times the calibrated width may hide two.
@@ -26,8 +24,10 @@ const HIDING_WIDTH_RATIO: f32 = 1.04;
 const OPEN_GAIN: f32 = 4.0;
 /// Standard deviation of a Gaussian over its full width at half maximum.
 const SD_OF_FWHM: f32 = 0.424_660_9;
-/// Parts of the energy that the first of two pulses starts with.
-const PARTS: [f32; 3] = [0.5, 0.8, 0.2];
+/// Part of the energy that the first of two pulses starts with, where they are taken to be equal, and that of the stronger
+/// one else.
+const EQUAL: f32 = 0.5;
+const STRONGER: f32 = 0.8;
 
 /// A cluster that may take the place of another.
 #[derive(Clone, Copy)]
@@ -73,8 +73,11 @@ impl Decompose<'_> {
                 return;
             }
             self.start_round();
-            self.plan_additions();
-            self.run_trials();
+            self.search();
+            for is_first in [true, false] {
+                self.plan_additions(is_first);
+                self.run_trials();
+            }
             if let Some(evidence) = self.settings.split_evidence {
                 self.plan_divisions(evidence);
                 self.run_trials();
@@ -116,34 +119,49 @@ impl Decompose<'_> {
         });
     }
 
-    /// Trials with one more pulse at the greatest maxima of each residual.
-    fn plan_additions(&mut self) {
+    /// The candidates in what the pulses leave of each active waveform.
+    fn search(&mut self) {
         let least = TRIAL_PART * self.limits.least_sigma as f32;
         let Workspace { rows, active, candidates, .. } = &mut *self.work;
         self.on.run(Search { tables: self.tables, rows, which: active, threshold: least, out: candidates });
+    }
+
+    /// Trials with one more pulse: at the greatest maximum of each residual at first, from what is most likely; for
+    /// waveforms that are not better told by it, from other start values and at the second maximum.
+    fn plan_additions(&mut self, is_first: bool) {
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
-            let found = self.work.candidates[i];
-            let mut tried = [false; MAX_PULSES];
-            for _ in 0..MAXIMA {
-                let mut best: Option<(usize, f64)> = None;
-                for (k, candidate) in found.as_slice().iter().enumerate().filter(|(k, _)| !tried[*k]) {
-                    let raise =
-                        self.limits.raise(&self.work.scenes[row], candidate.position_samples, f32::INFINITY);
-                    let strength = f64::from(candidate.statistic) / raise;
-                    let better = best.is_none_or(|(_, strongest)| strength > strongest);
-                    if strength >= f64::from(least) && better {
-                        best = Some((k, strength));
-                    }
-                }
-                let Some((k, _)) = best else { break };
-                tried[k] = true;
-                self.plan_addition(row, &found.as_slice()[k]);
+            let scene = &self.work.scenes[row];
+            if scene.is_due || scene.way == Way::Plain {
+                continue;
+            }
+            let [first, second] = self.greatest(scene, &self.work.candidates[i]);
+            if is_first {
+                first.into_iter().for_each(|candidate| self.plan_addition(row, &candidate, true));
+            } else {
+                first.into_iter().for_each(|candidate| self.plan_addition(row, &candidate, false));
+                second.into_iter().for_each(|candidate| self.plan_addition(row, &candidate, true));
             }
         }
     }
 
-    fn plan_addition(&mut self, row: usize, candidate: &Candidate) {
+    /// The two candidates that stand highest over their thresholds, where these are worth a trial.
+    fn greatest(&self, scene: &Scene, found: &Candidates) -> [Option<Candidate>; 2] {
+        let least = f64::from(TRIAL_PART) * self.limits.least_sigma;
+        let mut best: [(f64, Option<Candidate>); 2] = [(least, None); 2];
+        for candidate in found.as_slice() {
+            let raise = self.limits.raise(scene, candidate.position_samples, f32::INFINITY);
+            let strength = f64::from(candidate.statistic) / raise;
+            if strength >= best[0].0 {
+                best = [(strength, Some(*candidate)), best[0]];
+            } else if strength >= best[1].0 {
+                best[1] = (strength, Some(*candidate));
+            }
+        }
+        best.map(|(_, candidate)| candidate)
+    }
+
+    fn plan_addition(&mut self, row: usize, candidate: &Candidate, is_likely: bool) {
         let scene = self.work.scenes[row];
         let position = candidate.position_samples;
         let threshold = self.limits.threshold(&scene, position, f32::INFINITY);
@@ -152,14 +170,17 @@ impl Decompose<'_> {
         let old = part_of(&scene, whole.clone(), position);
         let is_part = old.len() < whole.len();
         let added = Pulse::new([candidate.statistic / self.limits.per_dn, position, 0.0]);
-        self.plan(row, &scene, old.clone(), Change::Add(added), gain, is_part);
+        if is_likely {
+            self.plan(row, &scene, old.clone(), Change::Add(added), gain, is_part);
+        }
         let distance = |i: &usize| (scene.pulses()[*i].position() - position).abs();
         let nearest = old.clone().min_by(|i, j| distance(i).total_cmp(&distance(j)));
         let Some(nearest) = nearest else { return };
         let ratio = scene.pulses()[nearest].width_ratio();
         if distance(&nearest) < 1.5 * self.fwhm() * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO {
-            self.plan(row, &scene, old.clone(), Change::AddToNarrow(added, nearest), gain, is_part);
-            self.plan(row, &scene, old, Change::Divide(nearest, PARTS[0]), gain, is_part);
+            let change =
+                if is_likely { Change::Divide(nearest, EQUAL) } else { Change::AddToNarrow(added, nearest) };
+            self.plan(row, &scene, old, change, gain, is_part);
         }
     }
 
@@ -185,13 +206,15 @@ impl Decompose<'_> {
         self.on.run(Scores { tables: self.tables, rows, pulses: suspects, out: scores });
         for i in 0..self.work.suspects.len() {
             let (row, _) = self.work.suspects[i];
-            if f64::from(self.work.scores[i]) > self.settings.split_score {
-                self.plan_division(row, self.work.suspect_numbers[i], evidence);
+            let (score, is_earlier) = self.work.scores[i];
+            if f64::from(score) > self.settings.split_score {
+                let part = if is_earlier { STRONGER } else { 1.0 - STRONGER };
+                self.plan_division(row, self.work.suspect_numbers[i], [EQUAL, part], evidence);
             }
         }
     }
 
-    fn plan_division(&mut self, row: usize, number: usize, evidence: f64) {
+    fn plan_division(&mut self, row: usize, number: usize, parts: [f32; 2], evidence: f64) {
         let scene = self.work.scenes[row];
         let position = scene.pulses()[number].position();
         // What an error of the response would look like is no evidence.
@@ -200,7 +223,7 @@ impl Decompose<'_> {
         let whole = scene.cluster_around(position, self.fwhm());
         let old = part_of(&scene, whole.clone(), position);
         let is_part = old.len() < whole.len();
-        for part in PARTS {
+        for part in parts {
             self.plan(row, &scene, old.clone(), Change::Divide(number, part), gain, is_part);
         }
     }
