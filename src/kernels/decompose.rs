@@ -304,19 +304,17 @@ impl Decomposer {
     }
 }
 
+/// Whether a block begins or ends on a pulse of this place and width, both in samples.
+pub(super) fn truncation_flag(position: f64, width: f64, samples: usize) -> u16 {
+    let is_whole = position >= 0.7 * width && position <= samples as f64 - 1.0 - 0.25 * width;
+    if is_whole { 0 } else { flags::TRUNCATED }
+}
+
 /// The flags that saturation and the block's ends set.
-pub(super) fn block_flags(
-    samples: &[u16],
-    model: &ChannelModel,
-    position_samples: f64,
-    ln_width_ratio: f64,
-) -> u16 {
+fn block_flags(samples: &[u16], model: &ChannelModel, position_samples: f64, ln_width_ratio: f64) -> u16 {
     let width = model.fwhm_samples() * ln_width_ratio.exp();
     let position = position_samples;
-    let mut flags = 0;
-    if position < 0.7 * width || position > samples.len() as f64 - 1.0 - 0.25 * width {
-        flags |= flags::TRUNCATED;
-    }
+    let mut flags = truncation_flag(position, width, samples.len());
     let saturated = |k: usize| f64::from(samples[k]) >= model.full_scale_dn;
     let within = |before: f64, after: f64| {
         let first = (position - before * width).ceil().max(0.0) as usize;

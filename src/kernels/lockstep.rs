@@ -21,6 +21,16 @@
     reason = "kernels are plain functions over tables, rows and scratch space"
 )]
 
+/// Straight code in the place of a short loop: what it runs over stays in registers.
+macro_rules! unrolled {
+    ($i:ident in [$($n:literal)*] if $limit:expr => $body:block) => {
+        $(if $n < $limit {
+            let $i: usize = $n;
+            $body
+        })*
+    };
+}
+
 mod batch;
 mod candidates;
 mod fit;

@@ -112,36 +112,31 @@ impl Decompose<'_> {
         let threshold = self.limits.least_sigma as f32;
         let Workspace { rows, candidates, scenes, .. } = &mut *self.work;
         self.on.run(Detect { tables: self.tables, rows, blocks: self.blocks, threshold, out: candidates });
-        scenes.clear();
+        scenes.resize_with(self.blocks.len(), Scene::default);
         for i in 0..self.blocks.len() {
             let found = &mut self.work.candidates[i];
             found.drop_weak(self.settings.detection_sigma as f32);
             found.screen(threshold, self.tables.fwhm_samples as f32, &self.limits.echo, self.limits.per_dn);
-            let scene = self.scene(&self.blocks[i], &self.work.candidates[i]);
-            self.work.scenes.push(scene);
+            self.begin(i);
         }
     }
 
     /// The first pulses of a waveform: its candidates.
-    fn scene(&self, block: &Block<'_>, found: &Candidates) -> Scene {
-        let plain = Scene::left_to_plain();
+    fn begin(&mut self, row: usize) {
+        let (block, found) = (&self.blocks[row], &self.work.candidates[row]);
+        let scene = &mut self.work.scenes[row];
+        scene.reset();
         let saturated = self.full_scale_dn.ceil().clamp(0.0, 65_535.0) as u16;
-        let (mut lowest, mut highest) = (u16::MAX, 0);
-        for &sample in block.samples {
-            (lowest, highest) = (lowest.min(sample), highest.max(sample));
-        }
-        let is_long = block.samples.len() > self.work.rows.capacity();
-        let kept = found.as_slice();
+        let [lowest, highest] = found.extremes;
         let is_cut_off = highest >= saturated || (lowest == 0 && self.clear_of_zero);
-        if is_cut_off || !block.start_phase.is_multiple_of(4) || is_long {
-            return plain;
-        }
-        if found.too_many {
-            return plain;
+        let is_long = block.samples.len() > self.work.rows.capacity();
+        if is_cut_off || is_long || found.too_many || !block.start_phase.is_multiple_of(4) {
+            scene.give_up();
+            return;
         }
         // The candidates are sorted by strength: of too many the strongest are kept.
+        let kept = found.as_slice();
         let kept = &kept[..kept.len().min(self.settings.max_returns)];
-        let mut scene = Scene::default();
         scene.counts = Counts {
             n_candidates: found.found as u32,
             np_filtered: (found.found - kept.len()) as u32,
@@ -149,10 +144,9 @@ impl Decompose<'_> {
         };
         for candidate in kept {
             let height = candidate.statistic / self.limits.per_dn;
-            scene.push(Pulse::new([height, candidate.position_samples, 0.0]));
+            scene.push(Pulse::of_calibrated_width(height, candidate.position_samples));
         }
         scene.sort();
-        scene
     }
 
     /// The clusters of waveforms with at least so many clusters are to be fitted.
@@ -374,7 +368,7 @@ impl Kernel for Detect<'_> {
             rows.whiten(s, tables, samples.len(), group * LANES);
             for (lane, samples) in samples.iter().enumerate() {
                 let length = samples.len().min(rows.capacity());
-                out.push(Candidates::of_row(s, rows, lane, length, threshold));
+                out.push(Candidates::of_row(s, rows, lane, length, threshold).of_block(samples));
             }
         }
     }

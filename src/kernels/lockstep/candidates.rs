@@ -30,12 +30,25 @@ pub(super) struct Candidates {
     pub(super) found: usize,
     /// Whether there were more than are held.
     pub(super) too_many: bool,
+    /// The lowest and the highest sample of the block.
+    pub(super) extremes: [u16; 2],
 }
 
 impl Candidates {
     pub(super) fn none() -> Candidates {
         let all = [Candidate::default(); MAX_CANDIDATES];
-        Candidates { all, count: 0, found: 0, too_many: false }
+        Candidates { all, count: 0, found: 0, too_many: false, extremes: [u16::MAX, 0] }
+    }
+
+    /// With the extremes of a block's samples.
+    #[inline(always)]
+    pub(super) fn of_block(mut self, samples: &[u16]) -> Candidates {
+        let [mut lowest, mut highest] = self.extremes;
+        for &sample in samples {
+            (lowest, highest) = (lowest.min(sample), highest.max(sample));
+        }
+        self.extremes = [lowest, highest];
+        self
     }
 
     pub(super) fn as_slice(&self) -> &[Candidate] {

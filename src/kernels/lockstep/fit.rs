@@ -44,16 +44,6 @@ const NO_DECREASE: f32 = 1e2;
 /// Damping up to which a small promise tells that the optimum is near.
 const NEAR_NEWTON: f32 = 1e-2;
 
-/// Straight code in the place of a short loop: what it runs over stays in registers.
-macro_rules! unrolled {
-    ($i:ident in [$($n:literal)*] if $limit:expr => $body:block) => {
-        $(if $n < $limit {
-            let $i: usize = $n;
-            $body
-        })*
-    };
-}
-
 /// The normal equations at a point, and what is to be made small there.
 #[derive(Clone, Copy)]
 struct Point<V, const N: usize> {

@@ -167,14 +167,14 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
 
 /// Adds `sign` times a pulse to a row.
 pub(super) fn add(on: Processor, tables: &Tables, rows: &mut Rows, row: usize, values: Values, sign: f32) {
-    on.run(Add { tables, rows, row, site: Site::of(tables, values), sign });
+    on.run(Add { tables, rows, row, values, sign });
 }
 
 struct Add<'a> {
     tables: &'a Tables,
     rows: &'a mut Rows,
     row: usize,
-    site: Site,
+    values: Values,
     sign: f32,
 }
 
@@ -183,7 +183,8 @@ impl Kernel for Add<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let Add { tables, rows, row, site, sign } = self;
+        let Add { tables, rows, row, values, sign } = self;
+        let site = Site::of(tables, values);
         if site.height >= tables.strong_dn() {
             rows.add::<S, true>(s, tables, row, &site, sign);
         } else {

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::limits::Limits;
 use super::scene::{Scene, Way};
-use crate::kernels::decompose::{Decomposer, Decomposition, Return, block_flags};
+use crate::kernels::decompose::{Decomposer, Decomposition, Return, truncation_flag};
 use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
 
@@ -105,13 +105,14 @@ impl Finish<'_> {
         }
         let first = outcomes.returns.len();
         let deviation_ratio = outcome.deviation_ratio();
+        let fwhm_samples = self.model.fwhm_samples();
+        let fwhm = fwhm_samples as f32;
         for (i, pulse) in scene.pulses().iter().enumerate() {
             let neighbours = [i.checked_sub(1), Some(i + 1).filter(|&j| j < scene.pulses().len())];
-            let fwhm = self.model.fwhm_samples() as f32;
             let overlaps = neighbours.into_iter().flatten().any(|j| scene.overlap(i, j, fwhm));
-            let [height, position, ln_width] = pulse.values().map(f64::from);
+            let [height, position, _] = pulse.values().map(f64::from);
             let sds = pulse.sds.map(|sd| self.model.pulse_error_factor * f64::from(sd));
-            let width_ratio = ln_width.exp();
+            let width_ratio = f64::from(pulse.width_ratio());
             let overdriven = self.limits.allowance.overdrives(height);
             outcomes.returns.push(Return {
                 position_samples: position,
@@ -125,7 +126,7 @@ impl Finish<'_> {
                     * self.model.sampling_interval_ns,
                 deviation_ratio,
                 flags: pulse.flags
-                    | block_flags(samples, self.model, position, ln_width)
+                    | truncation_flag(position, width_ratio * fwhm_samples, samples.len())
                     | if overlaps { flags::OVERLAP } else { 0 }
                     | if overdriven { flags::OVERDRIVEN } else { 0 },
             });

@@ -296,17 +296,27 @@ fn filter_chunk<S: Simd, const N: usize, const BEFORE: usize>(
     from: &[f32],
     to: &mut [f32],
 ) {
-    const REACH: usize = CHUNK + 2 * LANES;
-    let Some(window) = from.get(FRONT + c - BEFORE..).and_then(|row| row.first_chunk::<REACH>()) else {
+    const { assert!(BEFORE <= LANES && N <= LANES - BEFORE + 2 * LANES && N <= 18) };
+    const REACH: usize = CHUNK + 3 * LANES;
+    let Some(window) = from.get(FRONT + c - LANES..).and_then(|row| row.first_chunk::<REACH>()) else {
         return;
     };
-    let mut sums = [s.splat(0.0); CHUNK / LANES];
-    for (k, &tap) in taps.iter().enumerate() {
-        let tap = s.splat(tap);
-        for (q, sum) in sums.iter_mut().enumerate() {
-            *sum = s.fma(tap, s.load(sixteen(window, k + q * LANES)), *sum);
-        }
+    let mut values = [s.splat(0.0); REACH / LANES];
+    for (q, value) in values.iter_mut().enumerate() {
+        *value = s.load(sixteen(window, q * LANES));
     }
+    let mut sums = [s.splat(0.0); CHUNK / LANES];
+    unrolled!(k in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17] if N => {
+        let (vector, by) = ((LANES - BEFORE + k) / LANES, (LANES - BEFORE + k) % LANES);
+        let tap = s.splat(taps[k]);
+        unrolled!(q in [0 1 2 3] if CHUNK / LANES => {
+            let at = (q + vector) * LANES;
+            if let Some(held) = window.get(at..).and_then(|rest| rest.first_chunk()) {
+                let value = s.slide(values[q + vector], values[q + vector + 1], by, held);
+                sums[q] = s.fma(tap, value, sums[q]);
+            }
+        });
+    });
     for (q, sum) in sums.iter().enumerate() {
         let at = c + q * LANES;
         put(s, s.mul(*sum, s.load(sixteen(gain, at))), to, FRONT + at);

@@ -24,7 +24,7 @@ pub(super) struct Pulse {
 
 impl Default for Pulse {
     fn default() -> Pulse {
-        Pulse::new([0.0; 3])
+        Pulse::of_calibrated_width(0.0, 0.0)
     }
 }
 
@@ -32,6 +32,11 @@ impl Pulse {
     /// A pulse that is not fitted.
     pub(super) fn new(values: Values) -> Pulse {
         Pulse { values, width_ratio: values[2].exp(), sds: [0.0; 3], flags: 0 }
+    }
+
+    /// A pulse of the calibrated width that is not fitted.
+    pub(super) fn of_calibrated_width(height: f32, position: f32) -> Pulse {
+        Pulse { values: [height, position, 0.0], width_ratio: 1.0, sds: [0.0; 3], flags: 0 }
     }
 
     /// The pulse with other flags.
@@ -103,9 +108,13 @@ impl Scene {
         &mut self.pulses[..self.count]
     }
 
-    /// A waveform that the plain kernels are to decompose.
-    pub(super) fn left_to_plain() -> Scene {
-        Scene { way: Way::Plain, ..Scene::default() }
+    /// A new waveform, without pulses.
+    pub(super) fn reset(&mut self) {
+        let Scene { way, count, ends, taken_off, is_due, chi_square, samples, counts, refined_twice, .. } =
+            self;
+        (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
+        (*taken_off, *is_due, *refined_twice) = (false, false, false);
+        (*chi_square, *samples, *counts) = (0.0, 0, Counts::default());
     }
 
     /// Leaves the waveform to the plain kernels.
@@ -135,6 +144,9 @@ impl Scene {
     }
 
     pub(super) fn sort(&mut self) {
+        if self.count < 2 {
+            return;
+        }
         self.pulses[..self.count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
     }
 

@@ -81,6 +81,7 @@ pub(super) struct Site {
 
 impl Site {
     /// The site of one pulse within the tables, its height followed by the response.
+    #[inline(always)]
     pub(super) fn of(tables: &Tables, [height, position, width]: Values) -> Site {
         let above = width.clamp(U_MIN as f32, U_MAX as f32) - U_MIN as f32;
         let knot = (above * (1.0 / U_STEP as f32)).round_ties_even();
@@ -97,8 +98,12 @@ impl Site {
     }
 
     /// The response's nodes around the pulse's height.
+    #[inline(always)]
     fn with_nodes(mut self, tables: &Tables) -> Site {
         let nodes = &tables.nodes;
+        if nodes.len() == 1 {
+            return self;
+        }
         let above = nodes.iter().take_while(|node| node.peak_dn <= self.height).count();
         if above == 0 || above == nodes.len() {
             self.nodes = [above.saturating_sub(1); 2];

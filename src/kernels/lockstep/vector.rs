@@ -49,6 +49,9 @@ pub(super) trait Simd: Copy {
     fn round(self, a: Self::V) -> Self::V;
     /// The nearest whole numbers, ties to even; magnitudes below 2²².
     fn to_i32(self, a: Self::V, to: &mut [i32; LANES]);
+    /// Sixteen values from a place in a row that is `by` (below 16) behind the one where `low` was loaded; `high` stands
+    /// behind `low`. `from` holds both: a path takes what is cheaper, and `by` is a constant where it matters.
+    fn slide(self, low: Self::V, high: Self::V, by: usize, from: &[f32; 2 * LANES]) -> Self::V;
     /// Lane `i` is the sum of `of[i]`'s lanes: lanes 8 apart first, then 4, 2, 1.
     fn sum_each(self, of: &[Self::V; LANES]) -> Self::V;
 }
@@ -179,6 +182,7 @@ mod tests {
                 s.round(v[9]),
                 s.round(halves),
                 s.sum_each(&v),
+                s.slide(v[0], v[1], 5, &std::array::from_fn(|i| rows[i / 16][i % 16])),
                 s.widen(&[0, 1, 2, 3, 255, 256, 4095, 65535, 8, 9, 10, 11, 12, 13, 14, 15]),
             ];
             for value in shown {

@@ -109,6 +109,13 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
+    fn slide(self, _: Pair, _: Pair, by: usize, from: &[f32; 2 * LANES]) -> Pair {
+        match from.get(by..).and_then(|from| from.first_chunk()) {
+            Some(from) => self.load(from),
+            None => self.splat(0.0),
+        }
+    }
+    #[inline(always)]
     fn widen(self, from: &[u16; LANES]) -> Pair {
         let [low, high] = halves(from);
         // SAFETY: as above; each half covers the 16 bytes that are read, at any alignment.

@@ -76,6 +76,22 @@ impl Simd for Avx512 {
         unsafe { _mm512_storeu_ps(to.as_mut_ptr(), value) }
     }
     #[inline(always)]
+    fn slide(self, low: __m512, high: __m512, by: usize, _: &[f32; 2 * LANES]) -> __m512 {
+        macro_rules! slide {
+            ($($n:literal)*) => {
+                // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+                unsafe {
+                    let (low, high) = (_mm512_castps_si512(low), _mm512_castps_si512(high));
+                    _mm512_castsi512_ps(match by {
+                        $($n => _mm512_alignr_epi32::<$n>(high, low),)*
+                        _ => low,
+                    })
+                }
+            };
+        }
+        slide!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15)
+    }
+    #[inline(always)]
     fn widen(self, from: &[u16; LANES]) -> __m512 {
         // SAFETY: as above; the reference covers the 32 bytes that are read, at any alignment.
         unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.as_ptr().cast()))) }

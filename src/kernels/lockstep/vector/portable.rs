@@ -44,6 +44,13 @@ impl Simd for Portable {
         *to = value;
     }
     #[inline(always)]
+    fn slide(self, _: Sixteen, _: Sixteen, by: usize, from: &[f32; 2 * LANES]) -> Sixteen {
+        match from.get(by..).and_then(|from| from.first_chunk()) {
+            Some(from) => self.load(from),
+            None => self.splat(0.0),
+        }
+    }
+    #[inline(always)]
     fn widen(self, from: &[u16; LANES]) -> Sixteen {
         each!(i => f32::from(from[i]))
     }
