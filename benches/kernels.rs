@@ -221,7 +221,7 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets) 
     ];
     let only = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
     let mut rates = [0.0; 7];
-    if only.is_none() {
+    if only.as_ref().is_none_or(|only| only == "detect") {
         rates[0] = detection(&blocks(&sets[0].0), kernels(&settings, Mode::Refined));
     }
     for (rate_of, (name, settings, mode, set)) in rates[1..].iter_mut().zip(runs) {

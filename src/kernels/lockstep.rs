@@ -9,7 +9,8 @@
 //! the waveform's own, pulses wider than a row, large clusters, fits without an optimum, pulses that do not stand up) goes
 //! to the plain kernels, one waveform at a time: they decide, and are the oracle of the tests.
 //!
-//! The first samples of a block, as many as the noise's order, only predict: they carry no weight in a fit. After its start
+//! The first samples of a block, as many as the noise's order, carry no weight in a fit, and count in chi-square as long as
+//! no pulse reaches them. After its start
 //! a [`Lockstep`] allocates nothing but room for more returns or longer blocks.
 
 #![allow(

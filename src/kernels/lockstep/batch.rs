@@ -335,7 +335,7 @@ impl Decompose<'_> {
         for (row, (scene, square)) in scenes.iter_mut().zip(squares).enumerate() {
             if scene.taken_off || scene.pulses().is_empty() {
                 scene.chi_square = *square;
-                scene.samples = rows.length(row).saturating_sub(self.tables.order);
+                scene.samples = rows.counted(row);
             }
         }
     }
@@ -356,8 +356,10 @@ impl Kernel for Detect<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let Detect { tables, rows, threshold, out, .. } = self;
-        out.clear();
-        for (group, blocks) in self.blocks.chunks(LANES).enumerate() {
+        // In place: what is written value by value and read at once as a whole is slow.
+        out.resize_with(self.blocks.len(), Candidates::default);
+        let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
+        for (group, (blocks, out)) in groups.enumerate() {
             let mut samples: [&[u16]; LANES] = [&[]; LANES];
             for (samples, block) in samples.iter_mut().zip(blocks) {
                 *samples = block.samples;
@@ -366,9 +368,9 @@ impl Kernel for Detect<'_> {
             rows.load(s, tables, samples);
             rows.filter(s, tables, samples.len());
             rows.whiten(s, tables, samples.len(), group * LANES);
-            for (lane, samples) in samples.iter().enumerate() {
-                let length = samples.len().min(rows.capacity());
-                out.push(Candidates::of_row(s, rows, lane, length, threshold).of_block(samples));
+            for (lane, (samples, found)) in samples.iter().zip(out).enumerate() {
+                found.find(s, rows, lane, samples.len().min(rows.capacity()), threshold);
+                found.find_extremes(samples);
             }
         }
     }
@@ -388,11 +390,10 @@ impl Kernel for Search<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        self.out.clear();
-        for &row in self.which {
+        self.out.resize_with(self.which.len(), Candidates::default);
+        for (&row, found) in self.which.iter().zip(self.out) {
             self.rows.filter_residual(s, self.tables, row);
-            let length = self.rows.length(row);
-            self.out.push(Candidates::of_row(s, self.rows, 0, length, self.threshold));
+            found.find(s, self.rows, 0, self.rows.length(row), self.threshold);
         }
     }
 }

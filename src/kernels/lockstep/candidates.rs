@@ -34,37 +34,36 @@ pub(super) struct Candidates {
     pub(super) extremes: [u16; 2],
 }
 
+impl Default for Candidates {
+    fn default() -> Candidates {
+        Candidates::none()
+    }
+}
+
 impl Candidates {
-    pub(super) fn none() -> Candidates {
-        let all = [Candidate::default(); MAX_CANDIDATES];
+    const fn none() -> Candidates {
+        let all = [Candidate { position_samples: 0.0, statistic: 0.0 }; MAX_CANDIDATES];
         Candidates { all, count: 0, found: 0, too_many: false, extremes: [u16::MAX, 0] }
     }
 
-    /// With the extremes of a block's samples.
+    /// Takes the extremes of a block's samples.
     #[inline(always)]
-    pub(super) fn of_block(mut self, samples: &[u16]) -> Candidates {
-        let [mut lowest, mut highest] = self.extremes;
+    pub(super) fn find_extremes(&mut self, samples: &[u16]) {
+        let (mut lowest, mut highest) = (u16::MAX, 0);
         for &sample in samples {
             (lowest, highest) = (lowest.min(sample), highest.max(sample));
         }
         self.extremes = [lowest, highest];
-        self
     }
 
     pub(super) fn as_slice(&self) -> &[Candidate] {
         &self.all[..self.count]
     }
 
-    /// The maxima of a row of statistics, from left to right, those without a dip between them being one.
+    /// Takes the maxima of a row of statistics, from left to right, those without a dip between them being one.
     #[inline(always)]
-    pub(super) fn of_row<S: Simd>(
-        s: S,
-        rows: &Rows,
-        lane: usize,
-        samples: usize,
-        threshold: f32,
-    ) -> Candidates {
-        let mut out = Candidates::none();
+    pub(super) fn find<S: Simd>(&mut self, s: S, rows: &Rows, lane: usize, samples: usize, threshold: f32) {
+        (self.count, self.found, self.too_many) = (0, 0, false);
         let row = rows.statistic_row(lane);
         let limit = s.splat(threshold);
         let mut last = 0;
@@ -74,7 +73,7 @@ impl Candidates {
                 let at = FRONT + c + bits.trailing_zeros() as usize;
                 bits &= bits - 1;
                 let candidate = candidate(row, at);
-                match out.all[..out.count].last_mut() {
+                match self.all[..self.count].last_mut() {
                     Some(before) if !dips(row, last, at, DIP_PART * threshold) => {
                         if candidate.statistic > before.statistic {
                             *before = candidate;
@@ -84,18 +83,17 @@ impl Candidates {
                     }
                     _ => last = at,
                 }
-                match out.all.get_mut(out.count) {
+                match self.all.get_mut(self.count) {
                     Some(place) => *place = candidate,
                     None => {
-                        out.too_many = true;
-                        return out;
+                        self.too_many = true;
+                        return;
                     }
                 }
-                out.count += 1;
+                self.count += 1;
             }
         }
-        out.found = out.count;
-        out
+        self.found = self.count;
     }
 
     /// Drops those below a threshold, but for the last one behind others, which may have another. They are in order of

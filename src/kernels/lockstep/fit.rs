@@ -34,6 +34,11 @@ pub(super) struct Fitted<const P: usize> {
     pub(super) may_go_on: bool,
 }
 
+impl<const P: usize> Fitted<P> {
+    pub(super) const NOTHING: Fitted<P> =
+        Fitted { pulses: [[0.0; 3]; P], sds: [[0.0; 3]; P], is_optimum: false, may_go_on: false };
+}
+
 /// Converged is what the next step promises to lower chi-square by less than this: the square of what is left to go, in
 /// standard deviations. The step is still taken.
 const DECREASE: f32 = 1e-2;
@@ -87,11 +92,9 @@ impl<const P: usize, const N: usize, const C: usize, const D: usize, const STRON
     fn run<S: Simd>(self, s: S) {
         let mut sums: Sums<S::V, D> = [[s.splat(0.0); LANES]; D];
         let Fit { tables, rows, precision, iterations, out, .. } = self;
-        out.clear();
-        for jobs in self.jobs.chunks(LANES) {
-            let fitted =
-                fit::<S, P, N, C, D, STRONG>(s, tables, rows, jobs, precision, iterations, &mut sums);
-            out.extend_from_slice(&fitted[..jobs.len()]);
+        out.resize(self.jobs.len(), Fitted::NOTHING);
+        for (jobs, out) in self.jobs.chunks(LANES).zip(out.chunks_mut(LANES)) {
+            fit::<S, P, N, C, D, STRONG>(s, tables, rows, jobs, precision, iterations, &mut sums, out);
         }
     }
 }
@@ -132,7 +135,8 @@ pub(super) fn fit<
     precision: f32,
     iterations: usize,
     sums: &mut Sums<S::V, D>,
-) -> [Fitted<P>; LANES] {
+    out: &mut [Fitted<P>],
+) {
     const { assert!(N == 3 * P && D == (N + 1) * (N + 2) / 2 && C * LANES >= ROW) };
     let mut group: Group<'_, S, P, N, C, D> = Group {
         s,
@@ -158,7 +162,7 @@ pub(super) fn fit<
         let [height, position, width] = [s.load(&values[0]), s.load(&values[1]), s.load(&values[2])];
         *pulse = Pulses { height, position, width }.within(s, group.last);
     }
-    group.descend::<STRONG>(start, (1u32 << jobs.len().min(LANES)).wrapping_sub(1) as u16, iterations)
+    group.descend::<STRONG>(start, (1u32 << jobs.len().min(LANES)).wrapping_sub(1) as u16, iterations, out);
 }
 
 impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Group<'_, S, P, N, C, D> {
@@ -168,7 +172,8 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         start: [Pulses<S::V>; P],
         lanes: u16,
         iterations: usize,
-    ) -> [Fitted<P>; LANES] {
+        out: &mut [Fitted<P>],
+    ) {
         let s = self.s;
         let zero = s.splat(0.0);
         let (mut pulses, mut trial) = (start, start);
@@ -202,7 +207,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
                 break;
             }
         }
-        self.results(&pulses, &point, lanes & !active & inside, active & inside)
+        self.results(&pulses, &point, lanes & !active & inside, active & inside, out);
     }
 
     /// Less damping behind a step that lowered the objective, more behind one that did not. One pulse alone needs none at
@@ -357,12 +362,10 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         point: &Point<S::V, N>,
         optimum: u16,
         active: u16,
-    ) -> [Fitted<P>; LANES] {
+        out: &mut [Fitted<P>],
+    ) {
         let s = self.s;
         let variances = factor(s, point.matrix).inverse_diagonal(s);
-        let nothing =
-            Fitted { pulses: [[0.0; 3]; P], sds: [[0.0; 3]; P], is_optimum: false, may_go_on: false };
-        let mut out = [nothing; LANES];
         for (p, pulse) in pulses.iter().enumerate() {
             for (i, value) in [pulse.height, pulse.position, pulse.width].into_iter().enumerate() {
                 let (mut values, mut sds) = ([0.0; LANES], [0.0; LANES]);
@@ -379,6 +382,5 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             fitted.is_optimum = known && optimum & (1 << w) != 0;
             fitted.may_go_on = active & (1 << w) != 0;
         }
-        out
     }
 }

@@ -48,6 +48,8 @@ pub(super) struct Rows {
     residual: Aligned,
     /// Samples of each row of `residual`.
     lengths: [usize; RESIDUALS],
+    /// Those of them that chi-square is the sum over.
+    counted: [usize; RESIDUALS],
     gain: Aligned,
     gain_length: usize,
 }
@@ -67,6 +69,7 @@ impl Rows {
             before: [0; LANES],
             residual: Aligned::zeros(stride * RESIDUALS),
             lengths,
+            counted: [0; RESIDUALS],
             gain: Aligned::zeros(capacity + LANES),
             gain_length: 0,
         }
@@ -81,6 +84,12 @@ impl Rows {
     #[inline(always)]
     pub(super) fn length(&self, row: usize) -> usize {
         self.lengths.get(row).copied().unwrap_or(0)
+    }
+
+    /// Samples that chi-square of a row is the sum over.
+    #[inline(always)]
+    pub(super) fn counted(&self, row: usize) -> usize {
+        self.counted.get(row).copied().unwrap_or(0)
     }
 
     /// Takes up to sixteen blocks of at most [`Rows::capacity`] samples, minus the background; missing blocks are empty.
@@ -115,7 +124,7 @@ impl Rows {
     }
 
     /// Whitens the rows that are loaded into the residuals from row `first` on. The first samples, as many as the noise's
-    /// order, only predict; they and what lies beyond the block become 0.
+    /// order, have a whitening of their own, in which pulses are not taken off: they count as long as no pulse reaches them.
     #[inline(always)]
     pub(super) fn whiten<S: Simd>(&mut self, s: S, tables: &Tables, count: usize, first: usize) {
         for w in 0..count.min(LANES) {
@@ -126,6 +135,7 @@ impl Rows {
                 self.lengths[first + w] = n;
                 to.fill(0.0);
             }
+            self.counted[first + w] = n;
             whiten_row(s, tables, n, from, to);
         }
     }
@@ -179,6 +189,7 @@ impl Rows {
         let (from_at, to_at) = (from * self.stride, to * self.stride);
         self.residual.as_mut_slice().copy_within(from_at..from_at + self.stride, to_at);
         self.lengths[to] = self.lengths[from];
+        self.counted[to] = self.counted[from];
     }
 
     /// Adds `sign` times a pulse, its tail included, to a residual.
@@ -193,6 +204,10 @@ impl Rows {
     ) {
         let n = self.lengths[row];
         let to = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
+        if site.first < tables.order as i32 && self.counted[row] == n {
+            self.counted[row] = n.saturating_sub(tables.order);
+            to[FRONT..FRONT + tables.order.min(n)].fill(0.0);
+        }
         let inside = !leaves_block(site.first, ROW, tables.order, n);
         let factor = s.splat(sign * site.height);
         for c in 0..VECTORS {
@@ -281,8 +296,12 @@ fn whiten_row<S: Simd>(s: S, tables: &Tables, n: usize, from: &[f32], to: &mut [
         put(s, value, to, at);
     }
     put(s, s.splat(0.0), to, FRONT + n);
-    for value in to[FRONT..].iter_mut().take(tables.order) {
-        *value = 0.0;
+    for k in 0..tables.order.min(n) {
+        let mut value = 0.0;
+        for j in 0..=k {
+            value += tables.begin[k][j] * from[FRONT + j];
+        }
+        to[FRONT + k] = value;
     }
 }
 

@@ -42,10 +42,9 @@ impl Kernel for OneStep<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let mut sums = [[s.splat(0.0); LANES]; 4];
-        self.out.clear();
-        for jobs in self.jobs.chunks(LANES) {
-            let stepped = one_step(s, self.tables, self.rows, jobs, &mut sums);
-            self.out.extend_from_slice(&stepped[..jobs.len()]);
+        self.out.resize(self.jobs.len(), Stepped { fitted: Fitted::NOTHING, chi_square: 0.0 });
+        for (jobs, out) in self.jobs.chunks(LANES).zip(self.out.chunks_mut(LANES)) {
+            one_step(s, self.tables, self.rows, jobs, &mut sums, out);
         }
     }
 }
@@ -150,7 +149,8 @@ fn one_step<S: Simd>(
     rows: &Rows,
     jobs: &[Job<1>],
     sums: &mut StepSums<S::V>,
-) -> [Stepped; LANES] {
+    out: &mut [Stepped],
+) {
     let of = |i: usize| -> Sixteen {
         std::array::from_fn(|w| jobs.get(w).map_or([1.0, 20.0, 0.0][i], |job| job.pulses[0][i]))
     };
@@ -204,21 +204,22 @@ fn one_step<S: Simd>(
     let variances = [aa, s.mul(tt, squared), s.mul(uu, squared)];
     let values = [stepped.height, stepped.position, stepped.width];
     let chi_square = s.sub(s.sum_each(&sums[3]), told);
-    gathered(s, values, variances, chi_square, |w| {
-        !leaves_block(sites[w].first, ROW, tables.order, rows.length(row_of(w)))
-    })
+    let mut whole = [false; LANES];
+    for (w, whole) in whole.iter_mut().enumerate() {
+        *whole = !leaves_block(sites[w].first, ROW, tables.order, rows.length(row_of(w)));
+    }
+    give(s, values, variances, chi_square, &whole, out);
 }
 
 #[inline(always)]
-fn gathered<S: Simd>(
+fn give<S: Simd>(
     s: S,
     values: [S::V; 3],
     variances: [S::V; 3],
     chi_square: S::V,
-    is_whole: impl Fn(usize) -> bool,
-) -> [Stepped; LANES] {
-    let nothing = Fitted { pulses: [[0.0; 3]], sds: [[0.0; 3]], is_optimum: false, may_go_on: false };
-    let mut out = [Stepped { fitted: nothing, chi_square: 0.0 }; LANES];
+    whole: &[bool; LANES],
+    out: &mut [Stepped],
+) {
     let (mut value, mut sd, mut square) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     s.store(chi_square, &mut square);
     for i in 0..3 {
@@ -231,7 +232,6 @@ fn gathered<S: Simd>(
     }
     for (w, stepped) in out.iter_mut().enumerate() {
         stepped.chi_square = square[w];
-        stepped.fitted.is_optimum = is_whole(w);
+        stepped.fitted.is_optimum = whole[w];
     }
-    out
 }

@@ -6,6 +6,7 @@ use crate::kernels::gauss_fit::FOUR_LN_2;
 use crate::kernels::noise::ArNoise;
 use crate::kernels::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
 use crate::kernels::sensor_model::{ChannelModel, Digitiser};
+use crate::kernels::whitening::Whitener;
 
 /// Samples of a template row: from 11 before the peak's sample to 20 behind it, past the after-pulse.
 pub(super) const ROW: usize = 32;
@@ -104,6 +105,8 @@ pub struct Tables {
     /// Whitening: what the sample is multiplied with, then those before it.
     pub(super) whitening: [f32; MAX_ORDER + 1],
     pub(super) order: usize,
+    /// Whitening of the first samples, as many as the order: each with those before it, its own factor last.
+    pub(super) begin: [[f32; MAX_ORDER]; MAX_ORDER],
     /// The background by sample number modulo 4, for vectors that start at sample 0 to 3 modulo 4.
     pub(super) background: [Sixteen; 4],
     /// Full width at half maximum of a pulse of width ratio 1, samples.
@@ -167,6 +170,7 @@ impl Tables {
             trailing: [0.0; LANES],
             whitening,
             order: noise.order(),
+            begin: beginning(noise),
             background: std::array::from_fn(|first| {
                 std::array::from_fn(|lane| model.background_dn[(first + lane) % 4] as f32)
             }),
@@ -312,6 +316,22 @@ impl Tables {
         self.taps = taps.map(|tap| tap as f32);
         self.matched = template.map(|value| (value * norm) as f32);
     }
+}
+
+/// What exact whitening does to the first samples of a block, row by row.
+fn beginning(noise: &ArNoise) -> [[f32; MAX_ORDER]; MAX_ORDER] {
+    let mut whitener = Whitener::new(noise.clone(), MAX_ORDER);
+    whitener.set_used(&[true; MAX_ORDER]);
+    let mut begin = [[0.0; MAX_ORDER]; MAX_ORDER];
+    for j in 0..MAX_ORDER {
+        let mut unit = [0.0; MAX_ORDER];
+        unit[j] = 1.0;
+        whitener.whiten(&mut unit);
+        for (row, value) in begin.iter_mut().zip(unit) {
+            row[j] = value as f32;
+        }
+    }
+    begin
 }
 
 /// The whitening filter in the steady state.
