@@ -85,6 +85,7 @@ pub fn samples(reader: &str, path: &Path) -> Vec<Vec<u16>> {
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
         threads: 1,
+        simd: wavex::kernels::lockstep::Path::best(),
     };
     let mut source = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
     let mut cx = Context::default();
