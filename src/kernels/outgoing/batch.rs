@@ -143,7 +143,7 @@ mod tests {
         let one = |i: usize| {
             let truth = pulse(180.0, 14.0 + 8.0 * random.uniform(), 1.0);
             let mut values = analogue(&mut random, &process, 40, 2.0, FWHM, &[truth]);
-            if i % 2 == 0 {
+            if i.is_multiple_of(2) {
                 values[32..].iter_mut().for_each(|v| *v += 30.0);
             }
             (truth.position_samples, digitised(&values, 255))
