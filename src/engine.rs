@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::job::Job;
+use crate::kernels::lockstep;
 use crate::stage::{Plan, Site, StageError};
 
 mod chain;
@@ -39,6 +40,8 @@ pub struct Options {
     pub threads: usize,
     /// How many lines may wait between two stages.
     pub channel_capacity: usize,
+    /// The instructions that kernels use; the results do not depend on it.
+    pub simd: lockstep::Path,
     /// Keep what a trace needs.
     pub profile: bool,
     /// Ends the run early when it is set.
@@ -55,6 +58,7 @@ impl Options {
             output_dir: output_dir.into(),
             threads: job.settings.threads,
             channel_capacity: job.settings.channel_capacity,
+            simd: job.settings.simd.path(),
             profile: false,
             cancel: Cancel::default(),
             progress: ProgressMode::Hidden,
@@ -87,10 +91,11 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
         input_dir: options.input_dir.clone(),
         output_dir: options.output_dir.clone(),
         threads: options.workers(),
+        simd: options.simd,
     };
     let sites: Vec<Site> = inputs.into_iter().map(site).collect();
     inputs::keep_from_outputs(job, &sites)?;
-    let mut report = RunReport::new(job, options.workers());
+    let mut report = RunReport::new(job, options);
     let mut progress = Progress::new(options.progress, sites.len());
     for site in sites {
         let result = chain::run(job, &Arc::new(site), options, &mut progress)?;

@@ -8,8 +8,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::Kind;
+use crate::kernels::lockstep;
 use crate::registry;
-use crate::stage::{Keys, Planned, StageSpec};
+use crate::stage::{InvalidKey, Keys, Planned, StageSpec};
 
 mod chain;
 mod draft;
@@ -19,6 +20,7 @@ mod manual;
 mod outputs;
 mod overrides;
 mod schema;
+mod simd;
 mod sources;
 mod tables;
 mod validate;
@@ -28,6 +30,7 @@ pub use example::example_job;
 pub use manual::{manual, manual_of, summary};
 pub use overrides::Override;
 pub use schema::job_schema;
+pub use simd::Simd;
 
 use sources::Sources;
 
@@ -76,6 +79,8 @@ pub struct JobSettings {
     /// How many scan lines may wait between two stages. The results do not depend on it.
     #[schemars(range(min = 1))]
     pub channel_capacity: usize,
+    /// The processor's instructions that the fast kernels use. The results do not depend on it.
+    pub simd: Simd,
     /// The report of the run (JSON), in the folder of the outputs; empty: none.
     pub report: String,
     /// The log of the run, in the folder of the outputs; empty: none.
@@ -90,6 +95,7 @@ impl Default for JobSettings {
             input_dir: None,
             output_dir: None,
             channel_capacity: 16,
+            simd: Simd::Auto,
             report: "report.json".into(),
             log: "wavex.log".into(),
         }
@@ -100,6 +106,11 @@ impl JobSettings {
     /// The keys of the table with their meaning.
     pub fn keys() -> Keys {
         Keys::of(JobSettings::json_schema)
+    }
+
+    /// What the types alone cannot say of the keys.
+    fn check(&self) -> Result<(), InvalidKey> {
+        self.simd.check(lockstep::Path::is_available).map_err(|problem| InvalidKey::new("simd", problem))
     }
 }
 

@@ -221,6 +221,8 @@ fn the_example_in_full() {
 #memory_mb = 1024
 # How many scan lines may wait between two stages.
 #channel_capacity = 16
+# The processor's instructions that the fast kernels use.
+#simd = "auto"
 # The report of the run (JSON), in the folder of the outputs; empty: none.
 #report = "report.json"
 # The log of the run, in the folder of the outputs; empty: none.

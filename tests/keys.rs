@@ -1,5 +1,5 @@
 //! Keys of readers, calibrate and decompose: what each changes of the results.
-#![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 mod support;
 
@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use support::container::{Shot, container};
 use support::{Outcome, Place, shots};
-use wavex::batch::flags::{ECHO_ON_OUTGOING, EMISSION_IN_BLOCK, EMISSION_ON_ECHO};
+use wavex::batch::flags::{ECHO_ON_OUTGOING, EMISSION_IN_BLOCK, EMISSION_ON_ECHO, OVERLAP, REFINED};
 use wavex::formats::container::EmissionReference;
 
 const SHOTS: usize = 320;
@@ -243,4 +243,73 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
         rows.iter().all(|row| number(row, "time_of_flight_sd_ns") > 0.28),
         "a part of a sample is unknown"
     );
+}
+
+/// The returns of the same shots in two modes.
+fn pairs<'a>(a: &'a [Row], b: &'a [Row], shots: &[usize]) -> Vec<(&'a Row, &'a Row)> {
+    let of = |&shot: &usize| {
+        let (a, b) = (of_shot(a, shot), of_shot(b, shot));
+        assert_eq!(a.len(), b.len(), "shot {shot}");
+        a.into_iter().zip(b).collect::<Vec<_>>()
+    };
+    shots.iter().flat_map(of).collect()
+}
+
+#[test]
+fn modes_agree_where_returns_stand_alone_and_refine_on_request_where_they_overlap() {
+    let place = recording(|number, shot| {
+        if number % 5 == 3 {
+            let apart = 7.0 + 0.05 * (number % 40) as f64;
+            shot.blocks[1].2 = samples(number, &[(20.0, 120.0), (20.0 + apart, 70.0)]);
+        }
+    });
+    let of_mode = |keys: &str| run(&place, "", "", keys);
+    let (refined, totals) = of_mode("");
+    assert_eq!(totals["nw_refined1x"], SHOTS);
+    assert!(refined.iter().all(|row| flags_of(row) & REFINED != 0));
+    let (overlapping, isolated): (Vec<usize>, Vec<usize>) = (0..SHOTS).partition(|shot| shot % 5 == 3);
+    assert!(overlapping.iter().all(|&shot| of_shot(&refined, shot).len() == 2));
+
+    for mode in ["fastest", "fast_separated", "slow"] {
+        let (rows, totals) = of_mode(&format!("mode = '{mode}'"));
+        let pairs = pairs(&refined, &rows, &isolated);
+        assert_eq!(pairs.len(), isolated.len());
+        for quantity in ["time_of_flight_ns", "amplitude_dn", "width_ratio"] {
+            let sd = match quantity.rsplit_once('_') {
+                Some((name, unit @ ("ns" | "dn"))) => format!("{name}_sd_{unit}"),
+                _ => format!("{quantity}_sd"),
+            };
+            let distance =
+                |(a, b): &(&Row, &Row)| (number(a, quantity) - number(b, quantity)).abs() / number(a, &sd);
+            let far = pairs.iter().map(distance).fold(0.0, f64::max);
+            println!("{mode}: {quantity} within {far:.3} standard deviations");
+            assert!(far < 0.5, "{mode} {quantity}: {far}");
+        }
+        let refined_of = |shots: &[usize]| {
+            let rows = shots.iter().flat_map(|&shot| of_shot(&rows, shot));
+            rows.filter(|row| flags_of(row) & REFINED != 0).count()
+        };
+        let found = (refined_of(&isolated), refined_of(&overlapping));
+        let both = 2 * overlapping.len();
+        match mode {
+            // What a step does not settle is fitted.
+            "fastest" => assert!(found.0 == 0 && 4 * found.1 < both, "{found:?}"),
+            "fast_separated" => {
+                let is = |row: &Row, flag: u16| flags_of(row) & flag != 0;
+                assert!(rows.iter().all(|row| is(row, REFINED) == is(row, OVERLAP)));
+                assert!(found.0 == 0 && found.1 * 100 >= 95 * both, "{found:?}");
+            }
+            _ => assert_eq!(found, (isolated.len(), both)),
+        }
+        let any_refined = |shot: &usize| of_shot(&rows, *shot).iter().any(|row| flags_of(row) & REFINED != 0);
+        assert_eq!(totals["nw_refined1x"], (0..SHOTS).filter(any_refined).count(), "{mode}");
+    }
+    for mode in ["fastest", "fast_separated"] {
+        let (rows, _) = of_mode(&format!("mode = '{mode}'\nrefine_when_needed = true"));
+        for (expected, found) in pairs(&refined, &rows, &overlapping) {
+            assert_eq!(expected, found, "{mode}");
+        }
+        let untouched = isolated.iter().flat_map(|&shot| of_shot(&rows, shot));
+        assert!(untouched.filter(|row| flags_of(row) & REFINED == 0).count() * 10 > isolated.len() * 9);
+    }
 }

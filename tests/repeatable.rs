@@ -10,7 +10,8 @@ use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use wavex::engine::{self, Options};
-use wavex::job::Job;
+use wavex::job::{Job, Override, Simd};
+use wavex::kernels::lockstep::Path;
 
 const JOB: &str = r#"
 [[stage]]
@@ -48,8 +49,14 @@ path = "*_returns.arrow"
 
 /// The digest of every output, by name.
 fn digests(threads: usize, channel_capacity: usize) -> BTreeMap<String, u64> {
+    digests_with(threads, channel_capacity, &[])
+}
+
+/// The same with other keys.
+fn digests_with(threads: usize, channel_capacity: usize, set: &[&str]) -> BTreeMap<String, u64> {
     let folder = tempfile::tempdir().unwrap();
-    let job = Job::parse("repeat.toml", JOB, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    let set: Vec<Override> = set.iter().map(|set| Override::new((*set).to_owned())).collect();
+    let job = Job::parse("repeat.toml", JOB, &set).unwrap_or_else(|errors| panic!("{errors}"));
     let options =
         Options { threads, channel_capacity, ..Options::of_job(&job, folder.path(), folder.path()) };
     let report = engine::run(&job, &options).unwrap();
@@ -67,6 +74,29 @@ fn threads_queues_and_repetition_change_no_byte() {
     assert_eq!(first.len(), 8);
     for (threads, capacity) in [(1, 1), (2, 16), (3, 2), (8, 64)] {
         assert_eq!(digests(threads, capacity), first, "{threads} threads, {capacity} lines in a queue");
+    }
+}
+
+#[test]
+fn the_instructions_change_no_byte() {
+    for mode in ["refined", "fastest"] {
+        let mode = format!("decompose.mode='{mode}'");
+        let first = digests_with(2, 16, &[&mode]);
+        for path in Path::ALL.into_iter().filter(|path| path.is_available()) {
+            let simd = serde_json::to_value(Simd::from(path)).unwrap();
+            let set = [&mode, &format!("job.simd={simd}")];
+            assert_eq!(digests_with(3, 2, &set.map(String::as_str)), first, "{mode} {path:?}");
+        }
+    }
+}
+
+#[test]
+fn the_instructions_in_use_are_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    for (set, used) in [("job.simd='portable'", Path::Portable), ("job.simd='auto'", Path::best())] {
+        let job = Job::parse("repeat.toml", JOB, &[Override::new(set)]).unwrap();
+        let report = engine::run(&job, &Options::of_job(&job, folder.path(), folder.path())).unwrap();
+        assert_eq!(report.simd, used.into());
     }
 }
 

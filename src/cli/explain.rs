@@ -11,7 +11,7 @@ use crate::formats::Error;
 use crate::job::{Job, JobStage, Override};
 use crate::stage::{Context, OutputFile, Plan, Site, SourcePlan, TransformConfig};
 use crate::stages::calibrate::Calibrate;
-use crate::stages::decompose::{Decompose, Shot, ShotDecomposer};
+use crate::stages::decompose::{Decompose, Line, SensorTables, Shot, ShotDecomposer};
 use seen::{Explained, Seen};
 use upstream::{Step, Upstream};
 
@@ -91,7 +91,8 @@ impl Chain {
         let decompose = keys_of(&job, "decompose")?;
         let (input_dir, output_dir) = run::folders(&job, &folder);
         let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let site = Site { input: args.file.clone(), stem, input_dir, output_dir, threads: 1 };
+        let simd = job.settings.simd.path();
+        let site = Site { input: args.file.clone(), stem, input_dir, output_dir, threads: 1, simd };
         Ok(Chain { job, site, calibrate, decompose, source })
     }
 
@@ -200,11 +201,12 @@ fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Fai
     };
     let mut seen = Seen::new(&blocks);
     let (mut returns, mut cx) = (Returns::new(), Context::default());
-    let mut shots = ShotDecomposer::new(&model, &chain.decompose).map_err(|error| failed(&error))?;
-    let of_line = Shot { index, blocks: &blocks, of_shot, input: &line.input };
-    shots
-        .decompose(&of_line, &mut line.emissions, &mut returns, &mut line.stats, &mut cx, &mut seen)
+    let tables = SensorTables::new(&model, chain.decompose.mode);
+    let mut shots = ShotDecomposer::new(&model, &tables, &chain.decompose, chain.site.simd)
         .map_err(|error| failed(&error))?;
+    let of_line = Shot { index, blocks: &blocks, of_shot, input: &line.input };
+    let mut into = Line { emissions: &mut line.emissions, returns: &mut returns, stats: &mut line.stats };
+    shots.decompose(&[of_line], &mut into, &mut cx, &mut seen).map_err(|error| failed(&error))?;
     let emission = line.emissions[index as usize];
     let file = chain.file().display().to_string();
     let threshold = chain.decompose.detection_sigma;

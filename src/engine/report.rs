@@ -9,9 +9,10 @@ use std::time::Instant;
 use schemars::JsonSchema;
 use serde::{Serialize, Serializer};
 
+use super::Options;
 use super::meter::{Meter, Span};
 use crate::batch::{Batch, EmissionReference, Frame, InputInfo, TimeScale};
-use crate::job::{Job, JobSettings, JobStage};
+use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Counters, Distribution, Item, RoleName, Site};
 
@@ -26,6 +27,8 @@ pub struct RunReport {
     pub stages: Vec<StageKeys>,
     /// Workers per map.
     pub threads: usize,
+    /// The instructions that kernels used.
+    pub simd: Simd,
     /// Duration of the whole run, s.
     pub wall_s: f64,
     /// One entry per input.
@@ -357,7 +360,7 @@ impl InputReport {
 }
 
 impl RunReport {
-    pub(super) fn new(job: &Job, threads: usize) -> RunReport {
+    pub(super) fn new(job: &Job, options: &Options) -> RunReport {
         let keys = |stage: &JobStage| StageKeys {
             id: stage.id.clone(),
             r#type: stage.spec.name.to_string(),
@@ -367,7 +370,8 @@ impl RunReport {
             wavex: env!("CARGO_PKG_VERSION").to_string(),
             job: job.settings.clone(),
             stages: job.stages.iter().map(keys).collect(),
-            threads,
+            threads: options.workers(),
+            simd: options.simd.into(),
             wall_s: 0.0,
             inputs: Vec::new(),
         }

@@ -38,7 +38,13 @@ pub(super) fn settings(table: Spanned<DeTable>, errors: &mut Vec<JobError>) -> O
     }
     let places = Places::of(&table);
     match JobSettings::deserialize(toml::de::Deserializer::from(table)) {
-        Ok(settings) => Some(settings),
+        Ok(settings) => match settings.check() {
+            Ok(()) => Some(settings),
+            Err(invalid) => {
+                errors.push(places.invalid(&keys, &invalid));
+                None
+            }
+        },
         Err(error) => {
             errors.push(places.refused(&keys, &error));
             None

@@ -123,7 +123,7 @@ pub struct Counts {
 }
 
 /// A decomposed waveform.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Decomposition<'a> {
     /// The returns, by position.
     pub returns: &'a [Return],

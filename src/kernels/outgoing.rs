@@ -3,9 +3,15 @@
 //! The same estimator as for echoes, on the main lobe alone: what follows the pulse (after-pulse, slow tail, an echo
 //! that happens to come in) does not pull it.
 
+mod batch;
+
+use std::ops::Range;
+
 use super::decompose::{DecomposeSettings, Decomposer, Return};
 use super::flags;
 use super::sensor_model::{ChannelModel, ModelError};
+
+pub use batch::{Outgoing, OutgoingBatch};
 
 /// Half of the window that is fitted, in widths of the pulse.
 const HALF_WINDOW_WIDTHS: f64 = 1.5;
@@ -19,8 +25,8 @@ pub struct OutgoingFitter {
     finder: Decomposer,
     /// Fits it in its window.
     fitter: Decomposer,
-    /// The window's first sample in the block.
-    first: usize,
+    /// The last block's samples that were fitted.
+    window: Range<usize>,
     /// Tries two pulses in the window; only with a calibrated response, as what a Gaussian leaves of any pulse looks like
     /// a second one.
     two: Option<Decomposer>,
@@ -29,17 +35,11 @@ pub struct OutgoingFitter {
 impl OutgoingFitter {
     /// For blocks of up to `max_samples` samples of the reference channel; longer ones make it take more memory.
     pub fn new(model: &ChannelModel, max_samples: usize) -> Result<OutgoingFitter, ModelError> {
-        let settings = DecomposeSettings {
-            max_returns: 1,
-            max_added: 0,
-            split_evidence: None,
-            ..DecomposeSettings::default()
-        };
-        let finder = Decomposer::new(model, &settings, max_samples)?;
+        let finder = Decomposer::new(model, &one_pulse(), max_samples)?;
         let settings = DecomposeSettings { max_returns: 2, max_added: 1, ..DecomposeSettings::default() };
         let two =
             model.response.as_ref().map(|_| Decomposer::new(model, &settings, max_samples)).transpose()?;
-        Ok(OutgoingFitter { fitter: finder.clone(), finder, first: 0, two })
+        Ok(OutgoingFitter { fitter: finder.clone(), finder, window: 0..0, two })
     }
 
     /// The block's strongest pulse; `start_phase` is the index of the block's first sample modulo 4.
@@ -47,32 +47,46 @@ impl OutgoingFitter {
     /// `None` where no pulse stands out of the noise, or none that can be fitted. The flag
     /// [`flags::ECHO_ON_OUTGOING`] is set where the window holds a second pulse.
     pub fn fit(&mut self, samples: &[u16], start_phase: u8) -> Option<Return> {
-        let half = HALF_WINDOW_WIDTHS * self.finder.model().fwhm_samples();
+        let model = self.finder.model();
+        let (fwhm, shifts) = (model.fwhm_samples(), model.digitiser.odd_sample_shift != 0.0);
         let position = self.finder.decompose(samples, start_phase).returns.first()?.position_samples;
-        let mut first = (position - half).ceil().max(0.0) as usize;
-        if self.finder.model().digitiser.odd_sample_shift != 0.0 {
+        let mut window = window(position, fwhm, samples.len());
+        if shifts {
             // Odd samples of the block stay odd in the window.
-            first -= first % 2;
+            window.start -= window.start % 2;
         }
-        let end = ((position + half).floor().max(0.0) as usize).saturating_add(1).min(samples.len());
-        let window = samples.get(first..end)?;
-        let phase = (usize::from(start_phase) + first) % 4;
-        let mut pulse = *self.fitter.decompose(window, phase as u8).returns.first()?;
+        let phase = ((usize::from(start_phase) + window.start) % 4) as u8;
+        let fitted = samples.get(window.clone())?;
+        let pulse = *self.fitter.decompose(fitted, phase).returns.first()?;
+        let pulse = self.finished(pulse, window.start, fitted, phase);
+        self.window = window;
+        Some(pulse)
+    }
+
+    /// A pulse of a window, with its place in the block, and with the flag of a second one.
+    fn finished(&mut self, mut pulse: Return, first: usize, window: &[u16], phase: u8) -> Return {
         if pulse.deviation_ratio > SUSPICIOUS
             && let Some(two) = &mut self.two
-            && two.decompose(window, phase as u8).returns.len() > 1
+            && two.decompose(window, phase).returns.len() > 1
         {
             pulse.flags |= flags::ECHO_ON_OUTGOING;
         }
         pulse.position_samples += first as f64;
-        self.first = first;
-        Some(pulse)
+        pulse
     }
+}
 
-    /// The fit of the last block's window, and the window's first sample.
-    pub fn window(&self) -> (usize, &Decomposer) {
-        (self.first, &self.fitter)
-    }
+/// Settings that find one pulse.
+fn one_pulse() -> DecomposeSettings {
+    DecomposeSettings { max_returns: 1, max_added: 0, split_evidence: None, ..DecomposeSettings::default() }
+}
+
+/// The samples about a pulse that it is fitted to.
+fn window(position: f64, fwhm_samples: f64, samples: usize) -> Range<usize> {
+    let half = HALF_WINDOW_WIDTHS * fwhm_samples;
+    let first = (position - half).ceil().max(0.0) as usize;
+    let end = ((position + half).floor().max(0.0) as usize).saturating_add(1).min(samples);
+    first..end
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{OutputFile, Result};
+use crate::kernels::lockstep;
 
 /// What a stage knows of the run that it is made for.
 #[derive(Clone, Debug)]
@@ -20,6 +21,8 @@ pub struct Site {
     pub output_dir: PathBuf,
     /// How many threads a stage may use for itself.
     pub threads: usize,
+    /// The instructions that kernels are to use.
+    pub simd: lockstep::Path,
 }
 
 impl Site {
@@ -71,6 +74,7 @@ mod tests {
             input_dir: "in".into(),
             output_dir: "out".into(),
             threads: 1,
+            simd: lockstep::Path::Portable,
         };
         assert_eq!(site.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));
         assert_eq!(site.output_path("/abs/all.laz"), Path::new("/abs/all.laz"));

@@ -6,14 +6,19 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Batch, Content, Kind, Returns};
+use crate::kernels::lockstep::Path;
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
 
 mod crosstalk;
 mod found;
+mod receivers;
 mod shots;
 
-pub(crate) use shots::{BlockFit, Shot, ShotDecomposer, Watch};
+use receivers::SharedTables;
+
+pub(crate) use receivers::SensorTables;
+pub(crate) use shots::{BlockFit, Line, Shot, ShotDecomposer, Watch};
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec =
@@ -41,6 +46,11 @@ pub const STAGE: StageSpec =
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Decompose {
+    /// How thoroughly waveforms are decomposed.
+    pub mode: Mode,
+    /// Refine waveforms whose returns overlap or whose deviation ratio exceeds 3; for `fastest` and `fast_separated`, as the
+    /// other modes refine all.
+    pub refine_when_needed: bool,
     /// Detection threshold, in standard deviations of the noise after the matched filter.
     pub detection_sigma: f64,
     /// The same for the last of two or more returns of a block, where it is to be higher: for receivers that ring behind
@@ -60,6 +70,23 @@ pub struct Decompose {
     pub template_error: f64,
     /// Drop returns that overlap what leaks in from the emission of another shot (flag bit 3).
     pub drop_emission_crosstalk: bool,
+    #[serde(skip)]
+    tables: SharedTables,
+}
+
+/// How thoroughly waveforms are decomposed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// One step for each detected pulse, as if it stood alone: for single returns as good as `refined`.
+    Fastest,
+    /// The same where returns do not overlap; those that do are fitted together.
+    FastSeparated,
+    /// All pulses fitted to the optimum, what they leave searched, and widened ones tried as two.
+    #[default]
+    Refined,
+    /// The same by the plain kernels, and every widened pulse is tried as two.
+    Slow,
 }
 
 /// A number, or `false` for none.
@@ -93,6 +120,8 @@ impl NumberOrFalse {
 impl Default for Decompose {
     fn default() -> Decompose {
         Decompose {
+            mode: Mode::Refined,
+            refine_when_needed: false,
             detection_sigma: 4.5,
             detection_sigma_last: NumberOrFalse::Without(false),
             width_ratio: [0.8, 10.0],
@@ -100,6 +129,7 @@ impl Default for Decompose {
             split_evidence: NumberOrFalse::Number(16.0),
             template_error: 0.005,
             drop_emission_crosstalk: false,
+            tables: SharedTables::default(),
         }
     }
 }
@@ -107,6 +137,12 @@ impl Default for Decompose {
 impl Config for Decompose {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         let [low, high] = self.width_ratio;
+        InvalidKey::unless(
+            !self.refine_when_needed || matches!(self.mode, Mode::Fastest | Mode::FastSeparated),
+            "refine_when_needed",
+            "it has no effect in this `mode`, which refines every waveform; leave it out, or choose \
+             `mode = \"fastest\"` or `\"fast_separated\"`",
+        )?;
         InvalidKey::unless(
             (2.0..=100.0).contains(&self.detection_sigma),
             "detection_sigma",
@@ -141,15 +177,31 @@ impl Config for Decompose {
 }
 
 impl MapConfig for Decompose {
-    fn make(&self, _site: &Site) -> Result<Box<dyn Map>> {
-        Ok(Box::new(DecomposeLine { config: self.clone(), shots: None }))
+    fn make(&self, site: &Site) -> Result<Box<dyn Map>> {
+        Ok(Box::new(DecomposeLine { config: self.clone(), path: site.simd, worker: None }))
     }
 }
 
 /// One worker: its kernels are made when the first line brings the sensor model.
 struct DecomposeLine {
     config: Decompose,
-    shots: Option<(Arc<SensorModel>, ShotDecomposer)>,
+    path: Path,
+    worker: Option<Worker>,
+}
+
+/// A sensor's kernels, and what they share with those of the other workers.
+struct Worker {
+    model: Arc<SensorModel>,
+    _tables: Arc<SensorTables>,
+    shots: ShotDecomposer,
+}
+
+impl Worker {
+    fn new(model: &Arc<SensorModel>, config: &Decompose, path: Path) -> Result<Worker> {
+        let tables = config.tables.of(model, config.mode);
+        let shots = ShotDecomposer::new(model, &tables, config, path)?;
+        Ok(Worker { model: Arc::clone(model), _tables: tables, shots })
+    }
 }
 
 impl Map for DecomposeLine {
@@ -167,18 +219,19 @@ impl Map for DecomposeLine {
                 "put it before the stages that use returns",
             ));
         };
-        let mut shots = match self.shots.take() {
-            Some((of, shots)) if Arc::ptr_eq(&of, &model) => shots,
-            _ => ShotDecomposer::new(&model, &self.config)?,
+        let mut worker = match self.worker.take() {
+            Some(worker) if Arc::ptr_eq(&worker.model, &model) => worker,
+            _ => Worker::new(&model, &self.config, self.path)?,
         };
         let mut returns = Returns::new();
-        for (index, of_shot) in blocks.by_emission() {
-            let shot = Shot { index, blocks: &blocks, of_shot, input: &batch.input };
-            shots.decompose(&shot, &mut batch.emissions, &mut returns, &mut batch.stats, cx, &mut ())?;
-        }
+        let shot = |(index, of_shot)| Shot { index, blocks: &blocks, of_shot, input: &batch.input };
+        let shots: Vec<Shot> = blocks.by_emission().map(shot).collect();
+        let (emissions, stats) = (&mut batch.emissions, &mut batch.stats);
+        let mut line = Line { emissions, returns: &mut returns, stats };
+        worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
         batch.stats.np += returns.len() as u64;
         batch.content = Content::Returns(returns);
-        self.shots = Some((model, shots));
+        self.worker = Some(worker);
         Ok(batch)
     }
 }

@@ -1,10 +1,11 @@
 //! What was seen while a shot was decomposed: all that the table and the picture tell.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::batch::{Block, Blocks, Emission, Return, Returns};
-use crate::kernels::decompose::{Decomposer, Return as Pulse};
-use crate::kernels::outgoing::OutgoingFitter;
+use crate::kernels::decompose::{DecomposeSettings, Decomposer, Decomposition, Return as Pulse};
+use crate::kernels::outgoing::Outgoing;
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::Context;
 use crate::stages::decompose::{BlockFit, Watch};
@@ -95,16 +96,20 @@ impl<'a> Seen<'a> {
         Explained { file, emission, returns, blocks, outgoing: self.outgoing, model, threshold, remarks }
     }
 
-    /// `window` is the block's sample that the decomposer was given first.
+    /// A block whose samples in `window` were decomposed; returns count their places from the window's first.
+    ///
+    /// `None` only for a model that describes no channel.
     fn samples(
         &self,
         block: &Block,
-        decomposer: &Decomposer,
-        background_offset_dn: f64,
-        window: usize,
-    ) -> SeenSamples {
-        let model = decomposer.model();
+        window: Range<usize>,
+        found: &Decomposition,
+        model: &ChannelModel,
+    ) -> Option<SeenSamples> {
         let samples = self.line.samples(block);
+        let mut decomposer = Decomposer::new(model, &DecomposeSettings::default(), window.len()).ok()?;
+        decomposer.show(samples.get(window.clone())?, (window.start % 4) as u8, found);
+        let window = window.start;
         let mut fitted_dn: Vec<f64> = samples.iter().map(|&sample| f64::from(sample)).collect();
         for (k, (fitted, signal)) in
             (window..).zip(fitted_dn.iter_mut().skip(window).zip(decomposer.signal_dn()))
@@ -112,7 +117,7 @@ impl<'a> Seen<'a> {
             *fitted = signal + model.background_at(0, k);
         }
         let pulses = 0..decomposer.returns().len();
-        SeenSamples {
+        Some(SeenSamples {
             start_ns: block.start_ns,
             interval_ns: block.interval_ns,
             samples_dn: samples.to_vec(),
@@ -120,24 +125,27 @@ impl<'a> Seen<'a> {
             taken_at: (0..samples.len()).map(|k| model.digitiser.time_of(k)).collect(),
             full_scale_dn: model.full_scale_dn,
             used: decomposer.used().to_vec(),
-            background_dn: mean_background_dn(model) + background_offset_dn,
+            background_dn: mean_background_dn(model) + found.background_offset_dn,
             pulses_dn: pulses.map(|i| decomposer.pulse_curve(i, PER_SAMPLE)).collect(),
             residual: decomposer.standardised_residual().to_vec(),
-        }
+        })
     }
 }
 
 impl Watch for Seen<'_> {
-    fn outgoing(&mut self, block: &Block, pulse: Pulse, fitter: &OutgoingFitter) {
-        let (window, decomposer) = fitter.window();
-        let samples = self.samples(block, decomposer, 0.0, window);
-        self.outgoing = Some(SeenPulse { samples, pulse, window });
+    fn outgoing(&mut self, block: &Block, outgoing: &Outgoing, model: &ChannelModel) {
+        let Outgoing { pulse, window } = outgoing.clone();
+        let position_samples = pulse.position_samples - window.start as f64;
+        let in_window = [Pulse { position_samples, ..pulse }];
+        let found = Decomposition { returns: &in_window, ..Decomposition::default() };
+        let samples = self.samples(block, window.clone(), &found, model);
+        self.outgoing = samples.map(|samples| SeenPulse { samples, pulse, window: window.start });
     }
 
-    fn echoes(&mut self, block: &Block, fit: BlockFit, decomposer: &Decomposer) {
-        let samples = self.samples(block, decomposer, fit.background_offset_dn, 0);
-        let peaks = decomposer.returns().iter().map(|pulse| block.time_ns(pulse.position_samples));
-        self.blocks.push(SeenBlock { samples, fit, peaks_ns: peaks.collect() });
+    fn echoes(&mut self, block: &Block, fit: BlockFit, found: &Decomposition, model: &ChannelModel) {
+        let peaks_ns = found.returns.iter().map(|pulse| block.time_ns(pulse.position_samples)).collect();
+        let samples = self.samples(block, 0..block.len(), found, model);
+        self.blocks.extend(samples.map(|samples| SeenBlock { samples, fit, peaks_ns }));
     }
 }
 

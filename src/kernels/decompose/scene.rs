@@ -189,6 +189,14 @@ impl Scene {
         self.update_residual();
     }
 
+    /// Takes pulses and offset as they are given.
+    pub(super) fn show(&mut self, found: impl Iterator<Item = Found>, offset_dn: f64) {
+        self.found.clear();
+        self.found.extend(found);
+        self.offset_dn = offset_dn;
+        self.update_residual();
+    }
+
     /// Brings residual and chi-square up to the pulses' present parameters.
     pub(super) fn update_residual(&mut self) {
         self.residual_dn.clear();

@@ -1,8 +1,18 @@
-//! What a decomposer holds of the waveform that it decomposed last, for those who want to see it.
+//! What a decomposer holds of the waveform that it decomposed or was shown last, for those who want to see it.
 
-use super::{Decomposer, Return};
+use super::scene::Found;
+use super::{Decomposer, Decomposition, Return};
 
 impl Decomposer {
+    /// Takes up a block with returns that others found in it, the fast kernels for one.
+    pub fn show(&mut self, samples: &[u16], start_phase: u8, outcome: &Decomposition<'_>) {
+        self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples);
+        self.returns.clear();
+        self.returns.extend_from_slice(outcome.returns);
+        let found = |r: &Return| Found::new(r.amplitude_dn, r.position_samples, r.width_ratio.ln());
+        self.scene.show(outcome.returns.iter().map(found), outcome.background_offset_dn);
+    }
+
     /// The returns of the last waveform, by position.
     pub fn returns(&self) -> &[Return] {
         &self.returns

@@ -1,15 +1,17 @@
-//! One shot after another: its outgoing pulse, its echo blocks, its returns.
+//! One shot after another: from what the receivers found to its returns.
 
 use super::Decompose;
 use super::crosstalk::Departures;
 use super::found::Found;
+use super::receivers::{Lot, Receivers, SensorTables};
 use crate::batch::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
     Returns, flags,
 };
-use crate::kernels::decompose::{Counts, DecomposeSettings, Decomposer, Decomposition, Return as Pulse};
-use crate::kernels::outgoing::OutgoingFitter;
-use crate::kernels::sensor_model::{ChannelModel, ModelError, SensorModel};
+use crate::kernels::decompose::{Counts, Decomposition};
+use crate::kernels::lockstep::Path;
+use crate::kernels::outgoing::Outgoing;
+use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{Context, Item, Result, StageError};
 
 /// When a shot left, after its clock.
@@ -53,8 +55,6 @@ pub(crate) struct BlockFit {
     pub(crate) expected_excess: f64,
     /// `(χ² - ν)/√(2ν)`, with the expected excess in `ν`.
     pub(crate) deviation_ratio: f64,
-    /// Fitted offset from the channel's background, DN.
-    pub(crate) background_offset_dn: f64,
 }
 
 impl BlockFit {
@@ -66,7 +66,6 @@ impl BlockFit {
             degrees_of_freedom: result.degrees_of_freedom(),
             expected_excess: result.expected_excess,
             deviation_ratio: result.deviation_ratio(),
-            background_offset_dn: result.background_offset_dn,
         }
     }
 
@@ -77,13 +76,13 @@ impl BlockFit {
     }
 }
 
-/// Looks on while a shot is decomposed; `()` looks away.
+/// Looks on while shots are decomposed; `()` looks away.
 pub(crate) trait Watch {
-    /// The outgoing pulse was fitted; the pulse's place counts from the block's first sample.
-    fn outgoing(&mut self, _block: &Block, _pulse: Pulse, _fitter: &OutgoingFitter) {}
+    /// The outgoing pulse was fitted.
+    fn outgoing(&mut self, _block: &Block, _outgoing: &Outgoing, _model: &ChannelModel) {}
 
-    /// A block of echoes was decomposed; the decomposer still holds it.
-    fn echoes(&mut self, _block: &Block, _fit: BlockFit, _decomposer: &Decomposer) {}
+    /// A block of echoes was decomposed; returns that were dropped as cross-talk are still in `found`.
+    fn echoes(&mut self, _block: &Block, _fit: BlockFit, _found: &Decomposition, _model: &ChannelModel) {}
 }
 
 impl Watch for () {}
@@ -94,7 +93,7 @@ impl Shot<'_> {
     }
 
     /// Whether a block of the sensitive receiver covers the time of this one without being saturated.
-    fn is_covered(&self, block: &Block) -> bool {
+    pub(super) fn is_covered(&self, block: &Block) -> bool {
         let end_ns = |block: &Block| block.time_ns(block.len() as f64);
         self.of_shot.iter().any(|other| {
             other.channel == Channel::LowPower
@@ -148,80 +147,84 @@ impl Shot<'_> {
     }
 }
 
-/// Blocks of up to so many samples take no further memory.
-const BLOCK_SAMPLES: usize = 256;
-
-fn unusable(error: ModelError) -> StageError {
-    StageError::failed(error.to_string(), "calibrate on a longer part of the recording")
+/// What becomes of a line while its shots are decomposed.
+pub(crate) struct Line<'a> {
+    /// Each is told when it left.
+    pub(crate) emissions: &'a mut [Emission],
+    /// The returns of the shots are appended, in order of time for each.
+    pub(crate) returns: &'a mut Returns,
+    /// What became of the candidates is added.
+    pub(crate) stats: &'a mut LineStats,
 }
 
-/// Decomposes shots: a decomposer for each receiver that was calibrated.
+/// A shot whose turn it is.
+struct Turn<'a> {
+    shot: &'a Shot<'a>,
+    emission: Emission,
+    /// Its first block among those of the shots that are decomposed.
+    first_block: usize,
+}
+
+/// Decomposes the shots of a line.
 pub(crate) struct ShotDecomposer {
-    low: Option<Decomposer>,
-    high: Option<Decomposer>,
-    reference: Option<OutgoingFitter>,
+    receivers: Receivers,
     timing_error_ns: f64,
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
 }
 
 impl ShotDecomposer {
-    /// For the sensor of this model.
-    pub(crate) fn new(model: &SensorModel, config: &Decompose) -> Result<ShotDecomposer> {
-        let settings = DecomposeSettings {
-            detection_sigma: config.detection_sigma,
-            detection_sigma_last: config.detection_sigma_last.number(),
-            width_ratio: config.width_ratio,
-            template_error: config.template_error,
-            ..DecomposeSettings::default()
-        };
-        let make = |channel: &Option<ChannelModel>| {
-            let decomposer = channel.as_ref().map(|channel| {
-                // A receiver's response is no Gaussian: what a Gaussian leaves of a strong single echo looks like two.
-                let split_evidence = channel.response.as_ref().and(config.split_evidence.number());
-                let settings = DecomposeSettings { split_evidence, ..settings.clone() };
-                Decomposer::new(channel, &settings, BLOCK_SAMPLES)
-            });
-            decomposer.transpose().map_err(unusable)
-        };
-        let reference = model.reference.as_ref().map(|channel| OutgoingFitter::new(channel, BLOCK_SAMPLES));
+    /// For the sensor of this model, with its tables.
+    pub(crate) fn new(
+        model: &SensorModel,
+        tables: &SensorTables,
+        config: &Decompose,
+        path: Path,
+    ) -> Result<ShotDecomposer> {
         Ok(ShotDecomposer {
-            low: make(&model.low_power)?,
-            high: make(&model.high_power)?,
-            reference: reference.transpose().map_err(unusable)?,
+            receivers: Receivers::new(model, tables, config, path)?,
             timing_error_ns: config.timing_error_ns,
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
         })
     }
 
-    /// Appends a shot's returns in order of time, adds to the line's counters what became of its candidates, and notes in
-    /// its emission when it left.
+    /// Decomposes the shots of a line.
     pub(crate) fn decompose(
         &mut self,
-        shot: &Shot,
-        emissions: &mut [Emission],
-        returns: &mut Returns,
-        stats: &mut LineStats,
+        shots: &[Shot],
+        line: &mut Line,
         cx: &mut Context,
         watch: &mut impl Watch,
     ) -> Result<()> {
-        let Some(emission) = emissions.get(shot.index as usize) else {
-            cx.reject(Item::Blocks, "its emission is not in the line", shot.of_shot.len() as u64);
-            return Ok(());
-        };
-        let departure = self.departure(shot, cx, watch);
-        let others = Departures::of(emissions, shot, departure.map_or(0.0, |departure| departure.time_ns));
+        self.receivers.decompose(shots);
+        let mut first_block = 0;
+        for shot in shots {
+            match line.emissions.get(shot.index as usize).copied() {
+                Some(emission) => self.shot(&Turn { shot, emission, first_block }, line, cx, watch)?,
+                None => cx.reject(Item::Blocks, "its emission is not in the line", shot.of_shot.len() as u64),
+            }
+            first_block += shot.of_shot.len();
+        }
+        Ok(())
+    }
+
+    fn shot(&mut self, turn: &Turn, line: &mut Line, cx: &mut Context, watch: &mut impl Watch) -> Result<()> {
+        let shot = turn.shot;
+        let departure = self.departure(turn, cx, watch);
+        let others =
+            Departures::of(line.emissions, shot, departure.map_or(0.0, |departure| departure.time_ns));
         self.found.clear();
-        self.find(shot, emission, &others, stats, cx, watch)?;
+        self.find(turn, &others, line.stats, cx, watch)?;
         let departure = departure.unwrap_or_else(|| shot.anchored_departure(&self.found, cx));
-        if let Some(emission) = emissions.get_mut(shot.index as usize) {
+        if let Some(emission) = line.emissions.get_mut(shot.index as usize) {
             (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
         }
-        let first = returns.len();
-        self.finish(shot, departure, returns);
-        let touched = returns[first..].iter().filter(|found| found.flags & flags::CROSSTALK != 0).count();
-        stats.np_xtalk += touched as u64;
+        let first = line.returns.len();
+        self.finish(shot, departure, line.returns);
+        let touched =
+            line.returns[first..].iter().filter(|found| found.flags & flags::CROSSTALK != 0).count();
+        line.stats.np_xtalk += touched as u64;
         Ok(())
     }
 
@@ -239,14 +242,16 @@ impl ShotDecomposer {
     }
 
     /// When the shot left by its outgoing pulse, where it has one.
-    fn departure(&mut self, shot: &Shot, cx: &mut Context, watch: &mut impl Watch) -> Option<Departure> {
-        let block = shot.of_shot.iter().find(|block| block.channel == Channel::Reference)?;
+    fn departure(&self, turn: &Turn, cx: &mut Context, watch: &mut impl Watch) -> Option<Departure> {
+        let shot = turn.shot;
+        let mut with_lots = shot.of_shot.iter().zip(self.receivers.lots(turn.first_block));
+        let (block, &lot) = with_lots.find(|(block, _)| block.channel == Channel::Reference)?;
         if block.is_empty() {
             // A block without samples carries the fitted time itself (RIEGL's files made from RXP).
             return Some(Departure { time_ns: block.start_ns, sd_ns: 0.0, flags: 0 });
         }
-        let fitter = self.reference.as_mut()?;
-        let pulse = fitter.fit(shot.blocks.samples(block), 0)?;
+        let (outgoing, model) = self.receivers.outgoing(lot)?;
+        let pulse = &outgoing.pulse;
         let sd_ns = pulse.position_sd_samples * block.interval_ns;
         cx.observe("emission_sd_ns", sd_ns);
         let position = pulse.position_samples;
@@ -254,39 +259,28 @@ impl ShotDecomposer {
             EmissionReference::OutgoingPulseFraction => (position - position.round()) * block.interval_ns,
             _ => block.time_ns(position),
         };
-        watch.outgoing(block, pulse, fitter);
+        watch.outgoing(block, outgoing, model);
         Some(Departure { time_ns, sd_ns, flags: pulse.flags & flags::ECHO_ON_OUTGOING })
     }
 
-    /// Decomposes the echo blocks of a shot.
+    /// Collects what was found in the echo blocks of a shot.
     fn find(
         &mut self,
-        shot: &Shot,
-        emission: &Emission,
+        turn: &Turn,
         others: &Departures,
         stats: &mut LineStats,
         cx: &mut Context,
         watch: &mut impl Watch,
     ) -> Result<()> {
+        let Turn { shot, emission, first_block } = turn;
         let mut waveform = Waveform::default();
-        for block in shot.of_shot.iter().filter(|block| block.channel.is_echo()) {
+        let lots = self.receivers.lots(*first_block);
+        for (block, &lot) in shot.of_shot.iter().zip(lots).filter(|(block, _)| block.channel.is_echo()) {
             waveform.recorded = true;
-            let (decomposer, channel) = match block.channel {
-                Channel::LowPower => (self.low.as_mut(), ReturnChannel::Low),
-                _ if shot.is_covered(block) => {
-                    cx.reject(Item::Blocks, "the sensitive receiver recorded it as well", 1);
-                    continue;
-                }
-                _ => (self.high.as_mut(), ReturnChannel::High),
-            };
-            let Some(decomposer) = decomposer else {
-                cx.reject(Item::Blocks, "a receiver that could not be calibrated", 1);
-                continue;
-            };
-            if block.is_empty() {
-                cx.reject(Item::Blocks, "a block without samples", 1);
-                continue;
+            if let Lot::Unused(why) = lot {
+                cx.reject(Item::Blocks, why, 1);
             }
+            let Some((channel, result, model)) = self.receivers.found(lot) else { continue };
             let Some(zone) = block.zone.or(emission.mta_zone) else {
                 return Err(StageError::failed(
                     format!("it is not known which pulse caused the echoes of shot {}", emission.shot),
@@ -294,26 +288,24 @@ impl ShotDecomposer {
                 ));
             };
             waveform.used = true;
-            let model = decomposer.model();
-            let (fwhm_ns, background_dn) = (model.pulse_fwhm_ns, mean(&model.background_dn));
-            let result = decomposer.decompose(shot.blocks.samples(block), 0);
             waveform.add(&result, stats);
             let mut fit = BlockFit::of(channel, &result);
+            let background_dn = mean(&model.background_dn) + result.background_offset_dn;
             let in_block = self.found.len();
             self.found.extend(result.returns.iter().map(|fitted| Found {
                 time_ns: block.time_ns(fitted.position_samples),
                 time_sd_ns: fitted.position_sd_samples * block.interval_ns,
                 channel,
                 zone,
-                background_dn: background_dn + result.background_offset_dn,
+                background_dn,
                 fitted: *fitted,
                 flags: 0,
             }));
-            let dropped =
-                others.mark(block, fwhm_ns, self.drop_emission_crosstalk, &mut self.found, in_block);
+            let (fwhm_ns, drops) = (model.pulse_fwhm_ns, self.drop_emission_crosstalk);
+            let dropped = others.mark(block, fwhm_ns, drops, &mut self.found, in_block);
             stats.np_xtalk_dropped += dropped;
             fit.drop(dropped);
-            watch.echoes(block, fit, decomposer);
+            watch.echoes(block, fit, &result, model);
         }
         waveform.count(&self.found, stats, cx);
         Ok(())

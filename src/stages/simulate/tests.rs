@@ -263,6 +263,7 @@ fn site(folder: &std::path::Path) -> Site {
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
         threads: 1,
+        simd: crate::kernels::lockstep::Path::best(),
     }
 }
 

@@ -114,6 +114,7 @@ fn write(folder: &Path, config: &Config, batches: &[Batch]) -> Context {
         input_dir: folder.into(),
         output_dir: folder.into(),
         threads: 1,
+        simd: crate::kernels::lockstep::Path::best(),
     };
     let mut cx = Context::default();
     let mut sink = config.make(&site).unwrap();
@@ -291,6 +292,7 @@ fn shots_are_refused() {
         input_dir: folder.path().into(),
         output_dir: folder.path().into(),
         threads: 1,
+        simd: crate::kernels::lockstep::Path::best(),
     };
     let mut sink = config("*.csv").make(&site).unwrap();
     let batch = Batch::of_shots(info(), 0, vec![], Blocks::default());
