@@ -13,16 +13,20 @@
 use std::sync::{Arc, OnceLock};
 
 use wavex::kernels::calibrate::{Block, CalibrationSettings, calibrate};
-use wavex::kernels::decompose::{DecomposeSettings, Decomposer, Return};
+use wavex::kernels::decompose::{DecomposeSettings, Return};
+use wavex::kernels::lockstep::Mode;
 use wavex::kernels::response_calibrate::calibrate_response;
 use wavex::kernels::sensor_model::ChannelModel;
 
+#[path = "common/engine.rs"]
+mod engine;
 #[path = "common/instrument.rs"]
 mod instrument;
 
+use engine::Engine;
 use instrument::{
-    BACKGROUND_DN, EIGHT_BITS, Echo, Instrument, NOISE_SD_DN, Response, SAMPLES, TWELVE_BITS,
-    autocorrelation, bound, mean_bound, moments, noise_sd_dn,
+    BACKGROUND_DN, EIGHT_BITS, Echo, Instrument, NOISE_SD_DN, Response, TWELVE_BITS, autocorrelation, bound,
+    mean_bound, moments, noise_sd_dn,
 };
 
 /// Waveforms that calibration has; the goals are for 10 000.
@@ -69,15 +73,15 @@ fn model() -> &'static ChannelModel {
     MODEL.get_or_init(|| calibrated(instrument(1), EIGHT_BITS))
 }
 
-fn decomposer(settings: DecomposeSettings) -> Decomposer {
-    Decomposer::new(model(), &settings, SAMPLES).unwrap()
+fn decomposer(settings: DecomposeSettings) -> Engine {
+    Engine::new(model(), &settings, Mode::Refined)
 }
 
 /// With a scale whose end no pair of strong echoes reaches.
-fn decomposer_of_twelve_bits(split_evidence: f64) -> Decomposer {
+fn decomposer_of_twelve_bits(split_evidence: f64) -> Engine {
     let model = ChannelModel { full_scale_dn: TWELVE_BITS, ..model().clone() };
     let settings = DecomposeSettings { split_evidence: Some(split_evidence), ..DecomposeSettings::default() };
-    Decomposer::new(&model, &settings, SAMPLES).unwrap()
+    Engine::new(&model, &settings, Mode::Refined)
 }
 
 fn share(count: usize, all: usize) -> f64 {
@@ -135,7 +139,7 @@ fn isolated_returns_reach_the_bound() {
         for _ in 0..COUNT {
             let echo = instrument.echo(snr, width);
             let samples = instrument.record(&[echo], EIGHT_BITS);
-            let [r] = decomposer.decompose(&samples, 0).returns else { continue };
+            let [r] = decomposer.decompose(&samples).0 else { continue };
             errors.push(r.position_samples - echo.place);
             scores[0].push((r.position_samples - echo.place) / r.position_sd_samples);
             scores[1].push((r.amplitude_dn - NOISE_SD_DN * snr) / r.amplitude_sd_dn);
@@ -180,9 +184,8 @@ fn noise_alone_gives_no_more_returns_than_theory() {
         let mut instrument = instrument(3);
         let mut decomposer =
             decomposer(DecomposeSettings { detection_sigma: sigma, ..DecomposeSettings::default() });
-        let found: usize = (0..COUNT)
-            .map(|_| decomposer.decompose(&instrument.record(&[], EIGHT_BITS), 0).returns.len())
-            .sum();
+        let found: usize =
+            (0..COUNT).map(|_| decomposer.decompose(&instrument.record(&[], EIGHT_BITS)).0.len()).sum();
         let rice = 60.0 * 0.44 / std::f64::consts::TAU * (-0.5 * sigma * sigma).exp();
         let goal = if sigma == 4.5 { 1e-4 } else { rice };
         println!(
@@ -221,8 +224,8 @@ fn close_pairs_are_told_apart() {
             let place = first.place + widths * response().fwhm_ns;
             let echoes = [first, Echo { snr: part * snr, place, width: 1.0 }];
             let samples = instrument.record(&echoes, TWELVE_BITS);
-            found[0] += usize::from(is_pair(at_11.decompose(&samples, 0).returns, &echoes));
-            found[1] += usize::from(is_pair(at_16.decompose(&samples, 0).returns, &echoes));
+            found[0] += usize::from(is_pair(at_11.decompose(&samples).0, &echoes));
+            found[1] += usize::from(is_pair(at_16.decompose(&samples).0, &echoes));
         }
         let [found, beside] = found.map(|found| share(found, COUNT));
         println!(
@@ -246,7 +249,7 @@ fn single_returns_are_not_divided_and_pairs_have_true_uncertainties() {
         for _ in 0..COUNT {
             let echo = instrument.echo(snr, width);
             let samples = instrument.record(&[echo], TWELVE_BITS);
-            divided += usize::from(decomposer.decompose(&samples, 0).returns.len() > 1);
+            divided += usize::from(decomposer.decompose(&samples).0.len() > 1);
         }
     }
     let share_divided = share(divided, 5 * COUNT);
@@ -259,7 +262,7 @@ fn single_returns_are_not_divided_and_pairs_have_true_uncertainties() {
         let first = instrument.echo(50.0, 1.0);
         let echoes = [first, Echo { place: first.place + 0.75 * response().fwhm_ns, ..first }];
         let samples = instrument.record(&echoes, TWELVE_BITS);
-        let found = decomposer.decompose(&samples, 0).returns;
+        let found = decomposer.decompose(&samples).0;
         if is_pair(found, &echoes) {
             let score = |(r, e): (&Return, &Echo)| (r.position_samples - e.place) / r.position_sd_samples;
             places.extend(found.iter().zip(&echoes).map(score));
@@ -281,19 +284,19 @@ fn late_returns_are_true_ones() {
         instrument
     };
     let model = calibrated(varying(8), TWELVE_BITS);
-    let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
+    let mut decomposer = Engine::new(&model, &DecomposeSettings::default(), Mode::Refined);
     let mut instrument = varying(9);
     let (mut false_returns, mut kept) = (0, 0);
     for i in 0..COUNT {
         let strong = instrument.echo([50.0, 100.0, 200.0, 400.0][i % 4], 1.0);
         let samples = instrument.record(&[strong], TWELVE_BITS);
-        let found = decomposer.decompose(&samples, 0).returns;
+        let found = decomposer.decompose(&samples).0;
         false_returns += found.iter().filter(|r| r.position_samples > strong.place + 3.0).count();
         let strong = Echo { snr: 100.0, ..strong };
         let behind = instrument.uniform(2.0, 4.0) * response().fwhm_ns;
         let weak = Echo { snr: 10.0, place: strong.place + behind, width: 1.0 };
         let samples = instrument.record(&[strong, weak], TWELVE_BITS);
-        let found = decomposer.decompose(&samples, 0).returns;
+        let found = decomposer.decompose(&samples).0;
         kept += usize::from(found.iter().any(|r| (r.position_samples - weak.place).abs() < 1.5));
     }
     println!(
@@ -323,7 +326,7 @@ fn saturated_pulses_reach_their_bound() {
             if i % 5 == 0 {
                 squares.push(bound(response(), echo, &unsaturated(&samples))[1].powi(2));
             }
-            let found = decomposer.decompose(&samples, 0).returns;
+            let found = decomposer.decompose(&samples).0;
             if let Some(r) = found.iter().find(|r| (r.position_samples - echo.place).abs() < 0.5) {
                 errors.push(r.position_samples - echo.place);
                 scores.push((r.position_samples - echo.place) / r.position_sd_samples);

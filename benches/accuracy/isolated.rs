@@ -90,7 +90,7 @@ pub fn isolated(bench: &mut Bench, model: &ChannelModel, gauge: f64) {
             let all = bench.observe(&cell, |instrument, engine| {
                 let echo = instrument.echo(snr, width);
                 let samples = instrument.record(&[echo], EIGHT_BITS);
-                match engine.decompose(&samples) {
+                match engine.decompose(&samples).0 {
                     [r] if (r.position_samples - echo.place).abs() < 3.0 => Some(scores(r, &echo)),
                     _ => None,
                 }
@@ -169,4 +169,47 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
             100.0 * moments(&spreads.iter().map(|s| s.error / width).collect::<Vec<f64>>()).0
         ),
     );
+}
+
+/// A5: isolated returns in the mode `fastest`: one step from the width bank.
+pub fn fastest(bench: &mut Bench, model: &ChannelModel, gauge: f64) {
+    let settings = DecomposeSettings::default();
+    for width in [1.0, 1.5, 2.0, 2.5] {
+        for snr in [15.0, 20.0, 50.0, 100.0] {
+            let seed = 5100 + (10.0 * width + 100.0 * snr) as u64;
+            let cell = Cell { mode: Mode::Fastest, ..bench.cell(seed, model, &settings) };
+            let all = bench.observe(&cell, |instrument, engine| {
+                let echo = instrument.echo(snr, width);
+                let samples = instrument.record(&[echo], EIGHT_BITS);
+                match engine.decompose(&samples).0 {
+                    [r] => Some((r.position_samples - echo.place - gauge, r.amplitude_dn)),
+                    _ => None,
+                }
+            });
+            let found: Vec<(f64, f64)> = all.into_iter().flatten().collect();
+            let square = found.iter().map(|(error, _)| error * error).sum::<f64>() / found.len() as f64;
+            let height = found.iter().map(|(_, height)| height).sum::<f64>() / found.len() as f64;
+            let ratio = square.sqrt() / mean_bound(&bench.response, snr, width)[1];
+            let here = format!("fastest, width {width}, SNR {snr}");
+            let known = known_spread(found.len());
+            bench.verdict(
+                "A5",
+                &format!("{here}: error of range over its bound"),
+                format!(
+                    "{ratio:.3} ({:.2} % not one)",
+                    100.0 * (1.0 - found.len() as f64 / f64::from(cell.count))
+                ),
+                "1.03",
+                [ratio <= 1.03, ratio <= 1.03 + 2.0 * known],
+            );
+            let bias = 100.0 * (height / (NOISE_SD_DN * snr) - 1.0);
+            bench.goal(
+                "A5",
+                &format!("{here}: bias of height"),
+                format!("{bias:+.2} %"),
+                "0.5 %",
+                bias.abs() <= 0.5,
+            );
+        }
+    }
 }

@@ -1,5 +1,5 @@
 //! How accurate decomposition is, on simulated waveforms and with the automatic calibration: every goal of
-//! ALGORITHMS.md section 7 beside its figure.
+//! docs/accuracy.md beside its figure.
 //!
 //! `cargo bench --bench accuracy` prints the table; words behind it choose parts of it (`-- A6 A9`), and `count=2000`
 //! takes fewer waveforms than 20 000 for each figure. Seeds are fixed and belong to parts of a cell, so that the figures
@@ -17,14 +17,17 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
 use wavex::kernels::calibrate::{Block, CalibrationSettings, calibrate};
-use wavex::kernels::decompose::{DecomposeSettings, Decomposer, Return};
+use wavex::kernels::decompose::{DecomposeSettings, Return};
 use wavex::kernels::detect::Detector;
 use wavex::kernels::gauss_fit::Pulse;
+use wavex::kernels::lockstep::Mode;
 use wavex::kernels::response_calibrate::calibrate_response;
 use wavex::kernels::sensor_model::ChannelModel;
 use wavex::kernels::shape::Shape;
 use wavex::kernels::whitening::Whitener;
 
+#[path = "../../tests/common/engine.rs"]
+mod engine;
 #[path = "../../tests/common/instrument.rs"]
 mod instrument;
 mod isolated;
@@ -32,6 +35,7 @@ mod noise;
 mod pairs;
 mod strong;
 
+use engine::Engine;
 use instrument::{
     BACKGROUND_DN, EIGHT_BITS, Echo, Instrument, NOISE_SD_DN, Response, SAMPLES, TWELVE_BITS,
     autocorrelation, bound, mean_bound, moments, noise_sd_dn,
@@ -42,21 +46,6 @@ const THREADS: u32 = 2;
 const PART: u32 = 500;
 const CALIBRATION: u32 = 20_000;
 const NOISE_BLOCKS: u32 = 1_000_000;
-
-/// The engine under test: one waveform to its returns.
-struct Engine {
-    decomposer: Decomposer,
-}
-
-impl Engine {
-    fn new(model: &ChannelModel, settings: &DecomposeSettings) -> Engine {
-        Engine { decomposer: Decomposer::new(model, settings, SAMPLES).expect("a model") }
-    }
-
-    fn decompose(&mut self, samples: &[u16]) -> &[Return] {
-        self.decomposer.decompose(samples, 0).returns
-    }
-}
 
 /// What all parts of the table share.
 struct Bench {
@@ -73,6 +62,7 @@ struct Cell<'a> {
     count: u32,
     model: &'a ChannelModel,
     settings: &'a DecomposeSettings,
+    mode: Mode,
     ringing_sd: f64,
 }
 
@@ -101,7 +91,7 @@ impl Bench {
     }
 
     fn cell<'a>(&self, seed: u64, model: &'a ChannelModel, settings: &'a DecomposeSettings) -> Cell<'a> {
-        Cell { seed, count: self.count, model, settings, ringing_sd: 0.0 }
+        Cell { seed, count: self.count, model, settings, mode: Mode::Refined, ringing_sd: 0.0 }
     }
 
     /// Observes a cell's waveforms in order.
@@ -113,7 +103,7 @@ impl Bench {
         let parts = cell.count.div_ceil(PART);
         let next = AtomicU32::new(0);
         let work = || {
-            let mut engine = Engine::new(cell.model, cell.settings);
+            let mut engine = Engine::new(cell.model, cell.settings, cell.mode);
             let mut done = Vec::new();
             loop {
                 let part = next.fetch_add(1, Ordering::Relaxed);
@@ -216,9 +206,9 @@ fn speed(bench: &Bench, model: &ChannelModel) {
                 instrument.record(&[echo], EIGHT_BITS)
             })
             .collect();
-        let mut engine = Engine::new(model, &settings);
+        let mut engine = Engine::new(model, &settings, Mode::Refined);
         let started = Instant::now();
-        let found: usize = waveforms.iter().map(|samples| engine.decompose(samples).len()).sum();
+        let found: usize = waveforms.iter().map(|samples| engine.decompose(samples).0.len()).sum();
         let each = 1e6 * started.elapsed().as_secs_f64() / waveforms.len() as f64;
         bench.beside(
             "",
@@ -245,6 +235,9 @@ fn main() {
     speed(&bench, &model);
     if wanted("A1") {
         isolated::isolated(&mut bench, &model, gauge);
+    }
+    if wanted("A5") {
+        isolated::fastest(&mut bench, &model, gauge);
     }
     if wanted("A6") {
         noise::false_alarms(&mut bench, &model);

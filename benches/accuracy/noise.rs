@@ -29,7 +29,7 @@ pub fn false_alarms(bench: &mut Bench, model: &ChannelModel) {
             let cell = Cell { count: blocks, ..bench.cell(6000 + (10.0 * sigma) as u64, model, &settings) };
             let all = bench.observe(&cell, |instrument, engine| {
                 let samples = instrument.record(&[], EIGHT_BITS);
-                Crossings { kept: engine.decompose(&samples).len() as f64, ..theory.count(&samples, sigma) }
+                Crossings { kept: engine.decompose(&samples).0.len() as f64, ..theory.count(&samples, sigma) }
             });
             let sum = |f: fn(&Crossings) -> f64| all.iter().map(f).sum::<f64>() / f64::from(blocks);
             let (rises, maxima, kept) = (sum(|c| c.rises), sum(|c| c.maxima), sum(|c| c.kept));

@@ -25,7 +25,7 @@ fn pairs(bench: &Bench, model: &ChannelModel, evidence: f64, kind: [f64; 3]) -> 
         let first = instrument.echo(snr, 1.0);
         let echoes = [first, Echo { snr: part * snr, place: first.place + separation, width: 1.0 }];
         let samples = instrument.record(&echoes, TWELVE_BITS);
-        pair_scores(engine.decompose(&samples), &echoes)
+        pair_scores(engine.decompose(&samples).0, &echoes)
     });
     all.into_iter().flatten().collect()
 }
@@ -87,7 +87,7 @@ pub fn false_splits(bench: &mut Bench, model: &ChannelModel) {
                 let all = bench.observe(&cell, |instrument, engine| {
                     let echo = instrument.echo(snr, width);
                     let samples = instrument.record(&[echo], EIGHT_BITS);
-                    engine.decompose(&samples).len() > 1
+                    engine.decompose(&samples).0.len() > 1
                 });
                 100.0 * all.iter().filter(|more| **more).count() as f64 / f64::from(bench.count)
             });

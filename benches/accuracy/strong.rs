@@ -18,7 +18,7 @@ pub fn late_returns(bench: &mut Bench) {
         let all = bench.observe(&cell, |instrument, engine| {
             let echo = instrument.echo(snr, 1.0);
             let samples = instrument.record(&[echo], TWELVE_BITS);
-            let found = engine.decompose(&samples);
+            let found = engine.decompose(&samples).0;
             let late = found.iter().filter(|r| r.position_samples > echo.place + 3.0).count();
             let nearest = found
                 .iter()
@@ -48,7 +48,7 @@ pub fn late_returns(bench: &mut Bench) {
         let strong = instrument.echo(100.0, 1.0);
         let weak = Echo { snr: 10.0, place: strong.place + fwhm * instrument.uniform(2.0, 4.0), width: 1.0 };
         let samples = instrument.record(&[strong, weak], TWELVE_BITS);
-        engine.decompose(&samples).iter().any(|r| (r.position_samples - weak.place).abs() < 1.5)
+        engine.decompose(&samples).0.iter().any(|r| (r.position_samples - weak.place).abs() < 1.5)
     });
     let kept = 100.0 * kept.iter().filter(|kept| **kept).count() as f64 / f64::from(bench.count);
     bench.goal(
@@ -71,7 +71,7 @@ pub fn saturated(bench: &mut Bench, model: &ChannelModel) {
             let echo = instrument.echo(snr, 1.0);
             let samples = instrument.record(&[echo], EIGHT_BITS);
             let near =
-                engine.decompose(&samples).iter().find(|r| (r.position_samples - echo.place).abs() < 0.5);
+                engine.decompose(&samples).0.iter().find(|r| (r.position_samples - echo.place).abs() < 0.5);
             let score = near.map(|r| scores(r, &echo).0[0]);
             // The bound is the same for all but a few: a tenth of the waveforms tells it.
             let told = instrument.uniform(0.0, 1.0) < 0.1;
