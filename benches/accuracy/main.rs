@@ -31,6 +31,7 @@ mod isolated;
 mod noise;
 mod pairs;
 mod strong;
+mod timing;
 
 use instrument::{
     BACKGROUND_DN, EIGHT_BITS, Echo, Instrument, NOISE_SD_DN, Response, SAMPLES, TWELVE_BITS,
@@ -237,6 +238,12 @@ fn main() {
     let chosen: Vec<&String> = words.iter().filter(|word| !word.contains('=')).collect();
     let wanted = |goal: &str| chosen.is_empty() || chosen.iter().any(|word| *word == goal);
     let mut bench = Bench { response: Arc::new(Response::new()), count, missed: 0, goals: 0 };
+    if wanted("A10") {
+        timing::calibration(&bench);
+    }
+    if chosen.iter().all(|word| *word == "A10") && !chosen.is_empty() {
+        return;
+    }
     let started = Instant::now();
     println!("{count} waveforms for each figure, response {:.3} ns wide", bench.response.fwhm_ns);
     let model = calibrated(&bench.response, 1, EIGHT_BITS, 0.0);

@@ -5,12 +5,13 @@
 //! (behind a pulse stands the receiver's slow tail) and of the widths of single pulses. What is signal is thus told by
 //! fitted pulses and never by a threshold on samples, which would cut the noise's own peaks away.
 
-use super::decompose::{DecomposeSettings, Decomposer};
+use super::decompose::DecomposeSettings;
 use super::noise::{ArNoise, fit_by_bic};
 use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use first_look::FirstLook;
 use survey::Survey;
 
+mod batches;
 mod first_look;
 mod noise_statistics;
 mod survey;
@@ -19,6 +20,7 @@ mod tests;
 mod uncertainty;
 mod width;
 
+pub(super) use batches::decompose_each;
 pub use noise_statistics::NoiseStatistics;
 
 /// Pulses without which nothing can be said of their width.
@@ -190,11 +192,8 @@ fn survey<'a>(
         split_evidence: None,
         ..settings.decompose.clone()
     };
-    let mut decomposer = Decomposer::new(model, &settings, 0)?;
     let mut survey = Survey::default();
-    for block in blocks {
-        survey.add(&mut decomposer, block);
-    }
+    decompose_each(blocks, model, &settings, |block, outcome| survey.add(model, block, outcome))?;
     Ok(survey)
 }
 

@@ -5,11 +5,12 @@
 //! whitened domain gives the splines of the response, and the next round starts with it. The zero of time is the peak,
 //! the width ratio 1 the mode of the widths.
 
-use super::calibrate::{Block, CalibrationError, CalibrationSettings};
-use super::decompose::{DecomposeSettings, Decomposer, Decomposition, Return};
+use super::calibrate::{Block, CalibrationError, CalibrationSettings, decompose_each};
+use super::decompose::{DecomposeSettings, Decomposition, Return};
 use super::flags;
 use super::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
 use super::sensor_model::{ChannelModel, ModelError};
+use super::shape::Shape;
 use quality::Quality;
 use solve::Problem;
 use spline::Basis;
@@ -129,16 +130,14 @@ fn singles<'a>(
         template_error,
         ..settings.decompose.clone()
     };
-    let mut decomposer = Decomposer::new(model, &settings, 0)?;
     let heights = STRONG_SD * model.noise_sd_dn..OVERDRIVEN_PART * model.full_scale_dn;
     let mut found = Vec::new();
-    for block in blocks {
-        let outcome = decomposer.decompose(block.samples, block.start_phase);
-        let single = strongest(&outcome, minor_part, model.fwhm_samples());
+    decompose_each(blocks.iter().copied(), model, &settings, |block, outcome| {
+        let single = strongest(outcome, minor_part, model.fwhm_samples());
         if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
-            found.push(Single { block: *block, fitted: *fitted });
+            found.push(Single { block, fitted: *fitted });
         }
-    }
+    })?;
     Ok(found)
 }
 
@@ -242,7 +241,7 @@ fn better_response(
     let groups = by_height(singles, model.full_scale_dn);
     let narrow: Vec<_> = groups.iter().flat_map(|group| narrow_population(&group.singles)).collect();
     let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
-    let mut problem = Problem::new(model, &basis, &nodes, longest)?;
+    let mut problem = Problem::new(model, &basis, &nodes, Shape::of(model)?, longest)?;
     narrow.iter().for_each(|single| problem.add(single));
     let Some(solution) = problem.solve() else { return Ok(None) };
     let first_sample = basis.extent().start.floor() as i32;

@@ -29,10 +29,11 @@ impl<'a> Quality<'a> {
             .as_ref()
             .and_then(|r| r.nodes.first())
             .map_or(0, |node| node.values.len() / crate::kernels::response::STEPS_PER_SAMPLE);
+        let shape = Shape::of(model)?;
         Ok(Quality {
             model,
-            shape: Shape::of(model)?,
-            even_odd: EvenOdd::new(model, longest)?,
+            even_odd: EvenOdd::of_shape(shape.clone(), model, longest)?,
+            shape,
             scores: Vec::new(),
             excess: vec![[0.0; 3]; samples],
         })

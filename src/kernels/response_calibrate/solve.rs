@@ -1,5 +1,7 @@
 //! The linear problem: which splines tell the echoes best, in the whitened domain.
 
+use std::ops::Range;
+
 use super::Single;
 use super::spline::Basis;
 use crate::kernels::cholesky;
@@ -19,6 +21,11 @@ const TAIL_SLOPE_SD: f64 = 0.003;
 /// Standard deviation of the difference of a spline from one node to the next.
 const NODE_CHANGE_SD: f64 = 0.02;
 
+/// Heights and places to within a thousandth of their standard deviations.
+const NEAR: Limits = Limits { iterations: 30, decrease: 1e-6 };
+/// The extent of a spline that has no sample.
+const NOWHERE: Range<usize> = usize::MAX..0;
+
 /// The normal equations of the splines of all nodes.
 pub(super) struct Problem<'a> {
     model: &'a ChannelModel,
@@ -30,6 +37,7 @@ pub(super) struct Problem<'a> {
     right: Vec<f64>,
     target: Vec<f64>,
     columns: Vec<f64>,
+    extents: Vec<Range<usize>>,
 }
 
 /// The splines by node.
@@ -46,6 +54,7 @@ impl<'a> Problem<'a> {
         model: &'a ChannelModel,
         basis: &'a Basis,
         nodes: &'a [f64],
+        shape: Shape,
         longest: usize,
     ) -> Result<Problem<'a>, ModelError> {
         let unknowns = basis.len() * nodes.len();
@@ -53,12 +62,13 @@ impl<'a> Problem<'a> {
             model,
             basis,
             nodes,
-            fitter: GaussFit::new(Shape::of(model)?, model.offset_precision(), longest, 1),
+            fitter: GaussFit::new(shape, model.offset_precision(), longest, 1),
             whitener: Whitener::new(model.noise()?, longest),
             normal: vec![0.0; unknowns * unknowns],
             right: vec![0.0; unknowns],
             target: Vec::new(),
             columns: Vec::new(),
+            extents: Vec::new(),
         })
     }
 
@@ -74,7 +84,7 @@ impl<'a> Problem<'a> {
             ln_width_ratio: 0.0,
             ln_width_precision: FROZEN,
         };
-        let fit = self.fitter.fit(&self.whitener, &self.target, &[start], Limits::exact(30));
+        let fit = self.fitter.fit(&self.whitener, &self.target, &[start], NEAR);
         let (true, Some(&pulse)) = (fit.termination.is_optimum(), self.fitter.pulses().first()) else {
             return;
         };
@@ -85,17 +95,25 @@ impl<'a> Problem<'a> {
         self.accumulate(pulse.height_dn, samples.len());
     }
 
+    /// The whitened splines of an echo, each with the samples where it differs from zero: past a spline's own samples
+    /// its whitened form reaches as far as the noise's order.
     fn fill_columns(&mut self, pulse: &Pulse, samples: usize) {
-        self.columns.clear();
-        self.columns.resize(self.basis.len() * samples, 0.0);
+        let Problem { basis, model, whitener, columns, extents, .. } = self;
+        columns.clear();
+        columns.resize(basis.len() * samples, 0.0);
+        extents.clear();
+        extents.resize(basis.len(), NOWHERE);
         for k in 0..samples {
-            for (j, value) in self.basis.at(self.model.digitiser.time_of(k) - pulse.position_samples) {
-                self.columns[j * samples + k] = pulse.height_dn * value;
+            for (j, value) in basis.at(model.digitiser.time_of(k) - pulse.position_samples) {
+                columns[j * samples + k] = pulse.height_dn * value;
+                extents[j] = extents[j].start.min(k)..k + 1;
             }
         }
-        for column in self.columns.chunks_exact_mut(samples.max(1)) {
-            if let Some(first) = column.iter().position(|value| *value != 0.0) {
-                self.whitener.whiten_from(first, column);
+        let order = whitener.noise().order();
+        for (column, extent) in columns.chunks_exact_mut(samples.max(1)).zip(extents) {
+            if !extent.is_empty() {
+                extent.end = (extent.end + order).min(samples);
+                whitener.whiten_from(extent.start, &mut column[..extent.end]);
             }
         }
     }
@@ -104,19 +122,27 @@ impl<'a> Problem<'a> {
         let count = self.basis.len();
         let unknowns = count * self.nodes.len();
         let shares = shares(self.nodes, height_dn);
-        let column = |j: usize| &self.columns[j * samples..(j + 1) * samples];
-        let seen: Vec<usize> = (0..count).filter(|&j| column(j).iter().any(|v| *v != 0.0)).collect();
-        for &i in &seen {
-            let told = dot(column(i), &self.target);
+        let column = |j: usize, extent: Range<usize>| &self.columns[j * samples..][extent];
+        for (i, extent) in self.extents.iter().enumerate().filter(|(_, extent)| !extent.is_empty()) {
+            let told = dot(column(i, extent.clone()), &self.target[extent.clone()]);
             for &(node, share) in &shares {
                 self.right[node * count + i] += share * told;
             }
-            for &j in &seen {
-                let product = dot(column(i), column(j));
+            // Splines rise with time, so those that overlap one stand next to it.
+            for j in (0..=i).rev() {
+                let other = &self.extents[j];
+                let common = extent.start.max(other.start)..extent.end.min(other.end);
+                if common.is_empty() {
+                    break;
+                }
+                let product = dot(column(i, common.clone()), column(j, common));
                 for &(a, share_a) in &shares {
                     for &(b, share_b) in &shares {
-                        self.normal[(a * count + i) * unknowns + b * count + j] +=
-                            share_a * share_b * product;
+                        let (row, other_row) = (a * count + i, b * count + j);
+                        self.normal[row * unknowns + other_row] += share_a * share_b * product;
+                        if i != j {
+                            self.normal[other_row * unknowns + row] += share_a * share_b * product;
+                        }
                     }
                 }
             }
@@ -184,7 +210,17 @@ impl<'a> Problem<'a> {
             }
         }
         let (fitter, whitener) = (self.fitter.clone(), self.whitener.clone());
-        Problem { nodes, fitter, whitener, normal, right, target: Vec::new(), columns: Vec::new(), ..*self }
+        Problem {
+            nodes,
+            fitter,
+            whitener,
+            normal,
+            right,
+            target: Vec::new(),
+            columns: Vec::new(),
+            extents: Vec::new(),
+            ..*self
+        }
     }
 
     fn solve_all(mut self) -> Option<Solution> {
