@@ -39,7 +39,8 @@ impl<'a> Quality<'a> {
         })
     }
 
-    pub(super) fn add(&mut self, single: &Single<'_>) {
+    /// Takes in an echo; whether its place is told by even and odd samples.
+    pub(super) fn add(&mut self, single: &Single<'_>, is_scored: bool) {
         let block = single.block;
         let mut target = Vec::with_capacity(block.samples.len());
         self.model.signal_into(block.samples, block.start_phase, &mut target);
@@ -50,7 +51,9 @@ impl<'a> Quality<'a> {
             ln_width_precision: 0.0,
         };
         self.add_residual(&target, start);
-        self.scores.extend(self.even_odd.score(&target, start));
+        if is_scored {
+            self.scores.extend(self.even_odd.score(&target, start));
+        }
     }
 
     fn add_residual(&mut self, target: &[f64], pulse: Pulse) {
