@@ -69,7 +69,6 @@ impl Templates {
     /// The values are as [`super::response::SystemResponse::check`] wants them.
     pub fn new(values: &[f64], first_sample: i32, fwhm_samples: f64) -> Templates {
         let v0 = fwhm_samples * fwhm_samples / (8.0 * std::f64::consts::LN_2);
-        let last = LN_WIDTH_RANGE[1];
         let samples = values.len().div_ceil(STEPS_PER_SAMPLE) as i64;
         let longest = (samples + 2 * reach(v0, LN_WIDTH_RANGE[1])) as usize;
         let steps = (longest * STEPS_PER_SAMPLE).next_power_of_two();
