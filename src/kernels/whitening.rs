@@ -105,9 +105,7 @@ impl Whitener {
             if row.is_steady {
                 past[0] = *value;
             } else {
-                for j in 0..N {
-                    past[j] += row.gain[j] * error;
-                }
+                past.iter_mut().zip(row.gain).for_each(|(value, gain)| *value += gain * error);
             }
             *value = error * row.weight;
         }

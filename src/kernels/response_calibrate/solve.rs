@@ -23,8 +23,6 @@ const NODE_CHANGE_SD: f64 = 0.02;
 
 /// Heights and places to within a hundredth of their standard deviations.
 const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4 };
-/// The extent of a spline that has no sample.
-const NOWHERE: Range<usize> = usize::MAX..0;
 
 /// The normal equations of the splines of all nodes.
 pub(super) struct Problem<'a> {
@@ -102,7 +100,8 @@ impl<'a> Problem<'a> {
         columns.clear();
         columns.resize(basis.len() * samples, 0.0);
         extents.clear();
-        extents.resize(basis.len(), NOWHERE);
+        // A spline that has no sample ends before it begins.
+        extents.resize(basis.len(), samples..0);
         for k in 0..samples {
             for (j, value) in basis.at(model.digitiser.time_of(k) - pulse.position_samples) {
                 columns[j * samples + k] = pulse.height_dn * value;
@@ -293,8 +292,8 @@ mod tests {
         problem.whitener.whiten(&mut target);
         let mut columns = vec![vec![0.0; SAMPLES]; unknowns];
         for (node, share) in shares(problem.nodes, echo.height_dn) {
-            for k in 0..SAMPLES {
-                for (j, value) in problem.basis.at(k as f64 - echo.position_samples) {
+            for (k, time) in (0..SAMPLES).map(|k| (k, k as f64 - echo.position_samples)) {
+                for (j, value) in problem.basis.at(time) {
                     columns[node * count + j][k] = share * echo.height_dn * value;
                 }
             }
