@@ -9,6 +9,7 @@
     clippy::print_stdout,
     clippy::expect_used,
     clippy::unwrap_used,
+    clippy::panic,
     reason = "a bench prints its figures"
 )]
 
