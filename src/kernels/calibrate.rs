@@ -25,9 +25,9 @@ pub use noise_statistics::NoiseStatistics;
 
 /// Pulses without which nothing can be said of their width.
 const MIN_PULSES: usize = 10;
-/// Rounds of decomposing and estimating, each with so many blocks at most, chosen evenly: the first model only serves to
-/// make the second, and ten thousand blocks tell width and noise to a fraction of a percent.
-const MOST_BLOCKS: [u64; 2] = [2_000, 10_000];
+/// Rounds of decomposing and estimating, each with about so many blocks at most, chosen evenly: the first model only
+/// serves to make the second. Whether the level drifts is decided in the first.
+const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
 /// With fewer free samples in a block, in widths of a pulse, what seems free is the rise of a pulse.
 const MIN_FREE_WIDTHS: f64 = 1.0;
 /// Pulses that are looked for beside those of detection, where the background is unknown.
@@ -163,7 +163,9 @@ where
     let mut model = first_model(&look, background, settings, found);
     let mut free = true;
     for (pass, most) in MOST_BLOCKS.into_iter().enumerate() {
-        let chosen = || blocks.clone().step_by(found.div_ceil(most).max(1) as usize);
+        // An odd step meets all phases of the first samples where these alternate.
+        let step = found.div_ceil(most) as usize | 1;
+        let chosen = || blocks.clone().step_by(step);
         let mut survey = survey(chosen(), &model, free, settings)?;
         free = has_free_samples(&survey, &model, settings);
         if pass == 0 && settings.background == BackgroundChoice::Auto && (!free || drifts(&survey)) {
