@@ -9,6 +9,7 @@
     clippy::print_stdout,
     clippy::expect_used,
     clippy::unwrap_used,
+    clippy::panic,
     reason = "a bench prints its figures"
 )]
 
@@ -34,6 +35,7 @@ mod isolated;
 mod noise;
 mod pairs;
 mod strong;
+mod timing;
 
 use engine::Engine;
 use instrument::{
@@ -227,6 +229,12 @@ fn main() {
     let chosen: Vec<&String> = words.iter().filter(|word| !word.contains('=')).collect();
     let wanted = |goal: &str| chosen.is_empty() || chosen.iter().any(|word| *word == goal);
     let mut bench = Bench { response: Arc::new(Response::new()), count, missed: 0, goals: 0 };
+    if wanted("A10") {
+        timing::calibration(&bench);
+    }
+    if chosen.iter().all(|word| *word == "A10") && !chosen.is_empty() {
+        return;
+    }
     let started = Instant::now();
     println!("{count} waveforms for each figure, response {:.3} ns wide", bench.response.fwhm_ns);
     let model = calibrated(&bench.response, 1, EIGHT_BITS, 0.0);

@@ -1,16 +1,17 @@
 //! A channel's model from its waveforms alone: background, noise and its correlation, width of a pulse.
 //!
-//! ALGORITHMS.md S1 with Gaussian pulses. A first look gives a level, a spread and a width; then twice all blocks are
+//! ALGORITHMS.md S1 with Gaussian pulses. A first look gives a level, a spread and a width; then twice blocks are
 //! decomposed with the model at hand, and a better one is made of the samples before the first pulse that was found
 //! (behind a pulse stands the receiver's slow tail) and of the widths of single pulses. What is signal is thus told by
 //! fitted pulses and never by a threshold on samples, which would cut the noise's own peaks away.
 
-use super::decompose::{DecomposeSettings, Decomposer};
+use super::decompose::DecomposeSettings;
 use super::noise::{ArNoise, fit_by_bic};
 use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use first_look::FirstLook;
 use survey::Survey;
 
+mod batches;
 mod first_look;
 mod noise_statistics;
 mod survey;
@@ -19,12 +20,14 @@ mod tests;
 mod uncertainty;
 mod width;
 
+pub(super) use batches::decompose_each;
 pub use noise_statistics::NoiseStatistics;
 
 /// Pulses without which nothing can be said of their width.
 const MIN_PULSES: usize = 10;
-/// Rounds of decomposing and estimating.
-const PASSES: usize = 2;
+/// Rounds of decomposing and estimating, each with about so many blocks at most, chosen evenly: the first model only
+/// serves to make the second. Whether the level drifts is decided in the first.
+const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
 /// With fewer free samples in a block, in widths of a pulse, what seems free is the rise of a pulse.
 const MIN_FREE_WIDTHS: f64 = 1.0;
 /// Pulses that are looked for beside those of detection, where the background is unknown.
@@ -159,12 +162,15 @@ where
     };
     let mut model = first_model(&look, background, settings, found);
     let mut free = true;
-    for pass in 0..PASSES {
-        let mut survey = survey(blocks.clone(), &model, free, settings)?;
+    for (pass, most) in MOST_BLOCKS.into_iter().enumerate() {
+        // An odd step meets all phases of the first samples where these alternate.
+        let step = found.div_ceil(most) as usize | 1;
+        let chosen = || blocks.clone().step_by(step);
+        let mut survey = survey(chosen(), &model, free, settings)?;
         free = has_free_samples(&survey, &model, settings);
         if pass == 0 && settings.background == BackgroundChoice::Auto && (!free || drifts(&survey)) {
             model = first_model(&look, Background::PerWaveform, settings, found);
-            survey = self::survey(blocks.clone(), &model, free, settings)?;
+            survey = self::survey(chosen(), &model, free, settings)?;
             free = free && has_free_samples(&survey, &model, settings);
         }
         model = better_model(&survey, &look, &model, free, settings);
@@ -173,7 +179,7 @@ where
     Ok(model)
 }
 
-/// Decomposes all blocks with the model at hand.
+/// Decomposes blocks with the model at hand.
 ///
 /// Pulses are those that detection finds: on a pulse that is no Gaussian a second look would find others beside it,
 /// and make it narrow. Only beside a strong pulse on an unknown background can detection overlook one, which then
@@ -190,11 +196,8 @@ fn survey<'a>(
         split_evidence: None,
         ..settings.decompose.clone()
     };
-    let mut decomposer = Decomposer::new(model, &settings, 0)?;
     let mut survey = Survey::default();
-    for block in blocks {
-        survey.add(&mut decomposer, block);
-    }
+    decompose_each(blocks, model, &settings, |block, outcome| survey.add(model, block, outcome))?;
     Ok(survey)
 }
 

@@ -1,6 +1,7 @@
 //! A plain Fourier transform of power-of-two length (Cooley and Tukey 1965), for tables that are made once.
 
 use std::f64::consts::TAU;
+use std::sync::OnceLock;
 
 /// A complex number: real and imaginary part.
 pub(super) type Complex = [f64; 2];
@@ -10,7 +11,8 @@ pub(super) fn times(a: Complex, b: Complex) -> Complex {
     [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
 }
 
-/// Replaces `values`, a power of two many, by `Σ_k values_k exp(sign 2πi jk/n)`; nothing is scaled.
+/// Replaces `values`, a power of two many, by `Σ_k values_k exp(sign 2πi jk/n)`, `sign` being 1 or -1; nothing is
+/// scaled.
 pub(super) fn transform(values: &mut [Complex], sign: f64) {
     let n = values.len();
     debug_assert!(n.is_power_of_two());
@@ -21,25 +23,33 @@ pub(super) fn transform(values: &mut [Complex], sign: f64) {
             values.swap(i, j);
         }
     }
-    let roots: Vec<Complex> = (0..n / 2)
-        .map(|k| {
-            let (sin, cos) = (sign * TAU * k as f64 / n as f64).sin_cos();
-            [cos, sin]
-        })
-        .collect();
+    let roots = roots(n);
     let mut half = 1;
     while half < n {
         let stride = n / (2 * half);
         for pair in values.chunks_exact_mut(2 * half) {
             let (low, high) = pair.split_at_mut(half);
             for ((a, b), root) in low.iter_mut().zip(high).zip(roots.iter().step_by(stride)) {
-                let turned = times(*b, *root);
+                let turned = times(*b, [root[0], sign * root[1]]);
                 *b = [a[0] - turned[0], a[1] - turned[1]];
                 *a = [a[0] + turned[0], a[1] + turned[1]];
             }
         }
         half *= 2;
     }
+}
+
+/// `exp(2πi k/n)` for the first half of the circle, kept for each power of two: tables take many transforms of one length.
+fn roots(n: usize) -> &'static [Complex] {
+    static ROOTS: [OnceLock<Vec<Complex>>; usize::BITS as usize] =
+        [const { OnceLock::new() }; usize::BITS as usize];
+    ROOTS[n.trailing_zeros() as usize % ROOTS.len()].get_or_init(|| {
+        let root = |k: usize| {
+            let (sin, cos) = (TAU * k as f64 / n as f64).sin_cos();
+            [cos, sin]
+        };
+        (0..n / 2).map(root).collect()
+    })
 }
 
 #[cfg(test)]

@@ -5,11 +5,12 @@
 //! whitened domain gives the splines of the response, and the next round starts with it. The zero of time is the peak,
 //! the width ratio 1 the mode of the widths.
 
-use super::calibrate::{Block, CalibrationError, CalibrationSettings};
-use super::decompose::{DecomposeSettings, Decomposer, Decomposition, Return};
+use super::calibrate::{Block, CalibrationError, CalibrationSettings, decompose_each};
+use super::decompose::{DecomposeSettings, Decomposition, Return};
 use super::flags;
 use super::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
 use super::sensor_model::{ChannelModel, ModelError};
+use super::shape::Shape;
 use quality::Quality;
 use solve::Problem;
 use spline::Basis;
@@ -32,6 +33,11 @@ const MAX_BLOCKS: usize = 12_000;
 const MINOR_PARTS: [f64; 4] = [0.1, 0.03, 0.0, 0.0];
 /// How well the response is known in each round, as part of the height.
 const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
+/// Echoes of one height that a round's response is made of, at most: but for the last one, a response only serves to
+/// choose and to place the echoes of the next.
+const MOST_ECHOES: [usize; 4] = [1_500, 1_500, 1_500, usize::MAX];
+/// Echoes whose places are told by even and odd samples, at most: they tell the factor to 2 %.
+const MOST_SCORED: usize = 2_000;
 /// Heights of usable echoes: at least so many standard deviations of the noise, …
 const STRONG_SD: f64 = 30.0;
 /// … and at most this part of the full scale, above which the receiver is overdriven (210 of 255 DN).
@@ -81,7 +87,7 @@ pub fn calibrate_response<'a>(
     let mut model = ChannelModel { response: None, pulse_error_factor: 1.0, ..model.clone() };
     let gaussian = model.clone();
     let mut usable_echoes = 0;
-    for (minor_part, error) in MINOR_PARTS.into_iter().zip(ERRORS) {
+    for ((minor_part, error), most) in MINOR_PARTS.into_iter().zip(ERRORS).zip(MOST_ECHOES) {
         let singles = singles(&blocks, &model, settings, minor_part, error)?;
         usable_echoes = singles.len();
         if usable_echoes < MIN_ECHOES {
@@ -89,14 +95,15 @@ pub fn calibrate_response<'a>(
         }
         // What is not nearly single is not looked at again.
         blocks = singles.iter().map(|single| single.block).collect();
-        match better_response(&singles, &model, longest)? {
+        match better_response(&singles, &model, longest, most)? {
             Some(response) => model = with_response(&model, response),
             None => return Ok(Calibrated { model: gaussian, usable_echoes }),
         }
     }
     let singles = self::singles(&blocks, &model, settings, 0.0, ERRORS[3])?;
     let mut quality = Quality::new(&model, longest)?;
-    singles.iter().for_each(|single| quality.add(single));
+    let scored = singles.len().div_ceil(MOST_SCORED).max(1);
+    singles.iter().enumerate().for_each(|(i, single)| quality.add(single, i % scored == 0));
     let (factor, factor_sd) = (quality.pulse_error_factor(), quality.pulse_error_factor_sd());
     let template_error = quality.template_error();
     model.pulse_error_factor = factor;
@@ -129,16 +136,14 @@ fn singles<'a>(
         template_error,
         ..settings.decompose.clone()
     };
-    let mut decomposer = Decomposer::new(model, &settings, 0)?;
     let heights = STRONG_SD * model.noise_sd_dn..OVERDRIVEN_PART * model.full_scale_dn;
     let mut found = Vec::new();
-    for block in blocks {
-        let outcome = decomposer.decompose(block.samples, block.start_phase);
-        let single = strongest(&outcome, minor_part, model.fwhm_samples());
+    decompose_each(blocks.iter().copied(), model, &settings, |block, outcome| {
+        let single = strongest(outcome, minor_part, model.fwhm_samples());
         if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
-            found.push(Single { block: *block, fitted: *fitted });
+            found.push(Single { block, fitted: *fitted });
         }
-    }
+    })?;
     Ok(found)
 }
 
@@ -229,20 +234,28 @@ fn densest(sorted: &[f64], half_width: f64) -> f64 {
     best.1
 }
 
-/// The response that tells the echoes best; `None` where the equations have no solution.
+/// At most so many of the echoes, chosen evenly.
+fn evenly(singles: Vec<Single<'_>>, most: usize) -> impl Iterator<Item = Single<'_>> {
+    let step = singles.len().div_ceil(most).max(1);
+    singles.into_iter().step_by(step)
+}
+
+/// The response that tells the echoes best, of each height at most so many of them; `None` where the equations have no solution.
 fn better_response(
     singles: &[Single<'_>],
     model: &ChannelModel,
     longest: usize,
+    most: usize,
 ) -> Result<Option<SystemResponse>, ModelError> {
     let fwhm = model.fwhm_samples();
     let reach = (LEAST_REACH_WIDTHS * fwhm).max(longest as f64 + 2.0 * fwhm);
     let basis = Basis::new(fwhm, reach);
     // A receiver that compresses strong echoes makes them wider: each height has its own mode of the widths.
     let groups = by_height(singles, model.full_scale_dn);
-    let narrow: Vec<_> = groups.iter().flat_map(|group| narrow_population(&group.singles)).collect();
+    let narrow: Vec<_> =
+        groups.iter().flat_map(|group| evenly(narrow_population(&group.singles), most)).collect();
     let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
-    let mut problem = Problem::new(model, &basis, &nodes, longest)?;
+    let mut problem = Problem::new(model, &basis, &nodes, Shape::of(model)?, longest)?;
     narrow.iter().for_each(|single| problem.add(single));
     let Some(solution) = problem.solve() else { return Ok(None) };
     let first_sample = basis.extent().start.floor() as i32;

@@ -7,6 +7,7 @@
 //! slopes are continuous everywhere, as a descent needs them.
 
 use std::f64::consts::PI;
+use std::sync::OnceLock;
 
 use super::fourier::{self, Complex};
 use super::response::{STEPS_PER_SAMPLE, bins, spectrum};
@@ -38,10 +39,17 @@ impl Knot {
     }
 }
 
-/// The tables of one response.
+/// The tables of one response. Few of its widths are asked for, and each is laid out when it first is.
 #[derive(Debug, Clone)]
 pub struct Templates {
-    knots: Vec<Knot>,
+    series: Vec<Complex>,
+    /// Period of the series in the response's steps.
+    steps: usize,
+    /// Variance of a Gaussian of the response's width, samples².
+    v0: f64,
+    first_sample: i64,
+    samples: i64,
+    knots: Vec<OnceLock<Knot>>,
 }
 
 /// What of a shape is wanted.
@@ -61,21 +69,24 @@ impl Templates {
     /// The values are as [`super::response::SystemResponse::check`] wants them.
     pub fn new(values: &[f64], first_sample: i32, fwhm_samples: f64) -> Templates {
         let v0 = fwhm_samples * fwhm_samples / (8.0 * std::f64::consts::LN_2);
-        let last = LN_WIDTH_RANGE[1];
-        let reach = |u: f64| (REACH_SD * (v0 * ((2.0 * u).exp() - 1.0)).max(v0).sqrt()).ceil() as i64;
         let samples = values.len().div_ceil(STEPS_PER_SAMPLE) as i64;
-        let longest = (samples + 2 * reach(last)) as usize;
+        let longest = (samples + 2 * reach(v0, LN_WIDTH_RANGE[1])) as usize;
         let steps = (longest * STEPS_PER_SAMPLE).next_power_of_two();
         let first_step = i64::from(first_sample) * STEPS_PER_SAMPLE as i64;
         let series = spectrum(values, first_step, steps, bins(steps));
-        let count = ((last - LN_WIDTH_RANGE[0]) / LN_WIDTH_STEP).round() as usize + 1;
-        let knots = (0..count).map(|i| {
-            let u = LN_WIDTH_RANGE[0] + i as f64 * LN_WIDTH_STEP;
-            let margin = if u > 0.0 { reach(u) } else { reach(0.0) };
-            let extent = (i64::from(first_sample) - margin, (samples + 2 * margin) as usize);
-            knot(&series, steps, v0, u, extent)
-        });
-        Templates { knots: knots.collect() }
+        let count = ((LN_WIDTH_RANGE[1] - LN_WIDTH_RANGE[0]) / LN_WIDTH_STEP).round() as usize + 1;
+        let knots = vec![OnceLock::new(); count];
+        Templates { series, steps, v0, first_sample: i64::from(first_sample), samples, knots }
+    }
+
+    /// The rows of one width of the table.
+    fn knot(&self, index: usize) -> &Knot {
+        self.knots[index].get_or_init(|| {
+            let u = LN_WIDTH_RANGE[0] + index as f64 * LN_WIDTH_STEP;
+            let margin = if u > 0.0 { reach(self.v0, u) } else { reach(self.v0, 0.0) };
+            let extent = (self.first_sample - margin, (self.samples + 2 * margin) as usize);
+            knot(&self.series, self.steps, self.v0, u, extent)
+        })
     }
 
     /// The logarithms of the width ratio that the tables reach to.
@@ -107,7 +118,7 @@ impl Templates {
             Part::ByTime => (by_time.slope(), by_width.value()),
             Part::ByLnWidth => (by_time.value(), by_width.slope()),
         };
-        for (j, knot) in self.knots[index..index + 2].iter().enumerate() {
+        for (j, knot) in [self.knot(index), self.knot(index + 1)].into_iter().enumerate() {
             // Sample k of the block is sample k + whole of the row, counted from the peak.
             let offset = whole as i64 - knot.first;
             let begin = lane.from((-offset).clamp(0, values.len() as i64) as usize).min(values.len());
@@ -124,6 +135,11 @@ impl Templates {
             }
         }
     }
+}
+
+/// How far a response widened to `e^u` times its width reaches beyond its own samples.
+fn reach(v0: f64, u: f64) -> i64 {
+    (REACH_SD * (v0 * ((2.0 * u).exp() - 1.0)).max(v0).sqrt()).ceil() as i64
 }
 
 fn accumulate(target: &mut [f64], rows: [&[f64]; 4], weights: [f64; 4], step: usize) {

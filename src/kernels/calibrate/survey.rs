@@ -3,8 +3,9 @@
 use super::Block;
 use super::noise_statistics::NoiseStatistics;
 use super::width::{Width, Widths};
-use crate::kernels::decompose::{Decomposer, Decomposition, Return};
+use crate::kernels::decompose::{Decomposition, Return};
 use crate::kernels::flags;
+use crate::kernels::sensor_model::ChannelModel;
 
 /// A sample is free of a pulse so many of the pulse's widths before its peak (ALGORITHMS.md S1: 8 ns of 4.25).
 const FREE_WIDTHS: f64 = 1.9;
@@ -27,10 +28,10 @@ pub(super) struct Survey {
 }
 
 impl Survey {
-    pub(super) fn add(&mut self, decomposer: &mut Decomposer, block: Block<'_>) {
-        let fwhm_samples = decomposer.model().fwhm_samples();
-        let strong_dn = STRONG_SD * decomposer.model().noise_sd_dn;
-        let outcome = decomposer.decompose(block.samples, block.start_phase);
+    /// Takes in a block and what became of it with the model.
+    pub(super) fn add(&mut self, model: &ChannelModel, block: Block<'_>, outcome: &Decomposition<'_>) {
+        let fwhm_samples = model.fwhm_samples();
+        let strong_dn = STRONG_SD * model.noise_sd_dn;
         self.blocks += 1;
         self.offsets_dn.push(outcome.background_offset_dn);
         if outcome.degrees_of_freedom() > 0 {
@@ -39,9 +40,9 @@ impl Survey {
             let highest = outcome.returns.iter().map(|r| r.amplitude_dn).fold(0.0, f64::max);
             self.residual_parts.extend((highest > 0.0).then(|| sd / highest));
         }
-        let free = free_samples(&outcome, fwhm_samples, block.samples.len());
+        let free = free_samples(outcome, fwhm_samples, block.samples.len());
         self.noise.add(&block.samples[..free], block.start_phase);
-        if let Some(r) = single(&outcome, fwhm_samples).filter(|r| r.amplitude_dn >= strong_dn) {
+        if let Some(r) = single(outcome, fwhm_samples).filter(|r| r.amplitude_dn >= strong_dn) {
             let sd = r.width_ratio_sd / r.width_ratio;
             self.widths.0.push(Width { ln_fwhm: r.fwhm_ns.ln(), sd, deviation_ratio: r.deviation_ratio });
         }

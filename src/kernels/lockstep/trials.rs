@@ -63,7 +63,12 @@ impl Decompose<'_> {
     pub(super) fn search_residuals(&mut self) {
         let work = &mut *self.work;
         work.active.clear();
-        let scenes = work.scenes.iter().enumerate();
+        for scene in &mut work.scenes {
+            // A fit that ended at the tables' widest pulse says nothing of what one pulse could tell.
+            if scene.way == Way::Fast && scene.pulses().iter().any(|p| p.values()[2] >= U_MAX as f32) {
+                scene.give_up();
+            }
+        }
         let room = 1..self.settings.max_returns;
         let begun =
             scenes.filter(|(_, scene)| scene.way == Way::Fast && room.contains(&scene.pulses().len()));

@@ -14,20 +14,39 @@ use crate::kernels::whitening::Whitener;
 #[derive(Debug, Clone)]
 pub struct EvenOdd {
     fitter: GaussFit,
-    whitener: Whitener,
+    /// For even and for odd samples.
+    whiteners: [Whitener; 2],
+    /// As far as it differs from zero.
     autocovariance: Vec<f64>,
 }
+
+/// Places to within a hundredth of their standard deviations.
+const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4 };
+/// Noise that is correlated by less is not.
+const LEAST_CORRELATION: f64 = 1e-9;
 
 impl EvenOdd {
     /// For blocks of the channel of up to `longest` samples; in longer ones noise farther apart than that is taken to be
     /// uncorrelated.
     pub fn new(model: &ChannelModel, longest: usize) -> Result<EvenOdd, ModelError> {
+        EvenOdd::of_shape(Shape::of(model)?, model, longest)
+    }
+
+    /// The same where the shape that the model describes is at hand.
+    pub(super) fn of_shape(
+        shape: Shape,
+        model: &ChannelModel,
+        longest: usize,
+    ) -> Result<EvenOdd, ModelError> {
         let noise = model.noise()?;
         let mut autocovariance = vec![0.0; longest];
         noise.autocovariance_into(&mut autocovariance);
+        let least = LEAST_CORRELATION * autocovariance.first().copied().unwrap_or(0.0);
+        let reach = autocovariance.iter().rposition(|value| value.abs() > least).map_or(0, |last| last + 1);
+        autocovariance.truncate(reach);
         Ok(EvenOdd {
-            fitter: GaussFit::new(Shape::of(model)?, model.offset_precision(), longest, 1),
-            whitener: Whitener::new(noise, longest),
+            fitter: GaussFit::new(shape, model.offset_precision(), longest, 1),
+            whiteners: [Whitener::new(noise.clone(), longest), Whitener::new(noise, longest)],
             autocovariance,
         })
     }
@@ -46,25 +65,27 @@ impl EvenOdd {
 
     /// The place that every other sample tells, and how it follows each sample.
     fn place(&mut self, target_dn: &[f64], start: Pulse, parity: usize) -> Option<(f64, Vec<f64>)> {
-        let used: Vec<bool> = (0..target_dn.len()).map(|k| k % 2 == parity).collect();
-        self.whitener.set_used(&used);
-        let fit = self.fitter.fit(&self.whitener, target_dn, &[start], Limits::exact(30));
+        let whitener = &mut self.whiteners[parity];
+        if whitener.used().len() != target_dn.len() {
+            let used: Vec<bool> = (0..target_dn.len()).map(|k| k % 2 == parity).collect();
+            whitener.set_used(&used);
+        }
+        let fit = self.fitter.fit(whitener, target_dn, &[start], NEAR);
         if !fit.termination.is_optimum() {
             return None;
         }
         let mut weights = self.fitter.weights(1);
-        self.whitener.whiten_transposed(&mut weights);
+        whitener.whiten_transposed(&mut weights);
         Some((self.fitter.pulses().first()?.position_samples, weights))
     }
 
     /// Variance that the noise gives to a weighted sum of samples.
     fn variance(&self, weights: &[f64]) -> f64 {
-        let mut sum = 0.0;
-        for (i, a) in weights.iter().enumerate() {
-            for (j, b) in weights.iter().enumerate() {
-                sum += a * b * self.autocovariance.get(i.abs_diff(j)).copied().unwrap_or(0.0);
-            }
-        }
-        sum
+        let at_lag = |(lag, covariance): (usize, &f64)| {
+            let later = weights.get(lag..).unwrap_or_default();
+            let products: f64 = weights.iter().zip(later).map(|(a, b)| a * b).sum();
+            covariance * products * if lag == 0 { 1.0 } else { 2.0 }
+        };
+        self.autocovariance.iter().enumerate().map(at_lag).sum()
     }
 }

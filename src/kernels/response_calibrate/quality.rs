@@ -29,16 +29,18 @@ impl<'a> Quality<'a> {
             .as_ref()
             .and_then(|r| r.nodes.first())
             .map_or(0, |node| node.values.len() / crate::kernels::response::STEPS_PER_SAMPLE);
+        let shape = Shape::of(model)?;
         Ok(Quality {
             model,
-            shape: Shape::of(model)?,
-            even_odd: EvenOdd::new(model, longest)?,
+            even_odd: EvenOdd::of_shape(shape.clone(), model, longest)?,
+            shape,
             scores: Vec::new(),
             excess: vec![[0.0; 3]; samples],
         })
     }
 
-    pub(super) fn add(&mut self, single: &Single<'_>) {
+    /// Takes in an echo; whether its place is told by even and odd samples.
+    pub(super) fn add(&mut self, single: &Single<'_>, is_scored: bool) {
         let block = single.block;
         let mut target = Vec::with_capacity(block.samples.len());
         self.model.signal_into(block.samples, block.start_phase, &mut target);
@@ -49,7 +51,9 @@ impl<'a> Quality<'a> {
             ln_width_precision: 0.0,
         };
         self.add_residual(&target, start);
-        self.scores.extend(self.even_odd.score(&target, start));
+        if is_scored {
+            self.scores.extend(self.even_odd.score(&target, start));
+        }
     }
 
     fn add_residual(&mut self, target: &[f64], pulse: Pulse) {

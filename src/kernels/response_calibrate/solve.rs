@@ -1,5 +1,7 @@
 //! The linear problem: which splines tell the echoes best, in the whitened domain.
 
+use std::ops::Range;
+
 use super::Single;
 use super::spline::Basis;
 use crate::kernels::cholesky;
@@ -19,6 +21,9 @@ const TAIL_SLOPE_SD: f64 = 0.003;
 /// Standard deviation of the difference of a spline from one node to the next.
 const NODE_CHANGE_SD: f64 = 0.02;
 
+/// Heights and places to within a hundredth of their standard deviations.
+const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4 };
+
 /// The normal equations of the splines of all nodes.
 pub(super) struct Problem<'a> {
     model: &'a ChannelModel,
@@ -30,6 +35,7 @@ pub(super) struct Problem<'a> {
     right: Vec<f64>,
     target: Vec<f64>,
     columns: Vec<f64>,
+    extents: Vec<Range<usize>>,
 }
 
 /// The splines by node.
@@ -46,6 +52,7 @@ impl<'a> Problem<'a> {
         model: &'a ChannelModel,
         basis: &'a Basis,
         nodes: &'a [f64],
+        shape: Shape,
         longest: usize,
     ) -> Result<Problem<'a>, ModelError> {
         let unknowns = basis.len() * nodes.len();
@@ -53,12 +60,13 @@ impl<'a> Problem<'a> {
             model,
             basis,
             nodes,
-            fitter: GaussFit::new(Shape::of(model)?, model.offset_precision(), longest, 1),
+            fitter: GaussFit::new(shape, model.offset_precision(), longest, 1),
             whitener: Whitener::new(model.noise()?, longest),
             normal: vec![0.0; unknowns * unknowns],
             right: vec![0.0; unknowns],
             target: Vec::new(),
             columns: Vec::new(),
+            extents: Vec::new(),
         })
     }
 
@@ -74,7 +82,7 @@ impl<'a> Problem<'a> {
             ln_width_ratio: 0.0,
             ln_width_precision: FROZEN,
         };
-        let fit = self.fitter.fit(&self.whitener, &self.target, &[start], Limits::exact(30));
+        let fit = self.fitter.fit(&self.whitener, &self.target, &[start], NEAR);
         let (true, Some(&pulse)) = (fit.termination.is_optimum(), self.fitter.pulses().first()) else {
             return;
         };
@@ -85,17 +93,26 @@ impl<'a> Problem<'a> {
         self.accumulate(pulse.height_dn, samples.len());
     }
 
+    /// The whitened splines of an echo, each with the samples where it differs from zero: past a spline's own samples
+    /// its whitened form reaches as far as the noise's order.
     fn fill_columns(&mut self, pulse: &Pulse, samples: usize) {
-        self.columns.clear();
-        self.columns.resize(self.basis.len() * samples, 0.0);
+        let Problem { basis, model, whitener, columns, extents, .. } = self;
+        columns.clear();
+        columns.resize(basis.len() * samples, 0.0);
+        extents.clear();
+        // A spline that has no sample ends before it begins.
+        extents.resize(basis.len(), samples..0);
         for k in 0..samples {
-            for (j, value) in self.basis.at(self.model.digitiser.time_of(k) - pulse.position_samples) {
-                self.columns[j * samples + k] = pulse.height_dn * value;
+            for (j, value) in basis.at(model.digitiser.time_of(k) - pulse.position_samples) {
+                columns[j * samples + k] = pulse.height_dn * value;
+                extents[j] = extents[j].start.min(k)..k + 1;
             }
         }
-        for column in self.columns.chunks_exact_mut(samples.max(1)) {
-            if let Some(first) = column.iter().position(|value| *value != 0.0) {
-                self.whitener.whiten_from(first, column);
+        let order = whitener.noise().order();
+        for (column, extent) in columns.chunks_exact_mut(samples.max(1)).zip(extents) {
+            if extent.start < extent.end {
+                extent.end = (extent.end + order).min(samples);
+                whitener.whiten_from(extent.start, &mut column[..extent.end]);
             }
         }
     }
@@ -104,19 +121,27 @@ impl<'a> Problem<'a> {
         let count = self.basis.len();
         let unknowns = count * self.nodes.len();
         let shares = shares(self.nodes, height_dn);
-        let column = |j: usize| &self.columns[j * samples..(j + 1) * samples];
-        let seen: Vec<usize> = (0..count).filter(|&j| column(j).iter().any(|v| *v != 0.0)).collect();
-        for &i in &seen {
-            let told = dot(column(i), &self.target);
+        let column = |j: usize, extent: Range<usize>| &self.columns[j * samples..][extent];
+        for (i, extent) in self.extents.iter().enumerate().filter(|(_, extent)| !extent.is_empty()) {
+            let told = dot(column(i, extent.clone()), &self.target[extent.clone()]);
             for &(node, share) in &shares {
                 self.right[node * count + i] += share * told;
             }
-            for &j in &seen {
-                let product = dot(column(i), column(j));
+            // Splines rise with time, so those that overlap one stand next to it.
+            for j in (0..=i).rev() {
+                let other = &self.extents[j];
+                let common = extent.start.max(other.start)..extent.end.min(other.end);
+                if common.is_empty() {
+                    break;
+                }
+                let product = dot(column(i, common.clone()), column(j, common));
                 for &(a, share_a) in &shares {
                     for &(b, share_b) in &shares {
-                        self.normal[(a * count + i) * unknowns + b * count + j] +=
-                            share_a * share_b * product;
+                        let (row, other_row) = (a * count + i, b * count + j);
+                        self.normal[row * unknowns + other_row] += share_a * share_b * product;
+                        if i != j {
+                            self.normal[other_row * unknowns + row] += share_a * share_b * product;
+                        }
                     }
                 }
             }
@@ -184,7 +209,17 @@ impl<'a> Problem<'a> {
             }
         }
         let (fitter, whitener) = (self.fitter.clone(), self.whitener.clone());
-        Problem { nodes, fitter, whitener, normal, right, target: Vec::new(), columns: Vec::new(), ..*self }
+        Problem {
+            nodes,
+            fitter,
+            whitener,
+            normal,
+            right,
+            target: Vec::new(),
+            columns: Vec::new(),
+            extents: Vec::new(),
+            ..*self
+        }
     }
 
     fn solve_all(mut self) -> Option<Solution> {
@@ -221,4 +256,81 @@ fn shares(nodes: &[f64], height_dn: f64) -> Vec<(usize, f64)> {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::calibrate::Block;
+    use crate::kernels::decompose::Return;
+    use crate::kernels::noise::ArNoise;
+    use crate::kernels::simulated::{Random, analogue, channel, digitised, pulse};
+
+    const SAMPLES: usize = 60;
+    const NODES: [f64; 2] = [100.0, 160.0];
+
+    fn found(height_dn: f64, position_samples: f64) -> Return {
+        Return {
+            position_samples,
+            position_sd_samples: 0.02,
+            amplitude_dn: height_dn,
+            amplitude_sd_dn: 0.7,
+            width_ratio: 1.0,
+            width_ratio_sd: 0.01,
+            fwhm_ns: 4.4,
+            deviation_ratio: 0.0,
+            flags: 0,
+        }
+    }
+
+    /// Whole columns, whitened over the whole block, and all their products.
+    fn add_densely(problem: &Problem<'_>, single: &Single<'_>, normal: &mut [f64], right: &mut [f64]) {
+        let echo = problem.fitter.pulses()[0];
+        let (count, unknowns) = (problem.basis.len(), right.len());
+        let mut target = Vec::new();
+        problem.model.signal_into(single.block.samples, single.block.start_phase, &mut target);
+        problem.whitener.whiten(&mut target);
+        let mut columns = vec![vec![0.0; SAMPLES]; unknowns];
+        for (node, share) in shares(problem.nodes, echo.height_dn) {
+            for (k, time) in (0..SAMPLES).map(|k| (k, k as f64 - echo.position_samples)) {
+                for (j, value) in problem.basis.at(time) {
+                    columns[node * count + j][k] = share * echo.height_dn * value;
+                }
+            }
+        }
+        columns.iter_mut().for_each(|column| problem.whitener.whiten(column));
+        for i in 0..unknowns {
+            right[i] += dot(&columns[i], &target);
+            for j in 0..unknowns {
+                normal[i * unknowns + j] += dot(&columns[i], &columns[j]);
+            }
+        }
+    }
+
+    /// Echoes at the block's start, in its midst and at its end, in noise of several orders.
+    #[test]
+    fn normal_equations_of_local_columns_are_those_of_whole_ones() {
+        for coefficients in [&[][..], &[0.6], &[0.9, -0.5, 0.2], &[0.5, 0.1, -0.2, 0.1]] {
+            let process = ArNoise::new(coefficients, 0.8).unwrap();
+            let model = ChannelModel { full_scale_dn: 255.0, ..channel(&process, 4.4, 5.0) };
+            let basis = Basis::new(4.4, 70.0);
+            let mut problem =
+                Problem::new(&model, &basis, &NODES, Shape::of(&model).unwrap(), SAMPLES).unwrap();
+            let (mut normal, mut right) = (problem.normal.clone(), problem.right.clone());
+            let mut random = Random::new(4);
+            for (height, place) in [(70.0, 3.3), (120.0, 15.1), (140.0, 30.7), (190.0, 54.2)] {
+                let echo = pulse(height, place, 1.0);
+                let values = analogue(&mut random, &process, SAMPLES, 5.0, 4.4, &[echo]);
+                let samples = digitised(&values, 255);
+                let block = Block { samples: &samples, start_phase: 0 };
+                let single = Single { block, fitted: found(height, place) };
+                problem.add(&single);
+                add_densely(&problem, &single, &mut normal, &mut right);
+            }
+            let scale = normal.iter().fold(0.0, |greatest: f64, value| greatest.max(value.abs()));
+            let pairs = normal.iter().zip(&problem.normal).chain(right.iter().zip(&problem.right));
+            let worst = pairs.map(|(dense, local)| (dense - local).abs()).fold(0.0, f64::max);
+            assert!(scale > 1e3 && worst < 1e-9 * scale, "{coefficients:?}: {worst} of {scale}");
+        }
+    }
 }
