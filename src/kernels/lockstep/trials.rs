@@ -70,6 +70,7 @@ impl Decompose<'_> {
             }
         }
         let room = 1..self.settings.max_returns;
+        let scenes = work.scenes.iter().enumerate();
         let begun =
             scenes.filter(|(_, scene)| scene.way == Way::Fast && room.contains(&scene.pulses().len()));
         work.active.extend(begun.map(|(row, _)| row));
