@@ -1,9 +1,10 @@
 //! Numbers to numbers: slices in, values out. No file, no clock, no batch, no stage.
 //!
-//! This is the plain form, in `f64`: a sensor model is found by [`calibrate`] and [`response_calibrate`], and
-//! [`decompose`] finds the pulses of one waveform in correlated noise: widened copies of the system response
-//! ([`response`], [`templates`]), or Gaussians ([`shape`]). Its parts are [`detect`] (matched filter), [`gauss_fit`] (joint
-//! least squares), [`whitening`] and [`noise`]. Positions are in samples from the block's first, heights in digitiser steps
+//! A sensor model is found by [`calibrate`] and [`response_calibrate`]. [`decompose`] finds the pulses of one waveform in
+//! correlated noise, in `f64`: widened copies of the system response ([`response`], [`templates`]), or Gaussians
+//! ([`shape`]). Its parts are [`detect`] (matched filter), [`gauss_fit`] (joint least squares), [`whitening`] and [`noise`].
+//! [`lockstep`] does the same for whole batches, in `f32` and many times faster, and hands to it what it is not made for.
+//! docs/method.md describes the method. Positions are in samples from the block's first, heights in digitiser steps
 //! (DN), and a pulse stands where its peak stands.
 
 mod allowance;

@@ -1,6 +1,6 @@
 //! A channel's model from its waveforms alone: background, noise and its correlation, width of a pulse.
 //!
-//! ALGORITHMS.md S1 with Gaussian pulses. A first look gives a level, a spread and a width; then twice blocks are
+//! With Gaussian pulses (docs/method.md, Calibration). A first look gives a level, a spread and a width; then twice blocks are
 //! decomposed with the model at hand, and a better one is made of the samples before the first pulse that was found
 //! (behind a pulse stands the receiver's slow tail) and of the widths of single pulses. What is signal is thus told by
 //! fitted pulses and never by a threshold on samples, which would cut the noise's own peaks away.
@@ -97,7 +97,7 @@ impl CalibrationSettings {
     }
 
     /// For the outgoing pulse: 20 blocks at least, as every block holds the same strong pulse; order 2 at most and a
-    /// fixed background, as few samples stand before it (REALDATA.md, section 5).
+    /// fixed background, as few samples stand before it.
     pub fn reference(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             min_blocks: 20,

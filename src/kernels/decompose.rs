@@ -1,7 +1,7 @@
 //! One waveform to its returns: detection, joint fit, a second look at what the fit leaves, and what does not stand up.
 //!
-//! The plain form of ALGORITHMS.md S4 to S8 with Gaussian pulses. What a real receiver adds to a Gaussian (after-pulse,
-//! slow tail) is found as returns of its own where it stands out of the noise.
+//! The plain form, in `f64` and a waveform at a time, of what docs/method.md describes from Detection to Uncertainties:
+//! the oracle of [`super::lockstep`], and what decides where that is not made for a waveform.
 
 use super::allowance::Allowance;
 use super::detect::{Candidate, Detector, next_plateau, plateau_candidate};

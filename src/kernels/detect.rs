@@ -11,7 +11,7 @@ use super::gauss_fit::{FOUR_LN_2, Pulse};
 use super::shape::Shape;
 use super::whitening::Whitener;
 
-/// Half length of the filter's pulse in its widths: the main lobe (REALDATA.md, section 1).
+/// Half length of the filter's pulse in its widths: the main lobe.
 const HALF_LENGTH_WIDTHS: f64 = 1.5;
 /// Lags at which less than this part of the pulse's energy lies in used samples are not looked at.
 const LEAST_ENERGY_PART: f64 = 0.3;

@@ -21,7 +21,7 @@ pub const FOUR_LN_2: f64 = 2.772_588_722_239_781;
 const SUPPORT_WIDTHS: f64 = 3.65;
 /// The shortest and the longest pulse, over the calibrated width; beyond, a fit has left what can be measured.
 pub(super) const LN_WIDTH_BOUNDS: [f64; 2] = [-1.5, 3.2];
-/// The farthest a step may move a pulse, in its own widths (ALGORITHMS.md S6: 1.5 samples for a pulse of 4.25).
+/// The farthest a step may move a pulse, in its own widths (1.5 samples for a pulse of 4.25).
 const MAX_MOVE_WIDTHS: f64 = 0.35;
 /// The largest change of a width's logarithm in a step.
 const MAX_LN_WIDTH_STEP: f64 = 0.4;

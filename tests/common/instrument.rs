@@ -1,7 +1,7 @@
 //! A simulated instrument whose truth is known, and the bounds that its noise sets: for `tests/accuracy.rs` and
 //! `benches/accuracy.rs`.
 //!
-//! The sensor of ALGORITHMS.md 1.3: a normal distribution of 1.65 ns convolved with a decay of 0.9 ns, and ringing
+//! The sensor: a normal distribution of 1.65 ns convolved with a decay of 0.9 ns, and ringing
 //! from 4 ns on, a damped sine of 11 ns period and 7 ns decay that has passed the same normal distribution and is 5 % of
 //! the peak at its deepest. Noise of 2 DN, 85 % of it of a Gaussian band and 15 % white, on a background of 20.3 DN.
 

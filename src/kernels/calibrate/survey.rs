@@ -7,7 +7,7 @@ use crate::kernels::decompose::{Decomposition, Return};
 use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
 
-/// A sample is free of a pulse so many of the pulse's widths before its peak (ALGORITHMS.md S1: 8 ns of 4.25).
+/// A sample is free of a pulse so many of the pulse's widths before its peak (8 ns of 4.25).
 const FREE_WIDTHS: f64 = 1.9;
 /// Pulses from this height on, in standard deviations of the noise, have a width worth knowing.
 const STRONG_SD: f64 = 20.0;
