@@ -21,6 +21,7 @@ pub mod noise;
 pub mod outgoing;
 pub mod response;
 pub mod response_calibrate;
+mod rules;
 pub mod sensor_model;
 pub mod shape;
 pub mod templates;

@@ -17,10 +17,6 @@ mod score;
 mod tests;
 mod view;
 
-/// A sample of 0 is cut off where the background stands so many standard deviations of the noise above that: it is what
-/// the undershoot of a strong pulse leaves.
-pub(super) const CLEAR_OF_ZERO_SD: f64 = 5.0;
-
 /// How waveforms are decomposed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DecomposeSettings {

@@ -10,17 +10,12 @@ use std::ops::Range;
 use super::gauss_fit::{FOUR_LN_2, Pulse};
 use super::shape::Shape;
 use super::whitening::Whitener;
+use crate::kernels::rules::{DIP_PART, ECHO_SAMPLES};
 
 /// Half length of the filter's pulse in its widths: the main lobe.
 const HALF_LENGTH_WIDTHS: f64 = 1.5;
 /// Lags at which less than this part of the pulse's energy lies in used samples are not looked at.
 const LEAST_ENERGY_PART: f64 = 0.3;
-/// Two maxima are two candidates only with a dip between them that is this part of the threshold deep: what noise
-/// makes on the back of one wide pulse is one candidate.
-const DIP_PART: f64 = 0.5;
-
-/// How far behind a pulse its echo in the filter is known, samples.
-const ECHO_SAMPLES: usize = 256;
 
 /// A place where a pulse may stand.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,6 +6,7 @@
 //! bivariate normal distribution for the output at the samples.
 
 use super::noise::ArNoise;
+use crate::kernels::rules::SD_OF_FWHM;
 
 /// The matched filter's output where there is only noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,8 +17,6 @@ pub struct FilteredNoise {
     pub correlation: f64,
 }
 
-/// Standard deviation of a Gaussian over its full width at half maximum.
-const SD_OF_FWHM: f64 = 0.424_660_900_144_009_5;
 /// The pulse is followed to this many standard deviations on both sides.
 const REACH_SD: f64 = 7.0;
 

@@ -11,7 +11,8 @@
 //!
 //! The first samples of a block, as many as the noise's order, carry no weight in a fit, and count in chi-square as long as
 //! no pulse reaches them. After its start
-//! a [`Lockstep`] allocates nothing but room for more returns or longer blocks.
+//! a [`Lockstep`] allocates nothing but room for more returns or longer blocks, and a little where pulses stand at the ends
+//! of blocks of changing length.
 
 #![allow(
     clippy::needless_range_loop,
@@ -55,7 +56,8 @@ mod tests;
 use std::sync::Arc;
 
 use super::calibrate::Block;
-use super::decompose::{CLEAR_OF_ZERO_SD, DecomposeSettings, Decomposer};
+use super::decompose::{DecomposeSettings, Decomposer};
+use super::rules::CLEAR_OF_ZERO_SD;
 use super::sensor_model::{ChannelModel, ModelError};
 
 pub use candidates::Candidate;
@@ -201,7 +203,6 @@ impl Lockstep {
             limits: &mut self.limits,
             plain: &mut self.plain,
             left_to_plain: &mut self.left_to_plain,
-            drops: mode != Mode::Refined,
             is_refined: mode == Mode::Refined,
         }
     }
@@ -236,13 +237,7 @@ impl Lockstep {
             return false;
         }
         let fwhm = self.model.fwhm_samples() as f32;
-        let overlaps = scene.cluster_end(0, fwhm) > 1
-            || (1..scene.pulses().len()).any(|i| scene.overlap(i - 1, i, fwhm));
-        let free = scene.samples as f64 - 3.0 * scene.pulses().len() as f64;
-        let excess: f64 = (scene.pulses().iter())
-            .map(|p| self.limits.allowance.expected_excess(p.position().into(), p.height().into(), samples))
-            .sum();
-        let expected = free.max(1.0) + excess;
-        overlaps || (f64::from(scene.chi_square) - expected) / (2.0 * expected).sqrt() > DEVIANT
+        let overlaps = (1..scene.pulses().len()).any(|i| scene.overlap(i - 1, i, fwhm));
+        overlaps || self.limits.outcome(scene, samples).deviation_ratio() > DEVIANT
     }
 }

@@ -2,9 +2,8 @@
 
 use super::Decomposer;
 use crate::kernels::gauss_fit::Pulse;
+use crate::kernels::rules::TOLD_WIDTHS;
 
-/// What is seen of a candidate's strength is told from what stronger ones leave there from so many widths on.
-const TOLD_WIDTHS: f64 = 1.5;
 impl Decomposer {
     /// What the response's errors add to chi-square on average.
     pub(super) fn expected_excess(&self) -> f64 {

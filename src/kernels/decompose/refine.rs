@@ -4,17 +4,10 @@ use super::scene::Found;
 use super::{Counts, Decomposer};
 use crate::kernels::detect::Candidate;
 use crate::kernels::flags;
+use crate::kernels::rules::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, SD_OF_FWHM, TRIAL_PART};
 
-/// A pulse is added when it lowers chi-square by this part of the threshold's square.
-const GAIN_PART: f64 = 0.8;
-/// Maxima of the filtered residual from this part of the threshold on are worth a trial.
-const TRIAL_PART: f64 = 0.75;
 /// Trials on one residual at most.
 const TRIALS: usize = 3;
-/// A pulse wider than this times the calibrated width may hide two.
-const HIDING_WIDTH_RATIO: f64 = 1.04;
-/// Standard deviation of a Gaussian over its full width at half maximum.
-const SD_OF_FWHM: f64 = 0.424_660_900_144_009_5;
 
 /// How the pulses of a cluster start, when one is added.
 #[derive(Clone, Copy)]
@@ -62,7 +55,7 @@ impl Decomposer {
     /// Divides the first widened pulse that two pulses tell better.
     fn split_one(&mut self) -> bool {
         let Some(gain) = self.settings.split_evidence else { return false };
-        let starts = [0.5, 0.8, 0.2].map(Start::Apart);
+        let starts = DIVIDED_PARTS.map(Start::Apart);
         (0..self.scene.found.len()).any(|i| {
             let p = self.scene.found[i].pulse;
             if self.allowance.overdrives(p.height_dn) || !self.may_hide_two(i) {

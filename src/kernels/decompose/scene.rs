@@ -9,13 +9,10 @@ use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
+use super::DecomposeSettings;
 use super::score::Score;
-use super::{CLEAR_OF_ZERO_SD, DecomposeSettings};
+use crate::kernels::rules::{CLEAR_OF_ZERO_SD, CLUSTER_WIDTHS, LEAST_SEPARATION_WIDTHS};
 
-/// Pulses nearer than so many of their widths are fitted jointly and bear on each other.
-const CLUSTER_WIDTHS: f64 = 3.0;
-/// Nearer than so many calibrated widths, and in any case than one sample, two pulses are one.
-const LEAST_SEPARATION_WIDTHS: f64 = 0.25;
 /// Precision of a prior that holds a width in its place.
 const FROZEN: f64 = 1e8;
 /// Iterations with widths held, when pulses start from the calibrated width.

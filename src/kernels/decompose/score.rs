@@ -9,6 +9,7 @@
 //! directions show: what they would leave is a third one, of known sign, and the greater of the two figures counts.
 
 use crate::kernels::gauss_fit::Pulse;
+use crate::kernels::rules::SD_OF_FWHM;
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
@@ -22,9 +23,6 @@ const LEAST_PART: f64 = 1e-9;
 const MIXED: [[f64; 3]; 4] = [[1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, -1.0]];
 /// … and for the fourth.
 const SECOND: [[f64; 3]; 3] = [[1.0, 1.0, 0.0], [-2.0, 0.0, 0.0], [1.0, -1.0, 0.0]];
-
-/// Standard deviation of a Gaussian over its full width at half maximum.
-const SD_OF_FWHM: f64 = 0.424_660_900_144_009_5;
 
 /// Workspace of the score.
 #[derive(Debug, Clone, Default)]

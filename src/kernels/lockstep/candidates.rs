@@ -3,12 +3,8 @@
 use super::rows::{CHUNK, FRONT, Rows};
 use super::scene::MAX_PULSES;
 use super::vector::Simd;
+use crate::kernels::rules::{DIP_PART, TOLD_WIDTHS};
 
-/// Two maxima are two candidates only with a dip between them that is this part of the threshold deep: what noise makes on
-/// the back of one wide pulse is one candidate.
-const DIP_PART: f32 = 0.5;
-/// What is seen of a candidate's strength is told from what stronger ones leave there from so many widths on.
-const TOLD_WIDTHS: f32 = 1.5;
 /// Candidates of one waveform that are held; a waveform with more is left to the plain kernels.
 const MAX_CANDIDATES: usize = MAX_PULSES;
 
@@ -74,7 +70,7 @@ impl Candidates {
                 bits &= bits - 1;
                 let candidate = candidate(row, at);
                 match self.all[..self.count].last_mut() {
-                    Some(before) if !dips(row, last, at, DIP_PART * threshold) => {
+                    Some(before) if !dips(row, last, at, DIP_PART as f32 * threshold) => {
                         if candidate.statistic > before.statistic {
                             *before = candidate;
                             last = at;
@@ -118,7 +114,7 @@ impl Candidates {
             return;
         }
         self.all[..self.count].sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
-        let told = TOLD_WIDTHS * fwhm_samples;
+        let told = TOLD_WIDTHS as f32 * fwhm_samples;
         let mut kept = 0;
         for i in 0..self.count {
             let candidate = self.all[i];

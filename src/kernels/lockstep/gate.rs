@@ -12,14 +12,12 @@ use super::solve::factor;
 use super::tables::{ROW, ROW_STRIDE, Tables};
 use super::template::{Site, VECTORS, leaves_block, template, weights};
 use super::vector::{Kernel, LANES, Simd};
+use crate::kernels::rules::SD_OF_FWHM;
 
 /// The fitted values' directions and the three of a division.
 const N: usize = 6;
 /// Products of the columns with each other and with the residual.
 const PRODUCTS: usize = N * (N + 1) / 2 + N;
-
-/// Standard deviation of a Gaussian over its full width at half maximum.
-const SD_OF_FWHM: f32 = 0.424_660_9;
 
 /// Products before their sums.
 type GateSums<V> = [[V; LANES]; PRODUCTS];
@@ -155,7 +153,7 @@ fn products<S: Simd>(
 /// The two equal pulses of calibrated width that have a widened pulse's energy, centre and variance.
 fn halves(tables: &Tables, [height, position, width]: Values) -> [Site; 2] {
     let ratio = width.exp();
-    let reach = SD_OF_FWHM * tables.fwhm_samples as f32 * (ratio * ratio - 1.0).max(0.0).sqrt();
+    let reach = SD_OF_FWHM as f32 * tables.fwhm_samples as f32 * (ratio * ratio - 1.0).max(0.0).sqrt();
     let half = |position: f32| Site::of(tables, [0.5 * ratio * height, position, 0.0]);
     [half(position - reach), half(position + reach)]
 }

@@ -77,7 +77,7 @@ pub(super) struct Queues {
 }
 
 /// Whether the response may follow the height of one of the pulses.
-pub(super) fn is_strong(tables: &Tables, pulses: &[Values]) -> bool {
+fn is_strong(tables: &Tables, pulses: &[Values]) -> bool {
     pulses.iter().any(|pulse| pulse[0] > NEARLY_STRONG * tables.strong_dn())
 }
 

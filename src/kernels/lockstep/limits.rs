@@ -3,19 +3,17 @@
 use super::scene::{Pulse, Scene};
 use super::tables::BEFORE_PEAK;
 use crate::kernels::allowance::Allowance;
-use crate::kernels::decompose::DecomposeSettings;
+use crate::kernels::decompose::{Counts, DecomposeSettings, Decomposition};
 use crate::kernels::detect::Detector;
+use crate::kernels::flags;
+use crate::kernels::rules::{ECHO_SAMPLES, LEAST_SEPARATION_WIDTHS, SD_OF_FWHM};
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
-/// How far behind a pulse its echo in the filter is told, samples.
-const ECHO_SAMPLES: usize = 256;
 /// Pulses so many widths inside the block have the significance of whole ones.
 const WHOLE_WIDTHS: [f64; 2] = [2.0, 2.5];
 
-/// Standard deviation of a Gaussian over its full width at half maximum.
-const SD_OF_FWHM: f32 = 0.424_660_9;
 /// What of a pulse stands before its row may be so many standard deviations of the noise.
 const LEFT_OUT_SD: f32 = 0.5;
 
@@ -33,6 +31,8 @@ pub(super) struct Limits {
     fwhm_samples: f64,
     noise_sd_dn: f64,
     ln_width_ratio: [f64; 2],
+    /// Pulses nearer to each other than this are one, samples.
+    pub(super) least_separation: f32,
     pub(super) shape: Shape,
     /// For pulses at the ends of blocks.
     detector: Detector,
@@ -55,6 +55,7 @@ impl Limits {
             fwhm_samples: model.fwhm_samples(),
             noise_sd_dn: model.noise_sd_dn,
             ln_width_ratio: settings.width_ratio.map(f64::ln),
+            least_separation: (LEAST_SEPARATION_WIDTHS as f32 * model.fwhm_samples() as f32).max(1.0),
             shape,
             detector,
             whitener,
@@ -76,9 +77,24 @@ impl Limits {
         sigma * self.raise(scene, position, height_dn)
     }
 
+    /// What became of a waveform, but for its returns.
+    pub(super) fn outcome(&self, scene: &Scene, samples: usize) -> Decomposition<'static> {
+        let of = |p: &Pulse| self.allowance.expected_excess(p.position().into(), p.height().into(), samples);
+        Decomposition {
+            counts: Counts { np: scene.pulses().len() as u32, ..scene.counts },
+            chi_square: f64::from(scene.chi_square),
+            expected_excess: scene.pulses().iter().map(of).sum(),
+            samples: scene.samples,
+            parameters: 3 * scene.pulses().len(),
+            refined_once: scene.pulses().iter().any(|p| p.flags & flags::REFINED != 0),
+            refined_twice: scene.refined_twice,
+            ..Decomposition::default()
+        }
+    }
+
     /// Whether a row holds a pulse's rise: what it leaves out is less than the noise.
     pub(super) fn is_held(&self, pulse: &Pulse) -> bool {
-        let sd_samples = SD_OF_FWHM * self.fwhm_samples as f32 * pulse.width_ratio();
+        let sd_samples = SD_OF_FWHM as f32 * self.fwhm_samples as f32 * pulse.width_ratio();
         let left_out = (-0.5 * (BEFORE_PEAK as f32 / sd_samples).powi(2)).exp();
         pulse.height() * left_out < LEFT_OUT_SD * self.noise_sd_dn as f32
     }

@@ -8,9 +8,6 @@ use crate::kernels::decompose::{Decomposer, Decomposition, Return, truncation_fl
 use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
 
-/// Nearer than so many calibrated widths, and in any case than one sample, two pulses are one.
-pub(super) const LEAST_SEPARATION_WIDTHS: f32 = 0.25;
-
 /// The returns of many waveforms; keeps its memory from one use to the next.
 #[derive(Debug, Clone, Default)]
 pub struct Outcomes {
@@ -61,8 +58,7 @@ pub(super) struct Finish<'a> {
     pub(super) limits: &'a mut Limits,
     pub(super) plain: &'a mut Decomposer,
     pub(super) left_to_plain: &'a mut u64,
-    /// Whether pulses that do not stand up are just dropped, their neighbours not being fitted anew.
-    pub(super) drops: bool,
+    /// Whether neighbours are fitted anew where a pulse does not stand up: by the plain kernels. The fast modes just drop it.
     pub(super) is_refined: bool,
 }
 
@@ -85,24 +81,8 @@ impl Finish<'_> {
             outcomes.push(&self.plain.decompose(samples, start_phase));
             return;
         }
-        let mut outcome = Decomposition {
-            returns: &[],
-            counts: scene.counts,
-            chi_square: f64::from(scene.chi_square),
-            expected_excess: 0.0,
-            samples: scene.samples,
-            parameters: 3 * scene.pulses().len(),
-            background_offset_dn: 0.0,
-            saturated: false,
-            refined_once: scene.pulses().iter().any(|p| p.flags & flags::REFINED != 0)
-                || self.is_refined && scene.counts.n_candidates > 0,
-            refined_twice: scene.refined_twice,
-        };
-        outcome.counts.np = scene.pulses().len() as u32;
-        for pulse in scene.pulses() {
-            let [height, position, _] = pulse.values().map(f64::from);
-            outcome.expected_excess += self.limits.allowance.expected_excess(position, height, samples.len());
-        }
+        let mut outcome = self.limits.outcome(scene, samples.len());
+        outcome.refined_once |= self.is_refined && scene.counts.n_candidates > 0;
         let first = outcomes.returns.len();
         let deviation_ratio = outcome.deviation_ratio();
         let fwhm_samples = self.model.fwhm_samples();
@@ -135,17 +115,17 @@ impl Finish<'_> {
     }
 
     fn stands(&mut self, scene: &Scene, samples: usize) -> bool {
-        let least = (LEAST_SEPARATION_WIDTHS * self.model.fwhm_samples() as f32).max(1.0);
+        let least = self.limits.least_separation;
         let apart = scene.pulses().windows(2).all(|pair| pair[1].position() - pair[0].position() >= least);
         apart && (0..scene.pulses().len()).all(|i| self.limits.is_return(scene, &scene.pulses()[i], samples))
     }
 
     /// Drops what does not stand up, where neighbours need not be fitted anew.
     fn drop(&mut self, scene: &mut Scene, samples: usize) -> bool {
-        if !self.drops {
+        if self.is_refined {
             return false;
         }
-        let least = (LEAST_SEPARATION_WIDTHS * self.model.fwhm_samples() as f32).max(1.0);
+        let least = self.limits.least_separation;
         let mut i = 0;
         while i < scene.pulses().len() {
             let near = i > 0 && scene.pulses()[i].position() - scene.pulses()[i - 1].position() < least;

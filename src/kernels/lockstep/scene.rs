@@ -4,9 +4,8 @@ use std::ops::Range;
 
 use super::fit::Values;
 use crate::kernels::decompose::Counts;
+use crate::kernels::rules::CLUSTER_WIDTHS;
 
-/// Pulses nearer than so many of their widths are fitted jointly and bear on each other.
-pub(super) const CLUSTER_WIDTHS: f32 = 3.0;
 /// Pulses of one waveform that the fast kernels hold; waveforms with more are decomposed by the plain ones.
 pub(super) const MAX_PULSES: usize = 8;
 /// Pulses that the fast kernels fit jointly.
@@ -206,5 +205,5 @@ impl Scene {
 }
 
 fn reach(pulse: &Pulse, fwhm_samples: f32) -> f32 {
-    CLUSTER_WIDTHS * fwhm_samples * pulse.width_ratio().max(1.0)
+    CLUSTER_WIDTHS as f32 * fwhm_samples * pulse.width_ratio().max(1.0)
 }

@@ -6,28 +6,16 @@ use super::batch::{ChiSquares, Decompose, Search, Workspace};
 use super::candidates::{Candidate, Candidates};
 use super::gate::Scores;
 use super::jobs::add;
-use super::outcome::LEAST_SEPARATION_WIDTHS;
 use super::rows::BATCH;
 use super::scene::{MAX_CLUSTER, Pulse, Scene, Way};
 use super::tables::U_MAX;
 use crate::kernels::flags;
+use crate::kernels::rules::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, SD_OF_FWHM, TRIAL_PART};
 
-/// A pulse is added when it lowers chi-square by this part of the threshold's square.
-const GAIN_PART: f64 = 0.8;
-/// Maxima of the filtered residual from this part of the threshold on are worth a trial.
-const TRIAL_PART: f32 = 0.75;
 /// Rounds of adding; a waveform that still changes is left to the plain kernels.
 const ROUNDS: usize = 4;
-/// A pulse wider than this times the calibrated width may hide two.
-const HIDING_WIDTH_RATIO: f32 = 1.04;
 /// A trial whose fit came to no end is open where it is so near to the gain that is asked for.
 const OPEN_GAIN: f32 = 4.0;
-/// Standard deviation of a Gaussian over its full width at half maximum.
-const SD_OF_FWHM: f32 = 0.424_660_9;
-/// Part of the energy that the first of two pulses starts with, where they are taken to be equal, and that of the stronger
-/// one else.
-const EQUAL: f32 = 0.5;
-const STRONGER: f32 = 0.8;
 
 /// A cluster that may take the place of another.
 #[derive(Clone, Copy)]
@@ -127,7 +115,7 @@ impl Decompose<'_> {
 
     /// The candidates in what the pulses leave of each active waveform.
     fn search(&mut self) {
-        let least = TRIAL_PART * self.limits.least_sigma as f32;
+        let least = TRIAL_PART as f32 * self.limits.least_sigma as f32;
         let Workspace { rows, active, candidates, .. } = &mut *self.work;
         self.on.run(Search { tables: self.tables, rows, which: active, threshold: least, out: candidates });
     }
@@ -153,7 +141,7 @@ impl Decompose<'_> {
 
     /// The two candidates that stand highest over their thresholds, where these are worth a trial.
     fn greatest(&self, scene: &Scene, found: &Candidates) -> [Option<Candidate>; 2] {
-        let least = f64::from(TRIAL_PART) * self.limits.least_sigma;
+        let least = TRIAL_PART * self.limits.least_sigma;
         let mut best: [(f64, Option<Candidate>); 2] = [(least, None); 2];
         for candidate in found.as_slice() {
             let raise = self.limits.raise(scene, candidate.position_samples, f32::INFINITY);
@@ -183,9 +171,12 @@ impl Decompose<'_> {
         let nearest = old.clone().min_by(|i, j| distance(i).total_cmp(&distance(j)));
         let Some(nearest) = nearest else { return };
         let ratio = scene.pulses()[nearest].width_ratio();
-        if distance(&nearest) < 1.5 * self.fwhm() * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO {
-            let change =
-                if is_likely { Change::Divide(nearest, EQUAL) } else { Change::AddToNarrow(added, nearest) };
+        if distance(&nearest) < 1.5 * self.fwhm() * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO as f32 {
+            let change = if is_likely {
+                Change::Divide(nearest, DIVIDED_PARTS[0] as f32)
+            } else {
+                Change::AddToNarrow(added, nearest)
+            };
             self.plan(row, &scene, old, change, gain, is_part);
         }
     }
@@ -202,7 +193,9 @@ impl Decompose<'_> {
             }
             for (number, pulse) in scene.pulses().iter().enumerate() {
                 let height = f64::from(pulse.height());
-                if pulse.width_ratio() > HIDING_WIDTH_RATIO && !self.limits.allowance.overdrives(height) {
+                if pulse.width_ratio() > HIDING_WIDTH_RATIO as f32
+                    && !self.limits.allowance.overdrives(height)
+                {
                     self.work.suspects.push((row, pulse.values()));
                     self.work.suspect_numbers.push(number);
                 }
@@ -210,12 +203,13 @@ impl Decompose<'_> {
         }
         let Workspace { rows, suspects, scores, .. } = &mut *self.work;
         self.on.run(Scores { tables: self.tables, rows, pulses: suspects, out: scores });
+        let [equal, stronger, weaker] = DIVIDED_PARTS.map(|part| part as f32);
         for i in 0..self.work.suspects.len() {
             let (row, _) = self.work.suspects[i];
             let (score, is_earlier) = self.work.scores[i];
             if f64::from(score) > self.settings.split_score {
-                let part = if is_earlier { STRONGER } else { 1.0 - STRONGER };
-                self.plan_division(row, self.work.suspect_numbers[i], [EQUAL, part], evidence);
+                let part = if is_earlier { stronger } else { weaker };
+                self.plan_division(row, self.work.suspect_numbers[i], [equal, part], evidence);
             }
         }
     }
@@ -340,7 +334,7 @@ impl Decompose<'_> {
                 add(on, tables, &mut work.rows, done.row, *values, -1.0);
             }
         }
-        let least = (LEAST_SEPARATION_WIDTHS * tables.fwhm_samples as f32).max(1.0);
+        let least = self.limits.least_separation;
         let which = BATCH..BATCH + trials.len();
         on.run(ChiSquares { rows: &work.rows, which, out: &mut work.squares });
         for (trial, square) in work.trials[trials].iter_mut().zip(&work.squares) {
@@ -418,7 +412,7 @@ fn divided(pulse: &Pulse, part: f32, fwhm_samples: f32) -> [Pulse; 2] {
     let [height, centre, _] = pulse.values();
     let ratio = pulse.width_ratio();
     let separation =
-        SD_OF_FWHM * fwhm_samples * ((ratio * ratio - 1.0) / (part * (1.0 - part))).max(0.0).sqrt();
+        SD_OF_FWHM as f32 * fwhm_samples * ((ratio * ratio - 1.0) / (part * (1.0 - part))).max(0.0).sqrt();
     let energy = ratio * height;
     let flags = pulse.flags | flags::SPLIT;
     let of = |part: f32, position: f32| Pulse::new([part * energy, position, 0.0]).flagged(flags);
