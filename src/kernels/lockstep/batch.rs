@@ -2,6 +2,7 @@
 
 use super::Mode;
 use super::candidates::Candidates;
+use super::columns::Columns;
 use super::fit::{Job, Values};
 use super::jobs::{Done, Queues, add};
 use super::limits::Limits;
@@ -18,6 +19,7 @@ use crate::kernels::flags;
 /// What a thread keeps from batch to batch.
 pub(super) struct Workspace {
     pub(super) rows: Rows,
+    pub(super) columns: Columns,
     pub(super) scenes: Vec<Scene>,
     pub(super) queues: Queues,
     pub(super) done: Vec<Done>,
@@ -42,12 +44,15 @@ impl Workspace {
         let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0).min(MAX_SAMPLES);
         if longest > self.rows.capacity() {
             self.rows = Rows::new(longest);
+            self.columns = Columns::new(self.rows.capacity());
         }
     }
 
     pub(super) fn new(samples: usize) -> Workspace {
+        let rows = Rows::new(samples);
         Workspace {
-            rows: Rows::new(samples),
+            columns: Columns::new(rows.capacity()),
+            rows,
             scenes: Vec::with_capacity(BATCH),
             queues: Queues::default(),
             done: Vec::with_capacity(BATCH),
@@ -110,8 +115,8 @@ impl Decompose<'_> {
     /// Loads, filters and whitens all blocks, and starts a scene for each with its candidates.
     fn detect(&mut self) {
         let threshold = self.limits.least_sigma as f32;
-        let Workspace { rows, candidates, scenes, .. } = &mut *self.work;
-        self.on.run(Detect { tables: self.tables, rows, blocks: self.blocks, threshold, out: candidates });
+        let Workspace { rows, columns, candidates: out, scenes, .. } = &mut *self.work;
+        self.on.run(Detect { tables: self.tables, rows, columns, blocks: self.blocks, threshold, out });
         scenes.resize_with(self.blocks.len(), Scene::default);
         for i in 0..self.blocks.len() {
             let found = &mut self.work.candidates[i];
@@ -345,6 +350,7 @@ impl Decompose<'_> {
 pub(super) struct Detect<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a mut Rows,
+    pub(super) columns: &'a mut Columns,
     pub(super) blocks: &'a [Block<'a>],
     pub(super) threshold: f32,
     pub(super) out: &'a mut Vec<Candidates>,
@@ -355,7 +361,7 @@ impl Kernel for Detect<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let Detect { tables, rows, threshold, out, .. } = self;
+        let Detect { tables, rows, columns, threshold, out, .. } = self;
         // In place: what is written value by value and read at once as a whole is slow.
         out.resize_with(self.blocks.len(), Candidates::default);
         let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
@@ -364,13 +370,13 @@ impl Kernel for Detect<'_> {
             for (samples, block) in samples.iter_mut().zip(blocks) {
                 *samples = block.samples;
             }
-            let samples = &samples[..blocks.len()];
-            rows.load(s, tables, samples);
-            rows.filter(s, tables, samples.len());
-            rows.whiten(s, tables, samples.len(), group * LANES);
-            for (lane, (samples, found)) in samples.iter().zip(out).enumerate() {
-                found.find(s, rows, lane, samples.len().min(rows.capacity()), threshold);
-                found.find_extremes(samples);
+            let extremes = columns.load(s, tables, &samples[..blocks.len()]);
+            columns.whiten(s, tables, rows, group * LANES, blocks.len());
+            columns.filter_samples(s, tables);
+            columns.mark_maxima(s, threshold);
+            for (lane, (extremes, found)) in extremes.into_iter().zip(out).enumerate() {
+                found.find(s, columns, lane, threshold);
+                found.extremes = extremes;
             }
         }
     }
@@ -379,7 +385,8 @@ impl Kernel for Detect<'_> {
 /// The candidates in what the pulses of some waveforms leave.
 pub(super) struct Search<'a> {
     pub(super) tables: &'a Tables,
-    pub(super) rows: &'a mut Rows,
+    pub(super) rows: &'a Rows,
+    pub(super) columns: &'a mut Columns,
     pub(super) which: &'a [usize],
     pub(super) threshold: f32,
     pub(super) out: &'a mut Vec<Candidates>,
@@ -390,10 +397,17 @@ impl Kernel for Search<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        self.out.resize_with(self.which.len(), Candidates::default);
-        for (&row, found) in self.which.iter().zip(self.out) {
-            self.rows.filter_residual(s, self.tables, row);
-            found.find(s, self.rows, 0, self.rows.length(row), self.threshold);
+        let Search { tables, rows, columns, threshold, out, .. } = self;
+        out.resize_with(self.which.len(), Candidates::default);
+        for (which, out) in self.which.chunks(LANES).zip(out.chunks_mut(LANES)) {
+            let mut lanes = [which[0]; LANES];
+            lanes[..which.len()].copy_from_slice(which);
+            columns.load_residuals(s, rows, &lanes);
+            columns.filter_residuals(s, tables);
+            columns.mark_maxima(s, threshold);
+            for (lane, found) in out.iter_mut().enumerate() {
+                found.find(s, columns, lane, threshold);
+            }
         }
     }
 }

@@ -1,6 +1,8 @@
 //! Detection: local maxima of the matched filter, and which of them may be pulses.
 
-use super::rows::{CHUNK, FRONT, Rows};
+use std::ops::Range;
+
+use super::columns::Columns;
 use super::scene::MAX_PULSES;
 use super::vector::Simd;
 use crate::kernels::rules::{DIP_PART, TOLD_WIDTHS};
@@ -30,6 +32,17 @@ pub(super) struct Candidates {
     pub(super) extremes: [u16; 2],
 }
 
+impl Candidate {
+    /// The maximum of a lane at a position.
+    #[inline(always)]
+    fn at(columns: &Columns, lane: usize, position: usize) -> Candidate {
+        let [left, centre, right] = columns.around(lane, position);
+        let bend = left - 2.0 * centre + right;
+        let shift = if bend < 0.0 { (0.5 * (left - right) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+        Candidate { position_samples: position as f32 + shift, statistic: centre }
+    }
+}
+
 impl Default for Candidates {
     fn default() -> Candidates {
         Candidates::none()
@@ -42,35 +55,23 @@ impl Candidates {
         Candidates { all, count: 0, found: 0, too_many: false, extremes: [u16::MAX, 0] }
     }
 
-    /// Takes the extremes of a block's samples.
-    #[inline(always)]
-    pub(super) fn find_extremes(&mut self, samples: &[u16]) {
-        let (mut lowest, mut highest) = (u16::MAX, 0);
-        for &sample in samples {
-            (lowest, highest) = (lowest.min(sample), highest.max(sample));
-        }
-        self.extremes = [lowest, highest];
-    }
-
     pub(super) fn as_slice(&self) -> &[Candidate] {
         &self.all[..self.count]
     }
 
-    /// Takes the maxima of a row of statistics, from left to right, those without a dip between them being one.
+    /// Takes the maxima of a lane, from left to right, those without a dip between them being one.
     #[inline(always)]
-    pub(super) fn find<S: Simd>(&mut self, s: S, rows: &Rows, lane: usize, samples: usize, threshold: f32) {
+    pub(super) fn find<S: Simd>(&mut self, s: S, columns: &Columns, lane: usize, threshold: f32) {
         (self.count, self.found, self.too_many) = (0, 0, false);
-        let row = rows.statistic_row(lane);
-        let limit = s.splat(threshold);
+        let depth = DIP_PART as f32 * threshold;
         let mut last = 0;
-        for c in (0..samples).step_by(CHUNK) {
-            let mut bits = rows.maxima(s, lane, c, limit);
+        for (from, mut bits) in columns.maxima(s, lane) {
             while bits != 0 {
-                let at = FRONT + c + bits.trailing_zeros() as usize;
+                let at = from + bits.trailing_zeros() as usize;
                 bits &= bits - 1;
-                let candidate = candidate(row, at);
+                let candidate = Candidate::at(columns, lane, at);
                 match self.all[..self.count].last_mut() {
-                    Some(before) if !dips(row, last, at, DIP_PART as f32 * threshold) => {
+                    Some(before) if !dips(columns, lane, last..at, depth) => {
                         if candidate.statistic > before.statistic {
                             *before = candidate;
                             last = at;
@@ -142,20 +143,8 @@ fn interpolated(echo: &[f32], lag: f32) -> f32 {
 
 /// Whether the statistic between two maxima falls so far below the lower one.
 #[inline(always)]
-fn dips(row: &[f32], from: usize, to: usize, depth: f32) -> bool {
-    let between = row.get(from..=to).unwrap_or_default();
-    let lowest = between.iter().fold(f32::INFINITY, |a, &b| a.min(b));
-    let lower = row.get(from).copied().unwrap_or(0.0).min(row.get(to).copied().unwrap_or(0.0));
-    lower - lowest >= depth
-}
-
-#[inline(always)]
-pub(super) fn candidate(row: &[f32], at: usize) -> Candidate {
-    let [left, centre, right] = match row.get(at - 1..) {
-        Some(from) => *from.first_chunk().unwrap_or(&[0.0; 3]),
-        None => [0.0; 3],
-    };
-    let bend = left - 2.0 * centre + right;
-    let shift = if bend < 0.0 { (0.5 * (left - right) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-    Candidate { position_samples: (at - FRONT) as f32 + shift, statistic: centre }
+fn dips(columns: &Columns, lane: usize, maxima: Range<usize>, depth: f32) -> bool {
+    let at = |position| columns.statistic(lane, position);
+    let lowest = maxima.clone().map(at).fold(f32::INFINITY, f32::min);
+    at(maxima.start).min(at(maxima.end)) - lowest >= depth
 }

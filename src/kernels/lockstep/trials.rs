@@ -116,8 +116,8 @@ impl Decompose<'_> {
     /// The candidates in what the pulses leave of each active waveform.
     fn search(&mut self) {
         let least = TRIAL_PART as f32 * self.limits.least_sigma as f32;
-        let Workspace { rows, active, candidates, .. } = &mut *self.work;
-        self.on.run(Search { tables: self.tables, rows, which: active, threshold: least, out: candidates });
+        let Workspace { rows, columns, active: which, candidates: out, .. } = &mut *self.work;
+        self.on.run(Search { tables: self.tables, rows, columns, which, threshold: least, out });
     }
 
     /// Trials with one more pulse: at the greatest maximum of each residual at first, from what is most likely; for

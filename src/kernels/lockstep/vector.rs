@@ -49,9 +49,10 @@ pub(super) trait Simd: Copy {
     fn round(self, a: Self::V) -> Self::V;
     /// The nearest whole numbers, ties to even; magnitudes below 2²².
     fn to_i32(self, a: Self::V, to: &mut [i32; LANES]);
-    /// Sixteen values from a place in a row that is `by` (below 16) behind the one where `low` was loaded; `high` stands
-    /// behind `low`. `from` holds both: a path takes what is cheaper, and `by` is a constant where it matters.
-    fn slide(self, low: Self::V, high: Self::V, by: usize, from: &[f32; 2 * LANES]) -> Self::V;
+    /// Lane `j` of vector `i` and lane `i` of vector `j` change places.
+    fn transpose(self, of: &mut [Self::V; LANES]);
+    /// Bit `i` is bit `lane` of the `i`-th mask.
+    fn lane_bits(self, masks: &[u16; 64], lane: usize) -> u64;
     /// Lane `i` is the sum of `of[i]`'s lanes: lanes 8 apart first, then 4, 2, 1.
     fn sum_each(self, of: &[Self::V; LANES]) -> Self::V;
 }
@@ -182,7 +183,6 @@ mod tests {
                 s.round(v[9]),
                 s.round(halves),
                 s.sum_each(&v),
-                s.slide(v[0], v[1], 5, &std::array::from_fn(|i| rows[i / 16][i % 16])),
                 s.widen(&[0, 1, 2, 3, 255, 256, 4095, 65535, 8, 9, 10, 11, 12, 13, 14, 15]),
             ];
             for value in shown {
@@ -190,6 +190,15 @@ mod tests {
                 s.store(value, &mut out);
                 bits.extend(out.map(f32::to_bits));
             }
+            let mut turned = v;
+            s.transpose(&mut turned);
+            for value in turned {
+                let mut out = [0.0; LANES];
+                s.store(value, &mut out);
+                bits.extend(out.map(f32::to_bits));
+            }
+            let masks = std::array::from_fn(|i| (i * 40_503 % 65_536) as u16);
+            bits.extend([0, 7, 15].map(|lane| s.lane_bits(&masks, lane)).map(|b| (b ^ (b >> 32)) as u32));
             let mut whole = [0; LANES];
             s.to_i32(halves, &mut whole);
             bits.extend(whole.map(|i| i as u32));
@@ -202,6 +211,30 @@ mod tests {
         let plain = Path::Portable.run(Everything);
         for path in Path::ALL.into_iter().filter(|path| path.is_available()) {
             assert_eq!(path.run(Everything), plain, "{path:?}");
+        }
+    }
+
+    #[test]
+    fn rows_become_columns_and_bits_of_a_lane_a_word() {
+        struct Turn;
+        impl Kernel for Turn {
+            type Output = (Vec<Sixteen>, u64);
+            fn run<S: Simd>(self, s: S) -> (Vec<Sixteen>, u64) {
+                let row = |i: usize| s.load(&std::array::from_fn(|k| (16 * i + k) as f32));
+                let mut v: [S::V; LANES] = std::array::from_fn(row);
+                s.transpose(&mut v);
+                let mut out = vec![[0.0; LANES]; LANES];
+                v.iter().zip(&mut out).for_each(|(v, out)| s.store(*v, out));
+                let masks = std::array::from_fn(|i| if i % 5 == 0 { 1 << 9 } else { !(1 << 9) });
+                (out, s.lane_bits(&masks, 9))
+            }
+        }
+        for path in Path::ALL {
+            let (columns, bits) = path.run(Turn);
+            for (i, column) in columns.iter().enumerate() {
+                assert_eq!(*column, std::array::from_fn(|k| (16 * k + i) as f32), "{path:?}");
+            }
+            assert_eq!(bits, (0..64).step_by(5).fold(0, |bits, i| bits | 1u64 << i), "{path:?}");
         }
     }
 

@@ -53,6 +53,30 @@ impl Avx2 {
         unsafe { (_mm256_movemask_ps(of[0]) | (_mm256_movemask_ps(of[1]) << 8)) as u16 }
     }
 
+    /// Eight rows as eight columns.
+    #[inline(always)]
+    fn transpose_eight(self, v: [__m256; 8]) -> [__m256; 8] {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe {
+            let mut fours = v;
+            for i in 0..2 {
+                let rows = &v[4 * i..4 * i + 4];
+                let ab = [_mm256_unpacklo_ps(rows[0], rows[1]), _mm256_unpackhi_ps(rows[0], rows[1])];
+                let cd = [_mm256_unpacklo_ps(rows[2], rows[3]), _mm256_unpackhi_ps(rows[2], rows[3])];
+                for k in 0..2 {
+                    fours[4 * i + 2 * k] = _mm256_shuffle_ps::<0x44>(ab[k], cd[k]);
+                    fours[4 * i + 2 * k + 1] = _mm256_shuffle_ps::<0xee>(ab[k], cd[k]);
+                }
+            }
+            let mut out = fours;
+            for k in 0..4 {
+                out[k] = _mm256_permute2f128_ps::<0x20>(fours[k], fours[4 + k]);
+                out[k + 4] = _mm256_permute2f128_ps::<0x31>(fours[k], fours[4 + k]);
+            }
+            out
+        }
+    }
+
     /// Lane `i` is the sum of `v[i]`'s lanes, 4 apart first, then 2, 1.
     #[inline(always)]
     fn sum_eight(self, v: &mut [__m256; 8]) -> __m256 {
@@ -109,11 +133,39 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn slide(self, _: Pair, _: Pair, by: usize, from: &[f32; 2 * LANES]) -> Pair {
-        match from.get(by..).and_then(|from| from.first_chunk()) {
-            Some(from) => self.load(from),
-            None => self.splat(0.0),
+    fn transpose(self, of: &mut [Pair; LANES]) {
+        let mut parts = [[of[0][0]; 8]; 4];
+        for i in 0..8 {
+            parts[0][i] = of[i][0];
+            parts[1][i] = of[i][1];
+            parts[2][i] = of[i + 8][0];
+            parts[3][i] = of[i + 8][1];
         }
+        let (low_left, low_right) = (self.transpose_eight(parts[0]), self.transpose_eight(parts[1]));
+        let (high_left, high_right) = (self.transpose_eight(parts[2]), self.transpose_eight(parts[3]));
+        for i in 0..8 {
+            of[i] = [low_left[i], high_left[i]];
+            of[i + 8] = [low_right[i], high_right[i]];
+        }
+    }
+    #[inline(always)]
+    fn lane_bits(self, masks: &[u16; 64], lane: usize) -> u64 {
+        let mut bits = 0;
+        for (part, masks) in masks.as_chunks::<32>().0.iter().enumerate() {
+            let (low, high) = masks.split_at(16);
+            // SAFETY: `self` exists, so the processor has the instructions; each half covers the 32 bytes that are read,
+            // at any alignment.
+            unsafe {
+                let bit = _mm256_set1_epi16(1i16 << (lane & 15));
+                let low = _mm256_and_si256(_mm256_loadu_si256(low.as_ptr().cast()), bit);
+                let high = _mm256_and_si256(_mm256_loadu_si256(high.as_ptr().cast()), bit);
+                let (low, high) = (_mm256_cmpeq_epi16(low, bit), _mm256_cmpeq_epi16(high, bit));
+                // Packing works on quarters: the middle two change places.
+                let packed = _mm256_permute4x64_epi64::<0xd8>(_mm256_packs_epi16(low, high));
+                bits |= u64::from(_mm256_movemask_epi8(packed) as u32) << (32 * part);
+            }
+        }
+        bits
     }
     #[inline(always)]
     fn widen(self, from: &[u16; LANES]) -> Pair {

@@ -76,20 +76,45 @@ impl Simd for Avx512 {
         unsafe { _mm512_storeu_ps(to.as_mut_ptr(), value) }
     }
     #[inline(always)]
-    fn slide(self, low: __m512, high: __m512, by: usize, _: &[f32; 2 * LANES]) -> __m512 {
-        macro_rules! slide {
-            ($($n:literal)*) => {
-                // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
-                unsafe {
-                    let (low, high) = (_mm512_castps_si512(low), _mm512_castps_si512(high));
-                    _mm512_castsi512_ps(match by {
-                        $($n => _mm512_alignr_epi32::<$n>(high, low),)*
-                        _ => low,
-                    })
+    fn transpose(self, of: &mut [__m512; LANES]) {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe {
+            let v = *of;
+            let mut pairs = v;
+            for i in 0..8 {
+                pairs[2 * i] = _mm512_unpacklo_ps(v[2 * i], v[2 * i + 1]);
+                pairs[2 * i + 1] = _mm512_unpackhi_ps(v[2 * i], v[2 * i + 1]);
+            }
+            // Of four rows the columns k, k + 4, k + 8 and k + 12, in the quarters of vector 4 i + k.
+            let mut fours = pairs;
+            for i in 0..4 {
+                for k in 0..2 {
+                    let (a, b) = (_mm512_castps_pd(pairs[4 * i + k]), _mm512_castps_pd(pairs[4 * i + k + 2]));
+                    fours[4 * i + 2 * k] = _mm512_castpd_ps(_mm512_unpacklo_pd(a, b));
+                    fours[4 * i + 2 * k + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(a, b));
                 }
-            };
+            }
+            for k in 0..4 {
+                let (a, b, c, d) = (fours[k], fours[4 + k], fours[8 + k], fours[12 + k]);
+                let (ab_even, ab_odd) = (_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b));
+                let (cd_even, cd_odd) = (_mm512_shuffle_f32x4::<0x88>(c, d), _mm512_shuffle_f32x4::<0xdd>(c, d));
+                of[k] = _mm512_shuffle_f32x4::<0x88>(ab_even, cd_even);
+                of[k + 4] = _mm512_shuffle_f32x4::<0x88>(ab_odd, cd_odd);
+                of[k + 8] = _mm512_shuffle_f32x4::<0xdd>(ab_even, cd_even);
+                of[k + 12] = _mm512_shuffle_f32x4::<0xdd>(ab_odd, cd_odd);
+            }
         }
-        slide!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15)
+    }
+    #[inline(always)]
+    fn lane_bits(self, masks: &[u16; 64], lane: usize) -> u64 {
+        let (low, high) = masks.split_at(32);
+        // SAFETY: as above; each half covers the 64 bytes that are read, at any alignment.
+        unsafe {
+            let bit = _mm512_set1_epi16(1i16 << (lane & 15));
+            let low = _mm512_test_epi16_mask(_mm512_loadu_si512(low.as_ptr().cast()), bit);
+            let high = _mm512_test_epi16_mask(_mm512_loadu_si512(high.as_ptr().cast()), bit);
+            u64::from(low) | u64::from(high) << 32
+        }
     }
     #[inline(always)]
     fn widen(self, from: &[u16; LANES]) -> __m512 {

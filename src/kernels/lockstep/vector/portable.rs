@@ -44,11 +44,15 @@ impl Simd for Portable {
         *to = value;
     }
     #[inline(always)]
-    fn slide(self, _: Sixteen, _: Sixteen, by: usize, from: &[f32; 2 * LANES]) -> Sixteen {
-        match from.get(by..).and_then(|from| from.first_chunk()) {
-            Some(from) => self.load(from),
-            None => self.splat(0.0),
+    fn transpose(self, of: &mut [Sixteen; LANES]) {
+        let rows = *of;
+        for (i, column) in of.iter_mut().enumerate() {
+            *column = each!(j => rows[j][i]);
         }
+    }
+    #[inline(always)]
+    fn lane_bits(self, masks: &[u16; 64], lane: usize) -> u64 {
+        masks.iter().rev().fold(0, |bits, mask| bits << 1 | u64::from(mask >> lane & 1))
     }
     #[inline(always)]
     fn widen(self, from: &[u16; LANES]) -> Sixteen {

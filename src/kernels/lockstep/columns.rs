@@ -1,0 +1,326 @@
+//! Sixteen waveforms as columns, for what is done at every sample: a row of memory is one sample number, a lane one
+//! waveform.
+//!
+//! Here whitening and the matched filter need no value twice from memory, and no shuffle. Every operation on a lane looks
+//! at that lane alone, and adds in the same order wherever the waveform stands.
+
+use super::rows::{CHUNK, Rows};
+use super::tables::{Aligned, FILTER_BEFORE, FILTER_LAGS, MAX_ORDER, TAPS, TAPS_BEFORE, Tables};
+use super::vector::{LANES, Simd, Sixteen};
+
+/// Empty rows before the first sample: what the filter reads there.
+const BEFORE: usize = 16;
+/// Empty rows behind the last sample.
+const BEHIND: usize = 32;
+/// Positions that are filtered at a time: their sums, the taps and a sample are what registers hold.
+const POSITIONS: usize = 8;
+
+/// The scratch space of one thread for sixteen waveforms.
+pub(super) struct Columns {
+    capacity: usize,
+    /// Samples without background, sample 0 at `BEFORE`.
+    samples: Aligned,
+    /// The statistic, position 0 at row 1.
+    statistic: Aligned,
+    /// What the statistic is multiplied with: 1 within a block, the edges' factors at its ends, 0 beyond.
+    gain: Aligned,
+    gain_lengths: [usize; LANES],
+    lengths: [usize; LANES],
+    longest: usize,
+    /// Rows of `samples` that may hold values.
+    filled: usize,
+    /// Lanes with a local maximum, by position.
+    masks: Vec<[u16; CHUNK]>,
+}
+
+impl Columns {
+    /// For blocks of up to `capacity` samples, a multiple of [`CHUNK`].
+    pub(super) fn new(capacity: usize) -> Columns {
+        Columns {
+            capacity,
+            samples: Aligned::zeros((BEFORE + capacity + BEHIND) * LANES),
+            statistic: Aligned::zeros((capacity + 2) * LANES),
+            gain: Aligned::zeros(capacity * LANES),
+            gain_lengths: [0; LANES],
+            lengths: [0; LANES],
+            longest: 0,
+            filled: 0,
+            masks: vec![[0; CHUNK]; capacity / CHUNK],
+        }
+    }
+
+    /// Takes up to sixteen blocks, of each at most the capacity, minus the background; missing blocks are empty. Gives the
+    /// lowest and the highest sample of each.
+    #[inline(always)]
+    pub(super) fn load<S: Simd>(&mut self, s: S, tables: &Tables, blocks: &[&[u16]]) -> [[u16; 2]; LANES] {
+        let mut of_lane: [&[u16]; LANES] = [&[]; LANES];
+        for (lane, block) in of_lane.iter_mut().zip(blocks) {
+            *lane = block.get(..self.capacity).unwrap_or(block);
+        }
+        let n = of_lane[0].len();
+        let alike = n >= LANES && of_lane.iter().all(|block| block.len() == n);
+        self.set_lengths(of_lane.map(<[u16]>::len));
+        let lengths: Sixteen = std::array::from_fn(|w| of_lane[w].len() as f32);
+        let lengths = s.load(&lengths);
+        let mut background = [s.splat(0.0); 4];
+        for (level, &value) in background.iter_mut().zip(&tables.background[0]) {
+            *level = s.splat(value);
+        }
+        let (mut lowest, mut highest) = (s.splat(f32::from(u16::MAX)), s.splat(0.0));
+        for start in (0..self.longest).step_by(LANES) {
+            // The last sixteen once more in part, rather than some with nothing behind.
+            let start = if alike { start.min(n - LANES) } else { start };
+            let mut values = [s.splat(0.0); LANES];
+            for w in 0..LANES {
+                values[w] = s.widen(&padded(of_lane[w], start));
+            }
+            s.transpose(&mut values);
+            let Some(to) = rows_from_mut::<LANES>(&mut self.samples, BEFORE + start) else { break };
+            if alike {
+                for (k, (value, to)) in values.iter().zip(to).enumerate() {
+                    lowest = s.min(lowest, *value);
+                    highest = s.max(highest, *value);
+                    s.store(s.sub(*value, background[(start + k) % 4]), to);
+                }
+                continue;
+            }
+            for (k, (value, to)) in values.iter().zip(to).enumerate() {
+                let inside = s.gt(lengths, s.splat((start + k) as f32));
+                lowest = s.min(lowest, s.select(inside, *value, lowest));
+                highest = s.max(highest, s.select(inside, *value, highest));
+                let without = s.sub(*value, background[(start + k) % 4]);
+                s.store(s.select(inside, without, s.splat(0.0)), to);
+            }
+        }
+        let (mut low, mut high): (Sixteen, Sixteen) = ([0.0; LANES], [0.0; LANES]);
+        s.store(lowest, &mut low);
+        s.store(highest, &mut high);
+        std::array::from_fn(|w| [low[w] as u16, high[w] as u16])
+    }
+
+    /// Takes the residuals of sixteen rows.
+    #[inline(always)]
+    pub(super) fn load_residuals<S: Simd>(&mut self, s: S, rows: &Rows, which: &[usize; LANES]) {
+        self.set_lengths(which.map(|row| rows.length(row)));
+        for start in (0..self.longest).step_by(LANES) {
+            let mut values = [s.splat(0.0); LANES];
+            for (value, &row) in values.iter_mut().zip(which) {
+                *value = s.load(rows.residual_sixteen(row, start));
+            }
+            s.transpose(&mut values);
+            let Some(to) = rows_from_mut::<LANES>(&mut self.samples, BEFORE + start) else { return };
+            for (value, to) in values.iter().zip(to) {
+                s.store(*value, to);
+            }
+        }
+    }
+
+    /// Empties what longer waveforms have left.
+    #[inline(always)]
+    fn set_lengths(&mut self, lengths: [usize; LANES]) {
+        self.lengths = lengths;
+        self.longest = lengths.into_iter().max().unwrap_or(0).min(self.capacity);
+        let kept = (BEFORE + self.longest) * LANES;
+        let filled = (BEFORE + self.filled) * LANES;
+        if filled > kept {
+            self.samples.as_mut_slice()[kept..filled].fill(0.0);
+        }
+        self.filled = self.longest.div_ceil(LANES) * LANES;
+    }
+
+    /// Whitens the samples into the residuals from row `first` on. The first samples, as many as the noise's order, have a
+    /// whitening of their own, in which pulses are not taken off: they count as long as no pulse reaches them.
+    #[inline(always)]
+    pub(super) fn whiten<S: Simd>(&self, s: S, tables: &Tables, rows: &mut Rows, first: usize, count: usize) {
+        for (w, &length) in self.lengths.iter().enumerate().take(count) {
+            rows.begin(first + w, length);
+        }
+        let mut taps = [s.splat(0.0); MAX_ORDER + 1];
+        for (tap, &value) in taps.iter_mut().zip(&tables.whitening) {
+            *tap = s.splat(value);
+        }
+        for start in (0..self.longest).step_by(LANES) {
+            let Some(inputs) = rows_from::<{ MAX_ORDER + LANES }>(&self.samples, BEFORE + start - MAX_ORDER) else {
+                return;
+            };
+            let mut values = [s.splat(0.0); LANES];
+            for (k, value) in values.iter_mut().enumerate() {
+                let mut sum = s.mul(taps[0], s.load(&inputs[MAX_ORDER + k]));
+                unrolled!(lag in [1 2 3 4] if MAX_ORDER + 1 => {
+                    sum = s.fma(taps[lag], s.load(&inputs[MAX_ORDER + k - lag]), sum);
+                });
+                *value = sum;
+            }
+            if start == 0 {
+                for k in 0..tables.order {
+                    let mut value = s.splat(0.0);
+                    for j in 0..=k {
+                        let part = s.mul(s.splat(tables.begin[k][j]), s.load(&inputs[MAX_ORDER + j]));
+                        value = s.add(value, part);
+                    }
+                    values[k] = value;
+                }
+            }
+            s.transpose(&mut values);
+            rows.put_residuals(s, &values, first, start, &self.lengths, count);
+        }
+        rows.end_residuals(s, first, &self.lengths, count);
+    }
+
+    /// Computes the statistic of every position of samples without background.
+    #[inline(always)]
+    pub(super) fn filter_samples<S: Simd>(&mut self, s: S, tables: &Tables) {
+        // Noise of a low order leaves the first taps empty.
+        match tables.taps.last_chunk() {
+            Some(taps) if tables.order <= MAX_ORDER / 2 => {
+                self.filter::<S, { TAPS - MAX_ORDER / 2 }, { TAPS_BEFORE - MAX_ORDER / 2 }>(s, tables, taps);
+            }
+            _ => self.filter::<S, TAPS, TAPS_BEFORE>(s, tables, &tables.taps),
+        }
+    }
+
+    /// Computes the statistic of every position of whitened residuals.
+    #[inline(always)]
+    pub(super) fn filter_residuals<S: Simd>(&mut self, s: S, tables: &Tables) {
+        self.filter::<S, FILTER_LAGS, { FILTER_BEFORE as usize }>(s, tables, &tables.matched);
+    }
+
+    /// Taps over what stands `EARLIER` samples before a position and later.
+    #[inline(always)]
+    fn filter<S: Simd, const N: usize, const EARLIER: usize>(
+        &mut self,
+        s: S,
+        tables: &Tables,
+        taps: &[f32; N],
+    ) {
+        const { assert!(EARLIER <= BEFORE && N <= 18 && N - EARLIER + POSITIONS <= BEHIND) };
+        if self.gain_lengths != self.lengths {
+            self.set_gain(tables);
+        }
+        let mut lanes = [s.splat(0.0); N];
+        for (lane, &tap) in lanes.iter_mut().zip(taps) {
+            *lane = s.splat(tap);
+        }
+        let mut at = 0;
+        while at < self.longest {
+            let Some(inputs) = rows_from::<{ 18 + POSITIONS - 1 }>(&self.samples, BEFORE + at - EARLIER) else {
+                return;
+            };
+            let sums = filtered::<S, N>(s, &lanes, inputs);
+            let gain = rows_from::<POSITIONS>(&self.gain, at);
+            let to = rows_from_mut::<POSITIONS>(&mut self.statistic, 1 + at);
+            let (Some(gain), Some(to)) = (gain, to) else { return };
+            unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
+                s.store(s.mul(sums[i], s.load(&gain[i])), &mut to[i]);
+            });
+            at += POSITIONS;
+        }
+        if let Some(behind) = self.statistic.as_mut_slice().get_mut((1 + at) * LANES..) {
+            behind.iter_mut().take(LANES).for_each(|value| *value = 0.0);
+        }
+    }
+
+    fn set_gain(&mut self, tables: &Tables) {
+        let gain = self.gain.as_mut_slice();
+        gain.fill(0.0);
+        for (w, &n) in self.lengths.iter().enumerate() {
+            for (sample, row) in gain.as_chunks_mut::<LANES>().0.iter_mut().enumerate().take(n) {
+                let mut factor = 1.0;
+                if let Some(leading) = tables.leading.get(sample) {
+                    factor *= leading;
+                }
+                if n - sample <= LANES {
+                    factor *= tables.trailing[LANES - (n - sample)];
+                }
+                row[w] = factor;
+            }
+        }
+        self.gain_lengths = self.lengths;
+    }
+
+    /// Marks the positions that are local maxima of at least the threshold.
+    #[inline(always)]
+    pub(super) fn mark_maxima<S: Simd>(&mut self, s: S, threshold: f32) {
+        let limit = s.splat(threshold);
+        let rows = self.statistic.as_slice().as_chunks::<LANES>().0;
+        let (Some(first), Some(second)) = (rows.first(), rows.get(1)) else { return };
+        let (mut before, mut here) = (s.load(first), s.load(second));
+        for (chunk, masks) in self.masks.iter_mut().enumerate().take(self.longest.div_ceil(CHUNK)) {
+            let from = chunk * CHUNK;
+            let count = (self.longest - from).min(CHUNK);
+            masks[count..].fill(0);
+            let Some(rows) = rows.get(from + 2..from + 2 + count) else { return };
+            for (mask, next) in masks.iter_mut().zip(rows) {
+                let next = s.load(next);
+                *mask = s.ge(here, s.max(limit, next)) & s.gt(here, before);
+                (before, here) = (here, next);
+            }
+        }
+    }
+
+    /// The marked positions of a lane: the first position of sixty-four, and a bit for each.
+    #[inline(always)]
+    pub(super) fn maxima<S: Simd>(&self, s: S, lane: usize) -> impl Iterator<Item = (usize, u64)> {
+        let chunks = self.masks.iter().take(self.lengths[lane].div_ceil(CHUNK)).enumerate();
+        chunks.map(move |(chunk, masks)| (chunk * CHUNK, s.lane_bits(masks, lane)))
+    }
+
+    /// The statistic of a lane at a position; 0 outside.
+    #[inline(always)]
+    pub(super) fn statistic(&self, lane: usize, position: usize) -> f32 {
+        self.statistic.as_slice().get((1 + position) * LANES + lane).copied().unwrap_or(0.0)
+    }
+
+    /// The statistic of a lane before a position, at it and behind it.
+    #[inline(always)]
+    pub(super) fn around(&self, lane: usize, position: usize) -> [f32; 3] {
+        match rows_from::<3>(&self.statistic, position) {
+            Some(rows) => rows.map(|row| row[lane]),
+            None => [0.0; 3],
+        }
+    }
+}
+
+/// Sums of the taps over eight windows, each a sample later. Every input is read once and meets the taps that it has to.
+#[inline(always)]
+fn filtered<S: Simd, const N: usize>(
+    s: S,
+    taps: &[S::V; N],
+    window: &[Sixteen; 18 + POSITIONS - 1],
+) -> [S::V; POSITIONS] {
+    let mut sums = [s.splat(0.0); POSITIONS];
+    unrolled!(m in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24] if N + POSITIONS - 1 => {
+        let value = s.load(&window[m]);
+        unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
+            if m >= i && m - i < N {
+                sums[i] = s.fma(taps[m - i], value, sums[i]);
+            }
+        });
+    });
+    sums
+}
+
+/// Consecutive rows of sixteen.
+#[inline(always)]
+fn rows_from<const N: usize>(of: &Aligned, row: usize) -> Option<&[Sixteen; N]> {
+    of.as_slice().as_chunks::<LANES>().0.get(row..)?.first_chunk()
+}
+
+#[inline(always)]
+fn rows_from_mut<const N: usize>(of: &mut Aligned, row: usize) -> Option<&mut [Sixteen; N]> {
+    of.as_mut_slice().as_chunks_mut::<LANES>().0.get_mut(row..)?.first_chunk_mut()
+}
+
+/// Sixteen samples from `start` on; zeros behind the last.
+#[inline(always)]
+fn padded(block: &[u16], start: usize) -> [u16; LANES] {
+    let rest = block.get(start..).unwrap_or_default();
+    match rest.first_chunk() {
+        Some(whole) => *whole,
+        None => {
+            let mut out = [0; LANES];
+            out[..rest.len()].copy_from_slice(rest);
+            out
+        }
+    }
+}
