@@ -70,11 +70,13 @@ impl Allowance {
     }
 
     /// Whether a pulse overdrives the receiver.
+    #[inline(always)]
     pub(super) fn overdrives(&self, height_dn: f64) -> bool {
         self.has_response && height_dn > self.overdriven_dn
     }
 
     /// The error of the response so many samples behind a pulse, as part of its height.
+    #[inline(always)]
     fn error(&self, height_dn: f64, lag_samples: f64) -> f64 {
         if self.overdrives(height_dn) {
             return self.overdriven_error;
@@ -87,6 +89,7 @@ impl Allowance {
     /// By how much the threshold at a place rises for what pulses higher than `height_dn` may leave there (an infinite
     /// height means all pulses): a factor of at least 1. Pulses are given by position and height, `per_dn` is `√E` of a
     /// pulse of height 1.
+    #[inline(always)]
     pub(super) fn raise(
         &self,
         position_samples: f64,
@@ -109,6 +112,7 @@ impl Allowance {
 
     /// `Σ (κ_k a/σ)²` of one pulse over the samples of a block, with the template error that calibration saw: what the
     /// response's error adds to chi-square on average.
+    #[inline(always)]
     pub(super) fn expected_excess(&self, position_samples: f64, height_dn: f64, samples: usize) -> f64 {
         let first = -(position_samples.round() as i64) - self.first_lag;
         let last = self.squares.len() as i64 - 1;

@@ -150,6 +150,7 @@ impl Decomposition<'_> {
     }
 
     /// `(χ² - ν)/√(2ν)` with [`Decomposition::expected_excess`] added to `ν`; 0 where no degree of freedom is left.
+    #[inline(always)]
     pub fn deviation_ratio(&self) -> f64 {
         match self.degrees_of_freedom() {
             0 => 0.0,
@@ -301,6 +302,7 @@ impl Decomposer {
 }
 
 /// Whether a block begins or ends on a pulse of this place and width, both in samples.
+#[inline(always)]
 pub(super) fn truncation_flag(position: f64, width: f64, samples: usize) -> u16 {
     let is_whole = position >= 0.7 * width && position <= samples as f64 - 1.0 - 0.25 * width;
     if is_whole { 0 } else { flags::TRUNCATED }

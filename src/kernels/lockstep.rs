@@ -68,7 +68,7 @@ pub use vector::Path;
 
 use batch::{Decompose, Detect, Workspace};
 use limits::Limits;
-use outcome::Finish;
+use outcome::{Finish, Give};
 use rows::BATCH;
 use scene::{Scene, Way};
 
@@ -179,10 +179,8 @@ impl Lockstep {
         self.run(&tables, blocks, self.mode);
         if !self.refine_when_needed {
             let mut scenes = std::mem::take(&mut self.work.scenes);
-            let mut finish = self.finish(self.mode);
-            for (block, scene) in blocks.iter().zip(&mut scenes) {
-                finish.give(block.samples, block.start_phase, scene, outcomes);
-            }
+            let on = self.path.processor();
+            on.run(Give { finish: self.finish(self.mode), blocks, scenes: &mut scenes, outcomes });
             self.work.scenes = scenes;
             return;
         }

@@ -102,6 +102,7 @@ impl Shape {
 
     /// Full width at half maximum of a pulse of width ratio 1 and of this height, samples: a receiver that compresses
     /// strong echoes makes them wider.
+    #[inline(always)]
     pub fn fwhm_samples_at(&self, height_dn: f64) -> f64 {
         match &self.family {
             Family::Gaussian { fwhm_samples } => *fwhm_samples,
@@ -160,6 +161,7 @@ impl Shape {
 
 impl ResponseShape {
     /// The nodes around a height, and the part of the second.
+    #[inline]
     fn around(&self, height_dn: f64) -> (usize, usize, f64) {
         let above = self.nodes.partition_point(|(peak_dn, _)| *peak_dn <= height_dn);
         if above == 0 || above == self.nodes.len() {

@@ -9,7 +9,7 @@ use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
 use super::start::{FromBank, OneStep, Stepped};
-use super::tables::{ROW, Tables, U_MAX};
+use super::tables::{Tables, U_MAX};
 use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
 use crate::kernels::calibrate::Block;
@@ -31,6 +31,10 @@ pub(super) struct Workspace {
     pub(super) suspect_numbers: Vec<usize>,
     pub(super) candidates: Vec<Candidates>,
     pub(super) squares: Vec<f32>,
+    /// Rows to be summed.
+    pub(super) which: Vec<usize>,
+    /// Single pulses that begin with the width bank.
+    singles: Vec<Job<1>>,
     pub(super) scores: Vec<(f32, bool)>,
     stepped: Vec<Stepped>,
 }
@@ -62,6 +66,8 @@ impl Workspace {
             suspect_numbers: Vec::with_capacity(BATCH),
             candidates: Vec::with_capacity(BATCH),
             squares: Vec::with_capacity(BATCH),
+            which: Vec::with_capacity(BATCH),
+            singles: Vec::with_capacity(BATCH),
             scores: Vec::with_capacity(BATCH),
             stepped: Vec::with_capacity(BATCH),
         }
@@ -194,9 +200,10 @@ impl Decompose<'_> {
     /// One step on each pulse, or on those that overlap no other.
     fn step_each(&mut self, separated: bool) {
         let fwhm = self.fwhm();
-        for number in 0..MAX_PULSES {
-            let mut jobs = [Job::<1> { row: 0, pulses: [[0.0; 3]] }; BATCH];
-            let mut count = 0;
+        let mut jobs = std::mem::take(&mut self.work.singles);
+        let most = self.work.scenes.iter().map(|scene| scene.pulses().len()).max().unwrap_or(0);
+        for number in 0..most {
+            jobs.clear();
             for row in 0..self.work.scenes.len() {
                 let scene = &self.work.scenes[row];
                 let pulses = scene.pulses().len();
@@ -215,11 +222,11 @@ impl Decompose<'_> {
                 if pulses > 1 {
                     add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
                 }
-                jobs[count] = Job { row, pulses: [values] };
-                count += 1;
+                jobs.push(Job { row, pulses: [values] });
             }
-            self.step_group(&mut jobs[..count], number);
+            self.step_group(&mut jobs, number);
         }
+        self.work.singles = jobs;
     }
 
     fn step_group(&mut self, jobs: &mut [Job<1>], number: usize) {
@@ -231,12 +238,12 @@ impl Decompose<'_> {
             let fitted = &stepped.fitted;
             let scene = &mut scenes[job.row];
             if !fitted.is_optimum || fitted.pulses[0][2] >= U_MAX as f32 {
-                // The tabulated matrix is that of whole rows: others are fitted.
+                // The tabulated matrix is that of whole pulses: others are fitted.
                 queues.push(tables, job.row, &job.pulses, number);
                 continue;
             }
             scene.chi_square = stepped.chi_square;
-            scene.samples = ROW;
+            scene.samples = stepped.samples;
             let pulse = &mut scene.pulses_mut()[number];
             pulse.set_values(fitted.pulses[0]);
             pulse.sds = fitted.sds[0];
@@ -250,9 +257,9 @@ impl Decompose<'_> {
     /// Fits the clusters of at least so many pulses in the waveforms that are due: the first of each waveform, then the
     /// second, and so on.
     pub(super) fn fit_clusters(&mut self, least: usize) {
+        let mut singles = std::mem::take(&mut self.work.singles);
         for number in 0..MAX_PULSES {
-            let mut singles = [Job::<1> { row: 0, pulses: [[0.0; 3]] }; BATCH];
-            let mut count = 0;
+            singles.clear();
             let mut any = false;
             for row in 0..self.work.scenes.len() {
                 let scene = &self.work.scenes[row];
@@ -264,16 +271,15 @@ impl Decompose<'_> {
                 } else if cluster.len() >= least
                     && let Some(single) = self.queue_cluster(row, cluster)
                 {
-                    singles[count] = single;
-                    count += 1;
+                    singles.push(single);
                 }
             }
             if !any {
                 break;
             }
-            let jobs = &mut singles[..count];
+            let jobs = &mut singles;
             self.on.run(FromBank { tables: self.tables, rows: &self.work.rows, jobs });
-            for job in jobs.iter() {
+            for job in &singles {
                 // The first pulse of a cluster of one: it is the one at its place.
                 let at =
                     self.work.scenes[job.row].pulses().partition_point(|p| p.position() < job.pulses[0][1]);
@@ -281,6 +287,7 @@ impl Decompose<'_> {
             }
             self.run_clusters();
         }
+        self.work.singles = singles;
     }
 
     /// Puts a cluster back on its row and in its queue; gives it back where it is one pulse that has never been fitted, and
@@ -335,13 +342,17 @@ impl Decompose<'_> {
 
     /// Chi-square of all waveforms whose pulses have been taken off.
     pub(super) fn sum_squares(&mut self) {
-        let Workspace { rows, scenes, squares, .. } = &mut *self.work;
-        self.on.run(ChiSquares { rows, which: 0..scenes.len(), out: squares });
-        for (row, (scene, square)) in scenes.iter_mut().zip(squares).enumerate() {
+        let Workspace { rows, scenes, squares, which, .. } = &mut *self.work;
+        which.clear();
+        for (row, scene) in scenes.iter().enumerate() {
             if scene.taken_off || scene.pulses().is_empty() {
-                scene.chi_square = *square;
-                scene.samples = rows.counted(row);
+                which.push(row);
             }
+        }
+        self.on.run(ChiSquares { rows, which, out: squares });
+        for (&row, square) in which.iter().zip(squares) {
+            scenes[row].chi_square = *square;
+            scenes[row].samples = rows.counted(row);
         }
     }
 }
@@ -412,10 +423,10 @@ impl Kernel for Search<'_> {
     }
 }
 
-/// Chi-square of consecutive rows.
+/// Chi-square of rows.
 pub(super) struct ChiSquares<'a> {
     pub(super) rows: &'a Rows,
-    pub(super) which: std::ops::Range<usize>,
+    pub(super) which: &'a [usize],
     pub(super) out: &'a mut Vec<f32>,
 }
 
@@ -425,13 +436,10 @@ impl Kernel for ChiSquares<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         self.out.clear();
-        for first in self.which.clone().step_by(LANES) {
+        for which in self.which.chunks(LANES) {
             let mut rows = [EMPTY; LANES];
-            for (row, which) in rows.iter_mut().zip(first..self.which.end) {
-                *row = which;
-            }
-            let count = (self.which.end - first).min(LANES);
-            self.out.extend_from_slice(&self.rows.chi_squares(s, &rows)[..count]);
+            rows[..which.len()].copy_from_slice(which);
+            self.out.extend_from_slice(&self.rows.chi_squares(s, &rows)[..which.len()]);
         }
     }
 }

@@ -64,12 +64,14 @@ impl Limits {
 
     /// By how much the threshold at a place rises for what pulses of a waveform higher than `height_dn` leave there; all
     /// pulses, where that is infinite.
+    #[inline(always)]
     pub(super) fn raise(&self, scene: &Scene, position: f32, height_dn: f32) -> f64 {
         let others = scene.pulses().iter().map(|p| (f64::from(p.position()), f64::from(p.height())));
         self.allowance.raise(f64::from(position), f64::from(height_dn), f64::from(self.per_dn), others)
     }
 
     /// The threshold at a place, raised by what pulses higher than `height_dn` leave there; another one behind all others.
+    #[inline(always)]
     pub(super) fn threshold(&self, scene: &Scene, position: f32, height_dn: f32) -> f64 {
         let mut others = scene.pulses().iter().map(Pulse::position);
         let is_last = others.clone().any(|p| p < position) && others.all(|p| p <= position);
@@ -78,6 +80,7 @@ impl Limits {
     }
 
     /// What became of a waveform, but for its returns.
+    #[inline(always)]
     pub(super) fn outcome(&self, scene: &Scene, samples: usize) -> Decomposition<'static> {
         let of = |p: &Pulse| self.allowance.expected_excess(p.position().into(), p.height().into(), samples);
         Decomposition {
@@ -101,6 +104,7 @@ impl Limits {
 
     /// Whether a fitted pulse stands up as a return: inside the block, of admissible width, and strong enough, taken with
     /// the energy it has and the calibrated width.
+    #[inline(always)]
     pub(super) fn is_return(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
         let [_, position, u] = pulse.values().map(f64::from);
         let reach = 2.0 * f64::from(pulse.sds[2]);
@@ -110,6 +114,7 @@ impl Limits {
             && self.is_significant(scene, pulse, samples)
     }
 
+    #[inline(always)]
     fn is_significant(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
         let position = f64::from(pulse.position());
         let [before, behind] = WHOLE_WIDTHS.map(|widths| widths * self.fwhm_samples);
@@ -119,6 +124,7 @@ impl Limits {
         per_dn * energy >= self.threshold(scene, pulse.position(), pulse.height())
     }
 
+    #[inline(never)]
     fn at_edge(&mut self, position: f64, samples: usize) -> f64 {
         if self.whitener.used().len() != samples {
             self.whitener.set_used(&vec![true; samples]);

@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use super::limits::Limits;
 use super::scene::{Scene, Way};
+use super::vector::{Kernel, Simd};
+use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::{Decomposer, Decomposition, Return, truncation_flag};
 use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
@@ -62,8 +64,28 @@ pub(super) struct Finish<'a> {
     pub(super) is_refined: bool,
 }
 
+/// Gives the returns of a batch. Nothing in it runs in lanes, but compiled for the path it rounds without a call.
+pub(super) struct Give<'a> {
+    pub(super) finish: Finish<'a>,
+    pub(super) blocks: &'a [Block<'a>],
+    pub(super) scenes: &'a mut [Scene],
+    pub(super) outcomes: &'a mut Outcomes,
+}
+
+impl Kernel for Give<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(mut self, _: S) {
+        for (block, scene) in self.blocks.iter().zip(self.scenes) {
+            self.finish.give(block.samples, block.start_phase, scene, self.outcomes);
+        }
+    }
+}
+
 impl Finish<'_> {
     /// Gives the returns of a waveform.
+    #[inline(always)]
     pub(super) fn give(
         &mut self,
         samples: &[u16],
@@ -114,6 +136,7 @@ impl Finish<'_> {
         outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
     }
 
+    #[inline(always)]
     fn stands(&mut self, scene: &Scene, samples: usize) -> bool {
         let least = self.limits.least_separation;
         let apart = scene.pulses().windows(2).all(|pair| pair[1].position() - pair[0].position() >= least);

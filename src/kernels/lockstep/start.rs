@@ -3,7 +3,7 @@
 use super::fit::{Fitted, Job};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
-use super::template::{Pulses, VECTORS, bounded, leaves_block, sites, template};
+use super::template::{Pulses, VECTORS, bounded, sites, template};
 use super::vector::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
@@ -42,7 +42,7 @@ impl Kernel for OneStep<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let mut sums = [[s.splat(0.0); LANES]; 4];
-        self.out.resize(self.jobs.len(), Stepped { fitted: Fitted::NOTHING, chi_square: 0.0 });
+        self.out.resize(self.jobs.len(), Stepped { fitted: Fitted::NOTHING, chi_square: 0.0, samples: 0 });
         for (jobs, out) in self.jobs.chunks(LANES).zip(self.out.chunks_mut(LANES)) {
             one_step(s, self.tables, self.rows, jobs, &mut sums, out);
         }
@@ -133,15 +133,16 @@ impl<V: Copy> Parabola<V> {
 /// Products of the step: the right side and the residual's square.
 type StepSums<V> = [[V; LANES]; 4];
 
-/// A pulse after one step, and the sum of the squared whitened residuals over its row of samples.
+/// A pulse after one step, and the sum of the squared whitened residuals over the block's samples in its row.
 #[derive(Clone, Copy)]
 pub(super) struct Stepped {
     pub(super) fitted: Fitted<1>,
     pub(super) chi_square: f32,
+    pub(super) samples: usize,
 }
 
 /// One step with the tabulated inverse Fisher matrix, whose diagonal also gives the standard deviations. Not at an optimum
-/// are pulses whose row leaves the block: the matrix is that of whole rows.
+/// are pulses that leave the block: the matrix is that of whole ones.
 #[inline(always)]
 fn one_step<S: Simd>(
     s: S,
@@ -204,11 +205,13 @@ fn one_step<S: Simd>(
     let variances = [aa, s.mul(tt, squared), s.mul(uu, squared)];
     let values = [stepped.height, stepped.position, stepped.width];
     let chi_square = s.sub(s.sum_each(&sums[3]), told);
-    let mut whole = [false; LANES];
-    for (w, whole) in whole.iter_mut().enumerate() {
-        *whole = !leaves_block(sites[w].first, ROW, tables.order, rows.length(row_of(w)));
+    give(s, values, variances, chi_square, out);
+    for (w, (stepped, site)) in out.iter_mut().zip(&sites).enumerate() {
+        let length = rows.length(row_of(w)) as i32;
+        let [from, to] = tables.needed(site.entry);
+        stepped.fitted.is_optimum = site.first + from >= tables.order as i32 && site.first + to <= length;
+        stepped.samples = ((site.first + ROW as i32).min(length) - site.first.max(0)).max(0) as usize;
     }
-    give(s, values, variances, chi_square, &whole, out);
 }
 
 #[inline(always)]
@@ -217,7 +220,6 @@ fn give<S: Simd>(
     values: [S::V; 3],
     variances: [S::V; 3],
     chi_square: S::V,
-    whole: &[bool; LANES],
     out: &mut [Stepped],
 ) {
     let (mut value, mut sd, mut square) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
@@ -232,6 +234,5 @@ fn give<S: Simd>(
     }
     for (w, stepped) in out.iter_mut().enumerate() {
         stepped.chi_square = square[w];
-        stepped.fitted.is_optimum = whole[w];
     }
 }

@@ -46,6 +46,10 @@ const BANK_STRIDE: usize = 7;
 /// Least share of a pulse's energy with which a position at the block's edge is searched.
 const LEAST_ENERGY: f64 = 0.3;
 
+/// Part of a pulse's energy that may be left out at either end of its row: at a signal-to-noise ratio of 100 a tenth of a
+/// standard deviation.
+const NEGLIGIBLE_ENERGY: f32 = 1e-6;
+
 /// Values that start on a cache line.
 pub(super) struct Aligned {
     values: Vec<f32>,
@@ -94,6 +98,8 @@ pub struct Tables {
     pub(super) bank_scale: [f32; BANK],
     /// By knot what the tail of a pulse of height 1 is multiplied with: widening lowers the peak, not the tail.
     tail_gain: [f32; KNOTS],
+    /// By knot the row's samples that hold a pulse: from one to before another.
+    needed: [[i32; 2]; KNOTS],
     /// Values of a tail, the zeros included.
     tail_stride: usize,
     pub(super) taps: [f32; TAPS],
@@ -163,6 +169,7 @@ impl Tables {
             bank: Aligned::zeros(PHASES * BANK * ROW),
             bank_scale: [0.0; BANK],
             tail_gain: [1.0; KNOTS],
+            needed: [[0, ROW as i32]; KNOTS],
             tail_stride: tail.div_ceil(LANES) * LANES + 2 * LANES,
             taps: [0.0; TAPS],
             matched: [0.0; FILTER_LAGS],
@@ -224,6 +231,12 @@ impl Tables {
         self.tail_gain.get(index / PHASES).copied().unwrap_or(1.0)
     }
 
+    /// The samples of a row that hold an entry's pulse: from one to before another.
+    #[inline(always)]
+    pub(super) fn needed(&self, index: usize) -> [i32; 2] {
+        self.needed.get(index / PHASES).copied().unwrap_or([0, ROW as i32])
+    }
+
     /// Height from which the response is not the first node's, DN; infinite with one node.
     pub(super) fn strong_dn(&self) -> f32 {
         if self.nodes.len() > 1 { self.nodes[0].peak_dn } else { f32::INFINITY }
@@ -253,6 +266,7 @@ impl Tables {
                 let fisher = fill_entry(entry, &widened, phase, filter);
                 if is_first {
                     self.inverse_fisher.push(inverse(fisher));
+                    self.needed[knot] = needed(&entry[LANES..LANES + ROW], self.needed[knot], phase == 0);
                 }
             }
         }
@@ -316,6 +330,23 @@ impl Tables {
         self.taps = taps.map(|tap| tap as f32);
         self.matched = template.map(|value| (value * norm) as f32);
     }
+}
+
+/// The samples of a row that hold its pulse, or those and others.
+fn needed(row: &[f32], others: [i32; 2], is_first: bool) -> [i32; 2] {
+    let whole: f32 = row.iter().map(|v| v * v).sum();
+    let (mut energy, mut first) = (0.0, 0);
+    while first < row.len() && energy + row[first] * row[first] <= NEGLIGIBLE_ENERGY * whole {
+        energy += row[first] * row[first];
+        first += 1;
+    }
+    let (mut energy, mut end) = (0.0, row.len());
+    while end > first && energy + row[end - 1] * row[end - 1] <= NEGLIGIBLE_ENERGY * whole {
+        end -= 1;
+        energy += row[end] * row[end];
+    }
+    let own = [first as i32, end as i32];
+    if is_first { own } else { [own[0].min(others[0]), own[1].max(others[1])] }
 }
 
 /// What exact whitening does to the first samples of a block, row by row.

@@ -335,8 +335,9 @@ impl Decompose<'_> {
             }
         }
         let least = self.limits.least_separation;
-        let which = BATCH..BATCH + trials.len();
-        on.run(ChiSquares { rows: &work.rows, which, out: &mut work.squares });
+        work.which.clear();
+        work.which.extend(BATCH..BATCH + trials.len());
+        on.run(ChiSquares { rows: &work.rows, which: &work.which, out: &mut work.squares });
         for (trial, square) in work.trials[trials].iter_mut().zip(&work.squares) {
             trial.chi_square = *square;
             if trial.has_ended {
