@@ -26,6 +26,7 @@ pub mod sensor_model;
 pub mod shape;
 pub mod templates;
 pub mod whitening;
+mod wide;
 
 #[cfg(test)]
 mod recordings;

@@ -5,6 +5,7 @@
 //! at every lag, so a threshold on it is in standard deviations of the noise. An unknown background of precision `q`
 //! is part of the noise, `S = Σ + 11ᵀ/q`, by the formula of Sherman and Morrison.
 
+use super::wide::dot;
 use std::ops::Range;
 
 use super::gauss_fit::{FOUR_LN_2, Pulse};
@@ -226,10 +227,6 @@ impl Detector {
 /// A pulse of height 1 and calibrated width.
 fn unit_pulse(position_samples: f64) -> Pulse {
     Pulse { height_dn: 1.0, position_samples, ln_width_ratio: 0.0, ln_width_precision: 0.0 }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// The part of the pulse at `lag` that lies within the block, and the sample where it starts.

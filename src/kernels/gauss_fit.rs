@@ -11,6 +11,7 @@
 use super::cholesky;
 use super::shape::{Lane, Shape};
 use super::whitening::Whitener;
+use super::wide::dot;
 
 #[cfg(test)]
 mod tests;
@@ -311,7 +312,7 @@ impl GaussFit {
         if !self.invert_normal_matrix() {
             fit.termination = Termination::Singular;
         }
-        fit.chi_square = self.residual.iter().map(|r| r * r).sum();
+        fit.chi_square = dot(&self.residual, &self.residual);
     }
 
     /// Looks for a step that lowers the objective, with more and more damping; says why, when it is the last.
@@ -356,7 +357,7 @@ impl GaussFit {
             prior += pulse.ln_width_precision * pulse.ln_width_ratio * pulse.ln_width_ratio;
         }
         whitener.whiten(&mut self.trial_residual);
-        self.trial_residual.iter().map(|r| r * r).sum::<f64>() + prior
+        dot(&self.trial_residual, &self.trial_residual) + prior
     }
 
     fn accept(&mut self, offset: f64) {
@@ -475,8 +476,4 @@ impl GaussFit {
         cholesky::invert(&self.damped[..n * n], n, &mut self.covariance[..n * n]);
         true
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }

@@ -65,6 +65,7 @@ pub use candidates::Candidate;
 pub use outcome::Outcomes;
 pub use tables::Tables;
 pub use vector::Path;
+pub(super) use vector::{Kernel, Simd};
 
 use batch::{Decompose, Detect, Workspace};
 use limits::Limits;

@@ -12,6 +12,7 @@ use std::sync::OnceLock;
 use super::fourier::{self, Complex};
 use super::response::{STEPS_PER_SAMPLE, bins, spectrum};
 use super::shape::Lane;
+use super::wide::add_rows;
 
 /// Step of the table in the width's logarithm.
 const LN_WIDTH_STEP: f64 = 0.05;
@@ -143,18 +144,16 @@ fn reach(v0: f64, u: f64) -> i64 {
 }
 
 fn accumulate(target: &mut [f64], rows: [&[f64]; 4], weights: [f64; 4], step: usize) {
+    // Without the step the loop is over neighbours.
+    if step == 1 {
+        add_rows(target, rows, weights);
+        return;
+    }
     let n = target.len().min(rows[0].len());
     let [r0, r1, r2, r3] = rows.map(|row| &row[..n]);
     let [w0, w1, w2, w3] = weights;
-    // Without the step the loop is over neighbours, sixteen at a time.
-    if step > 1 {
-        for k in (0..n).step_by(step) {
-            target[k] += w0 * r0[k] + w1 * r1[k] + w2 * r2[k] + w3 * r3[k];
-        }
-        return;
-    }
-    for (k, value) in target[..n].iter_mut().enumerate() {
-        *value += w0 * r0[k] + w1 * r1[k] + w2 * r2[k] + w3 * r3[k];
+    for k in (0..n).step_by(step) {
+        target[k] += w0 * r0[k] + w1 * r1[k] + w2 * r2[k] + w3 * r3[k];
     }
 }
 

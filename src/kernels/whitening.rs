@@ -7,6 +7,7 @@
 //! update, so the rows behind a gap are those of the covariance's exact sub-matrix.
 
 use super::noise::{ArNoise, MAX_ORDER};
+use super::wide::predict;
 
 /// One sample's row: the inverse standard deviation of its prediction error (0 for a sample left out), and how the
 /// error corrects the state.
@@ -26,13 +27,21 @@ pub struct Whitener {
     states: usize,
     used: Vec<bool>,
     rows: Vec<Row>,
+    /// From this sample on all are used, and behind as many as the order.
+    steady: usize,
 }
 
 impl Whitener {
     /// A whitener for blocks of up to `capacity` samples; a longer one makes it grow.
     pub fn new(noise: ArNoise, capacity: usize) -> Whitener {
         let states = noise.order().max(1);
-        Whitener { noise, states, used: Vec::with_capacity(capacity), rows: Vec::with_capacity(capacity) }
+        Whitener {
+            noise,
+            states,
+            used: Vec::with_capacity(capacity),
+            rows: Vec::with_capacity(capacity),
+            steady: 0,
+        }
     }
 
     /// The noise it whitens.
@@ -68,6 +77,7 @@ impl Whitener {
             self.rows.push(row);
             self.predict_covariance(&mut covariance);
         }
+        self.steady = self.rows.iter().rposition(|row| !row.is_steady).map_or(0, |last| last + 1);
         true
     }
 
@@ -95,9 +105,13 @@ impl Whitener {
             }
             next
         };
+        let steady = self.steady.max(first).max(N);
+        if let Some(row) = self.rows.get(steady) {
+            predict(values, steady, &coefficients, row.weight);
+        }
         // The last values: those of the block in the steady state, else the predictor's.
         let mut past = [0.0; N];
-        for (value, row) in values.iter_mut().zip(&self.rows).skip(first) {
+        for (value, row) in values.iter_mut().zip(&self.rows).take(steady).skip(first) {
             let next = predicted(&past);
             let error = *value - next;
             past.copy_within(..N - 1, 1);

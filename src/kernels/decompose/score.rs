@@ -12,6 +12,7 @@ use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::rules::SD_OF_FWHM;
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
+use crate::kernels::wide::dot;
 
 /// Step of the differences in the width's logarithm, and in the place in widths.
 const LN_WIDTH_STEP: f64 = 0.05;
@@ -112,8 +113,4 @@ fn add_equal_pair(shape: &Shape, pulse: Pulse, column: &mut [f64]) {
         shape.add(&half, 1.0, column);
     }
     shape.add(&pulse, -1.0, column);
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }

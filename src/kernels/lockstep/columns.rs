@@ -140,7 +140,8 @@ impl Columns {
             *tap = s.splat(value);
         }
         for start in (0..self.longest).step_by(LANES) {
-            let Some(inputs) = rows_from::<{ MAX_ORDER + LANES }>(&self.samples, BEFORE + start - MAX_ORDER) else {
+            let Some(inputs) = rows_from::<{ MAX_ORDER + LANES }>(&self.samples, BEFORE + start - MAX_ORDER)
+            else {
                 return;
             };
             let mut values = [s.splat(0.0); LANES];
@@ -203,7 +204,8 @@ impl Columns {
         }
         let mut at = 0;
         while at < self.longest {
-            let Some(inputs) = rows_from::<{ 18 + POSITIONS - 1 }>(&self.samples, BEFORE + at - EARLIER) else {
+            let Some(inputs) = rows_from::<{ 18 + POSITIONS - 1 }>(&self.samples, BEFORE + at - EARLIER)
+            else {
                 return;
             };
             let sums = filtered::<S, N>(s, &lanes, inputs);

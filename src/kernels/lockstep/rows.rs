@@ -111,7 +111,13 @@ impl Rows {
 
     /// Empties what stands behind the last sample of consecutive residuals.
     #[inline(always)]
-    pub(super) fn end_residuals<S: Simd>(&mut self, s: S, first: usize, lengths: &[usize; LANES], count: usize) {
+    pub(super) fn end_residuals<S: Simd>(
+        &mut self,
+        s: S,
+        first: usize,
+        lengths: &[usize; LANES],
+        count: usize,
+    ) {
         let rows = self.residual.as_mut_slice().get_mut(first * self.stride..).unwrap_or_default();
         for (w, row) in rows.chunks_exact_mut(self.stride).enumerate().take(count.min(LANES)) {
             put(s, s.splat(0.0), row, FRONT + lengths[w]);

@@ -215,13 +215,7 @@ fn one_step<S: Simd>(
 }
 
 #[inline(always)]
-fn give<S: Simd>(
-    s: S,
-    values: [S::V; 3],
-    variances: [S::V; 3],
-    chi_square: S::V,
-    out: &mut [Stepped],
-) {
+fn give<S: Simd>(s: S, values: [S::V; 3], variances: [S::V; 3], chi_square: S::V, out: &mut [Stepped]) {
     let (mut value, mut sd, mut square) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     s.store(chi_square, &mut square);
     for i in 0..3 {

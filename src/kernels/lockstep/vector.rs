@@ -14,12 +14,12 @@ mod portable;
 pub(super) const LANES: usize = 16;
 
 /// What a register holds, as memory.
-pub(super) type Sixteen = [f32; LANES];
+pub(in crate::kernels) type Sixteen = [f32; LANES];
 
 /// The operations of one instruction set. A value of the type is the proof that the processor has it.
 ///
 /// Masks have bit `i` for lane `i`. `min` and `max` give the second operand where either is not a number, as SSE does.
-pub(super) trait Simd: Copy {
+pub(in crate::kernels) trait Simd: Copy {
     /// Sixteen lanes.
     type V: Copy;
 
@@ -58,7 +58,7 @@ pub(super) trait Simd: Copy {
 }
 
 /// A computation that is the same on every path.
-pub(super) trait Kernel {
+pub(in crate::kernels) trait Kernel {
     type Output;
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
@@ -99,7 +99,7 @@ impl Path {
     }
 
     /// This path, or the portable one where the processor lacks it.
-    pub(super) fn processor(self) -> Processor {
+    pub(in crate::kernels) fn processor(self) -> Processor {
         match self {
             #[cfg(target_arch = "x86_64")]
             Path::Avx512 => avx512::Avx512::detect().map_or(Processor::Portable, Processor::Avx512),
@@ -118,7 +118,7 @@ impl Path {
 
 /// A path that the processor has been found to have.
 #[derive(Clone, Copy)]
-pub(super) enum Processor {
+pub(in crate::kernels) enum Processor {
     #[cfg(target_arch = "x86_64")]
     Avx512(avx512::Avx512),
     #[cfg(target_arch = "x86_64")]
@@ -128,7 +128,8 @@ pub(super) enum Processor {
 
 impl Processor {
     /// Runs a kernel in a function that is compiled for the path's instructions.
-    pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+    #[inline]
+    pub(in crate::kernels) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
             #[cfg(target_arch = "x86_64")]
             Processor::Avx512(simd) => simd.run(kernel),

@@ -1,5 +1,6 @@
 //! The linear problem: which splines tell the echoes best, in the whitened domain.
 
+use crate::kernels::wide::dot;
 use std::ops::Range;
 
 use super::Single;
@@ -252,10 +253,6 @@ fn shares(nodes: &[f64], height_dn: f64) -> Vec<(usize, f64)> {
     }
     let part = (height_dn - nodes[above - 1]) / (nodes[above] - nodes[above - 1]);
     vec![(above - 1, 1.0 - part), (above, part)]
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use super::{Kernel, LANES, Simd, Sixteen};
 
 /// Exists only where [`Avx2::detect`] has found the instructions.
 #[derive(Clone, Copy)]
-pub(in crate::kernels::lockstep) struct Avx2(());
+pub(in crate::kernels) struct Avx2(());
 
 /// Lanes 0 to 7, lanes 8 to 15.
 type Pair = [__m256; 2];

@@ -6,7 +6,7 @@ use super::{Kernel, LANES, Simd, Sixteen};
 
 /// Exists only where [`Avx512::detect`] has found the instructions.
 #[derive(Clone, Copy)]
-pub(in crate::kernels::lockstep) struct Avx512(());
+pub(in crate::kernels) struct Avx512(());
 
 impl Avx512 {
     pub(super) fn detect() -> Option<Avx512> {
@@ -96,8 +96,10 @@ impl Simd for Avx512 {
             }
             for k in 0..4 {
                 let (a, b, c, d) = (fours[k], fours[4 + k], fours[8 + k], fours[12 + k]);
-                let (ab_even, ab_odd) = (_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b));
-                let (cd_even, cd_odd) = (_mm512_shuffle_f32x4::<0x88>(c, d), _mm512_shuffle_f32x4::<0xdd>(c, d));
+                let (ab_even, ab_odd) =
+                    (_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b));
+                let (cd_even, cd_odd) =
+                    (_mm512_shuffle_f32x4::<0x88>(c, d), _mm512_shuffle_f32x4::<0xdd>(c, d));
                 of[k] = _mm512_shuffle_f32x4::<0x88>(ab_even, cd_even);
                 of[k + 4] = _mm512_shuffle_f32x4::<0x88>(ab_odd, cd_odd);
                 of[k + 8] = _mm512_shuffle_f32x4::<0xdd>(ab_even, cd_even);

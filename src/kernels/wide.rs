@@ -1,0 +1,147 @@
+//! Loops over doubles, compiled for the instructions that the processor has. The sums and their order are written out, so
+//! that they have the same bits everywhere.
+
+use super::lockstep::{Kernel, Path, Simd};
+
+/// Values that are worked on together.
+const AT_A_TIME: usize = 8;
+
+/// `Σ a b` over what both have.
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    Path::best().processor().run(Dot { a, b })
+}
+
+struct Dot<'a> {
+    a: &'a [f64],
+    b: &'a [f64],
+}
+
+impl Kernel for Dot<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> f64 {
+        let n = self.a.len().min(self.b.len());
+        let (a, a_rest) = self.a[..n].as_chunks::<AT_A_TIME>();
+        let (b, b_rest) = self.b[..n].as_chunks::<AT_A_TIME>();
+        let mut sums = [0.0; AT_A_TIME];
+        for (a, b) in a.iter().zip(b) {
+            for i in 0..AT_A_TIME {
+                sums[i] += a[i] * b[i];
+            }
+        }
+        let mut sum = 0.0;
+        for part in sums {
+            sum += part;
+        }
+        for (a, b) in a_rest.iter().zip(b_rest) {
+            sum += a * b;
+        }
+        sum
+    }
+}
+
+/// Adds four rows with their weights to a target, as far as all reach.
+pub(super) fn add_rows(target: &mut [f64], rows: [&[f64]; 4], weights: [f64; 4]) {
+    Path::best().processor().run(AddRows { target, rows, weights });
+}
+
+struct AddRows<'a> {
+    target: &'a mut [f64],
+    rows: [&'a [f64]; 4],
+    weights: [f64; 4],
+}
+
+impl Kernel for AddRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let [a, b, c, d] = self.rows;
+        let n = self.target.len().min(a.len()).min(b.len()).min(c.len()).min(d.len());
+        let (a, b, c, d) = (&a[..n], &b[..n], &c[..n], &d[..n]);
+        let [wa, wb, wc, wd] = self.weights;
+        for (k, value) in self.target[..n].iter_mut().enumerate() {
+            *value += wa * a[k] + wb * b[k] + wc * c[k] + wd * d[k];
+        }
+    }
+}
+
+/// Replaces the values from index `from` on by `weight` times their difference to what the `N` before them, the nearest
+/// first, predict; `from` is at least `N`.
+pub(super) fn predict<const N: usize>(values: &mut [f64], from: usize, coefficients: &[f64; N], weight: f64) {
+    Path::best().processor().run(Predict { values, from: from.max(N), coefficients, weight });
+}
+
+struct Predict<'a, const N: usize> {
+    values: &'a mut [f64],
+    from: usize,
+    coefficients: &'a [f64; N],
+    weight: f64,
+}
+
+impl<const N: usize> Kernel for Predict<'_, N> {
+    type Output = ();
+
+    /// From the end, so that the values before are still those that predict.
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let Predict { values, from, coefficients, weight } = self;
+        let mut end = values.len();
+        while end >= from + AT_A_TIME {
+            let start = end - AT_A_TIME;
+            let mut predicted = [0.0; AT_A_TIME];
+            for (j, coefficient) in coefficients.iter().enumerate() {
+                let before = &values[start - 1 - j..start - 1 - j + AT_A_TIME];
+                for i in 0..AT_A_TIME {
+                    predicted[i] += coefficient * before[i];
+                }
+            }
+            for (value, predicted) in values[start..end].iter_mut().zip(predicted) {
+                *value = (*value - predicted) * weight;
+            }
+            end = start;
+        }
+        while end > from {
+            end -= 1;
+            let mut predicted = 0.0;
+            for (j, coefficient) in coefficients.iter().enumerate() {
+                predicted += coefficient * values[end - 1 - j];
+            }
+            values[end] = (values[end] - predicted) * weight;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dots_and_rows_are_what_their_formulas_say() {
+        for n in [0, 3, 8, 29] {
+            let row = |k: f64| (0..n).map(|i| k + i as f64).collect::<Vec<f64>>();
+            let expected: f64 = row(1.0).iter().zip(row(2.0)).map(|(a, b)| a * b).sum();
+            assert_eq!(dot(&row(1.0), &row(2.0)), expected, "whole numbers are exact");
+            let mut target = row(0.0);
+            add_rows(&mut target, [&row(1.0), &row(2.0), &row(3.0), &row(4.0)], [1.0, 2.0, -1.0, 0.5]);
+            for (i, value) in target.iter().enumerate() {
+                assert_eq!(*value, i as f64 + 4.0 + 2.5 * i as f64);
+            }
+        }
+    }
+
+    #[test]
+    fn predictions_use_the_values_before() {
+        let values: Vec<f64> = (0..30).map(|i| f64::from(i * i % 7)).collect();
+        for from in [2, 5, 13, 29] {
+            let mut errors = values.clone();
+            predict(&mut errors, from, &[0.5, -0.25], 2.0);
+            for k in 0..30 {
+                let predicted = if k < from { 0.0 } else { 0.5 * values[k - 1] - 0.25 * values[k - 2] };
+                let expected = if k < from { values[k] } else { 2.0 * (values[k] - predicted) };
+                assert_eq!(errors[k], expected, "{from} {k}");
+            }
+        }
+    }
+}
