@@ -225,6 +225,22 @@ impl Decomposer {
         self.report(samples)
     }
 
+    /// Chi-square of a waveform once pulses that start with these values (height, position, logarithm of the width ratio) are
+    /// fitted to it, and nothing is added or taken away.
+    pub(super) fn chi_square_of(
+        &mut self,
+        samples: &[u16],
+        start_phase: u8,
+        pulses: impl Iterator<Item = [f64; 3]>,
+    ) -> f64 {
+        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
+            self.detector.prepare(self.scene.whitener());
+        }
+        self.scene.found.extend(pulses.map(|[height, position, width]| Found::new(height, position, width)));
+        self.scene.fit_all();
+        self.scene.chi_square()
+    }
+
     /// Candidates of the matched filter and of saturated plateaus become the first pulses.
     fn find_candidates(&mut self, samples: &[u16]) {
         self.detector.filter(self.scene.whitener(), self.scene.target_dn());

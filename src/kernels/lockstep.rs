@@ -189,12 +189,13 @@ impl Lockstep {
     }
 
     fn run(&mut self, tables: &Tables, blocks: &[Block<'_>], mode: Mode) {
-        let Lockstep { path, limits, settings, model, work, .. } = self;
+        let Lockstep { path, limits, plain, settings, model, work, .. } = self;
         let full_scale_dn = model.full_scale_dn;
         let lowest = model.background_dn.iter().fold(f64::INFINITY, |a, &b| a.min(b));
         let clear_of_zero = lowest >= CLEAR_OF_ZERO_SD * model.noise_sd_dn;
         let on = path.processor();
-        Decompose { on, tables, limits, settings, mode, full_scale_dn, clear_of_zero, work, blocks }.run();
+        Decompose { on, tables, limits, plain, settings, mode, full_scale_dn, clear_of_zero, work, blocks }
+            .run();
     }
 
     fn finish(&mut self, mode: Mode) -> Finish<'_> {

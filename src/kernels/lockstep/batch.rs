@@ -13,7 +13,7 @@ use super::tables::{Tables, U_MAX};
 use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
 use crate::kernels::calibrate::Block;
-use crate::kernels::decompose::{Counts, DecomposeSettings};
+use crate::kernels::decompose::{Counts, DecomposeSettings, Decomposer};
 use crate::kernels::flags;
 
 /// What a thread keeps from batch to batch.
@@ -79,6 +79,7 @@ pub(super) struct Decompose<'a> {
     pub(super) on: Processor,
     pub(super) tables: &'a Tables,
     pub(super) limits: &'a mut Limits,
+    pub(super) plain: &'a mut Decomposer,
     pub(super) settings: &'a DecomposeSettings,
     pub(super) mode: Mode,
     pub(super) full_scale_dn: f64,

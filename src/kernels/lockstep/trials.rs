@@ -51,10 +51,12 @@ impl Decompose<'_> {
     pub(super) fn search_residuals(&mut self) {
         let work = &mut *self.work;
         work.active.clear();
-        for scene in &mut work.scenes {
-            // A fit that ended at the tables' widest pulse says nothing of what one pulse could tell.
-            if scene.way == Way::Fast && scene.pulses().iter().any(|p| p.values()[2] >= U_MAX as f32) {
-                scene.give_up();
+        for (scene, block) in work.scenes.iter_mut().zip(self.blocks) {
+            // A fit that ended at the tables' widest pulse says nothing of what one pulse could tell: the plain form does.
+            if scene.way == Way::Fast && is_cut_short(scene) {
+                let pulses = scene.pulses().iter().map(|p| p.values().map(f64::from));
+                let chi_square = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
+                scene.chi_square = scene.chi_square.min(chi_square as f32);
             }
         }
         let room = 1..self.settings.max_returns;
@@ -64,7 +66,7 @@ impl Decompose<'_> {
         work.active.extend(begun.map(|(row, _)| row));
         for _ in 0..ROUNDS {
             if self.work.active.is_empty() {
-                return;
+                break;
             }
             self.start_round();
             self.search();
@@ -81,6 +83,11 @@ impl Decompose<'_> {
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
             self.work.scenes[row].give_up();
+        }
+        for scene in &mut self.work.scenes {
+            if scene.way == Way::Fast && is_cut_short(scene) {
+                scene.give_up();
+            }
         }
     }
 
@@ -377,6 +384,11 @@ impl Decompose<'_> {
         scene.refined_twice = true;
         scene.is_due = true;
     }
+}
+
+/// Whether a pulse is as wide as the tables allow, and may be wider.
+fn is_cut_short(scene: &Scene) -> bool {
+    scene.pulses().iter().any(|p| p.values()[2] >= U_MAX as f32)
 }
 
 /// What a trial makes of a cluster.
