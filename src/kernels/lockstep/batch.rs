@@ -4,7 +4,7 @@ use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::fit::{Job, Values};
-use super::jobs::{Done, Queues, add};
+use super::jobs::{Aim, Done, Queues, add};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
@@ -223,7 +223,7 @@ impl Decompose<'_> {
                 if pulses > 1 {
                     add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
                 }
-                jobs.push(Job { row, pulses: [values] });
+                jobs.push(Job { row, pulses: [values], aim: Aim::OPTIMUM });
             }
             self.step_group(&mut jobs, number);
         }
@@ -240,7 +240,7 @@ impl Decompose<'_> {
             let scene = &mut scenes[job.row];
             if !fitted.is_optimum || fitted.pulses[0][2] >= U_MAX as f32 {
                 // The tabulated matrix is that of whole pulses: others are fitted.
-                queues.push(tables, job.row, &job.pulses, number);
+                queues.push(tables, job.row, &job.pulses, Aim::OPTIMUM, number);
                 continue;
             }
             scene.chi_square = stepped.chi_square;
@@ -284,7 +284,7 @@ impl Decompose<'_> {
                 // The first pulse of a cluster of one: it is the one at its place.
                 let at =
                     self.work.scenes[job.row].pulses().partition_point(|p| p.position() < job.pulses[0][1]);
-                self.work.queues.push(self.tables, job.row, &job.pulses, at);
+                self.work.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, at);
             }
             self.run_clusters();
         }
@@ -309,9 +309,9 @@ impl Decompose<'_> {
         if let [pulse] = pulses
             && !pulse.is_fitted()
         {
-            return Some(Job { row, pulses: [pulse.values()] });
+            return Some(Job { row, pulses: [pulse.values()], aim: Aim::OPTIMUM });
         }
-        self.work.queues.push(self.tables, row, &values[..cluster.len()], cluster.start);
+        self.work.queues.push(self.tables, row, &values[..cluster.len()], Aim::OPTIMUM, cluster.start);
         None
     }
 

@@ -1,5 +1,6 @@
 //! One, two or three pulses jointly, on sixteen rows at a time: Levenberg and Marquardt's descent.
 
+use super::jobs::Aim;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::factor;
 use super::tables::{ROW, Tables};
@@ -15,11 +16,13 @@ pub(super) struct Job<const P: usize> {
     pub(super) row: usize,
     /// Start values, in order of position.
     pub(super) pulses: [Values; P],
+    pub(super) aim: Aim,
 }
 
 impl<const P: usize> Job<P> {
     /// What a lane without work does.
-    const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P] };
+    const IDLE: Job<P> =
+        Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
 }
 
 /// Fitted pulses.
@@ -32,11 +35,21 @@ pub(super) struct Fitted<const P: usize> {
     pub(super) is_optimum: bool,
     /// Whether more iterations may bring it there.
     pub(super) may_go_on: bool,
+    /// Chi-square with the priors' part, and by how much the next step promises to lower it.
+    pub(super) objective: f32,
+    pub(super) promised: f32,
 }
 
 impl<const P: usize> Fitted<P> {
     pub(super) const NOTHING: Fitted<P> =
-        Fitted { pulses: [[0.0; 3]; P], sds: [[0.0; 3]; P], is_optimum: false, may_go_on: false };
+        Fitted {
+            pulses: [[0.0; 3]; P],
+            sds: [[0.0; 3]; P],
+            is_optimum: false,
+            may_go_on: false,
+            objective: 0.0,
+            promised: 0.0,
+        };
 }
 
 /// Converged is what the next step promises to lower chi-square by less than this: the square of what is left to go, in
@@ -180,6 +193,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         let (mut active, mut inside) = (lanes, lanes);
         // The first point is taken whatever it is.
         let mut point = Point { matrix: [[zero; N]; N], side: [zero; N], objective: s.splat(f32::MAX) };
+        let mut promised = zero;
         let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
         for _ in 0..=iterations {
             let next = self.evaluate::<STRONG>(&trial, &mut inside);
@@ -190,7 +204,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             point = next.select(s, better, point);
             damping = self.next_damping(damping, better);
             let step = self.step(&point, damping);
-            let mut promised = zero;
+            promised = zero;
             for i in 0..N {
                 promised = s.fma(step[i], point.side[i], promised);
             }
@@ -208,6 +222,12 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             }
         }
         self.results(&pulses, &point, lanes & !active & inside, active & inside, out);
+        let (mut objectives, mut promises) = ([0.0; LANES], [0.0; LANES]);
+        s.store(point.objective, &mut objectives);
+        s.store(promised, &mut promises);
+        for (w, fitted) in out.iter_mut().enumerate() {
+            (fitted.objective, fitted.promised) = (objectives[w], promises[w]);
+        }
     }
 
     /// Less damping behind a step that lowered the objective, more behind one that did not. One pulse alone needs none at

@@ -1,14 +1,14 @@
 //! Fits that wait for others of their kind.
 
 use super::fit::{Fit, Fitted, Job, Values};
-use super::rows::Rows;
+use super::rows::{BATCH, Rows};
 use super::scene::MAX_CLUSTER;
 use super::tables::Tables;
 use super::template::Site;
 use super::vector::{Kernel, Processor, Simd};
 
 /// Iterations of one fit at most: most need fewer than the first number, the others go on together.
-const ITERATIONS: [usize; 3] = [3, 7, 24];
+const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
 /// Heights from this part of the one where the response begins to follow the height: they may end above.
 const NEARLY_STRONG: f32 = 0.93;
 
@@ -50,14 +50,24 @@ impl<const P: usize> Queue<P> {
     }
 
     /// Gives a fit that is done, or keeps it for more iterations.
-    fn settle(&mut self, i: usize, iterations: usize, done: &mut Vec<Done>) {
-        let (fitted, tag, row) = (self.fitted[i], self.tags[i], self.jobs[i].row);
-        if fitted.may_go_on && iterations < ITERATIONS[2] {
-            self.jobs[self.unsettled] = Job { row, pulses: fitted.pulses };
+    fn settle(&mut self, i: usize, iterations: usize, race: &Race, done: &mut Vec<Done>) {
+        let (fitted, tag, Job { row, aim, .. }) = (self.fitted[i], self.tags[i], self.jobs[i]);
+        let is_dropped = fitted.may_go_on && aim.is_out_of_reach(fitted.objective, fitted.promised, race);
+        if fitted.may_go_on && !is_dropped && iterations < ITERATIONS[3] {
+            self.jobs[self.unsettled] = Job { row, pulses: fitted.pulses, aim };
             self.tags[self.unsettled] = tag;
             self.unsettled += 1;
         } else {
-            done.push(Done::of(row, tag, &fitted));
+            done.push(Done { is_dropped, ..Done::of(row, tag, &fitted) });
+        }
+    }
+
+    /// Tells the rivals how far each fit has come.
+    fn report(&self, race: &mut Race) {
+        for (job, fitted) in self.jobs.iter().zip(&self.fitted) {
+            if let Some(best) = race.best.get_mut(job.aim.rivals) {
+                *best = best.min(fitted.objective - fitted.promised);
+            }
         }
     }
 
@@ -68,12 +78,62 @@ impl<const P: usize> Queue<P> {
     }
 }
 
+/// What a fit is made for. Chi-square here is with the priors' part.
+#[derive(Clone, Copy)]
+pub(super) struct Aim {
+    /// From this chi-square on down the fit is of use.
+    enough: f32,
+    /// The rivals that it is one of, by the waveform's row: one of them will be taken.
+    rivals: usize,
+}
+
+/// What the next step promises is taken this many times for what a fit may still gain.
+const REACH: f32 = 8.0;
+/// The same where the step promises little: near an optimum it keeps its promise.
+const NEAR_REACH: f32 = 1.5;
+/// Promises below this are little.
+const LITTLE: f32 = 4.0;
+/// A fit that cannot become better than a rival by this comes to the same optimum, or to a worse one.
+const BETTER: f32 = 0.5;
+
+impl Aim {
+    /// The optimum, whatever it is.
+    pub(super) const OPTIMUM: Aim = Aim { enough: f32::INFINITY, rivals: usize::MAX };
+
+    /// At most so large a chi-square, and less than what the other trials on the waveform come to.
+    pub(super) fn trial(enough: f32, waveform: usize) -> Aim {
+        Aim { enough, rivals: waveform }
+    }
+
+    /// Whether a fit that has come to `objective` need not go on.
+    fn is_out_of_reach(&self, objective: f32, promised: f32, race: &Race) -> bool {
+        let reach = if promised < LITTLE { NEAR_REACH } else { REACH };
+        let best = race.best.get(self.rivals).copied().unwrap_or(f32::INFINITY);
+        // The one that leads has come to `best` itself.
+        let leads = objective - promised <= best;
+        objective - REACH * promised > self.enough || (!leads && objective - reach * promised > best - BETTER)
+    }
+}
+
+/// How far the trials on each waveform have come: the least chi-square that one of them promises.
+#[derive(Clone)]
+struct Race {
+    best: Vec<f32>,
+}
+
+impl Default for Race {
+    fn default() -> Race {
+        Race { best: vec![f32::INFINITY; BATCH] }
+    }
+}
+
 /// Jobs of each size, by whether the response follows the height.
 #[derive(Clone, Default)]
 pub(super) struct Queues {
     pub(super) one: [Queue<1>; 2],
     pub(super) two: [Queue<2>; 2],
     pub(super) three: [Queue<3>; 2],
+    race: Race,
 }
 
 /// Whether the response may follow the height of one of the pulses.
@@ -87,6 +147,8 @@ pub(super) struct Done {
     pub(super) row: usize,
     pub(super) tag: usize,
     pub(super) is_optimum: bool,
+    /// Whether it was given up because it would have been of no use.
+    pub(super) is_dropped: bool,
     count: usize,
     values: [Values; MAX_CLUSTER],
     sds: [Values; MAX_CLUSTER],
@@ -105,18 +167,18 @@ impl Done {
         let (mut values, mut sds) = ([[0.0; 3]; MAX_CLUSTER], [[0.0; 3]; MAX_CLUSTER]);
         values[..P].copy_from_slice(&fitted.pulses);
         sds[..P].copy_from_slice(&fitted.sds);
-        Done { row, tag, is_optimum: fitted.is_optimum, count: P, values, sds }
+        Done { row, tag, is_optimum: fitted.is_optimum, is_dropped: false, count: P, values, sds }
     }
 }
 
 impl Queues {
     /// Puts pulses, at most three, where they belong.
-    pub(super) fn push(&mut self, tables: &Tables, row: usize, pulses: &[Values], tag: usize) {
+    pub(super) fn push(&mut self, tables: &Tables, row: usize, pulses: &[Values], aim: Aim, tag: usize) {
         let strong = usize::from(is_strong(tables, pulses));
         match *pulses {
-            [a] => self.one[strong].push(Job { row, pulses: [a] }, tag),
-            [a, b] => self.two[strong].push(Job { row, pulses: [a, b] }, tag),
-            [a, b, c] => self.three[strong].push(Job { row, pulses: [a, b, c] }, tag),
+            [a] => self.one[strong].push(Job { row, pulses: [a], aim }, tag),
+            [a, b] => self.two[strong].push(Job { row, pulses: [a, b], aim }, tag),
+            [a, b, c] => self.three[strong].push(Job { row, pulses: [a, b, c], aim }, tag),
             _ => {}
         }
     }
@@ -132,9 +194,11 @@ impl Queues {
         done: &mut Vec<Done>,
     ) {
         done.clear();
-        drain::<1, 3, 2, 10>(on, &mut self.one, tables, rows, 0.0, done);
-        drain::<2, 6, 3, 28>(on, &mut self.two, tables, rows, precision, done);
-        drain::<3, 9, 4, 55>(on, &mut self.three, tables, rows, precision, done);
+        let race = &mut self.race;
+        race.best.fill(f32::INFINITY);
+        drain::<1, 3, 2, 10>(on, &mut self.one, tables, rows, 0.0, race, done);
+        drain::<2, 6, 3, 28>(on, &mut self.two, tables, rows, precision, race, done);
+        drain::<3, 9, 4, 55>(on, &mut self.three, tables, rows, precision, race, done);
     }
 }
 
@@ -144,22 +208,25 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     tables: &Tables,
     rows: &Rows,
     precision: f32,
+    race: &mut Race,
     done: &mut Vec<Done>,
 ) {
     for iterations in ITERATIONS {
         weak.fit::<N, C, D, false>(on, tables, rows, precision, iterations);
+        weak.report(race);
         for i in 0..weak.jobs.len() {
             let (job, tag, fitted) = (weak.jobs[i], weak.tags[i], weak.fitted[i]);
             if fitted.pulses.iter().any(|pulse| pulse[0] > tables.strong_dn()) {
-                strong.push(Job { row: job.row, pulses: fitted.pulses }, tag);
+                strong.push(Job { pulses: fitted.pulses, ..job }, tag);
             } else {
-                weak.settle(i, iterations, done);
+                weak.settle(i, iterations, race, done);
             }
         }
         weak.go_on();
         strong.fit::<N, C, D, true>(on, tables, rows, precision, iterations);
+        strong.report(race);
         for i in 0..strong.jobs.len() {
-            strong.settle(i, iterations, done);
+            strong.settle(i, iterations, race, done);
         }
         strong.go_on();
     }

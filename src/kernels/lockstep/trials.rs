@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::batch::{ChiSquares, Decompose, Search, Workspace};
 use super::candidates::{Candidate, Candidates};
 use super::gate::Scores;
-use super::jobs::add;
+use super::jobs::{Aim, add};
 use super::rows::BATCH;
 use super::scene::{MAX_CLUSTER, Pulse, Scene, Way};
 use super::tables::U_MAX;
@@ -31,6 +31,8 @@ pub(super) struct Trial {
     chi_square: f32,
     /// Whether the fit came to an end at an optimum.
     has_ended: bool,
+    /// Whether it was given up: it could not have been taken.
+    is_dropped: bool,
     /// Chi-square and the priors' part: without it a narrow pulse with a wide one often tells the samples as well as the
     /// true pair does.
     objective: f32,
@@ -269,6 +271,7 @@ impl Decompose<'_> {
             count,
             is_part,
             has_ended: false,
+            is_dropped: false,
             gain,
             chi_square: f32::INFINITY,
             objective: f32::INFINITY,
@@ -306,7 +309,7 @@ impl Decompose<'_> {
             return;
         }
         let gained = |trial: &Trial| scene.chi_square - trial.chi_square - trial.gain;
-        let is_open = |trial: &Trial| !trial.has_ended && gained(trial) > -OPEN_GAIN;
+        let is_open = |trial: &Trial| !trial.has_ended && !trial.is_dropped && gained(trial) > -OPEN_GAIN;
         if trial.objective.is_finite() && gained(&trial) >= 0.0 {
             self.take_up(&trial);
         } else if self.work.trials[trials].iter().any(is_open) {
@@ -327,12 +330,14 @@ impl Decompose<'_> {
             for (values, pulse) in values.iter_mut().zip(trial.pulses()) {
                 *values = pulse.values();
             }
-            work.queues.push(tables, row, &values[..trial.count], at);
+            let aim = Aim::trial(work.scenes[trial.row].chi_square - trial.gain, trial.row);
+            work.queues.push(tables, row, &values[..trial.count], aim, at);
         }
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
         work.queues.run(on, tables, &work.rows, precision, &mut work.done);
         for done in &work.done {
             let trial = &mut work.trials[done.tag];
+            trial.is_dropped = done.is_dropped;
             trial.has_ended = done.is_optimum && done.values().iter().all(|values| values[2] < U_MAX as f32);
             for (i, (values, sds)) in done.values().iter().zip(done.sds()).enumerate() {
                 trial.pulses[i].set_values(*values);
