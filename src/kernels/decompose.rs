@@ -237,7 +237,7 @@ impl Decomposer {
             self.detector.prepare(self.scene.whitener());
         }
         self.scene.found.extend(pulses.map(|[height, position, width]| Found::new(height, position, width)));
-        self.scene.fit_all();
+        self.scene.fit_all_roughly();
         self.scene.chi_square()
     }
 

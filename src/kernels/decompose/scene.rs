@@ -243,6 +243,15 @@ impl Scene {
 
     /// Fits all pulses, cluster by cluster; again where widths and places that came out make other clusters.
     pub(super) fn fit_all(&mut self) {
+        self.fit_clusters(self.limits);
+    }
+
+    /// The same as far as chi-square is wanted.
+    pub(super) fn fit_all_roughly(&mut self) {
+        self.fit_clusters(Limits::rough(self.limits.iterations));
+    }
+
+    fn fit_clusters(&mut self, limits: Limits) {
         self.sort();
         for _ in 0..3 {
             let mut start = 0;
@@ -254,7 +263,7 @@ impl Scene {
             start = 0;
             for i in 0..self.cluster_ends.len() {
                 let end = self.cluster_ends[i];
-                self.fit_cluster(start..end, self.limits);
+                self.fit_cluster(start..end, limits);
                 start = end;
             }
             self.sort();

@@ -9,6 +9,8 @@ use super::vector::{Kernel, Processor, Simd};
 
 /// Iterations of one fit at most: most need fewer than the first number, the others go on together.
 const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
+/// Pulses farther apart than this, samples, have a frame of four vectors: three hold two pulses up to 16 apart.
+const FAR: f32 = 14.0;
 /// Heights from this part of the one where the response begins to follow the height: they may end above.
 const NEARLY_STRONG: f32 = 0.93;
 
@@ -132,6 +134,8 @@ impl Default for Race {
 pub(super) struct Queues {
     pub(super) one: [Queue<1>; 2],
     pub(super) two: [Queue<2>; 2],
+    /// Two pulses too far apart for the frame of the others.
+    far: [Queue<2>; 2],
     pub(super) three: [Queue<3>; 2],
     race: Race,
 }
@@ -177,6 +181,7 @@ impl Queues {
         let strong = usize::from(is_strong(tables, pulses));
         match *pulses {
             [a] => self.one[strong].push(Job { row, pulses: [a], aim }, tag),
+            [a, b] if b[1] - a[1] > FAR => self.far[strong].push(Job { row, pulses: [a, b], aim }, tag),
             [a, b] => self.two[strong].push(Job { row, pulses: [a, b], aim }, tag),
             [a, b, c] => self.three[strong].push(Job { row, pulses: [a, b, c], aim }, tag),
             _ => {}
@@ -198,6 +203,7 @@ impl Queues {
         race.best.fill(f32::INFINITY);
         drain::<1, 3, 2, 10>(on, &mut self.one, tables, rows, 0.0, race, done);
         drain::<2, 6, 3, 28>(on, &mut self.two, tables, rows, precision, race, done);
+        drain::<2, 6, 4, 28>(on, &mut self.far, tables, rows, precision, race, done);
         drain::<3, 9, 4, 55>(on, &mut self.three, tables, rows, precision, race, done);
     }
 }
