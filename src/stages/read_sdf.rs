@@ -362,3 +362,6 @@ impl Source for ReadSdf {
         Some(((window.now_s - window.from_s) / length_s).clamp(0.0, 1.0))
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -19,7 +19,7 @@ pub(super) struct Times {
     pub(super) offset_s: f64,
     /// The GPS week of the first shot.
     pub(super) gps_week: Option<u32>,
-    /// The day of the first shot.
+    /// The day of the first shot: (day of the year from 1, year).
     pub(super) recorded: Option<(u16, u16)>,
     /// What the user should know.
     pub(super) remark: Option<&'static str>,
@@ -67,7 +67,9 @@ impl Times {
             scale: TimeScale::Unknown,
             offset_s: 0.0,
             gps_week: week.map(|week| week as u32),
-            recorded: first.and_then(|first| day_of_year(first - ADJUSTMENT_S)),
+            recorded: first
+                .and_then(|first| day_of_year(first - ADJUSTMENT_S))
+                .map(|(year, day)| (day, year)),
             remark: None,
         }
     }
