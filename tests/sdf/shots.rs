@@ -89,7 +89,7 @@ fn an_outgoing_pulse_without_samples_is_the_moment_of_emission() {
     for (row, shot) in lines[0].iter().zip(0..) {
         let given = plain(shot, 0);
         assert_eq!(row.shot.clock_ps, given.shot.clock_ps + 12_000, "to a picosecond");
-        assert_eq!(row.blocks, [(channel::LOW_POWER, 3988.499_75, vec![2, 9, 30, 9, 2])]);
+        assert_eq!(row.blocks, [(channel::LOW_POWER, 3_988.499_75, vec![2, 9, 30, 9, 2])]);
     }
     let reader = wavex::formats::container::ContainerReader::open(&place.path("out/sdf.arrow")).unwrap();
     let said: &ContainerHeader = reader.header();

@@ -1,7 +1,7 @@
 //! What a record is: a shot, a line's end, or neither.
 
 use crate::batch::{Channel, Emission, emission_flags};
-use crate::formats::sdf::{SdfRecord, channel, record_flags};
+use crate::formats::sdf::{SdfBlock, SdfRecord, channel, record_flags};
 
 /// What a record is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,6 +79,7 @@ const LATEST_S: f64 = 9.2e6;
 /// Why a shot cannot be used, if so.
 fn wrong(record: &SdfRecord) -> Option<&'static str> {
     let length = length(record.direction);
+    let has_time = |block: &SdfBlock| block.start_s.abs() <= FARTHEST_S;
     if !record.origin_m.iter().all(|x| x.is_finite()) {
         Some("the origin is not finite")
     } else if !length.is_finite() {
@@ -93,7 +94,7 @@ fn wrong(record: &SdfRecord) -> Option<&'static str> {
         Some("the clock is beyond 106 days")
     } else if record.blocks.iter().any(|block| channel_of(block.channel).is_none()) {
         Some("a block of an unknown channel")
-    } else if record.blocks.iter().any(|block| !(block.start_s.abs() <= FARTHEST_S)) {
+    } else if !record.blocks.iter().all(has_time) {
         Some("a block without a time")
     } else {
         None
@@ -143,7 +144,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn record(flags: u16, direction: [f64; 3], blocks: usize) -> SdfRecord {
-        let mut record = SdfRecord { flags, direction, ..SdfRecord::default() };
+        let mut record = SdfRecord::default();
+        (record.flags, record.direction) = (flags, direction);
         (0..blocks).for_each(|_| record.push(channel::LOW_POWER, 1e-6, &[1, 2, 3]));
         record
     }
