@@ -21,11 +21,10 @@ use time::Times;
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots);
 
-/// Reads recorded waveforms from RIEGL's SDF (and WFM) files, through RIEGL's own library.
+/// Reads RIEGL's SDF and WFM files through RIEGL's own library; no real SDF file has been read with it yet.
 ///
-/// **No real SDF file has been read with this stage**: none could be had. It follows RIEGL's public interface, and is
-/// tested against a library of our own with the same thirteen functions. If you own such a file, please try, and tell us
-/// what happens.
+/// None could be had. The stage follows RIEGL's public interface, and is tested against a library of our own with the
+/// same thirteen functions. If you own an SDF or WFM file, please try it, and tell us what happens.
 ///
 /// The layout of SDF is not public. RIEGL's Waveform Extraction Library (RiWAVELib) reads it; owners of a RIEGL instrument
 /// get it from RIEGL, and wavex may not ship it. It is loaded at run time: `sdfifc` for `.sdf`, `wfmifc-mt` for `.wfm`,
