@@ -39,7 +39,7 @@ pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots
 /// millionth of a nanosecond. A reference block without samples (`.wfm`) carries the time of emission: it becomes the
 /// shot's clock, and the other blocks count from it.
 ///
-/// The GPS week follows from the recording's epoch and the file's name, `YYMMDD_HHMMSS`, or the key `gps_date`. Amplitude
+/// Seconds of the week or of the day that begin anew within a recording are counted on. The GPS week follows from the recording's epoch and the file's name, `YYMMDD_HHMMSS`, or the key `gps_date`. Amplitude
 /// and range tables are taken over; where the library has none, or no licence for them, that is said in the report.
 ///
 /// Where the library wants an index that is missing, it is made, which reads the whole file and writes beside the data or
@@ -111,8 +111,12 @@ struct ReadSdf {
     reader: SdfReader,
     lines: Lines,
     window: Option<Window>,
-    /// What to add to external times, s.
+    /// What to add to external times, s; a period more each time that they begin anew.
     offset_s: f64,
+    /// After how many seconds external times begin anew, where they do.
+    period_s: Option<f64>,
+    /// The last shot's time, s; NaN before the first.
+    last_time_s: f64,
     /// Records that were read to learn about the file.
     ahead: VecDeque<SdfRecord>,
     /// The record at hand.
@@ -178,6 +182,8 @@ impl ReadSdf {
             lines: Lines::new(Arc::new(input)),
             window,
             offset_s,
+            period_s: times.period_s,
+            last_time_s: f64::NAN,
             ahead,
             record: SdfRecord::default(),
             waiting: None,
@@ -202,14 +208,14 @@ impl ReadSdf {
 
     /// The shot of the record at hand, if it is one and is wanted. What is wrong is rejected.
     fn shot(&mut self, cx: &mut Context) -> Option<Emission> {
-        let found = shot::read(&self.record, self.offset_s);
-        let emission = match found {
+        let mut emission = match shot::read(&self.record) {
             Found::Shot(emission) => emission,
             Found::Wrong(reason) => {
                 self.reject(reason, cx);
                 return None;
             }
         };
+        emission.gps_time_s = self.continuous(emission.gps_time_s);
         let Some(window) = &mut self.window else { return Some(emission) };
         let time_s = if window.is_external { emission.gps_time_s } else { self.record.time_s };
         if time_s.is_nan() {
@@ -219,6 +225,20 @@ impl ReadSdf {
         window.now_s = time_s;
         self.at_end = time_s > window.to_s;
         (window.from_s..=window.to_s).contains(&time_s).then_some(emission)
+    }
+
+    /// A time on the recording's scale, which runs on where external times begin anew.
+    fn continuous(&mut self, external_s: f64) -> f64 {
+        if let Some(period_s) = self.period_s
+            && external_s + self.offset_s < self.last_time_s - 0.5 * period_s
+        {
+            self.offset_s += period_s;
+        }
+        let time_s = external_s + self.offset_s;
+        if !time_s.is_nan() {
+            self.last_time_s = time_s;
+        }
+        time_s
     }
 
     /// Counts the blocks of a record that is no shot.

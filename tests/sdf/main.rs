@@ -17,4 +17,5 @@ mod library;
 mod made;
 mod same;
 mod shots;
+mod stand_in;
 mod times;

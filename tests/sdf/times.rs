@@ -2,7 +2,7 @@
 
 use wavex::formats::container::{ContainerHeader, ContainerReader, TimeScale};
 
-use crate::made::{NAME, Row, container, copy, header, lengths, place, plain_line, read};
+use crate::made::{NAME, Row, container, copy, header, lengths, place, plain_line, read, rows};
 use crate::support::{Place, notes, rejected};
 
 fn lines() -> Vec<Vec<Row>> {
@@ -96,6 +96,22 @@ fn an_epoch_that_is_a_date_gives_adjusted_seconds_and_a_window_counts_them() {
     assert_eq!(whole[0][0].shot.gps_time_s, Some(begins + 208_800.0));
     let (_, part) = read(&place, &format!("time_s = [{}, {}]", begins + 208_800.55, begins + 208_800.75));
     assert_eq!(clocks(&part), clocks(&given)[6..8]);
+}
+
+#[test]
+fn seconds_that_begin_anew_are_counted_on() {
+    let mut given = lines();
+    for (index, row) in given.iter_mut().flatten().enumerate() {
+        row.shot.gps_time_s = Some((604_799.0 + index as f64 / 4.0) % 604_800.0);
+    }
+    // The name is of Saturday the 3rd: the week that ends within the recording.
+    let place = Place::with(&[("250503_235959.sdf", &container(&header(), &given))]);
+    assert_eq!(place.run(&copy("").replace(NAME, "250503_235959.sdf")).err, "");
+    let times: Vec<_> =
+        rows(&place.path("out/sdf.arrow")).concat().iter().map(|row| row.shot.gps_time_s).collect();
+    let expected: Vec<_> = (0..15).map(|index| Some(604_799.0 + f64::from(index) / 4.0)).collect();
+    assert_eq!(times, expected);
+    assert_eq!(header_of(&place).gps_week, Some(2364));
 }
 
 #[test]

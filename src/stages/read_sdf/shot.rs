@@ -36,15 +36,15 @@ pub(super) enum Found {
     Wrong(&'static str),
 }
 
-/// The shot of a record; `offset_s` is what to add to its external time.
-pub(super) fn read(record: &SdfRecord, offset_s: f64) -> Found {
+/// The shot of a record; its time is external time.
+pub(super) fn read(record: &SdfRecord) -> Found {
     if let Some(reason) = wrong(record) {
         return Found::Wrong(reason);
     }
     let length = length(record.direction);
     let is_unit = (length - 1.0).abs() <= AS_GOOD_AS_UNIT;
     Found::Shot(Emission {
-        gps_time_s: record.time_external_s + offset_s,
+        gps_time_s: record.time_external_s,
         clock_ps: clock_ps(record.time_s) + zero_of(record).map_or(0, clock_ps),
         origin_m: record.origin_m,
         direction: if is_unit { record.direction } else { record.direction.map(|x| x / length) },
@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     fn the_last_shot_of_a_line_says_so_and_unknown_bits_are_left_out() {
-        let Found::Shot(shot) = read(&record(0xff0b, DOWN, 1), 0.0) else { panic!("a shot") };
+        let Found::Shot(shot) = read(&record(0xff0b, DOWN, 1)) else { panic!("a shot") };
         assert_eq!(shot.flags, 3 | emission_flags::EDGE_OF_FLIGHT_LINE);
         assert!(ends_line(&shot));
         assert_eq!((shot.mta_zone, shot.frame_scale), (None, 1.0));
@@ -201,13 +201,13 @@ mod tests {
         for (reason, change) in changes {
             let mut record = record(3, DOWN, 1);
             change(&mut record);
-            assert_eq!(read(&record, 0.0), Found::Wrong(reason));
+            assert_eq!(read(&record), Found::Wrong(reason));
         }
     }
 
     #[test]
     fn a_direction_of_few_digits_is_made_a_unit_vector() {
-        let direction_of = |z| match read(&record(3, [0.0, 0.6, z], 0), 0.0) {
+        let direction_of = |z| match read(&record(3, [0.0, 0.6, z], 0)) {
             Found::Shot(shot) => shot.direction,
             Found::Wrong(reason) => panic!("{reason}"),
         };
@@ -222,7 +222,7 @@ mod tests {
         assert_eq!(zero_of(&record), None);
         record.push(channel::REFERENCE, -2.5e-9, &[]);
         assert_eq!(zero_of(&record), Some(-2.5e-9));
-        assert!(matches!(read(&record, 0.0), Found::Shot(shot) if shot.clock_ps == 4_999_999_997_500));
+        assert!(matches!(read(&record), Found::Shot(shot) if shot.clock_ps == 4_999_999_997_500));
     }
 
     proptest! {

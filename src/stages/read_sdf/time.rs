@@ -17,6 +17,8 @@ pub(super) struct Times {
     pub(super) scale: TimeScale,
     /// What to add to an external time, s.
     pub(super) offset_s: f64,
+    /// After how many seconds external times begin anew, where they do.
+    pub(super) period_s: Option<f64>,
     /// The GPS week of the first shot.
     pub(super) gps_week: Option<u32>,
     /// The day of the first shot: (day of the year from 1, year).
@@ -50,15 +52,20 @@ impl Times {
     fn periodic(period_s: f64, scale: TimeScale, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
         let (Some(first_s), Some(about)) = (first_s, about) else {
             let remark = about.is_none().then_some(NO_WEEK);
-            return Times { scale, remark, ..Times::dated(None) };
+            return Times { scale, period_s: Some(period_s), remark, ..Times::dated(None) };
         };
         // Of all moments with this time, the one nearest to when the recording was made: where that lies on the other
         // side of midnight, the date is corrected.
         let period_begins = ((about - first_s) / period_s).round() * period_s;
         let week_begins = (period_begins / WEEK_S).floor() * WEEK_S;
         let offset_s = period_begins - week_begins;
-        Times { scale: TimeScale::Week, offset_s, ..Times::dated(Some(period_begins + first_s)) }
-            .of_week(week_begins)
+        Times {
+            scale: TimeScale::Week,
+            offset_s,
+            period_s: Some(period_s),
+            ..Times::dated(Some(period_begins + first_s))
+        }
+        .of_week(week_begins)
     }
 
     fn dated(first: Option<SinceEpoch>) -> Times {
@@ -66,6 +73,7 @@ impl Times {
         Times {
             scale: TimeScale::Unknown,
             offset_s: 0.0,
+            period_s: None,
             gps_week: week.map(|week| week as u32),
             recorded: first
                 .and_then(|first| day_of_year(first - ADJUSTMENT_S))
