@@ -133,3 +133,15 @@ fn the_version_is_not_kept_from_the_library_that_fits() {
     let place = place(&recording(), "");
     assert_eq!(read(&place, "").0["format"], "RIEGL SDF (RiWAVELib 1.7)");
 }
+
+#[test]
+fn convert_reads_it_by_its_name() {
+    let place = place(&recording(), "");
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_wavex"));
+    command
+        .args(["-q", "convert", NAME, "copy.arrow"])
+        .current_dir(place.path(""))
+        .env("WAVEX_RIWAVELIB", stand_in());
+    assert_eq!(outcome(&mut command), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(lengths(&rows(&place.path("copy.arrow"))), [(0, 5)]);
+}
