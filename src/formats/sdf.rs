@@ -25,6 +25,8 @@ pub use reader::{CalibrationTables, SdfReader};
 pub const MAX_BLOCKS: u32 = 1 << 12;
 /// Most samples of one block: 65 µs at 1 ns.
 pub const MAX_SAMPLES: u32 = 1 << 16;
+/// Most samples of one record.
+pub const MAX_RECORD_SAMPLES: usize = 1 << 20;
 /// Most entries of a calibration table; digitisers of 8 bits have 256.
 pub const MAX_TABLE: u32 = 1 << 16;
 
@@ -117,6 +119,11 @@ impl SdfRecord {
     /// The samples of one of this record's blocks, digitiser steps.
     pub fn samples(&self, block: &SdfBlock) -> &[u16] {
         self.samples.get(block.first..block.first + block.len).unwrap_or_default()
+    }
+
+    /// How many samples all blocks have.
+    pub fn n_samples(&self) -> usize {
+        self.samples.len()
     }
 
     /// Adds a block behind the others.

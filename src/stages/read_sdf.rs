@@ -138,12 +138,20 @@ struct Window {
     to_s: f64,
     /// Whether they are external times, or those of the instrument's clock.
     is_external: bool,
-    /// The time of the last shot.
+    /// The time of the last shot in it.
     now_s: f64,
+    /// How many shots in a row were later.
+    late: u32,
 }
 
 /// So many records are looked at, to learn what the outgoing pulse is.
 const LOOKED_AT: usize = 1000;
+/// No more are looked at behind so many samples.
+const SAMPLES_LOOKED_AT: usize = 1 << 22;
+/// A window has ended where so many shots in a row are later: fewer may have a time that is wrong.
+const LATE_SHOTS: u32 = 100;
+/// Times begin anew where the next one is then at most so much later, s: any other step back is a wrong time.
+const LONGEST_STEP_S: f64 = 3600.0;
 
 impl ReadSdf {
     fn open(config: &Config, site: &Site) -> Result<ReadSdf> {
@@ -161,15 +169,16 @@ impl ReadSdf {
             None => time::named(path),
         };
         let mut ahead = look_ahead(&mut reader)?;
-        let first = ahead.iter().find(|record| !record.blocks.is_empty());
-        let first_s = first.map(|record| record.time_external_s).filter(|time| time.is_finite());
+        let is_first = |record: &&SdfRecord| !record.blocks.is_empty() && record.time_external_s.is_finite();
+        let first_s = ahead.iter().find(is_first).map(|record| record.time_external_s);
         let is_external = reader.info().is_synchronised();
         let times = Times::new(if is_external { &reader.info().epoch } else { "UNKNOWN" }, first_s, about);
         remarks.extend(times.remark.map(str::to_owned));
         let input = describe(config, site, &reader, &times, tables, &ahead);
         let offset_s = times.offset_s;
         let mut at_end = false;
-        let window = config.time_s.map(|[from_s, to_s]| Window { from_s, to_s, is_external, now_s: from_s });
+        let window =
+            config.time_s.map(|[from_s, to_s]| Window { from_s, to_s, is_external, now_s: from_s, late: 0 });
         if let Some(window) = &window {
             ahead.clear();
             at_end = !match window.is_external {
@@ -222,17 +231,22 @@ impl ReadSdf {
             self.reject("no time, where `time_s` asks for some", cx);
             return None;
         }
-        window.now_s = time_s;
-        self.at_end = time_s > window.to_s;
-        (window.from_s..=window.to_s).contains(&time_s).then_some(emission)
+        window.late = if time_s > window.to_s { window.late + 1 } else { 0 };
+        self.at_end = window.late == LATE_SHOTS;
+        let is_inside = (window.from_s..=window.to_s).contains(&time_s);
+        if is_inside {
+            window.now_s = time_s;
+        }
+        is_inside.then_some(emission)
     }
 
     /// A time on the recording's scale, which runs on where external times begin anew.
     fn continuous(&mut self, external_s: f64) -> f64 {
-        if let Some(period_s) = self.period_s
-            && external_s + self.offset_s < self.last_time_s - 0.5 * period_s
-        {
-            self.offset_s += period_s;
+        if let Some(period_s) = self.period_s {
+            let step_s = external_s + self.offset_s + period_s - self.last_time_s;
+            if (0.0..LONGEST_STEP_S).contains(&step_s) {
+                self.offset_s += period_s;
+            }
         }
         let time_s = external_s + self.offset_s;
         if !time_s.is_nan() {
@@ -280,14 +294,17 @@ impl ReadSdf {
     }
 }
 
-/// The first records: all up to the first with an outgoing pulse.
+/// The first records: all up to the first with an outgoing pulse and a time.
 fn look_ahead(reader: &mut SdfReader) -> Result<VecDeque<SdfRecord>> {
+    let says_all = |record: &SdfRecord| has_outgoing_pulse(record) && record.time_external_s.is_finite();
     let mut ahead = VecDeque::new();
-    while ahead.len() < LOOKED_AT && !ahead.back().is_some_and(has_outgoing_pulse) {
+    let mut samples = 0;
+    while ahead.len() < LOOKED_AT && samples < SAMPLES_LOOKED_AT && !ahead.back().is_some_and(says_all) {
         let mut record = SdfRecord::default();
         if !reader.next(&mut record)? {
             break;
         }
+        samples += record.n_samples();
         ahead.push_back(record);
     }
     Ok(ahead)

@@ -115,6 +115,28 @@ fn seconds_that_begin_anew_are_counted_on() {
 }
 
 #[test]
+fn a_time_that_is_wrong_moves_no_other() {
+    let mut given = lines();
+    given[0][0].shot.gps_time_s = None;
+    given[0][2].shot.gps_time_s = Some(0.0);
+    given[1][3].shot.gps_time_s = Some(604_000.0);
+    let place = place(&container(&header(), &given), "");
+    let times = |lines: &[Vec<Row>]| lines.concat().iter().map(|row| row.shot.gps_time_s).collect::<Vec<_>>();
+    assert_eq!(times(&read(&place, "").1), times(&given));
+    assert_eq!(header_of(&place), header());
+    let (_, part) = read(&place, "time_s = [208800.65, 208801.2]");
+    assert_eq!(clocks(&part).len(), 5, "a shot whose time is far too late does not end the window");
+}
+
+#[test]
+fn behind_the_window_nothing_more_is_read() {
+    let long = vec![plain_line(0..200, 0)];
+    // Of the 200 shots, 100 behind the window are looked at.
+    let place = place(&container(&header(), &long), "fail fwifc_read 6 112");
+    assert_eq!(lengths(&read(&place, "time_s = [208800.0, 208801.05]").1), [(0, 11)]);
+}
+
+#[test]
 fn seconds_of_the_day_become_seconds_of_the_week() {
     let mut given = lines();
     for row in given.iter_mut().flatten() {

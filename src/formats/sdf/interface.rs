@@ -11,7 +11,7 @@ use std::sync::{Mutex, MutexGuard};
 use libloading::Library;
 
 use super::fault::{Answer, Fault, code};
-use super::{MAX_BLOCKS, MAX_SAMPLES, MAX_TABLE, SdfInfo, SdfRecord};
+use super::{MAX_BLOCKS, MAX_RECORD_SAMPLES, MAX_SAMPLES, MAX_TABLE, SdfInfo, SdfRecord};
 
 /// `fwifc_file`: only the library looks behind it.
 type RawFile = *mut c_void;
@@ -310,7 +310,7 @@ impl Handle {
             let block = unsafe {
                 blocks.cast::<u8>().add(index * stride as usize).cast::<RawBlock>().read_unaligned()
             };
-            check_block(&block).map_err(|problem| Fault::nonsense(NAME, problem))?;
+            check_block(&block, record.n_samples()).map_err(|problem| Fault::nonsense(NAME, problem))?;
             // SAFETY: the pointer is not null and the count within the limit, which `check_block` says, and the lock
             // is still held.
             unsafe { copy_block(&block, record) };
@@ -371,9 +371,12 @@ fn check_array(count: u32, stride: u32, blocks: *const RawBlock) -> Result<(), S
     }
 }
 
-fn check_block(block: &RawBlock) -> Result<(), String> {
+/// `before`: how many samples the record has already.
+fn check_block(block: &RawBlock, before: usize) -> Result<(), String> {
     if block.sample_count > MAX_SAMPLES {
         Err(format!("a block of {} samples", block.sample_count))
+    } else if before + block.sample_count as usize > MAX_RECORD_SAMPLES {
+        Err(format!("a record of more than {MAX_RECORD_SAMPLES} samples"))
     } else if block.sample_count > 0 && block.sample.is_null() {
         Err("samples that are nowhere".to_owned())
     } else {
@@ -449,13 +452,15 @@ mod tests {
             _sample_size: 2,
             sample,
         };
-        assert_eq!(check_block(&block(0, std::ptr::null())), Ok(()));
-        assert_eq!(check_block(&block(1 << 16, std::ptr::dangling())), Ok(()));
+        assert_eq!(check_block(&block(0, std::ptr::null()), 0), Ok(()));
+        assert_eq!(check_block(&block(1 << 16, std::ptr::dangling()), 0), Ok(()));
         assert_eq!(
-            check_block(&block(65_537, std::ptr::dangling())).unwrap_err(),
+            check_block(&block(65_537, std::ptr::dangling()), 0).unwrap_err(),
             "a block of 65537 samples"
         );
-        assert_eq!(check_block(&block(1, std::ptr::null())).unwrap_err(), "samples that are nowhere");
+        assert_eq!(check_block(&block(1, std::ptr::null()), 0).unwrap_err(), "samples that are nowhere");
+        let full = check_block(&block(1, std::ptr::dangling()), 1 << 20).unwrap_err();
+        assert_eq!(full, "a record of more than 1048576 samples");
     }
 
     #[test]

@@ -50,10 +50,10 @@ impl Times {
 
     /// Times that begin anew with every period.
     fn periodic(period_s: f64, scale: TimeScale, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
-        let (Some(first_s), Some(about)) = (first_s, about) else {
-            let remark = about.is_none().then_some(NO_WEEK);
-            return Times { scale, period_s: Some(period_s), remark, ..Times::dated(None) };
+        let Some(about) = about else {
+            return Times { scale, period_s: Some(period_s), remark: Some(NO_WEEK), ..Times::dated(None) };
         };
+        let first_s = first_s.unwrap_or(about.rem_euclid(period_s));
         // Of all moments with this time, the one nearest to when the recording was made: where that lies on the other
         // side of midnight, the date is corrected.
         let period_begins = ((about - first_s) / period_s).round() * period_s;
@@ -229,11 +229,13 @@ mod tests {
             assert_eq!(times.remark, Some(NO_SCALE));
         }
         assert_eq!(Times::new("WEEKSEC", Some(1.0), None).remark, Some(NO_WEEK));
-        assert_eq!(
-            Times::new("WEEKSEC", None, Some(FRIDAY)).remark,
-            None,
-            "without a shot there is nothing to date"
-        );
+    }
+
+    #[test]
+    fn without_a_time_the_name_alone_dates_a_recording() {
+        let times = Times::new("WEEKSEC", None, Some(FRIDAY + 36_900.0));
+        assert_eq!((times.gps_week, times.recorded, times.offset_s), (Some(1745), Some((172, 2013)), 0.0));
+        assert_eq!(Times::new("DAYSEC", None, Some(FRIDAY + 36_900.0)).offset_s, 5.0 * DAY_S);
     }
 
     #[test]
