@@ -16,12 +16,12 @@ pub const VARIABLE: &str = "WAVEX_RIWAVELIB";
 pub const MAJOR: u16 = 1;
 
 /// Folders that the library is often put into, after those where the system looks.
-const FOLDERS: &[&str] = match () {
-    #[cfg(windows)]
-    () => &["C:\\Program Files\\RIEGL\\RiWAVELib\\lib", "C:\\riwavelib\\lib"],
-    #[cfg(not(windows))]
-    () => &["/usr/local/lib", "/opt/riwavelib/lib", "/opt/riegl/lib", "/opt/riegl/riwavelib/lib"],
-};
+#[cfg(not(windows))]
+const FOLDERS: &[&str] =
+    &["/usr/local/lib", "/opt/riwavelib/lib", "/opt/riegl/lib", "/opt/riegl/riwavelib/lib"];
+/// See above.
+#[cfg(windows)]
+const FOLDERS: &[&str] = &["C:\\Program Files\\RIEGL\\RiWAVELib\\lib", "C:\\riwavelib\\lib"];
 
 /// Whose words lead to the library.
 #[derive(Clone, Copy, Debug, PartialEq)]
