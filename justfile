@@ -24,6 +24,8 @@ demo:
 bench:
     cargo bench --bench engine
     cargo bench --bench whole_job
+    cargo build --release --example sdf_stand_in
+    cargo bench --bench sdf
 
 # Licences and advisories of the dependencies (needs cargo-deny)
 deny:

@@ -78,7 +78,7 @@ enum Command {
     },
     /// Copy recorded waveforms into the open container (Arrow)
     Convert {
-        /// The recording: .las, .laz, .pls or .arrow; a pattern in quotation marks means several
+        /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow; a pattern in quotation marks means several
         input: String,
         /// The container to write: .arrow; with several inputs, `*` stands for the name of each
         output: String,
@@ -122,7 +122,7 @@ struct FalseAlarmArgs {
 #[derive(Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
 struct ExplainArgs {
-    /// The recording: .las, .laz, .pls or .arrow
+    /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow
     file: PathBuf,
     /// The shot's number, as in the column `shot` of write_table
     #[arg(long, value_name = "N", group = "which")]

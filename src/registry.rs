@@ -2,14 +2,15 @@
 
 use crate::stage::StageSpec;
 use crate::stages::{
-    calibrate, decompose, georeference, read_arrow, read_las, read_pulsewaves, simulate, write_arrow,
-    write_las, write_lstat, write_table,
+    calibrate, decompose, georeference, read_arrow, read_las, read_pulsewaves, read_sdf, simulate,
+    write_arrow, write_las, write_lstat, write_table,
 };
 
 /// Every stage that a job can name, in the order of the manual: sources, what changes lines, sinks.
 pub const STAGES: &[&StageSpec] = &[
     &read_las::STAGE,
     &read_pulsewaves::STAGE,
+    &read_sdf::STAGE,
     &read_arrow::STAGE,
     &simulate::STAGE,
     &calibrate::STAGE,

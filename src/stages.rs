@@ -9,6 +9,7 @@ mod lines;
 pub mod read_arrow;
 pub mod read_las;
 pub mod read_pulsewaves;
+pub mod read_sdf;
 pub mod simulate;
 pub mod write_arrow;
 pub mod write_las;

@@ -203,9 +203,9 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
 
 #[test]
 fn an_input_of_an_unknown_kind_is_not_converted() {
-    let expected = "error: flight.sdf: the name does not say what kind of recording this is; \
-                    an input ends in .las, .laz, .pls or .arrow\n";
-    refused(wavex(&["convert", "flight.sdf", "flight.arrow"]), expected);
+    let expected = "error: flight.rxp: the name does not say what kind of recording this is; \
+                    an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow\n";
+    refused(wavex(&["convert", "flight.rxp", "flight.arrow"]), expected);
 }
 
 #[test]

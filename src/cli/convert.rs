@@ -30,9 +30,10 @@ pub(super) fn reader_of(input: &str) -> Result<&'static str, String> {
     match extension.as_str() {
         "las" | "laz" => Ok("read_las"),
         "pls" => Ok("read_pulsewaves"),
+        "sdf" | "wfm" => Ok("read_sdf"),
         "arrow" => Ok("read_arrow"),
         _ => {
-            let known = "an input ends in .las, .laz, .pls or .arrow";
+            let known = "an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
             Err(format!("{input}: the name does not say what kind of recording this is; {known}"))
         }
     }
@@ -44,11 +45,13 @@ mod tests {
 
     #[test]
     fn the_extension_chooses_the_reader() {
-        let readers = ["a/B.LAS", "b.laz", "in/*.pls", "d.arrow"].map(reader_of);
-        assert_eq!(readers, [Ok("read_las"), Ok("read_las"), Ok("read_pulsewaves"), Ok("read_arrow")]);
-        let problem = "a.sdf: the name does not say what kind of recording this is; \
-                       an input ends in .las, .laz, .pls or .arrow";
-        assert_eq!(reader_of("a.sdf"), Err(problem.to_owned()));
+        let readers =
+            ["a/B.LAS", "b.laz", "in/*.pls", "d.arrow", "130621_101500.sdf", "w.WFM"].map(reader_of);
+        let expected = ["read_las", "read_las", "read_pulsewaves", "read_arrow", "read_sdf", "read_sdf"];
+        assert_eq!(readers, expected.map(Ok));
+        let problem = "a.rxp: the name does not say what kind of recording this is; \
+                       an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
+        assert_eq!(reader_of("a.rxp"), Err(problem.to_owned()));
     }
 
     #[test]

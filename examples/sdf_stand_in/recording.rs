@@ -1,0 +1,137 @@
+//! A container as a row of records: its shots, and behind each line a record that ends it.
+
+use std::path::{Path, PathBuf};
+
+use wavex::formats::Result;
+use wavex::formats::container::{ContainerHeader, ContainerLine, ContainerReader, ContainerShot};
+use wavex::formats::sdf::record_flags::END_OF_LINE;
+
+/// The container's bit for the last shot of a line.
+const EDGE: u16 = wavex::batch::emission_flags::EDGE_OF_FLIGHT_LINE;
+
+/// A record as the interface gives it.
+pub(crate) struct Record {
+    pub(crate) time_sorg: f64,
+    pub(crate) time_external: f64,
+    pub(crate) origin: [f64; 3],
+    pub(crate) direction: [f64; 3],
+    pub(crate) flags: u16,
+    pub(crate) facet: u16,
+    /// Channel, time of the first sample after `time_sorg` in seconds, samples.
+    pub(crate) blocks: Vec<(u32, f64, Vec<u16>)>,
+}
+
+pub(crate) struct Recording {
+    path: PathBuf,
+    reader: ContainerReader,
+    line: Option<ContainerLine>,
+    /// The next row of the line at hand; one past its end: the record that ends it.
+    row: usize,
+    /// The number of the next record, from 1.
+    next: u32,
+}
+
+impl Recording {
+    pub(crate) fn open(path: &Path) -> Result<Recording> {
+        let mut reader = ContainerReader::open(path)?;
+        let line = reader.next_line()?;
+        Ok(Recording { path: path.to_path_buf(), reader, line, row: 0, next: 1 })
+    }
+
+    pub(crate) fn header(&self) -> &ContainerHeader {
+        self.reader.header()
+    }
+
+    /// The number of the next record, from 1.
+    pub(crate) fn tell(&self) -> u32 {
+        self.next
+    }
+
+    pub(crate) fn next(&mut self) -> Result<Option<Record>> {
+        let Some(line) = &self.line else { return Ok(None) };
+        let record = match self.row < line.rows() {
+            true => record_of(line, self.row),
+            false => end_of(line),
+        };
+        self.row += 1;
+        self.next += 1;
+        if self.row > line.rows() {
+            self.line = self.reader.next_line()?;
+            self.row = 0;
+        }
+        Ok(Some(record))
+    }
+
+    /// Makes a record the next one; `false` where there is none.
+    pub(crate) fn seek(&mut self, record: u32) -> Result<bool> {
+        self.find(|next, _| next == record)
+    }
+
+    /// Makes the last record the next one.
+    pub(crate) fn seek_last(&mut self) -> Result<bool> {
+        let mut last = 0;
+        self.find(|next, _| {
+            last = next;
+            false
+        })?;
+        self.seek(last)
+    }
+
+    /// Makes the first shot at or behind a time the next one; `time_of` says a shot's.
+    pub(crate) fn seek_time(&mut self, time_s: f64, time_of: impl Fn(&ContainerShot) -> f64) -> Result<bool> {
+        self.find(|_, shot| shot.is_some_and(|shot| time_of(shot) >= time_s))
+    }
+
+    /// Goes to the first record that is wanted, by its number and its shot.
+    fn find(&mut self, mut wanted: impl FnMut(u32, Option<&ContainerShot>) -> bool) -> Result<bool> {
+        *self = Recording::open(&self.path)?;
+        while let Some(line) = &self.line {
+            let shot = (self.row < line.rows()).then(|| line.shot(self.row));
+            if wanted(self.next, shot.as_ref()) {
+                return Ok(true);
+            }
+            self.next()?;
+        }
+        Ok(false)
+    }
+}
+
+fn record_of(line: &ContainerLine, row: usize) -> Record {
+    let shot = line.shot(row);
+    let blocks = line.blocks(row);
+    Record {
+        time_sorg: seconds(&shot),
+        time_external: external(&shot),
+        origin: shot.origin_m,
+        direction: shot.direction,
+        flags: (shot.flags & 7) | if shot.flags & EDGE != 0 { END_OF_LINE } else { 0 },
+        facet: shot.facet,
+        blocks: blocks
+            .map(|block| (u32::from(block.channel), block.start_ns / 1e9, block.samples.to_vec()))
+            .collect(),
+    }
+}
+
+/// What stands behind a line: no blocks, and no direction.
+fn end_of(line: &ContainerLine) -> Record {
+    let last = line.rows().checked_sub(1).map(|row| line.shot(row));
+    Record {
+        time_sorg: last.as_ref().map_or(f64::NAN, seconds),
+        time_external: last.as_ref().map_or(f64::NAN, external),
+        origin: [f64::NAN; 3],
+        direction: [f64::NAN; 3],
+        flags: 15,
+        facet: last.map_or(0, |shot| shot.facet),
+        blocks: Vec::new(),
+    }
+}
+
+/// A shot's time on the instrument's clock.
+pub(crate) fn seconds(shot: &ContainerShot) -> f64 {
+    shot.clock_ps as f64 / 1e12
+}
+
+/// A shot's external time.
+pub(crate) fn external(shot: &ContainerShot) -> f64 {
+    shot.gps_time_s.unwrap_or(f64::NAN)
+}

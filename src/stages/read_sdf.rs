@@ -1,0 +1,403 @@
+//! `read_sdf`: recorded waveforms from RIEGL's SDF, through RIEGL's own library.
+
+use std::collections::VecDeque;
+use std::path::Path;
+use std::sync::Arc;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::lines::{Lines, check_odd_sample_shift};
+use crate::batch::{AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind};
+use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
+use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+
+mod shot;
+mod time;
+
+use shot::{Found, What, channel_of, fine_ns, what_is, zero_of};
+use time::Times;
+
+/// The stage's place in the registry.
+pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots);
+
+/// Reads RIEGL's SDF and WFM files through RIEGL's own library; no real SDF file has been read with it yet.
+///
+/// None could be had. The stage follows RIEGL's public interface, and is tested against a library of our own with the
+/// same thirteen functions. If you own an SDF or WFM file, please try it, and tell us what happens.
+///
+/// The layout of SDF is not public. RIEGL's Waveform Extraction Library (RiWAVELib) reads it; owners of a RIEGL instrument
+/// get it from RIEGL, and wavex may not ship it. It is loaded at run time: `sdfifc` for `.sdf`, `wfmifc-mt` for `.wfm`,
+/// from where the key `library` says, or the environment variable `WAVEX_RIWAVELIB`, else from the usual places.
+///
+/// Blocks stand with the shot whose range gate was open when they came back, not with the shot that caused them: their
+/// zone is unresolved. Origins and directions are in the scanner's own frame. Shots are numbered as they are read.
+///
+/// A scan line ends with a record that says so, besides where facet, sweep or clock end it. The shot's time on the
+/// instrument's clock becomes whole picoseconds; the double that the library gives resolves 0.5 ps below 4096 s,
+/// 58 ps (9 mm) at 409 397 s. Ranges within a record do not suffer: block times are read relative to their record, to a
+/// millionth of a nanosecond. A reference block without samples (`.wfm`) carries the time of emission: it becomes the
+/// shot's clock, and the other blocks count from it.
+///
+/// Seconds of the week or of the day that begin anew within a recording are counted on. The GPS week follows from the recording's epoch and the file's name, `YYMMDD_HHMMSS`, or the key `gps_date`. Amplitude
+/// and range tables are taken over; where the library has none, or no licence for them, that is said in the report.
+///
+/// Where the library wants an index that is missing, it is made, which reads the whole file and writes beside the data or
+/// into `index_dir`.
+///
+/// Housekeeping records are passed over. Rejected, and counted with their blocks, are shots with: an origin or a
+/// direction that is not finite, a direction that is not a unit vector (to 1e-3; beyond 1e-6 it is made one), a time that
+/// is infinite, a clock that is not finite or beyond 106 days, no time where `time_s` asks for some, a block of an unknown
+/// channel or without a time. A record without blocks and directions is no shot, but ends a line.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// The `.sdf` or `.wfm` file, several, or a pattern. The job runs once for each.
+    pub path: Paths,
+    /// RIEGL's library, or the folder it lies in.
+    #[serde(default)]
+    pub library: Option<String>,
+    /// A folder for the index that the library makes, where the data's own folder cannot be written to. It must allow
+    /// symbolic links.
+    #[serde(default)]
+    pub index_dir: Option<String>,
+    /// First and last second to read, on the recording's own time scale (seconds of the GPS week as a rule; where it is
+    /// not synchronised, those of the instrument's clock). The first is sought, not read up to.
+    #[serde(default)]
+    pub time_s: Option<[f64; 2]>,
+    /// The day on which the recording began, as in 2013-06-21, where the file's name does not begin with it.
+    #[serde(default)]
+    pub gps_date: Option<String>,
+    /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
+    /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
+    #[serde(default)]
+    pub odd_sample_shift: f64,
+}
+
+impl stage::Config for Config {
+    fn check(&self) -> std::result::Result<(), InvalidKey> {
+        let patterns = self.path.patterns();
+        let unless = InvalidKey::unless;
+        unless(!patterns.is_empty(), "path", "at least one file is needed")?;
+        unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")?;
+        unless(
+            !patterns.iter().any(|path| path == "-"),
+            "path",
+            "standard input cannot be read: give a file",
+        )?;
+        let is_given = |text: &Option<String>| text.as_ref().is_none_or(|text| !text.is_empty());
+        unless(is_given(&self.library), "library", "the path is empty")?;
+        unless(is_given(&self.index_dir), "index_dir", "the path is empty")?;
+        let ordered = self.time_s.is_none_or(|[from, to]| from.is_finite() && to.is_finite() && from <= to);
+        unless(ordered, "time_s", "it must be two numbers, the first not above the second")?;
+        let is_date = self.gps_date.as_ref().is_none_or(|date| time::noon(date).is_some());
+        unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")?;
+        check_odd_sample_shift(self.odd_sample_shift)
+    }
+}
+
+impl SourceConfig for Config {
+    fn paths(&self) -> Option<&Paths> {
+        Some(&self.path)
+    }
+
+    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+        Ok(Box::new(ReadSdf::open(self, site)?))
+    }
+}
+
+/// A file that is being read.
+struct ReadSdf {
+    reader: SdfReader,
+    lines: Lines,
+    window: Option<Window>,
+    /// What to add to external times, s; a period more each time that they begin anew.
+    offset_s: f64,
+    /// After how many seconds external times begin anew, where they do.
+    period_s: Option<f64>,
+    /// The last shot's time, s; NaN before the first.
+    last_time_s: f64,
+    /// Records that were read to learn about the file.
+    ahead: VecDeque<SdfRecord>,
+    /// The record at hand.
+    record: SdfRecord,
+    /// The shot of the record at hand, where it begins the next line.
+    waiting: Option<Emission>,
+    /// How many shots were given on.
+    shots: u64,
+    /// Remarks that were not made yet.
+    remarks: Vec<String>,
+    /// Whether any record has said that its line ends.
+    ends_are_marked: bool,
+    at_end: bool,
+}
+
+/// The times to read.
+struct Window {
+    from_s: f64,
+    to_s: f64,
+    /// Whether they are external times, or those of the instrument's clock.
+    is_external: bool,
+    /// The time of the last shot in it.
+    now_s: f64,
+    /// How many shots in a row were later.
+    late: u32,
+}
+
+/// So many records are looked at, to learn what the outgoing pulse is.
+const LOOKED_AT: usize = 1000;
+/// No more are looked at behind so many samples.
+const SAMPLES_LOOKED_AT: usize = 1 << 22;
+/// A window has ended where so many shots in a row are later: fewer may have a time that is wrong.
+const LATE_SHOTS: u32 = 100;
+/// Times begin anew where the next one is then at most so much later, s: any other step back is a wrong time.
+const LONGEST_STEP_S: f64 = 3600.0;
+
+impl ReadSdf {
+    fn open(config: &Config, site: &Site) -> Result<ReadSdf> {
+        let path = &site.input;
+        let library = config.library.as_ref().map(|library| {
+            let in_folder = site.input_path(Path::new(library));
+            // A bare name that is no file is one for the system to find.
+            if in_folder.exists() || library.contains(['/', '\\']) { in_folder } else { library.into() }
+        });
+        let index_dir = config.index_dir.as_ref().map(|folder| site.input_path(Path::new(folder)));
+        let mut reader = SdfReader::open(path, library.as_deref(), index_dir.as_deref())?;
+        let (tables, mut remarks) = reader.tables();
+        let about = match &config.gps_date {
+            Some(date) => time::noon(date),
+            None => time::named(path),
+        };
+        let mut ahead = look_ahead(&mut reader)?;
+        let is_first = |record: &&SdfRecord| !record.blocks.is_empty() && record.time_external_s.is_finite();
+        let first_s = ahead.iter().find(is_first).map(|record| record.time_external_s);
+        let is_external = reader.info().is_synchronised();
+        let times = Times::new(if is_external { &reader.info().epoch } else { "UNKNOWN" }, first_s, about);
+        remarks.extend(times.remark.map(str::to_owned));
+        let input = describe(config, site, &reader, &times, tables, &ahead);
+        let offset_s = times.offset_s;
+        let mut at_end = false;
+        let window =
+            config.time_s.map(|[from_s, to_s]| Window { from_s, to_s, is_external, now_s: from_s, late: 0 });
+        if let Some(window) = &window {
+            ahead.clear();
+            at_end = !match window.is_external {
+                true => reader.seek_time_external(window.from_s - offset_s)?,
+                false => reader.seek_time(window.from_s)?,
+            };
+        }
+        Ok(ReadSdf {
+            reader,
+            lines: Lines::new(Arc::new(input)),
+            window,
+            offset_s,
+            period_s: times.period_s,
+            last_time_s: f64::NAN,
+            ahead,
+            record: SdfRecord::default(),
+            waiting: None,
+            shots: 0,
+            remarks,
+            ends_are_marked: false,
+            at_end,
+        })
+    }
+
+    /// Makes the next record the one at hand; `false` behind the last that is wanted.
+    fn read(&mut self) -> Result<bool> {
+        if self.at_end {
+            return Ok(false);
+        }
+        match self.ahead.pop_front() {
+            Some(record) => self.record = record,
+            None => self.at_end = !self.reader.next(&mut self.record)?,
+        }
+        Ok(!self.at_end)
+    }
+
+    /// The shot of the record at hand, if it is one and is wanted. What is wrong is rejected.
+    fn shot(&mut self, cx: &mut Context) -> Option<Emission> {
+        let mut emission = match shot::read(&self.record) {
+            Found::Shot(emission) => emission,
+            Found::Wrong(reason) => {
+                self.reject(reason, cx);
+                return None;
+            }
+        };
+        emission.gps_time_s = self.continuous(emission.gps_time_s);
+        let Some(window) = &mut self.window else { return Some(emission) };
+        let time_s = if window.is_external { emission.gps_time_s } else { self.record.time_s };
+        if time_s.is_nan() {
+            self.reject("no time, where `time_s` asks for some", cx);
+            return None;
+        }
+        window.late = if time_s > window.to_s { window.late + 1 } else { 0 };
+        self.at_end = window.late == LATE_SHOTS;
+        let is_inside = (window.from_s..=window.to_s).contains(&time_s);
+        if is_inside {
+            window.now_s = time_s;
+        }
+        is_inside.then_some(emission)
+    }
+
+    /// A time on the recording's scale, which runs on where external times begin anew.
+    fn continuous(&mut self, external_s: f64) -> f64 {
+        if let Some(period_s) = self.period_s {
+            let step_s = external_s + self.offset_s + period_s - self.last_time_s;
+            if (0.0..LONGEST_STEP_S).contains(&step_s) {
+                self.offset_s += period_s;
+            }
+        }
+        let time_s = external_s + self.offset_s;
+        if !time_s.is_nan() {
+            self.last_time_s = time_s;
+        }
+        time_s
+    }
+
+    /// Counts the blocks of a record that is no shot.
+    fn pass_over(&self, cx: &mut Context) {
+        let blocks = self.record.blocks.len() as u64;
+        cx.reject(Item::Blocks, "a block of a housekeeping record", blocks);
+    }
+
+    fn reject(&self, reason: &'static str, cx: &mut Context) {
+        cx.reject(Item::Shots, reason, 1);
+        cx.reject(Item::Blocks, reason, self.record.blocks.len() as u64);
+    }
+
+    /// Adds the shot of the record at hand to the line at hand.
+    fn add(&mut self, mut emission: Emission) {
+        let zero_s = zero_of(&self.record);
+        emission.shot = self.shots;
+        self.shots += 1;
+        let interval_ns = self.lines.input().sampling_interval_ns;
+        let index = self.lines.add(emission);
+        for block in &self.record.blocks {
+            let Some(channel) = channel_of(block.channel) else { continue };
+            if zero_s.is_some() && channel == Channel::Reference && block.is_empty() {
+                continue;
+            }
+            let start_ns = fine_ns(block.start_s - zero_s.unwrap_or(0.0));
+            let samples = self.record.samples(block);
+            self.lines.blocks().push(index, channel, None, start_ns, interval_ns, samples);
+        }
+    }
+
+    /// The last line, and a remark if it seems to be cut off.
+    fn last_line(&mut self, cx: &mut Context) -> Option<Batch> {
+        let line = self.lines.take();
+        if line.is_some() && self.ends_are_marked && self.window.is_none() {
+            cx.note("the file ends within a scan line: it may be cut off");
+        }
+        line
+    }
+}
+
+/// The first records: all up to the first with an outgoing pulse and a time.
+fn look_ahead(reader: &mut SdfReader) -> Result<VecDeque<SdfRecord>> {
+    let says_all = |record: &SdfRecord| has_outgoing_pulse(record) && record.time_external_s.is_finite();
+    let mut ahead = VecDeque::new();
+    let mut samples = 0;
+    while ahead.len() < LOOKED_AT && samples < SAMPLES_LOOKED_AT && !ahead.back().is_some_and(says_all) {
+        let mut record = SdfRecord::default();
+        if !reader.next(&mut record)? {
+            break;
+        }
+        samples += record.n_samples();
+        ahead.push_back(record);
+    }
+    Ok(ahead)
+}
+
+fn has_outgoing_pulse(record: &SdfRecord) -> bool {
+    record.blocks.iter().any(|block| block.channel == channel::REFERENCE && !block.is_empty())
+}
+
+/// Samples are words that hold 8-bit values.
+const FULL_SCALE_DN: u16 = 255;
+
+fn describe(
+    config: &Config,
+    site: &Site,
+    reader: &SdfReader,
+    times: &Times,
+    tables: CalibrationTables,
+    ahead: &VecDeque<SdfRecord>,
+) -> InputInfo {
+    let (info, version) = (reader.info(), reader.version());
+    let text = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
+    let is_wfm = site.input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
+    InputInfo {
+        path: site.input.clone(),
+        stem: site.stem.clone(),
+        format: format!(
+            "RIEGL {} (RiWAVELib {}.{})",
+            if is_wfm { "WFM" } else { "SDF" },
+            version.major,
+            version.minor
+        ),
+        instrument: text(&info.instrument),
+        serial: text(&info.serial),
+        sampling_interval_ns: fine_ns(info.sampling_interval_s),
+        odd_sample_shift: config.odd_sample_shift,
+        full_scale_dn: Some(FULL_SCALE_DN),
+        group_velocity_mps: info.group_velocity_mps,
+        pulse_rate_hz: None,
+        time_scale: times.scale,
+        gps_week: times.gps_week,
+        recorded: times.recorded,
+        frame: Frame::Scanner,
+        crs_wkt: None,
+        coordinate_grid: None,
+        emission_reference: match ahead.iter().any(has_outgoing_pulse) {
+            true => EmissionReference::OutgoingPulse,
+            false => EmissionReference::Clock,
+        },
+        amplitude_low: AmplitudeTable::new(tables.amplitude_low),
+        amplitude_high: AmplitudeTable::new(tables.amplitude_high),
+        range_low: AmplitudeTable::new(tables.range_low),
+        range_high: AmplitudeTable::new(tables.range_high),
+    }
+}
+
+impl Source for ReadSdf {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+        self.remarks.drain(..).for_each(|remark| cx.note(remark));
+        loop {
+            if let Some(emission) = self.waiting.take() {
+                self.add(emission);
+                if shot::ends_line(&emission) {
+                    self.ends_are_marked = true;
+                    return Ok(self.lines.take());
+                }
+            }
+            if !self.read()? {
+                return Ok(self.last_line(cx));
+            }
+            match what_is(&self.record) {
+                What::Shot => self.waiting = self.shot(cx),
+                What::Housekeeping => self.pass_over(cx),
+                What::EndOfLine => {
+                    self.pass_over(cx);
+                    self.ends_are_marked = true;
+                    if let Some(line) = self.lines.take() {
+                        return Ok(Some(line));
+                    }
+                }
+            }
+            if self.waiting.as_ref().is_some_and(|next| self.lines.ends_before(next)) {
+                return Ok(self.lines.take());
+            }
+        }
+    }
+
+    fn progress(&self) -> Option<f64> {
+        let window = self.window.as_ref()?;
+        let length_s = (window.to_s - window.from_s).max(f64::MIN_POSITIVE);
+        Some(((window.now_s - window.from_s) / length_s).clamp(0.0, 1.0))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,247 @@
+//! What the times of an SDF file count, and in which GPS week it was recorded: from its epoch, its name, and the time of
+//! its first shot.
+
+use std::path::Path;
+
+use crate::batch::TimeScale;
+use crate::geo::time::{ADJUSTMENT_S, WEEK_S, day_of_year, gps_week};
+
+const DAY_S: f64 = 86_400.0;
+
+/// A moment, in seconds since the GPS epoch (1980-01-06), leap seconds left out.
+pub(super) type SinceEpoch = f64;
+
+/// What external times mean.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Times {
+    pub(super) scale: TimeScale,
+    /// What to add to an external time, s.
+    pub(super) offset_s: f64,
+    /// After how many seconds external times begin anew, where they do.
+    pub(super) period_s: Option<f64>,
+    /// The GPS week of the first shot.
+    pub(super) gps_week: Option<u32>,
+    /// The day of the first shot: (day of the year from 1, year).
+    pub(super) recorded: Option<(u16, u16)>,
+    /// What the user should know.
+    pub(super) remark: Option<&'static str>,
+}
+
+impl Times {
+    /// `epoch` as the library gives it; `first_s`: the external time of the first shot, if any; `about`: when the
+    /// recording was made, to half a day for seconds of the day, to half a week for seconds of the week.
+    pub(super) fn new(epoch: &str, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
+        match epoch.trim() {
+            "WEEKSEC" => Times::periodic(WEEK_S, TimeScale::Week, first_s, about),
+            "DAYSEC" => Times::periodic(DAY_S, TimeScale::Day, first_s, about),
+            epoch => match date_and_time(epoch) {
+                Some(epoch) => {
+                    let scale = TimeScale::Adjusted;
+                    Times {
+                        scale,
+                        offset_s: epoch - ADJUSTMENT_S,
+                        ..Times::dated(first_s.map(|s| epoch + s))
+                    }
+                }
+                None => Times { remark: Some(NO_SCALE), ..Times::dated(None) },
+            },
+        }
+    }
+
+    /// Times that begin anew with every period.
+    fn periodic(period_s: f64, scale: TimeScale, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
+        let Some(about) = about else {
+            return Times { scale, period_s: Some(period_s), remark: Some(NO_WEEK), ..Times::dated(None) };
+        };
+        let first_s = first_s.unwrap_or(about.rem_euclid(period_s));
+        // Of all moments with this time, the one nearest to when the recording was made: where that lies on the other
+        // side of midnight, the date is corrected.
+        let period_begins = ((about - first_s) / period_s).round() * period_s;
+        let week_begins = (period_begins / WEEK_S).floor() * WEEK_S;
+        let offset_s = period_begins - week_begins;
+        Times {
+            scale: TimeScale::Week,
+            offset_s,
+            period_s: Some(period_s),
+            ..Times::dated(Some(period_begins + first_s))
+        }
+        .of_week(week_begins)
+    }
+
+    fn dated(first: Option<SinceEpoch>) -> Times {
+        let week = first.map(|first| (first / WEEK_S).floor()).filter(|week| (0.0..1e5).contains(week));
+        Times {
+            scale: TimeScale::Unknown,
+            offset_s: 0.0,
+            period_s: None,
+            gps_week: week.map(|week| week as u32),
+            recorded: first
+                .and_then(|first| day_of_year(first - ADJUSTMENT_S))
+                .map(|(year, day)| (day, year)),
+            remark: None,
+        }
+    }
+
+    /// Seconds of the week count from the beginning of this one, even where the first shot lies behind its end.
+    fn of_week(self, week_begins: SinceEpoch) -> Times {
+        let week = week_begins / WEEK_S;
+        Times { gps_week: (0.0..1e5).contains(&week).then_some(week as u32), ..self }
+    }
+}
+
+const NO_SCALE: &str =
+    "the recording does not say what its times count from: no trajectory can be matched to them";
+const NO_WEEK: &str = "the GPS week is not known: the file's name does not begin with its date as in 130621_101500.sdf; \
+                       say the day with the key `gps_date`";
+
+/// When a recording was made, by its file's name: `YYMMDD_HHMMSS`, and anything behind it.
+pub(super) fn named(file: &Path) -> Option<SinceEpoch> {
+    let name = file.file_stem()?.to_str()?;
+    let (date, rest) = name.split_once('_')?;
+    let time = rest.get(..6).filter(|_| !rest[6..].starts_with(|next: char| next.is_ascii_digit()))?;
+    let [year, month, day] = pairs(date)?;
+    let [hour, minute, second] = pairs(time)?;
+    let year = if year < 80 { 2000 + year } else { 1900 + year };
+    Some(midnight(year as i32, month, day)? + seconds(hour, minute, f64::from(second))?)
+}
+
+/// Noon of a day, `YYYY-MM-DD`.
+pub(super) fn noon(date: &str) -> Option<SinceEpoch> {
+    Some(day(date)? + 0.5 * DAY_S)
+}
+
+/// A date and time of ISO 8601: `2010-11-16T00:00:00`, with parts of seconds and a `Z` if need be.
+fn date_and_time(text: &str) -> Option<SinceEpoch> {
+    let (date, time) = text.split_once(['T', ' '])?;
+    let mut parts = time.trim_end_matches('Z').splitn(3, ':');
+    let mut whole = || number(parts.next()?, 2);
+    let (hour, minute) = (whole()?, whole()?);
+    let second: f64 = parts.next()?.parse().ok()?;
+    Some(day(date)? + seconds(hour, minute, second)?)
+}
+
+fn day(date: &str) -> Option<SinceEpoch> {
+    let mut parts = date.splitn(3, '-');
+    let year = number(parts.next()?, 4)?;
+    midnight(year as i32, number(parts.next()?, 2)?, number(parts.next()?, 2)?)
+}
+
+fn midnight(year: i32, month: u32, day: u32) -> Option<SinceEpoch> {
+    let (week, day_of_week) = gps_week(year, month, day)?;
+    let is_date = (1..=12).contains(&month) && (1..=days_of(year, month)).contains(&day);
+    is_date.then(|| f64::from(week) * WEEK_S + f64::from(day_of_week) * DAY_S)
+}
+
+fn days_of(year: i32, month: u32) -> u32 {
+    let leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+    match month {
+        2 if leap => 29,
+        2 => 28,
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    }
+}
+
+fn seconds(hour: u32, minute: u32, second: f64) -> Option<f64> {
+    let is_time = hour < 24 && minute < 60 && (0.0..61.0).contains(&second);
+    is_time.then(|| f64::from(3600 * hour + 60 * minute) + second)
+}
+
+/// Three numbers of two digits.
+fn pairs(text: &str) -> Option<[u32; 3]> {
+    let [a, b, c] = [0, 2, 4].map(|at| text.get(at..at + 2).and_then(|pair| number(pair, 2)));
+    (text.len() == 6).then_some([a?, b?, c?])
+}
+
+fn number(text: &str, digits: usize) -> Option<u32> {
+    let plain = text.len() == digits && text.bytes().all(|byte| byte.is_ascii_digit());
+    plain.then(|| text.parse().ok()).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 2013-06-21 lies in week 1745, on its Friday.
+    const FRIDAY: f64 = 1745.0 * WEEK_S + 5.0 * DAY_S;
+
+    #[test]
+    fn a_name_begins_with_its_date_and_time() {
+        let at = |name: &str| named(Path::new(name));
+        assert_eq!(at("in/130621_101500.sdf"), Some(FRIDAY + 36_900.0));
+        assert_eq!(at("130621_101500_1.sdf"), at("130621_101500.wfm"));
+        assert_eq!(at("130621_101500_line 4.sdf"), at("130621_101500.sdf"));
+        assert_eq!(at("940102_000000.sdf"), Some(730.0 * WEEK_S), "of the last century");
+        for other in [
+            "flight.sdf",
+            "130621.sdf",
+            "130621_1015.sdf",
+            "130621_1015000.sdf",
+            "131321_101500.sdf",
+            "130631_101500.sdf",
+            "130229_101500.sdf",
+            "130621_241500.sdf",
+            "1306x1_101500.sdf",
+            "130621_ä0150.sdf",
+            "800101_000000.sdf",
+        ] {
+            assert_eq!(at(other), None, "{other}");
+        }
+    }
+
+    #[test]
+    fn seconds_of_the_week_take_the_nearest_week() {
+        let times = |first, about| Times::new("WEEKSEC", Some(first), Some(about));
+        let friday = times(5.0 * DAY_S + 36_901.5, FRIDAY + 36_900.0);
+        assert_eq!((friday.scale, friday.offset_s, friday.gps_week), (TimeScale::Week, 0.0, Some(1745)));
+        assert_eq!((friday.recorded, friday.remark), (Some((172, 2013)), None));
+        // Named a second before Sunday's midnight, begun a second behind it, and the other way round.
+        let sunday = 1745.0 * WEEK_S;
+        assert_eq!(times(1.0, sunday - 1.0).gps_week, Some(1745));
+        assert_eq!(times(WEEK_S - 1.0, sunday + 1.0).gps_week, Some(1744));
+        // A clock that counts on over the end of the week.
+        assert_eq!(times(WEEK_S + 1.0, sunday + 1.0).gps_week, Some(1744));
+    }
+
+    #[test]
+    fn seconds_of_a_known_day_become_those_of_the_week() {
+        let times = Times::new("DAYSEC", Some(2.0), Some(FRIDAY - 1.0));
+        assert_eq!((times.scale, times.offset_s, times.gps_week), (TimeScale::Week, 5.0 * DAY_S, Some(1745)));
+        assert_eq!(times.recorded, Some((172, 2013)));
+        let unknown = Times::new("DAYSEC", Some(2.0), None);
+        assert_eq!((unknown.scale, unknown.gps_week, unknown.remark), (TimeScale::Day, None, Some(NO_WEEK)));
+    }
+
+    #[test]
+    fn a_date_and_time_gives_adjusted_seconds() {
+        let times = Times::new("2013-06-21T00:00:00", Some(7.5), None);
+        assert_eq!((times.scale, times.offset_s), (TimeScale::Adjusted, FRIDAY - 1e9));
+        assert_eq!((times.gps_week, times.recorded), (Some(1745), Some((172, 2013))));
+        assert_eq!(Times::new("2011-09-14T01:46:40.0Z", None, None).offset_s, 0.0);
+    }
+
+    #[test]
+    fn what_is_not_known_stays_so() {
+        for epoch in ["UNKNOWN", "", "2013-06-21", "2013-06-31T00:00:00", "2013-06-21T00:61:00", "tomorrow T"]
+        {
+            let times = Times::new(epoch, Some(1.0), Some(FRIDAY));
+            assert_eq!((times.scale, times.gps_week), (TimeScale::Unknown, None), "{epoch}");
+            assert_eq!(times.remark, Some(NO_SCALE));
+        }
+        assert_eq!(Times::new("WEEKSEC", Some(1.0), None).remark, Some(NO_WEEK));
+    }
+
+    #[test]
+    fn without_a_time_the_name_alone_dates_a_recording() {
+        let times = Times::new("WEEKSEC", None, Some(FRIDAY + 36_900.0));
+        assert_eq!((times.gps_week, times.recorded, times.offset_s), (Some(1745), Some((172, 2013)), 0.0));
+        assert_eq!(Times::new("DAYSEC", None, Some(FRIDAY + 36_900.0)).offset_s, 5.0 * DAY_S);
+    }
+
+    #[test]
+    fn noon_is_that_of_the_day() {
+        assert_eq!(noon("2013-06-21"), Some(FRIDAY + 43_200.0));
+        assert_eq!(noon("2013-6-21"), None);
+        assert_eq!(noon("21.06.2013"), None);
+    }
+}

@@ -1,0 +1,200 @@
+//! Recordings that the stand-in can serve without a loss, and jobs that read them.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use serde_json::Value;
+use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
+use wavex::formats::container::{
+    Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
+    EmissionReference, Frame, LineBuilder, TimeScale, channel,
+};
+
+use crate::support::{Outcome, Place};
+
+/// The name of a recording that began when the simulator's do, two hours into its tenth hour.
+pub const NAME: &str = "250506_100000.sdf";
+
+/// The stand-in, which cargo builds with the other examples before the tests.
+pub fn stand_in() -> PathBuf {
+    let test = std::env::current_exe().unwrap();
+    let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+    let library =
+        test.parent().and_then(Path::parent).unwrap().join(format!("examples/{before}sdf_stand_in{after}"));
+    assert!(library.is_file(), "{} is missing: `cargo build --example sdf_stand_in`", library.display());
+    library
+}
+
+/// A row of a container.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    pub shot: ContainerShot,
+    /// Channel, time of the first sample after the clock (ns), samples.
+    pub blocks: Vec<(u8, f64, Vec<u16>)>,
+}
+
+/// A container of such a recording as SDF can hold: nothing is known but what the interface says.
+pub fn header() -> ContainerHeader {
+    ContainerHeader {
+        instrument: Some("LMS-Q680i".into()),
+        serial: Some("9997".into()),
+        sampling_interval_ns: 1.0,
+        group_velocity_mps: 299_707_502.0,
+        pulse_rate_hz: None,
+        time_scale: TimeScale::Week,
+        gps_week: Some(2365),
+        frame: Frame::Scanner,
+        crs_wkt: None,
+        amplitude_low: Some(vec![(9.0, 0.0), (68.0, 9.75), (255.0, 19.7)]),
+        amplitude_high: Some(vec![(3.0, 10.5), (255.0, 39.7)]),
+        range_low: Some(vec![(9.0, -4.3e-11), (255.0, 3.5e-11)]),
+        range_high: Some(vec![(3.0, 1e-12), (255.0, 2e-12)]),
+        recorded: Some((126, 2025)),
+        full_scale_dn: Some(255),
+        coordinate_grid: None,
+        emission_reference: Some(EmissionReference::OutgoingPulse),
+    }
+}
+
+/// The lines of a container, one record batch each.
+pub fn container(header: &ContainerHeader, lines: &[Vec<Row>]) -> Vec<u8> {
+    let mut writer = ContainerWriter::file(Vec::new(), Path::new("made"), header, Compression::None).unwrap();
+    for rows in lines {
+        let mut line = LineBuilder::new();
+        for row in rows {
+            line.shot(&row.shot);
+            for (channel, start_ns, samples) in &row.blocks {
+                let block = ContainerBlock {
+                    channel: *channel,
+                    start_ns: *start_ns,
+                    interval_ns: None,
+                    zone: None,
+                    samples,
+                };
+                line.block(&block);
+            }
+        }
+        writer.write(line).unwrap();
+    }
+    writer.finish().unwrap()
+}
+
+/// The rows of a container by line.
+pub fn rows(path: &Path) -> Vec<Vec<Row>> {
+    let mut reader = ContainerReader::open(path).unwrap();
+    let mut lines = Vec::new();
+    while let Some(line) = reader.next_line().unwrap() {
+        let row = |row| Row {
+            shot: line.shot(row),
+            blocks: line
+                .blocks(row)
+                .map(|block| (block.channel, block.start_ns, block.samples.to_vec()))
+                .collect(),
+        };
+        lines.push((0..line.rows()).map(row).collect());
+    }
+    lines
+}
+
+/// A simulated flight of six lines of 200 shots, as an instrument of two receivers would record it: in the scanner's
+/// frame, its zones unknown, several blocks of a channel, and each echo seen by the high power receiver, too.
+pub fn flight() -> &'static [Vec<Row>] {
+    static FLIGHT: OnceLock<Vec<Vec<Row>>> = OnceLock::new();
+    FLIGHT.get_or_init(|| {
+        let place = Place::new();
+        let job = "[[stage]]\ntype = 'simulate'\nlines = 6\nshots_per_line = 200\nseed = 3\n\
+                   [[stage]]\ntype = 'write_arrow'\npath = 'flight.arrow'\n";
+        assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+        let mut lines = rows(&place.path("out/flight.arrow"));
+        lines.iter_mut().flatten().for_each(as_sdf);
+        lines
+    })
+}
+
+/// Leaves out what SDF has no place for.
+fn as_sdf(row: &mut Row) {
+    row.shot.mta_zone = None;
+    row.shot.scan_angle_deg = None;
+    row.shot.frame_scale = None;
+    row.shot.flags &= !SCAN_DIRECTION_POSITIVE;
+    let echoes: Vec<_> = row.blocks.iter().filter(|block| block.0 == channel::LOW_POWER).cloned().collect();
+    let weak = |samples: Vec<u16>| samples.into_iter().map(|sample| sample / 8).collect();
+    row.blocks.extend(
+        echoes.into_iter().map(|(_, start, samples)| (channel::HIGH_POWER, start + 1.43, weak(samples))),
+    );
+    // Millionths of a nanosecond: finer block times are not read.
+    row.blocks.iter_mut().for_each(|block| block.1 = (block.1 * 1e6).round() / 1e6);
+}
+
+/// The flight as a container.
+pub fn flight_container() -> Vec<u8> {
+    container(&header(), flight())
+}
+
+/// A folder with a recording, and what the stand-in is told beside it.
+pub fn place(recording: &[u8], mischief: &str) -> Place {
+    let place = Place::with(&[(NAME, recording)]);
+    if !mischief.is_empty() {
+        place.write(&format!("{NAME}.txt"), mischief.as_bytes());
+    }
+    place
+}
+
+/// The stages of a job that copies a recording, read with these keys, into `out/sdf.arrow`.
+pub fn copy(keys: &str) -> String {
+    let library = stand_in();
+    let library = library.display();
+    format!(
+        "[[stage]]\ntype = 'read_sdf'\npath = '{NAME}'\nlibrary = '{library}'\n{keys}\n\
+         [[stage]]\ntype = 'write_arrow'\npath = 'sdf.arrow'\ncompression = 'none'\n"
+    )
+}
+
+/// Copies a recording, which must succeed, and gives the report of the input and the rows.
+#[track_caller]
+pub fn read(place: &Place, keys: &str) -> (Value, Vec<Vec<Row>>) {
+    assert_eq!(place.run(&copy(keys)), Outcome { code: Some(0), err: String::new() });
+    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    (report["inputs"][0].clone(), rows(&place.path("out/sdf.arrow")))
+}
+
+/// Copies a recording, which must fail with this message about the file.
+#[track_caller]
+pub fn fails(recording: &[u8], mischief: &str, keys: &str, message: &str) {
+    let place = place(recording, mischief);
+    let outcome = place.run(&copy(keys));
+    place.left_nothing(outcome, &format!("stage read_sdf: ./{NAME}: {message}"));
+}
+
+/// A shot straight down with an outgoing pulse and one echo, a tenth of a second after the other.
+pub fn plain(shot: u64, line: u32) -> Row {
+    Row {
+        shot: ContainerShot {
+            shot,
+            line,
+            gps_time_s: Some(208_800.0 + shot as f64 / 10.0),
+            clock_ps: (5_000 + shot as i64 * 100) * 1_000_000_000,
+            origin_m: [0.0; 3],
+            direction: [0.0, 0.6, -0.8],
+            facet: 0,
+            flags: 3,
+            mta_zone: None,
+            scan_angle_deg: None,
+            frame_scale: None,
+        },
+        blocks: vec![
+            (channel::REFERENCE, -5.0, vec![2, 90, 2]),
+            (channel::LOW_POWER, 4000.5, vec![2, 9, 30, 9, 2]),
+        ],
+    }
+}
+
+/// A line of such shots.
+pub fn plain_line(shots: impl IntoIterator<Item = u64>, line: u32) -> Vec<Row> {
+    shots.into_iter().map(|shot| plain(shot, line)).collect()
+}
+
+/// (line, number of shots) of each record batch.
+pub fn lengths(lines: &[Vec<Row>]) -> Vec<(u32, usize)> {
+    lines.iter().map(|rows| (rows[0].shot.line, rows.len())).collect()
+}

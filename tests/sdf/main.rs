@@ -1,0 +1,21 @@
+//! `read_sdf`, through the stand-in for RIEGL's library (`examples/sdf_stand_in`): against `read_arrow`, and where the
+//! library or the data misbehave.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and tells what it skips"
+)]
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod faults;
+mod index;
+mod library;
+mod made;
+mod same;
+mod shots;
+mod stand_in;
+mod times;
