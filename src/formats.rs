@@ -11,6 +11,7 @@ pub mod container;
 pub mod geokeys;
 pub mod las;
 pub mod pulsewaves;
+pub mod trajectory;
 
 /// What can be wrong with a file.
 #[derive(Debug, thiserror::Error)]

@@ -1,8 +1,9 @@
 //! A lidar that exists only as numbers: what the stage `simulate` is made of.
 //!
-//! Each part stands by itself, so that another can take its place: the [`scanner`] says when and where each pulse goes,
-//! the [`scene`] what it meets, the [`receiver`] what is recorded of it, and [`truth`] what a perfect evaluation would
-//! find.
+//! Each part stands by itself, so that another can take its place: the [`scanner`] says when each pulse leaves and at
+//! which angle, the [`platform`] where the scanner is then and how it is turned, the [`scene`] what the pulse meets, the
+//! [`detector`] how strong that comes out, the [`receiver`] what is recorded of it, the [`world`] where on the earth all
+//! this takes place, and [`truth`] what a perfect evaluation would find.
 //!
 //! # The same bytes everywhere
 //! Random numbers come from a generator of our own ([`random`]), started afresh for each shot from the seed, the scan
@@ -10,13 +11,16 @@
 //! come from the crate `libm`, never from `std`, whose results differ between platforms in the last bit. What else is
 //! done with a number (`+ - * /`, square root, rounding) IEEE 754 defines to the bit.
 
+pub mod detector;
 pub mod noise;
+pub mod platform;
 pub mod pulse;
 pub mod random;
 pub mod receiver;
 pub mod scanner;
 pub mod scene;
 pub mod truth;
+pub mod world;
 
 /// Speed of the pulse in the simulated air, m/s: as an instrument's file has said it.
 pub const GROUP_VELOCITY_MPS: f64 = 299_710_540.0;

@@ -1,0 +1,62 @@
+//! What the simulator costs: shots per second of one core, for scenes and receivers of growing effort.
+//!
+//! `cargo bench --bench simulate` prints a table; the goal for the first row is 300 000.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+use std::time::Instant;
+
+use common::{COUNT, WORK, WRITE_NUMBERS, job};
+use wavex::kernels::lockstep;
+use wavex::registry;
+use wavex::stage::{Context, Plan, Site};
+
+/// What is measured: a name, and the keys of `simulate`.
+const CASES: &[(&str, &str)] = &[
+    ("level ground, building and wood; one channel", "lines = 200\nshots_per_line = 1000"),
+    (
+        "the same without anything on the ground",
+        "lines = 200\nshots_per_line = 1000\nbuilding_height_m = 0.0\ncanopy_height_m = 0.0",
+    ),
+];
+
+/// Shots per second, the median of five flights.
+fn shots_per_second(keys: &str) -> f64 {
+    let spec = registry::find("simulate").unwrap_or_else(|| panic!("there is a simulator"));
+    let job = job(&[(spec, keys)]);
+    let Plan::Source(source) = &job.stages[0].planned.plan else { panic!("simulate is a source") };
+    let site = Site {
+        input: "".into(),
+        stem: "simulated".into(),
+        input_dir: std::env::temp_dir(),
+        output_dir: std::env::temp_dir(),
+        threads: 1,
+        simd: lockstep::Path::best(),
+    };
+    let mut rates: Vec<f64> = (0..5)
+        .map(|_| {
+            let started = Instant::now();
+            let mut lines = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
+            let mut shots = 0;
+            while let Some(line) =
+                lines.next(&mut Context::default()).unwrap_or_else(|error| panic!("{error}"))
+            {
+                shots += line.emissions.len();
+            }
+            shots as f64 / started.elapsed().as_secs_f64()
+        })
+        .collect();
+    rates.sort_by(f64::total_cmp);
+    rates[2]
+}
+
+fn main() {
+    let _ = (&COUNT, &WORK, &WRITE_NUMBERS);
+    println!("{:<52} {:>22}   goal", "simulate, one thread", "shots per core-second");
+    for (row, (name, keys)) in CASES.iter().enumerate() {
+        let goal = if row == 0 { "300000" } else { "" };
+        println!("{name:<52} {:>22.0}   {goal}", shots_per_second(keys));
+    }
+}
