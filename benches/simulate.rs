@@ -15,10 +15,18 @@ use wavex::stage::{Context, Plan, Site};
 
 /// What is measured: a name, and the keys of `simulate`.
 const CASES: &[(&str, &str)] = &[
-    ("level ground, building and wood; one channel", "lines = 200\nshots_per_line = 1000"),
+    ("level ground, building and wood; one receiver", ""),
+    ("level ground alone; one receiver", "building_height_m = 0.0\ncanopy_height_m = 0.0"),
     (
-        "the same without anything on the ground",
-        "lines = 200\nshots_per_line = 1000\nbuilding_height_m = 0.0\ncanopy_height_m = 0.0",
+        "the same in the scanner's frame, swaying",
+        "sbet = 'bench.sbet'\nroll_deg = 2.0\npitch_deg = 1.0\nyaw_deg = 1.0",
+    ),
+    ("the same as recorded", "as_recorded = true"),
+    ("country; one receiver", "landscape = 'country'"),
+    (
+        "country; two receivers, modulation, blind gap, as recorded",
+        "landscape = 'country'\nhigh_power = true\nmodulation_ns = 17.0\npulse_rate_hz = 400000.0\nblind_gap_ns = 15.0\n\
+         flying_height_m = 1500.0\nas_recorded = true\nscanner = 'oscillating'",
     ),
 ];
 
