@@ -149,12 +149,17 @@ impl Scene {
 impl Strips {
     fn hits(&self, beam: &Beam, reference_range_m: f64, hits: &mut Vec<Hit>) {
         let mut left = 1.0;
-        if let Some((area, canopy)) = &self.canopy {
+        let ground_m = beam.range_to(GROUND_HEIGHT_M);
+        let [x, ..] = beam.at(ground_m);
+        if let Some((area, canopy)) = self.canopy.as_ref().filter(|(area, canopy)| {
+            // Most beams pass beside the wood all the way down from its highest place.
+            let [x_high, ..] = beam.at(beam.range_to(GROUND_HEIGHT_M + canopy.height_m()));
+            x.max(x_high) >= area.x[0] && x.min(x_high) <= area.x[1]
+        }) {
             let level = |_, _| GROUND_HEIGHT_M;
             let is_wood = |x, y| area.depth_m(x, y) >= 0.0;
             left = canopy.hits(beam, left, reference_range_m, GROUND_HEIGHT_M, level, is_wood, hits);
         }
-        let ground_m = beam.range_to(GROUND_HEIGHT_M);
         if let Some(building) = &self.building {
             left = building.hits(beam, ground_m, left, reference_range_m, hits);
         }

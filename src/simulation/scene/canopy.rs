@@ -48,6 +48,11 @@ impl Canopy {
         Canopy { layers }
     }
 
+    /// Height of the highest place above the ground, m.
+    pub(super) fn height_m(&self) -> f64 {
+        self.layers[0].height_m
+    }
+
     /// Adds the echoes of a beam of which the share `left` arrives, and says what is left of it below. The wood grows
     /// on ground of the height `ground_m(x, y)`, near the beam about `near_m`, and only where `is_wood(x, y)`.
     #[allow(clippy::too_many_arguments, reason = "a beam, what it carries, and two fields of the land")]

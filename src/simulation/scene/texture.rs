@@ -1,6 +1,7 @@
 //! Irregularity that belongs to a place.
 
 use super::super::random::{Random, cell, hash};
+use super::super::whole_and_part;
 
 /// A smooth random field: values between 0 and 1 on a square lattice, blended between its points (value noise), in two
 /// sizes of grain.
@@ -34,10 +35,8 @@ impl Texture {
 
     fn octave(&self, octave: usize, x: f64, y: f64) -> f64 {
         let (key, per_cell) = (self.keys[octave], self.per_cell[octave]);
-        let (x, y) = (x * per_cell, y * per_cell);
-        let (column, row) = (x.floor(), y.floor());
-        let (i, j) = (column as i64, row as i64);
-        let (u, v) = (smooth(x - column), smooth(y - row));
+        let ((i, u), (j, v)) = (whole_and_part(x * per_cell), whole_and_part(y * per_cell));
+        let (u, v) = (smooth(u), smooth(v));
         let [south_west, south_east, north_west, north_east] = cell(key, i, j);
         let south = south_west + u * (south_east - south_west);
         let north = north_west + u * (north_east - north_west);

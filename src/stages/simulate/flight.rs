@@ -9,6 +9,7 @@ use crate::batch::{
 };
 use crate::simulation::detector::{Detector, Sensitivity};
 use crate::simulation::platform::Platform;
+use crate::simulation::pulse::Width;
 use crate::simulation::random::{Normal, Purpose, Random};
 use crate::simulation::receiver::{Echo, Receiver, TRIGGER_DN, Window};
 use crate::simulation::scanner::{self, Mirror, Scanner, Shot};
@@ -174,12 +175,8 @@ impl Flight {
         for hit in &self.hits {
             let width = self.receiver.response().width(time_of_flight_ns(hit.spread_m));
             let energy_dn = self.ground_amplitude_dn * cast.pulse.energy * hit.energy;
-            self.echoes.push(self.echo(
-                cast,
-                hit.range_m,
-                energy_dn * self.receiver.response().peak(width),
-                hit.spread_m,
-            ));
+            let linear_dn = energy_dn * self.receiver.response().peak(width);
+            self.echoes.push(self.echo(cast, hit.range_m, linear_dn, width));
         }
         if self.false_alarm_rate > 0.0 {
             self.raise_false_alarm(cast);
@@ -190,13 +187,13 @@ impl Flight {
     }
 
     /// The echo of a target at a range whose peak has this linear amplitude.
-    fn echo(&self, cast: &Cast, range_m: f64, linear_dn: f64, spread_m: f64) -> Echo {
+    fn echo(&self, cast: &Cast, range_m: f64, linear_dn: f64, width: Width) -> Echo {
         Echo {
             time_ns: cast.pulse.emission_ns + time_of_flight_ns(range_m),
             amplitude_dn: self.detector.height_dn(Sensitivity::Sensitive, linear_dn),
             high_power_dn: self.detector.height_dn(Sensitivity::Coarse, linear_dn),
             linear_dn,
-            width: self.receiver.response().width(time_of_flight_ns(spread_m)),
+            width,
         }
     }
 
@@ -207,7 +204,8 @@ impl Flight {
             return;
         }
         let range_m = random.uniform() * 0.5e-9 * GROUP_VELOCITY_MPS * self.longest_ns;
-        let echo = self.echo(cast, range_m, TRIGGER_DN * (1.0 + random.uniform()), 0.0);
+        let flat = self.receiver.response().width(0.0);
+        let echo = self.echo(cast, range_m, TRIGGER_DN * (1.0 + random.uniform()), flat);
         let at = self.hits.partition_point(|hit| hit.range_m < range_m);
         self.hits.insert(at, Hit { class: Class::FalseAlarm, range_m, energy: 0.0, spread_m: 0.0 });
         self.echoes.insert(at, echo);
