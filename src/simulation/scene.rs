@@ -75,7 +75,7 @@ pub struct Scene {
 
 #[derive(Clone, Debug)]
 enum Land {
-    Strips(Strips),
+    Strips(Box<Strips>),
     Country(Box<Country>),
 }
 
@@ -126,7 +126,7 @@ impl Scene {
             building: (building_height_m > 0.0).then(|| building(building_height_m)),
             canopy: (canopy_height_m > 0.0).then(|| canopy(canopy_height_m)),
         };
-        Scene { land: Land::Strips(strips), reference_range_m: flying_height_m }
+        Scene { land: Land::Strips(Box::new(strips)), reference_range_m: flying_height_m }
     }
 
     /// Land without an end, seen from `flying_height_m` above its lowest ground.

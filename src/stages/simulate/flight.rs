@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use super::{FULL_SCALE_DN, INTERVAL_NS, Simulate};
 use crate::batch::{
-    Batch, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, TimeScale, emission_flags,
+    AmplitudeTable, Batch, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, TimeScale,
+    emission_flags,
 };
 use crate::simulation::detector::{Detector, Sensitivity};
 use crate::simulation::platform::Platform;
@@ -398,7 +399,8 @@ impl Recorder {
 
 fn input(config: &Simulate) -> InputInfo {
     let background_dn = 0.5 * (config.background_dn[0] + config.background_dn[1]);
-    let table = |receiver| config.detector().table(receiver, background_dn, FULL_SCALE_DN);
+    let table =
+        |receiver| AmplitudeTable::new(config.detector().table(receiver, background_dn, FULL_SCALE_DN));
     let frame = if config.has_trajectory() { Frame::Scanner } else { Frame::Map };
     InputInfo {
         path: PathBuf::new(),

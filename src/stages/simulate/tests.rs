@@ -5,12 +5,13 @@ use proptest::prelude::*;
 use super::*;
 use crate::batch::{Block, Blocks, Channel, emission_flags};
 use crate::simulation::pulse::{FWHM_OF_NORMAL, Shape};
-use crate::simulation::scene::Class;
 use crate::simulation::truth::{COLUMNS, TrueReturn};
 use crate::simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
-use crate::stage::{Config, InvalidKey};
+use crate::stage::Config;
 
 mod as_recorded;
+mod instrument;
+mod keys;
 mod trajectory;
 
 /// A flight over level ground without anything on it.
@@ -249,11 +250,30 @@ fn rich() -> Simulate {
     }
 }
 
-/// FNV-1a of what a line and its truth look like, written out: each float as its shortest text.
-fn digest(line: &(Batch, Vec<TrueReturn>)) -> u64 {
-    let text = format!("{:?} {:?}", line.0, line.1);
-    text.bytes()
-        .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3))
+/// FNV-1a of a line's times, directions, samples and truth.
+fn digest((batch, truth): &(Batch, Vec<TrueReturn>)) -> u64 {
+    let mut bytes = Vec::new();
+    for emission in &batch.emissions {
+        bytes.extend(emission.clock_ps.to_le_bytes());
+        emission.direction.iter().for_each(|d| bytes.extend(d.to_le_bytes()));
+    }
+    let blocks = batch.blocks().unwrap();
+    for block in blocks.iter() {
+        bytes.extend(block.start_ns.to_le_bytes());
+        blocks.samples(block).iter().for_each(|sample| bytes.extend(sample.to_le_bytes()));
+    }
+    truth.iter().for_each(|row| row.write(&mut bytes));
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
+}
+
+/// The bytes of every part of the simulator, the same on every machine.
+#[test]
+fn lines_of_everything_have_these_bytes() {
+    let in_map = Simulate { as_recorded: false, ..rich() };
+    let in_scanner = Simulate { as_recorded: true, pof: Some("*.pof".to_owned()), ..rich() };
+    let found = [in_map, in_scanner].map(|config| digest(&lines(&config, 0..2)[1]));
+    assert_eq!(found, [12_939_115_138_710_305_480, 16_313_470_077_786_616_657]);
 }
 
 #[test]
@@ -267,125 +287,6 @@ fn any_kind_of_line_alone_is_the_line_in_sequence() {
             assert!(sequence.iter().map(|line| line.1.len()).sum::<usize>() > 2000);
         }
     }
-}
-
-#[test]
-fn the_second_receiver_begins_later_by_a_constant_and_changes_nothing_in_the_first() {
-    let config = Simulate { as_recorded: false, ..rich() };
-    let alone = lines(&Simulate { high_power: false, ..config.clone() }, 0..2);
-    let mut strong = 0;
-    for ((batch, truth), (one, _)) in lines(&config, 0..2).iter().zip(&alone) {
-        let blocks = batch.blocks().unwrap();
-        let low = |b: &&Block| b.channel == Channel::LowPower;
-        let mut low_blocks = blocks.iter().filter(low).map(|b| (b.start_ns, blocks.samples(b).to_vec()));
-        let one = one.blocks().unwrap();
-        assert!(
-            low_blocks.all(|b| one.iter().filter(low).any(|o| (o.start_ns, one.samples(o)) == (b.0, &b.1)))
-        );
-        for pair in blocks.iter().collect::<Vec<_>>().windows(2) {
-            if pair[1].channel == Channel::HighPower {
-                assert_eq!((pair[0].channel, pair[0].emission), (Channel::LowPower, pair[1].emission));
-                assert!((pair[1].start_ns - pair[0].start_ns - 1.43).abs() < 1e-9);
-                assert_eq!(pair[0].zone, pair[1].zone);
-                strong += 1;
-            }
-        }
-        for row in truth.iter().filter(|row| row.amplitude_dn >= 60.0) {
-            assert!(row.in_high_power && row.linear_dn >= row.amplitude_dn, "{row:?}");
-        }
-    }
-    assert!(strong > 100, "{strong}");
-}
-
-/// Level ground in both receivers: the ratio of the peaks is the gain, and the times differ by the delay.
-#[test]
-fn both_receivers_see_the_same_echo() {
-    let config = Simulate {
-        high_power: true,
-        high_power_from_dn: 0.0,
-        high_power_delay_ns: 0.4,
-        noise_sd_dn: 0.0,
-        high_power_noise_sd_dn: 0.0,
-        background_dn: [20.0, 20.0],
-        ground_amplitude_dn: 1500.0,
-        response: Response::Gaussian,
-        ..bare()
-    };
-    let (mut n, mut off_ns, mut gain) = (0.0, 0.0, 0.0);
-    for (batch, truth) in lines(&config, 0..3) {
-        let blocks = batch.blocks().unwrap();
-        for truth in truth.iter().filter(|truth| (800.0..2000.0).contains(&truth.linear_dn)) {
-            let block = blocks_of(blocks, (truth.shot % 1000) as usize, Channel::HighPower).next().unwrap();
-            let samples = blocks.samples(block);
-            let peak_ns = gaussian_peak_ns(samples, block, 20.0);
-            n += 1.0;
-            off_ns += peak_ns - truth.emission_ns - truth.time_of_flight_ns;
-            gain += (f64::from(*samples.iter().max().unwrap()) - 20.0) / truth.linear_dn;
-        }
-    }
-    assert!(n > 1000.0 && (off_ns / n - 0.4).abs() < 0.001, "{n} {}", off_ns / n);
-    // The highest of the samples lies up to half a sample from the peak.
-    assert!((0.097..0.1).contains(&(gain / n)), "{}", gain / n);
-}
-
-#[test]
-fn false_alarms_have_their_rate_and_their_name() {
-    let config = Simulate { false_alarm_rate: 0.05, ..bare() };
-    let rows: Vec<TrueReturn> = lines(&config, 0..20).into_iter().flat_map(|line| line.1).collect();
-    let alarms = rows.iter().filter(|row| row.class == Class::FalseAlarm).count();
-    assert!((900..1100).contains(&alarms), "{alarms} of 20 000");
-    assert!(rows.iter().all(|row| row.class != Class::FalseAlarm || (5.5..11.0).contains(&row.amplitude_dn)));
-    let quiet: Vec<TrueReturn> = lines(&bare(), 0..20).into_iter().flat_map(|line| line.1).collect();
-    let same = |row: &TrueReturn| (row.shot, row.range_m.to_bits());
-    let others: Vec<_> = rows.iter().filter(|row| row.class != Class::FalseAlarm).map(same).collect();
-    assert_eq!(others, quiet.iter().map(same).collect::<Vec<_>>(), "the others stay as they were");
-}
-
-/// With modulation the zone counts emissions, not intervals of the mean rate.
-#[test]
-fn zones_of_modulated_pulses_are_counted() {
-    let config = Simulate { as_recorded: false, false_alarm_rate: 0.0, ..rich() };
-    let scanner = config.scanner();
-    let tick = |number: u64| scanner.tick_ns((number / 400) as u32, (number % 400) as u32);
-    for (batch, truth) in lines(&config, 0..3) {
-        let blocks = batch.blocks().unwrap();
-        for block in blocks.iter().filter(|block| block.channel == Channel::LowPower) {
-            let emission = &batch.emissions[block.emission as usize];
-            let zone = block.zone.or(emission.mta_zone).unwrap() as u64;
-            let at_ns = tick(emission.shot) as f64 + block.start_ns;
-            assert!(
-                tick(emission.shot + zone) as f64 <= at_ns && at_ns < tick(emission.shot + zone + 1) as f64
-            );
-        }
-        assert!(truth.iter().all(|row| (3..7).contains(&row.zone)));
-    }
-}
-
-#[test]
-fn nothing_is_recorded_around_an_emission() {
-    let config = Simulate { as_recorded: false, false_alarm_rate: 0.5, blind_gap_ns: 100.0, ..rich() };
-    let scanner = config.scanner();
-    let ticks: Vec<i64> =
-        (0..6).flat_map(|l| (0..400).map(move |k| (l, k))).map(|(l, k)| scanner.tick_ns(l, k)).collect();
-    let to_emission_ns = |row: &TrueReturn| {
-        let at_ns = ticks[row.shot as usize] as f64 + row.emission_ns + row.time_of_flight_ns;
-        let after = ticks.partition_point(|&tick| (tick as f64) < at_ns);
-        let near = ticks[after.saturating_sub(1)..(after + 1).min(ticks.len())].iter();
-        near.map(|&tick| (tick as f64 - at_ns).abs()).fold(f64::INFINITY, f64::min)
-    };
-    let rows = |config: &Simulate| -> Vec<TrueReturn> {
-        lines(config, 0..6).into_iter().flat_map(|line| line.1).collect()
-    };
-    let (gapped, all) = (rows(&config), rows(&Simulate { blind_gap_ns: 0.0, ..config }));
-    assert!(gapped.iter().all(|row| to_emission_ns(row) > 100.0));
-    let outside = all.iter().filter(|row| to_emission_ns(row) > 100.0).count();
-    // A weak echo beside one in the gap may have stood in its block only.
-    assert!(
-        gapped.len() <= outside && gapped.len() > outside - outside / 50,
-        "{} {outside} {}",
-        gapped.len(),
-        all.len()
-    );
 }
 
 #[test]
@@ -470,110 +371,6 @@ fn a_run_that_ends_early_leaves_no_truth() {
     source.next(&mut Context::default()).unwrap();
     drop(source);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-}
-
-#[test]
-fn each_limit_has_its_message() {
-    type Change = fn(&mut Simulate);
-    let cases: [(Change, &str, &str); 38] = [
-        (|c| c.stem = "a/b".to_owned(), "stem", "must be a file name without folders"),
-        (|c| c.lines = 0, "lines", "must be at least 1"),
-        (|c| c.shots_per_line = 4097, "shots_per_line", "must lie between 1 and 4096"),
-        (|c| c.pulse_rate_hz = 999.0, "pulse_rate_hz", "must lie between 1000 and 2000000"),
-        (
-            |c| c.scan_angle_deg = [30.0, -30.0],
-            "scan_angle_deg",
-            "must be two ascending angles between -60 and 60",
-        ),
-        (
-            |c| c.modulation_ns = 3334.0,
-            "modulation_ns",
-            "must lie between 0 and half the interval between pulses",
-        ),
-        (|c| c.speed_mps = f64::NAN, "speed_mps", "must lie between 1 and 1000"),
-        (|c| c.heading_deg = 361.0, "heading_deg", "must lie between -360 and 360"),
-        (|c| c.roll_deg = 15.1, "roll_deg", "must lie between 0 and 15"),
-        (|c| c.pitch_deg = -0.1, "pitch_deg", "must lie between 0 and 15"),
-        (|c| c.yaw_deg = f64::NAN, "yaw_deg", "must lie between 0 and 15"),
-        (|c| c.motion_period_s = 0.9, "motion_period_s", "must lie between 1 and 1000"),
-        (|c| c.lever_arm_m[2] = 11.0, "lever_arm_m", "must be three lengths between -10 and 10"),
-        (|c| c.boresight_deg[0] = -11.0, "boresight_deg", "must be three angles between -10 and 10"),
-        (
-            |c| (c.scan_angle_deg, c.roll_deg, c.boresight_deg) = ([0.0, 60.0], 10.0, [0.0, 6.0, 0.0]),
-            "scan_angle_deg",
-            "must leave beams within 75 degrees of straight down, whatever roll, pitch and boresight",
-        ),
-        (|c| c.relief_m = 2001.0, "relief_m", "must lie between 0 and 2000"),
-        (|c| c.water_ratio = 1.1, "water_ratio", "must lie between 0 and 1"),
-        (|c| c.wood_ratio = -0.1, "wood_ratio", "must lie between 0 and 1"),
-        (|c| c.house_ratio = f64::NAN, "house_ratio", "must lie between 0 and 1"),
-        (|c| c.wire_height_m = 101.0, "wire_height_m", "must lie between 0 and 100"),
-        (
-            |c| (c.landscape, c.relief_m, c.flying_height_m) = (Landscape::Country, 100.0, 153.9),
-            "flying_height_m",
-            "must lie between 30 m above hills and all that stands on them, and 10000",
-        ),
-        (|c| c.false_alarm_rate = 2.0, "false_alarm_rate", "must lie between 0 and 1"),
-        (|c| c.blind_gap_ns = -1.0, "blind_gap_ns", "must lie between 0 and 1000"),
-        (
-            |c| c.high_power_noise_sd_dn = 0.4,
-            "high_power_noise_sd_dn",
-            "must be 0, or lie between 0.5 and 100",
-        ),
-        (|c| c.high_power_from_dn = -1.0, "high_power_from_dn", "must lie between 0 and 10000"),
-        (|c| c.high_power_delay_ns = 11.0, "high_power_delay_ns", "must lie between -10 and 10"),
-        (
-            |c| (c.high_power, c.high_power_noise_sd_dn, c.noise_autocorrelation) = (true, 0.5, vec![0.7]),
-            "noise_autocorrelation",
-            "belongs to no noise that can be recorded at this high_power_noise_sd_dn",
-        ),
-        (|c| c.building_height_m = -1.0, "building_height_m", "must lie between 0 and 200"),
-        (|c| c.canopy_height_m = 201.0, "canopy_height_m", "must lie between 0 and 200"),
-        (
-            |c| c.flying_height_m = 37.0,
-            "flying_height_m",
-            "must lie between 20 m above building and wood, and 10000",
-        ),
-        (|c| c.ground_amplitude_dn = 0.0, "ground_amplitude_dn", "must lie between 1 and 10000"),
-        (|c| c.dropout_rate = 1.1, "dropout_rate", "must lie between 0 and 1"),
-        (|c| c.background_dn = [2.0, -0.1], "background_dn", "must be two values between 0 and 100"),
-        (|c| c.noise_sd_dn = 0.3, "noise_sd_dn", "must be 0, or lie between 0.5 and 100"),
-        (|c| c.noise_sd_dn = f64::INFINITY, "noise_sd_dn", "must be 0, or lie between 0.5 and 100"),
-        (|c| c.noise_autocorrelation = vec![0.1; 17], "noise_autocorrelation", "must have at most 16 values"),
-        (
-            |c| c.noise_autocorrelation = vec![0.95],
-            "noise_autocorrelation",
-            "belongs to no noise that can be recorded at this noise_sd_dn",
-        ),
-        (
-            |c| c.noise_autocorrelation = vec![f64::NAN],
-            "noise_autocorrelation",
-            "belongs to no noise that can be recorded at this noise_sd_dn",
-        ),
-    ];
-    assert_eq!(Simulate::default().check(), Ok(()));
-    for (change, key, problem) in cases {
-        let mut config = Simulate::default();
-        change(&mut config);
-        assert_eq!(config.check(), Err(InvalidKey::new(key, problem)));
-    }
-}
-
-#[test]
-fn noise_that_nothing_can_have_is_an_error_with_a_remedy() {
-    let config = Simulate { noise_autocorrelation: vec![1.0], ..bare() };
-    assert_eq!(
-        Flight::new(&config).unwrap_err().to_string(),
-        "no noise has this spread and autocorrelation; leave `noise_autocorrelation` out"
-    );
-}
-
-#[test]
-fn a_job_without_keys_has_the_defaults() {
-    let planned = (STAGE.parse)(toml::de::DeTable::parse("").unwrap()).unwrap();
-    assert_eq!(planned.resolved, serde_json::to_value(Simulate::default()).unwrap());
-    assert!((STAGE.parse)(toml::de::DeTable::parse("lines = 0").unwrap()).is_err());
-    assert!((STAGE.parse)(toml::de::DeTable::parse("line = 10").unwrap()).is_err());
 }
 
 /// The demonstration's flight can be flown, and is small enough to be waited for.
