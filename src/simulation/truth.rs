@@ -25,7 +25,8 @@ pub struct TrueReturn {
     pub width_ratio: f64,
     /// Where the echo comes from, m: easting, northing and height in the map.
     pub point_m: [f64; 3],
-    /// Emissions between that of the pulse and the block that the echo stands in.
+    /// Emissions between that of the pulse and the block that the echo stands in. In a resolved recording it counts as if
+    /// the laser did not pause between lines; as recorded, it leads to the shot that the block stands with.
     pub zone: i16,
     /// The receiver for strong echoes recorded it, too.
     pub in_high_power: bool,
