@@ -1,4 +1,7 @@
 //! Time and geometry: numbers to numbers.
 
 pub mod beam_length;
+pub mod ellipsoid;
+pub mod frames;
 pub mod time;
+pub mod transverse_mercator;

@@ -16,6 +16,12 @@ pub enum Purpose {
     Laser,
     /// Noise of the receiver.
     Noise,
+    /// When the pulse leaves, against the mean rate.
+    Modulation,
+    /// Noise of the receiver for strong echoes.
+    HighPowerNoise,
+    /// Pulses that no target sent back.
+    FalseAlarms,
 }
 
 /// A stream of random numbers.
@@ -31,12 +37,13 @@ impl Random {
     }
 
     /// The stream of a key.
-    fn from_key(key: u64) -> Random {
+    pub fn from_key(key: u64) -> Random {
         let state = [1, 2, 3, 4].map(|n: u64| mix(key.wrapping_add(n.wrapping_mul(GOLDEN))));
         Random { state }
     }
 
     /// 64 random bits.
+    #[inline]
     pub fn bits(&mut self) -> u64 {
         let s = &mut self.state;
         let result = s[0].wrapping_add(s[3]).rotate_left(23).wrapping_add(s[0]);
@@ -56,14 +63,24 @@ impl Random {
     }
 }
 
-/// A number in [0, 1) that belongs to a point of a lattice: the grain of a scene.
-pub fn lattice(key: u64, x: i64, y: i64) -> f64 {
-    unit(hash([key, x as u64, y as u64]))
+/// Numbers in [0, 1) that belong to the corners of a cell of a lattice: the grain of a scene. They are those of (x, y),
+/// (x + 1, y), (x, y + 1) and (x + 1, y + 1), and a corner has the same number in all four cells that it belongs to.
+pub fn cell(key: u64, x: i64, y: i64) -> [f64; 4] {
+    let start = hash([key]);
+    let [west, east] = [x, x + 1].map(|x| hashed_on(start, x as u64));
+    let [south, north] = [y, y + 1].map(|y| y as u64);
+    [(west, south), (east, south), (west, north), (east, north)]
+        .map(|(column, row)| unit(hashed_on(column, row)))
 }
 
 /// 64 bits that depend on every bit of `words`; two keys that differ only in the last word never give the same.
 pub fn hash<const N: usize>(words: [u64; N]) -> u64 {
-    words.into_iter().fold(0, |hash, word| mix(hash.wrapping_add(GOLDEN) ^ word))
+    words.into_iter().fold(0, hashed_on)
+}
+
+/// The hash of one word more.
+fn hashed_on(hash: u64, word: u64) -> u64 {
+    mix(hash.wrapping_add(GOLDEN) ^ word)
 }
 
 /// 2^64 divided by the golden ratio: the step of SplitMix64.
@@ -126,9 +143,17 @@ mod tests {
     }
 
     #[test]
+    fn neighbouring_cells_share_their_corners() {
+        let [_, east, north, far] = cell(9, -3, 7);
+        assert_eq!(cell(9, -2, 7)[0], east);
+        assert_eq!(cell(9, -3, 8)[..2], [north, far]);
+        assert_eq!(cell(9, -2, 8)[0], far);
+    }
+
+    #[test]
     fn neighbours_on_a_lattice_are_unrelated() {
         let n = 300;
-        let value = |x, y| lattice(5, x, y) - 0.5;
+        let value = |x, y| cell(5, x, y)[0] - 0.5;
         let mut products = [0.0; 2];
         for (x, y) in (-n..n).flat_map(|x| (-n..n).map(move |y| (x, y))) {
             products[0] += value(x, y) * value(x + 1, y);

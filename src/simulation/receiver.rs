@@ -1,4 +1,4 @@
-//! What is recorded of the light that arrives: sample blocks of one digitiser.
+//! What is recorded of the light that arrives: sample blocks of the digitisers.
 
 use super::noise::Noise;
 use super::pulse::{PulseTable, Shape, Width};
@@ -18,9 +18,13 @@ const ECHO_LEAD: i64 = 16;
 /// Samples that an echo needs behind its peak: where the block ends earlier, it grows.
 const ECHO_HOLD: i64 = 24;
 /// The weakest echo that opens a block or lets it grow, DN: as in recordings, where weaker ones only stand beside others.
-const TRIGGER_DN: f64 = 5.5;
+pub const TRIGGER_DN: f64 = 5.5;
 /// Echo samples lie this far behind the raster of the shot's clock, ns: two digitisers are never in step.
 const ECHO_RASTER_NS: f64 = 0.375;
+
+/// Samples of the receiver for strong echoes lie this far behind those of the other, ns: a constant of the instrument that
+/// was measured.
+const HIGH_POWER_RASTER_NS: f64 = 1.43;
 
 /// Steps of the digitiser are 1 DN: their rounding errors have this variance, DN^2.
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
@@ -42,17 +46,37 @@ pub struct Settings {
     pub response: Shape,
     /// What the outgoing pulse looks like.
     pub reference: Shape,
+    /// The second receiver, for strong echoes, where there is one.
+    pub high_power: Option<HighPower>,
 }
 
-/// A receiver with one digitiser for echoes and one for the outgoing pulse.
+/// A receiver for strong echoes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HighPower {
+    /// Its block is kept where an echo's peak has this height or more in the other receiver, DN.
+    pub from_dn: f64,
+    /// Standard deviation of its recorded noise, rounding included, DN; 0: only the rounding is left.
+    pub noise_sd_dn: f64,
+    /// How much later it sees an echo than the other does, ns.
+    pub delay_ns: f64,
+}
+
+/// A receiver with one or two digitisers for echoes and one for the outgoing pulse.
 #[derive(Debug)]
 pub struct Receiver {
     interval_ns: f64,
     full_scale_dn: u16,
     background_dn: [f64; 2],
     noise: Option<Noise>,
+    high_power: Option<(HighPower, Option<Noise>)>,
     response: PulseTable,
     reference: PulseTable,
+    scratch: Scratch,
+}
+
+/// Room for one block: what arrives, its noise, and its samples.
+#[derive(Debug, Default)]
+struct Scratch {
     signal: Vec<f64>,
     noise_dn: Vec<f64>,
     samples: Vec<u16>,
@@ -65,6 +89,10 @@ pub struct Echo {
     pub time_ns: f64,
     /// Height of its peak above the background, DN, before the digitiser's limits.
     pub amplitude_dn: f64,
+    /// The same in the receiver for strong echoes.
+    pub high_power_dn: f64,
+    /// The height that it would have in a receiver without limits.
+    pub linear_dn: f64,
     /// How wide it is.
     pub width: Width,
 }
@@ -82,10 +110,22 @@ impl Settings {
     /// # Errors
     /// Where no noise becomes the wanted one by rounding.
     pub fn noise(&self) -> Result<Option<Noise>, NoSuchNoise> {
-        if self.noise_sd_dn == 0.0 {
+        self.noise_of(self.noise_sd_dn)
+    }
+
+    /// The same for the receiver for strong echoes, whose noise has the same autocorrelation.
+    ///
+    /// # Errors
+    /// Where no noise becomes the wanted one by rounding.
+    pub fn high_power_noise(&self) -> Result<Option<Noise>, NoSuchNoise> {
+        self.high_power.map_or(Ok(None), |receiver| self.noise_of(receiver.noise_sd_dn))
+    }
+
+    fn noise_of(&self, recorded_sd_dn: f64) -> Result<Option<Noise>, NoSuchNoise> {
+        if recorded_sd_dn == 0.0 {
             return Ok(None);
         }
-        let recorded = self.noise_sd_dn * self.noise_sd_dn;
+        let recorded = recorded_sd_dn * recorded_sd_dn;
         let analog = recorded - QUANTISATION_VARIANCE;
         if analog.is_nan() || analog <= 0.0 {
             return Err(NoSuchNoise);
@@ -106,16 +146,16 @@ impl Receiver {
     /// # Errors
     /// Where no noise has the wanted spread and autocorrelation.
     pub fn new(settings: &Settings) -> Result<Receiver, NoSuchNoise> {
+        let high_power_noise = settings.high_power_noise()?;
         Ok(Receiver {
             interval_ns: settings.interval_ns,
             full_scale_dn: settings.full_scale_dn,
             background_dn: settings.background_dn,
             noise: settings.noise()?,
+            high_power: settings.high_power.map(|receiver| (receiver, high_power_noise)),
             response: PulseTable::new(settings.response.clone(), settings.interval_ns),
             reference: PulseTable::new(settings.reference.clone(), settings.interval_ns),
-            signal: Vec::new(),
-            noise_dn: Vec::new(),
-            samples: Vec::new(),
+            scratch: Scratch::default(),
         })
     }
 
@@ -131,8 +171,8 @@ impl Receiver {
         let start_ns = -(REFERENCE_LEAD as f64) * self.interval_ns;
         let position = (emission_ns - start_ns) / self.interval_ns;
         let flat = self.reference.width(0.0);
-        self.reference.add(flat, position, energy * REFERENCE_AMPLITUDE_DN, &mut self.signal);
-        (start_ns, self.digitise(random))
+        self.reference.add(flat, position, energy * REFERENCE_AMPLITUDE_DN, &mut self.scratch.signal);
+        (start_ns, digitise(self.noise.as_ref(), self.full_scale_dn, &mut self.scratch, random))
     }
 
     /// The blocks that these echoes (in order of time) let the instrument record, in order. Each begins on an even
@@ -163,9 +203,39 @@ impl Receiver {
         for echo in echoes {
             let position = self.position(echo.time_ns) - window.start as f64;
             let energy = echo.amplitude_dn / self.response.peak(echo.width);
-            self.response.add(echo.width, position, energy, &mut self.signal);
+            self.response.add(echo.width, position, energy, &mut self.scratch.signal);
         }
-        (window.start as f64 * self.interval_ns + ECHO_RASTER_NS, self.digitise(random))
+        (self.start_ns(window), digitise(self.noise.as_ref(), self.full_scale_dn, &mut self.scratch, random))
+    }
+
+    /// Whether the receiver for strong echoes keeps its block of this window.
+    pub fn is_strong(&self, window: &Window, echoes: &[Echo]) -> bool {
+        let Some((receiver, _)) = &self.high_power else { return false };
+        echoes.iter().any(|echo| echo.amplitude_dn >= receiver.from_dn && self.is_in(window, echo))
+    }
+
+    /// Records the same window with the receiver for strong echoes; nothing where there is none.
+    pub fn record_high_power(
+        &mut self,
+        window: &Window,
+        echoes: &[Echo],
+        random: &mut Random,
+    ) -> Option<(f64, &[u16])> {
+        let delay_ns = self.high_power.as_ref()?.0.delay_ns;
+        self.clear(window.len as usize);
+        let start_ns = self.start_ns(window) + HIGH_POWER_RASTER_NS;
+        for echo in echoes {
+            let position = (echo.time_ns + delay_ns - start_ns) / self.interval_ns;
+            let energy = echo.high_power_dn / self.response.peak(echo.width);
+            self.response.add(echo.width, position, energy, &mut self.scratch.signal);
+        }
+        let (_, noise) = self.high_power.as_ref()?;
+        Some((start_ns, digitise(noise.as_ref(), self.full_scale_dn, &mut self.scratch, random)))
+    }
+
+    /// The time of a window's first sample after the shot's clock, ns.
+    pub fn start_ns(&self, window: &Window) -> f64 {
+        window.start as f64 * self.interval_ns + ECHO_RASTER_NS
     }
 
     /// A time after the shot's clock as a place on the echo digitiser's raster, samples.
@@ -175,30 +245,46 @@ impl Receiver {
 
     /// Begins a block: there is nothing in it but the background.
     fn clear(&mut self, len: usize) {
-        self.signal.clear();
-        self.signal.resize(len, self.background_dn[0]);
-        self.signal.iter_mut().skip(1).step_by(2).for_each(|odd| *odd = self.background_dn[1]);
-    }
-
-    /// Adds noise to background and signal and rounds them to the digitiser's steps.
-    fn digitise(&mut self, random: &mut Random) -> &[u16] {
-        self.noise_dn.clear();
-        self.noise_dn.resize(self.signal.len(), 0.0);
-        if let Some(noise) = &self.noise {
-            noise.fill(random, &mut self.noise_dn);
-        }
-        let full_scale = i32::from(self.full_scale_dn);
-        let analog = self.signal.iter().zip(&self.noise_dn);
-        self.samples.clear();
-        self.samples.extend(analog.map(|(signal, noise)| {
-            // Below zero the conversion rounds towards zero, which the limit makes good.
-            ((signal + noise + 0.5) as i32).clamp(0, full_scale) as u16
-        }));
-        &self.samples
+        let signal = &mut self.scratch.signal;
+        signal.clear();
+        signal.resize(len, self.background_dn[0]);
+        signal.iter_mut().skip(1).step_by(2).for_each(|odd| *odd = self.background_dn[1]);
     }
 }
 
+/// Adds noise to background and signal and rounds them to the digitiser's steps.
+fn digitise<'s>(
+    noise: Option<&Noise>,
+    full_scale_dn: u16,
+    scratch: &'s mut Scratch,
+    random: &mut Random,
+) -> &'s [u16] {
+    let Scratch { signal, noise_dn, samples } = scratch;
+    noise_dn.clear();
+    noise_dn.resize(signal.len(), 0.0);
+    if let Some(noise) = noise {
+        noise.fill(random, noise_dn);
+    }
+    let full_scale = i32::from(full_scale_dn);
+    samples.clear();
+    samples.extend(signal.iter().zip(noise_dn).map(|(signal, noise)| {
+        // Below zero the conversion rounds towards zero, which the limit makes good.
+        ((*signal + *noise + 0.5) as i32).clamp(0, full_scale) as u16
+    }));
+    samples
+}
+
 impl Window {
+    /// Where it begins and ends on the digitiser's raster, ns.
+    pub fn limits_ns(&self, interval_ns: f64) -> [f64; 2] {
+        [self.start, self.end()].map(|sample| sample as f64 * interval_ns + ECHO_RASTER_NS)
+    }
+
+    /// The same window by a clock that is so many samples ahead.
+    pub fn by_clock_ahead(&self, samples: i64) -> Window {
+        Window { start: self.start - samples, len: self.len }
+    }
+
     /// The sample after the last.
     fn end(&self) -> i64 {
         self.start + self.len
@@ -219,6 +305,7 @@ mod tests {
             noise_autocorrelation: Vec::new(),
             response: Shape::gaussian(4.5),
             reference: Shape::gaussian(4.5),
+            high_power: None,
         }
     }
 
@@ -233,7 +320,11 @@ mod tests {
     /// Echoes of flat targets at these times, of these amplitudes.
     fn echoes(receiver: &Receiver, echoes: &[(f64, f64)]) -> Vec<Echo> {
         let width = receiver.response().width(0.0);
-        echoes.iter().map(|&(time_ns, amplitude_dn)| Echo { time_ns, amplitude_dn, width }).collect()
+        echoes.iter().map(|&(time_ns, amplitude_dn)| echo(time_ns, amplitude_dn, width)).collect()
+    }
+
+    fn echo(time_ns: f64, amplitude_dn: f64, width: Width) -> Echo {
+        Echo { time_ns, amplitude_dn, high_power_dn: 0.1 * amplitude_dn, linear_dn: amplitude_dn, width }
     }
 
     /// Start and length of the blocks that echoes of 100 DN at these times open.
@@ -294,6 +385,23 @@ mod tests {
         assert_eq!((start_ns, samples.len()), (-10.0, 24));
         // 177 DN * 2^-(2 k / 4.5)^2 at k = 0.5, 1.5 and 2.5 samples from the peak, above 2 and 4 DN.
         assert_eq!(samples[8..14], [77, 134, 173, 175, 132, 79]);
+    }
+
+    #[test]
+    fn the_second_receiver_sees_strong_echoes_later_and_on_its_own_raster() {
+        let high_power = HighPower { from_dn: 150.0, noise_sd_dn: 0.0, delay_ns: 0.43 };
+        let mut receiver = Receiver::new(&Settings { high_power: Some(high_power), ..settings() }).unwrap();
+        let mut windows = Vec::new();
+        let strong = echoes(&receiver, &[(101.375, 1000.0)]);
+        receiver.windows(&strong, &mut windows);
+        assert!(receiver.is_strong(&windows[0], &strong));
+        let (start_ns, samples) = receiver.record_high_power(&windows[0], &strong, &mut random()).unwrap();
+        assert_eq!((start_ns, samples.len()), (84.375 + 1.43, 60));
+        // 100 DN at 101.805 ns, which is sample 16.
+        assert_eq!(samples[12..21], [13, 33, 60, 91, 102, 91, 60, 33, 13]);
+        let weak = echoes(&receiver, &[(101.375, 149.0), (400.0, 500.0)]);
+        assert!(!receiver.is_strong(&windows[0], &weak));
+        assert!(self::receiver().record_high_power(&windows[0], &strong, &mut random()).is_none());
     }
 
     #[test]

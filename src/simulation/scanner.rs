@@ -1,108 +1,150 @@
-//! When each pulse leaves, from where, and in which direction.
+//! When each pulse leaves, and in which direction it leaves the scanner.
 
-use super::scene::Area;
+use super::random::{Purpose, Random};
 
-/// The aircraft's first position, m: easting and northing in UTM zone 33 north, 180 km west of its meridian, where the
-/// map's scale is 1: a metre of the world is a metre of the map.
-const START_M: [f64; 2] = [320_000.0, 5_300_000.0];
-/// The height of the level ground, m above the ellipsoid.
-pub const GROUND_HEIGHT_M: f64 = 400.0;
 /// GPS week of the flight: from 4 May 2025 on.
 pub const GPS_WEEK: u32 = 2365;
 /// Day of the year, and year, of the flight: the Tuesday of that week.
 pub const RECORDED: (u16, u16) = (126, 2025);
 /// When it begins, s of the GPS week: at ten in the morning.
-const START_S: f64 = 2.0 * 86_400.0 + 36_000.0;
+pub const START_S: f64 = 2.0 * 86_400.0 + 36_000.0;
 /// When it begins on the instrument's clock, ns.
 const CLOCK_START_NS: i64 = 1_000_000_000_000;
 /// Facets of the rotating mirror.
 const FACETS: u32 = 4;
 
-/// The coordinate reference system of `START_M`: WGS 84 / UTM zone 33N (EPSG:32633) as WKT 1 (OGC 01-009).
-pub const CRS_WKT: &str = concat!(
-    r#"PROJCS["WGS 84 / UTM zone 33N",GEOGCS["WGS 84",DATUM["WGS_1984","#,
-    r#"SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG","6326"]],"#,
-    r#"PRIMEM["Greenwich",0,AUTHORITY["EPSG","8901"]],"#,
-    r#"UNIT["degree",0.0174532925199433,AUTHORITY["EPSG","9122"]],AUTHORITY["EPSG","4326"]],"#,
-    r#"PROJECTION["Transverse_Mercator"],PARAMETER["latitude_of_origin",0],"#,
-    r#"PARAMETER["central_meridian",15],PARAMETER["scale_factor",0.9996],"#,
-    r#"PARAMETER["false_easting",500000],PARAMETER["false_northing",0],"#,
-    r#"UNIT["metre",1,AUTHORITY["EPSG","9001"]],AXIS["Easting",EAST],AXIS["Northing",NORTH],"#,
-    r#"AUTHORITY["EPSG","32633"]]"#,
-);
+/// What moves the beam.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mirror {
+    /// A polygon of four facets: each sweeps one line from left to right at constant speed, then half a line's time
+    /// passes without pulses until the next facet faces the ground.
+    RotatingPolygon,
+    /// A mirror that swings like a pendulum: lines go to the right and back in turns, and shots lie closest where it
+    /// turns. It never pauses.
+    Oscillating,
+    /// A row of fixed fibres, one after the other: spots are evenly spaced on level ground, and each fibre's spots make a
+    /// line along the flight. It never pauses.
+    ParallelLines,
+}
 
-/// A rotating polygon mirror in an aircraft that flies north, level and straight.
+/// A laser with a mirror, and the clock that both run on.
 ///
-/// Each facet sweeps one scan line, from the left end of the swath to the right; then half a line's time passes until
-/// the next facet faces the ground.
+/// The frame of the scanner is x forward, y right, z down: the beam sweeps across, through straight down.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scanner {
+    /// What moves the beam.
+    pub mirror: Mirror,
     /// Shots of each scan line.
     pub shots_per_line: u32,
     /// Pulses per second.
     pub pulse_rate_hz: f64,
+    /// How far the interval between two pulses may be from its mean, ns: each pulse leaves up to half of this early or
+    /// late. Below half the interval.
+    pub modulation_ns: f64,
+    /// What the modulation starts from.
+    pub seed: u64,
     /// The first and the last shot's angle from straight down, radians, positive to the right.
     pub scan_angle_rad: [f64; 2],
-    /// Height above the level ground, m.
-    pub flying_height_m: f64,
-    /// Speed over ground, m/s.
-    pub speed_mps: f64,
 }
 
-/// A pulse on its way.
+/// A pulse that leaves the scanner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shot {
     /// Running number, from 0.
     pub number: u64,
-    /// The last tick of the sample clock before the pulse leaves, ps.
-    pub clock_ps: i64,
-    /// The same moment, s of the GPS week.
-    pub gps_time_s: f64,
-    /// Where the beam starts, m in the map.
-    pub origin_m: [f64; 3],
-    /// Unit vector along the beam, in the map.
-    pub direction: [f64; 3],
+    /// Whole nanoseconds from the start of the flight to the last tick of the sample clock before the pulse leaves.
+    pub since_start_ns: i64,
     /// Angle from straight down, radians, positive to the right.
     pub scan_angle_rad: f64,
+    /// Unit vector along the beam.
+    pub direction_in_scanner: [f64; 3],
     /// Mirror facet.
     pub facet: u16,
+    /// The beam moves to the right.
+    pub to_the_right: bool,
+}
+
+impl Shot {
+    /// The tick on the instrument's clock, ps.
+    pub fn clock_ps(&self) -> i64 {
+        1000 * (CLOCK_START_NS + self.since_start_ns)
+    }
+
+    /// The same moment, s from the start of the flight.
+    pub fn since_start_s(&self) -> f64 {
+        1e-9 * self.since_start_ns as f64
+    }
+
+    /// The same moment, s of the GPS week.
+    pub fn gps_time_s(&self) -> f64 {
+        START_S + self.since_start_s()
+    }
 }
 
 impl Scanner {
     /// A shot by its scan line and its place in the line, both from 0.
     pub fn shot(&self, line: u32, index: u32) -> Shot {
-        let since_start_ns = (1e9 * self.time_s(line, index)).floor();
-        let since_start_s = 1e-9 * since_start_ns;
-        let scan_angle_rad = self.angle_rad(index);
-        let [x, y] = START_M;
+        let to_the_right = self.mirror != Mirror::Oscillating || line.is_multiple_of(2);
+        let scan_angle_rad = self.angle_rad(to_the_right, index);
         Shot {
-            number: u64::from(line) * u64::from(self.shots_per_line) + u64::from(index),
-            clock_ps: 1000 * (CLOCK_START_NS + since_start_ns as i64),
-            gps_time_s: START_S + since_start_s,
-            origin_m: [x, y + self.speed_mps * since_start_s, GROUND_HEIGHT_M + self.flying_height_m],
-            direction: [libm::sin(scan_angle_rad), 0.0, -libm::cos(scan_angle_rad)],
+            number: self.number(line, index),
+            since_start_ns: self.tick_ns(line, index),
             scan_angle_rad,
-            facet: (line % FACETS) as u16,
+            direction_in_scanner: [0.0, libm::sin(scan_angle_rad), libm::cos(scan_angle_rad)],
+            facet: if self.mirror == Mirror::RotatingPolygon { (line % FACETS) as u16 } else { 0 },
+            to_the_right,
         }
     }
 
-    /// The ground that `lines` scan lines cover.
-    pub fn swath(&self, lines: u32) -> Area {
-        let across = |angle_rad| START_M[0] + self.flying_height_m * libm::tan(angle_rad);
-        let along = |line| START_M[1] + self.speed_mps * self.time_s(line, 0);
-        Area { x: self.scan_angle_rad.map(across), y: [along(0), along(lines)] }
+    /// Running number of a shot.
+    pub fn number(&self, line: u32, index: u32) -> u64 {
+        u64::from(line) * u64::from(self.shots_per_line) + u64::from(index)
+    }
+
+    /// Scan line and place in the line of a shot by its running number.
+    pub fn place(&self, number: u64) -> (u32, u32) {
+        let shots = u64::from(self.shots_per_line);
+        ((number / shots) as u32, (number % shots) as u32)
+    }
+
+    /// The last tick of the sample clock before a shot leaves, ns from the start.
+    pub fn tick_ns(&self, line: u32, index: u32) -> i64 {
+        let nominal_ns = 1e9 * self.time_s(line, index);
+        if self.modulation_ns == 0.0 {
+            return nominal_ns.floor() as i64;
+        }
+        let place = Random::of_shot(self.seed, line, index, Purpose::Modulation).uniform() - 0.5;
+        (nominal_ns + self.modulation_ns * place).floor() as i64
+    }
+
+    /// Pulses that would leave from the start of one line to that of the next if the laser never paused.
+    pub fn pulses_per_line(&self) -> f64 {
+        let pause = if self.mirror == Mirror::RotatingPolygon { 1.5 } else { 1.0 };
+        pause * f64::from(self.shots_per_line)
     }
 
     /// The nominal time of a shot since the start, s.
-    fn time_s(&self, line: u32, index: u32) -> f64 {
-        let pulses_per_line = 1.5 * f64::from(self.shots_per_line);
-        (f64::from(line) * pulses_per_line + f64::from(index)) / self.pulse_rate_hz
+    pub fn time_s(&self, line: u32, index: u32) -> f64 {
+        (f64::from(line) * self.pulses_per_line() + f64::from(index)) / self.pulse_rate_hz
     }
 
-    fn angle_rad(&self, index: u32) -> f64 {
+    fn angle_rad(&self, to_the_right: bool, index: u32) -> f64 {
         let [first, last] = self.scan_angle_rad;
         let steps = f64::from(self.shots_per_line.saturating_sub(1).max(1));
-        first + (last - first) * (f64::from(index) / steps)
+        let place = f64::from(index) / steps;
+        match self.mirror {
+            Mirror::RotatingPolygon => first + (last - first) * place,
+            Mirror::Oscillating => {
+                // Half a step from the turning point: the two shots next to it do not coincide.
+                let phase = (f64::from(index) + 0.5) / f64::from(self.shots_per_line);
+                let swing = 0.5 - 0.5 * libm::cos(core::f64::consts::PI * phase);
+                first + (last - first) * if to_the_right { swing } else { 1.0 - swing }
+            }
+            Mirror::ParallelLines => {
+                let (left, right) = (libm::tan(first), libm::tan(last));
+                libm::atan(left + (right - left) * place)
+            }
+        }
     }
 }
 
@@ -112,39 +154,85 @@ mod tests {
 
     fn scanner() -> Scanner {
         Scanner {
+            mirror: Mirror::RotatingPolygon,
             shots_per_line: 1001,
             pulse_rate_hz: 150_000.0,
+            modulation_ns: 0.0,
+            seed: 1,
             scan_angle_rad: [-0.5, 0.5],
-            flying_height_m: 600.0,
-            speed_mps: 60.0,
+        }
+    }
+
+    fn line(mirror: Mirror, line: u32) -> Vec<Shot> {
+        let scanner = Scanner { mirror, ..scanner() };
+        (0..1001).map(|index| scanner.shot(line, index)).collect()
+    }
+
+    #[test]
+    fn a_polygon_sweeps_from_left_to_right() {
+        let shots = line(Mirror::RotatingPolygon, 3);
+        assert_eq!((shots[0].scan_angle_rad, shots[1000].scan_angle_rad), (-0.5, 0.5));
+        assert_eq!(shots[500].direction_in_scanner, [0.0, 0.0, 1.0]);
+        assert_eq!(shots[0].number, 3003);
+        assert_eq!(scanner().place(3003), (3, 0));
+        assert!(shots.iter().all(|shot| shot.facet == 3 && shot.to_the_right));
+        for shot in &shots {
+            let length = shot.direction_in_scanner.iter().map(|d| d * d).sum::<f64>().sqrt();
+            assert!((length - 1.0).abs() < 1e-15);
         }
     }
 
     #[test]
-    fn a_line_sweeps_the_swath_from_left_to_right() {
-        let shots: Vec<Shot> = (0..1001).map(|index| scanner().shot(3, index)).collect();
-        assert_eq!((shots[0].scan_angle_rad, shots[1000].scan_angle_rad), (-0.5, 0.5));
-        assert_eq!(shots[500].direction, [0.0, 0.0, -1.0]);
-        assert_eq!(shots[0].number, 3003);
-        assert!(shots.iter().all(|shot| shot.facet == 3));
-        for shot in &shots {
-            let length = shot.direction.iter().map(|d| d * d).sum::<f64>().sqrt();
-            assert!((length - 1.0).abs() < 1e-15);
-            let ground = shot.origin_m[0] + 600.0 * shot.scan_angle_rad.tan();
-            assert!((scanner().swath(1).x[0] - 1e-9..scanner().swath(1).x[1] + 1e-9).contains(&ground));
+    fn a_pendulum_goes_there_and_back_and_is_slowest_where_it_turns() {
+        let (there, back) = (line(Mirror::Oscillating, 0), line(Mirror::Oscillating, 1));
+        assert!(there.is_sorted_by(|a, b| a.scan_angle_rad < b.scan_angle_rad));
+        assert!(back.is_sorted_by(|a, b| a.scan_angle_rad > b.scan_angle_rad));
+        assert!(there[0].to_the_right && !back[0].to_the_right);
+        assert_eq!(there[1000].scan_angle_rad, back[0].scan_angle_rad);
+        let step = |k: usize| there[k + 1].scan_angle_rad - there[k].scan_angle_rad;
+        assert!(step(0) < 0.01 * step(500));
+        // The fastest step of a cosine is pi / 2 of the mean.
+        assert!((step(500) * 1001.0 / core::f64::consts::FRAC_PI_2 - 1.0).abs() < 1e-3);
+        assert_eq!(back[0].since_start_ns - there[1000].since_start_ns, 6667, "without a pause");
+    }
+
+    #[test]
+    fn fibres_are_evenly_spaced_on_the_ground() {
+        let shots = line(Mirror::ParallelLines, 7);
+        for pair in shots.windows(2) {
+            let step = pair[1].scan_angle_rad.tan() - pair[0].scan_angle_rad.tan();
+            assert!((step * 1000.0 / (2.0 * 0.5f64.tan()) - 1.0).abs() < 1e-9);
         }
+        assert!((shots[0].scan_angle_rad + 0.5).abs() < 1e-15 && shots[0].facet == 0);
     }
 
     #[test]
     fn time_goes_on_by_the_pulse_rate_and_pauses_between_lines() {
         let at = |line, index| scanner().shot(line, index);
         // 6666.67 ns between pulses: the sample clock says whole nanoseconds.
-        assert_eq!(at(0, 1).clock_ps - at(0, 0).clock_ps, 6_666_000);
-        assert_eq!(at(0, 3).clock_ps - at(0, 0).clock_ps, 20_000_000);
+        assert_eq!(at(0, 1).clock_ps() - at(0, 0).clock_ps(), 6_666_000);
+        assert_eq!(at(0, 3).clock_ps() - at(0, 0).clock_ps(), 20_000_000);
         let line_s = 1.5 * 1001.0 / 150_000.0;
-        assert!((at(100, 0).gps_time_s - at(0, 0).gps_time_s - 100.0 * line_s).abs() < 2e-9);
-        assert!((at(100, 0).origin_m[1] - at(0, 0).origin_m[1] - 100.0 * line_s * 60.0).abs() < 1e-6);
-        assert!(at(1, 0).clock_ps > at(0, 1000).clock_ps);
+        assert!((at(100, 0).gps_time_s() - at(0, 0).gps_time_s() - 100.0 * line_s).abs() < 2e-9);
+        assert!(at(1, 0).clock_ps() > at(0, 1000).clock_ps());
+    }
+
+    /// Independent places make intervals of triangular distribution, whose standard deviation is the half range over the
+    /// square root of six.
+    #[test]
+    fn the_modulation_bounds_the_interval_between_pulses() {
+        let modulated = Scanner { modulation_ns: 17.0, pulse_rate_hz: 400_000.0, ..scanner() };
+        let ticks: Vec<i64> = (0..40)
+            .flat_map(|line| (0..1001).map(move |k| (line, k)))
+            .map(|(l, k)| modulated.tick_ns(l, k))
+            .collect();
+        let off: Vec<f64> = ticks
+            .chunks(1001)
+            .flat_map(|line| line.windows(2).map(|pair| (pair[1] - pair[0]) as f64 - 2500.0))
+            .collect();
+        assert!(off.iter().all(|off| off.abs() <= 18.0));
+        let sd = (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt();
+        assert!((sd / (17.0 / 6f64.sqrt()) - 1.0).abs() < 0.02, "{sd}");
     }
 
     /// The flight's date is that of its GPS week, which is counted from 6 January 1980.
@@ -158,13 +246,5 @@ mod tests {
     #[test]
     fn a_line_of_one_shot_has_its_first_angle() {
         assert_eq!(Scanner { shots_per_line: 1, ..scanner() }.shot(0, 0).scan_angle_rad, -0.5);
-    }
-
-    #[test]
-    fn the_reference_system_is_well_formed() {
-        let count = |c| CRS_WKT.matches(c).count();
-        assert_eq!(count('['), count(']'));
-        assert_eq!(count('"') % 2, 0);
-        assert!(CRS_WKT.ends_with(r#"AUTHORITY["EPSG","32633"]]"#));
     }
 }

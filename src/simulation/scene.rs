@@ -1,16 +1,22 @@
-//! What a pulse meets: level ground, a building, and a wood above the ground.
+//! What a pulse meets: ground, water, buildings, woods and wires.
 //!
 //! The scene is a function of the place alone, with no memory and no order: a spot looks the same from every line.
 
 mod building;
 mod canopy;
+mod country;
+mod terrain;
 mod texture;
+mod wires;
 
-use building::Building;
+pub use country::CountrySettings;
+
+use building::{Building, Materials};
 use canopy::Canopy;
+use country::Country;
 use texture::Texture;
 
-use super::scanner::GROUND_HEIGHT_M;
+use super::world::GROUND_HEIGHT_M;
 
 /// Angle between the beam's axis and the place where its intensity has fallen to 1/e^2, radians.
 const HALF_DIVERGENCE_RAD: f64 = 0.25e-3;
@@ -29,9 +35,28 @@ pub struct Area {
     pub y: [f64; 2],
 }
 
+/// What an echo comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Class {
+    /// The ground.
+    Ground,
+    /// A building's roof.
+    Roof,
+    /// A building's wall.
+    Wall,
+    /// A layer of a wood.
+    Leaves,
+    /// A wire.
+    Wire,
+    /// Nothing: light or noise that looks like a pulse.
+    FalseAlarm,
+}
+
 /// A part of a pulse that comes back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
+    /// What it comes from.
+    pub class: Class,
     /// Distance along the beam, m.
     pub range_m: f64,
     /// Energy that comes back, over that from level ground of mean reflectance straight below the aircraft.
@@ -40,19 +65,32 @@ pub struct Hit {
     pub spread_m: f64,
 }
 
-/// Level ground with what stands on it.
+/// The land below a flight.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    ground: Surface,
-    building: Option<Building>,
-    canopy: Option<Canopy>,
+    land: Land,
     /// Range at which level ground gives energy 1, m.
     reference_range_m: f64,
+}
+
+#[derive(Clone, Debug)]
+enum Land {
+    Strips(Box<Strips>),
+    Country(Box<Country>),
+}
+
+/// Level ground with a long building and a long wood on it.
+#[derive(Clone, Debug)]
+struct Strips {
+    ground: Surface,
+    building: Option<Building>,
+    canopy: Option<(Area, Canopy)>,
 }
 
 /// A material.
 #[derive(Clone, Copy, Debug)]
 struct Surface {
+    class: Class,
     /// Mean reflectance, over that of the ground.
     reflectance: f64,
     /// Standard deviation of its height within a footprint, m.
@@ -61,49 +99,79 @@ struct Surface {
 }
 
 /// A beam on its way through the scene.
-#[derive(Clone, Copy, Debug)]
-struct Beam {
-    origin_m: [f64; 3],
-    direction: [f64; 3],
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beam {
+    /// Where it starts, m.
+    pub origin_m: [f64; 3],
+    /// Unit vector along it; it points down.
+    pub direction: [f64; 3],
 }
 
 impl Scene {
-    /// A scene in the swath `area`, seen from `flying_height_m` above the ground; a height of 0 leaves the building or
-    /// the wood out.
-    pub fn new(
+    /// Level ground in the swath `area`, seen from `flying_height_m` above it, with one building and one wood along the
+    /// flight; a height of 0 leaves the one or the other out.
+    pub fn strips(
         seed: u64,
         area: Area,
         flying_height_m: f64,
         building_height_m: f64,
         canopy_height_m: f64,
     ) -> Scene {
-        Scene {
-            ground: Surface { reflectance: 1.0, roughness_m: 0.02, texture: Texture::new(seed, 1, 6.0) },
-            building: (building_height_m > 0.0)
-                .then(|| Building::new(seed, area.part(BUILDING_AREA), building_height_m)),
-            canopy: (canopy_height_m > 0.0)
-                .then(|| Canopy::new(seed, area.part(CANOPY_AREA), canopy_height_m)),
-            reference_range_m: flying_height_m,
-        }
+        let building = |height_m| {
+            Building::new(area.part(BUILDING_AREA), GROUND_HEIGHT_M + height_m, &Materials::new(seed))
+        };
+        let canopy = |height_m| (area.part(CANOPY_AREA), Canopy::new(seed, height_m));
+        let strips = Strips {
+            ground: ground(seed),
+            building: (building_height_m > 0.0).then(|| building(building_height_m)),
+            canopy: (canopy_height_m > 0.0).then(|| canopy(canopy_height_m)),
+        };
+        Scene { land: Land::Strips(Box::new(strips)), reference_range_m: flying_height_m }
     }
 
-    /// What a beam meets, in order of range. The direction is a unit vector that points down.
-    pub fn hits(&self, origin_m: [f64; 3], direction: [f64; 3], hits: &mut Vec<Hit>) {
+    /// Land without an end, seen from `flying_height_m` above its lowest ground.
+    pub fn country(seed: u64, flying_height_m: f64, settings: CountrySettings) -> Scene {
+        let country = Country::new(seed, ground(seed), settings);
+        Scene { land: Land::Country(Box::new(country)), reference_range_m: flying_height_m }
+    }
+
+    /// What a beam meets, in order of range.
+    pub fn hits(&self, beam: &Beam, hits: &mut Vec<Hit>) {
         hits.clear();
-        let beam = Beam { origin_m, direction };
-        let mut left = 1.0;
-        if let Some(canopy) = &self.canopy {
-            left = canopy.hits(&beam, left, self.reference_range_m, hits);
-        }
-        if let Some(building) = &self.building {
-            left = building.hits(&beam, left, self.reference_range_m, hits);
-        }
-        if left >= LEAST_SHARE {
-            let range_m = beam.range_to(GROUND_HEIGHT_M);
-            hits.push(self.ground.hit(&beam, range_m, beam.cosine(), left, self.reference_range_m));
+        match &self.land {
+            Land::Strips(strips) => strips.hits(beam, self.reference_range_m, hits),
+            Land::Country(country) => country.hits(beam, self.reference_range_m, hits),
         }
         hits.sort_by(|a, b| a.range_m.total_cmp(&b.range_m));
     }
+}
+
+impl Strips {
+    fn hits(&self, beam: &Beam, reference_range_m: f64, hits: &mut Vec<Hit>) {
+        let mut left = 1.0;
+        let ground_m = beam.range_to(GROUND_HEIGHT_M);
+        let [x, ..] = beam.at(ground_m);
+        if let Some((area, canopy)) = self.canopy.as_ref().filter(|(area, canopy)| {
+            // Most beams pass beside the wood all the way down from its highest place.
+            let [x_high, ..] = beam.at(beam.range_to(GROUND_HEIGHT_M + canopy.height_m()));
+            x.max(x_high) >= area.x[0] && x.min(x_high) <= area.x[1]
+        }) {
+            let level = |_, _| GROUND_HEIGHT_M;
+            let is_wood = |x, y| area.depth_m(x, y) >= 0.0;
+            left = canopy.hits(beam, left, reference_range_m, GROUND_HEIGHT_M, level, is_wood, hits);
+        }
+        if let Some(building) = &self.building {
+            left = building.hits(beam, ground_m, left, reference_range_m, hits);
+        }
+        if left >= LEAST_SHARE {
+            hits.push(self.ground.hit(beam, ground_m, beam.cosine(), left, reference_range_m));
+        }
+    }
+}
+
+/// The ground's material.
+fn ground(seed: u64) -> Surface {
+    Surface { class: Class::Ground, reflectance: 1.0, roughness_m: 0.02, texture: Texture::new(seed, 1, 6.0) }
 }
 
 impl Surface {
@@ -119,6 +187,7 @@ impl Surface {
         let tangent2 = 1.0 / (cosine * cosine) - 1.0;
         let spread2 = self.roughness_m * self.roughness_m + footprint_sd_m * footprint_sd_m * tangent2;
         Hit {
+            class: self.class,
             range_m,
             energy: share * self.reflectance * grain * cosine * distance * distance,
             spread_m: spread2.sqrt(),
@@ -127,8 +196,8 @@ impl Surface {
 }
 
 impl Beam {
-    /// The point at a range.
-    fn at(&self, range_m: f64) -> [f64; 3] {
+    /// The point at a range, m.
+    pub fn at(&self, range_m: f64) -> [f64; 3] {
         core::array::from_fn(|axis| self.origin_m[axis] + range_m * self.direction[axis])
     }
 
@@ -172,13 +241,13 @@ mod tests {
 
     fn hits(scene: &Scene, x: f64) -> Vec<Hit> {
         let (beam, mut hits) = (beam_to(x), Vec::new());
-        scene.hits(beam.origin_m, beam.direction, &mut hits);
+        scene.hits(&beam, &mut hits);
         hits
     }
 
     #[test]
     fn bare_ground_is_level() {
-        let scene = Scene::new(1, SWATH, 600.0, 0.0, 0.0);
+        let scene = Scene::strips(1, SWATH, 600.0, 0.0, 0.0);
         for x in [-390.0, 0.0, 123.4, 580.0] {
             let hits = hits(&scene, x);
             assert_eq!(hits.len(), 1);
@@ -193,7 +262,7 @@ mod tests {
 
     #[test]
     fn energy_falls_with_the_square_of_the_range_and_the_cosine() {
-        let scene = Scene::new(1, SWATH, 600.0, 0.0, 0.0);
+        let scene = Scene::strips(1, SWATH, 600.0, 0.0, 0.0);
         let n = 4000;
         let mean = |from: f64| {
             (0..n).map(|k| hits(&scene, from + 0.05 * f64::from(k))[0].energy).sum::<f64>() / f64::from(n)
@@ -205,7 +274,7 @@ mod tests {
 
     #[test]
     fn a_roof_stands_above_the_ground_and_throws_a_shadow() {
-        let scene = Scene::new(1, SWATH, 600.0, 8.0, 0.0);
+        let scene = Scene::strips(1, SWATH, 600.0, 8.0, 0.0);
         // The building reaches from -250 to -100: a wall faces the aircraft, the other lies in shadow.
         let height = |x: f64| beam_to(x).at(hits(&scene, x)[0].range_m)[2] - GROUND_HEIGHT_M;
         assert!((height(-180.0) - 8.0).abs() < 1e-9);
@@ -220,7 +289,7 @@ mod tests {
 
     #[test]
     fn a_footprint_across_the_roofs_edge_comes_back_twice() {
-        let scene = Scene::new(1, SWATH, 600.0, 8.0, 0.0);
+        let scene = Scene::strips(1, SWATH, 600.0, 8.0, 0.0);
         // The beam's axis passes the far edge of the roof (at x = -250) 2 cm outside it.
         let at_ground = -250.02 * 600.0 / 592.0;
         let found = hits(&scene, at_ground);
@@ -232,7 +301,7 @@ mod tests {
 
     #[test]
     fn a_wood_lets_one_to_four_echoes_come_back() {
-        let scene = Scene::new(1, SWATH, 600.0, 0.0, 18.0);
+        let scene = Scene::strips(1, SWATH, 600.0, 0.0, 18.0);
         let mut counts = [0; 6];
         for k in 0..4000 {
             let hits = hits(&scene, 160.0 + 0.09 * f64::from(k));

@@ -2,6 +2,8 @@
 
 use std::io::Write;
 
+use super::scene::Class;
+
 /// An echo that stands in a recorded block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrueReturn {
@@ -21,13 +23,22 @@ pub struct TrueReturn {
     pub amplitude_dn: f64,
     /// Full width at half maximum over that of a flat target's echo (of Gaussians with the response's width).
     pub width_ratio: f64,
-    /// Where the echo comes from, m, in the map.
+    /// Where the echo comes from, m: easting, northing and height in the map.
     pub point_m: [f64; 3],
+    /// Emissions between that of the pulse and the block that the echo stands in. In a resolved recording it counts as if
+    /// the laser did not pause between lines; as recorded, it leads to the shot that the block stands with.
+    pub zone: i16,
+    /// The receiver for strong echoes recorded it, too.
+    pub in_high_power: bool,
+    /// What the echo comes from.
+    pub class: Class,
+    /// The height that its peak would have in a sensitive receiver without end, DN.
+    pub linear_dn: f64,
 }
 
 /// The columns of a table of truth.
 pub const COLUMNS: &str = "shot,return_number,number_of_returns,emission_ns,time_of_flight_ns,range_m,amplitude_dn,\
-                           width_ratio,x,y,z";
+                           width_ratio,x,y,z,zone,channel,class,linear_dn";
 
 impl TrueReturn {
     /// Adds a row of the table with these [`COLUMNS`] to `out`. Each number has as many digits as it takes to read the
@@ -37,7 +48,21 @@ impl TrueReturn {
         // Writing to memory never fails.
         let _ = write!(out, "{},{},{},", self.shot, self.return_number, self.number_of_returns);
         let _ = write!(out, "{},{},{},", self.emission_ns, self.time_of_flight_ns, self.range_m);
-        let _ = writeln!(out, "{},{},{x},{y},{z}", self.amplitude_dn, self.width_ratio);
+        let _ = write!(out, "{},{},{x},{y},{z},", self.amplitude_dn, self.width_ratio);
+        let channel = if self.in_high_power { "both" } else { "low" };
+        let _ = writeln!(out, "{},{channel},{},{}", self.zone, name_of(self.class), self.linear_dn);
+    }
+}
+
+/// A class as the table says it.
+fn name_of(class: Class) -> &'static str {
+    match class {
+        Class::Ground => "ground",
+        Class::Roof => "roof",
+        Class::Wall => "wall",
+        Class::Leaves => "leaves",
+        Class::Wire => "wire",
+        Class::FalseAlarm => "false_alarm",
     }
 }
 
@@ -57,13 +82,18 @@ mod tests {
             amplitude_dn: 1.0 / 3.0,
             width_ratio: 1.0,
             point_m: [320_000.25, 5_300_000.1, 400.0],
+            zone: 3,
+            in_high_power: true,
+            class: Class::Leaves,
+            linear_dn: 0.5,
         };
         let mut row = Vec::new();
         truth.write(&mut row);
         let row = String::from_utf8(row).unwrap();
         assert_eq!(
             row,
-            "7,2,3,0.30000000000000004,4003.1,857.1428571428572,0.3333333333333333,1,320000.25,5300000.1,400\n"
+            "7,2,3,0.30000000000000004,4003.1,857.1428571428572,0.3333333333333333,1,320000.25,5300000.1,400,\
+             3,both,leaves,0.5\n"
         );
         assert_eq!(row.split(',').count(), COLUMNS.split(',').count());
     }

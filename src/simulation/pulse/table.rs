@@ -2,6 +2,7 @@
 
 use std::cell::OnceCell;
 
+use super::super::whole_and_part;
 use super::{FWHM_OF_NORMAL, Shape};
 
 /// Steps of a response's table per sample. Linear interpolation between them errs by less than 1e-5 of the peak.
@@ -74,14 +75,14 @@ impl PulseTable {
     /// counted in samples from the first one.
     pub fn add(&self, width: Width, position: f64, energy: f64, samples: &mut [f64]) {
         let row = self.row(width);
-        let whole = position.floor();
-        let phase = (position - whole) * PHASES as f64;
-        let (lower, part) = (phase as usize, phase - phase.floor());
+        let (whole, phase) = whole_and_part(position);
+        let phase = phase * PHASES as f64;
+        let (lower, part) = (phase as usize, phase - (phase as usize) as f64);
         let (weight, weight_next) = (energy * (1.0 - part), energy * part);
         let runs = row.samples.get(lower * row.len..(lower + 2) * row.len).unwrap_or_default();
         let (run, run_next) = runs.split_at(runs.len() / 2);
 
-        let start = whole as i64 - row.lead;
+        let start = whole - row.lead;
         let skipped = (-start).clamp(0, run.len() as i64) as usize;
         let first = start.clamp(0, samples.len() as i64) as usize;
         let pairs = run[skipped..].iter().zip(&run_next[skipped..]);

@@ -38,6 +38,7 @@ impl Default for Normal {
 
 impl Normal {
     /// A number of mean 0 and variance 1.
+    #[inline]
     pub fn draw(&self, random: &mut Random) -> f64 {
         loop {
             let bits = random.bits();
@@ -47,15 +48,21 @@ impl Normal {
             if place.abs() < self.inner[layer] {
                 return x;
             }
-            if layer == 0 {
-                return draw_tail(random, x < 0.0);
-            }
-            let low = density(self.edge[layer]);
-            let high = density(self.edge[layer + 1]);
-            if low + random.uniform() * (high - low) < density(x) {
+            if let Some(x) = self.draw_outside(layer, x, random) {
                 return x;
             }
         }
+    }
+
+    /// Decides about a place in the part of a layer that the density cuts, which 1 in 100 numbers meet.
+    #[cold]
+    fn draw_outside(&self, layer: usize, x: f64, random: &mut Random) -> Option<f64> {
+        if layer == 0 {
+            return Some(draw_tail(random, x < 0.0));
+        }
+        let low = density(self.edge[layer]);
+        let high = density(self.edge[layer + 1]);
+        (low + random.uniform() * (high - low) < density(x)).then_some(x)
     }
 }
 

@@ -1,7 +1,6 @@
 //! A block with a flat roof.
 
-use super::super::scanner::GROUND_HEIGHT_M;
-use super::{Area, Beam, HALF_DIVERGENCE_RAD, Hit, LEAST_SHARE, Surface, Texture};
+use super::{Area, Beam, Class, HALF_DIVERGENCE_RAD, Hit, LEAST_SHARE, Surface, Texture};
 
 /// A block with a flat roof, whose brightest spots overload a receiver that is set for the ground.
 #[derive(Clone, Debug)]
@@ -12,18 +11,44 @@ pub(super) struct Building {
     wall: Surface,
 }
 
-impl Building {
-    pub(super) fn new(seed: u64, area: Area, height_m: f64) -> Building {
-        Building {
-            area,
-            roof_height_m: GROUND_HEIGHT_M + height_m,
-            roof: Surface { reflectance: 2.0, roughness_m: 0.005, texture: Texture::new(seed, 2, 3.0) },
-            wall: Surface { reflectance: 0.8, roughness_m: 0.01, texture: Texture::new(seed, 3, 2.0) },
+/// What blocks are made of.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Materials {
+    roof: Surface,
+    wall: Surface,
+}
+
+impl Materials {
+    pub(super) fn new(seed: u64) -> Materials {
+        let surface = |class, reflectance, roughness_m, name, grain_m| Surface {
+            class,
+            reflectance,
+            roughness_m,
+            texture: Texture::new(seed, name, grain_m),
+        };
+        Materials {
+            roof: surface(Class::Roof, 2.0, 0.005, 2, 3.0),
+            wall: surface(Class::Wall, 0.8, 0.01, 3, 2.0),
         }
     }
+}
 
-    /// Adds the echoes of a beam of which the share `left` arrives, and says what is left of it for the ground.
-    pub(super) fn hits(&self, beam: &Beam, left: f64, reference_range_m: f64, hits: &mut Vec<Hit>) -> f64 {
+impl Building {
+    /// A block that stands in an area and ends at this height of the scene.
+    pub(super) fn new(area: Area, roof_height_m: f64, materials: &Materials) -> Building {
+        Building { area, roof_height_m, roof: materials.roof, wall: materials.wall }
+    }
+
+    /// Adds the echoes of a beam of which the share `left` arrives and that would reach the ground at `ground_m`, and says
+    /// what is left of it for the ground.
+    pub(super) fn hits(
+        &self,
+        beam: &Beam,
+        ground_m: f64,
+        left: f64,
+        reference_range_m: f64,
+        hits: &mut Vec<Hit>,
+    ) -> f64 {
         let range_m = beam.range_to(self.roof_height_m);
         let [x, y, _] = beam.at(range_m);
         let depth_m = self.area.depth_m(x, y);
@@ -32,7 +57,7 @@ impl Building {
             hits.push(self.roof.hit(beam, range_m, beam.cosine(), on_roof, reference_range_m));
         }
         let left = left - on_roof;
-        match self.wall(beam) {
+        match self.wall(beam, ground_m) {
             None => left,
             Some((range_m, cosine)) => {
                 // What slips past the edge of a roof below which the wall faces the beam grazes it, and is lost.
@@ -44,21 +69,27 @@ impl Building {
         }
     }
 
-    /// Where a beam that would reach the ground below the block comes through a wall: range, and the cosine of the
-    /// angle to the wall's normal.
-    fn wall(&self, beam: &Beam) -> Option<(f64, f64)> {
-        let [x, y, _] = beam.at(beam.range_to(GROUND_HEIGHT_M));
-        if self.area.depth_m(x, y) < 0.0 {
-            return None;
-        }
-        // The beam enters the block through the wall that it reaches last of those which it comes towards.
+    /// Where a beam comes through a wall: range, and the cosine of the angle to the wall's normal. It does so where it
+    /// would reach the ground below the block, or leaves the block before it comes to the ground.
+    fn wall(&self, beam: &Beam, ground_m: f64) -> Option<(f64, f64)> {
+        // The beam enters the block through the wall that it reaches last of those which it comes towards, and leaves it
+        // through the first of those which it goes away from.
         let sides = [(self.area.x, 0), (self.area.y, 1)];
-        let facing = sides.into_iter().filter_map(|([low, high], axis)| {
+        let towards = sides.into_iter().filter(|&(_, axis)| beam.direction[axis] != 0.0);
+        let ranges = towards.map(|([low, high], axis)| {
             let towards = beam.direction[axis];
-            let wall = if towards > 0.0 { low } else { high };
-            (towards != 0.0).then(|| ((wall - beam.origin_m[axis]) / towards, towards.abs()))
+            let (near, far) = if towards > 0.0 { (low, high) } else { (high, low) };
+            let range = |wall: f64| (wall - beam.origin_m[axis]) / towards;
+            (range(near), range(far), towards.abs())
         });
-        facing.max_by(|a, b| a.0.total_cmp(&b.0))
+        let (enters, cosine) =
+            ranges.clone().map(|(near, _, cosine)| (near, cosine)).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let [x, y, _] = beam.at(ground_m);
+        let ends_inside = self.area.depth_m(x, y) >= 0.0;
+        let leaves = ranges.map(|(_, far, _)| far).fold(ground_m, f64::min);
+        let [x, y, z] = beam.at(enters);
+        let passes = enters < leaves && z < self.roof_height_m && self.area.depth_m(x, y) > -1e-6;
+        (ends_inside || passes).then_some((enters, cosine))
     }
 }
 

@@ -1,12 +1,10 @@
 //! A wood: layers of leaves with gaps.
 
-use super::super::scanner::GROUND_HEIGHT_M;
-use super::{Area, Beam, Hit, LEAST_SHARE, Surface, Texture};
+use super::{Beam, Class, Hit, LEAST_SHARE, Surface, Texture};
 
 /// Layers of leaves, from the top down, each with gaps of its own.
 #[derive(Clone, Debug)]
 pub(super) struct Canopy {
-    area: Area,
     layers: [Layer; 3],
 }
 
@@ -28,13 +26,18 @@ const RELIEF: f64 = 0.25;
 const RISE: f64 = 0.25;
 
 impl Canopy {
-    pub(super) fn new(seed: u64, area: Area, height_m: f64) -> Canopy {
+    pub(super) fn new(seed: u64, height_m: f64) -> Canopy {
         let layer = |name, height, density, gap, roughness_m| Layer {
             height_m: height * height_m,
             density,
             gap,
             crowns: Texture::new(seed, name, 5.0),
-            leaves: Surface { reflectance: 1.1, roughness_m, texture: Texture::new(seed, name + 1, 1.0) },
+            leaves: Surface {
+                class: Class::Leaves,
+                reflectance: 1.1,
+                roughness_m,
+                texture: Texture::new(seed, name + 1, 1.0),
+            },
         };
         let layers = [
             layer(10, 1.0, 0.75, 0.35, 0.30),
@@ -42,21 +45,31 @@ impl Canopy {
             // Undergrowth, whose echoes run into those of the ground.
             layer(30, 0.1, 0.50, 0.45, 0.12),
         ];
-        Canopy { area, layers }
+        Canopy { layers }
     }
 
-    /// Adds the echoes of a beam of which the share `left` arrives, and says what is left of it below.
+    /// Height of the highest place above the ground, m.
+    pub(super) fn height_m(&self) -> f64 {
+        self.layers[0].height_m
+    }
+
+    /// Adds the echoes of a beam of which the share `left` arrives, and says what is left of it below. The wood grows
+    /// on ground of the height `ground_m(x, y)`, near the beam about `near_m`, and only where `is_wood(x, y)`.
+    #[allow(clippy::too_many_arguments, reason = "a beam, what it carries, and two fields of the land")]
     pub(super) fn hits(
         &self,
         beam: &Beam,
         mut left: f64,
         reference_range_m: f64,
+        near_m: f64,
+        ground_m: impl Fn(f64, f64) -> f64,
+        is_wood: impl Fn(f64, f64) -> bool,
         hits: &mut Vec<Hit>,
     ) -> f64 {
         for layer in &self.layers {
-            let range_m = layer.range_m(beam);
+            let range_m = layer.range_m(beam, near_m, &ground_m);
             let [x, y, _] = beam.at(range_m);
-            if self.area.depth_m(x, y) < 0.0 {
+            if !is_wood(x, y) {
                 continue;
             }
             let taken = left * layer.cover(x, y);
@@ -72,10 +85,10 @@ impl Canopy {
 
 impl Layer {
     /// The range at which a beam meets the layer, which is the highest in the middle of crowns.
-    fn range_m(&self, beam: &Beam) -> f64 {
-        let height = |relief: f64| GROUND_HEIGHT_M + self.height_m * (1.0 - RELIEF * (1.0 - relief));
-        let [x, y, _] = beam.at(beam.range_to(height(0.5)));
-        beam.range_to(height(self.crowns.coarse(x, y)))
+    fn range_m(&self, beam: &Beam, near_m: f64, ground_m: impl Fn(f64, f64) -> f64) -> f64 {
+        let height = |ground_m: f64, relief: f64| ground_m + self.height_m * (1.0 - RELIEF * (1.0 - relief));
+        let [x, y, _] = beam.at(beam.range_to(height(near_m, 0.5)));
+        beam.range_to(height(ground_m(x, y), self.crowns.coarse(x, y)))
     }
 
     /// The share of a beam that the layer takes at a place.

@@ -1,6 +1,7 @@
 //! Irregularity that belongs to a place.
 
-use super::super::random::{hash, lattice};
+use super::super::random::{Random, cell, hash};
+use super::super::whole_and_part;
 
 /// A smooth random field: values between 0 and 1 on a square lattice, blended between its points (value noise), in two
 /// sizes of grain.
@@ -34,14 +35,26 @@ impl Texture {
 
     fn octave(&self, octave: usize, x: f64, y: f64) -> f64 {
         let (key, per_cell) = (self.keys[octave], self.per_cell[octave]);
-        let (x, y) = (x * per_cell, y * per_cell);
-        let (column, row) = (x.floor(), y.floor());
-        let (i, j) = (column as i64, row as i64);
-        let (u, v) = (smooth(x - column), smooth(y - row));
-        let value = |di, dj| lattice(key, i + di, j + dj);
-        let south = value(0, 0) + u * (value(1, 0) - value(0, 0));
-        let north = value(0, 1) + u * (value(1, 1) - value(0, 1));
+        let ((i, u), (j, v)) = (whole_and_part(x * per_cell), whole_and_part(y * per_cell));
+        let (u, v) = (smooth(u), smooth(v));
+        let [south_west, south_east, north_west, north_east] = cell(key, i, j);
+        let south = south_west + u * (south_east - south_west);
+        let north = north_west + u * (north_east - north_west);
         south + v * (north - south)
+    }
+
+    /// The value below which the field lies in this share of all places.
+    pub(super) fn quantile(&self, share: f64) -> f64 {
+        let mut random = Random::from_key(self.keys[0]);
+        let reach_m = 1e4 / self.per_cell[0];
+        let mut place = || reach_m * (random.uniform() - 0.5);
+        let mut values: Vec<f64> =
+            (0..8192).map(|_| (place(), place())).map(|(x, y)| self.at(x, y)).collect();
+        values.sort_by(f64::total_cmp);
+        match ((share * values.len() as f64) as usize).checked_sub(1) {
+            None => -1.0,
+            Some(last) => values.get(last).copied().unwrap_or(1.0),
+        }
     }
 }
 
@@ -66,6 +79,21 @@ mod tests {
             assert!((0.0..1.0).contains(&value));
             assert!((texture.at(x + 1e-6, y + 1e-6) - value).abs() < 1e-5);
         }
+    }
+
+    #[test]
+    fn a_quantile_has_its_share_of_the_places_below_it() {
+        let texture = Texture::new(3, 4, 5.0);
+        let places = (0..300).flat_map(|i| (0..300).map(move |j| (7.3 * f64::from(i), 7.3 * f64::from(j))));
+        let values: Vec<f64> = places.map(|(x, y)| texture.at(x, y)).collect();
+        for share in [0.05, 0.3, 0.9] {
+            let limit = texture.quantile(share);
+            let below = values.iter().filter(|&&value| value < limit).count() as f64 / values.len() as f64;
+            assert!((below - share).abs() < 0.02, "{below} for {share}");
+        }
+        let all = texture.quantile(1.0);
+        assert!(values.iter().filter(|&&value| value < all).count() > 89_900);
+        assert_eq!(texture.quantile(0.0), -1.0, "below every value");
     }
 
     #[test]

@@ -8,44 +8,78 @@ use crate::batch::{
     AmplitudeTable, Batch, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, TimeScale,
     emission_flags,
 };
+use crate::simulation::detector::{Detector, Sensitivity};
+use crate::simulation::platform::Platform;
+use crate::simulation::pulse::Width;
 use crate::simulation::random::{Normal, Purpose, Random};
-use crate::simulation::receiver::{Echo, Receiver, Window};
-use crate::simulation::scanner::{self, Scanner, Shot};
-use crate::simulation::scene::{Hit, Scene};
+use crate::simulation::receiver::{Echo, Receiver, TRIGGER_DN, Window};
+use crate::simulation::scanner::{self, Mirror, Scanner, Shot};
+use crate::simulation::scene::{Beam, Class, Hit, Scene};
 use crate::simulation::truth::TrueReturn;
+use crate::simulation::world::{self, World};
 use crate::simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
 use crate::stage::{Result, StageError};
 
 /// Standard deviation of a pulse's energy, over its mean.
 const ENERGY_SD: f64 = 0.01;
-/// The amplitude that the instrument calls 0 dB, DN above the background.
-const ZERO_DB_DN: f64 = 7.0;
+/// False alarms come from as far as this, over the range of the lowest ground.
+const FALSE_ALARM_REACH: f64 = 1.25;
 
 /// A flight whose scan lines can be had one by one, in any order.
 #[derive(Debug)]
 pub(super) struct Flight {
     input: Arc<InputInfo>,
-    seed: u64,
+    pub(super) seed: u64,
+    pub(super) lines: u32,
     dropout_rate: f64,
+    false_alarm_rate: f64,
+    blind_gap_ns: f64,
     ground_amplitude_dn: f64,
-    scanner: Scanner,
+    as_recorded: bool,
+    /// Whether anybody wants to know it.
+    pub(super) tells_truth: bool,
+    /// Echoes come from no further than this, ns.
+    pub(super) longest_ns: f64,
+    pub(super) scanner: Scanner,
+    platform: Platform,
+    world: World,
     scene: Scene,
-    receiver: Receiver,
+    detector: Detector,
+    pub(super) receiver: Receiver,
     normal: Normal,
     /// Room for one shot's hits and echoes (the same ones, in the same order) and its blocks.
-    hits: Vec<Hit>,
-    echoes: Vec<Echo>,
+    pub(super) hits: Vec<Hit>,
+    pub(super) echoes: Vec<Echo>,
     windows: Vec<Window>,
 }
 
+/// A pulse that has left.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cast {
+    pub(super) line: u32,
+    pub(super) index: u32,
+    pub(super) shot: Shot,
+    /// Its way through the scene.
+    beam: Beam,
+    pub(super) pulse: Pulse,
+}
+
 /// What the laser does, beyond sending a pulse at the right moment.
-struct Pulse {
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pulse {
     /// When the pulse leaves after the tick of the sample clock, ns.
-    emission_ns: f64,
+    pub(super) emission_ns: f64,
     /// Its energy, over the mean.
-    energy: f64,
+    pub(super) energy: f64,
     /// Nothing of it comes back.
     is_lost: bool,
+}
+
+/// Where an echo was recorded.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Recorded {
+    pub(super) zone: i16,
+    pub(super) in_high_power: bool,
 }
 
 impl Flight {
@@ -56,13 +90,24 @@ impl Flight {
                 "leave `noise_autocorrelation` out",
             )
         })?;
+        // The scanner can be higher than the aircraft's centre.
+        let furthest_m = (config.flying_height_m + 20.0) / libm::cos(config.steepest_deg().to_radians());
         Ok(Flight {
             input: Arc::new(input(config)),
             seed: config.seed,
+            lines: config.lines,
             dropout_rate: config.dropout_rate,
+            false_alarm_rate: config.false_alarm_rate,
+            blind_gap_ns: config.blind_gap_ns,
             ground_amplitude_dn: config.ground_amplitude_dn,
+            as_recorded: config.as_recorded,
+            tells_truth: true,
+            longest_ns: FALSE_ALARM_REACH * time_of_flight_ns(furthest_m),
             scanner: config.scanner(),
+            platform: config.platform(),
+            world: config.world(),
             scene: config.scene(),
+            detector: config.detector(),
             receiver,
             normal: Normal::default(),
             hits: Vec::new(),
@@ -71,113 +116,292 @@ impl Flight {
         })
     }
 
-    /// A scan line, and the truth of the returns in it.
+    /// The same flight, whose lines come with their truth only where somebody wants it.
+    pub(super) fn telling_truth(self, tells_truth: bool) -> Flight {
+        Flight { tells_truth, ..self }
+    }
+
+    /// A scan line, and the truth of the returns of its shots.
     pub(super) fn line(&mut self, line: u32) -> (Batch, Vec<TrueReturn>) {
-        let shots = self.scanner.shots_per_line;
-        let mut emissions = Vec::with_capacity(shots as usize);
         let (mut blocks, mut truth) = (Blocks::default(), Vec::new());
-        for index in 0..shots {
-            let shot = self.scanner.shot(line, index);
-            let pulse = self.pulse(line, index);
-            self.receive(&shot, &pulse);
-            let zone = self.record(line, index, &pulse, &mut blocks);
-            self.tell(&shot, &pulse, &mut truth);
-            emissions.push(emission(&shot, zone, index + 1 == shots));
-        }
+        let emissions = match self.as_recorded {
+            false => self.resolved_line(line, &mut blocks, &mut truth),
+            true => self.recorded_line(line, &mut blocks, &mut truth),
+        };
         (Batch::of_shots(Arc::clone(&self.input), line, emissions, blocks), truth)
     }
 
-    fn pulse(&self, line: u32, index: u32) -> Pulse {
+    /// A line whose blocks stand with the shots that caused them.
+    fn resolved_line(
+        &mut self,
+        line: u32,
+        blocks: &mut Blocks,
+        truth: &mut Vec<TrueReturn>,
+    ) -> Vec<Emission> {
+        let shots = self.scanner.shots_per_line;
+        let mut emissions = Vec::with_capacity(shots as usize);
+        for index in 0..shots {
+            let cast = self.cast(line, index);
+            self.receive(&cast);
+            self.receiver.windows(&self.echoes, &mut self.windows);
+            let zone = self.record(&cast, blocks);
+            if self.tells_truth {
+                self.tell(&cast, zone, truth);
+            }
+            emissions.push(self.emission(&cast, Some(zone)));
+        }
+        emissions
+    }
+
+    /// Sends a pulse.
+    pub(super) fn cast(&self, line: u32, index: u32) -> Cast {
+        let shot = self.scanner.shot(line, index);
         let mut random = Random::of_shot(self.seed, line, index, Purpose::Laser);
-        Pulse {
+        let pulse = Pulse {
             emission_ns: INTERVAL_NS * random.uniform(),
             is_lost: random.uniform() < self.dropout_rate,
             energy: 1.0 + ENERGY_SD * self.normal.draw(&mut random),
+        };
+        let beam = self.platform.beam(shot.since_start_s(), shot.direction_in_scanner);
+        Cast { line, index, shot, beam, pulse }
+    }
+
+    /// The hits and echoes of a pulse, in order of time: those that the receiver is open for.
+    pub(super) fn receive(&mut self, cast: &Cast) {
+        self.hits.clear();
+        if !cast.pulse.is_lost {
+            self.scene.hits(&cast.beam, &mut self.hits);
+        }
+        self.echoes.clear();
+        for hit in &self.hits {
+            let width = self.receiver.response().width(time_of_flight_ns(hit.spread_m));
+            let energy_dn = self.ground_amplitude_dn * cast.pulse.energy * hit.energy;
+            let linear_dn = energy_dn * self.receiver.response().peak(width);
+            self.echoes.push(self.echo(cast, hit.range_m, linear_dn, width));
+        }
+        if self.false_alarm_rate > 0.0 {
+            self.raise_false_alarm(cast);
+        }
+        if self.blind_gap_ns > 0.0 {
+            self.drop_blind_echoes(cast);
         }
     }
 
-    /// The echoes of a pulse.
-    fn receive(&mut self, shot: &Shot, pulse: &Pulse) {
-        self.hits.clear();
-        if !pulse.is_lost {
-            self.scene.hits(shot.origin_m, shot.direction, &mut self.hits);
+    /// The echo of a target at a range whose peak has this linear amplitude.
+    fn echo(&self, cast: &Cast, range_m: f64, linear_dn: f64, width: Width) -> Echo {
+        Echo {
+            time_ns: cast.pulse.emission_ns + time_of_flight_ns(range_m),
+            amplitude_dn: self.detector.height_dn(Sensitivity::Sensitive, linear_dn),
+            high_power_dn: self.detector.height_dn(Sensitivity::Coarse, linear_dn),
+            linear_dn,
+            width,
         }
-        let response = self.receiver.response();
-        self.echoes.clear();
-        self.echoes.extend(self.hits.iter().map(|hit| {
-            let width = response.width(time_of_flight_ns(hit.spread_m));
-            let energy_dn = self.ground_amplitude_dn * pulse.energy * hit.energy;
-            Echo {
-                time_ns: pulse.emission_ns + time_of_flight_ns(hit.range_m),
-                amplitude_dn: energy_dn * response.peak(width),
-                width,
+    }
+
+    /// Adds, to a share of the pulses, an echo of nothing.
+    fn raise_false_alarm(&mut self, cast: &Cast) {
+        let mut random = Random::of_shot(self.seed, cast.line, cast.index, Purpose::FalseAlarms);
+        if random.uniform() >= self.false_alarm_rate {
+            return;
+        }
+        let range_m = random.uniform() * 0.5e-9 * GROUP_VELOCITY_MPS * self.longest_ns;
+        let flat = self.receiver.response().width(0.0);
+        let echo = self.echo(cast, range_m, TRIGGER_DN * (1.0 + random.uniform()), flat);
+        let at = self.hits.partition_point(|hit| hit.range_m < range_m);
+        self.hits.insert(at, Hit { class: Class::FalseAlarm, range_m, energy: 0.0, spread_m: 0.0 });
+        self.echoes.insert(at, echo);
+    }
+
+    /// Takes out the echoes that arrive while the receiver is closed for an emission.
+    fn drop_blind_echoes(&mut self, cast: &Cast) {
+        for k in (0..self.echoes.len()).rev() {
+            if self.is_blind(cast.shot.since_start_ns as f64 + self.echoes[k].time_ns) {
+                self.echoes.remove(k);
+                self.hits.remove(k);
             }
-        }));
-        self.receiver.windows(&self.echoes, &mut self.windows);
+        }
+    }
+
+    /// Whether a moment, ns from the start, lies in the gap around the tick of an emission.
+    fn is_blind(&self, time_ns: f64) -> bool {
+        let pulses = 1e-9 * time_ns * self.scanner.pulse_rate_hz;
+        let line = (pulses / self.scanner.pulses_per_line()).floor();
+        let index = (pulses - line * self.scanner.pulses_per_line()).floor() as i64;
+        // The modulation moves an emission by less than a quarter of an interval.
+        (index - 1..=index + 2).any(|index| {
+            self.emission_at(line as u32, index)
+                .is_some_and(|tick_ns| (time_ns - tick_ns as f64).abs() <= self.blind_gap_ns)
+        })
+    }
+
+    /// The tick of an emission by its place in a line, ns from the start; before and behind the line those of its
+    /// neighbours, unless the laser pauses there.
+    fn emission_at(&self, line: u32, index: i64) -> Option<i64> {
+        let shots = i64::from(self.scanner.shots_per_line);
+        if !(0..shots).contains(&index) && self.scanner.mirror == Mirror::RotatingPolygon {
+            return None;
+        }
+        let number = u64::try_from(i64::from(line) * shots + index).ok()?;
+        let (line, index) = self.scanner.place(number);
+        (line < self.lines).then(|| self.scanner.tick_ns(line, index))
     }
 
     /// Records outgoing pulse and echoes, and says in which zone the first echoes arrive.
-    fn record(&mut self, line: u32, index: u32, pulse: &Pulse, blocks: &mut Blocks) -> i16 {
-        let mut random = Random::of_shot(self.seed, line, index, Purpose::Noise);
-        let (start_ns, samples) = self.receiver.record_emission(pulse.emission_ns, pulse.energy, &mut random);
-        blocks.push(index, Channel::Reference, None, start_ns, INTERVAL_NS, samples);
-        let period_ns = 1e9 / self.scanner.pulse_rate_hz;
+    fn record(&mut self, cast: &Cast, blocks: &mut Blocks) -> i16 {
+        let mut noise = Recorder::new(self.seed, cast);
+        noise.emission(&mut self.receiver, cast.index, &cast.pulse, blocks);
         let mut first_zone = None;
         for window in &self.windows {
-            let (start_ns, samples) = self.receiver.record(window, &self.echoes, &mut random);
-            let zone = (start_ns / period_ns) as i16;
+            let zone = zone_of(&self.scanner, cast, self.receiver.start_ns(window));
             let own = (*first_zone.get_or_insert(zone) != zone).then_some(zone);
-            blocks.push(index, Channel::LowPower, own, start_ns, INTERVAL_NS, samples);
+            noise.block(&mut self.receiver, cast.index, own, window, &self.echoes, blocks);
         }
         first_zone.unwrap_or(0)
     }
 
     /// The truth of the echoes that stand in a recorded block.
-    fn tell(&self, shot: &Shot, pulse: &Pulse, truth: &mut Vec<TrueReturn>) {
+    fn tell(&self, cast: &Cast, zone: i16, truth: &mut Vec<TrueReturn>) {
         let first = truth.len();
         for (hit, echo) in self.hits.iter().zip(&self.echoes) {
-            if !self.windows.iter().any(|window| self.receiver.is_in(window, echo)) {
+            let Some(window) = self.windows.iter().find(|window| self.receiver.is_in(window, echo)) else {
                 continue;
-            }
-            truth.push(TrueReturn {
-                shot: shot.number,
-                return_number: (truth.len() - first + 1) as u8,
-                number_of_returns: 0,
-                emission_ns: pulse.emission_ns,
-                time_of_flight_ns: time_of_flight_ns(hit.range_m),
-                range_m: hit.range_m,
-                amplitude_dn: echo.amplitude_dn,
-                width_ratio: self.receiver.response().width_ratio(echo.width),
-                point_m: core::array::from_fn(|axis| {
-                    shot.origin_m[axis] + hit.range_m * shot.direction[axis]
-                }),
-            });
+            };
+            let zone = match self.windows.first() == Some(window) {
+                true => zone,
+                false => zone_of(&self.scanner, cast, self.receiver.start_ns(window)),
+            };
+            let in_high_power = self.receiver.is_strong(window, &self.echoes);
+            truth.push(self.true_return(cast, hit, echo, Recorded { zone, in_high_power }));
         }
-        let number = (truth.len() - first) as u8;
-        truth[first..].iter_mut().for_each(|truth| truth.number_of_returns = number);
+        number(&mut truth[first..]);
+    }
+
+    /// The truth of an echo; its number and theirs are for [`number`].
+    pub(super) fn true_return(&self, cast: &Cast, hit: &Hit, echo: &Echo, recorded: Recorded) -> TrueReturn {
+        let point_m = cast.beam.at(hit.range_m);
+        TrueReturn {
+            shot: cast.shot.number,
+            return_number: 0,
+            number_of_returns: 0,
+            emission_ns: cast.pulse.emission_ns,
+            time_of_flight_ns: time_of_flight_ns(hit.range_m),
+            range_m: hit.range_m,
+            amplitude_dn: echo.amplitude_dn,
+            width_ratio: self.receiver.response().width_ratio(echo.width),
+            point_m: match self.input.frame {
+                Frame::Map => self.world.on_flat_map(point_m),
+                Frame::Scanner | Frame::Body => self.world.on_earth(point_m),
+            },
+            zone: recorded.zone,
+            in_high_power: recorded.in_high_power,
+            class: hit.class,
+            linear_dn: echo.linear_dn,
+        }
+    }
+
+    pub(super) fn emission(&self, cast: &Cast, mta_zone: Option<i16>) -> Emission {
+        let Cast { shot, beam, .. } = cast;
+        let is_last = cast.index + 1 == self.scanner.shots_per_line;
+        let edge = if is_last { emission_flags::EDGE_OF_FLIGHT_LINE } else { 0 };
+        let to_the_right = if shot.to_the_right { emission_flags::SCAN_DIRECTION_POSITIVE } else { 0 };
+        let synchronised = emission_flags::SYNCHRONISED | emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND;
+        let (origin_m, direction) = match self.input.frame {
+            Frame::Map => (self.world.on_flat_map(beam.origin_m), self.world.turned(beam.direction)),
+            Frame::Scanner | Frame::Body => ([0.0; 3], shot.direction_in_scanner),
+        };
+        Emission {
+            shot: shot.number,
+            gps_time_s: shot.gps_time_s(),
+            clock_ps: shot.clock_ps(),
+            origin_m,
+            direction,
+            frame_scale: 1.0,
+            emission_ns: 0.0,
+            emission_sd_ns: f64::NAN,
+            facet: shot.facet,
+            flags: synchronised | to_the_right | edge,
+            mta_zone,
+            scan_angle_deg: shot.scan_angle_rad.to_degrees() as f32,
+        }
     }
 }
 
-fn emission(shot: &Shot, zone: i16, is_last: bool) -> Emission {
-    let edge = if is_last { emission_flags::EDGE_OF_FLIGHT_LINE } else { 0 };
-    let synchronised = emission_flags::SYNCHRONISED | emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND;
-    Emission {
-        shot: shot.number,
-        gps_time_s: shot.gps_time_s,
-        clock_ps: shot.clock_ps,
-        origin_m: shot.origin_m,
-        direction: shot.direction,
-        frame_scale: 1.0,
-        emission_ns: 0.0,
-        emission_sd_ns: f64::NAN,
-        facet: shot.facet,
-        flags: synchronised | emission_flags::SCAN_DIRECTION_POSITIVE | edge,
-        mta_zone: Some(zone),
-        scan_angle_deg: shot.scan_angle_rad.to_degrees() as f32,
+/// Numbers the returns of one shot.
+pub(super) fn number(returns: &mut [TrueReturn]) {
+    let count = returns.len() as u8;
+    for (number, truth) in (1..).zip(returns) {
+        (truth.return_number, truth.number_of_returns) = (number, count);
+    }
+}
+
+/// How many emissions lie between a shot and a time after its clock, were there no pauses.
+fn zone_of(scanner: &Scanner, cast: &Cast, time_ns: f64) -> i16 {
+    let nominal = (time_ns / (1e9 / scanner.pulse_rate_hz)) as i16;
+    if scanner.modulation_ns == 0.0 {
+        return nominal;
+    }
+    let is_out = |zone: i16| {
+        let following = cast.index.saturating_add_signed(i32::from(zone));
+        let (line, index) = match scanner.mirror {
+            Mirror::RotatingPolygon => (cast.line, following),
+            _ => scanner.place(scanner.number(cast.line, 0) + u64::from(following)),
+        };
+        (scanner.tick_ns(line, index) - cast.shot.since_start_ns) as f64 <= time_ns
+    };
+    (1..=nominal + 1).rev().find(|&zone| is_out(zone)).unwrap_or(0)
+}
+
+/// The random numbers of what is recorded with one shot.
+pub(super) struct Recorder {
+    low_power: Random,
+    high_power: Random,
+}
+
+impl Recorder {
+    pub(super) fn new(seed: u64, cast: &Cast) -> Recorder {
+        let of = |purpose| Random::of_shot(seed, cast.line, cast.index, purpose);
+        Recorder { low_power: of(Purpose::Noise), high_power: of(Purpose::HighPowerNoise) }
+    }
+
+    /// Records the outgoing pulse.
+    pub(super) fn emission(
+        &mut self,
+        receiver: &mut Receiver,
+        index: u32,
+        pulse: &Pulse,
+        blocks: &mut Blocks,
+    ) {
+        let (start_ns, samples) =
+            receiver.record_emission(pulse.emission_ns, pulse.energy, &mut self.low_power);
+        blocks.push(index, Channel::Reference, None, start_ns, INTERVAL_NS, samples);
+    }
+
+    /// Records a window with each receiver that keeps it.
+    pub(super) fn block(
+        &mut self,
+        receiver: &mut Receiver,
+        index: u32,
+        zone: Option<i16>,
+        window: &Window,
+        echoes: &[Echo],
+        blocks: &mut Blocks,
+    ) {
+        let (start_ns, samples) = receiver.record(window, echoes, &mut self.low_power);
+        blocks.push(index, Channel::LowPower, zone, start_ns, INTERVAL_NS, samples);
+        if !receiver.is_strong(window, echoes) {
+            return;
+        }
+        if let Some((start_ns, samples)) = receiver.record_high_power(window, echoes, &mut self.high_power) {
+            blocks.push(index, Channel::HighPower, zone, start_ns, INTERVAL_NS, samples);
+        }
     }
 }
 
 fn input(config: &Simulate) -> InputInfo {
+    let background_dn = 0.5 * (config.background_dn[0] + config.background_dn[1]);
+    let table =
+        |receiver| AmplitudeTable::new(config.detector().table(receiver, background_dn, FULL_SCALE_DN));
+    let frame = if config.has_trajectory() { Frame::Scanner } else { Frame::Map };
     InputInfo {
         path: PathBuf::new(),
         stem: config.stem.clone(),
@@ -192,23 +416,13 @@ fn input(config: &Simulate) -> InputInfo {
         time_scale: TimeScale::Week,
         gps_week: Some(scanner::GPS_WEEK),
         recorded: Some(scanner::RECORDED),
-        frame: Frame::Map,
-        crs_wkt: Some(scanner::CRS_WKT.to_owned()),
+        frame,
+        crs_wkt: (frame == Frame::Map).then(|| world::CRS_WKT.to_owned()),
         coordinate_grid: None,
         emission_reference: EmissionReference::OutgoingPulse,
-        amplitude_low: amplitude_table(config.background_dn),
-        amplitude_high: None,
+        amplitude_low: table(Sensitivity::Sensitive),
+        amplitude_high: config.high_power.then(|| table(Sensitivity::Coarse)).flatten(),
         range_low: None,
         range_high: None,
     }
-}
-
-/// The table of a linear receiver: decibels above the amplitude that counts as 0 dB, by background + amplitude.
-fn amplitude_table(background_dn: [f64; 2]) -> Option<AmplitudeTable> {
-    let background_dn = 0.5 * (background_dn[0] + background_dn[1]);
-    let lowest = background_dn as u16 + 1;
-    AmplitudeTable::new((lowest..=FULL_SCALE_DN).map(|dn| {
-        let dn = f64::from(dn);
-        (dn, 10.0 * libm::log10((dn - background_dn) / ZERO_DB_DN))
-    }))
 }

@@ -4,8 +4,15 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::batch::{Block, Blocks, Channel, emission_flags};
-use crate::simulation::pulse::FWHM_OF_NORMAL;
+use crate::simulation::pulse::{FWHM_OF_NORMAL, Shape};
+use crate::simulation::truth::{COLUMNS, TrueReturn};
 use crate::simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
+use crate::stage::Config;
+
+mod as_recorded;
+mod instrument;
+mod keys;
+mod trajectory;
 
 /// A flight over level ground without anything on it.
 fn bare() -> Simulate {
@@ -215,6 +222,73 @@ fn a_line_alone_is_the_line_in_sequence() {
     assert_ne!(text(&other), text(&alone));
 }
 
+/// Everything at once: modulated pulses in the air, a swaying aircraft, hills, houses, woods, wires and water, two
+/// receivers, false alarms, a blind gap.
+fn rich() -> Simulate {
+    Simulate {
+        lines: 6,
+        shots_per_line: 400,
+        scanner: ScannerKind::Oscillating,
+        pulse_rate_hz: 400_000.0,
+        modulation_ns: 17.0,
+        flying_height_m: 1500.0,
+        heading_deg: 35.0,
+        roll_deg: 2.0,
+        pitch_deg: 1.0,
+        yaw_deg: 1.5,
+        lever_arm_m: [0.3, -0.1, 0.5],
+        boresight_deg: [0.2, -0.1, 0.3],
+        landscape: Landscape::Country,
+        relief_m: 120.0,
+        house_ratio: 0.4,
+        false_alarm_rate: 0.01,
+        blind_gap_ns: 15.0,
+        detector: DetectorKind::Riegl,
+        high_power: true,
+        high_power_from_dn: 60.0,
+        ..Simulate::default()
+    }
+}
+
+/// FNV-1a of a line's times, directions, samples and truth.
+fn digest((batch, truth): &(Batch, Vec<TrueReturn>)) -> u64 {
+    let mut bytes = Vec::new();
+    for emission in &batch.emissions {
+        bytes.extend(emission.clock_ps.to_le_bytes());
+        emission.direction.iter().for_each(|d| bytes.extend(d.to_le_bytes()));
+    }
+    let blocks = batch.blocks().unwrap();
+    for block in blocks.iter() {
+        bytes.extend(block.start_ns.to_le_bytes());
+        blocks.samples(block).iter().for_each(|sample| bytes.extend(sample.to_le_bytes()));
+    }
+    truth.iter().for_each(|row| row.write(&mut bytes));
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
+}
+
+/// The bytes of every part of the simulator, the same on every machine.
+#[test]
+fn lines_of_everything_have_these_bytes() {
+    let in_map = Simulate { as_recorded: false, ..rich() };
+    let in_scanner = Simulate { as_recorded: true, pof: Some("*.pof".to_owned()), ..rich() };
+    let found = [in_map, in_scanner].map(|config| digest(&lines(&config, 0..2)[1]));
+    assert_eq!(found, [12_939_115_138_710_305_480, 16_313_470_077_786_616_657]);
+}
+
+#[test]
+fn any_kind_of_line_alone_is_the_line_in_sequence() {
+    for as_recorded in [false, true] {
+        for scanner in [ScannerKind::Oscillating, ScannerKind::RotatingPolygon, ScannerKind::ParallelLines] {
+            let config =
+                Simulate { as_recorded, scanner, sbet: as_recorded.then(|| "*.sbet".to_owned()), ..rich() };
+            let sequence = lines(&config, 0..6);
+            assert_eq!(digest(&sequence[4]), digest(&Flight::new(&config).unwrap().line(4)));
+            assert!(sequence.iter().map(|line| line.1.len()).sum::<usize>() > 2000);
+        }
+    }
+}
+
 #[test]
 fn changing_the_noise_leaves_the_scene_as_it_was() {
     let quiet = Simulate { noise_sd_dn: 0.0, ..Simulate::default() };
@@ -299,69 +373,6 @@ fn a_run_that_ends_early_leaves_no_truth() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
-#[test]
-fn each_limit_has_its_message() {
-    type Change = fn(&mut Simulate);
-    let cases: [(Change, &str, &str); 17] = [
-        (|c| c.stem = "a/b".to_owned(), "stem", "must be a file name without folders"),
-        (|c| c.lines = 0, "lines", "must be at least 1"),
-        (|c| c.shots_per_line = 4097, "shots_per_line", "must lie between 1 and 4096"),
-        (|c| c.pulse_rate_hz = 999.0, "pulse_rate_hz", "must lie between 1000 and 2000000"),
-        (
-            |c| c.scan_angle_deg = [30.0, -30.0],
-            "scan_angle_deg",
-            "must be two ascending angles between -60 and 60",
-        ),
-        (|c| c.speed_mps = f64::NAN, "speed_mps", "must lie between 1 and 1000"),
-        (|c| c.building_height_m = -1.0, "building_height_m", "must lie between 0 and 200"),
-        (|c| c.canopy_height_m = 201.0, "canopy_height_m", "must lie between 0 and 200"),
-        (
-            |c| c.flying_height_m = 37.0,
-            "flying_height_m",
-            "must lie between 20 m above building and wood, and 10000",
-        ),
-        (|c| c.ground_amplitude_dn = 0.0, "ground_amplitude_dn", "must lie between 1 and 10000"),
-        (|c| c.dropout_rate = 1.1, "dropout_rate", "must lie between 0 and 1"),
-        (|c| c.background_dn = [2.0, -0.1], "background_dn", "must be two values between 0 and 100"),
-        (|c| c.noise_sd_dn = 0.3, "noise_sd_dn", "must be 0, or lie between 0.5 and 100"),
-        (|c| c.noise_sd_dn = f64::INFINITY, "noise_sd_dn", "must be 0, or lie between 0.5 and 100"),
-        (|c| c.noise_autocorrelation = vec![0.1; 17], "noise_autocorrelation", "must have at most 16 values"),
-        (
-            |c| c.noise_autocorrelation = vec![0.95],
-            "noise_autocorrelation",
-            "belongs to no noise that can be recorded at this noise_sd_dn",
-        ),
-        (
-            |c| c.noise_autocorrelation = vec![f64::NAN],
-            "noise_autocorrelation",
-            "belongs to no noise that can be recorded at this noise_sd_dn",
-        ),
-    ];
-    assert_eq!(Simulate::default().check(), Ok(()));
-    for (change, key, problem) in cases {
-        let mut config = Simulate::default();
-        change(&mut config);
-        assert_eq!(config.check(), Err(InvalidKey::new(key, problem)));
-    }
-}
-
-#[test]
-fn noise_that_nothing_can_have_is_an_error_with_a_remedy() {
-    let config = Simulate { noise_autocorrelation: vec![1.0], ..bare() };
-    assert_eq!(
-        Flight::new(&config).unwrap_err().to_string(),
-        "no noise has this spread and autocorrelation; leave `noise_autocorrelation` out"
-    );
-}
-
-#[test]
-fn a_job_without_keys_has_the_defaults() {
-    let planned = (STAGE.parse)(toml::de::DeTable::parse("").unwrap()).unwrap();
-    assert_eq!(planned.resolved, serde_json::to_value(Simulate::default()).unwrap());
-    assert!((STAGE.parse)(toml::de::DeTable::parse("lines = 0").unwrap()).is_err());
-    assert!((STAGE.parse)(toml::de::DeTable::parse("line = 10").unwrap()).is_err());
-}
-
 /// The demonstration's flight can be flown, and is small enough to be waited for.
 #[test]
 fn the_demonstration_starts_with_this_stage() {
@@ -389,7 +400,8 @@ proptest! {
         (noise_sd_dn, rho) in (0.5..100.0, -0.6..0.6),
     ) {
         let config = Simulate {
-            seed, lines: 1000, shots_per_line, pulse_rate_hz, flying_height_m, building_height_m, canopy_height_m,
+            seed,
+            lines: 1000, shots_per_line, pulse_rate_hz, flying_height_m, building_height_m, canopy_height_m,
             ground_amplitude_dn, noise_sd_dn,
             scan_angle_deg: [from, f64::min(from + width, 60.0)],
             noise_autocorrelation: vec![rho],

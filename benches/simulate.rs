@@ -1,0 +1,77 @@
+//! What the simulator costs: shots per second of one core, for scenes and receivers of growing effort.
+//!
+//! `cargo bench --bench simulate` prints a table; the goal for the first row is 300 000.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+use std::time::Instant;
+
+use common::{COUNT, WORK, WRITE_NUMBERS, job};
+use wavex::kernels::lockstep;
+use wavex::registry;
+use wavex::stage::{Context, Plan, Site};
+
+/// What is measured: a name, and the keys of `simulate`.
+const CASES: &[(&str, &str)] = &[
+    ("level ground, building and wood; one receiver", ""),
+    ("level ground alone; one receiver", "building_height_m = 0.0\ncanopy_height_m = 0.0"),
+    (
+        "the same in the scanner's frame, swaying",
+        "sbet = 'bench.sbet'\nroll_deg = 2.0\npitch_deg = 1.0\nyaw_deg = 1.0",
+    ),
+    ("the same as recorded", "as_recorded = true"),
+    ("country; one receiver", "landscape = 'country'"),
+    (
+        "country; two receivers, modulation, blind gap, as recorded",
+        "landscape = 'country'\nhigh_power = true\nmodulation_ns = 17.0\npulse_rate_hz = 400000.0\nblind_gap_ns = 15.0\n\
+         flying_height_m = 1500.0\nas_recorded = true\nscanner = 'oscillating'",
+    ),
+];
+
+/// Seconds that this thread has been running, where the system tells: on a busy machine it waits the rest of the time.
+fn busy_s() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    Some(1e-9 * text.split_whitespace().next()?.parse::<f64>().ok()?)
+}
+
+/// Shots per second, the median of five flights.
+fn shots_per_second(keys: &str) -> f64 {
+    let spec = registry::find("simulate").unwrap_or_else(|| panic!("there is a simulator"));
+    let job = job(&[(spec, keys)]);
+    let Plan::Source(source) = &job.stages[0].planned.plan else { panic!("simulate is a source") };
+    let site = Site {
+        input: "".into(),
+        stem: "simulated".into(),
+        input_dir: std::env::temp_dir(),
+        output_dir: std::env::temp_dir(),
+        threads: 1,
+        simd: lockstep::Path::best(),
+    };
+    let mut rates: Vec<f64> = (0..5)
+        .map(|_| {
+            let (started, busy) = (Instant::now(), busy_s());
+            let mut lines = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
+            let mut shots = 0;
+            while let Some(line) =
+                lines.next(&mut Context::default()).unwrap_or_else(|error| panic!("{error}"))
+            {
+                shots += line.emissions.len();
+            }
+            let busy_s = busy_s().zip(busy).map(|(after, before)| after - before);
+            shots as f64 / busy_s.unwrap_or(started.elapsed().as_secs_f64())
+        })
+        .collect();
+    rates.sort_by(f64::total_cmp);
+    rates[2]
+}
+
+fn main() {
+    let _ = (&COUNT, &WORK, &WRITE_NUMBERS);
+    println!("{:<52} {:>22}   goal", "simulate, one thread", "shots per core-second");
+    for (row, (name, keys)) in CASES.iter().enumerate() {
+        let goal = if row == 0 { "300000" } else { "" };
+        println!("{name:<52} {:>22.0}   {goal}", shots_per_second(keys));
+    }
+}

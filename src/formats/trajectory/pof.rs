@@ -1,0 +1,149 @@
+//! POF, RIEGL's file of positions and orientations, version 1.1.
+//!
+//! The layout is gathered from public readers; no file of RIEGL's own could be had to check it. Little-endian and
+//! packed: a header of [`HEADER_BYTES`], then records of [`RECORD_BYTES`].
+
+/// What a POF file begins with.
+pub const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION\0";
+
+/// Bytes of the header that [`PofHeader::encode`] makes: where the records begin.
+pub const HEADER_BYTES: usize = 315;
+
+/// Bytes of a record of version 1.1.
+pub const RECORD_BYTES: usize = 64;
+
+/// What the header says.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PofHeader {
+    /// Year, month and day of the recording.
+    pub date: [u16; 3],
+    /// How many records there are.
+    pub records: i64,
+    /// Smallest and largest longitude, degrees.
+    pub longitude_deg: [f64; 2],
+    /// Smallest and largest latitude, degrees.
+    pub latitude_deg: [f64; 2],
+    /// Smallest and largest height above the ellipsoid, m.
+    pub altitude_m: [f64; 2],
+    /// Mean, largest and standard deviation of the time between records, s.
+    pub time_step_s: [f64; 3],
+    /// What times count: 1 seconds of the day, 2 seconds of the week.
+    pub time_unit: u8,
+    /// Whose time it is: 0 GPS, 1 UTC, 2 unknown.
+    pub time_info: u8,
+}
+
+/// A record.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PofRecord {
+    /// As the header's `time_unit` says, s.
+    pub time_s: f64,
+    /// Degrees, positive to the east.
+    pub longitude_deg: f64,
+    /// Degrees, positive to the north.
+    pub latitude_deg: f64,
+    /// Above the ellipsoid, m.
+    pub altitude_m: f64,
+    /// Right wing down: positive, degrees.
+    pub roll_deg: f64,
+    /// Nose up: positive, degrees.
+    pub pitch_deg: f64,
+    /// Clockwise from north, degrees.
+    pub yaw_deg: f64,
+    /// Length of the path up to here, m.
+    pub distance_m: f64,
+}
+
+impl PofHeader {
+    /// The header's bytes; the texts (zone, location, device, project, company) are left empty.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::with_capacity(HEADER_BYTES);
+        bytes.extend(MAGIC);
+        bytes.extend([1u16, 1].map(u16::to_le_bytes).as_flattened());
+        bytes.extend((HEADER_BYTES as u32).to_le_bytes());
+        bytes.extend(self.date.map(u16::to_le_bytes).as_flattened());
+        bytes.extend(self.records.to_le_bytes());
+        let ranges = [self.longitude_deg, self.latitude_deg, self.altitude_m];
+        for number in ranges.as_flattened().iter().chain(&self.time_step_s) {
+            bytes.extend(number.to_le_bytes());
+        }
+        bytes.extend([self.time_unit, self.time_info]);
+        bytes.resize(HEADER_BYTES, 0);
+        bytes
+    }
+}
+
+impl PofRecord {
+    /// The record's bytes.
+    pub fn encode(&self) -> [u8; RECORD_BYTES] {
+        let fields = [
+            self.time_s,
+            self.longitude_deg,
+            self.latitude_deg,
+            self.altitude_m,
+            self.roll_deg,
+            self.pitch_deg,
+            self.yaw_deg,
+            self.distance_m,
+        ];
+        let mut bytes = [0; RECORD_BYTES];
+        for (place, field) in bytes.chunks_exact_mut(8).zip(fields) {
+            place.copy_from_slice(&field.to_le_bytes());
+        }
+        bytes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_spelled_out() {
+        let header = PofHeader {
+            date: [2025, 5, 6],
+            records: 258,
+            longitude_deg: [-1.0, 1.0],
+            latitude_deg: [2.0, 4.0],
+            altitude_m: [8.0, 16.0],
+            time_step_s: [32.0, 64.0, 128.0],
+            time_unit: 2,
+            time_info: 0,
+        };
+        let bytes = header.encode();
+        assert_eq!(bytes.len(), HEADER_BYTES);
+        assert_eq!(bytes[..27], *b"RIEGL POSITION&ORIENTATION\0");
+        assert_eq!(bytes[27..31], [1, 0, 1, 0], "version 1.1");
+        assert_eq!(bytes[31..35], [59, 1, 0, 0], "315: where the records begin");
+        assert_eq!(bytes[35..41], [0xe9, 0x07, 5, 0, 6, 0]);
+        assert_eq!(bytes[41..49], [2, 1, 0, 0, 0, 0, 0, 0]);
+        let upper: Vec<[u8; 2]> = bytes[49..121].chunks(8).map(|field| [field[6], field[7]]).collect();
+        let powers = [[0xf0, 0xbf], [0xf0, 0x3f], [0, 0x40], [0x10, 0x40], [0x20, 0x40], [0x30, 0x40]];
+        assert_eq!(upper[..6], powers);
+        assert_eq!(upper[6..], [[0x40, 0x40], [0x50, 0x40], [0x60, 0x40]]);
+        assert_eq!(bytes[121..123], [2, 0]);
+        // Zone, location, device, reserved, project, company, reserved.
+        assert_eq!(HEADER_BYTES - 123, 16 + 16 + 32 + 32 + 32 + 32 + 32);
+        assert!(bytes[123..].iter().all(|&byte| byte == 0));
+    }
+
+    #[test]
+    fn a_record_spelled_out() {
+        let record = PofRecord {
+            time_s: 1.0,
+            longitude_deg: 2.0,
+            latitude_deg: 4.0,
+            altitude_m: 8.0,
+            roll_deg: 16.0,
+            pitch_deg: 32.0,
+            yaw_deg: 64.0,
+            distance_m: 128.0,
+        };
+        let bytes = record.encode();
+        let upper: Vec<[u8; 2]> = bytes.chunks(8).map(|field| [field[6], field[7]]).collect();
+        let powers = [[0xf0, 0x3f], [0, 0x40], [0x10, 0x40], [0x20, 0x40]];
+        assert_eq!(upper[..4], powers);
+        assert_eq!(upper[4..], [[0x30, 0x40], [0x40, 0x40], [0x50, 0x40], [0x60, 0x40]]);
+        assert!(bytes.chunks(8).all(|field| field[..6] == [0; 6]));
+    }
+}

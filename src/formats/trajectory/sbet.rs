@@ -1,0 +1,136 @@
+//! SBET, the smoothed best estimate of a trajectory: records of 17 doubles, and nothing else.
+//!
+//! Applanix, "POSPac MMS User Guide", appendix on output file formats: little-endian, no header.
+
+/// Bytes of a record.
+pub const RECORD_BYTES: usize = 136;
+
+/// A record, in the order of its fields.
+///
+/// The wander frame is level; its x axis lies at the azimuth `-wander_angle_rad`. The heading from north is
+/// `platform_heading_rad - wander_angle_rad`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SbetRecord {
+    /// GPS time, s of the week.
+    pub time_s: f64,
+    /// Geodetic latitude, rad.
+    pub latitude_rad: f64,
+    /// Longitude, rad, positive to the east.
+    pub longitude_rad: f64,
+    /// Height above the ellipsoid, m.
+    pub height_m: f64,
+    /// Velocity along the axes of the wander frame (x, y, down), m/s.
+    pub velocity_mps: [f64; 3],
+    /// Right wing down: positive, rad.
+    pub roll_rad: f64,
+    /// Nose up: positive, rad.
+    pub pitch_rad: f64,
+    /// Clockwise from the wander frame's x axis, rad.
+    pub platform_heading_rad: f64,
+    /// From north to the wander frame, rad.
+    pub wander_angle_rad: f64,
+    /// Acceleration along the body's axes, m/s^2.
+    pub acceleration_mps2: [f64; 3],
+    /// Angular rate about the body's axes, rad/s.
+    pub angular_rate_rad_per_s: [f64; 3],
+}
+
+impl SbetRecord {
+    /// The record's bytes.
+    pub fn encode(&self) -> [u8; RECORD_BYTES] {
+        let [vx, vy, vz] = self.velocity_mps;
+        let [ax, ay, az] = self.acceleration_mps2;
+        let [wx, wy, wz] = self.angular_rate_rad_per_s;
+        let fields = [
+            self.time_s,
+            self.latitude_rad,
+            self.longitude_rad,
+            self.height_m,
+            vx,
+            vy,
+            vz,
+            self.roll_rad,
+            self.pitch_rad,
+            self.platform_heading_rad,
+            self.wander_angle_rad,
+            ax,
+            ay,
+            az,
+            wx,
+            wy,
+            wz,
+        ];
+        let mut bytes = [0; RECORD_BYTES];
+        for (place, field) in bytes.chunks_exact_mut(8).zip(fields) {
+            place.copy_from_slice(&field.to_le_bytes());
+        }
+        bytes
+    }
+
+    /// The record of these bytes.
+    pub fn decode(bytes: &[u8; RECORD_BYTES]) -> SbetRecord {
+        let mut fields = [0.0; 17];
+        for (field, place) in fields.iter_mut().zip(bytes.chunks_exact(8)) {
+            let mut eight = [0; 8];
+            eight.copy_from_slice(place);
+            *field = f64::from_le_bytes(eight);
+        }
+        let [time_s, latitude_rad, longitude_rad, height_m, vx, vy, vz, roll_rad, pitch_rad, rest @ ..] =
+            fields;
+        let [platform_heading_rad, wander_angle_rad, ax, ay, az, wx, wy, wz] = rest;
+        SbetRecord {
+            time_s,
+            latitude_rad,
+            longitude_rad,
+            height_m,
+            velocity_mps: [vx, vy, vz],
+            roll_rad,
+            pitch_rad,
+            platform_heading_rad,
+            wander_angle_rad,
+            acceleration_mps2: [ax, ay, az],
+            angular_rate_rad_per_s: [wx, wy, wz],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Field k holds the number k.
+    fn counted() -> SbetRecord {
+        SbetRecord {
+            time_s: 0.0,
+            latitude_rad: 1.0,
+            longitude_rad: 2.0,
+            height_m: 3.0,
+            velocity_mps: [4.0, 5.0, 6.0],
+            roll_rad: 7.0,
+            pitch_rad: 8.0,
+            platform_heading_rad: 9.0,
+            wander_angle_rad: 10.0,
+            acceleration_mps2: [11.0, 12.0, 13.0],
+            angular_rate_rad_per_s: [14.0, 15.0, 16.0],
+        }
+    }
+
+    #[test]
+    fn a_record_spelled_out() {
+        let bytes = counted().encode();
+        assert_eq!(bytes.len(), 136);
+        // 1, 2, 3, 7, 10 and 16 as little-endian doubles: sign and exponent in the last two bytes.
+        let upper = |field: usize| [bytes[8 * field + 6], bytes[8 * field + 7]];
+        assert_eq!([1, 2, 3, 7].map(upper), [[0xf0, 0x3f], [0, 0x40], [8, 0x40], [0x1c, 0x40]]);
+        assert_eq!([10, 16].map(upper), [[0x24, 0x40], [0x30, 0x40]]);
+        assert_eq!(bytes[..8], [0; 8]);
+        assert!(bytes.chunks(8).all(|field| field[..6] == [0; 6]));
+    }
+
+    #[test]
+    fn a_record_comes_back() {
+        assert_eq!(SbetRecord::decode(&counted().encode()), counted());
+        let odd = SbetRecord { latitude_rad: 0.1 + 0.2, time_s: -1e-300, ..counted() };
+        assert_eq!(SbetRecord::decode(&odd.encode()), odd);
+    }
+}

@@ -1,0 +1,234 @@
+//! Land that has no end: hills, lakes, houses, woods and power lines.
+
+use super::super::random::cell;
+use super::building::{Building, Materials};
+use super::canopy::Canopy;
+use super::terrain::Terrain;
+use super::wires::Wires;
+use super::{Area, Beam, Hit, LEAST_SHARE, Surface, Texture};
+
+/// Size of woods and clearings, m.
+const WOOD_M: f64 = 150.0;
+/// Side of a plot of land, of which each may carry one house, m.
+const PLOT_M: f64 = 40.0;
+/// Sides of houses, m; a house keeps within its plot.
+const HOUSE_M: [f64; 2] = [8.0, 28.0];
+/// The lowest house, over the highest.
+const LOWEST_HOUSE: f64 = 0.4;
+
+/// What the land is like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CountrySettings {
+    /// Height of the highest hill above the deepest hollow, m.
+    pub relief_m: f64,
+    /// Share of the land under water.
+    pub water_ratio: f64,
+    /// Share of the land that woods cover.
+    pub wood_ratio: f64,
+    /// Height of the highest trees, m.
+    pub wood_height_m: f64,
+    /// Share of the plots with a house.
+    pub house_ratio: f64,
+    /// Height of the highest houses, m.
+    pub house_height_m: f64,
+    /// Height of a power line's lowest wires above the ground at its pylons, m; 0: there are none.
+    pub wire_height_m: f64,
+}
+
+/// The land: a function of the place alone.
+#[derive(Clone, Debug)]
+pub(super) struct Country {
+    settings: CountrySettings,
+    terrain: Terrain,
+    ground: Surface,
+    /// Woods grow where this field lies below a value.
+    woods: (Texture, f64),
+    canopy: Canopy,
+    plots: u64,
+    materials: Materials,
+    wires: Option<Wires>,
+}
+
+impl Country {
+    pub(super) fn new(seed: u64, ground: Surface, settings: CountrySettings) -> Country {
+        let woods = Texture::new(seed, 41, WOOD_M);
+        Country {
+            settings,
+            terrain: Terrain::new(seed, settings.relief_m, settings.water_ratio),
+            ground,
+            woods: (woods, woods.quantile(settings.wood_ratio)),
+            canopy: Canopy::new(seed, settings.wood_height_m),
+            plots: super::super::random::hash([seed, 42]),
+            materials: Materials::new(seed),
+            wires: (settings.wire_height_m > 0.0).then(|| Wires::new(seed, settings.wire_height_m)),
+        }
+    }
+
+    /// What a beam meets, in any order.
+    pub(super) fn hits(&self, beam: &Beam, reference_range_m: f64, hits: &mut Vec<Hit>) {
+        let ground_m = self.terrain.range_to(beam);
+        let mut left = 1.0;
+        if let Some(wires) = &self.wires {
+            left = wires.hits(beam, ground_m, &self.terrain, left, reference_range_m, hits);
+        }
+        if self.settings.wood_ratio > 0.0 {
+            let height_m = |x: f64, y: f64| self.terrain.height_m(x, y);
+            let [_, _, near_m] = beam.at(ground_m);
+            let is_wood = |x: f64, y: f64| self.is_wood(x, y);
+            left = self.canopy.hits(beam, left, reference_range_m, near_m, height_m, is_wood, hits);
+        }
+        if self.settings.house_ratio > 0.0 {
+            left = self.houses(beam, ground_m, left, reference_range_m, hits);
+        }
+        let [x, y, _] = beam.at(ground_m);
+        // Still water throws everything away from the aircraft.
+        if left >= LEAST_SHARE && !self.terrain.is_water(x, y) {
+            let cosine = self.terrain.cosine(beam, ground_m);
+            hits.push(self.ground.hit(beam, ground_m, cosine, left, reference_range_m));
+        }
+    }
+
+    fn is_wood(&self, x: f64, y: f64) -> bool {
+        let (field, limit) = &self.woods;
+        field.at(x, y) < *limit && !self.terrain.is_water(x, y)
+    }
+
+    /// The houses on the plots that a beam crosses where houses can be, from its way down to the ground.
+    fn houses(
+        &self,
+        beam: &Beam,
+        ground_m: f64,
+        left: f64,
+        reference_range_m: f64,
+        hits: &mut Vec<Hit>,
+    ) -> f64 {
+        // A roof stands so far above the ground at the beam's end at most: its own height, and a slope of one in one on
+        // the way there.
+        let [x, y, z] = beam.at(ground_m);
+        let [x_high, y_high, _] = beam.at(beam.range_to(z + 2.0 * self.settings.house_height_m).max(0.0));
+        let plots = |a: f64, b: f64| (a.min(b) / PLOT_M).floor() as i64..=(a.max(b) / PLOT_M).floor() as i64;
+        let mut nearest = Vec::new();
+        for (column, row) in plots(x, x_high).flat_map(|i| plots(y, y_high).map(move |j| (i, j))) {
+            let Some(house) = self.house(column, row) else { continue };
+            let mut met = Vec::new();
+            let behind = house.hits(beam, ground_m, left, reference_range_m, &mut met);
+            if !met.is_empty() || behind < left {
+                let range_m = met.first().map_or(ground_m, |hit| hit.range_m);
+                nearest.push((range_m, behind, met));
+            }
+        }
+        nearest.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // The first house shades those behind it.
+        match nearest.into_iter().next() {
+            None => left,
+            Some((_, behind, met)) => {
+                hits.extend(met);
+                behind
+            }
+        }
+    }
+
+    /// The house on a plot.
+    fn house(&self, column: i64, row: i64) -> Option<Building> {
+        let [chance, width, depth, height] = cell(self.plots, 2 * column, 2 * row);
+        if chance >= self.settings.house_ratio {
+            return None;
+        }
+        let corner = |plot: i64, size: f64, chance: f64| {
+            let size = HOUSE_M[0] + size * (HOUSE_M[1] - HOUSE_M[0]);
+            let from = PLOT_M * plot as f64 + chance * (PLOT_M - size);
+            [from, from + size]
+        };
+        let [x_chance, y_chance, ..] = cell(self.plots ^ 1, 2 * column, 2 * row);
+        let area = Area { x: corner(column, width, x_chance), y: corner(row, depth, y_chance) };
+        let middle = |[from, to]: [f64; 2]| 0.5 * (from + to);
+        let (x, y) = (middle(area.x), middle(area.y));
+        if self.terrain.is_water(x, y) || self.is_wood(x, y) {
+            return None;
+        }
+        let height_m = self.settings.house_height_m * (LOWEST_HOUSE + (1.0 - LOWEST_HOUSE) * height);
+        Some(Building::new(area, self.terrain.height_m(x, y) + height_m, &self.materials))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::world::GROUND_HEIGHT_M;
+    use super::super::Class;
+    use super::*;
+
+    const SETTINGS: CountrySettings = CountrySettings {
+        relief_m: 60.0,
+        water_ratio: 0.1,
+        wood_ratio: 0.4,
+        wood_height_m: 25.0,
+        house_ratio: 0.3,
+        house_height_m: 20.0,
+        wire_height_m: 20.0,
+    };
+
+    fn country(settings: CountrySettings) -> Country {
+        let texture = Texture::new(1, 1, 6.0);
+        Country::new(
+            1,
+            Surface { class: Class::Ground, reflectance: 1.0, roughness_m: 0.02, texture },
+            settings,
+        )
+    }
+
+    /// What 40 000 beams at angles up to 35 degrees meet.
+    fn flown(settings: CountrySettings) -> Vec<(Beam, Vec<Hit>)> {
+        let country = country(settings);
+        let beam = |k: u32| {
+            let across = 1.4 * (f64::from(k % 500) / 499.0 - 0.5);
+            let length = (1.0 + across * across).sqrt();
+            let y = 7.3 * f64::from(k / 500);
+            let origin_m = [320_000.0, 5_300_000.0 + y, GROUND_HEIGHT_M + 900.0];
+            Beam { origin_m, direction: [across / length, 0.0, -1.0 / length] }
+        };
+        (0..40_000)
+            .map(|k| {
+                let mut hits = Vec::new();
+                country.hits(&beam(k), 900.0, &mut hits);
+                (beam(k), hits)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn everything_is_met_and_stands_on_the_ground() {
+        let terrain = country(SETTINGS).terrain;
+        let mut counts = std::collections::HashMap::new();
+        let mut empty = 0;
+        for (beam, hits) in flown(SETTINGS) {
+            empty += u32::from(hits.is_empty());
+            for hit in hits {
+                *counts.entry(hit.class).or_insert(0) += 1;
+                let [x, y, z] = beam.at(hit.range_m);
+                let above = z - terrain.height_m(x, y);
+                assert!(above > -1e-6 && above < 40.0, "{:?} {above} m above the ground", hit.class);
+                assert!((hit.class == Class::Ground) == (above < 1e-6), "{:?} at {above} m", hit.class);
+            }
+        }
+        for class in [Class::Ground, Class::Roof, Class::Wall, Class::Leaves, Class::Wire] {
+            assert!(counts.get(&class).is_some_and(|&n| n > 100), "{class:?}: {counts:?}");
+        }
+        assert!((2000..6000).contains(&empty), "a tenth falls on water: {empty}");
+    }
+
+    #[test]
+    fn nothing_but_ground_is_level_or_not_as_was_asked_for() {
+        let bare = CountrySettings {
+            relief_m: 0.0,
+            water_ratio: 0.0,
+            wood_ratio: 0.0,
+            house_ratio: 0.0,
+            wire_height_m: 0.0,
+            ..SETTINGS
+        };
+        for (beam, hits) in flown(bare) {
+            assert_eq!(hits.len(), 1);
+            assert!((beam.at(hits[0].range_m)[2] - GROUND_HEIGHT_M).abs() < 1e-9);
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! What the simulator writes beside its recording: the truth, and the trajectory.
+
+use std::io::Write;
+
+use super::Simulate;
+use crate::formats::Error;
+use crate::formats::trajectory::pof::{PofHeader, PofRecord};
+use crate::formats::trajectory::sbet::SbetRecord;
+use crate::simulation::platform::Platform;
+use crate::simulation::scanner::START_S;
+use crate::simulation::truth::{COLUMNS, TrueReturn};
+use crate::simulation::world::{Pose, World};
+use crate::stage::{Context, OutputFile, Result, Site, WholeFile};
+
+/// Records of a trajectory per second.
+const RATE_HZ: f64 = 200.0;
+/// A trajectory begins so long before the first shot, and ends as long after the last, s.
+const MARGIN_S: f64 = 1.0;
+/// The angle from north to the axes in which an SBET says velocities and headings, rad: not 0, so that whoever leaves it out
+/// is found out.
+const WANDER_ANGLE_RAD: f64 = 0.25;
+/// The flight's date.
+const DATE: [u16; 3] = [2025, 5, 6];
+
+/// A table of truth that is being written.
+pub(super) struct TruthFile {
+    file: OutputFile,
+    rows: Vec<u8>,
+}
+
+impl TruthFile {
+    pub(super) fn create(site: &Site, pattern: &str) -> Result<TruthFile> {
+        let mut truth = TruthFile { file: site.create(pattern)?, rows: format!("{COLUMNS}\n").into_bytes() };
+        truth.flush()?;
+        Ok(truth)
+    }
+
+    pub(super) fn write(&mut self, returns: &[TrueReturn]) -> Result<()> {
+        for truth in returns {
+            truth.write(&mut self.rows);
+        }
+        self.flush()
+    }
+
+    pub(super) fn finish(self) -> Result<WholeFile> {
+        Ok(self.file.finish()?)
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        let written = self.file.write_all(&self.rows);
+        self.rows.clear();
+        Ok(written.map_err(Error::io(self.file.path(), "write"))?)
+    }
+}
+
+/// The files of the trajectory, whose names are taken from the start on.
+pub(super) struct TrajectoryFiles {
+    sbet: Option<OutputFile>,
+    pof: Option<OutputFile>,
+    trajectory: Trajectory,
+}
+
+/// Positions and attitudes at even times.
+struct Trajectory {
+    platform: Platform,
+    world: World,
+    records: u64,
+}
+
+impl TrajectoryFiles {
+    pub(super) fn create(site: &Site, config: &Simulate) -> Result<TrajectoryFiles> {
+        let create = |pattern: &Option<String>| match pattern {
+            Some(pattern) => site.create(pattern).map(Some),
+            None => Ok(None),
+        };
+        let flight_s = config.scanner().time_s(config.lines, 0) + 2.0 * MARGIN_S;
+        let records = (flight_s * RATE_HZ).ceil() as u64 + 1;
+        let trajectory = Trajectory { platform: config.platform(), world: config.world(), records };
+        Ok(TrajectoryFiles { sbet: create(&config.sbet)?, pof: create(&config.pof)?, trajectory })
+    }
+
+    /// Writes the files and hands them over.
+    pub(super) fn finish(self, cx: &mut Context) -> Result<()> {
+        let TrajectoryFiles { sbet, pof, trajectory } = self;
+        if let Some(mut file) = sbet {
+            for (time_s, pose) in trajectory.poses() {
+                write(&mut file, &sbet_record(time_s, &pose).encode())?;
+            }
+            cx.keep(file.finish()?);
+        }
+        if let Some(mut file) = pof {
+            write(&mut file, &trajectory.pof_header().encode())?;
+            for (time_s, pose) in trajectory.poses() {
+                write(&mut file, &trajectory.pof_record(time_s, &pose).encode())?;
+            }
+            cx.keep(file.finish()?);
+        }
+        Ok(())
+    }
+}
+
+fn write(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
+    let written = file.write_all(bytes);
+    Ok(written.map_err(Error::io(file.path(), "write"))?)
+}
+
+impl Trajectory {
+    /// Seconds since the start of the flight, and where the aircraft is then.
+    fn poses(&self) -> impl Iterator<Item = (f64, Pose)> + '_ {
+        (0..self.records).map(|k| {
+            let time_s = k as f64 / RATE_HZ - MARGIN_S;
+            (time_s, self.world.pose(&self.platform, time_s))
+        })
+    }
+
+    fn pof_header(&self) -> PofHeader {
+        let mut header = PofHeader {
+            date: DATE,
+            records: self.records as i64,
+            longitude_deg: [f64::INFINITY, f64::NEG_INFINITY],
+            latitude_deg: [f64::INFINITY, f64::NEG_INFINITY],
+            altitude_m: [f64::INFINITY, f64::NEG_INFINITY],
+            time_step_s: [1.0 / RATE_HZ, 1.0 / RATE_HZ, 0.0],
+            time_unit: 2,
+            time_info: 0,
+        };
+        let extend = |[low, high]: &mut [f64; 2], value: f64| {
+            (*low, *high) = (low.min(value), high.max(value));
+        };
+        for (time_s, pose) in self.poses() {
+            let record = self.pof_record(time_s, &pose);
+            extend(&mut header.longitude_deg, record.longitude_deg);
+            extend(&mut header.latitude_deg, record.latitude_deg);
+            extend(&mut header.altitude_m, record.altitude_m);
+        }
+        header
+    }
+
+    fn pof_record(&self, time_s: f64, pose: &Pose) -> PofRecord {
+        PofRecord {
+            time_s: START_S + time_s,
+            longitude_deg: pose.place.longitude_rad.to_degrees(),
+            latitude_deg: pose.place.latitude_rad.to_degrees(),
+            altitude_m: pose.place.height_m,
+            roll_deg: pose.attitude.roll_rad.to_degrees(),
+            pitch_deg: pose.attitude.pitch_rad.to_degrees(),
+            yaw_deg: pose.attitude.heading_rad.to_degrees(),
+            distance_m: (time_s + MARGIN_S) * self.platform.speed_mps(),
+        }
+    }
+}
+
+/// Accelerations and angular rates are left at 0.
+fn sbet_record(time_s: f64, pose: &Pose) -> SbetRecord {
+    let [north, east, down] = pose.velocity_mps;
+    let (sine, cosine) = libm::sincos(WANDER_ANGLE_RAD);
+    SbetRecord {
+        time_s: START_S + time_s,
+        latitude_rad: pose.place.latitude_rad,
+        longitude_rad: pose.place.longitude_rad,
+        height_m: pose.place.height_m,
+        velocity_mps: [north * cosine - east * sine, north * sine + east * cosine, down],
+        roll_rad: pose.attitude.roll_rad,
+        pitch_rad: pose.attitude.pitch_rad,
+        platform_heading_rad: pose.attitude.heading_rad + WANDER_ANGLE_RAD,
+        wander_angle_rad: WANDER_ANGLE_RAD,
+        ..SbetRecord::default()
+    }
+}
