@@ -1,0 +1,231 @@
+//! The method `Blocks`: cells of neighbouring echoes decide together, and each echo takes the emission that puts it nearest to
+//! the surface.
+
+use std::collections::VecDeque;
+
+use super::cells::{BAND_LINES, Band};
+use super::held::{self, Held, HeldEcho};
+use super::summary::Summary;
+use super::{MtaError, Resolved, Settings, grid};
+
+/// Bands that are decided at a time, looked at beforehand, and remembered.
+const CORE_BANDS: usize = 16;
+const AHEAD_BANDS: usize = 4;
+const PAST_BANDS: usize = 16;
+/// So many lines are held back at most.
+pub(super) const LOOK_AHEAD_LINES: usize = (CORE_BANDS + AHEAD_BANDS) * BAND_LINES;
+/// An echo further from the surface than this part of the interval is uncertain.
+const FAR_PART: f32 = 0.45;
+/// So is one with less evidence, nats.
+const LEAST_MARGIN_NATS: f32 = 5.0;
+/// What an echo says of its own zone: nats for an interval nearer to the surface than with the next zone.
+const PLACE_NATS: f32 = 40.0;
+
+/// The state of the method.
+#[derive(Debug)]
+pub(super) struct Blocks {
+    settings: Settings,
+    /// Undecided lines.
+    lines: VecDeque<Held>,
+    /// Number of the first band that is held.
+    first_band: u64,
+    /// Bands of lines that are gone, then of those that are held.
+    bands: VecDeque<Band>,
+    /// How many bands are decided.
+    decided: usize,
+}
+
+impl Blocks {
+    pub fn new(settings: &Settings) -> Blocks {
+        Blocks {
+            settings: *settings,
+            lines: VecDeque::new(),
+            first_band: 0,
+            bands: VecDeque::new(),
+            decided: 0,
+        }
+    }
+
+    pub fn push(
+        &mut self,
+        line: Held,
+        summary: &mut Summary,
+        ready: &mut VecDeque<Resolved>,
+    ) -> Result<(), MtaError> {
+        self.lines.push_back(line);
+        if self.lines.len() % BAND_LINES == 0 {
+            self.add_band();
+        }
+        if self.bands.len() - self.decided == CORE_BANDS + AHEAD_BANDS {
+            self.decide(CORE_BANDS, summary, ready)?;
+        }
+        Ok(())
+    }
+
+    pub fn finish(
+        &mut self,
+        summary: &mut Summary,
+        ready: &mut VecDeque<Resolved>,
+    ) -> Result<(), MtaError> {
+        if self.lines.len() % BAND_LINES != 0 {
+            self.add_band();
+        }
+        match self.bands.len() - self.decided {
+            0 => Ok(()),
+            left => self.decide(left, summary, ready),
+        }
+    }
+
+    /// Makes a band of the last lines.
+    fn add_band(&mut self) {
+        let from = (self.lines.len() - 1) / BAND_LINES * BAND_LINES;
+        let lines = self.lines.make_contiguous();
+        let mut band = Band::new(&mut lines[from..], &self.settings);
+        for i in from..lines.len() {
+            band.add_line(&lines[i]);
+            if let Some(next) = lines.get(i + 1) {
+                band.add_next(&lines[i], next);
+            }
+        }
+        if let (Some(before), true) = (self.bands.back_mut(), from > 0) {
+            before.add_next(&lines[from - 1], &lines[from]);
+        }
+        self.bands.push_back(band);
+    }
+
+    /// Decides the first `count` undecided bands and finishes their lines.
+    fn decide(
+        &mut self,
+        count: usize,
+        summary: &mut Summary,
+        ready: &mut VecDeque<Resolved>,
+    ) -> Result<(), MtaError> {
+        summary.check_rate(&self.settings)?;
+        let past: Vec<Vec<(f32, f32)>> = self.bands.iter().take(self.decided).map(Band::surfaces).collect();
+        grid::decide(&mut self.bands, &self.settings);
+        for (band, surfaces) in self.bands.iter_mut().zip(past) {
+            band.restore(&surfaces);
+        }
+        let lines = (count * BAND_LINES).min(self.lines.len());
+        self.refine(lines);
+        for i in 0..lines {
+            let (line, next) = (&self.lines[i], self.lines.get(i + 1));
+            let assigned = line.echoes.iter().map(|echo| {
+                let last = line.last_emission(echo, next);
+                let found = self.nearest(line, echo);
+                let uncertain = found.is_uncertain(line.pulses.interval_m);
+                (echo.input, line.assigned(echo, found.cause, found.margin_nats, uncertain, &last, &self.settings))
+            });
+            ready.push_back(held::finish(line, assigned, next, &self.settings, summary));
+        }
+        self.lines.drain(..lines);
+        self.decided += count;
+        while self.decided > PAST_BANDS {
+            self.bands.pop_front();
+            self.first_band += 1;
+            self.decided -= 1;
+        }
+        Ok(())
+    }
+
+    /// Moves the surfaces to the mean of the echoes that the emissions of a cell caused.
+    fn refine(&mut self, lines: usize) {
+        let mut sums: Vec<Vec<(f32, f32)>> =
+            self.bands.iter().map(|band| vec![(0.0, 0.0); band.cells.len()]).collect();
+        for line in self.lines.iter().take(lines) {
+            for echo in &line.echoes {
+                let found = self.nearest(line, echo);
+                let Some(place) = found.cause else { continue };
+                if found.apart_m > 0.25 * line.pulses.interval_m {
+                    continue;
+                }
+                let cause = line.pulses.cause(place, line.number);
+                if let Some(row) = self.row(cause.line) {
+                    let sum = &mut sums[row][self.bands[row].index(line.pulses.column[place])];
+                    let range_m = line.range_m(echo, place, &self.settings);
+                    (sum.0, sum.1) = (sum.0 + range_m, sum.1 + 1.0);
+                }
+            }
+        }
+        let until = self.decided + lines.div_ceil(BAND_LINES);
+        let rows = self.bands.iter_mut().zip(&sums).take(until).skip(self.decided);
+        for (band, sums) in rows {
+            for (cell, sum) in band.cells.iter_mut().zip(sums).filter(|(_, sum)| sum.1 >= 4.0) {
+                cell.surface_m = sum.0 / sum.1;
+            }
+        }
+    }
+
+    /// The band that holds a line.
+    fn row(&self, line: u64) -> Option<usize> {
+        let row = (line / BAND_LINES as u64).checked_sub(self.first_band)? as usize;
+        self.bands.get(row).filter(|band| !band.cells.is_empty()).map(|_| row)
+    }
+
+    /// The emission that puts an echo nearest to the surface where that emission went.
+    fn nearest(&self, line: &Held, echo: &HeldEcho) -> Nearest {
+        let [least_m, most_m] = self.settings.range_m.map(|range_m| range_m as f32);
+        let mut found =
+            Nearest { cause: None, apart_m: f32::INFINITY, second_m: f32::INFINITY, margin_nats: 0.0 };
+        let mut consider = |row: Option<usize>, place: usize, range_m: f32| {
+            let Some(band) = row.and_then(|row| self.bands.get(row)) else { return };
+            if range_m < least_m || range_m > most_m {
+                return;
+            }
+            let cell = &band.cells[band.index(line.pulses.column[place])];
+            let apart_m = (range_m - cell.surface_m).abs();
+            if apart_m < found.apart_m {
+                found.second_m = found.apart_m;
+                (found.cause, found.apart_m, found.margin_nats) = (Some(place), apart_m, cell.margin_nats);
+            } else {
+                found.second_m = found.second_m.min(apart_m);
+            }
+        };
+        let (pulses, last) = (&line.pulses, echo.last as usize);
+        let own_row = self.row(line.number);
+        let range = |place: usize| line.range_m(echo, place, &self.settings);
+        let from = match own_row {
+            Some(row) => {
+                let band = &self.bands[row];
+                let surface_m = band.cells[band.index(pulses.column[last])].surface_m;
+                let zone = ((surface_m - range(last)) / pulses.interval_m).round().clamp(0.0, 1e6);
+                last.checked_sub(zone as usize).filter(|&place| place > pulses.lead + 1)
+            }
+            None => None,
+        };
+        match from {
+            Some(place) => {
+                for place in place - 1..=(place + 1).min(last) {
+                    consider(own_row, place, range(place));
+                }
+            }
+            None => {
+                for place in 0..=last {
+                    let row = match place < pulses.lead {
+                        true => self.row(pulses.cause(place, line.number).line),
+                        false => own_row,
+                    };
+                    consider(row, place, range(place));
+                }
+            }
+        }
+        let place_nats = PLACE_NATS * (found.second_m - found.apart_m) / pulses.interval_m;
+        found.margin_nats = found.margin_nats.min(place_nats);
+        found
+    }
+}
+
+/// The emission that puts an echo nearest to the surface.
+struct Nearest {
+    cause: Option<usize>,
+    /// How near, and how near the second is, m.
+    apart_m: f32,
+    second_m: f32,
+    margin_nats: f32,
+}
+
+impl Nearest {
+    fn is_uncertain(&self, interval_m: f32) -> bool {
+        self.cause.is_none() || self.apart_m > FAR_PART * interval_m || self.margin_nats < LEAST_MARGIN_NATS
+    }
+}
