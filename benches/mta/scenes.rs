@@ -10,6 +10,8 @@ const SHOT_SPACING_M: f64 = 0.6;
 const HALF_SWATH_DEG: f64 = 30.0;
 /// Raster of a line's terrain profile.
 const PROFILE_M: f64 = 1.0;
+/// Step along a beam.
+const STEP_M: f64 = 3.0;
 const NEAR_SHOTS: u32 = 25;
 
 /// What an echo came from.
@@ -406,17 +408,24 @@ impl World {
             let i = place as usize;
             profile[i] + (profile[i + 1] - profile[i]) * (place - i as f64)
         };
+        let top_m = profile.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut sweep = Sweep { targets: Vec::new(), ground_m: Vec::new() };
         for shot in 0..shots {
             let (sin, cos) = angle(shot).sin_cos();
-            let (mut low, mut high) = (0.3 * self.spec.agl_m, 2.0 * self.spec.agl_m);
-            while high - low > 0.02 {
+            let is_above = |range_m: f64| self.spec.agl_m - range_m * cos > height(range_m * sin);
+            let (mut low, most) = ((self.spec.agl_m - top_m) / cos - 1.0, 1.6 * self.spec.agl_m);
+            // The first crossing: what lies behind a ridge is in its shadow.
+            while low < most && is_above(low + STEP_M) {
+                low += STEP_M;
+            }
+            let mut high = low + STEP_M;
+            while high - low > 0.01 {
                 let middle = 0.5 * (low + high);
-                if self.spec.agl_m - middle * cos > height(middle * sin) { low = middle } else { high = middle }
+                if is_above(middle) { low = middle } else { high = middle }
             }
             sweep.ground_m.push(low as f32);
             let mut random = Random([self.seed ^ 5, u64::from(line), u64::from(shot), 0]);
-            if random.uniform() >= self.spec.dropouts {
+            if low < most && random.uniform() >= self.spec.dropouts {
                 self.meet(low, low * sin, y, shot, &mut random, &mut sweep.targets);
             }
         }

@@ -21,6 +21,9 @@ const LEAST_MARGIN_NATS: f32 = 5.0;
 /// What an echo says of its own zone: nats for an interval nearer to the surface than with the next zone.
 const PLACE_NATS: f32 = 40.0;
 
+/// Emissions before and behind the expected one that are looked at.
+const SPAN: usize = 3;
+
 /// The state of the method.
 #[derive(Debug)]
 pub(super) struct Blocks {
@@ -83,6 +86,7 @@ impl Blocks {
         let mut band = Band::new(&mut lines[from..], &self.settings);
         for i in from..lines.len() {
             band.add_line(&lines[i]);
+            band.add_curvature(&lines[i]);
             if let Some(next) = lines.get(i + 1) {
                 band.add_next(&lines[i], next);
             }
@@ -172,8 +176,7 @@ impl Blocks {
             if range_m < least_m || range_m > most_m {
                 return;
             }
-            let cell = &band.cells[band.index(line.pulses.column[place])];
-            let apart_m = (range_m - cell.surface_m).abs();
+            let (cell, apart_m) = band.nearest(line.pulses.column[place], range_m);
             if apart_m < found.apart_m {
                 found.second_m = found.apart_m;
                 (found.cause, found.apart_m, found.margin_nats) = (Some(place), apart_m, cell.margin_nats);
@@ -189,13 +192,13 @@ impl Blocks {
                 let band = &self.bands[row];
                 let surface_m = band.cells[band.index(pulses.column[last])].surface_m;
                 let zone = ((surface_m - range(last)) / pulses.interval_m).round().clamp(0.0, 1e6);
-                last.checked_sub(zone as usize).filter(|&place| place > pulses.lead + 1)
+                last.checked_sub(zone as usize).filter(|&place| place > pulses.lead + SPAN)
             }
             None => None,
         };
         match from {
             Some(place) => {
-                for place in place - 1..=(place + 1).min(last) {
+                for place in place.saturating_sub(SPAN).max(pulses.lead)..=(place + SPAN).min(last) {
                     consider(own_row, place, range(place));
                 }
             }

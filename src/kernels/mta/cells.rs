@@ -24,10 +24,14 @@ const SCALE_M: f32 = 0.5;
 const CAP_M: f32 = 3.4;
 /// Pairs of neighbours share echoes: what a pair counts of its evidence.
 const PAIR_PART: f32 = 0.25;
+/// What a second difference counts, against a difference.
+const CURVATURE_PART: f32 = 3.0;
 /// Most neighbours of an echo in its line, and in the next.
 const NEIGHBOURS: [usize; 2] = [4, 5];
 /// How far neighbours stand away, columns.
 const REACH: [i32; 2] = [2, 1];
+/// How much nearer a surface beside must be, m.
+const BESIDE_M: f32 = 5.0;
 /// Zones are handled in groups of so many.
 pub(super) const LANES: usize = 8;
 /// Most zones.
@@ -111,6 +115,20 @@ impl Band {
     /// There must be cells.
     pub fn index(&self, column: i32) -> usize {
         (cell_of(column) - self.first).clamp(0, self.cells.len() as i32 - 1) as usize
+    }
+
+    /// The cell at a column, or beside it, whose surface is nearest to a range, and how far it is away, m.
+    pub fn nearest(&self, column: i32, range_m: f32) -> (&Cell, f32) {
+        let index = self.index(column);
+        let beside = &self.cells[index.saturating_sub(1)..(index + 2).min(self.cells.len())];
+        let apart = |cell: &Cell| (range_m - cell.surface_m).abs();
+        let mut found = (&self.cells[index], apart(&self.cells[index]));
+        for cell in beside {
+            if apart(cell) + BESIDE_M < found.1 {
+                found = (cell, apart(cell) + BESIDE_M);
+            }
+        }
+        found
     }
 
     /// Surfaces and margins of all cells.
@@ -213,16 +231,25 @@ impl Band {
         }
     }
 
+    /// Adds the evidence of three neighbouring shots' last echoes: their curvature does not see a slope.
+    pub fn add_curvature(&mut self, line: &Held) {
+        let ends = |pair: &[HeldEcho]| pair.len() == 1 || pair[0].last != pair[1].last;
+        let mut shots = (0..line.echoes.len())
+            .filter(|&i| ends(&line.echoes[i..(i + 2).min(line.echoes.len())]))
+            .map(|i| &line.echoes[i]);
+        let (Some(mut before), Some(mut echo)) = (shots.next(), shots.next()) else { return };
+        for after in shots {
+            if line.column(after) - line.column(before) == 2 {
+                self.add_three(line, [before, echo, after]);
+            }
+            (before, echo) = (echo, after);
+        }
+    }
+
     /// Adds `min(|difference of ranges|, cap)` in each zone.
     #[inline]
     fn add_pair(&mut self, cell: usize, (line, echo): (&Held, &HeldEcho), (next, other): (&Held, &HeldEcho)) {
-        let interval_m = next.pulses.interval_m;
-        let (mut base, mut even_m) = (other.base, other.even_m);
-        let apart = other.range_m - echo.range_m;
-        if apart.abs() > 0.5 * interval_m {
-            let by = if apart > 0.0 { 1 } else { -1 };
-            (base, even_m) = (base + by, even_m - by as f32 * interval_m);
-        }
+        let (base, even_m) = beside(echo, other, next.pulses.interval_m);
         let Some(here) = offsets(line, echo.base, self.stride) else { return };
         let Some(there) = offsets(next, base, self.stride) else { return };
         let even = even_m - echo.even_m;
@@ -231,6 +258,27 @@ impl Band {
         for ((rough, here), there) in groups.zip(here.chunks_exact(LANES)).zip(there.chunks_exact(LANES)) {
             for lane in 0..LANES {
                 rough[lane] += (even + here[lane] - there[lane]).abs().min(CAP_M);
+            }
+        }
+    }
+
+    /// Adds `min(|second difference of ranges|, cap)` in each zone.
+    #[inline]
+    fn add_three(&mut self, line: &Held, [before, echo, after]: [&HeldEcho; 3]) {
+        let interval_m = line.pulses.interval_m;
+        let sides = [before, after].map(|other| beside(echo, other, interval_m));
+        let even = sides[0].1 + sides[1].1 - 2.0 * echo.even_m;
+        let Some(here) = offsets(line, echo.base, self.stride) else { return };
+        let Some(first) = offsets(line, sides[0].0, self.stride) else { return };
+        let Some(second) = offsets(line, sides[1].0, self.stride) else { return };
+        let cell = self.index(line.column(echo));
+        let rough = &mut self.rough[cell * self.stride..][..self.stride];
+        let sides = first.chunks_exact(LANES).zip(second.chunks_exact(LANES));
+        let groups = rough.chunks_exact_mut(LANES).zip(here.chunks_exact(LANES));
+        for ((rough, here), (first, second)) in groups.zip(sides) {
+            for lane in 0..LANES {
+                let curvature = even + 2.0 * here[lane] - first[lane] - second[lane];
+                rough[lane] += CURVATURE_PART * curvature.abs().min(CAP_M);
             }
         }
     }
@@ -256,6 +304,17 @@ impl Band {
             }
         }
     }
+}
+
+/// Where `other` counts its zones from and its even range, so that it lies within half an interval of `echo`.
+#[inline]
+fn beside(echo: &HeldEcho, other: &HeldEcho, interval_m: f32) -> (i32, f32) {
+    let apart = other.range_m - echo.range_m;
+    if apart.abs() <= 0.5 * interval_m {
+        return (other.base, other.even_m);
+    }
+    let by = if apart > 0.0 { 1 } else { -1 };
+    (other.base + by, other.even_m - by as f32 * interval_m)
 }
 
 /// The offsets of the emissions in all zones counted from `base`, the greatest zone first.
