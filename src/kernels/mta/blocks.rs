@@ -3,10 +3,10 @@
 
 use std::collections::VecDeque;
 
-use super::cells::{BAND_LINES, Band};
+use super::cells::{BAND_LINES, Band, Cell, Slope};
 use super::held::{self, Held, HeldEcho};
 use super::summary::Summary;
-use super::{MtaError, Resolved, Settings, grid};
+use super::{MtaError, Prior, Resolved, Settings, grid};
 
 /// Bands that are decided at a time, looked at beforehand, and remembered.
 const CORE_BANDS: usize = 16;
@@ -21,6 +21,8 @@ const LEAST_MARGIN_NATS: f32 = 5.0;
 /// What an echo says of its own zone: nats for an interval nearer to the surface than with the next zone.
 const PLACE_NATS: f32 = 40.0;
 
+/// Echoes so near to a surface, in parts of the interval, move it.
+const SURFACE_PART: f32 = 0.25;
 /// Emissions before and behind the expected one that are looked at.
 const SPAN: usize = 3;
 
@@ -105,10 +107,11 @@ impl Blocks {
         ready: &mut VecDeque<Resolved>,
     ) -> Result<(), MtaError> {
         summary.check_rate(&self.settings)?;
-        let past: Vec<Vec<(f32, f32)>> = self.bands.iter().take(self.decided).map(Band::surfaces).collect();
+        let past: Vec<Vec<Cell>> =
+            self.bands.iter().take(self.decided).map(|band| band.cells.clone()).collect();
         grid::decide(&mut self.bands, &self.settings);
-        for (band, surfaces) in self.bands.iter_mut().zip(past) {
-            band.restore(&surfaces);
+        for (band, cells) in self.bands.iter_mut().zip(past) {
+            band.cells = cells;
         }
         let lines = (count * BAND_LINES).min(self.lines.len());
         self.refine(lines);
@@ -132,30 +135,31 @@ impl Blocks {
         Ok(())
     }
 
-    /// Moves the surfaces to the mean of the echoes that the emissions of a cell caused.
+    /// Lays the surfaces through the echoes that the emissions of a cell caused.
     fn refine(&mut self, lines: usize) {
-        let mut sums: Vec<Vec<(f32, f32)>> =
-            self.bands.iter().map(|band| vec![(0.0, 0.0); band.cells.len()]).collect();
+        let mut slopes: Vec<Vec<Slope>> =
+            self.bands.iter().map(|band| vec![Slope::default(); band.cells.len()]).collect();
         for line in self.lines.iter().take(lines) {
             for echo in &line.echoes {
                 let found = self.nearest(line, echo);
                 let Some(place) = found.cause else { continue };
-                if found.apart_m > 0.25 * line.pulses.interval_m {
+                if found.apart_m > SURFACE_PART * line.pulses.interval_m {
                     continue;
                 }
-                let cause = line.pulses.cause(place, line.number);
-                if let Some(row) = self.row(cause.line) {
-                    let sum = &mut sums[row][self.bands[row].index(line.pulses.column[place])];
-                    let range_m = line.range_m(echo, place, &self.settings);
-                    (sum.0, sum.1) = (sum.0 + range_m, sum.1 + 1.0);
+                if let Some(row) = self.row(line.pulses.cause(place, line.number).line) {
+                    let (band, column) = (&self.bands[row], line.pulses.column[place]);
+                    let index = band.index(column);
+                    let range_m = line.range_m(echo, place, &self.settings) - band.cells[index].surface_m;
+                    slopes[row][index].add(band.from_middle(index, column), range_m);
                 }
             }
         }
         let until = self.decided + lines.div_ceil(BAND_LINES);
-        let rows = self.bands.iter_mut().zip(&sums).take(until).skip(self.decided);
-        for (band, sums) in rows {
-            for (cell, sum) in band.cells.iter_mut().zip(sums).filter(|(_, sum)| sum.1 >= 4.0) {
-                cell.surface_m = sum.0 / sum.1;
+        let rows = self.bands.iter_mut().zip(&slopes).take(until).skip(self.decided);
+        for (cell, slope) in rows.flat_map(|(band, slopes)| band.cells.iter_mut().zip(slopes)) {
+            if let Some((middle_m, slope_m)) = slope.fit() {
+                cell.surface_m += middle_m;
+                cell.slope_m = slope_m;
             }
         }
     }
@@ -169,6 +173,10 @@ impl Blocks {
     /// The emission that puts an echo nearest to the surface where that emission went.
     fn nearest(&self, line: &Held, echo: &HeldEcho) -> Nearest {
         let [least_m, most_m] = self.settings.range_m.map(|range_m| range_m as f32);
+        let expected_sd_m = match self.settings.prior {
+            Prior::PerEmission { sd_m } => Some(sd_m as f32),
+            _ => None,
+        };
         let mut found =
             Nearest { cause: None, apart_m: f32::INFINITY, second_m: f32::INFINITY, margin_nats: 0.0 };
         let mut consider = |row: Option<usize>, place: usize, range_m: f32| {
@@ -176,7 +184,11 @@ impl Blocks {
             if range_m < least_m || range_m > most_m {
                 return;
             }
-            let (cell, apart_m) = band.nearest(line.pulses.column[place], range_m);
+            let (cell, mut apart_m) = band.nearest(line.pulses.column[place], range_m);
+            if let Some(sd_m) = expected_sd_m {
+                // NaN, where nothing is expected, is never the lesser.
+                apart_m = apart_m.min((range_m - line.pulses.expected_m[place]).abs() + sd_m);
+            }
             if apart_m < found.apart_m {
                 found.second_m = found.apart_m;
                 (found.cause, found.apart_m, found.margin_nats) = (Some(place), apart_m, cell.margin_nats);

@@ -21,7 +21,7 @@ const FEWEST_ECHOES: u16 = 3;
 const LEAST_PART: f32 = 0.55;
 /// Differences of neighbouring ranges: scale of a Laplace distribution and where it gives way to anything, m.
 const SCALE_M: f32 = 0.5;
-const CAP_M: f32 = 3.4;
+const CAP_M: f32 = 5.0;
 /// Pairs of neighbours share echoes: what a pair counts of its evidence.
 const PAIR_PART: f32 = 0.25;
 /// What a second difference counts, against a difference.
@@ -30,16 +30,19 @@ const CURVATURE_PART: f32 = 3.0;
 const NEIGHBOURS: [usize; 2] = [4, 5];
 /// How far neighbours stand away, columns.
 const REACH: [i32; 2] = [2, 1];
+/// Echoes so near to the phase, in parts of the interval, tell the slope.
+const SLOPE_PART: f32 = 0.25;
 /// How much nearer a surface beside must be, m.
 const BESIDE_M: f32 = 5.0;
 /// Zones are handled in groups of so many.
 pub(super) const LANES: usize = 8;
 /// Most zones.
 pub(super) const MOST_ZONES: usize = 126;
-/// Costs of a prior end here, nats.
-const PRIOR_CAP_NATS: f32 = 8.0;
-/// A height above ground is wrong in the same way in many cells.
+/// Costs of a height above ground end here, nats; it is wrong in the same way in many cells, and counts so much in each.
+const AGL_CAP_NATS: f32 = 8.0;
 const AGL_PART: f32 = 1.0 / 16.0;
+/// Costs of an expected range end here, nats.
+const EXPECTED_CAP_NATS: f32 = 24.0;
 /// Cost of a range beyond the feasible ones, nats per metre.
 const INFEASIBLE_NATS_PER_M: f32 = 0.5;
 
@@ -50,14 +53,49 @@ pub(super) struct Cell {
     pub count: u16,
     /// Whether the echoes, and not only neighbours, tell the phase.
     pub known: bool,
-    /// Range of the surface in zone 0, m.
+    /// Range of the surface in zone 0, in the cell's middle, m.
     pub phase_m: f32,
+    /// How much the surface's range grows by the column, m.
+    pub slope_m: f32,
     /// Sum and number of the expected ranges.
     prior: (f32, u16),
-    /// Range of the surface, m: once decided.
+    /// Range of the surface in the cell's middle, m: once decided.
     pub surface_m: f32,
     /// How much better the decided zone is than any other, nats.
     pub margin_nats: f32,
+}
+
+/// A straight line through points of a cell, by least squares.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Slope {
+    count: f32,
+    x: f32,
+    y: f32,
+    xx: f32,
+    xy: f32,
+}
+
+impl Slope {
+    /// Adds a point `x` columns from the cell's middle.
+    pub fn add(&mut self, x: f32, y_m: f32) {
+        self.count += 1.0;
+        self.x += x;
+        self.y += y_m;
+        self.xx += x * x;
+        self.xy += x * y_m;
+    }
+
+    /// The line's value in the middle and its slope; `None` for fewer than four points.
+    pub fn fit(&self) -> Option<(f32, f32)> {
+        if self.count < 4.0 {
+            return None;
+        }
+        let (x, y) = (self.x / self.count, self.y / self.count);
+        // As if there were one point more at either end, on a level: few points in few columns tell no slope.
+        let spread = self.xx - self.count * x * x + (CELL_SHOTS * CELL_SHOTS) as f32 * 0.5;
+        let slope = (self.xy - self.count * x * y) / spread;
+        Some((y - slope * x, slope))
+    }
 }
 
 /// Some lines, cut into cells.
@@ -105,6 +143,7 @@ impl Band {
             stride,
         };
         band.find_phases(lines);
+        band.find_slopes(lines);
         band.add_priors(lines);
         band.count_from_phases(lines);
         band
@@ -120,27 +159,18 @@ impl Band {
     /// The cell at a column, or beside it, whose surface is nearest to a range, and how far it is away, m.
     pub fn nearest(&self, column: i32, range_m: f32) -> (&Cell, f32) {
         let index = self.index(column);
-        let beside = &self.cells[index.saturating_sub(1)..(index + 2).min(self.cells.len())];
-        let apart = |cell: &Cell| (range_m - cell.surface_m).abs();
-        let mut found = (&self.cells[index], apart(&self.cells[index]));
-        for cell in beside {
-            if apart(cell) + BESIDE_M < found.1 {
-                found = (cell, apart(cell) + BESIDE_M);
+        let apart = |index: usize| {
+            let cell = &self.cells[index];
+            (range_m - cell.surface_m - cell.slope_m * self.from_middle(index, column)).abs()
+        };
+        let mut found = (index, apart(index));
+        for other in index.saturating_sub(1)..(index + 2).min(self.cells.len()) {
+            let apart_m = apart(other) + BESIDE_M;
+            if apart_m < found.1 {
+                found = (other, apart_m);
             }
         }
-        found
-    }
-
-    /// Surfaces and margins of all cells.
-    pub fn surfaces(&self) -> Vec<(f32, f32)> {
-        self.cells.iter().map(|cell| (cell.surface_m, cell.margin_nats)).collect()
-    }
-
-    /// Sets surfaces and margins to what they were.
-    pub fn restore(&mut self, surfaces: &[(f32, f32)]) {
-        for (cell, surface) in self.cells.iter_mut().zip(surfaces) {
-            (cell.surface_m, cell.margin_nats) = *surface;
-        }
+        (&self.cells[found.0], found.1)
     }
 
     fn find_phases(&mut self, lines: &[Held]) {
@@ -165,14 +195,46 @@ impl Band {
         self.cells.iter_mut().for_each(|cell| cell.known = has(cell, least));
     }
 
+    /// How far a column is from the middle of a cell.
+    pub fn from_middle(&self, index: usize, column: i32) -> f32 {
+        let middle = (self.first + index as i32) * CELL_SHOTS;
+        (column - middle) as f32 - 0.5 * (CELL_SHOTS - 1) as f32
+    }
+
+    /// Finds the slopes of the cells that have a phase, from the echoes about it.
+    fn find_slopes(&mut self, lines: &[Held]) {
+        let mut slopes = vec![Slope::default(); self.cells.len()];
+        for line in lines {
+            let interval_m = line.pulses.interval_m;
+            for echo in line.echoes.iter().filter(|echo| is_inside(line, echo, self.zones)) {
+                let column = line.column(echo);
+                let index = self.index(column);
+                let apart = echo.range_m - self.cells[index].phase_m;
+                let apart = apart - (apart / interval_m).round() * interval_m;
+                if apart.abs() < SLOPE_PART * interval_m {
+                    slopes[index].add(self.from_middle(index, column), apart);
+                }
+            }
+        }
+        for (cell, slope) in self.cells.iter_mut().zip(&slopes).filter(|(cell, _)| cell.known) {
+            if let Some((middle_m, slope_m)) = slope.fit() {
+                cell.phase_m = (cell.phase_m + middle_m).rem_euclid(self.interval_m);
+                cell.slope_m = slope_m;
+            }
+        }
+    }
+
     /// Counts the zones of all echoes from the phase of their cell, or of the nearest that has one.
     fn count_from_phases(&mut self, lines: &mut [Held]) {
         fill(&mut self.cells);
         for line in lines {
             let interval_m = line.pulses.interval_m;
             for i in 0..line.echoes.len() {
-                let cell = self.index(line.column(&line.echoes[i]));
-                let apart = line.echoes[i].range_m - self.cells[cell].phase_m;
+                let column = line.column(&line.echoes[i]);
+                let index = self.index(column);
+                let cell = &self.cells[index];
+                let at_m = cell.phase_m + cell.slope_m * self.from_middle(index, column);
+                let apart = line.echoes[i].range_m - at_m;
                 let by = (apart / interval_m).round().clamp(-2.0, 2.0);
                 if by != 0.0 {
                     line.echoes[i].count_from(by as i32, interval_m);
@@ -193,8 +255,8 @@ impl Band {
     }
 
     fn add_priors(&mut self, lines: &[Held]) {
-        for line in lines.iter().filter(|line| !line.prior_m.is_empty()) {
-            let own = line.pulses.column[line.pulses.lead..].iter().zip(&line.prior_m);
+        for line in lines.iter() {
+            let own = line.pulses.column.iter().zip(&line.pulses.expected_m).skip(line.pulses.lead);
             for (&column, &range_m) in own.filter(|(_, range_m)| range_m.is_finite()) {
                 let index = self.index(column);
                 let prior = &mut self.cells[index].prior;
@@ -293,14 +355,14 @@ impl Band {
             let range_m = cell.phase_m + zone as f32 * self.interval_m;
             let beyond_m = (least_m - range_m).max(range_m - most_m).max(0.0);
             *cost = rough[self.stride - 1 - zone] * (PAIR_PART / SCALE_M) + beyond_m * INFEASIBLE_NATS_PER_M;
-            let (sd_m, part) = match settings.prior {
+            let (sd_m, part, cap_nats) = match settings.prior {
                 Prior::None => continue,
-                Prior::Agl { sd_m, .. } => (sd_m, AGL_PART),
-                Prior::PerEmission { sd_m } => (sd_m, 1.0),
+                Prior::Agl { sd_m, .. } => (sd_m, AGL_PART, AGL_CAP_NATS),
+                Prior::PerEmission { sd_m } => (sd_m, 1.0, EXPECTED_CAP_NATS),
             };
             if cell.prior.1 > 0 {
                 let apart = (range_m - prior_m) / sd_m as f32;
-                *cost += part * (0.5 * apart * apart).min(PRIOR_CAP_NATS);
+                *cost += part * (0.5 * apart * apart).min(cap_nats);
             }
         }
     }

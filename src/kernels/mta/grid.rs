@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use super::Settings;
-use super::cells::Band;
+use super::cells::{Band, CELL_SHOTS};
 
 /// What a step of a whole interval or more costs, nats.
 const CONTINUITY_NATS: f32 = 24.0;
@@ -146,7 +146,14 @@ impl<'a> Grid<'a> {
         held.iter_mut().for_each(|cost| *cost = (*cost - least).min(CONTINUITY_NATS));
         let begin = (self.starts[to.row] + to.cell) * self.stride;
         let message = &mut self.messages[side][begin..begin + other.zones];
-        let (here_m, there_m) = (band.cells[from.cell].phase_m, other.cells[to.cell].phase_m);
+        let (here, there) = (&band.cells[from.cell], &other.cells[to.cell]);
+        // Along the line surfaces are compared where the cells meet.
+        let half = match side {
+            LEFT => 0.5 * CELL_SHOTS as f32,
+            RIGHT => -0.5 * CELL_SHOTS as f32,
+            _ => 0.0,
+        };
+        let (here_m, there_m) = (here.phase_m + half * here.slope_m, there.phase_m - half * there.slope_m);
         let at = |zone: i32| held.get(zone as usize).copied().unwrap_or(CONTINUITY_NATS);
         for (zone, message) in message.iter_mut().enumerate() {
             let place = (there_m + zone as f32 * other.interval_m - here_m) / band.interval_m;

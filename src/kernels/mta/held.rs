@@ -2,7 +2,7 @@
 
 use super::pulses::{Pulses, Tail};
 use super::summary::Summary;
-use super::{Assigned, Line, Prior, Resolved, Settings};
+use super::{Assigned, Line, Resolved, Settings};
 
 /// Columns beyond this are drawn to it.
 const MOST_COLUMNS: f32 = 65_535.0;
@@ -71,23 +71,11 @@ pub(super) struct Held {
     pub pulses: Pulses,
     /// In order of column and time.
     pub echoes: Vec<HeldEcho>,
-    /// Expected range by own emission, NaN where unknown; empty without a prior.
-    pub prior_m: Vec<f32>,
 }
 
 impl Held {
     pub fn new(line: &Line, number: u64, settings: &Settings, places: &mut Places, tail: &mut Tail) -> Held {
         let pulses = Pulses::new(&line.emissions, places.columns(line), number, settings, tail);
-        let prior_m = match settings.prior {
-            Prior::None => Vec::new(),
-            Prior::Agl { agl_m, .. } => {
-                let range = |cos: f32| if cos > 0.05 { agl_m as f32 / cos } else { f32::NAN };
-                line.emissions.iter().map(|emission| range(emission.cos_nadir)).collect()
-            }
-            Prior::PerEmission { .. } => {
-                line.emissions.iter().map(|emission| emission.prior_range_m).collect()
-            }
-        };
         let mut echoes: Vec<HeldEcho> = (0u32..)
             .zip(&line.echoes)
             .map(|(input, echo)| place(input, echo.emission as usize, echo.time_ns, &pulses, settings))
@@ -99,7 +87,7 @@ impl Held {
                 places.then(a.since_ns.total_cmp(&b.since_ns))
             });
         }
-        Held { number, pulses, echoes, prior_m }
+        Held { number, pulses, echoes }
     }
 
     /// The column in which an echo was received.

@@ -1,9 +1,11 @@
 //! The emissions that may have caused the echoes of one line: its own, and those before it whose pulses may be in the air.
 
-use super::{Cause, Emission, Settings};
+use super::{Cause, Emission, Prior, Settings};
 
 /// So many emissions before a line are looked at, at most.
 const MOST_BEFORE: usize = 126;
+/// Beams flatter than this never meet flat ground.
+const LEAST_COSINE: f32 = 0.05;
 /// The interval where a recording has one emission, ps.
 const UNKNOWN_INTERVAL_PS: f64 = 2.5e6;
 /// Intervals further from the median than this part of it hold a lost record.
@@ -16,6 +18,8 @@ pub(super) struct Pulses {
     pub shot: Vec<u64>,
     /// Place across the line, in shots.
     pub column: Vec<i32>,
+    /// Expected range, m, NaN where unknown; empty without a prior.
+    pub expected_m: Vec<f32>,
     /// Where the line's own emissions begin.
     pub lead: usize,
     /// Line and index of those before.
@@ -33,6 +37,7 @@ pub(super) struct Tail {
     clock_ps: Vec<i64>,
     shot: Vec<u64>,
     column: Vec<i32>,
+    expected_m: Vec<f32>,
     causes: Vec<Cause>,
     interval_ps: Option<f64>,
 }
@@ -59,15 +64,31 @@ impl Pulses {
         pulses.clock_ps.extend_from_slice(&tail.clock_ps[from..]);
         pulses.shot.extend_from_slice(&tail.shot[from..]);
         pulses.column.extend_from_slice(&tail.column[from..]);
+        pulses.expected_m.extend_from_slice(tail.expected_m.get(from..).unwrap_or_default());
         pulses.lead_causes.extend_from_slice(&tail.causes[from..]);
         pulses.clock_ps.extend(emissions.iter().map(|emission| emission.clock_ps));
         pulses.shot.extend(emissions.iter().map(|emission| emission.shot));
         pulses.column.extend(columns);
+        pulses.expect(emissions, settings);
         pulses.measure(settings, tail.interval_ps);
         if !emissions.is_empty() {
             tail.follow(&pulses, number);
         }
         pulses
+    }
+
+    /// Adds the expected ranges of the line's own emissions.
+    fn expect(&mut self, emissions: &[Emission], settings: &Settings) {
+        match settings.prior {
+            Prior::None => {}
+            Prior::Agl { agl_m, .. } => {
+                let range = |cos: f32| if cos > LEAST_COSINE { agl_m as f32 / cos } else { f32::NAN };
+                self.expected_m.extend(emissions.iter().map(|emission| range(emission.cos_nadir)));
+            }
+            Prior::PerEmission { .. } => {
+                self.expected_m.extend(emissions.iter().map(|emission| emission.prior_range_m));
+            }
+        }
     }
 
     /// Finds the interval and what departs from it.
@@ -127,6 +148,7 @@ impl Tail {
         self.clock_ps = pulses.clock_ps[from..].to_vec();
         self.shot = pulses.shot[from..].to_vec();
         self.column = pulses.column[from..].to_vec();
+        self.expected_m = pulses.expected_m.get(from..).unwrap_or_default().to_vec();
         self.causes = (from..pulses.clock_ps.len()).map(|place| pulses.cause(place, line)).collect();
         self.interval_ps = Some(pulses.interval_ps);
     }

@@ -258,13 +258,13 @@ fn prior_nats(line: &Held, echo: &HeldEcho, zone: u8, settings: &Settings) -> f6
         Prior::None => return 0.0,
         Prior::Agl { sd_m, .. } | Prior::PerEmission { sd_m } => sd_m,
     };
-    let own = (echo.last as usize).checked_sub(line.pulses.lead + usize::from(zone));
     let place = (echo.last as usize).checked_sub(usize::from(zone));
-    match (own.and_then(|own| line.prior_m.get(own)), place) {
-        (Some(&prior_m), Some(place)) if prior_m.is_finite() => {
-            let apart = f64::from(line.range_m(echo, place, settings) - prior_m) / sd_m;
+    let expected = place.and_then(|place| Some((place, *line.pulses.expected_m.get(place)?)));
+    match expected.filter(|(_, expected_m)| expected_m.is_finite()) {
+        Some((place, expected_m)) => {
+            let apart = f64::from(line.range_m(echo, place, settings) - expected_m) / sd_m;
             (0.5 * apart * apart).min(PRIOR_CAP_NATS)
         }
-        _ => 0.0,
+        None => 0.0,
     }
 }
