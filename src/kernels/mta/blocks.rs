@@ -23,6 +23,8 @@ const PLACE_NATS: f32 = 40.0;
 
 /// Echoes so near to a surface, in parts of the interval, move it.
 const SURFACE_PART: f32 = 0.25;
+/// What stands on the terrain is seldom higher, m.
+const ABOVE_M: f32 = 60.0;
 /// Emissions before and behind the expected one that are looked at.
 const SPAN: usize = 3;
 
@@ -187,7 +189,8 @@ impl Blocks {
             let (cell, mut apart_m) = band.nearest(line.pulses.column[place], range_m);
             if let Some(sd_m) = expected_sd_m {
                 // NaN, where nothing is expected, is never the lesser.
-                apart_m = apart_m.min((range_m - line.pulses.expected_m[place]).abs() + sd_m);
+                let beyond_m = (range_m - line.pulses.expected_m[place]).abs();
+                apart_m = apart_m.min(beyond_m + sd_m) + (beyond_m - ABOVE_M - 3.0 * sd_m).max(0.0);
             }
             if apart_m < found.apart_m {
                 found.second_m = found.apart_m;

@@ -30,6 +30,8 @@ const CURVATURE_PART: f32 = 3.0;
 const NEIGHBOURS: [usize; 2] = [4, 5];
 /// How far neighbours stand away, columns.
 const REACH: [i32; 2] = [2, 1];
+/// A slope goes on over so many cells without a phase of their own.
+const EXTENDED_CELLS: f32 = 2.0;
 /// Echoes so near to the phase, in parts of the interval, tell the slope.
 const SLOPE_PART: f32 = 0.25;
 /// How much nearer a surface beside must be, m.
@@ -422,7 +424,11 @@ fn fill(cells: &mut [Cell]) {
         } else {
             let after = known.get(next).copied().unwrap_or(before);
             let nearest = if after.abs_diff(i) < before.abs_diff(i) { after } else { before };
-            cells[i].phase_m = cells[nearest].phase_m;
+            let apart = i as f32 - nearest as f32;
+            let along = apart.clamp(-EXTENDED_CELLS, EXTENDED_CELLS);
+            let slope_m = cells[nearest].slope_m;
+            cells[i].slope_m = if apart == along { slope_m } else { 0.0 };
+            cells[i].phase_m = cells[nearest].phase_m + slope_m * along * CELL_SHOTS as f32;
         }
     }
 }
