@@ -27,6 +27,8 @@ const SURFACE_PART: f32 = 0.25;
 const ABOVE_M: f32 = 60.0;
 /// Emissions before and behind the expected one that are looked at.
 const SPAN: usize = 3;
+/// An echo so near to the surface needs no second look, m.
+const AT_SURFACE_M: f32 = 8.0;
 
 /// The state of the method.
 #[derive(Debug)]
@@ -174,63 +176,81 @@ impl Blocks {
 
     /// The emission that puts an echo nearest to the surface where that emission went.
     fn nearest(&self, line: &Held, echo: &HeldEcho) -> Nearest {
-        let [least_m, most_m] = self.settings.range_m.map(|range_m| range_m as f32);
-        let expected_sd_m = match self.settings.prior {
-            Prior::PerEmission { sd_m } => Some(sd_m as f32),
-            _ => None,
-        };
-        let mut found =
-            Nearest { cause: None, apart_m: f32::INFINITY, second_m: f32::INFINITY, margin_nats: 0.0 };
-        let mut consider = |row: Option<usize>, place: usize, range_m: f32| {
-            let Some(band) = row.and_then(|row| self.bands.get(row)) else { return };
-            if range_m < least_m || range_m > most_m {
-                return;
-            }
-            let (cell, mut apart_m) = band.nearest(line.pulses.column[place], range_m);
-            if let Some(sd_m) = expected_sd_m {
-                // NaN, where nothing is expected, is never the lesser.
-                let beyond_m = (range_m - line.pulses.expected_m[place]).abs();
-                apart_m = apart_m.min(beyond_m + sd_m) + (beyond_m - ABOVE_M - 3.0 * sd_m).max(0.0);
-            }
-            if apart_m < found.apart_m {
-                found.second_m = found.apart_m;
-                (found.cause, found.apart_m, found.margin_nats) = (Some(place), apart_m, cell.margin_nats);
-            } else {
-                found.second_m = found.second_m.min(apart_m);
-            }
-        };
-        let (pulses, last) = (&line.pulses, echo.last as usize);
-        let own_row = self.row(line.number);
-        let range = |place: usize| line.range_m(echo, place, &self.settings);
-        let from = match own_row {
-            Some(row) => {
-                let band = &self.bands[row];
-                let surface_m = band.cells[band.index(pulses.column[last])].surface_m;
-                let zone = ((surface_m - range(last)) / pulses.interval_m).round().clamp(0.0, 1e6);
-                last.checked_sub(zone as usize).filter(|&place| place > pulses.lead + SPAN)
-            }
-            None => None,
-        };
-        match from {
+        let row = self.row(line.number);
+        let expected = row.and_then(|row| expected_place(&self.bands[row], line, echo, &self.settings));
+        if let (Some(row), Some(place)) = (row, expected)
+            && let Some(found) = self.at_surface(&self.bands[row], line, echo, place)
+        {
+            return found;
+        }
+        let mut found = Nearest { cause: None, apart_m: f32::INFINITY, second_m: f32::INFINITY, margin_nats: 0.0 };
+        let last = echo.last as usize;
+        let lead = line.pulses.lead;
+        match expected {
             Some(place) => {
-                for place in place.saturating_sub(SPAN).max(pulses.lead)..=(place + SPAN).min(last) {
-                    consider(own_row, place, range(place));
+                for place in (place - SPAN).max(lead)..=(place + SPAN).min(last) {
+                    self.consider(row, line, echo, place, &mut found);
                 }
             }
+            // Near a line's begin, the line before may be the cause.
             None => {
                 for place in 0..=last {
-                    let row = match place < pulses.lead {
-                        true => self.row(pulses.cause(place, line.number).line),
-                        false => own_row,
-                    };
-                    consider(row, place, range(place));
+                    let row = if place < lead { self.row(line.pulses.cause(place, 0).line) } else { row };
+                    self.consider(row, line, echo, place, &mut found);
                 }
             }
         }
-        let place_nats = PLACE_NATS * (found.second_m - found.apart_m) / pulses.interval_m;
+        let place_nats = PLACE_NATS * (found.second_m - found.apart_m) / line.pulses.interval_m;
         found.margin_nats = found.margin_nats.min(place_nats);
         found
     }
+
+    /// The emission at `place`, where that puts an echo right on its cell's surface: no other needs to be looked at.
+    fn at_surface(&self, band: &Band, line: &Held, echo: &HeldEcho, place: usize) -> Option<Nearest> {
+        let [least_m, most_m] = self.settings.range_m.map(|range_m| range_m as f32);
+        let (range_m, column) = (line.range_m(echo, place, &self.settings), line.pulses.column[place]);
+        let index = band.index(column);
+        let apart_m = band.apart_m(index, column, range_m);
+        let is_sure = apart_m < AT_SURFACE_M && (least_m..=most_m).contains(&range_m);
+        if !is_sure || matches!(self.settings.prior, Prior::PerEmission { .. }) {
+            return None;
+        }
+        let second_m = line.pulses.interval_m - apart_m;
+        let place_nats = PLACE_NATS * (second_m - apart_m) / line.pulses.interval_m;
+        let margin_nats = band.cells[index].margin_nats.min(place_nats);
+        Some(Nearest { cause: Some(place), apart_m, second_m, margin_nats })
+    }
+
+    /// Takes the emission at `place`, of a line in the band `row`, into account.
+    fn consider(&self, row: Option<usize>, line: &Held, echo: &HeldEcho, place: usize, found: &mut Nearest) {
+        let [least_m, most_m] = self.settings.range_m.map(|range_m| range_m as f32);
+        let range_m = line.range_m(echo, place, &self.settings);
+        let Some(band) = row.and_then(|row| self.bands.get(row)) else { return };
+        if !(least_m..=most_m).contains(&range_m) {
+            return;
+        }
+        let (cell, mut apart_m) = band.nearest(line.pulses.column[place], range_m);
+        if let Prior::PerEmission { sd_m } = self.settings.prior {
+            // NaN, where nothing is expected, is neither the lesser nor the greater.
+            let beyond_m = (range_m - line.pulses.expected_m[place]).abs();
+            let sd_m = sd_m as f32;
+            apart_m = apart_m.min(beyond_m + sd_m) + (beyond_m - ABOVE_M - 3.0 * sd_m).max(0.0);
+        }
+        if apart_m < found.apart_m {
+            found.second_m = found.apart_m;
+            (found.cause, found.apart_m, found.margin_nats) = (Some(place), apart_m, cell.margin_nats);
+        } else {
+            found.second_m = found.second_m.min(apart_m);
+        }
+    }
+}
+
+/// The emission that the surface makes likely, where it and those about it are of the line itself.
+fn expected_place(band: &Band, line: &Held, echo: &HeldEcho, settings: &Settings) -> Option<usize> {
+    let (pulses, last) = (&line.pulses, echo.last as usize);
+    let surface_m = band.cells[band.index(pulses.column[last])].surface_m;
+    let zone = ((surface_m - line.range_m(echo, last, settings)) / pulses.interval_m).round();
+    last.checked_sub(zone.clamp(0.0, 1e6) as usize).filter(|&place| place > pulses.lead + SPAN)
 }
 
 /// The emission that puts an echo nearest to the surface.

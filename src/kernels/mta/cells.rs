@@ -25,13 +25,13 @@ const CAP_M: f32 = 5.0;
 /// Pairs of neighbours share echoes: what a pair counts of its evidence.
 const PAIR_PART: f32 = 0.25;
 /// What a second difference counts, against a difference.
-const CURVATURE_PART: f32 = 3.0;
+const CURVATURE_PART: f32 = 1.0;
 /// Most neighbours of an echo in its line, and in the next.
 const NEIGHBOURS: [usize; 2] = [4, 5];
 /// How far neighbours stand away, columns.
 const REACH: [i32; 2] = [2, 1];
 /// A slope goes on over so many cells without a phase of their own.
-const EXTENDED_CELLS: f32 = 2.0;
+const EXTENDED_CELLS: f32 = 3.0;
 /// Echoes so near to the phase, in parts of the interval, tell the slope.
 const SLOPE_PART: f32 = 0.25;
 /// How much nearer a surface beside must be, m.
@@ -158,16 +158,18 @@ impl Band {
         (cell_of(column) - self.first).clamp(0, self.cells.len() as i32 - 1) as usize
     }
 
+    /// How far a range at a column is from the surface of a cell, m.
+    pub fn apart_m(&self, index: usize, column: i32, range_m: f32) -> f32 {
+        let cell = &self.cells[index];
+        (range_m - cell.surface_m - cell.slope_m * self.from_middle(index, column)).abs()
+    }
+
     /// The cell at a column, or beside it, whose surface is nearest to a range, and how far it is away, m.
     pub fn nearest(&self, column: i32, range_m: f32) -> (&Cell, f32) {
         let index = self.index(column);
-        let apart = |index: usize| {
-            let cell = &self.cells[index];
-            (range_m - cell.surface_m - cell.slope_m * self.from_middle(index, column)).abs()
-        };
-        let mut found = (index, apart(index));
+        let mut found = (index, self.apart_m(index, column, range_m));
         for other in index.saturating_sub(1)..(index + 2).min(self.cells.len()) {
-            let apart_m = apart(other) + BESIDE_M;
+            let apart_m = self.apart_m(other, column, range_m) + BESIDE_M;
             if apart_m < found.1 {
                 found = (other, apart_m);
             }

@@ -10,7 +10,7 @@ use super::Settings;
 use super::cells::{Band, CELL_SHOTS};
 
 /// What a step of a whole interval or more costs, nats.
-const CONTINUITY_NATS: f32 = 24.0;
+const CONTINUITY_NATS: f32 = 48.0;
 /// Sweeps there and back, along and across.
 const ROUNDS: usize = 3;
 /// Where a message comes from.
@@ -43,7 +43,6 @@ pub(super) fn decide(bands: &mut VecDeque<Band>, settings: &Settings) {
     for _ in 0..ROUNDS {
         grid.sweep();
     }
-    if std::env::var_os("DBG").is_some() { for row in 0..grid.bands.len() { for c in 0..12.min(grid.bands[row].cells.len()) { let b=&grid.bands[row]; let cell=&b.cells[c]; let at=(grid.starts[row]+c)*grid.stride; let m: Vec<i32>=(0..b.zones).map(|z| grid.costs[at+z] as i32).collect(); println!("D row {row} cell {c} n {} known {} phase {:.1} slope {:.2} costs {:?}", cell.count, cell.known, cell.phase_m, cell.slope_m, m); } } }
     let decided = grid.decided();
     let cells = bands.iter_mut().flat_map(|band| {
         let interval_m = band.interval_m;
