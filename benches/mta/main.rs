@@ -151,9 +151,10 @@ fn settings(row: &Row, scene: &Scene, method: Method) -> Settings {
     let prior = match row.known {
         Known::Nothing => Prior::None,
         Known::Terrain => Prior::PerEmission { sd_m: TERRAIN_ERROR_M },
-        Known::Height => {
-            Prior::Agl { agl_m: scene.spec.agl_m + HEIGHT_ERROR_M, sd_m: scene.spec.relief_m.max(HEIGHT_ERROR_M) }
-        }
+        Known::Height => Prior::Agl {
+            agl_m: scene.spec.agl_m + HEIGHT_ERROR_M,
+            sd_m: scene.spec.relief_m.max(HEIGHT_ERROR_M),
+        },
     };
     Settings { method, prior, ..Settings::default() }
 }

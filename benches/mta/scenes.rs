@@ -281,7 +281,8 @@ impl Scene {
 /// Marks the echoes near to a change of zone.
 fn mark_transitions(line: &mut RecordedLine) {
     let zone = |echo: &RecordedEcho| i64::from(echo.emission) - i64::from(echo.cause.1);
-    let real: Vec<&RecordedEcho> = line.echoes.iter().filter(|echo| echo.class != Class::FalseAlarm).collect();
+    let real: Vec<&RecordedEcho> =
+        line.echoes.iter().filter(|echo| echo.class != Class::FalseAlarm).collect();
     let mut near = vec![false; line.clocks_ps.len()];
     for pair in real.windows(2).filter(|pair| zone(pair[0]) != zone(pair[1])) {
         let from = pair[0].emission.saturating_sub(NEAR_SHOTS) as usize;

@@ -179,7 +179,9 @@ pub enum MtaError {
     #[error("{0}")]
     Settings(&'static str),
     /// An echo points beyond the line's emissions.
-    #[error("line {line}: echo {echo} lies in the record of emission {emission}, but the line has {emissions}")]
+    #[error(
+        "line {line}: echo {echo} lies in the record of emission {emission}, but the line has {emissions}"
+    )]
     NoSuchEmission {
         /// The line's number.
         line: u64,

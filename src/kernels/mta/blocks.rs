@@ -71,11 +71,7 @@ impl Blocks {
         Ok(())
     }
 
-    pub fn finish(
-        &mut self,
-        summary: &mut Summary,
-        ready: &mut VecDeque<Resolved>,
-    ) -> Result<(), MtaError> {
+    pub fn finish(&mut self, summary: &mut Summary, ready: &mut VecDeque<Resolved>) -> Result<(), MtaError> {
         if self.lines.len() % BAND_LINES != 0 {
             self.add_band();
         }
@@ -125,7 +121,10 @@ impl Blocks {
                 let last = line.last_emission(echo, next);
                 let found = self.nearest(line, echo);
                 let uncertain = found.is_uncertain(line.pulses.interval_m);
-                (echo.input, line.assigned(echo, found.cause, found.margin_nats, uncertain, &last, &self.settings))
+                (
+                    echo.input,
+                    line.assigned(echo, found.cause, found.margin_nats, uncertain, &last, &self.settings),
+                )
             });
             ready.push_back(held::finish(line, assigned, next, &self.settings, summary));
         }
@@ -183,7 +182,8 @@ impl Blocks {
         {
             return found;
         }
-        let mut found = Nearest { cause: None, apart_m: f32::INFINITY, second_m: f32::INFINITY, margin_nats: 0.0 };
+        let mut found =
+            Nearest { cause: None, apart_m: f32::INFINITY, second_m: f32::INFINITY, margin_nats: 0.0 };
         let last = echo.last as usize;
         let lead = line.pulses.lead;
         match expected {

@@ -67,6 +67,13 @@ pub(super) struct Cell {
     pub margin_nats: f32,
 }
 
+impl Cell {
+    /// Whether there are echoes but no surface.
+    pub fn is_clutter(&self) -> bool {
+        !self.known && self.count >= LEAST_ECHOES
+    }
+}
+
 /// A straight line through points of a cell, by least squares.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Slope {
@@ -274,7 +281,8 @@ impl Band {
         for (i, echo) in line.echoes.iter().enumerate() {
             let column = line.column(echo);
             let cell = self.index(column);
-            let near = line.echoes[i + 1..].iter().take_while(|other| line.column(other) <= column + REACH[0]);
+            let near =
+                line.echoes[i + 1..].iter().take_while(|other| line.column(other) <= column + REACH[0]);
             for other in near.filter(|other| other.last != echo.last).take(NEIGHBOURS[0]) {
                 self.add_pair(cell, (line, echo), (line, other));
             }
@@ -383,11 +391,17 @@ fn beside(echo: &HeldEcho, other: &HeldEcho, interval_m: f32) -> (i32, f32) {
     (other.base + by, other.even_m - by as f32 * interval_m)
 }
 
-/// The offsets of the emissions in all zones counted from `base`, the greatest zone first.
+/// The offsets of the emissions in all zones counted from `base`, the greatest zone first; `None` where they are not all known: a
+/// lost record would speak against all zones behind it, and none before.
 #[inline]
 fn offsets(line: &Held, base: i32, stride: usize) -> Option<&[f32]> {
-    let end = usize::try_from(base).ok()? + 1;
-    line.pulses.offset_m.get(end.checked_sub(stride)?..end)
+    let base = usize::try_from(base).ok()?;
+    let begin = (base + 1).checked_sub(stride)?;
+    let regular = *line.pulses.regular.get(base)? as usize;
+    if regular + 1 < stride {
+        return None;
+    }
+    line.pulses.offset_m.get(begin..=base)
 }
 
 /// Whether an echo cannot come from a line before: the other end of the swath is another surface.

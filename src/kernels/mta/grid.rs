@@ -50,7 +50,7 @@ pub(super) fn decide(bands: &mut VecDeque<Band>, settings: &Settings) {
     });
     for ((cell, interval_m), (zone, margin_nats)) in cells.zip(decided) {
         cell.surface_m = cell.phase_m + zone as f32 * interval_m;
-        cell.margin_nats = margin_nats;
+        cell.margin_nats = if cell.is_clutter() { 0.0 } else { margin_nats };
     }
 }
 
@@ -172,7 +172,8 @@ impl<'a> Grid<'a> {
             for cell in 0..band.cells.len() {
                 let at = (start + cell) * self.stride;
                 let cost = |zone: usize| {
-                    self.costs[at + zone] + self.messages.iter().map(|messages| messages[at + zone]).sum::<f32>()
+                    self.costs[at + zone]
+                        + self.messages.iter().map(|messages| messages[at + zone]).sum::<f32>()
                 };
                 let (mut best, mut second) = ((0, f32::INFINITY), f32::INFINITY);
                 for zone in 0..band.zones {

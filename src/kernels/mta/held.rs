@@ -119,7 +119,8 @@ impl Held {
         let Some(next) = next else { return found };
         let follows = next.pulses.own_clocks().first().is_some_and(|&first| first > clocks[last]);
         if follows {
-            for (&clock, &shot) in next.pulses.own_clocks().iter().zip(&next.pulses.shot[next.pulses.lead..]) {
+            for (&clock, &shot) in next.pulses.own_clocks().iter().zip(&next.pulses.shot[next.pulses.lead..])
+            {
                 let since_ns = echo.since_ns - gap_ns(clocks[last], clock);
                 if since_ns < 0.0 {
                     found.until_ns = -since_ns;

@@ -27,6 +27,8 @@ pub(super) struct Pulses {
     /// The usual interval, ps and m.
     pub interval_ps: f64,
     pub interval_m: f32,
+    /// How many intervals before each emission, without a break, hold no lost record.
+    pub regular: Vec<u32>,
     /// How much farther an emission is from the line's first than it were at even intervals, m.
     pub offset_m: Vec<f32>,
 }
@@ -102,6 +104,21 @@ impl Pulses {
         };
         let m_per_ps = 0.5e-12 * settings.group_velocity_mps;
         self.interval_m = (self.interval_ps * m_per_ps) as f32;
+        let is_regular = |from: i64, to: i64| {
+            (to.saturating_sub(from) as f64 - self.interval_ps).abs() <= REGULAR_PART * self.interval_ps
+        };
+        let mut run = 0;
+        self.regular = (0..self.clock_ps.len())
+            .map(|place| {
+                let before = place.checked_sub(1).map(|before| self.clock_ps[before]);
+                run = if before.is_some_and(|before| is_regular(before, self.clock_ps[place])) {
+                    run + 1
+                } else {
+                    0
+                };
+                run
+            })
+            .collect();
         let first = self.clock_ps.get(self.lead).copied().unwrap_or(0);
         let (lead, interval_ps) = (self.lead as f64, self.interval_ps);
         let places = (0u32..).zip(&self.clock_ps);

@@ -86,7 +86,8 @@ impl Summary {
     pub(super) fn add_line(&mut self, line: &Held) {
         let usual = line.pulses.interval_ps;
         let regular = || {
-            let intervals = line.pulses.own_clocks().windows(2).map(|pair| (pair[1] - pair[0]) as f64);
+            let intervals =
+                line.pulses.own_clocks().windows(2).map(|pair| pair[1].saturating_sub(pair[0]) as f64);
             intervals.filter(move |interval| (interval - usual).abs() <= REGULAR_PART * usual)
         };
         let count = regular().count() as u64;
@@ -152,7 +153,8 @@ impl Summary {
             return Vec::new();
         }
         let mut warnings = Vec::new();
-        if let Some(median_margin_nats) = self.median_margin_nats().filter(|&margin| margin < WEAK_MARGIN_NATS)
+        if let Some(median_margin_nats) =
+            self.median_margin_nats().filter(|&margin| margin < WEAK_MARGIN_NATS)
         {
             warnings.push(Warning::WeakEvidence { median_margin_nats });
         }

@@ -63,7 +63,7 @@ struct Chain {
 #[derive(Debug)]
 struct Waiting {
     line: Held,
-    decided: Vec<(Option<u32>, f32)>,
+    decided: Vec<(Option<usize>, f32)>,
 }
 
 /// The state of the method.
@@ -121,11 +121,7 @@ impl Variance {
         Ok(())
     }
 
-    pub fn finish(
-        &mut self,
-        summary: &mut Summary,
-        ready: &mut VecDeque<Resolved>,
-    ) -> Result<(), MtaError> {
+    pub fn finish(&mut self, summary: &mut Summary, ready: &mut VecDeque<Resolved>) -> Result<(), MtaError> {
         while !self.pending.is_empty() {
             self.decide_first();
         }
@@ -182,7 +178,7 @@ impl Variance {
             let variance = (chain.overlapping.sum / count).max(LEAST_VARIANCE_M2);
             0.5 * count * variance.ln() + prior_nats(line, echo, zone, &self.settings)
         };
-        let is_feasible = |zone: u8| (echo.last as usize) >= usize::from(zone);
+        let is_feasible = |zone: u8| place(echo, usize::from(zone)).is_some();
         let mut best: Option<(u8, f64)> = None;
         let mut second = f64::INFINITY;
         for both in self.chains.iter().zip(&zones).filter(|(_, zone)| is_feasible(**zone)) {
@@ -197,7 +193,7 @@ impl Variance {
             }
         }
         waiting.decided[i as usize] = match best {
-            Some((zone, least)) => (Some(echo.last - u32::from(zone)), (second - least) as f32),
+            Some((zone, least)) => (place(echo, usize::from(zone)), (second - least) as f32),
             None => (None, 0.0),
         };
     }
@@ -213,7 +209,6 @@ impl Variance {
         let assigned = line.echoes.iter().zip(&decided).map(|(echo, &(place, margin))| {
             let last = line.last_emission(echo, next);
             let uncertain = place.is_none() || margin < LEAST_MARGIN_NATS;
-            let place = place.map(|place| place as usize);
             (echo.input, line.assigned(echo, place, margin, uncertain, &last, &self.settings))
         });
         ready.push_back(held::finish(&line, assigned, next, &self.settings, summary));
@@ -241,14 +236,21 @@ impl Chain {
     }
 }
 
-/// The range of an echo in each zone, m; before the first emission at even intervals.
+/// The emission of a zone: zones go on at even intervals behind the line's last emission, where there is none.
+fn place(echo: &HeldEcho, zone: usize) -> Option<usize> {
+    let place = usize::try_from(echo.base).ok()?.checked_sub(zone)?;
+    (place <= echo.last as usize).then_some(place)
+}
+
+/// The range of an echo in each zone, m: at even intervals where there is no emission.
 fn ranges_of(line: &Held, echo: &HeldEcho, settings: &Settings, ranges: &mut [f64]) {
-    let last = echo.last as usize;
     let m_per_ns = 0.5e-9 * settings.group_velocity_mps;
+    let interval_m = f64::from(line.pulses.interval_m);
     for (zone, range_m) in ranges.iter_mut().enumerate() {
-        let place = last.saturating_sub(zone);
-        let missing = (zone - (last - place)) as f64 * line.pulses.interval_ps * 1e-3;
-        *range_m = (line.flight_ns(echo, place) + missing) * m_per_ns;
+        *range_m = match place(echo, zone) {
+            Some(place) => line.flight_ns(echo, place) * m_per_ns,
+            None => f64::from(echo.range_m) + zone as f64 * interval_m,
+        };
     }
 }
 
@@ -258,8 +260,8 @@ fn prior_nats(line: &Held, echo: &HeldEcho, zone: u8, settings: &Settings) -> f6
         Prior::None => return 0.0,
         Prior::Agl { sd_m, .. } | Prior::PerEmission { sd_m } => sd_m,
     };
-    let place = (echo.last as usize).checked_sub(usize::from(zone));
-    let expected = place.and_then(|place| Some((place, *line.pulses.expected_m.get(place)?)));
+    let expected =
+        place(echo, usize::from(zone)).and_then(|place| Some((place, *line.pulses.expected_m.get(place)?)));
     match expected.filter(|(_, expected_m)| expected_m.is_finite()) {
         Some((place, expected_m)) => {
             let apart = f64::from(line.range_m(echo, place, settings) - expected_m) / sd_m;
