@@ -62,7 +62,7 @@ impl Blocks {
         ready: &mut VecDeque<Resolved>,
     ) -> Result<(), MtaError> {
         self.lines.push_back(line);
-        if self.lines.len() % BAND_LINES == 0 {
+        if self.lines.len().is_multiple_of(BAND_LINES) {
             self.add_band();
         }
         if self.bands.len() - self.decided == CORE_BANDS + AHEAD_BANDS {
@@ -72,7 +72,7 @@ impl Blocks {
     }
 
     pub fn finish(&mut self, summary: &mut Summary, ready: &mut VecDeque<Resolved>) -> Result<(), MtaError> {
-        if self.lines.len() % BAND_LINES != 0 {
+        if !self.lines.len().is_multiple_of(BAND_LINES) {
             self.add_band();
         }
         match self.bands.len() - self.decided {
@@ -153,7 +153,7 @@ impl Blocks {
                     let (band, column) = (&self.bands[row], line.pulses.column[place]);
                     let index = band.index(column);
                     let range_m = line.range_m(echo, place, &self.settings) - band.cells[index].surface_m;
-                    slopes[row][index].add(band.from_middle(index, column), range_m);
+                    slopes[row][index].add(band.off_middle(index, column), range_m);
                 }
             }
         }
@@ -211,8 +211,15 @@ impl Blocks {
         let (range_m, column) = (line.range_m(echo, place, &self.settings), line.pulses.column[place]);
         let index = band.index(column);
         let apart_m = band.apart_m(index, column, range_m);
-        let is_sure = apart_m < AT_SURFACE_M && (least_m..=most_m).contains(&range_m);
-        if !is_sure || matches!(self.settings.prior, Prior::PerEmission { .. }) {
+        let is_expected = match self.settings.prior {
+            // NaN, where nothing is expected, is not far.
+            Prior::PerEmission { sd_m } => {
+                let beyond_m = (range_m - line.pulses.expected_m[place]).abs();
+                (beyond_m - 3.0 * sd_m as f32).max(0.0) <= ABOVE_M
+            }
+            _ => true,
+        };
+        if apart_m >= AT_SURFACE_M || !(least_m..=most_m).contains(&range_m) || !is_expected {
             return None;
         }
         let second_m = line.pulses.interval_m - apart_m;

@@ -168,7 +168,7 @@ impl Band {
     /// How far a range at a column is from the surface of a cell, m.
     pub fn apart_m(&self, index: usize, column: i32, range_m: f32) -> f32 {
         let cell = &self.cells[index];
-        (range_m - cell.surface_m - cell.slope_m * self.from_middle(index, column)).abs()
+        (range_m - cell.surface_m - cell.slope_m * self.off_middle(index, column)).abs()
     }
 
     /// The cell at a column, or beside it, whose surface is nearest to a range, and how far it is away, m.
@@ -207,7 +207,7 @@ impl Band {
     }
 
     /// How far a column is from the middle of a cell.
-    pub fn from_middle(&self, index: usize, column: i32) -> f32 {
+    pub fn off_middle(&self, index: usize, column: i32) -> f32 {
         let middle = (self.first + index as i32) * CELL_SHOTS;
         (column - middle) as f32 - 0.5 * (CELL_SHOTS - 1) as f32
     }
@@ -223,7 +223,7 @@ impl Band {
                 let apart = echo.range_m - self.cells[index].phase_m;
                 let apart = apart - (apart / interval_m).round() * interval_m;
                 if apart.abs() < SLOPE_PART * interval_m {
-                    slopes[index].add(self.from_middle(index, column), apart);
+                    slopes[index].add(self.off_middle(index, column), apart);
                 }
             }
         }
@@ -244,7 +244,7 @@ impl Band {
                 let column = line.column(&line.echoes[i]);
                 let index = self.index(column);
                 let cell = &self.cells[index];
-                let at_m = cell.phase_m + cell.slope_m * self.from_middle(index, column);
+                let at_m = cell.phase_m + cell.slope_m * self.off_middle(index, column);
                 let apart = line.echoes[i].range_m - at_m;
                 let by = (apart / interval_m).round().clamp(-2.0, 2.0);
                 if by != 0.0 {
