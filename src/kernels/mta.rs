@@ -356,10 +356,10 @@ impl Resolver {
     }
 }
 
-/// What an emission takes while its line is held back, bytes: clock, number, and what the method keeps beside them.
-pub const BYTES_PER_SHOT: usize = 56;
-/// What an echo takes while its line is held back, bytes.
-pub const BYTES_PER_ECHO: usize = 48;
+/// What an emission takes while its line is held back, bytes, with what its vectors may have in reserve.
+pub const BYTES_PER_SHOT: usize = 64;
+/// What an echo takes while its line is held back, bytes, with what is found of it.
+pub const BYTES_PER_ECHO: usize = 112;
 
 /// A line whose echoes all come from so many emissions back.
 fn fixed(

@@ -395,13 +395,10 @@ fn beside(echo: &HeldEcho, other: &HeldEcho, interval_m: f32) -> (i32, f32) {
 /// lost record would speak against all zones behind it, and none before.
 #[inline]
 fn offsets(line: &Held, base: i32, stride: usize) -> Option<&[f32]> {
-    let base = usize::try_from(base).ok()?;
-    let begin = (base + 1).checked_sub(stride)?;
-    let regular = *line.pulses.regular.get(base)? as usize;
-    if regular + 1 < stride {
-        return None;
-    }
-    line.pulses.offset_m.get(begin..=base)
+    let end = usize::try_from(base).ok()? + 1;
+    let begin = end.checked_sub(stride)?;
+    let regular = *line.pulses.regular.get(end - 1)? as usize;
+    if regular + 1 < stride { None } else { line.pulses.offset_m.get(begin..end) }
 }
 
 /// Whether an echo cannot come from a line before: the other end of the swath is another surface.

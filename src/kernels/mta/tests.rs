@@ -325,6 +325,12 @@ fn what_is_held_back_is_bounded_and_popping_early_changes_nothing() {
 }
 
 #[test]
+fn an_echo_takes_no_more_than_it_is_said_to() {
+    let found = size_of::<(Option<usize>, f32)>() + size_of::<Assigned>();
+    assert!(size_of::<held::HeldEcho>() + found <= BYTES_PER_ECHO);
+}
+
+#[test]
 fn the_order_of_echoes_within_a_line_is_that_of_the_caller() {
     let (lines, _) = strip(16, 120, 17.0, slope);
     let turned: Vec<Line> = lines
