@@ -166,6 +166,12 @@ impl Scene {
 
     /// Divides the sorted pulses into the clusters that are fitted jointly; returns whether they are others than before.
     pub(super) fn set_clusters(&mut self, fwhm_samples: f32) -> bool {
+        if self.count < 2 {
+            let end = self.count as u8;
+            let others = self.ends[0] != end || self.ends[1] != 0;
+            (self.ends[0], self.ends[1]) = (end, 0);
+            return others;
+        }
         let before = self.ends;
         self.ends = [0; MAX_PULSES];
         let mut end = 0;
