@@ -154,11 +154,17 @@ impl Decomposition<'_> {
     pub fn deviation_ratio(&self) -> f64 {
         match self.degrees_of_freedom() {
             0 => 0.0,
-            nu => {
-                let expected = nu as f64 + self.expected_excess;
+            _ => {
+                let expected = self.expected_chi_square();
                 (self.chi_square - expected) / (2.0 * expected).sqrt()
             }
         }
+    }
+
+    /// `ν` and [`Decomposition::expected_excess`].
+    #[inline(always)]
+    pub(super) fn expected_chi_square(&self) -> f64 {
+        self.degrees_of_freedom() as f64 + self.expected_excess
     }
 }
 

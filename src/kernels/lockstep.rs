@@ -221,6 +221,7 @@ impl Lockstep {
             }
         }
         self.run(tables, &needy[..count], Mode::Refined);
+        let before = outcomes.len();
         let mut refined = std::mem::take(&mut self.work.scenes);
         let mut first_look = std::mem::take(&mut self.first_look);
         for (i, block) in blocks.iter().enumerate() {
@@ -230,6 +231,7 @@ impl Lockstep {
             };
             self.finish(mode).give(block.samples, block.start_phase, scene, outcomes);
         }
+        outcomes.set_deviation_ratios(before);
         (self.work.scenes, self.first_look) = (refined, first_look);
     }
 

@@ -54,14 +54,15 @@ impl<const P: usize> Queue<P> {
     /// Gives a fit that is done, or keeps it for more iterations.
     #[inline]
     fn settle(&mut self, i: usize, iterations: usize, race: &Race, done: &mut Vec<Done>) {
-        let (fitted, tag, Job { row, aim, .. }) = (self.fitted[i], self.tags[i], self.jobs[i]);
+        let (fitted, tag) = (&self.fitted[i], self.tags[i]);
+        let Job { row, aim, .. } = self.jobs[i];
         let is_dropped = fitted.may_go_on && aim.is_out_of_reach(fitted.objective, fitted.promised, race);
         if fitted.may_go_on && !is_dropped && iterations < ITERATIONS[3] {
             self.jobs[self.unsettled] = Job { row, pulses: fitted.pulses, aim };
             self.tags[self.unsettled] = tag;
             self.unsettled += 1;
         } else {
-            done.push(Done { is_dropped, ..Done::of(row, tag, &fitted) });
+            done.push(Done::of(row, tag, fitted, is_dropped));
         }
     }
 
@@ -168,11 +169,11 @@ impl Done {
         &self.sds[..self.count]
     }
 
-    fn of<const P: usize>(row: usize, tag: usize, fitted: &Fitted<P>) -> Done {
+    fn of<const P: usize>(row: usize, tag: usize, fitted: &Fitted<P>, is_dropped: bool) -> Done {
         let (mut values, mut sds) = ([[0.0; 3]; MAX_CLUSTER], [[0.0; 3]; MAX_CLUSTER]);
         values[..P].copy_from_slice(&fitted.pulses);
         sds[..P].copy_from_slice(&fitted.sds);
-        Done { row, tag, is_optimum: fitted.is_optimum, is_dropped: false, count: P, values, sds }
+        Done { row, tag, is_optimum: fitted.is_optimum, is_dropped, count: P, values, sds }
     }
 }
 
