@@ -1,7 +1,7 @@
 //! The picture of a shot: its samples with their fit, what the fit leaves, and the outgoing pulse.
 
 use super::seen::{Explained, PER_SAMPLE, SeenBlock, SeenPulse, SeenSamples};
-use super::svg::{Anchor, Scale, Svg};
+use crate::cli::svg::{Anchor, Scale, Svg};
 use super::table;
 
 /// Places in the picture, in its own units.
