@@ -6,14 +6,16 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::batch::{Batch, Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, emission_flags};
+use crate::batch::{
+    Batch, Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, emission_flags,
+};
 
 mod histogram;
 mod intervals;
 mod samples;
-mod thinned;
 #[cfg(test)]
 mod tests;
+mod thinned;
 
 pub use histogram::Histogram;
 pub use intervals::{Intervals, LongInterval};
@@ -261,7 +263,8 @@ impl Survey {
         let mut emission_ns = 0.0;
         if self.with_samples {
             let reference = of_shot.iter().find(|block| block.channel == Channel::Reference);
-            emission_ns = reference.map_or(0.0, |block| emission_ns_of(block, blocks.samples(block), &batch.input));
+            emission_ns =
+                reference.map_or(0.0, |block| emission_ns_of(block, blocks.samples(block), &batch.input));
         }
         let time_s = self.times.since_first_s(emission);
         for block in of_shot {

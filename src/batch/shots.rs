@@ -245,7 +245,8 @@ mod tests {
         let mut blocks = Blocks::default();
         blocks.push_without_samples(0, Channel::LowPower, None, 0.0, 1.0, 3);
         blocks.push(0, Channel::HighPower, None, 0.0, 1.0, &[1, 2, 3, 4]);
-        let seen: Vec<(usize, &[u16])> = blocks.iter().map(|block| (block.len(), blocks.samples(block))).collect();
+        let seen: Vec<(usize, &[u16])> =
+            blocks.iter().map(|block| (block.len(), blocks.samples(block))).collect();
         assert_eq!(seen, [(3, &[][..]), (4, &[1, 2, 3, 4])]);
     }
 

@@ -32,7 +32,9 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     let summary = Summary::of(&args.file, &survey, cx.counters(), cut.as_deref());
     let text = summary.text();
     let mut files = vec![(format!("{name}_scan.txt"), text.clone())];
-    files.extend(histograms::files(&survey).into_iter().map(|(what, text)| (format!("{name}_{what}.txt"), text)));
+    files.extend(
+        histograms::files(&survey).into_iter().map(|(what, text)| (format!("{name}_{what}.txt"), text)),
+    );
     files.push((format!("{name}_scan.html"), page::page(&summary, &survey)));
     let written = write(&files).map_err(|error| failed(&error))?;
     if !quiet {

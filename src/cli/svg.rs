@@ -58,6 +58,14 @@ impl Svg {
         )
     }
 
+    /// The picture as a part of a page, whose style sheet gives the looks.
+    pub(in crate::cli) fn inline(self, width: f64, height: f64, title: &str) -> String {
+        let (title, body) = (escaped(title), self.body);
+        format!(
+            "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{title}\">\n<title>{title}</title>\n{body}</svg>\n"
+        )
+    }
+
     pub(in crate::cli) fn line(&mut self, class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
         let _ = writeln!(
             self.body,
@@ -85,6 +93,12 @@ impl Svg {
         }
     }
 
+    /// A surface between these corners.
+    pub(in crate::cli) fn area(&mut self, class: &str, corners: impl Iterator<Item = [f64; 2]>) {
+        let corners: Vec<String> = corners.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+        let _ = writeln!(self.body, "<polygon class=\"{class}\" points=\"{}\"/>", corners.join(" "));
+    }
+
     pub(in crate::cli) fn text(&mut self, class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
         let (anchor, text) = (anchor.name(), escaped(text));
         let _ = writeln!(
@@ -105,7 +119,7 @@ impl Svg {
 }
 
 /// A text as XML holds it.
-fn escaped(text: &str) -> String {
+pub(in crate::cli) fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for character in text.chars() {
         match character {

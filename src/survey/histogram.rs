@@ -124,7 +124,8 @@ impl Histogram {
         for (centre, count) in self.bins() {
             let count = count as f64;
             if count > 0.0 && left <= count {
-                let within = if self.whole { centre.round() } else { centre + self.width * (left / count - 0.5) };
+                let within =
+                    if self.whole { centre.round() } else { centre + self.width * (left / count - 0.5) };
                 return Some(within.clamp(range[0], range[1]));
             }
             left -= count;

@@ -4,8 +4,9 @@ use hdrhistogram::Histogram;
 
 /// So many intervals show which one is usual.
 const LOOKED_AT: usize = 1023;
-/// Intervals this much shorter or longer than the usual one, as a part of it, are counted as such.
-const USUAL_PART: f64 = 0.25;
+/// Intervals this much shorter or longer than the usual one, as a part of it, are counted as such: clocks with steps of
+/// 1 µs give 2 or 3 of them where the interval is 2.5 µs.
+const USUAL_PART: f64 = 0.5;
 /// An interval of more than so many usual ones is a gap.
 const GAP_INTERVALS: f64 = 2.5;
 /// How many of the longest intervals are kept.
@@ -41,6 +42,8 @@ struct Usual {
     count: u64,
     sum: i128,
     squares: i128,
+    /// The largest step of which all are multiples, ps.
+    step_ps: u64,
 }
 
 impl Default for Intervals {
@@ -83,7 +86,7 @@ impl Intervals {
     fn settle(&mut self) {
         let middle = self.first_ps.len() / 2;
         let reference_ps = *self.first_ps.select_nth_unstable(middle).1;
-        let mut usual = Usual { reference_ps, count: 0, sum: 0, squares: 0 };
+        let mut usual = Usual { reference_ps, count: 0, sum: 0, squares: 0, step_ps: 0 };
         self.first_ps.drain(..).for_each(|ps| usual.add(ps));
         self.usual = Some(usual);
     }
@@ -93,7 +96,7 @@ impl Intervals {
         self.all_ps.len()
     }
 
-    /// Mean and standard deviation of the usual ones, those within a quarter of the median of the first 1023, ps.
+    /// Mean and standard deviation of the usual ones, those within a half of the median of the first 1023, ps.
     pub fn usual_ps(&self) -> Option<[f64; 2]> {
         let usual = self.usual.filter(|usual| usual.count > 0)?;
         let count = usual.count as f64;
@@ -102,13 +105,20 @@ impl Intervals {
         Some([usual.reference_ps as f64 + off, variance.sqrt()])
     }
 
+    /// The largest step of which all usual intervals are multiples, ps: what the clock resolves, where they differ.
+    pub fn step_ps(&self) -> Option<u64> {
+        self.usual.map(|usual| usual.step_ps).filter(|step_ps| *step_ps > 0)
+    }
+
     /// How many are longer than 2.5 usual ones, to the three digits that are kept of each.
     pub fn gaps(&self) -> u64 {
         let Some([usual_ps, _]) = self.usual_ps() else { return 0 };
         let limit = GAP_INTERVALS * usual_ps;
         let is_gap = |ps: u64| ps as f64 > limit;
         let all = self.all_ps.iter_recorded();
-        all.filter(|step| is_gap(step.value_iterated_to())).map(|step| step.count_since_last_iteration()).sum()
+        all.filter(|step| is_gap(step.value_iterated_to()))
+            .map(|step| step.count_since_last_iteration())
+            .sum()
     }
 
     /// The longest, where it is a gap.
@@ -124,8 +134,17 @@ impl Usual {
             self.count += 1;
             self.sum += off;
             self.squares += off * off;
+            self.step_ps =
+                greatest_common_divisor(self.step_ps, self.reference_ps.saturating_add_signed(off as i64));
         }
     }
+}
+
+fn greatest_common_divisor(mut a: u64, mut b: u64) -> u64 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
 }
 
 #[cfg(test)]
@@ -144,7 +163,7 @@ mod tests {
         intervals.add(25_000_000, 2002, 3.0);
         intervals.finish();
         assert_eq!(intervals.usual_ps(), Some([2_500_000.0, 10.0]));
-        assert_eq!((intervals.count(), intervals.gaps()), (2003, 2));
+        assert_eq!((intervals.count(), intervals.gaps(), intervals.step_ps()), (2003, 2, Some(10)));
         let longest = LongInterval { ps: 25_000_000, shot: 2002, gps_time_s: 3.0 };
         assert_eq!(intervals.longest_gap(), Some(longest));
     }
@@ -155,7 +174,10 @@ mod tests {
         [10, 10, 12, 100].into_iter().for_each(|ps| few.add(ps, 0, f64::NAN));
         few.finish();
         let [mean, sd] = few.usual_ps().unwrap();
-        assert!((mean - 32.0 / 3.0).abs() < 1e-12 && (sd - (8.0f64 / 9.0).sqrt()).abs() < 1e-12, "{mean} {sd}");
+        assert!(
+            (mean - 32.0 / 3.0).abs() < 1e-12 && (sd - (8.0f64 / 9.0).sqrt()).abs() < 1e-12,
+            "{mean} {sd}"
+        );
         assert_eq!(few.gaps(), 1);
         let mut none = Intervals::default();
         none.finish();

@@ -1,7 +1,13 @@
 use super::*;
 
 /// A line of shots 2500 ns apart from `clock_ps` on, straight down, with times.
-fn line(input: &Arc<InputInfo>, number: u32, shots: std::ops::Range<u64>, start_ps: i64, blocks: Blocks) -> Batch {
+fn line(
+    input: &Arc<InputInfo>,
+    number: u32,
+    shots: std::ops::Range<u64>,
+    start_ps: i64,
+    blocks: Blocks,
+) -> Batch {
     let emission = |shot: u64| {
         let clock_ps = start_ps + (shot - shots.start) as i64 * 2_500_000;
         Emission {
@@ -85,7 +91,10 @@ fn without_samples_all_else_is_the_same() {
     assert!(without.ranges_m.is_empty() && without.waveforms.items().is_empty());
     assert!(without.channels.iter().all(|channel| channel.values.is_none()));
     for (a, b) in with.channels.iter().zip(&without.channels) {
-        assert_eq!((a.blocks, a.samples, &a.lengths, &a.starts_ns), (b.blocks, b.samples, &b.lengths, &b.starts_ns));
+        assert_eq!(
+            (a.blocks, a.samples, &a.lengths, &a.starts_ns),
+            (b.blocks, b.samples, &b.lengths, &b.starts_ns)
+        );
     }
     assert_eq!((with.zones, with.angles_deg), (without.zones, without.angles_deg));
 }

@@ -37,7 +37,8 @@ impl Part<'_> {
     fn text(&self) -> String {
         let (title, quantity) = (&self.title, self.quantity);
         let (total, width) = (self.histogram.total(), self.histogram.width());
-        let mut text = format!("# {title}: {total} values, bins {width} wide\n# centre of the bin: {quantity}\tcount\n");
+        let mut text =
+            format!("# {title}: {total} values, bins {width} wide\n# centre of the bin: {quantity}\tcount\n");
         for (centre, count) in self.bins() {
             let _ = writeln!(text, "{}\t{count}", rounded(centre));
         }
@@ -89,11 +90,17 @@ pub(super) fn amplitudes(survey: &Survey) -> Vec<Part<'_>> {
 /// Samples of the receivers of echoes that are free of signal, by channel.
 pub(super) fn noise(survey: &Survey) -> Vec<Part<'_>> {
     let receivers = with_samples(survey).filter(|(channel, values)| channel.is_echo() && values.free() > 0);
-    let part = |(channel, values): (Channel, _)| (format!("samples free of signal, {}", name_of(channel)), values);
+    let part =
+        |(channel, values): (Channel, _)| (format!("samples free of signal, {}", name_of(channel)), values);
     let quantity = "sample, DN";
     receivers
         .map(part)
-        .map(|(title, values): (String, &Samples)| Part { title, quantity, histogram: values.free_dn(), zero: 0.0 })
+        .map(|(title, values): (String, &Samples)| Part {
+            title,
+            quantity,
+            histogram: values.free_dn(),
+            zero: 0.0,
+        })
         .collect()
 }
 

@@ -70,7 +70,8 @@ impl Section {
 fn about_file(file: &Path, survey: &Survey) -> Section {
     let mut section = Section::new("File");
     section.say("file", file.display().to_string());
-    section.say_if("size", std::fs::metadata(file).ok().map(|about| format!("{} bytes", grouped(about.len()))));
+    section
+        .say_if("size", std::fs::metadata(file).ok().map(|about| format!("{} bytes", grouped(about.len()))));
     let Some(input) = &survey.input else {
         section.say("content", "no shots");
         return section;
@@ -79,11 +80,14 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
     section.say_if("instrument", input.instrument.clone());
     section.say_if("serial number", input.serial.clone());
     section.say_if("recorded", recorded(input));
-    section.say("frame", match input.frame {
-        Frame::Scanner => "the scanner's",
-        Frame::Body => "the aircraft's",
-        Frame::Map => "a map or the earth",
-    });
+    section.say(
+        "frame",
+        match input.frame {
+            Frame::Scanner => "the scanner's",
+            Frame::Body => "the aircraft's",
+            Frame::Map => "a map or the earth",
+        },
+    );
     if input.frame == Frame::Map {
         section.say("coordinate system", input.crs_wkt.as_deref().map_or("not given".into(), crs_name));
     }
@@ -92,12 +96,15 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
     section.say("sampling interval", format!("{} ns", number(input.sampling_interval_ns, 6)));
     let full = input.full_scale_dn.map_or("not known".into(), |full| format!("{full} DN"));
     section.say("largest sample", full);
-    section.say("moment of emission", match input.emission_reference {
-        EmissionReference::OutgoingPulse => "outgoing pulse of each shot",
-        EmissionReference::OutgoingPulseFraction => "outgoing pulse of each shot, without its start time",
-        EmissionReference::ReturnLocations => "locations of the file's own returns",
-        EmissionReference::Clock => "the shot's clock",
-    });
+    section.say(
+        "moment of emission",
+        match input.emission_reference {
+            EmissionReference::OutgoingPulse => "outgoing pulse of each shot",
+            EmissionReference::OutgoingPulseFraction => "outgoing pulse of each shot, without its start time",
+            EmissionReference::ReturnLocations => "locations of the file's own returns",
+            EmissionReference::Clock => "the shot's clock",
+        },
+    );
     section.say("tables", tables(input));
     section
 }
@@ -169,7 +176,8 @@ fn gaps(intervals: &Intervals, unit: &str) -> String {
     let (Some(longest), Some([usual_ps, _])) = (intervals.longest_gap(), intervals.usual_ps()) else {
         return "none".into();
     };
-    let at = if longest.gps_time_s.is_finite() { format!(", {:.6} s", longest.gps_time_s) } else { String::new() };
+    let at =
+        if longest.gps_time_s.is_finite() { format!(", {:.6} s", longest.gps_time_s) } else { String::new() };
     format!(
         "{} of more than 2.5 {unit}, the longest {} ({:.0} {unit}) before shot {}{at}",
         grouped(intervals.gaps()),
@@ -179,23 +187,37 @@ fn gaps(intervals: &Intervals, unit: &str) -> String {
     )
 }
 
+/// Times of LAS are doubles of up to a billion seconds, often written with microseconds: intervals that vary by less
+/// may not vary at all, ps.
+const COARSE_LAS_PS: f64 = 1e6;
+/// Fewer line periods do not show which one is usual.
+const LEAST_LINES: u64 = 3;
+
 fn rates(survey: &Survey) -> Section {
     let mut section = Section::new("Rates");
     let input = survey.input.as_ref();
     let nominal = input.and_then(|input| input.pulse_rate_hz);
-    section.say("pulse rate, nominal", nominal.map_or("not given".into(), |hz| format!("{} Hz", number(hz, 3))));
-    if let Some([mean_ps, sd_ps]) = survey.times.shots.usual_ps().filter(|[mean_ps, _]| *mean_ps > 0.0) {
+    section
+        .say("pulse rate, nominal", nominal.map_or("not given".into(), |hz| format!("{} Hz", number(hz, 3))));
+    let shots = &survey.times.shots;
+    if let Some([mean_ps, sd_ps]) = shots.usual_ps().filter(|[mean_ps, _]| *mean_ps > 0.0) {
         section.say("pulse rate, measured", format!("{:.1} Hz ({:.6} µs)", 1e12 / mean_ps, mean_ps * 1e-6));
-        // Times of LAS are doubles of up to a billion seconds.
-        let coarse = input.is_some_and(|input| input.format.starts_with("LAS "));
-        let remark = if coarse { "; the format's times resolve 0.1 µs at worst" } else { "" };
-        section.say("modulation of the interval", format!("{:.3} ns rms{remark}", sd_ps * 1e-3));
+        let step_ps = shots.step_ps().unwrap_or(0) as f64;
+        let is_las = input.is_some_and(|input| input.format.starts_with("LAS "));
+        let modulation = if sd_ps > 0.0 && step_ps > sd_ps {
+            format!("not to be told: the clock has steps of {} ns", number(step_ps * 1e-3, 3))
+        } else if is_las && sd_ps < COARSE_LAS_PS {
+            "not to be told: times of LAS are too coarse".to_owned()
+        } else {
+            format!("{:.3} ns rms", sd_ps * 1e-3)
+        };
+        section.say("modulation of the interval", modulation);
     } else {
         section.say("pulse rate, measured", "not to be told");
     }
-    if let Some([mean_ps, _]) = survey.times.lines.usual_ps().filter(|[mean_ps, _]| *mean_ps > 0.0) {
-        section.say("scan line rate", format!("{:.3} lines/s", 1e12 / mean_ps));
-    }
+    let lines = &survey.times.lines;
+    let line_ps = lines.usual_ps().filter(|[mean_ps, _]| *mean_ps > 0.0 && lines.count() >= LEAST_LINES);
+    section.say_if("scan line rate", line_ps.map(|[mean_ps, _]| format!("{:.3} lines/s", 1e12 / mean_ps)));
     section
 }
 
@@ -230,7 +252,7 @@ fn blocks(survey: &Survey) -> Section {
         .collect();
     section.say("shots by number of blocks", few.join("   "));
     let online = survey.shots.online;
-    let told = || format!("{} of {} shots", grouped(online[0]), grouped(online[1]));
+    let told = || format!("{} in {} shots", grouped(online[0]), grouped(online[1]));
     section.say("instrument's own returns", if online[0] > 0 { told() } else { "none".into() });
     section.say("pulses in the air", zones(survey));
     if let Some(range) = survey.ranges_m.range() {
@@ -282,8 +304,10 @@ fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, ch
                 let phases: Vec<String> = phases.iter().map(|dn| format!("{dn:.2}")).collect();
                 section.say("background", format!("{} DN, by sample phase", phases.join(" ")));
                 section.say("noise", format!("{sd_dn:.3} DN, from {} samples", grouped(values.free())));
-                let lags: Vec<String> = values.noise_autocorrelation().iter().map(|r| format!("{r:.2}")).collect();
-                section.say("noise autocorrelation", format!("{} at lags 1 to {}", lags.join(" "), lags.len()));
+                let lags: Vec<String> =
+                    values.noise_autocorrelation().iter().map(|r| format!("{r:.2}")).collect();
+                section
+                    .say("noise autocorrelation", format!("{} at lags 1 to {}", lags.join(" "), lags.len()));
             }
             _ => section.say("noise", "no samples free of signal"),
         }
@@ -294,12 +318,19 @@ fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, ch
         let (least, median, largest) = (least - zero, median - zero, largest - zero);
         section.say("peaks", format!("{least:.1} to {largest:.1} DN, median {median:.1} DN, {above}"));
     }
-    section.say("saturated", match values.saturated() {
-        None => "the largest sample is not known".to_owned(),
-        Some([samples, blocks]) => {
-            format!("{} of the samples, {} of the blocks", share(samples, seen.samples), share(blocks, seen.blocks))
-        }
-    });
+    section.say(
+        "saturated",
+        match values.saturated() {
+            None => "the largest sample is not known".to_owned(),
+            Some([samples, blocks]) => {
+                format!(
+                    "{} of the samples, {} of the blocks",
+                    share(samples, seen.samples),
+                    share(blocks, seen.blocks)
+                )
+            }
+        },
+    );
 }
 
 fn flight(survey: &Survey) -> Section {
