@@ -158,7 +158,7 @@ struct ScanArgs {
     file: PathBuf,
     /// Do not look at samples: nothing on noise, amplitudes and ranges
     ///
-    /// Waveform packets of LAS, the .wvs file of PulseWaves and the samples of containers are not read or unpacked;
+    /// Waveform packets of LAS and the .wvs file of PulseWaves stay unread, samples of containers are not looked at;
     /// RIEGL's library, which reads SDF, does so all the same.
     #[arg(long)]
     fast: bool,

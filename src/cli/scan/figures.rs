@@ -15,7 +15,7 @@ pub(super) struct Figure {
 /// Size of a picture and the frame in it.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 270.0;
-const LEFT: f64 = 72.0;
+const LEFT: f64 = 86.0;
 const RIGHT: f64 = 546.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 218.0;
