@@ -67,7 +67,8 @@ fn simulated(keys: &str) -> Place {
 
 #[test]
 fn a_simulated_flight_is_told_as_it_was_made() {
-    let place = simulated("modulation_ns = 30\nhigh_power = true\nground_amplitude_dn = 180");
+    let place =
+        simulated("modulation_ns = 30\nhigh_power = true\nground_amplitude_dn = 180\nflying_height_m = 800");
     let out = summary(&place, &["out/flight.arrow"]);
     assert_eq!(said(&out, "Times", "shots"), "10 000");
     assert_eq!(said(&out, "Times", "gaps within lines"), "none");
@@ -99,7 +100,7 @@ fn a_simulated_flight_is_told_as_it_was_made() {
     assert_eq!(counts(&angles).iter().map(|bin| bin.1).sum::<u64>(), 10_000);
     // Straight down the ground is as far away as the aircraft is high.
     let ranges = counts(&place.text("flight_ranges.txt"));
-    assert!(ranges.iter().all(|(centre, _)| (700.0..1200.0).contains(centre)), "{:?}", ranges.first());
+    assert!(ranges.iter().all(|(centre, _)| (740.0..960.0).contains(centre)), "{:?}", ranges.first());
 
     let page = place.text("flight_scan.html");
     assert!(page.starts_with("<!DOCTYPE html>") && page.contains("prefers-color-scheme:dark"));
@@ -141,7 +142,12 @@ fn fast_leaves_the_samples_out_and_says_the_same_else() {
 fn fast_reads_no_waveforms_of_las_and_pulsewaves() {
     let las = Las::new(300);
     let waves = PulseWaves::new(300);
-    let place = Place::with(&[("a.las", &las.las()), ("b.pls", &waves.pls()), ("b.wvs", &waves.waves)]);
+    let place = Place::with(&[
+        ("a.las", &las.las()),
+        ("a.wdp", &las.packets),
+        ("b.pls", &waves.pls()),
+        ("b.wvs", &waves.waves),
+    ]);
     let (whole, fast) = (summary(&place, &["a.las"]), summary(&place, &["a.las", "--fast"]));
     for name in ["blocks", "samples of a block", "first sample after the clock"] {
         assert_eq!(said(&fast, "Channel: low power", name), said(&whole, "Channel: low power", name));
@@ -213,7 +219,7 @@ fn what_cannot_be_scanned_is_said() {
     refused(
         &["x.arrow", "--set", "read_arrow.odd_sample_shift=3"],
         2,
-        "`odd_sample_shift` it must lie between",
+        "`odd_sample_shift`: it must lie between -0.5 and 0.5\n",
     );
     assert_eq!(files(&place), Vec::<String>::new());
 }
