@@ -93,7 +93,10 @@ fn histogram(part: &Part) -> Figure {
     let steps = part.bins().filter(inside).flat_map(|(centre, count)| {
         [[centre - 0.5 * width, count as f64], [centre + 0.5 * width, count as f64]]
     });
-    let corners = [[shown[0], 0.0]].into_iter().chain(steps).chain([[shown[1], 0.0]]);
+    let steps: Vec<[f64; 2]> = steps.collect();
+    let foot = |corner: Option<&[f64; 2]>| corner.map(|[x, _]| [*x, 0.0]);
+    let ends = [foot(steps.first()), foot(steps.last())];
+    let corners = ends[0].into_iter().chain(steps.iter().copied()).chain(ends[1]);
     svg.area("bars", corners.map(|corner| axes.at(corner)));
     axes.finish(svg, &part.title, part.quantity, "count")
 }

@@ -296,11 +296,14 @@ fn receiver(survey: &Survey, channel: Channel) -> Option<Section> {
     Some(section)
 }
 
+/// Fewer samples say little of the noise.
+const LEAST_FREE: u64 = 200;
+
 fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, channel: Channel) {
     let level_dn = values.level_dn();
     if channel.is_echo() {
         match (values.background_dn(), values.noise_sd_dn()) {
-            (Some(phases), Some(sd_dn)) => {
+            (Some(phases), Some(sd_dn)) if values.free() >= LEAST_FREE => {
                 let phases: Vec<String> = phases.iter().map(|dn| format!("{dn:.2}")).collect();
                 section.say("background", format!("{} DN, by sample phase", phases.join(" ")));
                 section.say("noise", format!("{sd_dn:.3} DN, from {} samples", grouped(values.free())));
@@ -309,7 +312,9 @@ fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, ch
                 section
                     .say("noise autocorrelation", format!("{} at lags 1 to {}", lags.join(" "), lags.len()));
             }
-            _ => section.say("noise", "no samples free of signal"),
+            _ => {
+                section.say("noise", format!("not to be told: {} samples are free of signal", values.free()))
+            }
         }
     }
     let zero = level_dn.unwrap_or(0.0);
