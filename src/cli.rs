@@ -17,7 +17,9 @@ mod false_alarms;
 mod init;
 mod log;
 mod run;
+mod scan;
 mod stages;
+mod svg;
 mod terminal;
 
 use terminal::print;
@@ -94,6 +96,11 @@ enum Command {
     /// Calibrates from the recording as a run would, decomposes one shot, prints its returns with their standard
     /// deviations, and draws a picture (SVG, which any browser shows).
     Explain(ExplainArgs),
+    /// Tell what a recording holds: times, rates, lines, channels, noise, integrity
+    ///
+    /// Prints a summary and writes it beside histograms as text and a page with pictures: NAME_scan.txt, NAME_scan.html,
+    /// NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
+    Scan(ScanArgs),
     /// Print the completions of a shell
     Completions {
         /// The shell
@@ -142,6 +149,25 @@ struct ExplainArgs {
     /// The picture to write [default: STEM_shot_N.svg in the current folder]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+}
+
+/// Which recording, and how closely it is looked at.
+#[derive(Args)]
+struct ScanArgs {
+    /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow
+    file: PathBuf,
+    /// Do not look at samples: nothing on noise, amplitudes and ranges
+    ///
+    /// Waveform packets of LAS and the .wvs file of PulseWaves stay unread, samples of containers are not looked at;
+    /// RIEGL's library, which reads SDF, does so all the same.
+    #[arg(long)]
+    fast: bool,
+    /// What the files written are named after; may begin with a folder [default: STEM in the current folder]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Set a key of the reader, this time: as for `wavex run`; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    set: Vec<String>,
 }
 
 /// Which job, and what is different this time.
@@ -240,6 +266,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),
+        Command::Scan(args) => scan::scan(&args, quiet),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "wavex", &mut script);

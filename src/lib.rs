@@ -13,6 +13,7 @@ pub mod registry;
 pub mod simulation;
 pub mod stage;
 pub mod stages;
+pub mod survey;
 
 // The stages of the integration tests serve the unit tests, too: there the crate goes by its own name.
 #[cfg(test)]

@@ -50,6 +50,7 @@ Commands:
   convert       Copy recorded waveforms into the open container (Arrow)
   false-alarms  Print how many returns of noise alone each threshold lets through
   explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
+  scan          Tell what a recording holds: times, rates, lines, channels, noise, integrity
   completions   Print the completions of a shell
   help          Print this message or the help of the given subcommand(s)
 

@@ -89,11 +89,14 @@ pub struct Block {
     pub start_ns: f64,
     /// Time between samples, ns.
     pub interval_ns: f64,
-    /// The first sample's place in the arena.
+    /// The first sample's place in the arena; [`NOT_HELD`] where its samples were not read.
     first: u32,
     /// How many samples there are.
     len: u32,
 }
+
+/// Place of the samples that were not read: behind any arena.
+const NOT_HELD: u32 = u32::MAX;
 
 /// A return that the instrument itself computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -136,6 +139,20 @@ impl Blocks {
         self.arena.extend_from_slice(samples);
     }
 
+    /// Adds a block of which only the number of samples is known: [`Blocks::samples`] gives none.
+    pub fn push_without_samples(
+        &mut self,
+        emission: u32,
+        channel: Channel,
+        zone: Option<i16>,
+        start_ns: f64,
+        interval_ns: f64,
+        len: u32,
+    ) {
+        debug_assert!(self.list.last().is_none_or(|last| last.emission <= emission));
+        self.list.push(Block { emission, channel, zone, start_ns, interval_ns, first: NOT_HELD, len });
+    }
+
     /// The blocks, ordered by emission.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = &Block> + Clone + '_ {
         self.list.iter()
@@ -151,9 +168,10 @@ impl Blocks {
         self.list.is_empty()
     }
 
-    /// The samples of one of these blocks, digitiser steps.
+    /// The samples of one of these blocks, digitiser steps; none where they were not read.
     pub fn samples(&self, block: &Block) -> &[u16] {
-        &self.arena[block.first as usize..][..block.len as usize]
+        let held = self.arena.get(block.first as usize..);
+        held.and_then(|samples| samples.get(..block.len as usize)).unwrap_or_default()
     }
 
     /// The blocks of each emission that has any: `(emission, its blocks)`, in order.
@@ -189,7 +207,7 @@ impl Channel {
 }
 
 impl Block {
-    /// How many samples the block has.
+    /// How many samples the block has, whether they were read or not.
     pub fn len(&self) -> usize {
         self.len as usize
     }
@@ -220,6 +238,16 @@ mod tests {
         let samples: Vec<&[u16]> = blocks.iter().map(|block| blocks.samples(block)).collect();
         assert_eq!(samples, [&[1, 2][..], &[3, 4, 5], &[6]]);
         assert_eq!(blocks.waveforms(), 1, "a shot with only its outgoing pulse is no waveform");
+    }
+
+    #[test]
+    fn a_block_without_its_samples_still_tells_how_many_it_has() {
+        let mut blocks = Blocks::default();
+        blocks.push_without_samples(0, Channel::LowPower, None, 0.0, 1.0, 3);
+        blocks.push(0, Channel::HighPower, None, 0.0, 1.0, &[1, 2, 3, 4]);
+        let seen: Vec<(usize, &[u16])> =
+            blocks.iter().map(|block| (block.len(), blocks.samples(block))).collect();
+        assert_eq!(seen, [(3, &[][..]), (4, &[1, 2, 3, 4])]);
     }
 
     #[test]

@@ -17,7 +17,6 @@ use upstream::{Step, Upstream};
 
 mod picture;
 mod seen;
-mod svg;
 mod table;
 mod upstream;
 

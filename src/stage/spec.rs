@@ -56,6 +56,13 @@ pub trait SourceConfig: Config {
 
     /// Opens the input of a run.
     fn make(&self, site: &Site) -> Result<Box<dyn Source>>;
+
+    /// Opens the input to look it over. Unless `with_samples`, blocks may come without their samples, or not at all, as
+    /// the format allows it. A file that is cut off may give what it holds before it ends with that error.
+    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+        let _ = with_samples;
+        self.make(site)
+    }
 }
 
 /// The keys of a [`Map`].
@@ -158,6 +165,8 @@ pub trait SourcePlan: Send + Sync {
     fn outputs(&self) -> Vec<&str>;
     /// See [`SourceConfig::make`].
     fn make(&self, site: &Site) -> Result<Box<dyn Source>>;
+    /// See [`SourceConfig::make_survey`].
+    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>>;
 }
 
 /// The object-safe part of [`MapConfig`].
@@ -192,6 +201,9 @@ impl<C: SourceConfig> SourcePlan for C {
     }
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
         SourceConfig::make(self, site)
+    }
+    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+        SourceConfig::make_survey(self, site, with_samples)
     }
 }
 

@@ -59,12 +59,19 @@ impl SourceConfig for ReadLas {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        Ok(Box::new(LasSource::open(&site.input, &site.stem, self.odd_sample_shift)?))
+        self.make_survey(site, true)
+    }
+
+    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+        let source = LasSource::open(&site.input, &site.stem, self.odd_sample_shift)?;
+        Ok(Box::new(LasSource { with_samples, ..source }))
     }
 }
 
 struct LasSource {
     reader: Reader,
+    /// Else the waveform packets stay unread.
+    with_samples: bool,
     points_read: u64,
     points: u64,
     /// The point that was read last, the first of the next pulse.
@@ -99,6 +106,8 @@ struct Waveforms {
 struct Packet {
     start_ns: f64,
     interval_ns: f64,
+    n_samples: u32,
+    /// None where they are not read.
     samples: Vec<u16>,
 }
 
@@ -129,6 +138,7 @@ impl LasSource {
         let reader = Reader::open(path)?;
         let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &geometry) };
         Ok(LasSource {
+            with_samples: true,
             points_read: 0,
             points: reader.header().n_points,
             ahead: None,
@@ -214,9 +224,13 @@ impl LasSource {
                 continue;
             }
             let mut samples = Vec::new();
-            let read = self.reader.packet(&wave, &mut samples);
-            let interval_ns =
-                read.as_ref().map_or(0.0, |descriptor| f64::from(descriptor.spacing_ps) / 1000.0);
+            let read = match self.with_samples {
+                true => self.reader.packet(&wave, &mut samples),
+                false => self.reader.descriptor(&wave).copied(),
+            };
+            let (interval_ns, n_samples) = read.as_ref().map_or((0.0, 0), |descriptor| {
+                (f64::from(descriptor.spacing_ps) / 1000.0, descriptor.samples)
+            });
             if !self.broken.accepts(read, cx, Item::Blocks, "a point's waveform that cannot be read")? {
                 continue;
             }
@@ -232,7 +246,7 @@ impl LasSource {
                     amplitude: f32::from(point.intensity),
                 });
             }
-            found.packets.push(Packet { start_ns, interval_ns, samples });
+            found.packets.push(Packet { start_ns, interval_ns, n_samples, samples });
         }
         found.online.sort_by(|a, b| a.time_ns.total_cmp(&b.time_ns));
         Ok(found)
@@ -242,7 +256,13 @@ impl LasSource {
         let index = self.lines.add(shot.emission);
         let blocks = self.lines.blocks();
         for packet in &shot.waveforms.packets {
-            blocks.push(index, Channel::LowPower, None, packet.start_ns, packet.interval_ns, &packet.samples);
+            let (start_ns, interval_ns) = (packet.start_ns, packet.interval_ns);
+            if self.with_samples {
+                blocks.push(index, Channel::LowPower, None, start_ns, interval_ns, &packet.samples);
+            } else {
+                let n_samples = packet.n_samples;
+                blocks.push_without_samples(index, Channel::LowPower, None, start_ns, interval_ns, n_samples);
+            }
         }
         if self.geometry.has_locations {
             blocks.online.extend(
@@ -259,8 +279,12 @@ impl Source for LasSource {
                 self.add(shot);
             }
             if !self.next_pulse(cx)? {
+                // A file that is cut off ends with an error, behind all that it holds.
+                if let Some(line) = self.lines.take() {
+                    return Ok(Some(line));
+                }
                 self.broken.check_at_end()?;
-                return Ok(self.lines.take());
+                return Ok(None);
             }
             let Some(shot) = self.shot(cx)? else { continue };
             let ends = self.lines.ends_before(&shot.emission);

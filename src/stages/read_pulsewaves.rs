@@ -59,12 +59,21 @@ impl SourceConfig for ReadPulseWaves {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        Ok(Box::new(PulseWavesSource::open(&site.input, &site.stem, self.odd_sample_shift)?))
+        let source = PulseWavesSource::open(&site.input, &site.stem, self.odd_sample_shift)?;
+        source.reader.check_complete()?;
+        Ok(Box::new(source))
+    }
+
+    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+        let source = PulseWavesSource::open(&site.input, &site.stem, self.odd_sample_shift)?;
+        Ok(Box::new(PulseWavesSource { with_samples, ..source }))
     }
 }
 
 struct PulseWavesSource {
     reader: Reader,
+    /// Else the waves file stays unread, and shots have no blocks.
+    with_samples: bool,
     next_pulse: u64,
     waves: Waves,
     lines: Lines,
@@ -105,7 +114,6 @@ const NO_HEIGHT_M: f64 = 50_000.0;
 impl PulseWavesSource {
     fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<PulseWavesSource> {
         let mut reader = Reader::open(path)?;
-        reader.check_complete()?;
         let beams = look_at_beams(&mut reader)?;
         let single = returning_channels(&reader).len() < 2;
         let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &beams) };
@@ -113,6 +121,7 @@ impl PulseWavesSource {
         let first_t = reader.header().min_t;
         Ok(PulseWavesSource {
             reader,
+            with_samples: true,
             next_pulse: 0,
             waves: Waves::new(),
             lines: Lines::new(input),
@@ -171,16 +180,24 @@ impl Source for PulseWavesSource {
                 self.add(shot, cx);
             }
             if self.next_pulse == self.reader.pulse_count() {
+                // A file that is cut off ends with an error, behind all that it holds.
+                if let Some(line) = self.lines.take() {
+                    return Ok(Some(line));
+                }
                 self.broken.check_at_end()?;
+                self.reader.check_complete()?;
                 if self.reader.stray_bytes() > 0 {
                     let stray = self.reader.stray_bytes();
                     cx.note(format!("the {stray} bytes behind the last pulse are no records: the file may be cut off, and lack a coordinate system or tables"));
                 }
-                return Ok(self.lines.take());
+                return Ok(None);
             }
             let pulse = self.reader.pulse(self.next_pulse)?;
             self.next_pulse += 1;
-            let read = self.reader.waves(&pulse, &mut self.waves);
+            let read = match self.with_samples {
+                true => self.reader.waves(&pulse, &mut self.waves),
+                false => Ok(()),
+            };
             if !self.broken.accepts(read, cx, Item::Shots, "a pulse whose waves cannot be read")? {
                 continue;
             }

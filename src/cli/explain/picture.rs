@@ -1,8 +1,8 @@
 //! The picture of a shot: its samples with their fit, what the fit leaves, and the outgoing pulse.
 
 use super::seen::{Explained, PER_SAMPLE, SeenBlock, SeenPulse, SeenSamples};
-use super::svg::{Anchor, Scale, Svg};
 use super::table;
+use crate::cli::svg::{Anchor, Scale, Svg};
 
 /// Places in the picture, in its own units.
 const LEFT: f64 = 66.0;

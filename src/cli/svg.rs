@@ -3,13 +3,13 @@
 use std::fmt::Write;
 
 /// A picture that grows element by element. Looks come from the classes of its style sheet.
-pub(super) struct Svg {
+pub(in crate::cli) struct Svg {
     body: String,
 }
 
 /// On which side of its place a text stands.
 #[derive(Clone, Copy)]
-pub(super) enum Anchor {
+pub(in crate::cli) enum Anchor {
     Start,
     Middle,
     End,
@@ -43,12 +43,12 @@ text{fill:#ccc}.page{fill:#16181c}.title,.num{fill:#f2f2f2}.note{fill:#999}
 ";
 
 impl Svg {
-    pub(super) fn new() -> Svg {
+    pub(in crate::cli) fn new() -> Svg {
         Svg { body: String::new() }
     }
 
     /// The whole document.
-    pub(super) fn finish(self, width: f64, height: f64, title: &str) -> String {
+    pub(in crate::cli) fn finish(self, width: f64, height: f64, title: &str) -> String {
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
              viewBox=\"0 0 {width} {height}\" role=\"img\">\n<title>{}</title>\n<style>\n{STYLE}</style>\n\
@@ -58,7 +58,15 @@ impl Svg {
         )
     }
 
-    pub(super) fn line(&mut self, class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
+    /// The picture as a part of a page, whose style sheet gives the looks.
+    pub(in crate::cli) fn inline(self, width: f64, height: f64, title: &str) -> String {
+        let (title, body) = (escaped(title), self.body);
+        format!(
+            "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{title}\">\n<title>{title}</title>\n{body}</svg>\n"
+        )
+    }
+
+    pub(in crate::cli) fn line(&mut self, class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
         let _ = writeln!(
             self.body,
             "<line class=\"{class}\" x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\"/>"
@@ -66,7 +74,7 @@ impl Svg {
     }
 
     /// A rectangle from its upper left to its lower right corner.
-    pub(super) fn rect(&mut self, class: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
+    pub(in crate::cli) fn rect(&mut self, class: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
         let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
         let _ = writeln!(
             self.body,
@@ -74,18 +82,24 @@ impl Svg {
         );
     }
 
-    pub(super) fn circle(&mut self, class: &str, [x, y]: [f64; 2], radius: f64) {
+    pub(in crate::cli) fn circle(&mut self, class: &str, [x, y]: [f64; 2], radius: f64) {
         let _ = writeln!(self.body, "<circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\"/>");
     }
 
-    pub(super) fn curve(&mut self, class: &str, points: impl Iterator<Item = [f64; 2]>) {
+    pub(in crate::cli) fn curve(&mut self, class: &str, points: impl Iterator<Item = [f64; 2]>) {
         let points: Vec<String> = points.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
         if points.len() > 1 {
             let _ = writeln!(self.body, "<polyline class=\"{class}\" points=\"{}\"/>", points.join(" "));
         }
     }
 
-    pub(super) fn text(&mut self, class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
+    /// A surface between these corners.
+    pub(in crate::cli) fn area(&mut self, class: &str, corners: impl Iterator<Item = [f64; 2]>) {
+        let corners: Vec<String> = corners.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+        let _ = writeln!(self.body, "<polygon class=\"{class}\" points=\"{}\"/>", corners.join(" "));
+    }
+
+    pub(in crate::cli) fn text(&mut self, class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
         let (anchor, text) = (anchor.name(), escaped(text));
         let _ = writeln!(
             self.body,
@@ -94,7 +108,7 @@ impl Svg {
     }
 
     /// A text that is read from below, around its middle.
-    pub(super) fn upright_text(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
+    pub(in crate::cli) fn upright_text(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
         let _ = writeln!(
             self.body,
             "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\" \
@@ -105,7 +119,7 @@ impl Svg {
 }
 
 /// A text as XML holds it.
-fn escaped(text: &str) -> String {
+pub(in crate::cli) fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for character in text.chars() {
         match character {
@@ -123,20 +137,20 @@ fn escaped(text: &str) -> String {
 
 /// A scale from values to places: value `from[0]` stands at `to[0]`.
 #[derive(Clone, Copy)]
-pub(super) struct Scale {
-    pub(super) from: [f64; 2],
-    pub(super) to: [f64; 2],
+pub(in crate::cli) struct Scale {
+    pub(in crate::cli) from: [f64; 2],
+    pub(in crate::cli) to: [f64; 2],
 }
 
 impl Scale {
-    pub(super) fn at(&self, value: f64) -> f64 {
+    pub(in crate::cli) fn at(&self, value: f64) -> f64 {
         let [a, b] = self.from;
         let span = if b - a == 0.0 { 1.0 } else { b - a };
         self.to[0] + (value - a) / span * (self.to[1] - self.to[0])
     }
 
     /// Round values within the scale, about so many, and their digits behind the point.
-    pub(super) fn ticks(&self, wanted: f64) -> (Vec<f64>, usize) {
+    pub(in crate::cli) fn ticks(&self, wanted: f64) -> (Vec<f64>, usize) {
         let span = (self.from[1] - self.from[0]).abs().max(1e-9);
         let raw = span / wanted.max(1.0);
         let unit = 10f64.powf(raw.log10().floor());

@@ -1,0 +1,89 @@
+//! `wavex scan`: what a recording holds, as a summary, as histograms, and as a page with pictures.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::{Failure, ScanArgs, convert, terminal};
+use crate::formats::Error;
+use crate::job::{Job, Override};
+use crate::kernels::lockstep;
+use crate::stage::{Context, OutputFile, Plan, Site, StageError, WholeFile};
+use crate::survey::Survey;
+use summary::Summary;
+
+mod figures;
+mod histograms;
+mod page;
+mod summary;
+
+/// Looks a recording over, writes what was seen, and prints the summary.
+///
+/// A file that cannot be read to its end is an error as elsewhere, but what could be read is told and written before.
+pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
+    let (survey, cx, ended) = look(args)?;
+    if let Err(error) = &ended
+        && survey.shots.count == 0
+    {
+        return Err(failed(error));
+    }
+    let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let name = args.name.clone().unwrap_or(stem);
+    let cut = ended.as_ref().err().map(ToString::to_string);
+    let summary = Summary::of(&args.file, &survey, cx.counters(), cut.as_deref());
+    let text = summary.text();
+    let mut files = vec![(format!("{name}_scan.txt"), text.clone())];
+    files.extend(
+        histograms::files(&survey).into_iter().map(|(what, text)| (format!("{name}_{what}.txt"), text)),
+    );
+    files.push((format!("{name}_scan.html"), page::page(&summary, &survey)));
+    let written = write(&files).map_err(|error| failed(&error))?;
+    if !quiet {
+        terminal::print(&format!("{text}\nwrote {}\n", written.join(", ")))?;
+    }
+    ended.map_err(|error| failed(&error))
+}
+
+/// Reads the recording from beginning to end, or to where it cannot be read any further.
+fn look(args: &ScanArgs) -> Result<(Survey, Context, Result<(), StageError>), Failure> {
+    let file = args.file.display().to_string();
+    let reader = convert::reader_of(&file).map_err(Failure::Wrong)?;
+    let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(file));
+    let overrides: Vec<Override> = args.set.iter().map(Override::new).collect();
+    let job = Job::parse("the job of `wavex scan`", &text, &overrides)?;
+    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
+        return Err(Failure::Run("the job has no source; report this as a defect of wavex".into()));
+    };
+    let here = || PathBuf::from(".");
+    let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let simd = lockstep::Path::Portable;
+    let site =
+        Site { input: args.file.clone(), stem, input_dir: here(), output_dir: here(), threads: 1, simd };
+    let with_samples = !args.fast;
+    let mut source = source.make_survey(&site, with_samples).map_err(|error| failed(&error))?;
+    let (mut survey, mut cx) = (Survey::new(with_samples), Context::default());
+    let ended = loop {
+        match source.next(&mut cx) {
+            Ok(Some(line)) => survey.add(&line),
+            Ok(None) => break Ok(()),
+            Err(error) => break Err(error),
+        }
+    };
+    survey.finish();
+    Ok((survey, cx, ended))
+}
+
+/// Writes files, which get their names when all of them are whole.
+fn write(files: &[(String, String)]) -> Result<Vec<String>, Error> {
+    let mut whole: Vec<WholeFile> = Vec::new();
+    for (name, text) in files {
+        let path = Path::new(name);
+        let mut file = OutputFile::create(path)?;
+        file.write_all(text.as_bytes()).map_err(Error::io(path, "write"))?;
+        whole.push(file.finish()?);
+    }
+    whole.into_iter().map(|file| file.publish().map(|path| path.display().to_string())).collect()
+}
+
+fn failed(error: &dyn std::fmt::Display) -> Failure {
+    Failure::Run(error.to_string())
+}

@@ -1,0 +1,398 @@
+//! A recording at a glance: what its shots, lines, blocks and samples are like, in one pass and bounded memory.
+//!
+//! [`Survey`] is given the lines of a reader one after the other. Everything it keeps has a fixed size: counts,
+//! histograms whose bins double their width, and a few shots to look at. What it tells depends on the lines alone.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::batch::{
+    Batch, Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, emission_flags,
+};
+
+mod histogram;
+mod intervals;
+mod samples;
+#[cfg(test)]
+mod tests;
+mod thinned;
+
+pub use histogram::Histogram;
+pub use intervals::{Intervals, LongInterval};
+pub use samples::{Peak, Samples, peak_of};
+pub use thinned::Thinned;
+
+/// Bins of a histogram, at most.
+const BINS: usize = 400;
+/// Shots whose angles are kept, and whose waveforms are, at most.
+const ANGLES: usize = 4000;
+const WAVEFORMS: usize = 8;
+/// Samples of a block that are kept with its waveform, at most.
+const SHOWN_SAMPLES: usize = 1000;
+/// A mean of a geocentric frame's coordinates is farther from zero than this, m.
+const NO_MAP_M: f64 = 5e6;
+
+/// What was seen of a recording.
+#[derive(Debug)]
+pub struct Survey {
+    /// What is known of the recording; `None` until a line has come.
+    pub input: Option<Arc<InputInfo>>,
+    /// Whether samples were looked at.
+    pub with_samples: bool,
+    /// Shots.
+    pub shots: Shots,
+    /// When they were fired.
+    pub times: Times,
+    /// Scan lines.
+    pub lines: Lines,
+    /// The channels, as [`Channel`] orders them.
+    pub channels: [ChannelSurvey; 4],
+    /// Echo blocks of a shot.
+    pub blocks_per_shot: Histogram,
+    /// Echo blocks by zone; `None`: unresolved.
+    pub zones: BTreeMap<Option<i16>, u64>,
+    /// Angles of the beams, degrees.
+    pub angles_deg: Histogram,
+    /// What these angles are; `None` without any.
+    pub angle: Option<Angle>,
+    /// Time since the first shot (s) and angle (degrees) of some shots.
+    pub angles_over_time: Thinned<[f64; 2]>,
+    /// Time since the first shot at which shots with echo blocks, and echo blocks, were recorded, s.
+    pub blocks_over_time_s: Histogram,
+    /// Ranges of the highest peak of each echo block, m.
+    pub ranges_m: Histogram,
+    /// Some shots with their blocks.
+    pub waveforms: Thinned<Waveform>,
+}
+
+/// Counts of shots.
+#[derive(Debug, Default)]
+pub struct Shots {
+    /// All of them.
+    pub count: u64,
+    /// With at least one echo block.
+    pub with_echoes: u64,
+    /// Fired while the mirror moved in the positive direction.
+    pub positive_direction: u64,
+    /// Synchronised with GPS.
+    pub synchronised: u64,
+    /// Synchronised within the last second.
+    pub synchronised_within_last_second: u64,
+    /// By mirror facet.
+    pub by_facet: BTreeMap<u16, u64>,
+    /// Returns that the instrument computed, and shots with any.
+    pub online: [u64; 2],
+}
+
+/// When shots were fired.
+#[derive(Debug, Default)]
+pub struct Times {
+    /// GPS times of the first and of the last shot that have one, s.
+    pub first_last_s: Option<[f64; 2]>,
+    /// The earliest and the latest of them, s.
+    pub range_s: Option<[f64; 2]>,
+    /// Shots without a time.
+    pub without: u64,
+    /// How often the clock runs backwards from one shot to the next, and the first shot behind such a step.
+    pub backwards: (u64, Option<u64>),
+    /// From shot to shot within a line.
+    pub shots: Intervals,
+    /// From the first shot of a line to that of the next.
+    pub lines: Intervals,
+    last: Option<(i64, u64)>,
+    line_start_ps: Option<i64>,
+    first_clock_ps: Option<i64>,
+}
+
+/// Scan lines.
+#[derive(Debug)]
+pub struct Lines {
+    /// How many there are.
+    pub count: u64,
+    /// Shots of a line.
+    pub shots: Histogram,
+    /// Number of the line at hand, and its shots.
+    at: Option<(u32, u64)>,
+}
+
+/// What one channel recorded.
+#[derive(Debug)]
+pub struct ChannelSurvey {
+    /// Sample blocks.
+    pub blocks: u64,
+    /// Samples in them.
+    pub samples: u64,
+    /// Samples of a block.
+    pub lengths: Histogram,
+    /// Time of a block's first sample after the shot's clock, ns.
+    pub starts_ns: Histogram,
+    /// What the samples tell, where they were looked at.
+    pub values: Option<Samples>,
+}
+
+/// What an angle of a beam is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Angle {
+    /// The recording's own scan angle, positive to the right.
+    Scan,
+    /// From straight down; never negative.
+    FromNadir,
+    /// From the frame's third axis, either way; never negative.
+    FromAxis,
+}
+
+/// A shot to look at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Waveform {
+    /// Its number.
+    pub shot: u64,
+    /// Its echo blocks.
+    pub blocks: Vec<ShownBlock>,
+}
+
+/// A block of a shot to look at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShownBlock {
+    /// The receiver.
+    pub channel: Channel,
+    /// Time of the first sample after the shot's clock, ns.
+    pub start_ns: f64,
+    /// Time between samples, ns.
+    pub interval_ns: f64,
+    /// At most 1000 samples, DN.
+    pub samples_dn: Vec<u16>,
+}
+
+impl Survey {
+    /// Nothing seen yet; samples are looked at if `with_samples`.
+    pub fn new(with_samples: bool) -> Survey {
+        let channel = || ChannelSurvey {
+            blocks: 0,
+            samples: 0,
+            lengths: Histogram::of_whole_numbers(BINS),
+            starts_ns: Histogram::new(0.125, BINS),
+            values: None,
+        };
+        Survey {
+            input: None,
+            with_samples,
+            shots: Shots::default(),
+            times: Times::default(),
+            lines: Lines { count: 0, shots: Histogram::of_whole_numbers(8192), at: None },
+            channels: [channel(), channel(), channel(), channel()],
+            blocks_per_shot: Histogram::of_whole_numbers(64),
+            zones: BTreeMap::new(),
+            angles_deg: Histogram::new(0.125, BINS),
+            angle: None,
+            angles_over_time: Thinned::new(ANGLES),
+            blocks_over_time_s: Histogram::new(1.0 / 1024.0, BINS),
+            ranges_m: Histogram::new(0.125, BINS),
+            waveforms: Thinned::new(WAVEFORMS),
+        }
+    }
+
+    /// Looks at a line.
+    pub fn add(&mut self, batch: &Batch) {
+        if self.input.is_none() {
+            let full_scale_dn = batch.input.full_scale_dn;
+            for channel in self.channels.iter_mut().filter(|_| self.with_samples) {
+                channel.values = Some(Samples::new(full_scale_dn));
+            }
+            self.input = Some(Arc::clone(&batch.input));
+        }
+        let none = Blocks::default();
+        let blocks = batch.blocks().unwrap_or(&none);
+        let mut by_emission = blocks.by_emission().peekable();
+        let is_new_line = self.lines.at.is_none_or(|(line, _)| line != batch.line);
+        for (index, emission) in batch.emissions.iter().enumerate() {
+            self.add_shot(batch, emission, is_new_line && index == 0);
+            let of_shot = by_emission.next_if(|(of, _)| *of as usize == index).map_or(&[][..], |(_, of)| of);
+            self.add_blocks(batch, emission, blocks, of_shot);
+            let online = blocks.online_of(index as u32).len() as u64;
+            self.shots.online[0] += online;
+            self.shots.online[1] += u64::from(online > 0);
+        }
+    }
+
+    /// Says that no line follows.
+    pub fn finish(&mut self) {
+        self.lines.end();
+        self.times.shots.finish();
+        self.times.lines.finish();
+        self.channels.iter_mut().filter_map(|channel| channel.values.as_mut()).for_each(Samples::finish);
+    }
+
+    /// What was recorded of a channel.
+    pub fn channel(&self, channel: Channel) -> &ChannelSurvey {
+        &self.channels[channel as usize]
+    }
+
+    /// Whether ranges count from the first sample instead of from the scanner, which the format does not tell.
+    pub fn ranges_from_first_sample(&self) -> bool {
+        self.input.as_ref().is_some_and(|input| {
+            input.emission_reference == EmissionReference::ReturnLocations || input.format.starts_with("LAS ")
+        })
+    }
+
+    fn add_shot(&mut self, batch: &Batch, emission: &Emission, begins_line: bool) {
+        if begins_line {
+            self.lines.begin(batch.line);
+        }
+        self.lines.add_shot();
+        self.times.add(emission, begins_line);
+        let shots = &mut self.shots;
+        shots.count += 1;
+        *shots.by_facet.entry(emission.facet).or_default() += 1;
+        let has = |flag: u16| u64::from(emission.flags & flag != 0);
+        shots.synchronised += has(emission_flags::SYNCHRONISED);
+        shots.synchronised_within_last_second += has(emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND);
+        shots.positive_direction += has(emission_flags::SCAN_DIRECTION_POSITIVE);
+        let (angle, deg) = angle_of(emission, batch.input.frame);
+        self.angle = self.angle.or(Some(angle)).filter(|_| deg.is_finite()).or(self.angle);
+        self.angles_deg.add(deg);
+        let time_s = self.times.since_first_s(emission);
+        if deg.is_finite() && time_s.is_finite() {
+            self.angles_over_time.add(|| [time_s, deg]);
+        }
+    }
+
+    fn add_blocks(&mut self, batch: &Batch, emission: &Emission, blocks: &Blocks, of_shot: &[Block]) {
+        let echoes = of_shot.iter().filter(|block| block.channel.is_echo()).count();
+        self.blocks_per_shot.add(echoes as f64);
+        self.shots.with_echoes += u64::from(echoes > 0);
+        let mut emission_ns = 0.0;
+        if self.with_samples {
+            let reference = of_shot.iter().find(|block| block.channel == Channel::Reference);
+            emission_ns =
+                reference.map_or(0.0, |block| emission_ns_of(block, blocks.samples(block), &batch.input));
+        }
+        let time_s = self.times.since_first_s(emission);
+        for block in of_shot {
+            let channel = &mut self.channels[block.channel as usize];
+            let peak = channel.add(block, blocks.samples(block));
+            if !block.channel.is_echo() {
+                continue;
+            }
+            *self.zones.entry(block.zone.or(emission.mta_zone)).or_default() += 1;
+            self.blocks_over_time_s.add(time_s);
+            if let Some(peak) = peak {
+                let flight_ns = block.time_ns(peak.position_samples) - emission_ns;
+                self.ranges_m.add(flight_ns * 0.5e-9 * batch.input.group_velocity_mps);
+            }
+        }
+        if self.with_samples && echoes > 0 {
+            self.waveforms.add(|| Waveform::of(emission.shot, blocks, of_shot));
+        }
+    }
+}
+
+impl ChannelSurvey {
+    fn add(&mut self, block: &Block, samples: &[u16]) -> Option<Peak> {
+        self.blocks += 1;
+        self.samples += block.len() as u64;
+        self.lengths.add(block.len() as f64);
+        self.starts_ns.add(block.start_ns);
+        self.values.as_mut().and_then(|values| values.add(samples))
+    }
+}
+
+impl Times {
+    fn add(&mut self, emission: &Emission, begins_line: bool) {
+        let time_s = emission.gps_time_s;
+        if time_s.is_finite() {
+            let first = self.first_last_s.map_or(time_s, |[first, _]| first);
+            self.first_last_s = Some([first, time_s]);
+            let [least, largest] = self.range_s.unwrap_or([time_s, time_s]);
+            self.range_s = Some([least.min(time_s), largest.max(time_s)]);
+        } else {
+            self.without += 1;
+        }
+        let clock_ps = emission.clock_ps;
+        self.first_clock_ps.get_or_insert(clock_ps);
+        let since = |earlier_ps: i64| u64::try_from(clock_ps.saturating_sub(earlier_ps)).ok();
+        match self.last.map(|(last_ps, _)| since(last_ps)) {
+            Some(None) => {
+                self.backwards.0 += 1;
+                self.backwards.1.get_or_insert(emission.shot);
+            }
+            Some(Some(ps)) if !begins_line => self.shots.add(ps, emission.shot, time_s),
+            _ => {}
+        }
+        if begins_line {
+            if let Some(ps) = self.line_start_ps.and_then(since) {
+                self.lines.add(ps, emission.shot, time_s);
+            }
+            self.line_start_ps = Some(clock_ps);
+        }
+        self.last = Some((clock_ps, emission.shot));
+    }
+
+    /// Time since the first shot, s: by GPS where there are times, else by the instrument's clock.
+    fn since_first_s(&self, emission: &Emission) -> f64 {
+        match self.first_last_s {
+            Some([first_s, _]) => emission.gps_time_s - first_s,
+            None => (emission.clock_ps as f64 - self.first_clock_ps.unwrap_or(0) as f64) * 1e-12,
+        }
+    }
+}
+
+impl Lines {
+    fn begin(&mut self, line: u32) {
+        self.end();
+        self.count += 1;
+        self.at = Some((line, 0));
+    }
+
+    fn add_shot(&mut self) {
+        if let Some((_, shots)) = &mut self.at {
+            *shots += 1;
+        }
+    }
+
+    fn end(&mut self) {
+        if let Some((_, shots)) = self.at.take() {
+            self.shots.add(shots as f64);
+        }
+    }
+}
+
+impl Waveform {
+    fn of(shot: u64, blocks: &Blocks, of_shot: &[Block]) -> Waveform {
+        let shown = |block: &Block| ShownBlock {
+            channel: block.channel,
+            start_ns: block.start_ns,
+            interval_ns: block.interval_ns,
+            samples_dn: blocks.samples(block).iter().take(SHOWN_SAMPLES).copied().collect(),
+        };
+        Waveform { shot, blocks: of_shot.iter().filter(|block| block.channel.is_echo()).map(shown).collect() }
+    }
+}
+
+/// When a shot left, after its clock, ns, by the peak of its outgoing pulse.
+fn emission_ns_of(block: &Block, samples: &[u16], input: &InputInfo) -> f64 {
+    let Some(peak) = peak_of(samples) else { return 0.0 };
+    match input.emission_reference {
+        EmissionReference::OutgoingPulse => block.time_ns(peak.position_samples),
+        EmissionReference::OutgoingPulseFraction => {
+            (peak.position_samples - peak.position_samples.round()) * block.interval_ns
+        }
+        EmissionReference::ReturnLocations | EmissionReference::Clock => 0.0,
+    }
+}
+
+/// The angle of a beam, degrees, and what it is.
+fn angle_of(emission: &Emission, frame: Frame) -> (Angle, f64) {
+    if emission.scan_angle_deg.is_finite() {
+        return (Angle::Scan, f64::from(emission.scan_angle_deg));
+    }
+    let [x, y, z] = emission.direction;
+    if frame != Frame::Map {
+        return (Angle::FromAxis, z.abs().min(1.0).acos().to_degrees());
+    }
+    let origin = emission.origin_m;
+    let distance_m = origin.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let is_geocentric = distance_m > NO_MAP_M && origin[2].abs() > 50_000.0;
+    let down = if is_geocentric { origin.map(|x| -x / distance_m) } else { [0.0, 0.0, -1.0] };
+    let cosine = x * down[0] + y * down[1] + z * down[2];
+    (Angle::FromNadir, cosine.clamp(-1.0, 1.0).acos().to_degrees())
+}
