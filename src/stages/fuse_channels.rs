@@ -199,3 +199,117 @@ fn add_pairs(blocks: &Blocks, of_shot: &[Block], full_scale_dn: f64, pairs: &mut
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::{Emission, InputInfo};
+    use crate::stage::Context;
+
+    const INTERVAL_NS: f64 = 1.0;
+
+    /// A Gaussian pulse above a background of 10.
+    fn block(height_dn: f64, position: f64) -> Vec<u16> {
+        let value =
+            |k: u32| 10.0 + height_dn * (-2.772_588_722 * ((f64::from(k) - position) / 4.4).powi(2)).exp();
+        (0..48).map(|k| value(k).round().min(255.0) as u16).collect()
+    }
+
+    /// Shots seen by one receiver or both: gain 5, delay 0.5 ns, block of the second 1.25 ns later.
+    fn line(line: u32, shots: u32, both: bool) -> Batch {
+        let mut blocks = Blocks::default();
+        for shot in 0..shots {
+            let (height_dn, place) = (120.0 + f64::from(shot), 20.0 + 0.37 * f64::from(shot) % 1.0);
+            blocks.push(shot, Channel::LowPower, None, 100.0, INTERVAL_NS, &block(height_dn, place));
+            if both {
+                let samples = block(height_dn / 5.0, place + 0.5 - 1.25);
+                blocks.push(shot, Channel::HighPower, None, 101.25, INTERVAL_NS, &samples);
+            }
+        }
+        let input = InputInfo { full_scale_dn: Some(255), ..InputInfo::default() };
+        Batch::of_shots(Arc::new(input), line, vec![Emission::default(); shots as usize], blocks)
+    }
+
+    /// What comes out of the stage, and what it says.
+    fn run(config: &FuseChannels, lines: Vec<Batch>) -> (Vec<Batch>, Vec<String>) {
+        let mut stage = Fuser {
+            config: config.clone(),
+            survey: Survey::new(config.waveforms),
+            state: config.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion))),
+        };
+        let (mut cx, mut given_on) = (Context::default(), Vec::new());
+        let mut emit = |batch: Batch| {
+            given_on.push(batch);
+            Ok(())
+        };
+        let mut out = Output::new(&mut cx, usize::MAX, &mut emit);
+        lines.into_iter().for_each(|line| stage.process(line, &mut out).unwrap());
+        stage.finish(&mut out).unwrap();
+        (given_on, cx.counters().notes.clone())
+    }
+
+    fn start_ns(batch: &Batch, channel: Channel) -> f64 {
+        batch.blocks().unwrap().iter().find(|block| block.channel == channel).unwrap().start_ns
+    }
+
+    #[test]
+    fn gain_and_delay_are_found_and_times_count_alike() {
+        let (lines, notes) = run(&FuseChannels::default(), vec![line(0, 40, true), line(1, 40, true)]);
+        assert_eq!(notes, [""; 0]);
+        assert_eq!(lines.len(), 2);
+        for batch in &lines {
+            let fusion = batch.fusion.as_ref().unwrap();
+            assert_eq!(fusion.pairs, 80);
+            assert!((fusion.gain_ratio - 5.0).abs() < 0.05, "{fusion:?}");
+            assert!((fusion.delay_ns - 0.5).abs() < 0.01, "{fusion:?}");
+            assert_eq!(start_ns(batch, Channel::LowPower), 100.0);
+            assert_eq!(start_ns(batch, Channel::HighPower), 101.25 - fusion.delay_ns);
+        }
+    }
+
+    #[test]
+    fn lines_are_held_back_only_until_there_are_enough() {
+        let config = FuseChannels { waveforms: 40, ..FuseChannels::default() };
+        let (lines, _) = run(&config, (0..3).map(|k| line(k, 30, true)).collect());
+        assert_eq!(lines.iter().map(|batch| batch.line).collect::<Vec<_>>(), [0, 1, 2]);
+        assert!(lines.iter().all(|batch| batch.fusion.as_ref().unwrap().pairs == 60));
+    }
+
+    #[test]
+    fn what_is_given_is_used_as_it_is() {
+        let given = FuseChannels {
+            gain_ratio: AutoOrNumber::Number(7.0),
+            delay_ns: AutoOrNumber::Number(0.25),
+            ..FuseChannels::default()
+        };
+        let (lines, _) = run(&given, vec![line(0, 3, true)]);
+        let fusion = lines[0].fusion.as_ref().unwrap();
+        assert_eq!((fusion.pairs, fusion.gain_ratio, fusion.delay_ns), (0, 7.0, 0.25));
+        assert_eq!(start_ns(&lines[0], Channel::HighPower), 101.0);
+        let half = FuseChannels { gain_ratio: AutoOrNumber::AUTO, ..given };
+        let (lines, _) = run(&half, vec![line(0, 40, true)]);
+        let fusion = lines[0].fusion.as_ref().unwrap();
+        assert!((fusion.gain_ratio - 5.0).abs() < 0.05 && fusion.delay_ns == 0.25, "{fusion:?}");
+    }
+
+    #[test]
+    fn one_receiver_passes_as_it_is() {
+        let (lines, notes) = run(&FuseChannels::default(), vec![line(0, 40, false)]);
+        assert_eq!(notes, ["the recording has one receiver: there is nothing to fuse"]);
+        assert!(lines.len() == 1 && lines[0].fusion.is_none());
+    }
+
+    #[test]
+    fn too_few_echoes_say_how_many_there_were() {
+        let (lines, notes) = run(&FuseChannels::default(), vec![line(0, 19, true)]);
+        assert_eq!(
+            notes,
+            [
+                "the receivers are not fused: 20 echoes that both saw well and unsaturated are needed, and of 19 echoes that \
+              both saw unsaturated fewer were strong enough in the receiver for strong echoes; give gain_ratio and delay_ns"
+            ]
+        );
+        assert!(lines[0].fusion.is_none());
+        assert_eq!(start_ns(&lines[0], Channel::HighPower), 101.25);
+    }
+}

@@ -6,6 +6,7 @@
 //! uncertainties of gain and delay. Where the other fit is an optimum this is the joint fit of both blocks, to second order
 //! in the other's residual. The method is Levenberg's and Marquardt's.
 
+use crate::kernels::allowance::Allowance;
 use crate::kernels::cholesky;
 use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::rules::CLEAR_OF_ZERO_SD;
@@ -15,7 +16,7 @@ use crate::kernels::whitening::Whitener;
 
 /// Parameters of a pulse.
 const PARTS: usize = 3;
-/// Samples left out behind a saturated one.
+/// Samples left out behind a saturated one, where the fit shows that the receiver needs them to recover.
 const RECOVERY_SAMPLES: usize = 1;
 const ITERATIONS: usize = 40;
 /// Converged is what the next step promises to lower the objective by less than this.
@@ -81,6 +82,9 @@ pub struct JointFit {
     model: ChannelModel,
     shape: Shape,
     whitener: Whitener,
+    allowance: Allowance,
+    /// Significance of a pulse of height 1 of which all samples are used.
+    per_dn: f64,
     target_dn: Vec<f64>,
     used: Vec<bool>,
     pulses: Vec<JointPulse>,
@@ -96,14 +100,19 @@ pub struct JointFit {
 }
 
 impl JointFit {
-    /// For blocks of this channel.
+    /// For blocks of this channel, whose response is known to `template_error` of a pulse's height at least.
     ///
     /// # Errors
     /// Where the model describes no channel.
-    pub fn new(model: &ChannelModel) -> Result<JointFit, ModelError> {
+    pub fn new(model: &ChannelModel, template_error: f64) -> Result<JointFit, ModelError> {
+        let (shape, mut whitener) = (Shape::of(model)?, Whitener::new(model.noise()?, 0));
+        let allowance = Allowance::new(model, template_error, super::OVERDRIVEN_PART * model.full_scale_dn);
+        let per_dn = significance_per_dn(&shape, &mut whitener);
         Ok(JointFit {
-            shape: Shape::of(model)?,
-            whitener: Whitener::new(model.noise()?, 0),
+            shape,
+            whitener,
+            allowance,
+            per_dn,
             model: model.clone(),
             target_dn: Vec::new(),
             used: Vec::new(),
@@ -128,6 +137,17 @@ impl JointFit {
         self.shape.fwhm_samples_at(height_dn)
     }
 
+    /// The height from which on a pulse of this place (samples) stands out by `sigma`, beside pulses of these places and
+    /// heights, DN, and what errors of the response may leave of them.
+    pub fn least_height_dn(
+        &self,
+        sigma: f64,
+        position_samples: f64,
+        beside: impl Iterator<Item = (f64, f64)>,
+    ) -> f64 {
+        sigma * self.allowance.raise(position_samples, f64::INFINITY, self.per_dn, beside) / self.per_dn
+    }
+
     /// The pulses of the last fit, in the order they were given.
     pub fn fitted(&self) -> &[JointFitted] {
         &self.fitted
@@ -138,7 +158,6 @@ impl JointFit {
         self.fitted.clear();
         self.pulses.clear();
         self.pulses.extend(pulses);
-        self.load(samples);
         self.precisions.clear();
         for pulse in &self.pulses {
             self.precisions.push(match &pulse.expected {
@@ -150,15 +169,21 @@ impl JointFit {
         self.values.extend(self.pulses.iter().flat_map(|pulse| pulse.start));
         self.values.extend(self.model.offset_precision().map(|_| 0.0));
         let calibrated = self.model.pulse_error_factor.powi(2);
-        let first = self.minimise(1.0 / calibrated)?;
-        let factor = first.variance_factor(calibrated);
+        self.load(samples, 0);
+        let mut first = self.minimise(1.0 / calibrated)?;
+        let mut factor = first.variance_factor(calibrated);
+        if factor > calibrated && self.used.contains(&false) {
+            self.load(samples, RECOVERY_SAMPLES);
+            first = self.minimise(1.0 / calibrated)?;
+            factor = first.variance_factor(calibrated);
+        }
         let outcome = if factor > calibrated { self.minimise(1.0 / factor)? } else { first };
         self.conclude(1.0 / factor)?;
         Some(outcome)
     }
 
-    /// Takes up the samples, and which of them are used.
-    fn load(&mut self, samples: &[u16]) {
+    /// Takes up the samples, and which of them are used: so many behind a saturated one are not.
+    fn load(&mut self, samples: &[u16], recovery_samples: usize) {
         self.target_dn.clear();
         self.model.signal_into(samples, 0, &mut self.target_dn);
         self.used.clear();
@@ -166,7 +191,7 @@ impl JointFit {
         let mut recovering = 0;
         for (k, &sample) in samples.iter().enumerate() {
             if f64::from(sample) >= self.model.full_scale_dn {
-                recovering = RECOVERY_SAMPLES + 1;
+                recovering = recovery_samples + 1;
             }
             self.used.push(recovering == 0 && (sample > 0 || self.model.background_at(0, k) < clear_dn));
             recovering = recovering.saturating_sub(1);
@@ -342,6 +367,18 @@ impl JointFit {
         }
         Some(())
     }
+}
+
+/// The root of what a pulse of height 1 adds to chi-square.
+fn significance_per_dn(shape: &Shape, whitener: &mut Whitener) -> f64 {
+    let samples = (12.0 * shape.fwhm_samples()).ceil().clamp(8.0, 4096.0) as usize;
+    let position_samples = 0.5 * samples as f64;
+    let mut pulse = vec![0.0; samples];
+    let unit = Pulse { height_dn: 1.0, position_samples, ln_width_ratio: 0.0, ln_width_precision: 0.0 };
+    shape.add(&unit, 1.0, &mut pulse);
+    whitener.set_used(&vec![true; samples]);
+    whitener.whiten(&mut pulse);
+    pulse.iter().map(|value| value * value).sum::<f64>().sqrt()
 }
 
 /// The inverse of a covariance; `None` where it is none.

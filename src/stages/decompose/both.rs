@@ -18,6 +18,8 @@ const BLINDED: u16 = flags::SATURATED | flags::EXTREMELY_SATURATED | flags::OVER
 /// Squared distance, in standard deviations, of the joint fit from what the other receiver says, above which the
 /// receivers contradict each other: one in 100 000 by chance (three degrees of freedom).
 const CONTRADICTION: f64 = 26.0;
+/// What stands so many standard deviations above the other receiver's noise it does not miss.
+const SEEN_SIGMA: f64 = 8.0;
 /// Spread of widths of single pulses, as pulses that overlap are fitted with it.
 const OVERLAP_LN_WIDTH_SD: f64 = 0.15;
 
@@ -30,6 +32,7 @@ pub(super) struct BothReceivers {
     low: JointFit,
     high: JointFit,
     overdriven_dn: f64,
+    detection_sigma: f64,
 }
 
 /// A pulse of the sensitive receiver's block on its way through the joint fit.
@@ -67,16 +70,22 @@ impl Candidate {
 
 impl BothReceivers {
     /// `None` where one of the receivers was not calibrated.
-    pub(super) fn new(model: &SensorModel, fusion: &ChannelFusion) -> Result<Option<BothReceivers>> {
+    pub(super) fn new(
+        model: &SensorModel,
+        fusion: &ChannelFusion,
+        detection_sigma: f64,
+        template_error: f64,
+    ) -> Result<Option<BothReceivers>> {
         let (Some(low), Some(high)) = (&model.low_power, &model.high_power) else { return Ok(None) };
         let made = || {
             let between = fusion.between_models(low, high)?;
             Ok(BothReceivers {
                 left_ns: between.delay_ns - fusion.delay_ns,
                 between,
-                low: JointFit::new(low)?,
-                high: JointFit::new(high)?,
+                low: JointFit::new(low, template_error)?,
+                high: JointFit::new(high, template_error)?,
                 overdriven_dn: OVERDRIVEN_PART * low.full_scale_dn,
+                detection_sigma,
             })
         };
         made().map(Some).map_err(|error: crate::kernels::sensor_model::ModelError| {
@@ -164,12 +173,42 @@ impl BothReceivers {
             .copied()
             .filter(|&i| matched(i) || all[i].fitted.flags & BLINDED != 0 && explained(i))
             .collect();
-        let others: Vec<usize> = lows.iter().copied().filter(|i| !doubles.contains(i)).collect();
+        let (others, false_ones): (Vec<usize>, Vec<usize>) = (lows.iter().copied())
+            .filter(|i| !doubles.contains(i))
+            .partition(|&i| self.stands_out(&all[i], [low, high], all, &joined));
+        for false_one in false_ones {
+            gone[false_one] = true;
+            stats.np_filtered += 1;
+        }
         self.fit_jointly(shot, [low, high], all, &highs, (&joined, &others));
         for double in doubles {
             gone[double] = true;
             stats.np_merged += 1;
         }
+    }
+
+    /// Whether a return of the sensitive receiver that the other does not see stands out of what errors of the response leave
+    /// of the echoes that blind it, and is too weak for the other.
+    fn stands_out(
+        &self,
+        found: &Found,
+        [low, high]: [&Block; 2],
+        all: &[Found],
+        joined: &[(usize, Option<usize>)],
+    ) -> bool {
+        let gain = self.between.gain_ratio;
+        let place = |time_ns: f64, block: &Block| (time_ns - block.start_ns) / block.interval_ns;
+        let strong =
+            joined.iter().map(|&(i, _)| (place(all[i].time_ns, low), gain * all[i].fitted.amplitude_dn));
+        let position = place(found.time_ns, low);
+        let height_dn = found.fitted.amplitude_dn;
+        if height_dn < self.low.least_height_dn(self.detection_sigma, position, strong) {
+            return false;
+        }
+        let (in_high, beside) = (place(found.time_ns, high), std::iter::empty());
+        let is_recorded = (0.0..high.len() as f64).contains(&in_high);
+        let seen_dn = self.high.least_height_dn(SEEN_SIGMA.max(self.detection_sigma), in_high, beside);
+        !is_recorded || height_dn < gain * seen_dn
     }
 
     /// For each return of the other receiver the nearest one of the sensitive one's that may be the same echo.

@@ -174,6 +174,8 @@ struct Turn<'a> {
 /// Decomposes the shots of a line.
 pub(crate) struct ShotDecomposer {
     model: SensorModel,
+    detection_sigma: f64,
+    template_error: f64,
     receivers: Receivers,
     both: Option<BothReceivers>,
     timing_error_ns: f64,
@@ -191,6 +193,8 @@ impl ShotDecomposer {
     ) -> Result<ShotDecomposer> {
         Ok(ShotDecomposer {
             model: model.clone(),
+            detection_sigma: config.detection_sigma,
+            template_error: config.template_error,
             both: None,
             receivers: Receivers::new(model, tables, config, path)?,
             timing_error_ns: config.timing_error_ns,
@@ -202,7 +206,7 @@ impl ShotDecomposer {
     /// The same, using both receivers as `fuse_channels` has found them to go together.
     pub(crate) fn fusing(mut self, fusion: Option<&ChannelFusion>) -> Result<ShotDecomposer> {
         if let Some(fusion) = fusion {
-            self.both = BothReceivers::new(&self.model, fusion)?;
+            self.both = BothReceivers::new(&self.model, fusion, self.detection_sigma, self.template_error)?;
         }
         Ok(self)
     }
