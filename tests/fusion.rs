@@ -48,7 +48,7 @@ struct TwoReceivers {
 
 impl Default for TwoReceivers {
     fn default() -> TwoReceivers {
-        TwoReceivers { lines: 12, seed: 1, heights_dn: [60.0, 4400.0] }
+        TwoReceivers { lines: 6, seed: 1, heights_dn: [60.0, 4400.0] }
     }
 }
 
@@ -148,7 +148,6 @@ struct Row {
     channel: String,
     range_m: f64,
     range_sd_m: f64,
-    amplitude_dn: f64,
 }
 
 fn rows(path: &Path) -> Vec<Row> {
@@ -156,8 +155,7 @@ fn rows(path: &Path) -> Vec<Row> {
     let mut lines = text.lines();
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
     let at = |name: &str| names.iter().position(|known| *known == name).unwrap();
-    let [shot, channel, range, range_sd, amplitude] =
-        ["shot", "channel", "range_m", "range_sd_m", "amplitude_dn"].map(at);
+    let [shot, channel, range, range_sd] = ["shot", "channel", "range_m", "range_sd_m"].map(at);
     let row = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();
         Row {
@@ -165,7 +163,6 @@ fn rows(path: &Path) -> Vec<Row> {
             channel: cells[channel].to_owned(),
             range_m: cells[range].parse().unwrap(),
             range_sd_m: cells[range_sd].parse().unwrap(),
-            amplitude_dn: cells[amplitude].parse().unwrap(),
         }
     };
     lines.map(row).collect()
@@ -259,8 +256,7 @@ fn moments(values: &[f64]) -> (f64, f64) {
 }
 
 fn cells(config: &TwoReceivers, rows: &[Row]) -> Vec<Cell> {
-    const EDGES: [f64; 13] =
-        [50.0, 70.0, 95.0, 115.0, 150.0, 200.0, 300.0, 400.0, 600.0, 850.0, 1200.0, 1600.0, 2000.0];
+    const EDGES: [f64; 10] = [50.0, 70.0, 100.0, 150.0, 220.0, 330.0, 500.0, 800.0, 1200.0, 2000.0];
     let at_edges = EDGES.map(|snr| bounds(snr * LOW_NOISE_DN));
     let mut cells: Vec<Cell> = Vec::new();
     for (k, pair) in EDGES.windows(2).enumerate() {
@@ -309,23 +305,126 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     let report = run("", Some(""), folder.path());
     let fusion = report.channel_fusion.as_ref().unwrap();
     println!("{fusion:?}");
-    println!("{:?}\n{}", report.totals, report.table());
+    println!("{:?}", report.totals);
     let rows = rows(&folder.path().join("returns.csv"));
     let config = TwoReceivers::default();
     let cells = cells(&config, &rows);
-    for row in &rows {
-        let (height_dn, time_ns) = truth(&config, row.shot);
-        let off_ns = row.range_m / (0.5 * SPEED_M_PER_NS) - time_ns;
-        if off_ns.abs() > 0.3 && row.shot % 20 == 0 {
-            println!(
-                "extra: {height_dn:6.0} DN, {off_ns:+7.2} ns, {:6.1} DN {}",
-                row.amplitude_dn, row.channel
-            );
-        }
-    }
     println!("{} returns of {} shots", rows.len(), config.lines * SHOTS_PER_LINE);
+    assert_eq!(rows.len(), (config.lines * SHOTS_PER_LINE) as usize, "each echo is one return");
     for cell in &cells {
         let (_, ratio) = moments(&cell.scores);
-        assert!(ratio <= 1.15, "{:?}: {ratio}", cell.snr);
+        assert!(cell.errors_m.len() > 150 && ratio <= 1.15, "{:?}: {ratio}", cell.snr);
     }
+    // Cells of the sensitive receiver alone against those where both are used.
+    let mean = |is_joint: bool| {
+        let of_kind = cells.iter().filter(|cell| (cell.channels[2] > 0) == is_joint);
+        moments(&of_kind.flat_map(|cell| cell.errors_m.iter().copied()).collect::<Vec<f64>>()).0
+    };
+    let step_m = mean(true) - mean(false);
+    let means: Vec<f64> = cells.iter().map(|cell| moments(&cell.errors_m).0).collect();
+    let spread = means.iter().fold(f64::NEG_INFINITY, |most: f64, x| most.max(*x))
+        - means.iter().fold(f64::INFINITY, |least: f64, x| least.min(*x));
+    println!(
+        "step between the receivers {:+.2} mm, means of all cells within {:.2} mm (3)",
+        1e3 * step_m,
+        1e3 * spread
+    );
+    assert!(step_m.abs() <= 0.003 && spread <= 0.003);
+    let delay_off = (fusion.delay_ns - DELAY_NS) / fusion.delay_sd_ns;
+    let gain_off = (fusion.gain_ratio - GAIN) / fusion.gain_ratio_sd;
+    println!("delay off by {delay_off:+.2} standard deviations, gain by {gain_off:+.2}");
+    assert!(delay_off.abs() < 4.0 && (fusion.gain_ratio / GAIN - 1.0).abs() < 0.01);
+}
+
+/// The errors of ranges and channels of a simulated flight over level ground, and how many true echoes had no return, or
+/// more than one.
+struct Flight {
+    low_m: Vec<f64>,
+    both_m: Vec<f64>,
+    high_m: Vec<f64>,
+    returns: usize,
+    truths: usize,
+}
+
+fn fly(detector: &str, ground_amplitude_dn: f64, fusion: bool) -> Flight {
+    let folder = tempfile::tempdir().unwrap();
+    let of = |name| registry::find(name).unwrap();
+    let keys = format!(
+        "lines = 8\nshots_per_line = 400\nhigh_power = true\nground_amplitude_dn = {ground_amplitude_dn:.1}\ndetector = \"{detector}\"\n\
+         truth = \"truth.csv\"\nbuilding_height_m = 0.0\ncanopy_height_m = 0.0\nbackground_dn = [12.0, 12.4]"
+    );
+    let mut stages = vec![(of("simulate"), keys.as_str())];
+    stages.extend(fusion.then(|| (of("fuse_channels"), "")));
+    stages.extend([
+        (of("calibrate"), ""),
+        (of("decompose"), ""),
+        (of("write_table"), "path = \"returns.csv\""),
+    ]);
+    let job = job(&stages);
+    let report = engine::run(&job, &into(&job, folder.path())).unwrap().inputs.remove(0);
+    println!("{detector}: {:?}", report.channel_fusion);
+    for stage in &report.stages {
+        stage.notes.iter().for_each(|note| println!("{}: {note}", stage.r#type));
+    }
+    let text = std::fs::read_to_string(folder.path().join("truth.csv")).unwrap();
+    let names: Vec<&str> = text.lines().next().unwrap().split(',').collect();
+    let at = |name: &str| names.iter().position(|known| *known == name).unwrap();
+    let (shot, range) = (at("shot"), at("range_m"));
+    let truths: Vec<(u32, f64)> = text
+        .lines()
+        .skip(1)
+        .map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            (cells[shot].parse().unwrap(), cells[range].parse().unwrap())
+        })
+        .collect();
+    let rows = rows(&folder.path().join("returns.csv"));
+    let mut flight = Flight {
+        low_m: Vec::new(),
+        both_m: Vec::new(),
+        high_m: Vec::new(),
+        returns: rows.len(),
+        truths: truths.len(),
+    };
+    for row in &rows {
+        let off = truths.iter().filter(|truth| truth.0 == row.shot).map(|truth| row.range_m - truth.1);
+        let Some(error_m) = off.min_by(|a, b| a.abs().total_cmp(&b.abs())).filter(|off| off.abs() < 0.2)
+        else {
+            continue;
+        };
+        match row.channel.as_str() {
+            "low" => flight.low_m.push(error_m),
+            "joint" => flight.both_m.push(error_m),
+            _ => flight.high_m.push(error_m),
+        }
+    }
+    for (name, errors) in [("low", &flight.low_m), ("joint", &flight.both_m), ("high", &flight.high_m)] {
+        let (mean, sd) = moments(errors);
+        println!(
+            "{detector}, {name}: {} errors, mean {:+.2} mm, sd {:.2} mm",
+            errors.len(),
+            1e3 * mean,
+            1e3 * sd
+        );
+    }
+    println!("{} returns of {} echoes", flight.returns, flight.truths);
+    flight
+}
+
+#[test]
+fn a_flight_has_no_step_between_the_receivers() {
+    for (detector, ground_amplitude_dn) in [("linear", 300.0), ("riegl", 600.0)] {
+        let flight = fly(detector, ground_amplitude_dn, true);
+        assert!(flight.low_m.len() > 100 && flight.both_m.len() > 100, "{detector}: both are used");
+        let step_m = moments(&flight.both_m).0 - moments(&flight.low_m).0;
+        println!("{detector}: step {:+.2} mm (3)", 1e3 * step_m);
+        assert!(step_m.abs() <= 0.003, "{detector}: {step_m}");
+        assert!(flight.returns.abs_diff(flight.truths) * 500 <= flight.truths, "{detector}: doubles or gaps");
+    }
+}
+
+#[test]
+fn without_fusion_the_receivers_stay_apart() {
+    let flight = fly("linear", 300.0, false);
+    assert!(flight.both_m.is_empty() && !flight.high_m.is_empty());
 }
