@@ -305,7 +305,10 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     let report = run("", Some(""), folder.path());
     let fusion = report.channel_fusion.as_ref().unwrap();
     println!("{fusion:?}");
-    println!("{:?}", report.totals);
+    let count = |names: &[&str]| names.iter().map(|name| report.totals[name]).sum::<u64>();
+    let kept_or_not = count(&["np", "np_filtered", "np_merged", "np_xtalk_dropped"]);
+    assert_eq!(count(&["n_candidates", "n_added"]), kept_or_not, "nothing is lost, nothing counts twice");
+    assert!(report.totals["np_merged"] > 0);
     let rows = rows(&folder.path().join("returns.csv"));
     let config = TwoReceivers::default();
     let cells = cells(&config, &rows);
