@@ -4,6 +4,7 @@
 //! correlated noise, in `f64`: widened copies of the system response ([`response`], [`templates`]), or Gaussians
 //! ([`shape`]). Its parts are [`detect`] (matched filter), [`gauss_fit`] (joint least squares), [`whitening`] and [`noise`].
 //! [`lockstep`] does the same for whole batches, in `f32` and many times faster, and hands to it what it is not made for.
+//! [`mta`] finds the emission that caused an echo, where several pulses are in the air.
 //! docs/method.md describes the method. Positions are in samples from the block's first, heights in digitiser steps
 //! (DN), and a pulse stands where its peak stands.
 
@@ -18,6 +19,7 @@ mod fourier;
 pub mod fusion;
 pub mod gauss_fit;
 pub mod lockstep;
+pub mod mta;
 pub mod noise;
 pub mod outgoing;
 pub mod response;

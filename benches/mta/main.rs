@@ -1,0 +1,246 @@
+//! How many echoes get the emission that caused them, on ten simulated scenes, and what that costs: every goal beside its
+//! figure.
+//!
+//! `cargo bench --bench mta` prints the table of docs/mta.md; words behind it choose rows (`-- 17ns terrain`), and `seed=300`
+//! takes other scenes of the same kind. A row's scenes hold about five million echoes. Times are CPU time of the thread, from the
+//! first line pushed to the last one popped.
+#![allow(missing_docs, reason = "no one imports a bench")]
+#![allow(clippy::print_stdout, clippy::expect_used, reason = "a bench prints its figures")]
+
+use std::time::Instant;
+
+use wavex::kernels::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
+
+mod scenes;
+
+use scenes::{Class, RecordedLine, Recording, SCENES, Scene};
+
+const LINES: u32 = 120;
+const SEED: u64 = 100;
+const GOAL_US: f64 = 0.5;
+/// How wrong the terrain model is at most, and the height above ground.
+const TERRAIN_ERROR_M: f64 = 20.0;
+const HEIGHT_ERROR_M: f64 = 40.0;
+
+/// What is known beforehand in a row.
+#[derive(Clone, Copy, PartialEq)]
+enum Known {
+    Nothing,
+    Terrain,
+    Height,
+}
+
+/// A row of the table.
+struct Row {
+    name: &'static str,
+    modulation_ns: f64,
+    pulse_rate_hz: f64,
+    known: Known,
+    /// Percent of the echoes that must be right, away from and near to transitions; none is a figure for comparison.
+    goal: Option<f64>,
+}
+
+const ROWS: [Row; 8] = [
+    row("50ns", 50.0, 400e3, Known::Nothing, Some(99.9)),
+    row("17ns", 17.0, 400e3, Known::Nothing, Some(99.9)),
+    row("15ns", 15.0, 400e3, Known::Nothing, Some(99.9)),
+    row("9ns", 9.0, 400e3, Known::Nothing, Some(99.8)),
+    row("5ns", 5.0, 400e3, Known::Nothing, Some(99.0)),
+    row("terrain", 0.0, 400e3, Known::Terrain, Some(99.99)),
+    row("height", 0.0, 400e3, Known::Height, None),
+    row("1MHz", 7.0, 1e6, Known::Nothing, None),
+];
+
+const fn row(
+    name: &'static str,
+    modulation_ns: f64,
+    pulse_rate_hz: f64,
+    known: Known,
+    goal: Option<f64>,
+) -> Row {
+    Row { name, modulation_ns, pulse_rate_hz, known, goal }
+}
+
+/// Seconds of CPU time of this thread; of wall-clock time where the system does not tell.
+fn cpu_s(started: &Instant) -> f64 {
+    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
+    let ns = told.and_then(|text| text.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()));
+    ns.map_or_else(|| started.elapsed().as_secs_f64(), |ns| ns * 1e-9)
+}
+
+/// Echoes and how many of them are wrong: away from transitions, near to them, then by class.
+#[derive(Default)]
+struct Tally {
+    groups: [(u64, u64); 6],
+    uncertain: u64,
+    uncertain_wrong: u64,
+    echoes: u64,
+    seconds: f64,
+}
+
+impl Tally {
+    fn percent(&self, group: usize) -> f64 {
+        let (count, wrong) = self.groups[group];
+        100.0 * wrong as f64 / count.max(1) as f64
+    }
+
+    fn microseconds(&self) -> f64 {
+        self.seconds * 1e6 / self.echoes.max(1) as f64
+    }
+
+    fn count(&mut self, recorded: &[RecordedLine], resolved: &[Resolved]) {
+        for (line, resolved) in recorded.iter().zip(resolved) {
+            for (echo, assigned) in line.echoes.iter().zip(&resolved.echoes) {
+                self.echoes += 1;
+                let class = match echo.class {
+                    Class::Ground => 2,
+                    Class::Vegetation => 3,
+                    Class::Building => 4,
+                    Class::Wire => 5,
+                    Class::FalseAlarm => continue,
+                };
+                let cause = Cause { line: u64::from(echo.cause.0), emission: echo.cause.1 };
+                let wrong = u64::from(assigned.cause != Some(cause));
+                for group in [usize::from(echo.near), class] {
+                    self.groups[group].0 += 1;
+                    self.groups[group].1 += wrong;
+                }
+                self.uncertain += u64::from(assigned.uncertain);
+                self.uncertain_wrong += wrong * u64::from(assigned.uncertain);
+            }
+        }
+    }
+}
+
+fn lines(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
+    let mut shot = 0;
+    let mut emission = |line: usize, index: usize, recorded: &RecordedLine| {
+        shot += 1;
+        Emission {
+            clock_ps: recorded.clocks_ps[index],
+            shot,
+            cos_nadir: recorded.cosines[index],
+            prior_range_m: scene.prior_m(line, index, recorded.ground_m[index], TERRAIN_ERROR_M),
+            ..Emission::default()
+        }
+    };
+    let echo = |echo: &scenes::RecordedEcho| Echo { emission: echo.emission, time_ns: echo.time_ns };
+    let line = |(number, recorded): (usize, &RecordedLine)| Line {
+        emissions: (0..recorded.clocks_ps.len()).map(|index| emission(number, index, recorded)).collect(),
+        echoes: recorded.echoes.iter().map(echo).collect(),
+    };
+    recorded.iter().enumerate().map(line).collect()
+}
+
+/// All lines through a resolver, and the CPU time that took; `None` where it refuses.
+fn resolve(settings: &Settings, lines: &[Line]) -> Option<(Vec<Resolved>, f64)> {
+    let started = Instant::now();
+    let before = cpu_s(&started);
+    let mut resolver = Resolver::new(settings).expect("settings");
+    let mut resolved = Vec::with_capacity(lines.len());
+    for line in lines {
+        resolver.push(line).ok()?;
+        resolved.extend(std::iter::from_fn(|| resolver.pop()));
+    }
+    resolver.finish().ok()?;
+    resolved.extend(std::iter::from_fn(|| resolver.pop()));
+    Some((resolved, cpu_s(&started) - before))
+}
+
+fn settings(row: &Row, scene: &Scene, method: Method) -> Settings {
+    let prior = match row.known {
+        Known::Nothing => Prior::None,
+        Known::Terrain => Prior::PerEmission { sd_m: TERRAIN_ERROR_M },
+        Known::Height => Prior::Agl {
+            agl_m: scene.spec.agl_m + HEIGHT_ERROR_M,
+            sd_m: scene.spec.relief_m.max(HEIGHT_ERROR_M),
+        },
+    };
+    Settings { method, prior, ..Settings::default() }
+}
+
+/// One row: by blocks, and by the variance in a buffer.
+fn measure(row: &Row, scenes: &[Scene]) -> [Tally; 2] {
+    let mut tallies = [Tally::default(), Tally::default()];
+    for scene in scenes {
+        let how = Recording {
+            pulse_rate_hz: row.pulse_rate_hz,
+            modulation_ns: row.modulation_ns,
+            blind_ns: 15.0,
+            lost_records: 0.0,
+        };
+        let recorded = scene.record(&how);
+        let lines = lines(scene, &recorded);
+        for (tally, method) in tallies.iter_mut().zip([Method::Blocks, Method::Variance { buffer: 50 }]) {
+            let before = tally.groups.map(|group| group.1);
+            if let Some((resolved, seconds)) = resolve(&settings(row, scene, method), &lines) {
+                tally.count(&recorded, &resolved);
+                tally.seconds += seconds;
+            }
+            let wrong = tally.groups[0].1 + tally.groups[1].1 - before[0] - before[1];
+            if method == Method::Blocks && wrong > 0 {
+                println!("      {}: {wrong} wrong in \"{}\"", row.name, scene.spec.name);
+            }
+        }
+    }
+    tallies
+}
+
+fn print(row: &Row, [blocks, variance]: &[Tally; 2]) {
+    let right = |group: usize| 100.0 - blocks.percent(group);
+    let goal = row.goal.map_or(String::new(), |goal| {
+        let reached = right(0) >= goal && right(1) >= goal;
+        format!("goal {goal} % right: {}", if reached { "reached" } else { "NOT REACHED" })
+    });
+    let speed = if blocks.microseconds() <= GOAL_US { "reached" } else { "NOT REACHED" };
+    println!(
+        "{:8} wrong away {:.4} %, near {:.4} %; ground {:.4}, vegetation {:.4}, buildings {:.4}, wires {:.4} %; {goal}",
+        row.name,
+        blocks.percent(0),
+        blocks.percent(1),
+        blocks.percent(2),
+        blocks.percent(3),
+        blocks.percent(4),
+        blocks.percent(5),
+    );
+    println!(
+        "      {:.3} us per echo (goal {GOAL_US}: {speed}), {} echoes, {} uncertain, {} of these wrong",
+        blocks.microseconds(),
+        blocks.echoes,
+        blocks.uncertain,
+        blocks.uncertain_wrong
+    );
+    println!(
+        "      variance method: wrong away {:.2} %, near {:.2} %, {:.3} us per echo",
+        variance.percent(0),
+        variance.percent(1),
+        variance.microseconds()
+    );
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
+    let seed = arguments.iter().find_map(|word| word.strip_prefix("seed=")?.parse().ok()).unwrap_or(SEED);
+    let chosen: Vec<&String> = arguments.iter().filter(|word| !word.starts_with("seed=")).collect();
+    let is_chosen = |row: &Row| chosen.is_empty() || chosen.iter().any(|word| *word == row.name);
+    for fast in [false, true] {
+        let rows: Vec<&Row> =
+            ROWS.iter().filter(|row| is_chosen(row) && (row.pulse_rate_hz > 5e5) == fast).collect();
+        if rows.is_empty() {
+            continue;
+        }
+        let scenes: Vec<Scene> = (0u64..)
+            .zip(SCENES)
+            .map(|(i, mut spec)| {
+                // Pulses of 1 MHz are flown lower: 1200 to 2000 m, over half the relief.
+                if fast {
+                    (spec.agl_m, spec.relief_m) = (1200.0 + 800.0 / 9.0 * i as f64, 0.5 * spec.relief_m);
+                }
+                Scene::new(spec, seed + i, LINES, 1.0)
+            })
+            .collect();
+        for row in rows {
+            print(row, &measure(row, &scenes));
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! What a resolver found, in numbers that do not grow with the recording.
+
+use super::held::Held;
+use super::pulses::REGULAR_PART;
+use super::{Assigned, Method, MtaError, Prior, Settings};
+
+/// Zones from here on are counted together.
+const ZONES: usize = 128;
+/// Margins are counted in bins of 1 nat.
+const MARGINS: usize = 200;
+/// With less variation of the intervals, ns rms, zones cannot be told apart.
+const LEAST_MODULATION_NS: f64 = 0.5;
+/// With less, ns rms, a prior is advisable.
+const WEAK_MODULATION_NS: f64 = 5.0;
+/// A median margin below this, nats, is no basis for trust.
+const WEAK_MARGIN_NATS: f64 = 10.0;
+
+/// Counts over all finished lines.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// Echoes by zone; the last entry counts all from there on.
+    pub zones: Vec<u64>,
+    /// Echoes.
+    pub echoes: u64,
+    /// Echoes without a feasible emission.
+    pub without_cause: u64,
+    /// Echoes decided against little evidence, those without a cause included.
+    pub uncertain: u64,
+    /// Echoes in a blind gap.
+    pub in_blind_gap: u64,
+    /// Echoes by margin: from 0 in steps of 1 nat; the last entry counts all from there on.
+    pub margins: Vec<u64>,
+    intervals: u64,
+    interval_sum_ps: f64,
+    deviation_sum_ps2: f64,
+}
+
+impl Default for Summary {
+    fn default() -> Summary {
+        Summary {
+            zones: vec![0; ZONES],
+            echoes: 0,
+            without_cause: 0,
+            uncertain: 0,
+            in_blind_gap: 0,
+            margins: vec![0; MARGINS],
+            intervals: 0,
+            interval_sum_ps: 0.0,
+            deviation_sum_ps2: 0.0,
+        }
+    }
+}
+
+/// What speaks against trusting the zones.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Warning {
+    /// Half of the echoes have less evidence than this.
+    WeakEvidence {
+        /// The median margin, nats.
+        median_margin_nats: f64,
+    },
+    /// Pulse intervals vary little and there is no prior.
+    WeakModulation {
+        /// How much intervals vary, ns rms.
+        rms_ns: f64,
+    },
+}
+
+impl std::fmt::Display for Warning {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Warning::WeakEvidence { median_margin_nats } => write!(
+                f,
+                "half of the echoes have a margin below {median_margin_nats:.0} nats over the second best zone: give a prior"
+            ),
+            Warning::WeakModulation { rms_ns } => write!(
+                f,
+                "pulse intervals vary by {rms_ns:.2} ns rms only and there is no prior: look at the margins, or give a prior"
+            ),
+        }
+    }
+}
+
+impl Summary {
+    /// Adds a line's intervals: those that hold no lost record.
+    pub(super) fn add_line(&mut self, line: &Held) {
+        let usual = line.pulses.interval_ps;
+        let regular = || {
+            let intervals =
+                line.pulses.own_clocks().windows(2).map(|pair| pair[1].saturating_sub(pair[0]) as f64);
+            intervals.filter(move |interval| (interval - usual).abs() <= REGULAR_PART * usual)
+        };
+        let count = regular().count() as u64;
+        if count > 0 {
+            let sum: f64 = regular().sum();
+            let mean = sum / count as f64;
+            self.intervals += count;
+            self.interval_sum_ps += sum;
+            self.deviation_sum_ps2 += regular().map(|interval| (interval - mean).powi(2)).sum::<f64>();
+        }
+    }
+
+    pub(super) fn add(&mut self, echo: &Assigned, settings: &Settings) {
+        self.echoes += 1;
+        match echo.cause {
+            Some(_) => self.zones[usize::from(echo.zone).min(ZONES - 1)] += 1,
+            None => self.without_cause += 1,
+        }
+        self.uncertain += u64::from(echo.uncertain);
+        self.in_blind_gap += u64::from(echo.in_blind_gap);
+        if !matches!(settings.method, Method::Fixed(_)) {
+            let margin = echo.margin_nats.clamp(0.0, (MARGINS - 1) as f32);
+            self.margins[margin as usize] += 1;
+        }
+    }
+
+    /// The mean interval between emissions, ns; NaN before there was one.
+    pub fn interval_ns(&self) -> f64 {
+        self.interval_sum_ps / self.intervals as f64 * 1e-3
+    }
+
+    /// How much intervals vary within a line, ns rms, lost records left out; NaN before there were two intervals.
+    pub fn interval_rms_ns(&self) -> f64 {
+        if self.intervals < 2 {
+            return f64::NAN;
+        }
+        (self.deviation_sum_ps2 / self.intervals as f64).sqrt() * 1e-3
+    }
+
+    /// The median margin, nats, down to whole ones; `None` before there was an echo.
+    pub fn median_margin_nats(&self) -> Option<f64> {
+        let count: u64 = self.margins.iter().sum();
+        let mut below = 0;
+        let bin = self.margins.iter().position(|&bin| {
+            below += bin;
+            count > 0 && 2 * below >= count
+        });
+        bin.map(|bin| bin as f64)
+    }
+
+    /// That zones can be told apart: by the pulse rate, or by a prior.
+    pub(super) fn check_rate(&self, settings: &Settings) -> Result<(), MtaError> {
+        let rms_ns = self.interval_rms_ns();
+        if settings.prior == Prior::None && rms_ns < LEAST_MODULATION_NS {
+            let interval_ns = self.interval_ns();
+            return Err(MtaError::ConstantRate { interval_ns, rms_ns, least_ns: LEAST_MODULATION_NS });
+        }
+        Ok(())
+    }
+
+    pub(super) fn warnings(&self, settings: &Settings) -> Vec<Warning> {
+        if matches!(settings.method, Method::Fixed(_)) {
+            return Vec::new();
+        }
+        let mut warnings = Vec::new();
+        if let Some(median_margin_nats) =
+            self.median_margin_nats().filter(|&margin| margin < WEAK_MARGIN_NATS)
+        {
+            warnings.push(Warning::WeakEvidence { median_margin_nats });
+        }
+        let rms_ns = self.interval_rms_ns();
+        if settings.prior == Prior::None && rms_ns < WEAK_MODULATION_NS {
+            warnings.push(Warning::WeakModulation { rms_ns });
+        }
+        warnings
+    }
+}

@@ -1,0 +1,272 @@
+//! The method `Variance`: the zone whose consecutive ranges vary least within a circular buffer.
+//!
+//! For every zone a chain of ranges: at each echo it goes on with its own zone or one beside it, whichever is nearest to its last
+//! range, so that it follows a surface through a change of zone. A buffer holds the squared differences of its consecutive
+//! ranges, a second one those of the zone alone; when the second has the smaller sum, the chain has left the surface, and is
+//! begun anew from the second. The chain of the least sum decides for the echo in the middle of the buffer. Every second line is
+//! taken from its other end, so that the lines join. This is the method of HydroVISH's documentation, which names a buffer of 50
+//! and leaves open when the second buffer takes over.
+
+use std::collections::VecDeque;
+
+use super::held::{self, Held, HeldEcho};
+use super::summary::Summary;
+use super::{MtaError, Prior, Resolved, Settings};
+
+/// So many lines are held back at most.
+const MOST_LINES: usize = 64;
+/// Zones beside a chain's own.
+const OVERLAP: usize = 1;
+/// Variances below this are equal, m².
+const LEAST_VARIANCE_M2: f64 = 1e-6;
+const LEAST_MARGIN_NATS: f32 = 5.0;
+/// Most emissions back.
+const MOST_ZONES: f64 = 125.0;
+const PRIOR_CAP_NATS: f64 = 50.0;
+
+/// The last squared differences and their sum.
+#[derive(Debug, Clone)]
+struct Ring {
+    values: Vec<f64>,
+    next: usize,
+    sum: f64,
+}
+
+impl Ring {
+    fn new(length: usize) -> Ring {
+        Ring { values: vec![0.0; length], next: 0, sum: 0.0 }
+    }
+
+    fn add(&mut self, value: f64) {
+        self.sum += value - self.values[self.next];
+        self.values[self.next] = value;
+        self.next += 1;
+        // Summed afresh once a round: what a large value leaves by rounding does not stay.
+        if self.next == self.values.len() {
+            self.next = 0;
+            self.sum = self.values.iter().sum();
+        }
+    }
+}
+
+/// One zone's chain.
+#[derive(Debug, Clone)]
+struct Chain {
+    /// With the zones beside it, and alone.
+    overlapping: Ring,
+    alone: Ring,
+    last_m: f64,
+    last_alone_m: f64,
+}
+
+/// A line, and what was decided of its echoes: the place of the cause, and the margin.
+#[derive(Debug)]
+struct Waiting {
+    line: Held,
+    decided: Vec<(Option<usize>, f32)>,
+}
+
+/// The state of the method.
+#[derive(Debug)]
+pub(super) struct Variance {
+    settings: Settings,
+    half: usize,
+    lines: VecDeque<Waiting>,
+    chains: Vec<Chain>,
+    length: usize,
+    /// Echoes that wait for the buffer's second half: line, and index in it.
+    pending: VecDeque<(u64, u32)>,
+    /// For each of those the zone that each chain went on with.
+    zones: VecDeque<u8>,
+}
+
+impl Variance {
+    pub fn new(settings: &Settings, length: usize) -> Variance {
+        Variance {
+            settings: *settings,
+            half: length / 2,
+            lines: VecDeque::new(),
+            chains: Vec::new(),
+            length,
+            pending: VecDeque::new(),
+            zones: VecDeque::new(),
+        }
+    }
+
+    pub fn look_ahead_lines(&self) -> usize {
+        MOST_LINES
+    }
+
+    pub fn push(
+        &mut self,
+        line: Held,
+        summary: &mut Summary,
+        ready: &mut VecDeque<Resolved>,
+    ) -> Result<(), MtaError> {
+        self.take(line);
+        while self.lines.len() > MOST_LINES {
+            let front = self.lines.front().map(|waiting| waiting.line.number);
+            while self.pending.front().is_some_and(|&(line, _)| Some(line) == front) {
+                self.decide_first();
+            }
+            self.finish_first(summary, ready)?;
+        }
+        let first_pending = self.pending.front().map_or(u64::MAX, |&(line, _)| line);
+        // The last line waits for the emissions that follow it.
+        while self.lines.len() > 1
+            && self.lines.front().is_some_and(|waiting| waiting.line.number < first_pending)
+        {
+            self.finish_first(summary, ready)?;
+        }
+        Ok(())
+    }
+
+    pub fn finish(&mut self, summary: &mut Summary, ready: &mut VecDeque<Resolved>) -> Result<(), MtaError> {
+        while !self.pending.is_empty() {
+            self.decide_first();
+        }
+        while !self.lines.is_empty() {
+            self.finish_first(summary, ready)?;
+        }
+        Ok(())
+    }
+
+    /// Takes a line's echoes into the chains, and decides those in whose buffer the second half is full.
+    fn take(&mut self, line: Held) {
+        let (number, count) = (line.number, line.echoes.len());
+        if self.chains.is_empty() && count > 0 {
+            let most = self.settings.range_m[1] / f64::from(line.pulses.interval_m);
+            let zones = most.ceil().clamp(1.0, MOST_ZONES) as usize + 1;
+            self.chains = vec![Chain::new(self.length); zones];
+        }
+        let mut ranges = vec![f64::NAN; self.chains.len()];
+        self.lines.push_back(Waiting { line, decided: vec![(None, 0.0); count] });
+        for turn in 0..count {
+            let i = if number % 2 == 0 { turn } else { count - 1 - turn };
+            if let Some(Waiting { line, .. }) = self.lines.back() {
+                ranges_of(line, &line.echoes[i], &self.settings, &mut ranges);
+            }
+            self.extend(&ranges);
+            self.pending.push_back((number, i as u32));
+            while self.pending.len() > self.half {
+                self.decide_first();
+            }
+        }
+    }
+
+    /// Goes on with every chain to the echo of these ranges by zone.
+    fn extend(&mut self, ranges: &[f64]) {
+        for (zone, chain) in self.chains.iter_mut().enumerate() {
+            let beside = zone.saturating_sub(OVERLAP)..(zone + OVERLAP + 1).min(ranges.len());
+            let apart = |other: usize| (ranges[other] - chain.last_m).abs();
+            let other = beside.min_by(|&a, &b| apart(a).total_cmp(&apart(b))).unwrap_or(zone);
+            let other = if chain.last_m.is_nan() { zone } else { other };
+            self.zones.push_back(other as u8);
+            chain.go_on(ranges[other], ranges[zone]);
+        }
+    }
+
+    /// Decides the echo that waits longest, by the buffers as they are.
+    fn decide_first(&mut self) {
+        let Some((number, i)) = self.pending.pop_front() else { return };
+        let zones: Vec<u8> = self.zones.drain(..self.chains.len()).collect();
+        let first = self.lines.front().map_or(0, |waiting| waiting.line.number);
+        let Some(waiting) = self.lines.get_mut((number - first) as usize) else { return };
+        let (line, echo) = (&waiting.line, &waiting.line.echoes[i as usize]);
+        let count = self.length as f64;
+        let cost = |(chain, &zone): (&Chain, &u8)| {
+            let variance = (chain.overlapping.sum / count).max(LEAST_VARIANCE_M2);
+            0.5 * count * variance.ln() + prior_nats(line, echo, zone, &self.settings)
+        };
+        let is_feasible = |zone: u8| place(echo, usize::from(zone)).is_some();
+        let mut best: Option<(u8, f64)> = None;
+        let mut second = f64::INFINITY;
+        for both in self.chains.iter().zip(&zones).filter(|(_, zone)| is_feasible(**zone)) {
+            let (zone, cost) = (*both.1, cost(both));
+            match best {
+                Some((held, _)) if held == zone => best = best.map(|(z, least)| (z, least.min(cost))),
+                Some((_, least)) if cost >= least => second = second.min(cost),
+                _ => {
+                    second = best.map_or(second, |(_, least)| second.min(least));
+                    best = Some((zone, cost));
+                }
+            }
+        }
+        waiting.decided[i as usize] = match best {
+            Some((zone, least)) => (place(echo, usize::from(zone)), (second - least) as f32),
+            None => (None, 0.0),
+        };
+    }
+
+    fn finish_first(
+        &mut self,
+        summary: &mut Summary,
+        ready: &mut VecDeque<Resolved>,
+    ) -> Result<(), MtaError> {
+        summary.check_rate(&self.settings)?;
+        let Some(Waiting { line, decided }) = self.lines.pop_front() else { return Ok(()) };
+        let next = self.lines.front().map(|waiting| &waiting.line);
+        let assigned = line.echoes.iter().zip(&decided).map(|(echo, &(place, margin))| {
+            let last = line.last_emission(echo, next);
+            let uncertain = place.is_none() || margin < LEAST_MARGIN_NATS;
+            (echo.input, line.assigned(echo, place, margin, uncertain, &last, &self.settings))
+        });
+        ready.push_back(held::finish(&line, assigned, next, &self.settings, summary));
+        Ok(())
+    }
+}
+
+impl Chain {
+    fn new(length: usize) -> Chain {
+        let ring = Ring::new(length);
+        Chain { overlapping: ring.clone(), alone: ring, last_m: f64::NAN, last_alone_m: f64::NAN }
+    }
+
+    /// Goes on to a range of the chain's zone or one beside it, and to that of the zone itself.
+    fn go_on(&mut self, range_m: f64, alone_m: f64) {
+        if self.last_m.is_finite() {
+            self.overlapping.add((range_m - self.last_m).powi(2));
+            self.alone.add((alone_m - self.last_alone_m).powi(2));
+        }
+        (self.last_m, self.last_alone_m) = (range_m, alone_m);
+        if self.alone.sum < self.overlapping.sum {
+            self.overlapping.clone_from(&self.alone);
+            self.last_m = alone_m;
+        }
+    }
+}
+
+/// The emission of a zone: zones go on at even intervals behind the line's last emission, where there is none.
+fn place(echo: &HeldEcho, zone: usize) -> Option<usize> {
+    let place = usize::try_from(echo.base).ok()?.checked_sub(zone)?;
+    (place <= echo.last as usize).then_some(place)
+}
+
+/// The range of an echo in each zone, m: at even intervals where there is no emission.
+fn ranges_of(line: &Held, echo: &HeldEcho, settings: &Settings, ranges: &mut [f64]) {
+    let m_per_ns = 0.5e-9 * settings.group_velocity_mps;
+    let interval_m = f64::from(line.pulses.interval_m);
+    for (zone, range_m) in ranges.iter_mut().enumerate() {
+        *range_m = match place(echo, zone) {
+            Some(place) => line.flight_ns(echo, place) * m_per_ns,
+            None => f64::from(echo.range_m) + zone as f64 * interval_m,
+        };
+    }
+}
+
+/// What the prior has against a zone, nats.
+fn prior_nats(line: &Held, echo: &HeldEcho, zone: u8, settings: &Settings) -> f64 {
+    let sd_m = match settings.prior {
+        Prior::None => return 0.0,
+        Prior::Agl { sd_m, .. } | Prior::PerEmission { sd_m } => sd_m,
+    };
+    let expected =
+        place(echo, usize::from(zone)).and_then(|place| Some((place, *line.pulses.expected_m.get(place)?)));
+    match expected.filter(|(_, expected_m)| expected_m.is_finite()) {
+        Some((place, expected_m)) => {
+            let apart = f64::from(line.range_m(echo, place, settings) - expected_m) / sd_m;
+            (0.5 * apart * apart).min(PRIOR_CAP_NATS)
+        }
+        None => 0.0,
+    }
+}
