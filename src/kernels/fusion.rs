@@ -110,7 +110,7 @@ pub fn estimate(pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> Optio
         gain_ratio_sd: relative_sd / ratio,
         delay_ns,
         delay_sd_ns,
-        walk: walk(base, &overdriven),
+        walk: walk(base, weight(&linear), &overdriven),
     })
 }
 
@@ -136,8 +136,13 @@ fn delay(pairs: &[Pair]) -> (f64, f64) {
     robust_mean(pairs.iter().map(|pair| (pair.delay_ns, pair.low_power_dn.powi(2))))
 }
 
-/// The delay by height, beginning with `base`; none where it does not change.
-fn walk(base: WalkNode, overdriven: &[Pair]) -> Vec<WalkNode> {
+/// The sum of the weights.
+fn weight(pairs: &[Pair]) -> f64 {
+    pairs.iter().map(|pair| pair.low_power_dn.powi(2)).sum()
+}
+
+/// The delay by height, beginning with `base`, which so much weight tells; none where it does not change.
+fn walk(base: WalkNode, base_weight: f64, overdriven: &[Pair]) -> Vec<WalkNode> {
     let nodes = (overdriven.len() / MIN_PAIRS).min(WALK_NODES);
     if nodes == 0 {
         return Vec::new();
@@ -145,7 +150,9 @@ fn walk(base: WalkNode, overdriven: &[Pair]) -> Vec<WalkNode> {
     let bins = overdriven.chunks(overdriven.len().div_ceil(nodes));
     let mut found = vec![base];
     found.extend(bins.map(|bin| {
-        let (delay_ns, delay_sd_ns) = delay(bin);
+        let (delay_ns, own_sd_ns) = delay(bin);
+        // A few values may lie close by chance: they are not better known than as many of the others.
+        let delay_sd_ns = own_sd_ns.max(base.delay_sd_ns * (base_weight / weight(bin)).sqrt());
         let low_power_dn = bin.iter().map(|pair| pair.low_power_dn).sum::<f64>() / bin.len() as f64;
         WalkNode { low_power_dn, delay_ns, delay_sd_ns }
     }));
