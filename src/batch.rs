@@ -6,6 +6,7 @@
 
 use std::sync::Arc;
 
+use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::sensor_model::SensorModel;
 
 mod budget;
@@ -34,6 +35,8 @@ pub struct Batch {
     pub stats: LineStats,
     /// What `calibrate` found, once it has.
     pub model: Option<Arc<SensorModel>>,
+    /// What `fuse_channels` found, once it has: the times of the high power blocks then count as the others do.
+    pub fusion: Option<Arc<ChannelFusion>>,
     /// The line's emissions in order of time.
     pub emissions: Vec<Emission>,
     /// What was recorded, found or computed for them.
@@ -83,7 +86,7 @@ impl Batch {
             ..LineStats::default()
         };
         let content = Content::Shots(blocks);
-        Batch { input, line, stats, model: None, emissions, content, ticket: None }
+        Batch { input, line, stats, model: None, fusion: None, emissions, content, ticket: None }
     }
 
     /// What the batch holds.

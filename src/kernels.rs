@@ -16,6 +16,7 @@ pub mod detect;
 pub mod false_alarms;
 pub mod flags;
 mod fourier;
+pub mod fusion;
 pub mod gauss_fit;
 pub mod lockstep;
 pub mod mta;

@@ -10,6 +10,7 @@ mod keys;
 mod output_file;
 mod site;
 mod spec;
+mod survey;
 mod words;
 
 pub use context::{Context, Counters, Distribution, Item};
@@ -20,6 +21,7 @@ pub use spec::{
     Config, ConfigError, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
     SourcePlan, StageSpec, TransformConfig,
 };
+pub use survey::Survey;
 pub use words::{bounds, choices, listed, takes};
 
 /// Why a stage cannot go on.

@@ -4,6 +4,7 @@ mod broken;
 pub mod calibrate;
 mod container_info;
 pub mod decompose;
+pub mod fuse_channels;
 pub mod georeference;
 mod lines;
 pub mod read_arrow;

@@ -61,7 +61,8 @@ pub enum ReturnChannel {
     Low,
     /// The receiver for strong echoes.
     High,
-    /// Fitted in both.
+    /// Fitted in both: heights are those of the sensitive receiver, as if its scale had no end, and the receiver for strong
+    /// echoes gives the intensity.
     Joint,
 }
 

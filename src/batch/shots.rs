@@ -168,6 +168,12 @@ impl Blocks {
         self.list.is_empty()
     }
 
+    /// Moves the times of a receiver's blocks by so much, ns.
+    pub fn shift(&mut self, channel: Channel, by_ns: f64) {
+        let of_channel = self.list.iter_mut().filter(|block| block.channel == channel);
+        of_channel.for_each(|block| block.start_ns += by_ns);
+    }
+
     /// The samples of one of these blocks, digitiser steps; none where they were not read.
     pub fn samples(&self, block: &Block) -> &[u16] {
         let held = self.arena.get(block.first as usize..);
@@ -237,6 +243,9 @@ mod tests {
         assert_eq!(groups, [(0, 2), (2, 1)]);
         let samples: Vec<&[u16]> = blocks.iter().map(|block| blocks.samples(block)).collect();
         assert_eq!(samples, [&[1, 2][..], &[3, 4, 5], &[6]]);
+        blocks.shift(Channel::LowPower, -0.5);
+        let starts: Vec<f64> = blocks.iter().map(|block| block.start_ns).collect();
+        assert_eq!(starts, [0.0, 99.5, 0.0]);
         assert_eq!(blocks.waveforms(), 1, "a shot with only its outgoing pulse is no waveform");
     }
 

@@ -202,6 +202,7 @@ fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Fai
     let (mut returns, mut cx) = (Returns::new(), Context::default());
     let tables = SensorTables::new(&model, chain.decompose.mode);
     let mut shots = ShotDecomposer::new(&model, &tables, &chain.decompose, chain.site.simd)
+        .and_then(|shots| shots.fusing(line.fusion.as_deref()))
         .map_err(|error| failed(&error))?;
     let of_line = Shot { index, blocks: &blocks, of_shot, input: &line.input };
     let mut into = Line { emissions: &mut line.emissions, returns: &mut returns, stats: &mut line.stats };

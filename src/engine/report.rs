@@ -13,6 +13,7 @@ use super::Options;
 use super::meter::{Meter, Span};
 use crate::batch::{Batch, EmissionReference, Frame, InputInfo, TimeScale};
 use crate::job::{Job, JobSettings, JobStage, Simd};
+use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Counters, Distribution, Item, RoleName, Site};
 
@@ -78,6 +79,8 @@ pub struct InputReport {
     pub peak_in_flight_bytes: usize,
     /// The counters of all lines together.
     pub totals: BTreeMap<&'static str, u64>,
+    /// What `fuse_channels` found, or was given.
+    pub channel_fusion: Option<ChannelFusion>,
     /// What `calibrate` found.
     pub sensor_model: Option<SensorModel>,
     /// The stages, in order.
@@ -162,6 +165,7 @@ pub struct Totals {
     counts: BTreeMap<&'static str, u64>,
     input: Option<Arc<InputInfo>>,
     model: Option<Arc<SensorModel>>,
+    fusion: Option<Arc<ChannelFusion>>,
 }
 
 impl Totals {
@@ -172,6 +176,9 @@ impl Totals {
         self.input.get_or_insert_with(|| Arc::clone(&batch.input));
         if self.model.is_none() {
             self.model.clone_from(&batch.model);
+        }
+        if self.fusion.is_none() {
+            self.fusion.clone_from(&batch.fusion);
         }
     }
 }
@@ -284,6 +291,7 @@ impl InputReport {
             wall_s: started.elapsed().as_secs_f64(),
             peak_in_flight_bytes,
             totals: totals.counts,
+            channel_fusion: totals.fusion.as_deref().cloned(),
             sensor_model: totals.model.as_deref().cloned(),
             stages,
             outputs,

@@ -13,7 +13,8 @@ use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError,
 use crate::kernels::response_calibrate::{MIN_ECHOES, calibrate_response};
 use crate::kernels::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use crate::stage::{
-    Config, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Transform, TransformConfig,
+    Config, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Survey, Transform,
+    TransformConfig,
 };
 
 /// A model has a few thousand numbers: what is larger is none.
@@ -76,9 +77,9 @@ pub enum Auto {
 }
 
 impl AutoOrNumber {
-    const AUTO: AutoOrNumber = AutoOrNumber::Auto(Auto::Auto);
+    pub(super) const AUTO: AutoOrNumber = AutoOrNumber::Auto(Auto::Auto);
 
-    fn number(self) -> Option<f64> {
+    pub(super) fn number(self) -> Option<f64> {
         match self {
             AutoOrNumber::Number(number) => Some(number),
             AutoOrNumber::Auto(_) => None,
@@ -151,22 +152,13 @@ impl TransformConfig for Calibrate {
             None => None,
         };
         let save = self.save.as_ref().map(|pattern| site.create(pattern)).transpose()?;
-        Ok(Box::new(Calibrator {
-            config: self.clone(),
-            held: Vec::new(),
-            held_bytes: 0,
-            waveforms: 0,
-            model,
-            save,
-        }))
+        Ok(Box::new(Calibrator { config: self.clone(), survey: Survey::new(self.waveforms), model, save }))
     }
 }
 
 struct Calibrator {
     config: Calibrate,
-    held: Vec<Batch>,
-    held_bytes: usize,
-    waveforms: u64,
+    survey: Survey,
     model: Option<Arc<SensorModel>>,
     /// Where the model is to be kept, until it is.
     save: Option<OutputFile>,
@@ -180,21 +172,12 @@ impl Transform for Calibrator {
             batch.model = Some(Arc::clone(model));
             return out.emit(batch);
         }
-        self.waveforms += batch.stats.nw;
-        self.held_bytes += batch.bytes();
-        self.held.push(batch);
-        let full = self.held_bytes > out.may_hold_bytes();
-        if full && self.waveforms < self.config.waveforms {
-            out.cx.note(format!(
-                "calibrated from {} waveforms instead of {}: more do not fit into memory_mb",
-                self.waveforms, self.config.waveforms
-            ));
-        }
-        if full || self.waveforms >= self.config.waveforms { self.release(out) } else { Ok(()) }
+        let is_enough = self.survey.hold(batch, "calibrated", out);
+        if is_enough { self.release(out) } else { Ok(()) }
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
-        if self.held.is_empty() { Ok(()) } else { self.release(out) }
+        if self.survey.lines().is_empty() { Ok(()) } else { self.release(out) }
     }
 }
 
@@ -204,7 +187,7 @@ impl Calibrator {
         let model = Arc::new(self.calibrate(out)?);
         self.model = Some(Arc::clone(&model));
         self.save(out)?;
-        for mut batch in std::mem::take(&mut self.held) {
+        for mut batch in self.survey.release() {
             batch.model = Some(Arc::clone(&model));
             out.emit(batch)?;
         }
@@ -278,7 +261,7 @@ impl Calibrator {
 
     fn settings(&self, channel: Channel) -> CalibrationSettings {
         let unknown = InputInfo::default();
-        let input = self.held.first().map_or(&unknown, |batch| &batch.input);
+        let input = self.survey.lines().first().map_or(&unknown, |batch| &batch.input);
         let full_scale_dn = f64::from(input.full_scale_dn.unwrap_or(u16::MAX));
         let settings = match channel {
             Channel::Reference => CalibrationSettings::reference(input.sampling_interval_ns, full_scale_dn),
@@ -326,11 +309,7 @@ impl Calibrator {
 
     /// The blocks of one receiver in the lines at hand.
     fn blocks(&self, channel: Channel) -> impl Iterator<Item = Block<'_>> + Clone {
-        let lines = self.held.iter().filter_map(Batch::blocks);
-        lines.flat_map(move |blocks| {
-            let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
-            of_channel.map(|block| Block { samples: blocks.samples(block), start_phase: 0 })
-        })
+        self.survey.samples(channel).map(|samples| Block { samples, start_phase: 0 })
     }
 
     fn count(&self, channel: Channel) -> u64 {
@@ -392,9 +371,7 @@ mod tests {
     fn too_few_waveforms_say_how_many_there_were() {
         let mut calibrator = Calibrator {
             config: Calibrate::default(),
-            held: Vec::new(),
-            held_bytes: 0,
-            waveforms: 0,
+            survey: Survey::new(100_000),
             model: None,
             save: None,
         };

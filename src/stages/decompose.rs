@@ -6,10 +6,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Batch, Content, Kind, Returns};
+use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::lockstep::Path;
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
 
+mod both;
 mod crosstalk;
 mod found;
 mod receivers;
@@ -32,7 +34,9 @@ pub const STAGE: StageSpec =
 /// locations (LAS) are tied to those, and where it has neither, the unknown part of a sample goes into the standard
 /// deviations.
 ///
-/// Of two receivers the sensitive one is used; the other where the sensitive one is saturated or did not record.
+/// Of two receivers the sensitive one is used; the other where the sensitive one is saturated or did not record. Behind
+/// `fuse_channels` both are fitted together where the sensitive one is saturated or overdriven and the other sees the same
+/// echo (channel `joint`), the other one's are used where the sensitive one contradicts it, and what both see counts once.
 ///
 /// Per return: `time_of_flight_ns`, `range_m`, `amplitude_dn`, `width_ratio`, `thickness_m`, `intensity`, each with its
 /// standard deviation, and `deviation_ratio` and `flags`. Their definitions, with formulas and units, stand in
@@ -192,15 +196,32 @@ struct DecomposeLine {
 /// A sensor's kernels, and what they share with those of the other workers.
 struct Worker {
     model: Arc<SensorModel>,
+    fusion: Option<Arc<ChannelFusion>>,
     _tables: Arc<SensorTables>,
     shots: ShotDecomposer,
 }
 
 impl Worker {
-    fn new(model: &Arc<SensorModel>, config: &Decompose, path: Path) -> Result<Worker> {
+    fn new(
+        model: &Arc<SensorModel>,
+        fusion: Option<&Arc<ChannelFusion>>,
+        config: &Decompose,
+        path: Path,
+    ) -> Result<Worker> {
         let tables = config.tables.of(model, config.mode);
-        let shots = ShotDecomposer::new(model, &tables, config, path)?;
-        Ok(Worker { model: Arc::clone(model), _tables: tables, shots })
+        let shots =
+            ShotDecomposer::new(model, &tables, config, path)?.fusing(fusion.map(|fusion| &**fusion))?;
+        Ok(Worker { model: Arc::clone(model), fusion: fusion.cloned(), _tables: tables, shots })
+    }
+}
+
+impl Worker {
+    fn is_for(&self, model: &Arc<SensorModel>, fusion: Option<&Arc<ChannelFusion>>) -> bool {
+        let same_fusion = match (&self.fusion, fusion) {
+            (Some(own), Some(other)) => Arc::ptr_eq(own, other),
+            (own, other) => own.is_none() && other.is_none(),
+        };
+        same_fusion && Arc::ptr_eq(&self.model, model)
     }
 }
 
@@ -220,8 +241,8 @@ impl Map for DecomposeLine {
             ));
         };
         let mut worker = match self.worker.take() {
-            Some(worker) if Arc::ptr_eq(&worker.model, &model) => worker,
-            _ => Worker::new(&model, &self.config, self.path)?,
+            Some(worker) if worker.is_for(&model, batch.fusion.as_ref()) => worker,
+            _ => Worker::new(&model, batch.fusion.as_ref(), &self.config, self.path)?,
         };
         let mut returns = Returns::new();
         let shot = |(index, of_shot)| Shot { index, blocks: &blocks, of_shot, input: &batch.input };

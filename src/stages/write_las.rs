@@ -270,7 +270,7 @@ fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
         name if name == INT_ERR.name => r.intensity_sd,
         name if name == WIDE_ERR.name => r.width_ratio_sd,
         name if name == THICK_ERR.name => r.thickness_sd_m,
-        name if name == CHANNEL.name => f64::from(u8::from(r.channel == ReturnChannel::High)),
+        name if name == CHANNEL.name => f64::from(u8::from(r.channel != ReturnChannel::Low)),
         _ => f64::NAN,
     }
 }

@@ -14,11 +14,24 @@ pub(super) struct Found {
     pub(super) time_ns: f64,
     pub(super) time_sd_ns: f64,
     pub(super) channel: ReturnChannel,
+    /// The block among those of its shot.
+    pub(super) block: usize,
     pub(super) zone: i16,
     pub(super) background_dn: f64,
+    /// How it stands in the receiver for strong echoes, where both were fitted together.
+    pub(super) high_power: Option<InHighPower>,
     pub(super) fitted: Pulse,
     /// Bits beside those of the fit.
     pub(super) flags: u16,
+}
+
+/// What a joint return is in the receiver for strong echoes.
+#[derive(Clone, Copy)]
+pub(super) struct InHighPower {
+    /// Height in the sensitive receiver over that in the other.
+    pub(super) gain_ratio: f64,
+    /// The other's background.
+    pub(super) background_dn: f64,
 }
 
 impl Found {
@@ -34,8 +47,8 @@ impl Found {
         let time_of_flight_sd_ns = known_sd_ns.max(least_sd_ns);
         let (thickness_m, thickness_sd_m) = self.thickness(half_speed_m_per_ns);
         let table = match self.channel {
-            ReturnChannel::High => &input.amplitude_high,
-            _ => &input.amplitude_low,
+            ReturnChannel::High | ReturnChannel::Joint => &input.amplitude_high,
+            ReturnChannel::Low => &input.amplitude_low,
         };
         let (amplitude_db, intensity, intensity_sd) = self.intensity(table.as_ref());
         Return {
@@ -82,8 +95,12 @@ impl Found {
     fn intensity(&self, table: Option<&AmplitudeTable>) -> (f64, f64, f64) {
         let (amplitude, sd) = (self.fitted.amplitude_dn, self.fitted.amplitude_sd_dn);
         let Some(table) = table else { return (f64::NAN, amplitude, sd) };
+        let (amplitude, sd, background_dn) = match self.high_power {
+            Some(high) => (amplitude / high.gain_ratio, sd / high.gain_ratio, high.background_dn),
+            None => (amplitude, sd, self.background_dn),
+        };
         let linear = |dn: f64| 7.0 * 10f64.powf(table.at(dn) / 10.0);
-        let dn = self.background_dn + amplitude;
+        let dn = background_dn + amplitude;
         // The table's slope around the peak: a central difference over two steps.
         let slope = (linear(dn + 1.0) - linear(dn - 1.0)) / 2.0;
         (table.at(dn), linear(dn), slope.abs() * sd)

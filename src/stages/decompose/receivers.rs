@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+use super::both::BothReceivers;
 use super::shots::Shot;
 use super::{Decompose, Mode};
 use crate::batch::{Block, Channel, ReturnChannel};
@@ -153,7 +154,7 @@ impl Receivers {
     }
 
     /// Decomposes all blocks of shots, receiver by receiver.
-    pub(super) fn decompose(&mut self, shots: &[Shot]) {
+    pub(super) fn decompose(&mut self, shots: &[Shot], both: Option<&BothReceivers>) {
         let (mut low, mut high, mut outgoing) = (Vec::new(), Vec::new(), Vec::new());
         self.lots.clear();
         for shot in shots {
@@ -168,7 +169,7 @@ impl Receivers {
                     Channel::LowPower => {
                         self.echoes(self.low.as_ref(), block, || queued(&mut low, waveform, Lot::Low))
                     }
-                    Channel::HighPower if shot.is_covered(block) => {
+                    Channel::HighPower if shot.is_covered(block, both) => {
                         Lot::Unused("the sensitive receiver recorded it as well")
                     }
                     Channel::HighPower => {

@@ -1,6 +1,7 @@
 //! One shot after another: from what the receivers found to its returns.
 
 use super::Decompose;
+use super::both::BothReceivers;
 use super::crosstalk::Departures;
 use super::found::Found;
 use super::receivers::{Lot, Receivers, SensorTables};
@@ -9,6 +10,7 @@ use crate::batch::{
     Returns, flags,
 };
 use crate::kernels::decompose::{Counts, Decomposition};
+use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::lockstep::Path;
 use crate::kernels::outgoing::Outgoing;
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
@@ -92,14 +94,18 @@ impl Shot<'_> {
         self.blocks.online_of(self.index)
     }
 
-    /// Whether a block of the sensitive receiver covers the time of this one without being saturated.
-    pub(super) fn is_covered(&self, block: &Block) -> bool {
+    /// Whether a block of the sensitive receiver covers the time of this one and tells all that it holds: it is not
+    /// saturated, nor overdriven where both can be used together.
+    pub(super) fn is_covered(&self, block: &Block, both: Option<&BothReceivers>) -> bool {
         let end_ns = |block: &Block| block.time_ns(block.len() as f64);
         self.of_shot.iter().any(|other| {
             other.channel == Channel::LowPower
                 && other.start_ns < end_ns(block)
                 && block.start_ns < end_ns(other)
-                && !self.is_saturated(other)
+                && match both {
+                    Some(both) => !both.is_blinded(self.blocks.samples(other)),
+                    None => !self.is_saturated(other),
+                }
         })
     }
 
@@ -167,7 +173,11 @@ struct Turn<'a> {
 
 /// Decomposes the shots of a line.
 pub(crate) struct ShotDecomposer {
+    model: SensorModel,
+    detection_sigma: f64,
+    template_error: f64,
     receivers: Receivers,
+    both: Option<BothReceivers>,
     timing_error_ns: f64,
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
@@ -182,11 +192,23 @@ impl ShotDecomposer {
         path: Path,
     ) -> Result<ShotDecomposer> {
         Ok(ShotDecomposer {
+            model: model.clone(),
+            detection_sigma: config.detection_sigma,
+            template_error: config.template_error,
+            both: None,
             receivers: Receivers::new(model, tables, config, path)?,
             timing_error_ns: config.timing_error_ns,
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
         })
+    }
+
+    /// The same, using both receivers as `fuse_channels` has found them to go together.
+    pub(crate) fn fusing(mut self, fusion: Option<&ChannelFusion>) -> Result<ShotDecomposer> {
+        if let Some(fusion) = fusion {
+            self.both = BothReceivers::new(&self.model, fusion, self.detection_sigma, self.template_error)?;
+        }
+        Ok(self)
     }
 
     /// Decomposes the shots of a line.
@@ -197,7 +219,7 @@ impl ShotDecomposer {
         cx: &mut Context,
         watch: &mut impl Watch,
     ) -> Result<()> {
-        self.receivers.decompose(shots);
+        self.receivers.decompose(shots, self.both.as_ref());
         let mut first_block = 0;
         for shot in shots {
             match line.emissions.get(shot.index as usize).copied() {
@@ -275,7 +297,8 @@ impl ShotDecomposer {
         let Turn { shot, emission, first_block } = turn;
         let mut waveform = Waveform::default();
         let lots = self.receivers.lots(*first_block);
-        for (block, &lot) in shot.of_shot.iter().zip(lots).filter(|(block, _)| block.channel.is_echo()) {
+        let blocks = shot.of_shot.iter().zip(lots).enumerate();
+        for (index, (block, &lot)) in blocks.filter(|(_, (block, _))| block.channel.is_echo()) {
             waveform.recorded = true;
             if let Lot::Unused(why) = lot {
                 cx.reject(Item::Blocks, why, 1);
@@ -296,8 +319,10 @@ impl ShotDecomposer {
                 time_ns: block.time_ns(fitted.position_samples),
                 time_sd_ns: fitted.position_sd_samples * block.interval_ns,
                 channel,
+                block: index,
                 zone,
                 background_dn,
+                high_power: None,
                 fitted: *fitted,
                 flags: 0,
             }));
@@ -306,6 +331,10 @@ impl ShotDecomposer {
             stats.np_xtalk_dropped += dropped;
             fit.drop(dropped);
             watch.echoes(block, fit, &result, model);
+        }
+        if let Some(both) = &mut self.both {
+            self.found.iter_mut().for_each(|found| both.align(found));
+            both.fuse(shot, &mut self.found, stats);
         }
         waveform.count(&self.found, stats, cx);
         Ok(())

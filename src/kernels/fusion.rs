@@ -1,0 +1,243 @@
+//! Two receivers that see the same echoes: how much more the sensitive one amplifies, and how much later the other sees
+//! them, from plain peaks; and the fit of one receiver's samples with what the other tells of the pulses ([`JointFit`]).
+//!
+//! Docs/method.md, Two receivers. The sensitive receiver is *low power*, the one for strong echoes *high power*.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::sensor_model::{ChannelModel, ModelError};
+pub use joint::{Expected, JointFit, JointFitted, JointPulse, Outcome};
+pub use plain_peak::{PlainPeak, lead_noise_sd_dn, plain_peak, plain_peak_of};
+use robust::{pooled, robust_mean};
+
+mod joint;
+mod plain_peak;
+mod robust;
+#[cfg(test)]
+mod tests;
+
+/// Fewer pairs do not tell gain and delay.
+pub const MIN_PAIRS: usize = 20;
+/// Echoes are used from this height over the noise in the receiver for strong echoes on.
+const LEAST_SNR: f64 = 8.0;
+/// Above this part of the full scale the sensitive receiver is overdriven.
+pub const OVERDRIVEN_PART: f64 = 210.0 / 255.0;
+/// Heights at which the delay of the overdriven receiver is told, at most.
+const WALK_NODES: usize = 4;
+/// A change of delay, or of the gain between weaker and stronger echoes, is one from so many standard deviations on.
+const SIGNIFICANT_SD: f64 = 4.0;
+/// Where the gain changes with height it says little of echoes above those it was found from: its standard deviation
+/// is so many times the change.
+const EXTRAPOLATION: f64 = 3.0;
+/// Where only one receiver's response is known, the peaks of the two models may lie apart by this part of a pulse's width.
+const UNKNOWN_RESPONSE_WIDTHS: f64 = 0.02;
+/// A model's plain peak is the mean over so many phases of the sample raster.
+const PHASES: u32 = 16;
+/// Samples of the block that a model's plain peak is taken from, and where its pulse stands.
+const MODEL_SAMPLES: usize = 64;
+const MODEL_PLACE: f64 = 24.0;
+
+/// One echo as both receivers saw it, unsaturated: plain peaks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pair {
+    /// Height above the background in the sensitive receiver, DN.
+    pub low_power_dn: f64,
+    /// The same in the other.
+    pub high_power_dn: f64,
+    /// How much later the other saw it, ns.
+    pub delay_ns: f64,
+}
+
+/// How the two receivers go together.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ChannelFusion {
+    /// Echoes that it was found from; 0 where all of it was given.
+    pub pairs: u64,
+    /// Height of an echo in the sensitive receiver over that in the other.
+    pub gain_ratio: f64,
+    /// Standard deviation of `gain_ratio`, its change with the height of the echo included.
+    pub gain_ratio_sd: f64,
+    /// How much later the receiver for strong echoes sees an echo than the sensitive one, ns.
+    pub delay_ns: f64,
+    /// Standard deviation of `delay_ns`, ns.
+    pub delay_sd_ns: f64,
+    /// The delay by height where the sensitive receiver is overdriven, by rising height; none where it does not change.
+    pub walk: Vec<WalkNode>,
+}
+
+/// The delay at one height.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WalkNode {
+    /// Height above the background in the sensitive receiver, DN.
+    pub low_power_dn: f64,
+    /// The delay, ns.
+    pub delay_ns: f64,
+    /// Its standard deviation, ns.
+    pub delay_sd_ns: f64,
+}
+
+/// Gain and delay from echoes that both receivers saw, by robust weighted means: the delay of echoes that do not overdrive
+/// the sensitive receiver, whose scale ends at `full_scale_dn`, the ratio of heights with the weights of a regression
+/// through the origin. `high_noise_dn` is the noise of the receiver for strong echoes. `None` where fewer than
+/// [`MIN_PAIRS`] echoes are strong enough.
+pub fn estimate(pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> Option<ChannelFusion> {
+    let overdriven_dn = OVERDRIVEN_PART * full_scale_dn;
+    // What the sensitive receiver says of the height decides, so that the other's noise does not choose.
+    let rough_ratio = rough_ratio(pairs)?;
+    let least_dn = LEAST_SNR * high_noise_dn / rough_ratio;
+    let strong = |pair: &&Pair| pair.low_power_dn >= least_dn;
+    let (mut linear, mut overdriven): (Vec<Pair>, Vec<Pair>) =
+        pairs.iter().filter(strong).partition(|pair| pair.low_power_dn < overdriven_dn);
+    if linear.len() < MIN_PAIRS {
+        return None;
+    }
+    linear.sort_by(|a, b| a.low_power_dn.total_cmp(&b.low_power_dn));
+    overdriven.sort_by(|a, b| a.low_power_dn.total_cmp(&b.low_power_dn));
+    let (ratio, ratio_sd) = ratio(&linear);
+    let (weaker, stronger) = linear.split_at(linear.len() / 2);
+    let (below, above) = (self::ratio(weaker), self::ratio(stronger));
+    let change = (above.0 - below.0).abs();
+    let is_change = change > SIGNIFICANT_SD * below.1.hypot(above.1);
+    let relative_sd = (ratio_sd / ratio).hypot(if is_change { EXTRAPOLATION * change / ratio } else { 0.0 });
+    let (delay_ns, delay_sd_ns) = delay(&linear);
+    let base = WalkNode { low_power_dn: overdriven_dn, delay_ns, delay_sd_ns };
+    Some(ChannelFusion {
+        pairs: linear.len() as u64,
+        gain_ratio: 1.0 / ratio,
+        gain_ratio_sd: relative_sd / ratio,
+        delay_ns,
+        delay_sd_ns,
+        walk: walk(base, weight(&linear), &overdriven),
+    })
+}
+
+/// The median ratio of the heights; `None` without pairs.
+fn rough_ratio(pairs: &[Pair]) -> Option<f64> {
+    let mut ratios: Vec<f64> = pairs.iter().map(|pair| pair.high_power_dn / pair.low_power_dn).collect();
+    let middle = ratios.len() / 2;
+    let median = *ratios
+        .get_mut(..)?
+        .select_nth_unstable_by(middle.min(pairs.len().checked_sub(1)?), f64::total_cmp)
+        .1;
+    (median > 0.0).then_some(median)
+}
+
+/// Height in the receiver for strong echoes over that in the other, and its standard deviation: its noise is the larger
+/// one against the height, and the same for all, so that a line through the origin weighs with the square of the height.
+fn ratio(pairs: &[Pair]) -> (f64, f64) {
+    robust_mean(pairs.iter().map(|pair| (pair.high_power_dn / pair.low_power_dn, pair.low_power_dn.powi(2))))
+}
+
+/// The delay and its standard deviation: a place is the better known the higher the peak.
+fn delay(pairs: &[Pair]) -> (f64, f64) {
+    robust_mean(pairs.iter().map(|pair| (pair.delay_ns, pair.low_power_dn.powi(2))))
+}
+
+/// The sum of the weights.
+fn weight(pairs: &[Pair]) -> f64 {
+    pairs.iter().map(|pair| pair.low_power_dn.powi(2)).sum()
+}
+
+/// The delay by height, beginning with `base`, which so much weight tells; none where it does not change.
+fn walk(base: WalkNode, base_weight: f64, overdriven: &[Pair]) -> Vec<WalkNode> {
+    let nodes = (overdriven.len() / MIN_PAIRS).min(WALK_NODES);
+    if nodes == 0 {
+        return Vec::new();
+    }
+    let bins = overdriven.chunks(overdriven.len().div_ceil(nodes));
+    let mut found = vec![base];
+    found.extend(bins.map(|bin| {
+        let (delay_ns, own_sd_ns) = delay(bin);
+        // A few values may lie close by chance: they are not better known than as many of the others.
+        let delay_sd_ns = own_sd_ns.max(base.delay_sd_ns * (base_weight / weight(bin)).sqrt());
+        let low_power_dn = bin.iter().map(|pair| pair.low_power_dn).sum::<f64>() / bin.len() as f64;
+        WalkNode { low_power_dn, delay_ns, delay_sd_ns }
+    }));
+    let change = |node: &WalkNode| node.delay_ns - base.delay_ns;
+    let is_change =
+        |node: &WalkNode| change(node).abs() > SIGNIFICANT_SD * node.delay_sd_ns.hypot(base.delay_sd_ns);
+    if !found.iter().any(is_change) {
+        return Vec::new();
+    }
+    let sign = found.iter().map(change).sum::<f64>().signum();
+    let monotone =
+        pooled(&found.iter().map(|node| (sign * node.delay_ns, node.delay_sd_ns)).collect::<Vec<_>>());
+    found.iter_mut().zip(monotone).for_each(|(node, delay_ns)| node.delay_ns = sign * delay_ns);
+    found
+}
+
+impl ChannelFusion {
+    /// By how much the delay of an echo of this height in the sensitive receiver differs from `delay_ns`, and the standard
+    /// deviation of that: linear between the nodes, and above the last one as at the last one, where the whole change may
+    /// be wrong.
+    pub fn walk_ns(&self, low_power_dn: f64) -> (f64, f64) {
+        let after = self.walk.partition_point(|node| node.low_power_dn <= low_power_dn);
+        let Some(before) = after.checked_sub(1).and_then(|before| self.walk.get(before)) else {
+            return (0.0, 0.0);
+        };
+        let change = |delay_ns: f64| delay_ns - self.delay_ns;
+        match self.walk.get(after) {
+            None => (change(before.delay_ns), before.delay_sd_ns.hypot(change(before.delay_ns))),
+            Some(next) => {
+                let part = (low_power_dn - before.low_power_dn) / (next.low_power_dn - before.low_power_dn);
+                let between = |a: f64, b: f64| a + part * (b - a);
+                (
+                    change(between(before.delay_ns, next.delay_ns)),
+                    between(before.delay_sd_ns, next.delay_sd_ns),
+                )
+            }
+        }
+    }
+
+    /// The same between pulses fitted with these models: what plain peaks make of a model's own pulse is taken off.
+    ///
+    /// # Errors
+    /// Where a model describes no channel.
+    pub fn between_models(
+        &self,
+        low: &ChannelModel,
+        high: &ChannelModel,
+    ) -> Result<ChannelFusion, ModelError> {
+        let height_dn = 0.5 * low.full_scale_dn;
+        let (low_shift_ns, low_ratio) = plain_of_model(low, height_dn)?;
+        let (high_shift_ns, high_ratio) = plain_of_model(high, height_dn / self.gain_ratio)?;
+        let shift_ns = low_shift_ns - high_shift_ns;
+        let factor = high_ratio / low_ratio;
+        let alike = low.response.is_some() == high.response.is_some();
+        let unknown_ns = if alike { 0.0 } else { UNKNOWN_RESPONSE_WIDTHS * low.pulse_fwhm_ns };
+        let mut fusion = self.clone();
+        fusion.gain_ratio *= factor;
+        fusion.gain_ratio_sd *= factor;
+        fusion.delay_ns += shift_ns;
+        fusion.delay_sd_ns = fusion.delay_sd_ns.hypot(unknown_ns);
+        fusion.walk.iter_mut().for_each(|node| node.delay_ns += shift_ns);
+        Ok(fusion)
+    }
+}
+
+/// Where a model's pulse of this height has its plain peak, ns after its place, and that peak's height over the pulse's.
+fn plain_of_model(model: &ChannelModel, height_dn: f64) -> Result<(f64, f64), ModelError> {
+    let shape = super::shape::Shape::of(model)?;
+    let (mut shift_samples, mut ratio) = (0.0, 0.0);
+    for phase in 0..PHASES {
+        let mut signal = [0.0; MODEL_SAMPLES];
+        let position_samples = MODEL_PLACE + f64::from(phase) / f64::from(PHASES);
+        let pulse = super::gauss_fit::Pulse {
+            height_dn,
+            position_samples,
+            ln_width_ratio: 0.0,
+            ln_width_precision: 0.0,
+        };
+        shape.add(&pulse, 1.0, &mut signal);
+        // A pulse too long for the block has no plain peak: it is taken at its place.
+        if let Some(peak) = plain_peak_of(&signal) {
+            shift_samples += peak.position_samples - position_samples;
+            ratio += peak.height_dn / height_dn - 1.0;
+        }
+    }
+    let phases = f64::from(PHASES);
+    Ok((shift_samples / phases * model.sampling_interval_ns, 1.0 + ratio / phases))
+}

@@ -1,0 +1,92 @@
+//! The peak of a block by a parabola.
+
+/// Samples at a block's start that tell its background: one of each phase that backgrounds are known by.
+const LEAD_SAMPLES: usize = 4;
+/// Those samples are free of a pulse whose peak is so many of its half widths at half maximum away.
+const CLEAR_HALF_WIDTHS: f64 = 3.0;
+
+/// A peak.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlainPeak {
+    /// Place, samples from the block's first.
+    pub position_samples: f64,
+    /// Height above the background, DN.
+    pub height_dn: f64,
+}
+
+/// The strongest peak of a block, above the mean of its first samples. `None` where a sample reaches the full scale, or
+/// where the peak stands at the block's edge.
+pub fn plain_peak(samples: &[u16], full_scale_dn: f64) -> Option<PlainPeak> {
+    if samples.iter().any(|&sample| f64::from(sample) >= full_scale_dn) {
+        return None;
+    }
+    let lead = samples.get(..LEAD_SAMPLES)?;
+    let background = lead.iter().map(|&sample| f64::from(sample)).sum::<f64>() / LEAD_SAMPLES as f64;
+    let signal: Vec<f64> = samples.iter().map(|&sample| f64::from(sample) - background).collect();
+    plain_peak_of(&signal)
+}
+
+/// The same of a signal above its background: the vertex of a parabola through the logarithms of the samples above half of
+/// the highest, by least squares with the squares of the samples as weights (Guo 2011, "A simple algorithm for fitting a
+/// Gaussian function", eq. 8): exact for a Gaussian.
+pub fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
+    let top = (0..signal.len()).max_by(|&a, &b| signal[a].total_cmp(&signal[b]))?;
+    let half = 0.5 * signal[top];
+    if half <= 0.0 {
+        return None;
+    }
+    let first = signal[..top].iter().rposition(|&value| value <= half)? + 1;
+    let end = top + signal[top..].iter().position(|&value| value <= half)?;
+    let half_width = 0.5 * (end - first) as f64;
+    if (top as f64) < LEAD_SAMPLES as f64 + CLEAR_HALF_WIDTHS * half_width || end - first < 3 {
+        return None;
+    }
+    // Sums of the normal equations about the highest sample.
+    let (mut powers, mut told) = ([0.0; 5], [0.0; 3]);
+    for (k, &value) in signal.iter().enumerate().take(end).skip(first) {
+        let (x, weight) = (k as f64 - top as f64, value * value);
+        let mut power = weight;
+        for (i, sum) in powers.iter_mut().enumerate() {
+            *sum += power;
+            if let Some(sum) = told.get_mut(i) {
+                *sum += power * value.ln();
+            }
+            power *= x;
+        }
+    }
+    let [c0, c1, c2] = solve(powers, told)?;
+    let place = -0.5 * c1 / c2;
+    let is_peak = c2 < 0.0 && place.abs() <= half_width + 1.0;
+    let peak = PlainPeak { position_samples: top as f64 + place, height_dn: (c0 + 0.5 * c1 * place).exp() };
+    (is_peak && peak.height_dn.is_finite()).then_some(peak)
+}
+
+/// `Σ_j s_(i+j) c_j = t_i` for three unknowns, by Cramer's rule.
+fn solve(s: [f64; 5], t: [f64; 3]) -> Option<[f64; 3]> {
+    let determinant = |a: [f64; 3], b: [f64; 3], c: [f64; 3]| {
+        a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
+            + a[2] * (b[0] * c[1] - b[1] * c[0])
+    };
+    let (a, b, c) = ([s[0], s[1], s[2]], [s[1], s[2], s[3]], [s[2], s[3], s[4]]);
+    let all = determinant(a, b, c);
+    (all != 0.0).then(|| [determinant(t, b, c) / all, determinant(a, t, c) / all, determinant(a, b, t) / all])
+}
+
+/// The standard deviation of the noise of a receiver from the first samples of its blocks, DN: the lower half of the blocks
+/// tells it, so that echoes do not. NaN without blocks.
+pub fn lead_noise_sd_dn<'a>(blocks: impl Iterator<Item = &'a [u16]>) -> f64 {
+    let variance = |samples: &[u16]| {
+        let mean = samples.iter().map(|&sample| f64::from(sample)).sum::<f64>() / samples.len() as f64;
+        let squares = samples.iter().map(|&sample| (f64::from(sample) - mean).powi(2)).sum::<f64>();
+        squares / (samples.len() - 1) as f64
+    };
+    let mut variances: Vec<f64> =
+        blocks.filter_map(|samples| samples.get(..LEAD_SAMPLES)).map(variance).collect();
+    if variances.is_empty() {
+        return f64::NAN;
+    }
+    // A chi-square of three degrees of freedom has its median at 0.789 of its mean.
+    const MEDIAN: f64 = 0.789;
+    let middle = variances.len() / 2;
+    (*variances.select_nth_unstable_by(middle, f64::total_cmp).1 / MEDIAN).sqrt()
+}

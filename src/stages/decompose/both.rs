@@ -1,0 +1,359 @@
+//! What two receivers tell of the same echoes, put together (docs/method.md, Two receivers).
+
+use super::found::{Found, InHighPower};
+use super::shots::Shot;
+use crate::batch::{Block, Channel, LineStats, ReturnChannel, flags};
+use crate::kernels::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse, OVERDRIVEN_PART};
+use crate::kernels::sensor_model::SensorModel;
+use crate::stage::{Result, StageError};
+
+/// One echo lies within so many standard deviations of its place in both receivers, or within a sample.
+const SAME_SD: f64 = 3.0;
+/// Where the sensitive receiver is saturated or overdriven its own fit tells the place less surely: within so many widths.
+const SAME_WIDTHS: f64 = 0.5;
+/// An echo so many widths from a saturated sample is one that the sensitive receiver may not tell.
+const NEAR_WIDTHS: f64 = 1.0;
+/// Flags of a return that the sensitive receiver alone does not tell.
+const BLINDED: u16 = flags::SATURATED | flags::EXTREMELY_SATURATED | flags::OVERDRIVEN;
+/// Squared distance, in standard deviations, of the joint fit from what the other receiver says, above which the
+/// receivers contradict each other: one in 100 000 by chance (three degrees of freedom).
+const CONTRADICTION: f64 = 26.0;
+/// What stands so many standard deviations above the other receiver's noise it does not miss.
+const SEEN_SIGMA: f64 = 8.0;
+/// Spread of widths of single pulses, as pulses that overlap are fitted with it.
+const OVERLAP_LN_WIDTH_SD: f64 = 0.15;
+
+/// Two receivers whose gain and delay are known.
+pub(super) struct BothReceivers {
+    /// Between pulses as the models' fits see them.
+    between: ChannelFusion,
+    /// What alignment left: how much later the other receiver's fits lie on the common axis, ns.
+    left_ns: f64,
+    low: JointFit,
+    high: JointFit,
+    overdriven_dn: f64,
+    detection_sigma: f64,
+}
+
+/// A pulse of the sensitive receiver's block on its way through the joint fit.
+struct Candidate {
+    /// The return that is to hold it.
+    found: usize,
+    /// The return of the other receiver.
+    high: Option<usize>,
+    pulse: JointPulse,
+    /// Of the place that is expected, the part of the variance that is not the walk's.
+    sure_part: f64,
+    /// The delay's change with height, samples.
+    walk_samples: f64,
+}
+
+impl Candidate {
+    /// A return that the other receiver does not see.
+    fn alone(index: usize, found: &Found) -> Candidate {
+        Candidate { found: index, high: None, pulse: start(found), sure_part: 1.0, walk_samples: 0.0 }
+    }
+
+    /// The fitted pulse where it stands on the common axis of time, on which the overdriven receiver sees it early by the
+    /// walk. What the walk is not known by, the other receiver's place does not share: with `x` the place, `y = x - w` that
+    /// in the block, `m` and `S` what is expected of `y`, and `V` its variance after the fit, `x` is
+    /// `m + w + k (y - m)` with `k` the sure part of `S`, and its variance `k S - k² (S - V)`.
+    fn on_common_axis(&self, fitted: &JointFitted) -> JointFitted {
+        let mut fitted = *fitted;
+        let Some(expected) = &self.pulse.expected else { return fitted };
+        let (m, s, k) = (expected.mean[1], expected.covariance[1][1], self.sure_part);
+        fitted.value[1] = m + self.walk_samples + k * (fitted.value[1] - m);
+        fitted.covariance[1][1] = k * s - k * k * (s - fitted.covariance[1][1]);
+        fitted
+    }
+}
+
+impl BothReceivers {
+    /// `None` where one of the receivers was not calibrated.
+    pub(super) fn new(
+        model: &SensorModel,
+        fusion: &ChannelFusion,
+        detection_sigma: f64,
+        template_error: f64,
+    ) -> Result<Option<BothReceivers>> {
+        let (Some(low), Some(high)) = (&model.low_power, &model.high_power) else { return Ok(None) };
+        let made = || {
+            let between = fusion.between_models(low, high)?;
+            Ok(BothReceivers {
+                left_ns: between.delay_ns - fusion.delay_ns,
+                between,
+                low: JointFit::new(low, template_error)?,
+                high: JointFit::new(high, template_error)?,
+                overdriven_dn: OVERDRIVEN_PART * low.full_scale_dn,
+                detection_sigma,
+            })
+        };
+        made().map(Some).map_err(|error: crate::kernels::sensor_model::ModelError| {
+            StageError::failed(error.to_string(), "calibrate on a longer part of the recording")
+        })
+    }
+
+    /// Whether the sensitive receiver is saturated or overdriven somewhere in a block.
+    pub(super) fn is_blinded(&self, samples: &[u16]) -> bool {
+        samples.iter().any(|&sample| f64::from(sample) >= self.overdriven_dn)
+    }
+
+    /// Puts a return where it lies on the common axis of time, with what is not known of that.
+    pub(super) fn align(&self, found: &mut Found) {
+        let (shift_ns, sd_ns) = match found.channel {
+            ReturnChannel::Low => self.between.walk_ns(found.fitted.amplitude_dn),
+            _ => (-self.left_ns, self.between.delay_sd_ns),
+        };
+        found.time_ns += shift_ns;
+        found.time_sd_ns = found.time_sd_ns.hypot(sd_ns);
+    }
+
+    /// Puts together what a shot's blocks hold of the same echoes. Returns of `all` from `first` on that are others' doubles
+    /// are taken out and counted.
+    pub(super) fn fuse(&mut self, shot: &Shot, all: &mut Vec<Found>, stats: &mut LineStats) {
+        let mut gone = vec![false; all.len()];
+        for (h, high) in shot.of_shot.iter().enumerate() {
+            let has_returns = all.iter().any(|found| found.block == h);
+            if high.channel != Channel::HighPower || !has_returns {
+                continue;
+            }
+            for (l, low) in shot.of_shot.iter().enumerate().filter(|(_, block)| is_beside(block, high)) {
+                self.fuse_blocks(shot, [(l, low), (h, high)], all, &mut gone, stats);
+            }
+        }
+        let mut index = 0;
+        all.retain(|_| {
+            index += 1;
+            !gone[index - 1]
+        });
+    }
+
+    fn fuse_blocks(
+        &mut self,
+        shot: &Shot,
+        [(l, low), (h, high)]: [(usize, &Block); 2],
+        all: &mut [Found],
+        gone: &mut [bool],
+        stats: &mut LineStats,
+    ) {
+        let of_block = |block: usize| (0..all.len()).filter(|&i| all[i].block == block && !gone[i]).collect();
+        let (lows, highs): (Vec<usize>, Vec<usize>) = (of_block(l), of_block(h));
+        let samples = shot.blocks.samples(low);
+        let partner = self.partners(all, &lows, &highs, low);
+        let mut joined = Vec::new();
+        for (&of_high, &of_low) in highs.iter().zip(&partner) {
+            let time_ns = all[of_high].time_ns;
+            let is_blind = of_low.is_some_and(|i| all[i].fitted.flags & BLINDED != 0)
+                || self.is_near_saturation(samples, low, time_ns);
+            let is_within = (low.time_ns(0.0)..=low.time_ns(samples.len() as f64 - 1.0)).contains(&time_ns);
+            match of_low {
+                _ if is_blind => joined.push((of_high, of_low)),
+                Some(_) => {
+                    gone[of_high] = true;
+                    stats.np_merged += 1;
+                }
+                None if is_within => {
+                    gone[of_high] = true;
+                    stats.np_filtered += 1;
+                }
+                None => {}
+            }
+        }
+        if joined.is_empty() {
+            return;
+        }
+        let matched = |i: usize| joined.iter().any(|&(_, of_low)| of_low == Some(i));
+        let explained = |i: usize| {
+            let reach_ns = NEAR_WIDTHS * self.low.model().pulse_fwhm_ns;
+            joined.iter().any(|&(of_high, _)| (all[of_high].time_ns - all[i].time_ns).abs() <= reach_ns)
+        };
+        // What the sensitive receiver makes of a plateau beside the echo that the other one sees there is the same echo.
+        let doubles: Vec<usize> = lows
+            .iter()
+            .copied()
+            .filter(|&i| matched(i) || all[i].fitted.flags & BLINDED != 0 && explained(i))
+            .collect();
+        let (others, false_ones): (Vec<usize>, Vec<usize>) = (lows.iter().copied())
+            .filter(|i| !doubles.contains(i))
+            .partition(|&i| self.stands_out(&all[i], [low, high], all, &joined));
+        for false_one in false_ones {
+            gone[false_one] = true;
+            stats.np_filtered += 1;
+        }
+        self.fit_jointly(shot, [low, high], all, &highs, (&joined, &others));
+        for double in doubles {
+            gone[double] = true;
+            stats.np_merged += 1;
+        }
+    }
+
+    /// Whether a return of the sensitive receiver that the other does not see stands out of what errors of the response leave
+    /// of the echoes that blind it, and is too weak for the other.
+    fn stands_out(
+        &self,
+        found: &Found,
+        [low, high]: [&Block; 2],
+        all: &[Found],
+        joined: &[(usize, Option<usize>)],
+    ) -> bool {
+        let gain = self.between.gain_ratio;
+        let place = |time_ns: f64, block: &Block| (time_ns - block.start_ns) / block.interval_ns;
+        let strong =
+            joined.iter().map(|&(i, _)| (place(all[i].time_ns, low), gain * all[i].fitted.amplitude_dn));
+        let position = place(found.time_ns, low);
+        let height_dn = found.fitted.amplitude_dn;
+        if height_dn < self.low.least_height_dn(self.detection_sigma, position, strong) {
+            return false;
+        }
+        let (in_high, beside) = (place(found.time_ns, high), std::iter::empty());
+        let is_recorded = (0.0..high.len() as f64).contains(&in_high);
+        let seen_dn = self.high.least_height_dn(SEEN_SIGMA.max(self.detection_sigma), in_high, beside);
+        !is_recorded || height_dn < gain * seen_dn
+    }
+
+    /// For each return of the other receiver the nearest one of the sensitive one's that may be the same echo.
+    fn partners(&self, all: &[Found], lows: &[usize], highs: &[usize], low: &Block) -> Vec<Option<usize>> {
+        let mut taken: Vec<usize> = Vec::new();
+        let wide_ns = SAME_WIDTHS * self.low.model().pulse_fwhm_ns;
+        let mut partner = vec![None; highs.len()];
+        let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
+        for (k, &h) in highs.iter().enumerate() {
+            for &l in lows {
+                let (a, b) = (&all[h], &all[l]);
+                let distance_ns = (a.time_ns - b.time_ns).abs();
+                let sd_ns = a.time_sd_ns.hypot(b.time_sd_ns);
+                let blinded_ns = if b.fitted.flags & BLINDED != 0 { wide_ns } else { 0.0 };
+                if distance_ns <= low.interval_ns.max(SAME_SD * sd_ns).max(blinded_ns) {
+                    pairs.push((distance_ns, k, l));
+                }
+            }
+        }
+        pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (_, k, l) in pairs {
+            if partner[k].is_none() && !taken.contains(&l) {
+                partner[k] = Some(l);
+                taken.push(l);
+            }
+        }
+        partner
+    }
+
+    /// Whether a moment lies within a width of a saturated sample of a block.
+    fn is_near_saturation(&self, samples: &[u16], block: &Block, time_ns: f64) -> bool {
+        let model = self.low.model();
+        let place = (time_ns - block.start_ns) / block.interval_ns;
+        let reach = NEAR_WIDTHS * model.fwhm_samples();
+        let saturated = |(_, sample): &(usize, &u16)| f64::from(**sample) >= model.full_scale_dn;
+        samples.iter().enumerate().filter(saturated).any(|(k, _)| (k as f64 - place).abs() <= reach)
+    }
+
+    /// Fits the sensitive receiver's block with what the other one's fit says of the echoes in `joined` (its return, and
+    /// the sensitive receiver's); `others` are the rest of the sensitive one's. The results stand in place of the other
+    /// receiver's returns. Where the receivers contradict each other, or no fit is found, those stay as they are.
+    fn fit_jointly(
+        &mut self,
+        shot: &Shot,
+        [low, high]: [&Block; 2],
+        all: &mut [Found],
+        highs: &[usize],
+        (joined, others): (&[(usize, Option<usize>)], &[usize]),
+    ) {
+        let starts = highs.iter().map(|&i| start(&all[i]));
+        if self.high.fit(shot.blocks.samples(high), starts).is_none() {
+            return;
+        }
+        let mut candidates = Vec::new();
+        for &(of_high, of_low) in joined {
+            let Some(place) = highs.iter().position(|&i| i == of_high) else { continue };
+            let Some(fitted) = self.high.fitted().get(place) else { continue };
+            let height_dn = (fitted.value[0].exp() * self.between.gain_ratio)
+                .max(of_low.map_or(0.0, |i| 0.5 * all[i].fitted.amplitude_dn));
+            let (walk_ns, walk_sd_ns) = self.between.walk_ns(height_dn);
+            let expected = self.expected(fitted, [low, high], (walk_ns, walk_sd_ns));
+            candidates.push(Candidate {
+                found: of_high,
+                high: Some(of_high),
+                pulse: JointPulse { start: expected.mean, expected: Some(expected), ln_width_precision: 0.0 },
+                sure_part: 1.0 - (walk_sd_ns / low.interval_ns).powi(2) / expected.covariance[1][1],
+                walk_samples: walk_ns / low.interval_ns,
+            });
+        }
+        candidates.extend(others.iter().map(|&i| Candidate::alone(i, &all[i])));
+        let pulses = candidates.iter().map(|candidate| candidate.pulse);
+        let Some(outcome) = self.low.fit(shot.blocks.samples(low), pulses) else { return };
+        if self.low.fitted().iter().any(|fitted| fitted.distance > CONTRADICTION) {
+            return;
+        }
+        let nu = outcome.degrees_of_freedom.max(1) as f64;
+        let deviation_ratio = (outcome.chi_square - nu) / (2.0 * nu).sqrt();
+        for (candidate, fitted) in candidates.iter().zip(self.low.fitted()) {
+            let was_low = joined.iter().find(|(of_high, _)| Some(*of_high) == candidate.high);
+            let flags = was_low.and_then(|(_, of_low)| *of_low).map_or(0, |i| all[i].fitted.flags);
+            let found = &mut all[candidate.found];
+            if candidate.high.is_some() {
+                found.high_power = Some(InHighPower {
+                    gain_ratio: self.between.gain_ratio,
+                    background_dn: found.background_dn,
+                });
+                found.channel = ReturnChannel::Joint;
+            }
+            found.fitted.flags |= flags;
+            found.fitted.deviation_ratio = deviation_ratio;
+            self.low.write(&candidate.on_common_axis(fitted), low, found);
+        }
+    }
+
+    /// What the other receiver's fit of a pulse says of it in the sensitive one's block.
+    fn expected(
+        &self,
+        fitted: &JointFitted,
+        [low, high]: [&Block; 2],
+        (walk_ns, walk_sd_ns): (f64, f64),
+    ) -> Expected {
+        let between = &self.between;
+        let [ln_height, position, ln_width] = fitted.value;
+        let samples = high.interval_ns / low.interval_ns;
+        let time_ns = high.time_ns(position) - self.left_ns - walk_ns;
+        let scale = [1.0, samples, 1.0];
+        let mut covariance: [[f64; 3]; 3] =
+            std::array::from_fn(|a| std::array::from_fn(|b| scale[a] * scale[b] * fitted.covariance[a][b]));
+        covariance[0][0] += (between.gain_ratio_sd / between.gain_ratio).powi(2);
+        covariance[1][1] += (between.delay_sd_ns.powi(2) + walk_sd_ns.powi(2)) / low.interval_ns.powi(2);
+        let mean =
+            [ln_height + between.gain_ratio.ln(), (time_ns - low.start_ns) / low.interval_ns, ln_width];
+        Expected { mean, covariance }
+    }
+}
+
+/// A return as the start of a fit of its own block.
+fn start(found: &Found) -> JointPulse {
+    let fitted = &found.fitted;
+    let overlaps = fitted.flags & flags::OVERLAP != 0;
+    JointPulse {
+        start: [fitted.amplitude_dn.ln(), fitted.position_samples, fitted.width_ratio.ln()],
+        expected: None,
+        ln_width_precision: if overlaps { OVERLAP_LN_WIDTH_SD.powi(-2) } else { 0.0 },
+    }
+}
+
+/// Whether a block of the sensitive receiver has been recorded at the time of another one.
+fn is_beside(block: &Block, other: &Block) -> bool {
+    let end_ns = |block: &Block| block.time_ns(block.len() as f64);
+    block.channel == Channel::LowPower && block.start_ns < end_ns(other) && other.start_ns < end_ns(block)
+}
+
+impl JointFit {
+    /// Puts a fitted pulse of a block of this receiver into a return.
+    fn write(&self, fitted: &JointFitted, block: &Block, found: &mut Found) {
+        let [ln_height, position, ln_width] = fitted.value;
+        let sd = |part: usize| fitted.covariance[part][part].sqrt();
+        let (amplitude_dn, width_ratio) = (ln_height.exp(), ln_width.exp());
+        found.time_ns = block.time_ns(position);
+        found.time_sd_ns = sd(1) * block.interval_ns;
+        let pulse = &mut found.fitted;
+        (pulse.position_samples, pulse.position_sd_samples) = (position, sd(1));
+        (pulse.amplitude_dn, pulse.amplitude_sd_dn) = (amplitude_dn, amplitude_dn * sd(0));
+        (pulse.width_ratio, pulse.width_ratio_sd) = (width_ratio, width_ratio * sd(2));
+        pulse.fwhm_ns = width_ratio * self.fwhm_samples_at(amplitude_dn) * self.model().sampling_interval_ns;
+    }
+}
