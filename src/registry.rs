@@ -2,8 +2,8 @@
 
 use crate::stage::StageSpec;
 use crate::stages::{
-    calibrate, decompose, georeference, read_arrow, read_las, read_pulsewaves, read_sdf, simulate,
-    write_arrow, write_las, write_lstat, write_table,
+    calibrate, decompose, georeference, read_arrow, read_las, read_pulsewaves, read_sdf, resolve_mta,
+    simulate, write_arrow, write_las, write_lstat, write_table,
 };
 
 /// Every stage that a job can name, in the order of the manual: sources, what changes lines, sinks.
@@ -13,6 +13,7 @@ pub const STAGES: &[&StageSpec] = &[
     &read_sdf::STAGE,
     &read_arrow::STAGE,
     &simulate::STAGE,
+    &resolve_mta::STAGE,
     &calibrate::STAGE,
     &decompose::STAGE,
     &georeference::STAGE,
