@@ -139,10 +139,6 @@ impl Table {
         let column = self.names.iter().position(|other| other == name).unwrap();
         self.rows.iter().map(|row| row[column].as_str()).collect()
     }
-
-    pub fn len(&self) -> usize {
-        self.rows.len()
-    }
 }
 
 /// How the true returns of surfaces were found.

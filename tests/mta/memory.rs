@@ -12,7 +12,7 @@ fn peak_kb(recording: &[u8]) -> u64 {
     let stages = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'resolve_mta'\n\
                   [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\nresponse = 'gaussian'\n\
                   [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'write_lstat'\n";
-    let mut child = place.command(stages).args(["--set", "job.memory_mb=48"]).spawn().unwrap();
+    let mut child = place.command(stages).args(["--set", "job.memory_mb=64"]).spawn().unwrap();
     let status = format!("/proc/{}/status", child.id());
     let mut peak_kb = 0;
     let code = loop {
