@@ -4,7 +4,7 @@ use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::fit::{Job, Values};
-use super::jobs::{Aim, Done, Queues, add};
+use super::jobs::{Aim, Done, Queues, add, take_off};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
@@ -24,6 +24,10 @@ pub(super) struct Workspace {
     pub(super) queues: Queues,
     pub(super) done: Vec<Done>,
     pub(super) trials: Vec<Trial>,
+    /// Waveforms whose clusters are to be fitted.
+    pub(super) due: Vec<usize>,
+    /// Those of them that have a cluster of the number at hand.
+    round: Vec<usize>,
     /// Waveforms whose residual is still to be searched.
     pub(super) active: Vec<usize>,
     /// Pulses that may be two: row and values, and their number in the waveform.
@@ -61,6 +65,8 @@ impl Workspace {
             queues: Queues::default(),
             done: Vec::with_capacity(BATCH),
             trials: Vec::with_capacity(BATCH),
+            due: Vec::with_capacity(BATCH),
+            round: Vec::with_capacity(BATCH),
             active: Vec::with_capacity(BATCH),
             suspects: Vec::with_capacity(BATCH),
             suspect_numbers: Vec::with_capacity(BATCH),
@@ -97,18 +103,25 @@ impl Decompose<'_> {
             Mode::Fastest => self.step_each(false),
             Mode::FastSeparated => {
                 self.step_each(true);
-                self.set_due(1);
+                self.set_all_due();
                 self.fit_clusters(2);
             }
             Mode::Refined => {
-                self.set_due(1);
+                self.set_all_due();
                 self.fit_clusters(1);
                 // Again, to what the fitted neighbours leave.
-                self.set_due(2);
+                self.keep_due(2);
                 self.fit_clusters(1);
-                self.fit_other_clusters();
+                // Once more where places and widths now make other clusters than those that were fitted.
+                self.keep_due(MAX_PULSES + 1);
+                self.fit_clusters(1);
             }
         }
+        let Workspace { scenes, which, .. } = &mut *self.work;
+        which.clear();
+        which.extend(
+            (0..scenes.len()).filter(|&row| scenes[row].taken_off || scenes[row].pulses().is_empty()),
+        );
         self.sum_squares();
         if self.mode == Mode::Refined && self.settings.max_added > 0 {
             self.search_residuals();
@@ -161,30 +174,23 @@ impl Decompose<'_> {
         scene.sort();
     }
 
-    /// The clusters of waveforms with at least so many clusters are to be fitted.
-    pub(super) fn set_due(&mut self, clusters: usize) {
-        let fwhm = self.fwhm();
-        for scene in &mut self.work.scenes {
-            scene.is_due = scene.way == Way::Fast;
-            if scene.is_due {
-                scene.sort();
-                let others = scene.set_clusters(fwhm);
-                scene.is_due = others || scene.cluster(clusters - 1).is_some();
-            }
-        }
+    /// The clusters of all waveforms are to be fitted.
+    fn set_all_due(&mut self) {
+        self.work.due.clear();
+        self.work.due.extend(0..self.work.scenes.len());
+        self.keep_due(1);
     }
 
-    /// Fits the waveforms whose places and widths now make other clusters than those that were fitted.
-    pub(super) fn fit_other_clusters(&mut self) {
+    /// Of the waveforms that are due those stay so that have at least so many clusters, or others than before.
+    fn keep_due(&mut self, clusters: usize) {
         let fwhm = self.fwhm();
-        for scene in &mut self.work.scenes {
-            scene.is_due = scene.is_due && scene.way == Way::Fast;
-            if scene.is_due {
-                scene.sort();
-                scene.is_due = scene.set_clusters(fwhm);
-            }
-        }
-        self.fit_clusters(1);
+        let Workspace { due, scenes, .. } = &mut *self.work;
+        due.retain(|&row| {
+            let scene = &mut scenes[row];
+            scene.sort();
+            let others = scene.set_clusters(fwhm);
+            scene.way == Way::Fast && (others || scene.cluster(clusters - 1).is_some())
+        });
     }
 
     /// Takes all pulses off their waveform's row, where they are not yet.
@@ -259,14 +265,19 @@ impl Decompose<'_> {
     /// second, and so on.
     pub(super) fn fit_clusters(&mut self, least: usize) {
         let mut singles = std::mem::take(&mut self.work.singles);
+        let mut round = std::mem::take(&mut self.work.round);
+        round.clone_from(&self.work.due);
         for number in 0..MAX_PULSES {
             singles.clear();
-            let mut any = false;
-            for row in 0..self.work.scenes.len() {
+            round.retain(|&row| {
                 let scene = &self.work.scenes[row];
-                let cluster = if scene.is_due { scene.cluster(number) } else { None };
-                let Some(cluster) = cluster else { continue };
-                any = true;
+                scene.way == Way::Fast && scene.cluster(number).is_some()
+            });
+            if round.is_empty() {
+                break;
+            }
+            for &row in &round {
+                let Some(cluster) = self.work.scenes[row].cluster(number) else { continue };
                 if cluster.len() > MAX_CLUSTER {
                     self.work.scenes[row].give_up();
                 } else if cluster.len() >= least
@@ -274,9 +285,6 @@ impl Decompose<'_> {
                 {
                     singles.push(single);
                 }
-            }
-            if !any {
-                break;
             }
             let jobs = &mut singles;
             self.on.run(FromBank { tables: self.tables, rows: &self.work.rows, jobs });
@@ -288,7 +296,7 @@ impl Decompose<'_> {
             }
             self.run_clusters();
         }
-        self.work.singles = singles;
+        (self.work.singles, self.work.round) = (singles, round);
     }
 
     /// Puts a cluster back on its row and in its queue; gives it back where it is one pulse that has never been fitted, and
@@ -336,20 +344,14 @@ impl Decompose<'_> {
                 // The fast modes let it stand as it is.
                 let stays = settled || (is_known && self.mode != Mode::Refined);
                 pulse.sds = if stays { *sds } else { [0.0; 3] };
-                add(self.on, self.tables, &mut work.rows, done.row, *values, -1.0);
             }
         }
+        take_off(self.on, self.tables, &mut work.rows, &work.done);
     }
 
-    /// Chi-square of all waveforms whose pulses have been taken off.
+    /// Chi-square of the waveforms in `which`, whose pulses have been taken off.
     pub(super) fn sum_squares(&mut self) {
         let Workspace { rows, scenes, squares, which, .. } = &mut *self.work;
-        which.clear();
-        for (row, scene) in scenes.iter().enumerate() {
-            if scene.taken_off || scene.pulses().is_empty() {
-                which.push(row);
-            }
-        }
         self.on.run(ChiSquares { rows, which, out: squares });
         for (&row, square) in which.iter().zip(squares) {
             scenes[row].chi_square = *square;

@@ -326,3 +326,87 @@ fn padded(block: &[u16], start: usize) -> [u16; LANES] {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::lockstep::vector::{Kernel, Path};
+    use crate::kernels::noise::ArNoise;
+    use crate::kernels::simulated::{Random, channel};
+
+    struct Run<'a> {
+        tables: &'a Tables,
+        columns: &'a mut Columns,
+        rows: &'a mut Rows,
+        blocks: &'a [&'a [u16]],
+    }
+
+    impl Kernel for Run<'_> {
+        type Output = [[u16; 2]; LANES];
+
+        fn run<S: Simd>(self, s: S) -> [[u16; 2]; LANES] {
+            let extremes = self.columns.load(s, self.tables, self.blocks);
+            self.columns.whiten(s, self.tables, self.rows, 0, self.blocks.len());
+            self.columns.filter_samples(s, self.tables);
+            self.columns.mark_maxima(s, 4.0);
+            extremes
+        }
+    }
+
+    /// Blocks of all lengths in one vector: extremes, whitening and statistic as their formulas say, in every lane and on
+    /// every path, whatever stood there before.
+    #[test]
+    fn every_lane_is_filtered_by_itself() {
+        for coefficients in [&[0.6][..], &[0.5, -0.2, 0.1, 0.05]] {
+            let noise = ArNoise::new(coefficients, 1.3).unwrap();
+            let tables = Tables::new(&channel(&noise, 4.4, 20.0)).unwrap();
+            let mut random = Random::new(5);
+            let longest: Vec<Vec<u16>> = (0..LANES)
+                .map(|_| (0..192).map(|_| (20.0 + 60.0 * random.uniform()) as u16).collect())
+                .collect();
+            let lengths =
+                [[60; LANES], std::array::from_fn(|w| [0, 1, 9, 16, 47, 64, 65, 130][w % 8]), [192; LANES]];
+            for path in Path::ALL.into_iter().filter(|path| path.is_available()) {
+                let mut rows = Rows::new(192);
+                let mut columns = Columns::new(rows.capacity());
+                for lengths in lengths {
+                    let blocks: Vec<&[u16]> = longest.iter().zip(lengths).map(|(b, n)| &b[..n]).collect();
+                    let (columns, rows) = (&mut columns, &mut rows);
+                    let run = Run { tables: &tables, columns, rows, blocks: &blocks };
+                    let extremes = path.run(run);
+                    for (w, block) in blocks.iter().enumerate() {
+                        check(&tables, columns, rows, w, block);
+                        let least = block.iter().min().copied().unwrap_or(u16::MAX);
+                        assert_eq!(extremes[w], [least, block.iter().max().copied().unwrap_or(0)]);
+                    }
+                }
+            }
+        }
+    }
+
+    fn check(tables: &Tables, columns: &Columns, rows: &Rows, w: usize, block: &[u16]) {
+        let at = |i: isize| match usize::try_from(i).ok().and_then(|i| Some((i, block.get(i)?))) {
+            Some((i, &sample)) => f64::from(sample) - f64::from(tables.background[0][i % 4]),
+            None => 0.0,
+        };
+        for k in 0..block.len() {
+            let taps = tables.taps.iter().enumerate();
+            let whole: f64 =
+                taps.map(|(j, tap)| f64::from(*tap) * at((k + j) as isize - TAPS_BEFORE as isize)).sum();
+            let edge = |factors: &Sixteen, i: usize| factors.get(i).map_or(1.0, |f| f64::from(*f));
+            let behind = block.len() - k;
+            let trailing = if behind <= LANES { edge(&tables.trailing, LANES - behind) } else { 1.0 };
+            let expected = whole * edge(&tables.leading, k) * trailing;
+            let found = f64::from(columns.statistic(w, k));
+            assert!((found - expected).abs() < 1e-3, "lane {w}, position {k}: {found} {expected}");
+            if k >= tables.order {
+                let taps = tables.whitening.iter().enumerate();
+                let white: f64 = taps.map(|(j, tap)| f64::from(*tap) * at(k as isize - j as isize)).sum();
+                let found = f64::from(rows.residual_sixteen(w, k)[0]);
+                assert!((found - white).abs() < 1e-3, "lane {w}, sample {k}: {found} {white}");
+            }
+        }
+        assert_eq!(rows.length(w), block.len());
+        assert_eq!(*rows.residual_sixteen(w, block.len()), [0.0; LANES], "nothing stands behind a block");
+    }
+}

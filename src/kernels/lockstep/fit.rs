@@ -21,8 +21,7 @@ pub(super) struct Job<const P: usize> {
 
 impl<const P: usize> Job<P> {
     /// What a lane without work does.
-    const IDLE: Job<P> =
-        Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
+    const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
 }
 
 /// Fitted pulses.
@@ -41,15 +40,14 @@ pub(super) struct Fitted<const P: usize> {
 }
 
 impl<const P: usize> Fitted<P> {
-    pub(super) const NOTHING: Fitted<P> =
-        Fitted {
-            pulses: [[0.0; 3]; P],
-            sds: [[0.0; 3]; P],
-            is_optimum: false,
-            may_go_on: false,
-            objective: 0.0,
-            promised: 0.0,
-        };
+    pub(super) const NOTHING: Fitted<P> = Fitted {
+        pulses: [[0.0; 3]; P],
+        sds: [[0.0; 3]; P],
+        is_optimum: false,
+        may_go_on: false,
+        objective: 0.0,
+        promised: 0.0,
+    };
 }
 
 /// Converged is what the next step promises to lower chi-square by less than this: the square of what is left to go, in

@@ -52,6 +52,7 @@ impl<const P: usize> Queue<P> {
     }
 
     /// Gives a fit that is done, or keeps it for more iterations.
+    #[inline]
     fn settle(&mut self, i: usize, iterations: usize, race: &Race, done: &mut Vec<Done>) {
         let (fitted, tag, Job { row, aim, .. }) = (self.fitted[i], self.tags[i], self.jobs[i]);
         let is_dropped = fitted.may_go_on && aim.is_out_of_reach(fitted.objective, fitted.promised, race);
@@ -221,9 +222,9 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
         weak.fit::<N, C, D, false>(on, tables, rows, precision, iterations);
         weak.report(race);
         for i in 0..weak.jobs.len() {
-            let (job, tag, fitted) = (weak.jobs[i], weak.tags[i], weak.fitted[i]);
+            let fitted = &weak.fitted[i];
             if fitted.pulses.iter().any(|pulse| pulse[0] > tables.strong_dn()) {
-                strong.push(Job { pulses: fitted.pulses, ..job }, tag);
+                strong.push(Job { pulses: fitted.pulses, ..weak.jobs[i] }, weak.tags[i]);
             } else {
                 weak.settle(i, iterations, race, done);
             }
@@ -243,6 +244,31 @@ pub(super) fn add(on: Processor, tables: &Tables, rows: &mut Rows, row: usize, v
     on.run(Add { tables, rows, row, values, sign });
 }
 
+/// Takes the pulses that fits came to off their rows.
+pub(super) fn take_off(on: Processor, tables: &Tables, rows: &mut Rows, done: &[Done]) {
+    on.run(TakeOff { tables, rows, done });
+}
+
+struct TakeOff<'a> {
+    tables: &'a Tables,
+    rows: &'a mut Rows,
+    done: &'a [Done],
+}
+
+impl Kernel for TakeOff<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let TakeOff { tables, rows, done } = self;
+        for done in done {
+            for &values in done.values() {
+                add_pulse(s, tables, rows, done.row, values, -1.0);
+            }
+        }
+    }
+}
+
 struct Add<'a> {
     tables: &'a Tables,
     rows: &'a mut Rows,
@@ -257,11 +283,16 @@ impl Kernel for Add<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let Add { tables, rows, row, values, sign } = self;
-        let site = Site::of(tables, values);
-        if site.height >= tables.strong_dn() {
-            rows.add::<S, true>(s, tables, row, &site, sign);
-        } else {
-            rows.add::<S, false>(s, tables, row, &site, sign);
-        }
+        add_pulse(s, tables, rows, row, values, sign);
+    }
+}
+
+#[inline(always)]
+fn add_pulse<S: Simd>(s: S, tables: &Tables, rows: &mut Rows, row: usize, values: Values, sign: f32) {
+    let site = Site::of(tables, values);
+    if site.height >= tables.strong_dn() {
+        rows.add::<S, true>(s, tables, row, &site, sign);
+    } else {
+        rows.add::<S, false>(s, tables, row, &site, sign);
     }
 }

@@ -33,6 +33,9 @@ pub(super) struct Limits {
     ln_width_ratio: [f64; 2],
     /// Pulses nearer to each other than this are one, samples.
     pub(super) least_separation: f32,
+    /// Pulses up to this width and height are held by a row.
+    held_width_ratio: f32,
+    held_height_dn: f32,
     pub(super) shape: Shape,
     /// For pulses at the ends of blocks.
     detector: Detector,
@@ -44,6 +47,9 @@ impl Limits {
         let whitener = Whitener::new(model.noise()?, 0);
         let shape = Shape::of(model)?;
         let detector = Detector::new(shape.clone(), model.offset_precision(), &whitener, 0);
+        let held_height_dn = 2.0 * model.full_scale_dn;
+        let left_out = f64::from(LEFT_OUT_SD) * model.noise_sd_dn / held_height_dn;
+        let held_sd_samples = f64::from(BEFORE_PEAK) / (-2.0 * left_out.min(0.5).ln()).sqrt();
         let overdriven_dn = settings.overdriven_part * model.full_scale_dn;
         Ok(Limits {
             echo: (0..ECHO_SAMPLES).map(|lag| detector.echo(lag as f64) as f32).collect(),
@@ -56,6 +62,8 @@ impl Limits {
             noise_sd_dn: model.noise_sd_dn,
             ln_width_ratio: settings.width_ratio.map(f64::ln),
             least_separation: (LEAST_SEPARATION_WIDTHS as f32 * model.fwhm_samples() as f32).max(1.0),
+            held_width_ratio: (0.99 * held_sd_samples / (SD_OF_FWHM * model.fwhm_samples())) as f32,
+            held_height_dn: held_height_dn as f32,
             shape,
             detector,
             whitener,
@@ -96,7 +104,11 @@ impl Limits {
     }
 
     /// Whether a row holds a pulse's rise: what it leaves out is less than the noise.
+    #[inline(always)]
     pub(super) fn is_held(&self, pulse: &Pulse) -> bool {
+        if pulse.width_ratio() <= self.held_width_ratio && pulse.height() <= self.held_height_dn {
+            return true;
+        }
         let sd_samples = SD_OF_FWHM as f32 * self.fwhm_samples as f32 * pulse.width_ratio();
         let left_out = (-0.5 * (BEFORE_PEAK as f32 / sd_samples).powi(2)).exp();
         pulse.height() * left_out < LEFT_OUT_SD * self.noise_sd_dn as f32

@@ -89,8 +89,8 @@ pub(super) struct Scene {
     ends: [u8; MAX_PULSES],
     /// Whether the pulses have been taken off the waveform's row.
     pub(super) taken_off: bool,
-    /// Whether its clusters are to be fitted.
-    pub(super) is_due: bool,
+    /// Whether a trial has been taken up in the present round.
+    pub(super) has_changed: bool,
     pub(super) chi_square: f32,
     /// Samples that chi-square is the sum over.
     pub(super) samples: usize,
@@ -109,17 +109,26 @@ impl Scene {
 
     /// A new waveform, without pulses.
     pub(super) fn reset(&mut self) {
-        let Scene { way, count, ends, taken_off, is_due, chi_square, samples, counts, refined_twice, .. } =
-            self;
+        let Scene {
+            way,
+            count,
+            ends,
+            taken_off,
+            has_changed,
+            chi_square,
+            samples,
+            counts,
+            refined_twice,
+            ..
+        } = self;
         (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
-        (*taken_off, *is_due, *refined_twice) = (false, false, false);
+        (*taken_off, *has_changed, *refined_twice) = (false, false, false);
         (*chi_square, *samples, *counts) = (0.0, 0, Counts::default());
     }
 
     /// Leaves the waveform to the plain kernels.
     pub(super) fn give_up(&mut self) {
         self.way = Way::Plain;
-        self.is_due = false;
     }
 
     /// Adds a pulse behind the others; `false` where there is no room.
@@ -166,6 +175,12 @@ impl Scene {
 
     /// Divides the sorted pulses into the clusters that are fitted jointly; returns whether they are others than before.
     pub(super) fn set_clusters(&mut self, fwhm_samples: f32) -> bool {
+        if self.count < 2 {
+            let end = self.count as u8;
+            let others = self.ends[0] != end || self.ends[1] != 0;
+            (self.ends[0], self.ends[1]) = (end, 0);
+            return others;
+        }
         let before = self.ends;
         self.ends = [0; MAX_PULSES];
         let mut end = 0;

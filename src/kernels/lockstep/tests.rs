@@ -197,6 +197,7 @@ fn pulses_are_those_of_the_plain_templates() {
     let tables = Tables::new(&model).unwrap();
     let shape = Shape::of(&model).unwrap();
     let mut rows = rows::Rows::new(SAMPLES);
+    let mut columns = columns::Columns::new(rows.capacity());
     let mut random = Random::new(3);
     let empty = [0u16; SAMPLES];
     (model.background_dn, model.background_sd_dn) = ([0.0; 4], 0.0);
@@ -207,7 +208,15 @@ fn pulses_are_those_of_the_plain_templates() {
         let block = [Block { samples: &empty, start_phase: 0 }];
         let mut out = Vec::new();
         let on = Path::best().processor();
-        on.run(Detect { tables: &tables, rows: &mut rows, blocks: &block, threshold: 4.0, out: &mut out });
+        let (rows_of, columns) = (&mut rows, &mut columns);
+        on.run(Detect {
+            tables: &tables,
+            rows: rows_of,
+            columns,
+            blocks: &block,
+            threshold: 4.0,
+            out: &mut out,
+        });
         let before = rows.residual_row(0).to_vec();
         jobs::add(on, &tables, &mut rows, 0, values, 1.0);
         let mut exact = vec![0.0; SAMPLES];

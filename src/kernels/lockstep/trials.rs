@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::batch::{ChiSquares, Decompose, Search, Workspace};
 use super::candidates::{Candidate, Candidates};
 use super::gate::Scores;
-use super::jobs::{Aim, add};
+use super::jobs::{Aim, add, take_off};
 use super::rows::BATCH;
 use super::scene::{MAX_CLUSTER, Pulse, Scene, Way};
 use super::tables::U_MAX;
@@ -94,24 +94,27 @@ impl Decompose<'_> {
     }
 
     fn start_round(&mut self) {
-        for scene in &mut self.work.scenes {
-            scene.is_due = false;
+        self.work.due.clear();
+        for &row in &self.work.active {
+            self.work.scenes[row].has_changed = false;
         }
     }
 
     /// Waveforms that changed stay active, as long as there is room for more; their clusters are fitted again.
     fn end_round(&mut self) {
-        let scenes = &self.work.scenes;
-        self.work.active.retain(|&row| scenes[row].is_due);
         let fwhm = self.fwhm();
-        for scene in &mut self.work.scenes {
-            if scene.is_due {
-                // A single cluster has just been fitted.
-                scene.set_clusters(fwhm);
-                scene.is_due = scene.cluster(1).is_some();
+        let Workspace { active, due, scenes, .. } = &mut *self.work;
+        active.retain(|&row| scenes[row].has_changed && scenes[row].way == Way::Fast);
+        for &row in active.iter() {
+            scenes[row].set_clusters(fwhm);
+            // A single cluster has just been fitted.
+            if scenes[row].cluster(1).is_some() {
+                due.push(row);
             }
         }
         self.fit_clusters(1);
+        self.work.which.clear();
+        self.work.which.extend_from_slice(&self.work.due);
         self.sum_squares();
         let (scenes, settings) = (&self.work.scenes, self.settings);
         self.work.active.retain(|&row| {
@@ -135,7 +138,7 @@ impl Decompose<'_> {
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
             let scene = &self.work.scenes[row];
-            if scene.is_due || scene.way == Way::Plain {
+            if scene.has_changed || scene.way == Way::Plain {
                 continue;
             }
             let [first, second] = self.greatest(scene, &self.work.candidates[i]);
@@ -197,7 +200,7 @@ impl Decompose<'_> {
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
             let scene = &self.work.scenes[row];
-            if scene.is_due || scene.way == Way::Plain {
+            if scene.has_changed || scene.way == Way::Plain {
                 continue;
             }
             for (number, pulse) in scene.pulses().iter().enumerate() {
@@ -343,9 +346,9 @@ impl Decompose<'_> {
                 trial.pulses[i].set_values(*values);
                 trial.pulses[i].sds = *sds;
                 trial.pulses[i].flags |= flags::REFINED;
-                add(on, tables, &mut work.rows, done.row, *values, -1.0);
             }
         }
+        take_off(on, tables, &mut work.rows, &work.done);
         let least = self.limits.least_separation;
         work.which.clear();
         work.which.extend(BATCH..BATCH + trials.len());
@@ -387,7 +390,7 @@ impl Decompose<'_> {
         scene.sort();
         scene.counts.n_added += 1;
         scene.refined_twice = true;
-        scene.is_due = true;
+        scene.has_changed = true;
     }
 }
 
