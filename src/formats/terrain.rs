@@ -105,9 +105,9 @@ impl Terrain {
         let (left, top) = (left as usize, top as usize);
         let (right, bottom) = ((left + 1).min(self.columns - 1), (top + 1).min(self.rows - 1));
         let at = |row: usize, column: usize| f64::from(self.heights_m[row * self.columns + column]);
-        let upper = at(top, left) + along * (at(top, right) - at(top, left));
-        let lower = at(bottom, left) + along * (at(bottom, right) - at(bottom, left));
-        upper + down * (lower - upper)
+        let upper = between(at(top, left), at(top, right), along);
+        let lower = between(at(bottom, left), at(bottom, right), along);
+        between(upper, lower, down)
     }
 
     /// The range at which a beam first meets the terrain, m; NaN where it leaves the model, does not fall, or meets nothing
@@ -126,9 +126,9 @@ impl Terrain {
                 std::array::from_fn(|axis| origin_m[axis] + range_m * beam[axis]);
             up - self.height_m(east, north)
         };
-        // No ridge between two looks: a look in each cell that the beam passes over.
+        // Four looks in each cell that the beam passes over: a ridge is at least a cell wide.
         let cells = (beam[0] / self.step_m[0]).abs().max((beam[1] / self.step_m[1]).abs()) * (to_m - from_m);
-        let looks = cells.ceil().clamp(1.0, MOST_STEPS);
+        let looks = (4.0 * cells).ceil().clamp(1.0, MOST_STEPS);
         if to_m < from_m || above_m(from_m) < 0.0 {
             return f64::NAN;
         }
@@ -146,6 +146,11 @@ impl Terrain {
         }
         f64::NAN
     }
+}
+
+/// A part of the way from one height to another; one that has no weight need not be known.
+fn between(from: f64, to: f64, part: f64) -> f64 {
+    if part == 0.0 { from } else { from + part * (to - from) }
 }
 
 /// Where a beam passes from above the ground to below it, by halving.
