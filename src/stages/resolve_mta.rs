@@ -41,7 +41,8 @@ const USUAL_AGL_SD_M: f64 = 100.0;
 ///
 /// Lines come out in order, the blocks of a shot in order of time. The shot's zone is the number of emissions between it and
 /// the first sample of its first block, from 0; a block of another zone says its own. In LAS the zone is the point source
-/// id. Returns of a zone that was decided against little evidence have flag bit 11. Outgoing pulses stay. Blocks of both
+/// id. Returns of a zone that was decided against little evidence have flag bit 11 (a container written in between does not
+/// keep that). Outgoing pulses stay. Blocks of both
 /// receivers that overlap in time are one, and so are all pulses of a block: they get the shot that most of them speak for,
 /// weighted with their heights. What the instrument itself computed goes with the block it lies in.
 ///
@@ -240,6 +241,9 @@ fn failed(error: &MtaError) -> StageError {
             ),
             "give a prior (`agl_m`, `terrain`), or a fixed `zone`",
         ),
+        MtaError::Settings(problem) => {
+            StageError::failed(*problem, "correct what the recording says of itself, or the stage's keys")
+        }
         other => StageError::failed(other.to_string(), "report this as a defect of wavex"),
     }
 }

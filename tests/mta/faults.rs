@@ -164,6 +164,6 @@ fn a_group_velocity_that_is_none_is_told() {
     refused(
         &recording,
         "",
-        "group_velocity_mps: a speed of light is needed, m/s; report this as a defect of wavex",
+        "group_velocity_mps: a speed of light is needed, m/s; correct what the recording says of itself, or the stage's keys",
     );
 }
