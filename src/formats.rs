@@ -12,6 +12,7 @@ pub mod geokeys;
 pub mod las;
 pub mod pulsewaves;
 pub mod sdf;
+pub mod terrain;
 pub mod trajectory;
 
 /// What can be wrong with a file.

@@ -3,7 +3,7 @@
 use crate::stage::StageSpec;
 use crate::stages::{
     calibrate, decompose, fuse_channels, georeference, read_arrow, read_las, read_pulsewaves, read_sdf,
-    simulate, write_arrow, write_las, write_lstat, write_table,
+    resolve_mta, simulate, write_arrow, write_las, write_lstat, write_table,
 };
 
 /// Every stage that a job can name, in the order of the manual: sources, what changes lines, sinks.
@@ -13,6 +13,7 @@ pub const STAGES: &[&StageSpec] = &[
     &read_sdf::STAGE,
     &read_arrow::STAGE,
     &simulate::STAGE,
+    &resolve_mta::STAGE,
     &fuse_channels::STAGE,
     &calibrate::STAGE,
     &decompose::STAGE,

@@ -11,6 +11,7 @@ pub mod read_arrow;
 pub mod read_las;
 pub mod read_pulsewaves;
 pub mod read_sdf;
+pub mod resolve_mta;
 pub mod simulate;
 pub mod write_arrow;
 pub mod write_las;

@@ -70,6 +70,8 @@ fn names_are_verbs_and_roles_have_their_kinds() {
 struct Gaps {
     /// Whether any line has shots at all.
     only_empty: bool,
+    /// Whether blocks stand with the shots in whose records they were stored.
+    unresolved: bool,
 }
 
 impl Config for Gaps {}
@@ -80,7 +82,10 @@ impl SourceConfig for Gaps {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        let keys = "lines = 4\nshots_per_line = 120\nseed = 7";
+        let keys = match self.unresolved {
+            false => "lines = 4\nshots_per_line = 120\nseed = 7",
+            true => UNRESOLVED,
+        };
         let wavex::stage::Plan::Source(simulate) =
             stage(registry::find("simulate").unwrap(), keys).planned.plan
         else {
@@ -89,6 +94,10 @@ impl SourceConfig for Gaps {
         Ok(Box::new(GapSource { lines: simulate.make(site)?, step: 0, only_empty: self.only_empty }))
     }
 }
+
+/// A recording with several pulses in the air.
+const UNRESOLVED: &str = "lines = 4\nshots_per_line = 120\nseed = 7\nas_recorded = true\nmodulation_ns = 50\n\
+                          pulse_rate_hz = 400000\nflying_height_m = 1500";
 
 struct GapSource {
     lines: Box<dyn Source>,
@@ -123,7 +132,8 @@ const GAPS: StageSpec = StageSpec::source::<Gaps>("gaps", Kind::Shots);
 
 /// The shortest chain that ends in a stage: what must stand before it, and the stage with its defaults.
 fn chain_to(spec: &'static StageSpec, only_empty: bool) -> Job {
-    let source = stage(&GAPS, if only_empty { "only_empty = true" } else { "" });
+    let keys = format!("only_empty = {only_empty}\nunresolved = {}", spec.name == "resolve_mta");
+    let source = stage(&GAPS, &keys);
     let mut stages: Vec<JobStage> = vec![source];
     let chain = ["calibrate", "decompose", "georeference"].map(|name| registry::find(name).unwrap());
     let mut kind = Kind::Shots;

@@ -85,6 +85,8 @@ pub struct Block {
     pub channel: Channel,
     /// The multiple-time-around zone of this block, where it differs from the emission's.
     pub zone: Option<i16>,
+    /// The zone was decided against little evidence.
+    pub is_zone_uncertain: bool,
     /// Time of the first sample after the emission's `clock_ps`, ns.
     pub start_ns: f64,
     /// Time between samples, ns.
@@ -135,7 +137,17 @@ impl Blocks {
         debug_assert!(self.list.last().is_none_or(|last| last.emission <= emission));
         assert!(self.arena.len() + samples.len() <= u32::MAX as usize, "a scan line of over 2^32 samples");
         let (first, len) = (self.arena.len() as u32, samples.len() as u32);
-        self.list.push(Block { emission, channel, zone, start_ns, interval_ns, first, len });
+        let is_zone_uncertain = false;
+        self.list.push(Block {
+            emission,
+            channel,
+            zone,
+            is_zone_uncertain,
+            start_ns,
+            interval_ns,
+            first,
+            len,
+        });
         self.arena.extend_from_slice(samples);
     }
 
@@ -150,7 +162,26 @@ impl Blocks {
         len: u32,
     ) {
         debug_assert!(self.list.last().is_none_or(|last| last.emission <= emission));
-        self.list.push(Block { emission, channel, zone, start_ns, interval_ns, first: NOT_HELD, len });
+        self.list.push(Block {
+            emission,
+            channel,
+            zone,
+            start_ns,
+            interval_ns,
+            first: NOT_HELD,
+            len,
+            is_zone_uncertain: false,
+        });
+    }
+
+    /// Says that the zone of the last block was decided against little evidence.
+    pub fn doubt_last_zone(&mut self) {
+        self.list.last_mut().into_iter().for_each(|last| last.is_zone_uncertain = true);
+    }
+
+    /// The block at a place in the list.
+    pub fn get(&self, index: usize) -> Option<&Block> {
+        self.list.get(index)
     }
 
     /// The blocks, ordered by emission.

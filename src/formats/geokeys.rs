@@ -6,24 +6,34 @@ const MODEL_TYPE: u16 = 1024;
 const GEOGRAPHIC: u16 = 2048;
 /// Key of the projected coordinate reference system (GeoTIFF 1.0, section 6.3.3.1).
 const PROJECTED: u16 = 3072;
+/// Key of the raster type: 1 cells are areas, 2 cells are points (GeoTIFF 1.0, section 6.3.1.2).
+const RASTER_TYPE: u16 = 1025;
 /// Codes from here on are no EPSG codes: 32767 is "user-defined".
 const USER_DEFINED: u16 = 32767;
 
 /// The EPSG code that a directory of GeoTIFF keys (record 34735) names; `None` where it defines a system of its own, or
 /// is damaged.
 pub fn epsg(directory: &[u8]) -> Option<u16> {
+    let code = match value(directory, MODEL_TYPE)? {
+        1 => value(directory, PROJECTED)?,
+        _ => value(directory, GEOGRAPHIC)?,
+    };
+    (code > 1023 && code < USER_DEFINED).then_some(code)
+}
+
+/// Whether the tie points of a raster are the middles of its cells, instead of their corners.
+pub fn is_point_raster(directory: &[u8]) -> bool {
+    value(directory, RASTER_TYPE) == Some(2)
+}
+
+/// The value of a key that stands in the directory itself.
+fn value(directory: &[u8], key: u16) -> Option<u16> {
     let words: Vec<u16> =
         directory.chunks_exact(2).map(|word| u16::from_le_bytes([word[0], word[1]])).collect();
     let (head, entries) = words.split_at_checked(4)?;
-    let entries = entries.chunks_exact(4).take(usize::from(head[3]));
     // An entry is: key, where its value stands (0: in the entry itself), count, value.
-    let value =
-        |key: u16| entries.clone().find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3]);
-    let code = match value(MODEL_TYPE)? {
-        1 => value(PROJECTED)?,
-        _ => value(GEOGRAPHIC)?,
-    };
-    (code > 1023 && code < USER_DEFINED).then_some(code)
+    let mut entries = entries.chunks_exact(4).take(usize::from(head[3]));
+    entries.find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3])
 }
 
 /// The coordinate reference system of an EPSG code as WKT 1.
@@ -56,6 +66,13 @@ mod tests {
     #[test]
     fn a_geographic_system_is_told_by_its_code() {
         assert_eq!(epsg(&directory(&[[1024, 0, 1, 2], [2048, 0, 1, 4258]])), Some(4258));
+    }
+
+    #[test]
+    fn cells_are_areas_unless_said_otherwise() {
+        assert!(is_point_raster(&directory(&[[1025, 0, 1, 2]])));
+        assert!(!is_point_raster(&directory(&[[1025, 0, 1, 1]])));
+        assert!(!is_point_raster(&[]));
     }
 
     #[test]

@@ -193,6 +193,6 @@ fn echoes_of_an_unknown_pulse_are_refused() {
     });
     let place = Place::with(&[("a.arrow", &bytes)]);
     let message = "stage decompose: ./a.arrow: it is not known which pulse caused the echoes of shot 100; \
-                   resolve the multiple-time-around zones first: wavex needs them in the input (`mta_zone`)";
+                   put resolve_mta before decompose";
     place.left_nothing(place.read("read_arrow", "a.arrow", TO_TABLE), message);
 }

@@ -307,7 +307,7 @@ impl ShotDecomposer {
             let Some(zone) = block.zone.or(emission.mta_zone) else {
                 return Err(StageError::failed(
                     format!("it is not known which pulse caused the echoes of shot {}", emission.shot),
-                    "resolve the multiple-time-around zones first: wavex needs them in the input (`mta_zone`)",
+                    "put resolve_mta before decompose",
                 ));
             };
             waveform.used = true;
@@ -315,6 +315,7 @@ impl ShotDecomposer {
             let mut fit = BlockFit::of(channel, &result);
             let background_dn = mean(&model.background_dn) + result.background_offset_dn;
             let in_block = self.found.len();
+            let flags = if block.is_zone_uncertain { flags::ZONE_UNCERTAIN } else { 0 };
             self.found.extend(result.returns.iter().map(|fitted| Found {
                 time_ns: block.time_ns(fitted.position_samples),
                 time_sd_ns: fitted.position_sd_samples * block.interval_ns,
@@ -324,7 +325,7 @@ impl ShotDecomposer {
                 background_dn,
                 high_power: None,
                 fitted: *fitted,
-                flags: 0,
+                flags,
             }));
             let (fwhm_ns, drops) = (model.pulse_fwhm_ns, self.drop_emission_crosstalk);
             let dropped = others.mark(block, fwhm_ns, drops, &mut self.found, in_block);

@@ -1,0 +1,184 @@
+//! Terrain models: heights on a raster, from GeoTIFF or ESRI ASCII grids.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use super::{Error, Result};
+
+mod ascii;
+mod geotiff;
+#[cfg(test)]
+mod tests;
+
+/// More heights than this are refused: 400 MB.
+const MOST_CELLS: u64 = 100_000_000;
+/// Beams flatter than this are not followed to the ground.
+const LEAST_FALL: f64 = 0.05;
+/// A range is found to this, m.
+const FINE_M: f64 = 0.1;
+/// So many steps of a raster are looked at on a beam's way between the highest and the lowest terrain, at most.
+const MOST_STEPS: f64 = 10_000.0;
+
+/// Heights on a raster whose rows run east and whose columns run north.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Terrain {
+    columns: usize,
+    rows: usize,
+    /// Easting and northing of the middle of the north-western cell, m.
+    first_m: [f64; 2],
+    /// From one cell to the next eastwards, and southwards, m; above 0.
+    step_m: [f64; 2],
+    /// Row by row from the north, m; NaN where there is none.
+    heights_m: Vec<f32>,
+    lowest_m: f32,
+    highest_m: f32,
+    epsg: Option<u16>,
+}
+
+/// What a file says of its raster, and its heights.
+struct Raster {
+    columns: usize,
+    rows: usize,
+    first_m: [f64; 2],
+    step_m: [f64; 2],
+    heights_m: Vec<f32>,
+    epsg: Option<u16>,
+}
+
+impl Terrain {
+    /// Reads a terrain model; the content tells which format it is.
+    ///
+    /// # Errors
+    /// The file is no raster of heights, is turned against north, has over 100 million cells, or holds no height.
+    pub fn open(path: &Path) -> Result<Terrain> {
+        let mut file = File::open(path).map_err(Error::io(path, "open"))?;
+        let mut magic = [0; 4];
+        let read = file.read(&mut magic).map_err(Error::io(path, "read"))?;
+        let is_tiff = read == 4 && (magic[..2] == *b"II" || magic[..2] == *b"MM") && magic.contains(&0);
+        let raster = if is_tiff { geotiff::read(path)? } else { ascii::read(path)? };
+        Terrain::new(raster).ok_or_else(|| {
+            let remedy = "give the terrain model of this area";
+            Error::unusable(path, "the terrain model holds no height", remedy)
+        })
+    }
+
+    fn new(raster: Raster) -> Option<Terrain> {
+        let Raster { columns, rows, first_m, step_m, mut heights_m, epsg } = raster;
+        let (mut lowest_m, mut highest_m) = (f32::INFINITY, f32::NEG_INFINITY);
+        for height in &mut heights_m {
+            // No place on earth is farther from any height's origin.
+            if height.abs() > 20_000.0 {
+                *height = f32::NAN;
+            }
+            // NaN changes neither.
+            (lowest_m, highest_m) = (lowest_m.min(*height), highest_m.max(*height));
+        }
+        let is_whole = columns > 0 && heights_m.len() == columns * rows && lowest_m <= highest_m;
+        is_whole.then_some(Terrain { columns, rows, first_m, step_m, heights_m, lowest_m, highest_m, epsg })
+    }
+
+    /// The EPSG code of the map, where the file names it.
+    pub fn epsg(&self) -> Option<u16> {
+        self.epsg
+    }
+
+    /// Least and greatest height, m.
+    pub fn heights_m(&self) -> [f32; 2] {
+        [self.lowest_m, self.highest_m]
+    }
+
+    /// The height at a place, m: bilinear between the middles of cells, NaN outside and beside cells without a height.
+    pub fn height_m(&self, easting_m: f64, northing_m: f64) -> f64 {
+        let column = (easting_m - self.first_m[0]) / self.step_m[0];
+        let row = (self.first_m[1] - northing_m) / self.step_m[1];
+        let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
+        // The outer half of the outermost cells has the height of their middles.
+        let is_inside =
+            (-0.5..=last_column + 0.5).contains(&column) && (-0.5..=last_row + 0.5).contains(&row);
+        if !is_inside {
+            return f64::NAN;
+        }
+        let (column, row) = (column.clamp(0.0, last_column), row.clamp(0.0, last_row));
+        let (left, top) = (column.floor(), row.floor());
+        let (along, down) = (column - left, row - top);
+        let (left, top) = (left as usize, top as usize);
+        let (right, bottom) = ((left + 1).min(self.columns - 1), (top + 1).min(self.rows - 1));
+        let at = |row: usize, column: usize| f64::from(self.heights_m[row * self.columns + column]);
+        let upper = between(at(top, left), at(top, right), along);
+        let lower = between(at(bottom, left), at(bottom, right), along);
+        between(upper, lower, down)
+    }
+
+    /// The range at which a beam first meets the terrain, m; NaN where it leaves the model, does not fall, or meets nothing
+    /// within `range_m`.
+    ///
+    /// `beam` is what a metre of range is in the map: easting, northing, height.
+    pub fn range_m(&self, origin_m: [f64; 3], beam: [f64; 3], range_m: [f64; 2]) -> f64 {
+        if beam[2].is_nan() || beam[2] > -LEAST_FALL {
+            return f64::NAN;
+        }
+        let range_at = |height_m: f32| (f64::from(height_m) - origin_m[2]) / beam[2];
+        let (from_m, to_m) =
+            (range_at(self.highest_m).max(range_m[0]), (range_at(self.lowest_m) + 1.0).min(range_m[1]));
+        let above_m = |range_m: f64| {
+            let [east, north, up]: [f64; 3] =
+                std::array::from_fn(|axis| origin_m[axis] + range_m * beam[axis]);
+            up - self.height_m(east, north)
+        };
+        // Four looks in each cell that the beam passes over: a ridge is at least a cell wide.
+        let cells = (beam[0] / self.step_m[0]).abs().max((beam[1] / self.step_m[1]).abs()) * (to_m - from_m);
+        let looks = (4.0 * cells).ceil().clamp(1.0, MOST_STEPS);
+        if to_m < from_m || above_m(from_m) < 0.0 {
+            return f64::NAN;
+        }
+        let mut before_m = from_m;
+        for look in 1..=looks as u32 {
+            let here_m = from_m + (to_m - from_m) * f64::from(look) / looks;
+            let above = above_m(here_m);
+            if above.is_nan() {
+                return f64::NAN;
+            }
+            if above <= 0.0 {
+                return crossing(before_m, here_m, above_m);
+            }
+            before_m = here_m;
+        }
+        f64::NAN
+    }
+}
+
+/// A part of the way from one height to another; one that has no weight need not be known.
+fn between(from: f64, to: f64, part: f64) -> f64 {
+    if part == 0.0 { from } else { from + part * (to - from) }
+}
+
+/// Where a beam passes from above the ground to below it, by halving.
+fn crossing(mut above_m: f64, mut below_m: f64, height_above_m: impl Fn(f64) -> f64) -> f64 {
+    while below_m - above_m > FINE_M {
+        let middle_m = 0.5 * (above_m + below_m);
+        if height_above_m(middle_m) > 0.0 { above_m = middle_m } else { below_m = middle_m }
+    }
+    0.5 * (above_m + below_m)
+}
+
+/// A raster's size, where it is one that is read; `held` is the most cells that a file of this length can hold.
+fn checked_size(path: &Path, columns: u64, rows: u64, held: u64) -> Result<(usize, usize)> {
+    let cells = columns.checked_mul(rows).filter(|&cells| cells > 0 && cells <= MOST_CELLS);
+    let size = cells.and_then(|_| Some((usize::try_from(columns).ok()?, usize::try_from(rows).ok()?)));
+    let Some(size) = size else {
+        return Err(Error::unusable(
+            path,
+            format!("a terrain model of {columns} by {rows} cells, and from 1 to {MOST_CELLS} are possible"),
+            "cut it to the area of the recording, or make it coarser",
+        ));
+    };
+    if cells.is_some_and(|cells| cells > held) {
+        return Err(Error::unusable(
+            path,
+            format!("the file is too short for {columns} by {rows} cells"),
+            "the file is cut off: copy it again from its source",
+        ));
+    }
+    Ok(size)
+}

@@ -1,0 +1,168 @@
+//! ESRI ASCII grids: a header of names and numbers, then heights row by row from the north.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+use super::super::{Error, Result};
+use super::{Raster, checked_size};
+
+/// A word of a grid is never longer, bytes.
+const LONGEST_WORD: usize = 64;
+const REMEDY: &str = "give a GeoTIFF or an ESRI ASCII grid";
+
+/// Reads a grid.
+pub(super) fn read(path: &Path) -> Result<Raster> {
+    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let length = file.metadata().map_err(Error::io(path, "open"))?.len();
+    let mut words = Words { path, reader: BufReader::new(file), offset: 0, word: String::new() };
+    let header = Header::read(&mut words)?;
+    let (columns, rows) = (header.whole("ncols", path)?, header.whole("nrows", path)?);
+    // A height takes at least a digit and a space.
+    let (columns, rows) = checked_size(path, columns, rows, length / 2 + 1)?;
+    let step_m = header.steps(path)?;
+    let corner = |axis: usize, corner: &str, center: &str| match header.0.get(center) {
+        Some(&middle) => Ok(middle),
+        None => header.number(corner, path).map(|corner| corner + 0.5 * step_m[axis]),
+    };
+    let west_m = corner(0, "xllcorner", "xllcenter")?;
+    let south_m = corner(1, "yllcorner", "yllcenter")?;
+    let nodata = header.0.get("nodata_value").copied();
+    let mut heights_m = Vec::with_capacity(columns * rows);
+    for index in 0..columns * rows {
+        // The header ends at the first word that is a number.
+        if index > 0 && !words.next()? {
+            return Err(Error::malformed(
+                path,
+                words.offset,
+                "heights",
+                format!("the file ends after {index} of {} heights", columns * rows),
+                "the file is cut off: copy it again from its source",
+            ));
+        }
+        let height = words.number("heights")?;
+        heights_m.push(if Some(height) == nodata { f32::NAN } else { height as f32 });
+    }
+    let first_m = [west_m, south_m + (rows - 1) as f64 * step_m[1]];
+    Ok(Raster { columns, rows, first_m, step_m, heights_m, epsg: None })
+}
+
+/// Names in lower case, and their numbers.
+struct Header(BTreeMap<String, f64>);
+
+impl Header {
+    /// Reads names and numbers; the first height is at hand then.
+    fn read(words: &mut Words) -> Result<Header> {
+        let mut header = BTreeMap::new();
+        while words.next()? {
+            if words.word.parse::<f64>().is_ok() {
+                return Ok(Header(header));
+            }
+            let name = words.word.to_ascii_lowercase();
+            let known = [
+                "ncols",
+                "nrows",
+                "xllcorner",
+                "yllcorner",
+                "xllcenter",
+                "yllcenter",
+                "cellsize",
+                "dx",
+                "dy",
+                "nodata_value",
+            ];
+            if !known.contains(&name.as_str()) {
+                let problem = format!("`{}` is no name of an ASCII grid's header", words.word);
+                return Err(Error::malformed(words.path, words.start(), "header", problem, REMEDY));
+            }
+            if !words.next()? {
+                break;
+            }
+            let number = words.number(&name)?;
+            header.insert(name, number);
+        }
+        Err(Error::malformed(
+            words.path,
+            words.offset,
+            "header",
+            "the file ends before the first height",
+            REMEDY,
+        ))
+    }
+
+    fn number(&self, name: &str, path: &Path) -> Result<f64> {
+        self.0.get(name).copied().ok_or_else(|| {
+            Error::unusable(path, format!("the header of the ASCII grid has no `{name}`"), REMEDY)
+        })
+    }
+
+    fn whole(&self, name: &str, path: &Path) -> Result<u64> {
+        let number = self.number(name, path)?;
+        // A float converts to the nearest integer in range.
+        Ok(if number.fract() == 0.0 && number > 0.0 { number as u64 } else { 0 })
+    }
+
+    /// Distances between cells, from `cellsize`, or `dx` and `dy`.
+    fn steps(&self, path: &Path) -> Result<[f64; 2]> {
+        let step = |name: &str| self.0.get(name).copied().map_or_else(|| self.number("cellsize", path), Ok);
+        let steps = [step("dx")?, step("dy")?];
+        if steps.iter().all(|&step| step > 0.0 && step.is_finite()) {
+            return Ok(steps);
+        }
+        Err(Error::unusable(path, format!("cells of {} by {} m", steps[0], steps[1]), REMEDY))
+    }
+}
+
+/// The words of a file, one after the other.
+struct Words<'a> {
+    path: &'a Path,
+    reader: BufReader<File>,
+    /// Behind the word at hand.
+    offset: u64,
+    word: String,
+}
+
+impl Words<'_> {
+    /// Makes the next word the one at hand; `false` at the end.
+    fn next(&mut self) -> Result<bool> {
+        self.word.clear();
+        loop {
+            let bytes = self.reader.fill_buf().map_err(Error::io(self.path, "read"))?;
+            let mut used = 0;
+            let mut ended = bytes.is_empty();
+            for &byte in bytes {
+                used += 1;
+                if !byte.is_ascii_whitespace() {
+                    self.word.push(char::from(byte));
+                }
+                ended = byte.is_ascii_whitespace() && !self.word.is_empty();
+                if ended || self.word.len() > LONGEST_WORD {
+                    break;
+                }
+            }
+            self.reader.consume(used);
+            self.offset += used as u64;
+            if self.word.len() > LONGEST_WORD {
+                let problem = format!("a word of over {LONGEST_WORD} bytes");
+                return Err(Error::malformed(self.path, self.start(), "text", problem, REMEDY));
+            }
+            if ended {
+                return Ok(!self.word.is_empty());
+            }
+        }
+    }
+
+    /// About where the word at hand begins.
+    fn start(&self) -> u64 {
+        self.offset.saturating_sub(self.word.len() as u64 + 1)
+    }
+
+    fn number(&self, field: &str) -> Result<f64> {
+        let number = self.word.parse::<f64>().ok();
+        number.filter(|number| number.is_finite()).ok_or_else(|| {
+            let problem = format!("`{}` is no number", self.word);
+            Error::malformed(self.path, self.start(), field, problem, REMEDY)
+        })
+    }
+}

@@ -1,0 +1,207 @@
+use std::io::Cursor;
+
+use tiff::encoder::{TiffEncoder, colortype};
+use tiff::tags::Tag;
+
+use super::*;
+
+fn open(bytes: &[u8]) -> std::result::Result<Terrain, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dtm");
+    std::fs::write(&path, bytes).unwrap();
+    Terrain::open(&path).map_err(|error| error.to_string().replace(&path.display().to_string(), "dtm"))
+}
+
+const GRID: &str = "ncols 3\nNROWS 2\nxllcorner 100\nyllcorner 200.0\ncellsize 10\nnodata_value -9999\n\
+                    1 2 3\n4 5 -9999\n";
+
+#[test]
+fn an_ascii_grid_is_bilinear_between_the_middles_of_cells() {
+    let terrain = open(GRID.as_bytes()).unwrap();
+    // Middles: eastings 105, 115, 125; northings 215 above, 205 below.
+    assert_eq!(terrain.height_m(105.0, 215.0), 1.0);
+    assert_eq!(terrain.height_m(115.0, 205.0), 5.0);
+    assert_eq!(terrain.height_m(110.0, 210.0), 3.0);
+    assert_eq!(terrain.height_m(101.0, 219.0), 1.0, "the outer half of a cell");
+    for (east, north) in [(99.0, 215.0), (131.0, 215.0), (115.0, 221.0), (115.0, 199.0), (f64::NAN, 205.0)] {
+        assert!(terrain.height_m(east, north).is_nan(), "{east} {north}");
+    }
+    assert!(terrain.height_m(120.0, 208.0).is_nan(), "beside a cell without a height");
+    assert_eq!((terrain.heights_m(), terrain.epsg()), ([1.0, 5.0], None));
+}
+
+#[test]
+fn a_grid_may_say_the_middle_of_its_corner_cell_and_two_steps() {
+    let text = "ncols 2 nrows 2 xllcenter 0 yllcenter 0 dx 10 dy 20 1 2 3 4";
+    let terrain = open(text.as_bytes()).unwrap();
+    assert_eq!((terrain.height_m(0.0, 0.0), terrain.height_m(10.0, 20.0)), (3.0, 2.0));
+}
+
+#[test]
+fn each_fault_of_a_grid_has_its_message() {
+    let form = "give a GeoTIFF or an ESRI ASCII grid";
+    let cut = "the file is cut off: copy it again from its source";
+    let area = "cut it to the area of the recording, or make it coarser";
+    let long = "9".repeat(70);
+    for (text, message) in [
+        ("".to_owned(), format!("dtm: byte 0: header: the file ends before the first height; {form}")),
+        (
+            "hello 1".to_owned(),
+            format!("dtm: byte 0: header: `hello` is no name of an ASCII grid's header; {form}"),
+        ),
+        ("ncols x".to_owned(), format!("dtm: byte 5: ncols: `x` is no number; {form}")),
+        (
+            GRID.replace("cellsize 10\n", ""),
+            format!("dtm: the header of the ASCII grid has no `cellsize`; {form}"),
+        ),
+        (GRID.replace("cellsize 10", "cellsize 0"), format!("dtm: cells of 0 by 0 m; {form}")),
+        (
+            GRID.replace("ncols 3", "ncols 2.5"),
+            format!("dtm: a terrain model of 0 by 2 cells, and from 1 to 100000000 are possible; {area}"),
+        ),
+        (
+            GRID.replace("ncols 3", "ncols 4000000000"),
+            format!(
+                "dtm: a terrain model of 4000000000 by 2 cells, and from 1 to 100000000 are possible; {area}"
+            ),
+        ),
+        (
+            GRID.replace("ncols 3", "ncols 3000"),
+            format!("dtm: the file is too short for 3000 by 2 cells; {cut}"),
+        ),
+        (
+            GRID.replace("4 5 -9999\n", "4 5"),
+            format!("dtm: byte 86: heights: the file ends after 5 of 6 heights; {cut}"),
+        ),
+        (GRID.replace("2 3", "2 three"), format!("dtm: byte 81: heights: `three` is no number; {form}")),
+        (
+            GRID.replace("2 3", &format!("2 {long}")),
+            format!("dtm: byte 80: text: a word of over 64 bytes; {form}"),
+        ),
+        (
+            "ncols 1 nrows 1 xllcorner 0 yllcorner 0 cellsize 5 NODATA_value 1 1".to_owned(),
+            "dtm: the terrain model holds no height; give the terrain model of this area".to_owned(),
+        ),
+    ] {
+        assert_eq!(open(text.as_bytes()).unwrap_err(), message, "{text}");
+    }
+}
+
+/// What a GeoTIFF says of its place.
+struct Tags {
+    scale: Vec<f64>,
+    tie: Vec<f64>,
+    keys: Vec<u16>,
+    nodata: Option<&'static str>,
+}
+
+impl Default for Tags {
+    fn default() -> Tags {
+        Tags {
+            scale: vec![10.0, 10.0, 0.0],
+            tie: vec![0.0, 0.0, 0.0, 100.0, 220.0, 0.0],
+            keys: vec![1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32633],
+            nodata: Some("-9999"),
+        }
+    }
+}
+
+fn tiff_of<C: colortype::ColorType<Inner = T>, T>(heights: &[T], width: u32, tags: &Tags) -> Vec<u8>
+where
+    [T]: tiff::encoder::TiffValue,
+{
+    let mut bytes = Cursor::new(Vec::new());
+    let mut tiff = TiffEncoder::new(&mut bytes).unwrap();
+    let mut image = tiff.new_image::<C>(width, 2).unwrap();
+    let directory = image.encoder();
+    if !tags.scale.is_empty() {
+        directory.write_tag(Tag::ModelPixelScaleTag, &tags.scale[..]).unwrap();
+    }
+    if !tags.tie.is_empty() {
+        directory.write_tag(Tag::ModelTiepointTag, &tags.tie[..]).unwrap();
+    }
+    directory.write_tag(Tag::GeoKeyDirectoryTag, &tags.keys[..]).unwrap();
+    if let Some(nodata) = tags.nodata {
+        directory.write_tag(Tag::GdalNodata, nodata).unwrap();
+    }
+    image.write_data(heights).unwrap();
+    bytes.into_inner()
+}
+
+const HEIGHTS: [f32; 6] = [1.0, 2.0, 3.0, 4.0, 5.0, -9999.0];
+
+#[test]
+fn a_geotiff_is_the_same_as_the_grid() {
+    let grid = open(GRID.as_bytes()).unwrap();
+    let tiff = open(&tiff_of::<colortype::Gray32Float, _>(&HEIGHTS, 3, &Tags::default())).unwrap();
+    assert_eq!(tiff.epsg(), Some(32633));
+    for (east, north) in [(105.0, 215.0), (111.0, 209.0), (101.0, 219.0)] {
+        assert_eq!(tiff.height_m(east, north), grid.height_m(east, north));
+    }
+    assert!(tiff.height_m(125.0, 205.0).is_nan());
+    let point = Tags { keys: vec![1, 1, 0, 1, 1025, 0, 1, 2], ..Tags::default() };
+    let tiff = open(&tiff_of::<colortype::Gray32Float, _>(&HEIGHTS, 3, &point)).unwrap();
+    assert_eq!((tiff.height_m(100.0, 220.0), tiff.epsg()), (1.0, None));
+    let whole = [1i16, 2, 3, 4, 5, -9999];
+    let tiff = open(&tiff_of::<colortype::GrayI16, _>(&whole, 3, &Tags::default())).unwrap();
+    assert_eq!(tiff.heights_m(), [1.0, 5.0]);
+}
+
+#[test]
+fn each_fault_of_a_geotiff_has_its_message() {
+    let remedy = "convert it to a GeoTIFF of one band of heights that lies north up";
+    let gray = |tags: &Tags| open(&tiff_of::<colortype::Gray32Float, _>(&HEIGHTS, 3, tags)).unwrap_err();
+    let no_scale = Tags { scale: Vec::new(), ..Tags::default() };
+    assert_eq!(gray(&no_scale), format!("dtm: the GeoTIFF does not say how large its cells are; {remedy}"));
+    let no_tie = Tags { tie: Vec::new(), ..Tags::default() };
+    assert_eq!(gray(&no_tie), format!("dtm: the GeoTIFF does not say where it lies; {remedy}"));
+    let flat = Tags { scale: vec![10.0, -10.0, 0.0], ..Tags::default() };
+    assert_eq!(gray(&flat), format!("dtm: cells of 10 by -10 m; {remedy}"));
+    let rgb = tiff_of::<colortype::RGB8, u8>(&[7; 18], 3, &Tags::default());
+    assert_eq!(open(&rgb).unwrap_err(), format!("dtm: the GeoTIFF has more than one band; {remedy}"));
+    let long = tiff_of::<colortype::Gray64, u64>(&[7; 6], 3, &Tags::default());
+    assert_eq!(
+        open(&long).unwrap_err(),
+        format!("dtm: the GeoTIFF's heights are of a type that heights never have; {remedy}")
+    );
+    let error = open(b"II*\0\x08\0").unwrap_err();
+    assert!(error.starts_with("dtm: no GeoTIFF that can be read: ") && error.ends_with(remedy), "{error}");
+}
+
+#[test]
+fn a_cut_geotiff_is_an_error_at_every_length() {
+    let whole = tiff_of::<colortype::Gray32Float, _>(&HEIGHTS, 3, &Tags::default());
+    for length in 0..whole.len() {
+        // The image's bytes may stand anywhere: what is missing is never made up.
+        if let Ok(terrain) = open(&whole[..length]) {
+            assert_eq!(terrain, open(&whole).unwrap(), "{length}");
+        }
+    }
+}
+
+#[test]
+fn a_beam_meets_the_first_slope_it_comes_to() {
+    // A wall of 50 m in the fourth of eight columns of 10 m.
+    let text = "ncols 8 nrows 2 xllcenter 0 yllcenter 0 cellsize 10 0 0 0 50 0 0 0 0 0 0 0 50 0 0 0 0";
+    let terrain = open(text.as_bytes()).unwrap();
+    let range = |east: f64, beam: [f64; 3]| terrain.range_m([east, 5.0, 100.0], beam, [1.0, 1000.0]);
+    let down = [0.0, 0.0, -1.0];
+    assert!((range(5.0, down) - 100.0).abs() < 0.1);
+    assert!((range(30.0, down) - 50.0).abs() < 0.1);
+    assert!((range(25.0, down) - 75.0).abs() < 0.1);
+    // From the wall's far side at a slant: the crest, not the ground behind it.
+    let slant = [-0.6, 0.0, -0.8];
+    let met = range(76.0, slant);
+    let (east, up) = (76.0 - 0.6 * met, 100.0 - 0.8 * met);
+    assert!((terrain.height_m(east, 5.0) - up).abs() < 0.6 && up > 20.0, "{met} {up}");
+    for (east, beam) in [
+        (200.0, down),
+        (5.0, [0.0, 0.0, 1.0]),
+        (5.0, [1.0, 0.0, 0.0]),
+        (5.0, [f64::NAN; 3]),
+        (5.0, [-0.9, 0.0, -0.4]),
+    ] {
+        assert!(range(east, beam).is_nan(), "{east} {beam:?}");
+    }
+    assert!(terrain.range_m([5.0, 5.0, 100.0], down, [1.0, 60.0]).is_nan(), "beyond the range");
+}

@@ -1,0 +1,295 @@
+//! What was received: groups of blocks that go to one shot together, and the echoes in them.
+
+use std::ops::Range;
+
+use crate::batch::{Block, Blocks, Channel, Emission};
+
+/// The strongest pulses of a group that count.
+const MOST_ECHOES: usize = 4;
+/// A pulse counts from this height above the background on, digitiser steps.
+const LEAST_HEIGHT_DN: f64 = 3.0;
+/// And from this part of the highest.
+const LEAST_PART: f64 = 0.3;
+/// What the instrument computed belongs to a block so near to it, ns.
+const ONLINE_REACH_NS: f64 = 2.0;
+/// Nothing comes back so late, ns.
+const LATEST_NS: f64 = 1e9;
+
+/// What becomes of a block, or of a return that the instrument computed, before its zone is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// It stays with its shot: an outgoing pulse, or a block whose zone is known.
+    Stays,
+    /// It goes where its group goes.
+    Group(u32),
+    /// It has no usable time.
+    Nowhere,
+}
+
+/// Blocks of one record that overlap in time: all of them come from one shot.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Group {
+    /// Index of the emission in whose record they stand.
+    pub record: u32,
+    /// Begin and end after that emission's clock, ns.
+    pub from_ns: f64,
+    to_ns: f64,
+    /// Its echoes in [`Received::echoes`].
+    pub echoes: Range<u32>,
+}
+
+/// One echo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Peak {
+    /// Time after the clock of the emission in whose record it stands, ns.
+    pub time_ns: f64,
+    /// Height above the background, digitiser steps.
+    pub height_dn: f64,
+}
+
+/// What was received in a line.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Received {
+    pub groups: Vec<Group>,
+    /// The echoes of the groups, group by group.
+    pub echoes: Vec<Peak>,
+    /// One for each block.
+    pub blocks: Vec<Place>,
+    /// One for each return that the instrument computed.
+    pub online: Vec<Place>,
+}
+
+impl Received {
+    pub fn of(emissions: &[Emission], blocks: &Blocks) -> Received {
+        let mut received = Received {
+            blocks: vec![Place::Stays; blocks.len()],
+            online: vec![Place::Stays; blocks.online.len()],
+            ..Received::default()
+        };
+        let (mut block, mut online) = (0, 0);
+        let mut members = Vec::new();
+        for (record, emission) in (0u32..).zip(emissions) {
+            members.clear();
+            while let Some(next) = blocks.get(block).filter(|next| next.emission <= record) {
+                received.blocks[block] = place_of(next, emission);
+                if received.blocks[block] == Place::Group(0) {
+                    members.push((block, *next));
+                }
+                block += 1;
+            }
+            let first = received.groups.len();
+            received.add_groups(record, &mut members, blocks);
+            let until =
+                online + blocks.online[online..].iter().take_while(|one| one.emission <= record).count();
+            if emission.mta_zone.is_none() {
+                (online..until).for_each(|i| received.add_online(first, i, record, blocks));
+            }
+            online = until;
+        }
+        received
+    }
+
+    /// Makes groups of blocks of one record.
+    fn add_groups(&mut self, record: u32, members: &mut [(usize, Block)], blocks: &Blocks) {
+        members.sort_by(|a, b| a.1.start_ns.total_cmp(&b.1.start_ns));
+        let mut from = 0;
+        while from < members.len() {
+            let mut to_ns = end_ns(&members[from].1);
+            let mut until = from + 1;
+            while until < members.len() && members[until].1.start_ns < to_ns {
+                to_ns = to_ns.max(end_ns(&members[until].1));
+                until += 1;
+            }
+            let group = self.groups.len() as u32;
+            let of_group = &members[from..until];
+            of_group.iter().for_each(|&(index, _)| self.blocks[index] = Place::Group(group));
+            let first = self.echoes.len() as u32;
+            find(of_group, blocks, &mut self.echoes);
+            let echoes = first..self.echoes.len() as u32;
+            self.groups.push(Group { record, from_ns: of_group[0].1.start_ns, to_ns, echoes });
+            from = until;
+        }
+    }
+
+    /// Adds what the instrument computed to the group it lies in, among those from `first` on, or to one of its own.
+    fn add_online(&mut self, first: usize, index: usize, record: u32, blocks: &Blocks) {
+        let time_ns = blocks.online[index].time_ns;
+        if !has_time(time_ns) {
+            self.online[index] = Place::Nowhere;
+            return;
+        }
+        let covers = |group: &Group| {
+            (group.from_ns - ONLINE_REACH_NS..=group.to_ns + ONLINE_REACH_NS).contains(&time_ns)
+        };
+        let group = match self.groups[first..].iter().position(covers) {
+            Some(group) => first + group,
+            None => {
+                let echo = self.echoes.len() as u32;
+                self.echoes.push(Peak { time_ns, height_dn: 1.0 });
+                let (from_ns, to_ns) = (time_ns, time_ns);
+                self.groups.push(Group { record, from_ns, to_ns, echoes: echo..echo + 1 });
+                self.groups.len() - 1
+            }
+        };
+        self.online[index] = Place::Group(group as u32);
+    }
+}
+
+fn end_ns(block: &Block) -> f64 {
+    block.time_ns(block.len() as f64)
+}
+
+fn has_time(time_ns: f64) -> bool {
+    time_ns.abs() < LATEST_NS
+}
+
+/// Whether a block stays; if not, its group is not known yet.
+fn place_of(block: &Block, emission: &Emission) -> Place {
+    if block.channel == Channel::Reference || block.zone.or(emission.mta_zone).is_some() {
+        Place::Stays
+    } else if has_time(block.start_ns) && has_time(end_ns(block)) {
+        Place::Group(0)
+    } else {
+        Place::Nowhere
+    }
+}
+
+/// Finds the echoes of a group: those of the sensitive receiver where it recorded, else of the other; at least one.
+fn find(group: &[(usize, Block)], blocks: &Blocks, echoes: &mut Vec<Peak>) {
+    let order = [Channel::LowPower, Channel::HighPower, Channel::Saturation];
+    let recorded = |channel: &Channel| group.iter().any(|(_, block)| block.channel == *channel);
+    let channel = order.into_iter().find(recorded).unwrap_or(Channel::LowPower);
+    let first = echoes.len();
+    for (_, block) in group.iter().filter(|(_, block)| block.channel == channel) {
+        peaks(block, blocks.samples(block), echoes);
+    }
+    let own = &mut echoes[first..];
+    own.sort_by(|a, b| b.height_dn.total_cmp(&a.height_dn));
+    let least_dn = own.first().map_or(0.0, |highest| (LEAST_PART * highest.height_dn).max(LEAST_HEIGHT_DN));
+    // The highest stays, however low it is.
+    let kept = own.iter().take(MOST_ECHOES).filter(|peak| peak.height_dn >= least_dn).count().max(1);
+    echoes.truncate(first + kept);
+    if echoes.len() == first {
+        echoes.extend(group.first().map(|(_, block)| Peak { time_ns: block.start_ns, height_dn: 1.0 }));
+    }
+}
+
+/// The peaks of a block: each run of equal samples that its neighbours are below, at its middle, or, where it is a single
+/// sample, at the vertex of the parabola through it and its neighbours.
+fn peaks(block: &Block, samples: &[u16], echoes: &mut Vec<Peak>) {
+    let background_dn = f64::from(background(samples));
+    let mut from = 0;
+    while from < samples.len() {
+        let level = samples[from];
+        let until = from + samples[from..].iter().take_while(|&&sample| sample == level).count();
+        let before = from.checked_sub(1).map(|before| samples[before]);
+        let after = samples.get(until).copied();
+        if before.is_none_or(|before| before < level) && after.is_none_or(|after| after < level) {
+            let position = match (before, after) {
+                (Some(before), Some(after)) if until == from + 1 => {
+                    from as f64 + vertex(before, level, after)
+                }
+                _ => 0.5 * (from + until - 1) as f64,
+            };
+            let height_dn = f64::from(level) - background_dn;
+            echoes.push(Peak { time_ns: block.time_ns(position), height_dn });
+        }
+        from = until;
+    }
+}
+
+/// What a block holds beside its pulses: the lower of the medians of its first and its last four samples.
+fn background(samples: &[u16]) -> u16 {
+    let median = |samples: &[u16]| {
+        let mut few = [0; 4];
+        let few = &mut few[..samples.len()];
+        few.copy_from_slice(samples);
+        few.sort_unstable();
+        few.get(samples.len() / 2).copied().unwrap_or(0)
+    };
+    let part = samples.len().min(4);
+    median(&samples[..part]).min(median(&samples[samples.len() - part..]))
+}
+
+/// Where the parabola through three samples has its vertex, from the middle one, which is above the others.
+fn vertex(before: u16, middle: u16, after: u16) -> f64 {
+    let [before, middle, after] = [before, middle, after].map(f64::from);
+    0.5 * (before - after) / (before - 2.0 * middle + after)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unresolved(n: usize) -> Vec<Emission> {
+        vec![Emission::default(); n]
+    }
+
+    fn times(received: &Received, group: usize) -> Vec<f64> {
+        let echoes = &received.groups[group].echoes;
+        received.echoes[echoes.start as usize..echoes.end as usize].iter().map(|echo| echo.time_ns).collect()
+    }
+
+    #[test]
+    fn a_pulse_stands_at_the_vertex_of_its_parabola() {
+        let mut blocks = Blocks::default();
+        // A parabola with its vertex at 4.25, where it is 100 high.
+        let parabola = |i: i32| (100.0 - 8.0 * (f64::from(i) - 4.25).powi(2)).max(0.0) as u16 + 2;
+        let samples: Vec<u16> = (0..9).map(parabola).collect();
+        blocks.push(0, Channel::LowPower, None, 500.0, 0.5, &samples);
+        let received = Received::of(&unresolved(1), &blocks);
+        assert_eq!(received.groups.len(), 1);
+        assert!((times(&received, 0)[0] - 502.125).abs() < 0.02, "{:?}", received.echoes);
+    }
+
+    #[test]
+    fn strong_pulses_come_first_and_noise_not_at_all() {
+        let mut blocks = Blocks::default();
+        let samples = [2, 3, 2, 2, 10, 40, 11, 2, 3, 2, 20, 61, 19, 2, 4, 2, 255, 255, 255, 2, 2];
+        blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &samples);
+        let received = Received::of(&unresolved(1), &blocks);
+        assert_eq!(times(&received, 0), [17.0], "61 is less than three tenths of a saturated pulse");
+        let mut blocks = Blocks::default();
+        blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &samples[..15]);
+        let received = Received::of(&unresolved(1), &blocks);
+        assert_eq!(times(&received, 0).iter().map(|t| t.round()).collect::<Vec<_>>(), [11.0, 5.0]);
+    }
+
+    #[test]
+    fn receivers_that_saw_the_same_go_together() {
+        let mut blocks = Blocks::default();
+        blocks.push(0, Channel::Reference, None, -5.0, 1.0, &[2, 90, 2]);
+        blocks.push(0, Channel::LowPower, None, 100.0, 1.0, &[2, 2, 30, 2, 2]);
+        blocks.push(0, Channel::LowPower, None, 300.0, 1.0, &[2, 2, 30, 2, 2]);
+        blocks.push(0, Channel::HighPower, None, 101.43, 1.0, &[2, 9, 2, 2, 2]);
+        blocks.push(1, Channel::HighPower, None, 301.43, 1.0, &[2, 9, 2, 2, 2]);
+        let received = Received::of(&unresolved(2), &blocks);
+        let group = Place::Group;
+        assert_eq!(received.blocks, [Place::Stays, group(0), group(1), group(0), group(2)]);
+        assert_eq!([0, 1, 2].map(|g| times(&received, g)), [[102.0], [302.0], [302.43]]);
+        assert_eq!(received.groups.iter().map(|group| group.record).collect::<Vec<_>>(), [0, 0, 1]);
+    }
+
+    #[test]
+    fn blocks_without_samples_or_times_do_no_harm() {
+        let mut blocks = Blocks::default();
+        blocks.push(0, Channel::LowPower, None, 100.0, 1.0, &[]);
+        blocks.push(0, Channel::LowPower, None, 2e9, 1.0, &[1]);
+        blocks.push(0, Channel::LowPower, None, f64::NAN, 1.0, &[1]);
+        blocks.push(0, Channel::LowPower, Some(3), 500.0, 1.0, &[1]);
+        let received = Received::of(&unresolved(1), &blocks);
+        assert_eq!(received.blocks, [Place::Group(0), Place::Nowhere, Place::Nowhere, Place::Stays]);
+        assert_eq!(times(&received, 0), [100.0]);
+    }
+
+    #[test]
+    fn what_the_instrument_computed_goes_with_its_block() {
+        let mut blocks = Blocks::default();
+        blocks.push(0, Channel::LowPower, None, 100.0, 1.0, &[2, 2, 30, 2, 2]);
+        let online = |time_ns| crate::batch::OnlineReturn { emission: 0, time_ns, amplitude: 1.0 };
+        blocks.online = vec![online(102.1), online(700.0), online(f64::NAN)];
+        let received = Received::of(&unresolved(1), &blocks);
+        assert_eq!(received.online, [Place::Group(0), Place::Group(1), Place::Nowhere]);
+        assert_eq!(times(&received, 1), [700.0]);
+    }
+}

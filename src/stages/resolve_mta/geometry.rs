@@ -1,0 +1,107 @@
+//! What the geometry of a recording says of its shots: their place across the line, and how far the ground should be.
+
+use crate::batch::{Batch, Emission, Frame};
+use crate::formats::terrain::Terrain;
+use crate::kernels::mta;
+use crate::stage::{Result, StageError};
+
+/// Beams nearer to each other than this have no direction between them, m per m.
+const LEAST_SWEEP: f64 = 1e-6;
+
+/// How a recording's beams lie.
+#[derive(Clone, Debug)]
+pub(super) struct Geometry {
+    frame: Frame,
+    range_m: [f64; 2],
+    /// Straight down, as far as the frame tells.
+    down: [f64; 3],
+    /// Across the line: from the first shot of a line to its last; `None` before a line had two.
+    across: Option<[f64; 3]>,
+}
+
+impl Geometry {
+    /// The geometry of the recording that a line is of.
+    ///
+    /// In the scanner's own frame down is the axis nearest to the mean direction of the line: scanners are mounted in more
+    /// than one way, and look down on average.
+    pub fn of(batch: &Batch, range_m: [f64; 2], terrain: Option<&Terrain>) -> Result<Geometry> {
+        let frame = batch.input.frame;
+        if terrain.is_some() && frame != Frame::Map {
+            let frame = if frame == Frame::Scanner { "scanner's" } else { "aircraft's" };
+            return Err(StageError::failed(
+                format!(
+                    "a terrain model needs shots whose place in the map is known, and those of this recording are in the \
+                     {frame} own frame, without a trajectory"
+                ),
+                "give `agl_m` instead of `terrain`, or a recording in map coordinates",
+            ));
+        }
+        let down = match frame {
+            Frame::Map => [0.0, 0.0, -1.0],
+            Frame::Body => [0.0, 0.0, 1.0],
+            Frame::Scanner => main_axis(&batch.emissions),
+        };
+        Ok(Geometry { frame, range_m, down, across: None })
+    }
+
+    /// Learns the direction across the line.
+    pub fn learn(&mut self, emissions: &[Emission]) {
+        if self.across.is_some() {
+            return;
+        }
+        let (Some(first), Some(last)) = (emissions.first(), emissions.last()) else { return };
+        let step: [f64; 3] = std::array::from_fn(|axis| last.direction[axis] - first.direction[axis]);
+        let fall = dot(step, self.down);
+        let level: [f64; 3] = std::array::from_fn(|axis| step[axis] - fall * self.down[axis]);
+        let length = dot(level, level).sqrt();
+        if length > LEAST_SWEEP {
+            self.across = Some(level.map(|part| part / length));
+        }
+    }
+
+    /// A shot as the kernel wants it.
+    pub fn emission(&self, emission: &Emission, terrain: Option<&Terrain>) -> mta::Emission {
+        let cos_nadir = dot(emission.direction, self.down);
+        let expected_m = terrain.map_or(f64::NAN, |terrain| {
+            terrain.range_m(
+                emission.origin_m,
+                emission.direction.map(|d| d * emission.frame_scale),
+                self.range_m,
+            )
+        });
+        mta::Emission {
+            clock_ps: emission.clock_ps,
+            shot: emission.shot,
+            scan_angle_deg: self.scan_angle_deg(emission, cos_nadir) as f32,
+            cos_nadir: cos_nadir as f32,
+            prior_range_m: expected_m as f32,
+        }
+    }
+
+    /// The place across the line: the recording's own scan angle, or, in the scanner's frame, that of the beam.
+    fn scan_angle_deg(&self, emission: &Emission, cos_nadir: f64) -> f64 {
+        match (self.frame, self.across) {
+            _ if emission.scan_angle_deg.is_finite() => f64::from(emission.scan_angle_deg),
+            (Frame::Scanner | Frame::Body, Some(across)) => {
+                dot(emission.direction, across).atan2(cos_nadir).to_degrees()
+            }
+            _ => f64::NAN,
+        }
+    }
+}
+
+/// The axis, with its sign, that the mean direction of some beams is nearest to.
+fn main_axis(emissions: &[Emission]) -> [f64; 3] {
+    let mut sum = [0.0; 3];
+    for emission in emissions {
+        (0..3).for_each(|axis| sum[axis] += emission.direction[axis]);
+    }
+    let axis = (0..3).max_by(|&a, &b| sum[a].abs().total_cmp(&sum[b].abs())).unwrap_or(2);
+    let mut down = [0.0; 3];
+    down[axis] = if sum[axis] < 0.0 { -1.0 } else { 1.0 };
+    down
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}

@@ -1,0 +1,410 @@
+//! The lines at hand: each is given on when no block that is still to come belongs to it.
+
+use std::collections::VecDeque;
+
+use super::echoes::{Group, Peak, Place, Received};
+use super::geometry::Geometry;
+use super::summary::Tally;
+use super::{ResolveMta, failed};
+use crate::batch::{Batch, Blocks, Channel, Content, OnlineReturn};
+use crate::formats::terrain::Terrain;
+use crate::kernels::mta::{self, Assigned, BYTES_PER_ECHO, BYTES_PER_SHOT, Resolved, Resolver};
+use crate::stage::{Item, Output, Result, StageError};
+
+/// What the kernel's cells take at most for each shot of the lines at hand, bytes (docs/mta.md, Memory and order).
+const CELL_BYTES_PER_SHOT: usize = 48;
+const NO_EMISSION: &str = "no emission at a distance within `range_m`";
+const NO_TIME: &str = "a block a second or more from its shot";
+const NO_SHOT: &str = "its emission is not in the line";
+
+/// Lines whose zones are being found.
+pub(super) struct Strip {
+    resolver: Resolver,
+    geometry: Geometry,
+    held: VecDeque<HeldLine>,
+    /// Number of the first line in `held`, as the resolver counts.
+    first: u64,
+    /// Lines below this number are complete.
+    settled: u64,
+    held_bytes: usize,
+    tally: Tally,
+}
+
+/// A line that waits.
+struct HeldLine {
+    batch: Batch,
+    received: Received,
+    /// For each emission that the resolver knows its index in the line.
+    known: Vec<u32>,
+    /// For each echo that the resolver knows its group.
+    group_of_echo: Vec<u32>,
+    /// Blocks, of this line and of later ones, that this line's shots caused.
+    incoming: Vec<Moved>,
+    online: Vec<OnlineReturn>,
+    bytes: usize,
+}
+
+/// A block on its way to the shot that caused it.
+struct Moved {
+    /// Index of that shot in its line.
+    to: u32,
+    /// Time after its clock, ns.
+    start_ns: f64,
+    /// The line and the index where the samples are.
+    line: u64,
+    block: u32,
+    zone: Option<i16>,
+    is_uncertain: bool,
+}
+
+/// Where a group goes.
+#[derive(Clone, Copy)]
+struct Verdict {
+    line: u64,
+    emission: u32,
+    zone: i16,
+    /// From the record's clock to the cause's, ns.
+    later_ns: f64,
+    is_uncertain: bool,
+}
+
+impl Strip {
+    /// For the recording that a line is of.
+    pub fn new(
+        config: &ResolveMta,
+        first: &Batch,
+        terrain: Option<&Terrain>,
+        out: &mut Output,
+    ) -> Result<Strip> {
+        let settings = config.settings(first.input.group_velocity_mps);
+        let resolver = Resolver::new(&settings).map_err(|error| failed(&error))?;
+        let geometry = Geometry::of(first, config.range_m, terrain)?;
+        if let Some(terrain) = terrain {
+            terrain_elsewhere(terrain, first, out);
+        }
+        Ok(Strip {
+            resolver,
+            geometry,
+            held: VecDeque::new(),
+            first: 0,
+            settled: 0,
+            held_bytes: 0,
+            tally: Tally::new(settings.blind_gap_ns),
+        })
+    }
+
+    /// Takes the next line, and gives on what is complete.
+    pub fn push(&mut self, batch: Batch, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
+        self.geometry.learn(&batch.emissions);
+        let empty = Blocks::default();
+        let received = Received::of(&batch.emissions, batch.blocks().unwrap_or(&empty));
+        let mut held = HeldLine {
+            batch,
+            received,
+            known: Vec::new(),
+            group_of_echo: Vec::new(),
+            incoming: Vec::new(),
+            online: Vec::new(),
+            bytes: 0,
+        };
+        let line = held.for_kernel(&self.geometry, terrain);
+        if held.known.len() < held.batch.emissions.len() {
+            out.cx.note("shots that share a clock with the one before them cannot be told from it: it gets their echoes");
+        }
+        held.count();
+        self.held_bytes += held.bytes;
+        self.held.push_back(held);
+        self.resolver.push(&line).map_err(|error| failed(&error))?;
+        self.settle(out)?;
+        if self.held_bytes > out.may_hold_bytes() {
+            return Err(self.too_much(out.may_hold_bytes()));
+        }
+        Ok(())
+    }
+
+    /// Says that no line follows.
+    pub fn finish(mut self, out: &mut Output) -> Result<()> {
+        self.resolver.finish().map_err(|error| failed(&error))?;
+        self.settle(out)?;
+        self.settled = u64::MAX;
+        self.give_on(out)?;
+        self.tally.tell(&self.resolver, out.cx);
+        Ok(())
+    }
+
+    /// Puts the blocks of all lines that are resolved where they belong.
+    fn settle(&mut self, out: &mut Output) -> Result<()> {
+        while let Some(resolved) = self.resolver.pop() {
+            self.assign(&resolved, out);
+            self.settled = self.settled.max(resolved.settled_lines);
+        }
+        self.give_on(out)
+    }
+
+    fn give_on(&mut self, out: &mut Output) -> Result<()> {
+        while self.first < self.settled && !self.held.is_empty() {
+            let blocks = self.regrouped();
+            let Some(held) = self.held.pop_front() else { break };
+            self.held_bytes -= held.bytes;
+            self.first += 1;
+            let mut batch = held.batch;
+            batch.stats.nw = blocks.waveforms() as u64;
+            batch.content = Content::Shots(blocks);
+            out.emit(batch)?;
+        }
+        Ok(())
+    }
+
+    /// The blocks of the first line's shots, in order of shot and time. Sets the shots' zones.
+    fn regrouped(&mut self) -> Blocks {
+        let Some(line) = self.held.front_mut() else { return Blocks::default() };
+        let mut incoming = std::mem::take(&mut line.incoming);
+        let mut online = std::mem::take(&mut line.online);
+        incoming.sort_by(|a, b| a.to.cmp(&b.to).then(a.start_ns.total_cmp(&b.start_ns)));
+        online.sort_by(|a, b| a.emission.cmp(&b.emission).then(a.time_ns.total_cmp(&b.time_ns)));
+        let mut first_zones = vec![None; line.batch.emissions.len()];
+        for moved in &incoming {
+            if let Some(first) = first_zones.get_mut(moved.to as usize) {
+                *first = first.or(moved.zone);
+            }
+        }
+        for (emission, first) in line.batch.emissions.iter_mut().zip(first_zones) {
+            // A shot of which nothing came back has no zone; 0 says that it is resolved.
+            emission.mta_zone = emission.mta_zone.or(first).or(Some(0));
+        }
+        let mut blocks = Blocks::default();
+        let emissions = &self.held[0].batch.emissions;
+        for moved in &incoming {
+            let source =
+                self.held.get((moved.line - self.first) as usize).and_then(|held| held.batch.blocks());
+            let found = source.and_then(|source| Some((source, source.get(moved.block as usize)?)));
+            let Some((source, block)) = found else { continue };
+            let of_shot = emissions.get(moved.to as usize).and_then(|emission| emission.mta_zone);
+            let zone = moved.zone.filter(|_| moved.zone != of_shot);
+            let samples = source.samples(block);
+            blocks.push(moved.to, block.channel, zone, moved.start_ns, block.interval_ns, samples);
+            if moved.is_uncertain {
+                blocks.doubt_last_zone();
+            }
+        }
+        blocks.online = online;
+        blocks
+    }
+
+    /// Sends the blocks of a line that is resolved to the lines that caused them.
+    fn assign(&mut self, resolved: &Resolved, out: &mut Output) {
+        let Some(at) = resolved.line.checked_sub(self.first).map(|at| at as usize) else { return };
+        let Some(line) = self.held.get(at) else { return };
+        let mut verdicts: Vec<Option<Verdict>> = vec![None; line.received.groups.len()];
+        let mut from = 0;
+        let of_group = |a: &u32, b: &u32| a == b;
+        for run in line.group_of_echo.chunk_by(of_group) {
+            let echoes = &resolved.echoes[from..(from + run.len()).min(resolved.echoes.len())];
+            from += run.len();
+            let Some(&group) = run.first() else { continue };
+            let Some(of_group) = line.received.groups.get(group as usize) else { continue };
+            let verdict = self.verdict(line, of_group, echoes);
+            if let Some((verdict, margin_nats)) = verdict {
+                self.tally.add(verdict.zone, margin_nats, verdict.is_uncertain, out.cx);
+                verdicts[group as usize] = Some(verdict);
+            }
+        }
+        let (moves, online) = line.moves(resolved.line, &verdicts, out);
+        for (to, moved) in moves {
+            self.held[(to - self.first) as usize].incoming.push(moved);
+        }
+        for (to, returned) in online {
+            self.held[(to - self.first) as usize].online.push(returned);
+        }
+    }
+
+    /// The cause that most of a group's echoes speak for, weighted with their heights, and its margin.
+    fn verdict(&self, line: &HeldLine, group: &Group, echoes: &[Assigned]) -> Option<(Verdict, f32)> {
+        let peaks = line.received.echoes.get(group.echoes.start as usize..group.echoes.end as usize)?;
+        let votes = || echoes.iter().zip(peaks).filter(|(echo, _)| echo.cause.is_some());
+        let mut best: Option<(f64, &Assigned)> = None;
+        for (echo, _) in votes() {
+            let of_cause = votes().filter(|(other, _)| other.cause == echo.cause);
+            let weight: f64 = of_cause.map(|(_, peak)| peak.height_dn.max(1.0)).sum();
+            // Of equal ones the first, which is the higher pulse's.
+            if best.is_none_or(|(most, _)| weight > most) {
+                best = Some((weight, echo));
+            }
+        }
+        let (_, best) = best?;
+        let cause = best.cause?;
+        let cause_line = self.held.get(cause.line.checked_sub(self.first)? as usize)?;
+        let emission = *cause_line.known.get(cause.emission as usize)?;
+        let causing = cause_line.batch.emissions.get(emission as usize)?;
+        let record = line.batch.emissions.get(group.record as usize)?;
+        let zone = line.received_with(group).saturating_sub(causing.shot).min(i16::MAX as u64) as i16;
+        let is_split = votes().any(|(echo, _)| echo.cause != best.cause);
+        let verdict = Verdict {
+            line: cause.line,
+            emission,
+            zone,
+            later_ns: record.clock_ps.saturating_sub(causing.clock_ps) as f64 / 1000.0,
+            is_uncertain: best.uncertain || is_split,
+        };
+        Some((verdict, best.margin_nats))
+    }
+
+    fn too_much(&self, may_hold_bytes: usize) -> StageError {
+        let ahead = self.resolver.look_ahead_lines();
+        let needed = self.held_bytes as f64 / self.held.len().max(1) as f64 * (ahead + 1) as f64;
+        let times = (1.1 * needed / may_hold_bytes.max(1) as f64).max(1.1);
+        StageError::failed(
+            format!(
+                "resolving zones takes up to {ahead} lines, and {} of them take {:.1} MB, more than this stage's share of \
+                 memory_mb",
+                self.held.len(),
+                self.held_bytes as f64 / 1e6
+            ),
+            format!("set memory_mb {times:.1} times as high"),
+        )
+    }
+}
+
+impl HeldLine {
+    /// The line as the kernel wants it: its clocks ascend.
+    fn for_kernel(&mut self, geometry: &Geometry, terrain: Option<&Terrain>) -> mta::Line {
+        let mut line = mta::Line::default();
+        // For each shot its place among those that the kernel knows.
+        let mut places = Vec::with_capacity(self.batch.emissions.len());
+        for (index, emission) in (0u32..).zip(&self.batch.emissions) {
+            let last = line.emissions.last().map(|last: &mta::Emission| last.clock_ps);
+            if last.is_none_or(|last| last < emission.clock_ps) {
+                line.emissions.push(geometry.emission(emission, terrain));
+                self.known.push(index);
+            }
+            places.push(line.emissions.len() as u32 - 1);
+        }
+        for (number, group) in (0u32..).zip(&self.received.groups) {
+            let Some(&place) = places.get(group.record as usize) else { continue };
+            for peak in &self.received.echoes[group.echoes.start as usize..group.echoes.end as usize] {
+                line.echoes.push(mta::Echo { emission: place, time_ns: peak.time_ns });
+                self.group_of_echo.push(number);
+            }
+        }
+        line
+    }
+
+    /// What the line takes while it is held back goes to the memory in flight.
+    fn count(&mut self) {
+        let shots = self.batch.emissions.len();
+        let received = &self.received;
+        self.bytes = self.batch.bytes()
+            + shots * (BYTES_PER_SHOT + CELL_BYTES_PER_SHOT + size_of::<u32>())
+            + received.echoes.len() * (BYTES_PER_ECHO + size_of::<Peak>() + size_of::<u32>())
+            + received.groups.len() * (size_of::<Group>() + size_of::<Option<Verdict>>())
+            + received.blocks.len() * (size_of::<Place>() + 2 * size_of::<Moved>())
+            + received.online.len() * (size_of::<Place>() + 2 * size_of::<OnlineReturn>());
+        if let Some(ticket) = &mut self.batch.ticket {
+            ticket.resize(self.bytes);
+        }
+    }
+
+    /// Running number of the last shot that was out when a group began.
+    fn received_with(&self, group: &Group) -> u64 {
+        let emissions = &self.batch.emissions;
+        let mut at = group.record as usize;
+        let clock_ps = emissions.get(at).map_or(0, |record| record.clock_ps);
+        let is_out = |next: usize| {
+            let next = emissions.get(next);
+            next.is_some_and(|next| next.clock_ps.saturating_sub(clock_ps) as f64 <= group.from_ns * 1000.0)
+        };
+        while is_out(at + 1) {
+            at += 1;
+        }
+        emissions.get(at).map_or(0, |emission| emission.shot)
+    }
+
+    /// Where blocks and returns of the instrument's own go; what has no cause is rejected.
+    #[expect(clippy::type_complexity, reason = "two lists of what goes to which line")]
+    fn moves(
+        &self,
+        number: u64,
+        verdicts: &[Option<Verdict>],
+        out: &mut Output,
+    ) -> (Vec<(u64, Moved)>, Vec<(u64, OnlineReturn)>) {
+        let Some(blocks) = self.batch.blocks() else { return (Vec::new(), Vec::new()) };
+        let verdict = |place: Place| match place {
+            Place::Group(group) => verdicts.get(group as usize).copied().flatten(),
+            _ => None,
+        };
+        let mut moves = Vec::with_capacity(blocks.len());
+        for ((index, block), &place) in (0u32..).zip(blocks.iter()).zip(&self.received.blocks) {
+            let mut moved = Moved {
+                to: block.emission,
+                start_ns: block.start_ns,
+                line: number,
+                block: index,
+                zone: None,
+                is_uncertain: block.is_zone_uncertain,
+            };
+            let line = match (place, verdict(place)) {
+                (Place::Group(_), Some(verdict)) => {
+                    moved.to = verdict.emission;
+                    moved.start_ns += verdict.later_ns;
+                    (moved.zone, moved.is_uncertain) = (Some(verdict.zone), verdict.is_uncertain);
+                    verdict.line
+                }
+                (Place::Stays, _) => {
+                    let Some(emission) = self.batch.emissions.get(block.emission as usize) else {
+                        out.cx.reject(Item::Blocks, NO_SHOT, 1);
+                        continue;
+                    };
+                    if block.channel != Channel::Reference {
+                        moved.zone = block.zone.or(emission.mta_zone);
+                    }
+                    number
+                }
+                (Place::Nowhere, _) => {
+                    out.cx.reject(Item::Blocks, NO_TIME, 1);
+                    continue;
+                }
+                (Place::Group(_), None) => {
+                    out.cx.reject(Item::Blocks, NO_EMISSION, 1);
+                    continue;
+                }
+            };
+            moves.push((line, moved));
+        }
+        (moves, self.online_moves(number, verdict, out))
+    }
+
+    fn online_moves(
+        &self,
+        number: u64,
+        verdict: impl Fn(Place) -> Option<Verdict>,
+        out: &mut Output,
+    ) -> Vec<(u64, OnlineReturn)> {
+        let online = self.batch.blocks().map_or(&[][..], |blocks| &blocks.online);
+        let mut moves = Vec::with_capacity(online.len());
+        for (&returned, &place) in online.iter().zip(&self.received.online) {
+            match (place, verdict(place)) {
+                (Place::Stays, _) => moves.push((number, returned)),
+                (_, Some(Verdict { line, emission, later_ns, .. })) => {
+                    let time_ns = returned.time_ns + later_ns;
+                    moves.push((line, OnlineReturn { emission, time_ns, ..returned }));
+                }
+                _ => out.cx.note("returns of the instrument's own whose cause was not found are left out"),
+            }
+        }
+        moves
+    }
+}
+
+/// Says so where a terrain model and a recording name different maps.
+fn terrain_elsewhere(terrain: &Terrain, first: &Batch, out: &mut Output) {
+    let name = |wkt: &str| wkt.split('"').nth(1).map(str::to_owned);
+    let of_terrain = terrain.epsg().and_then(crate::formats::geokeys::wkt_of_epsg).and_then(|wkt| name(&wkt));
+    let of_recording = first.input.crs_wkt.as_deref().and_then(name);
+    if let (Some(terrain), Some(recording)) = (of_terrain, of_recording)
+        && terrain != recording
+    {
+        out.cx.note(format!(
+            "the terrain model is in {terrain} and the recording in {recording}: coordinates are taken as they stand"
+        ));
+    }
+}

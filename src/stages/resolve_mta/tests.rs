@@ -1,0 +1,206 @@
+use std::sync::Arc;
+
+use super::*;
+use crate::batch::{Blocks, Channel, Emission, Frame, InputInfo, OnlineReturn};
+use crate::stage::{Context, Item};
+
+/// Time between pulses, ps, without what varies.
+const INTERVAL_PS: i64 = 2_500_000;
+
+fn input() -> Arc<InputInfo> {
+    Arc::new(InputInfo { frame: Frame::Map, ..InputInfo::default() })
+}
+
+/// Shots at constant intervals, numbered from `first`.
+fn shots(first: u64, count: u64) -> Vec<Emission> {
+    let shot = |shot: u64| Emission { shot, clock_ps: shot as i64 * INTERVAL_PS, ..Emission::default() };
+    (first..first + count).map(shot).collect()
+}
+
+const PULSE: [u16; 9] = [2, 2, 2, 12, 40, 12, 2, 2, 2];
+
+/// Gives lines to a stage with these keys; what comes out, and what was counted.
+fn run(config: &ResolveMta, lines: Vec<Batch>, may_hold_bytes: usize) -> (Result<()>, Vec<Batch>, Context) {
+    let terrain = config.terrain.as_ref().map(|path| Terrain::open(path).unwrap());
+    let mut stage = Resolving { config: config.clone(), terrain, strip: None };
+    let (mut cx, mut given) = (Context::default(), Vec::new());
+    let mut emit = |batch: Batch| {
+        given.push(batch);
+        Ok(())
+    };
+    let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);
+    let outcome = lines
+        .into_iter()
+        .try_for_each(|line| stage.process(line, &mut out))
+        .and_then(|()| stage.finish(&mut out));
+    (outcome, given, cx)
+}
+
+fn fixed(zone: u16) -> ResolveMta {
+    ResolveMta { zone: ZoneKey::Fixed(zone), ..ResolveMta::default() }
+}
+
+/// Shot, channel, zone and start of each block.
+fn blocks_of(batch: &Batch) -> Vec<(u64, Channel, Option<i16>, f64)> {
+    let shot = |block: &crate::batch::Block| batch.emissions[block.emission as usize].shot;
+    batch
+        .blocks()
+        .unwrap()
+        .iter()
+        .map(|block| (shot(block), block.channel, block.zone, block.start_ns))
+        .collect()
+}
+
+#[test]
+fn blocks_go_to_the_shot_before_even_in_the_line_before() {
+    let mut first = Blocks::default();
+    (0..3).for_each(|shot| first.push(shot, Channel::Reference, None, -4.0, 1.0, &[2, 90, 2]));
+    let mut second = Blocks::default();
+    second.push(0, Channel::LowPower, None, 700.0, 1.0, &PULSE);
+    second.push(1, Channel::LowPower, None, 800.0, 1.0, &PULSE);
+    second.push(2, Channel::LowPower, None, 900.0, 1.0, &PULSE);
+    second.push(2, Channel::LowPower, None, 300.0, 1.0, &PULSE);
+    second.online = vec![OnlineReturn { emission: 2, time_ns: 904.0, amplitude: 3.0 }];
+    let lines = vec![
+        Batch::of_shots(input(), 0, shots(0, 3), first),
+        Batch::of_shots(input(), 1, shots(3, 3), second),
+    ];
+    let (outcome, given, cx) = run(&fixed(2), lines, usize::MAX);
+    outcome.unwrap();
+    let low = Channel::LowPower;
+    let reference = |shot| (shot, Channel::Reference, None, -4.0);
+    assert_eq!(
+        blocks_of(&given[0]),
+        [reference(0), reference(1), (1, low, None, 5700.0), reference(2), (2, low, None, 5800.0)]
+    );
+    assert_eq!(blocks_of(&given[1]), [(3, low, None, 5300.0), (3, low, None, 5900.0)]);
+    assert_eq!(given.iter().map(|line| line.stats.nw).collect::<Vec<_>>(), [2, 1]);
+    let zones = |line: &Batch| line.emissions.iter().map(|shot| shot.mta_zone).collect::<Vec<_>>();
+    assert_eq!(zones(&given[0]), [Some(0), Some(2), Some(2)]);
+    assert_eq!(zones(&given[1]), [Some(2), Some(0), Some(0)]);
+    let online = &given[1].blocks().unwrap().online;
+    assert_eq!(online.iter().map(|one| (one.emission, one.time_ns)).collect::<Vec<_>>(), [(0, 5904.0)]);
+    assert_eq!(cx.counters().rejected_of(Item::Blocks), 0);
+}
+
+#[test]
+fn a_zone_counts_to_the_begin_of_the_block() {
+    // An emission leaves between the block's first sample and its peak.
+    let mut blocks = Blocks::default();
+    blocks.push(1, Channel::LowPower, None, 2497.0, 1.0, &PULSE);
+    let lines = vec![Batch::of_shots(input(), 0, shots(0, 3), blocks)];
+    let (outcome, given, _) = run(&fixed(1), lines, usize::MAX);
+    outcome.unwrap();
+    assert_eq!(blocks_of(&given[0]), [(1, Channel::LowPower, None, 2497.0)]);
+    assert_eq!(given[0].emissions[1].mta_zone, Some(0));
+}
+
+#[test]
+fn what_has_no_cause_is_rejected() {
+    let mut blocks = Blocks::default();
+    blocks.push(0, Channel::LowPower, None, 700.0, 1.0, &PULSE);
+    blocks.push(0, Channel::LowPower, None, 3e9, 1.0, &PULSE);
+    blocks.online = vec![OnlineReturn { emission: 0, time_ns: 900.0, amplitude: 3.0 }];
+    let (outcome, given, cx) =
+        run(&fixed(4), vec![Batch::of_shots(input(), 0, shots(0, 3), blocks)], usize::MAX);
+    outcome.unwrap();
+    assert_eq!((given[0].blocks().unwrap().len(), given[0].stats.nw), (0, 0));
+    let rejected: Vec<_> = cx.counters().rejected.iter().map(|((_, why), n)| (*why, *n)).collect();
+    assert_eq!(
+        rejected,
+        [("a block a second or more from its shot", 1), ("no emission at a distance within `range_m`", 1)]
+    );
+    assert_eq!(
+        cx.counters().notes[0],
+        "returns of the instrument's own whose cause was not found are left out"
+    );
+}
+
+#[test]
+fn a_block_whose_zone_is_known_stays() {
+    let mut blocks = Blocks::default();
+    blocks.push(1, Channel::LowPower, Some(3), 9000.0, 1.0, &PULSE);
+    blocks.push(2, Channel::LowPower, None, 700.0, 1.0, &PULSE);
+    let lines = vec![Batch::of_shots(input(), 0, shots(0, 3), blocks)];
+    let (outcome, given, _) = run(&fixed(1), lines, usize::MAX);
+    outcome.unwrap();
+    let low = Channel::LowPower;
+    assert_eq!(
+        blocks_of(&given[0]),
+        [(1, low, Some(3), 9000.0), (1, low, None, 3200.0)]
+            .map(|mut block| {
+                // The earlier block's zone is the shot's.
+                block.2 = if block.3 == 3200.0 { None } else { block.2 };
+                block
+            })
+            .into_iter()
+            .rev()
+            .collect::<Vec<_>>()
+    );
+}
+
+#[test]
+fn a_share_of_memory_that_is_too_small_is_told() {
+    let line = |number: u32| {
+        let mut blocks = Blocks::default();
+        (0..50).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 700.0, 1.0, &PULSE));
+        Batch::of_shots(input(), number, shots(u64::from(number) * 50, 50), blocks)
+    };
+    let lines = || (0..30).map(line).collect::<Vec<_>>();
+    let config = ResolveMta { agl_m: Some(HeightKey::Usual(480.0)), ..ResolveMta::default() };
+    let (outcome, ..) = run(&config, lines(), 200_000);
+    let error = outcome.unwrap_err().to_string();
+    assert!(error.starts_with("resolving zones takes up to 160 lines, and "), "{error}");
+    assert!(error.contains(" MB, more than this stage's share of memory_mb; set memory_mb "), "{error}");
+    let times: f64 =
+        error.split("set memory_mb ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    let (outcome, given, _) = run(&config, lines(), (200_000.0 * times) as usize);
+    outcome.unwrap();
+    assert_eq!(given.len(), 30);
+}
+
+#[test]
+fn lines_without_shots_keep_their_place() {
+    let line = |number: u32, count: u64| {
+        let mut blocks = Blocks::default();
+        if count > 0 {
+            blocks.push(0, Channel::LowPower, None, 700.0, 1.0, &PULSE);
+        }
+        Batch::of_shots(input(), number, shots(u64::from(number) * 50, count), blocks)
+    };
+    let lines = vec![line(0, 0), line(1, 5), line(2, 0), line(3, 5), line(4, 0)];
+    let (outcome, given, _) = run(&fixed(0), lines, usize::MAX);
+    outcome.unwrap();
+    assert_eq!(given.iter().map(|line| line.line).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+}
+
+#[test]
+fn keys_that_contradict_one_another_are_refused() {
+    let problem = |keys: &str| {
+        let config: ResolveMta = toml::from_str(keys).unwrap();
+        config.check().err().map(|error| format!("{}: {}", error.key, error.problem)).unwrap_or_default()
+    };
+    for (keys, expected) in [
+        ("", ""),
+        ("zone = 'auto'\nagl_m = [900, 1100]\nmethod = 'variance'", ""),
+        ("buffer = 3", "buffer: it must lie between 4 and 10000"),
+        ("range_m = [50, 20]", "range_m: it must be two ascending distances between 0 and 100000"),
+        ("agl_m = 100\nagl_sd_m = 0.5", "agl_sd_m: it must lie between 1 and 10000"),
+        ("terrain_sd_m = 0", "terrain_sd_m: it must lie between 1 and 10000"),
+        ("blind_gap_ns = -1", "blind_gap_ns: it must lie between 0 and 1000"),
+        ("agl_m = 0", "agl_m: it must be a height, or two ascending ones, above 0 and at most 100000"),
+        ("agl_m = [9, 8]", "agl_m: it must be a height, or two ascending ones, above 0 and at most 100000"),
+        (
+            "agl_m = [900, 1000]\nagl_sd_m = 9",
+            "agl_sd_m: it belongs to a single `agl_m`: two heights say themselves how far terrain departs",
+        ),
+        ("agl_m = 9\nterrain = 'a.tif'", "agl_m: `terrain` says more: leave one of them out"),
+        ("zone = 127", "zone: it must be \"auto\" or lie between 0 and 126"),
+        (
+            "zone = 1\nagl_m = 9",
+            "zone: a fixed zone leaves nothing to decide: leave `agl_m` and `terrain` out",
+        ),
+    ] {
+        assert_eq!(problem(keys), expected, "{keys}");
+    }
+}

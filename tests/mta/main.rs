@@ -1,0 +1,19 @@
+//! From blocks as they were recorded to the pulses that caused them, through the whole chain.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and tells its figures"
+)]
+
+#[path = "../sdf/made.rs"]
+#[allow(dead_code, reason = "each test binary uses its own part")]
+mod made;
+#[path = "../support/mod.rs"]
+mod support;
+
+mod faults;
+mod flights;
+mod memory;
+mod priors;
+mod zones;

@@ -1,0 +1,48 @@
+//! A longer file takes no more memory.
+#![cfg(target_os = "linux")]
+
+use std::time::Duration;
+
+use crate::flights::fly;
+use crate::support::Place;
+
+/// The most memory that a run on this recording ever takes, kB.
+fn peak_kb(recording: &[u8]) -> u64 {
+    let place = Place::with(&[("a.arrow", recording)]);
+    let stages = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'resolve_mta'\n\
+                  [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\nresponse = 'gaussian'\n\
+                  [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'write_lstat'\n";
+    let mut child = place.command(stages).args(["--set", "job.memory_mb=64"]).spawn().unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut peak_kb = 0;
+    let code = loop {
+        // The peak only grows: what is read last counts, and a run's end takes less than its middle.
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let peak = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let peak = peak.and_then(|peak| peak.trim().strip_suffix(" kB")?.parse().ok());
+        peak_kb = peak.unwrap_or(peak_kb);
+        if let Some(code) = child.try_wait().unwrap() {
+            break code;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    };
+    assert!(code.success());
+    assert!(place.text("out/a_lstat.txt").lines().count() > 400);
+    peak_kb
+}
+
+#[test]
+fn ten_times_the_file_takes_no_more_memory() {
+    let fly = |lines: u32| {
+        fly(&format!(
+            "lines = {lines}\nshots_per_line = 60\npulse_rate_hz = 400000\nmodulation_ns = 15\nflying_height_m = 1500\n\
+             as_recorded = true"
+        ))
+        .recording
+    };
+    let (short, long) = (fly(420), fly(4200));
+    assert!(long.len() > 9 * short.len());
+    let (short_kb, long_kb) = (peak_kb(&short), peak_kb(&long));
+    println!("{short_kb} kB for {} bytes, {long_kb} kB for {}", short.len(), long.len());
+    assert!(long_kb as f64 <= 1.1 * short_kb as f64, "{short_kb} kB grew to {long_kb} kB");
+}
