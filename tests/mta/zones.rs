@@ -1,5 +1,7 @@
 //! The zones of varying pulse intervals, against the truth.
 
+use std::collections::BTreeMap;
+
 use crate::flights::{
     FLIGHT, Found, Table, chain, fly, in_scanner_frame, lines_of, recorded, resolve, score, stage, text,
 };
@@ -28,6 +30,54 @@ fn each_echo_gets_the_shot_that_caused_it() {
     assert!((rms - 7.5 * (2f64 / 3.0).sqrt()).abs() < 0.2, "{rms}");
     let note = stage["notes"][0].as_str().unwrap();
     assert!(note.starts_with("echoes by zone: ") && note.contains(" in 3, "), "{note}");
+}
+
+#[test]
+fn points_stand_where_the_echoes_came_from() {
+    let flight = recorded();
+    let place = Place::with(&[("a.arrow", &flight.recording)]);
+    let (to_returns, table) = (chain(""), "[[stage]]\ntype = 'write_table'");
+    assert_eq!(to_returns.matches(table).count(), 1);
+    let georeference = format!("[[stage]]\ntype = 'georeference'\n{table}");
+    place.succeeds("read_arrow", "a.arrow", &to_returns.replace(table, &georeference));
+    let distances_m = distances_m(&flight.truth, &place.text("out/returns.csv"));
+    let near = distances_m.iter().filter(|distance| **distance <= 1.5).count();
+    let [middle, most] = [50, 95].map(|percent| distances_m[distances_m.len() * percent / 100]);
+    println!(
+        "{near} of {} within 1.5 m; {middle:.4} m in the middle, {most:.4} m at 95 %",
+        distances_m.len()
+    );
+    assert!(distances_m.len() > 15_000);
+    assert!(near as f64 >= 0.999 * distances_m.len() as f64);
+    assert!(middle < 0.01 && most < 0.06);
+}
+
+/// The distance from each clear true return to the nearest point of its shot, m, in ascending order; infinite without one.
+fn distances_m(truth: &str, points: &str) -> Vec<f64> {
+    let (truth, points) = (Table::of(truth), Table::of(points));
+    let places = |table: &Table| {
+        let [x, y, z] = ["x", "y", "z"].map(|name| table.numbers(name));
+        let shots = table.numbers("shot").into_iter().map(|shot| shot as u64);
+        shots.zip(x).zip(y).zip(z).map(|(((shot, x), y), z)| (shot, [x, y, z])).collect::<Vec<_>>()
+    };
+    let mut by_shot: BTreeMap<u64, Vec<[f64; 3]>> = BTreeMap::new();
+    for (shot, place) in places(&points) {
+        by_shot.entry(shot).or_default().push(place);
+    }
+    let clear = truth.numbers("amplitude_dn").into_iter().zip(truth.texts("class"));
+    let clear = clear.map(|(amplitude_dn, class)| amplitude_dn >= 12.0 && class != "false_alarm");
+    let mut distances: Vec<f64> = places(&truth)
+        .into_iter()
+        .zip(clear)
+        .filter(|(_, is_clear)| *is_clear)
+        .map(|((shot, place), _)| {
+            let distance =
+                |point: &[f64; 3]| point.iter().zip(place).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+            by_shot.get(&shot).into_iter().flatten().map(distance).fold(f64::INFINITY, f64::min)
+        })
+        .collect();
+    distances.sort_by(f64::total_cmp);
+    distances
 }
 
 #[test]
