@@ -165,7 +165,7 @@ impl Lockstep {
     pub fn decompose(&mut self, blocks: &[Block<'_>], outcomes: &mut Outcomes) {
         outcomes.clear();
         self.work.make_room(blocks);
-        for blocks in blocks.chunks(BATCH) {
+        for blocks in blocks.chunks(self.work.rows.batch()) {
             self.batch(blocks, outcomes);
         }
     }

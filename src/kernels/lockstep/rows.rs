@@ -12,8 +12,12 @@ pub(super) const FRONT: usize = 32;
 const BACK: usize = 80;
 /// Samples that are filtered at a time.
 pub(super) const CHUNK: usize = 64;
-/// Waveforms of a batch: enough for full vectors of the rarer fits, and rows that stay in the second-level cache.
-pub(super) const BATCH: usize = 512;
+/// Waveforms of a batch: enough for full vectors of the rarer fits.
+pub(super) const BATCH: usize = 2048;
+/// Blocks up to so many samples come in whole batches, longer ones in smaller ones, for the memory's sake …
+const WHOLE_BATCH_SAMPLES: usize = 256;
+/// … but not in smaller ones than this.
+const LEAST_BATCH: usize = 128;
 /// Rows of residuals: the batch's, as many for trials, and one that stays empty, for lanes without work.
 const RESIDUALS: usize = 2 * BATCH + 1;
 /// The row that stays empty.
@@ -66,6 +70,11 @@ impl Rows {
     /// Samples that a row can hold.
     pub(super) fn capacity(&self) -> usize {
         self.capacity
+    }
+
+    /// Waveforms of a batch of blocks this long.
+    pub(super) fn batch(&self) -> usize {
+        (BATCH * WHOLE_BATCH_SAMPLES / self.capacity.max(1)).clamp(LEAST_BATCH, BATCH)
     }
 
     /// Samples of the waveform in a row.

@@ -283,8 +283,9 @@ impl Decompose<'_> {
 
     /// Fits all trials on rows of their own, and takes up the best of each waveform where it is worth it.
     fn run_trials(&mut self) {
-        for first in (0..self.work.trials.len()).step_by(BATCH) {
-            let end = (first + BATCH).min(self.work.trials.len());
+        let batch = self.work.rows.batch();
+        for first in (0..self.work.trials.len()).step_by(batch) {
+            let end = (first + batch).min(self.work.trials.len());
             self.fit_trials(first..end);
         }
         let mut first = 0;
