@@ -11,8 +11,8 @@
 //!
 //! The first samples of a block, as many as the noise's order, carry no weight in a fit, and count in chi-square as long as
 //! no pulse reaches them. After its start
-//! a [`Lockstep`] allocates nothing but room for more returns or longer blocks, and a little where pulses stand at the ends
-//! of blocks of changing length.
+//! a [`Lockstep`] allocates nothing but room for more returns or longer blocks, two lists per batch of which a part is
+//! refined, and a little where pulses stand at the ends of blocks of changing length.
 
 #![allow(
     clippy::needless_range_loop,
@@ -211,16 +211,13 @@ impl Lockstep {
     /// Refines the waveforms of a fast look that need it, and gives all in order.
     fn refine_some(&mut self, tables: &Tables, blocks: &[Block<'_>], outcomes: &mut Outcomes) {
         std::mem::swap(&mut self.first_look, &mut self.work.scenes);
-        let nothing = Block { samples: &[], start_phase: 0 };
-        let (mut needy, mut which, mut count) = ([nothing; BATCH], [usize::MAX; BATCH], 0);
-        for (i, block) in blocks.iter().enumerate() {
-            if self.needs_refinement(&self.first_look[i], block.samples.len()) {
-                needy[count] = *block;
-                which[i] = count;
-                count += 1;
-            }
+        let (mut needy, mut which) = (Vec::with_capacity(blocks.len()), Vec::with_capacity(blocks.len()));
+        for (block, scene) in blocks.iter().zip(&self.first_look) {
+            let is_needy = self.needs_refinement(scene, block.samples.len());
+            which.push(if is_needy { needy.len() } else { usize::MAX });
+            needy.extend(is_needy.then_some(*block));
         }
-        self.run(tables, &needy[..count], Mode::Refined);
+        self.run(tables, &needy, Mode::Refined);
         let before = outcomes.len();
         let mut refined = std::mem::take(&mut self.work.scenes);
         let mut first_look = std::mem::take(&mut self.first_look);

@@ -46,9 +46,9 @@ pub(super) struct Rows {
     capacity: usize,
     residual: Aligned,
     /// Samples of each row of `residual`.
-    lengths: [usize; RESIDUALS],
+    lengths: Vec<usize>,
     /// Those of them that chi-square is the sum over.
-    counted: [usize; RESIDUALS],
+    counted: Vec<usize>,
 }
 
 impl Rows {
@@ -56,14 +56,14 @@ impl Rows {
     pub(super) fn new(samples: usize) -> Rows {
         let capacity = samples.div_ceil(CHUNK).max(1) * CHUNK;
         let stride = FRONT + capacity + BACK;
-        let mut lengths = [0; RESIDUALS];
+        let mut lengths = vec![0; RESIDUALS];
         lengths[EMPTY] = CHUNK;
         Rows {
             stride,
             capacity,
             residual: Aligned::zeros(stride * RESIDUALS),
             lengths,
-            counted: [0; RESIDUALS],
+            counted: vec![0; RESIDUALS],
         }
     }
 
