@@ -5,3 +5,4 @@ pub mod ellipsoid;
 pub mod frames;
 pub mod time;
 pub mod transverse_mercator;
+pub mod vertical;

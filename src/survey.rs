@@ -9,6 +9,7 @@ use std::sync::Arc;
 use crate::batch::{
     Batch, Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, emission_flags,
 };
+use crate::geo::vertical::down_at;
 
 mod histogram;
 mod intervals;
@@ -386,6 +387,11 @@ fn angle_of(emission: &Emission, frame: Frame) -> (Angle, f64) {
         return (Angle::Scan, f64::from(emission.scan_angle_deg));
     }
     let [x, y, z] = emission.direction;
+    if frame == Frame::Earth {
+        let down = down_at(frame, emission.origin_m).unwrap_or([x, y, z]);
+        let cosine = x * down[0] + y * down[1] + z * down[2];
+        return (Angle::FromNadir, cosine.clamp(-1.0, 1.0).acos().to_degrees());
+    }
     if frame != Frame::Map {
         return (Angle::FromAxis, z.abs().min(1.0).acos().to_degrees());
     }

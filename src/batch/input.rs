@@ -98,8 +98,10 @@ pub enum Frame {
     Scanner,
     /// The aircraft's: forward, right, down.
     Body,
-    /// A map's or the earth's: already georeferenced.
+    /// A map's: already georeferenced, in the coordinate reference system that the input names.
     Map,
+    /// The earth's: geocentric (ECEF) metres. Shots come there with a trajectory.
+    Earth,
 }
 
 /// How the moment of emission is known.

@@ -413,6 +413,7 @@ fn frame(frame: Frame) -> &'static str {
         Frame::Scanner => "scanner",
         Frame::Body => "body",
         Frame::Map => "map",
+        Frame::Earth => "earth",
     }
 }
 

@@ -85,7 +85,8 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
         match input.frame {
             Frame::Scanner => "the scanner's",
             Frame::Body => "the aircraft's",
-            Frame::Map => "a map or the earth",
+            Frame::Map => "a map's, or the earth's",
+            Frame::Earth => "the earth's",
         },
     );
     if input.frame == Frame::Map {

@@ -95,8 +95,10 @@ named! {
         Scanner = "scanner",
         /// The aircraft's: forward, right, down.
         Body = "body",
-        /// A map's or the earth's.
+        /// A map's, or the earth's in the coordinate reference system named.
         Map = "map",
+        /// The earth's: geocentric (ECEF) metres.
+        Earth = "earth",
     }
 }
 

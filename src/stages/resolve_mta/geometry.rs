@@ -2,6 +2,7 @@
 
 use crate::batch::{Batch, Emission, Frame};
 use crate::formats::terrain::Terrain;
+use crate::geo::vertical::down_at;
 use crate::kernels::mta;
 use crate::stage::{Result, StageError};
 
@@ -36,11 +37,14 @@ impl Geometry {
                 "give `agl_m` instead of `terrain`, or a recording in map coordinates",
             ));
         }
-        let down = match frame {
-            Frame::Map => [0.0, 0.0, -1.0],
-            Frame::Body => [0.0, 0.0, 1.0],
-            Frame::Scanner => main_axis(&batch.emissions),
+        let down = match (frame, batch.emissions.first()) {
+            (Frame::Map | Frame::Earth, Some(first)) => down_at(frame, first.origin_m),
+            _ => None,
         };
+        let down = down.unwrap_or_else(|| match frame {
+            Frame::Body => [0.0, 0.0, 1.0],
+            _ => main_axis(&batch.emissions),
+        });
         Ok(Geometry { frame, range_m, down, across: None })
     }
 
@@ -82,7 +86,7 @@ impl Geometry {
     fn scan_angle_deg(&self, emission: &Emission, cos_nadir: f64) -> f64 {
         match (self.frame, self.across) {
             _ if emission.scan_angle_deg.is_finite() => f64::from(emission.scan_angle_deg),
-            (Frame::Scanner | Frame::Body, Some(across)) => {
+            (Frame::Scanner | Frame::Body | Frame::Earth, Some(across)) => {
                 dot(emission.direction, across).atan2(cos_nadir).to_degrees()
             }
             _ => f64::NAN,

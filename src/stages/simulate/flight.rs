@@ -290,7 +290,7 @@ impl Flight {
             width_ratio: self.receiver.response().width_ratio(echo.width),
             point_m: match self.input.frame {
                 Frame::Map => self.world.on_flat_map(point_m),
-                Frame::Scanner | Frame::Body => self.world.on_earth(point_m),
+                Frame::Scanner | Frame::Body | Frame::Earth => self.world.on_earth(point_m),
             },
             zone: recorded.zone,
             in_high_power: recorded.in_high_power,
@@ -307,7 +307,7 @@ impl Flight {
         let synchronised = emission_flags::SYNCHRONISED | emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND;
         let (origin_m, direction) = match self.input.frame {
             Frame::Map => (self.world.on_flat_map(beam.origin_m), self.world.turned(beam.direction)),
-            Frame::Scanner | Frame::Body => ([0.0; 3], shot.direction_in_scanner),
+            Frame::Scanner | Frame::Body | Frame::Earth => ([0.0; 3], shot.direction_in_scanner),
         };
         Emission {
             shot: shot.number,
