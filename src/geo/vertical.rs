@@ -1,0 +1,47 @@
+//! Down and height at a place in an input's frame.
+
+use super::ellipsoid::WGS84;
+use super::frames::Vector;
+use crate::batch::Frame;
+
+/// The unit vector straight down at a place (m in `frame`); `None` where the frame does not tell: an instrument's own.
+pub fn down_at(frame: Frame, place_m: Vector) -> Option<Vector> {
+    match frame {
+        Frame::Map => Some([0.0, 0.0, -1.0]),
+        Frame::Earth => {
+            let place = WGS84.geodetic_of(place_m);
+            let (sin_latitude, cos_latitude) = libm::sincos(place.latitude_rad);
+            let (sin_longitude, cos_longitude) = libm::sincos(place.longitude_rad);
+            Some([-cos_latitude * cos_longitude, -cos_latitude * sin_longitude, -sin_latitude])
+        }
+        Frame::Scanner | Frame::Body => None,
+    }
+}
+
+/// The height of a place (m in `frame`): over the map's zero or over the ellipsoid; `None` where the frame does not tell.
+pub fn height_m(frame: Frame, place_m: Vector) -> Option<f64> {
+    match frame {
+        Frame::Map => Some(place_m[2]),
+        Frame::Earth => Some(WGS84.geodetic_of(place_m).height_m),
+        Frame::Scanner | Frame::Body => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geo::ellipsoid::Geodetic;
+
+    #[test]
+    fn down_is_the_way_a_place_loses_height() {
+        for (latitude_rad, longitude_rad) in [(0.0, 0.0), (0.8, 0.2), (-0.6, 2.9), (1.5, -1.2)] {
+            let place_m = WGS84.ecef_of(Geodetic { latitude_rad, longitude_rad, height_m: 900.0 });
+            let down = down_at(Frame::Earth, place_m).unwrap();
+            let below = std::array::from_fn(|axis| place_m[axis] + 100.0 * down[axis]);
+            assert!((height_m(Frame::Earth, below).unwrap() - 800.0).abs() < 1e-6);
+        }
+        assert_eq!(down_at(Frame::Map, [5e5, 5e6, 100.0]), Some([0.0, 0.0, -1.0]));
+        assert_eq!(height_m(Frame::Map, [5e5, 5e6, 100.0]), Some(100.0));
+        assert_eq!((down_at(Frame::Body, [0.0; 3]), height_m(Frame::Scanner, [0.0; 3])), (None, None));
+    }
+}
