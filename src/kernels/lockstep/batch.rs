@@ -3,13 +3,13 @@
 use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
-use super::fit::{Job, Values};
-use super::jobs::{Aim, Done, Queues, add, take_off};
+use super::fit::{FittedPulse, Job, Values};
+use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
 use super::start::{FromBank, OneStep, Stepped};
-use super::tables::{Tables, U_MAX};
+use super::tables::Tables;
 use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
 use crate::kernels::calibrate::Block;
@@ -22,7 +22,7 @@ pub(super) struct Workspace {
     pub(super) columns: Columns,
     pub(super) scenes: Vec<Scene>,
     pub(super) queues: Queues,
-    pub(super) done: Vec<Done>,
+    pub(super) done: Results,
     pub(super) trials: Vec<Trial>,
     /// Waveforms whose clusters are to be fitted.
     pub(super) due: Vec<usize>,
@@ -63,7 +63,7 @@ impl Workspace {
             rows,
             scenes: Vec::with_capacity(BATCH),
             queues: Queues::default(),
-            done: Vec::with_capacity(BATCH),
+            done: Results::default(),
             trials: Vec::with_capacity(BATCH),
             due: Vec::with_capacity(BATCH),
             round: Vec::with_capacity(BATCH),
@@ -242,9 +242,8 @@ impl Decompose<'_> {
         on.run(FromBank { tables, rows, jobs });
         on.run(OneStep { tables, rows, jobs, out: stepped });
         for (job, stepped) in jobs.iter().zip(stepped) {
-            let fitted = &stepped.fitted;
             let scene = &mut scenes[job.row];
-            if !fitted.is_optimum || fitted.pulses[0][2] >= U_MAX as f32 {
+            if !stepped.is_whole || !stepped.pulse.is_known() || !stepped.pulse.is_held() {
                 // The tabulated matrix is that of whole pulses: others are fitted.
                 queues.push(tables, job.row, &job.pulses, Aim::OPTIMUM, number);
                 continue;
@@ -252,10 +251,10 @@ impl Decompose<'_> {
             scene.chi_square = stepped.chi_square;
             scene.samples = stepped.samples;
             let pulse = &mut scene.pulses_mut()[number];
-            pulse.set_values(fitted.pulses[0]);
-            pulse.sds = fitted.sds[0];
+            pulse.take(&stepped.pulse);
+            pulse.sds = stepped.pulse.sds;
             if scene.taken_off {
-                add(on, tables, rows, job.row, fitted.pulses[0], -1.0);
+                add(on, tables, rows, job.row, stepped.pulse.values, -1.0);
             }
         }
         self.run_clusters();
@@ -328,22 +327,22 @@ impl Decompose<'_> {
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
         let work = &mut *self.work;
         work.queues.run(self.on, self.tables, &work.rows, precision, &mut work.done);
-        for done in &work.done {
+        for done in &work.done.list {
+            let fitted = work.done.pulses(done);
             let scene = &mut work.scenes[done.row];
-            scene.taken_off |= done.values().len() == scene.pulses().len();
+            scene.taken_off |= fitted.len() == scene.pulses().len();
             // Without an optimum the pulse counts as not fitted: another may join it, or the plain kernels decide.
-            let settled = done.is_optimum && done.values().iter().all(|values| values[2] < U_MAX as f32);
-            let pulses = &mut scene.pulses_mut()[done.tag..done.tag + done.values().len()];
-            for ((pulse, values), sds) in pulses.iter_mut().zip(done.values()).zip(done.sds()) {
-                pulse.set_values(*values);
+            let settled = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            let pulses = &mut scene.pulses_mut()[done.tag..done.tag + fitted.len()];
+            for (pulse, fitted) in pulses.iter_mut().zip(fitted) {
+                pulse.take(fitted);
                 pulse.flags |= flags::REFINED;
-                let is_known = sds.iter().all(|sd| sd.is_finite() && *sd > 0.0);
                 if !settled {
                     pulse.flags |= flags::DIVERGED;
                 }
                 // The fast modes let it stand as it is.
-                let stays = settled || (is_known && self.mode != Mode::Refined);
-                pulse.sds = if stays { *sds } else { [0.0; 3] };
+                let stays = settled || (fitted.is_known() && self.mode != Mode::Refined);
+                pulse.sds = if stays { fitted.sds } else { [0.0; 3] };
             }
         }
         take_off(self.on, self.tables, &mut work.rows, &work.done);

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::fit::Values;
+use super::fit::{FittedPulse, Values};
 use crate::kernels::decompose::Counts;
 use crate::kernels::rules::CLUSTER_WIDTHS;
 
@@ -50,6 +50,11 @@ impl Pulse {
     pub(super) fn set_values(&mut self, values: Values) {
         self.values = values;
         self.width_ratio = values[2].exp();
+    }
+
+    /// Takes what a fit came to, but for the standard deviations.
+    pub(super) fn take(&mut self, fitted: &FittedPulse) {
+        (self.values, self.width_ratio) = (fitted.values, fitted.width_ratio);
     }
 
     pub(super) fn height(&self) -> f32 {

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::batch::{ChiSquares, Decompose, Search, Workspace};
 use super::candidates::{Candidate, Candidates};
+use super::fit::FittedPulse;
 use super::gate::Scores;
 use super::jobs::{Aim, add, take_off};
 use super::rows::BATCH;
@@ -339,14 +340,15 @@ impl Decompose<'_> {
         }
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
         work.queues.run(on, tables, &work.rows, precision, &mut work.done);
-        for done in &work.done {
+        for done in &work.done.list {
+            let fitted = work.done.pulses(done);
             let trial = &mut work.trials[done.tag];
             trial.is_dropped = done.is_dropped;
-            trial.has_ended = done.is_optimum && done.values().iter().all(|values| values[2] < U_MAX as f32);
-            for (i, (values, sds)) in done.values().iter().zip(done.sds()).enumerate() {
-                trial.pulses[i].set_values(*values);
-                trial.pulses[i].sds = *sds;
-                trial.pulses[i].flags |= flags::REFINED;
+            trial.has_ended = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            for (pulse, fitted) in trial.pulses.iter_mut().zip(fitted) {
+                pulse.take(fitted);
+                pulse.sds = fitted.sds;
+                pulse.flags |= flags::REFINED;
             }
         }
         take_off(on, tables, &mut work.rows, &work.done);
