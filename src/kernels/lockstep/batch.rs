@@ -39,6 +39,8 @@ pub(super) struct Workspace {
     pub(super) which: Vec<usize>,
     /// Single pulses that begin with the width bank.
     singles: Vec<Job<1>>,
+    /// The numbers of these pulses in their waveforms.
+    single_tags: Vec<usize>,
     pub(super) scores: Vec<(f32, bool)>,
     stepped: Vec<Stepped>,
 }
@@ -74,6 +76,7 @@ impl Workspace {
             squares: Vec::with_capacity(BATCH),
             which: Vec::with_capacity(BATCH),
             singles: Vec::with_capacity(BATCH),
+            single_tags: Vec::with_capacity(BATCH),
             scores: Vec::with_capacity(BATCH),
             stepped: Vec::with_capacity(BATCH),
         }
@@ -264,10 +267,12 @@ impl Decompose<'_> {
     /// second, and so on.
     pub(super) fn fit_clusters(&mut self, least: usize) {
         let mut singles = std::mem::take(&mut self.work.singles);
+        let mut tags = std::mem::take(&mut self.work.single_tags);
         let mut round = std::mem::take(&mut self.work.round);
         round.clone_from(&self.work.due);
         for number in 0..MAX_PULSES {
             singles.clear();
+            tags.clear();
             round.retain(|&row| {
                 let scene = &self.work.scenes[row];
                 scene.way == Way::Fast && scene.cluster(number).is_some()
@@ -280,22 +285,20 @@ impl Decompose<'_> {
                 if cluster.len() > MAX_CLUSTER {
                     self.work.scenes[row].give_up();
                 } else if cluster.len() >= least
-                    && let Some(single) = self.queue_cluster(row, cluster)
+                    && let Some(single) = self.queue_cluster(row, cluster.clone())
                 {
                     singles.push(single);
+                    tags.push(cluster.start);
                 }
             }
             let jobs = &mut singles;
             self.on.run(FromBank { tables: self.tables, rows: &self.work.rows, jobs });
-            for job in &singles {
-                // The first pulse of a cluster of one: it is the one at its place.
-                let at =
-                    self.work.scenes[job.row].pulses().partition_point(|p| p.position() < job.pulses[0][1]);
-                self.work.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, at);
+            for (job, &tag) in singles.iter().zip(&tags) {
+                self.work.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, tag);
             }
             self.run_clusters();
         }
-        (self.work.singles, self.work.round) = (singles, round);
+        (self.work.singles, self.work.single_tags, self.work.round) = (singles, tags, round);
     }
 
     /// Puts a cluster back on its row and in its queue; gives it back where it is one pulse that has never been fitted, and
