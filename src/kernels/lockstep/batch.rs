@@ -3,7 +3,7 @@
 use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
-use super::fit::{FittedPulse, Job, Values};
+use super::fit::{FittedPulse, Job};
 use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
@@ -30,8 +30,8 @@ pub(super) struct Workspace {
     round: Vec<usize>,
     /// Waveforms whose residual is still to be searched.
     pub(super) active: Vec<usize>,
-    /// Pulses that may be two: row and values, and their number in the waveform.
-    pub(super) suspects: Vec<(usize, Values)>,
+    /// Pulses that may be two: with their row, and their number in the waveform.
+    pub(super) suspects: Vec<(usize, Pulse)>,
     pub(super) suspect_numbers: Vec<usize>,
     pub(super) candidates: Vec<Candidates>,
     pub(super) squares: Vec<f32>,

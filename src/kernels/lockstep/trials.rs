@@ -209,7 +209,7 @@ impl Decompose<'_> {
                 if pulse.width_ratio() > HIDING_WIDTH_RATIO as f32
                     && !self.limits.allowance.overdrives(height)
                 {
-                    self.work.suspects.push((row, pulse.values()));
+                    self.work.suspects.push((row, *pulse));
                     self.work.suspect_numbers.push(number);
                 }
             }
