@@ -336,6 +336,9 @@ impl Decompose<'_> {
             scene.taken_off |= fitted.len() == scene.pulses().len();
             // Without an optimum the pulse counts as not fitted: another may join it, or the plain kernels decide.
             let settled = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            if !fitted.iter().all(FittedPulse::is_held) {
+                scene.beyond += done.beyond;
+            }
             let pulses = &mut scene.pulses_mut()[done.tag..done.tag + fitted.len()];
             for (pulse, fitted) in pulses.iter_mut().zip(fitted) {
                 pulse.take(fitted);

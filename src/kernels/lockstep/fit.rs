@@ -103,6 +103,8 @@ pub(super) struct Fitted<const P: usize> {
     /// Chi-square with the priors' part, and by how much the next step promises to lower it.
     pub(super) objective: f32,
     pub(super) promised: f32,
+    /// The same of the undamped step, whatever the tables allow.
+    pub(super) beyond: f32,
 }
 
 impl<const P: usize> Fitted<P> {
@@ -116,6 +118,7 @@ impl<const P: usize> Fitted<P> {
         may_go_on: false,
         objective: 0.0,
         promised: 0.0,
+        beyond: 0.0,
     };
 }
 
@@ -451,7 +454,14 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         out: &mut [Fitted<P>],
     ) {
         let s = self.s;
-        let variances = factor(s, point.matrix).inverse_diagonal(s);
+        let factors = factor(s, point.matrix);
+        let variances = factors.inverse_diagonal(s);
+        let mut beyond = s.splat(0.0);
+        for (part, _) in factors.explained(s, point.side) {
+            beyond = s.add(beyond, part);
+        }
+        let mut beyonds = [0.0; LANES];
+        s.store(beyond, &mut beyonds);
         for (p, pulses) in pulses.iter().enumerate() {
             let lanes =
                 FittedLanes::of(s, pulses, [variances[3 * p], variances[3 * p + 1], variances[3 * p + 2]]);
@@ -463,6 +473,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             let known = fitted.pulses.iter().all(FittedPulse::is_known);
             fitted.is_optimum = known && optimum & (1 << w) != 0;
             fitted.may_go_on = active & (1 << w) != 0;
+            fitted.beyond = beyonds[w];
         }
     }
 }

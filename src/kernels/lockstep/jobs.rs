@@ -154,6 +154,8 @@ pub(super) struct Done {
     pub(super) is_optimum: bool,
     /// Whether it was given up because it would have been of no use.
     pub(super) is_dropped: bool,
+    /// By how much chi-square promises to fall beyond what the tables allow.
+    pub(super) beyond: f32,
     /// Its pulses among those of all.
     first: usize,
     count: usize,
@@ -179,8 +181,8 @@ impl Results {
 
     #[inline]
     fn push<const P: usize>(&mut self, row: usize, tag: usize, fitted: &Fitted<P>, is_dropped: bool) {
-        let (first, is_optimum) = (self.pulses.len(), fitted.is_optimum);
-        self.list.push(Done { row, tag, is_optimum, is_dropped, first, count: P });
+        let (first, is_optimum, beyond) = (self.pulses.len(), fitted.is_optimum, fitted.beyond);
+        self.list.push(Done { row, tag, is_optimum, is_dropped, beyond, first, count: P });
         self.pulses.extend_from_slice(&fitted.pulses);
     }
 }
