@@ -3,6 +3,7 @@
 mod broken;
 pub mod calibrate;
 mod container_info;
+pub mod correct;
 pub mod decompose;
 pub mod fuse_channels;
 pub mod georeference;
