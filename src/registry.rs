@@ -2,7 +2,7 @@
 
 use crate::stage::StageSpec;
 use crate::stages::{
-    calibrate, correct, decompose, fuse_channels, georeference, read_arrow, read_las,
+    calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, read_arrow, read_las,
     read_pulsewaves, read_sdf, resolve_mta, simulate, write_arrow, write_las, write_lstat, write_table,
 };
 
@@ -18,6 +18,7 @@ pub const STAGES: &[&StageSpec] = &[
     &calibrate::STAGE,
     &decompose::STAGE,
     &correct::STAGE,
+    &filter_outliers::STAGE,
     &georeference::STAGE,
     &write_las::STAGE,
     &write_lstat::STAGE,
