@@ -34,7 +34,7 @@ fn main() {
         "leaves",
         "rejected",
         "M/s",
-        "S11",
+        "plain",
         "true",
         "wires"
     );

@@ -118,7 +118,7 @@ mod tests {
         let pulse = |k: usize| {
             let ln_amplitude = 20f64.ln() + 10f64.ln() * (k % 997) as f64 / 997.0;
             let spread = 0.02 * ((k % 31) as f64 / 15.0 - 1.0) * ((k % 7) as f64 / 6.0);
-            let widened = if k % 2 == 0 { 0.1 + 0.25 * (k % 53) as f64 / 53.0 } else { 0.0 };
+            let widened = if k.is_multiple_of(2) { 0.1 + 0.25 * (k % 53) as f64 / 53.0 } else { 0.0 };
             Pulse { ln_amplitude, ln_width: flat(ln_amplitude) + spread + widened, ln_width_sd: 0.01 }
         };
         (0..20_000).map(pulse).collect()

@@ -310,14 +310,17 @@ fn returns_that_pass_one_another_are_numbered_anew() {
     );
 }
 
+/// Changes a key.
+type Change = fn(&mut Correct);
+
 #[test]
 fn keys_that_cannot_be_used_say_why() {
-    let of = |change: fn(&mut Correct)| {
+    let of = |change: Change| {
         let mut keys = Correct::default();
         change(&mut keys);
         keys.check().map_err(|error| (error.key, error.problem))
     };
-    let cases: [(fn(&mut Correct), &str, &str); 6] = [
+    let cases: [(Change, &str, &str); 6] = [
         (
             |keys| keys.reference_range_m = NumberOrFalse::Number(0.0),
             "reference_range_m",

@@ -226,14 +226,17 @@ fn what_memory_holds_is_held_and_what_it_does_not_is_said() {
     assert!([(4, 10), (6, 40), (9, 30)].iter().all(|at| marked.contains(at)), "{marked:?}");
 }
 
+/// Changes a key.
+type Change = fn(&mut FilterOutliers);
+
 #[test]
 fn keys_that_cannot_be_used_say_why() {
-    let of = |change: fn(&mut FilterOutliers)| {
+    let of = |change: Change| {
         let mut keys = FilterOutliers::default();
         change(&mut keys);
         keys.check().map_err(|error| (error.key, error.problem))
     };
-    let cases: [(fn(&mut FilterOutliers), &str, &str); 4] = [
+    let cases: [(Change, &str, &str); 4] = [
         (
             |keys| (keys.waves, keys.points) = (false, false),
             "points",
