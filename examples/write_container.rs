@@ -145,6 +145,8 @@ fn found(n: u64, index: u8, count: u8) -> Return {
         range_sd_m: 0.0015,
         amplitude_dn: 0.1 + 0.2,
         amplitude_sd_dn: 0.9,
+        peak_dn: 2.0 + 0.1 + 0.2,
+        peak_sd_dn: 0.9,
         amplitude_db: if index == 0 { 12.5 } else { f64::NAN },
         width_ratio: 1.0,
         width_ratio_sd: 0.0625,

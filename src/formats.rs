@@ -10,6 +10,7 @@ pub mod bytes;
 pub mod container;
 pub mod geokeys;
 pub mod las;
+pub mod lookup_tables;
 pub mod pulsewaves;
 pub mod sdf;
 pub mod terrain;

@@ -30,7 +30,12 @@ pub struct Return {
     pub amplitude_dn: f64,
     /// Standard deviation of `amplitude_dn`, digitiser steps.
     pub amplitude_sd_dn: f64,
-    /// Amplitude above the detection limit by the input's table, dB; NaN where it has none.
+    /// Background and height of the peak in the receiver that gives the intensity, digitiser steps: where the instrument's
+    /// tables are read.
+    pub peak_dn: f64,
+    /// Standard deviation of `peak_dn`, digitiser steps.
+    pub peak_sd_dn: f64,
+    /// Amplitude above the detection limit by the instrument's table, dB; NaN where there is none.
     pub amplitude_db: f64,
     /// Full width at half maximum over that of the system response; 1 for a flat target.
     pub width_ratio: f64,
