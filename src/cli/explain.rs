@@ -91,7 +91,7 @@ impl Chain {
         let (input_dir, output_dir) = run::folders(&job, &folder);
         let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let simd = job.settings.simd.path();
-        let site = Site { input: args.file.clone(), stem, input_dir, output_dir, threads: 1, simd };
+        let site = Site { input: args.file.clone(), stem, input_dir, output_dir, threads: 1, simd, geometry: Default::default() };
         Ok(Chain { job, site, calibrate, decompose, source })
     }
 

@@ -115,6 +115,7 @@ fn write(folder: &Path, config: &Config, batches: &[Batch]) -> Context {
         output_dir: folder.into(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::best(),
+        geometry: Default::default(),
     };
     let mut cx = Context::default();
     let mut sink = config.make(&site).unwrap();
@@ -293,6 +294,7 @@ fn shots_are_refused() {
         output_dir: folder.path().into(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::best(),
+        geometry: Default::default(),
     };
     let mut sink = config("*.csv").make(&site).unwrap();
     let batch = Batch::of_shots(info(), 0, vec![], Blocks::default());
