@@ -4,5 +4,6 @@ pub mod beam_length;
 pub mod ellipsoid;
 pub mod frames;
 pub mod time;
+pub mod trajectory;
 pub mod transverse_mercator;
 pub mod vertical;
