@@ -1,0 +1,10 @@
+//! From recordings in the scanner's frame, with a trajectory, to points in coordinates.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and tells its figures"
+)]
+
+mod flights;
+mod made;
