@@ -118,3 +118,147 @@ pub(super) fn dot(a: Vector, b: Vector) -> f64 {
 fn cross(a: Vector, b: Vector) -> Vector {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::mount::MountName;
+    use super::*;
+    use crate::geo::ellipsoid::{Geodetic, WGS84};
+    use crate::geo::frames::{Attitude, ecef_from_ned};
+    use proptest::prelude::*;
+
+    fn beam(origin_m: Vector, direction: Vector) -> Emission {
+        Emission { origin_m, direction, ..Emission::default() }
+    }
+
+    fn near(a: Vector, b: Vector, bound: f64) -> bool {
+        a.iter().zip(b).all(|(a, b)| (a - b).abs() < bound)
+    }
+
+    fn pose(place: Geodetic, attitude: Attitude) -> (Pose, Vector) {
+        let ecef_from_ned = ecef_from_ned(place.latitude_rad, place.longitude_rad);
+        let pose = Pose {
+            origin_in_ecef_m: WGS84.ecef_of(place),
+            ecef_from_body: then(&attitude.ned_from_body(), &ecef_from_ned),
+            accuracy: None,
+        };
+        (pose, rotate(&ecef_from_ned, [0.0, 0.0, 1.0]))
+    }
+
+    fn attitude([roll, pitch, heading]: [f64; 3]) -> Attitude {
+        let [roll_rad, pitch_rad, heading_rad] = [roll, pitch, heading].map(f64::to_radians);
+        Attitude { roll_rad, pitch_rad, heading_rad }
+    }
+
+    const PLACE: Geodetic = Geodetic { latitude_rad: 0.8, longitude_rad: -2.0, height_m: 700.0 };
+
+    /// The lever arm moves the origin, the boresight turns the scanner before the mount does.
+    #[test]
+    fn a_beam_goes_through_boresight_mount_and_lever_arm() {
+        let calibration = Calibration {
+            lever_arm_m: [1.0, 2.0, 3.0],
+            boresight_deg: [0.0, 0.0, 90.0],
+            ..Calibration::default()
+        };
+        let installation = Installation::new(&Mount::Named(MountName::XDownZRight), &calibration);
+        assert!(!installation.is_plain());
+        let mut emission = beam([0.1, 0.0, 0.0], [0.0, -1.0, 0.0]);
+        installation.to_body(&mut emission);
+        // A yaw of 90 degrees turns x to y, which the mount turns forward; and -y to x, which it turns down.
+        assert!(near(emission.origin_m, [1.1, 2.0, 3.0], 1e-15), "{:?}", emission.origin_m);
+        assert!(near(emission.direction, [0.0, 0.0, 1.0], 1e-15), "{:?}", emission.direction);
+        let plain = Installation::new(&Mount::default(), &Calibration { e0: 1.0, ..Calibration::default() });
+        assert!(plain.is_plain(), "ranges are nothing of the beam's");
+    }
+
+    /// Scan angles count in the aircraft's axes, whatever the scanner calls its own.
+    #[test]
+    fn scan_angles_are_corrected_about_the_axis_of_the_flight() {
+        let calibration =
+            Calibration { e2: 1e-2, e3: 2e-2, e4: 3e-2, e6: 1e-3, ..Calibration::default() };
+        for name in [MountName::Level, MountName::XDownZLeft] {
+            let mount = Mount::Named(name);
+            let installation = Installation::new(&mount, &calibration);
+            let mount_from_body = inverse(&mount.body_from_scanner());
+            for angle in [-0.5f64, 0.0, 0.4] {
+                let (across, ahead) = (0.96f64, 0.28);
+                let body = [ahead, across * angle.sin(), across * angle.cos()];
+                let mut emission = beam([0.0; 3], rotate(&mount_from_body, body));
+                emission.scan_angle_deg = 10.0;
+                installation.to_body(&mut emission);
+                let right = angle + 1e-3 + 1e-2 * angle + 2e-2 * angle * angle + 3e-2 * angle.powi(3);
+                let expected = [ahead, across * right.sin(), across * right.cos()];
+                assert!(near(emission.direction, expected, 1e-15), "{name:?} {angle}");
+                let turned = f64::from(emission.scan_angle_deg) - 10.0;
+                assert!((turned - (right - angle).to_degrees()).abs() < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn a_beam_stands_on_the_earth_as_the_aircraft_does() {
+        // At 0 N 0 E with the heading east: forward is east (y), right is south (-z), down is to the centre (-x).
+        let place = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 1000.0 };
+        let (pose, _) = pose(place, attitude([0.0, 0.0, 90.0]));
+        let mut emission = Emission { frame_scale: 1.5, ..beam([1.0, 2.0, 3.0], [0.0, 0.6, 0.8]) };
+        to_earth(&mut emission, &pose);
+        assert!(near(emission.origin_m, [6_379_134.0, 1.0, -2.0], 1e-8), "{:?}", emission.origin_m);
+        assert!(near(emission.direction, [-0.8, 0.0, -0.6], 1e-15), "{:?}", emission.direction);
+        assert_eq!(emission.frame_scale, 1.0);
+    }
+
+    /// A level beam's angle is the scanner's; with the right wing down by 10 degrees what looks down looks 10 degrees to
+    /// the left; pitch and heading do not count.
+    #[test]
+    fn the_scan_angle_is_told_against_the_vertical() {
+        let angle = |degrees: [f64; 3], scan: f64| {
+            let (pose, down) = pose(PLACE, attitude(degrees));
+            let body = [0.0, scan.to_radians().sin(), scan.to_radians().cos()];
+            scan_angle_deg(rotate(&pose.ecef_from_body, body), &pose, down)
+        };
+        for (degrees, scan, expected) in [
+            ([0.0, 0.0, 123.0], 20.0, 20.0),
+            ([10.0, 0.0, -50.0], 0.0, -10.0),
+            ([10.0, 0.0, 0.0], 25.0, 15.0),
+            ([0.0, 20.0, 77.0], 0.0, 0.0),
+        ] {
+            let found = angle(degrees, scan);
+            assert!((found - expected).abs() < 1e-9, "{degrees:?} {scan}: {found}");
+        }
+    }
+
+    proptest! {
+        /// Each angle's part of the variance against what the point does when the angle changes a little.
+        #[test]
+        fn attitude_moves_a_point_as_its_angles_do(
+            roll in -40.0..40.0, pitch in -40.0..40.0, heading in -180.0..180.0,
+            x in -800.0..800.0, y in -800.0..800.0, z in 100.0..1000.0,
+        ) {
+            let degrees = [roll, pitch, heading];
+            let (at, down) = pose(PLACE, attitude(degrees));
+            let body = [x, y, z];
+            let from_nav_m = rotate(&at.ecef_from_body, body);
+            for axis in 0..3 {
+                let step_deg = 1e-4;
+                let mut turned = degrees;
+                turned[axis] += step_deg;
+                let moved = rotate(&pose(PLACE, attitude(turned)).0.ecef_from_body, body);
+                let moved_m = moved.iter().zip(from_nav_m).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt();
+                let mut accuracy = Accuracy::default();
+                accuracy.attitude_sd_rad[axis] = f64::to_radians(step_deg);
+                let told_m = variance_m2(&accuracy, &at, down, from_nav_m, 0.0).sqrt();
+                prop_assert!((told_m - moved_m).abs() < 1e-7, "axis {axis}: {told_m} {moved_m}");
+            }
+        }
+    }
+
+    #[test]
+    fn independent_errors_add_their_squares() {
+        let (at, down) = pose(PLACE, attitude([0.0; 3]));
+        let accuracy = Accuracy { position_sd_m: [0.03, 0.04, 0.12], attitude_sd_rad: [1e-4, 0.0, 0.0] };
+        // Straight below, the roll moves the point by the height: 0.1 m at 1000 m.
+        let below = rotate(&at.ecef_from_body, [0.0, 0.0, 1000.0]);
+        let variance = variance_m2(&accuracy, &at, down, below, 0.2);
+        assert!((variance - (0.13f64.powi(2) + 0.1f64.powi(2) + 0.2f64.powi(2))).abs() < 1e-12, "{variance}");
+    }
+}

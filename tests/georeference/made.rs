@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use wavex::batch::{Batch, Content, Emission, LineStats, Return, ReturnChannel};
 use wavex::engine::{self, Options, RunReport};
+use wavex::geo::frames::{IDENTITY, Rotation, rotate};
 use wavex::geometry::posed::Posed;
 use wavex::geometry::{GeometryKeys, Loader};
 use wavex::job::Job;
@@ -17,6 +18,8 @@ use wavex::stage::{Context, Map, Plan, Site, Source};
 pub struct Flight {
     folder: tempfile::TempDir,
     pub truth: Vec<Truth>,
+    /// From the frame of the recording to that of a scanner that is mounted in another way.
+    turned: Rotation,
 }
 
 /// A true return.
@@ -45,7 +48,7 @@ pub fn fly(keys: &str) -> Flight {
     );
     run(folder.path(), &job).unwrap();
     let truth = std::fs::read_to_string(folder.path().join("a.csv")).unwrap();
-    Flight { folder, truth: truth.lines().skip(1).map(truth_of).collect() }
+    Flight { folder, truth: truth.lines().skip(1).map(truth_of).collect(), turned: IDENTITY }
 }
 
 fn truth_of(row: &str) -> Truth {
@@ -72,6 +75,11 @@ impl Flight {
         self.folder.path()
     }
 
+    /// The same flight, seen in a scanner's frame that the simulator's is turned to by this.
+    pub fn turned(self, turned: Rotation) -> Flight {
+        Flight { turned, ..self }
+    }
+
     /// The recording with its poses, then the stage with true ranges in place of those that `decompose` finds: what comes
     /// out is off by georeferencing alone. `measured` says what range was measured of a true one.
     pub fn place(&self, geometry: &str, measured: impl Fn(&Truth) -> f64) -> Result<Placed, String> {
@@ -89,6 +97,7 @@ impl Flight {
             geometry: Arc::new(loader.load("a").map_err(|e| text(&e))?),
         };
         let (source, mut stage) = (source(&site), georeference(&site));
+        let source = Box::new(Turned { source, turned: self.turned });
         let mut source = Posed::new(source, Arc::clone(&site.geometry));
         let mut by_shot: BTreeMap<u64, Vec<&Truth>> = BTreeMap::new();
         self.truth.iter().for_each(|truth| by_shot.entry(truth.shot).or_default().push(truth));
@@ -103,6 +112,23 @@ impl Flight {
             wkt = placed.input.crs_wkt.clone();
         }
         Ok(Placed { points, returns, stats, wkt, cx })
+    }
+}
+
+/// A recording in another frame.
+struct Turned {
+    source: Box<dyn Source>,
+    turned: Rotation,
+}
+
+impl Source for Turned {
+    fn next(&mut self, cx: &mut Context) -> wavex::stage::Result<Option<Batch>> {
+        let mut next = self.source.next(cx)?;
+        for emission in next.iter_mut().flat_map(|batch| &mut batch.emissions) {
+            emission.origin_m = rotate(&self.turned, emission.origin_m);
+            emission.direction = rotate(&self.turned, emission.direction);
+        }
+        Ok(next)
     }
 }
 
