@@ -1,8 +1,12 @@
 //! Time and geometry: numbers to numbers.
 
 pub mod beam_length;
+pub mod conformal;
+pub mod crs;
 pub mod ellipsoid;
 pub mod frames;
+pub mod geoid;
+pub mod lambert;
 pub mod time;
 pub mod trajectory;
 pub mod transverse_mercator;
