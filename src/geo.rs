@@ -4,6 +4,7 @@ pub mod beam_length;
 pub mod ellipsoid;
 pub mod frames;
 pub mod time;
+pub mod time_axis;
 pub mod trajectory;
 pub mod transverse_mercator;
 pub mod vertical;
