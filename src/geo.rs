@@ -8,6 +8,7 @@ pub mod frames;
 pub mod geoid;
 pub mod lambert;
 pub mod time;
+pub mod time_axis;
 pub mod trajectory;
 pub mod transverse_mercator;
 pub mod vertical;

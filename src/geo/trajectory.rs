@@ -3,7 +3,7 @@
 //! Between two records, position and attitude are the cubic through them and their outer neighbours (Lagrange's formula,
 //! for uneven steps as well): the position in the earth-centred frame, the attitude as the rotation from the record
 //! before, in modified Rodrigues parameters. So neither a meridian of 180 degrees nor a heading of 360 nor a pole is
-//! anything special. Times stand on one continuous axis. Everything is made of `+ - * /`, square
+//! anything special. Times stand on one continuous axis (see [`super::time_axis`]). Everything is made of `+ - * /`, square
 //! roots and the crate `libm`: the same bits on every machine.
 //!
 //! A step of over twice the median is a [`Gap`]. Interpolation goes on across the short ones, up to
@@ -101,7 +101,7 @@ pub enum Problem {
         count: usize,
     },
     /// More records than are counted.
-    #[error("{count} records: there is room for {} at most; cut the trajectory into parts", u32::MAX)]
+    #[error("{count} records: there is room for {} at most", u32::MAX)]
     TooMany {
         /// How many there are.
         count: usize,
@@ -118,7 +118,7 @@ pub enum Problem {
     },
     /// Times that run backwards.
     #[error(
-        "record {}: its time {time_s} s lies before the {before_s} s of record {record}; sort the records by time{}",
+        "record {}: its time {time_s} s lies before the {before_s} s of record {record}{}",
         record + 1,
         and_more(*more)
     )]
@@ -134,7 +134,7 @@ pub enum Problem {
     },
     /// Two records of one time.
     #[error(
-        "records {record} and {} have the same time {time_s} s; keep one record of each time{}",
+        "records {record} and {} have the same time {time_s} s{}",
         record + 1,
         and_more(*more)
     )]
@@ -156,6 +156,16 @@ impl Problem {
             Problem::Implausible { record, .. }
             | Problem::Disorder { record, .. }
             | Problem::Duplicate { record, .. } => Some(record),
+        }
+    }
+
+    /// What the user can do.
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            Problem::TooFew { .. } | Problem::Implausible { .. } => "export it again from its source",
+            Problem::TooMany { .. } => "cut it into parts",
+            Problem::Disorder { .. } => "sort its records by time",
+            Problem::Duplicate { .. } => "keep one record of each time",
         }
     }
 }
