@@ -11,6 +11,7 @@ pub mod mount;
 pub mod poses;
 pub mod posed;
 pub mod target;
+mod track;
 
 pub use keys::GeometryKeys;
 pub use loaded::{Geometry, Loader};

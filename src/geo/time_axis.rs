@@ -200,6 +200,24 @@ pub struct Alignment {
 }
 
 impl Alignment {
+    /// The same as [`align`], whether there is an overlap or not: for a recording of which only the beginning is known.
+    ///
+    /// # Errors
+    /// A time of the recording may be more than one moment of the trajectory.
+    pub fn between(recording: Times, trajectory: Times) -> Result<Alignment, Misaligned> {
+        let shared = match (recording.clock, trajectory.clock) {
+            (Clock::Adjusted, Clock::Adjusted) => Clock::Adjusted,
+            (Clock::Day, _) | (_, Clock::Day) => Clock::Day,
+            _ => Clock::Week,
+        };
+        let period_s = shared.period_s();
+        if period_s.is_some_and(|period_s| trajectory.last_s - trajectory.first_s >= period_s) {
+            return Err(Misaligned::Ambiguous { recording, trajectory, shared });
+        }
+        let base_s = recording.clock.base_s() - trajectory.clock.base_s();
+        Ok(Alignment { recording, trajectory, base_s, period_s })
+    }
+
     /// A time of the recording, s, on the axis of the trajectory: within half a week, or half a day, of its middle, so that
     /// it does not matter whether the recording's clock has begun anew in between.
     pub fn on_trajectory(&self, time_s: f64) -> f64 {
@@ -253,17 +271,7 @@ pub enum Misaligned {
 /// # Errors
 /// There is no such week or day, or more than one.
 pub fn align(recording: Times, trajectory: Times) -> Result<Alignment, Misaligned> {
-    let shared = match (recording.clock, trajectory.clock) {
-        (Clock::Adjusted, Clock::Adjusted) => Clock::Adjusted,
-        (Clock::Day, _) | (_, Clock::Day) => Clock::Day,
-        _ => Clock::Week,
-    };
-    let period_s = shared.period_s();
-    if period_s.is_some_and(|period_s| trajectory.last_s - trajectory.first_s >= period_s) {
-        return Err(Misaligned::Ambiguous { recording, trajectory, shared });
-    }
-    let base_s = recording.clock.base_s() - trajectory.clock.base_s();
-    let alignment = Alignment { recording, trajectory, base_s, period_s };
+    let alignment = Alignment::between(recording, trajectory)?;
     let [first_s, last_s] = [recording.first_s, recording.last_s].map(|t| alignment.on_trajectory(t));
     let within = |time_s: f64| (trajectory.first_s..=trajectory.last_s).contains(&time_s);
     let around = first_s <= trajectory.first_s && trajectory.last_s <= last_s;
@@ -273,7 +281,6 @@ pub fn align(recording: Times, trajectory: Times) -> Result<Alignment, Misaligne
         Err(Misaligned::NoOverlap { recording, trajectory })
     }
 }
-
 #[cfg(test)]
 mod tests {
     use super::*;

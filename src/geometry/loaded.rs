@@ -5,16 +5,14 @@ use std::sync::{Arc, OnceLock};
 
 use super::calibration::Calibration;
 use super::keys::{CalibrationKey, GeometryKeys};
-use super::mount::Mount;
 use super::poses::Installation;
-use super::target::{Target, Wanted};
+use super::target::{Target, Wanted, failed};
+use super::track::Track;
 use crate::batch::{Emission, Frame, InputInfo};
-use crate::formats::Error;
-use crate::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
-use crate::geo::ellipsoid::Geodetic;
-use crate::geo::frames::{Attitude, Vector};
-use crate::geo::trajectory::{Pose, Sample, Trajectory};
-use crate::stage::{Context, Result, StageError};
+use crate::geo::frames::Vector;
+use crate::geo::time_axis::{Alignment, Clock, Misaligned, Times};
+use crate::geo::trajectory::Pose;
+use crate::stage::{Result, StageError};
 
 /// The geometry of a run.
 #[derive(Debug)]
@@ -23,26 +21,23 @@ pub struct Geometry {
     installation: Installation,
     track: Option<Arc<Track>>,
     wanted: Wanted,
-    /// What to add to a shot's time to have the trajectory's, s.
-    offset_s: OnceLock<f64>,
+    /// From the times of the recording to those of the trajectory.
+    alignment: OnceLock<Alignment>,
     /// The recording's first shot.
     first: OnceLock<First>,
-    target: OnceLock<std::result::Result<Arc<Target>, (String, String)>>,
+    target: OnceLock<Cached<Arc<Target>>>,
+    is_own_map: OnceLock<bool>,
 }
+
+/// A result that every stage gets: an error is kept by its words, problem and remedy.
+type Cached<T> = std::result::Result<T, String>;
 
 /// Where and when a recording begins.
 #[derive(Clone, Copy, Debug)]
 struct First {
-    /// In the earth's frame, m, if it has its place there.
-    place_m: Option<Vector>,
+    frame: Frame,
+    place_m: Vector,
     time_s: f64,
-}
-
-/// A trajectory and its file.
-#[derive(Debug)]
-pub(super) struct Track {
-    file: PathBuf,
-    trajectory: Trajectory,
 }
 
 /// Reads the files of the table: those that all runs share once, and a trajectory again only for another file.
@@ -58,12 +53,9 @@ pub struct Loader {
 impl Default for Geometry {
     /// No trajectory, and nothing to be corrected.
     fn default() -> Geometry {
-        Geometry::of(GeometryKeys::default(), installation_of(&Mount::default(), &Calibration::default()), Wanted::default(), None)
+        let installation = Installation::new(&Default::default(), &Calibration::default());
+        Geometry::of(GeometryKeys::default(), installation, Wanted::default(), None)
     }
-}
-
-fn installation_of(mount: &Mount, calibration: &Calibration) -> Installation {
-    Installation::new(mount, calibration)
 }
 
 impl Loader {
@@ -78,7 +70,7 @@ impl Loader {
             None => Calibration::default(),
         };
         Ok(Loader {
-            installation: installation_of(&keys.mount.unwrap_or_default(), &calibration),
+            installation: Installation::new(&keys.mount.unwrap_or_default(), &calibration),
             wanted: Wanted::load(keys, input_dir)?,
             keys: keys.clone(),
             input_dir: input_dir.to_path_buf(),
@@ -92,53 +84,41 @@ impl Loader {
     /// A trajectory that cannot be read.
     pub fn load(&mut self, stem: &str) -> Result<Geometry> {
         let track = match &self.keys.trajectory {
-            Some(pattern) => Some(self.track(&self.input_dir.join(pattern.replace('*', stem)))?),
+            Some(pattern) => Some(self.track(&self.input_dir.join(pattern.replace('*', stem)), stem)?),
             None => None,
         };
         Ok(Geometry::of(self.keys.clone(), self.installation, self.wanted.clone(), track))
     }
 
-    fn track(&mut self, file: &Path) -> Result<Arc<Track>> {
+    fn track(&mut self, file: &Path, stem: &str) -> Result<Arc<Track>> {
+        let accuracy =
+            self.keys.trajectory_accuracy.as_ref().map(|path| self.input_dir.join(path.replace('*', stem)));
         match &self.last {
-            Some(track) if track.file == file => Ok(Arc::clone(track)),
+            Some(track) if track.is_of(file, accuracy.as_deref()) => Ok(Arc::clone(track)),
             _ => {
-                let track = Arc::new(Track { file: file.to_path_buf(), trajectory: read(file)? });
+                let track = Arc::new(Track::read(file, accuracy.as_deref(), &self.keys, &self.wanted)?);
                 Ok(Arc::clone(self.last.insert(track)))
             }
         }
     }
 }
 
-fn read(file: &Path) -> Result<Trajectory> {
-    let bytes = std::fs::read(file).map_err(Error::io(file, "read the trajectory"))?;
-    let (records, _) = bytes.as_chunks::<RECORD_BYTES>();
-    let samples = records.iter().map(SbetRecord::decode).map(|record| Sample {
-        time_s: record.time_s,
-        place: Geodetic {
-            latitude_rad: record.latitude_rad,
-            longitude_rad: record.longitude_rad,
-            height_m: record.height_m,
-        },
-        attitude: Attitude {
-            roll_rad: record.roll_rad,
-            pitch_rad: record.pitch_rad,
-            heading_rad: record.platform_heading_rad - record.wander_angle_rad,
-        },
-    });
-    let trajectory = Trajectory::new(samples.collect());
-    Ok(trajectory.map_err(|problem| Error::unusable(file, problem.to_string(), "check the trajectory"))?)
-}
-
 impl Geometry {
-    fn of(keys: GeometryKeys, installation: Installation, wanted: Wanted, track: Option<Arc<Track>>) -> Geometry {
+    fn of(
+        keys: GeometryKeys,
+        installation: Installation,
+        wanted: Wanted,
+        track: Option<Arc<Track>>,
+    ) -> Geometry {
         Geometry {
             keys,
             installation,
             track,
             wanted,
-            offset_s: OnceLock::new(),
+            alignment: OnceLock::new(),
             first: OnceLock::new(),
             target: OnceLock::new(),
+            is_own_map: OnceLock::new(),
         }
     }
 
@@ -157,56 +137,66 @@ impl Geometry {
         self.track.is_some()
     }
 
-    /// Ties the times of a recording to those of the trajectory, once; `first_s` is that of a shot.
-    pub(super) fn align(&self, input: &InputInfo, first_s: f64, cx: &mut Context) -> Result<()> {
-        let _ = (input, first_s, cx);
-        let _ = self.offset_s.set(0.0);
+    /// Whether the trajectory tells how sure it is.
+    pub fn knows_accuracy(&self) -> bool {
+        self.track.as_ref().is_some_and(|track| track.knows_accuracy)
+    }
+
+    /// What the user should know of the trajectory.
+    pub(super) fn notes(&self) -> &[String] {
+        self.track.as_ref().map_or(&[], |track| &track.notes)
+    }
+
+    /// Ties the times of a recording to those of the trajectory, once.
+    ///
+    /// # Errors
+    /// The recording does not say what its times count, or they may mean several moments of the trajectory.
+    pub(super) fn align(&self, input: &InputInfo, first_s: f64) -> Result<()> {
+        let (Some(track), None) = (&self.track, self.alignment.get()) else { return Ok(()) };
+        let Some(clock) = Clock::of(input.time_scale) else {
+            return Err(StageError::failed(
+                "the recording does not say what its times count from: its shots have no place on the trajectory",
+                "use a recording with GPS times, or leave `trajectory` out of `[job.geometry]`",
+            ));
+        };
+        let recording = Times { clock, first_s, last_s: first_s };
+        let found = Alignment::between(recording, track.times).map_err(|error| failed(&error))?;
+        let _ = self.alignment.set(found);
         Ok(())
     }
 
     /// The aircraft's pose at the time of a shot; `None` where the trajectory does not tell it.
     pub fn pose(&self, gps_time_s: f64) -> Option<Pose> {
-        let offset_s = self.offset_s.get()?;
-        self.track.as_ref()?.trajectory.pose(gps_time_s + offset_s)
+        self.track.as_ref()?.trajectory.pose(self.alignment.get()?.on_trajectory(gps_time_s))
     }
 
     /// Whether the trajectory ends before a time of the recording.
     pub(super) fn has_ended_before(&self, gps_time_s: f64) -> bool {
-        let (Some(track), Some(offset_s)) = (&self.track, self.offset_s.get()) else { return false };
-        track.trajectory.span_s()[1] < gps_time_s + offset_s
+        self.alignment
+            .get()
+            .is_some_and(|found| found.trajectory.last_s < found.on_trajectory(gps_time_s))
     }
 
-    /// The trajectory covers none of the shots.
-    pub(super) fn no_overlap(&self, shots_s: Option<[f64; 2]>) -> StageError {
-        let [first, last] = shots_s.unwrap_or([f64::NAN; 2]);
-        let (file, [begin, end]) = self.span();
-        StageError::failed(
-            format!("the shots are of {first:.3} to {last:.3} s, and the trajectory {file} is of {begin:.3} to {end:.3} s: none of them has a pose"),
-            "give the trajectory of this flight, or say with `trajectory_time` what its times count",
-        )
+    /// The trajectory covers none of the shots, which lasted so long.
+    pub(super) fn no_overlap(&self, shots_s: [f64; 2]) -> StageError {
+        let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else {
+            return StageError::failed("there is no trajectory", "give `trajectory` in `[job.geometry]`");
+        };
+        let [first_s, last_s] = shots_s;
+        let (recording, trajectory) = (Times { first_s, last_s, ..*recording }, *trajectory);
+        failed(&Misaligned::NoOverlap { recording, trajectory })
     }
 
     /// The trajectory covers some of the shots, but not these.
-    pub(super) fn partly_covered(&self, n: u64, [first, last]: [f64; 2]) -> String {
-        let (file, [begin, end]) = self.span();
-        format!(
-            "{n} shots from {first:.3} to {last:.3} s have no pose and are left out: the trajectory {file} goes from {begin:.3} to \
-             {end:.3} s"
-        )
-    }
-
-    /// The trajectory's file, and its span on the recording's axis of time, s.
-    fn span(&self) -> (String, [f64; 2]) {
-        let offset_s = self.offset_s.get().copied().unwrap_or(0.0);
-        self.track.as_ref().map_or((String::new(), [f64::NAN; 2]), |track| {
-            (track.file.display().to_string(), track.trajectory.span_s().map(|time_s| time_s - offset_s))
-        })
+    pub(super) fn partly_covered(&self, n: u64, [first_s, last_s]: [f64; 2]) -> String {
+        let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else { return String::new() };
+        let missing = Times { first_s, last_s, ..*recording };
+        format!("{n} shots are left out, for which the trajectory tells no pose: they are from {missing}, the trajectory from {trajectory}")
     }
 
     /// Tells of the first shot of the recording; later ones change nothing.
     pub(super) fn meet(&self, first: &Emission, frame: Frame) {
-        let place_m = (frame == Frame::Earth).then_some(first.origin_m);
-        let _ = self.first.set(First { place_m, time_s: time_s(first) });
+        let _ = self.first.set(First { frame, place_m: first.origin_m, time_s: time_s(first) });
     }
 
     /// Time since the first shot, s.
@@ -214,26 +204,20 @@ impl Geometry {
         time_s(emission) - self.first.get().map_or(0.0, |first| first.time_s)
     }
 
-    /// Whether no shot has its place in the earth's frame.
-    pub fn is_nowhere(&self) -> bool {
-        self.first.get().is_none_or(|first| first.place_m.is_none())
+    /// Where the first shot is, m, if the recording is in this frame.
+    fn first_place_m(&self, frame: Frame) -> Option<Vector> {
+        self.first.get().filter(|first| first.frame == frame).map(|first| first.place_m)
     }
 
-    /// Whether the trajectory tells how sure it is.
-    pub fn knows_accuracy(&self) -> bool {
-        self.track.as_ref().is_some_and(|_| self.keys.trajectory_accuracy.is_some())
-    }
-
-    /// The coordinates that points get, the zone being that of the recording's first shot.
+    /// The coordinates that points get, the zone being that of the recording's first shot; `None` before any shot has its
+    /// place in the earth's frame.
     ///
     /// # Errors
     /// Coordinates that cannot be had there.
-    pub fn target(&self) -> Result<Arc<Target>> {
-        let made = self.target.get_or_init(|| {
-            let first_m = self.first.get().and_then(|first| first.place_m).unwrap_or([f64::NAN; 3]);
-            self.wanted.at(first_m).map(Arc::new)
-        });
-        made.clone().map_err(|(problem, remedy)| StageError::failed(problem, remedy))
+    pub fn target(&self) -> Result<Option<Arc<Target>>> {
+        let Some(first_m) = self.first_place_m(Frame::Earth) else { return Ok(None) };
+        let make = || self.wanted.at(first_m).map(Arc::new).map_err(|error| error.to_string());
+        self.target.get_or_init(make).clone().map(Some).map_err(|error| failed(&error))
     }
 
     /// Whether a recording in a map may stay there.
@@ -241,8 +225,17 @@ impl Geometry {
     /// # Errors
     /// Where the job asks for other coordinates.
     pub fn keep_map(&self, crs_wkt: Option<&str>) -> Result<()> {
-        let _ = crs_wkt;
-        Ok(())
+        let Some(point) = self.first_place_m(Frame::Map).filter(|_| self.keys.wants_coordinates()) else {
+            return Ok(());
+        };
+        if *self.is_own_map.get_or_init(|| crs_wkt.is_some_and(|wkt| self.wanted.is_map(wkt, point))) {
+            return Ok(());
+        }
+        let name = crs_wkt.and_then(|wkt| wkt.split('"').nth(1)).unwrap_or("a map that the recording does not name");
+        Err(StageError::failed(
+            format!("the beams of this recording are in {name} already, and `[job.geometry]` asks for other coordinates"),
+            "leave `crs`, `geoid` and `unit` out, and transform the points with another program, such as PDAL",
+        ))
     }
 
     /// Whether a recording without a place on the earth may stay so.

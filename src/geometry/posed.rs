@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use super::loaded::Geometry;
 use super::poses::{scan_angle_deg, to_earth};
-use crate::batch::{Batch, Content, Emission, Frame, InputInfo, TimeScale};
+use crate::batch::{Batch, Content, Emission, Frame, InputInfo};
+use crate::geo::time_axis::{Clock, Unwrap};
 use crate::geo::trajectory::Pose;
 use crate::geo::vertical::down_at;
 use crate::stage::{Context, Item, Result, Source, StageError};
@@ -14,7 +15,7 @@ use crate::stage::{Context, Item, Result, Source, StageError};
 pub struct Posed {
     source: Box<dyn Source>,
     geometry: Arc<Geometry>,
-    times: Times,
+    times: Option<Unwrap>,
     coverage: Coverage,
     /// What the source says of its recording, and what the lines say that leave.
     input: Option<[Arc<InputInfo>; 2]>,
@@ -23,7 +24,7 @@ pub struct Posed {
 impl Posed {
     /// The source with the poses of a geometry.
     pub fn new(source: Box<dyn Source>, geometry: Arc<Geometry>) -> Posed {
-        Posed { source, geometry, times: Times::default(), coverage: Coverage::default(), input: None }
+        Posed { source, geometry, times: None, coverage: Coverage::default(), input: None }
     }
 }
 
@@ -77,12 +78,13 @@ impl Posed {
 
     /// Gives every shot of a line its pose; what has none is rejected.
     fn pose(&mut self, batch: &mut Batch, cx: &mut Context) -> Result<()> {
-        self.times.unwrap(batch)?;
+        unwrap_times(&mut self.times, batch)?;
         let Some(first) = batch.emissions.first() else {
             batch.input = self.info(batch, Frame::Earth);
             return Ok(());
         };
-        self.geometry.align(&batch.input, first.gps_time_s, cx)?;
+        self.geometry.align(&batch.input, first.gps_time_s)?;
+        self.geometry.notes().iter().for_each(|note| cx.note(note));
         let mut down = None;
         let mut place = Vec::with_capacity(batch.emissions.len());
         let mut kept = 0;
@@ -145,37 +147,20 @@ fn reject(batch: &mut Batch, place: &[Option<u32>], cx: &mut Context) {
     }
 }
 
-/// Times that begin anew with every week or day, made continuous.
-#[derive(Debug, Default)]
-struct Times {
-    last_s: Option<f64>,
-}
-
-impl Times {
-    /// The times of a line, going on from those before.
-    fn unwrap(&mut self, batch: &mut Batch) -> Result<()> {
-        let period_s = match batch.input.time_scale {
-            TimeScale::Week => 604_800.0,
-            TimeScale::Day => 86_400.0,
-            TimeScale::Adjusted | TimeScale::Unknown => f64::INFINITY,
-        };
-        for emission in &mut batch.emissions {
-            let time_s = emission.gps_time_s;
-            if !time_s.is_finite() {
-                return Err(StageError::failed(
-                    format!("shot {} has no GPS time: its place on the trajectory is not known", emission.shot),
-                    "use a recording with GPS times, or leave `trajectory` out of `[job.geometry]`",
-                ));
-            }
-            let last_s = self.last_s.unwrap_or(time_s);
-            let laps = ((last_s - time_s) / period_s).round();
-            if laps != 0.0 {
-                emission.gps_time_s += laps * period_s;
-            }
-            self.last_s = Some(emission.gps_time_s);
+/// The times of a line on one continuous axis, going on from those before.
+fn unwrap_times(times: &mut Option<Unwrap>, batch: &mut Batch) -> Result<()> {
+    let clock = Clock::of(batch.input.time_scale).unwrap_or(Clock::Adjusted);
+    let times = times.get_or_insert(Unwrap::new(clock));
+    for emission in &mut batch.emissions {
+        if !emission.gps_time_s.is_finite() {
+            return Err(StageError::failed(
+                format!("shot {} has no GPS time: its place on the trajectory is not known", emission.shot),
+                "use a recording with GPS times, or leave `trajectory` out of `[job.geometry]`",
+            ));
         }
-        Ok(())
+        emission.gps_time_s = times.next(emission.gps_time_s);
     }
+    Ok(())
 }
 
 /// Which times of the recording the trajectory covers.
@@ -203,8 +188,8 @@ impl Coverage {
     /// An error once it is certain that no shot will be covered: the recording has passed the trajectory's end.
     fn check(&self, geometry: &Geometry) -> Result<()> {
         match self.span_s {
-            Some([first_s, _]) if self.covered == 0 && geometry.has_ended_before(first_s) => {
-                Err(geometry.no_overlap(self.span_s))
+            Some(span_s) if self.covered == 0 && geometry.has_ended_before(span_s[0]) => {
+                Err(geometry.no_overlap(span_s))
             }
             _ => Ok(()),
         }
@@ -212,8 +197,8 @@ impl Coverage {
 
     /// Says what was not covered.
     fn finish(&self, geometry: &Geometry, cx: &mut Context) -> Result<()> {
-        if self.missing > 0 && self.covered == 0 {
-            return Err(geometry.no_overlap(self.span_s));
+        if let (0, Some(span_s)) = (self.covered, self.span_s) {
+            return Err(geometry.no_overlap(span_s));
         }
         if let Some(missing_s) = self.missing_s {
             cx.note(geometry.partly_covered(self.missing, missing_s));

@@ -118,12 +118,10 @@ impl Georeferencer {
 
     /// Points of the earth's frame in the coordinates that are wanted.
     fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector]) -> Result<()> {
-        if points.is_empty() && self.geometry.is_nowhere() {
-            return Ok(());
-        }
-        let target = self.geometry.target()?;
+        // Without a first shot there are no points.
+        let Some(target) = self.geometry.target()? else { return Ok(()) };
         for point in points {
-            *point = target.from_ecef(*point)?;
+            *point = target.coordinates(*point)?;
         }
         *input = self.info(input, &target);
         Ok(())
