@@ -220,6 +220,18 @@ impl Geometry {
         self.target.get_or_init(make).clone().map(Some).map_err(|error| failed(&error))
     }
 
+    /// The map that a terrain model is in: that of a code of EPSG, else the one of the points. `None` before any shot has its
+    /// place in the earth's frame.
+    ///
+    /// # Errors
+    /// A system that cannot be used.
+    pub fn map_of(&self, epsg: Option<u16>) -> Result<Option<Arc<Target>>> {
+        match (epsg, self.first_place_m(Frame::Earth)) {
+            (Some(code), Some(first_m)) => self.wanted.in_map(code).at(first_m).map(Arc::new).map(Some),
+            _ => self.target(),
+        }
+    }
+
     /// Whether a recording in a map may stay there.
     ///
     /// # Errors

@@ -81,6 +81,11 @@ impl Wanted {
         if self.named == Named::Utm { None } else { self.crs(ANYWHERE).ok() }
     }
 
+    /// The same heights in the map, and its unit, of a code of EPSG.
+    pub(super) fn in_map(&self, code: u16) -> Wanted {
+        Wanted { named: Named::Epsg(code.into()), geoid: self.geoid.clone(), unit: None }
+    }
+
     /// The system for a recording whose first shot is here, m in the earth's frame.
     pub(super) fn at(&self, first_m: Vector) -> Result<Target> {
         let first_place = WGS84.geodetic_of(first_m);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use wavex::batch::{Batch, Content, Emission, LineStats, Return, ReturnChannel};
+use wavex::batch::{Batch, Content, Emission, InputInfo, LineStats, Return, ReturnChannel, TimeScale};
 use wavex::engine::{self, Options, RunReport};
 use wavex::geo::frames::{IDENTITY, Rotation, rotate};
 use wavex::geometry::posed::Posed;
@@ -20,6 +20,18 @@ pub struct Flight {
     pub truth: Vec<Truth>,
     /// From the frame of the recording to that of a scanner that is mounted in another way.
     turned: Rotation,
+    /// What the recording does not say.
+    unsaid: Unsaid,
+}
+
+/// What a recording does not say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Unsaid {
+    Nothing,
+    /// The times of its shots.
+    Times,
+    /// What they count from.
+    Scale,
 }
 
 /// A true return.
@@ -48,7 +60,7 @@ pub fn fly(keys: &str) -> Flight {
     );
     run(folder.path(), &job).unwrap();
     let truth = std::fs::read_to_string(folder.path().join("a.csv")).unwrap();
-    Flight { folder, truth: truth.lines().skip(1).map(truth_of).collect(), turned: IDENTITY }
+    Flight { folder, truth: truth.lines().skip(1).map(truth_of).collect(), turned: IDENTITY, unsaid: Unsaid::Nothing }
 }
 
 fn truth_of(row: &str) -> Truth {
@@ -80,6 +92,16 @@ impl Flight {
         Flight { turned, ..self }
     }
 
+    /// The same, whose shots have no GPS time.
+    pub fn without_times(self) -> Flight {
+        Flight { unsaid: Unsaid::Times, ..self }
+    }
+
+    /// The same, whose times count from nobody knows when.
+    pub fn of_no_scale(self) -> Flight {
+        Flight { unsaid: Unsaid::Scale, ..self }
+    }
+
     /// The recording with its poses, then the stage with true ranges in place of those that `decompose` finds: what comes
     /// out is off by georeferencing alone. `measured` says what range was measured of a true one.
     pub fn place(&self, geometry: &str, measured: impl Fn(&Truth) -> f64) -> Result<Placed, String> {
@@ -97,7 +119,7 @@ impl Flight {
             geometry: Arc::new(loader.load("a").map_err(|e| text(&e))?),
         };
         let (source, mut stage) = (source(&site), georeference(&site));
-        let source = Box::new(Turned { source, turned: self.turned });
+        let source = Box::new(Changed { source, turned: self.turned, unsaid: self.unsaid });
         let mut source = Posed::new(source, Arc::clone(&site.geometry));
         let mut by_shot: BTreeMap<u64, Vec<&Truth>> = BTreeMap::new();
         self.truth.iter().for_each(|truth| by_shot.entry(truth.shot).or_default().push(truth));
@@ -115,18 +137,25 @@ impl Flight {
     }
 }
 
-/// A recording in another frame.
-struct Turned {
+/// A recording in another frame, which does not say everything.
+struct Changed {
     source: Box<dyn Source>,
     turned: Rotation,
+    unsaid: Unsaid,
 }
 
-impl Source for Turned {
+impl Source for Changed {
     fn next(&mut self, cx: &mut Context) -> wavex::stage::Result<Option<Batch>> {
         let mut next = self.source.next(cx)?;
         for emission in next.iter_mut().flat_map(|batch| &mut batch.emissions) {
             emission.origin_m = rotate(&self.turned, emission.origin_m);
             emission.direction = rotate(&self.turned, emission.direction);
+            if self.unsaid == Unsaid::Times {
+                emission.gps_time_s = f64::NAN;
+            }
+        }
+        if let (Some(batch), Unsaid::Scale) = (&mut next, self.unsaid) {
+            batch.input = Arc::new(InputInfo { time_scale: TimeScale::Unknown, ..InputInfo::clone(&batch.input) });
         }
         Ok(next)
     }

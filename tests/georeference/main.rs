@@ -6,5 +6,7 @@
     reason = "a test fails by panicking, and tells its figures"
 )]
 
+mod coordinates;
 mod flights;
 mod made;
+mod times;
