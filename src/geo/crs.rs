@@ -239,3 +239,6 @@ fn within_turn(angle_rad: f64) -> f64 {
     }
     angle_rad - TURN_RAD * (angle_rad / TURN_RAD).round()
 }
+
+#[cfg(test)]
+mod tests;
