@@ -104,7 +104,10 @@ def check_wkt(checks, program, name, system, points):
         options = [f"unit={unit}"] if unit else []
         written = CRS.from_wkt(program.wkt(name, *options))
         if unit is None and metres == 1.0:
-            checks.that("writes a WKT that PROJ takes for the system", written.equals(system, ignore_axis_order=True))
+            # Systems whose axes EPSG has in another order differ by them alone.
+            in_order = system.axis_info[0].direction == "east"
+            pair = (written, system) if in_order else (written.geodetic_crs, system.geodetic_crs)
+            checks.that("writes a WKT that PROJ takes for the system", pair[0].equals(pair[1], ignore_axis_order=True))
         else:
             factors = {axis.unit_conversion_factor for axis in written.axis_info}
             checks.that(f"has three axes in {unit or 'its unit'}", len(factors) == 1
