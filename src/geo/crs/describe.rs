@@ -87,6 +87,9 @@ fn generated(definition: &Definition, unit: &Unit) -> Node {
             }
         },
         Method::Other(text) => projected("custom_proj4", &[]).with(extension(text, unit)),
+        // PROJ has given it as WKT 1 already.
+        #[cfg(feature = "proj")]
+        Method::Foreign(_) => definition.horizontal.clone(),
     }
 }
 
