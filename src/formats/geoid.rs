@@ -169,3 +169,6 @@ impl Header {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -72,7 +72,7 @@ impl From<Geodetic> for Normal {
 /// Sine and cosine of the angle of a vector; those of 0 where it has no length.
 fn unit(sine: f64, cosine: f64) -> [f64; 2] {
     let length = (sine * sine + cosine * cosine).sqrt();
-    if length > 0.0 { [sine / length, cosine / length] } else { [0.0, 1.0] }
+    if length == 0.0 { [0.0, 1.0] } else { [sine / length, cosine / length] }
 }
 
 /// The tangent of the conformal latitude from that of the geographic one, on an ellipsoid of this (first) eccentricity
@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn the_axis_has_its_normals() {
-        for z in [6_356_752.314_245_179, -6_356_752.314_245_179] {
+        for z in [6_356_752.314_245_179f64, -6_356_752.314_245_179] {
             let (normal, height_m) = Normal::through(WGS84, [0.0, 0.0, z + 100.0 * z.signum()]);
             assert_eq!(normal, Normal { latitude: [z.signum(), 0.0], longitude: [0.0, 1.0] });
             assert!((height_m - 100.0).abs() < 2e-9);

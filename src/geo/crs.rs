@@ -10,6 +10,8 @@ mod describe;
 mod error;
 mod geotiff;
 mod named;
+#[cfg(feature = "proj")]
+mod proj;
 mod projection;
 mod unit;
 mod wkt;
@@ -55,7 +57,7 @@ impl Crs {
         geoid: Option<Arc<Geoid>>,
         unit: Option<Unit>,
     ) -> Result<Crs, CrsError> {
-        let definition = definition_of(named, first_place)?;
+        let definition = definition_of(named, first_place).or_else(|refused| by_proj(named, refused))?;
         let projection = Projection::new(&definition)?;
         check_heights(&definition, geoid.as_deref())?;
         let own_height_unit = definition.vertical_unit().unwrap_or_else(|| definition.unit.clone());
@@ -150,8 +152,10 @@ impl Crs {
         let [x, y, height] = coordinates;
         let scale = self.horizontal_scale();
         let outside = || CrsError::OutsideMap { name: self.name().into(), x, y };
-        let (latitude_rad, longitude_rad) =
-            self.projection.unproject([x * scale, y * scale]).ok_or_else(outside)?;
+        let (latitude_rad, longitude_rad) = self
+            .projection
+            .unproject([x * scale, y * scale], height * self.height_unit.metres)
+            .ok_or_else(outside)?;
         let longitude_rad = within_turn(longitude_rad);
         let undulation_m = self.undulation_m(latitude_rad, longitude_rad)?;
         let height_m = height * self.height_unit.metres + undulation_m;
@@ -177,7 +181,7 @@ impl Crs {
                 geoid.height_m(latitude_rad.to_degrees(), longitude_rad.to_degrees())?
             }
         };
-        let Some([x, y]) = self.projection.project(normal) else {
+        let Some([x, y]) = self.projection.project(normal, height_m) else {
             let (latitude_rad, longitude_rad) = normal.angles_rad();
             return Err(CrsError::OutsideProjection {
                 name: self.name().into(),
@@ -196,9 +200,14 @@ impl Crs {
         }
     }
 
-    /// Metres, or degrees, per unit of x and y.
+    /// What the projection gives per unit of x and y: metres or degrees, or the own unit of a system of PROJ.
     fn horizontal_scale(&self) -> f64 {
-        if self.is_geodetic() { 1.0 } else { self.unit.metres }
+        match self.projection {
+            Projection::Geodetic => 1.0,
+            #[cfg(feature = "proj")]
+            Projection::Foreign(_) => self.unit.metres / self.definition.unit.metres,
+            _ => self.unit.metres,
+        }
     }
 }
 
@@ -213,6 +222,22 @@ fn definition_of(named: &Named, first_place: Geodetic) -> Result<Definition, Crs
         Named::Geodetic => Definition::of_epsg(4326),
         Named::Ecef => Definition::of_epsg(4978),
     }
+}
+
+/// What the pure part refuses, by PROJ, where this build has it.
+#[cfg(feature = "proj")]
+fn by_proj(named: &Named, refused: CrsError) -> Result<Definition, CrsError> {
+    let found = match named {
+        Named::Epsg(code) => definition::of_proj(&format!("EPSG:{code}")),
+        Named::Wkt(text) => definition::of_proj(text),
+        _ => None,
+    };
+    found.ok_or(refused)
+}
+
+#[cfg(not(feature = "proj"))]
+fn by_proj(_: &Named, refused: CrsError) -> Result<Definition, CrsError> {
+    Err(refused)
 }
 
 /// Heights over a geoid need one, and earth-centred coordinates have no heights.
@@ -239,3 +264,6 @@ fn within_turn(angle_rad: f64) -> f64 {
     }
     angle_rad - TURN_RAD * (angle_rad / TURN_RAD).round()
 }
+
+#[cfg(test)]
+mod tests;

@@ -155,3 +155,115 @@ fn blend(first: f64, next: f64, part: f64) -> f64 {
         first + (next - first) * part
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn grid(south_deg: f64, west_deg: f64, step_deg: f64, rows: usize, columns: usize) -> Grid {
+        let heights_m = (0..rows * columns).map(|place| place as f32).collect();
+        Grid {
+            south_deg,
+            west_deg,
+            latitude_step_deg: step_deg,
+            longitude_step_deg: step_deg,
+            rows,
+            columns,
+            heights_m,
+        }
+    }
+
+    fn geoid(grid: Grid) -> Geoid {
+        Geoid::new("g", grid).unwrap()
+    }
+
+    /// Heights grow by 1 to the east and by 3 to the north of the first value.
+    #[test]
+    fn heights_are_bilinear() {
+        let geoid = geoid(grid(40.0, 10.0, 0.5, 3, 3));
+        for (latitude, longitude, height_m) in
+            [(40.0, 10.0, 0.0), (41.0, 11.0, 8.0), (40.25, 10.0, 1.5), (40.5, 10.75, 4.5), (41.0, 10.0, 6.0)]
+        {
+            assert_eq!(geoid.height_m(latitude, longitude).unwrap(), height_m);
+        }
+    }
+
+    #[test]
+    fn a_turn_of_the_longitude_changes_nothing() {
+        for west_deg in [-60.0, 300.0] {
+            let geoid = geoid(grid(14.0, west_deg, 0.5, 3, 3));
+            for longitude in [-59.25, 300.75] {
+                assert_eq!(geoid.height_m(14.0, longitude).unwrap(), 1.5, "{west_deg} {longitude}");
+            }
+            // A rounding error outside is not outside.
+            assert_eq!(geoid.height_m(14.0 - 1e-13, -60.0 - 1e-13).unwrap(), 0.0);
+            assert_eq!(geoid.height_m(15.0 + 1e-13, -59.0 + 1e-13).unwrap(), 8.0);
+        }
+    }
+
+    #[test]
+    fn a_grid_around_the_earth_is_closed() {
+        let open = geoid(grid(-90.0, 0.0, 90.0, 3, 4));
+        assert_eq!(open.height_m(-90.0, -45.0).unwrap(), 1.5);
+        assert_eq!(open.height_m(90.0, 359.999_999).unwrap().round(), 8.0);
+        // The last column may be the first once more.
+        let mut twice = grid(-90.0, -180.0, 90.0, 3, 5);
+        (0..3).for_each(|row| twice.heights_m[row * 5 + 4] = twice.heights_m[row * 5]);
+        let twice = geoid(twice);
+        assert_eq!(twice.height_m(-90.0, 135.0).unwrap(), 1.5);
+        assert_eq!(twice.height_m(0.0, 180.0).unwrap(), 5.0);
+    }
+
+    #[test]
+    fn points_without_a_height_are_named() {
+        let mut holed = grid(40.0, 10.0, 0.5, 3, 3);
+        holed.heights_m[4] = f32::NAN;
+        let geoid = geoid(holed);
+        let remedy = "give a geoid that covers the survey, or leave it out for heights above the ellipsoid";
+        for (latitude, longitude, problem) in [
+            (39.9, 10.5, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
+            (41.1, 10.5, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
+            (40.5, 9.9, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
+            (40.5, 11.1, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
+            (40.75, 10.75, "lies where it has no value"),
+        ] {
+            assert_eq!(
+                geoid.height_m(latitude, longitude).unwrap_err().to_string(),
+                format!(
+                    "geoid g: the point at latitude {latitude:.6}, longitude {longitude:.6} degrees {problem}; {remedy}"
+                )
+            );
+        }
+        assert!(geoid.height_m(f64::NAN, 10.5).is_err() && geoid.height_m(40.5, f64::NAN).is_err());
+        // On the line between two values, what lies beside it does not matter.
+        assert_eq!(geoid.height_m(40.0, 10.5).unwrap(), 1.0);
+    }
+
+    #[test]
+    fn what_is_no_grid_is_no_geoid() {
+        let whole = grid(40.0, 10.0, 0.5, 3, 3);
+        for damage in [
+            |grid: &mut Grid| grid.rows = 1,
+            |grid: &mut Grid| grid.columns = 4,
+            |grid: &mut Grid| grid.latitude_step_deg = 0.0,
+            |grid: &mut Grid| grid.longitude_step_deg = f64::NAN,
+            |grid: &mut Grid| grid.south_deg = f64::INFINITY,
+            |grid: &mut Grid| grid.rows = usize::MAX,
+        ] {
+            let mut damaged = whole.clone();
+            damage(&mut damaged);
+            assert_eq!(Geoid::new("g", damaged), None);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_point_is_too_strange(latitude in -1e3..1e3, longitude in -1e4..1e4) {
+            let (part, whole) = (geoid(grid(40.0, 10.0, 0.5, 3, 3)), geoid(grid(-90.0, 0.0, 30.0, 7, 12)));
+            prop_assert_eq!(whole.height_m(latitude, longitude).is_ok(), latitude.abs() <= 90.0);
+            let inside = (40.0..=41.0).contains(&latitude) && (10.0..=11.0).contains(&longitude.rem_euclid(360.0));
+            prop_assert_eq!(part.height_m(latitude, longitude).is_ok(), inside);
+        }
+    }
+}

@@ -119,3 +119,91 @@ impl LambertConformal {
 fn isometric(eccentricity: f64, tangent: f64) -> f64 {
     libm::asinh(conformal_tangent(eccentricity, tangent))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::ellipsoid::GRS80;
+    use super::*;
+    use proptest::prelude::*;
+
+    fn map(
+        parallels: [f64; 2],
+        origin: f64,
+        meridian: f64,
+        scale: f64,
+        false_m: [f64; 2],
+    ) -> LambertConformal {
+        let parameters = Parameters {
+            standard_parallels_rad: parallels.map(f64::to_radians),
+            latitude_of_origin_rad: origin.to_radians(),
+            central_meridian_rad: meridian.to_radians(),
+            scale,
+            false_easting_m: false_m[0],
+            false_northing_m: false_m[1],
+        };
+        LambertConformal::new(GRS80, parameters).unwrap()
+    }
+
+    fn france() -> LambertConformal {
+        map([49.0, 44.0], 46.5, 3.0, 1.0, [700_000.0, 6_600_000.0])
+    }
+
+    fn australia() -> LambertConformal {
+        map([-18.0, -36.0], 0.0, 134.0, 1.0, [0.0, 0.0])
+    }
+
+    fn one_parallel() -> LambertConformal {
+        map([45.9, 45.9], 45.9, 2.5, 0.999_877_42, [600_000.0, 2_200_000.0])
+    }
+
+    /// Snyder's formulas in 40 digits.
+    #[test]
+    fn places_have_their_coordinates_on_the_map() {
+        let cases = [
+            (france(), 48.8, 2.3, 648_583.262_125_228_49, 6_855_774.715_696_832_94),
+            (france(), 41.4, 9.5, 1_244_531.122_920_276_36, 6_055_557.061_014_082_62),
+            (france(), 51.0, -4.9, 145_147.920_221_259_31, 7_128_243.551_178_121_54),
+            (australia(), -33.9, 151.2, 1_577_678.253_395_134_64, -3_926_223.221_142_613_18),
+            (australia(), -12.4, 113.9, -2_219_204.950_023_657_93, -1_624_791.529_963_304_32),
+            (australia(), -43.6, 134.0, 0.0, -4_906_328.524_196_950_89),
+            (one_parallel(), 45.9, 2.5, 600_000.0, 2_200_000.0),
+            (one_parallel(), 42.3, -1.7, 253_200.543_452_570_45, 1_808_909.626_506_510_37),
+            (one_parallel(), 49.1, 7.9, 994_612.521_485_960_29, 2_569_280.644_402_324_3),
+        ];
+        for (map, latitude, longitude, easting, northing) in cases {
+            let (x, y) = map.project(f64::to_radians(latitude), f64::to_radians(longitude));
+            assert!(
+                (x - easting).abs() < 1e-8 && (y - northing).abs() < 1e-8,
+                "{x} {y}: {easting} {northing}"
+            );
+        }
+    }
+
+    #[test]
+    fn parallels_without_a_cone_make_no_projection() {
+        for parallels in [[30.0, -30.0], [0.0, 0.0], [90.0, 40.0], [f64::NAN, 3.0], [100.0, 3.0]] {
+            let parameters = Parameters {
+                standard_parallels_rad: parallels.map(f64::to_radians),
+                latitude_of_origin_rad: 0.0,
+                central_meridian_rad: 0.0,
+                scale: 1.0,
+                false_easting_m: 0.0,
+                false_northing_m: 0.0,
+            };
+            assert_eq!(LambertConformal::new(GRS80, parameters), None, "{parallels:?}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn places_come_back(latitude in 0.1..1.4f64, longitude in -1.0..1.0f64) {
+            for (map, sign) in [(france(), 1.0f64), (australia(), -1.0), (one_parallel(), 1.0)] {
+                let longitude = map.central_meridian_rad + longitude;
+                let (x, y) = map.project(sign * latitude, longitude);
+                let (back, along) = map.unproject(x, y);
+                prop_assert!((back - sign * latitude).abs() * 6.4e6 < 1e-8, "{} m", (back - sign * latitude) * 6.4e6);
+                prop_assert!((along - longitude).abs() * 6.4e6 < 1e-8, "{} m", (along - longitude) * 6.4e6);
+            }
+        }
+    }
+}

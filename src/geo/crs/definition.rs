@@ -34,6 +34,9 @@ pub(super) enum Method {
     Lambert(lambert::Parameters),
     /// Anything else, as a PROJ string in metres without a datum.
     Other(String),
+    /// By PROJ itself, in the system's own unit.
+    #[cfg(feature = "proj")]
+    Foreign(String),
 }
 
 /// Words of the horizontal part, in either version of well-known text.
@@ -97,6 +100,21 @@ impl Definition {
         };
         Ok(Definition { epsg: own, method, ellipsoid, unit, horizontal, vertical, name })
     }
+}
+
+/// The projected system that PROJ understands by these words: `EPSG:27700`, or well-known text.
+#[cfg(feature = "proj")]
+pub(super) fn of_proj(words: &str) -> Option<Definition> {
+    let tree = Node::parse(&super::proj::Foreign::new(words)?.wkt()?).ok()?;
+    let horizontal = tree.find(&PROJECTED)?.clone();
+    let unit = unit_node(&horizontal)?;
+    let unit = Unit::of_metres(unit.name().unwrap_or("unit"), unit.value(1).filter(|metres| *metres > 0.0)?);
+    let epsg = horizontal.epsg();
+    let title = horizontal.name().unwrap_or("a system without a name");
+    let name = epsg.map_or(title.to_string(), |code| format!("EPSG:{code} ({title})"));
+    let vertical = tree.find(&VERTICAL).cloned();
+    let method = Method::Foreign(words.into());
+    Some(Definition { name, epsg, method, ellipsoid: WGS84, unit, horizontal, vertical })
 }
 
 /// The PROJ string that the text holds, as GDAL adds it where WKT 1 has no words, else one made of the text.

@@ -87,6 +87,9 @@ fn generated(definition: &Definition, unit: &Unit) -> Node {
             }
         },
         Method::Other(text) => projected("custom_proj4", &[]).with(extension(text, unit)),
+        // PROJ has given it as WKT 1 already.
+        #[cfg(feature = "proj")]
+        Method::Foreign(_) => definition.horizontal.clone(),
     }
 }
 
@@ -180,7 +183,11 @@ fn datum(definition: &Definition) -> Node {
     let name = source.and_then(Node::name).unwrap_or("unknown");
     let name = match name.trim_end_matches(" ensemble") {
         "World Geodetic System 1984" => "WGS_1984".to_string(),
-        name => name.replace(' ', "_"),
+        // As GDAL writes names: what is no letter, digit or plus sign becomes one underscore.
+        name => {
+            let words = name.split(|c: char| !(c.is_alphanumeric() || c == '+'));
+            words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_")
+        }
     };
     let figure = definition.horizontal.find(&ELLIPSOID).and_then(Node::name);
     let (inverse_flattening, code) =

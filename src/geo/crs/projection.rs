@@ -23,6 +23,8 @@ pub(super) enum Projection {
     TransverseMercator(TransverseMercator),
     Lambert(LambertConformal),
     Other(Box<Other>),
+    #[cfg(feature = "proj")]
+    Foreign(super::proj::Foreign),
 }
 
 impl Projection {
@@ -44,14 +46,21 @@ impl Projection {
                     projection.ok_or_else(|| unsupported("its standard parallels make no cone".into()))?,
                 )
             }
+            #[cfg(feature = "proj")]
+            Method::Foreign(text) => Projection::Foreign(
+                super::proj::Foreign::new(text)
+                    .ok_or_else(|| unsupported("PROJ knows no way there from WGS 84".into()))?,
+            ),
             Method::Other(text) => Projection::Other(Box::new(
                 Other::new(text).map_err(|problem| unsupported(format!("its projection: {problem}")))?,
             )),
         })
     }
 
-    /// Easting and northing, m, or longitude and latitude, degrees; `None` where there is no such point.
-    pub fn project(&self, normal: &Normal) -> Option<[f64; 2]> {
+    /// Easting and northing, m, or longitude and latitude, degrees, of a place at a height, m; `None` where there is no
+    /// such point.
+    #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
+    pub fn project(&self, normal: &Normal, height_m: f64) -> Option<[f64; 2]> {
         let (x, y) = match self {
             Projection::Geodetic | Projection::Ecef => {
                 let (latitude_rad, longitude_rad) = normal.angles_rad();
@@ -63,12 +72,18 @@ impl Projection {
             }
             Projection::Lambert(map) => map.project_normal(normal),
             Projection::Other(map) => map.project(normal)?,
+            #[cfg(feature = "proj")]
+            Projection::Foreign(map) => {
+                let (latitude_rad, longitude_rad) = normal.angles_rad();
+                return map.project(longitude_rad.to_degrees(), latitude_rad.to_degrees(), height_m);
+            }
         };
         (x.abs() < FARTHEST_M && y.abs() < FARTHEST_M).then_some([x, y])
     }
 
     /// The inverse of [`Projection::project`]: latitude and longitude, rad.
-    pub fn unproject(&self, [x, y]: [f64; 2]) -> Option<(f64, f64)> {
+    #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
+    pub fn unproject(&self, [x, y]: [f64; 2], height_m: f64) -> Option<(f64, f64)> {
         if !(x.abs() < FARTHEST_M && y.abs() < FARTHEST_M) {
             return None;
         }
@@ -78,6 +93,11 @@ impl Projection {
             Projection::TransverseMercator(_) => return None,
             Projection::Lambert(map) => map.unproject(x, y),
             Projection::Other(map) => map.unproject(x, y)?,
+            #[cfg(feature = "proj")]
+            Projection::Foreign(map) => {
+                let [longitude_deg, latitude_deg] = map.unproject(x, y, height_m)?;
+                (latitude_deg.to_radians(), longitude_deg.to_radians())
+            }
         };
         let sound = latitude_rad.abs() <= 1.5708 && longitude_rad.is_finite();
         sound.then_some((latitude_rad, longitude_rad))
