@@ -6,7 +6,9 @@
     reason = "a test fails by panicking, and tells its figures"
 )]
 
+mod chain;
 mod coordinates;
 mod flights;
 mod made;
 mod times;
+mod uncertainty;
