@@ -106,7 +106,7 @@ fn points_are_off_by_what_their_ranges_are() {
 fn echoes_have_the_pose_of_their_own_shot() {
     let flight = fly(&format!(
         "landscape = 'country'\nlines = 48\nshots_per_line = 240\npulse_rate_hz = 400000\nmodulation_ns = 15\n\
-         flying_height_m = 1500\nas_recorded = true\n{INSTALLED}{SWAYING}"
+         flying_height_m = 1500\nas_recorded = true\nresponse = 'gaussian'\n{INSTALLED}{SWAYING}"
     ));
     process(&flight, 2, GEOMETRY, "[[stage]]\ntype = 'resolve_mta'\n");
     let found = returns(flight.folder());
@@ -123,7 +123,7 @@ fn echoes_have_the_pose_of_their_own_shot() {
 fn a_terrain_model_in_the_points_map_resolves_a_constant_rate() {
     let flight = fly(&format!(
         "lines = 30\nshots_per_line = 200\npulse_rate_hz = 400000\nflying_height_m = 1500\nas_recorded = true\n\
-         canopy_height_m = 0.0\n{INSTALLED}{SWAYING}"
+         canopy_height_m = 0.0\nresponse = 'gaussian'\n{INSTALLED}{SWAYING}"
     ));
     // Level ground at 400 m all around.
     let level = "400 ".repeat(41);
@@ -150,7 +150,7 @@ fn the_bytes_do_not_depend_on_the_threads() {
 /// What the LAS file says of its coordinates, and the height above ground of each line.
 #[test]
 fn files_tell_coordinates_and_height_above_ground() {
-    let flight = fly(&format!("lines = 20\nshots_per_line = 100\nbuilding_height_m = 0\ncanopy_height_m = 0\n{SWAYING}"));
+    let flight = fly(&format!("lines = 20\nshots_per_line = 100\nbuilding_height_m = 0\ncanopy_height_m = 0\nresponse = 'gaussian'\n{SWAYING}"));
     process(&flight, 1, "trajectory = 'a.pof'\n", "");
     let las = std::fs::read(flight.path("a.las")).unwrap();
     let text = String::from_utf8_lossy(&las);

@@ -54,7 +54,9 @@ fn total_uncertainty_is_what_points_are_off_by() {
     disturb(&flight);
     process(&flight, 2, "trajectory = '*.out'\ntrajectory_accuracy = 'smrmsg_*.out'\n", "");
     let found = returns(flight.folder());
-    let pairs = pairs(&flight, &found);
+    // A second return where the truth has one is another matter than the place of the first.
+    let mut pairs = pairs(&flight, &found);
+    pairs.retain(|(found, _)| found.number_of_returns == 1);
     assert!(pairs.len() > 7500, "{}", pairs.len());
     let squares = pairs.iter().map(|(found, truth)| {
         (distance_m(found.point_m, truth.point_m) / found.total_uncertainty_m).powi(2)

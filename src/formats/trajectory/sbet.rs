@@ -123,7 +123,7 @@ pub(super) fn is_one(head: &[u8]) -> bool {
     use core::f64::consts::{FRAC_PI_2, TAU};
     let Some(record) = head.first_chunk().map(SbetRecord::decode) else { return false };
     // Texts, and other bytes at random, make numbers that are next to nothing.
-    let is_within = |value: f64, most: f64| value == 0.0 || (1e-15..=most).contains(&value.abs());
+    let is_within = |value: f64, most: f64| value == 0.0 || (1e-30..=most).contains(&value.abs());
     let angles = [record.longitude_rad, record.roll_rad, record.pitch_rad];
     let headings = [record.platform_heading_rad, record.wander_angle_rad];
     let rest = [record.velocity_mps, record.acceleration_mps2, record.angular_rate_rad_per_s];
