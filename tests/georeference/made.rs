@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use wavex::batch::{Batch, Content, Emission, InputInfo, LineStats, Return, ReturnChannel, TimeScale};
+use wavex::batch::{Batch, Content, Emission, Frame, InputInfo, LineStats, Return, ReturnChannel, TimeScale};
 use wavex::engine::{self, Options, RunReport};
 use wavex::geo::frames::{IDENTITY, Rotation, rotate};
 use wavex::geometry::posed::Posed;
@@ -32,6 +32,8 @@ enum Unsaid {
     Times,
     /// What they count from.
     Scale,
+    /// That its frame is the scanner's and not the aircraft's.
+    Scanner,
 }
 
 /// A true return.
@@ -102,6 +104,11 @@ impl Flight {
         Flight { unsaid: Unsaid::Scale, ..self }
     }
 
+    /// The same, in the aircraft's axes, which are the scanner's.
+    pub fn in_body(self) -> Flight {
+        Flight { unsaid: Unsaid::Scanner, ..self }
+    }
+
     /// The recording with its poses, then the stage with true ranges in place of those that `decompose` finds: what comes
     /// out is off by georeferencing alone. `measured` says what range was measured of a true one.
     pub fn place(&self, geometry: &str, measured: impl Fn(&Truth) -> f64) -> Result<Placed, String> {
@@ -154,8 +161,14 @@ impl Source for Changed {
                 emission.gps_time_s = f64::NAN;
             }
         }
-        if let (Some(batch), Unsaid::Scale) = (&mut next, self.unsaid) {
-            batch.input = Arc::new(InputInfo { time_scale: TimeScale::Unknown, ..InputInfo::clone(&batch.input) });
+        if let Some(batch) = &mut next {
+            let mut input = InputInfo::clone(&batch.input);
+            match self.unsaid {
+                Unsaid::Scale => input.time_scale = TimeScale::Unknown,
+                Unsaid::Scanner => input.frame = Frame::Body,
+                Unsaid::Nothing | Unsaid::Times => return Ok(next),
+            }
+            batch.input = Arc::new(input);
         }
         Ok(next)
     }

@@ -8,6 +8,7 @@
 
 mod chain;
 mod coordinates;
+mod elsewhere;
 mod flights;
 mod made;
 mod times;
