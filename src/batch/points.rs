@@ -26,6 +26,9 @@ pub struct Return {
     pub range_m: f64,
     /// Standard deviation of `range_m`, m.
     pub range_sd_m: f64,
+    /// Standard deviation of the point's place: the square root of the trace of its covariance, m; NaN where unknown, as
+    /// before `georeference`.
+    pub total_sd_m: f64,
     /// Height of the fitted pulse's peak above the background, digitiser steps.
     pub amplitude_dn: f64,
     /// Standard deviation of `amplitude_dn`, digitiser steps.

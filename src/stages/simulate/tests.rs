@@ -338,6 +338,7 @@ fn site(folder: &std::path::Path) -> Site {
         output_dir: folder.to_path_buf(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::best(),
+        geometry: Default::default(),
     }
 }
 

@@ -1,0 +1,652 @@
+use core::f64::consts::TAU;
+use std::fs;
+
+use super::pof::{PofHeader, PofRecord};
+use super::sbet::SbetRecord;
+use super::*;
+use crate::geo::time::WEEK_S;
+use crate::geo::time_axis::DAY_S;
+use crate::geo::transverse_mercator::{Parameters, TransverseMercator};
+
+/// The date of the flights, a Tuesday, and its midnight.
+const DATE: [u16; 3] = [2025, 5, 6];
+const MIDNIGHT_S: f64 = 2365.0 * WEEK_S + 2.0 * DAY_S - 1e9;
+
+/// A flight with records every 0.5 s from this time on.
+fn flight(first_s: f64, records: u32) -> Vec<Sample> {
+    let sample = |k: u32| {
+        let since_s = 0.5 * f64::from(k);
+        let place = Geodetic {
+            latitude_rad: 0.83 + 1e-5 * since_s,
+            longitude_rad: 0.21 - 2e-5 * since_s,
+            height_m: 900.0 + (0.3 * since_s).sin(),
+        };
+        let attitude = Attitude {
+            roll_rad: 0.05 * since_s.sin(),
+            pitch_rad: 0.03 * since_s.cos(),
+            heading_rad: -1.1 + 0.01 * since_s,
+        };
+        Sample { time_s: first_s + since_s, place, attitude }
+    };
+    (0..records).map(sample).collect()
+}
+
+fn sbet(samples: &[Sample], clock: impl Fn(f64) -> f64) -> Vec<u8> {
+    let record = |sample: &Sample| {
+        let record = SbetRecord {
+            time_s: clock(sample.time_s),
+            latitude_rad: sample.place.latitude_rad,
+            longitude_rad: sample.place.longitude_rad,
+            height_m: sample.place.height_m,
+            roll_rad: sample.attitude.roll_rad,
+            pitch_rad: sample.attitude.pitch_rad,
+            platform_heading_rad: sample.attitude.heading_rad + 0.25,
+            wander_angle_rad: 0.25,
+            ..SbetRecord::default()
+        };
+        record.encode()
+    };
+    samples.iter().flat_map(record).collect()
+}
+
+fn pof(samples: &[Sample], time_unit: u8, time_info: u8, clock: impl Fn(f64) -> f64) -> Vec<u8> {
+    let records = samples.len() as i64;
+    let header = PofHeader { date: DATE, records, time_unit, time_info, ..PofHeader::default() };
+    let record = |sample: &Sample| {
+        let record = PofRecord {
+            time_s: clock(sample.time_s),
+            longitude_deg: sample.place.longitude_rad.to_degrees(),
+            latitude_deg: sample.place.latitude_rad.to_degrees(),
+            altitude_m: sample.place.height_m,
+            roll_deg: sample.attitude.roll_rad.to_degrees(),
+            pitch_deg: sample.attitude.pitch_rad.to_degrees(),
+            yaw_deg: sample.attitude.heading_rad.to_degrees(),
+            distance_m: 7.0,
+        };
+        record.encode()
+    };
+    header.encode().into_iter().chain(samples.iter().flat_map(record)).collect()
+}
+
+fn sol(samples: &[Sample]) -> Vec<u8> {
+    let record = |sample: &Sample| {
+        let since_1980_s = sample.time_s + 1e9;
+        let week = (since_1980_s / WEEK_S).floor();
+        sol::tests::made(week as u16, since_1980_s - week * WEEK_S, sample)
+    };
+    samples.iter().flat_map(record).collect()
+}
+
+fn utm33() -> TransverseMercator {
+    TransverseMercator::new(WGS84, Parameters::utm(33, true))
+}
+
+fn unproject(place: [f64; 3]) -> std::result::Result<Geodetic, String> {
+    let (latitude_rad, longitude_rad) = utm33().unproject(place[0], place[1]);
+    Ok(Geodetic { latitude_rad, longitude_rad, height_m: place[2] })
+}
+
+/// The angle from the grid's north to true north is that of a meridian's way through the map.
+fn trj(samples: &[Sample], clock: impl Fn(f64) -> f64) -> Vec<u8> {
+    let map = utm33();
+    let sample = |sample: &Sample| {
+        let Geodetic { latitude_rad, longitude_rad, height_m } = sample.place;
+        let (x, y) = map.project(latitude_rad, longitude_rad);
+        let [(east, north), (west, south)] =
+            [1e-6, -1e-6].map(|step_rad| map.project(latitude_rad + step_rad, longitude_rad));
+        let convergence_rad = (east - west).atan2(north - south);
+        let heading_rad = sample.attitude.heading_rad + convergence_rad;
+        let attitude = Attitude { heading_rad, ..sample.attitude };
+        MapSample { time_s: clock(sample.time_s), place: [x, y, height_m], attitude }
+    };
+    trj::tests::made(&samples.iter().map(sample).collect::<Vec<_>>())
+}
+
+fn text(samples: &[Sample], clock: impl Fn(f64) -> f64) -> Vec<u8> {
+    let mut text = "Time Latitude Longitude Height\n(s) (deg) (deg) (m)\n\n".to_owned();
+    for Sample { time_s, place, attitude } in samples {
+        let angles = [attitude.roll_rad, attitude.pitch_rad, attitude.heading_rad].map(f64::to_degrees);
+        let [longitude, latitude] = [place.longitude_rad, place.latitude_rad].map(f64::to_degrees);
+        let [roll, pitch, heading] = angles;
+        let time_s = clock(*time_s);
+        text += &format!("{time_s} {latitude} {longitude} ok {} {roll} {pitch} {heading}\n", place.height_m);
+    }
+    text.into_bytes()
+}
+
+/// Files in a folder of their own, whose name is left out of messages.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn with(files: &[(&str, &[u8])]) -> Folder {
+        let folder = Folder(tempfile::tempdir().unwrap());
+        files.iter().for_each(|(name, bytes)| fs::write(folder.path(name), bytes).unwrap());
+        folder
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn read(&self, name: &str, options: &Options) -> std::result::Result<Recorded, String> {
+        read(&self.path(name), options).map_err(|error| self.told(&error))
+    }
+
+    fn told(&self, error: &Error) -> String {
+        error.to_string().replace(&format!("{}/", self.0.path().display()), "")
+    }
+
+    /// The trajectory of a file, which must be one.
+    fn flown(&self, name: &str, options: &Options) -> Trajectory {
+        self.read(name, options).unwrap().into_trajectory(Some(&unproject)).unwrap()
+    }
+}
+
+fn columns(columns: &str) -> Options {
+    Options { columns: Some(columns.to_owned()), ..Options::default() }
+}
+
+fn read_bytes(bytes: &[u8], options: &Options) -> std::result::Result<Recorded, String> {
+    Folder::with(&[("t.dat", bytes)]).read("t.dat", options)
+}
+
+fn week(time_s: f64) -> f64 {
+    (time_s + 1e9).rem_euclid(WEEK_S)
+}
+
+fn day(time_s: f64) -> f64 {
+    (time_s + 1e9).rem_euclid(DAY_S)
+}
+
+/// Largest differences of place, m, and of attitude, rad, at the records of a flight.
+fn apart(trajectory: &Trajectory, flight: &[Sample], shift_s: f64) -> [f64; 2] {
+    let mut worst = [0.0f64; 2];
+    for sample in flight {
+        let pose = trajectory.pose(sample.time_s + shift_s).unwrap();
+        let truth =
+            Trajectory::new(vec![*sample, Sample { time_s: sample.time_s + 1.0, ..*sample }]).unwrap();
+        let truth = truth.pose(sample.time_s).unwrap();
+        let place = pose.origin_in_ecef_m.iter().zip(truth.origin_in_ecef_m);
+        let turn = pose.ecef_from_body.as_flattened().iter().zip(truth.ecef_from_body.as_flattened());
+        worst[0] = place.map(|(a, b)| (a - b).abs()).fold(worst[0], f64::max);
+        worst[1] = turn.map(|(a, b)| (a - b).abs()).fold(worst[1], f64::max);
+    }
+    worst
+}
+
+#[test]
+fn the_two_records_of_pdal() {
+    let Some(data) = std::env::var_os("WAVEX_DATA").map(PathBuf::from) else {
+        println!("skipped: WAVEX_DATA not set");
+        return;
+    };
+    let recorded = read(&data.join("trajectory/pdal_2-points.sbet"), &Options::default()).unwrap();
+    assert_eq!((recorded.format.as_str(), recorded.clock), ("SBET", Clock::Week));
+    assert_eq!(recorded.counts, "seconds of the week, GPS");
+    let Records::Geodetic(samples) = &recorded.records else { panic!("{recorded:?}") };
+    // Time, latitude, longitude, height, roll and pitch as PDAL's reader of SBET gives them; heading less wander angle.
+    let told = samples.iter().map(|sample| {
+        let Sample { time_s, place, attitude } = sample;
+        let place = [place.latitude_rad, place.longitude_rad, place.height_m];
+        (*time_s, place, [attitude.roll_rad, attitude.pitch_rad])
+    });
+    let expected = [
+        (
+            151_631.002_836_070_95,
+            [0.568_021_185_297_226_4, -2.041_654_392_303_94, 107.715_295_329_656_04],
+            [-0.028_134_071_493_213_387, -0.024_299_053_938_891_393],
+        ),
+        (
+            151_631.007_831_864_06,
+            [0.568_021_183_472_286_9, -2.041_654_392_034_052_6, 107.715_142_435_750_72],
+            [-0.028_138_566_314_230_94, -0.024_252_156_693_921_688],
+        ),
+    ];
+    assert_eq!(told.collect::<Vec<_>>(), expected);
+    let headings = [
+        3.046_773_230_278_662_3 + 0.021_984_147_369_226_575,
+        3.047_131_105_236_810_6 + 0.021_984_160_079_321_084,
+    ];
+    assert_eq!([samples[0].attitude.heading_rad, samples[1].attitude.heading_rad], headings);
+    // It flew south at 2.4 m/s, as its velocities say.
+    let trajectory = recorded.into_trajectory(None).unwrap();
+    let [a, b] = trajectory
+        .span_s()
+        .map(|time_s| WGS84.geodetic_of(trajectory.pose(time_s).unwrap().origin_in_ecef_m));
+    let south_mps =
+        (a.latitude_rad - b.latitude_rad) * 6.36e6 / (trajectory.span_s()[1] - trajectory.span_s()[0]);
+    assert!((south_mps - 2.33).abs() < 0.05, "{south_mps}");
+}
+
+/// The same flight in all formats, told by content alone.
+#[test]
+fn every_format_tells_the_same_flight() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 40);
+    let files: [(&str, Vec<u8>, Clock); 6] = [
+        ("SBET", sbet(&samples, week), Clock::Week),
+        ("POF 1.1", pof(&samples, 2, 0, week), Clock::Adjusted),
+        ("POF 1.1", pof(&samples, 1, 0, day), Clock::Adjusted),
+        ("SOL", sol(&samples), Clock::Adjusted),
+        ("TRJ", trj(&samples, week), Clock::Week),
+        ("text", text(&samples, week), Clock::Week),
+    ];
+    for (format, bytes, clock) in files {
+        let folder = Folder::with(&[("misleading.las", &bytes)]);
+        let recorded = folder.read("misleading.las", &columns("tyx_zwpk")).unwrap();
+        assert_eq!((recorded.format.as_str(), recorded.clock, recorded.records.len()), (format, clock, 40));
+        assert_eq!(recorded.notes, Vec::<String>::new(), "{format}");
+        let shift_s = recorded.times().first_s - samples[0].time_s;
+        assert_eq!(
+            shift_s,
+            if clock == Clock::Week { 208_800.0 - samples[0].time_s } else { 0.0 },
+            "{format}"
+        );
+        let [place_m, turn] = apart(&recorded.into_trajectory(Some(&unproject)).unwrap(), &samples, shift_s);
+        assert!(place_m < 2e-8 && turn < 1e-9, "{format}: {place_m} m, {turn} rad");
+    }
+}
+
+/// The heading of a TRJ counts from the grid's north: 2.2 degrees of convergence at 12 E in zone 33.
+#[test]
+fn the_grids_north_is_not_true_north() {
+    let samples = flight(100.0, 2);
+    let trajectory = Folder::with(&[("t", &trj(&samples, |t| t))]).flown("t", &Options::default());
+    let heading_rad = trajectory.samples()[0].attitude.heading_rad;
+    assert!((heading_rad + 1.1).abs() < 1e-9, "{heading_rad}");
+    let Records::Projected(map) = read_bytes(&trj(&samples, |t| t), &Options::default()).unwrap().records
+    else {
+        panic!("a TRJ is projected");
+    };
+    assert!((map[0].attitude.heading_rad + 1.1).abs().to_degrees() > 2.0);
+}
+
+#[test]
+fn flights_cross_the_end_of_the_week_and_midnight() {
+    let sunday_s = 2366.0 * WEEK_S - 1e9;
+    let samples = flight(sunday_s - 5.0, 40);
+    let files: [(&str, Vec<u8>, Clock, f64); 5] = [
+        ("SBET that begins anew", sbet(&samples, week), Clock::Week, 604_795.0),
+        (
+            "SBET that counts on",
+            sbet(&samples, |t| week(sunday_s - 5.0) + t - sunday_s + 5.0),
+            Clock::Week,
+            604_795.0,
+        ),
+        ("SOL", sol(&samples), Clock::Adjusted, sunday_s - 5.0),
+        ("text of day seconds", text(&samples, day), Clock::Day, 86_395.0),
+        ("TRJ of adjusted seconds", trj(&samples, |t| t), Clock::Adjusted, sunday_s - 5.0),
+    ];
+    for (name, bytes, clock, first_s) in files {
+        let time = (clock == Clock::Day).then_some(Clock::Day);
+        let recorded = read_bytes(&bytes, &Options { time, ..columns("tyx_zwpk") }).unwrap();
+        let times = recorded.times();
+        assert_eq!((times.clock, times.first_s, times.last_s), (clock, first_s, first_s + 19.5), "{name}");
+        let shift_s = first_s - samples[0].time_s;
+        let [place_m, _] = apart(&recorded.into_trajectory(Some(&unproject)).unwrap(), &samples, shift_s);
+        assert!(place_m < 2e-8, "{name}: {place_m} m");
+    }
+}
+
+#[test]
+fn a_pof_in_utc_becomes_gps() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 4);
+    for (unit, utc) in [(1, day(36_000.0 + MIDNIGHT_S) - 18.0), (2, 208_800.0 - 18.0)] {
+        let bytes = pof(&samples, unit, 1, |t| t - samples[0].time_s + utc);
+        let recorded = read_bytes(&bytes, &Options::default()).unwrap();
+        assert_eq!(recorded.times().first_s, MIDNIGHT_S + 36_000.0);
+        let unit = if unit == 1 { "day" } else { "week" };
+        assert_eq!(recorded.counts, format!("seconds of the {unit}, UTC (18 s less than GPS), 2025-05-06"));
+    }
+    let unknown = read_bytes(&pof(&samples, 2, 2, week), &Options::default()).unwrap();
+    assert_eq!(
+        unknown.notes,
+        ["the header does not say whether times are GPS or UTC: they are taken as GPS"]
+    );
+}
+
+#[test]
+fn a_pof_says_less_than_it_should() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 4);
+    // No date, and a count of nothing.
+    let mut bytes = pof(&samples, 2, 0, week);
+    bytes[35..49].fill(0);
+    let recorded = read_bytes(&bytes, &Options::default()).unwrap();
+    assert_eq!(
+        (recorded.clock, recorded.records.len(), recorded.times().first_s),
+        (Clock::Week, 4, 208_800.0)
+    );
+    assert_eq!(
+        recorded.notes,
+        [
+            "the header counts 0 records: all are read to the end of the file",
+            "the header's date is none: week and day are not known"
+        ]
+    );
+    // UTC without a date.
+    bytes[122] = 1;
+    assert_eq!(
+        read_bytes(&bytes, &Options::default()).unwrap_err(),
+        "t.dat: its times are UTC, and without a date the leap seconds are not known; export it with its date, or in GPS time"
+    );
+    // A unit that is none, which the user tells; a count of fewer than there are.
+    let mut bytes = pof(&samples, 9, 0, day);
+    bytes[41] = 3;
+    let recorded = read_bytes(&bytes, &Options { time: Some(Clock::Day), ..Options::default() }).unwrap();
+    assert_eq!((recorded.times().first_s, recorded.records.len()), (MIDNIGHT_S + 36_000.0, 3));
+    assert_eq!(recorded.notes, ["1 records behind the 3 that the header counts are not read"]);
+    // Version 1.0 has no distance.
+    let mut bytes = pof(&samples, 2, 0, week);
+    bytes[29] = 0;
+    let records = bytes.split_off(pof::HEADER_BYTES);
+    bytes.extend(records.chunks(64).flat_map(|record| &record[..56]));
+    let recorded = read_bytes(&bytes, &Options::default()).unwrap();
+    assert_eq!((recorded.format.as_str(), recorded.records.len()), ("POF 1.0", 4));
+}
+
+#[test]
+fn what_the_user_says_of_times_wins() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 4);
+    let recorded = read_bytes(&sbet(&samples, |t| t), &Options::default()).unwrap();
+    assert_eq!(recorded.clock, Clock::Adjusted);
+    assert_eq!(
+        recorded.notes,
+        ["times are too large for seconds of the week: they are read as adjusted GPS seconds"]
+    );
+    let adjusted = Options { time: Some(Clock::Adjusted), ..Options::default() };
+    let recorded = read_bytes(&pof(&samples, 2, 0, |t| t), &adjusted).unwrap();
+    assert_eq!(recorded.times().first_s, samples[0].time_s);
+    assert_eq!(
+        recorded.notes,
+        ["the file says that times are seconds of the week; they are read as adjusted GPS seconds"]
+    );
+    let told =
+        |bytes: Vec<u8>, time| read_bytes(&bytes, &Options { time, ..Options::default() }).unwrap_err();
+    assert_eq!(
+        told(sbet(&samples, week), Some(Clock::Day)),
+        "t.dat: its times, from 208800.000 to 208801.500 s, are no seconds of the day; say with `trajectory_time` what \
+         they count: week, day or adjusted"
+    );
+    assert_eq!(
+        told(sbet(&samples, |t| t + 1e9), None),
+        "t.dat: its times, from 1430560800.000 to 1430560801.500 s, are no adjusted GPS seconds; say with `trajectory_time` \
+         what they count: week, day or adjusted"
+    );
+}
+
+#[test]
+fn accuracies_come_from_their_companions() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 40);
+    let poq = poq::tests::made(&[208_800.0, 208_801.0, 208_819.0]);
+    let smrmsg = smrmsg::tests::made(&[208_800.0, 208_830.0]);
+    let folder = Folder::with(&[
+        ("a.pof", &pof(&samples, 2, 0, week)),
+        ("a.poq", &poq),
+        ("b.sol", &sol(&samples)),
+        ("c.sbet", &sbet(&samples, week)),
+        ("smrmsg_c.out", &smrmsg),
+    ]);
+    let at = |trajectory: &Trajectory, since_s: f64| {
+        trajectory.pose(trajectory.span_s()[0] + since_s).unwrap().accuracy
+    };
+    let beside = folder.flown("a.pof", &Options::default());
+    assert_eq!(at(&beside, 5.0).unwrap().position_sd_m, [1.0, 2.0, 3.0]);
+    assert_eq!(at(&beside, 19.25), None, "the POQ ends before");
+    let given = Options { accuracy: Some(folder.path("smrmsg_c.out")), ..Options::default() };
+    for name in ["b.sol", "c.sbet"] {
+        assert_eq!(folder.flown(name, &Options::default()).pose(0.0), None);
+        assert_eq!(at(&folder.flown(name, &given), 19.0).unwrap().position_sd_m, [0.01, 0.02, 0.03]);
+    }
+}
+
+#[test]
+fn companions_of_something_else_are_refused() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 4);
+    let mut twice = smrmsg::tests::made(&[208_800.0, 208_800.0]);
+    twice.truncate(160);
+    let folder = Folder::with(&[
+        ("a.pof", &pof(&samples, 2, 0, week)),
+        ("a.poq", &poq::tests::made(&[1.0, 2.0])),
+        ("b.sbet", &sbet(&samples, week)),
+        ("twice.out", &twice),
+    ]);
+    assert_eq!(
+        folder.read("a.pof", &Options::default()).unwrap_err(),
+        "a.poq: its accuracies last from Sunday 00:00:01.0 to 00:00:02.0 GPS (1.0 to 2.0 s of the week), the trajectory from \
+         2025-05-06 10:00:00.0 to 10:00:01.5 GPS (430560800.0 to 430560801.5 s, adjusted); give the accuracies of this \
+         trajectory"
+    );
+    let with = |name: &str| Options { accuracy: Some(folder.path(name)), ..Options::default() };
+    assert_eq!(
+        folder.read("b.sbet", &with("b.sbet")).unwrap_err(),
+        "b.sbet: it holds no accuracies: it is neither a POQ nor records of ten numbers (smrmsg); give the .poq beside the \
+         POF, or the smrmsg_*.out beside the SBET"
+    );
+    let error = folder.read("b.sbet", &with("twice.out")).unwrap().into_trajectory(None).unwrap_err();
+    assert_eq!(
+        folder.told(&error),
+        "b.sbet: its accuracies: records 1 and 2 have the same time 208800 s; keep one record of each time"
+    );
+}
+
+#[test]
+fn files_of_other_formats_are_refused() {
+    let nothing = Options::default();
+    assert_eq!(
+        read_bytes(b"LASF\0\0\0\0 and so on", &nothing).unwrap_err(),
+        "t.dat: it is no trajectory that wavex knows: its 18 bytes do not begin with `RIEGL POSITION&ORIENTATION` (POF) or \
+         `TSCANTRJ` (TRJ), byte 34 is not the exclusive or of those before (SOL), bytes 8 to 23 are no latitude and longitude \
+         in radians (SBET), and it is no text; export the trajectory as one of these, with positions in degrees or radians and \
+         attitude"
+    );
+    assert_eq!(
+        read_bytes(&poq::tests::made(&[1.0]), &nothing).unwrap_err(),
+        "t.dat: it is a POQ, which holds only accuracies; give the POF beside it; the POQ is found there"
+    );
+    assert_eq!(
+        read_bytes(b"GPSTime,Lat,Lon\n1,2,3\n", &nothing).unwrap_err(),
+        "t.dat: it is a text, and nothing says what its columns are; it begins with `GPSTime,Lat,Lon`; say it with \
+         `trajectory_columns`, such as `txyzwpk`: time, longitude, latitude, height, roll, pitch, heading; any other letter \
+         passes over a column"
+    );
+    let folder = Folder::with(&[]);
+    assert_eq!(
+        folder.read("none.sbet", &nothing).unwrap_err(),
+        "none.sbet: cannot open: No such file or directory (os error 2); check the path"
+    );
+}
+
+#[test]
+fn texts_that_are_no_trajectory_are_refused() {
+    let told = |text: &str, letters: &str| read_bytes(text.as_bytes(), &columns(letters)).unwrap_err();
+    let rows = "head\n1 11 48 500 0 0 90\n";
+    let cases = [
+        (
+            told(rows, "txyz"),
+            "t.dat: `trajectory_columns` is `txyz`, without a roll (w); name time t, longitude x, latitude y, height z, roll \
+             w, pitch p and heading k",
+        ),
+        (
+            told(rows, "txyzwpkx"),
+            "t.dat: `trajectory_columns` is `txyzwpkx`, with two of longitude (x); name time t, longitude x, latitude y, \
+             height z, roll w, pitch p and heading k",
+        ),
+        (
+            told(&format!("{rows}2 11 48 500 0 x 90\n"), "txyzwpk"),
+            "t.dat: byte 24: line 3: the pitch (column 6) is `x`; check `trajectory_columns`",
+        ),
+        (
+            told(&format!("{rows}2 11 48 500\n"), "txyzwpk"),
+            "t.dat: byte 24: line 3: there are 4 columns, and the roll is number 5; check `trajectory_columns`",
+        ),
+        (
+            told("a\nb c\n", "txyzwpk"),
+            "t.dat: none of its 2 lines has numbers in all columns of `txyzwpk`: in the last, the time (column 1) is `b`; \
+             check `trajectory_columns`",
+        ),
+        (
+            told("1 320000 5300000 500 0 0 90\n", "txyzwpk"),
+            "t.dat: byte 0: latitude of line 1: 5300000 is none in degrees; give geodetic positions, and check \
+             `trajectory_columns`",
+        ),
+        (
+            told(&format!("1 {}\n", "9".repeat(70_000)), "txyzwpk"),
+            "t.dat: byte 0: line: it is longer than 65536 bytes; give a table with a line per record",
+        ),
+        (
+            told("1 11 48 5e7 0 0 90\n", "txyzwpk"),
+            "t.dat: byte 0: height of record 1: 50000000.000000 is none; the file is damaged, or its positions are not \
+             geodetic: export it again",
+        ),
+    ];
+    for (told, expected) in cases {
+        assert_eq!(told, expected);
+    }
+}
+
+#[test]
+fn angles_of_a_text_may_be_radians() {
+    let text = b"# a comment\n1,2,1,500,0.1,0.2,-0.3\n\n2,2,1,500,0.1,0.2,-0.3\n";
+    let options = Options { angles: Some(Angles::Radians), ..columns("txyzwpk") };
+    let recorded = read_bytes(text, &options).unwrap();
+    let Records::Geodetic(samples) = &recorded.records else { panic!("{recorded:?}") };
+    let attitude = Attitude { roll_rad: 0.1, pitch_rad: 0.2, heading_rad: -0.3 };
+    assert_eq!(samples[1].attitude, attitude);
+    assert_eq!(samples[1].place.longitude_rad, 2f64.to_radians());
+    assert_eq!(recorded.notes, ["longitude and latitude are read as degrees; are they radians, too?"]);
+}
+
+#[test]
+fn longitudes_may_count_to_360() {
+    let recorded =
+        read_bytes(b"1 348.5 48 500 0 0 350\n2 348.5 48 500 0 0 350\n", &columns("txyzwpk")).unwrap();
+    let Records::Geodetic(samples) = &recorded.records else { panic!("{recorded:?}") };
+    assert!((samples[0].place.longitude_rad - (-11.5f64).to_radians()).abs() < 1e-15);
+    assert!(samples.iter().all(|sample| (sample.attitude.heading_rad - 350.0 / 360.0 * TAU).abs() < 1e-15));
+}
+
+#[test]
+fn damaged_records_are_refused_where_they_stand() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 4);
+    let changed = |mut bytes: Vec<u8>, at: usize, with: &[u8]| {
+        bytes[at..at + with.len()].copy_from_slice(with);
+        read_bytes(&bytes, &Options::default()).unwrap_err()
+    };
+    let cut = |bytes: Vec<u8>, length: usize| read_bytes(&bytes[..length], &Options::default()).unwrap_err();
+    let damaged = "the file is damaged, or its positions are not geodetic: export it again";
+    let cut_off = "the file is cut off: copy it again from its source";
+    let nan = f64::NAN.to_le_bytes();
+    let cases = [
+        (cut(sbet(&samples, week), 300), format!("t.dat: byte 272: record 3: 136 bytes are needed and 28 are left; {cut_off}")),
+        (changed(sbet(&samples, week), 136 + 8, &nan), format!("t.dat: byte 136: latitude of record 2: NaN is none; {damaged}")),
+        (changed(sbet(&samples, week), 272, &nan), format!("t.dat: byte 272: time of record 3: NaN is none; {damaged}")),
+        (
+            changed(sbet(&samples, week), 136 + 16, &7f64.to_le_bytes()),
+            format!("t.dat: byte 136: longitude of record 2: 401.070457 is none; {damaged}"),
+        ),
+        (
+            changed(sbet(&samples, week), 136 + 56, &1e9f64.to_le_bytes()),
+            format!("t.dat: byte 136: roll of record 2: 57295779513.082321 is none; {damaged}"),
+        ),
+        (cut(sol(&samples), 200), format!("t.dat: byte 184: record 2: 184 bytes are needed and 16 are left; {cut_off}")),
+        (
+            changed(sol(&samples), 184 + 20, &[0x55]),
+            "t.dat: byte 218: check byte of record 2: it is not the exclusive or of those before; the file is damaged: copy \
+             it again from its source"
+                .to_owned(),
+        ),
+        (cut(pof(&samples, 2, 0, week), 400), format!("t.dat: byte 379: record 2: 64 bytes are needed and 21 are left; {cut_off}")),
+        (cut(pof(&samples, 2, 0, week), 100), format!("t.dat: byte 97: time step: 8 bytes are needed and 3 are left; {cut_off}")),
+        (
+            changed(pof(&samples, 2, 0, week), 27, &[2]),
+            "t.dat: byte 31: version: version 2.1 is not known; export the trajectory as POF 1.1 or as SBET".to_owned(),
+        ),
+        (
+            changed(pof(&samples, 2, 0, week), 31, &[9, 0]),
+            "t.dat: byte 31: data offset: records at byte 9 would lie in the header; the file is damaged: export it again"
+                .to_owned(),
+        ),
+        (cut(trj(&samples, week), 1400), format!("t.dat: byte 1376: record 1: 64 bytes are needed and 24 are left; {cut_off}")),
+        (
+            changed(trj(&samples, week), 8, &[0]),
+            "t.dat: byte 8: version: 20010496 is not between 20010715 and 20010715; the file is damaged: export it again"
+                .to_owned(),
+        ),
+        (
+            changed(trj(&samples, week), 20, &[0, 0, 0, 0x7f]),
+            "t.dat: byte 20: record size: 2130706432 is not between 56 and 4096; the file is damaged: export it again"
+                .to_owned(),
+        ),
+        (
+            changed(trj(&samples, week), 1376 + 64 + 8, &nan),
+            "t.dat: byte 1440: x of record 2: NaN is none; the file is damaged: export it again".to_owned(),
+        ),
+    ];
+    for (told, expected) in cases {
+        assert_eq!(told, expected);
+    }
+}
+
+#[test]
+fn disorder_names_the_file_and_the_records() {
+    let mut samples = flight(100.0, 4);
+    samples.swap(1, 2);
+    let folder =
+        Folder::with(&[("t.sbet", &sbet(&samples, |t| t)), ("t.trj", &trj(&flight(100.0, 2), |t| t))]);
+    let told = |name: &str, unproject: Option<&Unproject>| {
+        folder.told(&folder.read(name, &Options::default()).unwrap().into_trajectory(unproject).unwrap_err())
+    };
+    assert_eq!(
+        told("t.sbet", None),
+        "t.sbet: record 3: its time 100.5 s lies before the 101 s of record 2; sort its records by time"
+    );
+    assert_eq!(
+        told("t.trj", None),
+        "t.trj: its places are those of a map, and it does not say which; say which with `crs`"
+    );
+    assert_eq!(
+        told("t.trj", Some(&|_| Err("outside of the map".to_owned()))),
+        "t.trj: record 1: outside of the map; check that `crs` is the trajectory's map"
+    );
+}
+
+/// Whatever is left of a file: a trajectory of fewer records, or an error; never a panic.
+#[test]
+fn files_may_be_cut_off_anywhere() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 2);
+    let files = [
+        sbet(&samples, week),
+        pof(&samples, 2, 0, week),
+        sol(&samples),
+        trj(&samples, week),
+        text(&samples, week),
+    ];
+    let folder = Folder::with(&[("whole.sbet", &sbet(&samples, week))]);
+    let read = |bytes: &[u8], name: &str, options: &Options| {
+        fs::write(folder.path("cut"), bytes).unwrap();
+        match folder.read(name, options) {
+            Ok(recorded) => assert!(recorded.records.len() <= 2 && recorded.accuracies.len() <= 2),
+            Err(told) => assert!(told.contains("; "), "{told}: no remedy"),
+        }
+    };
+    for bytes in files {
+        (0..=bytes.len()).for_each(|length| read(&bytes[..length], "cut", &columns("tyx_zwpk")));
+    }
+    let with = Options { accuracy: Some(folder.path("cut")), ..Options::default() };
+    for bytes in [poq::tests::made(&[208_800.0, 208_801.0]), smrmsg::tests::made(&[208_800.0, 208_801.0])] {
+        (0..=bytes.len()).for_each(|length| read(&bytes[..length], "whole.sbet", &with));
+    }
+}
+
+/// Counts and sizes that lie take no memory: what is allocated follows from what is there.
+#[test]
+fn counts_are_not_believed() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 4);
+    let mut bytes = pof(&samples, 2, 0, week);
+    bytes[41..49].copy_from_slice(&i64::MAX.to_le_bytes());
+    let told = read_bytes(&bytes, &Options::default()).unwrap_err();
+    assert!(told.contains("record 5: 64 bytes are needed and 0 are left"), "{told}");
+    let mut bytes = trj(&samples, week);
+    bytes[16..20].copy_from_slice(&i32::MAX.to_le_bytes());
+    let told = read_bytes(&bytes, &Options::default()).unwrap_err();
+    assert!(told.contains("record 5: 64 bytes are needed and 0 are left"), "{told}");
+}
