@@ -350,14 +350,14 @@ fn what_the_user_says_of_times_wins() {
     assert_eq!(recorded.clock, Clock::Adjusted);
     assert_eq!(
         recorded.notes,
-        ["times are too large for seconds of the week: they are read as adjusted GPS seconds"]
+        ["times are too large for seconds of the week: they are read as adjusted seconds"]
     );
     let adjusted = Options { time: Some(Clock::Adjusted), ..Options::default() };
     let recorded = read_bytes(&pof(&samples, 2, 0, |t| t), &adjusted).unwrap();
     assert_eq!(recorded.times().first_s, samples[0].time_s);
     assert_eq!(
         recorded.notes,
-        ["the file says that times are seconds of the week; they are read as adjusted GPS seconds"]
+        ["the file says that times are seconds of the week; they are read as adjusted seconds"]
     );
     let told =
         |bytes: Vec<u8>, time| read_bytes(&bytes, &Options { time, ..Options::default() }).unwrap_err();
@@ -368,7 +368,7 @@ fn what_the_user_says_of_times_wins() {
     );
     assert_eq!(
         told(sbet(&samples, |t| t + 1e9), None),
-        "t.dat: its times, from 1430560800.000 to 1430560801.500 s, are no adjusted GPS seconds; say with `trajectory_time` \
+        "t.dat: its times, from 1430560800.000 to 1430560801.500 s, are no adjusted seconds; say with `trajectory_time` \
          what they count: week, day or adjusted"
     );
 }
