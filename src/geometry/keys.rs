@@ -170,7 +170,10 @@ mod tests {
     #[test]
     fn lengths_and_angles_have_limits() {
         let error = checked("calibration = { lever_arm_m = [0.0, 0.0, 1000.0] }").unwrap_err();
-        assert_eq!((error.key, error.problem.as_str()), ("geometry.calibration", "`lever_arm_m` must be three lengths of at most 100 m"));
+        assert_eq!(
+            (error.key, error.problem.as_str()),
+            ("geometry.calibration", "`lever_arm_m` must be three lengths of at most 100 m")
+        );
         let error = checked("mount = [0, 0, 361]").unwrap_err();
         assert_eq!(error, InvalidKey::new("geometry.mount", "must be three angles of at most 360 degrees"));
     }

@@ -10,7 +10,9 @@ const GEOREFERENCE: &str = "[[stage]]\ntype = 'calibrate'\nwaveforms = 500\nresp
 #[track_caller]
 fn in_map(geometry: &str) -> Result<(), String> {
     let folder = tempfile::tempdir().unwrap();
-    let job = format!("[job.geometry]\n{geometry}\n[[stage]]\ntype = 'simulate'\nlines = 12\nshots_per_line = 60\n{GEOREFERENCE}");
+    let job = format!(
+        "[job.geometry]\n{geometry}\n[[stage]]\ntype = 'simulate'\nlines = 12\nshots_per_line = 60\n{GEOREFERENCE}"
+    );
     run(folder.path(), &job).map(|_| ())
 }
 
@@ -53,7 +55,10 @@ fn points_stand_in_the_aircraft() {
     let installed = flight
         .place("calibration = { lever_arm_m = [1.0, 2.0, 3.0] }\nmount = [0, 0, 90]", |truth| truth.range_m)
         .unwrap();
-    assert_eq!(notes(&installed), ["the input is not georeferenced: its points are in the frame of the aircraft"]);
+    assert_eq!(
+        notes(&installed),
+        ["the input is not georeferenced: its points are in the frame of the aircraft"]
+    );
     for (point, [x, y, z]) in installed.points.iter().zip(&plain.points) {
         assert!(distance_m(*point, [1.0 - y, 2.0 + x, 3.0 + z]) < 1e-9, "a yaw of 90 degrees to the right");
     }
@@ -127,7 +132,10 @@ fn what_the_table_names_must_be_there() {
         error.replace(&format!("{}/", flight.folder().display()), "")
     };
     assert!(refused("trajectory = 'b.out'").starts_with("b.out: cannot open: "));
-    assert!(refused("trajectory = 'a.csv'").starts_with("a.csv: it is a text, and nothing says what its columns are"));
+    assert!(
+        refused("trajectory = 'a.csv'")
+            .starts_with("a.csv: it is a text, and nothing says what its columns are")
+    );
     assert_eq!(
         refused("crs = 'EPSG:99999'"),
         "EPSG:99999 is not in the table of systems; check the code, or give the system as a WKT file"

@@ -62,7 +62,12 @@ pub fn fly(keys: &str) -> Flight {
     );
     run(folder.path(), &job).unwrap();
     let truth = std::fs::read_to_string(folder.path().join("a.csv")).unwrap();
-    Flight { folder, truth: truth.lines().skip(1).map(truth_of).collect(), turned: IDENTITY, unsaid: Unsaid::Nothing }
+    Flight {
+        folder,
+        truth: truth.lines().skip(1).map(truth_of).collect(),
+        turned: IDENTITY,
+        unsaid: Unsaid::Nothing,
+    }
 }
 
 fn truth_of(row: &str) -> Truth {
@@ -197,27 +202,11 @@ pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
         emission,
         return_number: number,
         number_of_returns: of,
-        channel: ReturnChannel::Low,
-        flags: 0,
-        mta_zone: 0,
-        time_of_flight_ns: f64::NAN,
-        time_of_flight_sd_ns: f64::NAN,
         range_m,
         range_sd_m: 0.0,
-        total_sd_m: f64::NAN,
         amplitude_dn: 100.0,
-        amplitude_sd_dn: 1.0,
-        amplitude_db: f64::NAN,
-        width_ratio: 1.0,
-        width_ratio_sd: 0.1,
-        fwhm_ns: 4.5,
-        thickness_m: 0.0,
-        thickness_sd_m: 0.1,
-        deviation_ratio: 0.0,
         intensity: 100.0,
-        intensity_sd: 1.0,
-        withheld: false,
-        class: 0,
+        ..Return::default()
     }
 }
 
