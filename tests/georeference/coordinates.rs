@@ -5,7 +5,7 @@ use wavex::geo::ellipsoid::{Geodetic, WGS84};
 use wavex::geo::transverse_mercator::{Parameters, TransverseMercator};
 
 use super::flights::QUIET;
-use super::made::{Flight, Placed, distance_m, fly};
+use super::made::{Flight, Placed, distance_m, fly, write_geoid};
 
 const KEYS: &str = "start_deg = [-122.0, 41.0]\nheading_deg = 70.0\nroll_deg = 8.0\npitch_deg = 5.0\n\
                     lever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";
@@ -82,26 +82,12 @@ fn undulation_m(latitude: f64, longitude: f64) -> f64 {
     -25.0 + 0.5 * (latitude - 41.0) - 0.25 * (longitude + 122.0)
 }
 
-/// The same as a grid of half degrees around the start, in the format of VDatum.
-fn gtx() -> Vec<u8> {
-    let (south, west, step, n) = (40.0, -123.0, 0.5, 5);
-    let mut bytes: Vec<u8> = [south, west, step, step].iter().flat_map(|v: &f64| v.to_be_bytes()).collect();
-    bytes.extend([n, n].iter().flat_map(|n: &i32| n.to_be_bytes()));
-    for row in 0..n {
-        for column in 0..n {
-            let (latitude, longitude) = (south + step * f64::from(row), west + step * f64::from(column));
-            bytes.extend((undulation_m(latitude, longitude) as f32).to_be_bytes());
-        }
-    }
-    bytes
-}
-
 /// California's first zone: a conformal conic in US survey feet.
 #[test]
 fn a_conic_in_feet_with_a_geoid() {
     let flight = flight();
     std::fs::create_dir(flight.path("geoids")).unwrap();
-    std::fs::write(flight.path("geoids/Plane.GTX"), gtx()).unwrap();
+    write_geoid(&flight.path("geoids/Plane.GTX"), [40.0, -123.0], undulation_m);
     let placed = placed(&flight, "crs = 'EPSG:2225'\ngeoid = 'plane'\ngeoid_dir = 'geoids'");
     let places = places(&flight);
     let crs = Crs::new(&Named::Epsg(2225), places[0], None, None).unwrap();
@@ -119,7 +105,7 @@ fn a_conic_in_feet_with_a_geoid() {
 #[test]
 fn a_point_outside_the_geoid_is_named() {
     let flight = fly(&format!("{QUIET}start_deg = [-110.0, 41.0]"));
-    std::fs::write(flight.path("plane.gtx"), gtx()).unwrap();
+    write_geoid(&flight.path("plane.gtx"), [40.0, -123.0], undulation_m);
     let error = flight.place("trajectory = '*.out'\ngeoid = 'PLANE'", |truth| truth.range_m).err().unwrap();
     assert!(
         error.starts_with("geoid plane: the point at latitude 41.0")

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use wavex::batch::{Batch, Content, Emission, Frame, InputInfo, LineStats, Return, ReturnChannel, TimeScale};
 use wavex::engine::{self, Options, RunReport};
+use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex::geo::frames::{IDENTITY, Rotation, rotate};
 use wavex::geometry::posed::Posed;
 use wavex::geometry::{GeometryKeys, Loader};
@@ -118,19 +119,8 @@ impl Flight {
     /// out is off by georeferencing alone. `measured` says what range was measured of a true one.
     pub fn place(&self, geometry: &str, measured: impl Fn(&Truth) -> f64) -> Result<Placed, String> {
         let text = |error: &dyn std::fmt::Display| error.to_string();
-        let keys: GeometryKeys = toml::from_str(geometry).unwrap();
-        keys.check().unwrap();
-        let mut loader = Loader::new(&keys, self.folder()).map_err(|e| text(&e))?;
-        let site = Site {
-            input: self.path("a.arrow"),
-            stem: "a".into(),
-            input_dir: self.folder().into(),
-            output_dir: self.folder().into(),
-            threads: 1,
-            simd: lockstep::Path::best(),
-            geometry: Arc::new(loader.load("a").map_err(|e| text(&e))?),
-        };
-        let (source, mut stage) = (source(&site), georeference(&site));
+        let site = site(self, geometry)?;
+        let (source, mut stage) = (source(&site), georeference(&site, ""));
         let source = Box::new(Changed { source, turned: self.turned, unsaid: self.unsaid });
         let mut source = Posed::new(source, Arc::clone(&site.geometry));
         let mut by_shot: BTreeMap<u64, Vec<&Truth>> = BTreeMap::new();
@@ -210,15 +200,33 @@ pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
     }
 }
 
-fn source(site: &Site) -> Box<dyn Source> {
+/// Where a run over the flight takes place, with the files of its geometry.
+pub fn site(flight: &Flight, geometry: &str) -> Result<Site, String> {
+    let keys: GeometryKeys = toml::from_str(geometry).unwrap();
+    keys.check().unwrap();
+    let loaded = Loader::new(&keys, flight.folder()).and_then(|mut loader| loader.load("a"));
+    Ok(Site {
+        input: flight.path("a.arrow"),
+        stem: "a".into(),
+        input_dir: flight.folder().into(),
+        output_dir: flight.folder().into(),
+        threads: 1,
+        simd: lockstep::Path::best(),
+        geometry: Arc::new(loaded.map_err(|error| error.to_string())?),
+    })
+}
+
+/// The reader of the recording.
+pub fn source(site: &Site) -> Box<dyn Source> {
     match plan("read_arrow", "path = 'a.arrow'") {
         Plan::Source(plan) => plan.make(site).unwrap(),
         other => panic!("{other:?}"),
     }
 }
 
-fn georeference(site: &Site) -> Box<dyn Map> {
-    match plan("georeference", "") {
+/// The stage with these keys.
+pub fn georeference(site: &Site, keys: &str) -> Box<dyn Map> {
+    match plan("georeference", keys) {
         Plan::Map(plan) => plan.make(site).unwrap(),
         other => panic!("{other:?}"),
     }
@@ -232,4 +240,32 @@ fn plan(name: &str, keys: &str) -> Plan {
 /// The distance of two points, m.
 pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+/// Writes a geoid in the format of VDatum: steps of half a degree, five by five, north and east from a corner.
+pub fn write_geoid(path: &Path, [south, west]: [f64; 2], height_m: impl Fn(f64, f64) -> f64) {
+    let (step, n) = (0.5, 5);
+    let mut bytes: Vec<u8> = [south, west, step, step].iter().flat_map(|v: &f64| v.to_be_bytes()).collect();
+    bytes.extend([n, n].iter().flat_map(|n: &i32| n.to_be_bytes()));
+    for row in 0..n {
+        for column in 0..n {
+            let (latitude, longitude) = (south + step * f64::from(row), west + step * f64::from(column));
+            bytes.extend((height_m(latitude, longitude) as f32).to_be_bytes());
+        }
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// Writes the accuracies beside the trajectory as `smrmsg_a.out`: north, east, down, m, and roll, pitch, heading, degrees.
+pub fn write_accuracy(flight: &Flight, position_sd_m: [f64; 3], attitude_sd_deg: [f64; 3]) {
+    let bytes = std::fs::read(flight.path("a.out")).unwrap();
+    let (records, _) = bytes.as_chunks::<RECORD_BYTES>();
+    let mut accuracy = Vec::new();
+    for record in records.iter().map(SbetRecord::decode) {
+        let [n, e, d] = position_sd_m;
+        let [r, p, h] = attitude_sd_deg.map(|sd| 60.0 * sd);
+        let fields = [record.time_s, n, e, d, 0.01, 0.01, 0.01, r, p, h];
+        accuracy.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
+    }
+    std::fs::write(flight.path("smrmsg_a.out"), accuracy).unwrap();
 }

@@ -4,7 +4,7 @@ use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex::simulation::random::{Normal, Purpose, Random};
 
 use super::chain::{SWAYING, pairs, process, returns};
-use super::made::{Flight, distance_m, fly};
+use super::made::{Flight, distance_m, fly, write_accuracy};
 
 /// Standard deviations of the trajectory: north, east, down, m; roll, pitch, heading, degrees.
 const POSITION_SD_M: [f64; 3] = [0.008, 0.006, 0.012];
@@ -18,7 +18,7 @@ fn disturb(flight: &Flight) {
     let bytes = std::fs::read(flight.path("a.out")).unwrap();
     let (records, _) = bytes.as_chunks::<RECORD_BYTES>();
     let normal = Normal::default();
-    let (mut disturbed, mut accuracy) = (Vec::new(), Vec::new());
+    let mut disturbed = Vec::new();
     for (k, record) in records.iter().map(SbetRecord::decode).enumerate() {
         let mut random = Random::of_shot(11, (k / SAME_RECORDS) as u32, 0, Purpose::Noise);
         let mut error = |sd: f64| sd * normal.draw(&mut random);
@@ -34,13 +34,9 @@ fn disturb(flight: &Flight) {
             ..record
         };
         disturbed.extend(changed.encode());
-        let [n, e, d] = POSITION_SD_M;
-        let [r, p, h] = ATTITUDE_SD_DEG.map(|sd| 60.0 * sd);
-        let fields = [record.time_s, n, e, d, 0.01, 0.01, 0.01, r, p, h];
-        accuracy.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
     }
     std::fs::write(flight.path("a.out"), disturbed).unwrap();
-    std::fs::write(flight.path("smrmsg_a.out"), accuracy).unwrap();
+    write_accuracy(flight, POSITION_SD_M, ATTITUDE_SD_DEG);
 }
 
 const NOISY: &str = "lines = 200\nshots_per_line = 40\npulse_rate_hz = 1000\nbuilding_height_m = 0\ncanopy_height_m = 0\n\
