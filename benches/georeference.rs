@@ -30,7 +30,8 @@ fn lines(site: &Site) -> Vec<Line> {
     let mut lines = Vec::new();
     while let Some(batch) = posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
         let two = |emission: u32| {
-            [return_of(emission, [1, 2], 640.0), return_of(emission, [2, 2], 650.0)].map(|r| Return { range_sd_m: 0.005, ..r })
+            [return_of(emission, [1, 2], 640.0), return_of(emission, [2, 2], 650.0)]
+                .map(|r| Return { range_sd_m: 0.005, ..r })
         };
         let returns = (0..batch.emissions.len() as u32).flat_map(two).collect();
         lines.push(Line { batch, returns });
@@ -47,7 +48,8 @@ fn points_per_s(site: &Site) -> f64 {
             let fresh: Vec<Batch> = lines.iter().map(fresh).collect();
             let (started, mut points) = (Instant::now(), 0);
             for batch in fresh {
-                let placed = stage.map(batch, &mut Context::default()).unwrap_or_else(|error| panic!("{error}"));
+                let placed =
+                    stage.map(batch, &mut Context::default()).unwrap_or_else(|error| panic!("{error}"));
                 points += placed.n_returns();
             }
             points as f64 / started.elapsed().as_secs_f64()
@@ -71,7 +73,8 @@ fn shots_per_s(flight: &Flight) -> f64 {
         let mut times: Vec<f64> = (0..RUNS)
             .map(|_| {
                 let site = site(flight, geometry).unwrap_or_else(|error| panic!("{error}"));
-                let (started, mut posed) = (Instant::now(), Posed::new(source(&site), Arc::clone(&site.geometry)));
+                let (started, mut posed) =
+                    (Instant::now(), Posed::new(source(&site), Arc::clone(&site.geometry)));
                 while let Ok(Some(_)) = posed.next(&mut Context::default()) {}
                 started.elapsed().as_secs_f64()
             })
@@ -95,7 +98,10 @@ fn main() {
     for (what, geometry) in [
         ("points, UTM", ""),
         ("points, UTM with a geoid", "geoid = 'plane'"),
-        ("points, UTM with a geoid, and uncertainties", "geoid = 'plane'\ntrajectory_accuracy = 'smrmsg_a.out'"),
+        (
+            "points, UTM with a geoid, and uncertainties",
+            "geoid = 'plane'\ntrajectory_accuracy = 'smrmsg_a.out'",
+        ),
         ("points, conic (EPSG:3416)", "crs = 'EPSG:3416'"),
         ("points, geodetic", "crs = 'geodetic'"),
     ] {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use wavex::batch::{Batch, Content, Emission, Frame, InputInfo, LineStats, Return, ReturnChannel, TimeScale};
+use wavex::batch::{Batch, Content, Emission, Frame, InputInfo, LineStats, Return, TimeScale};
 use wavex::engine::{self, Options, RunReport};
 use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex::geo::frames::{IDENTITY, Rotation, rotate};
