@@ -55,11 +55,11 @@ fn a_flight_is_told_projected_and_thinned() {
     assert!(said(&out, "times").starts_with("Tuesday 09:59:59.0 to "), "{out}");
     assert_eq!(said(&out, "rate"), "200.00 Hz, a record every 5.000 ms");
     assert_eq!(said(&out, "gaps"), "none");
-    assert_eq!(said(&out, "map"), "UTM zone 33 north on WGS 84");
+    assert_eq!(said(&out, "map"), "EPSG:32633 (WGS 84 / UTM zone 33N)");
     assert!(out.ends_with("\nwrote po.txt, po.svg\n"), "{out}");
 
     let text = place.text("po.txt");
-    let header = "# t lon lat h x y z w p k: seconds of the week; degrees; m; UTM zone 33 north on WGS 84; roll, pitch and \
+    let header = "# t lon lat h x y z w p k: seconds of the week; degrees; m; EPSG:32633 (WGS 84 / UTM zone 33N); roll, pitch and \
                   heading in degrees";
     assert_eq!(text.lines().next(), Some(header));
     let table = rows(&text);
