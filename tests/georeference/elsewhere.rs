@@ -104,6 +104,30 @@ fn a_calibration_may_stand_in_a_file() {
     assert!(error.contains("none.txt: cannot open the calibration: "), "{error}");
 }
 
+/// A recording that has its place already takes none from a trajectory, and says so.
+#[test]
+fn a_place_is_given_once() {
+    let flight = fly(QUIET);
+    let posed = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'write_arrow'\npath = 'b.arrow'\n";
+    let with = |keys: &str, stages: &str| run(flight.folder(), &format!("[job.geometry]\n{keys}\n{stages}")).unwrap();
+    with("trajectory = 'a.out'", posed);
+    std::fs::rename(flight.path("b.arrow"), flight.path("a.arrow")).unwrap();
+    let placed = flight.place("calibration = { e0 = 1.0 }", |truth| truth.range_m - 1.0).unwrap();
+    let off = placed.points.iter().zip(&flight.truth).map(|(point, truth)| distance_m(*point, truth.point_m));
+    assert!(off.fold(0.0, f64::max) < 1e-3, "a container keeps the poses");
+    let notes = &placed.cx.counters().notes;
+    assert_eq!(
+        notes[..],
+        ["the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns ranges and \
+          coordinates is used"]
+    );
+    let report = with("mount = 'level'", "[[stage]]\ntype = 'simulate'\nlines = 1\n");
+    assert_eq!(
+        report.inputs[0].stages[0].notes,
+        ["the recording is in a map already: trajectory, mount and calibration are not used"]
+    );
+}
+
 /// What is in the aircraft's axes already cannot be mounted, and a map needs no trajectory.
 #[test]
 fn a_mount_is_for_scanners() {
