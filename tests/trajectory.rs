@@ -66,12 +66,18 @@ fn a_flight_is_told_projected_and_thinned() {
     assert!(table.iter().all(|row| row.len() == 10));
     assert!(table.windows(2).all(|pair| (pair[1][0] - pair[0][0] - 0.05).abs() < 1e-6));
     // It starts a second before it is above 320 000 E 5 300 000 N, 600 m above ground of 400 m, and flies north.
-    assert!((table[20][4] - 320_000.0).abs() < 1e-3 && (table[20][5] - 5_300_000.0).abs() < 1e-3, "{:?}", table[20]);
+    assert!(
+        (table[20][4] - 320_000.0).abs() < 1e-3 && (table[20][5] - 5_300_000.0).abs() < 1e-3,
+        "{:?}",
+        table[20]
+    );
     assert!((table[20][3] - 1000.0).abs() < 1e-3 && table[20][6] == table[20][3]);
 
     let svg = place.text("po.svg");
     assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n"));
-    for part in ["flight.sbet", "easting, m", "height, m", "start", "end", "prefers-color-scheme:dark", "<polyline"] {
+    for part in
+        ["flight.sbet", "easting, m", "height, m", "start", "end", "prefers-color-scheme:dark", "<polyline"]
+    {
         assert!(svg.contains(part), "{part}");
     }
 }
@@ -110,7 +116,8 @@ fn both_formats_of_a_flight_agree() {
 fn gaps_are_told() {
     let place = Place::new();
     let rows = (0..40).filter(|k| !(20..25).contains(k) && !(30..37).contains(k));
-    let text: String = rows.map(|k| format!("{},179.99{k:02},-17,500,0,0,90\n", 0.1 * f64::from(k))).collect();
+    let text: String =
+        rows.map(|k| format!("{},179.99{k:02},-17,500,0,0,90\n", 0.1 * f64::from(k))).collect();
     place.write("t.csv", text.as_bytes());
     let out = told(&place, &["t.csv", "--columns", "txyzwpk", "--svg", "t.svg"]);
     assert_eq!(said(&out, "gaps"), "2, the longest 0.800 s; 2 longer than the 0.500 s that are bridged");
@@ -129,11 +136,18 @@ fn what_is_no_trajectory_is_refused() {
         (code, err)
     };
     let (code, err) = refused(&["a.las", "-o", "a.txt"]);
-    assert!(code == Some(1) && err.starts_with("error: a.las: it is no trajectory that wavex knows: "), "{err}");
+    assert!(
+        code == Some(1) && err.starts_with("error: a.las: it is no trajectory that wavex knows: "),
+        "{err}"
+    );
     let options = ["t.txt", "--columns", "txyzwpk"];
     assert_eq!(
         refused(&options),
-        (Some(1), "error: t.txt: 1 record(s): a pose takes two at least; export it again from its source\n".to_owned())
+        (
+            Some(1),
+            "error: t.txt: 1 record(s): a pose takes two at least; export it again from its source\n"
+                .to_owned()
+        )
     );
     let (code, err) = refused(&[options.as_slice(), &["--crs", "EPSG:2154"]].concat());
     assert!(code == Some(2) && err.starts_with("error: --crs EPSG:2154: not known; say utm, "), "{err}");

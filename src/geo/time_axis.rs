@@ -46,7 +46,7 @@ impl Clock {
     /// In words.
     pub fn name(self) -> &'static str {
         match self {
-            Clock::Adjusted => "adjusted GPS seconds",
+            Clock::Adjusted => "adjusted seconds",
             Clock::Week => "seconds of the week",
             Clock::Day => "seconds of the day",
         }

@@ -45,24 +45,19 @@ fn parts(trajectory: &Trajectory) -> Vec<Vec<Sample>> {
 }
 
 /// Easting and northing, m: of the map, else of the horizon at the first place.
-fn plane<'a>(first: &Sample, map: &'a Map) -> Box<dyn Fn(&Sample) -> [f64; 2] + 'a> {
-    if matches!(map, Map::Utm { .. }) {
-        return Box::new(|sample| {
-            let [x, y, _] = map.project(sample.place);
-            [x, y]
-        });
-    }
-    let frame = LocalFrame::at(WGS84, first.place);
-    Box::new(move |sample| {
-        let [east, north, _] = frame.local_of(sample.place);
-        [east, north]
-    })
+fn on_plane(sample: &Sample, map: &Map, horizon: &LocalFrame) -> [f64; 2] {
+    let [x, y, _] = match map {
+        Map::Utm { .. } => map.project(sample.place),
+        Map::Geodetic | Map::Ecef => horizon.local_of(sample.place),
+    };
+    [x, y]
 }
 
 fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &Map) {
     let Some(first) = parts.first().and_then(|part| part.first()) else { return };
-    let on_plane = plane(first, map);
-    let lines: Vec<Vec<[f64; 2]>> = parts.iter().map(|part| part.iter().map(&on_plane).collect()).collect();
+    let horizon = LocalFrame::at(WGS84, first.place);
+    let on_plane = |part: &Vec<Sample>| part.iter().map(|sample| on_plane(sample, map, &horizon)).collect();
+    let lines: Vec<Vec<[f64; 2]>> = parts.iter().map(on_plane).collect();
     let [x, y] = fitted(lines.iter().flatten());
     let axes = [Scale { from: x, to: [LEFT, RIGHT] }, Scale { from: y, to: [PLAN[1], PLAN[0]] }];
     let at = |place: &[f64; 2]| [axes[0].at(place[0]), axes[1].at(place[1])];

@@ -96,8 +96,7 @@ fn clock_of(
         None if may_be(Clock::Week, limits_s) => Clock::Week,
         None => {
             notes.push(
-                "times are too large for seconds of the week: they are read as adjusted GPS seconds"
-                    .to_owned(),
+                "times are too large for seconds of the week: they are read as adjusted seconds".to_owned(),
             );
             Clock::Adjusted
         }

@@ -17,7 +17,7 @@ pub(super) fn is_one(head: &[u8], length: u64) -> bool {
         .map(|bytes| f64::from_le_bytes(bytes.try_into().unwrap_or_default()))
         .collect();
     let is_deviation = |value: &f64| (0.0..1e5).contains(value);
-    length % RECORD_BYTES as u64 == 0
+    length.is_multiple_of(RECORD_BYTES as u64)
         && numbers.len() == 10
         && numbers[0].is_finite()
         && numbers[1..].iter().all(is_deviation)

@@ -240,14 +240,15 @@ fn accuracies_are_linear_between_theirs() {
 
 #[test]
 fn records_that_are_no_trajectory_are_refused() {
+    type Change = fn(&mut Vec<Sample>);
     let flight = Flight::at(48.0, 11.0, 70.0);
-    let problem = |change: fn(&mut Vec<Sample>)| {
+    let problem = |change: Change| {
         let mut samples: Vec<Sample> = (0..6).map(|k| flight.sample(0.5 * f64::from(k))).collect();
         change(&mut samples);
         let problem = Trajectory::new(samples).unwrap_err();
         (problem.record(), problem.to_string())
     };
-    let cases: [(fn(&mut Vec<Sample>), Option<usize>, &str); 6] = [
+    let cases: [(Change, Option<usize>, &str); 6] = [
         (|samples| samples.truncate(1), None, "1 record(s): a pose takes two at least"),
         (|samples| samples[2].place.height_m = f64::NAN, Some(2), "record 3: its height is NaN"),
         (|samples| samples[0].place.latitude_rad = -2.0, Some(0), "record 1: its latitude is -2"),
