@@ -1,4 +1,5 @@
 //! Systems that only the library PROJ has (feature `proj`), against PROJ 9.5.1 through pyproj 3.7.2, without its grids.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
 

@@ -118,7 +118,7 @@ mod tests {
     proptest! {
         #[test]
         fn normals_are_those_of_the_angles(
-            latitude_rad in -1.57..1.57, longitude_rad in -3.14..3.14, height_m in -1e6..1e7,
+            latitude_rad in -1.57..1.57, longitude_rad in -3.1..3.1, height_m in -1e6..1e7,
         ) {
             let place = Geodetic { latitude_rad, longitude_rad, height_m };
             let (normal, found_m) = Normal::through(WGS84, WGS84.ecef_of(place));

@@ -99,7 +99,7 @@ impl Projection {
                 (latitude_deg.to_radians(), longitude_deg.to_radians())
             }
         };
-        let sound = latitude_rad.abs() <= 1.5708 && longitude_rad.is_finite();
+        let sound = latitude_rad.abs() <= core::f64::consts::FRAC_PI_2 + 1e-9 && longitude_rad.is_finite();
         sound.then_some((latitude_rad, longitude_rad))
     }
 }
