@@ -165,3 +165,24 @@ fn what_the_table_names_must_be_there() {
     assert!(refused("crs = 'utm:61N'").starts_with("crs `utm:61N`: a zone is a number from 1 to 60"));
     assert!(refused("geoid = 'egm96'").contains("there is no geoid `egm96` in this folder"));
 }
+
+/// `wavex explain` looks at the shots as a run of the job does.
+#[test]
+fn explain_reads_the_trajectory_of_the_job() {
+    let flight = fly("lines = 12\nshots_per_line = 60\nresponse = 'gaussian'");
+    let explain = |trajectory: &str| {
+        let job = format!(
+            "[job.geometry]\ntrajectory = '{trajectory}'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{GEOREFERENCE}"
+        );
+        std::fs::write(flight.path("job.toml"), job).unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_wavex"));
+        command.current_dir(flight.folder());
+        command.args(["--quiet", "explain", "a.arrow", "--shot", "5", "--job", "job.toml"]);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    assert_eq!(explain("a.out"), (Some(0), String::new()));
+    let (code, error) = explain("b.out");
+    assert_eq!(code, Some(1));
+    assert!(error.contains("b.out: cannot open: "), "{error}");
+}
