@@ -133,6 +133,11 @@ impl GeometryKeys {
         Ok(())
     }
 
+    /// Whether the job says where scanners are.
+    pub fn places_scanners(&self) -> bool {
+        self.trajectory.is_some() || self.mount.is_some() || self.calibration.is_some()
+    }
+
     /// Whether the job asks for coordinates of a kind.
     pub fn wants_coordinates(&self) -> bool {
         self.crs.is_some() || self.geoid.is_some() || self.unit.is_some()
