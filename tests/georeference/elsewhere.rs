@@ -114,7 +114,9 @@ fn a_calibration_may_stand_in_a_file() {
 fn a_place_is_given_once() {
     let flight = fly(QUIET);
     let posed = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'write_arrow'\npath = 'b.arrow'\n";
-    let with = |keys: &str, stages: &str| run(flight.folder(), &format!("[job.geometry]\n{keys}\n{stages}")).unwrap();
+    let with = |keys: &str, stages: &str| {
+        run(flight.folder(), &format!("[job.geometry]\n{keys}\n{stages}")).unwrap()
+    };
     with("trajectory = 'a.out'", posed);
     std::fs::rename(flight.path("b.arrow"), flight.path("a.arrow")).unwrap();
     let placed = flight.place("calibration = { e0 = 1.0 }", |truth| truth.range_m - 1.0).unwrap();
@@ -123,8 +125,10 @@ fn a_place_is_given_once() {
     let notes = &placed.cx.counters().notes;
     assert_eq!(
         notes[..],
-        ["the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns ranges and \
-          coordinates is used"]
+        [
+            "the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns ranges and \
+          coordinates is used"
+        ]
     );
     let report = with("mount = 'level'", "[[stage]]\ntype = 'simulate'\nlines = 1\n");
     assert_eq!(
