@@ -101,7 +101,8 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
     let mut report = RunReport::new(job, options);
     let mut progress = Progress::new(options.progress, sites.len());
     for mut site in sites {
-        let of_input = |error| RunError { stage: None, input: Some(site.input.clone()), cause: Cause::Stage(error) };
+        let of_input =
+            |error| RunError { stage: None, input: Some(site.input.clone()), cause: Cause::Stage(error) };
         site.geometry = Arc::new(geometry.load(&site.stem).map_err(of_input)?);
         let result = chain::run(job, &Arc::new(site), options, &mut progress)?;
         report.add(result);

@@ -8,8 +8,8 @@ pub mod calibration;
 pub mod keys;
 mod loaded;
 pub mod mount;
-pub mod poses;
 pub mod posed;
+pub mod poses;
 pub mod target;
 mod track;
 

@@ -318,7 +318,9 @@ mod tests {
     #[test]
     fn blocks_go_with_their_emissions() {
         let mut blocks = Blocks::default();
-        (0..4).for_each(|emission| blocks.push(emission, Channel::LowPower, None, 0.0, 1.0, &[emission as u16]));
+        (0..4).for_each(|emission| {
+            blocks.push(emission, Channel::LowPower, None, 0.0, 1.0, &[emission as u16])
+        });
         let online = |emission| OnlineReturn { emission, time_ns: 0.0, amplitude: 1.0 };
         blocks.online = vec![online(0), online(3)];
         blocks.keep(&[None, Some(0), None, Some(1)]);

@@ -94,7 +94,8 @@ impl Chain {
         let (input_dir, output_dir) = run::folders(&job, &folder);
         let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let simd = job.settings.simd.path();
-        let geometry = Loader::new(&job.settings.geometry, &input_dir).and_then(|mut files| files.load(&stem));
+        let geometry =
+            Loader::new(&job.settings.geometry, &input_dir).and_then(|mut files| files.load(&stem));
         let geometry = Arc::new(geometry.map_err(|error| failed(&error))?);
         let input = args.file.clone();
         let site = Site { input, stem, input_dir, output_dir, threads: 1, simd, geometry };

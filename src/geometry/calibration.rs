@@ -52,7 +52,11 @@ impl Calibration {
     pub fn read(path: &Path) -> Result<Calibration> {
         let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the calibration"))?.len();
         if bytes > MOST_BYTES {
-            return Err(Error::unusable(path, format!("{bytes} bytes are too many for a calibration"), REMEDY));
+            return Err(Error::unusable(
+                path,
+                format!("{bytes} bytes are too many for a calibration"),
+                REMEDY,
+            ));
         }
         let text = std::fs::read_to_string(path).map_err(Error::io(path, "read the calibration"))?;
         let is_toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
@@ -104,9 +108,15 @@ impl Calibration {
         let within = |values: &[f64], most: f64| values.iter().all(|value| value.abs() <= most);
         let checks = [
             (within(&self.lever_arm_m, 100.0), "`lever_arm_m` must be three lengths of at most 100 m"),
-            (within(&self.boresight_deg, 360.0), "`boresight_deg` must be three angles of at most 360 degrees"),
+            (
+                within(&self.boresight_deg, 360.0),
+                "`boresight_deg` must be three angles of at most 360 degrees",
+            ),
             (within(&[self.e0, self.e7], 100.0), "`e0` and `e7` must be at most 100 m"),
-            (within(&[self.e1, self.e2, self.e3, self.e4, self.e6], 0.5), "`e1`, `e2`, `e3`, `e4` and `e6` must be at most 0.5"),
+            (
+                within(&[self.e1, self.e2, self.e3, self.e4, self.e6], 0.5),
+                "`e1`, `e2`, `e3`, `e4` and `e6` must be at most 0.5",
+            ),
             (self.e5.is_finite(), "`e5` must be a number"),
         ];
         match checks.into_iter().find(|(holds, _)| !holds) {
@@ -164,10 +174,7 @@ mod tests {
     #[test]
     fn toml_has_the_names_of_the_job() {
         let found = read("calib.toml", "lever_arm_m = [1, 2.5, 3]\ne7 = -0.1\n").unwrap();
-        assert_eq!(
-            found,
-            Calibration { lever_arm_m: [1.0, 2.5, 3.0], e7: -0.1, ..Calibration::default() }
-        );
+        assert_eq!(found, Calibration { lever_arm_m: [1.0, 2.5, 3.0], e7: -0.1, ..Calibration::default() });
         let error = read("calib.toml", "lever_arms_m = [1, 2, 3]\n").unwrap_err();
         assert!(error.contains("unknown field `lever_arms_m`") && error.ends_with(REMEDY), "{error}");
     }
@@ -195,8 +202,16 @@ mod tests {
 
     #[test]
     fn ranges_and_angles_follow_their_formulas() {
-        let calibration =
-            Calibration { e0: 0.5, e1: 1e-3, e2: 2e-3, e3: 3e-3, e4: 4e-3, e6: 1e-3, e7: 0.25, ..Default::default() };
+        let calibration = Calibration {
+            e0: 0.5,
+            e1: 1e-3,
+            e2: 2e-3,
+            e3: 3e-3,
+            e4: 4e-3,
+            e6: 1e-3,
+            e7: 0.25,
+            ..Default::default()
+        };
         assert!((calibration.range_m(1000.0, false) - 1001.5).abs() < 1e-12);
         assert!((calibration.range_m(1000.0, true) - 1001.75).abs() < 1e-12);
         assert!((calibration.angle_correction_rad(0.5) - (1e-3 + 1e-3 + 0.75e-3 + 0.5e-3)).abs() < 1e-16);

@@ -28,7 +28,8 @@ pub struct GeometryKeys {
     pub trajectory_accuracy: Option<String>,
     /// How the scanner's frame stands in the aircraft: a name, or roll, pitch and yaw in degrees; `level` when not given.
     pub mount: Option<Mount>,
-    /// Lever arm, boresight and internal parameters: a table, or a file that holds them.
+    /// Lever arm, boresight and internal parameters: a table with `lever_arm_m` (forward, right, down), `boresight_deg` (roll,
+    /// pitch, yaw) and `e0` to `e7`, each 0 when not given; or a file that holds them.
     pub calibration: Option<CalibrationKey>,
     /// The coordinates of the points: `utm` (the zone of the first shot), `utm:33N`, `EPSG:2154`, a file with WKT,
     /// `geodetic` (longitude and latitude in degrees), or `ecef`; `utm` when not given.
@@ -175,7 +176,10 @@ mod tests {
     #[test]
     fn lengths_and_angles_have_limits() {
         let error = checked("calibration = { lever_arm_m = [0.0, 0.0, 1000.0] }").unwrap_err();
-        assert_eq!((error.key, error.problem.as_str()), ("geometry.calibration", "`lever_arm_m` must be three lengths of at most 100 m"));
+        assert_eq!(
+            (error.key, error.problem.as_str()),
+            ("geometry.calibration", "`lever_arm_m` must be three lengths of at most 100 m")
+        );
         let error = checked("mount = [0, 0, 361]").unwrap_err();
         assert_eq!(error, InvalidKey::new("geometry.mount", "must be three angles of at most 360 degrees"));
     }

@@ -172,9 +172,7 @@ impl Geometry {
 
     /// Whether the trajectory ends before a time of the recording.
     pub(super) fn has_ended_before(&self, gps_time_s: f64) -> bool {
-        self.alignment
-            .get()
-            .is_some_and(|found| found.trajectory.last_s < found.on_trajectory(gps_time_s))
+        self.alignment.get().is_some_and(|found| found.trajectory.last_s < found.on_trajectory(gps_time_s))
     }
 
     /// The trajectory covers none of the shots, which lasted so long.
@@ -189,9 +187,13 @@ impl Geometry {
 
     /// The trajectory covers some of the shots, but not these.
     pub(super) fn partly_covered(&self, n: u64, [first_s, last_s]: [f64; 2]) -> String {
-        let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else { return String::new() };
+        let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else {
+            return String::new();
+        };
         let missing = Times { first_s, last_s, ..*recording };
-        format!("{n} shots are left out, for which the trajectory tells no pose: they are from {missing}, the trajectory from {trajectory}")
+        format!(
+            "{n} shots are left out, for which the trajectory tells no pose: they are from {missing}, the trajectory from {trajectory}"
+        )
     }
 
     /// Tells of the first shot of the recording; later ones change nothing.
@@ -243,9 +245,12 @@ impl Geometry {
         if *self.is_own_map.get_or_init(|| crs_wkt.is_some_and(|wkt| self.wanted.is_map(wkt, point))) {
             return Ok(());
         }
-        let name = crs_wkt.and_then(|wkt| wkt.split('"').nth(1)).unwrap_or("a map that the recording does not name");
+        let name =
+            crs_wkt.and_then(|wkt| wkt.split('"').nth(1)).unwrap_or("a map that the recording does not name");
         Err(StageError::failed(
-            format!("the beams of this recording are in {name} already, and `[job.geometry]` asks for other coordinates"),
+            format!(
+                "the beams of this recording are in {name} already, and `[job.geometry]` asks for other coordinates"
+            ),
             "leave `crs`, `geoid` and `unit` out, and transform the points with another program, such as PDAL",
         ))
     }

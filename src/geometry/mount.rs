@@ -83,7 +83,9 @@ mod tests {
             let cross = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
             assert!(cross.iter().zip(z).all(|(a, b)| (a - b).abs() < 1e-15), "right-handed: {rotation:?}");
             let same = then(&rotation, &inverse(&rotation));
-            assert!(same.as_flattened().iter().zip(IDENTITY.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-15));
+            assert!(
+                same.as_flattened().iter().zip(IDENTITY.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-15)
+            );
         }
     }
 

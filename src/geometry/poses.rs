@@ -92,7 +92,13 @@ fn right_of(pose: &Pose, down: Vector) -> Vector {
 
 /// The variance of a point's place, m²: the trace of its covariance, of which position, attitude (each angle moves the
 /// point about its own axis) and range have independent parts. `from_nav` leads from the aircraft's place to the point.
-pub fn variance_m2(accuracy: &Accuracy, pose: &Pose, down: Vector, from_nav_m: Vector, range_sd_m: f64) -> f64 {
+pub fn variance_m2(
+    accuracy: &Accuracy,
+    pose: &Pose,
+    down: Vector,
+    from_nav_m: Vector,
+    range_sd_m: f64,
+) -> f64 {
     // Heading turns about the vertical, pitch about the level axis to the right, roll about the aircraft's own axis.
     let axes = [inverse(&pose.ecef_from_body)[0], right_of(pose, down), down];
     let position: f64 = accuracy.position_sd_m.iter().map(|sd| sd * sd).sum();
@@ -174,8 +180,7 @@ mod tests {
     /// Scan angles count in the aircraft's axes, whatever the scanner calls its own.
     #[test]
     fn scan_angles_are_corrected_about_the_axis_of_the_flight() {
-        let calibration =
-            Calibration { e2: 1e-2, e3: 2e-2, e4: 3e-2, e6: 1e-3, ..Calibration::default() };
+        let calibration = Calibration { e2: 1e-2, e3: 2e-2, e4: 3e-2, e6: 1e-3, ..Calibration::default() };
         for name in [MountName::Level, MountName::XDownZLeft] {
             let mount = Mount::Named(name);
             let installation = Installation::new(&mount, &calibration);

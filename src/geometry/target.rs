@@ -58,7 +58,8 @@ impl Wanted {
         let geoid = match &keys.geoid {
             None => None,
             Some(name) => {
-                let folder = keys.geoid_dir.as_ref().map_or(input_dir.to_path_buf(), |dir| input_dir.join(dir));
+                let folder =
+                    keys.geoid_dir.as_ref().map_or(input_dir.to_path_buf(), |dir| input_dir.join(dir));
                 Some(Arc::new(geoid::find(&folder, name)?))
             }
         };
@@ -108,7 +109,12 @@ fn read_wkt(path: &Path) -> Result<String> {
     let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the WKT of `crs`"))?.len();
     if bytes > MOST_WKT_BYTES {
         let problem = format!("{bytes} bytes are too many for WKT");
-        return Err(Error::unusable(path, problem, "give the .prj or .wkt file of a coordinate reference system").into());
+        return Err(Error::unusable(
+            path,
+            problem,
+            "give the .prj or .wkt file of a coordinate reference system",
+        )
+        .into());
     }
     Ok(std::fs::read_to_string(path).map_err(Error::io(path, "read the WKT of `crs`"))?)
 }
@@ -134,9 +140,12 @@ impl Target {
 
     /// Step and offset with which integers hold the coordinates, where they are degrees.
     pub fn grid(&self) -> Option<([f64; 3], [f64; 3])> {
-        let offset = [self.first_place.longitude_rad, self.first_place.latitude_rad].map(|rad| rad.to_degrees().round());
+        let offset = [self.first_place.longitude_rad, self.first_place.latitude_rad]
+            .map(|rad| rad.to_degrees().round());
         let [longitude, latitude] = offset;
-        self.crs.is_geodetic().then_some(([DEGREES_STEP, DEGREES_STEP, LENGTH_STEP], [longitude, latitude, 0.0]))
+        self.crs
+            .is_geodetic()
+            .then_some(([DEGREES_STEP, DEGREES_STEP, LENGTH_STEP], [longitude, latitude, 0.0]))
     }
 }
 

@@ -45,7 +45,8 @@ impl Track {
         let map = wanted.fixed();
         let unproject =
             map.as_ref().map(|map| |place| map.to_geodetic(place).map_err(|error| error.to_string()));
-        let trajectory = recorded.into_trajectory(unproject.as_ref().map(|unproject| unproject as &Unproject))?;
+        let trajectory =
+            recorded.into_trajectory(unproject.as_ref().map(|unproject| unproject as &Unproject))?;
         notes.extend(gaps(file, &trajectory));
         Ok(Track { file: file.to_path_buf(), accuracy, trajectory, times, knows_accuracy, notes })
     }

@@ -52,7 +52,15 @@ impl Platform {
             [motion.angles_rad, lever_arm_m, boresight_rad].as_flattened().iter().all(|&v| v == 0.0);
         let body_from_scanner = if is_steady { IDENTITY } else { rotation_of_angles(boresight_rad) };
         let turn_radius_m = 0.0;
-        Platform { speed_mps, flying_height_m, motion, lever_arm_m, body_from_scanner, turn_radius_m, is_steady }
+        Platform {
+            speed_mps,
+            flying_height_m,
+            motion,
+            lever_arm_m,
+            body_from_scanner,
+            turn_radius_m,
+            is_steady,
+        }
     }
 
     /// The same on a circle of this radius, m: positive to the right, 0: straight on.

@@ -95,7 +95,9 @@ impl Map for Georeferencer {
             Frame::Scanner | Frame::Body => {
                 self.geometry.keep_frame()?;
                 cx.note(match frame {
-                    Frame::Body => "the input is not georeferenced: its points are in the frame of the aircraft",
+                    Frame::Body => {
+                        "the input is not georeferenced: its points are in the frame of the aircraft"
+                    }
                     _ => "the input is not georeferenced: its points are in the frame of the scanner",
                 });
                 self.spread(&batch.emissions, &returns, &mut points);

@@ -224,7 +224,9 @@ impl Transform for Resolving {
             Some(strip) => strip,
             // A line without shots waits only where others do.
             None if !is_unresolved => return out.emit(batch),
-            None => self.strip.insert(Strip::new(&self.config, &batch, self.terrain.as_ref(), &self.placed, out)?),
+            None => {
+                self.strip.insert(Strip::new(&self.config, &batch, self.terrain.as_ref(), &self.placed, out)?)
+            }
         };
         strip.push(batch, self.terrain.as_ref(), out)
     }

@@ -8,7 +8,8 @@ use wavex::engine::RunReport;
 use super::made::{Flight, Truth, distance_m, fly, run};
 
 const INSTALLED: &str = "lever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";
-pub const SWAYING: &str = "roll_deg = 8.0\npitch_deg = 5.0\nyaw_deg = 5.0\nmotion_period_s = 4.0\nheading_deg = 70.0\n";
+pub const SWAYING: &str =
+    "roll_deg = 8.0\npitch_deg = 5.0\nyaw_deg = 5.0\nmotion_period_s = 4.0\nheading_deg = 70.0\n";
 const GEOMETRY: &str = "trajectory = '*.out'\n\
                         calibration = { lever_arm_m = [0.8, -0.35, 1.1], boresight_deg = [0.4, -0.7, 1.3] }\n";
 const TO_FILES: &str = "[[stage]]\ntype = 'calibrate'\nwaveforms = 2000\nresponse = 'gaussian'\n\
@@ -112,7 +113,12 @@ fn echoes_have_the_pose_of_their_own_shot() {
     let found = returns(flight.folder());
     let pairs = pairs(&flight, &found);
     let right: Vec<_> = pairs.iter().filter(|(f, t)| (f.range_m - t.range_m).abs() < 0.3).collect();
-    assert!(right.len() > 10_000 && right.len() * 100 > 98 * found.len(), "{} of {}", right.len(), found.len());
+    assert!(
+        right.len() > 10_000 && right.len() * 100 > 98 * found.len(),
+        "{} of {}",
+        right.len(),
+        found.len()
+    );
     let worst_m = right.into_iter().map(beyond_range_m).fold(0.0, f64::max);
     println!("several pulses in the air: at most {:.4} mm beyond the range's own error", 1e3 * worst_m);
     assert!(worst_m < 1e-3, "{worst_m}");
@@ -150,7 +156,9 @@ fn the_bytes_do_not_depend_on_the_threads() {
 /// What the LAS file says of its coordinates, and the height above ground of each line.
 #[test]
 fn files_tell_coordinates_and_height_above_ground() {
-    let flight = fly(&format!("lines = 20\nshots_per_line = 100\nbuilding_height_m = 0\ncanopy_height_m = 0\nresponse = 'gaussian'\n{SWAYING}"));
+    let flight = fly(&format!(
+        "lines = 20\nshots_per_line = 100\nbuilding_height_m = 0\ncanopy_height_m = 0\nresponse = 'gaussian'\n{SWAYING}"
+    ));
     process(&flight, 1, "trajectory = 'a.pof'\n", "");
     let las = std::fs::read(flight.path("a.las")).unwrap();
     let text = String::from_utf8_lossy(&las);

@@ -10,7 +10,9 @@ const GEOREFERENCE: &str = "[[stage]]\ntype = 'calibrate'\nwaveforms = 500\nresp
 #[track_caller]
 fn in_map(geometry: &str) -> Result<(), String> {
     let folder = tempfile::tempdir().unwrap();
-    let job = format!("[job.geometry]\n{geometry}\n[[stage]]\ntype = 'simulate'\nlines = 12\nshots_per_line = 60\n{GEOREFERENCE}");
+    let job = format!(
+        "[job.geometry]\n{geometry}\n[[stage]]\ntype = 'simulate'\nlines = 12\nshots_per_line = 60\n{GEOREFERENCE}"
+    );
     run(folder.path(), &job).map(|_| ())
 }
 
@@ -53,7 +55,10 @@ fn points_stand_in_the_aircraft() {
     let installed = flight
         .place("calibration = { lever_arm_m = [1.0, 2.0, 3.0] }\nmount = [0, 0, 90]", |truth| truth.range_m)
         .unwrap();
-    assert_eq!(notes(&installed), ["the input is not georeferenced: its points are in the frame of the aircraft"]);
+    assert_eq!(
+        notes(&installed),
+        ["the input is not georeferenced: its points are in the frame of the aircraft"]
+    );
     for (point, [x, y, z]) in installed.points.iter().zip(&plain.points) {
         assert!(distance_m(*point, [1.0 - y, 2.0 + x, 3.0 + z]) < 1e-9, "a yaw of 90 degrees to the right");
     }
@@ -109,7 +114,9 @@ fn a_calibration_may_stand_in_a_file() {
 fn a_place_is_given_once() {
     let flight = fly(QUIET);
     let posed = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'write_arrow'\npath = 'b.arrow'\n";
-    let with = |keys: &str, stages: &str| run(flight.folder(), &format!("[job.geometry]\n{keys}\n{stages}")).unwrap();
+    let with = |keys: &str, stages: &str| {
+        run(flight.folder(), &format!("[job.geometry]\n{keys}\n{stages}")).unwrap()
+    };
     with("trajectory = 'a.out'", posed);
     std::fs::rename(flight.path("b.arrow"), flight.path("a.arrow")).unwrap();
     let placed = flight.place("calibration = { e0 = 1.0 }", |truth| truth.range_m - 1.0).unwrap();
@@ -118,8 +125,10 @@ fn a_place_is_given_once() {
     let notes = &placed.cx.counters().notes;
     assert_eq!(
         notes[..],
-        ["the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns ranges and \
-          coordinates is used"]
+        [
+            "the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns ranges and \
+          coordinates is used"
+        ]
     );
     let report = with("mount = 'level'", "[[stage]]\ntype = 'simulate'\nlines = 1\n");
     assert_eq!(
@@ -151,7 +160,10 @@ fn what_the_table_names_must_be_there() {
         error.replace(&format!("{}/", flight.folder().display()), "")
     };
     assert!(refused("trajectory = 'b.out'").starts_with("b.out: cannot open: "));
-    assert!(refused("trajectory = 'a.csv'").starts_with("a.csv: it is a text, and nothing says what its columns are"));
+    assert!(
+        refused("trajectory = 'a.csv'")
+            .starts_with("a.csv: it is a text, and nothing says what its columns are")
+    );
     assert_eq!(
         refused("crs = 'EPSG:99999'"),
         "EPSG:99999 is not in the table of systems; check the code, or give the system as a WKT file"

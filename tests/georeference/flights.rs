@@ -11,10 +11,12 @@ pub const QUIET: &str = "lines = 40\nshots_per_line = 120\npulse_rate_hz = 20000
 
 /// Lever arm and boresight in the simulator's keys, and in those of `[job.geometry]`.
 const INSTALLED: &str = "lever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";
-const CALIBRATED: &str = "calibration = { lever_arm_m = [0.8, -0.35, 1.1], boresight_deg = [0.4, -0.7, 1.3] }\n";
+const CALIBRATED: &str =
+    "calibration = { lever_arm_m = [0.8, -0.35, 1.1], boresight_deg = [0.4, -0.7, 1.3] }\n";
 
 /// Sways by 15 degrees within seconds.
-const SWAYING: &str = "roll_deg = 15.0\npitch_deg = 12.0\nyaw_deg = 8.0\nmotion_period_s = 4.0\nscan_angle_deg = [-25, 25]\n";
+const SWAYING: &str =
+    "roll_deg = 15.0\npitch_deg = 12.0\nyaw_deg = 8.0\nmotion_period_s = 4.0\nscan_angle_deg = [-25, 25]\n";
 
 /// The farthest that a point lies from its truth, m.
 #[track_caller]
@@ -73,7 +75,10 @@ fn across_the_date_line() {
 
 #[test]
 fn in_the_southern_hemisphere() {
-    comes_back("the southern hemisphere", &format!("{SWAYING}start_deg = [151.2, -33.9]\nheading_deg = -100.0\n"));
+    comes_back(
+        "the southern hemisphere",
+        &format!("{SWAYING}start_deg = [151.2, -33.9]\nheading_deg = -100.0\n"),
+    );
 }
 
 #[test]

@@ -63,7 +63,12 @@ pub fn fly(keys: &str) -> Flight {
     );
     run(folder.path(), &job).unwrap();
     let truth = std::fs::read_to_string(folder.path().join("a.csv")).unwrap();
-    Flight { folder, truth: truth.lines().skip(1).map(truth_of).collect(), turned: IDENTITY, unsaid: Unsaid::Nothing }
+    Flight {
+        folder,
+        truth: truth.lines().skip(1).map(truth_of).collect(),
+        turned: IDENTITY,
+        unsaid: Unsaid::Nothing,
+    }
 }
 
 fn truth_of(row: &str) -> Truth {

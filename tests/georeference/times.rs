@@ -21,8 +21,12 @@ fn rewrite(flight: &Flight, change: impl Fn(SbetRecord) -> Option<SbetRecord>) {
     let bytes = std::fs::read(flight.path("a.out")).unwrap();
     let (records, rest) = bytes.as_chunks::<RECORD_BYTES>();
     assert!(rest.is_empty());
-    let changed: Vec<u8> =
-        records.iter().map(SbetRecord::decode).filter_map(change).flat_map(|record| record.encode()).collect();
+    let changed: Vec<u8> = records
+        .iter()
+        .map(SbetRecord::decode)
+        .filter_map(change)
+        .flat_map(|record| record.encode())
+        .collect();
     std::fs::write(flight.path("a.out"), changed).unwrap();
 }
 
@@ -91,11 +95,17 @@ fn shots_outside_the_trajectory_are_counted() {
     assert!(outside > 2000 && outside < 4000 && blocks >= outside, "{outside} shots, {blocks} blocks");
     let shots: u64 = part.stats.iter().map(|stats| stats.nw).sum();
     assert!(outside + shots <= 4800 && outside + shots > 4700, "{outside} of 4800 shots, {shots} waveforms");
-    let is_true = |point: &[f64; 3]| flight.truth.iter().any(|truth| distance_m(truth.point_m, *point) < 1e-3);
+    let is_true =
+        |point: &[f64; 3]| flight.truth.iter().any(|truth| distance_m(truth.point_m, *point) < 1e-3);
     assert!(part.points.len() > 1000 && part.points.iter().all(is_true));
     let note = &counters.notes[0];
-    let expected = format!("{outside} shots are left out, for which the trajectory tells no pose: they are from Tuesday");
-    assert!(note.starts_with(&expected) && note.contains(", the trajectory from Tuesday 10:00:00.1 to"), "{note}");
+    let expected = format!(
+        "{outside} shots are left out, for which the trajectory tells no pose: they are from Tuesday"
+    );
+    assert!(
+        note.starts_with(&expected) && note.contains(", the trajectory from Tuesday 10:00:00.1 to"),
+        "{note}"
+    );
 }
 
 #[test]

@@ -54,9 +54,9 @@ fn total_uncertainty_is_what_points_are_off_by() {
     let mut pairs = pairs(&flight, &found);
     pairs.retain(|(found, _)| found.number_of_returns == 1);
     assert!(pairs.len() > 7500, "{}", pairs.len());
-    let squares = pairs.iter().map(|(found, truth)| {
-        (distance_m(found.point_m, truth.point_m) / found.total_uncertainty_m).powi(2)
-    });
+    let squares = pairs
+        .iter()
+        .map(|(found, truth)| (distance_m(found.point_m, truth.point_m) / found.total_uncertainty_m).powi(2));
     let normalised = (squares.sum::<f64>() / pairs.len() as f64).sqrt();
     let mean_m = found.iter().map(|found| found.total_uncertainty_m).sum::<f64>() / found.len() as f64;
     println!("{} points, {:.1} mm on average, normalised error {normalised:.3}", pairs.len(), 1e3 * mean_m);
