@@ -143,6 +143,7 @@ fn found(n: u64, index: u8, count: u8) -> Return {
         time_of_flight_sd_ns: 0.01,
         range_m,
         range_sd_m: 0.0015,
+        total_sd_m: f64::NAN,
         amplitude_dn: 0.1 + 0.2,
         amplitude_sd_dn: 0.9,
         amplitude_db: if index == 0 { 12.5 } else { f64::NAN },
