@@ -16,7 +16,7 @@ mod points;
 mod shots;
 
 pub use budget::{Budget, Ticket};
-pub use input::{AmplitudeTable, EmissionReference, Frame, InputInfo, TimeScale};
+pub use input::{AmplitudeTable, EmissionReference, Frame, InputInfo, LinearAmplitude, TimeScale};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
 pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};

@@ -182,7 +182,8 @@ struct ScanArgs {
 struct TrajectoryArgs {
     /// The trajectory; its content tells the format
     file: PathBuf,
-    /// The coordinates x y z: utm (zone of the first place), utm:33N, geodetic or ecef; of a TRJ also its own map
+    /// The coordinates x y z: utm (zone of the first place), utm:33N, EPSG:2154, geodetic, ecef or a file with WKT; of a TRJ
+    /// also its own map
     #[arg(long, value_name = "CRS", default_value = "utm")]
     crs: String,
     /// Write one record of so many

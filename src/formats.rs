@@ -11,6 +11,7 @@ pub mod container;
 pub mod geoid;
 pub mod geokeys;
 pub mod las;
+pub mod lookup_tables;
 pub mod pulsewaves;
 pub mod sdf;
 pub mod terrain;

@@ -5,6 +5,8 @@
 //! ([`shape`]). Its parts are [`detect`] (matched filter), [`gauss_fit`] (joint least squares), [`whitening`] and [`noise`].
 //! [`lockstep`] does the same for whole batches, in `f32` and many times faster, and hands to it what it is not made for.
 //! [`mta`] finds the emission that caused an echo, where several pulses are in the air.
+//! [`radiometry`], [`penalised_spline`] and [`width_by_amplitude`] serve the corrections of returns, and [`outliers`]
+//! finds points that stand alone.
 //! docs/method.md describes the method. Positions are in samples from the block's first, heights in digitiser steps
 //! (DN), and a pulse stands where its peak stands.
 
@@ -22,6 +24,9 @@ pub mod lockstep;
 pub mod mta;
 pub mod noise;
 pub mod outgoing;
+pub mod outliers;
+pub mod penalised_spline;
+pub mod radiometry;
 pub mod response;
 pub mod response_calibrate;
 mod rules;
@@ -30,6 +35,7 @@ pub mod shape;
 pub mod templates;
 pub mod whitening;
 mod wide;
+pub mod width_by_amplitude;
 
 #[cfg(test)]
 mod recordings;

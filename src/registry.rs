@@ -2,8 +2,8 @@
 
 use crate::stage::StageSpec;
 use crate::stages::{
-    calibrate, decompose, fuse_channels, georeference, read_arrow, read_las, read_pulsewaves, read_sdf,
-    resolve_mta, simulate, write_arrow, write_las, write_lstat, write_table,
+    calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, read_arrow, read_las,
+    read_pulsewaves, read_sdf, resolve_mta, simulate, write_arrow, write_las, write_lstat, write_table,
 };
 
 /// Every stage that a job can name, in the order of the manual: sources, what changes lines, sinks.
@@ -17,6 +17,8 @@ pub const STAGES: &[&StageSpec] = &[
     &fuse_channels::STAGE,
     &calibrate::STAGE,
     &decompose::STAGE,
+    &correct::STAGE,
+    &filter_outliers::STAGE,
     &georeference::STAGE,
     &write_las::STAGE,
     &write_lstat::STAGE,

@@ -3,7 +3,9 @@
 mod broken;
 pub mod calibrate;
 mod container_info;
+pub mod correct;
 pub mod decompose;
+pub mod filter_outliers;
 pub mod fuse_channels;
 pub mod georeference;
 mod lines;

@@ -17,18 +17,20 @@ use wavex::registry::{self, STAGES};
 use wavex::stage::{Config, Context, Item, Paths, Result, RoleName, Site, Source, SourceConfig, StageSpec};
 
 /// Endings of the names of quantities, by which their unit can be told.
-const UNITS: [&str; 16] = [
+const UNITS: [&str; 17] = [
     "_m", "_ns", "_ps", "_s", "_us", "_deg", "_hz", "_mps", "_dn", "_db", "_mb", "_ppm", "_ratio", "_sigma",
-    "_rate", "_step",
+    "_rate", "_step", "_per_km",
 ];
 /// Quantities without a unit, and whose name says so.
-const PLAIN_NUMBERS: [&str; 6] = [
+const PLAIN_NUMBERS: [&str; 8] = [
     "noise_autocorrelation",
     "split_evidence",
     "template_error",
     "detection_sigma_last",
     "odd_sample_shift",
     "decay_amplitude",
+    "width_correction_low",
+    "width_correction_high",
 ];
 
 #[test]

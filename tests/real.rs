@@ -22,6 +22,7 @@ use std::sync::OnceLock;
 
 use recordings::{Table, data, median, robust, run_job, samples};
 use wavex::batch::Channel;
+use wavex::engine;
 use wavex::kernels::calibrate::CalibrationSettings;
 use wavex::kernels::decompose::DecomposeSettings;
 use wavex::kernels::outgoing::OutgoingFitter;
@@ -105,6 +106,47 @@ fn single_returns_agree_with_riegl_in_time_amplitude_and_width() {
     let (median_ns, sd_ns) = difference("fwhm_ns", "fwhm_ns");
     println!("full width at half maximum: median {median_ns:.3} ns, robust standard deviation {sd_ns:.3} ns");
     assert!(median_ns.abs() <= 0.1 && sd_ns <= 0.15, "{median_ns} ns, {sd_ns} ns");
+}
+
+/// The job with the stage `correct`, with these keys.
+fn corrected(data: &Path, keys: &str) -> (Comparison, engine::InputReport) {
+    let job = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs/q680i_pulsewaves.toml");
+    let stage = format!("[[stage]]\ntype = \"correct\"\n{keys}\n[[stage]]\ntype = \"georeference\"");
+    let text = std::fs::read_to_string(job).unwrap();
+    let text = text.replace("[[stage]]\ntype = \"georeference\"", &stage);
+    let out = tempfile::tempdir().unwrap();
+    let report = recordings::run("corrected.toml", &text, data, out.path(), &[]);
+    let vendor = Table::read(&data.join("riegl_q680i_dev/riegl_q680i_dev_vendor_returns.csv"));
+    let ours = Table::read(&out.path().join("riegl_q680i_dev_returns.csv"));
+    (Comparison { vendor, ours }, report)
+}
+
+#[test]
+fn amplitudes_by_the_instruments_tables_are_riegls() {
+    let Some(data) = data() else { return };
+    let amplitude_db = |comparison: &Comparison| {
+        let [theirs, ours] = [&comparison.vendor, &comparison.ours].map(|table| table.column("amplitude_db"));
+        let singles = comparison.singles();
+        robust(&singles.iter().map(|pair| ours[pair.ours] - theirs[pair.vendor]).collect::<Vec<f64>>())
+    };
+    let (own, report) = corrected(&data, "");
+    let (from_file, _) = corrected(&data, "amplitude_table = \"riegl_q680i_dev/lookup_tables.csv\"");
+    for (name, comparison) in [("the recording's tables", &own), ("tables of a file", &from_file)] {
+        let (median_db, sd_db) = amplitude_db(comparison);
+        println!("{name}: median {median_db:.4} dB (goal 0.05), robust standard deviation {sd_db:.4} dB");
+        assert!(median_db.abs() <= 0.05 && sd_db <= 0.03, "{median_db} dB, {sd_db} dB");
+    }
+    // The file's numbers are rounded to six digits.
+    let [own_intensity, file_intensity] = [&own, &from_file].map(|c| c.ours.column("intensity"));
+    let same = own_intensity.iter().zip(&file_intensity).all(|(a, b)| (a / b - 1.0).abs() < 1e-5);
+    assert!(same && own_intensity.len() == file_intensity.len());
+    let total = |name: &str| report.totals[name];
+    assert_eq!([total("np_ibic"), total("np_range")], [total("np"); 2]);
+    assert_eq!([total("np_ibrc"), total("np_atm")], [0; 2], "the file has no range table");
+    let widths = Comparison::of("q680i_pulsewaves.toml", &data).ours.column("width_ratio");
+    let (before, after) = (robust(&widths), robust(&own.ours.column("width_ratio")));
+    println!("width ratio before {before:.4?} and after {after:.4?}");
+    println!("{:?}", report.stages.iter().find(|stage| stage.r#type == "correct").unwrap().notes);
 }
 
 #[test]

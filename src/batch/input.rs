@@ -151,6 +151,29 @@ impl AmplitudeTable {
         };
         y0 + (y1 - y0) * (dn - x0) / (x1 - x0)
     }
+
+    /// How much the value changes per digitiser step around `dn`: the central difference over two steps.
+    pub fn slope(&self, dn: f64) -> f64 {
+        (self.at(dn + 1.0) - self.at(dn - 1.0)) / 2.0
+    }
+
+    /// What a table of decibels says of a peak at `peak_dn` digitiser steps with its standard deviation.
+    pub fn amplitude(&self, peak_dn: f64, peak_sd_dn: f64) -> LinearAmplitude {
+        let linear = |dn: f64| 7.0 * 10f64.powf(self.at(dn) / 10.0);
+        let slope = (linear(peak_dn + 1.0) - linear(peak_dn - 1.0)) / 2.0;
+        LinearAmplitude { db: self.at(peak_dn), linear: linear(peak_dn), linear_sd: slope.abs() * peak_sd_dn }
+    }
+}
+
+/// An amplitude by the instrument's table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinearAmplitude {
+    /// Above the detection limit, dB.
+    pub db: f64,
+    /// `7 · 10^(dB / 10)`: in proportion to the light, digitiser steps of weak echoes.
+    pub linear: f64,
+    /// Standard deviation of `linear`.
+    pub linear_sd: f64,
 }
 
 #[cfg(test)]
@@ -163,5 +186,18 @@ mod tests {
         let at = [8.0, 9.0, 10.0, 16.0, 21.0, 300.0].map(|dn| table.at(dn));
         assert_eq!(at, [0.0, 0.0, 0.5, 1.5, 2.0, 2.0]);
         assert_eq!(AmplitudeTable::new([(1.0, -2e37), (2.0, 3.0)]), None);
+    }
+
+    #[test]
+    fn decibels_make_a_linear_amplitude_with_its_deviation() {
+        let table = AmplitudeTable::new(
+            (9..=200).map(|dn| (f64::from(dn), 10.0 * (f64::from(dn - 2) / 7.0).log10())),
+        );
+        let table = table.unwrap();
+        let amplitude = table.amplitude(102.0, 1.5);
+        assert!((amplitude.db - 10.0 * (100f64 / 7.0).log10()).abs() < 1e-12);
+        assert!((amplitude.linear - 100.0).abs() < 1e-9 && (amplitude.linear_sd - 1.5).abs() < 1e-9);
+        assert!((table.slope(102.0) - 10.0 / (100.0 * std::f64::consts::LN_10)).abs() < 1e-5);
+        assert_eq!(table.amplitude(300.0, 1.5).linear_sd, 0.0, "beyond its end a table is flat");
     }
 }

@@ -27,6 +27,19 @@ pub fn height_m(frame: Frame, place_m: Vector) -> Option<f64> {
     }
 }
 
+/// The axis, with its sign, that the mean of some directions is nearest to: down in an instrument's own frame, because
+/// scanners are mounted in more than one way, and look down on average.
+pub fn main_axis(directions: impl IntoIterator<Item = Vector>) -> Vector {
+    let mut sum = [0.0; 3];
+    for direction in directions {
+        (0..3).for_each(|axis| sum[axis] += direction[axis]);
+    }
+    let axis = (0..3).max_by(|&a, &b| sum[a].abs().total_cmp(&sum[b].abs())).unwrap_or(2);
+    let mut down = [0.0; 3];
+    down[axis] = if sum[axis] < 0.0 { -1.0 } else { 1.0 };
+    down
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -113,7 +113,7 @@ impl NumberOrFalse {
     }
 
     /// Whether it is a number that is within, or `false` and not `true`.
-    fn is_within(self, range: std::ops::RangeInclusive<f64>) -> bool {
+    pub(super) fn is_within(self, range: std::ops::RangeInclusive<f64>) -> bool {
         match self {
             NumberOrFalse::Number(number) => range.contains(&number),
             NumberOrFalse::Without(with) => !with,

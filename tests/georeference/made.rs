@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use wavex::batch::{Batch, Content, Emission, Frame, InputInfo, LineStats, Return, ReturnChannel, TimeScale};
+use wavex::batch::{Batch, Content, Emission, Frame, InputInfo, LineStats, Return, TimeScale};
 use wavex::engine::{self, Options, RunReport};
 use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex::geo::frames::{IDENTITY, Rotation, rotate};
@@ -192,27 +192,11 @@ pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
         emission,
         return_number: number,
         number_of_returns: of,
-        channel: ReturnChannel::Low,
-        flags: 0,
-        mta_zone: 0,
-        time_of_flight_ns: f64::NAN,
-        time_of_flight_sd_ns: f64::NAN,
         range_m,
         range_sd_m: 0.0,
-        total_sd_m: f64::NAN,
         amplitude_dn: 100.0,
-        amplitude_sd_dn: 1.0,
-        amplitude_db: f64::NAN,
-        width_ratio: 1.0,
-        width_ratio_sd: 0.1,
-        fwhm_ns: 4.5,
-        thickness_m: 0.0,
-        thickness_sd_m: 0.1,
-        deviation_ratio: 0.0,
         intensity: 100.0,
-        intensity_sd: 1.0,
-        withheld: false,
-        class: 0,
+        ..Return::default()
     }
 }
 

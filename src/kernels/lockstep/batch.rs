@@ -3,13 +3,13 @@
 use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
-use super::fit::{Job, Values};
-use super::jobs::{Aim, Done, Queues, add, take_off};
+use super::fit::{FittedPulse, Job};
+use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
 use super::start::{FromBank, OneStep, Stepped};
-use super::tables::{Tables, U_MAX};
+use super::tables::Tables;
 use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
 use crate::kernels::calibrate::Block;
@@ -22,7 +22,7 @@ pub(super) struct Workspace {
     pub(super) columns: Columns,
     pub(super) scenes: Vec<Scene>,
     pub(super) queues: Queues,
-    pub(super) done: Vec<Done>,
+    pub(super) done: Results,
     pub(super) trials: Vec<Trial>,
     /// Waveforms whose clusters are to be fitted.
     pub(super) due: Vec<usize>,
@@ -30,8 +30,8 @@ pub(super) struct Workspace {
     round: Vec<usize>,
     /// Waveforms whose residual is still to be searched.
     pub(super) active: Vec<usize>,
-    /// Pulses that may be two: row and values, and their number in the waveform.
-    pub(super) suspects: Vec<(usize, Values)>,
+    /// Pulses that may be two: with their row, and their number in the waveform.
+    pub(super) suspects: Vec<(usize, Pulse)>,
     pub(super) suspect_numbers: Vec<usize>,
     pub(super) candidates: Vec<Candidates>,
     pub(super) squares: Vec<f32>,
@@ -39,6 +39,8 @@ pub(super) struct Workspace {
     pub(super) which: Vec<usize>,
     /// Single pulses that begin with the width bank.
     singles: Vec<Job<1>>,
+    /// The numbers of these pulses in their waveforms.
+    single_tags: Vec<usize>,
     pub(super) scores: Vec<(f32, bool)>,
     stepped: Vec<Stepped>,
 }
@@ -63,7 +65,7 @@ impl Workspace {
             rows,
             scenes: Vec::with_capacity(BATCH),
             queues: Queues::default(),
-            done: Vec::with_capacity(BATCH),
+            done: Results::default(),
             trials: Vec::with_capacity(BATCH),
             due: Vec::with_capacity(BATCH),
             round: Vec::with_capacity(BATCH),
@@ -74,6 +76,7 @@ impl Workspace {
             squares: Vec::with_capacity(BATCH),
             which: Vec::with_capacity(BATCH),
             singles: Vec::with_capacity(BATCH),
+            single_tags: Vec::with_capacity(BATCH),
             scores: Vec::with_capacity(BATCH),
             stepped: Vec::with_capacity(BATCH),
         }
@@ -242,9 +245,8 @@ impl Decompose<'_> {
         on.run(FromBank { tables, rows, jobs });
         on.run(OneStep { tables, rows, jobs, out: stepped });
         for (job, stepped) in jobs.iter().zip(stepped) {
-            let fitted = &stepped.fitted;
             let scene = &mut scenes[job.row];
-            if !fitted.is_optimum || fitted.pulses[0][2] >= U_MAX as f32 {
+            if !stepped.is_whole || !stepped.pulse.is_known() || !stepped.pulse.is_held() {
                 // The tabulated matrix is that of whole pulses: others are fitted.
                 queues.push(tables, job.row, &job.pulses, Aim::OPTIMUM, number);
                 continue;
@@ -252,10 +254,10 @@ impl Decompose<'_> {
             scene.chi_square = stepped.chi_square;
             scene.samples = stepped.samples;
             let pulse = &mut scene.pulses_mut()[number];
-            pulse.set_values(fitted.pulses[0]);
-            pulse.sds = fitted.sds[0];
+            pulse.take(&stepped.pulse);
+            pulse.sds = stepped.pulse.sds;
             if scene.taken_off {
-                add(on, tables, rows, job.row, fitted.pulses[0], -1.0);
+                add(on, tables, rows, job.row, stepped.pulse.values, -1.0);
             }
         }
         self.run_clusters();
@@ -265,10 +267,12 @@ impl Decompose<'_> {
     /// second, and so on.
     pub(super) fn fit_clusters(&mut self, least: usize) {
         let mut singles = std::mem::take(&mut self.work.singles);
+        let mut tags = std::mem::take(&mut self.work.single_tags);
         let mut round = std::mem::take(&mut self.work.round);
         round.clone_from(&self.work.due);
         for number in 0..MAX_PULSES {
             singles.clear();
+            tags.clear();
             round.retain(|&row| {
                 let scene = &self.work.scenes[row];
                 scene.way == Way::Fast && scene.cluster(number).is_some()
@@ -281,22 +285,20 @@ impl Decompose<'_> {
                 if cluster.len() > MAX_CLUSTER {
                     self.work.scenes[row].give_up();
                 } else if cluster.len() >= least
-                    && let Some(single) = self.queue_cluster(row, cluster)
+                    && let Some(single) = self.queue_cluster(row, cluster.clone())
                 {
                     singles.push(single);
+                    tags.push(cluster.start);
                 }
             }
             let jobs = &mut singles;
             self.on.run(FromBank { tables: self.tables, rows: &self.work.rows, jobs });
-            for job in &singles {
-                // The first pulse of a cluster of one: it is the one at its place.
-                let at =
-                    self.work.scenes[job.row].pulses().partition_point(|p| p.position() < job.pulses[0][1]);
-                self.work.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, at);
+            for (job, &tag) in singles.iter().zip(&tags) {
+                self.work.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, tag);
             }
             self.run_clusters();
         }
-        (self.work.singles, self.work.round) = (singles, round);
+        (self.work.singles, self.work.single_tags, self.work.round) = (singles, tags, round);
     }
 
     /// Puts a cluster back on its row and in its queue; gives it back where it is one pulse that has never been fitted, and
@@ -328,22 +330,25 @@ impl Decompose<'_> {
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
         let work = &mut *self.work;
         work.queues.run(self.on, self.tables, &work.rows, precision, &mut work.done);
-        for done in &work.done {
+        for done in &work.done.list {
+            let fitted = work.done.pulses(done);
             let scene = &mut work.scenes[done.row];
-            scene.taken_off |= done.values().len() == scene.pulses().len();
+            scene.taken_off |= fitted.len() == scene.pulses().len();
             // Without an optimum the pulse counts as not fitted: another may join it, or the plain kernels decide.
-            let settled = done.is_optimum && done.values().iter().all(|values| values[2] < U_MAX as f32);
-            let pulses = &mut scene.pulses_mut()[done.tag..done.tag + done.values().len()];
-            for ((pulse, values), sds) in pulses.iter_mut().zip(done.values()).zip(done.sds()) {
-                pulse.set_values(*values);
+            let settled = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            if !fitted.iter().all(FittedPulse::is_held) {
+                scene.beyond += done.beyond;
+            }
+            let pulses = &mut scene.pulses_mut()[done.tag..done.tag + fitted.len()];
+            for (pulse, fitted) in pulses.iter_mut().zip(fitted) {
+                pulse.take(fitted);
                 pulse.flags |= flags::REFINED;
-                let is_known = sds.iter().all(|sd| sd.is_finite() && *sd > 0.0);
                 if !settled {
                     pulse.flags |= flags::DIVERGED;
                 }
                 // The fast modes let it stand as it is.
-                let stays = settled || (is_known && self.mode != Mode::Refined);
-                pulse.sds = if stays { *sds } else { [0.0; 3] };
+                let stays = settled || (fitted.is_known() && self.mode != Mode::Refined);
+                pulse.sds = if stays { fitted.sds } else { [0.0; 3] };
             }
         }
         take_off(self.on, self.tables, &mut work.rows, &work.done);

@@ -3,9 +3,9 @@
 use super::jobs::Aim;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::factor;
-use super::tables::{ROW, Tables};
-use super::template::{Pulses, Site, leaves_block, sites, tail, template, weights};
-use super::vector::{Kernel, LANES, Simd};
+use super::tables::{ROW, Tables, U_MAX};
+use super::template::{Pulses, Site, Sites, leaves_block, tail, template, weights};
+use super::vector::{Kernel, LANES, Simd, Sixteen};
 
 /// Values of a pulse: height (DN), position (samples from the block's first), `ln` of the width ratio.
 pub(super) type Values = [f32; 3];
@@ -24,12 +24,78 @@ impl<const P: usize> Job<P> {
     const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
 }
 
+/// A fitted pulse.
+#[derive(Clone, Copy)]
+pub(super) struct FittedPulse {
+    pub(super) values: Values,
+    /// Standard deviations of the values.
+    pub(super) sds: Values,
+    pub(super) width_ratio: f32,
+}
+
+impl FittedPulse {
+    pub(super) const NOTHING: FittedPulse = FittedPulse { values: [0.0; 3], sds: [0.0; 3], width_ratio: 0.0 };
+
+    /// Whether the width is inside the tables.
+    pub(super) fn is_held(&self) -> bool {
+        self.values[2] < U_MAX as f32
+    }
+
+    /// Whether its standard deviations are known.
+    #[inline(always)]
+    pub(super) fn is_known(&self) -> bool {
+        self.sds.iter().all(|sd| sd.is_finite() && *sd > 0.0)
+    }
+}
+
+/// Sixteen fitted pulses, lane by lane.
+pub(super) struct FittedLanes {
+    values: [Sixteen; 3],
+    sds: [Sixteen; 3],
+    width_ratios: Sixteen,
+}
+
+impl FittedLanes {
+    #[inline(always)]
+    pub(super) fn of<S: Simd>(s: S, pulses: &Pulses<S::V>, variances: [S::V; 3]) -> FittedLanes {
+        let (mut values, mut sds, mut width_ratios) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3], [0.0; LANES]);
+        s.store(pulses.height, &mut values[0]);
+        s.store(pulses.position, &mut values[1]);
+        s.store(pulses.width, &mut values[2]);
+        s.store(s.sqrt(variances[0]), &mut sds[0]);
+        s.store(s.sqrt(variances[1]), &mut sds[1]);
+        s.store(s.sqrt(variances[2]), &mut sds[2]);
+        s.store(exponential(s, pulses.width), &mut width_ratios);
+        FittedLanes { values, sds, width_ratios }
+    }
+
+    #[inline(always)]
+    pub(super) fn get(&self, lane: usize) -> FittedPulse {
+        let FittedLanes { values, sds, width_ratios } = self;
+        FittedPulse {
+            values: [values[0][lane], values[1][lane], values[2][lane]],
+            sds: [sds[0][lane], sds[1][lane], sds[2][lane]],
+            width_ratio: width_ratios[lane],
+        }
+    }
+}
+
+/// `e` to the power of widths within the tables, to 5e-7 of it: the series for a quarter of the exponent, squared twice.
+#[inline(always)]
+fn exponential<S: Simd>(s: S, ln_width_ratio: S::V) -> S::V {
+    let quarter = s.mul(ln_width_ratio, s.splat(0.25));
+    let mut sum = s.splat(1.0);
+    for k in [8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0_f32] {
+        sum = s.fma(s.mul(sum, s.splat(1.0 / k)), quarter, s.splat(1.0));
+    }
+    let half = s.mul(sum, sum);
+    s.mul(half, half)
+}
+
 /// Fitted pulses.
 #[derive(Clone, Copy)]
 pub(super) struct Fitted<const P: usize> {
-    pub(super) pulses: [Values; P],
-    /// Standard deviations of the values.
-    pub(super) sds: [Values; P],
+    pub(super) pulses: [FittedPulse; P],
     /// Whether the fit ended at an optimum inside what tables and frame hold.
     pub(super) is_optimum: bool,
     /// Whether more iterations may bring it there.
@@ -37,16 +103,22 @@ pub(super) struct Fitted<const P: usize> {
     /// Chi-square with the priors' part, and by how much the next step promises to lower it.
     pub(super) objective: f32,
     pub(super) promised: f32,
+    /// The same of the undamped step, whatever the tables allow.
+    pub(super) beyond: f32,
 }
 
 impl<const P: usize> Fitted<P> {
+    pub(super) fn values(&self) -> [Values; P] {
+        self.pulses.map(|pulse| pulse.values)
+    }
+
     pub(super) const NOTHING: Fitted<P> = Fitted {
-        pulses: [[0.0; 3]; P],
-        sds: [[0.0; 3]; P],
+        pulses: [FittedPulse::NOTHING; P],
         is_optimum: false,
         may_go_on: false,
         objective: 0.0,
         promised: 0.0,
+        beyond: 0.0,
     };
 }
 
@@ -260,16 +332,20 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         inside: &mut u16,
     ) -> Point<S::V, N> {
         let s = self.s;
-        let mut of_pulse = [[Site::default(); LANES]; P];
-        for (sites_of, pulse) in of_pulse.iter_mut().zip(pulses) {
-            *sites_of = sites::<S, STRONG>(s, self.tables, pulse);
+        let mut sites = [Sites::NONE; P];
+        for (sites, pulse) in sites.iter_mut().zip(pulses) {
+            sites.set(s, pulse);
         }
         for w in 0..LANES {
-            let mut first = of_pulse[0][w].first;
+            let mut of_pulse = [Site::default(); P];
+            for (site, sites) in of_pulse.iter_mut().zip(&sites) {
+                *site = sites.get::<STRONG>(self.tables, w);
+            }
+            let mut first = of_pulse[0].first;
             let mut end = first;
-            for sites_of in &of_pulse[1..] {
-                first = first.min(sites_of[w].first);
-                end = end.max(sites_of[w].first);
+            for site in &of_pulse[1..] {
+                first = first.min(site.first);
+                end = end.max(site.first);
             }
             if end - first > farthest(C) {
                 *inside &= !(1 << w);
@@ -281,7 +357,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
 
     /// The products of one row's columns.
     #[inline(always)]
-    fn products<const STRONG: bool>(&mut self, of_pulse: &[[Site; LANES]; P], first: i32, w: usize) {
+    fn products<const STRONG: bool>(&mut self, of_pulse: &[Site; P], first: i32, w: usize) {
         let columns = self.columns::<STRONG>(of_pulse, first, w);
         let s = self.s;
         unrolled!(i in [0 1 2 3 4 5 6 7 8 9] if N + 1 => {
@@ -297,12 +373,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
 
     /// Derivatives and residual of one row's frame. The array has room for three pulses, the residual, and four vectors.
     #[inline(always)]
-    fn columns<const STRONG: bool>(
-        &self,
-        of_pulse: &[[Site; LANES]; P],
-        first: i32,
-        w: usize,
-    ) -> [[S::V; 4]; 10] {
+    fn columns<const STRONG: bool>(&self, of_pulse: &[Site; P], first: i32, w: usize) -> [[S::V; 4]; 10] {
         let s = self.s;
         let row = self.rows.residual_row(self.row[w]);
         let length = self.rows.length(self.row[w]);
@@ -312,7 +383,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             let start = (c * LANES) as i32;
             let mut residual = s.load(sixteen(row, FRONT.saturating_add_signed((first + start) as isize)));
             unrolled!(p in [0 1 2] if P => {
-                let site = &of_pulse[p][w];
+                let site = &of_pulse[p];
                 let shift = (site.first - first).clamp(0, farthest(C));
                 if start + LANES as i32 > shift && start < shift + ROW as i32 {
                     let at = LANES.saturating_add_signed((start - shift) as isize);
@@ -383,22 +454,26 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         out: &mut [Fitted<P>],
     ) {
         let s = self.s;
-        let variances = factor(s, point.matrix).inverse_diagonal(s);
-        for (p, pulse) in pulses.iter().enumerate() {
-            for (i, value) in [pulse.height, pulse.position, pulse.width].into_iter().enumerate() {
-                let (mut values, mut sds) = ([0.0; LANES], [0.0; LANES]);
-                s.store(value, &mut values);
-                s.store(s.sqrt(variances[3 * p + i]), &mut sds);
-                for (w, fitted) in out.iter_mut().enumerate() {
-                    fitted.pulses[p][i] = values[w];
-                    fitted.sds[p][i] = sds[w];
-                }
+        let factors = factor(s, point.matrix);
+        let variances = factors.inverse_diagonal(s);
+        let mut beyond = s.splat(0.0);
+        for (part, _) in factors.explained(s, point.side) {
+            beyond = s.add(beyond, part);
+        }
+        let mut beyonds = [0.0; LANES];
+        s.store(beyond, &mut beyonds);
+        for (p, pulses) in pulses.iter().enumerate() {
+            let lanes =
+                FittedLanes::of(s, pulses, [variances[3 * p], variances[3 * p + 1], variances[3 * p + 2]]);
+            for (w, fitted) in out.iter_mut().enumerate() {
+                fitted.pulses[p] = lanes.get(w);
             }
         }
         for (w, fitted) in out.iter_mut().enumerate() {
-            let known = fitted.sds.iter().flatten().all(|sd| sd.is_finite() && *sd > 0.0);
+            let known = fitted.pulses.iter().all(FittedPulse::is_known);
             fitted.is_optimum = known && optimum & (1 << w) != 0;
             fitted.may_go_on = active & (1 << w) != 0;
+            fitted.beyond = beyonds[w];
         }
     }
 }

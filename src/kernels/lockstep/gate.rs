@@ -6,8 +6,8 @@
 //! chi-square of two degrees of freedom under one pulse. Two equal pulses some way apart leave more than these directions
 //! show: what they would leave is a third one, of known sign, and the greater of the two figures counts.
 
-use super::fit::Values;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
+use super::scene::Pulse;
 use super::solve::factor;
 use super::tables::{ROW, ROW_STRIDE, Tables};
 use super::template::{Site, VECTORS, leaves_block, template, weights};
@@ -22,11 +22,11 @@ const PRODUCTS: usize = N * (N + 1) / 2 + N;
 /// Products before their sums.
 type GateSums<V> = [[V; LANES]; PRODUCTS];
 
-/// `q` of pulses, given by row and values, that have been taken off their rows.
+/// `q` of pulses, given with their rows, that have been taken off their rows.
 pub(super) struct Scores<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
-    pub(super) pulses: &'a [(usize, Values)],
+    pub(super) pulses: &'a [(usize, Pulse)],
     /// The score, and whether the earlier of two pulses would be the stronger one.
     pub(super) out: &'a mut Vec<(f32, bool)>,
 }
@@ -50,13 +50,14 @@ fn scores<S: Simd>(
     s: S,
     tables: &Tables,
     rows: &Rows,
-    pulses: &[(usize, Values)],
+    pulses: &[(usize, Pulse)],
     sums: &mut GateSums<S::V>,
 ) -> [(f32, bool); LANES] {
+    let idle = Pulse::of_calibrated_width(1.0, 20.0);
     for w in 0..LANES {
-        let (row, values) = pulses.get(w).copied().unwrap_or((EMPTY, [1.0, 20.0, 0.0]));
-        let site = Site::of(tables, values);
-        products(s, tables, rows, row, &site, &halves(tables, values), w, sums);
+        let (row, pulse) = pulses.get(w).copied().unwrap_or((EMPTY, idle));
+        let site = Site::of(tables, pulse.values());
+        products(s, tables, rows, row, &site, &halves(tables, &pulse), w, sums);
     }
     let zero = s.splat(0.0);
     let mut products = [zero; PRODUCTS];
@@ -113,46 +114,39 @@ fn products<S: Simd>(
     let (values, length) = (rows.residual_row(row), rows.length(row));
     let edge = leaves_block(site.first, ROW, tables.order, length);
     let entry = tables.entry(site.nodes[0], site.entry);
-    let mut acc = [s.splat(0.0); PRODUCTS];
-    for c in 0..VECTORS {
+    // The six directions and the residual.
+    let mut columns = [[s.splat(0.0); VECTORS]; N + 1];
+    unrolled!(c in [0 1] if VECTORS => {
         let at = LANES + c * LANES;
         let first = site.first + (c * LANES) as i32;
         let shape = template::<S, false>(s, tables, site, at);
-        let mut columns = [
-            shape.pulse,
-            shape.by_time,
-            shape.by_width,
-            s.load(sixteen(entry, at + 5 * ROW_STRIDE)),
-            s.load(sixteen(entry, at + 4 * ROW_STRIDE)),
-            equal_pair(s, tables, pair, first),
-        ];
+        columns[0][c] = shape.pulse;
+        columns[1][c] = shape.by_time;
+        columns[2][c] = shape.by_width;
+        columns[3][c] = s.load(sixteen(entry, at + 5 * ROW_STRIDE));
+        columns[4][c] = s.load(sixteen(entry, at + 4 * ROW_STRIDE));
+        columns[5][c] = equal_pair(s, tables, pair, first);
+        columns[6][c] = s.load(sixteen(values, FRONT.saturating_add_signed(first as isize)));
         if edge {
             let weight = weights(s, first, tables.order, length);
-            for column in columns.iter_mut() {
-                *column = s.mul(*column, weight);
-            }
+            unrolled!(i in [0 1 2 3 4 5] if N => {
+                columns[i][c] = s.mul(columns[i][c], weight);
+            });
         }
-        let residual = s.load(sixteen(values, FRONT.saturating_add_signed(first as isize)));
-        let mut k = 0;
-        for i in 0..N {
-            for j in 0..=i {
-                acc[k] = s.fma(columns[i], columns[j], acc[k]);
-                k += 1;
-            }
-        }
-        for column in columns {
-            acc[k] = s.fma(column, residual, acc[k]);
-            k += 1;
-        }
-    }
-    for (sums, acc) in sums.iter_mut().zip(acc) {
-        sums[w] = acc;
-    }
+    });
+    unrolled!(i in [0 1 2 3 4 5 6] if N + 1 => {
+        unrolled!(j in [0 1 2 3 4 5] if (i + 1).min(N) => {
+            let product = s.mul(columns[i][0], columns[j][0]);
+            sums[i * (i + 1) / 2 + j][w] = s.fma(columns[i][1], columns[j][1], product);
+        });
+    });
 }
 
 /// The two equal pulses of calibrated width that have a widened pulse's energy, centre and variance.
-fn halves(tables: &Tables, [height, position, width]: Values) -> [Site; 2] {
-    let ratio = width.exp();
+#[inline(always)]
+fn halves(tables: &Tables, pulse: &Pulse) -> [Site; 2] {
+    let [height, position, _] = pulse.values();
+    let ratio = pulse.width_ratio();
     let reach = SD_OF_FWHM as f32 * tables.fwhm_samples as f32 * (ratio * ratio - 1.0).max(0.0).sqrt();
     let half = |position: f32| Site::of(tables, [0.5 * ratio * height, position, 0.0]);
     [half(position - reach), half(position + reach)]
@@ -162,11 +156,11 @@ fn halves(tables: &Tables, [height, position, width]: Values) -> [Site; 2] {
 #[inline(always)]
 fn equal_pair<S: Simd>(s: S, tables: &Tables, pair: &[Site; 2], first: i32) -> S::V {
     let mut sum = s.splat(0.0);
-    for site in pair {
-        let at = first - site.first + LANES as i32;
+    unrolled!(i in [0 1] if 2 => {
+        let at = first - pair[i].first + LANES as i32;
         if (1..(LANES + ROW) as i32).contains(&at) {
-            sum = s.add(sum, template::<S, false>(s, tables, site, at as usize).pulse);
+            sum = s.add(sum, template::<S, false>(s, tables, &pair[i], at as usize).pulse);
         }
-    }
+    });
     sum
 }

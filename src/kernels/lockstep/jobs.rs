@@ -1,8 +1,7 @@
 //! Fits that wait for others of their kind.
 
-use super::fit::{Fit, Fitted, Job, Values};
+use super::fit::{Fit, Fitted, FittedPulse, Job, Values};
 use super::rows::{BATCH, Rows};
-use super::scene::MAX_CLUSTER;
 use super::tables::Tables;
 use super::template::Site;
 use super::vector::{Kernel, Processor, Simd};
@@ -53,16 +52,16 @@ impl<const P: usize> Queue<P> {
 
     /// Gives a fit that is done, or keeps it for more iterations.
     #[inline]
-    fn settle(&mut self, i: usize, iterations: usize, race: &Race, done: &mut Vec<Done>) {
+    fn settle(&mut self, i: usize, iterations: usize, race: &Race, done: &mut Results) {
         let (fitted, tag) = (&self.fitted[i], self.tags[i]);
         let Job { row, aim, .. } = self.jobs[i];
         let is_dropped = fitted.may_go_on && aim.is_out_of_reach(fitted.objective, fitted.promised, race);
         if fitted.may_go_on && !is_dropped && iterations < ITERATIONS[3] {
-            self.jobs[self.unsettled] = Job { row, pulses: fitted.pulses, aim };
+            self.jobs[self.unsettled] = Job { row, pulses: fitted.values(), aim };
             self.tags[self.unsettled] = tag;
             self.unsettled += 1;
         } else {
-            done.push(Done::of(row, tag, fitted, is_dropped));
+            done.push(row, tag, fitted, is_dropped);
         }
     }
 
@@ -147,7 +146,7 @@ fn is_strong(tables: &Tables, pulses: &[Values]) -> bool {
     pulses.iter().any(|pulse| pulse[0] > NEARLY_STRONG * tables.strong_dn())
 }
 
-/// Pulses that a job came to.
+/// What a job came to.
 #[derive(Clone, Copy)]
 pub(super) struct Done {
     pub(super) row: usize,
@@ -155,25 +154,36 @@ pub(super) struct Done {
     pub(super) is_optimum: bool,
     /// Whether it was given up because it would have been of no use.
     pub(super) is_dropped: bool,
+    /// By how much chi-square promises to fall beyond what the tables allow.
+    pub(super) beyond: f32,
+    /// Its pulses among those of all.
+    first: usize,
     count: usize,
-    values: [Values; MAX_CLUSTER],
-    sds: [Values; MAX_CLUSTER],
 }
 
-impl Done {
-    pub(super) fn values(&self) -> &[Values] {
-        &self.values[..self.count]
+/// What jobs came to.
+#[derive(Default)]
+pub(super) struct Results {
+    pub(super) list: Vec<Done>,
+    pulses: Vec<FittedPulse>,
+}
+
+impl Results {
+    /// The pulses of one of these jobs.
+    pub(super) fn pulses(&self, done: &Done) -> &[FittedPulse] {
+        &self.pulses[done.first..][..done.count]
     }
 
-    pub(super) fn sds(&self) -> &[Values] {
-        &self.sds[..self.count]
+    fn clear(&mut self) {
+        self.list.clear();
+        self.pulses.clear();
     }
 
-    fn of<const P: usize>(row: usize, tag: usize, fitted: &Fitted<P>, is_dropped: bool) -> Done {
-        let (mut values, mut sds) = ([[0.0; 3]; MAX_CLUSTER], [[0.0; 3]; MAX_CLUSTER]);
-        values[..P].copy_from_slice(&fitted.pulses);
-        sds[..P].copy_from_slice(&fitted.sds);
-        Done { row, tag, is_optimum: fitted.is_optimum, is_dropped, count: P, values, sds }
+    #[inline]
+    fn push<const P: usize>(&mut self, row: usize, tag: usize, fitted: &Fitted<P>, is_dropped: bool) {
+        let (first, is_optimum, beyond) = (self.pulses.len(), fitted.is_optimum, fitted.beyond);
+        self.list.push(Done { row, tag, is_optimum, is_dropped, beyond, first, count: P });
+        self.pulses.extend_from_slice(&fitted.pulses);
     }
 }
 
@@ -198,7 +208,7 @@ impl Queues {
         tables: &Tables,
         rows: &Rows,
         precision: f32,
-        done: &mut Vec<Done>,
+        done: &mut Results,
     ) {
         done.clear();
         let race = &mut self.race;
@@ -217,15 +227,15 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     rows: &Rows,
     precision: f32,
     race: &mut Race,
-    done: &mut Vec<Done>,
+    done: &mut Results,
 ) {
     for iterations in ITERATIONS {
         weak.fit::<N, C, D, false>(on, tables, rows, precision, iterations);
         weak.report(race);
         for i in 0..weak.jobs.len() {
             let fitted = &weak.fitted[i];
-            if fitted.pulses.iter().any(|pulse| pulse[0] > tables.strong_dn()) {
-                strong.push(Job { pulses: fitted.pulses, ..weak.jobs[i] }, weak.tags[i]);
+            if fitted.pulses.iter().any(|pulse| pulse.values[0] > tables.strong_dn()) {
+                strong.push(Job { pulses: fitted.values(), ..weak.jobs[i] }, weak.tags[i]);
             } else {
                 weak.settle(i, iterations, race, done);
             }
@@ -246,14 +256,14 @@ pub(super) fn add(on: Processor, tables: &Tables, rows: &mut Rows, row: usize, v
 }
 
 /// Takes the pulses that fits came to off their rows.
-pub(super) fn take_off(on: Processor, tables: &Tables, rows: &mut Rows, done: &[Done]) {
+pub(super) fn take_off(on: Processor, tables: &Tables, rows: &mut Rows, done: &Results) {
     on.run(TakeOff { tables, rows, done });
 }
 
 struct TakeOff<'a> {
     tables: &'a Tables,
     rows: &'a mut Rows,
-    done: &'a [Done],
+    done: &'a Results,
 }
 
 impl Kernel for TakeOff<'_> {
@@ -262,9 +272,9 @@ impl Kernel for TakeOff<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let TakeOff { tables, rows, done } = self;
-        for done in done {
-            for &values in done.values() {
-                add_pulse(s, tables, rows, done.row, values, -1.0);
+        for of_job in &done.list {
+            for pulse in done.pulses(of_job) {
+                add_pulse(s, tables, rows, of_job.row, pulse.values, -1.0);
             }
         }
     }

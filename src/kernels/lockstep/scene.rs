@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::fit::Values;
+use super::fit::{FittedPulse, Values};
 use crate::kernels::decompose::Counts;
 use crate::kernels::rules::CLUSTER_WIDTHS;
 
@@ -52,6 +52,11 @@ impl Pulse {
         self.width_ratio = values[2].exp();
     }
 
+    /// Takes what a fit came to, but for the standard deviations.
+    pub(super) fn take(&mut self, fitted: &FittedPulse) {
+        (self.values, self.width_ratio) = (fitted.values, fitted.width_ratio);
+    }
+
     pub(super) fn height(&self) -> f32 {
         self.values[0]
     }
@@ -92,6 +97,8 @@ pub(super) struct Scene {
     /// Whether a trial has been taken up in the present round.
     pub(super) has_changed: bool,
     pub(super) chi_square: f32,
+    /// By how much chi-square promises to fall with pulses wider than the tables allow.
+    pub(super) beyond: f32,
     /// Samples that chi-square is the sum over.
     pub(super) samples: usize,
     pub(super) counts: Counts,
@@ -116,6 +123,7 @@ impl Scene {
             taken_off,
             has_changed,
             chi_square,
+            beyond,
             samples,
             counts,
             refined_twice,
@@ -123,7 +131,7 @@ impl Scene {
         } = self;
         (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
         (*taken_off, *has_changed, *refined_twice) = (false, false, false);
-        (*chi_square, *samples, *counts) = (0.0, 0, Counts::default());
+        (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
     }
 
     /// Leaves the waveform to the plain kernels.

@@ -1,9 +1,9 @@
 //! The width bank, and the one tabulated step of the mode `fastest`.
 
-use super::fit::{Fitted, Job};
+use super::fit::{FittedLanes, FittedPulse, Job};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
-use super::template::{Pulses, VECTORS, bounded, sites, template};
+use super::template::{Pulses, Sites, VECTORS, bounded, template};
 use super::vector::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
@@ -42,7 +42,7 @@ impl Kernel for OneStep<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let mut sums = [[s.splat(0.0); LANES]; 4];
-        self.out.resize(self.jobs.len(), Stepped { fitted: Fitted::NOTHING, chi_square: 0.0, samples: 0 });
+        self.out.resize(self.jobs.len(), Stepped::NOTHING);
         for (jobs, out) in self.jobs.chunks(LANES).zip(self.out.chunks_mut(LANES)) {
             one_step(s, self.tables, self.rows, jobs, &mut sums, out);
         }
@@ -136,12 +136,19 @@ type StepSums<V> = [[V; LANES]; 4];
 /// A pulse after one step, and the sum of the squared whitened residuals over the block's samples in its row.
 #[derive(Clone, Copy)]
 pub(super) struct Stepped {
-    pub(super) fitted: Fitted<1>,
+    pub(super) pulse: FittedPulse,
+    /// Whether the block holds the whole pulse.
+    pub(super) is_whole: bool,
     pub(super) chi_square: f32,
     pub(super) samples: usize,
 }
 
-/// One step with the tabulated inverse Fisher matrix, whose diagonal also gives the standard deviations. Not at an optimum
+impl Stepped {
+    const NOTHING: Stepped =
+        Stepped { pulse: FittedPulse::NOTHING, is_whole: false, chi_square: 0.0, samples: 0 };
+}
+
+/// One step with the tabulated inverse Fisher matrix, whose diagonal also gives the standard deviations. Not whole
 /// are pulses that leave the block: the matrix is that of whole ones.
 #[inline(always)]
 fn one_step<S: Simd>(
@@ -160,9 +167,13 @@ fn one_step<S: Simd>(
     let last = s.load(&lengths);
     let pulses = Pulses { height: s.load(&of(0)), position: s.load(&of(1)), width: s.load(&of(2)) };
     let pulses = pulses.within(s, last);
-    let sites = sites::<S, true>(s, tables, &pulses);
+    let mut sites = Sites::NONE;
+    sites.set(s, &pulses);
     let mut inverse = [[0.0; LANES]; 6];
-    for (w, site) in sites.iter().enumerate() {
+    let mut whole = [false; LANES];
+    let mut counted = [0; LANES];
+    for w in 0..LANES {
+        let site = sites.get::<true>(tables, w);
         for (inverse, value) in inverse.iter_mut().zip(tables.inverse_fisher(site.entry)) {
             inverse[w] = value;
         }
@@ -173,9 +184,9 @@ fn one_step<S: Simd>(
         for c in 0..VECTORS {
             // The step's matrix is the first response's; the pulse that it corrects is the height's own.
             let shape = if site.height < tables.strong_dn() {
-                template::<S, false>(s, tables, site, LANES + c * LANES)
+                template::<S, false>(s, tables, &site, LANES + c * LANES)
             } else {
-                template::<S, true>(s, tables, site, LANES + c * LANES)
+                template::<S, true>(s, tables, &site, LANES + c * LANES)
             };
             let residual = s.fnma(height, shape.pulse, s.load(sixteen(row, at + c * LANES)));
             acc[0] = s.fma(shape.pulse, residual, acc[0]);
@@ -186,6 +197,10 @@ fn one_step<S: Simd>(
         for (sums, acc) in sums.iter_mut().zip(acc) {
             sums[w] = acc;
         }
+        let length = rows.length(row_of(w)) as i32;
+        let [from, to] = tables.needed(site.entry);
+        whole[w] = site.first + from >= tables.order as i32 && site.first + to <= length;
+        counted[w] = ((site.first + ROW as i32).min(length) - site.first.max(0)).max(0) as usize;
     }
     let right = [s.sum_each(&sums[0]), s.sub(s.splat(0.0), s.sum_each(&sums[1])), s.sum_each(&sums[2])];
     let mut lanes = [s.splat(0.0); 6];
@@ -203,30 +218,15 @@ fn one_step<S: Simd>(
     let per_height = s.div(s.splat(1.0), stepped.height);
     let squared = s.mul(per_height, per_height);
     let variances = [aa, s.mul(tt, squared), s.mul(uu, squared)];
-    let values = [stepped.height, stepped.position, stepped.width];
-    let chi_square = s.sub(s.sum_each(&sums[3]), told);
-    give(s, values, variances, chi_square, out);
-    for (w, (stepped, site)) in out.iter_mut().zip(&sites).enumerate() {
-        let length = rows.length(row_of(w)) as i32;
-        let [from, to] = tables.needed(site.entry);
-        stepped.fitted.is_optimum = site.first + from >= tables.order as i32 && site.first + to <= length;
-        stepped.samples = ((site.first + ROW as i32).min(length) - site.first.max(0)).max(0) as usize;
-    }
-}
-
-#[inline(always)]
-fn give<S: Simd>(s: S, values: [S::V; 3], variances: [S::V; 3], chi_square: S::V, out: &mut [Stepped]) {
-    let (mut value, mut sd, mut square) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    s.store(chi_square, &mut square);
-    for i in 0..3 {
-        s.store(values[i], &mut value);
-        s.store(s.sqrt(variances[i]), &mut sd);
-        for (w, stepped) in out.iter_mut().enumerate() {
-            stepped.fitted.pulses[0][i] = value[w];
-            stepped.fitted.sds[0][i] = sd[w];
-        }
-    }
+    let fitted = FittedLanes::of(s, &stepped, variances);
+    let mut chi_squares = [0.0; LANES];
+    s.store(s.sub(s.sum_each(&sums[3]), told), &mut chi_squares);
     for (w, stepped) in out.iter_mut().enumerate() {
-        stepped.chi_square = square[w];
+        *stepped = Stepped {
+            pulse: fitted.get(w),
+            is_whole: whole[w],
+            chi_square: chi_squares[w],
+            samples: counted[w],
+        };
     }
 }

@@ -117,41 +117,61 @@ impl Site {
     }
 }
 
-/// The sites of sixteen pulses that are [`Pulses::within`] the tables; with `STRONG` the response follows the height.
-#[inline(always)]
-pub(super) fn sites<S: Simd, const STRONG: bool>(
-    s: S,
-    tables: &Tables,
-    pulses: &Pulses<S::V>,
-) -> [Site; LANES] {
-    let phases = PHASES as f32;
-    let above = s.sub(pulses.width, s.splat(U_MIN as f32));
-    let knot = s.mul(above, s.splat(1.0 / U_STEP as f32));
-    let phase = s.mul(pulses.position, s.splat(phases));
-    let rounded = s.round(phase);
-    let (mut late, mut wider, mut height) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    s.store(s.fma(rounded, s.splat(1.0 / phases), s.sub(s.splat(0.0), pulses.position)), &mut late);
-    s.store(s.fnma(s.round(knot), s.splat(U_STEP as f32), above), &mut wider);
-    s.store(pulses.height, &mut height);
-    let (mut knots, mut steps) = ([0; LANES], [0; LANES]);
-    s.to_i32(knot, &mut knots);
-    s.to_i32(phase, &mut steps);
-    let mut sites = [Site::default(); LANES];
-    for (w, site) in sites.iter_mut().enumerate() {
-        let knot = (knots[w].max(0) as usize).min(KNOTS - 1);
-        *site = Site {
-            entry: knot * PHASES + (steps[w] & (PHASES as i32 - 1)) as usize,
-            first: steps[w].div_euclid(PHASES as i32) - BEFORE_PEAK,
-            late: late[w],
-            wider: wider[w],
-            height: height[w],
+/// The sites of sixteen pulses, lane by lane.
+#[derive(Clone, Copy)]
+pub(super) struct Sites {
+    knot: [i32; LANES],
+    /// Positions in phases.
+    step: [i32; LANES],
+    late: Sixteen,
+    wider: Sixteen,
+    height: Sixteen,
+}
+
+impl Sites {
+    /// Before any are known.
+    pub(super) const NONE: Sites = Sites {
+        knot: [0; LANES],
+        step: [0; LANES],
+        late: [0.0; LANES],
+        wider: [0.0; LANES],
+        height: [0.0; LANES],
+    };
+
+    /// Those of pulses that are [`Pulses::within`] the tables.
+    #[inline(always)]
+    pub(super) fn set<S: Simd>(&mut self, s: S, pulses: &Pulses<S::V>) {
+        let above = s.sub(pulses.width, s.splat(U_MIN as f32));
+        let knot = s.mul(above, s.splat(1.0 / U_STEP as f32));
+        let phase = s.mul(pulses.position, s.splat(PHASES as f32));
+        let rounded = s.mul(s.round(phase), s.splat(1.0 / PHASES as f32));
+        s.to_i32(knot, &mut self.knot);
+        s.to_i32(phase, &mut self.step);
+        s.store(s.sub(rounded, pulses.position), &mut self.late);
+        s.store(s.fnma(s.round(knot), s.splat(U_STEP as f32), above), &mut self.wider);
+        s.store(pulses.height, &mut self.height);
+    }
+
+    /// Block sample of a lane's first.
+    #[inline(always)]
+    pub(super) fn first(&self, lane: usize) -> i32 {
+        self.step[lane].div_euclid(PHASES as i32) - BEFORE_PEAK
+    }
+
+    /// The site in a lane; with `STRONG` the response follows the height.
+    #[inline(always)]
+    pub(super) fn get<const STRONG: bool>(&self, tables: &Tables, lane: usize) -> Site {
+        let knot = (self.knot[lane].max(0) as usize).min(KNOTS - 1);
+        let site = Site {
+            entry: knot * PHASES + (self.step[lane] & (PHASES as i32 - 1)) as usize,
+            first: self.first(lane),
+            late: self.late[lane],
+            wider: self.wider[lane],
+            height: self.height[lane],
             ..Site::default()
         };
-        if STRONG {
-            *site = site.with_nodes(tables);
-        }
+        if STRONG { site.with_nodes(tables) } else { site }
     }
-    sites
 }
 
 /// Whether a frame reaches beyond the samples that count: those from `order` to the length.

@@ -276,7 +276,7 @@ fn the_score_of_one_pulse_is_that_of_noise() {
     for waveforms in waveforms.chunks(BATCH) {
         decompose(&mut kernels, waveforms);
         let found = kernels.work.scenes.iter().enumerate().filter(|(_, scene)| scene.pulses().len() == 1);
-        let pulses: Vec<_> = found.map(|(row, scene)| (row, scene.pulses()[0].values())).collect();
+        let pulses: Vec<_> = found.map(|(row, scene)| (row, scene.pulses()[0])).collect();
         let mut out = Vec::new();
         let rows = &kernels.work.rows;
         Path::best().processor().run(gate::Scores { tables: &tables, rows, pulses: &pulses, out: &mut out });

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::batch::{ChiSquares, Decompose, Search, Workspace};
 use super::candidates::{Candidate, Candidates};
+use super::fit::FittedPulse;
 use super::gate::Scores;
 use super::jobs::{Aim, add, take_off};
 use super::rows::BATCH;
@@ -54,11 +55,16 @@ impl Decompose<'_> {
         let work = &mut *self.work;
         work.active.clear();
         for (scene, block) in work.scenes.iter_mut().zip(self.blocks) {
-            // A fit that ended at the tables' widest pulse says nothing of what one pulse could tell: the plain form does.
             if scene.way == Way::Fast && is_cut_short(scene) {
-                let pulses = scene.pulses().iter().map(|p| p.values().map(f64::from));
-                let chi_square = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
-                scene.chi_square = scene.chi_square.min(chi_square as f32);
+                scene.chi_square = match least_beyond(scene) {
+                    Some(least) => least,
+                    // Near a good fit only the plain form tells what pulses of any width come to.
+                    None => {
+                        let pulses = scene.pulses().iter().map(|p| p.values().map(f64::from));
+                        let rival = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
+                        scene.chi_square.min(rival as f32)
+                    }
+                };
             }
         }
         let room = 1..self.settings.max_returns;
@@ -208,7 +214,7 @@ impl Decompose<'_> {
                 if pulse.width_ratio() > HIDING_WIDTH_RATIO as f32
                     && !self.limits.allowance.overdrives(height)
                 {
-                    self.work.suspects.push((row, pulse.values()));
+                    self.work.suspects.push((row, *pulse));
                     self.work.suspect_numbers.push(number);
                 }
             }
@@ -339,14 +345,15 @@ impl Decompose<'_> {
         }
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
         work.queues.run(on, tables, &work.rows, precision, &mut work.done);
-        for done in &work.done {
+        for done in &work.done.list {
+            let fitted = work.done.pulses(done);
             let trial = &mut work.trials[done.tag];
             trial.is_dropped = done.is_dropped;
-            trial.has_ended = done.is_optimum && done.values().iter().all(|values| values[2] < U_MAX as f32);
-            for (i, (values, sds)) in done.values().iter().zip(done.sds()).enumerate() {
-                trial.pulses[i].set_values(*values);
-                trial.pulses[i].sds = *sds;
-                trial.pulses[i].flags |= flags::REFINED;
+            trial.has_ended = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            for (pulse, fitted) in trial.pulses.iter_mut().zip(fitted) {
+                pulse.take(fitted);
+                pulse.sds = fitted.sds;
+                pulse.flags |= flags::REFINED;
             }
         }
         take_off(on, tables, &mut work.rows, &work.done);
@@ -398,6 +405,20 @@ impl Decompose<'_> {
 /// Whether a pulse is as wide as the tables allow, and may be wider.
 fn is_cut_short(scene: &Scene) -> bool {
     scene.pulses().iter().any(|p| p.values()[2] >= U_MAX as f32)
+}
+
+/// What wider pulses than the tables hold may lower chi-square by: so many times what the next step promises, and this part
+/// of it. Measured: at most 3 times and this part, in what two pulses made.
+const BEYOND_REACH: f32 = 4.0;
+const BEYOND_PART: f32 = 0.1;
+/// A chi-square higher than the number of samples by this is that of no good fit: six standard deviations for 60 samples.
+const NO_GOOD_FIT: f32 = 64.0;
+
+/// A lower limit of what chi-square would come to with the widths that pulses ask for, where the tables cut these short, and
+/// where even that would be no good fit: who lowers it further is better than the pulses could be.
+fn least_beyond(scene: &Scene) -> Option<f32> {
+    let least = (1.0 - BEYOND_PART) * scene.chi_square - BEYOND_REACH * scene.beyond;
+    (least > scene.samples as f32 + NO_GOOD_FIT).then_some(least)
 }
 
 /// What a trial makes of a cluster.

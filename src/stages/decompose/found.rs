@@ -3,6 +3,7 @@
 use super::shots::Departure;
 use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel, flags};
 use crate::kernels::decompose::Return as Pulse;
+use crate::kernels::radiometry::target_thickness_m;
 
 /// Standard deviation of a range that cannot be relied upon, m: the largest that the LAS attribute `RangeErr` can hold.
 const UNRELIABLE_RANGE_SD_M: f64 = 0.255;
@@ -45,7 +46,10 @@ impl Found {
         let unreliable = departure.flags & flags::ECHO_ON_OUTGOING != 0;
         let least_sd_ns = if unreliable { UNRELIABLE_RANGE_SD_M / half_speed_m_per_ns } else { 0.0 };
         let time_of_flight_sd_ns = known_sd_ns.max(least_sd_ns);
-        let (thickness_m, thickness_sd_m) = self.thickness(half_speed_m_per_ns);
+        let (ratio, ratio_sd) = (fitted.width_ratio, fitted.width_ratio_sd);
+        let (thickness_m, thickness_sd_m) =
+            target_thickness_m(half_speed_m_per_ns, fitted.fwhm_ns / ratio, ratio, ratio_sd);
+        let (peak_dn, peak_sd_dn) = self.peak();
         let table = match self.channel {
             ReturnChannel::High | ReturnChannel::Joint => &input.amplitude_high,
             ReturnChannel::Low => &input.amplitude_low,
@@ -65,6 +69,8 @@ impl Found {
             total_sd_m: f64::NAN,
             amplitude_dn: fitted.amplitude_dn,
             amplitude_sd_dn: fitted.amplitude_sd_dn,
+            peak_dn,
+            peak_sd_dn,
             amplitude_db,
             width_ratio: fitted.width_ratio,
             width_ratio_sd: fitted.width_ratio_sd,
@@ -79,31 +85,22 @@ impl Found {
         }
     }
 
-    /// Full width at half maximum of the target along the beam, m, and its standard deviation.
-    ///
-    /// With `d = fwhm² − fwhm0²` and `σ_d` its standard deviation, `T = v/2 √max(d, 0)` and
-    /// `σ_T = v/2 σ_d / (2 √max(d, σ_d))`, which stays finite for a flat target (docs/method.md, Uncertainties).
-    fn thickness(&self, half_speed_m_per_ns: f64) -> (f64, f64) {
-        let (ratio, ratio_sd) = (self.fitted.width_ratio, self.fitted.width_ratio_sd);
-        let calibrated = self.fitted.fwhm_ns / ratio;
-        let widening = calibrated.powi(2) * (ratio.powi(2) - 1.0);
-        let widening_sd = calibrated.powi(2) * 2.0 * ratio * ratio_sd;
-        let sd = widening_sd / (2.0 * widening.max(widening_sd).sqrt());
-        (half_speed_m_per_ns * widening.max(0.0).sqrt(), half_speed_m_per_ns * sd)
+    /// Background and height of the peak, with its standard deviation, where the instrument's tables are read: in the
+    /// receiver that gives the intensity, DN.
+    fn peak(&self) -> (f64, f64) {
+        let (amplitude, sd) = (self.fitted.amplitude_dn, self.fitted.amplitude_sd_dn);
+        match self.high_power {
+            Some(high) => (high.background_dn + amplitude / high.gain_ratio, sd / high.gain_ratio),
+            None => (self.background_dn + amplitude, sd),
+        }
     }
 
     /// Decibels by the instrument's table (NaN without one), the intensity, and its standard deviation.
     fn intensity(&self, table: Option<&AmplitudeTable>) -> (f64, f64, f64) {
-        let (amplitude, sd) = (self.fitted.amplitude_dn, self.fitted.amplitude_sd_dn);
-        let Some(table) = table else { return (f64::NAN, amplitude, sd) };
-        let (amplitude, sd, background_dn) = match self.high_power {
-            Some(high) => (amplitude / high.gain_ratio, sd / high.gain_ratio, high.background_dn),
-            None => (amplitude, sd, self.background_dn),
-        };
-        let linear = |dn: f64| 7.0 * 10f64.powf(table.at(dn) / 10.0);
-        let dn = background_dn + amplitude;
-        // The table's slope around the peak: a central difference over two steps.
-        let slope = (linear(dn + 1.0) - linear(dn - 1.0)) / 2.0;
-        (table.at(dn), linear(dn), slope.abs() * sd)
+        let (peak_dn, peak_sd_dn) = self.peak();
+        match table.map(|table| table.amplitude(peak_dn, peak_sd_dn)) {
+            Some(amplitude) => (amplitude.db, amplitude.linear, amplitude.linear_sd),
+            None => (f64::NAN, self.fitted.amplitude_dn, self.fitted.amplitude_sd_dn),
+        }
     }
 }

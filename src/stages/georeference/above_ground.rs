@@ -47,7 +47,6 @@ impl Level {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::ReturnChannel;
     use crate::geo::ellipsoid::{Geodetic, WGS84};
 
     fn emission(origin_m: Vector) -> Emission {
@@ -83,7 +82,7 @@ mod tests {
         let emissions = [0.0, 1.0, 2.0].map(|x| emission([x, 0.0, 1000.0]));
         let found = |emission, numbers: [u8; 2], withheld| {
             let [return_number, number_of_returns] = numbers;
-            Return { withheld, return_number, number_of_returns, ..blank(emission) }
+            Return { withheld, return_number, number_of_returns, emission, ..Return::default() }
         };
         let returns = [
             found(0, [1, 1], false),
@@ -96,34 +95,5 @@ mod tests {
         assert_eq!(level.agl_m(&emissions, &returns, &points), Some(900.0), "the lower of two middles");
         assert_eq!(level.agl_m(&emissions, &returns[3..], &points[3..]), None);
         assert!(Level::of(Frame::Scanner, &emissions).is_none() && Level::of(Frame::Map, &[]).is_none());
-    }
-
-    fn blank(emission: u32) -> Return {
-        Return {
-            emission,
-            return_number: 1,
-            number_of_returns: 1,
-            channel: ReturnChannel::Low,
-            flags: 0,
-            mta_zone: 0,
-            time_of_flight_ns: 0.0,
-            time_of_flight_sd_ns: 0.0,
-            range_m: 0.0,
-            range_sd_m: 0.0,
-            total_sd_m: f64::NAN,
-            amplitude_dn: 0.0,
-            amplitude_sd_dn: 0.0,
-            amplitude_db: f64::NAN,
-            width_ratio: 1.0,
-            width_ratio_sd: 0.0,
-            fwhm_ns: 0.0,
-            thickness_m: 0.0,
-            thickness_sd_m: 0.0,
-            deviation_ratio: 0.0,
-            intensity: 0.0,
-            intensity_sd: 0.0,
-            withheld: false,
-            class: 0,
-        }
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::batch::{Batch, Emission, Frame};
 use crate::formats::terrain::Terrain;
-use crate::geo::vertical::down_at;
+use crate::geo::vertical::{down_at, main_axis};
 use crate::geometry::Geometry as Placed;
 use crate::geometry::target::Target;
 use crate::kernels::mta;
@@ -31,8 +31,7 @@ pub(super) struct Geometry {
 impl Geometry {
     /// The geometry of the recording that a line is of.
     ///
-    /// In the scanner's own frame down is the axis nearest to the mean direction of the line: scanners are mounted in more
-    /// than one way, and look down on average.
+    /// In the scanner's own frame down is the axis nearest to the mean direction of the line.
     pub fn of(
         batch: &Batch,
         range_m: [f64; 2],
@@ -60,7 +59,7 @@ impl Geometry {
         };
         let down = down.unwrap_or_else(|| match frame {
             Frame::Body => [0.0, 0.0, 1.0],
-            _ => main_axis(&batch.emissions),
+            _ => main_axis(batch.emissions.iter().map(|emission| emission.direction)),
         });
         Ok(Geometry { frame, range_m, down, map, across: None })
     }
@@ -117,18 +116,6 @@ impl Geometry {
             _ => f64::NAN,
         }
     }
-}
-
-/// The axis, with its sign, that the mean direction of some beams is nearest to.
-fn main_axis(emissions: &[Emission]) -> [f64; 3] {
-    let mut sum = [0.0; 3];
-    for emission in emissions {
-        (0..3).for_each(|axis| sum[axis] += emission.direction[axis]);
-    }
-    let axis = (0..3).max_by(|&a, &b| sum[a].abs().total_cmp(&sum[b].abs())).unwrap_or(2);
-    let mut down = [0.0; 3];
-    down[axis] = if sum[axis] < 0.0 { -1.0 } else { 1.0 };
-    down
 }
 
 fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {

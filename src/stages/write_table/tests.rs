@@ -77,6 +77,8 @@ fn found(emission: u32, value: f64) -> Return {
         range_sd_m: 0.003,
         amplitude_dn: 0.1 + 0.2,
         amplitude_sd_dn: 0.9,
+        peak_dn: 2.5,
+        peak_sd_dn: 0.9,
         amplitude_db: 12.5,
         width_ratio: 1.25,
         width_ratio_sd: 0.5,

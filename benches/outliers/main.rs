@@ -1,0 +1,112 @@
+//! How many false returns `filter_outliers` tells and how many true ones it takes for them, on eight simulated scenes, and
+//! how fast: the table of docs/outliers.md.
+//!
+//! `cargo bench --bench outliers` prints it; `seed=300` behind it takes other scenes of the same kind.
+#![allow(missing_docs, reason = "no one imports a bench")]
+#![allow(clippy::print_stdout, clippy::expect_used, clippy::panic, reason = "a bench prints its figures")]
+#![allow(dead_code, reason = "the tests use the rest of the scenes' module")]
+
+#[path = "../../tests/common/false_returns.rs"]
+mod false_returns;
+
+use std::collections::HashSet;
+
+use false_returns::{Flight, SCENES, Score, copy, filtered, fly, score, score_of_stage};
+
+const GOAL_TOLD: f64 = 95.0;
+const GOAL_LOST: f64 = 0.1;
+/// Returns per second of one core, millions.
+const GOAL_SPEED: f64 = 2.0;
+
+fn main() {
+    let seed = std::env::args().find_map(|arg| arg.strip_prefix("seed=")?.parse().ok()).unwrap_or(1);
+    println!(
+        "goals: at least {GOAL_TOLD} % told, at most {GOAL_LOST} % of the true returns, {GOAL_SPEED} M returns/s\n\
+         {:<16} {:>8} {:>7} {:>7} | {:>7} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} | {:>7} {:>7} {:>7}",
+        "scene",
+        "returns",
+        "false",
+        "among",
+        "told",
+        "true",
+        "wires",
+        "roofs",
+        "leaves",
+        "rejected",
+        "M/s",
+        "plain",
+        "true",
+        "wires"
+    );
+    for scene in &SCENES {
+        let flight = fly(scene, seed);
+        let (lines, speed) = fastest(&flight);
+        let s = score_of_stage(&flight, &lines, scene.margin_m);
+        let plain = plain_rule(&flight, scene.margin_m);
+        let n: usize = flight.truth.iter().map(Vec::len).sum();
+        println!(
+            "{:<16} {n:>8} {:>7} {:>7} | {:>6.2}% {:>6.3}% {:>6.3}% {:>6.3}% {:>6.3}% {:>8} {speed:>7.2} | {:>6.2}% {:>6.3}% {:>6.3}%",
+            scene.name,
+            s.outliers[0],
+            s.among[0],
+            s.told(),
+            s.lost(None),
+            s.lost(Some("wire")),
+            s.lost(Some("roof")),
+            s.lost(Some("leaves")),
+            s.rejected,
+            plain.told(),
+            plain.lost(None),
+            plain.lost(Some("wire")),
+        );
+    }
+}
+
+/// The lines behind the stage, and its speed in the fastest of five runs, million returns per second.
+fn fastest(flight: &Flight) -> (Vec<wavex::batch::Batch>, f64) {
+    let n: usize = flight.truth.iter().map(Vec::len).sum();
+    let mut best = f64::INFINITY;
+    let mut lines = Vec::new();
+    for _ in 0..5 {
+        let (given_on, _, seconds) = filtered(flight.lines.iter().map(copy).collect(), "", usize::MAX);
+        best = best.min(seconds);
+        lines = given_on;
+    }
+    (lines, n as f64 / best / 1e6)
+}
+
+/// The plain rule, for comparison: a point is an outlier where no other lies within 4 m among three waveforms before and
+/// behind it in the line and in the lines beside, or where it lies more than 50 m off the points next to it in the line on
+/// one side.
+fn plain_rule(flight: &Flight, margin_m: f64) -> Score {
+    let mut out = HashSet::new();
+    for (line, rows) in flight.truth.iter().enumerate() {
+        let waves = |at: usize| flight.lines.get(at).and_then(|batch| batch.returns());
+        let own = waves(line).expect("returns");
+        for (index, row) in rows.iter().enumerate() {
+            let wave = own[index].emission;
+            let near = |at: usize| {
+                let Some(returns) = waves(at) else { return false };
+                let from = returns.partition_point(|r| r.emission + 3 < wave);
+                let until = returns.partition_point(|r| r.emission <= wave + 3);
+                (from..until).any(|other| {
+                    let q = flight.truth[at][other].point_m;
+                    let d: f64 = (0..3).map(|a| (row.point_m[a] - q[a]).powi(2)).sum();
+                    (at, other) != (line, index) && d <= 16.0
+                })
+            };
+            let lines = [Some(line), line.checked_sub(1), Some(line + 1)];
+            let is_alone = !lines.into_iter().flatten().any(near);
+            let step = |other: Option<usize>| Some(row.point_m[2] - rows.get(other?)?.point_m[2]);
+            let (before, behind) = (step(index.checked_sub(1)), step(Some(index + 1)));
+            let is_off = match (before, behind) {
+                (Some(a), Some(b)) => a.abs() > 50.0 && b.abs() > 50.0 && a * b > 0.0,
+                _ => false,
+            };
+            if is_alone || is_off {
+                out.insert((line, index));
+            }
+        }
+    }
+    score(flight, margin_m, |line, index| out.contains(&(line, index)))
+}

@@ -1,0 +1,189 @@
+//! Tables of an instrument's two receivers, by digitiser steps: columns of numbers, or JSON.
+//!
+//! Columns stand apart by commas, semicolons or blanks: digitiser steps, the sensitive receiver's value and, where there is a
+//! third, the value of the receiver for strong echoes. A first line of names and lines that begin with `#` are passed over.
+//! JSON has an object `{"low": [[steps, value], ...], "high": [...]}` of which one part may be missing; a pair may have a third
+//! number, the weight of the value in a fit.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::{Error, Result};
+
+/// A table has a few hundred rows: what is larger is none.
+const MAX_BYTES: u64 = 1 << 24;
+const REMEDY: &str = "give columns of digitiser steps and values, or JSON with \"low\" and \"high\"";
+
+/// One row of a table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// Background and height of a peak, digitiser steps.
+    pub steps_dn: f64,
+    /// What it means, in the table's own unit.
+    pub value: f64,
+    /// How much the value counts in a fit.
+    pub weight: f64,
+}
+
+/// The tables of a file; a receiver without one has no rows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LookupTables {
+    /// The sensitive receiver's.
+    pub low: Vec<Row>,
+    /// That of the receiver for strong echoes.
+    pub high: Vec<Row>,
+}
+
+/// The tables as JSON has them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Json {
+    #[serde(default)]
+    low: Vec<Vec<f64>>,
+    #[serde(default)]
+    high: Vec<Vec<f64>>,
+}
+
+impl LookupTables {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// Where it cannot be read, is larger than 16 MiB, or is no such table.
+    pub fn open(path: &Path) -> Result<LookupTables> {
+        let bytes = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
+        if bytes > MAX_BYTES {
+            return Err(Error::unusable(path, format!("{bytes} bytes are too many for a table"), REMEDY));
+        }
+        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+        let tables =
+            if text.trim_start().starts_with('{') { of_json(path, &text) } else { of_columns(path, &text) }?;
+        for rows in [&tables.low, &tables.high] {
+            if rows.len() == 1 {
+                return Err(Error::unusable(path, "a table of one row tells no course", REMEDY));
+            }
+        }
+        match tables.low.is_empty() && tables.high.is_empty() {
+            true => Err(Error::unusable(path, "there is no row of numbers in it", REMEDY)),
+            false => Ok(tables),
+        }
+    }
+}
+
+fn of_json(path: &Path, text: &str) -> Result<LookupTables> {
+    let json: Json = serde_json::from_str(text)
+        .map_err(|error| Error::unusable(path, format!("no tables: {error}"), REMEDY))?;
+    let rows = |name: &str, pairs: Vec<Vec<f64>>| {
+        let row = |pair: Vec<f64>| match pair[..] {
+            [steps_dn, value] => Ok(Row { steps_dn, value, weight: 1.0 }),
+            [steps_dn, value, weight] if weight > 0.0 => Ok(Row { steps_dn, value, weight }),
+            [_, _, weight] => {
+                Err(Error::unusable(path, format!("{name}: {weight} is no weight"), "give one above 0"))
+            }
+            _ => Err(Error::unusable(path, format!("{name}: a row of {} numbers", pair.len()), REMEDY)),
+        };
+        pairs.into_iter().map(row).collect::<Result<Vec<Row>>>()
+    };
+    Ok(LookupTables { low: rows("low", json.low)?, high: rows("high", json.high)? })
+}
+
+fn of_columns(path: &Path, text: &str) -> Result<LookupTables> {
+    let mut tables = LookupTables::default();
+    let mut offset = 0;
+    let mut is_first = true;
+    for line in text.split_inclusive('\n') {
+        let at = offset;
+        offset += line.len() as u64;
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let may_be_names = std::mem::take(&mut is_first);
+        let cells =
+            line.split(|c: char| matches!(c, ',' | ';') || c.is_whitespace()).filter(|cell| !cell.is_empty());
+        let numbers: std::result::Result<Vec<f64>, _> = cells.map(str::parse).collect();
+        let row = |steps_dn, value| Row { steps_dn, value, weight: 1.0 };
+        match numbers.as_deref() {
+            Ok(&[steps_dn, low]) => tables.low.push(row(steps_dn, low)),
+            Ok(&[steps_dn, low, high]) => {
+                tables.low.push(row(steps_dn, low));
+                tables.high.push(row(steps_dn, high));
+            }
+            Ok(other) => {
+                let problem = format!("{} numbers stand in it, and 2 or 3 belong there", other.len());
+                return Err(Error::malformed(path, at, "row", problem, REMEDY));
+            }
+            Err(_) if may_be_names => {}
+            Err(_) => {
+                return Err(Error::malformed(path, at, "row", "not all of its columns are numbers", REMEDY));
+            }
+        }
+    }
+    Ok(tables)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> std::result::Result<LookupTables, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.txt");
+        std::fs::write(&path, text).unwrap();
+        let without_folder =
+            |error: Error| error.to_string().replace(&format!("{}", path.display()), "table.txt");
+        LookupTables::open(&path).map_err(without_folder)
+    }
+
+    fn row(steps_dn: f64, value: f64) -> Row {
+        Row { steps_dn, value, weight: 1.0 }
+    }
+
+    #[test]
+    fn columns_are_read_with_and_without_names() {
+        let both = LookupTables {
+            low: vec![row(0.0, -2e37), row(9.0, 0.0)],
+            high: vec![row(0.0, 1.5), row(9.0, 2.5)],
+        };
+        assert_eq!(read("sample,low,high\n0,-2e+37,1.5\r\n9, 0, 2.5\n"), Ok(both.clone()));
+        assert_eq!(read("# made by hand\n\n0 -2e37 1.5\n9;0;2.5"), Ok(both.clone()));
+        assert_eq!(read("0\t-2e37\n9\t0"), Ok(LookupTables { high: Vec::new(), ..both }));
+    }
+
+    #[test]
+    fn json_is_read_with_weights() {
+        let weighted = Row { weight: 0.5, ..row(2.0, 3.0) };
+        let tables = LookupTables { low: Vec::new(), high: vec![row(1.0, 2.0), weighted] };
+        assert_eq!(read(r#"{"high": [[1, 2], [2, 3, 0.5]]}"#), Ok(tables));
+    }
+
+    #[test]
+    fn what_is_no_table_says_why() {
+        let remedy = "; give columns of digitiser steps and values, or JSON with \"low\" and \"high\"";
+        let cases = [
+            ("", format!("table.txt: there is no row of numbers in it{remedy}")),
+            ("1 2", format!("table.txt: a table of one row tells no course{remedy}")),
+            (
+                "1 2\n3",
+                format!("table.txt: byte 4: row: 1 numbers stand in it, and 2 or 3 belong there{remedy}"),
+            ),
+            ("1 2\na b", format!("table.txt: byte 4: row: not all of its columns are numbers{remedy}")),
+            (r#"{"low": [[1]]}"#, format!("table.txt: low: a row of 1 numbers{remedy}")),
+            (r#"{"low": [[1, 2, 0]]}"#, "table.txt: low: 0 is no weight; give one above 0".to_owned()),
+        ];
+        for (text, expected) in cases {
+            assert_eq!(read(text), Err(expected), "{text:?}");
+        }
+        let error = read(r#"{"mid": []}"#).unwrap_err();
+        assert!(error.starts_with("table.txt: no tables: unknown field `mid`"), "{error}");
+    }
+
+    #[test]
+    fn a_file_too_large_is_not_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.txt");
+        std::fs::File::create(&path).unwrap().set_len(MAX_BYTES + 1).unwrap();
+        let error = LookupTables::open(&path).unwrap_err().to_string();
+        assert!(error.contains("16777217 bytes are too many for a table"), "{error}");
+    }
+}

@@ -1,0 +1,155 @@
+//! How the width of a flat target's pulse depends on its amplitude: the lower mode of the widths in bins of amplitude,
+//! smoothed (docs/corrections.md, Width).
+//!
+//! Slopes, roughness and leaves only widen a pulse, so that flat targets make the lowest mode of the widths.
+
+use super::penalised_spline::{Point, smooth};
+
+/// Width of a bin, in the logarithm of the amplitude.
+const BIN_LN: f64 = 0.1;
+/// Bins of fewer pulses say nothing.
+const LEAST_PULSES: usize = 100;
+/// Fewer bins make no curve.
+const LEAST_BINS: usize = 3;
+/// Pulses whose width is known worse than this, as a part of it, do not tell a mode.
+const MOST_LN_WIDTH_SD: f64 = 0.1;
+/// The finest structure of the density of widths that is looked at.
+const LEAST_BANDWIDTH: f64 = 0.004;
+/// A mode counts from this part of the highest one on.
+const MODE_PART: f64 = 0.5;
+/// Steps of the density in a bandwidth, and how many bandwidths a pulse reaches.
+const STEPS_PER_BANDWIDTH: f64 = 4.0;
+const REACH_BANDWIDTHS: f64 = 3.0;
+/// Widths further from that of the response, as logarithms, belong to no flat target.
+const MOST_LN_WIDTH: f64 = 0.7;
+
+/// A pulse that stands alone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pulse {
+    /// Logarithm of its amplitude, DN.
+    pub ln_amplitude: f64,
+    /// Logarithm of its width over the calibrated one.
+    pub ln_width: f64,
+    /// Standard deviation of `ln_width`.
+    pub ln_width_sd: f64,
+}
+
+/// The curve at one amplitude.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Node {
+    /// Logarithm of the amplitude, DN.
+    pub ln_amplitude: f64,
+    /// Logarithm of a flat target's width over the calibrated one.
+    pub ln_width: f64,
+}
+
+/// The width of flat targets by amplitude, by rising amplitude; `None` where the pulses do not tell it: fewer than three
+/// bins of a tenth in the logarithm of the amplitude that hold 100 pulses.
+pub fn width_by_amplitude(pulses: &[Pulse]) -> Option<Vec<Node>> {
+    let usable = |pulse: &&Pulse| {
+        pulse.ln_amplitude.is_finite()
+            && pulse.ln_width.abs() <= MOST_LN_WIDTH
+            && pulse.ln_width_sd > 0.0
+            && pulse.ln_width_sd <= MOST_LN_WIDTH_SD
+    };
+    let bin = |pulse: &Pulse| (pulse.ln_amplitude / BIN_LN).floor();
+    let mut sorted: Vec<Pulse> = pulses.iter().filter(usable).copied().collect();
+    sorted.sort_by(|a, b| {
+        bin(a)
+            .total_cmp(&bin(b))
+            .then(a.ln_width.total_cmp(&b.ln_width))
+            .then(a.ln_width_sd.total_cmp(&b.ln_width_sd))
+    });
+    let bins = sorted.chunk_by(|a, b| bin(a) == bin(b)).filter(|bin| bin.len() >= LEAST_PULSES);
+    let modes: Vec<Point> = bins.map(lower_mode).collect();
+    if modes.len() < LEAST_BINS {
+        return None;
+    }
+    let curve = smooth(&modes);
+    Some(modes.iter().zip(curve).map(|(mode, ln_width)| Node { ln_amplitude: mode.x, ln_width }).collect())
+}
+
+/// The lowest mode of the widths of a bin, whose pulses come by rising width.
+fn lower_mode(bin: &[Pulse]) -> Point {
+    let n = bin.len() as f64;
+    let mut sds: Vec<f64> = bin.iter().map(|pulse| pulse.ln_width_sd).collect();
+    sds.sort_by(f64::total_cmp);
+    let bandwidth = sds[sds.len() / 2].max(LEAST_BANDWIDTH);
+    let x = bin.iter().map(|pulse| pulse.ln_amplitude).sum::<f64>() / n;
+    let (density, from, step) = density(bin, bandwidth);
+    let highest = density.iter().copied().fold(0.0, f64::max);
+    let is_mode = |k: &usize| {
+        let at = |k: usize| density.get(k).copied().unwrap_or(0.0);
+        at(*k) >= MODE_PART * highest && at(*k) >= at(k.wrapping_sub(1)) && at(*k) > at(k + 1)
+    };
+    let mode = (0..density.len()).find(is_mode).unwrap_or(0);
+    // The top of the parabola through the mode and its neighbours.
+    let side = |k: usize| density.get(k).copied().unwrap_or(0.0);
+    let (before, top, behind) = (side(mode.wrapping_sub(1)), side(mode), side(mode + 1));
+    let bend = before - 2.0 * top + behind;
+    let part = if bend < 0.0 { (0.5 * (before - behind) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    Point { x, y: from + (mode as f64 + part) * step, weight: n / (bandwidth * bandwidth) }
+}
+
+/// Density of the widths: its values, where the first stands, and the step between them.
+fn density(bin: &[Pulse], bandwidth: f64) -> (Vec<f64>, f64, f64) {
+    let step = bandwidth / STEPS_PER_BANDWIDTH;
+    let reach = REACH_BANDWIDTHS * bandwidth;
+    let (first, last) = (bin.first().map_or(0.0, |p| p.ln_width), bin.last().map_or(0.0, |p| p.ln_width));
+    let from = first - reach;
+    let mut density = vec![0.0; ((last - first + 2.0 * reach) / step) as usize + 1];
+    for pulse in bin {
+        let near = ((pulse.ln_width - reach - from) / step).max(0.0) as usize;
+        let until = (((pulse.ln_width + reach - from) / step) as usize + 1).min(density.len());
+        for (k, value) in density.iter_mut().enumerate().take(until).skip(near) {
+            let distance = (from + k as f64 * step - pulse.ln_width) / bandwidth;
+            *value += (-0.5 * distance * distance).exp();
+        }
+    }
+    (density, from, step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Amplitudes of 20 to 200; flat targets by `flat`, and as many widened ones.
+    fn pulses(flat: impl Fn(f64) -> f64) -> Vec<Pulse> {
+        let pulse = |k: usize| {
+            let ln_amplitude = 20f64.ln() + 10f64.ln() * (k % 997) as f64 / 997.0;
+            let spread = 0.02 * ((k % 31) as f64 / 15.0 - 1.0) * ((k % 7) as f64 / 6.0);
+            let widened = if k.is_multiple_of(2) { 0.1 + 0.25 * (k % 53) as f64 / 53.0 } else { 0.0 };
+            Pulse { ln_amplitude, ln_width: flat(ln_amplitude) + spread + widened, ln_width_sd: 0.01 }
+        };
+        (0..20_000).map(pulse).collect()
+    }
+
+    #[test]
+    fn the_curve_of_flat_targets_is_found_among_widened_ones() {
+        let flat = |ln_amplitude: f64| 0.05 * (ln_amplitude - 4.0) - 0.02 * (ln_amplitude - 4.0).powi(2);
+        let nodes = width_by_amplitude(&pulses(flat)).unwrap();
+        assert!(nodes.len() > 20);
+        for node in &nodes {
+            assert!((node.ln_width - flat(node.ln_amplitude)).abs() < 0.004, "{node:?}");
+        }
+    }
+
+    #[test]
+    fn the_order_of_the_pulses_does_not_matter() {
+        let some = pulses(|_| 0.01);
+        let backwards: Vec<Pulse> = some.iter().rev().copied().collect();
+        let (a, b) = (width_by_amplitude(&some).unwrap(), width_by_amplitude(&backwards).unwrap());
+        for (a, b) in a.iter().zip(&b) {
+            assert!((a.ln_width - b.ln_width).abs() < 1e-9 && (a.ln_amplitude - b.ln_amplitude).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn too_few_pulses_tell_nothing() {
+        let few: Vec<Pulse> = pulses(|_| 0.0).into_iter().take(500).collect();
+        assert_eq!(width_by_amplitude(&few), None);
+        let unsure: Vec<Pulse> =
+            pulses(|_| 0.0).into_iter().map(|p| Pulse { ln_width_sd: 0.2, ..p }).collect();
+        assert_eq!(width_by_amplitude(&unsure), None);
+    }
+}

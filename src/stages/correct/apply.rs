@@ -1,0 +1,191 @@
+//! The corrections of a line's returns.
+
+use std::sync::Arc;
+
+use super::tables::{Both, Sources, receiver_of, told_by_fusion_s};
+use super::width::{WidthCorrection, name};
+use super::{Correct, Incidence};
+use crate::batch::{Batch, Emission, InputInfo, LineStats, Return, ReturnChannel};
+use crate::formats::lookup_tables::LookupTables;
+use crate::geo::vertical::down_at;
+use crate::kernels::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};
+use crate::stage::{Context, Result};
+
+/// What is done to every return of a run.
+pub(super) struct Corrections {
+    sources: Sources,
+    range_and_air: RangeAndAir,
+    incidence: Incidence,
+    /// The tables of the recording at hand.
+    tables: Option<Tables>,
+}
+
+/// The tables for one recording.
+struct Tables {
+    input: Arc<InputInfo>,
+    range: Both,
+    amplitude: Both,
+}
+
+impl Corrections {
+    /// `range` and `amplitude` are the files' tables, where the keys name files.
+    pub(super) fn new(
+        keys: &Correct,
+        range: Option<LookupTables>,
+        amplitude: Option<LookupTables>,
+    ) -> Result<Corrections> {
+        let range_and_air = RangeAndAir {
+            reference_range_m: keys.reference_range_m.number(),
+            attenuation_db_per_km: keys.attenuation_db_per_km.number(),
+        };
+        let sources = Sources::new(keys, range, amplitude)?;
+        Ok(Corrections { sources, range_and_air, incidence: keys.incidence, tables: None })
+    }
+
+    /// Corrects the returns of a line.
+    pub(super) fn apply(
+        &mut self,
+        batch: &mut Batch,
+        returns: &mut [Return],
+        widths: [&WidthCorrection; 2],
+        cx: &mut Context,
+    ) {
+        let tables = match self.tables.take() {
+            Some(tables) if Arc::ptr_eq(&tables.input, &batch.input) => tables,
+            _ => Tables {
+                input: Arc::clone(&batch.input),
+                range: self.sources.range(&batch.input),
+                amplitude: self.sources.amplitude(&batch.input),
+            },
+        };
+        note_what_is_missing(self.sources.wanted(), &tables, returns, cx);
+        let told_s = match (&batch.fusion, &batch.model) {
+            (Some(fusion), Some(model)) => told_by_fusion_s(&tables.range, model, fusion.gain_ratio),
+            _ => 0.0,
+        };
+        let half_speed_m_per_ns = 0.5e-9 * batch.input.group_velocity_mps;
+        for r in returns.iter_mut() {
+            correct_range(r, &tables.range, told_s, half_speed_m_per_ns, &mut batch.stats);
+            correct_width(r, widths, half_speed_m_per_ns);
+            take_amplitude(r, &tables.amplitude, &mut batch.stats);
+        }
+        put_in_order(returns);
+        self.correct_intensities(batch, returns, cx);
+        self.tables = Some(tables);
+    }
+
+    /// By range, air and incidence.
+    fn correct_intensities(&self, batch: &mut Batch, returns: &mut [Return], cx: &mut Context) {
+        let frame = batch.input.frame;
+        for of_shot in returns.chunk_by_mut(|a, b| a.emission == b.emission) {
+            let emission = of_shot.first().and_then(|r| batch.emissions.get(r.emission as usize));
+            let cos_incidence = match self.incidence {
+                Incidence::None => 1.0,
+                Incidence::Flat => match emission.and_then(|emission| cos_to_vertical(frame, emission)) {
+                    Some(cosine) => cosine.max(LEAST_COS_INCIDENCE),
+                    None => {
+                        cx.note("intensities are not corrected for incidence: without a trajectory the beams' angles to the vertical are not known");
+                        1.0
+                    }
+                },
+            };
+            for r in of_shot {
+                let (factor, slope_per_m) = self.range_and_air.factor(r.range_m);
+                let by_range = r.intensity * slope_per_m * r.range_sd_m;
+                r.intensity_sd = (r.intensity_sd * factor).hypot(by_range) / cos_incidence;
+                r.intensity *= factor / cos_incidence;
+            }
+        }
+        let n = returns.len() as u64;
+        batch.stats.np_range += if self.range_and_air.reference_range_m.is_some() { n } else { 0 };
+        batch.stats.np_atm += if self.range_and_air.attenuation_db_per_km.is_some() { n } else { 0 };
+    }
+}
+
+/// Says what is wanted and not there.
+fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], cx: &mut Context) {
+    let kinds = [
+        (wanted[0], &tables.range, "range table", "ranges are not corrected by amplitude"),
+        (wanted[1], &tables.amplitude, "amplitude table", "intensities are heights of pulses"),
+    ];
+    for (is_wanted, both, kind, so) in kinds {
+        for channel in [ReturnChannel::Low, ReturnChannel::High] {
+            let receiver = receiver_of(channel);
+            let is_of = |r: &Return| receiver_of(r.channel) == receiver;
+            if is_wanted && both[receiver].is_none() && returns.iter().any(is_of) {
+                cx.note(format!("{}: there is no {kind}: {so}", name(channel)));
+            }
+        }
+    }
+}
+
+/// The cosine of the angle between a beam and straight down; `None` where the frame does not tell it.
+fn cos_to_vertical(frame: crate::batch::Frame, emission: &Emission) -> Option<f64> {
+    let down = down_at(frame, emission.origin_m)?;
+    Some(emission.direction.iter().zip(down).map(|(a, b)| a * b).sum())
+}
+
+/// Takes the range table's value off the echo's place.
+fn correct_range(
+    r: &mut Return,
+    ranges: &Both,
+    told_s: f64,
+    half_speed_m_per_ns: f64,
+    stats: &mut LineStats,
+) {
+    let receiver = receiver_of(r.channel);
+    let Some(table) = &ranges[receiver] else { return };
+    let told_s = if receiver == 1 { told_s } else { 0.0 };
+    let late_ns = 1e9 * (table.at(r.peak_dn) - told_s);
+    let late_sd_ns = 1e9 * table.slope(r.peak_dn) * r.peak_sd_dn;
+    r.time_of_flight_ns -= late_ns;
+    r.time_of_flight_sd_ns = r.time_of_flight_sd_ns.hypot(late_sd_ns);
+    r.range_m -= half_speed_m_per_ns * late_ns;
+    r.range_sd_m = r.range_sd_m.hypot(half_speed_m_per_ns * late_sd_ns);
+    stats.np_ibrc += 1;
+}
+
+/// Makes a flat target as wide as the calibrated pulse. Widths of both receivers' joint fits stay: neither curve is theirs.
+fn correct_width(r: &mut Return, [low, high]: [&WidthCorrection; 2], half_speed_m_per_ns: f64) {
+    let correction = match r.channel {
+        ReturnChannel::Low => low,
+        ReturnChannel::High => high,
+        ReturnChannel::Joint => return,
+    };
+    let flat_target = correction.flat_target(r.amplitude_dn);
+    if *correction == WidthCorrection::None || !flat_target.is_finite() || flat_target <= 0.0 {
+        return;
+    }
+    let calibrated_ns = r.fwhm_ns / r.width_ratio;
+    r.width_ratio /= flat_target;
+    r.width_ratio_sd /= flat_target;
+    r.fwhm_ns = calibrated_ns * r.width_ratio;
+    (r.thickness_m, r.thickness_sd_m) =
+        target_thickness_m(half_speed_m_per_ns, calibrated_ns, r.width_ratio, r.width_ratio_sd);
+}
+
+/// Amplitude and intensity before range, air and incidence.
+fn take_amplitude(r: &mut Return, amplitudes: &Both, stats: &mut LineStats) {
+    match &amplitudes[receiver_of(r.channel)] {
+        Some(table) => {
+            let amplitude = table.amplitude(r.peak_dn, r.peak_sd_dn);
+            (r.amplitude_db, r.intensity, r.intensity_sd) =
+                (amplitude.db, amplitude.linear, amplitude.linear_sd);
+            stats.np_ibic += 1;
+        }
+        None => (r.amplitude_db, r.intensity, r.intensity_sd) = (f64::NAN, r.amplitude_dn, r.amplitude_sd_dn),
+    }
+}
+
+/// Returns of a shot in order of time again, where the range table has moved one past another.
+fn put_in_order(returns: &mut [Return]) {
+    for of_shot in returns.chunk_by_mut(|a, b| a.emission == b.emission) {
+        if of_shot.is_sorted_by(|a, b| a.time_of_flight_ns <= b.time_of_flight_ns) {
+            continue;
+        }
+        of_shot.sort_by(|a, b| a.time_of_flight_ns.total_cmp(&b.time_of_flight_ns));
+        for (i, r) in of_shot.iter_mut().enumerate() {
+            r.return_number = (i + 1).min(255) as u8;
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! Widths that change with amplitude.
+
+use super::WidthKey;
+use crate::batch::{Batch, Return, ReturnChannel, flags};
+use crate::kernels::width_by_amplitude::{Node, Pulse, width_by_amplitude};
+use crate::stage::{Context, InvalidKey};
+
+/// The receivers that have a width correction, in the order of the keys.
+pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChannel::High];
+/// A power of the amplitude counts from here, DN.
+const POWER_FROM_DN: f64 = 100.0;
+/// Returns with one of these flags do not show how wide a flat target is.
+const NOT_PLAIN: u16 = flags::OVERLAP
+    | flags::DIVERGED
+    | flags::EMISSION_ON_ECHO
+    | flags::SATURATED
+    | flags::EXTREMELY_SATURATED
+    | flags::OVERDRIVEN
+    | flags::TRUNCATED
+    | flags::SPLIT;
+
+/// The width of a flat target by amplitude.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum WidthCorrection {
+    /// The same at every amplitude.
+    None,
+    /// A power of the amplitude.
+    Power(f64),
+    /// Linear between these nodes, constant beyond them.
+    Nodes(Vec<Node>),
+}
+
+/// Whether a key can be used.
+pub(super) fn check(name: &'static str, key: &WidthKey) -> Result<(), InvalidKey> {
+    let (holds, problem) = match key {
+        WidthKey::Auto(_) => (true, ""),
+        WidthKey::Power(power) => (power.abs() <= 1.0, "a number must lie between -1 and 1"),
+        WidthKey::Pairs(pairs) => (
+            !pairs.is_empty()
+                && pairs
+                    .iter()
+                    .all(|[dn, width]| *dn > 0.0 && dn.is_finite() && (0.1..=10.0).contains(width))
+                && pairs.is_sorted_by(|a, b| a[0] < b[0]),
+            "pairs must have rising amplitudes above 0 and width ratios between 0.1 and 10",
+        ),
+        WidthKey::Without(with) => (!with, "it must be \"auto\", a number, pairs of numbers, or `false`"),
+    };
+    InvalidKey::unless(holds, name, problem)
+}
+
+impl WidthCorrection {
+    /// What the key gives; `None` where it is to be learnt.
+    pub(super) fn given(key: &WidthKey) -> Option<WidthCorrection> {
+        let node = |&[dn, width]: &[f64; 2]| Node { ln_amplitude: dn.ln(), ln_width: width.ln() };
+        match key {
+            WidthKey::Auto(_) => None,
+            WidthKey::Power(power) => Some(WidthCorrection::Power(*power)),
+            WidthKey::Pairs(pairs) => Some(WidthCorrection::Nodes(pairs.iter().map(node).collect())),
+            WidthKey::Without(_) => Some(WidthCorrection::None),
+        }
+    }
+
+    /// What the single returns of some lines tell; where they do not, which is noted, nothing is corrected.
+    pub(super) fn learnt(lines: &[Batch], channel: ReturnChannel, cx: &mut Context) -> WidthCorrection {
+        let returns = lines.iter().filter_map(Batch::returns).flatten();
+        let of_channel: Vec<&Return> = returns.filter(|r| r.channel == channel).collect();
+        if of_channel.is_empty() {
+            return WidthCorrection::None;
+        }
+        let plain = |r: &&&Return| r.number_of_returns == 1 && r.flags & NOT_PLAIN == 0;
+        let pulse = |r: &&Return| Pulse {
+            ln_amplitude: r.amplitude_dn.ln(),
+            ln_width: r.width_ratio.ln(),
+            ln_width_sd: r.width_ratio_sd / r.width_ratio,
+        };
+        let pulses: Vec<Pulse> = of_channel.iter().filter(plain).map(pulse).collect();
+        let Some(nodes) = width_by_amplitude(&pulses) else {
+            cx.note(format!(
+                "{}: widths are not corrected by amplitude: their {} single returns do not tell how wide flat targets are",
+                name(channel),
+                pulses.len()
+            ));
+            return WidthCorrection::None;
+        };
+        let quantity = match channel {
+            ReturnChannel::Low => "flat_target_width_ratio_low",
+            _ => "flat_target_width_ratio_high",
+        };
+        nodes.iter().for_each(|node| cx.observe(quantity, node.ln_width.exp()));
+        WidthCorrection::Nodes(nodes)
+    }
+
+    /// The width ratio of a flat target at an amplitude, DN.
+    pub(super) fn flat_target(&self, amplitude_dn: f64) -> f64 {
+        match self {
+            WidthCorrection::None => 1.0,
+            WidthCorrection::Power(power) => (amplitude_dn / POWER_FROM_DN).powf(*power),
+            WidthCorrection::Nodes(nodes) => at(nodes, amplitude_dn.ln()).exp(),
+        }
+    }
+}
+
+/// The logarithm of a width between nodes.
+fn at(nodes: &[Node], ln_amplitude: f64) -> f64 {
+    let behind = nodes.partition_point(|node| node.ln_amplitude <= ln_amplitude);
+    let before = behind.checked_sub(1).and_then(|before| nodes.get(before));
+    match (before, nodes.get(behind)) {
+        (Some(a), Some(b)) => {
+            let part = (ln_amplitude - a.ln_amplitude) / (b.ln_amplitude - a.ln_amplitude);
+            a.ln_width + part * (b.ln_width - a.ln_width)
+        }
+        (Some(node), None) | (None, Some(node)) => node.ln_width,
+        (None, None) => 0.0,
+    }
+}
+
+/// The receiver, as notes name it.
+pub(super) fn name(channel: ReturnChannel) -> &'static str {
+    match channel {
+        ReturnChannel::Low => "the low power receiver",
+        _ => "the high power receiver",
+    }
+}

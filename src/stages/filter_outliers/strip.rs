@@ -1,0 +1,237 @@
+//! The lines at hand: each is judged when the lines behind it that can tell of it have come.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+
+use super::FilterOutliers;
+use super::geometry::{Places, dot, has_vertical};
+use crate::batch::{Batch, Content, Return, flags};
+use crate::kernels::outliers::{Line, Search, Side, jump};
+use crate::stage::{Item, Output, Result};
+
+/// Lines before and behind that tell of a line.
+const LINES_APART: usize = 16;
+/// Others that a return must reach to belong to something.
+const OTHERS: usize = 3;
+/// Steps are at least so many times as long as shots are apart.
+const SPACINGS: f64 = 2.5;
+/// LAS class of outliers, as BayesWavEx 1.1 has it.
+const OUTLIER_CLASS: u8 = 20;
+
+/// The lines at hand, and those given on that still tell of others.
+pub(super) struct Strip {
+    config: FilterOutliers,
+    lines: VecDeque<Held>,
+    /// The first of `lines` that has not been judged.
+    next: usize,
+    bytes: usize,
+    search: Search,
+}
+
+/// A line, and its batch until it is given on.
+struct Held {
+    batch: Option<Batch>,
+    places: Places,
+    bytes: usize,
+}
+
+/// What becomes of a line's returns.
+#[derive(Default)]
+struct Verdicts {
+    /// Those that belong to nothing.
+    outliers: Vec<bool>,
+    /// Those whose waveform is rejected.
+    rejected: Vec<bool>,
+    /// Where the outliers lie.
+    sides: Vec<Option<Side>>,
+}
+
+impl Strip {
+    pub(super) fn new(config: FilterOutliers) -> Strip {
+        Strip { config, lines: VecDeque::new(), next: 0, bytes: 0, search: Search::default() }
+    }
+
+    /// Takes the next line, and gives on what can be judged.
+    pub(super) fn push(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
+        let places = Places::of(&batch);
+        let apart = self.lines_apart(&batch, out);
+        let bytes = batch.bytes() + places.bytes();
+        self.bytes += bytes;
+        self.lines.push_back(Held { batch: Some(batch), places, bytes });
+        while self.lines.len() - self.next > apart {
+            self.judge_next(out)?;
+        }
+        while self.bytes > out.may_hold_bytes() && !self.lines.is_empty() {
+            out.cx.note(
+                "outliers are told from fewer lines than could tell of them: more do not fit into memory_mb",
+            );
+            // As many lines before as behind.
+            match self.next > self.lines.len() - self.next {
+                true => self.forget_first(),
+                false => self.judge_next(out)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Judges what is left.
+    pub(super) fn finish(&mut self, out: &mut Output) -> Result<()> {
+        while self.next < self.lines.len() {
+            self.judge_next(out)?;
+        }
+        Ok(())
+    }
+
+    fn lines_apart(&self, batch: &Batch, out: &mut Output) -> usize {
+        if has_vertical(batch.input.frame) {
+            return LINES_APART;
+        }
+        out.cx.note("outliers are looked for within each line alone: without a trajectory lines do not tell of each other, and wires across them are taken for outliers");
+        0
+    }
+
+    /// Judges a line, and gives it on.
+    fn judge_next(&mut self, out: &mut Output) -> Result<()> {
+        let at = self.next;
+        self.next += 1;
+        let verdicts = self.verdicts(at);
+        let Some(held) = self.lines.get_mut(at) else { return Ok(()) };
+        let Some(mut batch) = held.batch.take() else { return Ok(()) };
+        let left = held.places.bytes();
+        self.bytes = self.bytes - held.bytes + left;
+        held.bytes = left;
+        if self.next > LINES_APART {
+            self.forget_first();
+        }
+        apply(&mut batch, &verdicts, &self.config, out);
+        out.emit(batch)
+    }
+
+    /// Lets go of the first line, which has been judged.
+    fn forget_first(&mut self) {
+        let gone = self.lines.pop_front().map_or(0, |gone| gone.bytes);
+        self.bytes -= gone;
+        self.next -= 1;
+    }
+
+    /// What becomes of the returns of a line.
+    fn verdicts(&mut self, at: usize) -> Verdicts {
+        let Some(held) = self.lines.get(at) else { return Verdicts::default() };
+        let is_alone = held.batch.as_ref().is_none_or(|batch| !has_vertical(batch.input.frame));
+        let (from, until) = match is_alone {
+            true => (at, at + 1),
+            false => (at.saturating_sub(LINES_APART), (at + LINES_APART + 1).min(self.lines.len())),
+        };
+        let lines: Vec<&Line> = self.lines.range(from..until).map(|held| &held.places.line).collect();
+        let line_spacing_m = if is_alone { 0.0 } else { self.line_spacing_m(at) };
+        let places = &held.places;
+        let n = places.line.points().len();
+        let mut outliers = Vec::with_capacity(n);
+        for (point, &spacing_m) in places.spacing_m.iter().enumerate() {
+            let step_m = self.config.max_range_m.max(SPACINGS * line_spacing_m.max(f64::from(spacing_m)));
+            outliers.push(!self.search.is_supported(&lines, at - from, point, step_m, OTHERS));
+        }
+        let mut verdicts = Verdicts { outliers, rejected: vec![false; n], sides: vec![None; n] };
+        find_sides(places, &mut verdicts);
+        if self.config.waves {
+            reject_jumps(places, &mut verdicts, &self.config);
+        }
+        verdicts
+    }
+
+    /// How far a line is from the nearer of its neighbours' lines, m; 0 where there is none.
+    fn line_spacing_m(&self, at: usize) -> f64 {
+        let middle_m = |at: usize| self.lines.get(at)?.places.middle_m;
+        let apart = |a: Option<usize>| {
+            let (a, b) = (middle_m(a?)?, middle_m(at)?);
+            let step: [f64; 3] = std::array::from_fn(|axis| b[axis] - a[axis]);
+            Some(dot(step, step).sqrt())
+        };
+        let (before, behind) = (apart(at.checked_sub(1)), apart(Some(at + 1)));
+        before.into_iter().chain(behind).min_by(f64::total_cmp).unwrap_or(0.0)
+    }
+}
+
+/// Tells of each outlier whether it lies above or below the line: the mean height of the nearest returns before and behind
+/// it that belong to something.
+fn find_sides(places: &Places, verdicts: &mut Verdicts) {
+    let heights = &places.height_m;
+    let mut before = vec![f64::NAN; heights.len()];
+    let mut last = f64::NAN;
+    for (i, height) in heights.iter().enumerate() {
+        if !verdicts.outliers[i] {
+            last = *height;
+        }
+        before[i] = last;
+    }
+    let mut behind = f64::NAN;
+    for (i, &height) in heights.iter().enumerate().rev() {
+        if !verdicts.outliers[i] {
+            behind = height;
+            continue;
+        }
+        let level = match (before[i].is_nan(), behind.is_nan()) {
+            (false, false) => 0.5 * (before[i] + behind),
+            (true, _) => behind,
+            (_, true) => before[i],
+        };
+        verdicts.sides[i] = Some(if height < level { Side::Low } else { Side::Air });
+    }
+}
+
+/// Rejects the waveforms that hold outliers alone and jump off their neighbours.
+fn reject_jumps(places: &Places, verdicts: &mut Verdicts, config: &FilterOutliers) {
+    let mut waves: Vec<Range<usize>> = Vec::new();
+    for of_wave in places.line.points().chunk_by(|a, b| a.waveform == b.waveform) {
+        let from = waves.last().map_or(0, |last| last.end);
+        waves.push(from..from + of_wave.len());
+    }
+    let min_angle_rad = config.min_angle_deg.to_radians();
+    for three in waves.windows(3) {
+        let [before, wave, behind] = three else { continue };
+        if !verdicts.outliers[wave.clone()].iter().all(|outlier| *outlier) {
+            continue;
+        }
+        let extent = |wave: &Range<usize>| places.extent(wave.clone());
+        let (Some(before), Some(it), Some(behind)) = (extent(before), extent(wave), extent(behind)) else {
+            continue;
+        };
+        if let Some(side) = jump(&before, &it, &behind, config.max_height_m, min_angle_rad) {
+            verdicts.rejected[wave.clone()].fill(true);
+            verdicts.sides[wave.clone()].fill(Some(side));
+        }
+    }
+}
+
+/// Rejects and marks returns of a line, and counts them.
+fn apply(batch: &mut Batch, verdicts: &Verdicts, config: &FilterOutliers, out: &mut Output) {
+    let stats = &mut batch.stats;
+    let Content::Returns(returns) = &mut batch.content else { return };
+    let is_out = |index: usize| verdicts.rejected[index] || (config.points && verdicts.outliers[index]);
+    for (index, r) in returns.iter_mut().enumerate().filter(|(index, _)| is_out(*index)) {
+        match verdicts.sides[index] {
+            Some(Side::Low) => stats.np_low += 1,
+            _ => stats.np_air += 1,
+        }
+        (r.withheld, r.class) = (true, OUTLIER_CLASS);
+    }
+    let gone: Vec<&Return> =
+        returns.iter().zip(&verdicts.rejected).filter(|(_, rejected)| **rejected).map(|(r, _)| r).collect();
+    let n = gone.len() as u64;
+    if n == 0 {
+        return;
+    }
+    let waves = gone.chunk_by(|a, b| a.emission == b.emission).count() as u64;
+    let touched = gone.iter().filter(|r| r.flags & flags::CROSSTALK != 0).count() as u64;
+    stats.np -= n.min(stats.np);
+    stats.np_xtalk -= touched.min(stats.np_xtalk);
+    stats.np_filtered += n;
+    stats.nw_with_points -= waves.min(stats.nw_with_points);
+    stats.nw_deleted += waves;
+    out.cx.reject(Item::Returns, "of a waveform that jumps off its line", n);
+    let mut index = 0;
+    returns.retain(|_| {
+        index += 1;
+        !verdicts.rejected[index - 1]
+    });
+}
