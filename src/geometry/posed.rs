@@ -88,7 +88,9 @@ impl Posed {
             return Ok(());
         };
         self.geometry.align(&batch.input, first.gps_time_s)?;
-        self.geometry.notes().iter().for_each(|note| cx.note(note));
+        if self.coverage.span_s.is_none() {
+            self.geometry.notes().iter().for_each(|note| cx.note(note));
+        }
         let mut down = None;
         let mut place = Vec::with_capacity(batch.emissions.len());
         let mut kept = 0;
