@@ -38,6 +38,8 @@ struct Entry {
     why: String,
     /// What one must know of it besides.
     remark: &'static str,
+    /// What keeps it from being a key of the job; empty: nothing.
+    obstacle: String,
     /// Whether the line asks for it, so that a build that cannot do it must not run the job.
     is_asked: bool,
 }
@@ -93,7 +95,7 @@ impl Draft {
     /// Sets a key; one that is there already gets another value, and what it comes from is told with it.
     pub fn set(&mut self, section: &str, key: &'static str, toml: String, why: &str, is_asked: bool) {
         let section = self.section(section);
-        let entry = Entry { key, toml, why: why.to_owned(), remark: "", is_asked };
+        let entry = Entry { key, toml, why: why.to_owned(), remark: "", obstacle: String::new(), is_asked };
         match section.entries.iter_mut().find(|entry| entry.key == key) {
             Some(old) => *old = entry,
             None => section.entries.push(entry),
@@ -110,6 +112,13 @@ impl Draft {
     pub fn remark(&mut self, section: &str, key: &str, remark: &'static str) {
         if let Some(entry) = self.section(section).entries.iter_mut().find(|entry| entry.key == key) {
             entry.remark = remark;
+        }
+    }
+
+    /// Makes a key a comment, because its value cannot be used.
+    pub fn obstruct(&mut self, section: &str, key: &str, obstacle: String) {
+        if let Some(entry) = self.section(section).entries.iter_mut().find(|entry| entry.key == key) {
+            entry.obstacle = obstacle;
         }
     }
 
@@ -168,13 +177,15 @@ impl Draft {
             let line = format!("{} = {}", entry.key, entry.toml);
             let remark = if entry.remark.is_empty() { "" } else { ": " };
             let why = format!("{}{remark}{}", entry.why, entry.remark);
-            if known.has_key(section, entry.key) {
+            if known.has_key(section, entry.key) && entry.obstacle.is_empty() {
                 lines.push((line, why));
-            } else {
-                lines.push((format!("#{line}"), format!("{why}: this build cannot do this yet")));
-                if entry.is_asked {
-                    text.missing.push(format!("{} (`{}` of `{section}`)", entry.why, entry.key));
-                }
+                continue;
+            }
+            let obstacle =
+                if entry.obstacle.is_empty() { "this build cannot do this yet" } else { &entry.obstacle };
+            lines.push((format!("#{line}"), format!("{why}: {obstacle}")));
+            if entry.is_asked {
+                text.missing.push(format!("{} (`{}` of `{section}`)", entry.why, entry.key));
             }
         }
         let width = lines.iter().map(|(line, _)| line.chars().count()).max().unwrap_or(0).min(44);

@@ -191,7 +191,10 @@ fn unknown(version: &Version, name: &str, place: &Place) -> Problem {
     if let Some(other) = VERSIONS.iter().find(|other| other.option(name).is_some()) {
         return problem.help(format!("version {0} has one: `--classic {0}`", other.name));
     }
-    if let Some(meant) = nearest_of(name, version.names()) {
+    // Any letter is one slip away from any other.
+    let nearest = || nearest_of(name, version.names()).filter(|_| name.chars().count() > 2);
+    let same_letters = version.names().find(|other| other.eq_ignore_ascii_case(name));
+    if let Some(meant) = same_letters.or_else(nearest) {
         return problem.help(format!("did you mean `-{meant}`?"));
     }
     let short =

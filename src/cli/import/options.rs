@@ -107,6 +107,8 @@ pub enum Form {
     After(&'static str),
     /// A file in the folder of inputs.
     File,
+    /// The columns of a trajectory, of which none may be missing.
+    TrajectoryColumns,
     /// A file of three angles, which the job takes over.
     Angles,
 }

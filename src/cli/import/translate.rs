@@ -9,6 +9,7 @@ use super::options::{Becomes, Flag, Form, Opt, Part, Standard, Takes, Version};
 use super::paths::Paths;
 use super::problem::Problem;
 use crate::cli::convert::reader_of;
+use crate::stage::listed;
 
 /// What a translation must know besides the line.
 pub struct Place<'a> {
@@ -46,6 +47,9 @@ pub(super) struct Translation<'a> {
     /// The stage that stands for the section `reader`.
     pub(super) reader: &'static str,
 }
+
+/// Time, longitude, latitude, height, roll, pitch and heading: without one of them there is no pose.
+const TRAJECTORY_COLUMNS: &str = "txyzwpk";
 
 /// A list of two numbers that options give one by one.
 type Ends = BTreeMap<(&'static str, &'static str), ([f64; 2], Vec<String>)>;
@@ -281,8 +285,14 @@ impl Translation<'_> {
             return;
         }
         self.draft.set(section, key, toml, why, is_asked);
-        if let Form::After(_) = form {
-            self.draft.remark(section, key, option.remark);
+        match (form, value) {
+            (Form::After(_), _) => self.draft.remark(section, key, option.remark),
+            (Form::TrajectoryColumns, Value::Text(letters)) => {
+                if let Some(obstacle) = without_a_column(letters) {
+                    self.draft.obstruct(section, key, obstacle);
+                }
+            }
+            _ => {}
         }
     }
 
@@ -407,6 +417,16 @@ fn toml_of(form: Form, value: &Value, paths: &Paths) -> Option<String> {
         (Form::File, Value::Text(file)) => Some(toml_text(&paths.input(file))),
         _ => Some(plain),
     }
+}
+
+/// What keeps columns of a trajectory from being enough.
+fn without_a_column(letters: &str) -> Option<String> {
+    let missing: Vec<String> = TRAJECTORY_COLUMNS
+        .chars()
+        .filter(|column| letters.matches(*column).count() != 1)
+        .map(|column| format!("`{column}`"))
+        .collect();
+    (!missing.is_empty()).then(|| format!("{} must stand in it once", listed(&missing, "and")))
 }
 
 /// What a folder comes from, with a word on folders of Windows where there are none.

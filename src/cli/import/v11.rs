@@ -1,7 +1,7 @@
 //! Version 1.1 (2018): SDF in, LAS 1.4 out. The options of its document, in its order.
 
 use super::options::Becomes::{Command, End, Flag, Key, Nothing, Part};
-use super::options::Form::{After, Angles, File, Plain, Switch, ZeroIs, ZeroIsNothing};
+use super::options::Form::{After, Angles, File, Plain, Switch, TrajectoryColumns, ZeroIs, ZeroIsNothing};
 use super::options::Standard::{Same, Words, Written};
 use super::options::Takes::{Date, Number, Switch as OnOff, Text, Texts, Whole};
 use super::options::{Flag as F, Opt, Part as P, Version, row};
@@ -109,7 +109,7 @@ const OPTIONS: &[Opt] = &[
     row(&["po_adj", "A"], OnOff, Words("by format"), Key("geometry", "trajectory_time", Switch("", "\"adjusted\"")), "`-A` in the examples of its document"),
     row(&["po_day"], OnOff, Same("0"), Key("geometry", "trajectory_time", Switch("", "\"day\"")), ""),
     row(&["po_rad"], OnOff, Same("0"), Key("geometry", "trajectory_angles", Switch("\"deg\"", "\"rad\"")), ""),
-    row(&["po_parse"], Text("a letter for each column"), Words("none"), Key("geometry", "trajectory_columns", Plain), "all of t, x, y, z, w, p and k are needed"),
+    row(&["po_parse"], Text("a letter for each column"), Words("none"), Key("geometry", "trajectory_columns", TrajectoryColumns), "all of t, x, y, z, w, p and k are needed"),
     row(&["plot_po"], Text("a file"), Words("none"), Part(P::PlotTrajectory), "`wavex trajectory FILE --crs ... -o ...`, besides"),
     row(&["po_sub"], Whole(1, u64::MAX), Words("1"), Part(P::PlotEvery), "`--every` of `wavex trajectory`"),
     // Geometry.
