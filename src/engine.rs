@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use crate::job::Job;
 use crate::kernels::lockstep;
-use crate::stage::{Plan, Site, StageError};
+use crate::stage::{OutputLock, Plan, Site, StageError};
 
 mod chain;
 mod failure;
@@ -95,6 +95,8 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
     };
     let sites: Vec<Site> = inputs.into_iter().map(site).collect();
     inputs::keep_from_outputs(job, &sites)?;
+    // Held until the end of the run.
+    let _lock = OutputLock::take(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
     let mut report = RunReport::new(job, options);
     let mut progress = Progress::new(options.progress, sites.len());
     for site in sites {
