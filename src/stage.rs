@@ -16,6 +16,7 @@ mod words;
 
 pub use context::{Context, Counters, Distribution, Item};
 pub use keys::{Key, Keys};
+pub(crate) use output_file::partial_path;
 pub use output_file::{OutputFile, WholeFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs};
 pub use site::{Paths, Site, fixed_folder};

@@ -9,9 +9,11 @@ use crate::stage::{Outputs, Paths, Site, StageError, fixed_folder};
 
 /// One run's input.
 #[derive(Debug, PartialEq)]
-pub(super) struct Input {
-    pub(super) path: PathBuf,
-    pub(super) stem: String,
+pub struct Input {
+    /// The file, or `-` for standard input; empty where the source makes its own data.
+    pub path: PathBuf,
+    /// What outputs are named after.
+    pub stem: String,
 }
 
 /// The inputs, in the order of the job; those of a pattern in the order of their names.

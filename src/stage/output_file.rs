@@ -46,7 +46,7 @@ pub fn remove_unfinished_files() {
 }
 
 /// Where a process writes what is to become `path`: beside it.
-pub(super) fn partial_path(path: &Path, process: u32) -> PathBuf {
+pub(crate) fn partial_path(path: &Path, process: u32) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     path.with_file_name(format!(".{name}.{process}.partial"))
 }
