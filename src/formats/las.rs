@@ -12,6 +12,7 @@ mod extra_bytes;
 mod header;
 mod packets;
 mod point;
+mod raw;
 mod reader;
 mod records;
 mod vlr;
@@ -24,6 +25,7 @@ pub use extra_bytes::{
 };
 pub use header::{GpsTime, Header};
 pub use point::{Point, PointOut, Wave};
+pub use raw::{RawField, RawPoints};
 pub use reader::Reader;
 pub use vlr::Vlr;
 pub use writer::{Writer, WriterOptions};
