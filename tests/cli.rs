@@ -51,6 +51,7 @@ Commands:
   false-alarms  Print how many returns of noise alone each threshold lets through
   explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
   scan          Tell what a recording holds: times, rates, lines, channels, noise, integrity
+  trajectory    Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
   completions   Print the completions of a shell
   help          Print this message or the help of the given subcommand(s)
 

@@ -61,8 +61,10 @@ pub struct WriteLas {
     pub uncertainty: bool,
     /// Names and scales of the extra attributes, and what class and user data mean.
     pub attribute_layout: AttributeLayout,
-    /// Step of the coordinates, in units of the coordinate reference system.
-    pub coordinate_step: f64,
+    /// Step of the coordinates, in units of the coordinate reference system; when not given, 0.001, or that of the input or
+    /// of `georeference` where it is below 0.00001, as degrees need it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coordinate_step: Option<f64>,
 }
 
 /// Version of a file.
@@ -95,7 +97,7 @@ impl Default for WriteLas {
             extra_attributes: true,
             uncertainty: true,
             attribute_layout: AttributeLayout::V1_1,
-            coordinate_step: 0.001,
+            coordinate_step: None,
         }
     }
 }
@@ -109,7 +111,7 @@ impl Config for WriteLas {
             "the file's name must end in .las or .laz",
         )?;
         InvalidKey::unless(
-            (1e-9..=1.0).contains(&self.coordinate_step),
+            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
             "coordinate_step",
             "it must lie between 1e-9 and 1",
         )
@@ -143,6 +145,14 @@ impl WriteLas {
         }
     }
 
+    /// The step of each coordinate.
+    fn steps(&self, input: &InputInfo) -> [f64; 3] {
+        let usual = input.coordinate_grid.map_or([USUAL_STEP; 3], |(steps, _)| {
+            steps.map(|step| if step < DEGREES_STEP { step } else { USUAL_STEP })
+        });
+        self.coordinate_step.map_or(usual, |step| [step; 3])
+    }
+
     /// Writes what stands before the points. The offset of the coordinates is the input's own, else the first point's,
     /// rounded.
     fn begin(
@@ -164,7 +174,7 @@ impl WriteLas {
                 VersionKey::V1_4 => Version::V1_4,
                 VersionKey::V1_2 => Version::V1_2,
             },
-            scale: [self.coordinate_step; 3],
+            scale: self.steps(input),
             offset: offset.unwrap_or_else(|| first.unwrap_or_default().map(near)),
             wkt: input.crs_wkt.as_deref(),
             extra_attributes: &attributes.stored,
@@ -180,6 +190,11 @@ impl WriteLas {
         Ok(Writer::new(file, &path, &options)?)
     }
 }
+
+/// The step of coordinates in metres and feet.
+const USUAL_STEP: f64 = 0.001;
+/// A step below this is one of degrees, of which a millionth is a decimetre.
+const DEGREES_STEP: f64 = 1e-5;
 
 struct LasSink {
     config: WriteLas,
@@ -238,13 +253,13 @@ impl Sink for LasSink {
             return Ok(());
         };
         let input = &batch.input;
-        if self.input.is_none() {
-            self.note(input, cx);
-            self.input = Some(Arc::clone(input));
-        }
+        self.input.get_or_insert_with(|| Arc::clone(input));
         // The first point decides about the offset of the coordinates, so that a file begins with it.
         if points.is_empty() {
             return Ok(());
+        }
+        if let State::Empty(_) = self.state {
+            self.note(input, cx);
         }
         self.begin(input, points.first().copied(), batch.stats.gps_time_s)?;
         let State::Open(writer) = &mut self.state else {

@@ -30,8 +30,7 @@ fn found(return_number: u8) -> Return {
         deviation_ratio: 2.0,
         intensity: 70.6,
         intensity_sd: 10.0,
-        withheld: false,
-        class: 0,
+        ..Return::default()
     }
 }
 
@@ -63,6 +62,7 @@ fn write(keys: &WriteLas, lines: &[Batch]) -> (Vec<u8>, Vec<String>) {
         output_dir: folder.path().into(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::best(),
+        geometry: Arc::default(),
     };
     let mut cx = Context::default();
     let mut sink = keys.make(&site).unwrap();
@@ -180,6 +180,6 @@ fn keys_that_cannot_be_are_told() {
     let said = |keys: WriteLas| keys.check().err().map(|invalid| format!("{invalid:?}"));
     assert_eq!(said(WriteLas::default()), None);
     assert!(said(keys("a.ply")).unwrap().contains("the file's name must end in .las or .laz"));
-    let coarse = WriteLas { coordinate_step: 2.0, ..WriteLas::default() };
+    let coarse = WriteLas { coordinate_step: Some(2.0), ..WriteLas::default() };
     assert!(said(coarse).unwrap().contains("it must lie between 1e-9 and 1"));
 }
