@@ -10,6 +10,7 @@ mod chunks;
 mod descriptor;
 mod extra_bytes;
 mod header;
+mod lax;
 mod packets;
 mod point;
 mod point_out;
@@ -28,7 +29,7 @@ pub use point::{Point, Wave};
 pub use point_out::PointOut;
 pub use reader::Reader;
 pub use vlr::Vlr;
-pub use writer::{Version, Writer, WriterOptions};
+pub use writer::{IndexPlace, Version, Writer, WriterOptions};
 
 #[cfg(test)]
 mod tests;

@@ -4,7 +4,9 @@ mod attributes;
 #[cfg(test)]
 mod tests;
 
-use std::sync::Arc;
+use std::io::Write;
+use std::path::Path;
+use std::sync::{Arc, OnceLock};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::batch::{Batch, Emission, InputInfo, Kind, Return, emission_flags};
 use crate::formats::Error;
 use crate::formats::geokeys;
-use crate::formats::las::{PointOut, Version, Wave, Writer, WriterOptions};
+use crate::formats::las::{IndexPlace, PointOut, Version, Wave, Writer, WriterOptions};
 use crate::geo::time::{adjusted_gps_time, day_of_year};
 use crate::stage::{
     Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
@@ -61,10 +63,15 @@ pub struct WriteLas {
     pub uncertainty: bool,
     /// Names and scales of the extra attributes, and what class and user data mean.
     pub attribute_layout: AttributeLayout,
+    /// Where the spatial index for LAStools goes.
+    pub index: IndexKey,
     /// Step of the coordinates, in units of the coordinate reference system; when not given, 0.001, or that of the input or
     /// of `georeference` where it is below 0.00001, as degrees need it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coordinate_step: Option<f64>,
+    /// The index beside the file, once its name was asked for.
+    #[serde(skip)]
+    index_path: OnceLock<String>,
 }
 
 /// Version of a file.
@@ -76,6 +83,18 @@ pub enum VersionKey {
     /// Point format 1.
     #[serde(rename = "1.2")]
     V1_2,
+}
+
+/// Where a spatial index goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum IndexKey {
+    /// There is none.
+    None,
+    /// Into a file of the same name that ends in `.lax`.
+    File,
+    /// Behind the points, in LAZ only.
+    Appended,
 }
 
 /// A layout of what points tell of their returns.
@@ -97,7 +116,9 @@ impl Default for WriteLas {
             extra_attributes: true,
             uncertainty: true,
             attribute_layout: AttributeLayout::V1_1,
+            index: IndexKey::None,
             coordinate_step: None,
+            index_path: OnceLock::new(),
         }
     }
 }
@@ -114,13 +135,21 @@ impl Config for WriteLas {
             self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
             "coordinate_step",
             "it must lie between 1e-9 and 1",
+        )?;
+        InvalidKey::unless(
+            self.index != IndexKey::Appended || lower.ends_with(".laz"),
+            "index",
+            "an index can only be appended to .laz: write it as a file",
         )
     }
 }
 
 impl SinkConfig for WriteLas {
     fn outputs(&self) -> Vec<&str> {
-        vec![&self.path]
+        match self.index {
+            IndexKey::File => vec![&self.path, self.index_path()],
+            IndexKey::None | IndexKey::Appended => vec![&self.path],
+        }
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
@@ -129,6 +158,7 @@ impl SinkConfig for WriteLas {
             attributes: self.attributes(),
             config: self.clone(),
             threads: site.threads,
+            index: (self.index == IndexKey::File).then(|| site.create(self.index_path())).transpose()?,
             state: State::Empty(file),
             input: None,
             extra: Vec::new(),
@@ -143,6 +173,12 @@ impl WriteLas {
             true => Attributes::of(self.attribute_layout, self.uncertainty),
             false => Attributes::none(),
         }
+    }
+
+    /// The pattern of the index: that of the file, with another ending.
+    fn index_path(&self) -> &str {
+        let other = || Path::new(&self.path).with_extension("lax").to_string_lossy().into_owned();
+        self.index_path.get_or_init(other)
     }
 
     /// The step of each coordinate.
@@ -184,6 +220,11 @@ impl WriteLas {
             system_identifier: input.instrument.as_deref().unwrap_or("EXTRACTION"),
             generating_software: concat!("wavex ", env!("CARGO_PKG_VERSION")),
             file_source_id: 0,
+            index: match self.index {
+                IndexKey::None => IndexPlace::None,
+                IndexKey::File => IndexPlace::Beside,
+                IndexKey::Appended => IndexPlace::Appended,
+            },
             threads,
         };
         let path = file.path().to_path_buf();
@@ -200,6 +241,8 @@ struct LasSink {
     config: WriteLas,
     attributes: Attributes,
     threads: usize,
+    /// The file of the index.
+    index: Option<OutputFile>,
     state: State,
     input: Option<Arc<InputInfo>>,
     extra: Vec<u8>,
@@ -291,11 +334,21 @@ impl Sink for LasSink {
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
         let input = self.input.take().unwrap_or_default();
         self.begin(&input, None, f64::NAN)?;
-        if let State::Open(writer) = self.state {
+        if let State::Open(mut writer) = self.state {
             if writer.n_points() == 0 {
                 // Not one point fits: then it is the file's coordinates that are wrong.
                 self.refused.map_or(Ok(()), Err)?;
                 cx.note("not a single point was found");
+            }
+            if writer.n_points() > u64::from(u32::MAX) && self.config.index != IndexKey::None {
+                cx.note("an index cannot name so many points: the file has none");
+            }
+            if let Some(mut file) = self.index
+                && let Some(index) = writer.take_index()
+            {
+                let path = file.path().to_path_buf();
+                file.write_all(&index).map_err(Error::io(&path, "write"))?;
+                cx.keep(file.finish()?);
             }
             cx.keep(writer.finish()?.finish()?);
         }

@@ -11,11 +11,12 @@ use laz::laszip::ChunkTable;
 use laz::laszip::parallel::par_compress;
 use laz::{LasZipError, LazVlr};
 
+use super::lax::{self, Lax};
 use super::point::Layout;
 use super::point_out::PointOut;
 use crate::formats::{Error, Result};
 use header::{Shape, Totals};
-pub use options::{Version, WriterOptions};
+pub use options::{IndexPlace, Version, WriterOptions};
 
 /// Points of a LAZ chunk, as other writers have it.
 const CHUNK: usize = 50_000;
@@ -40,6 +41,7 @@ pub struct Writer<W> {
     /// Bytes at which the slab is written.
     slab_bytes: usize,
     compression: Option<Compression>,
+    index: Option<Lax>,
     totals: Totals,
 }
 
@@ -49,6 +51,8 @@ struct Compression {
     table: ChunkTable,
     /// Where the place of the chunk table is to be noted.
     table_offset_at: u64,
+    /// Where the place of the index is to be noted.
+    special_evlrs_at: u64,
 }
 
 impl<W: Write + Seek> Writer<W> {
@@ -86,10 +90,12 @@ impl<W: Write + Seek> Writer<W> {
             slab: Vec::with_capacity(slab * record_length),
             slab_bytes: slab * record_length,
             compression: laz.map(|laz| Compression {
+                special_evlrs_at: records::special_evlrs_at(&laz, offset_to_points),
                 laz,
                 table: ChunkTable::default(),
                 table_offset_at: offset_to_points as u64,
             }),
+            index: (options.index != IndexPlace::None).then(|| Lax::new(options.scale[0])),
             totals: Totals::new(),
         })
     }
@@ -114,15 +120,27 @@ impl<W: Write + Seek> Writer<W> {
         point.encode(self.version.point_format(), raw, &mut self.slab);
         self.slab.extend_from_slice(extra);
         self.totals.add(self.version, raw, point.return_number);
+        if let Some(index) = &mut self.index {
+            let place = |axis: usize| f64::from(raw[axis]) * self.scale[axis] + self.offset[axis];
+            index.add(place(0), place(1));
+        }
         if self.slab.len() >= self.slab_bytes { self.flush_slab() } else { Ok(()) }
     }
 
-    /// Writes what is left, the chunk table and the header's sums, and gives the sink back, flushed.
+    /// The spatial index of the points written so far, for a file beside them: then it is not appended. `None` where the
+    /// options ask for none, or there are more points than it can name (2^32 - 1).
+    pub fn take_index(&mut self) -> Option<Vec<u8>> {
+        self.index.take()?.finish()
+    }
+
+    /// Writes what is left, the chunk table, the index if it is to be appended, and the header's sums, and gives the sink
+    /// back, flushed.
     ///
     /// # Errors
     /// The sink refuses.
     pub fn finish(mut self) -> Result<W> {
         self.flush_slab()?;
+        let index = self.take_index();
         self.totals.patch(&mut self.header, (self.version, self.scale, self.offset));
         let Writer { mut sink, header, compression, .. } = self;
         let mut end = || {
@@ -131,6 +149,9 @@ impl<W: Write + Seek> Writer<W> {
                 compression.table.write_to(&mut sink, &compression.laz)?;
                 sink.seek(SeekFrom::Start(compression.table_offset_at))?;
                 sink.write_all(&table_at.to_le_bytes())?;
+                if let Some(index) = &index {
+                    compression.append(&mut sink, index)?;
+                }
             }
             sink.seek(SeekFrom::Start(0))?;
             sink.write_all(&header)?;
@@ -185,6 +206,22 @@ impl<W: Write + Seek> Writer<W> {
         }
         self.slab.clear();
         Ok(())
+    }
+}
+
+impl Compression {
+    /// Writes the index behind all else, and notes in the LASzip record that it is there.
+    fn append(&self, sink: &mut (impl Write + Seek), index: &[u8]) -> io::Result<()> {
+        let at = sink.seek(SeekFrom::End(0))?;
+        sink.write_all(&records::evlr(
+            lax::USER_ID,
+            lax::RECORD_ID,
+            "LAX spatial indexing (LASindex)",
+            index,
+        ))?;
+        sink.seek(SeekFrom::Start(self.special_evlrs_at))?;
+        sink.write_all(&1i64.to_le_bytes())?;
+        sink.write_all(&at.to_le_bytes())
     }
 }
 

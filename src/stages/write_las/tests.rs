@@ -70,8 +70,9 @@ fn write(keys: &WriteLas, lines: &[Batch]) -> (Vec<u8>, Vec<String>) {
     sink.finish(&mut cx).unwrap();
     let whole = cx.whole.drain(..).map(|whole| whole.publish().unwrap());
     let paths: Vec<_> = whole.collect();
-    assert_eq!(paths.len(), 1);
-    (std::fs::read(&paths[0]).unwrap(), cx.counters().notes.clone())
+    let expected: Vec<_> = keys.outputs().iter().map(|pattern| site.output_path(pattern)).collect();
+    assert!(paths.iter().all(|path| expected.contains(path)) && paths.len() == expected.len());
+    (std::fs::read(&expected[0]).unwrap(), cx.counters().notes.clone())
 }
 
 fn points(bytes: &[u8]) -> (las::Header, Vec<las::Point>) {
@@ -176,10 +177,25 @@ fn attributes_can_be_left_out() {
 }
 
 #[test]
+fn an_index_is_a_file_or_a_part_of_one() {
+    let lines = [line(info(None), vec![found(1), found(2)])];
+    let beside = WriteLas { index: IndexKey::File, ..keys("sub/*.las") };
+    assert_eq!(beside.outputs(), ["sub/*.las", "sub/*.lax"]);
+    let (with, _) = write(&beside, &lines);
+    let (without, _) = write(&keys("*.las"), &lines);
+    assert_eq!(with, without);
+    let appended = WriteLas { index: IndexKey::Appended, ..keys("*.laz") };
+    let (bytes, _) = write(&appended, &lines);
+    assert!(bytes.windows(8).any(|window| window == b"LASX\0\0\0\0"));
+}
+
+#[test]
 fn keys_that_cannot_be_are_told() {
     let said = |keys: WriteLas| keys.check().err().map(|invalid| format!("{invalid:?}"));
     assert_eq!(said(WriteLas::default()), None);
     assert!(said(keys("a.ply")).unwrap().contains("the file's name must end in .las or .laz"));
+    let appended = WriteLas { index: IndexKey::Appended, ..keys("a.las") };
+    assert!(said(appended).unwrap().contains("an index can only be appended to .laz: write it as a file"));
     let coarse = WriteLas { coordinate_step: Some(2.0), ..WriteLas::default() };
     assert!(said(coarse).unwrap().contains("it must lie between 1e-9 and 1"));
 }

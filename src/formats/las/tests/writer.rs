@@ -10,7 +10,8 @@ use crate::formats::las::extra_bytes;
 use crate::formats::las::point::Layout;
 use crate::formats::las::vlr::{self, Vlr};
 use crate::formats::las::{
-    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, Header, Point, PointOut, Version, Writer, WriterOptions,
+    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, Header, IndexPlace, Point, PointOut, Version, Writer,
+    WriterOptions,
 };
 
 const WKT: &str = "PROJCS[\"UTM 33N\"]";
@@ -28,6 +29,7 @@ fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
         system_identifier: "wavex",
         generating_software: "a name that is longer than the 32 bytes it may have",
         file_source_id: 17,
+        index: IndexPlace::None,
         threads: 2,
     }
 }
@@ -211,6 +213,30 @@ fn las_and_laz_hold_the_same_records_whatever_the_threads() {
 }
 
 #[test]
+fn an_index_stands_behind_compressed_points() {
+    let options = WriterOptions { index: IndexPlace::Appended, ..options(&[CHANNEL]) };
+    let beside = WriterOptions { index: IndexPlace::Beside, ..options.clone() };
+    let points = cloud(100);
+    let mut writer = Writer::new(Cursor::new(Vec::new()), Path::new("a.las"), &beside).unwrap();
+    points.iter().for_each(|point| writer.write_point(point, &[1]).unwrap());
+    let index = writer.take_index().unwrap();
+    assert_eq!(&index[..4], b"LASX");
+    writer.finish().unwrap();
+
+    let bytes = write("a.laz", &options, &points, &[1]);
+    let (header, _) = records(&bytes);
+    let special = header.offset_to_points as usize - (2 + 2 * 6) - 16;
+    let at = u64_at(&bytes, special + 8) as usize;
+    assert_eq!((u64_at(&bytes, special), at), (1, bytes.len() - 60 - index.len()));
+    assert_eq!((&bytes[at + 2..at + 11], u16_at(&bytes, at + 18)), (&b"LAStools\0"[..], 30));
+    assert_eq!(u64_at(&bytes, at + 20), index.len() as u64);
+    assert_eq!(bytes[at + 60..], index);
+    let without = write("a.laz", &WriterOptions { index: IndexPlace::None, ..options }, &points, &[1]);
+    assert_eq!(without.len(), at);
+    assert_eq!(without[special..special + 16], [0xff; 16]);
+}
+
+#[test]
 fn whole_chunks_and_no_points_are_files_too() {
     for n in [0, 1, 50_000, 100_000] {
         let points = cloud(n);
@@ -301,6 +327,10 @@ fn what_cannot_be_written_is_said() {
     assert_eq!(
         new("a.las", &options(&[AMP, CHANNEL, AMP])),
         "a.las: the extra attribute Amp stands twice in the list; give it once"
+    );
+    assert_eq!(
+        new("a.las", &WriterOptions { index: IndexPlace::Appended, ..good.clone() }),
+        "a.las: an index can only be appended to compressed points; write LAZ, or the index as a file of its own"
     );
     assert_eq!(
         new("a.las", &WriterOptions { wkt: Some(&"x".repeat(65_535)), ..good }),

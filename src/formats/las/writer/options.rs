@@ -46,6 +46,17 @@ impl Version {
     }
 }
 
+/// Where the spatial index of LASzip (LAX) goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum IndexPlace {
+    /// None is made.
+    None,
+    /// The writer makes it, for a file beside the points.
+    Beside,
+    /// Behind compressed points, where their LASzip record says.
+    Appended,
+}
+
 /// What is the same for all points of a file.
 #[derive(Debug, Clone)]
 pub struct WriterOptions<'a> {
@@ -72,6 +83,8 @@ pub struct WriterOptions<'a> {
     pub generating_software: &'a str,
     /// The flight line, 0 if unassigned.
     pub file_source_id: u16,
+    /// Where the spatial index goes.
+    pub index: IndexPlace,
     /// Chunks of points that are compressed at a time; the bytes of the file do not depend on it. Memory is 50 000
     /// points per thread and about as much again for their compressed form.
     pub threads: usize,
@@ -86,6 +99,10 @@ impl WriterOptions<'_> {
     /// What keeps a file from being begun with these options.
     pub(super) fn check(&self, path: &Path) -> Result<()> {
         let bad = |problem: String, remedy| Err(Error::unusable(path, problem, remedy));
+        if self.index == IndexPlace::Appended && !is_laz(path)? {
+            let problem = "an index can only be appended to compressed points";
+            return bad(problem.into(), "write LAZ, or the index as a file of its own");
+        }
         if !self.scale.iter().all(|scale| scale.is_finite() && *scale > 0.0) {
             return bad(format!("the scale {:?} is not positive", self.scale), "give a scale like 0.001");
         }

@@ -8,7 +8,7 @@ use super::options::WriterOptions;
 use super::{CHUNK, into_io};
 use crate::formats::las::ExtraAttribute;
 use crate::formats::las::extra_bytes::DESCRIPTOR;
-use crate::formats::las::vlr::{EXTRA_BYTES, GEO_KEYS, PROJECTION, SPEC, VLR_HEADER, WKT};
+use crate::formats::las::vlr::{EVLR_HEADER, EXTRA_BYTES, GEO_KEYS, PROJECTION, SPEC, VLR_HEADER, WKT};
 use crate::formats::{Error, Result, geokeys};
 
 /// How LASzip is to compress the points.
@@ -17,6 +17,13 @@ pub(super) fn laz_vlr(path: &Path, options: &WriterOptions) -> Result<LazVlr> {
     let builder = LazVlrBuilder::default().with_point_format(options.version.point_format(), extra);
     let builder = builder.map_err(into_io).map_err(Error::io(path, "prepare the compression"))?;
     Ok(builder.with_fixed_chunk_size(CHUNK as u32).build())
+}
+
+/// Where the LASzip record, the last before the points, says how many special extended records follow them and where the
+/// first is.
+pub(super) fn special_evlrs_at(laz: &LazVlr, offset_to_points: usize) -> u64 {
+    // 16 bytes before them; behind them the number of items, and 6 bytes for each.
+    (offset_to_points - (16 + 2 + 6 * laz.items().len())) as u64
 }
 
 /// The records, each with its header.
@@ -67,6 +74,18 @@ fn vlr(path: &Path, user_id: &str, record_id: u16, description: &str, data: &[u8
 fn too_much(path: &Path, what: &str) -> Error {
     let problem = format!("{what}: more than the 65535 bytes that a LAS record may have");
     Error::unusable(path, problem, "give a shorter WKT, or fewer extra attributes")
+}
+
+/// An extended record with its header.
+pub(super) fn evlr(user_id: &str, record_id: u16, description: &str, data: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(EVLR_HEADER as usize + data.len());
+    bytes.extend([0; 2]);
+    bytes.extend(text::<16>(user_id));
+    bytes.extend(record_id.to_le_bytes());
+    bytes.extend((data.len() as u64).to_le_bytes());
+    bytes.extend(text::<32>(description));
+    bytes.extend(data);
+    bytes
 }
 
 /// Text of a fixed length, cut or filled with zeros.
