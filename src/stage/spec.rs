@@ -82,6 +82,11 @@ pub trait SinkConfig: Config {
     /// Patterns of the files to write.
     fn outputs(&self) -> Vec<&str>;
 
+    /// Whether lines are to keep their recorded blocks behind `decompose`.
+    fn needs_waveforms(&self) -> bool {
+        false
+    }
+
     /// Begins the files of a run.
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>>;
 }
@@ -143,6 +148,11 @@ impl Plan {
             Plan::Sink(sink) => sink.outputs(),
             Plan::Map(_) | Plan::Transform(_) => Vec::new(),
         }
+    }
+
+    /// Whether lines are to keep their recorded blocks behind `decompose`.
+    pub fn needs_waveforms(&self) -> bool {
+        matches!(self, Plan::Sink(sink) if sink.needs_waveforms())
     }
 }
 
