@@ -67,26 +67,32 @@ fn fresh(line: &Line) -> Batch {
     fresh
 }
 
-/// The median rate at which shots get their poses, less the time that reading takes, shots per second.
-fn shots_per_s(flight: &Flight) -> f64 {
-    let seconds = |geometry: &str| {
-        let mut times: Vec<f64> = (0..RUNS)
-            .map(|_| {
-                let site = site(flight, geometry).unwrap_or_else(|error| panic!("{error}"));
-                let (started, mut posed) =
-                    (Instant::now(), Posed::new(source(&site), Arc::clone(&site.geometry)));
-                while let Ok(Some(_)) = posed.next(&mut Context::default()) {}
-                started.elapsed().as_secs_f64()
-            })
-            .collect();
-        times.sort_by(f64::total_cmp);
-        times[RUNS / 2]
-    };
-    SHOTS / (seconds("trajectory = 'a.out'") - seconds("")).max(1e-9)
+/// Lines that were read before.
+struct Read(std::vec::IntoIter<Batch>);
+
+impl Source for Read {
+    fn next(&mut self, _cx: &mut Context) -> wavex::stage::Result<Option<Batch>> {
+        Ok(self.0.next())
+    }
 }
 
-/// Shots of the flight.
-const SHOTS: f64 = 200.0 * 1000.0;
+/// The median rate at which shots get their poses, shots per second.
+fn shots_per_s(flight: &Flight) -> f64 {
+    let lines = lines(&site(flight, "").unwrap_or_else(|error| panic!("{error}")));
+    let shots: usize = lines.iter().map(|line| line.batch.emissions.len()).sum();
+    let mut rates: Vec<f64> = (0..RUNS)
+        .map(|_| {
+            let site = site(flight, "trajectory = 'a.out'").unwrap_or_else(|error| panic!("{error}"));
+            let fresh: Vec<Batch> = lines.iter().map(fresh).collect();
+            let mut posed = Posed::new(Box::new(Read(fresh.into_iter())), Arc::clone(&site.geometry));
+            let (started, mut cx) = (Instant::now(), Context::default());
+            while posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")).is_some() {}
+            shots as f64 / started.elapsed().as_secs_f64()
+        })
+        .collect();
+    rates.sort_by(f64::total_cmp);
+    rates[RUNS / 2]
+}
 
 fn main() {
     let keys = "lines = 200\nshots_per_line = 1000\nroll_deg = 5.0\npitch_deg = 3.0\nheading_deg = 40.0\n\

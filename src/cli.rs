@@ -16,6 +16,7 @@ mod check;
 mod convert;
 mod explain;
 mod false_alarms;
+pub mod import;
 mod init;
 mod log;
 mod run;
@@ -108,6 +109,11 @@ enum Command {
     ///
     /// Prints a summary; writes, where asked to, a table of the columns t lon lat h x y z w p k, and a picture (SVG).
     Trajectory(TrajectoryArgs),
+    /// Translate a command line of BayesWavEx 1.0 or 1.1 into a job
+    ///
+    /// Prints the job; every key says which option it comes from, and what has no key stands there as a comment.
+    /// docs/import.md lists all options.
+    Import(ImportArgs),
     /// Print the completions of a shell
     Completions {
         /// The shell
@@ -182,7 +188,8 @@ struct ScanArgs {
 struct TrajectoryArgs {
     /// The trajectory; its content tells the format
     file: PathBuf,
-    /// The coordinates x y z: utm (zone of the first place), utm:33N, geodetic or ecef; of a TRJ also its own map
+    /// The coordinates x y z: utm (zone of the first place), utm:33N, EPSG:2154, geodetic, ecef or a file with WKT; of a TRJ
+    /// also its own map
     #[arg(long, value_name = "CRS", default_value = "utm")]
     crs: String,
     /// Write one record of so many
@@ -250,6 +257,43 @@ impl From<AnglesName> for Angles {
 /// A count of at least 1.
 fn every(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|every| *every >= 1).ok_or_else(|| "give a whole number from 1 on".to_owned())
+}
+
+/// Which classic line, and what becomes of it.
+#[derive(Args)]
+struct ImportArgs {
+    /// The version that the line is for [default: 1.0 where the input is LAS or LAZ, else 1.1]
+    #[arg(long, value_name = "VERSION")]
+    classic: Option<Classic>,
+    /// Run the job instead of printing it
+    #[arg(long)]
+    run: bool,
+    /// Write the job into this file, which must not exist yet
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// The line as it was typed, behind `--`; the program's name may be left out
+    #[arg(last = true, required = true, value_name = "LINE")]
+    line: Vec<String>,
+}
+
+/// A version of the classic program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Classic {
+    /// Full-waveform LAS in, LAS 1.2 out
+    #[value(name = "1.0")]
+    V10,
+    /// SDF in, LAS 1.4 out
+    #[value(name = "1.1")]
+    V11,
+}
+
+impl Classic {
+    fn name(self) -> &'static str {
+        match self {
+            Classic::V10 => "1.0",
+            Classic::V11 => "1.1",
+        }
+    }
 }
 
 /// Which job, and what is different this time.
@@ -350,6 +394,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),
         Command::Trajectory(args) => trajectory::trajectory(&args, quiet),
+        Command::Import(args) => import::run_import(&args, quiet),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "wavex", &mut script);

@@ -152,7 +152,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: its keys: threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, log
+  = help: its keys: threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, log, geometry
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);

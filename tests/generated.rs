@@ -95,3 +95,8 @@ fn the_job_that_init_writes_fits_as_soon_as_its_stages_exist() {
     let parsed = Job::parse("example", &example, &[]);
     assert!(parsed.is_ok() || !complete, "{}", parsed.unwrap_err());
 }
+
+#[test]
+fn the_page_on_the_classic_command_line_is_up_to_date() {
+    check("docs/import.md", &wavex::cli::import::page());
+}

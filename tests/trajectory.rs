@@ -55,11 +55,11 @@ fn a_flight_is_told_projected_and_thinned() {
     assert!(said(&out, "times").starts_with("Tuesday 09:59:59.0 to "), "{out}");
     assert_eq!(said(&out, "rate"), "200.00 Hz, a record every 5.000 ms");
     assert_eq!(said(&out, "gaps"), "none");
-    assert_eq!(said(&out, "map"), "UTM zone 33 north on WGS 84");
+    assert_eq!(said(&out, "map"), "EPSG:32633 (WGS 84 / UTM zone 33N)");
     assert!(out.ends_with("\nwrote po.txt, po.svg\n"), "{out}");
 
     let text = place.text("po.txt");
-    let header = "# t lon lat h x y z w p k: seconds of the week; degrees; m; UTM zone 33 north on WGS 84; roll, pitch and \
+    let header = "# t lon lat h x y z w p k: seconds of the week; degrees; m; EPSG:32633 (WGS 84 / UTM zone 33N); roll, pitch and \
                   heading in degrees";
     assert_eq!(text.lines().next(), Some(header));
     let table = rows(&text);
@@ -149,8 +149,8 @@ fn what_is_no_trajectory_is_refused() {
                 .to_owned()
         )
     );
-    let (code, err) = refused(&[options.as_slice(), &["--crs", "EPSG:2154"]].concat());
-    assert!(code == Some(2) && err.starts_with("error: --crs EPSG:2154: not known; say utm, "), "{err}");
+    let (code, err) = refused(&[options.as_slice(), &["--crs", "EPSG:1"]].concat());
+    assert!(code == Some(2) && err.starts_with("error: --crs EPSG:1: "), "{err}");
     let (code, err) = refused(&[options.as_slice(), &["--every", "0"]].concat());
     assert!(code == Some(2) && err.contains("give a whole number from 1 on"), "{err}");
     assert!(!place.path("a.txt").exists(), "a failed run leaves nothing");

@@ -31,11 +31,15 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     let (format, counts, clock) = (recorded.format.clone(), recorded.counts.clone(), recorded.clock);
     let accuracies: Vec<Accuracy> = recorded.accuracies.iter().map(|sample| sample.accuracy).collect();
     let notes = recorded.notes.clone();
-    let unproject = map.as_ref().and_then(Map::unproject);
-    let unproject = unproject.as_ref().map(|unproject| unproject as &Unproject);
-    let trajectory = recorded.into_trajectory(unproject).map_err(failed)?;
+    let trajectory = {
+        let unproject = map.as_ref().and_then(Map::unproject);
+        let unproject = unproject.as_ref().map(|unproject| unproject as &Unproject);
+        recorded.into_trajectory(unproject).map_err(failed)?
+    };
     // Without a first place there is no trajectory; with one there is a map.
-    let map = map.as_ref().unwrap_or(&Map::Geodetic);
+    let map = map.map_or_else(Map::geodetic, Ok).map_err(Failure::Run)?;
+    map.covers(trajectory.samples()).map_err(Failure::Run)?;
+    let map = &map;
     let file = args.file.display().to_string();
     let about =
         About { file, format: &format, counts: &counts, clock, accuracies: &accuracies, notes: &notes };

@@ -28,7 +28,8 @@ pub struct GeometryKeys {
     pub trajectory_accuracy: Option<String>,
     /// How the scanner's frame stands in the aircraft: a name, or roll, pitch and yaw in degrees; `level` when not given.
     pub mount: Option<Mount>,
-    /// Lever arm, boresight and internal parameters: a table, or a file that holds them.
+    /// Lever arm, boresight and internal parameters: a table with `lever_arm_m` (forward, right, down), `boresight_deg` (roll,
+    /// pitch, yaw) and `e0` to `e7`, each 0 when not given; or a file that holds them.
     pub calibration: Option<CalibrationKey>,
     /// The coordinates of the points: `utm` (the zone of the first shot), `utm:33N`, `EPSG:2154`, a file with WKT,
     /// `geodetic` (longitude and latitude in degrees), or `ecef`; `utm` when not given.
@@ -131,6 +132,11 @@ impl GeometryKeys {
             InvalidKey::unless(whole, "geometry.mount", "must be three angles of at most 360 degrees")?;
         }
         Ok(())
+    }
+
+    /// Whether the job says where scanners are.
+    pub fn places_scanners(&self) -> bool {
+        self.trajectory.is_some() || self.mount.is_some() || self.calibration.is_some()
     }
 
     /// Whether the job asks for coordinates of a kind.

@@ -44,9 +44,13 @@ impl Source for Posed {
 impl Posed {
     fn place(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
         match batch.input.frame {
-            Frame::Map | Frame::Earth if self.geometry.has_trajectory() => {
-                cx.note("the beams of the recording have their place already: the trajectory is not used");
+            Frame::Map if self.geometry.keys().places_scanners() => {
+                cx.note("the recording is in a map already: trajectory, mount and calibration are not used");
             }
+            Frame::Earth if self.geometry.keys().places_scanners() => cx.note(
+                "the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns \
+                 ranges and coordinates is used",
+            ),
             Frame::Scanner | Frame::Body if self.geometry.has_trajectory() => {
                 self.check_frame(batch.input.frame)?;
                 self.pose(&mut batch, cx)?;
@@ -84,7 +88,9 @@ impl Posed {
             return Ok(());
         };
         self.geometry.align(&batch.input, first.gps_time_s)?;
-        self.geometry.notes().iter().for_each(|note| cx.note(note));
+        if self.coverage.span_s.is_none() {
+            self.geometry.notes().iter().for_each(|note| cx.note(note));
+        }
         let mut down = None;
         let mut place = Vec::with_capacity(batch.emissions.len());
         let mut kept = 0;

@@ -205,8 +205,8 @@ mod tests {
     fn the_velocity_is_the_change_of_place() {
         let world = World::new(0.6);
         let platform = Platform::new(60.0, 1000.0, Motion::default(), [0.0; 3], [0.0; 3]).turning(1000.0);
-        let [before, now, after] = [9.5, 10.0, 10.5].map(|time_s| world.pose(&platform, time_s));
-        let moved = LocalFrame::at(WGS84, before.place).local_of(after.place);
+        let [before, now, after] = [9.99, 10.0, 10.01].map(|time_s| world.pose(&platform, time_s));
+        let moved = LocalFrame::at(WGS84, before.place).local_of(after.place).map(|moved| 50.0 * moved);
         let [north, east, down] = now.velocity_mps;
         assert!(distance_m(moved, [east, north, -down]) < 1e-3, "{moved:?}");
         assert!((north.hypot(east) - 60.0).abs() < 1e-3);

@@ -109,6 +109,34 @@ fn a_calibration_may_stand_in_a_file() {
     assert!(error.contains("none.txt: cannot open the calibration: "), "{error}");
 }
 
+/// A recording that has its place already takes none from a trajectory, and says so.
+#[test]
+fn a_place_is_given_once() {
+    let flight = fly(QUIET);
+    let posed = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'write_arrow'\npath = 'b.arrow'\n";
+    let with = |keys: &str, stages: &str| {
+        run(flight.folder(), &format!("[job.geometry]\n{keys}\n{stages}")).unwrap()
+    };
+    with("trajectory = 'a.out'", posed);
+    std::fs::rename(flight.path("b.arrow"), flight.path("a.arrow")).unwrap();
+    let placed = flight.place("calibration = { e0 = 1.0 }", |truth| truth.range_m - 1.0).unwrap();
+    let off = placed.points.iter().zip(&flight.truth).map(|(point, truth)| distance_m(*point, truth.point_m));
+    assert!(off.fold(0.0, f64::max) < 1e-3, "a container keeps the poses");
+    let notes = &placed.cx.counters().notes;
+    assert_eq!(
+        notes[..],
+        [
+            "the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns ranges and \
+          coordinates is used"
+        ]
+    );
+    let report = with("mount = 'level'", "[[stage]]\ntype = 'simulate'\nlines = 1\n");
+    assert_eq!(
+        report.inputs[0].stages[0].notes,
+        ["the recording is in a map already: trajectory, mount and calibration are not used"]
+    );
+}
+
 /// What is in the aircraft's axes already cannot be mounted, and a map needs no trajectory.
 #[test]
 fn a_mount_is_for_scanners() {
@@ -148,4 +176,25 @@ fn what_the_table_names_must_be_there() {
     );
     assert!(refused("crs = 'utm:61N'").starts_with("crs `utm:61N`: a zone is a number from 1 to 60"));
     assert!(refused("geoid = 'egm96'").contains("there is no geoid `egm96` in this folder"));
+}
+
+/// `wavex explain` looks at the shots as a run of the job does.
+#[test]
+fn explain_reads_the_trajectory_of_the_job() {
+    let flight = fly("lines = 12\nshots_per_line = 60\nresponse = 'gaussian'");
+    let explain = |trajectory: &str| {
+        let job = format!(
+            "[job.geometry]\ntrajectory = '{trajectory}'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{GEOREFERENCE}"
+        );
+        std::fs::write(flight.path("job.toml"), job).unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_wavex"));
+        command.current_dir(flight.folder());
+        command.args(["--quiet", "explain", "a.arrow", "--shot", "5", "--job", "job.toml"]);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    assert_eq!(explain("a.out"), (Some(0), String::new()));
+    let (code, error) = explain("b.out");
+    assert_eq!(code, Some(1));
+    assert!(error.contains("b.out: cannot open: "), "{error}");
 }

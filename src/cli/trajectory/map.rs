@@ -1,94 +1,76 @@
 //! The coordinates in which a trajectory is shown.
 
+use std::path::Path;
+
+use crate::geo::crs::{Crs, Named};
 use crate::geo::ellipsoid::{Geodetic, WGS84};
-use crate::geo::transverse_mercator::{Parameters, TransverseMercator};
+use crate::geo::trajectory::Sample;
 
 /// What places become.
-pub(super) enum Map {
-    /// Easting and northing of a zone, height above the ellipsoid, m.
-    Utm { zone: u8, is_north: bool, projection: TransverseMercator },
-    /// Longitude and latitude, degrees, height above the ellipsoid, m.
-    Geodetic,
-    /// Geocentric, m.
-    Ecef,
+pub(super) struct Map {
+    crs: Crs,
 }
 
+/// A place for systems that are the same everywhere.
+const ANYWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };
+
 impl Map {
-    /// What the user names: `utm`, with the zone of a place, where one is known; `utm:33N`, `geodetic`, `ecef`.
-    pub(super) fn of(name: &str, place: Option<Geodetic>) -> Result<Option<Map>, String> {
-        match name.to_ascii_lowercase().as_str() {
-            "utm" => Ok(place.map(|place| {
-                // A float converts to the nearest integer in range.
-                let zone = (place.longitude_rad.to_degrees() / 6.0 + 30.0).floor() as u8 + 1;
-                Map::utm(zone.clamp(1, 60), place.latitude_rad >= 0.0)
-            })),
-            "geodetic" => Ok(Some(Map::Geodetic)),
-            "ecef" => Ok(Some(Map::Ecef)),
-            other => {
-                let zone = other.strip_prefix("utm:").and_then(zone_of);
-                zone.map(|(zone, is_north)| Some(Map::utm(zone, is_north))).ok_or_else(|| {
-                    format!("--crs {name}: not known; say utm, utm:33N, utm:33S (with a zone of 1 to 60), geodetic or ecef")
-                })
-            }
-        }
+    /// What the user names: `utm`, with the zone of a place, where one is known; `utm:33N`, `EPSG:2154`, `geodetic`, `ecef`,
+    /// or the path of a file with WKT.
+    pub(super) fn of(word: &str, place: Option<Geodetic>) -> Result<Option<Map>, String> {
+        let told = |problem: &dyn std::fmt::Display| format!("--crs {word}: {problem}");
+        let named = match Named::parse(word).map_err(|error| told(&error))? {
+            Some(Named::Utm) if place.is_none() => return Ok(None),
+            Some(named) => named,
+            None => Named::Wkt(std::fs::read_to_string(Path::new(word)).map_err(|error| {
+                told(&format!(
+                    "no file of this name ({error}); say utm, utm:33N, EPSG:2154, geodetic, ecef or a file with WKT"
+                ))
+            })?),
+        };
+        let crs = Crs::new(&named, place.unwrap_or(ANYWHERE), None, None).map_err(|error| told(&error))?;
+        Ok(Some(Map { crs }))
     }
 
-    fn utm(zone: u8, is_north: bool) -> Map {
-        Map::Utm {
-            zone,
-            is_north,
-            projection: TransverseMercator::new(WGS84, Parameters::utm(zone, is_north)),
-        }
+    /// Geodetic coordinates: what needs no first place.
+    pub(super) fn geodetic() -> Result<Map, String> {
+        Map::of("geodetic", None)?.ok_or_else(|| "no geodetic coordinates".into())
     }
 
     /// In words.
-    pub(super) fn name(&self) -> String {
-        match self {
-            Map::Utm { zone, is_north, .. } => {
-                format!("UTM zone {zone} {} on WGS 84", if *is_north { "north" } else { "south" })
-            }
-            Map::Geodetic => "geodetic, WGS 84".to_owned(),
-            Map::Ecef => "geocentric (ECEF), WGS 84".to_owned(),
-        }
+    pub(super) fn name(&self) -> &str {
+        self.crs.name()
     }
 
     /// Digits behind the point that x and y take.
     pub(super) fn digits(&self) -> usize {
-        if matches!(self, Map::Geodetic) { 10 } else { 4 }
+        if self.crs.is_geodetic() { 10 } else { 4 }
     }
 
-    /// A place's coordinates.
+    /// Whether x and y are metres of a map.
+    pub(super) fn is_plane(&self) -> bool {
+        !self.crs.is_geodetic() && !self.crs.is_ecef() && self.crs.unit().metres == 1.0
+    }
+
+    /// Whether all places have coordinates; the error names the first that has none.
+    pub(super) fn covers(&self, samples: &[Sample]) -> Result<(), String> {
+        let projected = |sample: &Sample| self.crs.from_ecef(WGS84.ecef_of(sample.place)).map(drop);
+        samples.iter().try_for_each(projected).map_err(|error| error.to_string())
+    }
+
+    /// The coordinates of a place that the map covers.
     pub(super) fn project(&self, place: Geodetic) -> [f64; 3] {
-        match self {
-            Map::Utm { projection, .. } => {
-                let (x, y) = projection.project(place.latitude_rad, place.longitude_rad);
-                [x, y, place.height_m]
-            }
-            Map::Geodetic => {
-                [place.longitude_rad.to_degrees(), place.latitude_rad.to_degrees(), place.height_m]
-            }
-            Map::Ecef => WGS84.ecef_of(place),
-        }
+        self.crs.from_ecef(WGS84.ecef_of(place)).unwrap_or([f64::NAN; 3])
     }
 
     /// The way back from easting, northing and height; `None` where this is no map.
     pub(super) fn unproject(&self) -> Option<impl Fn([f64; 3]) -> Result<Geodetic, String>> {
-        let Map::Utm { projection, .. } = self else { return None };
-        Some(|[x, y, height_m]: [f64; 3]| {
-            let (latitude_rad, longitude_rad) = projection.unproject(x, y);
-            Ok(Geodetic { latitude_rad, longitude_rad, height_m })
+        let is_map = !self.crs.is_geodetic() && !self.crs.is_ecef();
+        is_map.then_some(|place| {
+            let ecef_m = self.crs.to_ecef(place).map_err(|error| error.to_string())?;
+            Ok(WGS84.geodetic_of(ecef_m))
         })
     }
-}
-
-/// `33n` to zone and hemisphere.
-fn zone_of(text: &str) -> Option<(u8, bool)> {
-    let (zone, is_north) = match text.strip_suffix('n') {
-        Some(zone) => (zone, true),
-        None => (text.strip_suffix('s')?, false),
-    };
-    let zone: u8 = zone.parse().ok()?;
-    (1..=60).contains(&zone).then_some((zone, is_north))
 }
 
 #[cfg(test)]
@@ -100,26 +82,33 @@ mod tests {
     }
 
     #[test]
-    fn the_zone_is_that_of_the_place() {
-        let name =
-            |latitude, longitude| Map::of("utm", Some(place(latitude, longitude))).unwrap().unwrap().name();
-        assert_eq!(name(48.0, 12.5), "UTM zone 33 north on WGS 84");
-        assert_eq!(name(-17.0, -180.0), "UTM zone 1 south on WGS 84");
-        assert_eq!(name(0.0, 180.0), "UTM zone 60 north on WGS 84");
+    fn coordinates_are_those_of_the_name() {
+        let project =
+            |name: &str| Map::of(name, Some(place(0.0, 15.0))).unwrap().unwrap().project(place(0.0, 15.0));
+        assert!((project("utm")[0] - 500_000.0).abs() < 1e-6);
+        assert!((project("utm:33S")[1] - 1e7).abs() < 1e-6);
+        assert!((project("geodetic")[0] - 15.0).abs() < 1e-13);
+        assert!((project("ecef")[0] - 6_378_142.0 * 15f64.to_radians().cos()).abs() < 1e-6);
         assert!(Map::of("utm", None).unwrap().is_none());
+        assert!(Map::of("EPSG:2154", None).unwrap().unwrap().is_plane());
     }
 
     #[test]
-    fn coordinates_are_those_of_the_name() {
-        let project = |name: &str| Map::of(name, None).unwrap().unwrap().project(place(0.0, 15.0));
-        assert!((project("utm:33N")[0] - 500_000.0).abs() < 1e-6 && project("utm:33N")[1].abs() < 1e-6);
-        assert!((project("UTM:33s")[1] - 1e7).abs() < 1e-6);
-        assert!((project("geodetic")[0] - 15.0).abs() < 1e-14);
-        assert!((project("ecef")[0] - 6_378_142.0 * 15f64.to_radians().cos()).abs() < 1e-6);
-        for wrong in ["utm:61N", "utm:0S", "utm:33", "utm33n", "EPSG:1", ""] {
-            let told = Map::of(wrong, None).err().unwrap();
-            let expected = "not known; say utm, utm:33N, utm:33S (with a zone of 1 to 60), geodetic or ecef";
-            assert_eq!(told, format!("--crs {wrong}: {expected}"));
-        }
+    fn a_map_leads_back_to_the_place() {
+        let map = Map::of("EPSG:2154", None).unwrap().unwrap();
+        let there = map.project(place(46.5, 3.0));
+        let back = (map.unproject().unwrap())(there).unwrap();
+        assert!(
+            (back.latitude_rad - 46.5f64.to_radians()).abs() < 1e-11 && (back.height_m - 5.0).abs() < 1e-6
+        );
+        assert!(Map::geodetic().unwrap().unproject().is_none());
+    }
+
+    #[test]
+    fn a_word_that_names_nothing_is_told() {
+        let told = Map::of("nowhere.wkt", None).err().unwrap();
+        assert!(told.starts_with("--crs nowhere.wkt: no file of this name ("), "{told}");
+        let told = Map::of("EPSG:1", None).err().unwrap();
+        assert!(told.starts_with("--crs EPSG:1: "), "{told}");
     }
 }

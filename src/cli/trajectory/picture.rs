@@ -46,10 +46,7 @@ fn parts(trajectory: &Trajectory) -> Vec<Vec<Sample>> {
 
 /// Easting and northing, m: of the map, else of the horizon at the first place.
 fn on_plane(sample: &Sample, map: &Map, horizon: &LocalFrame) -> [f64; 2] {
-    let [x, y, _] = match map {
-        Map::Utm { .. } => map.project(sample.place),
-        Map::Geodetic | Map::Ecef => horizon.local_of(sample.place),
-    };
+    let [x, y, _] = if map.is_plane() { map.project(sample.place) } else { horizon.local_of(sample.place) };
     [x, y]
 }
 
@@ -82,7 +79,7 @@ fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &Map) {
     }
     scale_bar(svg, &axes[0]);
     svg.rect("frame", [LEFT, PLAN[0]], [RIGHT, PLAN[1]]);
-    let whose = if matches!(map, Map::Utm { .. }) { "m" } else { "m from the start" };
+    let whose = if map.is_plane() { "m" } else { "m from the start" };
     svg.text("", [0.5 * (LEFT + RIGHT), PLAN[1] + 36.0], Anchor::Middle, &format!("easting, {whose}"));
     svg.upright_text("", [16.0, 0.5 * (PLAN[0] + PLAN[1])], &format!("northing, {whose}"));
 }

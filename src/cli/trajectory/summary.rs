@@ -46,7 +46,7 @@ pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String 
     row("pitch", told(degrees(|s| s.attitude.pitch_rad), 2));
     let length_m = length_m(samples);
     row("path", format!("{:.3} km, {:.1} m/s", 1e-3 * length_m, length_m / (last_s - first_s)));
-    row("map", map.name());
+    row("map", map.name().to_owned());
     let places: Vec<[f64; 3]> = samples.iter().map(|sample| map.project(sample.place)).collect();
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         row(name, told(range(places.iter().map(|place| place[axis])), map.digits().min(7)));

@@ -43,3 +43,57 @@ impl Level {
         self.half_curvature * (distance - fall * fall) - fall
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geo::ellipsoid::{Geodetic, WGS84};
+
+    fn emission(origin_m: Vector) -> Emission {
+        Emission { origin_m, ..Emission::default() }
+    }
+
+    #[test]
+    fn heights_near_a_place_are_those_above_the_ellipsoid() {
+        for (latitude_rad, longitude_rad) in [(0.0, 0.3), (0.83, 0.22), (-1.4, -2.0)] {
+            let ecef_m = |north_m: f64, east_m: f64, height_m| {
+                let (latitude_rad, longitude_rad) = (
+                    latitude_rad + north_m / 6.37e6,
+                    longitude_rad + east_m / (6.38e6 * f64::cos(latitude_rad)),
+                );
+                WGS84.ecef_of(Geodetic { latitude_rad, longitude_rad, height_m })
+            };
+            let level = Level::of(Frame::Earth, &[emission(ecef_m(0.0, 0.0, 3000.0))]).unwrap();
+            for (north_m, east_m) in [(0.0, 0.0), (5000.0, 0.0), (-3000.0, 4000.0), (0.0, -5000.0)] {
+                let [high, low] =
+                    [2500.0, 100.0].map(|height_m| level.height_m(ecef_m(north_m, east_m, height_m)));
+                assert!((high + 500.0).abs() < 0.02, "{latitude_rad} {north_m} {east_m}: {high}");
+                assert!(
+                    (high - low - 2400.0).abs() < 0.005,
+                    "{latitude_rad} {north_m} {east_m}: {high} {low}"
+                );
+            }
+        }
+    }
+
+    /// Of three shots the second has two returns and the third one that is withheld.
+    #[test]
+    fn the_ground_is_what_shots_end_at() {
+        let emissions = [0.0, 1.0, 2.0].map(|x| emission([x, 0.0, 1000.0]));
+        let found = |emission, numbers: [u8; 2], withheld| {
+            let [return_number, number_of_returns] = numbers;
+            Return { withheld, return_number, number_of_returns, emission, ..Return::default() }
+        };
+        let returns = [
+            found(0, [1, 1], false),
+            found(1, [1, 2], false),
+            found(1, [2, 2], false),
+            found(2, [1, 1], true),
+        ];
+        let points = [100.0, 130.0, 90.0, -500.0].map(|z| [0.0, 0.0, z]);
+        let level = Level::of(Frame::Map, &emissions).unwrap();
+        assert_eq!(level.agl_m(&emissions, &returns, &points), Some(900.0), "the lower of two middles");
+        assert_eq!(level.agl_m(&emissions, &returns[3..], &points[3..]), None);
+        assert!(Level::of(Frame::Scanner, &emissions).is_none() && Level::of(Frame::Map, &[]).is_none());
+    }
+}

@@ -205,7 +205,7 @@ fn a_table_without_returns_has_its_columns() {
     assert!(arrow(&folder.path().join("made.arrow")).is_empty());
     let file = File::open(folder.path().join("made.parquet")).unwrap();
     let metadata = ParquetRecordBatchReaderBuilder::try_new(file).unwrap();
-    assert_eq!(metadata.schema().fields().len(), 27);
+    assert_eq!(metadata.schema().fields().len(), 28);
     assert_eq!(metadata.metadata().file_metadata().num_rows(), 0);
     assert_eq!(fs::read_to_string(folder.path().join("made.csv")).unwrap(), format!("{NAMES}\n"));
 }

@@ -1,0 +1,152 @@
+//! Where the files of a line are, as a job says it.
+
+use super::line::{Given, Value};
+use super::options::{Becomes, Form, Part};
+
+/// The folders of a line.
+#[derive(Debug, Default, PartialEq)]
+pub struct Paths {
+    /// `-I`.
+    input: Option<String>,
+    /// `-O`.
+    output: Option<String>,
+    /// Where the line's relative paths start, where the job stands elsewhere.
+    base: Option<String>,
+    /// Whether files with folders of their own stand beside others, so that `-I` goes before each of those.
+    has_own_folders: bool,
+}
+
+impl Paths {
+    /// The folders that these options say.
+    pub fn of(given: &[Given], base: Option<&str>) -> Paths {
+        let folder =
+            |part| given.iter().find(|given| given.option.becomes == Becomes::Part(part)).and_then(text);
+        let files = given.iter().flat_map(files);
+        Paths {
+            input: folder(Part::InputDir),
+            output: folder(Part::OutputDir),
+            base: base.map(str::to_owned),
+            has_own_folders: files.into_iter().any(|file| has_folder(&file)),
+        }
+    }
+
+    /// An input file, as the job names it.
+    pub fn input(&self, file: &str) -> String {
+        match &self.input {
+            Some(folder) if self.has_own_folders && !has_folder(file) => joined(folder, file),
+            _ => file.to_owned(),
+        }
+    }
+
+    /// A file that [`Paths::input`] has named, seen from the current folder.
+    pub fn here(&self, file: &str) -> String {
+        match &self.input {
+            Some(folder) if !self.has_own_folders => joined(folder, file),
+            _ => file.to_owned(),
+        }
+    }
+
+    /// An output, seen from the current folder.
+    pub fn output(&self, file: &str) -> String {
+        self.output.as_ref().map_or(file.to_owned(), |folder| joined(folder, file))
+    }
+
+    /// `input_dir` of the job.
+    pub fn input_dir(&self) -> Option<String> {
+        self.from_base(self.input.as_deref().filter(|_| !self.has_own_folders))
+    }
+
+    /// `output_dir` of the job.
+    pub fn output_dir(&self) -> Option<String> {
+        self.from_base(self.output.as_deref())
+    }
+
+    /// Whether `-I` goes before single files.
+    pub fn is_prefixed(&self) -> bool {
+        self.input.is_some() && self.has_own_folders
+    }
+
+    fn from_base(&self, folder: Option<&str>) -> Option<String> {
+        match (&self.base, folder) {
+            (Some(base), Some(folder)) => Some(joined(base, folder)),
+            (Some(base), None) => Some(base.clone()),
+            (None, folder) => folder.map(str::to_owned),
+        }
+    }
+}
+
+/// A path from a folder on.
+fn joined(folder: &str, path: &str) -> String {
+    if is_absolute(path) || folder.is_empty() {
+        return path.to_owned();
+    }
+    let separator = if folder.ends_with(['/', '\\']) { "" } else { "/" };
+    format!("{folder}{separator}{path}")
+}
+
+/// On any system.
+fn is_absolute(path: &str) -> bool {
+    path.starts_with(['/', '\\']) || path.get(1..2) == Some(":")
+}
+
+/// Whether a path says more than a name.
+fn has_folder(file: &str) -> bool {
+    file.contains(['/', '\\'])
+}
+
+/// The input files that an option names.
+fn files(given: &Given) -> Vec<String> {
+    match (given.option.becomes, &given.value) {
+        (Becomes::Part(Part::Input), Value::Texts(files)) => files.clone(),
+        (Becomes::Key(_, _, Form::File | Form::Angles), Value::Text(file)) => vec![file.clone()],
+        _ => Vec::new(),
+    }
+}
+
+fn text(given: &Given) -> Option<String> {
+    match &given.value {
+        Value::Text(text) => Some(text.clone()),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::import::line::read_line;
+    use crate::cli::import::options::Version;
+
+    fn paths(line: &str, base: Option<&str>) -> Paths {
+        let words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+        let (given, problems) = read_line(Version::find("1.1").unwrap(), &words);
+        assert!(problems.is_empty(), "{problems:?}");
+        Paths::of(&given, base)
+    }
+
+    #[test]
+    fn plain_names_lie_in_the_folder_of_inputs() {
+        let paths = paths("-i a.sdf -po b.pof -I in -O out", None);
+        assert_eq!((paths.input_dir().as_deref(), paths.output_dir().as_deref()), (Some("in"), Some("out")));
+        assert_eq!((paths.input("a.sdf"), paths.here("a.sdf")), ("a.sdf".into(), "in/a.sdf".into()));
+        assert_eq!(paths.output("po.txt"), "out/po.txt");
+        assert!(!paths.is_prefixed());
+    }
+
+    #[test]
+    fn a_file_with_a_folder_does_not_lie_there() {
+        let paths = paths("-i a.sdf -po po/b.pof -I in", None);
+        assert_eq!(paths.input_dir(), None);
+        assert_eq!((paths.input("a.sdf"), paths.input("po/b.pof")), ("in/a.sdf".into(), "po/b.pof".into()));
+        assert_eq!(paths.here("in/a.sdf"), "in/a.sdf");
+        assert!(paths.is_prefixed());
+    }
+
+    #[test]
+    fn a_job_elsewhere_says_where_the_line_was_typed() {
+        let paths = paths("-i a.sdf -O F:\\out", Some("/work"));
+        assert_eq!(paths.input_dir().as_deref(), Some("/work"));
+        assert_eq!(paths.output_dir().as_deref(), Some("F:\\out"), "absolute on its own system");
+        assert_eq!(joined("in/", "a"), "in/a");
+        assert_eq!(joined("in", "/a"), "/a");
+    }
+}

@@ -1,0 +1,451 @@
+//! From the options of a line to a job.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::draft::{Draft, Known, Text, toml_number, toml_text};
+use super::line::{Given, Value};
+use super::options::{Becomes, Flag, Form, Opt, Part, Standard, Takes, Version};
+use super::paths::Paths;
+use super::problem::Problem;
+use crate::cli::convert::reader_of;
+use crate::stage::listed;
+
+/// What a translation must know besides the line.
+pub struct Place<'a> {
+    /// What the program can do.
+    pub known: &'a Known,
+    /// Where relative paths of the line start, where that is not where the job will stand.
+    pub base: Option<&'a str>,
+    /// The text of a file that the line names; `None` where it cannot be read.
+    pub read: &'a dyn Fn(&str) -> Option<String>,
+}
+
+/// What a line says.
+#[derive(Debug, Default)]
+pub struct Imported {
+    /// The job; empty where the line asks for commands only.
+    pub job: Text,
+    /// What `wavex` is to do besides, or instead: each a command line.
+    pub commands: Vec<Vec<String>>,
+    /// Options without a key: as they were written, and what is said of them.
+    pub notes: Vec<(String, String)>,
+    /// Options of `wavex run`.
+    pub flags: Vec<Flag>,
+}
+
+/// A line that is being translated.
+pub(super) struct Translation<'a> {
+    pub(super) version: &'static Version,
+    pub(super) place: &'a Place<'a>,
+    /// Each option once.
+    pub(super) given: Vec<Given>,
+    pub(super) draft: Draft,
+    pub(super) paths: Paths,
+    pub(super) problems: Vec<Problem>,
+    pub(super) result: Imported,
+    /// The stage that stands for the section `reader`.
+    pub(super) reader: &'static str,
+}
+
+/// Time, longitude, latitude, height, roll, pitch and heading: without one of them there is no pose.
+const TRAJECTORY_COLUMNS: &str = "txyzwpk";
+
+/// A list of two numbers that options give one by one.
+type Ends = BTreeMap<(&'static str, &'static str), ([f64; 2], Vec<String>)>;
+
+/// Translates the options of a line; later ones win.
+pub fn translate(
+    version: &'static Version,
+    given: Vec<Given>,
+    place: &Place,
+) -> Result<Imported, Vec<Problem>> {
+    let mut result = Imported::default();
+    let given = latest(given, &mut result.notes);
+    let paths = Paths::of(&given, place.base);
+    let reader = "";
+    let mut it = Translation {
+        version,
+        place,
+        given,
+        draft: Draft::default(),
+        paths,
+        problems: Vec::new(),
+        result,
+        reader,
+    };
+    it.words_for_wavex();
+    if it.on(Part::OnlyScan) || it.on(Part::OnlyScanFast) || it.inputs().is_empty() {
+        it.without_job();
+    } else {
+        it.job();
+    }
+    if it.problems.is_empty() { Ok(it.result) } else { Err(it.problems) }
+}
+
+/// Each option once: several inputs of one line are one list; of others the last counts, and the rest is noted.
+fn latest(all: Vec<Given>, notes: &mut Vec<(String, String)>) -> Vec<Given> {
+    let mut latest: Vec<Given> = Vec::new();
+    for mut given in all {
+        let same = latest.iter().position(|other| std::ptr::eq(other.option, given.option));
+        if let Some(old) = same.map(|at| latest.remove(at)) {
+            let is_same_line = Arc::ptr_eq(&old.place.source, &given.place.source);
+            match (old.value, &mut given.value) {
+                (Value::Texts(mut first), Value::Texts(more)) if is_same_line => {
+                    first.append(more);
+                    *more = first;
+                    given.written = format!("{} {}", old.written, given.written);
+                }
+                _ => notes.push((old.written, format!("`{}` overrules it", given.written))),
+            }
+        }
+        latest.push(given);
+    }
+    latest
+}
+
+impl Translation<'_> {
+    /// The option that is this part, where it is given.
+    pub(super) fn part(&self, part: Part) -> Option<&Given> {
+        self.given.iter().find(|given| given.option.becomes == Becomes::Part(part))
+    }
+
+    /// Whether the switch of this part is given, and on.
+    pub(super) fn on(&self, part: Part) -> bool {
+        self.part(part).is_some_and(|given| given.value == Value::Switch(true))
+    }
+
+    /// The word that this part was given.
+    pub(super) fn text(&self, part: Part) -> Option<&str> {
+        match &self.part(part)?.value {
+            Value::Text(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    /// How this part was written.
+    pub(super) fn written(&self, part: Part) -> String {
+        self.part(part).map(|given| given.written.clone()).unwrap_or_default()
+    }
+
+    /// The option that sets this key.
+    pub(super) fn of_key(&self, section: &str, key: &str) -> Option<&Given> {
+        let is_it = |given: &&Given| matches!(given.option.becomes, Becomes::Key(of, name, _) if of == section && name == key);
+        self.given.iter().find(is_it)
+    }
+
+    /// The files to read.
+    pub(super) fn inputs(&self) -> Vec<String> {
+        match self.part(Part::Input).map(|given| &given.value) {
+            Some(Value::Texts(files)) => files.iter().map(|file| self.paths.input(file)).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    pub(super) fn note(&mut self, written: impl Into<String>, what: impl Into<String>) {
+        self.result.notes.push((written.into(), what.into()));
+    }
+
+    /// Options that are `wavex`'s own, or nothing any more.
+    fn words_for_wavex(&mut self) {
+        let mut said = Vec::new();
+        for given in &self.given {
+            let is_on = given.value == Value::Switch(true);
+            match given.option.becomes {
+                Becomes::Flag(flag, when) if is_on == when => {
+                    self.result.flags.push(flag);
+                    said.push((
+                        given.written.clone(),
+                        format!("a matter of the run: `wavex run {}`", flag.text()),
+                    ));
+                }
+                Becomes::Command(words) if is_on => {
+                    self.result.commands.push(words.iter().map(|word| (*word).to_owned()).collect());
+                }
+                Becomes::Nothing(why) if is_on => said.push((given.written.clone(), why.to_owned())),
+                Becomes::Flag(..) | Becomes::Command(_) | Becomes::Nothing(_) => said.push(so_anyway(given)),
+                _ => {}
+            }
+        }
+        self.result.notes.extend(said);
+    }
+
+    /// The job.
+    fn job(&mut self) {
+        let inputs = self.inputs();
+        self.reader = match reader(&inputs) {
+            Ok(reader) => reader,
+            Err(what) => {
+                self.problems.extend(self.part(Part::Input).map(|given| Problem::at(&given.place, what)));
+                return;
+            }
+        };
+        self.folders();
+        let why = self.written(Part::Input);
+        let files: Vec<String> = inputs.iter().map(|file| toml_text(file)).collect();
+        let path =
+            if let [file] = files.as_slice() { file.clone() } else { format!("[{}]", files.join(", ")) };
+        self.draft.set(self.reader, "path", path, &why, true);
+        let sinks = self.sinks();
+        for &(section, key, toml, why) in self.version.always {
+            self.draft.set(section, key, toml.to_owned(), why, false);
+        }
+        self.keys();
+        self.speed();
+        self.scans();
+        self.plots();
+        let stages = self.stages(&sinks);
+        self.leftovers(&stages);
+        self.result.job = self.draft.text(&stages, self.place.known);
+    }
+
+    /// The stages that the line asks for.
+    fn stages(&self, sinks: &[&'static str]) -> Vec<&'static str> {
+        let is_there = |stage: &&'static str| match *stage {
+            // Zones are open, and there may be two receivers, in what an instrument has recorded itself.
+            "resolve_mta" => matches!(self.reader, "read_sdf" | "read_arrow"),
+            "fuse_channels" => self.reader != "read_las",
+            stage if stage.starts_with("write_") => sinks.contains(&stage),
+            _ => true,
+        };
+        std::iter::once(self.reader).chain(self.version.chain.iter().copied().filter(is_there)).collect()
+    }
+
+    /// `[job]`: where files lie.
+    fn folders(&mut self) {
+        let (input, output) = (self.written(Part::InputDir), self.written(Part::OutputDir));
+        for (key, dir, why) in
+            [("input_dir", self.paths.input_dir(), input), ("output_dir", self.paths.output_dir(), output)]
+        {
+            if let Some(dir) = dir {
+                self.draft.set("job", key, toml_text(&dir), &with_warning(why, &dir), true);
+            }
+        }
+        if self.paths.is_prefixed() {
+            let what = "part of the paths below, because some files of the line have folders of their own";
+            self.note(self.written(Part::InputDir), what);
+        }
+    }
+
+    /// The options that are keys, in the order of the table.
+    pub(super) fn keys(&mut self) {
+        let mut ends = Ends::new();
+        let default_of = format!("the default of {}", self.version.name);
+        for option in self.version.options {
+            let given = self.given.iter().find(|given| std::ptr::eq(given.option, option));
+            let (value, why) = match (given, option.standard) {
+                (Some(given), _) => (given.value.clone(), given.written.clone()),
+                (None, Standard::Written(text)) => (written_default(option, text), default_of.clone()),
+                (None, _) => continue,
+            };
+            let is_asked = given.is_some();
+            match option.becomes {
+                Becomes::Key(section, key, form) => {
+                    self.key(option, section_of(section, self.reader), key, form, &value, (&why, is_asked));
+                }
+                Becomes::End(section, key, end, open) => {
+                    let (both, from) = ends.entry((section, key)).or_insert((open, Vec::new()));
+                    if let (Value::Number(number), Some(place)) = (value, both.get_mut(end)) {
+                        *place = number;
+                    }
+                    from.push(why);
+                }
+                _ => {}
+            }
+        }
+        for ((section, key), ([from, to], why)) in ends {
+            let toml = format!("[{}, {}]", toml_number(from), toml_number(to));
+            self.draft.set(section_of(section, self.reader), key, toml, &why.join(" "), true);
+        }
+    }
+
+    fn key(
+        &mut self,
+        option: &'static Opt,
+        section: &'static str,
+        key: &'static str,
+        form: Form,
+        value: &Value,
+        (why, is_asked): (&str, bool),
+    ) {
+        if form == Form::Angles {
+            return self.mount(key, value, why);
+        }
+        let Some(toml) = toml_of(form, value, &self.paths) else {
+            self.note(why, "so it is anyway");
+            return;
+        };
+        if let Some((other, of)) = self.draft.asked(section, key)
+            && is_asked
+            && other != toml
+        {
+            let what = format!("`{of}` and `{why}` exclude each other");
+            let place = self.given.iter().find(|given| std::ptr::eq(given.option, option));
+            self.problems.extend(place.map(|given| Problem::at(&given.place, what)));
+            return;
+        }
+        self.draft.set(section, key, toml, why, is_asked);
+        match (form, value) {
+            (Form::After(_), _) => self.draft.remark(section, key, option.remark),
+            (Form::TrajectoryColumns, Value::Text(letters)) => {
+                if let Some(obstacle) = without_a_column(letters) {
+                    self.draft.obstruct(section, key, obstacle);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The mount: three angles out of a file.
+    fn mount(&mut self, key: &'static str, value: &Value, why: &str) {
+        let Value::Text(file) = value else { return };
+        let path = self.paths.input(file);
+        let angles = (self.place.read)(&self.paths.here(&path)).and_then(|text| angles(&text));
+        match angles {
+            Some([roll, pitch, yaw]) => {
+                let toml = format!("[{}, {}, {}]", toml_number(roll), toml_number(pitch), toml_number(yaw));
+                self.draft.set("geometry", key, toml, &format!("{why}: the angles in it"), true);
+            }
+            None => {
+                let what = format!("`{path}` cannot be read, or does not hold three angles");
+                let place = self.given.iter().find(|given| given.written == why).map(|given| &given.place);
+                let help = "a file of mounting angles has three numbers, in degrees: about x, y and z";
+                self.problems.extend(place.map(|place| Problem::at(place, what).help(help)));
+            }
+        }
+    }
+
+    /// How thoroughly waveforms are decomposed, as far as it takes more than one option to say it.
+    fn speed(&mut self) {
+        let is_fast = self.draft.asked("decompose", "mode").is_some();
+        let (slow, auto) = (self.written(Part::Slow), self.written(Part::Auto));
+        match (self.on(Part::Slow), is_fast) {
+            (true, false) => self.draft.set("decompose", "mode", "\"slow\"".to_owned(), &slow, true),
+            (true, true) => self.note(slow, "what a fast mode refines gets the iterations of `refined`"),
+            _ => {}
+        }
+        match (self.on(Part::Auto), is_fast) {
+            (true, true) => {
+                self.draft.set("decompose", "refine_when_needed", "true".to_owned(), &auto, true);
+            }
+            (true, false) => self.note(auto, "without effect: every waveform is refined"),
+            _ => {}
+        }
+    }
+
+    /// What the line asks for and no stage of the job does, and switches that ask for nothing.
+    fn leftovers(&mut self, stages: &[&str]) {
+        let has_trajectory = self.draft.asked("geometry", "trajectory").is_some();
+        let mut sections = stages.to_vec();
+        sections.push("job");
+        if has_trajectory {
+            sections.push("geometry");
+        }
+        for (section, why) in self.draft.asked_outside_of(&sections) {
+            let what = match section.as_str() {
+                "geometry" => "without effect: there is no `-po`".to_owned(),
+                stage => format!("without effect: the job has no `{stage}`"),
+            };
+            self.note(why, what);
+        }
+        if !has_trajectory {
+            self.draft.remove("geometry");
+        }
+        let is_off = |given: &&Given| {
+            matches!(given.option.becomes, Becomes::Part(part) if part != Part::Trajectory)
+                && given.value == Value::Switch(false)
+        };
+        let off: Vec<_> = self.given.iter().filter(is_off).map(so_anyway).collect();
+        self.result.notes.extend(off);
+    }
+}
+
+/// The reader of these files.
+fn reader(files: &[String]) -> Result<&'static str, String> {
+    let mut readers = files.iter().map(|file| reader_of(file));
+    let first = readers.next().unwrap_or(Err("there is no input".to_owned()))?;
+    for (reader, file) in readers.zip(files.iter().skip(1)) {
+        if reader? != first {
+            return Err(format!(
+                "`{file}` is another kind of recording than the files before it; run them as two jobs"
+            ));
+        }
+    }
+    Ok(first)
+}
+
+/// What is said of an option that asks for what is the case without it.
+fn so_anyway(given: &Given) -> (String, String) {
+    (given.written.clone(), "so it is anyway".to_owned())
+}
+
+/// The section of the job that a section of the table is.
+fn section_of(section: &'static str, reader: &'static str) -> &'static str {
+    if section == "reader" { reader } else { section }
+}
+
+/// A default of the table as a value.
+fn written_default(option: &Opt, text: &str) -> Value {
+    match option.takes {
+        Takes::Switch => Value::Switch(text == "1"),
+        // The table is tested: its numbers are numbers.
+        _ => Value::Number(text.parse().unwrap_or_default()),
+    }
+}
+
+/// A value in TOML; `None` where the key is not to be given.
+fn toml_of(form: Form, value: &Value, paths: &Paths) -> Option<String> {
+    let is_zero = match value {
+        Value::Number(number) => *number == 0.0,
+        Value::Text(text) => text == "0",
+        _ => false,
+    };
+    let plain = match value {
+        Value::Switch(is_on) => is_on.to_string(),
+        Value::Number(number) => toml_number(*number),
+        Value::Whole(number) => number.to_string(),
+        Value::Text(text) => toml_text(text),
+        Value::Texts(texts) => toml_text(&texts.join(" ")),
+    };
+    match (form, value) {
+        (Form::ZeroIs(other), _) if is_zero => Some(other.to_owned()),
+        (Form::ZeroIsNothing, _) if is_zero => None,
+        (Form::Switch(off, on), Value::Switch(is_on)) => {
+            Some(if *is_on { on } else { off }.to_owned()).filter(|toml| !toml.is_empty())
+        }
+        (Form::After(before), Value::Whole(number)) => Some(toml_text(&format!("{before}{number}"))),
+        (Form::File, Value::Text(file)) => Some(toml_text(&paths.input(file))),
+        _ => Some(plain),
+    }
+}
+
+/// What keeps columns of a trajectory from being enough.
+fn without_a_column(letters: &str) -> Option<String> {
+    let missing: Vec<String> = TRAJECTORY_COLUMNS
+        .chars()
+        .filter(|column| letters.matches(*column).count() != 1)
+        .map(|column| format!("`{column}`"))
+        .collect();
+    (!missing.is_empty()).then(|| format!("{} must stand in it once", listed(&missing, "and")))
+}
+
+/// What a folder comes from, with a word on folders of Windows where there are none.
+fn with_warning(why: String, folder: &str) -> String {
+    let mut letters = folder.chars();
+    let has_drive =
+        letters.next().is_some_and(|letter| letter.is_ascii_alphabetic()) && letters.next() == Some(':');
+    if has_drive && !cfg!(windows) {
+        format!("{why}: a folder of Windows, say where it is here")
+    } else {
+        why
+    }
+}
+
+/// The three numbers of a text.
+fn angles(text: &str) -> Option<[f64; 3]> {
+    let separators = |letter: char| letter.is_whitespace() || matches!(letter, ',' | ';' | '{' | '}');
+    let words = text.split(separators).filter(|word| !word.is_empty());
+    let numbers: Vec<f64> =
+        words.map(|word| word.parse().ok().filter(|n: &f64| n.is_finite())).collect::<Option<_>>()?;
+    numbers.try_into().ok()
+}

@@ -1,0 +1,165 @@
+//! Lines of the documents, run on simulated inputs with the documents' names.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use crate::support::las::Las;
+use crate::support::{Outcome, Place};
+
+/// What a line leaves: exit code, standard output and standard error.
+#[derive(Debug, PartialEq)]
+struct Ended {
+    code: Option<i32>,
+    out: String,
+    err: String,
+}
+
+/// Runs `wavex import` with these words in a folder, with the stand-in for RIEGL's library.
+fn wavex(place: &Place, line: &str) -> Ended {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    program.arg("import").args(line.split_whitespace()).current_dir(place.path(""));
+    program.stdin(Stdio::null()).env_remove("RUST_LOG");
+    if place.path("data.sdf").exists() {
+        program.env("WAVEX_RIWAVELIB", stand_in());
+    }
+    let output = program.output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    Ended { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+}
+
+/// The stand-in, which cargo builds with the other examples before the tests.
+fn stand_in() -> PathBuf {
+    let test = std::env::current_exe().unwrap();
+    let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+    let library =
+        test.parent().and_then(Path::parent).unwrap().join(format!("examples/{before}sdf_stand_in{after}"));
+    assert!(library.is_file(), "{} is missing: `cargo build --example sdf_stand_in`", library.display());
+    library
+}
+
+/// The line runs without a word of complaint, and leaves these files besides the inputs, the log and the report.
+#[track_caller]
+fn leaves(place: &Place, line: &str, files: &[&str]) -> String {
+    let ended = wavex(place, &format!("--run -- {line}"));
+    assert_eq!(ended.code, Some(0), "{line}: {}", ended.err);
+    assert!(!ended.err.contains("this build cannot"), "{line}: {}", ended.err);
+    for file in files {
+        assert!(place.path(file).is_file(), "{file} is missing: {}", ended.out);
+    }
+    ended.out
+}
+
+/// A recording as LAS, of 400 pulses straight down.
+fn waveform_las() -> Place {
+    let recording = Las::new(400);
+    Place::with(&[("waveform.las", &recording.las()), ("waveform.wdp", &recording.packets)])
+}
+
+/// A flight over hills with two to three pulses in the air, as recorded, in a file that the stand-in serves as SDF.
+fn data_sdf() -> Place {
+    let place = Place::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'data'\nlines = 12\nshots_per_line = 200\nas_recorded = true\n\
+               high_power = true\npulse_rate_hz = 300000\nmodulation_ns = 15.0\nflying_height_m = 1000.0\n\
+               pof = 'file.pof'\n\
+               [[stage]]\ntype = 'write_arrow'\n";
+    assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+    // The week of a recording stands in its own epoch; the name need not tell it.
+    std::fs::copy(place.path("out/data.arrow"), place.path("data.sdf")).unwrap();
+    std::fs::copy(place.path("out/file.pof"), place.path("file.pof")).unwrap();
+    place
+}
+
+/// Number of points of a LAS or LAZ file.
+fn points(place: &Place, file: &str) -> u64 {
+    las::Reader::from_path(place.path(file)).unwrap().header().number_of_points()
+}
+
+#[test]
+fn lines_of_version_1_0() {
+    let place = waveform_las();
+    leaves(&place, "wavex -i waveform.las -o points.laz -fastest", &["points.laz"]);
+    assert_eq!(points(&place, "points.laz"), 400, "an echo of each pulse");
+    leaves(&place, "wavex -i waveform.las -stat -d 6 -min_width 0.5", &["out.laz", "out_stat.txt"]);
+    assert_eq!(points(&place, "out.laz"), 400);
+}
+
+#[test]
+fn lines_of_version_1_1() {
+    let place = data_sdf();
+    leaves(&place, "wavex -i data.sdf -det 6 -lm_det 10 -lstat", &["data.laz", "data_lstat.txt"]);
+    let found = points(&place, "data.laz");
+    assert!(found >= 2000, "only {found} points of 2400 pulses");
+    leaves(&place, "wavex -i data.sdf -fastest -oext 0 -O nothing -nil", &["nothing/report.json"]);
+    assert!(!place.path("nothing/data.laz").exists());
+}
+
+#[test]
+fn statistics_of_a_recording() {
+    let place = data_sdf();
+    let out = leaves(&place, "wavex -sdfscan -i data.sdf -name scan", &["scan_scan.txt", "scan_scan.html"]);
+    assert!(out.contains("2400 shots"), "{out}");
+}
+
+#[test]
+fn a_line_that_asks_for_information_gets_it() {
+    let place = Place::new();
+    let ended = wavex(&place, "--run -- wavex -v");
+    let version = format!("wavex {}\n", env!("CARGO_PKG_VERSION"));
+    assert_eq!(ended, Ended { code: Some(0), out: version, err: String::new() });
+    let help = wavex(&place, "--run -- -h").out;
+    assert!(help.contains("Usage: wavex [OPTIONS] <COMMAND>"), "{help}");
+    let cleared = wavex(&place, "--run -- -clear_log").out;
+    assert!(cleared.contains("-clear_log: logs lie beside the outputs"), "{cleared}");
+}
+
+#[test]
+fn a_job_is_printed_or_written_and_what_is_there_is_left_alone() {
+    let place = waveform_las();
+    let line = "-- -i waveform.las -o points.laz -fastest";
+    let printed = wavex(&place, line);
+    assert_eq!((printed.code, printed.err.as_str()), (Some(0), ""));
+    assert_eq!(wavex(&place, &format!("-o job.toml {line}")).out, "");
+    assert_eq!(place.text("job.toml"), printed.out);
+    let again = wavex(&place, &format!("-o job.toml {line}"));
+    let expected = "error: job.toml: the file exists already; choose another name, or remove it\n";
+    assert_eq!(again, Ended { code: Some(2), out: String::new(), err: expected.to_owned() });
+    std::fs::create_dir(place.path("jobs")).unwrap();
+    assert_eq!(wavex(&place, &format!("--run -o jobs/job.toml {line}")).code, Some(0));
+    assert!(place.path("points.laz").is_file(), "paths start where the line was typed");
+}
+
+#[test]
+fn a_line_without_a_job_is_not_written() {
+    let place = Place::new();
+    let ended = wavex(&place, "-o job.toml -- -v");
+    assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
+    assert!(ended.err.starts_with("error: this line makes no job to write:\n"), "{}", ended.err);
+    assert!(!place.path("job.toml").exists());
+}
+
+#[test]
+fn a_wrong_line_is_refused() {
+    let ended = wavex(&Place::new(), "-- -i a.sdf -dett 5");
+    let expected = "error: version 1.1 has no option `-dett`\n  | wavex -i a.sdf -dett 5\n  |                ^^^^^\n  \
+                    = help: did you mean `-det`?\n";
+    assert_eq!(ended, Ended { code: Some(2), out: String::new(), err: expected.to_owned() });
+}
+
+#[test]
+fn a_value_that_a_key_cannot_take_is_told_with_its_place_in_the_job() {
+    let ended = wavex(&Place::new(), "-- -i a.sdf -mem 16");
+    assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
+    assert!(ended.err.contains("memory_mb = 16"), "{}", ended.err);
+    assert!(ended.err.contains("# -mem 16"), "{}", ended.err);
+}
+
+/// A job that leaves out what changes its points is not run as if nothing were missing.
+#[test]
+fn a_line_that_asks_for_what_is_not_there_yet_is_not_run() {
+    let place = data_sdf();
+    let ended = wavex(&place, "--run -- -i data.sdf -utc");
+    assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
+    let expected = "error: the line is not run, because this build cannot do yet: -utc (`utc` of `read_sdf`); leave that \
+                    out, or write the job with `-o` and change it\n";
+    assert!(ended.err.ends_with(expected), "{}", ended.err);
+}
