@@ -218,6 +218,8 @@ pub trait MakeTransform: Send + Sync {
 pub trait SinkPlan: Send + Sync {
     /// See [`SinkConfig::outputs`].
     fn outputs(&self) -> Vec<&str>;
+    /// See [`SinkConfig::needs_waveforms`].
+    fn needs_waveforms(&self) -> bool;
     /// See [`SinkConfig::make`].
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>>;
 }
@@ -258,6 +260,9 @@ impl<C: TransformConfig> MakeTransform for C {
 impl<C: SinkConfig> SinkPlan for C {
     fn outputs(&self) -> Vec<&str> {
         SinkConfig::outputs(self)
+    }
+    fn needs_waveforms(&self) -> bool {
+        SinkConfig::needs_waveforms(self)
     }
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
         SinkConfig::make(self, site)

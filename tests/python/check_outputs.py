@@ -23,6 +23,7 @@ import pyarrow.parquet
 
 import read_container as made_up
 from check_laszip import check_laszip
+from check_packets import check_packets
 from check_points import check_points, check_same_points
 from check_waveforms import check_against_dump, check_container, check_same_waveforms, read_container, read_dump
 from checks import Checks, numbers, same_column
@@ -83,6 +84,27 @@ attribute_layout = "1.0"
 index = "appended"
 
 [[stage]]
+type = "write_las"
+id = "waves_inside"
+path = "*_waves.laz"
+wave_packets = "internal"
+index = "appended"
+
+[[stage]]
+type = "write_las"
+id = "waves_beside"
+path = "*_waves_13.las"
+version = "1.3"
+wave_packets = "external"
+
+[[stage]]
+type = "write_las"
+id = "laz_waves_beside"
+path = "*_waves_13_compressed.laz"
+version = "1.3"
+wave_packets = "external"
+
+[[stage]]
 type = "write_table"
 id = "table_arrow"
 path = "*_returns.arrow"
@@ -100,13 +122,16 @@ path = "*_returns.csv"
 [[stage]]
 type = "write_lstat"
 """
-# The points among them: ending, version, layout of attributes, where the index is.
+# The points among them: ending, version, layout of attributes, where the index is. "waves" come with waveforms.
 POINTS = [
     (".las", "1.4", "1.1", None),
     (".laz", "1.4", "1.1", "file"),
     ("_12.las", "1.2", "1.1", "file"),
     ("_12_appended.laz", "1.2", "1.1", "appended"),
     ("_layout_10.laz", "1.4", "1.0", "appended"),
+    ("_waves.laz", "1.4", "1.1", "appended"),
+    ("_waves_13.las", "1.3", "1.1", None),
+    ("_waves_13_compressed.laz", "1.3", "1.1", None),
 ]
 
 
@@ -149,6 +174,8 @@ def check_survey(checks, name, program, source):
             with checks.of(f"{name}, {ending}"):
                 las[ending] = check_points(checks, output(ending), table, container, version, layout)
                 check_laszip(checks, output(ending), las[ending], index)
+                if "waves" in ending:
+                    check_packets(checks, output(ending), las[ending], table, container)
         with checks.of(f"{name}, laz"):
             check_same_points(checks, las[".las"], las[".laz"])
         with checks.of(f"{name}, laz 1.2"):
