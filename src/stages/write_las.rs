@@ -65,11 +65,7 @@ impl Config for WriteLas {
             "path",
             "the file's name must end in .las or .laz",
         )?;
-        InvalidKey::unless(
-            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
-            "coordinate_step",
-            "it must lie between 1e-9 and 1",
-        )
+        self.check_step()
     }
 }
 
@@ -94,6 +90,15 @@ impl SinkConfig for WriteLas {
 }
 
 impl WriteLas {
+    /// An error where there is no such step of coordinates.
+    pub(super) fn check_step(&self) -> std::result::Result<(), InvalidKey> {
+        InvalidKey::unless(
+            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
+            "coordinate_step",
+            "it must lie between 1e-9 and 1",
+        )
+    }
+
     /// The extra attributes to write, in their order.
     fn attributes(&self) -> Vec<ExtraAttribute> {
         let is_uncertainty =
@@ -105,15 +110,14 @@ impl WriteLas {
     }
 
     /// The step of each coordinate.
-    fn steps(&self, input: &InputInfo) -> [f64; 3] {
+    pub(super) fn steps(&self, input: &InputInfo) -> [f64; 3] {
         let usual = input.coordinate_grid.map_or([USUAL_STEP; 3], |(steps, _)| {
             steps.map(|step| if step < DEGREES_STEP { step } else { USUAL_STEP })
         });
         self.coordinate_step.map_or(usual, |step| [step; 3])
     }
 
-    /// Writes what stands before the points. The offset of the coordinates is the input's own, else the first point's,
-    /// rounded.
+    /// Writes what stands before the points.
     fn begin(
         &self,
         file: OutputFile,
@@ -123,14 +127,12 @@ impl WriteLas {
         attributes: &[ExtraAttribute],
         threads: usize,
     ) -> Result<Writer<OutputFile>> {
-        let offset = input.coordinate_grid.map(|(_, offset)| offset);
-        let near = |m: f64| (m / 1000.0).round() * 1000.0;
         let adjusted = adjusted_gps_time(input, time_s);
         let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
         let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
         let options = WriterOptions {
             scale: self.steps(input),
-            offset: offset.unwrap_or_else(|| first.unwrap_or_default().map(near)),
+            offset: offsets(input, first),
             wkt: input.crs_wkt.as_deref(),
             extra_attributes: attributes,
             adjusted_gps_time: adjusted.is_some(),
@@ -247,7 +249,15 @@ impl Sink for LasSink {
     }
 }
 
-fn point(input: &InputInfo, emission: &Emission, r: &Return, [x, y, z]: [f64; 3]) -> PointOut {
+/// The offset of each coordinate: the input's own, else the first point's, rounded.
+pub(super) fn offsets(input: &InputInfo, first: Option<[f64; 3]>) -> [f64; 3] {
+    let near = |m: f64| (m / 1000.0).round() * 1000.0;
+    let own = input.coordinate_grid.map(|(_, offset)| offset);
+    own.unwrap_or_else(|| first.unwrap_or_default().map(near))
+}
+
+/// A return as LAS has it.
+pub(super) fn point(input: &InputInfo, emission: &Emission, r: &Return, [x, y, z]: [f64; 3]) -> PointOut {
     let flag = |bit: u16| emission.flags & bit != 0;
     PointOut {
         x,
@@ -275,7 +285,7 @@ fn gps_time(input: &InputInfo, emission: &Emission) -> f64 {
 }
 
 /// The value of an extra attribute of BayesWavEx 1.1 (section 3).
-fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
+pub(super) fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
     match attribute.name {
         name if name == WIDE_RATIO.name => r.width_ratio,
         name if name == TARGET_THICK.name => r.thickness_m,
@@ -286,6 +296,7 @@ fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
         name if name == WIDE_ERR.name => r.width_ratio_sd,
         name if name == THICK_ERR.name => r.thickness_sd_m,
         name if name == CHANNEL.name => f64::from(u8::from(r.channel != ReturnChannel::Low)),
+        name if name == RAW_AMP.name => r.amplitude_dn,
         _ => f64::NAN,
     }
 }

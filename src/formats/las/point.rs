@@ -224,6 +224,16 @@ pub struct PointOut {
 pub(super) const FORMAT_6: usize = 30;
 
 impl PointOut {
+    /// The scan angle, degrees, as its field holds it.
+    pub fn stored_scan_angle_deg(&self) -> f64 {
+        f64::from(self.scan_angle_steps()) * SCAN_ANGLE_STEP_DEG
+    }
+
+    fn scan_angle_steps(&self) -> i16 {
+        let steps = (f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG).round();
+        steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX) as i16
+    }
+
     /// The record of format 6 at the quantised coordinates `raw`.
     pub(super) fn encode(&self, raw: [i32; 3]) -> [u8; FORMAT_6] {
         let mut record = [0; FORMAT_6];
@@ -238,9 +248,7 @@ impl PointOut {
             | u8::from(self.edge_of_flight_line) << 7;
         record[16] = self.classification;
         record[17] = self.user_data;
-        let steps = (f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG).round();
-        let steps = steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX) as i16;
-        record[18..20].copy_from_slice(&steps.to_le_bytes());
+        record[18..20].copy_from_slice(&self.scan_angle_steps().to_le_bytes());
         record[20..22].copy_from_slice(&self.point_source_id.to_le_bytes());
         record[22..30].copy_from_slice(&self.gps_time.to_le_bytes());
         record
