@@ -118,12 +118,9 @@ impl JobSettings {
     /// What the types alone cannot say of the keys.
     fn check(&self) -> Result<(), InvalidKey> {
         self.simd.check(lockstep::Path::is_available).map_err(|problem| InvalidKey::new("simd", problem))?;
-        let stem = self.stat_log.is_empty() || self.stat_log.contains('*');
-        InvalidKey::unless(
-            stem,
-            "stat_log",
-            "write `*` where the input's stem belongs, as in \"*_stat.log\"",
-        )?;
+        let fits =
+            self.stat_log.is_empty() || (self.stat_log.contains('*') && self.stat_log.ends_with(".log"));
+        InvalidKey::unless(fits, "stat_log", "it must hold a `*` and end in .log, as in \"*_stat.log\"")?;
         self.geometry.check()
     }
 }

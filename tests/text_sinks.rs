@@ -214,3 +214,38 @@ fn with_a_trajectory_rows_are_its_poses() {
         assert!(apart.min(360.0 - apart) < 1e-3 && (0.0..360.0).contains(&row[6]), "{heading} {row:?}");
     }
 }
+
+#[test]
+fn the_statistics_in_words_have_every_part() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = run(folder.path(), "[[stage]]\ntype = 'write_lstat'\n");
+    let input = &report.inputs[0];
+    let text = engine::stat_log(&report, input);
+    let titles = ["Run time", "Input", "Decoding", "Extraction", "Trajectory", "Georeferencing", "Output"];
+    let place =
+        |title: &&str| text.find(&format!("\n{title}\n---")).unwrap_or_else(|| panic!("{title}: {text}"));
+    assert!(titles.iter().map(place).is_sorted(), "{text}");
+    let value = |name: &str| {
+        let row = text.lines().find(|line| line.starts_with(&format!("{name:<36} ")));
+        row.unwrap_or_else(|| panic!("{name}: {text}"))[37..].to_owned()
+    };
+    assert_eq!(value("waveforms"), input.totals["nw"].to_string());
+    assert_eq!(value("returns"), input.totals["np"].to_string());
+    assert_eq!(value("points with coordinates"), input.totals["n_georef"].to_string());
+    assert_eq!((value("scan lines"), value("shots")), ("6".into(), "900".into()));
+    assert!(value("calibration, low power").starts_with("noise "));
+    assert!(text.contains("a_lstat.txt"), "{text}");
+}
+
+#[test]
+fn statistics_need_a_name_for_each_input() {
+    for (pattern, fits) in [("", true), ("logs/*.log", true), ("stat.log", false), ("*.las", false)] {
+        match Job::parse("job.toml", &format!("[job]\nstat_log = '{pattern}'\n{TO_POINTS}"), &[]) {
+            Ok(_) => assert!(fits, "{pattern}"),
+            Err(errors) => {
+                let errors = errors.to_string();
+                assert!(!fits && errors.contains("`stat_log`: it must hold a `*`"), "{errors}");
+            }
+        }
+    }
+}
