@@ -19,6 +19,7 @@ mod false_alarms;
 pub mod import;
 mod init;
 mod log;
+mod report;
 mod run;
 mod scan;
 mod stages;
@@ -105,6 +106,16 @@ enum Command {
     /// Prints a summary and writes it beside histograms as text and a page with pictures: NAME_scan.txt, NAME_scan.html,
     /// NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
     Scan(ScanArgs),
+    /// Show what a run did as a page: where the time went, counts, sensor model, warnings
+    ///
+    /// The page is one file (HTML) without scripts, which needs no network.
+    Report {
+        /// The report.json of a run, or the folder it is in
+        place: PathBuf,
+        /// The page [default: beside the report, as report.html]
+        #[arg(short, long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
     /// Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
     ///
     /// Prints a summary; writes, where asked to, a table of the columns t lon lat h x y z w p k, and a picture (SVG).
@@ -393,6 +404,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),
+        Command::Report { place, out } => report::report(&place, out.as_deref(), quiet),
         Command::Trajectory(args) => trajectory::trajectory(&args, quiet),
         Command::Import(args) => import::run_import(&args, quiet),
         Command::Completions { shell } => {

@@ -50,6 +50,7 @@ pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -
     if let Some(file) = report_file {
         write_report(&report, file).map_err(|error| failed(&error))?;
     }
+    write_stat_logs(&report, job, &output_dir).map_err(|error| failed(&error))?;
     if machine.profile {
         write_trace(&report, &output_dir.join(TRACE)).map_err(|error| failed(&error))?;
     }
@@ -90,6 +91,17 @@ fn write_report(report: &RunReport, mut file: OutputFile) -> Result<(), StageErr
     let written = json.and_then(|json| writeln!(file, "{json}"));
     written.map_err(|error| Error::io(file.path(), "write the report")(error))?;
     file.finish()?.publish()?;
+    Ok(())
+}
+
+fn write_stat_logs(report: &RunReport, job: &Job, output_dir: &Path) -> Result<(), StageError> {
+    let pattern = job.settings.stat_log.as_str();
+    for input in report.inputs.iter().filter(|_| !pattern.is_empty()) {
+        let mut file = OutputFile::create(&output_dir.join(pattern.replace('*', &input.stem)))?;
+        let written = file.write_all(engine::stat_log(report, input).as_bytes());
+        written.map_err(|error| Error::io(file.path(), "write the statistics")(error))?;
+        file.finish()?.publish()?;
+    }
     Ok(())
 }
 

@@ -1,6 +1,6 @@
 //! Points as LAS or LAZ.
 
-mod attributes;
+pub(super) mod attributes;
 #[cfg(test)]
 mod tests;
 mod waves;
@@ -166,11 +166,7 @@ impl Config for WriteLas {
             "path",
             "the file's name must end in .las or .laz",
         )?;
-        InvalidKey::unless(
-            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
-            "coordinate_step",
-            "it must lie between 1e-9 and 1",
-        )?;
+        self.check_step()?;
         InvalidKey::unless(
             self.wave_packets == WavePacketsKey::None || self.version != VersionKey::V1_2,
             "wave_packets",
@@ -217,6 +213,15 @@ impl SinkConfig for WriteLas {
 }
 
 impl WriteLas {
+    /// An error where there is no such step of coordinates.
+    pub(super) fn check_step(&self) -> std::result::Result<(), InvalidKey> {
+        InvalidKey::unless(
+            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
+            "coordinate_step",
+            "it must lie between 1e-9 and 1",
+        )
+    }
+
     fn attributes(&self) -> Attributes {
         match self.extra_attributes {
             true => Attributes::of(self.attribute_layout, self.uncertainty),
@@ -244,15 +249,14 @@ impl WriteLas {
     }
 
     /// The step of each coordinate.
-    fn steps(&self, input: &InputInfo) -> [f64; 3] {
+    pub(super) fn steps(&self, input: &InputInfo) -> [f64; 3] {
         let usual = input.coordinate_grid.map_or([USUAL_STEP; 3], |(steps, _)| {
             steps.map(|step| if step < DEGREES_STEP { step } else { USUAL_STEP })
         });
         self.coordinate_step.map_or(usual, |step| [step; 3])
     }
 
-    /// Writes what stands before the points. The offset of the coordinates is the input's own, else the first point's,
-    /// rounded.
+    /// Writes what stands before the points.
     fn begin(
         &self,
         file: OutputFile,
@@ -262,8 +266,6 @@ impl WriteLas {
         attributes: &Attributes,
         threads: usize,
     ) -> Result<Writer<OutputFile>> {
-        let offset = input.coordinate_grid.map(|(_, offset)| offset);
-        let near = |m: f64| (m / 1000.0).round() * 1000.0;
         let adjusted = adjusted_gps_time(input, time_s);
         let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
         let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
@@ -274,7 +276,7 @@ impl WriteLas {
                 VersionKey::V1_2 => Version::V1_2,
             },
             scale: self.steps(input),
-            offset: offset.unwrap_or_else(|| first.unwrap_or_default().map(near)),
+            offset: offsets(input, first),
             wkt: input.crs_wkt.as_deref(),
             extra_attributes: &attributes.stored,
             adjusted_gps_time: adjusted.is_some(),
@@ -437,6 +439,13 @@ impl Sink for LasSink {
     }
 }
 
+/// The offset of each coordinate: the input's own, else the first point's, rounded.
+pub(super) fn offsets(input: &InputInfo, first: Option<[f64; 3]>) -> [f64; 3] {
+    let near = |m: f64| (m / 1000.0).round() * 1000.0;
+    let own = input.coordinate_grid.map(|(_, offset)| offset);
+    own.unwrap_or_else(|| first.unwrap_or_default().map(near))
+}
+
 fn finish_with_waveforms(
     writer: Writer<OutputFile>,
     waves: Waves,
@@ -452,7 +461,8 @@ fn finish_with_waveforms(
     Ok(writer.finish_with_waveforms(&kinds, None)?)
 }
 
-fn point(
+/// A return as LAS has it.
+pub(super) fn point(
     input: &InputInfo,
     emission: &Emission,
     r: &Return,
