@@ -219,7 +219,7 @@ mod tests {
             ..found
         };
         let mut batch = Batch::of_shots(input, 0, vec![emission], Blocks::default());
-        let points = vec![[540_123.4567, 5_200_001.0, -0.000_2], [540_124.0, 5_200_001.9996, f64::NAN]];
+        let points = vec![[540_123.456_7, 5_200_001.0, -0.000_2], [540_124.0, 5_200_001.999_6, f64::NAN]];
         batch.content = Content::Points(vec![found, second], points);
         batch
     }
