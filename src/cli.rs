@@ -298,7 +298,9 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
     let quiet = cli.loudness.quiet;
     match cli.command {
         Command::Run { job, machine, archive } => run::run(&job, machine, archive.as_deref(), quiet),
-        Command::Replay { archived, threads, progress } => archive::replay(archived, threads, progress, quiet),
+        Command::Replay { archived, threads, progress } => {
+            archive::replay(archived, threads, progress, quiet)
+        }
         Command::Verify { archived } => archive::verify(archived, quiet),
         Command::Check { job } => check::check(&job),
         Command::Stages { name } => stages::stages(STAGES, name.as_deref()),

@@ -52,6 +52,9 @@ impl Contents {
         if files.is_empty() {
             return Err(Error::unusable(path, "no archive: it holds no file", REMEDY));
         }
+        if !files.contains_key(ARCHIVE) && !files.contains_key(SEAL) {
+            return Err(Error::unusable(path, format!("no archive: it has no text {ARCHIVE}"), REMEDY));
+        }
         // As `plain` sees it, so that the name is one, whether the path ends in `/.` or not.
         let whole = plain(&std::path::absolute(path).map_err(Error::io(path, "find"))?);
         Ok(Contents { path: path.to_owned(), folder: folder_of(&whole)?, files })
@@ -75,7 +78,8 @@ impl Contents {
             let problem = format!("archives of format {} are not known, only of {FORMAT}", value["format"]);
             return Err(Error::unusable(&self.path.join(ARCHIVE), problem, "use a newer wavex"));
         }
-        serde_json::from_value(value).map_err(|error| unusable(format!("no description of an archive: {error}")))
+        serde_json::from_value(value)
+            .map_err(|error| unusable(format!("no description of an archive: {error}")))
     }
 
     /// The job as run.
@@ -111,13 +115,17 @@ impl Contents {
             match self.files.get(*name) {
                 None => problems.push(format!("{name}: missing from the archive")),
                 Some(bytes) if digest::of_bytes(bytes) != **digest => {
-                    problems.push(format!("{name}: changed since the archive was made, or its digest in {SEAL} was"));
+                    problems.push(format!(
+                        "{name}: changed since the archive was made, or its digest in {SEAL} was"
+                    ));
                 }
                 Some(_) => {}
             }
         }
         let known = |name: &&String| *name != SEAL && !sealed.contains_key(name.as_str());
-        problems.extend(self.files.keys().filter(known).map(|name| format!("{name}: not sealed: it was added later")));
+        problems.extend(
+            self.files.keys().filter(known).map(|name| format!("{name}: not sealed: it was added later")),
+        );
         problems
     }
 
@@ -211,7 +219,12 @@ pub(super) fn write_folder(folder: &Path, files: &BTreeMap<String, Vec<u8>>) -> 
 }
 
 /// Packs files as a folder of this name; all are as old as the archive, `seconds` since 1970.
-pub(super) fn pack(name: &str, files: &BTreeMap<String, Vec<u8>>, seconds: u64, to: impl Write) -> std::io::Result<()> {
+pub(super) fn pack(
+    name: &str,
+    files: &BTreeMap<String, Vec<u8>>,
+    seconds: u64,
+    to: impl Write,
+) -> std::io::Result<()> {
     let mut tar = tar::Builder::new(zstd::stream::write::Encoder::new(to, LEVEL)?);
     for (path, bytes) in files {
         let mut header = tar::Header::new_gnu();
@@ -236,7 +249,12 @@ mod tests {
 
     fn example() -> BTreeMap<String, Vec<u8>> {
         let long = format!("lines/{}_lstat.txt", "a".repeat(120));
-        sealed(&[(ARCHIVE, "{}"), (JOB, "a"), (RESOLVED, "b"), (&long, "# a name longer than a header's field")])
+        sealed(&[
+            (ARCHIVE, "{}"),
+            (JOB, "a"),
+            (RESOLVED, "b"),
+            (&long, "# a name longer than a header's field"),
+        ])
     }
 
     #[test]
@@ -261,29 +279,46 @@ mod tests {
             change(&mut files);
             Contents { path: "a".into(), folder: "a".into(), files }.tampering()
         };
-        let changed = |files: &mut BTreeMap<String, Vec<u8>>| drop(files.insert(JOB.to_owned(), b"A".to_vec()));
-        assert_eq!(with(changed), ["job.toml: changed since the archive was made, or its digest in archive.b3 was"]);
+        let changed =
+            |files: &mut BTreeMap<String, Vec<u8>>| drop(files.insert(JOB.to_owned(), b"A".to_vec()));
+        assert_eq!(
+            with(changed),
+            ["job.toml: changed since the archive was made, or its digest in archive.b3 was"]
+        );
         assert_eq!(with(|files| drop(files.remove(JOB))), ["job.toml: missing from the archive"]);
         let added = |files: &mut BTreeMap<String, Vec<u8>>| drop(files.insert("new".to_owned(), vec![]));
         assert_eq!(with(added), ["new: not sealed: it was added later"]);
         let unsealed = ["archive.b3: missing: nothing says whether the archive is as it was made"];
         assert_eq!(with(|files| drop(files.remove(SEAL))), unsealed);
         let emptied = with(|files| drop(files.insert(SEAL.to_owned(), b"x\n".to_vec())));
-        assert_eq!(emptied[..2], ["archive.b3: line 1: no digest and name", "archive.b3: it does not seal archive.json"]);
+        assert_eq!(
+            emptied[..2],
+            ["archive.b3: line 1: no digest and name", "archive.b3: it does not seal archive.json"]
+        );
     }
 
     #[test]
     fn what_is_no_archive_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let problem = |path: &Path| Contents::read(path).and_then(|contents| contents.archive()).unwrap_err().to_string();
+        let problem = |path: &Path| {
+            Contents::read(path).and_then(|contents| contents.archive()).unwrap_err().to_string()
+        };
         let empty = problem(folder.path());
-        assert!(empty.ends_with("no archive: it holds no file; give an archive that `wavex run --archive` has made"), "{empty}");
+        assert!(
+            empty.ends_with(
+                "no archive: it holds no file; give an archive that `wavex run --archive` has made"
+            ),
+            "{empty}"
+        );
         fs::write(folder.path().join("a.txt"), "").unwrap();
         let other = problem(folder.path());
         assert!(other.contains("no archive: it has no text archive.json; "), "{other}");
         fs::write(folder.path().join(ARCHIVE), "{\"format\": 2}").unwrap();
         let newer = problem(folder.path());
-        assert!(newer.ends_with("archives of format 2 are not known, only of 1; use a newer wavex"), "{newer}");
+        assert!(
+            newer.ends_with("archives of format 2 are not known, only of 1; use a newer wavex"),
+            "{newer}"
+        );
         fs::write(folder.path().join(ARCHIVE), "{\"format\": 1}").unwrap();
         let torn = problem(folder.path());
         assert!(torn.contains("no description of an archive: missing field"), "{torn}");

@@ -64,7 +64,9 @@ fn compare_texts(then: &Path, now: &Path, is_table: bool) -> Result<Option<Strin
                 let place = format!("line {number}");
                 let place_of_cell = |column: String| format!("row {}, column {column}", number - 2);
                 return Ok(Some(match cell {
-                    Some((column, then, now)) => format!("{}: {}", place_of_cell(column), instead(&now, &then)),
+                    Some((column, then, now)) => {
+                        format!("{}: {}", place_of_cell(column), instead(&now, &then))
+                    }
                     None => format!("{place}: {}", instead(&format!("{now:?}"), &format!("{then:?}"))),
                 }));
             }

@@ -11,7 +11,8 @@ use crate::formats::companions;
 use crate::job::Job;
 
 /// Texts of `[job]` that name files, as JSON pointers; `*` in them is the input's stem.
-const SETTINGS: [&str; 3] = ["/geometry/trajectory", "/geometry/trajectory_accuracy", "/geometry/calibration"];
+const SETTINGS: [&str; 3] =
+    ["/geometry/trajectory", "/geometry/trajectory_accuracy", "/geometry/calibration"];
 /// A text of `[job]` that may be the name of a file or of something else.
 const FILE_OR_NAME: &str = "/geometry/crs";
 /// The table of `[job]` with the keys of the geoid.
@@ -32,7 +33,8 @@ pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &
     for text in job.stages.iter().flat_map(|stage| &stage.planned.inputs) {
         files.insert(plain(&input_dir.join(text)));
     }
-    for text in pointers(settings, input_dir).iter().filter_map(|pointer| settings.pointer(pointer)?.as_str()) {
+    for text in pointers(settings, input_dir).iter().filter_map(|pointer| settings.pointer(pointer)?.as_str())
+    {
         files.extend(inputs.iter().map(|input| plain(&input_dir.join(text.replace('*', &input.stem)))));
     }
     files.extend(geoid(settings, input_dir));
@@ -64,7 +66,8 @@ fn geoid(settings: &Value, input_dir: &Path) -> Option<PathBuf> {
     let folder = plain(&folder.map_or(input_dir.to_owned(), |folder| input_dir.join(folder)));
     let is_grid = |path: &PathBuf| {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-        let names = [path.file_name(), path.file_stem()].map(|name| name.unwrap_or_default().to_string_lossy());
+        let names =
+            [path.file_name(), path.file_stem()].map(|name| name.unwrap_or_default().to_string_lossy());
         ["bin", "gtx"].contains(&extension.as_str()) && names.iter().any(|name| name.to_lowercase() == wanted)
     };
     folder.read_dir().ok()?.flatten().map(|entry| entry.path()).find(is_grid)

@@ -52,7 +52,12 @@ impl Drop for Gathering {
 /// Something has it; and a path without a name.
 pub fn check_destination(path: &Path) -> Result<()> {
     if path.file_name().is_none() {
-        return Err(Error::unusable(path, "no name for an archive", "give a new folder, or a name that ends in .tar.zst").into());
+        return Err(Error::unusable(
+            path,
+            "no name for an archive",
+            "give a new folder, or a name that ends in .tar.zst",
+        )
+        .into());
     }
     if path.symlink_metadata().is_ok() {
         let remedy = "choose another name: an archive is never replaced";
@@ -142,7 +147,8 @@ impl Recorder {
             self.pack(&files)?;
         } else {
             contents::write_folder(&self.gathering.0, &files)?;
-            fs::rename(&self.gathering.0, &self.path).map_err(Error::io(&self.path, "give the final name to"))?;
+            fs::rename(&self.gathering.0, &self.path)
+                .map_err(Error::io(&self.path, "give the final name to"))?;
         }
         Ok(seal)
     }

@@ -79,7 +79,8 @@ fn job(contents: &Contents, archive: &Archive, threads: Option<usize>) -> Result
         let simd: Simd = job.get("job")?.get("simd")?.clone().try_into().ok()?;
         Some(simd)
     });
-    let mut set: Vec<Override> = threads.map(|threads| Override::new(format!("job.threads={threads}"))).into_iter().collect();
+    let mut set: Vec<Override> =
+        threads.map(|threads| Override::new(format!("job.threads={threads}"))).into_iter().collect();
     let mut notes = Vec::new();
     if wanted.is_some_and(|simd| !simd.path().is_available()) {
         set.push(Override::new("job.simd='auto'"));
@@ -91,7 +92,10 @@ fn job(contents: &Contents, archive: &Archive, threads: Option<usize>) -> Result
     match Job::parse(RESOLVED, text, &set) {
         Ok(job) => Ok((job, notes)),
         Err(errors) => {
-            let problem = format!("the job of this archive is none that wavex {} knows:\n{errors}", env!("CARGO_PKG_VERSION"));
+            let problem = format!(
+                "the job of this archive is none that wavex {} knows:\n{errors}",
+                env!("CARGO_PKG_VERSION")
+            );
             Err(StageError::failed(problem.trim_end(), format!("use wavex {}", archive.program.words())))
         }
     }
@@ -100,7 +104,8 @@ fn job(contents: &Contents, archive: &Archive, threads: Option<usize>) -> Result
 /// A note where another program made the archive.
 fn other_program(archive: &Archive) -> Option<String> {
     let (then, now) = (&archive.program, Program::this());
-    (*then != now).then(|| format!("the archive was made by wavex {}, this is wavex {}", then.words(), now.words()))
+    (*then != now)
+        .then(|| format!("the archive was made by wavex {}, this is wavex {}", then.words(), now.words()))
 }
 
 /// What differs between the outputs of now, in `now`, and those of then, which may lie in `then`.
@@ -125,7 +130,8 @@ fn compare_file(file: &DigestedFile, now: &Path, then: &Path) -> Result<Option<S
         Some(stage) => format!("output {} of stage {stage}", file.path),
         None => format!("output {}", file.path),
     };
-    let is_same = |path: &Path| -> Result<bool> { Ok(digest::of_file(path)? == (file.bytes, file.blake3.clone())) };
+    let is_same =
+        |path: &Path| -> Result<bool> { Ok(digest::of_file(path)? == (file.bytes, file.blake3.clone())) };
     let difference = || first_difference(then, now);
     let is_reproduced = is_same(now)?;
     Ok(match (is_reproduced, then.is_file()) {

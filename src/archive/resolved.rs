@@ -59,7 +59,8 @@ impl Resolved {
             output_dir,
         };
         let job_table = roots.settings(settings, options, archive)?;
-        let stages: Result<Vec<Value>> = job.stages.iter().map(|stage| roots.stage(stage, &sources)).collect();
+        let stages: Result<Vec<Value>> =
+            job.stages.iter().map(|stage| roots.stage(stage, &sources)).collect();
         let text = toml::to_string_pretty(&without_null(json!({"job": job_table, "stage": stages?})))
             .map_err(|error| defect(&error))?;
         let text = format!(
@@ -68,7 +69,13 @@ impl Resolved {
             env!("CARGO_PKG_VERSION")
         );
         Job::parse(super::RESOLVED, &text, &[]).map_err(|errors| defect(&errors))?;
-        Ok(Resolved { text, input_root: roots.input_root, output_root: roots.output_root, inputs: files, outputs })
+        Ok(Resolved {
+            text,
+            input_root: roots.input_root,
+            output_root: roots.output_root,
+            inputs: files,
+            outputs,
+        })
     }
 }
 
@@ -157,7 +164,8 @@ impl Roots {
         if let Plan::Source(source) = &stage.planned.plan
             && let Some(paths) = source.paths()
         {
-            let files: Result<Vec<String>> = sources.iter().map(|input| self.input_file(&input.path)).collect();
+            let files: Result<Vec<String>> =
+                sources.iter().map(|input| self.input_file(&input.path)).collect();
             // A pattern would find other files another day.
             if let Some((_, value)) = table.iter_mut().find(|(_, value)| **value == json!(paths)) {
                 *value = match (paths, files?.as_slice()) {

@@ -71,7 +71,10 @@ fn problem(what: &str, folder: &Path, file: &DigestedFile, option: &str) -> Opti
     let path = folder.join(&file.path);
     if !path.exists() {
         let folder = folder.display();
-        return Some(format!("{what} {}: not found in {folder}; say with {option} where it is now", file.path));
+        return Some(format!(
+            "{what} {}: not found in {folder}; say with {option} where it is now",
+            file.path
+        ));
     }
     match digest::of_file(&path) {
         Err(error) => Some(format!("{what} {}: {error}", file.path)),
@@ -81,7 +84,10 @@ fn problem(what: &str, folder: &Path, file: &DigestedFile, option: &str) -> Opti
         }
         Ok((_, blake3)) if blake3 != file.blake3 => {
             let path = path.display();
-            Some(format!("{what} {}: changed: the digest of {path} is {blake3} instead of {}", file.path, file.blake3))
+            Some(format!(
+                "{what} {}: changed: the digest of {path} is {blake3} instead of {}",
+                file.path, file.blake3
+            ))
         }
         Ok(_) => None,
     }

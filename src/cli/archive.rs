@@ -9,7 +9,12 @@ use crate::archive::{self, Folders, Replay};
 use crate::engine::Cancel;
 
 /// Runs an archive again, and says what differs.
-pub(super) fn replay(args: ArchiveArgs, threads: Option<usize>, when: When, quiet: bool) -> Result<(), Failure> {
+pub(super) fn replay(
+    args: ArchiveArgs,
+    threads: Option<usize>,
+    when: When,
+    quiet: bool,
+) -> Result<(), Failure> {
     let cancel = Cancel::default();
     run::stop_on_signals(&cancel);
     let progress = when.mode(quiet, std::io::stderr().is_terminal());
@@ -25,11 +30,14 @@ pub(super) fn replay(args: ArchiveArgs, threads: Option<usize>, when: When, quie
 
 /// Compares digests, and says what differs.
 pub(super) fn verify(args: ArchiveArgs, quiet: bool) -> Result<(), Failure> {
-    let found = archive::verify(&args.archive, &folders(&args)).map_err(|error| Failure::Run(error.to_string()))?;
+    let found =
+        archive::verify(&args.archive, &folders(&args)).map_err(|error| Failure::Run(error.to_string()))?;
     failed(&args.archive, &found.problems)?;
     let [files, inputs, outputs] = found.counts;
     let archive = args.archive.display();
-    let said = format!("{archive}: {files} files of the archive, {inputs} inputs and {outputs} outputs are as they were\n");
+    let said = format!(
+        "{archive}: {files} files of the archive, {inputs} inputs and {outputs} outputs are as they were\n"
+    );
     if quiet { Ok(()) } else { print(&said) }
 }
 

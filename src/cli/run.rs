@@ -15,7 +15,12 @@ use crate::stage::{OutputFile, OutputLock, Outputs, StageError, fixed_folder, re
 const TRACE: &str = "trace.json";
 
 /// Reads the job and runs it; `archive` is the name of the archive to make of it.
-pub(super) fn run(args: &JobArgs, machine: Machine, archive: Option<&Path>, quiet: bool) -> Result<(), Failure> {
+pub(super) fn run(
+    args: &JobArgs,
+    machine: Machine,
+    archive: Option<&Path>,
+    quiet: bool,
+) -> Result<(), Failure> {
     let job = args.read(machine.overrides())?;
     if let Some(archive) = archive {
         check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
@@ -68,7 +73,8 @@ fn run_archived(
     let recorder = recorder.map_err(|error| logged(&error))?;
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
-    let mut report = engine::run(archived.as_ref().unwrap_or(job), &options).map_err(|error| logged(&error))?;
+    let mut report =
+        engine::run(archived.as_ref().unwrap_or(job), &options).map_err(|error| logged(&error))?;
     if let Some(recorder) = &recorder {
         recorder.strip(&mut report);
     }
@@ -101,7 +107,10 @@ fn lock(
     if let Some(archive) = archive {
         let folder = archive.parent().unwrap_or(Path::new(""));
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-        outputs.entry(folder.to_owned()).or_default().insert(folder.join(archive.file_name().unwrap_or_default()));
+        outputs
+            .entry(folder.to_owned())
+            .or_default()
+            .insert(folder.join(archive.file_name().unwrap_or_default()));
     }
     OutputLock::take(&outputs)
 }

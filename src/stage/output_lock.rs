@@ -52,7 +52,9 @@ impl OutputLock {
                 Ok(claim) => lock.0.push(claim),
                 Err(StageError::Format(Error::Io { source, .. })) if is_unsupported(&source) => {
                     let folder = folder.display();
-                    tracing::warn!("{folder}: locks are not known here: nothing keeps two runs from writing the same files");
+                    tracing::warn!(
+                        "{folder}: locks are not known here: nothing keeps two runs from writing the same files"
+                    );
                 }
                 Err(error) => return Err(error),
             }
@@ -163,7 +165,11 @@ impl Other {
         match meets {
             None => Ok(()),
             Some(output) => Err(StageError::failed(
-                format!("{} is being written by another run (process {})", folder.join(output).display(), self.process),
+                format!(
+                    "{} is being written by another run (process {})",
+                    folder.join(output).display(),
+                    self.process
+                ),
                 "wait for its end, or choose another folder with `output_dir`",
             )),
         }

@@ -55,8 +55,13 @@ fn compare_headers(a: &RawPoints, b: &RawPoints) -> Option<String> {
             key.clone_into(&mut name);
         }
         if then != now {
-            let value = |line: &str| line.split_once(": ").map_or(line.to_owned(), |(_, value)| value.to_owned());
-            return Some(format!("header, {}: {}", name.replace('_', " "), instead(&value(now), &value(then))));
+            let value =
+                |line: &str| line.split_once(": ").map_or(line.to_owned(), |(_, value)| value.to_owned());
+            return Some(format!(
+                "header, {}: {}",
+                name.replace('_', " "),
+                instead(&value(now), &value(then))
+            ));
         }
     }
     let mut records = a.vlrs().iter().zip(b.vlrs());

@@ -28,7 +28,8 @@ fn parquet(path: &Path) -> Result<Rows> {
     let file = File::open(path).map_err(Error::io(path, "open"))?;
     let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| unreadable(&error))?;
     let schema = Schema::clone(builder.schema());
-    let mut reader = builder.with_batch_size(MOST_ROWS_AT_ONCE).build().map_err(|error| unreadable(&error))?;
+    let mut reader =
+        builder.with_batch_size(MOST_ROWS_AT_ONCE).build().map_err(|error| unreadable(&error))?;
     let path = path.to_path_buf();
     let next = move || {
         let unreadable = |error: &dyn std::fmt::Display| Error::unusable(&path, error.to_string(), REMEDY);
@@ -75,7 +76,8 @@ fn compare(mut then: Rows, mut now: Rows) -> Result<Option<String>> {
     let (was, is) = (then.schema.clone(), now.schema.clone());
     if was.fields() != is.fields() {
         let names = |schema: &Schema| {
-            let columns = schema.fields().iter().map(|field| format!("{} {}", field.name(), field.data_type()));
+            let columns =
+                schema.fields().iter().map(|field| format!("{} {}", field.name(), field.data_type()));
             format!("the columns {}", columns.collect::<Vec<_>>().join(", "))
         };
         return Ok(Some(format!("it has {}", instead(&names(&is), &names(&was)))));
@@ -131,7 +133,10 @@ fn first_row(a: &dyn Array, b: &dyn Array) -> Option<usize> {
 /// A value in words: what Arrow prints of an array that holds nothing else.
 fn value(column: &dyn Array, row: usize) -> String {
     let text = format!("{:?}", column.slice(row, 1));
-    let inner = text.split_once('[').and_then(|(_, rest)| rest.rsplit_once(']')).map_or(text.as_str(), |(inner, _)| inner);
+    let inner = text
+        .split_once('[')
+        .and_then(|(_, rest)| rest.rsplit_once(']'))
+        .map_or(text.as_str(), |(inner, _)| inner);
     let words: Vec<&str> = inner.split_whitespace().collect();
     words.join(" ").trim_end_matches(',').to_owned()
 }

@@ -127,7 +127,10 @@ fn standard(format: u8) -> Vec<RawField> {
         field("intensity", 12, Unsigned(2)),
     ];
     let colours = |start: usize| {
-        ["red", "green", "blue"].iter().zip([0, 2, 4]).map(move |(name, at)| field(*name, start + at, Unsigned(2)))
+        ["red", "green", "blue"]
+            .iter()
+            .zip([0, 2, 4])
+            .map(move |(name, at)| field(*name, start + at, Unsigned(2)))
     };
     if format <= 5 {
         fields.extend([
