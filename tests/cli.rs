@@ -43,6 +43,8 @@ Usage: wavex [OPTIONS] <COMMAND>
 
 Commands:
   run           Run a job
+  replay        Run an archived job again, and say whether it gives the same outputs to the bit
+  verify        Say whether an archive, its inputs and its outputs are as they were, by their digests alone
   check         Say what is wrong with a job, or what it will do, without reading any data
   stages        List the stages, or explain one with all its keys
   schema        Print the JSON Schema of a job, for editors that check and complete TOML
@@ -79,6 +81,7 @@ fn the_help_of_run_explains_its_options() {
         "--set <STAGE.KEY=VALUE>",
         "--threads <N>",
         "--profile",
+        "--archive <ARCHIVE>",
         "--progress <WHEN>",
         "- auto:   A bar on a terminal, lines elsewhere",
     ] {
