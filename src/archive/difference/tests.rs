@@ -63,7 +63,8 @@ fn batch(shots: &[u32], ranges_m: &[Option<f64>], key: &str) -> RecordBatch {
     ];
     let batch =
         RecordBatch::try_from_iter_with_nullable(columns.map(|(name, column)| (name, column, true))).unwrap();
-    let schema = Schema::clone(&batch.schema()).with_metadata([("key".to_owned(), key.to_owned())].into());
+    let metadata = std::collections::HashMap::from([("key".to_owned(), key.to_owned())]);
+    let schema = Schema::clone(&batch.schema()).with_metadata(metadata);
     batch.with_schema(Arc::new(schema)).unwrap()
 }
 
@@ -123,7 +124,7 @@ fn tables_of_arrow_and_parquet_differ_in_a_row_and_a_column() {
 #[test]
 fn a_table_that_was_cut_off_is_compared_by_its_bytes() {
     let whole = batch(&[1, 2], &[Some(1.0), Some(2.0)], "a");
-    for (name, bytes) in [("a.arrow", arrow(&[whole.clone()])), ("a.parquet", parquet(&[whole]))] {
+    for (name, bytes) in [("a.arrow", arrow(std::slice::from_ref(&whole))), ("a.parquet", parquet(&[whole]))] {
         let cut = &bytes[..bytes.len() / 2];
         let found = between(name, cut, &bytes);
         assert!(found.starts_with(&format!("it goes on with byte {} (", cut.len())), "{found}");
