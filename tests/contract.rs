@@ -10,11 +10,14 @@ use std::sync::Arc;
 use common::{into, stage};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use wavex::batch::{Batch, Blocks, InputInfo, Kind};
 use wavex::engine::{self, InputReport};
 use wavex::job::{Job, JobStage};
 use wavex::registry::{self, STAGES};
-use wavex::stage::{Config, Context, Item, Paths, Result, RoleName, Site, Source, SourceConfig, StageSpec};
+use wavex::stage::{
+    Config, Context, Item, Paths, Plan, Result, RoleName, Site, Source, SourceConfig, StageSpec, choices,
+};
 
 /// Endings of the names of quantities, by which their unit can be told.
 const UNITS: [&str; 17] = [
@@ -52,6 +55,42 @@ fn every_quantity_carries_its_unit_in_its_name() {
             let has_unit =
                 UNITS.iter().any(|unit| key.name.ends_with(unit)) || PLAIN_NUMBERS.contains(&key.name);
             assert!(!holds_numbers || has_unit, "{}.{}: which unit?", spec.name, key.name);
+        }
+    }
+}
+
+/// Keys that take a text which names no file.
+const NAMES: [&str; 2] = ["stem", "gps_date"];
+
+/// Archives and locks know files by what a stage says of its keys.
+#[test]
+fn every_key_that_names_a_file_is_an_input_or_an_output() {
+    let takes_text = |schema: &serde_json::Value| {
+        let branches = schema["anyOf"].as_array();
+        let all = branches.map_or_else(|| vec![schema], |branches| branches.iter().collect());
+        let is_text = |schema: &&serde_json::Value| schema["type"] == "string" && choices(schema).is_none();
+        all.iter().any(is_text)
+    };
+    for spec in STAGES {
+        let keys = spec.keys();
+        let required = keys.iter().filter(|key| key.required);
+        let given: String = required.map(|key| format!("{} = '{}.csv'\n", key.name, key.name)).collect();
+        for key in keys.iter().filter(|key| takes_text(key.schema) && !NAMES.contains(&key.name)) {
+            let own = format!("{} = '{}.csv'\n", key.name, key.name);
+            let table = if key.required { given.clone() } else { format!("{given}{own}") };
+            let planned = stage(spec, &table).planned;
+            let is_path = match &planned.plan {
+                Plan::Source(source) => {
+                    source.paths().is_some_and(|paths| json!(paths) == planned.resolved[key.name])
+                }
+                _ => false,
+            };
+            let text = format!("{}.csv", key.name);
+            let is_known = is_path
+                || planned.inputs.contains(&text)
+                || planned.plan.outputs().contains(&text.as_str())
+                || planned.local_keys.contains(&key.name);
+            assert!(is_known, "{}.{}: tell it in `inputs`, `outputs` or `local_keys`", spec.name, key.name);
         }
     }
 }

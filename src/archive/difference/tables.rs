@@ -99,7 +99,7 @@ fn compare(mut then: Rows, mut now: Rows) -> Result<Option<String>> {
         row += rows;
     }
     let (was, is) = (was.metadata(), is.metadata());
-    let key = was.keys().chain(is.keys()).filter(|key| was.get(*key) != is.get(*key)).min();
+    let key = was.keys().chain(is.keys()).filter(|key| was.get(key) != is.get(key)).min();
     Ok(key.map(|key| format!("metadata, key {key}")))
 }
 

@@ -124,7 +124,8 @@ fn tables_of_arrow_and_parquet_differ_in_a_row_and_a_column() {
 #[test]
 fn a_table_that_was_cut_off_is_compared_by_its_bytes() {
     let whole = batch(&[1, 2], &[Some(1.0), Some(2.0)], "a");
-    for (name, bytes) in [("a.arrow", arrow(&[whole.clone()])), ("a.parquet", parquet(&[whole]))] {
+    for (name, bytes) in [("a.arrow", arrow(std::slice::from_ref(&whole))), ("a.parquet", parquet(&[whole]))]
+    {
         let cut = &bytes[..bytes.len() / 2];
         let found = between(name, cut, &bytes);
         assert!(found.starts_with(&format!("it goes on with byte {} (", cut.len())), "{found}");

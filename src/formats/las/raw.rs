@@ -130,7 +130,7 @@ fn standard(format: u8) -> Vec<RawField> {
         ["red", "green", "blue"]
             .iter()
             .zip([0, 2, 4])
-            .map(move |(name, at)| field(*name, start + at, Unsigned(2)))
+            .map(move |(name, at)| field(name, start + at, Unsigned(2)))
     };
     if format <= 5 {
         fields.extend([

@@ -238,6 +238,17 @@ fn an_index_stands_behind_compressed_points() {
 }
 
 #[test]
+fn waveforms_of_old_formats_are_compressed_as_laszip_reads_them() {
+    let old = WriterOptions { version: Version::V1_3, waveforms: WavePlace::Beside, ..options(&[CHANNEL]) };
+    let bytes = write("a.laz", &old, &cloud(10), &[1]);
+    let at = bytes.windows(14).position(|window| window == b"laszip encoded").unwrap() - 2 + 54 + 32;
+    let item = |number: usize| [0, 2, 4].map(|field| u16_at(&bytes, at + 2 + 6 * number + field));
+    assert_eq!(u16_at(&bytes, at), 4);
+    assert_eq!([0, 1, 2, 3].map(item), [[6, 20, 2], [7, 8, 2], [9, 29, 1], [0, 1, 2]]);
+    assert_eq!(records(&bytes).1.len(), 10 * 58);
+}
+
+#[test]
 fn whole_chunks_and_no_points_are_files_too() {
     for n in [0, 1, 50_000, 100_000] {
         let points = cloud(n);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use laz::{LazItemRecordBuilder, LazVlr, LazVlrBuilder};
+use laz::{LazItemType, LazVlr, LazVlrBuilder};
 
 use super::options::{WavePlace, WriterOptions};
 use super::{CHUNK, into_io};
@@ -15,13 +15,25 @@ use crate::formats::{Error, Result, geokeys};
 /// How LASzip is to compress the points.
 pub(super) fn laz_vlr(path: &Path, options: &WriterOptions) -> Result<LazVlr> {
     let extra = u16::try_from(options.extra_bytes()).map_err(|_| too_much(path, "the extra attributes"))?;
-    let builder = match options.point_format() {
-        // LASzip knows waveforms of the old formats in the first version of its items only.
-        4 => Ok(LazVlrBuilder::new(LazItemRecordBuilder::version_1_of::<laz::las::Point4>(extra))),
-        format => LazVlrBuilder::default().with_point_format(format, extra),
+    let builder = LazVlrBuilder::default().with_point_format(options.point_format(), extra);
+    let laz =
+        builder.and_then(|builder| as_laszip_has_it(builder.with_fixed_chunk_size(CHUNK as u32).build()));
+    laz.map_err(into_io).map_err(Error::io(path, "prepare the compression"))
+}
+
+/// LASzip knows the waveforms of the old formats as the first version of their item only, and the `laz` crate calls what it
+/// writes the second. The other items are of the second version: the crate's first one of extra bytes is not LASzip's.
+fn as_laszip_has_it(laz: LazVlr) -> laz::Result<LazVlr> {
+    let Some(waves) = laz.items().iter().position(|item| item.item_type() == LazItemType::WavePacket13)
+    else {
+        return Ok(laz);
     };
-    let builder = builder.map_err(into_io).map_err(Error::io(path, "prepare the compression"))?;
-    Ok(builder.with_fixed_chunk_size(CHUNK as u32).build())
+    let mut data = Vec::new();
+    laz.write_to(&mut data)?;
+    // The items stand at the end, 6 bytes each, of which the last two are the version.
+    let version_at = data.len() - 6 * (laz.items().len() - waves) + 4;
+    data[version_at..version_at + 2].copy_from_slice(&1u16.to_le_bytes());
+    LazVlr::from_buffer(&data)
 }
 
 /// The records before the points, and where in them something is to be noted later.
