@@ -35,6 +35,11 @@ path = "*.laz"
 type = "write_las"
 path = "*.las"
 [[stage]]
+type = "write_las"
+path = "*_waves.laz"
+wave_packets = "internal"
+index = "appended"
+[[stage]]
 type = "write_lstat"
 [[stage]]
 type = "write_table"
@@ -71,7 +76,7 @@ fn digests_with(threads: usize, channel_capacity: usize, set: &[&str]) -> BTreeM
 #[test]
 fn threads_queues_and_repetition_change_no_byte() {
     let first = digests(1, 1);
-    assert_eq!(first.len(), 8);
+    assert_eq!(first.len(), 9);
     for (threads, capacity) in [(1, 1), (2, 16), (3, 2), (8, 64)] {
         assert_eq!(digests(threads, capacity), first, "{threads} threads, {capacity} lines in a queue");
     }

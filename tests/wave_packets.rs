@@ -88,8 +88,9 @@ fn decomposing_again_gives_the_same_returns() {
     let folder = tempfile::tempdir().unwrap();
     let sinks = FILES.map(|(file, version, packets, _)| {
         format!(
-            "[[stage]]\ntype = \"write_las\"\nid = \"{file}\"\npath = \"{file}\"\nversion = \"{version}\"\n\
+            "[[stage]]\ntype = \"write_las\"\nid = \"{}\"\npath = \"{file}\"\nversion = \"{version}\"\n\
              wave_packets = \"{packets}\"\nindex = \"{}\"\n",
+            &file[..1],
             if file.ends_with('z') { "appended" } else { "none" }
         )
     });

@@ -81,13 +81,12 @@ impl Lax {
         let point = u32::try_from(self.n_points);
         self.n_points += 1;
         let Ok(point) = point else { return };
-        // A cast to an integer clamps.
-        let place = ((x / self.cell_length).floor() as i64, (y / self.cell_length).floor() as i64);
         match &mut self.run {
-            Some(run) if run.place == place => run.last = point,
+            Some(run) if run.place == place(x, y, self.cell_length) => run.last = point,
             _ => {
+                // This may change the length of cells.
                 self.end_run();
-                self.run = Some(Run { place, first: point, last: point });
+                self.run = Some(Run { place: place(x, y, self.cell_length), first: point, last: point });
             }
         }
     }
@@ -178,6 +177,11 @@ impl Lax {
             ((low.0.min(place.0), low.1.min(place.1)), (high.0.max(place.0), high.1.max(place.1)))
         })
     }
+}
+
+fn place(x: f64, y: f64, cell_length: f64) -> Place {
+    // A cast to an integer clamps.
+    ((x / cell_length).floor() as i64, (y / cell_length).floor() as i64)
 }
 
 impl Cell {
