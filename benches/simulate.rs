@@ -48,6 +48,7 @@ fn shots_per_second(keys: &str) -> f64 {
         output_dir: std::env::temp_dir(),
         threads: 1,
         simd: lockstep::Path::best(),
+        geometry: Default::default(),
     };
     let mut rates: Vec<f64> = (0..5)
         .map(|_| {

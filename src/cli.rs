@@ -7,6 +7,8 @@ use std::process::ExitCode;
 
 use clap::{ArgAction, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 
+use crate::formats::trajectory::Angles;
+use crate::geo::time_axis::Clock;
 use crate::job::{Job, JobErrors, Override, job_schema};
 use crate::registry::STAGES;
 
@@ -22,6 +24,7 @@ mod scan;
 mod stages;
 mod svg;
 mod terminal;
+mod trajectory;
 
 use terminal::print;
 
@@ -107,6 +110,10 @@ enum Command {
     /// Prints the job; every key says which option it comes from, and what has no key stands there as a comment.
     /// docs/import.md lists all options.
     Import(ImportArgs),
+    /// Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
+    ///
+    /// Prints a summary; writes, where asked to, a table of the columns t lon lat h x y z w p k, and a picture (SVG).
+    Trajectory(TrajectoryArgs),
     /// Print the completions of a shell
     Completions {
         /// The shell
@@ -213,6 +220,82 @@ impl Classic {
     }
 }
 
+/// Which trajectory, and what becomes of it.
+#[derive(Args)]
+struct TrajectoryArgs {
+    /// The trajectory; its content tells the format
+    file: PathBuf,
+    /// The coordinates x y z: utm (zone of the first place), utm:33N, EPSG:2154, geodetic, ecef or a file with WKT; of a TRJ
+    /// also its own map
+    #[arg(long, value_name = "CRS", default_value = "utm")]
+    crs: String,
+    /// Write one record of so many
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = every)]
+    every: usize,
+    /// The table to write
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// The picture to write
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// What the columns of a text are: t time, x longitude, y latitude, z height, w roll, p pitch, k heading, others skip
+    #[arg(long, value_name = "LETTERS")]
+    columns: Option<String>,
+    /// What times count [default: as the format says]
+    #[arg(long, value_name = "CLOCK")]
+    time: Option<ClockName>,
+    /// Unit of roll, pitch and heading in a text [default: deg]
+    #[arg(long, value_name = "UNIT")]
+    angles: Option<AnglesName>,
+    /// The file of accuracies: POQ or smrmsg [default: the POQ beside a POF]
+    #[arg(long, value_name = "FILE")]
+    accuracy: Option<PathBuf>,
+}
+
+/// What times count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ClockName {
+    /// Seconds of the week
+    Week,
+    /// Seconds of the day
+    Day,
+    /// Seconds since 1980-01-06 less 1e9
+    Adjusted,
+}
+
+impl From<ClockName> for Clock {
+    fn from(name: ClockName) -> Clock {
+        match name {
+            ClockName::Week => Clock::Week,
+            ClockName::Day => Clock::Day,
+            ClockName::Adjusted => Clock::Adjusted,
+        }
+    }
+}
+
+/// A unit of angles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum AnglesName {
+    /// Degrees
+    Deg,
+    /// Radians
+    Rad,
+}
+
+impl From<AnglesName> for Angles {
+    fn from(name: AnglesName) -> Angles {
+        match name {
+            AnglesName::Deg => Angles::Degrees,
+            AnglesName::Rad => Angles::Radians,
+        }
+    }
+}
+
+/// A count of at least 1.
+fn every(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|every| *every >= 1).ok_or_else(|| "give a whole number from 1 on".to_owned())
+}
+
 /// Which job, and what is different this time.
 #[derive(Args)]
 struct JobArgs {
@@ -311,6 +394,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),
         Command::Import(args) => import::run_import(&args, quiet),
+        Command::Trajectory(args) => trajectory::trajectory(&args, quiet),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "wavex", &mut script);

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
+use crate::geometry::Loader;
 use crate::job::Job;
 use crate::kernels::lockstep;
 use crate::stage::{Plan, Site, StageError};
@@ -85,6 +86,7 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
         return Err(RunError::of_job(StageError::failed("the job has no source", "begin it with a reader")));
     };
     let inputs = inputs::expand(source.paths(), source.stem(), &options.input_dir)?;
+    let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir).map_err(RunError::of_job)?;
     let site = |input: inputs::Input| Site {
         input: input.path,
         stem: input.stem,
@@ -92,12 +94,16 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
         output_dir: options.output_dir.clone(),
         threads: options.workers(),
         simd: options.simd,
+        geometry: Arc::default(),
     };
     let sites: Vec<Site> = inputs.into_iter().map(site).collect();
     inputs::keep_from_outputs(job, &sites)?;
     let mut report = RunReport::new(job, options);
     let mut progress = Progress::new(options.progress, sites.len());
-    for site in sites {
+    for mut site in sites {
+        let of_input =
+            |error| RunError { stage: None, input: Some(site.input.clone()), cause: Cause::Stage(error) };
+        site.geometry = Arc::new(geometry.load(&site.stem).map_err(of_input)?);
         let result = chain::run(job, &Arc::new(site), options, &mut progress)?;
         report.add(result);
     }

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 pub mod bytes;
 pub mod container;
+pub mod geoid;
 pub mod geokeys;
 pub mod las;
 pub mod lookup_tables;

@@ -8,6 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::Kind;
+use crate::geometry::GeometryKeys;
 use crate::kernels::lockstep;
 use crate::registry;
 use crate::stage::{InvalidKey, Keys, Planned, StageSpec};
@@ -85,6 +86,8 @@ pub struct JobSettings {
     pub report: String,
     /// The log of the run, in the folder of the outputs; empty: none.
     pub log: String,
+    /// Trajectory, mount and coordinates: the table `[job.geometry]`.
+    pub geometry: GeometryKeys,
 }
 
 impl Default for JobSettings {
@@ -98,6 +101,7 @@ impl Default for JobSettings {
             simd: Simd::Auto,
             report: "report.json".into(),
             log: "wavex.log".into(),
+            geometry: GeometryKeys::default(),
         }
     }
 }
@@ -110,7 +114,8 @@ impl JobSettings {
 
     /// What the types alone cannot say of the keys.
     fn check(&self) -> Result<(), InvalidKey> {
-        self.simd.check(lockstep::Path::is_available).map_err(|problem| InvalidKey::new("simd", problem))
+        self.simd.check(lockstep::Path::is_available).map_err(|problem| InvalidKey::new("simd", problem))?;
+        self.geometry.check()
     }
 }
 

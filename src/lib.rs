@@ -7,6 +7,7 @@ pub mod cli;
 pub mod engine;
 pub mod formats;
 pub mod geo;
+pub mod geometry;
 pub mod job;
 pub mod kernels;
 pub mod registry;

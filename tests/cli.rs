@@ -51,6 +51,7 @@ Commands:
   false-alarms  Print how many returns of noise alone each threshold lets through
   explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
   scan          Tell what a recording holds: times, rates, lines, channels, noise, integrity
+  trajectory    Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
   completions   Print the completions of a shell
   help          Print this message or the help of the given subcommand(s)
 
@@ -151,7 +152,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: its keys: threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, log
+  = help: its keys: threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, log, geometry
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);

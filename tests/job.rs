@@ -227,7 +227,7 @@ fn the_example_in_full() {
 #report = "report.json"
 # The log of the run, in the folder of the outputs; empty: none.
 #log = "wavex.log"
-# Not set: input_dir, output_dir
+# Not set: input_dir, output_dir, geometry
 
 # Reads waveforms from LAS files.
 [[stage]]

@@ -45,3 +45,15 @@ fn the_demo_finds_what_it_simulates() {
     files.sort();
     assert_eq!(files, ["demo.laz", "demo_lstat.txt", "demo_returns.parquet", "demo_truth.csv"]);
 }
+
+#[test]
+fn a_flight_is_made_and_georeferenced() {
+    let out = tempfile::tempdir().unwrap();
+    let set = ["simulate.lines=8", "simulate.shots_per_line=200"];
+    run_job("flight.toml", Path::new("."), out.path(), &set);
+    let report = run_job("georeference.toml", out.path(), &out.path().join("points"), &[]);
+    assert_eq!(report.totals["n_georef"], report.totals["np"]);
+    assert!(report.totals["np"] > 1500, "{} returns", report.totals["np"]);
+    assert_eq!(report.frame.as_deref(), Some("earth"));
+    assert!(out.path().join("points/flight.laz").exists());
+}

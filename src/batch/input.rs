@@ -33,9 +33,10 @@ pub struct InputInfo {
     pub recorded: Option<(u16, u16)>,
     /// The frame of origins and directions.
     pub frame: Frame,
-    /// The frame's coordinate reference system, as WKT, where the frame is a map.
+    /// The coordinate reference system, as WKT: of the frame, where that is a map; behind `georeference` of the points.
     pub crs_wkt: Option<String>,
-    /// Scale and offset with which the input stores coordinates, where it does: outputs take the same.
+    /// Scale and offset with which the input stores coordinates, where it does, or which those of `georeference` need:
+    /// outputs take the same offset, and the scale where it is one of degrees.
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
     /// How the moment of emission is known.
     pub emission_reference: EmissionReference,

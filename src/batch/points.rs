@@ -26,6 +26,9 @@ pub struct Return {
     pub range_m: f64,
     /// Standard deviation of `range_m`, m.
     pub range_sd_m: f64,
+    /// Standard deviation of the point's place: the square root of the trace of its covariance, m; NaN where unknown, as
+    /// before `georeference`.
+    pub total_sd_m: f64,
     /// Height of the fitted pulse's peak above the background, digitiser steps.
     pub amplitude_dn: f64,
     /// Standard deviation of `amplitude_dn`, digitiser steps.
@@ -57,6 +60,40 @@ pub struct Return {
     pub withheld: bool,
     /// LAS class: 0, or 20 for outliers.
     pub class: u8,
+}
+
+impl Default for Return {
+    /// A first and only return of the sensitive receiver, of which nothing is known.
+    fn default() -> Return {
+        Return {
+            emission: 0,
+            return_number: 1,
+            number_of_returns: 1,
+            channel: ReturnChannel::Low,
+            flags: 0,
+            mta_zone: 0,
+            time_of_flight_ns: f64::NAN,
+            time_of_flight_sd_ns: f64::NAN,
+            range_m: f64::NAN,
+            range_sd_m: f64::NAN,
+            total_sd_m: f64::NAN,
+            amplitude_dn: f64::NAN,
+            amplitude_sd_dn: f64::NAN,
+            peak_dn: f64::NAN,
+            peak_sd_dn: f64::NAN,
+            amplitude_db: f64::NAN,
+            width_ratio: 1.0,
+            width_ratio_sd: f64::NAN,
+            fwhm_ns: f64::NAN,
+            thickness_m: 0.0,
+            thickness_sd_m: f64::NAN,
+            deviation_ratio: 0.0,
+            intensity: f64::NAN,
+            intensity_sd: f64::NAN,
+            withheld: false,
+            class: 0,
+        }
+    }
 }
 
 /// The receiver that gave a return its intensity.

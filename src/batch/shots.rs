@@ -228,6 +228,20 @@ impl Blocks {
         self.by_emission().filter(|(_, blocks)| blocks.iter().any(|block| block.channel.is_echo())).count()
     }
 
+    /// Keeps what belongs to the emissions that have a place: where each stands now, by where it stood. The samples of
+    /// what goes stay in the arena until the line is dropped.
+    pub fn keep(&mut self, place: &[Option<u32>]) {
+        let keep = |emission: &mut u32| match place.get(*emission as usize).copied().flatten() {
+            Some(place) => {
+                *emission = place;
+                true
+            }
+            None => false,
+        };
+        self.list.retain_mut(|block| keep(&mut block.emission));
+        self.online.retain_mut(|online| keep(&mut online.emission));
+    }
+
     /// The memory taken, in bytes.
     pub fn bytes(&self) -> usize {
         self.list.capacity() * size_of::<Block>()
@@ -299,6 +313,21 @@ mod tests {
         assert_eq!(times(0), Vec::<f64>::new());
         assert_eq!(times(1), [5.0, 9.0]);
         assert_eq!(times(4), [7.0]);
+    }
+
+    #[test]
+    fn blocks_go_with_their_emissions() {
+        let mut blocks = Blocks::default();
+        (0..4).for_each(|emission| {
+            blocks.push(emission, Channel::LowPower, None, 0.0, 1.0, &[emission as u16])
+        });
+        let online = |emission| OnlineReturn { emission, time_ns: 0.0, amplitude: 1.0 };
+        blocks.online = vec![online(0), online(3)];
+        blocks.keep(&[None, Some(0), None, Some(1)]);
+        let left: Vec<(u32, &[u16])> =
+            blocks.iter().map(|block| (block.emission, blocks.samples(block))).collect();
+        assert_eq!(left, [(0, &[1][..]), (1, &[3])]);
+        assert_eq!(blocks.online, [online(1)]);
     }
 
     #[test]

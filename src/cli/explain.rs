@@ -2,14 +2,17 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, convert, run, terminal};
 use crate::batch::{Batch, Returns};
 use crate::formats::Error;
+use crate::geometry::Loader;
+use crate::geometry::posed::Posed;
 use crate::job::{Job, JobStage, Override};
-use crate::stage::{Context, OutputFile, Plan, Site, SourcePlan, TransformConfig};
+use crate::stage::{Context, OutputFile, Plan, Site, Source, SourcePlan, TransformConfig};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{Decompose, Line, SensorTables, Shot, ShotDecomposer};
 use seen::{Explained, Seen};
@@ -57,7 +60,7 @@ struct Chain {
     calibrate: Calibrate,
     decompose: Decompose,
     /// The reader of the recording.
-    source: std::sync::Arc<dyn SourcePlan>,
+    source: Arc<dyn SourcePlan>,
 }
 
 impl Chain {
@@ -91,12 +94,22 @@ impl Chain {
         let (input_dir, output_dir) = run::folders(&job, &folder);
         let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let simd = job.settings.simd.path();
-        let site = Site { input: args.file.clone(), stem, input_dir, output_dir, threads: 1, simd };
+        let geometry =
+            Loader::new(&job.settings.geometry, &input_dir).and_then(|mut files| files.load(&stem));
+        let geometry = Arc::new(geometry.map_err(|error| failed(&error))?);
+        let input = args.file.clone();
+        let site = Site { input, stem, input_dir, output_dir, threads: 1, simd, geometry };
         Ok(Chain { job, site, calibrate, decompose, source })
     }
 
     fn file(&self) -> &Path {
         &self.site.input
+    }
+
+    /// The reader's lines, whose shots have their poses.
+    fn posed(&self) -> Result<Box<dyn Source>, Failure> {
+        let source = self.source.make(&self.site).map_err(|error| failed(&error))?;
+        Ok(Box::new(Posed::new(source, Arc::clone(&self.site.geometry))))
     }
 
     /// The stages between reader and `decompose`, but for sinks.
@@ -119,7 +132,7 @@ impl Chain {
 
     /// The line that holds a shot, ready to be decomposed.
     fn line_of(&self, shot: u64) -> Result<Batch, Failure> {
-        let source = self.source.make(&self.site).map_err(|error| failed(&error))?;
+        let source = self.posed()?;
         let mut upstream = Upstream::new(source, self.steps()?, crate::engine::may_hold_bytes(&self.job));
         let mut seen = Numbers::default();
         let holds = |batch: &Batch| {
@@ -132,7 +145,7 @@ impl Chain {
 
     /// The shot nearest to a time.
     fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
-        let source = self.source.make(&self.site).map_err(|error| failed(&error))?;
+        let source = self.posed()?;
         let mut nearest: Option<(f64, u64)> = None;
         let mut look = |batch: &Batch| {
             for emission in &batch.emissions {

@@ -56,8 +56,15 @@ fn look(args: &ScanArgs) -> Result<(Survey, Context, Result<(), StageError>), Fa
     let here = || PathBuf::from(".");
     let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let simd = lockstep::Path::Portable;
-    let site =
-        Site { input: args.file.clone(), stem, input_dir: here(), output_dir: here(), threads: 1, simd };
+    let site = Site {
+        input: args.file.clone(),
+        stem,
+        input_dir: here(),
+        output_dir: here(),
+        threads: 1,
+        simd,
+        geometry: Default::default(),
+    };
     let with_samples = !args.fast;
     let mut source = source.make_survey(&site, with_samples).map_err(|error| failed(&error))?;
     let (mut survey, mut cx) = (Survey::new(with_samples), Context::default());

@@ -13,6 +13,7 @@ use super::report::{InputReport, StageReport, Totals};
 use super::worker::{Desk, Exit, Gauge, Shared, run_map, run_sink, run_source, run_transform};
 use super::{Cause, Options, Progress};
 use crate::batch::Budget;
+use crate::geometry::posed::Posed;
 use crate::job::{Job, JobStage};
 use crate::stage::{Context, Plan, Result, Site, StageError, WholeFile};
 
@@ -140,7 +141,10 @@ fn run_worker(
 
 fn work(stage: &JobStage, site: &Site, inlet: Option<Inlet>, desk: &mut Desk) -> Result<()> {
     match (&stage.planned.plan, inlet) {
-        (Plan::Source(plan), None) => run_source(plan.make(site)?, desk),
+        (Plan::Source(plan), None) => {
+            let posed = Posed::new(plan.make(site)?, Arc::clone(&site.geometry));
+            run_source(Box::new(posed), desk)
+        }
         (Plan::Map(plan), Some(mut inlet)) => run_map(plan.make(site)?, &mut inlet, desk),
         (Plan::Transform(plan), Some(mut inlet)) => run_transform(plan.make(site)?, &mut inlet, desk),
         (Plan::Sink(plan), Some(mut inlet)) => run_sink(plan.make(site)?, &mut inlet, desk),

@@ -21,6 +21,11 @@ pub fn epsg(directory: &[u8]) -> Option<u16> {
     (code > 1023 && code < USER_DEFINED).then_some(code)
 }
 
+/// Whether coordinates are geocentric (ECEF): the model type says so, or the system's code is that of WGS 84, geocentric.
+pub fn is_geocentric(directory: &[u8]) -> bool {
+    value(directory, MODEL_TYPE) == Some(3) || epsg(directory) == Some(4978)
+}
+
 /// Whether the tie points of a raster are the middles of its cells, instead of their corners.
 pub fn is_point_raster(directory: &[u8]) -> bool {
     value(directory, RASTER_TYPE) == Some(2)
@@ -61,6 +66,13 @@ mod tests {
             directory(&[[1024, 0, 1, 1], [1026, 34737, 18, 0], [3072, 0, 1, 32633], [3076, 0, 1, 9001]]);
         assert_eq!(epsg(&utm), Some(32633));
         assert!(wkt(&utm).unwrap().starts_with("PROJCS[\"WGS 84 / UTM zone 33N\""));
+    }
+
+    #[test]
+    fn a_geocentric_system_is_told_by_its_model_or_its_code() {
+        assert!(is_geocentric(&directory(&[[1024, 0, 1, 3], [2048, 0, 1, 4326]])));
+        assert!(is_geocentric(&directory(&[[1024, 0, 1, 2], [2048, 0, 1, 4978]])));
+        assert!(!is_geocentric(&directory(&[[1024, 0, 1, 1], [3072, 0, 1, 32633]])) && !is_geocentric(&[]));
     }
 
     #[test]

@@ -4,12 +4,15 @@
 //! of a few nanometers", J. Geod. 85:475-485. The error of the series is below 5 nm within 4000 km of the central
 //! meridian. Everything is made of `+ - * /`, square roots and the crate `libm`: the same bits on every machine.
 
+use super::conformal::{Normal, conformal_tangent, geographic_tangent};
 use super::ellipsoid::Ellipsoid;
 
 /// A transverse Mercator projection of an ellipsoid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransverseMercator {
     central_meridian_rad: f64,
+    /// Sine and cosine of the central meridian.
+    central_meridian: [f64; 2],
     false_easting_m: f64,
     false_northing_m: f64,
     /// The central meridian's scale times the rectifying radius, m.
@@ -58,6 +61,7 @@ impl TransverseMercator {
             * (1.0 + n2 * (1.0 / 4.0 + n2 * (1.0 / 64.0 + n2 * (1.0 / 256.0))));
         let mut projection = TransverseMercator {
             central_meridian_rad: parameters.central_meridian_rad,
+            central_meridian: libm::sincos(parameters.central_meridian_rad).into(),
             false_easting_m: parameters.false_easting_m,
             false_northing_m: parameters.false_northing_m,
             radius_m: parameters.scale * rectifying_m,
@@ -72,13 +76,33 @@ impl TransverseMercator {
         projection
     }
 
-    /// Easting and northing, m, of a latitude and a longitude, rad (Karney 2011, equations 7 to 11).
+    /// Whether coordinates lie where the series is exact, within 4000 km of the central meridian, and no farther than a
+    /// little over the poles.
+    pub fn reaches(&self, easting_m: f64, northing_m: f64) -> bool {
+        let from_equator_m = northing_m - self.false_northing_m + self.origin_m;
+        (easting_m - self.false_easting_m).abs() < 4e6 && from_equator_m.abs() < 1.2e7
+    }
+
+    /// Easting and northing, m, of a latitude and a longitude, rad.
     pub fn project(&self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
-        let conformal = self.conformal(libm::tan(latitude_rad));
-        let (sine, cosine) = libm::sincos(longitude_rad - self.central_meridian_rad);
+        self.project_normal(&Normal::new(latitude_rad, longitude_rad))
+    }
+
+    /// Easting and northing, m, of a place (Karney 2011, equations 7 to 11).
+    ///
+    /// The sines of the angles xi and eta are known before the angles are: the harmonics need no more.
+    pub fn project_normal(&self, normal: &Normal) -> (f64, f64) {
+        let conformal = conformal_tangent(self.eccentricity, normal.tangent());
+        let [sine, cosine] = normal.longitude_from(self.central_meridian);
+        let length = (conformal * conformal + cosine * cosine).sqrt();
+        let across = sine / length;
         let xi = libm::atan2(conformal, cosine);
-        let eta = libm::asinh(sine / (conformal * conformal + cosine * cosine).sqrt());
-        let (north, east) = harmonics(&self.forward, xi, eta);
+        let eta = libm::asinh(across);
+        let (north, east) = harmonics(
+            &self.forward,
+            [conformal / length, cosine / length],
+            [across, (1.0 + across * across).sqrt()],
+        );
         (
             self.false_easting_m + self.radius_m * (eta + east),
             self.false_northing_m - self.origin_m + self.radius_m * (xi + north),
@@ -90,32 +114,13 @@ impl TransverseMercator {
     pub fn unproject(&self, easting_m: f64, northing_m: f64) -> (f64, f64) {
         let xi = (northing_m - self.false_northing_m + self.origin_m) / self.radius_m;
         let eta = (easting_m - self.false_easting_m) / self.radius_m;
-        let (north, east) = harmonics(&self.inverse, xi, eta);
+        let (sinh, cosh) = (libm::sinh(eta), libm::cosh(eta));
+        let (north, east) = harmonics(&self.inverse, libm::sincos(xi).into(), [sinh, cosh]);
         let (sine, cosine) = libm::sincos(xi - north);
         let across = libm::sinh(eta - east);
         let conformal = sine / (across * across + cosine * cosine).sqrt();
         let longitude_rad = self.central_meridian_rad + libm::atan2(across, cosine);
-        (libm::atan(self.geographic(conformal)), longitude_rad)
-    }
-
-    /// The tangent of the conformal latitude from that of the geographic one.
-    fn conformal(&self, tangent: f64) -> f64 {
-        let secant = (1.0 + tangent * tangent).sqrt();
-        let e = self.eccentricity;
-        let sigma = libm::sinh(e * libm::atanh(e * tangent / secant));
-        tangent * (1.0 + sigma * sigma).sqrt() - sigma * secant
-    }
-
-    /// The inverse of [`TransverseMercator::conformal`] by Newton's method, which has converged after three steps.
-    fn geographic(&self, conformal: f64) -> f64 {
-        let e2 = self.eccentricity * self.eccentricity;
-        let mut tangent = conformal / (1.0 - e2);
-        for _ in 0..5 {
-            let found = self.conformal(tangent);
-            let secants = ((1.0 + found * found) * (1.0 + tangent * tangent)).sqrt();
-            tangent += (conformal - found) * (1.0 + (1.0 - e2) * tangent * tangent) / ((1.0 - e2) * secants);
-        }
-        tangent
+        (libm::atan(geographic_tangent(self.eccentricity, conformal)), longitude_rad)
     }
 }
 
@@ -148,16 +153,23 @@ fn series(n: f64, coefficients: &[&[f64]; 6]) -> [f64; 6] {
     })
 }
 
-/// The sums of `c_j sin(2j xi) cosh(2j eta)` and `c_j cos(2j xi) sinh(2j eta)`.
-fn harmonics(coefficients: &[f64; 6], xi: f64, eta: f64) -> (f64, f64) {
-    let (mut north, mut east) = (0.0, 0.0);
-    for (order, coefficient) in (1..).zip(coefficients) {
-        let twice = 2.0 * f64::from(order);
-        let (sine, cosine) = libm::sincos(twice * xi);
-        north += coefficient * sine * libm::cosh(twice * eta);
-        east += coefficient * cosine * libm::sinh(twice * eta);
+/// The sums of `c_j sin(2j xi) cosh(2j eta)` and `c_j cos(2j xi) sinh(2j eta)`: the parts of `c_j sin(2j (xi + i eta))`, by
+/// Clenshaw's recurrence in complex numbers. Given are the sine and cosine of `xi` and the hyperbolic ones of `eta`.
+fn harmonics(coefficients: &[f64; 6], [sin, cos]: [f64; 2], [sinh, cosh]: [f64; 2]) -> (f64, f64) {
+    let (sin_2, cos_2) = (2.0 * sin * cos, (cos - sin) * (cos + sin));
+    let (sinh_2, cosh_2) = (2.0 * sinh * cosh, 1.0 + 2.0 * sinh * sinh);
+    // Twice the cosine of the doubled angle.
+    let (real, imaginary) = (2.0 * cos_2 * cosh_2, -2.0 * sin_2 * sinh_2);
+    let (mut last, mut before) = ((0.0, 0.0), (0.0, 0.0));
+    for coefficient in coefficients.iter().rev() {
+        let next = (
+            coefficient + real * last.0 - imaginary * last.1 - before.0,
+            real * last.1 + imaginary * last.0 - before.1,
+        );
+        (last, before) = (next, last);
     }
-    (north, east)
+    let (sine_real, sine_imaginary) = (sin_2 * cosh_2, cos_2 * sinh_2);
+    (last.0 * sine_real - last.1 * sine_imaginary, last.0 * sine_imaginary + last.1 * sine_real)
 }
 
 #[cfg(test)]

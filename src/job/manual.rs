@@ -5,6 +5,7 @@ use std::fmt::Write;
 use serde_json::Value;
 
 use super::JobSettings;
+use crate::geometry::GeometryKeys;
 use crate::stage::{Key, Keys, RoleName, StageSpec, listed};
 
 /// The manual of these stages in Markdown: `docs/stages.md`.
@@ -19,6 +20,8 @@ pub fn manual(stages: &[&'static StageSpec]) -> String {
     page += JobSettings::keys().doc();
     page += "\n\n";
     page += &key_table(&JobSettings::keys());
+    let geometry = GeometryKeys::keys();
+    let _ = write!(page, "\n## `[job.geometry]`\n\n{}\n\n{}", geometry.doc(), key_table(&geometry));
     for spec in stages {
         let keys = spec.keys();
         let _ = write!(

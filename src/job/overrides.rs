@@ -89,15 +89,28 @@ fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<Change<'
 
 /// A key with a value that is no TOML and does not look as if it were meant to be: text without quotation marks.
 fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(Key<'t>, Spanned<DeValue<'t>>)> {
-    let name = key.trim();
+    let path = key.trim();
     let plain = |character: char| character.is_ascii_alphanumeric() || matches!(character, '_' | '-');
-    if name.is_empty() || !name.chars().all(plain) || written.starts_with(['"', '\'', '[', '{']) {
+    let is_name = |name: &str| !name.is_empty() && name.chars().all(plain);
+    if !path.split('.').all(is_name) || written.starts_with(['"', '\'', '[', '{']) {
         return None;
     }
-    let (key_end, value_end) = (key.trim_end().len(), padded.trim_end().len());
-    let key = Spanned::new(key_end - name.len()..key_end, Cow::Borrowed(name));
+    let value_end = padded.trim_end().len();
     let value = DeValue::String(Cow::Borrowed(written));
-    Some((key, Spanned::new(value_end - written.len()..value_end, value)))
+    let value = Spanned::new(value_end - written.len()..value_end, value);
+    let mut at = key.trim_end().len() - path.len();
+    let spanned = path.split('.').map(|name| {
+        let start = at;
+        at += name.len() + 1;
+        Spanned::new(start..start + name.len(), Cow::Borrowed(name))
+    });
+    let mut names: Vec<Key> = spanned.collect();
+    // A path means tables, one in the other.
+    let inner = names.split_off(1);
+    let value = inner.into_iter().rfold(value, |value, name| {
+        Spanned::new(name.span().start..value_end, DeValue::Table(DeTable::from_iter([(name, value)])))
+    });
+    names.pop().map(|name| (name, value))
 }
 
 /// Sets the values; what cannot be set is told.

@@ -88,8 +88,9 @@ struct Places {
 
 impl Places {
     fn of(table: &Spanned<DeTable>) -> Places {
-        let entries = table.get_ref().iter().map(|(key, value)| (key.get_ref().to_string(), value.span()));
-        Places { header: table.span(), entries: entries.collect() }
+        let mut entries = Vec::new();
+        collect_entries("", table.get_ref(), &mut entries);
+        Places { header: table.span(), entries }
     }
 
     /// A value that the schema lets pass and the stage's own type does not.
@@ -122,6 +123,17 @@ impl Places {
             "the job does not give `{key}`, and its default{} does not fit here",
             default.unwrap_or_default()
         ))
+    }
+}
+
+/// Where each entry of a table stands, those of tables in it first and with the path that leads to them.
+fn collect_entries(path: &str, table: &DeTable, entries: &mut Vec<(String, Range<usize>)>) {
+    for (key, value) in table {
+        let name = format!("{path}{}", key.get_ref());
+        if let DeValue::Table(inner) = value.get_ref() {
+            collect_entries(&format!("{name}."), inner, entries);
+        }
+        entries.push((name, value.span()));
     }
 }
 

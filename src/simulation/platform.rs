@@ -6,10 +6,10 @@ use super::scene::{Area, Beam};
 use super::world::{GROUND_HEIGHT_M, START_M};
 use crate::geo::frames::{Attitude, IDENTITY, Rotation, rotate, rotation_of_angles, then};
 
-/// An aircraft that flies straight on at constant speed and height, and the scanner in it.
+/// An aircraft that flies straight on, or in a circle, at constant speed and height, and the scanner in it.
 ///
-/// Its places are those of the scene: x to the right of the track, y along it, z up. Its body (forward, right, down)
-/// stands level and looks along the track but for its motion.
+/// Its places are those of the scene: x to the right of the track's beginning, y along it, z up. Its body (forward, right,
+/// down) stands level and looks along the track but for its motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Platform {
     speed_mps: f64,
@@ -17,6 +17,8 @@ pub struct Platform {
     motion: Motion,
     lever_arm_m: [f64; 3],
     body_from_scanner: Rotation,
+    /// Of the circle, m, positive to the right; 0: straight on.
+    turn_radius_m: f64,
     /// Level, with the scanner at its centre: the beams are those of the scanner.
     is_steady: bool,
 }
@@ -49,7 +51,21 @@ impl Platform {
         let is_steady =
             [motion.angles_rad, lever_arm_m, boresight_rad].as_flattened().iter().all(|&v| v == 0.0);
         let body_from_scanner = if is_steady { IDENTITY } else { rotation_of_angles(boresight_rad) };
-        Platform { speed_mps, flying_height_m, motion, lever_arm_m, body_from_scanner, is_steady }
+        let turn_radius_m = 0.0;
+        Platform {
+            speed_mps,
+            flying_height_m,
+            motion,
+            lever_arm_m,
+            body_from_scanner,
+            turn_radius_m,
+            is_steady,
+        }
+    }
+
+    /// The same on a circle of this radius, m: positive to the right, 0: straight on.
+    pub fn turning(self, turn_radius_m: f64) -> Platform {
+        Platform { turn_radius_m, is_steady: self.is_steady && turn_radius_m == 0.0, ..self }
     }
 
     /// Speed along the track, m/s.
@@ -60,14 +76,30 @@ impl Platform {
     /// The body's centre, m in the scene.
     pub fn position_m(&self, since_start_s: f64) -> [f64; 3] {
         let [x, y] = START_M;
-        [x, y + self.speed_mps * since_start_s, GROUND_HEIGHT_M + self.flying_height_m]
+        let height_m = GROUND_HEIGHT_M + self.flying_height_m;
+        if self.turn_radius_m == 0.0 {
+            return [x, y + self.speed_mps * since_start_s, height_m];
+        }
+        let (sine, cosine) = libm::sincos(self.turned_rad(since_start_s));
+        [x + self.turn_radius_m * (1.0 - cosine), y + self.turn_radius_m * sine, height_m]
     }
 
-    /// How the body is turned against the track: its heading counts from there.
+    /// Velocity along the track's beginning, to its right, and down, m/s.
+    pub fn velocity_mps(&self, since_start_s: f64) -> [f64; 3] {
+        let (sine, cosine) = libm::sincos(self.turned_rad(since_start_s));
+        [self.speed_mps * cosine, self.speed_mps * sine, 0.0]
+    }
+
+    /// How far the track has turned to the right since its beginning, rad.
+    fn turned_rad(&self, since_start_s: f64) -> f64 {
+        if self.turn_radius_m == 0.0 { 0.0 } else { self.speed_mps * since_start_s / self.turn_radius_m }
+    }
+
+    /// How the body is turned against the track's beginning: its heading counts from there.
     pub fn attitude(&self, since_start_s: f64) -> Attitude {
         let [roll_rad, pitch_rad, heading_rad] =
             core::array::from_fn(|axis| self.motion.angle(axis, since_start_s));
-        Attitude { roll_rad, pitch_rad, heading_rad }
+        Attitude { roll_rad, pitch_rad, heading_rad: heading_rad + self.turned_rad(since_start_s) }
     }
 
     /// A beam that leaves the scanner in this direction, in the scene.
@@ -124,6 +156,19 @@ mod tests {
         let swath = steady.swath([-0.5, 0.5], 10.0);
         assert_eq!(swath.y, [5_300_000.0, 5_300_600.0]);
         assert!((swath.x[1] - 320_000.0 - 600.0 * 0.5f64.tan()).abs() < 1e-9);
+    }
+
+    /// A quarter of a circle to the right ends a radius ahead and to the right, and looks there.
+    #[test]
+    fn a_circle_leads_around() {
+        let quarter_s = core::f64::consts::FRAC_PI_2 * 900.0 / 60.0;
+        let circling = platform([0.0; 3], [0.0; 3], [0.0; 3]).turning(900.0);
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+        assert!(near(circling.position_m(quarter_s), [320_900.0, 5_300_900.0, 1000.0]));
+        assert!(near(circling.velocity_mps(quarter_s), [0.0, 60.0, 0.0]));
+        assert!(near(circling.beam(quarter_s, [0.6, 0.0, 0.8]).direction, [0.6, 0.0, -0.8]));
+        let left = platform([0.0; 3], [0.0; 3], [0.0; 3]).turning(-900.0);
+        assert!(near(left.position_m(quarter_s), [319_100.0, 5_300_900.0, 1000.0]));
     }
 
     #[test]

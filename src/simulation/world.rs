@@ -9,13 +9,16 @@
 //!   geodetic place, turned by the heading about the vertical there. Everything else follows by closed formulas: the
 //!   trajectory is the body's place in geodetic coordinates and its attitude against the horizon of that place; a
 //!   point's map coordinates are those of the transverse Mercator projection, and its height is the ellipsoidal one.
+//!   The start can be put to any other place, and the map's zone is that of the start.
 //!   Level ground is the plane that touches the ellipsoid's horizon at the start: it rises with the square of the
 //!   distance, by 78 mm in 1 km.
 
 use super::platform::Platform;
 use crate::geo::ellipsoid::Geodetic;
 use crate::geo::ellipsoid::WGS84;
-use crate::geo::frames::{Attitude, LocalFrame, Rotation, ecef_from_ned, inverse, rotation_of_angles, then};
+use crate::geo::frames::{
+    Attitude, LocalFrame, Rotation, ecef_from_ned, inverse, rotate, rotation_of_angles, then,
+};
 use crate::geo::transverse_mercator::{Parameters, TransverseMercator};
 
 /// The aircraft's first position, m: easting and northing in UTM zone 33 north, 180 km west of its meridian, where the
@@ -63,6 +66,18 @@ impl World {
     pub fn new(heading_rad: f64) -> World {
         let map = TransverseMercator::new(WGS84, Parameters::utm(33, true));
         let (latitude_rad, longitude_rad) = map.unproject(START_M[0], START_M[1]);
+        World::with(map, [longitude_rad, latitude_rad], heading_rad)
+    }
+
+    /// The same with its start at a longitude and a latitude, rad, and the map of the UTM zone there.
+    pub fn starting_at(start_rad: [f64; 2], heading_rad: f64) -> World {
+        let [longitude_rad, latitude_rad] = start_rad;
+        let zone = (longitude_rad.to_degrees() / 6.0).floor() + 31.0;
+        let parameters = Parameters::utm(zone.clamp(1.0, 60.0) as u8, latitude_rad >= 0.0);
+        World::with(TransverseMercator::new(WGS84, parameters), start_rad, heading_rad)
+    }
+
+    fn with(map: TransverseMercator, [longitude_rad, latitude_rad]: [f64; 2], heading_rad: f64) -> World {
         let origin = Geodetic { latitude_rad, longitude_rad, height_m: 0.0 };
         let (sine, cosine) = libm::sincos(heading_rad);
         World { heading_rad, turn: [sine, cosine], frame: LocalFrame::at(WGS84, origin), map }
@@ -109,7 +124,7 @@ impl World {
         Pose {
             place,
             attitude: Attitude::of(&then(&track_from_body, &here_from_track)),
-            velocity_mps: inverse(&here_from_track)[0].map(|part| part * platform.speed_mps()),
+            velocity_mps: rotate(&here_from_track, platform.velocity_mps(since_start_s)),
         }
     }
 
@@ -123,7 +138,6 @@ impl World {
 mod tests {
     use super::super::platform::Motion;
     use super::*;
-    use crate::geo::frames::rotate;
 
     fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
         a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
@@ -180,11 +194,19 @@ mod tests {
     }
 
     #[test]
+    fn a_start_has_the_map_of_its_zone() {
+        let south = World::starting_at([151.2f64.to_radians(), (-33.9f64).to_radians()], 1.0);
+        // Zone 56 south, as in the tests of the projection.
+        let start = south.on_earth([START_M[0], START_M[1], 12.0]);
+        assert!(distance_m(start, [333_568.941_011_554, 6_247_473.336_844_018, 12.0]) < 5e-9, "{start:?}");
+    }
+
+    #[test]
     fn the_velocity_is_the_change_of_place() {
         let world = World::new(0.6);
-        let platform = Platform::new(60.0, 1000.0, Motion::default(), [0.0; 3], [0.0; 3]);
-        let [before, now, after] = [9.5, 10.0, 10.5].map(|time_s| world.pose(&platform, time_s));
-        let moved = LocalFrame::at(WGS84, before.place).local_of(after.place);
+        let platform = Platform::new(60.0, 1000.0, Motion::default(), [0.0; 3], [0.0; 3]).turning(1000.0);
+        let [before, now, after] = [9.99, 10.0, 10.01].map(|time_s| world.pose(&platform, time_s));
+        let moved = LocalFrame::at(WGS84, before.place).local_of(after.place).map(|moved| 50.0 * moved);
         let [north, east, down] = now.velocity_mps;
         assert!(distance_m(moved, [east, north, -down]) < 1e-3, "{moved:?}");
         assert!((north.hypot(east) - 60.0).abs() < 1e-3);

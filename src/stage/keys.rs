@@ -46,21 +46,34 @@ impl Keys {
 
     /// The keys in the order of their fields.
     pub fn iter(&self) -> impl Iterator<Item = Key<'_>> {
-        let properties = self.schema.get("properties").and_then(Value::as_object);
-        properties.into_iter().flatten().map(|(name, schema)| Key {
-            name,
-            schema,
-            required: required(&self.schema).any(|key| key == name),
-        })
+        keys_in(&self.schema)
     }
 
-    /// The key of this name.
+    /// The key of this name; `table.key` means a key of a table among them.
     pub fn get(&self, name: &str) -> Option<Key<'_>> {
-        self.iter().find(|key| key.name == name)
+        let mut path = name.split('.');
+        let first = path.next()?;
+        let key = self.iter().find(|key| key.name == first)?;
+        path.try_fold(key, |key, name| key.inner().find(|inner| inner.name == name))
     }
 }
 
+/// The keys of a table that a schema describes.
+fn keys_in(table: &Value) -> impl Iterator<Item = Key<'_>> {
+    let properties = table.get("properties").and_then(Value::as_object);
+    properties.into_iter().flatten().map(|(name, schema)| Key {
+        name,
+        schema,
+        required: required(table).any(|key| key == name),
+    })
+}
+
 impl<'k> Key<'k> {
+    /// The keys of the table that it takes; none where it takes something else.
+    pub fn inner(&self) -> impl Iterator<Item = Key<'k>> + use<'k> {
+        keys_in(self.schema)
+    }
+
     /// What it does: its doc comment.
     pub fn meaning(&self) -> &'k str {
         text(self.schema, "description")
@@ -141,7 +154,7 @@ fn tidy(schema: &mut Schema) {
     }
     if let Some(default) = schema.get_mut("default") {
         without_null(default);
-        if default.is_null() {
+        if default.is_null() || default.as_object().is_some_and(serde_json::Map::is_empty) {
             take(schema, "default");
         }
     }
@@ -222,6 +235,27 @@ mod tests {
         assert_eq!(keys.get("mode").unwrap().meaning(), "How.");
         assert_eq!(keys.get("window_ns").unwrap().schema["type"], json!("number"));
         assert!(!keys.schema().to_string().contains("null"), "{}", keys.schema());
+    }
+
+    #[test]
+    fn a_key_of_a_table_is_found_by_its_path() {
+        /// A stage with a table.
+        #[derive(Serialize, Deserialize, JsonSchema)]
+        struct Outer {
+            /// The table.
+            #[serde(default)]
+            inner: Inner,
+        }
+        /// A table.
+        #[derive(Serialize, Deserialize, JsonSchema, Default)]
+        struct Inner {
+            /// How long.
+            length_m: Option<f64>,
+        }
+        let keys = Keys::of(Outer::json_schema);
+        assert_eq!(keys.get("inner.length_m").unwrap().meaning(), "How long.");
+        assert_eq!(keys.get("inner").unwrap().default(), None, "an empty table is none");
+        assert_eq!((keys.get("inner.width_m"), keys.get("length_m")), (None, None));
     }
 
     #[test]

@@ -1,11 +1,13 @@
 //! Where a run takes place: which input, which folders, how many threads.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{OutputFile, Result};
+use crate::geometry::Geometry;
 use crate::kernels::lockstep;
 
 /// What a stage knows of the run that it is made for.
@@ -23,6 +25,8 @@ pub struct Site {
     pub threads: usize,
     /// The instructions that kernels are to use.
     pub simd: lockstep::Path,
+    /// Trajectory, mount and coordinates: the table `[job.geometry]`.
+    pub geometry: Arc<Geometry>,
 }
 
 impl Site {
@@ -75,6 +79,7 @@ mod tests {
             output_dir: "out".into(),
             threads: 1,
             simd: lockstep::Path::Portable,
+            geometry: Arc::default(),
         };
         assert_eq!(site.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));
         assert_eq!(site.output_path("/abs/all.laz"), Path::new("/abs/all.laz"));

@@ -1,54 +1,162 @@
 //! Returns to points.
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Content, Emission, Frame, Kind, Return};
-use crate::stage::{Config, Context, Map, MapConfig, Result, Site, StageError, StageSpec};
+use crate::batch::{Batch, Content, Emission, Frame, InputInfo, Kind, Return};
+use crate::geo::frames::Vector;
+use crate::geometry::Geometry;
+use crate::geometry::calibration::is_on_low_power_scale;
+use crate::geometry::target::Target;
+use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
+
+mod above_ground;
+mod uncertainty;
+
+use above_ground::Level;
+use uncertainty::Uncertainty;
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec =
     StageSpec::map::<Georeference>("georeference", &[Kind::Returns], Some(Kind::Points));
 
-/// Gives every return its coordinates: origin of the beam + direction × range.
+/// Gives every return its coordinates.
 ///
-/// Input whose beams are already in a map frame (LAS, PulseWaves, `simulate`) comes out in that frame, and its coordinate
-/// reference system goes into the outputs. The ranges of a map projection are stretched along each beam as the input's
-/// own geometry is. Input in the scanner's frame comes out in that frame, and the report says so.
+/// **With a trajectory** (`[job.geometry]`) beams are known in the earth's own frame by now. A point is the origin of its
+/// beam + direction × range, in the coordinates that `crs`, `geoid` and `unit` of `[job.geometry]` say: UTM in the zone of
+/// the first shot and metres above the ellipsoid where they say nothing. Ranges are corrected by `e0`, `e1` and `e7` of the
+/// calibration before. `docs/georeferencing.md` has the formulas. Where the trajectory tells its accuracy
+/// (`trajectory_accuracy`), each point has its total standard deviation.
+///
+/// **In a map already** (LAS, PulseWaves, `simulate` without a trajectory): points come out in that map, and ranges are
+/// stretched along each beam as the input's own geometry is.
+///
+/// **Otherwise** points stay in the frame of the aircraft or the scanner, and the report says so.
+///
+/// The coordinate reference system goes into the outputs. `AGL` of the line statistics is the height of the sensor above the
+/// line's own ground: the median, over the last returns of its shots that are not withheld, of the height of the beam's
+/// origin over that of the point, both above the ellipsoid or in the map.
 ///
 /// Counts `n_georef`.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Georeference {}
+pub struct Georeference {
+    /// Without a trajectory: moves points along the first axis (forward, with the `mount` that the scanner has) by this speed
+    /// times the time since the first shot, so that lines lie side by side and one can look at them.
+    #[schemars(range(min = -1000.0, max = 1000.0))]
+    pub dummy_velocity_mps: f64,
+}
 
-impl Config for Georeference {}
-
-impl MapConfig for Georeference {
-    fn make(&self, _site: &Site) -> Result<Box<dyn Map>> {
-        Ok(Box::new(Georeferencer))
+impl Config for Georeference {
+    fn check(&self) -> std::result::Result<(), InvalidKey> {
+        let fits = self.dummy_velocity_mps.abs() <= 1000.0;
+        InvalidKey::unless(fits, "dummy_velocity_mps", "must lie between -1000 and 1000")
     }
 }
 
-struct Georeferencer;
+impl MapConfig for Georeference {
+    fn make(&self, site: &Site) -> Result<Box<dyn Map>> {
+        Ok(Box::new(Georeferencer {
+            geometry: Arc::clone(&site.geometry),
+            dummy_velocity_mps: self.dummy_velocity_mps,
+            input: None,
+        }))
+    }
+}
+
+struct Georeferencer {
+    geometry: Arc<Geometry>,
+    dummy_velocity_mps: f64,
+    /// What the lines that come in say of their recording, and what those say that leave.
+    input: Option<[Arc<InputInfo>; 2]>,
+}
 
 impl Map for Georeferencer {
     fn map(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
-        if batch.input.frame != Frame::Map {
-            cx.note("the input is not georeferenced: its points are in the frame of the scanner");
-        }
-        let Content::Returns(returns) = batch.content else {
+        let Content::Returns(mut returns) = batch.content else {
             return Err(StageError::failed("georeference was given no returns", "put decompose before it"));
         };
-        let points: Vec<[f64; 3]> =
+        let frame = batch.input.frame;
+        if frame != Frame::Map {
+            self.correct_ranges(&mut returns, batch.fusion.is_some());
+        }
+        let mut points: Vec<Vector> =
             returns.iter().map(|r| position(&batch.emissions[r.emission as usize], r)).collect();
+        batch.stats.agl_m = Level::of(frame, &batch.emissions)
+            .and_then(|level| level.agl_m(&batch.emissions, &returns, &points));
+        match frame {
+            Frame::Map => self.geometry.keep_map(batch.input.crs_wkt.as_deref())?,
+            Frame::Earth => {
+                Uncertainty::new(&self.geometry).tell(&batch.emissions, &points, &mut returns);
+                self.project(&mut batch.input, &mut points)?;
+            }
+            Frame::Scanner | Frame::Body => {
+                self.geometry.keep_frame()?;
+                cx.note(match frame {
+                    Frame::Body => {
+                        "the input is not georeferenced: its points are in the frame of the aircraft"
+                    }
+                    _ => "the input is not georeferenced: its points are in the frame of the scanner",
+                });
+                self.spread(&batch.emissions, &returns, &mut points);
+            }
+        }
         batch.stats.n_georef = points.len() as u64;
         batch.content = Content::Points(returns, points);
         Ok(batch)
     }
 }
 
+impl Georeferencer {
+    /// Ranges as the calibration has them.
+    fn correct_ranges(&self, returns: &mut [Return], fused: bool) {
+        let calibration = self.geometry.installation().calibration();
+        for r in returns {
+            r.range_m = calibration.range_m(r.range_m, is_on_low_power_scale(r.channel, fused));
+        }
+    }
+
+    /// Points of the earth's frame in the coordinates that are wanted.
+    fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector]) -> Result<()> {
+        // Without a first shot there are no points.
+        let Some(target) = self.geometry.target()? else { return Ok(()) };
+        for point in points {
+            *point = target.coordinates(*point)?;
+        }
+        *input = self.info(input, &target);
+        Ok(())
+    }
+
+    /// What is known of the recording, with the coordinates of its points.
+    fn info(&mut self, input: &Arc<InputInfo>, target: &Target) -> Arc<InputInfo> {
+        if let Some([from, to]) = &self.input
+            && Arc::ptr_eq(from, input)
+        {
+            return Arc::clone(to);
+        }
+        let coordinate_grid = target.grid();
+        let crs_wkt = Some(target.wkt().to_owned());
+        let to = Arc::new(InputInfo { crs_wkt, coordinate_grid, ..InputInfo::clone(input) });
+        self.input = Some([Arc::clone(input), Arc::clone(&to)]);
+        to
+    }
+
+    /// Points of one place in the aircraft, as if it had flown straight on.
+    fn spread(&self, emissions: &[Emission], returns: &[Return], points: &mut [Vector]) {
+        if self.dummy_velocity_mps == 0.0 {
+            return;
+        }
+        for (point, r) in points.iter_mut().zip(returns) {
+            let since_s = self.geometry.since_first_s(&emissions[r.emission as usize]);
+            point[0] += self.dummy_velocity_mps * since_s;
+        }
+    }
+}
+
 /// Where a return lies, m, in the frame of its emission.
-fn position(emission: &Emission, r: &Return) -> [f64; 3] {
+fn position(emission: &Emission, r: &Return) -> Vector {
     let reach_m = r.range_m * emission.frame_scale;
     std::array::from_fn(|axis| emission.origin_m[axis] + emission.direction[axis] * reach_m)
 }

@@ -110,13 +110,15 @@ const UNITS_TO_TARGET: f64 = 1000.0;
 
 /// No scanner flies that high: such a third coordinate is no height, and the frame is geocentric.
 const NO_HEIGHT_M: f64 = 50_000.0;
+/// Where the earth's surface and those who fly over it are, m from its centre.
+const EARTH_M: std::ops::Range<f64> = 6.35e6..6.41e6;
 
 impl PulseWavesSource {
     fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<PulseWavesSource> {
         let mut reader = Reader::open(path)?;
-        let beams = look_at_beams(&mut reader)?;
+        let (beams, around_earth) = look_at_beams(&mut reader)?;
         let single = returning_channels(&reader).len() < 2;
-        let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &beams) };
+        let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &beams, around_earth) };
         let input = Arc::new(input);
         let first_t = reader.header().min_t;
         Ok(PulseWavesSource {
@@ -224,19 +226,22 @@ fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
     reader.descriptors().get(&pulse.descriptor).map_or(1.0, |descriptor| descriptor.sample_units_ns)
 }
 
-fn look_at_beams(reader: &mut Reader) -> Result<BeamLength> {
+/// How long beams are, and whether all of them begin as far from the origin as the earth's surface is from its centre.
+fn look_at_beams(reader: &mut Reader) -> Result<(BeamLength, bool)> {
     let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
     let mut beams = Vec::new();
-    let mut projected = true;
+    let (mut projected, mut around_earth) = (true, reader.pulse_count() > 0);
     let mut index = 0;
     while index < reader.pulse_count() {
         let pulse = reader.pulse(index)?;
         let unit_ns = unit_ns(reader, &pulse);
         projected &= pulse.anchor[2].abs() < NO_HEIGHT_M;
+        let distance_m = pulse.anchor.iter().map(|x| x * x).sum::<f64>().sqrt();
+        around_earth &= EARTH_M.contains(&distance_m);
         beams.push(pulse.step.map(|metres| metres / unit_ns));
         index += stride;
     }
-    Ok(BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET, projected))
+    Ok((BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET, projected), around_earth))
 }
 
 fn returning_channels(reader: &Reader) -> BTreeSet<u8> {
@@ -254,7 +259,7 @@ fn gps_time_s(reader: &Reader, pulse: &Pulse) -> f64 {
     }
 }
 
-fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> InputInfo {
+fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around_earth: bool) -> InputInfo {
     let header = reader.header();
     let scanner = reader.scanners().values().next();
     let text = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
@@ -266,6 +271,12 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> Inp
             (true, true) => EmissionReference::OutgoingPulse,
             (true, false) => EmissionReference::OutgoingPulseFraction,
         };
+    let (keys, wkt) = (reader.crs().geo_keys.as_deref(), &reader.crs().wkt);
+    // RIEGL's own export names WGS 84 and gives geocentric coordinates.
+    let is_geocentric = around_earth
+        || keys.is_some_and(geokeys::is_geocentric)
+        || wkt.as_ref().is_some_and(|wkt| wkt.trim_start().starts_with("GEOCCS"));
+    let wkt = || wkt.clone().or_else(|| geokeys::wkt(keys?));
     let bits = samplings().map(|sampling| sampling.bits_per_sample).max();
     InputInfo {
         path: path.to_path_buf(),
@@ -285,8 +296,8 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength) -> Inp
         },
         gps_week: None,
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
-        frame: Frame::Map,
-        crs_wkt: reader.crs().wkt.clone().or_else(|| geokeys::wkt(reader.crs().geo_keys.as_deref()?)),
+        frame: if is_geocentric { Frame::Earth } else { Frame::Map },
+        crs_wkt: wkt().filter(|_| !is_geocentric),
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference,
         amplitude_low: amplitude_table(reader, 1),

@@ -1,6 +1,7 @@
 //! Which pulse caused each echo, where several are in the air.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::calibrate::Auto;
 use crate::batch::{Batch, Kind};
 use crate::formats::terrain::Terrain;
+use crate::geometry::Geometry;
 use crate::kernels::mta::{Method, MtaError, Prior, Settings};
 use crate::stage::{
     Config, InvalidKey, Output, Result, Site, StageError, StageSpec, Transform, TransformConfig,
@@ -75,7 +77,8 @@ pub struct ResolveMta {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub agl_sd_m: Option<f64>,
     /// A terrain model as a prior: GeoTIFF or ESRI ASCII grid, in the map and with the heights of the recording's own
-    /// geometry. A coarse one will do. Shots that do not meet it have no prior.
+    /// geometry; with a trajectory, in the map that it names itself, else in that of the points. A coarse one will do. Shots
+    /// that do not meet it have no prior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub terrain: Option<PathBuf>,
     /// How far, as a standard deviation, ranges depart from the terrain model's.
@@ -195,13 +198,16 @@ impl TransformConfig for ResolveMta {
             Some(path) => Some(Terrain::open(&site.input_path(path))?),
             None => None,
         };
-        Ok(Box::new(Resolving { config: self.clone(), terrain, strip: None }))
+        let placed = Arc::clone(&site.geometry);
+        Ok(Box::new(Resolving { config: self.clone(), terrain, placed, strip: None }))
     }
 }
 
 struct Resolving {
     config: ResolveMta,
     terrain: Option<Terrain>,
+    /// Where the shots are on the earth.
+    placed: Arc<Geometry>,
     /// The lines at hand, while there are any whose zones are unknown.
     strip: Option<Strip>,
 }
@@ -218,7 +224,9 @@ impl Transform for Resolving {
             Some(strip) => strip,
             // A line without shots waits only where others do.
             None if !is_unresolved => return out.emit(batch),
-            None => self.strip.insert(Strip::new(&self.config, &batch, self.terrain.as_ref(), out)?),
+            None => {
+                self.strip.insert(Strip::new(&self.config, &batch, self.terrain.as_ref(), &self.placed, out)?)
+            }
         };
         strip.push(batch, self.terrain.as_ref(), out)
     }

@@ -45,13 +45,15 @@ pub struct WriteLas {
     pub extra_attributes: bool,
     /// Of these, write the standard deviations, too.
     pub uncertainty: bool,
-    /// Step of the coordinates, in units of the coordinate reference system.
-    pub coordinate_step: f64,
+    /// Step of the coordinates, in units of the coordinate reference system; when not given, 0.001, or that of the input or
+    /// of `georeference` where it is below 0.00001, as degrees need it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coordinate_step: Option<f64>,
 }
 
 impl Default for WriteLas {
     fn default() -> WriteLas {
-        WriteLas { path: "*.laz".into(), extra_attributes: true, uncertainty: true, coordinate_step: 0.001 }
+        WriteLas { path: "*.laz".into(), extra_attributes: true, uncertainty: true, coordinate_step: None }
     }
 }
 
@@ -64,7 +66,7 @@ impl Config for WriteLas {
             "the file's name must end in .las or .laz",
         )?;
         InvalidKey::unless(
-            (1e-9..=1.0).contains(&self.coordinate_step),
+            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
             "coordinate_step",
             "it must lie between 1e-9 and 1",
         )
@@ -102,6 +104,14 @@ impl WriteLas {
         if self.extra_attributes { ATTRIBUTES.iter().filter(wanted).copied().collect() } else { Vec::new() }
     }
 
+    /// The step of each coordinate.
+    fn steps(&self, input: &InputInfo) -> [f64; 3] {
+        let usual = input.coordinate_grid.map_or([USUAL_STEP; 3], |(steps, _)| {
+            steps.map(|step| if step < DEGREES_STEP { step } else { USUAL_STEP })
+        });
+        self.coordinate_step.map_or(usual, |step| [step; 3])
+    }
+
     /// Writes what stands before the points. The offset of the coordinates is the input's own, else the first point's,
     /// rounded.
     fn begin(
@@ -119,7 +129,7 @@ impl WriteLas {
         let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
         let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
         let options = WriterOptions {
-            scale: [self.coordinate_step; 3],
+            scale: self.steps(input),
             offset: offset.unwrap_or_else(|| first.unwrap_or_default().map(near)),
             wkt: input.crs_wkt.as_deref(),
             extra_attributes: attributes,
@@ -135,6 +145,11 @@ impl WriteLas {
         Ok(Writer::new(file, &path, &options)?)
     }
 }
+
+/// The step of coordinates in metres and feet.
+const USUAL_STEP: f64 = 0.001;
+/// A step below this is one of degrees, of which a millionth is a decimetre.
+const DEGREES_STEP: f64 = 1e-5;
 
 struct LasSink {
     config: WriteLas,
@@ -182,13 +197,13 @@ impl Sink for LasSink {
         let (Some(returns), Some(points)) = (batch.returns(), batch.points()) else {
             return Ok(());
         };
-        if batch.input.crs_wkt.is_none() {
-            cx.note("the input names no coordinate reference system by WKT or EPSG code: the file has none");
-        }
         // The first point decides about the offset of the coordinates, so that a file begins with it.
         self.input.get_or_insert_with(|| Arc::clone(&batch.input));
         if points.is_empty() {
             return Ok(());
+        }
+        if batch.input.crs_wkt.is_none() {
+            cx.note("the input names no coordinate reference system by WKT or EPSG code: the file has none");
         }
         let mut extra = std::mem::take(&mut self.extra);
         let attributes = self.attributes.clone();

@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use wavex::batch::{Batch, Content, Return, ReturnChannel};
+use wavex::batch::{Batch, Content, Return};
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::registry;
@@ -129,6 +129,7 @@ fn site() -> Site {
         output_dir: PathBuf::new(),
         threads: 1,
         simd: wavex::kernels::lockstep::Path::best(),
+        geometry: Default::default(),
     }
 }
 
@@ -163,28 +164,10 @@ pub fn found(emission: u32, return_number: u8, number_of_returns: u8, range_m: f
         emission,
         return_number,
         number_of_returns,
-        channel: ReturnChannel::Low,
-        flags: 0,
-        mta_zone: 0,
-        time_of_flight_ns: range_m / 0.15,
-        time_of_flight_sd_ns: 0.02,
         range_m,
         range_sd_m: 0.003,
         amplitude_dn: 50.0,
-        amplitude_sd_dn: 1.0,
-        peak_dn: 52.0,
-        peak_sd_dn: 1.0,
-        amplitude_db: f64::NAN,
-        width_ratio: 1.0,
-        width_ratio_sd: 0.02,
-        fwhm_ns: 4.5,
-        thickness_m: 0.0,
-        thickness_sd_m: 0.02,
-        deviation_ratio: 0.0,
-        intensity: 50.0,
-        intensity_sd: 1.0,
-        withheld: false,
-        class: 0,
+        ..Return::default()
     }
 }
 

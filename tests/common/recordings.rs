@@ -96,6 +96,7 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
         output_dir: PathBuf::new(),
         threads: 1,
         simd: wavex::kernels::lockstep::Path::best(),
+        geometry: Default::default(),
     };
     let mut source = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
     let mut cx = Context::default();

@@ -7,6 +7,7 @@ use wavex::job::{Job, JobErrors, Override};
 mod stages;
 
 mod chain;
+mod geometry;
 mod keys;
 mod nested_keys;
 mod never_panics;

@@ -106,8 +106,8 @@ fn a_terrain_model_needs_the_place_of_the_shots() {
     let place = Place::with(&[("a.arrow", &in_scanner_frame().recording), ("dtm.asc", grid.as_bytes())]);
     let outcome = place.read("read_arrow", "a.arrow", &chain("terrain = 'dtm.asc'"));
     let message = "stage resolve_mta: ./a.arrow: a terrain model needs shots whose place in the map is known, and those of \
-                   this recording are in the scanner's own frame, without a trajectory; give `agl_m` instead of `terrain`, \
-                   or a recording in map coordinates";
+                   this recording are in the scanner's own frame, without a trajectory; give the `trajectory` in \
+                   `[job.geometry]`, or `agl_m` instead of `terrain`";
     place.left_nothing(outcome, message);
 }
 

@@ -1,7 +1,14 @@
-//! POF, RIEGL's file of positions and orientations, version 1.1.
+//! POF, RIEGL's file of positions and orientations, versions 1.0 and 1.1; written as 1.1.
 //!
 //! The layout is gathered from public readers; no file of RIEGL's own could be had to check it. Little-endian and
-//! packed: a header of [`HEADER_BYTES`], then records of [`RECORD_BYTES`].
+//! packed: a header of [`HEADER_BYTES`], then records of [`RECORD_BYTES`]; those of version 1.0 lack the distance.
+
+use super::super::bytes::Fields;
+use super::axis::Stated;
+use super::input::Input;
+use super::{Raw, Records, Result, check, sample_of_degrees};
+use crate::geo::frames::Attitude;
+use crate::geo::time_axis::Clock;
 
 /// What a POF file begins with.
 pub const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION\0";
@@ -91,6 +98,103 @@ impl PofRecord {
             place.copy_from_slice(&field.to_le_bytes());
         }
         bytes
+    }
+}
+
+/// Bytes of the header up to the texts, which are not needed: no record begins before.
+const NEEDED_BYTES: u32 = 123;
+/// Bytes of a record of version 1.0.
+const RECORD_BYTES_1_0: usize = 56;
+
+/// A header, its version, and where the records begin.
+fn decode_header(mut fields: Fields) -> Result<(PofHeader, [u16; 2], u32)> {
+    fields.skip(MAGIC.len(), "magic")?;
+    let version = [fields.u16("major version")?, fields.u16("minor version")?];
+    if version[0] != 1 {
+        let problem = format!("version {}.{} is not known", version[0], version[1]);
+        return Err(fields.bad("version", problem, "export the trajectory as POF 1.1 or as SBET"));
+    }
+    let begin = fields.clone();
+    let data_offset = fields.u32("data offset")?;
+    if data_offset < NEEDED_BYTES {
+        let problem = format!("records at byte {data_offset} would lie in the header");
+        return Err(begin.bad("data offset", problem, "the file is damaged: export it again"));
+    }
+    let mut header = PofHeader {
+        date: [fields.u16("year")?, fields.u16("month")?, fields.u16("day")?],
+        records: fields.i64("records")?,
+        ..PofHeader::default()
+    };
+    let mut pair = |field: &str| Ok([fields.f64(field)?, fields.f64(field)?]);
+    header.longitude_deg = pair("longitude range")?;
+    header.latitude_deg = pair("latitude range")?;
+    header.altitude_m = pair("altitude range")?;
+    for statistic in &mut header.time_step_s {
+        *statistic = fields.f64("time step")?;
+    }
+    header.time_unit = fields.u8("time unit")?;
+    header.time_info = fields.u8("time info")?;
+    Ok((header, version, data_offset))
+}
+
+/// Reads header and records.
+pub(super) fn read(input: &mut Input) -> Result<Raw> {
+    let path = input.path.clone();
+    let header = input.header(HEADER_BYTES)?;
+    let (header, version, data_offset) = decode_header(Fields::new(&path, 0, &header))?;
+    let mut notes = Vec::new();
+    let stated = stated(&header, &mut notes);
+    let size = if version[1] == 0 { RECORD_BYTES_1_0 } else { RECORD_BYTES };
+    input.go_to(data_offset.into())?;
+    let count = counted(&header, input, size, &mut notes);
+    let mut samples = Vec::new();
+    input.each(size, count, |number, mut fields| {
+        let offset = fields.offset();
+        let time_s = fields.f64("time")?;
+        let place = [fields.f64("longitude")?, fields.f64("latitude")?, fields.f64("altitude")?];
+        let mut angle = |field: &str| Ok(fields.f64(field)?.to_radians());
+        let attitude =
+            Attitude { roll_rad: angle("roll")?, pitch_rad: angle("pitch")?, heading_rad: angle("yaw")? };
+        let sample = sample_of_degrees(time_s, place, attitude);
+        check(&path, offset, number, &sample)?;
+        samples.push(sample);
+        Ok(())
+    })?;
+    let format = format!("POF {}.{}", version[0], version[1]);
+    Ok(Raw { format, stated, records: Records::Geodetic(samples), notes })
+}
+
+/// What the header says of times.
+fn stated(header: &PofHeader, notes: &mut Vec<String>) -> Stated {
+    let clock = match header.time_unit {
+        1 => Some(Clock::Day),
+        2 => Some(Clock::Week),
+        _ => None,
+    };
+    if header.time_info > 1 {
+        notes.push("the header does not say whether times are GPS or UTC: they are taken as GPS".to_owned());
+    }
+    Stated { clock, is_utc: header.time_info == 1, date: Some(header.date) }
+}
+
+/// How many records are read: as many as the header says, or all, where it says none.
+fn counted(header: &PofHeader, input: &Input, size: usize, notes: &mut Vec<String>) -> Option<u64> {
+    let bytes = input.length.saturating_sub(input.offset);
+    match u64::try_from(header.records) {
+        Ok(count) if count > 0 => {
+            let more = (bytes / size as u64).saturating_sub(count);
+            if more > 0 {
+                notes.push(format!("{more} records behind the {count} that the header counts are not read"));
+            }
+            Some(count)
+        }
+        _ => {
+            notes.push(format!(
+                "the header counts {} records: all are read to the end of the file",
+                header.records
+            ));
+            None
+        }
     }
 }
 

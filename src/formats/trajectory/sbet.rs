@@ -2,6 +2,13 @@
 //!
 //! Applanix, "POSPac MMS User Guide", appendix on output file formats: little-endian, no header.
 
+use super::axis::Stated;
+use super::input::Input;
+use super::{HIGHEST_M, Raw, Records, Result, check, wrapped_rad};
+use crate::geo::ellipsoid::Geodetic;
+use crate::geo::frames::Attitude;
+use crate::geo::trajectory::Sample;
+
 /// Bytes of a record.
 pub const RECORD_BYTES: usize = 136;
 
@@ -67,6 +74,23 @@ impl SbetRecord {
         bytes
     }
 
+    /// What every trajectory has: the heading counts from north.
+    fn sample(&self) -> Sample {
+        Sample {
+            time_s: self.time_s,
+            place: Geodetic {
+                latitude_rad: self.latitude_rad,
+                longitude_rad: wrapped_rad(self.longitude_rad),
+                height_m: self.height_m,
+            },
+            attitude: Attitude {
+                roll_rad: self.roll_rad,
+                pitch_rad: self.pitch_rad,
+                heading_rad: wrapped_rad(self.platform_heading_rad - self.wander_angle_rad),
+            },
+        }
+    }
+
     /// The record of these bytes.
     pub fn decode(bytes: &[u8; RECORD_BYTES]) -> SbetRecord {
         let mut fields = [0.0; 17];
@@ -92,6 +116,44 @@ impl SbetRecord {
             angular_rate_rad_per_s: [wx, wy, wz],
         }
     }
+}
+
+/// Whether a file that begins so may be an SBET: its first record is one of a real flight.
+pub(super) fn is_one(head: &[u8]) -> bool {
+    use core::f64::consts::{FRAC_PI_2, TAU};
+    let Some(record) = head.first_chunk().map(SbetRecord::decode) else { return false };
+    // Texts, and other bytes at random, make numbers that are next to nothing.
+    let is_within = |value: f64, most: f64| value == 0.0 || (1e-30..=most).contains(&value.abs());
+    let angles = [record.longitude_rad, record.roll_rad, record.pitch_rad];
+    let headings = [record.platform_heading_rad, record.wander_angle_rad];
+    let rest = [record.velocity_mps, record.acceleration_mps2, record.angular_rate_rad_per_s];
+    let is_somewhere = record.time_s != 0.0 || record.latitude_rad != 0.0 || record.longitude_rad != 0.0;
+    is_somewhere
+        && is_within(record.time_s, 1e10)
+        && is_within(record.latitude_rad, FRAC_PI_2)
+        && is_within(record.height_m, HIGHEST_M)
+        && angles.into_iter().all(|angle| is_within(angle, TAU))
+        && headings.into_iter().all(|angle| is_within(angle, 4.0 * TAU))
+        && rest.as_flattened().iter().all(|value| value.is_finite())
+}
+
+/// Reads all records.
+pub(super) fn read(input: &mut Input) -> Result<Raw> {
+    let path = input.path.clone();
+    let mut samples = Vec::new();
+    input.each(RECORD_BYTES, None, |number, mut fields| {
+        let offset = fields.offset();
+        let sample = SbetRecord::decode(&fields.array("record")?).sample();
+        check(&path, offset, number, &sample)?;
+        samples.push(sample);
+        Ok(())
+    })?;
+    Ok(Raw {
+        format: "SBET".to_owned(),
+        stated: Stated::default(),
+        records: Records::Geodetic(samples),
+        notes: Vec::new(),
+    })
 }
 
 #[cfg(test)]

@@ -14,12 +14,7 @@ fn emission(direction: [f64; 3]) -> Emission {
 
 fn found(channel: ReturnChannel, time_of_flight_ns: f64, amplitude_dn: f64) -> Return {
     Return {
-        emission: 0,
-        return_number: 1,
-        number_of_returns: 1,
         channel,
-        flags: 0,
-        mta_zone: 0,
         time_of_flight_ns,
         time_of_flight_sd_ns: 0.03,
         range_m: HALF_SPEED * time_of_flight_ns,
@@ -28,17 +23,13 @@ fn found(channel: ReturnChannel, time_of_flight_ns: f64, amplitude_dn: f64) -> R
         amplitude_sd_dn: 0.5,
         peak_dn: amplitude_dn + 2.0,
         peak_sd_dn: 0.5,
-        amplitude_db: f64::NAN,
         width_ratio: 1.1,
         width_ratio_sd: 0.02,
         fwhm_ns: 4.4,
-        thickness_m: 0.0,
         thickness_sd_m: 0.0,
-        deviation_ratio: 0.0,
         intensity: amplitude_dn,
         intensity_sd: 0.5,
-        withheld: false,
-        class: 0,
+        ..Return::default()
     }
 }
 
@@ -78,6 +69,7 @@ fn run(keys: &Correct, lines: Vec<Batch>) -> (Vec<Batch>, Vec<String>) {
         output_dir: PathBuf::new(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::Portable,
+        geometry: Arc::default(),
     };
     let mut stage = keys.make(&site).unwrap();
     let (mut cx, mut given_on) = (Context::default(), Vec::new());

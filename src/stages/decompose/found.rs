@@ -66,6 +66,7 @@ impl Found {
             time_of_flight_sd_ns,
             range_m: half_speed_m_per_ns * time_of_flight_ns,
             range_sd_m: half_speed_m_per_ns * time_of_flight_sd_ns,
+            total_sd_m: f64::NAN,
             amplitude_dn: fitted.amplitude_dn,
             amplitude_sd_dn: fitted.amplitude_sd_dn,
             peak_dn,

@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use super::*;
-use crate::batch::{Blocks, Content, Emission, Frame, InputInfo, Return, ReturnChannel};
+use crate::batch::{Blocks, Content, Emission, Frame, InputInfo, Return};
 use crate::geo::ellipsoid::{Geodetic, WGS84};
 use crate::stage::{Context, Item};
 
@@ -9,33 +9,7 @@ const SHOTS: u32 = 60;
 const HEIGHT_M: f64 = 500.0;
 
 fn found(emission: u32, range_m: f64) -> Return {
-    Return {
-        emission,
-        return_number: 1,
-        number_of_returns: 1,
-        channel: ReturnChannel::Low,
-        flags: 0,
-        mta_zone: 0,
-        time_of_flight_ns: range_m / 0.15,
-        time_of_flight_sd_ns: 0.02,
-        range_m,
-        range_sd_m: 0.003,
-        amplitude_dn: 50.0,
-        amplitude_sd_dn: 1.0,
-        peak_dn: 52.0,
-        peak_sd_dn: 1.0,
-        amplitude_db: f64::NAN,
-        width_ratio: 1.0,
-        width_ratio_sd: 0.02,
-        fwhm_ns: 4.5,
-        thickness_m: 0.0,
-        thickness_sd_m: 0.02,
-        deviation_ratio: 0.0,
-        intensity: 50.0,
-        intensity_sd: 1.0,
-        withheld: false,
-        class: 0,
-    }
+    Return { emission, range_m, range_sd_m: 0.003, amplitude_dn: 50.0, ..Return::default() }
 }
 
 /// Where the frame's axes (east, north, up) lie, and its origin.

@@ -1,13 +1,19 @@
 //! What the geometry of a recording says of its shots: their place across the line, and how far the ground should be.
 
+use std::sync::Arc;
+
 use crate::batch::{Batch, Emission, Frame};
 use crate::formats::terrain::Terrain;
 use crate::geo::vertical::{down_at, main_axis};
+use crate::geometry::Geometry as Placed;
+use crate::geometry::target::Target;
 use crate::kernels::mta;
 use crate::stage::{Result, StageError};
 
 /// Beams nearer to each other than this have no direction between them, m per m.
 const LEAST_SWEEP: f64 = 1e-6;
+/// A beam of the earth's frame is taken to be as straight in the map as it is up to here, m.
+const REACH_M: f64 = 1000.0;
 
 /// How a recording's beams lie.
 #[derive(Clone, Debug)]
@@ -16,6 +22,8 @@ pub(super) struct Geometry {
     range_m: [f64; 2],
     /// Straight down, as far as the frame tells.
     down: [f64; 3],
+    /// Where the terrain model is, if beams are in the earth's frame.
+    map: Option<Arc<Target>>,
     /// Across the line: from the first shot of a line to its last; `None` before a line had two.
     across: Option<[f64; 3]>,
 }
@@ -24,16 +32,25 @@ impl Geometry {
     /// The geometry of the recording that a line is of.
     ///
     /// In the scanner's own frame down is the axis nearest to the mean direction of the line.
-    pub fn of(batch: &Batch, range_m: [f64; 2], terrain: Option<&Terrain>) -> Result<Geometry> {
+    pub fn of(
+        batch: &Batch,
+        range_m: [f64; 2],
+        terrain: Option<&Terrain>,
+        placed: &Placed,
+    ) -> Result<Geometry> {
         let frame = batch.input.frame;
-        if terrain.is_some() && frame != Frame::Map {
+        let map = match terrain {
+            Some(terrain) if frame == Frame::Earth => placed.map_of(terrain.epsg())?,
+            _ => None,
+        };
+        if terrain.is_some() && frame != Frame::Map && map.is_none() {
             let frame = if frame == Frame::Scanner { "scanner's" } else { "aircraft's" };
             return Err(StageError::failed(
                 format!(
                     "a terrain model needs shots whose place in the map is known, and those of this recording are in the \
                      {frame} own frame, without a trajectory"
                 ),
-                "give `agl_m` instead of `terrain`, or a recording in map coordinates",
+                "give the `trajectory` in `[job.geometry]`, or `agl_m` instead of `terrain`",
             ));
         }
         let down = match (frame, batch.emissions.first()) {
@@ -44,7 +61,7 @@ impl Geometry {
             Frame::Body => [0.0, 0.0, 1.0],
             _ => main_axis(batch.emissions.iter().map(|emission| emission.direction)),
         });
-        Ok(Geometry { frame, range_m, down, across: None })
+        Ok(Geometry { frame, range_m, down, map, across: None })
     }
 
     /// Learns the direction across the line.
@@ -66,11 +83,8 @@ impl Geometry {
     pub fn emission(&self, emission: &Emission, terrain: Option<&Terrain>) -> mta::Emission {
         let cos_nadir = dot(emission.direction, self.down);
         let expected_m = terrain.map_or(f64::NAN, |terrain| {
-            terrain.range_m(
-                emission.origin_m,
-                emission.direction.map(|d| d * emission.frame_scale),
-                self.range_m,
-            )
+            let (origin_m, beam) = self.in_map(emission);
+            terrain.range_m(origin_m, beam, self.range_m)
         });
         mta::Emission {
             clock_ps: emission.clock_ps,
@@ -79,6 +93,17 @@ impl Geometry {
             cos_nadir: cos_nadir as f32,
             prior_range_m: expected_m as f32,
         }
+    }
+
+    /// Where a beam starts in the map, and what a metre of it is there; NaN where the map does not reach.
+    fn in_map(&self, emission: &Emission) -> ([f64; 3], [f64; 3]) {
+        let (origin_m, direction) = (emission.origin_m, emission.direction);
+        let Some(map) = &self.map else {
+            return (origin_m, direction.map(|d| d * emission.frame_scale));
+        };
+        let far_m = std::array::from_fn(|axis| origin_m[axis] + REACH_M * direction[axis]);
+        let [near, far] = [origin_m, far_m].map(|place_m| map.coordinates(place_m).unwrap_or([f64::NAN; 3]));
+        (near, std::array::from_fn(|axis| (far[axis] - near[axis]) / REACH_M))
     }
 
     /// The place across the line: the recording's own scan angle, or, in the scanner's frame, that of the beam.

@@ -8,6 +8,7 @@ use super::summary::Tally;
 use super::{ResolveMta, failed};
 use crate::batch::{Batch, Blocks, Channel, Content, OnlineReturn};
 use crate::formats::terrain::Terrain;
+use crate::geometry::Geometry as Placed;
 use crate::kernels::mta::{self, Assigned, BYTES_PER_ECHO, BYTES_PER_SHOT, Resolved, Resolver};
 use crate::stage::{Item, Output, Result, StageError};
 
@@ -74,11 +75,12 @@ impl Strip {
         config: &ResolveMta,
         first: &Batch,
         terrain: Option<&Terrain>,
+        placed: &Placed,
         out: &mut Output,
     ) -> Result<Strip> {
         let settings = config.settings(first.input.group_velocity_mps);
         let resolver = Resolver::new(&settings).map_err(|error| failed(&error))?;
-        let geometry = Geometry::of(first, config.range_m, terrain)?;
+        let geometry = Geometry::of(first, config.range_m, terrain, placed)?;
         if let Some(terrain) = terrain {
             terrain_elsewhere(terrain, first, out);
         }

@@ -1,5 +1,3 @@
-use std::sync::Arc;
-
 use super::*;
 use crate::batch::{Blocks, Channel, Emission, Frame, InputInfo, OnlineReturn};
 use crate::stage::{Context, Item};
@@ -22,7 +20,7 @@ const PULSE: [u16; 9] = [2, 2, 2, 12, 40, 12, 2, 2, 2];
 /// Gives lines to a stage with these keys; what comes out, and what was counted.
 fn run(config: &ResolveMta, lines: Vec<Batch>, may_hold_bytes: usize) -> (Result<()>, Vec<Batch>, Context) {
     let terrain = config.terrain.as_ref().map(|path| Terrain::open(path).unwrap());
-    let mut stage = Resolving { config: config.clone(), terrain, strip: None };
+    let mut stage = Resolving { config: config.clone(), terrain, placed: Arc::default(), strip: None };
     let (mut cx, mut given) = (Context::default(), Vec::new());
     let mut emit = |batch: Batch| {
         given.push(batch);

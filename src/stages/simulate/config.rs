@@ -5,11 +5,12 @@ use serde::{Deserialize, Serialize};
 
 use super::{FULL_SCALE_DN, INTERVAL_NS};
 use crate::batch::MAX_SHOTS_PER_LINE;
+use crate::geo::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use crate::simulation::detector::Detector;
 use crate::simulation::platform::{Motion, Platform};
 use crate::simulation::pulse::Shape;
 use crate::simulation::receiver::{HighPower, Settings};
-use crate::simulation::scanner::{Mirror, Scanner};
+use crate::simulation::scanner::{GPS_WEEK, Mirror, START_S, Scanner};
 use crate::simulation::scene::{CountrySettings, Scene};
 use crate::simulation::world::World;
 use crate::stage::{Config, InvalidKey};
@@ -26,9 +27,9 @@ const STEEPEST_DEG: f64 = 75.0;
 ///
 /// **Frame.** Without a trajectory (`sbet`, `pof`) the geometry is already in a map (UTM zone 33 north, metres), and the
 /// truth stands in the same map, in which beams are straight. With one, beams stand in the frame of the scanner (x
-/// forward, y right, z down; parallel to the aircraft's but for `boresight_deg`), and the truth's coordinates are UTM
-/// zone 33 north with ellipsoidal heights on WGS 84, computed by closed formulas from the same scene placed on the earth:
-/// trajectory, lever arm, boresight and ranges lead to them within rounding.
+/// forward, y right, z down; parallel to the aircraft's but for `boresight_deg`), and the truth's coordinates are UTM in
+/// the zone of the start with ellipsoidal heights on WGS 84, computed by closed formulas from the same scene placed on the
+/// earth: trajectory, lever arm, boresight and ranges lead to them within rounding.
 ///
 /// **As recorded.** With `as_recorded` blocks stand with the shot after whose emission they were received, and
 /// `mta_zone` is not set. The laser of a rotating polygon pauses between lines: what comes back meanwhile stands with the
@@ -73,6 +74,15 @@ pub struct Simulate {
     /// Direction of the flight, clockwise from north.
     #[schemars(range(min = -360.0, max = 360.0))]
     pub heading_deg: f64,
+    /// Radius of the circle that the aircraft flies with level wings, positive to the right; 0: straight on. At least 100 m.
+    pub turn_radius_m: f64,
+    /// Longitude and latitude of the first position; without a trajectory, and when not given, 12.59489 and 47.82814, in UTM
+    /// zone 33 north.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_deg: Option<[f64; 2]>,
+    /// When the flight begins, seconds of GPS week 2365 (from 4 May 2025 on). Times count on where the week ends.
+    #[schemars(range(min = 0.0, max = 604800.0))]
+    pub start_time_s: f64,
     /// The largest roll of the aircraft, which sways about level flight.
     #[schemars(range(min = 0.0, max = 15.0))]
     pub roll_deg: f64,
@@ -219,6 +229,9 @@ impl Default for Simulate {
             flying_height_m: 600.0,
             speed_mps: 60.0,
             heading_deg: 0.0,
+            turn_radius_m: 0.0,
+            start_deg: None,
+            start_time_s: START_S,
             roll_deg: 0.0,
             pitch_deg: 0.0,
             yaw_deg: 0.0,
@@ -291,6 +304,15 @@ impl Simulate {
     fn check_platform(&self) -> Checked {
         unless(within(self.speed_mps, 1.0, 1000.0), "speed_mps", "must lie between 1 and 1000")?;
         unless(within(self.heading_deg, -360.0, 360.0), "heading_deg", "must lie between -360 and 360")?;
+        let turns = self.turn_radius_m == 0.0 || within(self.turn_radius_m.abs(), 100.0, 1e6);
+        unless(turns, "turn_radius_m", "must be 0, or 100 to 1000000 to either side")?;
+        if let Some([longitude, latitude]) = self.start_deg {
+            let on_earth = within(longitude, -180.0, 180.0) && within(latitude, -89.0, 89.0);
+            unless(on_earth, "start_deg", "must be a longitude, and a latitude between -89 and 89")?;
+            unless(self.has_trajectory(), "start_deg", "needs a trajectory: give `sbet` or `pof`")?;
+        }
+        let in_week = self.start_time_s >= 0.0 && self.start_time_s < WEEK_S;
+        unless(in_week, "start_time_s", "must lie between 0 and 604800")?;
         let sway = "must lie between 0 and 15";
         unless(within(self.roll_deg, 0.0, 15.0), "roll_deg", sway)?;
         unless(within(self.pitch_deg, 0.0, 15.0), "pitch_deg", sway)?;
@@ -396,10 +418,21 @@ impl Simulate {
         let motion = Motion { angles_rad, period_s: self.motion_period_s };
         let boresight_rad = self.boresight_deg.map(f64::to_radians);
         Platform::new(self.speed_mps, self.flying_height_m, motion, self.lever_arm_m, boresight_rad)
+            .turning(self.turn_radius_m)
+    }
+
+    /// The day of the year, and the year, of the flight.
+    pub(super) fn recorded(&self) -> Option<(u16, u16)> {
+        let adjusted_s = f64::from(GPS_WEEK) * WEEK_S - ADJUSTMENT_S + self.start_time_s;
+        day_of_year(adjusted_s).map(|(year, day)| (day, year))
     }
 
     pub(super) fn world(&self) -> World {
-        World::new(self.heading_deg.to_radians())
+        let heading_rad = self.heading_deg.to_radians();
+        match self.start_deg {
+            Some(start) => World::starting_at(start.map(f64::to_radians), heading_rad),
+            None => World::new(heading_rad),
+        }
     }
 
     pub(super) fn scene(&self) -> Scene {

@@ -7,7 +7,6 @@ use crate::formats::Error;
 use crate::formats::trajectory::pof::{PofHeader, PofRecord};
 use crate::formats::trajectory::sbet::SbetRecord;
 use crate::simulation::platform::Platform;
-use crate::simulation::scanner::START_S;
 use crate::simulation::truth::{COLUMNS, TrueReturn};
 use crate::simulation::world::{Pose, World};
 use crate::stage::{Context, OutputFile, Result, Site, WholeFile};
@@ -19,8 +18,8 @@ const MARGIN_S: f64 = 1.0;
 /// The angle from north to the axes in which an SBET says velocities and headings, rad: not 0, so that whoever leaves it out
 /// is found out.
 const WANDER_ANGLE_RAD: f64 = 0.25;
-/// The flight's date.
-const DATE: [u16; 3] = [2025, 5, 6];
+/// The Sunday that the flight's GPS week begins with.
+const WEEK_BEGINS: [u16; 3] = [2025, 5, 4];
 
 /// A table of truth that is being written.
 pub(super) struct TruthFile {
@@ -62,6 +61,8 @@ pub(super) struct TrajectoryFiles {
 
 /// Positions and attitudes at even times.
 struct Trajectory {
+    /// When the flight begins, s of the GPS week.
+    start_time_s: f64,
     platform: Platform,
     world: World,
     records: u64,
@@ -75,7 +76,9 @@ impl TrajectoryFiles {
         };
         let flight_s = config.scanner().time_s(config.lines, 0) + 2.0 * MARGIN_S;
         let records = (flight_s * RATE_HZ).ceil() as u64 + 1;
-        let trajectory = Trajectory { platform: config.platform(), world: config.world(), records };
+        let start_time_s = config.start_time_s;
+        let trajectory =
+            Trajectory { start_time_s, platform: config.platform(), world: config.world(), records };
         Ok(TrajectoryFiles { sbet: create(&config.sbet)?, pof: create(&config.pof)?, trajectory })
     }
 
@@ -84,7 +87,7 @@ impl TrajectoryFiles {
         let TrajectoryFiles { sbet, pof, trajectory } = self;
         if let Some(mut file) = sbet {
             for (time_s, pose) in trajectory.poses() {
-                write(&mut file, &sbet_record(time_s, &pose).encode())?;
+                write(&mut file, &sbet_record(trajectory.start_time_s + time_s, &pose).encode())?;
             }
             cx.keep(file.finish()?);
         }
@@ -114,8 +117,10 @@ impl Trajectory {
     }
 
     fn pof_header(&self) -> PofHeader {
+        let [year, month, sunday] = WEEK_BEGINS;
+        let date = [year, month, sunday + (self.start_time_s / 86_400.0) as u16];
         let mut header = PofHeader {
-            date: DATE,
+            date,
             records: self.records as i64,
             longitude_deg: [f64::INFINITY, f64::NEG_INFINITY],
             latitude_deg: [f64::INFINITY, f64::NEG_INFINITY],
@@ -138,7 +143,7 @@ impl Trajectory {
 
     fn pof_record(&self, time_s: f64, pose: &Pose) -> PofRecord {
         PofRecord {
-            time_s: START_S + time_s,
+            time_s: self.start_time_s + time_s,
             longitude_deg: pose.place.longitude_rad.to_degrees(),
             latitude_deg: pose.place.latitude_rad.to_degrees(),
             altitude_m: pose.place.height_m,
@@ -155,7 +160,7 @@ fn sbet_record(time_s: f64, pose: &Pose) -> SbetRecord {
     let [north, east, down] = pose.velocity_mps;
     let (sine, cosine) = libm::sincos(WANDER_ANGLE_RAD);
     SbetRecord {
-        time_s: START_S + time_s,
+        time_s,
         latitude_rad: pose.place.latitude_rad,
         longitude_rad: pose.place.longitude_rad,
         height_m: pose.place.height_m,

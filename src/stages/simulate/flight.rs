@@ -35,6 +35,8 @@ pub(super) struct Flight {
     false_alarm_rate: f64,
     blind_gap_ns: f64,
     ground_amplitude_dn: f64,
+    /// s of the GPS week.
+    start_time_s: f64,
     as_recorded: bool,
     /// Whether anybody wants to know it.
     pub(super) tells_truth: bool,
@@ -100,6 +102,7 @@ impl Flight {
             false_alarm_rate: config.false_alarm_rate,
             blind_gap_ns: config.blind_gap_ns,
             ground_amplitude_dn: config.ground_amplitude_dn,
+            start_time_s: config.start_time_s,
             as_recorded: config.as_recorded,
             tells_truth: true,
             longest_ns: FALSE_ALARM_REACH * time_of_flight_ns(furthest_m),
@@ -311,7 +314,7 @@ impl Flight {
         };
         Emission {
             shot: shot.number,
-            gps_time_s: shot.gps_time_s(),
+            gps_time_s: self.start_time_s + shot.since_start_s(),
             clock_ps: shot.clock_ps(),
             origin_m,
             direction,
@@ -415,7 +418,7 @@ fn input(config: &Simulate) -> InputInfo {
         pulse_rate_hz: Some(config.pulse_rate_hz),
         time_scale: TimeScale::Week,
         gps_week: Some(scanner::GPS_WEEK),
-        recorded: Some(scanner::RECORDED),
+        recorded: config.recorded(),
         frame,
         crs_wkt: (frame == Frame::Map).then(|| world::CRS_WKT.to_owned()),
         coordinate_grid: None,

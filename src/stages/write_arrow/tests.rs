@@ -20,6 +20,7 @@ fn site(folder: &Path, input: &str) -> Site {
         output_dir: folder.to_path_buf(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::best(),
+        geometry: Default::default(),
     }
 }
 

@@ -80,6 +80,7 @@ pub(super) static COLUMNS: &[Column] = &[
     column("x", Values::MaybeF64(|row| row.point.map(|point| point[0])), "coordinate in the output frame; null before `georeference`"),
     column("y", Values::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
     column("z", Values::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),
+    column("total_uncertainty_m", Values::MaybeF64(|row| known(row.found.total_sd_m)), "square root of the trace of the point's covariance: position, attitude × range and range; null where the trajectory does not tell its accuracy"),
 ];
 
 impl Values {

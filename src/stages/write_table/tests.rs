@@ -18,7 +18,7 @@ use crate::stage::Config as _;
 const NAMES: &str = "shot,gps_time_s,return_number,number_of_returns,channel,mta_zone,range_m,range_sd_m,\
     time_of_flight_ns,time_of_flight_sd_ns,amplitude_dn,amplitude_sd_dn,amplitude_db,width_ratio,\
     width_ratio_sd,fwhm_ns,thickness_m,thickness_sd_m,deviation_ratio,intensity,intensity_sd,flags,withheld,\
-    class,x,y,z";
+    class,x,y,z,total_uncertainty_m";
 
 fn info() -> Arc<InputInfo> {
     Arc::new(InputInfo {
@@ -82,6 +82,7 @@ fn found(emission: u32, value: f64) -> Return {
         amplitude_db: 12.5,
         width_ratio: 1.25,
         width_ratio_sd: 0.5,
+        total_sd_m: f64::NAN,
         fwhm_ns: 4.5,
         thickness_m: 0.25,
         thickness_sd_m: 0.125,
@@ -101,6 +102,7 @@ fn line(shot: u64, with_points: bool) -> Batch {
     returns[1].amplitude_db = f64::NAN;
     returns[2].channel = ReturnChannel::Joint;
     returns[2].mta_zone = -1;
+    returns[2].total_sd_m = 0.0625;
     let mut batch = Batch::of_shots(info(), 0, emissions, Blocks::default());
     batch.content = match with_points {
         true => Content::Points(returns, vec![[1.5, 2.5, 3.5], [4.0, 5.0, 6.0], [7.0, 8.0, -9.125]]),
@@ -117,6 +119,7 @@ fn write(folder: &Path, config: &Config, batches: &[Batch]) -> Context {
         output_dir: folder.into(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::best(),
+        geometry: Default::default(),
     };
     let mut cx = Context::default();
     let mut sink = config.make(&site).unwrap();
@@ -171,6 +174,7 @@ fn arrow_and_parquet_hold_the_same_columns() {
         assert!(numbers("intensity_sd").iter().all(|sd| sd.unwrap().is_nan()), "unknown, but no null");
         let z = if with_points { [Some(3.5), Some(6.0), Some(-9.125)] } else { [None; 3] };
         assert_eq!(numbers("z"), z);
+        assert_eq!(numbers("total_uncertainty_m"), [None, None, Some(0.0625)]);
     }
 }
 
@@ -185,11 +189,11 @@ fn csv_is_text_with_all_digits_and_nothing_for_null() {
     assert_eq!(
         lines[1],
         "10,3.3333333333333335,1,2,low,3,150.0,0.003,1000.0,0.02,0.30000000000000004,0.9,12.5,1.25,0.5,4.5,\
-         0.25,0.125,-1.5,1e-7,NaN,513,true,20,,,"
+         0.25,0.125,-1.5,1e-7,NaN,513,true,20,,,,"
     );
     assert!(lines[2].starts_with("11,,1,2,high,3,300.0,"), "{}", lines[2]);
     assert!(lines[3].starts_with("11,,1,2,joint,,"), "{}", lines[3]);
-    assert!(lines[6].ends_with(",513,true,20,7.0,8.0,-9.125"), "{}", lines[6]);
+    assert!(lines[6].ends_with(",513,true,20,7.0,8.0,-9.125,0.0625"), "{}", lines[6]);
 }
 
 #[test]
@@ -201,7 +205,7 @@ fn a_table_without_returns_has_its_columns() {
     assert!(arrow(&folder.path().join("made.arrow")).is_empty());
     let file = File::open(folder.path().join("made.parquet")).unwrap();
     let metadata = ParquetRecordBatchReaderBuilder::try_new(file).unwrap();
-    assert_eq!(metadata.schema().fields().len(), 27);
+    assert_eq!(metadata.schema().fields().len(), 28);
     assert_eq!(metadata.metadata().file_metadata().num_rows(), 0);
     assert_eq!(fs::read_to_string(folder.path().join("made.csv")).unwrap(), format!("{NAMES}\n"));
 }
@@ -295,6 +299,7 @@ fn shots_are_refused() {
         output_dir: folder.path().into(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::best(),
+        geometry: Default::default(),
     };
     let mut sink = config("*.csv").make(&site).unwrap();
     let batch = Batch::of_shots(info(), 0, vec![], Blocks::default());

@@ -6,7 +6,7 @@ use crate::stage::InvalidKey;
 #[test]
 fn each_limit_has_its_message() {
     type Change = fn(&mut Simulate);
-    let cases: [(Change, &str, &str); 38] = [
+    let cases: [(Change, &str, &str); 42] = [
         (|c| c.stem = "a/b".to_owned(), "stem", "must be a file name without folders"),
         (|c| c.lines = 0, "lines", "must be at least 1"),
         (|c| c.shots_per_line = 4097, "shots_per_line", "must lie between 1 and 4096"),
@@ -23,6 +23,14 @@ fn each_limit_has_its_message() {
         ),
         (|c| c.speed_mps = f64::NAN, "speed_mps", "must lie between 1 and 1000"),
         (|c| c.heading_deg = 361.0, "heading_deg", "must lie between -360 and 360"),
+        (|c| c.turn_radius_m = 99.0, "turn_radius_m", "must be 0, or 100 to 1000000 to either side"),
+        (
+            |c| c.start_deg = Some([0.0, 90.0]),
+            "start_deg",
+            "must be a longitude, and a latitude between -89 and 89",
+        ),
+        (|c| c.start_deg = Some([0.0, 80.0]), "start_deg", "needs a trajectory: give `sbet` or `pof`"),
+        (|c| c.start_time_s = 604_800.0, "start_time_s", "must lie between 0 and 604800"),
         (|c| c.roll_deg = 15.1, "roll_deg", "must lie between 0 and 15"),
         (|c| c.pitch_deg = -0.1, "pitch_deg", "must lie between 0 and 15"),
         (|c| c.yaw_deg = f64::NAN, "yaw_deg", "must lie between 0 and 15"),

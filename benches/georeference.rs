@@ -1,0 +1,121 @@
+//! How many points per second one core gives coordinates, and how many shots their poses.
+//!
+//! `cargo bench --bench georeference` prints rates, and their ratio to the goal of 2 million points per second.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+
+#[path = "../tests/georeference/made.rs"]
+#[allow(dead_code, clippy::unwrap_used, reason = "written for tests, which use the rest")]
+mod made;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use made::{Flight, fly, georeference, return_of, site, source};
+use wavex::batch::{Batch, Blocks, Content, Return};
+use wavex::geometry::posed::Posed;
+use wavex::stage::{Context, Site, Source};
+
+const GOAL_PER_S: f64 = 2e6;
+const RUNS: usize = 9;
+
+/// A line's shots, with two returns each.
+struct Line {
+    batch: Batch,
+    returns: Vec<Return>,
+}
+
+fn lines(site: &Site) -> Vec<Line> {
+    let mut posed = Posed::new(source(site), Arc::clone(&site.geometry));
+    let mut cx = Context::default();
+    let mut lines = Vec::new();
+    while let Some(batch) = posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
+        let two = |emission: u32| {
+            [return_of(emission, [1, 2], 640.0), return_of(emission, [2, 2], 650.0)]
+                .map(|r| Return { range_sd_m: 0.005, ..r })
+        };
+        let returns = (0..batch.emissions.len() as u32).flat_map(two).collect();
+        lines.push(Line { batch, returns });
+    }
+    lines
+}
+
+/// The median rate of the stage, points per second.
+fn points_per_s(site: &Site) -> f64 {
+    let lines = lines(site);
+    let mut stage = georeference(site, "");
+    let mut rates: Vec<f64> = (0..RUNS)
+        .map(|_| {
+            let fresh: Vec<Batch> = lines.iter().map(fresh).collect();
+            let (started, mut points) = (Instant::now(), 0);
+            for batch in fresh {
+                let placed =
+                    stage.map(batch, &mut Context::default()).unwrap_or_else(|error| panic!("{error}"));
+                points += placed.n_returns();
+            }
+            points as f64 / started.elapsed().as_secs_f64()
+        })
+        .collect();
+    rates.sort_by(f64::total_cmp);
+    rates[RUNS / 2]
+}
+
+fn fresh(line: &Line) -> Batch {
+    let Line { batch, returns } = line;
+    let mut fresh =
+        Batch::of_shots(Arc::clone(&batch.input), batch.line, batch.emissions.clone(), Blocks::default());
+    fresh.content = Content::Returns(returns.clone());
+    fresh
+}
+
+/// Lines that were read before.
+struct Read(std::vec::IntoIter<Batch>);
+
+impl Source for Read {
+    fn next(&mut self, _cx: &mut Context) -> wavex::stage::Result<Option<Batch>> {
+        Ok(self.0.next())
+    }
+}
+
+/// The median rate at which shots get their poses, shots per second.
+fn shots_per_s(flight: &Flight) -> f64 {
+    let lines = lines(&site(flight, "").unwrap_or_else(|error| panic!("{error}")));
+    let shots: usize = lines.iter().map(|line| line.batch.emissions.len()).sum();
+    let mut rates: Vec<f64> = (0..RUNS)
+        .map(|_| {
+            let site = site(flight, "trajectory = 'a.out'").unwrap_or_else(|error| panic!("{error}"));
+            let fresh: Vec<Batch> = lines.iter().map(fresh).collect();
+            let mut posed = Posed::new(Box::new(Read(fresh.into_iter())), Arc::clone(&site.geometry));
+            let (started, mut cx) = (Instant::now(), Context::default());
+            while posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")).is_some() {}
+            shots as f64 / started.elapsed().as_secs_f64()
+        })
+        .collect();
+    rates.sort_by(f64::total_cmp);
+    rates[RUNS / 2]
+}
+
+fn main() {
+    let keys = "lines = 200\nshots_per_line = 1000\nroll_deg = 5.0\npitch_deg = 3.0\nheading_deg = 40.0\n\
+                lever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";
+    let flight = fly(keys);
+    made::write_geoid(&flight.path("plane.gtx"), [46.0, 11.0], |_, _| 46.5);
+    made::write_accuracy(&flight, [0.02; 3], [0.003; 3]);
+    println!("{:<44} {:>14} {:>8}   goal: 1", "one core", "million per s", "ratio");
+    for (what, geometry) in [
+        ("points, UTM", ""),
+        ("points, UTM with a geoid", "geoid = 'plane'"),
+        (
+            "points, UTM with a geoid, and uncertainties",
+            "geoid = 'plane'\ntrajectory_accuracy = 'smrmsg_a.out'",
+        ),
+        ("points, conic (EPSG:3416)", "crs = 'EPSG:3416'"),
+        ("points, geodetic", "crs = 'geodetic'"),
+    ] {
+        let keys = format!("trajectory = 'a.out'\n{geometry}");
+        let site = site(&flight, &keys).unwrap_or_else(|error| panic!("{error}"));
+        let rate = points_per_s(&site);
+        println!("{what:<44} {:>14.2} {:>8.2}", 1e-6 * rate, rate / GOAL_PER_S);
+    }
+    let rate = shots_per_s(&flight);
+    println!("{:<44} {:>14.2} {:>8.2}", "shots, their poses", 1e-6 * rate, rate / GOAL_PER_S);
+}

@@ -1,0 +1,124 @@
+//! `wavex trajectory`: any trajectory projected and thinned, as a summary, a table and a picture.
+
+use std::io::Write;
+use std::path::Path;
+
+use super::{Failure, TrajectoryArgs, terminal};
+use crate::formats::Error;
+use crate::formats::trajectory::{self, Angles, Options, Records, Unproject};
+use crate::geo::time_axis::Clock;
+use crate::geo::trajectory::{Accuracy, Trajectory};
+use crate::stage::{OutputFile, WholeFile};
+use map::Map;
+use summary::About;
+
+mod map;
+mod picture;
+mod summary;
+
+/// Rows are handed over when they take this many bytes.
+const CHUNK: usize = 1 << 16;
+
+/// Reads the trajectory, writes what is asked for, and prints the summary.
+pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failure> {
+    let failed = |error: Error| Failure::Run(error.to_string());
+    let recorded = trajectory::read(&args.file, &args.options()).map_err(failed)?;
+    let first = match &recorded.records {
+        Records::Geodetic(samples) => samples.first().map(|sample| sample.place),
+        Records::Projected(_) => None,
+    };
+    let map = Map::of(&args.crs, first).map_err(Failure::Wrong)?;
+    let (format, counts, clock) = (recorded.format.clone(), recorded.counts.clone(), recorded.clock);
+    let accuracies: Vec<Accuracy> = recorded.accuracies.iter().map(|sample| sample.accuracy).collect();
+    let notes = recorded.notes.clone();
+    let trajectory = {
+        let unproject = map.as_ref().and_then(Map::unproject);
+        let unproject = unproject.as_ref().map(|unproject| unproject as &Unproject);
+        recorded.into_trajectory(unproject).map_err(failed)?
+    };
+    // Without a first place there is no trajectory; with one there is a map.
+    let map = map.map_or_else(Map::geodetic, Ok).map_err(Failure::Run)?;
+    map.covers(trajectory.samples()).map_err(Failure::Run)?;
+    let map = &map;
+    let file = args.file.display().to_string();
+    let about =
+        About { file, format: &format, counts: &counts, clock, accuracies: &accuracies, notes: &notes };
+    let written = write(args, &about, &trajectory, map).map_err(failed)?;
+    if !quiet {
+        let mut text = summary::text(&about, &trajectory, map);
+        if !written.is_empty() {
+            text += &format!("\nwrote {}\n", written.join(", "));
+        }
+        terminal::print(&text)?;
+    }
+    Ok(())
+}
+
+impl TrajectoryArgs {
+    fn options(&self) -> Options {
+        Options {
+            time: self.time.map(Clock::from),
+            angles: self.angles.map(Angles::from),
+            columns: self.columns.clone(),
+            accuracy: self.accuracy.clone(),
+        }
+    }
+}
+
+/// Writes table and picture, which get their names when both are whole.
+fn write(
+    args: &TrajectoryArgs,
+    about: &About,
+    trajectory: &Trajectory,
+    map: &Map,
+) -> Result<Vec<String>, Error> {
+    let mut whole: Vec<WholeFile> = Vec::new();
+    if let Some(path) = &args.out {
+        whole.push(table(path, args.every, about.clock, trajectory, map)?);
+    }
+    if let Some(path) = &args.svg {
+        let name = args.file.file_name().unwrap_or_default().to_string_lossy();
+        let note = format!("{}, {} records, {}", about.format, trajectory.samples().len(), map.name());
+        let mut file = OutputFile::create(path)?;
+        let picture = picture::draw(&name, &note, trajectory, map);
+        file.write_all(picture.as_bytes()).map_err(Error::io(path, "write"))?;
+        whole.push(file.finish()?);
+    }
+    whole.into_iter().map(|file| file.publish().map(|path| path.display().to_string())).collect()
+}
+
+/// Writes every n-th record: time, longitude, latitude, height, x, y, z, roll, pitch, heading.
+fn table(
+    path: &Path,
+    every: usize,
+    clock: Clock,
+    trajectory: &Trajectory,
+    map: &Map,
+) -> Result<WholeFile, Error> {
+    let mut file = OutputFile::create(path)?;
+    let mut rows = format!(
+        "# t lon lat h x y z w p k: {}; degrees; m; {}; roll, pitch and heading in degrees\n",
+        clock.name(),
+        map.name()
+    )
+    .into_bytes();
+    let mut samples = trajectory.samples().iter().step_by(every.max(1)).peekable();
+    while let Some(sample) = samples.next() {
+        let (place, attitude, digits) = (sample.place, sample.attitude, map.digits());
+        let [x, y, z] = map.project(place);
+        let [longitude, latitude] = [place.longitude_rad, place.latitude_rad].map(f64::to_degrees);
+        let angles = [attitude.roll_rad, attitude.pitch_rad, attitude.heading_rad].map(f64::to_degrees);
+        let [roll, pitch, heading] = angles;
+        // A vector of bytes takes whatever is written.
+        let _ = writeln!(
+            rows,
+            "{:.6} {longitude:.10} {latitude:.10} {:.4} {x:.digits$} {y:.digits$} {z:.4} {roll:.7} {pitch:.7} {heading:.7}",
+            sample.time_s, place.height_m
+        );
+        if rows.len() >= CHUNK || samples.peek().is_none() {
+            file.write_all(&rows).map_err(Error::io(path, "write"))?;
+            rows.clear();
+        }
+    }
+    file.finish()
+}

@@ -1,0 +1,114 @@
+//! The coordinates in which a trajectory is shown.
+
+use std::path::Path;
+
+use crate::geo::crs::{Crs, Named};
+use crate::geo::ellipsoid::{Geodetic, WGS84};
+use crate::geo::trajectory::Sample;
+
+/// What places become.
+pub(super) struct Map {
+    crs: Crs,
+}
+
+/// A place for systems that are the same everywhere.
+const ANYWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };
+
+impl Map {
+    /// What the user names: `utm`, with the zone of a place, where one is known; `utm:33N`, `EPSG:2154`, `geodetic`, `ecef`,
+    /// or the path of a file with WKT.
+    pub(super) fn of(word: &str, place: Option<Geodetic>) -> Result<Option<Map>, String> {
+        let told = |problem: &dyn std::fmt::Display| format!("--crs {word}: {problem}");
+        let named = match Named::parse(word).map_err(|error| told(&error))? {
+            Some(Named::Utm) if place.is_none() => return Ok(None),
+            Some(named) => named,
+            None => Named::Wkt(std::fs::read_to_string(Path::new(word)).map_err(|error| {
+                told(&format!(
+                    "no file of this name ({error}); say utm, utm:33N, EPSG:2154, geodetic, ecef or a file with WKT"
+                ))
+            })?),
+        };
+        let crs = Crs::new(&named, place.unwrap_or(ANYWHERE), None, None).map_err(|error| told(&error))?;
+        Ok(Some(Map { crs }))
+    }
+
+    /// Geodetic coordinates: what needs no first place.
+    pub(super) fn geodetic() -> Result<Map, String> {
+        Map::of("geodetic", None)?.ok_or_else(|| "no geodetic coordinates".into())
+    }
+
+    /// In words.
+    pub(super) fn name(&self) -> &str {
+        self.crs.name()
+    }
+
+    /// Digits behind the point that x and y take.
+    pub(super) fn digits(&self) -> usize {
+        if self.crs.is_geodetic() { 10 } else { 4 }
+    }
+
+    /// Whether x and y are metres of a map.
+    pub(super) fn is_plane(&self) -> bool {
+        !self.crs.is_geodetic() && !self.crs.is_ecef() && self.crs.unit().metres == 1.0
+    }
+
+    /// Whether all places have coordinates; the error names the first that has none.
+    pub(super) fn covers(&self, samples: &[Sample]) -> Result<(), String> {
+        let projected = |sample: &Sample| self.crs.from_ecef(WGS84.ecef_of(sample.place)).map(drop);
+        samples.iter().try_for_each(projected).map_err(|error| error.to_string())
+    }
+
+    /// The coordinates of a place that the map covers.
+    pub(super) fn project(&self, place: Geodetic) -> [f64; 3] {
+        self.crs.from_ecef(WGS84.ecef_of(place)).unwrap_or([f64::NAN; 3])
+    }
+
+    /// The way back from easting, northing and height; `None` where this is no map.
+    pub(super) fn unproject(&self) -> Option<impl Fn([f64; 3]) -> Result<Geodetic, String>> {
+        let is_map = !self.crs.is_geodetic() && !self.crs.is_ecef();
+        is_map.then_some(|place| {
+            let ecef_m = self.crs.to_ecef(place).map_err(|error| error.to_string())?;
+            Ok(WGS84.geodetic_of(ecef_m))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(latitude: f64, longitude: f64) -> Geodetic {
+        Geodetic { latitude_rad: latitude.to_radians(), longitude_rad: longitude.to_radians(), height_m: 5.0 }
+    }
+
+    #[test]
+    fn coordinates_are_those_of_the_name() {
+        let project =
+            |name: &str| Map::of(name, Some(place(0.0, 15.0))).unwrap().unwrap().project(place(0.0, 15.0));
+        assert!((project("utm")[0] - 500_000.0).abs() < 1e-6);
+        assert!((project("utm:33S")[1] - 1e7).abs() < 1e-6);
+        assert!((project("geodetic")[0] - 15.0).abs() < 1e-13);
+        assert!((project("ecef")[0] - 6_378_142.0 * 15f64.to_radians().cos()).abs() < 1e-6);
+        assert!(Map::of("utm", None).unwrap().is_none());
+        assert!(Map::of("EPSG:2154", None).unwrap().unwrap().is_plane());
+    }
+
+    #[test]
+    fn a_map_leads_back_to_the_place() {
+        let map = Map::of("EPSG:2154", None).unwrap().unwrap();
+        let there = map.project(place(46.5, 3.0));
+        let back = (map.unproject().unwrap())(there).unwrap();
+        assert!(
+            (back.latitude_rad - 46.5f64.to_radians()).abs() < 1e-11 && (back.height_m - 5.0).abs() < 1e-6
+        );
+        assert!(Map::geodetic().unwrap().unproject().is_none());
+    }
+
+    #[test]
+    fn a_word_that_names_nothing_is_told() {
+        let told = Map::of("nowhere.wkt", None).err().unwrap();
+        assert!(told.starts_with("--crs nowhere.wkt: no file of this name ("), "{told}");
+        let told = Map::of("EPSG:1", None).err().unwrap();
+        assert!(told.starts_with("--crs EPSG:1: "), "{told}");
+    }
+}

@@ -1,0 +1,146 @@
+//! The picture of a trajectory: its plan with a scale, and its heights over time.
+
+use super::map::Map;
+use crate::cli::svg::{Anchor, Scale, Svg};
+use crate::geo::ellipsoid::WGS84;
+use crate::geo::frames::LocalFrame;
+use crate::geo::trajectory::{Sample, Trajectory};
+
+/// Places in the picture, in its own units.
+const WIDTH: f64 = 900.0;
+const HEIGHT: f64 = 860.0;
+const LEFT: f64 = 90.0;
+const RIGHT: f64 = 874.0;
+const PLAN: [f64; 2] = [70.0, 590.0];
+const HEIGHTS: [f64; 2] = [650.0, 800.0];
+/// Lines take no more points than this, about.
+const POINTS: usize = 4000;
+
+/// The picture as SVG.
+pub(super) fn draw(title: &str, note: &str, trajectory: &Trajectory, map: &Map) -> String {
+    let mut svg = Svg::new();
+    svg.text("title", [LEFT, 30.0], Anchor::Start, title);
+    svg.text("note", [LEFT, 52.0], Anchor::Start, note);
+    let parts = parts(trajectory);
+    plan(&mut svg, &parts, map);
+    heights(&mut svg, &parts, trajectory.span_s());
+    svg.finish(WIDTH, HEIGHT, title)
+}
+
+/// Stretches without open gaps, thinned.
+fn parts(trajectory: &Trajectory) -> Vec<Vec<Sample>> {
+    let samples = trajectory.samples();
+    let every = samples.len().div_ceil(POINTS).max(1);
+    let open = trajectory.gaps().iter().filter(|gap| !gap.is_bridged).map(|gap| gap.record + 1);
+    let mut ends: Vec<usize> = open.collect();
+    ends.push(samples.len());
+    let mut start = 0;
+    let mut part = |end: usize| {
+        let part = samples.get(start..end).unwrap_or_default();
+        start = end;
+        let thinned = part.iter().step_by(every).chain(part.last());
+        thinned.copied().collect::<Vec<Sample>>()
+    };
+    ends.into_iter().map(&mut part).collect()
+}
+
+/// Easting and northing, m: of the map, else of the horizon at the first place.
+fn on_plane(sample: &Sample, map: &Map, horizon: &LocalFrame) -> [f64; 2] {
+    let [x, y, _] = if map.is_plane() { map.project(sample.place) } else { horizon.local_of(sample.place) };
+    [x, y]
+}
+
+fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &Map) {
+    let Some(first) = parts.first().and_then(|part| part.first()) else { return };
+    let horizon = LocalFrame::at(WGS84, first.place);
+    let on_plane = |part: &Vec<Sample>| part.iter().map(|sample| on_plane(sample, map, &horizon)).collect();
+    let lines: Vec<Vec<[f64; 2]>> = parts.iter().map(on_plane).collect();
+    let [x, y] = fitted(lines.iter().flatten());
+    let axes = [Scale { from: x, to: [LEFT, RIGHT] }, Scale { from: y, to: [PLAN[1], PLAN[0]] }];
+    let at = |place: &[f64; 2]| [axes[0].at(place[0]), axes[1].at(place[1])];
+    for value in axes[0].ticks(5.0).0 {
+        svg.line("grid", [axes[0].at(value), PLAN[0]], [axes[0].at(value), PLAN[1]]);
+        svg.text("", [axes[0].at(value), PLAN[1] + 17.0], Anchor::Middle, &format!("{value:.0}"));
+    }
+    for value in axes[1].ticks(5.0).0 {
+        svg.line("grid", [LEFT, axes[1].at(value)], [RIGHT, axes[1].at(value)]);
+        svg.text("", [LEFT - 7.0, axes[1].at(value) + 4.0], Anchor::End, &format!("{value:.0}"));
+    }
+    for line in &lines {
+        svg.curve("fit", line.iter().map(at));
+    }
+    let last = lines.last().and_then(|line| line.last());
+    for (place, word, class) in
+        [(lines.first().and_then(|line| line.first()), "start", "sample"), (last, "end", "left")]
+    {
+        let Some(place) = place.map(at) else { continue };
+        svg.circle(class, place, 4.0);
+        svg.text("num", [place[0] + 8.0, place[1] - 6.0], Anchor::Start, word);
+    }
+    scale_bar(svg, &axes[0]);
+    svg.rect("frame", [LEFT, PLAN[0]], [RIGHT, PLAN[1]]);
+    let whose = if map.is_plane() { "m" } else { "m from the start" };
+    svg.text("", [0.5 * (LEFT + RIGHT), PLAN[1] + 36.0], Anchor::Middle, &format!("easting, {whose}"));
+    svg.upright_text("", [16.0, 0.5 * (PLAN[0] + PLAN[1])], &format!("northing, {whose}"));
+}
+
+/// Ranges of x and y that hold all places, with a margin, at one scale.
+fn fitted<'a>(places: impl Iterator<Item = &'a [f64; 2]>) -> [[f64; 2]; 2] {
+    let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+    for place in places {
+        for ([low, high], value) in ranges.iter_mut().zip(place) {
+            (*low, *high) = (low.min(*value), high.max(*value));
+        }
+    }
+    let room = [RIGHT - LEFT, PLAN[1] - PLAN[0]];
+    let per_unit = ranges.iter().zip(room).map(|([low, high], room)| 1.1 * (high - low).max(1.0) / room);
+    let per_unit = per_unit.fold(0.0, f64::max);
+    core::array::from_fn(|axis| {
+        let [low, high] = ranges[axis];
+        let (middle, half) = (0.5 * (low + high), 0.5 * per_unit * room[axis]);
+        [middle - half, middle + half]
+    })
+}
+
+/// A bar of a round length, at most a quarter of the width.
+fn scale_bar(svg: &mut Svg, x: &Scale) {
+    let span_m = x.from[1] - x.from[0];
+    let unit_m = 10f64.powf((0.25 * span_m).log10().floor());
+    let fits = |factor: &f64| factor * unit_m <= 0.25 * span_m;
+    let length_m = [5.0, 2.0, 1.0].into_iter().find(fits).unwrap_or(1.0) * unit_m;
+    let [right, y] = [RIGHT - 16.0, PLAN[1] - 16.0];
+    let left = right - length_m / span_m * (RIGHT - LEFT);
+    svg.line("zero", [left, y], [right, y]);
+    for end in [left, right] {
+        svg.line("zero", [end, y - 5.0], [end, y + 5.0]);
+    }
+    let text = if length_m >= 1000.0 { format!("{} km", 1e-3 * length_m) } else { format!("{length_m} m") };
+    svg.text("num", [0.5 * (left + right), y - 9.0], Anchor::Middle, &text);
+}
+
+fn heights(svg: &mut Svg, parts: &[Vec<Sample>], [first_s, last_s]: [f64; 2]) {
+    let all = parts.iter().flatten().map(|sample| sample.place.height_m);
+    let [low, high] = all.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], h| [a.min(h), b.max(h)]);
+    let margin_m = (0.08 * (high - low)).max(0.5);
+    let x = Scale { from: [0.0, last_s - first_s], to: [LEFT, RIGHT] };
+    let y = Scale { from: [low - margin_m, high + margin_m], to: [HEIGHTS[1], HEIGHTS[0]] };
+    let (values, digits) = y.ticks(4.0);
+    for value in values {
+        svg.line("grid", [LEFT, y.at(value)], [RIGHT, y.at(value)]);
+        svg.text("", [LEFT - 7.0, y.at(value) + 4.0], Anchor::End, &format!("{value:.digits$}"));
+    }
+    let (values, digits) = x.ticks(7.0);
+    for value in values {
+        svg.line("grid", [x.at(value), HEIGHTS[0]], [x.at(value), HEIGHTS[1]]);
+        svg.text("", [x.at(value), HEIGHTS[1] + 17.0], Anchor::Middle, &format!("{value:.digits$}"));
+    }
+    for part in parts {
+        svg.curve(
+            "fit",
+            part.iter().map(|sample| [x.at(sample.time_s - first_s), y.at(sample.place.height_m)]),
+        );
+    }
+    svg.rect("frame", [LEFT, HEIGHTS[0]], [RIGHT, HEIGHTS[1]]);
+    svg.text("", [0.5 * (LEFT + RIGHT), HEIGHTS[1] + 38.0], Anchor::Middle, "time since the first record, s");
+    svg.upright_text("", [16.0, 0.5 * (HEIGHTS[0] + HEIGHTS[1])], "height, m");
+}

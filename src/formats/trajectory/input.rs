@@ -1,0 +1,129 @@
+//! Records of a file, one after the other; nothing is allocated by what the file says.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use super::super::bytes::Fields;
+use super::super::{Error, Result};
+
+/// What a look at the beginning of a file shows at most, bytes.
+const HEAD_BYTES: usize = 4096;
+/// Records are never longer, bytes.
+pub(super) const LONGEST_RECORD: usize = 4096;
+
+/// A file that is read from its beginning to its end.
+pub(super) struct Input {
+    pub(super) path: PathBuf,
+    /// The length of the file, bytes.
+    pub(super) length: u64,
+    /// Where the next byte stands.
+    pub(super) offset: u64,
+    reader: BufReader<File>,
+}
+
+impl Input {
+    pub(super) fn open(path: &Path) -> Result<Input> {
+        let file = File::open(path).map_err(Error::io(path, "open"))?;
+        let length = file.metadata().map_err(Error::io(path, "open"))?.len();
+        Ok(Input {
+            path: path.to_owned(),
+            length,
+            offset: 0,
+            reader: BufReader::with_capacity(1 << 16, file),
+        })
+    }
+
+    /// The first bytes, a few thousand at most; the next byte is the first one still.
+    pub(super) fn head(&mut self) -> Result<Vec<u8>> {
+        let head = self.header(HEAD_BYTES)?;
+        self.go_to(0)?;
+        Ok(head)
+    }
+
+    /// So many bytes, or as many as are left.
+    pub(super) fn header(&mut self, bytes: usize) -> Result<Vec<u8>> {
+        let mut header = vec![0; bytes.min(HEAD_BYTES)];
+        let read = self.fill(&mut header)?;
+        header.truncate(read);
+        Ok(header)
+    }
+
+    /// Goes on at this byte.
+    pub(super) fn go_to(&mut self, offset: u64) -> Result<()> {
+        self.reader.seek(SeekFrom::Start(offset)).map_err(Error::io(&self.path, "read"))?;
+        self.offset = offset;
+        Ok(())
+    }
+
+    /// Reads records of `size` bytes, at most [`LONGEST_RECORD`], up to the end of the file, or `count` of them, where that
+    /// is known; `each` gets the record's number, from 1, and its fields.
+    pub(super) fn each(
+        &mut self,
+        size: usize,
+        count: Option<u64>,
+        mut each: impl FnMut(u64, Fields) -> Result<()>,
+    ) -> Result<()> {
+        let mut bytes = vec![0; size.clamp(1, LONGEST_RECORD)];
+        let mut record = 0;
+        while count.is_none_or(|count| record < count) {
+            record += 1;
+            let offset = self.offset;
+            let read = self.fill(&mut bytes)?;
+            if read == 0 && count.is_none() {
+                break;
+            }
+            if read < bytes.len() {
+                let problem = format!("{size} bytes are needed and {read} are left");
+                let remedy = "the file is cut off: copy it again from its source";
+                return Err(Error::malformed(
+                    &self.path,
+                    offset,
+                    format!("record {record}"),
+                    problem,
+                    remedy,
+                ));
+            }
+            each(record, Fields::new(&self.path, offset, &bytes))?;
+        }
+        Ok(())
+    }
+
+    /// The next line without its end, at most `longest` bytes; `None` at the end of the file. Bytes that are no text are
+    /// replaced.
+    pub(super) fn line(&mut self, longest: u64) -> Result<Option<String>> {
+        let mut bytes = Vec::new();
+        let read = self.reader.by_ref().take(longest + 1).read_until(b'\n', &mut bytes);
+        let read = read.map_err(Error::io(&self.path, "read"))? as u64;
+        if read == 0 {
+            return Ok(None);
+        }
+        if read > longest && !bytes.ends_with(b"\n") {
+            let problem = format!("it is longer than {longest} bytes");
+            return Err(Error::malformed(
+                &self.path,
+                self.offset,
+                "line",
+                problem,
+                "give a table with a line per record",
+            ));
+        }
+        self.offset += read;
+        Ok(Some(String::from_utf8_lossy(&bytes).trim().to_owned()))
+    }
+
+    /// Fills a buffer, or as much of it as there are bytes left.
+    fn fill(&mut self, buffer: &mut [u8]) -> Result<usize> {
+        let mut filled = 0;
+        while filled < buffer.len() {
+            match self.reader.read(&mut buffer[filled..]) {
+                Ok(0) => break,
+                Ok(read) => filled += read,
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(Error::io(&self.path, "read")(error)),
+            }
+        }
+        self.offset += filled as u64;
+        Ok(filled)
+    }
+}

@@ -1,0 +1,138 @@
+//! The conformal latitude, which the conformal projections share, and places by their sines and cosines.
+//!
+//! Everything is made of `+ - * /`, square roots and the crate `libm`: the same bits on every machine.
+
+use super::ellipsoid::{Ellipsoid, Geodetic};
+use super::frames::Vector;
+
+/// The direction of the ellipsoid's normal at a place by the sines and cosines of its angles: what projections need of
+/// it, without the arcs between.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Normal {
+    /// Sine and cosine of the geodetic latitude; the cosine is not negative.
+    pub latitude: [f64; 2],
+    /// Sine and cosine of the longitude.
+    pub longitude: [f64; 2],
+}
+
+impl Normal {
+    /// The normal at a latitude and a longitude, rad.
+    pub fn new(latitude_rad: f64, longitude_rad: f64) -> Normal {
+        Normal { latitude: libm::sincos(latitude_rad).into(), longitude: libm::sincos(longitude_rad).into() }
+    }
+
+    /// The normal through a place in the earth-centred frame, m, and its height, m, for heights from -1000 km up to
+    /// 10 000 km. On the axis the longitude is 0.
+    ///
+    /// Bowring 1976, as [`Ellipsoid::geodetic_of`], with tangents in place of angles; three steps change nothing more
+    /// within a double.
+    pub fn through(ellipsoid: Ellipsoid, ecef_m: Vector) -> (Normal, f64) {
+        let [x, y, z] = ecef_m;
+        let (a, f, e2) = (ellipsoid.semi_major_m, ellipsoid.flattening, ellipsoid.eccentricity_squared());
+        let (b, second_e2) = (a * (1.0 - f), e2 / (1.0 - e2));
+        let from_axis = (x * x + y * y).sqrt();
+        let mut parametric = unit(z, from_axis * (1.0 - f));
+        let mut latitude = [0.0, 1.0];
+        for _ in 0..3 {
+            let [sine, cosine] = parametric;
+            latitude =
+                [z + second_e2 * b * sine * sine * sine, from_axis - e2 * a * cosine * cosine * cosine];
+            parametric = unit((1.0 - f) * latitude[0], latitude[1]);
+        }
+        let latitude = unit(latitude[0], latitude[1]);
+        let [sine, cosine] = latitude;
+        let height_m = from_axis * cosine + z * sine - a * (1.0 - e2 * sine * sine).sqrt();
+        (Normal { latitude, longitude: unit(y, x) }, height_m)
+    }
+
+    /// The tangent of the latitude; large but finite at the poles.
+    pub fn tangent(&self) -> f64 {
+        let [sine, cosine] = self.latitude;
+        sine / cosine.max(1e-20)
+    }
+
+    /// Latitude and longitude, rad; the longitude between -π and π.
+    pub fn angles_rad(&self) -> (f64, f64) {
+        (libm::atan2(self.latitude[0], self.latitude[1]), libm::atan2(self.longitude[0], self.longitude[1]))
+    }
+
+    /// Sine and cosine of the longitude counted from a meridian, given by its own.
+    pub fn longitude_from(&self, [sine_0, cosine_0]: [f64; 2]) -> [f64; 2] {
+        let [sine, cosine] = self.longitude;
+        [sine * cosine_0 - cosine * sine_0, cosine * cosine_0 + sine * sine_0]
+    }
+}
+
+impl From<Geodetic> for Normal {
+    fn from(place: Geodetic) -> Normal {
+        Normal::new(place.latitude_rad, place.longitude_rad)
+    }
+}
+
+/// Sine and cosine of the angle of a vector; those of 0 where it has no length.
+fn unit(sine: f64, cosine: f64) -> [f64; 2] {
+    let length = (sine * sine + cosine * cosine).sqrt();
+    if length == 0.0 { [0.0, 1.0] } else { [sine / length, cosine / length] }
+}
+
+/// The tangent of the conformal latitude from that of the geographic one, on an ellipsoid of this (first) eccentricity
+/// (Karney 2011, J. Geod. 85:475, equations 7 to 9).
+pub fn conformal_tangent(eccentricity: f64, tangent: f64) -> f64 {
+    let secant = (1.0 + tangent * tangent).sqrt();
+    let sigma = libm::sinh(eccentricity * libm::atanh(eccentricity * tangent / secant));
+    tangent * (1.0 + sigma * sigma).sqrt() - sigma * secant
+}
+
+/// The inverse of [`conformal_tangent`] by Newton's method, which has converged after three steps (Karney 2011, equations
+/// 19 to 21).
+pub fn geographic_tangent(eccentricity: f64, conformal: f64) -> f64 {
+    let e2 = eccentricity * eccentricity;
+    let mut tangent = conformal / (1.0 - e2);
+    for _ in 0..5 {
+        let found = conformal_tangent(eccentricity, tangent);
+        let secants = ((1.0 + found * found) * (1.0 + tangent * tangent)).sqrt();
+        let step = (conformal - found) * (1.0 + (1.0 - e2) * tangent * tangent) / ((1.0 - e2) * secants);
+        tangent += step;
+        if step.abs() <= 1e-17 * (1.0 + tangent.abs()) {
+            break;
+        }
+    }
+    tangent
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::ellipsoid::WGS84;
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_axis_has_its_normals() {
+        for z in [6_356_752.314_245_179f64, -6_356_752.314_245_179] {
+            let (normal, height_m) = Normal::through(WGS84, [0.0, 0.0, z + 100.0 * z.signum()]);
+            assert_eq!(normal, Normal { latitude: [z.signum(), 0.0], longitude: [0.0, 1.0] });
+            assert!((height_m - 100.0).abs() < 2e-9);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn normals_are_those_of_the_angles(
+            latitude_rad in -1.57..1.57, longitude_rad in -3.1..3.1, height_m in -1e6..1e7,
+        ) {
+            let place = Geodetic { latitude_rad, longitude_rad, height_m };
+            let (normal, found_m) = Normal::through(WGS84, WGS84.ecef_of(place));
+            let (latitude, longitude) = normal.angles_rad();
+            prop_assert!((latitude - latitude_rad).abs() < 1e-15, "{}", latitude - latitude_rad);
+            prop_assert!((longitude - longitude_rad).abs() * latitude_rad.cos() < 1e-15);
+            prop_assert!((found_m - height_m).abs() < 8e-9, "{}", found_m - height_m);
+        }
+
+        #[test]
+        fn conformal_latitudes_come_back(latitude_rad in -1.57..1.57f64) {
+            let tangent = latitude_rad.tan();
+            let back = geographic_tangent(0.0818, conformal_tangent(0.0818, tangent));
+            prop_assert!((back.atan() - latitude_rad).abs() < 1e-15);
+        }
+    }
+}

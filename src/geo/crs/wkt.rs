@@ -1,0 +1,300 @@
+//! Well-known text of coordinate reference systems as a tree, whatever its dialect: WKT 1 (OGC 01-009), that of ESRI, and
+//! WKT 2 (OGC 18-010) share the grammar of a word with values in brackets.
+
+/// A word with its values: `UNIT["metre",1]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Node {
+    /// The word, in capitals.
+    pub keyword: String,
+    /// What stands in its brackets.
+    pub values: Vec<Value>,
+}
+
+/// One of the values in the brackets of a word.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// Text in quotation marks, without them.
+    Text(String),
+    /// A number or a bare word, as it stands.
+    Bare(String),
+    /// A word with values of its own.
+    Node(Node),
+}
+
+/// Nothing in use is nested deeper than 12; deeper text is not read, so that it cannot exhaust the stack.
+const DEEPEST: usize = 32;
+
+impl Node {
+    /// Reads a text that is one word with its values.
+    ///
+    /// # Errors
+    /// What is wrong and at which character, as the end of a sentence.
+    pub fn parse(text: &str) -> Result<Node, String> {
+        let mut reader = Reader { text: text.trim_start_matches('\u{feff}'), at: 0 };
+        let node = reader.node(0)?;
+        reader.blanks();
+        match reader.peek() {
+            None | Some('\0') => Ok(node),
+            Some(_) => Err(reader.problem("something follows the last bracket")),
+        }
+    }
+
+    /// A word whose first value is a name.
+    pub fn named(keyword: &str, name: &str) -> Node {
+        Node { keyword: keyword.into(), values: vec![Value::Text(name.into())] }
+    }
+
+    /// The same with a number more.
+    pub fn number(mut self, number: f64) -> Node {
+        self.values.push(Value::Bare(number.to_string()));
+        self
+    }
+
+    /// The same with a bare word more.
+    pub fn bare(mut self, word: &str) -> Node {
+        self.values.push(Value::Bare(word.into()));
+        self
+    }
+
+    /// The same with a word with values more.
+    pub fn with(mut self, node: Node) -> Node {
+        self.values.push(Value::Node(node));
+        self
+    }
+
+    /// The first value, where it is text.
+    pub fn name(&self) -> Option<&str> {
+        self.text(0)
+    }
+
+    /// A value that is text, by its place from 0.
+    pub fn text(&self, place: usize) -> Option<&str> {
+        match self.values.get(place)? {
+            Value::Text(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    /// A value that is a number, by its place from 0.
+    pub fn value(&self, place: usize) -> Option<f64> {
+        match self.values.get(place)? {
+            Value::Bare(number) | Value::Text(number) => number.parse().ok().filter(|n: &f64| n.is_finite()),
+            Value::Node(_) => None,
+        }
+    }
+
+    /// The words with values among the values.
+    pub fn nodes(&self) -> impl Iterator<Item = &Node> {
+        self.values.iter().filter_map(|value| match value {
+            Value::Node(node) => Some(node),
+            _ => None,
+        })
+    }
+
+    /// The words with values among the values, to be changed.
+    pub fn nodes_mut(&mut self) -> impl Iterator<Item = &mut Node> {
+        self.values.iter_mut().filter_map(|value| match value {
+            Value::Node(node) => Some(node),
+            _ => None,
+        })
+    }
+
+    /// The first of these words among the values.
+    pub fn child(&self, keywords: &[&str]) -> Option<&Node> {
+        self.nodes().find(|node| keywords.contains(&node.keyword.as_str()))
+    }
+
+    /// The first of these words here or below, depth first.
+    pub fn find(&self, keywords: &[&str]) -> Option<&Node> {
+        if keywords.contains(&self.keyword.as_str()) {
+            return Some(self);
+        }
+        self.nodes().find_map(|node| node.find(keywords))
+    }
+
+    /// Takes away the words with values for which `unwanted` holds, here and below.
+    pub fn remove(&mut self, unwanted: &impl Fn(&Node) -> bool) {
+        self.values.retain(|value| !matches!(value, Value::Node(node) if unwanted(node)));
+        self.nodes_mut().for_each(|node| node.remove(unwanted));
+    }
+
+    /// The code that EPSG has given to what this word defines, as `AUTHORITY["EPSG","2154"]` or `ID["EPSG",2154]` say.
+    pub fn epsg(&self) -> Option<u32> {
+        let authority = self.child(&["AUTHORITY", "ID"])?;
+        let code = match authority.values.get(1)? {
+            Value::Text(code) | Value::Bare(code) => code.parse().ok()?,
+            Value::Node(_) => return None,
+        };
+        authority.name()?.eq_ignore_ascii_case("EPSG").then_some(code)
+    }
+
+    /// The same with the code that EPSG has given to it.
+    pub fn authority(self, epsg: Option<u32>) -> Node {
+        let Some(code) = epsg else { return self };
+        let mut authority = Node::named("AUTHORITY", "EPSG");
+        authority.values.push(Value::Text(code.to_string()));
+        self.with(authority)
+    }
+}
+
+/// The text on one line.
+impl std::fmt::Display for Node {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}[", self.keyword)?;
+        for (place, value) in self.values.iter().enumerate() {
+            if place > 0 {
+                f.write_str(",")?;
+            }
+            match value {
+                Value::Text(text) => write!(f, "\"{}\"", text.replace('"', "\"\""))?,
+                Value::Bare(word) => f.write_str(word)?,
+                Value::Node(node) => write!(f, "{node}")?,
+            }
+        }
+        f.write_str("]")
+    }
+}
+
+/// A place in the text.
+struct Reader<'a> {
+    text: &'a str,
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn rest(&self) -> &str {
+        self.text.get(self.at..).unwrap_or_default()
+    }
+
+    fn peek(&self) -> Option<char> {
+        self.rest().chars().next()
+    }
+
+    fn blanks(&mut self) {
+        let rest = self.rest();
+        self.at += rest.len() - rest.trim_start().len();
+    }
+
+    /// Passes over one of these characters after blanks, where it stands there.
+    fn eat(&mut self, wanted: &[char]) -> bool {
+        self.blanks();
+        let found = self.peek().filter(|c| wanted.contains(c));
+        self.at += found.map_or(0, char::len_utf8);
+        found.is_some()
+    }
+
+    /// Letters, digits and what numbers are made of.
+    fn word(&mut self) -> String {
+        self.blanks();
+        let is_word = |c: char| c.is_alphanumeric() || "_+-.:".contains(c);
+        let word: String = self.rest().chars().take_while(|c| is_word(*c)).collect();
+        self.at += word.len();
+        word
+    }
+
+    fn node(&mut self, depth: usize) -> Result<Node, String> {
+        let keyword = self.word();
+        if keyword.is_empty() {
+            return Err(self.problem("a word is expected"));
+        }
+        if !self.eat(&['[', '(']) {
+            return Err(self.problem("a bracket is expected"));
+        }
+        self.values(keyword, depth)
+    }
+
+    /// What follows the opening bracket of a word.
+    fn values(&mut self, keyword: String, depth: usize) -> Result<Node, String> {
+        if depth > DEEPEST {
+            return Err(self.problem("it is nested too deeply"));
+        }
+        let mut values = Vec::new();
+        loop {
+            values.push(self.one_value(depth)?);
+            if self.eat(&[']', ')']) {
+                return Ok(Node { keyword: keyword.to_uppercase(), values });
+            }
+            if !self.eat(&[',']) {
+                return Err(self.problem("a comma or a closing bracket is expected"));
+            }
+        }
+    }
+
+    fn one_value(&mut self, depth: usize) -> Result<Value, String> {
+        if self.eat(&['"']) {
+            return self.quoted().map(Value::Text);
+        }
+        let word = self.word();
+        match (word.is_empty(), self.eat(&['[', '('])) {
+            (true, _) => Err(self.problem("a value is expected")),
+            (false, true) => self.values(word, depth + 1).map(Value::Node),
+            (false, false) => Ok(Value::Bare(word)),
+        }
+    }
+
+    /// Text up to the closing quotation mark; two of them stand for one.
+    fn quoted(&mut self) -> Result<String, String> {
+        let mut text = String::new();
+        loop {
+            let Some(end) = self.rest().find('"') else {
+                return Err(self.problem("a closing quotation mark is missing"));
+            };
+            text.extend(self.rest().get(..end));
+            self.at += end + 1;
+            if self.peek() != Some('"') {
+                return Ok(text);
+            }
+            text.push('"');
+            self.at += 1;
+        }
+    }
+
+    fn problem(&self, what: &str) -> String {
+        let read = self.text.get(..self.at).unwrap_or(self.text);
+        format!("{what} at character {}", read.chars().count() + 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_text_is_a_tree_and_a_tree_is_a_text() {
+        let text = r#"GEOGCS["a ""b""",PRIMEM["Greenwich",0],AXIS["Lon",EAST],AUTHORITY["EPSG","4326"]]"#;
+        let node = Node::parse(text).unwrap();
+        assert_eq!(node.name(), Some("a \"b\""));
+        assert_eq!(node.child(&["PRIMEM"]).unwrap().value(1), Some(0.0));
+        assert_eq!(node.epsg(), Some(4326));
+        assert_eq!(node.to_string(), text);
+        let spaced = " \u{feff}geogcs ( \"a \"\"b\"\"\" ,\n PRIMEM[\"Greenwich\", 0 ], AXIS[\"Lon\",EAST] ,AUTHORITY[\"EPSG\",\"4326\"])\0";
+        assert_eq!(Node::parse(spaced.trim_start()).unwrap(), node);
+        assert_eq!(Node::parse(r#"A["x",ID["EPSG",7]]"#).unwrap().epsg(), Some(7));
+    }
+
+    #[test]
+    fn errors_name_the_character() {
+        let deep = "A[".repeat(100_000);
+        for (text, problem) in [
+            ("", "a word is expected at character 1"),
+            ("PROJCS", "a bracket is expected at character 7"),
+            (r#"A["x"#, "a closing quotation mark is missing at character 4"),
+            (r#"A["x""#, "a comma or a closing bracket is expected at character 6"),
+            (r#"A["ä",]"#, "a value is expected at character 7"),
+            (r#"A["x"] B"#, "something follows the last bracket at character 8"),
+            (&deep, "it is nested too deeply at character 69"),
+        ] {
+            assert_eq!(Node::parse(text).unwrap_err(), problem);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_is_too_strange(text in "[A-C\\[\\]\\(\\)\",.0-9äö \\n]{0,60}") {
+            if let Ok(node) = Node::parse(&text) {
+                prop_assert_eq!(Node::parse(&node.to_string()).unwrap(), node);
+            }
+        }
+    }
+}

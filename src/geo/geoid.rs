@@ -1,0 +1,269 @@
+//! The height of the geoid above the ellipsoid, from a grid.
+
+/// A grid of geoid heights.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Geoid {
+    name: String,
+    grid: Grid,
+}
+
+/// Where the values of a grid lie, and the values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Grid {
+    /// The southernmost row, degrees.
+    pub south_deg: f64,
+    /// The westernmost column, degrees to the east of Greenwich; any multiple of 360 more is the same.
+    pub west_deg: f64,
+    /// Between rows, to the north, degrees, positive.
+    pub latitude_step_deg: f64,
+    /// Between columns, to the east, degrees, positive.
+    pub longitude_step_deg: f64,
+    /// At least 2.
+    pub rows: usize,
+    /// At least 2.
+    pub columns: usize,
+    /// Heights of the geoid above the ellipsoid, m, `rows * columns` of them, from south to north, each row from west to
+    /// east; NaN where there is none.
+    pub heights_m: Vec<f32>,
+}
+
+/// The geoid says nothing of a point.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "geoid {geoid}: the point at latitude {latitude_deg:.6}, longitude {longitude_deg:.6} degrees {problem}; \
+     give a geoid that covers the survey, or leave it out for heights above the ellipsoid"
+)]
+pub struct GeoidError {
+    /// The geoid's name.
+    pub geoid: String,
+    /// The point's latitude.
+    pub latitude_deg: f64,
+    /// The point's longitude.
+    pub longitude_deg: f64,
+    /// What is wrong with the point.
+    pub problem: String,
+}
+
+/// A point may lie outside by this much of a step: angles are rounded.
+const SLACK_STEPS: f64 = 1e-9;
+
+impl Geoid {
+    /// A geoid of this name; `None` where the grid is none: fewer than two rows or columns, steps that are not positive,
+    /// another number of heights.
+    pub fn new(name: &str, grid: Grid) -> Option<Geoid> {
+        let steps = [grid.latitude_step_deg, grid.longitude_step_deg];
+        let sound = steps.iter().all(|step| step.is_finite() && *step > 0.0)
+            && grid.south_deg.is_finite()
+            && grid.west_deg.is_finite()
+            && grid.rows >= 2
+            && grid.columns >= 2
+            && grid.rows.checked_mul(grid.columns) == Some(grid.heights_m.len());
+        sound.then(|| Geoid { name: name.into(), grid })
+    }
+
+    /// The name under which it was asked for, or the file's.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The grid.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// The height of the geoid above the ellipsoid, m, at a latitude and a longitude, degrees: bilinear between the four
+    /// values around the point. The height above the geoid is the one above the ellipsoid less this.
+    ///
+    /// # Errors
+    /// The point lies outside the grid, or one of the four values is missing.
+    pub fn height_m(&self, latitude_deg: f64, longitude_deg: f64) -> Result<f64, GeoidError> {
+        let grid = &self.grid;
+        let rows = (latitude_deg - grid.south_deg) / grid.latitude_step_deg;
+        let columns = (longitude_deg - grid.west_deg).rem_euclid(360.0) / grid.longitude_step_deg;
+        let place = Span::rows(grid.rows, rows).zip(self.column_span(columns));
+        let Some((row, column)) = place else {
+            return Err(self.error(latitude_deg, longitude_deg, self.outside()));
+        };
+        let value = |r: usize, c: usize| {
+            grid.heights_m.get(r * grid.columns + c).copied().map_or(f64::NAN, f64::from)
+        };
+        let along = |r: usize| blend(value(r, column.first), value(r, column.next), column.part);
+        let height_m = blend(along(row.first), along(row.next), row.part);
+        if height_m.is_nan() {
+            return Err(self.error(latitude_deg, longitude_deg, "lies where it has no value".into()));
+        }
+        Ok(height_m)
+    }
+
+    /// The columns around a point; those of a grid around the whole earth are closed.
+    fn column_span(&self, columns: f64) -> Option<Span> {
+        let grid = &self.grid;
+        let around = 360.0 / grid.longitude_step_deg;
+        if grid.columns as f64 >= around - 0.5 {
+            let first = columns.floor().max(0.0) as usize;
+            let part = columns - first as f64;
+            return Some(Span { first: first % grid.columns, next: (first + 1) % grid.columns, part });
+        }
+        // A point a rounding error to the west of the grid has gone once around.
+        let columns = if around - columns <= SLACK_STEPS { 0.0 } else { columns };
+        Span::rows(grid.columns, columns)
+    }
+
+    fn outside(&self) -> String {
+        let grid = &self.grid;
+        let north_deg = grid.south_deg + grid.latitude_step_deg * (grid.rows - 1) as f64;
+        let east_deg = grid.west_deg + grid.longitude_step_deg * (grid.columns - 1) as f64;
+        format!(
+            "lies outside its area, latitude {} to {north_deg}, longitude {} to {east_deg}",
+            grid.south_deg, grid.west_deg
+        )
+    }
+
+    fn error(&self, latitude_deg: f64, longitude_deg: f64, problem: String) -> GeoidError {
+        GeoidError { geoid: self.name.clone(), latitude_deg, longitude_deg, problem }
+    }
+}
+
+/// Two neighbours and the place between them.
+#[derive(Clone, Copy)]
+struct Span {
+    first: usize,
+    next: usize,
+    /// 0 at the first, 1 at the next.
+    part: f64,
+}
+
+impl Span {
+    /// Around a place counted in steps, among `count` values, at least two; `None` outside.
+    fn rows(count: usize, steps: f64) -> Option<Span> {
+        let last = (count - 1) as f64;
+        if !(steps >= -SLACK_STEPS && steps <= last + SLACK_STEPS) {
+            return None;
+        }
+        let first = (steps.max(0.0) as usize).min(count - 2);
+        Some(Span { first, next: first + 1, part: (steps - first as f64).clamp(0.0, 1.0) })
+    }
+}
+
+/// Between two values; a missing one that has no weight does not matter.
+fn blend(first: f64, next: f64, part: f64) -> f64 {
+    if part == 0.0 {
+        first
+    } else if part == 1.0 {
+        next
+    } else {
+        first + (next - first) * part
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn grid(south_deg: f64, west_deg: f64, step_deg: f64, rows: usize, columns: usize) -> Grid {
+        let heights_m = (0..rows * columns).map(|place| place as f32).collect();
+        Grid {
+            south_deg,
+            west_deg,
+            latitude_step_deg: step_deg,
+            longitude_step_deg: step_deg,
+            rows,
+            columns,
+            heights_m,
+        }
+    }
+
+    fn geoid(grid: Grid) -> Geoid {
+        Geoid::new("g", grid).unwrap()
+    }
+
+    /// Heights grow by 1 to the east and by 3 to the north of the first value.
+    #[test]
+    fn heights_are_bilinear() {
+        let geoid = geoid(grid(40.0, 10.0, 0.5, 3, 3));
+        for (latitude, longitude, height_m) in
+            [(40.0, 10.0, 0.0), (41.0, 11.0, 8.0), (40.25, 10.0, 1.5), (40.5, 10.75, 4.5), (41.0, 10.0, 6.0)]
+        {
+            assert_eq!(geoid.height_m(latitude, longitude).unwrap(), height_m);
+        }
+    }
+
+    #[test]
+    fn a_turn_of_the_longitude_changes_nothing() {
+        for west_deg in [-60.0, 300.0] {
+            let geoid = geoid(grid(14.0, west_deg, 0.5, 3, 3));
+            for longitude in [-59.25, 300.75] {
+                assert_eq!(geoid.height_m(14.0, longitude).unwrap(), 1.5, "{west_deg} {longitude}");
+            }
+            // A rounding error outside is not outside.
+            assert_eq!(geoid.height_m(14.0 - 1e-13, -60.0 - 1e-13).unwrap(), 0.0);
+            assert_eq!(geoid.height_m(15.0 + 1e-13, -59.0 + 1e-13).unwrap(), 8.0);
+        }
+    }
+
+    #[test]
+    fn a_grid_around_the_earth_is_closed() {
+        let open = geoid(grid(-90.0, 0.0, 90.0, 3, 4));
+        assert_eq!(open.height_m(-90.0, -45.0).unwrap(), 1.5);
+        assert_eq!(open.height_m(90.0, 359.999_999).unwrap().round(), 8.0);
+        // The last column may be the first once more.
+        let mut twice = grid(-90.0, -180.0, 90.0, 3, 5);
+        (0..3).for_each(|row| twice.heights_m[row * 5 + 4] = twice.heights_m[row * 5]);
+        let twice = geoid(twice);
+        assert_eq!(twice.height_m(-90.0, 135.0).unwrap(), 1.5);
+        assert_eq!(twice.height_m(0.0, 180.0).unwrap(), 5.0);
+    }
+
+    #[test]
+    fn points_without_a_height_are_named() {
+        let mut holed = grid(40.0, 10.0, 0.5, 3, 3);
+        holed.heights_m[4] = f32::NAN;
+        let geoid = geoid(holed);
+        let remedy = "give a geoid that covers the survey, or leave it out for heights above the ellipsoid";
+        for (latitude, longitude, problem) in [
+            (39.9, 10.5, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
+            (41.1, 10.5, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
+            (40.5, 9.9, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
+            (40.5, 11.1, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
+            (40.75, 10.75, "lies where it has no value"),
+        ] {
+            assert_eq!(
+                geoid.height_m(latitude, longitude).unwrap_err().to_string(),
+                format!(
+                    "geoid g: the point at latitude {latitude:.6}, longitude {longitude:.6} degrees {problem}; {remedy}"
+                )
+            );
+        }
+        assert!(geoid.height_m(f64::NAN, 10.5).is_err() && geoid.height_m(40.5, f64::NAN).is_err());
+        // On the line between two values, what lies beside it does not matter.
+        assert_eq!(geoid.height_m(40.0, 10.5).unwrap(), 1.0);
+    }
+
+    #[test]
+    fn what_is_no_grid_is_no_geoid() {
+        let whole = grid(40.0, 10.0, 0.5, 3, 3);
+        for damage in [
+            |grid: &mut Grid| grid.rows = 1,
+            |grid: &mut Grid| grid.columns = 4,
+            |grid: &mut Grid| grid.latitude_step_deg = 0.0,
+            |grid: &mut Grid| grid.longitude_step_deg = f64::NAN,
+            |grid: &mut Grid| grid.south_deg = f64::INFINITY,
+            |grid: &mut Grid| grid.rows = usize::MAX,
+        ] {
+            let mut damaged = whole.clone();
+            damage(&mut damaged);
+            assert_eq!(Geoid::new("g", damaged), None);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_point_is_too_strange(latitude in -1e3..1e3, longitude in -1e4..1e4) {
+            let (part, whole) = (geoid(grid(40.0, 10.0, 0.5, 3, 3)), geoid(grid(-90.0, 0.0, 30.0, 7, 12)));
+            prop_assert_eq!(whole.height_m(latitude, longitude).is_ok(), latitude.abs() <= 90.0);
+            let inside = (40.0..=41.0).contains(&latitude) && (10.0..=11.0).contains(&longitude.rem_euclid(360.0));
+            prop_assert_eq!(part.height_m(latitude, longitude).is_ok(), inside);
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! What a calibration says of a scanner: its lever arm, its boresight, and how its ranges and angles are off.
+//!
+//! The parameters e0 to e7 have public names, but neither public signs nor units: those here are this program's own.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::batch::ReturnChannel;
+use crate::formats::{Error, Result};
+
+/// A calibration; all zero: none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Calibration {
+    /// From the place that the trajectory tells to the scanner's centre, in the aircraft's axes: forward, right, down.
+    pub lever_arm_m: [f64; 3],
+    /// How the scanner is turned before its mount turns it: roll, pitch and yaw, `Rz(yaw) Ry(pitch) Rx(roll)`.
+    pub boresight_deg: [f64; 3],
+    /// Added to every range, m.
+    pub e0: f64,
+    /// Part of every range that is added to it.
+    pub e1: f64,
+    /// Part of the scan angle that is added to it.
+    pub e2: f64,
+    /// Part of the scan angle's square that is added to it, per radian.
+    pub e3: f64,
+    /// Part of the scan angle's cube that is added to it, per square radian.
+    pub e4: f64,
+    /// Of no effect.
+    pub e5: f64,
+    /// Added to every scan angle, radians.
+    pub e6: f64,
+    /// Added to the ranges of the low-power receiver, m.
+    pub e7: f64,
+}
+
+/// A longer file is no calibration.
+const MOST_BYTES: u64 = 100_000;
+
+const REMEDY: &str = "a calibration is a TOML file with `lever_arm_m`, `boresight_deg` and `e0` to `e7`, or text of 12 to \
+                      14 numbers: lever arm X Y Z (m), boresight roll pitch yaw (degrees), e0 to e5 and, if need be, e6 e7";
+
+impl Calibration {
+    /// Reads a file: TOML where its name ends in `.toml`, else the 12 to 14 numbers of BayesWavEx's `-calib_corr` (lever
+    /// arm, boresight, e0 to e7), separated by blanks, commas or ends of lines; `#` begins a comment, and words are passed
+    /// over.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or is none of both.
+    pub fn read(path: &Path) -> Result<Calibration> {
+        let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the calibration"))?.len();
+        if bytes > MOST_BYTES {
+            return Err(Error::unusable(
+                path,
+                format!("{bytes} bytes are too many for a calibration"),
+                REMEDY,
+            ));
+        }
+        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read the calibration"))?;
+        let is_toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
+        let found = if is_toml {
+            toml::from_str(&text).map_err(|error| error.to_string().trim_end().to_owned())
+        } else {
+            Calibration::of_numbers(&text)
+        };
+        let found = found.map_err(|problem| Error::unusable(path, problem, REMEDY))?;
+        found.check().map_err(|problem| Error::unusable(path, problem, REMEDY))?;
+        Ok(found)
+    }
+
+    fn of_numbers(text: &str) -> std::result::Result<Calibration, String> {
+        let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default());
+        let words = lines.flat_map(|line| line.split([' ', '\t', ',', ';', '{', '}', ':', '=']));
+        // Names stand before their numbers: `e0`, `Boresight`; what begins as a number does must be one.
+        let begins_as_number =
+            |word: &&str| word.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
+        let mut numbers = [0.0; 14];
+        let mut n = 0;
+        for word in words.filter(begins_as_number) {
+            let number = word.parse().map_err(|_| format!("`{word}` is no number"))?;
+            if let Some(place) = numbers.get_mut(n) {
+                *place = number;
+            }
+            n += 1;
+        }
+        if !(12..=14).contains(&n) {
+            return Err(format!("it has {n} numbers instead of 12 to 14"));
+        }
+        let [x, y, z, roll, pitch, yaw, e0, e1, e2, e3, e4, e5, e6, e7] = numbers;
+        Ok(Calibration {
+            lever_arm_m: [x, y, z],
+            boresight_deg: [roll, pitch, yaw],
+            e0,
+            e1,
+            e2,
+            e3,
+            e4,
+            e5,
+            e6,
+            e7,
+        })
+    }
+
+    /// What the types alone cannot say: lengths and angles that no aircraft has are slips of the pen or of the unit.
+    pub(super) fn check(&self) -> std::result::Result<(), String> {
+        let within = |values: &[f64], most: f64| values.iter().all(|value| value.abs() <= most);
+        let checks = [
+            (within(&self.lever_arm_m, 100.0), "`lever_arm_m` must be three lengths of at most 100 m"),
+            (
+                within(&self.boresight_deg, 360.0),
+                "`boresight_deg` must be three angles of at most 360 degrees",
+            ),
+            (within(&[self.e0, self.e7], 100.0), "`e0` and `e7` must be at most 100 m"),
+            (
+                within(&[self.e1, self.e2, self.e3, self.e4, self.e6], 0.5),
+                "`e1`, `e2`, `e3`, `e4` and `e6` must be at most 0.5",
+            ),
+            (self.e5.is_finite(), "`e5` must be a number"),
+        ];
+        match checks.into_iter().find(|(holds, _)| !holds) {
+            Some((_, problem)) => Err(problem.to_owned()),
+            None => Ok(()),
+        }
+    }
+
+    /// The range of a return as it should be, m: `(1 + e1) range + e0`, and `+ e7` on the low-power receiver's scale.
+    pub fn range_m(&self, range_m: f64, on_low_power_scale: bool) -> f64 {
+        let of_receiver_m = if on_low_power_scale { self.e7 } else { 0.0 };
+        (1.0 + self.e1) * range_m + self.e0 + of_receiver_m
+    }
+
+    /// What is to be added to a scan angle, rad: `e6 + e2 angle + e3 angle² + e4 angle³`.
+    pub fn angle_correction_rad(&self, angle_rad: f64) -> f64 {
+        self.e6 + angle_rad * (self.e2 + angle_rad * (self.e3 + angle_rad * self.e4))
+    }
+
+    /// Whether scan angles are right as they are.
+    pub fn keeps_angles(&self) -> bool {
+        [self.e2, self.e3, self.e4, self.e6] == [0.0; 4]
+    }
+}
+
+/// Whether the time of a return counts on the scale of the low-power receiver: its own returns, and all others once both
+/// receivers were fused, because then the times of the high-power receiver have been moved to its scale.
+pub fn is_on_low_power_scale(channel: ReturnChannel, fused: bool) -> bool {
+    fused || channel != ReturnChannel::High
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(name: &str, text: &str) -> std::result::Result<Calibration, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let here = format!("{}: ", path.display());
+        Calibration::read(&path).map_err(|error| error.to_string().replace(&here, ""))
+    }
+
+    #[test]
+    fn numbers_stand_in_the_classic_order() {
+        let text = "LeverArms: 0.1 -0.2 0.3 # m\nBoresight {0.01, 0.02, -0.03}\nInternal\n1 2e-3 3e-3 4e-3 5e-3 6 7e-3 8\n";
+        let found = read("calib.txt", text).unwrap();
+        assert_eq!((found.lever_arm_m, found.boresight_deg), ([0.1, -0.2, 0.3], [0.01, 0.02, -0.03]));
+        let internal = [found.e0, found.e1, found.e2, found.e3, found.e4, found.e5, found.e6, found.e7];
+        assert_eq!(internal, [1.0, 2e-3, 3e-3, 4e-3, 5e-3, 6.0, 7e-3, 8.0]);
+        let short = read("calib.cor", "0 0 0\n0 0 0\n1 0 0 0 0 0\n").unwrap();
+        assert_eq!(short, Calibration { e0: 1.0, ..Calibration::default() });
+    }
+
+    #[test]
+    fn toml_has_the_names_of_the_job() {
+        let found = read("calib.toml", "lever_arm_m = [1, 2.5, 3]\ne7 = -0.1\n").unwrap();
+        assert_eq!(found, Calibration { lever_arm_m: [1.0, 2.5, 3.0], e7: -0.1, ..Calibration::default() });
+        let error = read("calib.toml", "lever_arms_m = [1, 2, 3]\n").unwrap_err();
+        assert!(error.contains("unknown field `lever_arms_m`") && error.ends_with(REMEDY), "{error}");
+    }
+
+    #[test]
+    fn what_is_no_calibration_is_refused() {
+        let refused = |text: &str| read("calib.txt", text).unwrap_err();
+        assert_eq!(refused("1 2 3\n"), format!("it has 3 numbers instead of 12 to 14; {REMEDY}"));
+        assert_eq!(refused("1..2 2 3\n"), format!("`1..2` is no number; {REMEDY}"));
+        let error = refused("200 0 0 0 0 0 0 0 0 0 0 0");
+        assert_eq!(error, format!("`lever_arm_m` must be three lengths of at most 100 m; {REMEDY}"));
+        let error = refused("0 0 0 400 0 0 0 0 0 0 0 0");
+        assert_eq!(error, format!("`boresight_deg` must be three angles of at most 360 degrees; {REMEDY}"));
+        let error = refused("0 0 0 0 0 0 101 0 0 0 0 0");
+        assert_eq!(error, format!("`e0` and `e7` must be at most 100 m; {REMEDY}"));
+        let error = refused("0 0 0 0 0 0 0 0.6 0 0 0 0");
+        assert_eq!(error, format!("`e1`, `e2`, `e3`, `e4` and `e6` must be at most 0.5; {REMEDY}"));
+        let error = read("calib.toml", "e5 = nan").unwrap_err();
+        assert_eq!(error, format!("`e5` must be a number; {REMEDY}"));
+        let error = refused(&"0 ".repeat(60_000));
+        assert_eq!(error, format!("120000 bytes are too many for a calibration; {REMEDY}"));
+        let missing = Calibration::read(Path::new("no_such_calibration")).unwrap_err().to_string();
+        assert!(missing.starts_with("no_such_calibration: cannot open the calibration: "), "{missing}");
+    }
+
+    #[test]
+    fn ranges_and_angles_follow_their_formulas() {
+        let calibration = Calibration {
+            e0: 0.5,
+            e1: 1e-3,
+            e2: 2e-3,
+            e3: 3e-3,
+            e4: 4e-3,
+            e6: 1e-3,
+            e7: 0.25,
+            ..Default::default()
+        };
+        assert!((calibration.range_m(1000.0, false) - 1001.5).abs() < 1e-12);
+        assert!((calibration.range_m(1000.0, true) - 1001.75).abs() < 1e-12);
+        assert!((calibration.angle_correction_rad(0.5) - (1e-3 + 1e-3 + 0.75e-3 + 0.5e-3)).abs() < 1e-16);
+        assert!(!calibration.keeps_angles() && Calibration { e5: 1.0, ..Default::default() }.keeps_angles());
+        let scales = [ReturnChannel::Low, ReturnChannel::High, ReturnChannel::Joint];
+        assert_eq!(scales.map(|channel| is_on_low_power_scale(channel, false)), [true, false, true]);
+        assert_eq!(scales.map(|channel| is_on_low_power_scale(channel, true)), [true; 3]);
+    }
+}

@@ -1,0 +1,186 @@
+//! The keys of `[job.geometry]`.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::calibration::Calibration;
+use super::mount::Mount;
+use crate::stage::{InvalidKey, Keys};
+
+/// The table `[job.geometry]`: where the scanner was, how it is mounted, and in which coordinates points come out.
+///
+/// `docs/georeferencing.md` has the formulas. Relative paths start where inputs do.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GeometryKeys {
+    /// The file of positions and attitudes: SBET, POF, SOL, TRJ or columns of text, told apart by what is in it; `*` is the
+    /// input's stem. Shots of the scanner's or the aircraft's frame get their pose from it.
+    pub trajectory: Option<String>,
+    /// What the times of the trajectory count, where its format does not say it.
+    pub trajectory_time: Option<TimeKey>,
+    /// The unit of the trajectory's angles, where its format does not say it.
+    pub trajectory_angles: Option<AnglesKey>,
+    /// The columns of a trajectory in text, a letter each: `t` time, `x` longitude, `y` latitude, `z` height above the
+    /// ellipsoid, `w` roll, `p` pitch, `k` heading; any other letter passes a column over.
+    pub trajectory_columns: Option<String>,
+    /// The file of the trajectory's standard deviations: RIEGL's POQ or Applanix' `smrmsg`; `*` is the input's stem. With it
+    /// points have a total uncertainty.
+    pub trajectory_accuracy: Option<String>,
+    /// How the scanner's frame stands in the aircraft: a name, or roll, pitch and yaw in degrees; `level` when not given.
+    pub mount: Option<Mount>,
+    /// Lever arm, boresight and internal parameters: a table with `lever_arm_m` (forward, right, down), `boresight_deg` (roll,
+    /// pitch, yaw) and `e0` to `e7`, each 0 when not given; or a file that holds them.
+    pub calibration: Option<CalibrationKey>,
+    /// The coordinates of the points: `utm` (the zone of the first shot), `utm:33N`, `EPSG:2154`, a file with WKT,
+    /// `geodetic` (longitude and latitude in degrees), or `ecef`; `utm` when not given.
+    pub crs: Option<String>,
+    /// The geoid that heights are to count from: the name of a file without its extension (`.bin`, `.gtx`), in any case;
+    /// above the ellipsoid when not given.
+    pub geoid: Option<String>,
+    /// Where geoids lie; the folder of inputs when not given.
+    pub geoid_dir: Option<String>,
+    /// The unit of all three coordinates; that of the coordinate reference system when not given.
+    pub unit: Option<UnitKey>,
+}
+
+/// What times count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TimeKey {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds of the day.
+    Day,
+    /// Seconds since 1980-01-06 minus 1e9.
+    Adjusted,
+}
+
+/// The unit of angles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AnglesKey {
+    /// Degrees.
+    Deg,
+    /// Radians.
+    Rad,
+}
+
+/// The unit of coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum UnitKey {
+    /// Metres.
+    M,
+    /// US survey feet.
+    UsFt,
+    /// International feet.
+    Ft,
+}
+
+/// A calibration, or the file that holds it.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum CalibrationKey {
+    /// The file.
+    File(String),
+    /// The calibration itself.
+    Inline(Calibration),
+}
+
+/// What a key is of no use without.
+type Companion = (&'static str, &'static str, fn(&GeometryKeys) -> bool, fn(&GeometryKeys) -> bool);
+
+const COMPANIONS: [Companion; 5] = [
+    ("geometry.trajectory_time", "trajectory", |keys| keys.trajectory_time.is_some(), has_trajectory),
+    ("geometry.trajectory_angles", "trajectory", |keys| keys.trajectory_angles.is_some(), has_trajectory),
+    ("geometry.trajectory_columns", "trajectory", |keys| keys.trajectory_columns.is_some(), has_trajectory),
+    ("geometry.trajectory_accuracy", "trajectory", |keys| keys.trajectory_accuracy.is_some(), has_trajectory),
+    ("geometry.geoid_dir", "geoid", |keys| keys.geoid_dir.is_some(), |keys| keys.geoid.is_some()),
+];
+
+fn has_trajectory(keys: &GeometryKeys) -> bool {
+    keys.trajectory.is_some()
+}
+
+impl GeometryKeys {
+    /// The keys of the table with their meaning.
+    pub fn keys() -> Keys {
+        Keys::of(GeometryKeys::json_schema)
+    }
+
+    /// What the types alone cannot say of the keys.
+    ///
+    /// # Errors
+    /// A key whose value cannot be used, or that is of no use without another.
+    pub fn check(&self) -> Result<(), InvalidKey> {
+        for (key, needs, is_given, has_companion) in COMPANIONS {
+            if is_given(self) && !has_companion(self) {
+                return Err(InvalidKey::new(key, format!("it is of no use without `{needs}`")));
+            }
+        }
+        if let Some(columns) = &self.trajectory_columns
+            && let Some(missing) = "txyzwpk".chars().find(|&letter| columns.matches(letter).count() != 1)
+        {
+            let problem = format!("`{missing}` must stand in it once: t, x, y, z, w, p and k are needed");
+            return Err(InvalidKey::new("geometry.trajectory_columns", problem));
+        }
+        if let Some(CalibrationKey::Inline(calibration)) = &self.calibration {
+            calibration.check().map_err(|problem| InvalidKey::new("geometry.calibration", problem))?;
+        }
+        if let Some(Mount::Angles(degrees)) = self.mount {
+            let whole = degrees.iter().all(|angle| angle.abs() <= 360.0);
+            InvalidKey::unless(whole, "geometry.mount", "must be three angles of at most 360 degrees")?;
+        }
+        Ok(())
+    }
+
+    /// Whether the job says where scanners are.
+    pub fn places_scanners(&self) -> bool {
+        self.trajectory.is_some() || self.mount.is_some() || self.calibration.is_some()
+    }
+
+    /// Whether the job asks for coordinates of a kind.
+    pub fn wants_coordinates(&self) -> bool {
+        self.crs.is_some() || self.geoid.is_some() || self.unit.is_some()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checked(text: &str) -> Result<(), InvalidKey> {
+        toml::from_str::<GeometryKeys>(text).unwrap().check()
+    }
+
+    #[test]
+    fn a_key_of_no_use_alone_is_refused() {
+        for key in ["trajectory_time = 'day'", "trajectory_angles = 'rad'", "trajectory_accuracy = 'a.poq'"] {
+            let problem = checked(key).unwrap_err();
+            assert_eq!(problem.problem, "it is of no use without `trajectory`", "{key}");
+            assert_eq!(checked(&format!("trajectory = 'a.out'\n{key}")), Ok(()));
+        }
+        assert_eq!(checked("geoid_dir = 'g'").unwrap_err().problem, "it is of no use without `geoid`");
+    }
+
+    #[test]
+    fn columns_name_each_quantity_once() {
+        let of = |columns: &str| checked(&format!("trajectory = 'a.txt'\ntrajectory_columns = '{columns}'"));
+        assert_eq!(of("txyzwpk"), Ok(()));
+        assert_eq!(of("t#yx.zwpk"), Ok(()));
+        let problem = "`k` must stand in it once: t, x, y, z, w, p and k are needed";
+        assert_eq!(of("txyzwp"), Err(InvalidKey::new("geometry.trajectory_columns", problem)));
+        assert!(of("ttxyzwpk").is_err());
+    }
+
+    #[test]
+    fn lengths_and_angles_have_limits() {
+        let error = checked("calibration = { lever_arm_m = [0.0, 0.0, 1000.0] }").unwrap_err();
+        assert_eq!(
+            (error.key, error.problem.as_str()),
+            ("geometry.calibration", "`lever_arm_m` must be three lengths of at most 100 m")
+        );
+        let error = checked("mount = [0, 0, 361]").unwrap_err();
+        assert_eq!(error, InvalidKey::new("geometry.mount", "must be three angles of at most 360 degrees"));
+    }
+}

@@ -1,0 +1,98 @@
+//! How a scanner's frame stands in the aircraft.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::geo::frames::{IDENTITY, Rotation, rotation_of_angles};
+
+/// The rotation from the scanner's frame to the aircraft's (forward, right, down): a name, or three angles.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Mount {
+    /// Which way the scanner's axes look.
+    Named(MountName),
+    /// Roll, pitch and yaw, degrees: `Rz(yaw) Ry(pitch) Rx(roll)`.
+    Angles([f64; 3]),
+}
+
+/// Which way a scanner's axes look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MountName {
+    /// x forward, y right, z down: the aircraft's own axes.
+    Level,
+    /// x straight down, z to the right, so that y looks forward.
+    XDownZRight,
+    /// x straight down, z to the left, so that y looks backward.
+    XDownZLeft,
+    /// x straight down, z forward, so that y looks to the left.
+    XDownZForward,
+    /// x straight down, z backward, so that y looks to the right.
+    XDownZBackward,
+}
+
+impl Default for Mount {
+    fn default() -> Mount {
+        Mount::Named(MountName::Level)
+    }
+}
+
+impl Mount {
+    /// From the scanner's frame, boresight aside, to the aircraft's.
+    pub fn body_from_scanner(&self) -> Rotation {
+        match self {
+            Mount::Angles(degrees) => rotation_of_angles(degrees.map(f64::to_radians)),
+            Mount::Named(MountName::Level) => IDENTITY,
+            Mount::Named(MountName::XDownZRight) => [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
+            Mount::Named(MountName::XDownZLeft) => [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]],
+            Mount::Named(MountName::XDownZForward) => [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]],
+            Mount::Named(MountName::XDownZBackward) => [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geo::frames::{inverse, rotate, then};
+
+    #[test]
+    fn names_say_which_way_the_axes_look() {
+        let axes = |name| inverse(&Mount::Named(name).body_from_scanner());
+        let (forward, right, down) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+        let back = |v: [f64; 3]| v.map(|part: f64| 0.0 - part);
+        assert_eq!(axes(MountName::Level), [forward, right, down]);
+        assert_eq!(axes(MountName::XDownZRight), [down, forward, right]);
+        assert_eq!(axes(MountName::XDownZLeft), [down, back(forward), back(right)]);
+        assert_eq!(axes(MountName::XDownZForward), [down, back(right), forward]);
+        assert_eq!(axes(MountName::XDownZBackward), [down, right, back(forward)]);
+    }
+
+    #[test]
+    fn every_mount_is_a_rotation() {
+        let names = [
+            MountName::Level,
+            MountName::XDownZRight,
+            MountName::XDownZLeft,
+            MountName::XDownZForward,
+            MountName::XDownZBackward,
+        ];
+        let mounts = names.map(Mount::Named).into_iter().chain([Mount::Angles([3.0, -40.0, 170.0])]);
+        for rotation in mounts.map(|mount| mount.body_from_scanner()) {
+            let [x, y, z] = inverse(&rotation);
+            let cross = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+            assert!(cross.iter().zip(z).all(|(a, b)| (a - b).abs() < 1e-15), "right-handed: {rotation:?}");
+            let same = then(&rotation, &inverse(&rotation));
+            assert!(
+                same.as_flattened().iter().zip(IDENTITY.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-15)
+            );
+        }
+    }
+
+    /// Right wing down by 90 degrees: what was down for the scanner looks to the left.
+    #[test]
+    fn angles_turn_the_scanner_as_they_turn_an_aircraft() {
+        let turned = rotate(&Mount::Angles([90.0, 0.0, 0.0]).body_from_scanner(), [0.0, 0.0, 1.0]);
+        assert!(turned.iter().zip([0.0, -1.0, 0.0]).all(|(a, b)| (a - b).abs() < 1e-15), "{turned:?}");
+    }
+}

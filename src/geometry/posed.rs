@@ -1,0 +1,219 @@
+//! Gives the shots of a source their poses.
+
+use std::sync::Arc;
+
+use super::loaded::Geometry;
+use super::poses::{scan_angle_deg, to_earth};
+use crate::batch::{Batch, Content, Emission, Frame, InputInfo};
+use crate::geo::time_axis::{Clock, Unwrap};
+use crate::geo::trajectory::Pose;
+use crate::geo::vertical::down_at;
+use crate::stage::{Context, Item, Result, Source, StageError};
+
+/// A source whose shots start and point in the earth's frame, where there is a trajectory and they came in the scanner's
+/// or the aircraft's; others pass as they are.
+pub struct Posed {
+    source: Box<dyn Source>,
+    geometry: Arc<Geometry>,
+    times: Option<Unwrap>,
+    coverage: Coverage,
+    /// What the source says of its recording, and what the lines say that leave.
+    input: Option<[Arc<InputInfo>; 2]>,
+}
+
+impl Posed {
+    /// The source with the poses of a geometry.
+    pub fn new(source: Box<dyn Source>, geometry: Arc<Geometry>) -> Posed {
+        Posed { source, geometry, times: None, coverage: Coverage::default(), input: None }
+    }
+}
+
+impl Source for Posed {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+        match self.source.next(cx)? {
+            Some(batch) => self.place(batch, cx).map(Some),
+            None => self.coverage.finish(&self.geometry, cx).map(|()| None),
+        }
+    }
+
+    fn progress(&self) -> Option<f64> {
+        self.source.progress()
+    }
+}
+
+impl Posed {
+    fn place(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
+        match batch.input.frame {
+            Frame::Map if self.geometry.keys().places_scanners() => {
+                cx.note("the recording is in a map already: trajectory, mount and calibration are not used");
+            }
+            Frame::Earth if self.geometry.keys().places_scanners() => cx.note(
+                "the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns \
+                 ranges and coordinates is used",
+            ),
+            Frame::Scanner | Frame::Body if self.geometry.has_trajectory() => {
+                self.check_frame(batch.input.frame)?;
+                self.pose(&mut batch, cx)?;
+            }
+            Frame::Scanner | Frame::Body if !self.geometry.installation().is_plain() => {
+                self.check_frame(batch.input.frame)?;
+                let installation = *self.geometry.installation();
+                batch.emissions.iter_mut().for_each(|emission| installation.to_body(emission));
+                batch.input = self.info(&batch, Frame::Body);
+            }
+            _ => {}
+        }
+        if let Some(first) = batch.emissions.first() {
+            self.geometry.meet(first, batch.input.frame);
+        }
+        Ok(batch)
+    }
+
+    /// What is in the aircraft's axes already has no mount.
+    fn check_frame(&self, frame: Frame) -> Result<()> {
+        if frame == Frame::Body && self.geometry.keys().mount.is_some() {
+            return Err(StageError::failed(
+                "the beams of this recording are in the aircraft's axes already, and `[job.geometry]` has a `mount`",
+                "leave `mount` out",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Gives every shot of a line its pose; what has none is rejected.
+    fn pose(&mut self, batch: &mut Batch, cx: &mut Context) -> Result<()> {
+        unwrap_times(&mut self.times, batch)?;
+        let Some(first) = batch.emissions.first() else {
+            batch.input = self.info(batch, Frame::Earth);
+            return Ok(());
+        };
+        self.geometry.align(&batch.input, first.gps_time_s)?;
+        if self.coverage.span_s.is_none() {
+            self.geometry.notes().iter().for_each(|note| cx.note(note));
+        }
+        let mut down = None;
+        let mut place = Vec::with_capacity(batch.emissions.len());
+        let mut kept = 0;
+        let geometry = Arc::clone(&self.geometry);
+        batch.emissions.retain_mut(|emission| {
+            let pose = geometry.pose(emission.gps_time_s);
+            self.coverage.add(emission.gps_time_s, pose.is_some());
+            place.push(pose.is_some().then_some(kept));
+            if let Some(pose) = &pose {
+                kept += 1;
+                pose_one(&geometry, emission, pose, &mut down);
+            }
+            pose.is_some()
+        });
+        if (kept as usize) < place.len() {
+            self.coverage.check(&self.geometry)?;
+            reject(batch, &place, cx);
+        }
+        batch.input = self.info(batch, Frame::Earth);
+        batch.stats.gps_time_s = batch.emissions.first().map_or(f64::NAN, |first| first.gps_time_s);
+        Ok(())
+    }
+
+    /// What is known of the recording, now in another frame.
+    fn info(&mut self, batch: &Batch, frame: Frame) -> Arc<InputInfo> {
+        if let Some([from, to]) = &self.input
+            && Arc::ptr_eq(from, &batch.input)
+        {
+            return Arc::clone(to);
+        }
+        let placed =
+            InputInfo { frame, crs_wkt: None, coordinate_grid: None, ..InputInfo::clone(&batch.input) };
+        let [_, to] = self.input.insert([Arc::clone(&batch.input), Arc::new(placed)]);
+        Arc::clone(to)
+    }
+}
+
+/// One shot; `down` is the vertical where the line begins, which is good for all of it.
+fn pose_one(geometry: &Geometry, emission: &mut Emission, pose: &Pose, down: &mut Option<[f64; 3]>) {
+    geometry.installation().to_body(emission);
+    to_earth(emission, pose);
+    if emission.scan_angle_deg.is_nan() {
+        let origin_m = emission.origin_m;
+        let down = down.get_or_insert_with(|| down_at(Frame::Earth, origin_m).unwrap_or_default());
+        emission.scan_angle_deg = scan_angle_deg(emission.direction, pose, *down) as f32;
+    }
+}
+
+/// Why shots are dropped.
+const OUTSIDE: &str = "outside the trajectory";
+
+/// Drops the shots without a pose and their blocks; `place` says where the others stand now.
+fn reject(batch: &mut Batch, place: &[Option<u32>], cx: &mut Context) {
+    cx.reject(Item::Shots, OUTSIDE, place.iter().filter(|place| place.is_none()).count() as u64);
+    if let Content::Shots(blocks) = &mut batch.content {
+        let before = blocks.len();
+        blocks.keep(place);
+        cx.reject(Item::Blocks, OUTSIDE, (before - blocks.len()) as u64);
+        batch.stats.nw = blocks.waveforms() as u64;
+    }
+}
+
+/// The times of a line on one continuous axis, going on from those before.
+fn unwrap_times(times: &mut Option<Unwrap>, batch: &mut Batch) -> Result<()> {
+    let clock = Clock::of(batch.input.time_scale).unwrap_or(Clock::Adjusted);
+    let times = times.get_or_insert(Unwrap::new(clock));
+    for emission in &mut batch.emissions {
+        if !emission.gps_time_s.is_finite() {
+            return Err(StageError::failed(
+                format!("shot {} has no GPS time: its place on the trajectory is not known", emission.shot),
+                "use a recording with GPS times, or leave `trajectory` out of `[job.geometry]`",
+            ));
+        }
+        emission.gps_time_s = times.next(emission.gps_time_s);
+    }
+    Ok(())
+}
+
+/// Which times of the recording the trajectory covers.
+#[derive(Debug, Default)]
+struct Coverage {
+    /// First and last time of all shots, s.
+    span_s: Option<[f64; 2]>,
+    /// First and last time of those without a pose, s.
+    missing_s: Option<[f64; 2]>,
+    covered: u64,
+    missing: u64,
+}
+
+impl Coverage {
+    fn add(&mut self, time_s: f64, is_covered: bool) {
+        extend(&mut self.span_s, time_s);
+        if is_covered {
+            self.covered += 1;
+        } else {
+            self.missing += 1;
+            extend(&mut self.missing_s, time_s);
+        }
+    }
+
+    /// An error once it is certain that no shot will be covered: the recording has passed the trajectory's end.
+    fn check(&self, geometry: &Geometry) -> Result<()> {
+        match self.span_s {
+            Some(span_s) if self.covered == 0 && geometry.has_ended_before(span_s[0]) => {
+                Err(geometry.no_overlap(span_s))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Says what was not covered.
+    fn finish(&self, geometry: &Geometry, cx: &mut Context) -> Result<()> {
+        if let (0, Some(span_s)) = (self.covered, self.span_s) {
+            return Err(geometry.no_overlap(span_s));
+        }
+        if let Some(missing_s) = self.missing_s {
+            cx.note(geometry.partly_covered(self.missing, missing_s));
+        }
+        Ok(())
+    }
+}
+
+fn extend(span_s: &mut Option<[f64; 2]>, time_s: f64) {
+    let [first, last] = span_s.get_or_insert([time_s; 2]);
+    (*first, *last) = (first.min(time_s), last.max(time_s));
+}

@@ -1,0 +1,46 @@
+//! How surely the place of each point is known.
+
+use crate::batch::{Emission, Frame, Return};
+use crate::geo::frames::Vector;
+use crate::geo::trajectory::{Accuracy, Pose};
+use crate::geo::vertical::down_at;
+use crate::geometry::Geometry;
+use crate::geometry::poses::variance_m2;
+
+/// The uncertainties of a line.
+pub(super) struct Uncertainty<'g> {
+    geometry: &'g Geometry,
+}
+
+impl<'g> Uncertainty<'g> {
+    pub(super) fn new(geometry: &'g Geometry) -> Uncertainty<'g> {
+        Uncertainty { geometry }
+    }
+
+    /// Gives every return the standard deviation of its point, as far as the trajectory tells its own.
+    pub(super) fn tell(&self, emissions: &[Emission], points: &[Vector], returns: &mut [Return]) {
+        if !self.geometry.knows_accuracy() {
+            return;
+        }
+        // The vertical where the line begins is good for all of it.
+        let first_m = emissions.first().map_or([0.0; 3], |first| first.origin_m);
+        let Some(down) = down_at(Frame::Earth, first_m) else { return };
+        let mut last: Option<(u32, Option<(Pose, Accuracy)>)> = None;
+        for (r, point) in returns.iter_mut().zip(points) {
+            let known = match last {
+                Some((emission, known)) if emission == r.emission => known,
+                _ => self.pose(&emissions[r.emission as usize]),
+            };
+            last = Some((r.emission, known));
+            if let Some((pose, accuracy)) = known {
+                let from_nav_m = std::array::from_fn(|axis| point[axis] - pose.origin_in_ecef_m[axis]);
+                r.total_sd_m = variance_m2(&accuracy, &pose, down, from_nav_m, r.range_sd_m).sqrt();
+            }
+        }
+    }
+
+    fn pose(&self, emission: &Emission) -> Option<(Pose, Accuracy)> {
+        let pose = self.geometry.pose(emission.gps_time_s)?;
+        pose.accuracy.map(|accuracy| (pose, accuracy))
+    }
+}

@@ -1,0 +1,15 @@
+//! From recordings in the scanner's frame, with a trajectory, to points in coordinates.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and tells its figures"
+)]
+
+mod chain;
+mod coordinates;
+mod elsewhere;
+mod flights;
+mod made;
+mod times;
+mod uncertainty;
