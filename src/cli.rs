@@ -105,15 +105,15 @@ enum Command {
     /// Prints a summary and writes it beside histograms as text and a page with pictures: NAME_scan.txt, NAME_scan.html,
     /// NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
     Scan(ScanArgs),
+    /// Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
+    ///
+    /// Prints a summary; writes, where asked to, a table of the columns t lon lat h x y z w p k, and a picture (SVG).
+    Trajectory(TrajectoryArgs),
     /// Translate a command line of BayesWavEx 1.0 or 1.1 into a job
     ///
     /// Prints the job; every key says which option it comes from, and what has no key stands there as a comment.
     /// docs/import.md lists all options.
     Import(ImportArgs),
-    /// Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
-    ///
-    /// Prints a summary; writes, where asked to, a table of the columns t lon lat h x y z w p k, and a picture (SVG).
-    Trajectory(TrajectoryArgs),
     /// Print the completions of a shell
     Completions {
         /// The shell
@@ -181,43 +181,6 @@ struct ScanArgs {
     /// Set a key of the reader, this time: as for `wavex run`; may be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     set: Vec<String>,
-}
-
-/// Which classic line, and what becomes of it.
-#[derive(Args)]
-struct ImportArgs {
-    /// The version that the line is for [default: 1.0 where the input is LAS or LAZ, else 1.1]
-    #[arg(long, value_name = "VERSION")]
-    classic: Option<Classic>,
-    /// Run the job instead of printing it
-    #[arg(long)]
-    run: bool,
-    /// Write the job into this file, which must not exist yet
-    #[arg(short, long, value_name = "FILE")]
-    output: Option<PathBuf>,
-    /// The line as it was typed, behind `--`; the program's name may be left out
-    #[arg(last = true, required = true, value_name = "LINE")]
-    line: Vec<String>,
-}
-
-/// A version of the classic program.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Classic {
-    /// Full-waveform LAS in, LAS 1.2 out
-    #[value(name = "1.0")]
-    V10,
-    /// SDF in, LAS 1.4 out
-    #[value(name = "1.1")]
-    V11,
-}
-
-impl Classic {
-    fn name(self) -> &'static str {
-        match self {
-            Classic::V10 => "1.0",
-            Classic::V11 => "1.1",
-        }
-    }
 }
 
 /// Which trajectory, and what becomes of it.
@@ -294,6 +257,43 @@ impl From<AnglesName> for Angles {
 /// A count of at least 1.
 fn every(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|every| *every >= 1).ok_or_else(|| "give a whole number from 1 on".to_owned())
+}
+
+/// Which classic line, and what becomes of it.
+#[derive(Args)]
+struct ImportArgs {
+    /// The version that the line is for [default: 1.0 where the input is LAS or LAZ, else 1.1]
+    #[arg(long, value_name = "VERSION")]
+    classic: Option<Classic>,
+    /// Run the job instead of printing it
+    #[arg(long)]
+    run: bool,
+    /// Write the job into this file, which must not exist yet
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// The line as it was typed, behind `--`; the program's name may be left out
+    #[arg(last = true, required = true, value_name = "LINE")]
+    line: Vec<String>,
+}
+
+/// A version of the classic program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Classic {
+    /// Full-waveform LAS in, LAS 1.2 out
+    #[value(name = "1.0")]
+    V10,
+    /// SDF in, LAS 1.4 out
+    #[value(name = "1.1")]
+    V11,
+}
+
+impl Classic {
+    fn name(self) -> &'static str {
+        match self {
+            Classic::V10 => "1.0",
+            Classic::V11 => "1.1",
+        }
+    }
 }
 
 /// Which job, and what is different this time.
@@ -393,8 +393,8 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),
-        Command::Import(args) => import::run_import(&args, quiet),
         Command::Trajectory(args) => trajectory::trajectory(&args, quiet),
+        Command::Import(args) => import::run_import(&args, quiet),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "wavex", &mut script);

@@ -6,14 +6,14 @@
 //! * lines come out in the order they came in, whatever the number of workers;
 //! * no file gets its final name before every stage has succeeded.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 use crate::geometry::Loader;
 use crate::job::Job;
 use crate::kernels::lockstep;
-use crate::stage::{Plan, Site, StageError};
+use crate::stage::{OutputLock, Plan, Site, StageError};
 
 mod chain;
 mod failure;
@@ -27,6 +27,7 @@ mod worker;
 
 pub(crate) use chain::may_hold_bytes;
 pub use failure::{Cancel, Cause, RunError};
+pub use inputs::Input;
 pub use progress::{Progress, ProgressMode};
 pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals};
 
@@ -66,12 +67,29 @@ impl Options {
         }
     }
 
-    fn workers(&self) -> usize {
+    /// How many workers each map has.
+    pub fn workers(&self) -> usize {
         match self.threads {
-            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            0 => cores().unwrap_or(1),
             threads => threads,
         }
     }
+}
+
+/// How many threads the machine runs at once, where it tells.
+pub fn cores() -> Option<usize> {
+    std::thread::available_parallelism().ok().map(usize::from)
+}
+
+/// The inputs of a job, one run each, in order.
+///
+/// # Errors
+/// A pattern that fits no file, and inputs whose outputs would have the same names.
+pub fn inputs(job: &Job, input_dir: &Path) -> Result<Vec<Input>, RunError> {
+    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
+        return Err(RunError::of_job(StageError::failed("the job has no source", "begin it with a reader")));
+    };
+    inputs::expand(source.paths(), source.stem(), input_dir)
 }
 
 /// Runs the chain once per input, and says what happened.
@@ -82,10 +100,7 @@ impl Options {
 pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
     failure::catch_panic_messages();
     let started = Instant::now();
-    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
-        return Err(RunError::of_job(StageError::failed("the job has no source", "begin it with a reader")));
-    };
-    let inputs = inputs::expand(source.paths(), source.stem(), &options.input_dir)?;
+    let inputs = inputs(job, &options.input_dir)?;
     let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir).map_err(RunError::of_job)?;
     let site = |input: inputs::Input| Site {
         input: input.path,
@@ -98,6 +113,8 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
     };
     let sites: Vec<Site> = inputs.into_iter().map(site).collect();
     inputs::keep_from_outputs(job, &sites)?;
+    // Held until the end of the run.
+    let _lock = OutputLock::take(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
     let mut report = RunReport::new(job, options);
     let mut progress = Progress::new(options.progress, sites.len());
     for mut site in sites {

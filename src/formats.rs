@@ -108,5 +108,19 @@ fn remedy_of(kind: io::ErrorKind) -> &'static str {
     }
 }
 
+/// The files beside a recording that belong to it: a `.wdp` beside LAS, a `.wvs` beside PulseWaves, whatever their case.
+pub fn companions(path: &Path) -> Vec<PathBuf> {
+    let extension = |path: &Path| path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let wanted = match extension(path).as_str() {
+        "las" | "laz" => "wdp",
+        "pls" => "wvs",
+        _ => return Vec::new(),
+    };
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let belongs = |other: &PathBuf| other.file_stem() == path.file_stem() && extension(other) == wanted;
+    let entries = folder.read_dir().into_iter().flatten().flatten();
+    entries.map(|entry| folder.join(entry.file_name())).filter(belongs).collect()
+}
+
 /// Shorthand for results of this module.
 pub type Result<T> = std::result::Result<T, Error>;

@@ -2,6 +2,7 @@
 //!
 //! The map of the crate is `ARCHITECTURE.md`; the manual of the stages is `docs/stages.md`, or `wavex stages`.
 
+pub mod archive;
 pub mod batch;
 pub mod cli;
 pub mod engine;

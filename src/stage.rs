@@ -8,6 +8,7 @@ use crate::batch::Batch;
 mod context;
 mod keys;
 mod output_file;
+mod output_lock;
 mod site;
 mod spec;
 mod survey;
@@ -15,8 +16,10 @@ mod words;
 
 pub use context::{Context, Counters, Distribution, Item};
 pub use keys::{Key, Keys};
+pub(crate) use output_file::partial_path;
 pub use output_file::{OutputFile, WholeFile, remove_unfinished_files};
-pub use site::{Paths, Site};
+pub use output_lock::{OutputLock, Outputs};
+pub use site::{Paths, Site, fixed_folder};
 pub use spec::{
     Config, ConfigError, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
     SourcePlan, StageSpec, TransformConfig,

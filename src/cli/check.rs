@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Failure, JobArgs, print, run};
 use crate::job::Job;
+use crate::stage::fixed_folder;
 
 /// Says what the job will do, or what is wrong with it.
 pub(super) fn check(args: &JobArgs) -> Result<(), Failure> {
@@ -33,19 +34,9 @@ fn report(job: &Job, folder: &Path) -> Result<String, String> {
 fn output_folders(job: &Job, output_dir: &Path) -> BTreeSet<PathBuf> {
     let mut folders = BTreeSet::new();
     for pattern in job.stages.iter().flat_map(|stage| stage.planned.plan.outputs()) {
-        // What stands before the first `*` is a folder up to its last separator.
-        let known = pattern.split('*').next().unwrap_or_default();
-        folders.insert(folder_of(&output_dir.join(known)));
+        folders.insert(fixed_folder(output_dir, pattern));
     }
     folders
-}
-
-/// A path up to its last separator.
-fn folder_of(path: &Path) -> PathBuf {
-    let ends_in_separator = path.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
-    let folder = if ends_in_separator { Some(path) } else { path.parent() };
-    let folder: PathBuf = folder.map_or_else(PathBuf::new, |folder| folder.components().collect());
-    if folder.as_os_str().is_empty() { PathBuf::from(".") } else { folder }
 }
 
 /// Whether files can be made in a folder, or the folder itself: in words, or why not. Nothing stays behind.
@@ -104,17 +95,6 @@ a.toml fits
   note:   no stage of this job writes a file: a run counts and measures, and leaves only its report
 ";
         assert_eq!(report(&job, Path::new(".")).unwrap(), expected);
-    }
-
-    #[test]
-    fn a_folder_ends_before_the_first_star() {
-        let folder = |known: &str| folder_of(&Path::new("out").join(known));
-        assert_eq!(folder(""), Path::new("out"), "`*.laz`");
-        assert_eq!(folder("las/"), Path::new("out/las"), "`las/*.laz`");
-        assert_eq!(folder("las/all.laz"), Path::new("out/las"));
-        assert_eq!(folder("flight_"), Path::new("out"), "`flight_*/a.laz`");
-        assert_eq!(folder("/elsewhere/all.laz"), Path::new("/elsewhere"));
-        assert_eq!(folder_of(Path::new("all.laz")), Path::new("."));
     }
 
     #[test]

@@ -8,7 +8,10 @@ use super::{Failure, JobArgs, Machine, When, log, terminal};
 use crate::engine::{self, Cancel, Cause, Options, ProgressMode, RunError, RunReport};
 use crate::formats::Error;
 use crate::job::{Job, Override};
-use crate::stage::{OutputFile, StageError, remove_unfinished_files};
+use crate::stage::{OutputFile, OutputLock, Outputs, StageError, fixed_folder, remove_unfinished_files};
+
+/// What `--profile` writes beside the outputs.
+const TRACE: &str = "trace.json";
 
 /// Reads the job and runs it.
 pub(super) fn run(args: &JobArgs, machine: Machine, quiet: bool) -> Result<(), Failure> {
@@ -23,6 +26,8 @@ pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -
     }
     let (input_dir, output_dir) = folders(job, folder);
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
+    // Before the log: another run's would be cut off.
+    let _lock = lock(job, &output_dir, machine.profile).map_err(|error| failed(&error))?;
     if !job.settings.log.is_empty() {
         log::to_file(&output_dir.join(&job.settings.log)).map_err(|error| failed(&error))?;
     }
@@ -46,9 +51,19 @@ pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -
         write_report(&report, file).map_err(|error| failed(&error))?;
     }
     if machine.profile {
-        write_trace(&report, &output_dir.join("trace.json")).map_err(|error| failed(&error))?;
+        write_trace(&report, &output_dir.join(TRACE)).map_err(|error| failed(&error))?;
     }
     if quiet { Ok(()) } else { terminal::print(&summary(&report, machine.profile)) }
+}
+
+/// Claims what a run writes besides the outputs of its stages, which the engine claims.
+fn lock(job: &Job, output_dir: &Path, profile: bool) -> Result<OutputLock, StageError> {
+    let names = [&job.settings.log, &job.settings.report].map(String::as_str).into_iter();
+    let mut outputs = Outputs::new();
+    for name in names.chain(profile.then_some(TRACE)).filter(|name| !name.is_empty()) {
+        outputs.entry(fixed_folder(output_dir, name)).or_default().insert(output_dir.join(name));
+    }
+    OutputLock::take(&outputs)
 }
 
 /// Ctrl-C and a request to terminate end the run in order, as soon as every stage has done the line it is at; a second one

@@ -51,6 +51,18 @@ impl RunError {
     pub fn of_job(error: StageError) -> RunError {
         RunError { stage: None, input: None, cause: Cause::Stage(error) }
     }
+
+    /// The same as the error of something that a run is a part of.
+    pub fn into_stage_error(self) -> StageError {
+        match self {
+            RunError { stage: None, input: None, cause: Cause::Stage(error) } => error,
+            other => {
+                let text = other.to_string();
+                let (problem, remedy) = text.split_once("; ").unwrap_or((&text, "see the log"));
+                StageError::failed(problem, remedy)
+            }
+        }
+    }
 }
 
 impl std::error::Error for RunError {}

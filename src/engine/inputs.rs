@@ -5,13 +5,15 @@ use std::path::{Path, PathBuf};
 
 use super::RunError;
 use crate::job::Job;
-use crate::stage::{Paths, Site, StageError};
+use crate::stage::{Outputs, Paths, Site, StageError, fixed_folder};
 
 /// One run's input.
 #[derive(Debug, PartialEq)]
-pub(super) struct Input {
-    pub(super) path: PathBuf,
-    pub(super) stem: String,
+pub struct Input {
+    /// The file, or `-` for standard input; empty where the source makes its own data.
+    pub path: PathBuf,
+    /// What outputs are named after.
+    pub stem: String,
 }
 
 /// The inputs, in the order of the job; those of a pattern in the order of their names.
@@ -76,6 +78,18 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     }
     paths.sort();
     Ok(paths)
+}
+
+/// What all runs write, by the folder in which it is claimed.
+pub(super) fn outputs(job: &Job, sites: &[Site]) -> Outputs {
+    let mut outputs = Outputs::new();
+    for site in sites {
+        for pattern in job.stages.iter().flat_map(|stage| stage.planned.plan.outputs()) {
+            let folder = fixed_folder(&site.output_dir, pattern);
+            outputs.entry(folder).or_default().insert(site.output_path(pattern));
+        }
+    }
+    outputs
 }
 
 /// No output of any run may take the place of an input of any run: `job` compares the names, here are the files.

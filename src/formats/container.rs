@@ -24,6 +24,7 @@ mod line;
 mod messages;
 mod place;
 mod reader;
+mod table;
 #[cfg(test)]
 mod tests;
 mod writer;
@@ -32,6 +33,7 @@ pub use builder::LineBuilder;
 pub use header::{ContainerHeader, EmissionReference, Frame, TimeScale};
 pub use line::{ContainerBlock, ContainerLine, ContainerOnline, ContainerShot};
 pub use reader::ContainerReader;
+pub use table::TableReader;
 pub use writer::{Compression, ContainerWriter};
 
 /// The value of `wavex.container` that this module reads and writes.

@@ -1,5 +1,9 @@
 //! The coordinate reference system of older LAS and of PulseWaves files: GeoTIFF keys.
 
+mod of_wkt;
+
+pub use of_wkt::directory_of_wkt;
+
 /// Key of the model type: 1 projected, 2 geographic, 3 geocentric (GeoTIFF 1.0, section 6.3.1.1).
 const MODEL_TYPE: u16 = 1024;
 /// Key of the geographic coordinate reference system (GeoTIFF 1.0, section 6.3.2.1).

@@ -1,4 +1,4 @@
-//! LAS and LAZ: full-waveform input (point formats 4, 5, 9 and 10) and point cloud output (point format 6).
+//! LAS and LAZ: full-waveform input (point formats 4, 5, 9 and 10) and point cloud output (point formats 1 and 6).
 //!
 //! The specification is ASPRS LAS 1.4 R15; older versions differ in the length of the header only, and LAS 1.5 adds
 //! three fields to its end. Compression is LASzip's, through the `laz` crate.
@@ -10,8 +10,11 @@ mod chunks;
 mod descriptor;
 mod extra_bytes;
 mod header;
+mod lax;
 mod packets;
 mod point;
+mod point_out;
+mod raw;
 mod reader;
 mod records;
 mod vlr;
@@ -19,14 +22,16 @@ mod writer;
 
 pub use descriptor::Descriptor;
 pub use extra_bytes::{
-    AMP, ATTRIBUTES, ATTRIBUTES_1_0, CHANNEL, DEV_RATIO, DataType, ExtraAttribute, ExtraBytes, INT_ERR,
+    AMP, ATTRIBUTES_1_0, ATTRIBUTES_1_1, CHANNEL, DEV_RATIO, DataType, ExtraAttribute, ExtraBytes, INT_ERR,
     RANGE_ERR, RAW_AMP, TARGET_THICK, THICK_ERR, WIDE_ERR, WIDE_RATIO, quantise,
 };
 pub use header::{GpsTime, Header};
-pub use point::{Point, PointOut, Wave};
+pub use point::{Point, Wave};
+pub use point_out::PointOut;
+pub use raw::{RawField, RawPoints};
 pub use reader::Reader;
 pub use vlr::Vlr;
-pub use writer::{Writer, WriterOptions};
+pub use writer::{IndexPlace, Version, Writer, WriterOptions};
 
 #[cfg(test)]
 mod tests;

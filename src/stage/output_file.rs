@@ -45,19 +45,25 @@ pub fn remove_unfinished_files() {
     }
 }
 
+/// Where a process writes what is to become `path`: beside it.
+pub(crate) fn partial_path(path: &Path, process: u32) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!(".{name}.{process}.partial"))
+}
+
 impl OutputFile {
     /// Begins the file that is to become `path`; its folder is made where it is missing.
     pub fn create(path: &Path) -> Result<OutputFile> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::create_dir_all(folder).map_err(Error::io(folder, "make the folder"))?;
-        let Some(name) = path.file_name() else {
+        if path.file_name().is_none() {
             return Err(Error::unusable(path, "no file name", "give the output a name, as in `out/*.laz`"));
-        };
+        }
         if path.is_dir() {
             let remedy = "choose another name, or remove the folder";
             return Err(Error::unusable(path, "a folder has the name of this output", remedy));
         }
-        let temporary = folder.join(format!(".{}.{}.partial", name.to_string_lossy(), std::process::id()));
+        let temporary = partial_path(path, std::process::id());
         let file = File::create(&temporary).map_err(Error::io(path, "create"))?;
         let partial = Partial::new(temporary, path);
         Ok(OutputFile { writer: BufWriter::with_capacity(1 << 18, file), partial })

@@ -46,6 +46,16 @@ impl Site {
     }
 }
 
+/// The folder that an output pattern means, as far as the input's name does not decide about it.
+pub fn fixed_folder(output_dir: &Path, pattern: &str) -> PathBuf {
+    // What stands before the first `*` is a folder up to its last separator.
+    let known = output_dir.join(pattern.split('*').next().unwrap_or_default());
+    let ends_in_separator = known.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
+    let folder = if ends_in_separator { Some(known.as_path()) } else { known.parent() };
+    let folder: PathBuf = folder.map_or_else(PathBuf::new, |folder| folder.components().collect());
+    if folder.as_os_str().is_empty() { PathBuf::from(".") } else { folder }
+}
+
 /// One path or several; each may be a pattern (`*`, `?`, `[...]`, `**`).
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
@@ -83,5 +93,16 @@ mod tests {
         };
         assert_eq!(site.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));
         assert_eq!(site.output_path("/abs/all.laz"), Path::new("/abs/all.laz"));
+    }
+
+    #[test]
+    fn a_folder_ends_before_the_first_star() {
+        let folder = |pattern: &str| fixed_folder(Path::new("out"), pattern);
+        assert_eq!(folder("*.laz"), Path::new("out"));
+        assert_eq!(folder("las/*.laz"), Path::new("out/las"));
+        assert_eq!(folder("las/all.laz"), Path::new("out/las"));
+        assert_eq!(folder("flight_*/a.laz"), Path::new("out"));
+        assert_eq!(folder("/elsewhere/all.laz"), Path::new("/elsewhere"));
+        assert_eq!(fixed_folder(Path::new(""), "all.laz"), Path::new("."));
     }
 }

@@ -16,6 +16,17 @@ pub trait Config: DeserializeOwned + Serialize + JsonSchema + Send + Sync + 'sta
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         Ok(())
     }
+
+    /// The files that the stage reads besides the source's `path`: texts among its keys, which start where inputs do.
+    /// Archives keep their digests.
+    fn inputs(&self) -> Vec<&str> {
+        Vec::new()
+    }
+
+    /// Keys that say where something lies on this machine and change no result: archives leave them out.
+    fn local_keys(&self) -> &'static [&'static str] {
+        &[]
+    }
 }
 
 /// A key whose value cannot be used.
@@ -73,6 +84,11 @@ pub trait MapConfig: Config {
 
 /// The keys of a [`Transform`].
 pub trait TransformConfig: Config {
+    /// Patterns of the files that the stage writes.
+    fn outputs(&self) -> Vec<&str> {
+        Vec::new()
+    }
+
     /// Makes the stage.
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>>;
 }
@@ -140,8 +156,9 @@ impl Plan {
     pub fn outputs(&self) -> Vec<&str> {
         match self {
             Plan::Source(source) => source.outputs(),
+            Plan::Transform(transform) => transform.outputs(),
             Plan::Sink(sink) => sink.outputs(),
-            Plan::Map(_) | Plan::Transform(_) => Vec::new(),
+            Plan::Map(_) => Vec::new(),
         }
     }
 }
@@ -153,6 +170,10 @@ pub struct Planned {
     pub plan: Plan,
     /// Its keys, every default spelled out.
     pub resolved: serde_json::Value,
+    /// The files that it reads, see [`Config::inputs`].
+    pub inputs: Vec<String>,
+    /// Keys that concern this machine only, see [`Config::local_keys`].
+    pub local_keys: &'static [&'static str],
 }
 
 /// The object-safe part of [`SourceConfig`].
@@ -177,6 +198,8 @@ pub trait MakeMap: Send + Sync {
 
 /// The object-safe part of [`TransformConfig`].
 pub trait MakeTransform: Send + Sync {
+    /// See [`TransformConfig::outputs`].
+    fn outputs(&self) -> Vec<&str>;
     /// See [`TransformConfig::make`].
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>>;
 }
@@ -214,6 +237,9 @@ impl<C: MapConfig> MakeMap for C {
 }
 
 impl<C: TransformConfig> MakeTransform for C {
+    fn outputs(&self) -> Vec<&str> {
+        TransformConfig::outputs(self)
+    }
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
         TransformConfig::make(self, site)
     }
@@ -337,5 +363,7 @@ fn parse<C: Config>(
     let config = C::deserialize(toml::de::Deserializer::from(table)).map_err(ConfigError::Toml)?;
     config.check().map_err(ConfigError::Key)?;
     let resolved = serde_json::to_value(&config).unwrap_or(serde_json::Value::Null);
-    Ok(Planned { plan: plan(Arc::new(config)), resolved })
+    let inputs = config.inputs().into_iter().map(str::to_owned).collect();
+    let local_keys = config.local_keys();
+    Ok(Planned { plan: plan(Arc::new(config)), resolved, inputs, local_keys })
 }

@@ -143,9 +143,17 @@ impl Config for Calibrate {
         };
         InvalidKey::unless(amplitude.is_some() == time_ns.is_some(), given, missing)
     }
+
+    fn inputs(&self) -> Vec<&str> {
+        self.load.iter().filter_map(|path| path.to_str()).collect()
+    }
 }
 
 impl TransformConfig for Calibrate {
+    fn outputs(&self) -> Vec<&str> {
+        self.save.as_deref().into_iter().collect()
+    }
+
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
         let model = match &self.load {
             Some(path) => Some(Arc::new(load(&site.input_path(path))?)),

@@ -133,6 +133,19 @@ impl Config for Correct {
             "it must lie between 0 and 100, or be `false`",
         )
     }
+
+    fn inputs(&self) -> Vec<&str> {
+        [&self.range_table, &self.amplitude_table].into_iter().filter_map(TableKey::file).collect()
+    }
+}
+
+impl TableKey {
+    fn file(&self) -> Option<&str> {
+        match self {
+            TableKey::File(path) => path.to_str(),
+            TableKey::Own(_) => None,
+        }
+    }
 }
 
 impl TransformConfig for Correct {

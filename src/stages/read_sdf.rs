@@ -94,6 +94,10 @@ impl stage::Config for Config {
         unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")?;
         check_odd_sample_shift(self.odd_sample_shift)
     }
+
+    fn local_keys(&self) -> &'static [&'static str] {
+        &["library", "index_dir"]
+    }
 }
 
 impl SourceConfig for Config {

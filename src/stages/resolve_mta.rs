@@ -167,6 +167,10 @@ impl Config for ResolveMta {
         let undecided = self.agl_m.is_none() && self.terrain.is_none();
         unless(undecided, "zone", "a fixed zone leaves nothing to decide: leave `agl_m` and `terrain` out")
     }
+
+    fn inputs(&self) -> Vec<&str> {
+        self.terrain.iter().filter_map(|path| path.to_str()).collect()
+    }
 }
 
 impl ResolveMta {

@@ -1,36 +1,50 @@
 //! Points as LAS or LAZ.
 
-use std::sync::Arc;
+mod attributes;
+#[cfg(test)]
+mod tests;
+
+use std::io::Write;
+use std::path::Path;
+use std::sync::{Arc, OnceLock};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Emission, InputInfo, Kind, Return, ReturnChannel, emission_flags};
+use crate::batch::{Batch, Emission, InputInfo, Kind, Return, emission_flags};
 use crate::formats::Error;
-use crate::formats::las::{
-    AMP, ATTRIBUTES, CHANNEL, DEV_RATIO, ExtraAttribute, INT_ERR, PointOut, RANGE_ERR, RAW_AMP, TARGET_THICK,
-    THICK_ERR, WIDE_ERR, WIDE_RATIO, Writer, WriterOptions,
-};
+use crate::formats::geokeys;
+use crate::formats::las::{IndexPlace, PointOut, Version, Wave, Writer, WriterOptions};
 use crate::geo::time::{adjusted_gps_time, day_of_year};
 use crate::stage::{
-    Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageSpec,
+    Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
 };
+use attributes::Attributes;
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec =
     StageSpec::sink::<WriteLas>("write_las", &[Kind::Points]).after(&["georeference"]);
 
-/// Writes points as LAS or LAZ 1.4, point format 6: the extension of `path` decides which.
+/// Writes points as LAS or LAZ: the extension of `path` decides which.
 ///
 /// Intensity is the corrected intensity, rounded. Return numbers, scan angle, scan direction and edge of flight line are
 /// those of the emission; times are adjusted GPS time where the input tells the week, else as the input has them, and the
 /// header says which. The point source id is the multiple-time-around zone, the user data byte holds the flags of the fit
 /// (bit 0 refined, 1 overlap, 2 diverged at first, 3 to 5 cross-talk, 6 saturated, 7 extremely saturated), outliers are
-/// withheld and of class 20. The coordinate reference system of the points goes into the file as WKT.
+/// withheld and of class 20; the channel is that of the power that gave the intensity (0 low, 1 high).
+///
+/// LAS 1.4 has point format 6 and the coordinate reference system of the points as WKT. LAS 1.2, for older programs, has
+/// point format 1 (at most 7 returns of a pulse, whole degrees, no channel) and GeoTIFF keys, or WKT where the system has
+/// no EPSG code.
 ///
 /// Extra attributes: `WideRatio`, `TargetThick`, `Amp`, `DevRatio`, `RangeErr`, `IntErr`, `WideErr`, `ThickErr` and
 /// `Channel` (0 low, 1 high power), with the scales, offsets and types of BayesWavEx 1.1. All values are clamped to what
 /// their type can hold, never wrapped.
+///
+/// Layout 1.0 has the names and scales of BayesWavEx 1.0 (2016): `Widening`, `Target Thickness`, `Amplitude`,
+/// `Raw Amplitude`, `Deviation Ratio`, `Range Error`, `Intensity Error`, `Widening Error`, `Thickness Error`. Its user data
+/// byte says in bit 0 that the return was refined (the number of iterations, for which bits 0 to 5 stand, is not kept), in
+/// bit 6 overlap, in bit 7 a second refinement; points of a deviation ratio above 3 belong to class 20, too.
 ///
 /// Rejected, and counted, are points too far away for 32-bit coordinates of the step; where that is every point, it is an
 /// error.
@@ -41,19 +55,71 @@ pub const STAGE: StageSpec =
 pub struct WriteLas {
     /// The file, `.las` or `.laz`; `*` is the input's stem.
     pub path: String,
+    /// Version of the file.
+    pub version: VersionKey,
     /// Write the extra attributes.
     pub extra_attributes: bool,
     /// Of these, write the standard deviations, too.
     pub uncertainty: bool,
+    /// Names and scales of the extra attributes, and what class and user data mean.
+    pub attribute_layout: AttributeLayout,
+    /// Where the spatial index for LAStools goes.
+    pub index: IndexKey,
     /// Step of the coordinates, in units of the coordinate reference system; when not given, 0.001, or that of the input or
     /// of `georeference` where it is below 0.00001, as degrees need it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coordinate_step: Option<f64>,
+    /// The index beside the file, once its name was asked for.
+    #[serde(skip)]
+    index_path: OnceLock<String>,
+}
+
+/// Version of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+pub enum VersionKey {
+    /// Point format 6.
+    #[serde(rename = "1.4")]
+    V1_4,
+    /// Point format 1.
+    #[serde(rename = "1.2")]
+    V1_2,
+}
+
+/// Where a spatial index goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum IndexKey {
+    /// There is none.
+    None,
+    /// Into a file of the same name that ends in `.lax`.
+    File,
+    /// Behind the points, in LAZ only.
+    Appended,
+}
+
+/// A layout of what points tell of their returns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+pub enum AttributeLayout {
+    /// That of BayesWavEx 1.1.
+    #[serde(rename = "1.1")]
+    V1_1,
+    /// That of BayesWavEx 1.0.
+    #[serde(rename = "1.0")]
+    V1_0,
 }
 
 impl Default for WriteLas {
     fn default() -> WriteLas {
-        WriteLas { path: "*.laz".into(), extra_attributes: true, uncertainty: true, coordinate_step: None }
+        WriteLas {
+            path: "*.laz".into(),
+            version: VersionKey::V1_4,
+            extra_attributes: true,
+            uncertainty: true,
+            attribute_layout: AttributeLayout::V1_1,
+            index: IndexKey::None,
+            coordinate_step: None,
+            index_path: OnceLock::new(),
+        }
     }
 }
 
@@ -69,22 +135,30 @@ impl Config for WriteLas {
             self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
             "coordinate_step",
             "it must lie between 1e-9 and 1",
+        )?;
+        InvalidKey::unless(
+            self.index != IndexKey::Appended || lower.ends_with(".laz"),
+            "index",
+            "an index can only be appended to .laz: write it as a file",
         )
     }
 }
 
 impl SinkConfig for WriteLas {
     fn outputs(&self) -> Vec<&str> {
-        vec![&self.path]
+        match self.index {
+            IndexKey::File => vec![&self.path, self.index_path()],
+            IndexKey::None | IndexKey::Appended => vec![&self.path],
+        }
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
         let file = site.create(&self.path)?;
-        let attributes = self.attributes();
         Ok(Box::new(LasSink {
+            attributes: self.attributes(),
             config: self.clone(),
-            attributes,
             threads: site.threads,
+            index: (self.index == IndexKey::File).then(|| site.create(self.index_path())).transpose()?,
             state: State::Empty(file),
             input: None,
             extra: Vec::new(),
@@ -94,14 +168,17 @@ impl SinkConfig for WriteLas {
 }
 
 impl WriteLas {
-    /// The extra attributes to write, in their order.
-    fn attributes(&self) -> Vec<ExtraAttribute> {
-        let is_uncertainty =
-            |attribute: &ExtraAttribute| [RANGE_ERR, INT_ERR, WIDE_ERR, THICK_ERR].contains(attribute);
-        let wanted = |attribute: &&ExtraAttribute| {
-            **attribute != RAW_AMP && (self.uncertainty || !is_uncertainty(attribute))
-        };
-        if self.extra_attributes { ATTRIBUTES.iter().filter(wanted).copied().collect() } else { Vec::new() }
+    fn attributes(&self) -> Attributes {
+        match self.extra_attributes {
+            true => Attributes::of(self.attribute_layout, self.uncertainty),
+            false => Attributes::none(),
+        }
+    }
+
+    /// The pattern of the index: that of the file, with another ending.
+    fn index_path(&self) -> &str {
+        let other = || Path::new(&self.path).with_extension("lax").to_string_lossy().into_owned();
+        self.index_path.get_or_init(other)
     }
 
     /// The step of each coordinate.
@@ -120,7 +197,7 @@ impl WriteLas {
         input: &InputInfo,
         first: Option<[f64; 3]>,
         time_s: f64,
-        attributes: &[ExtraAttribute],
+        attributes: &Attributes,
         threads: usize,
     ) -> Result<Writer<OutputFile>> {
         let offset = input.coordinate_grid.map(|(_, offset)| offset);
@@ -129,16 +206,25 @@ impl WriteLas {
         let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
         let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
         let options = WriterOptions {
+            version: match self.version {
+                VersionKey::V1_4 => Version::V1_4,
+                VersionKey::V1_2 => Version::V1_2,
+            },
             scale: self.steps(input),
             offset: offset.unwrap_or_else(|| first.unwrap_or_default().map(near)),
             wkt: input.crs_wkt.as_deref(),
-            extra_attributes: attributes,
+            extra_attributes: &attributes.stored,
             adjusted_gps_time: adjusted.is_some(),
             creation_day,
             creation_year,
             system_identifier: input.instrument.as_deref().unwrap_or("EXTRACTION"),
             generating_software: concat!("wavex ", env!("CARGO_PKG_VERSION")),
             file_source_id: 0,
+            index: match self.index {
+                IndexKey::None => IndexPlace::None,
+                IndexKey::File => IndexPlace::Beside,
+                IndexKey::Appended => IndexPlace::Appended,
+            },
             threads,
         };
         let path = file.path().to_path_buf();
@@ -153,8 +239,10 @@ const DEGREES_STEP: f64 = 1e-5;
 
 struct LasSink {
     config: WriteLas,
-    attributes: Vec<ExtraAttribute>,
+    attributes: Attributes,
     threads: usize,
+    /// The file of the index.
+    index: Option<OutputFile>,
     state: State,
     input: Option<Arc<InputInfo>>,
     extra: Vec<u8>,
@@ -173,21 +261,31 @@ enum State {
 }
 
 impl LasSink {
-    fn writer(
-        &mut self,
-        input: &InputInfo,
-        first: Option<[f64; 3]>,
-        time_s: f64,
-    ) -> Result<&mut Writer<OutputFile>> {
+    /// Begins the file, unless it has begun.
+    fn begin(&mut self, input: &InputInfo, first: Option<[f64; 3]>, time_s: f64) -> Result<()> {
         if let State::Empty(_) = self.state
             && let State::Empty(file) = std::mem::replace(&mut self.state, State::Broken)
         {
             let writer = self.config.begin(file, input, first, time_s, &self.attributes, self.threads)?;
             self.state = State::Open(Box::new(writer));
         }
-        match &mut self.state {
-            State::Open(writer) => Ok(writer),
-            State::Empty(_) | State::Broken => Err(crate::stage::StageError::Stopped),
+        Ok(())
+    }
+
+    /// What is said once about the input.
+    fn note(&self, input: &InputInfo, cx: &mut Context) {
+        match &input.crs_wkt {
+            None => {
+                cx.note(
+                    "the input names no coordinate reference system by WKT or EPSG code: the file has none",
+                );
+            }
+            Some(wkt) if self.config.version == VersionKey::V1_2 => {
+                if geokeys::directory_of_wkt(wkt).is_none() {
+                    cx.note("the coordinate reference system has no EPSG code: it stands in the file of LAS 1.2 as WKT");
+                }
+            }
+            Some(_) => {}
         }
     }
 }
@@ -197,24 +295,26 @@ impl Sink for LasSink {
         let (Some(returns), Some(points)) = (batch.returns(), batch.points()) else {
             return Ok(());
         };
+        let input = &batch.input;
+        self.input.get_or_insert_with(|| Arc::clone(input));
         // The first point decides about the offset of the coordinates, so that a file begins with it.
-        self.input.get_or_insert_with(|| Arc::clone(&batch.input));
         if points.is_empty() {
             return Ok(());
         }
-        if batch.input.crs_wkt.is_none() {
-            cx.note("the input names no coordinate reference system by WKT or EPSG code: the file has none");
+        if let State::Empty(_) = self.state {
+            self.note(input, cx);
         }
-        let mut extra = std::mem::take(&mut self.extra);
-        let attributes = self.attributes.clone();
-        let input = &batch.input;
-        let writer = self.writer(input, points.first().copied(), batch.stats.gps_time_s)?;
+        self.begin(input, points.first().copied(), batch.stats.gps_time_s)?;
+        let State::Open(writer) = &mut self.state else {
+            return Err(StageError::Stopped);
+        };
         let mut refused = None;
         for (r, position) in returns.iter().zip(points) {
-            let point = point(input, &batch.emissions[r.emission as usize], r, *position);
-            extra.clear();
-            attributes.iter().for_each(|attribute| attribute.push(value(attribute, r), &mut extra));
-            match writer.write_point(&point, &extra) {
+            let layout = self.config.attribute_layout;
+            let point = point(input, &batch.emissions[r.emission as usize], r, *position, layout);
+            self.extra.clear();
+            self.attributes.push(r, &mut self.extra);
+            match writer.write_point(&point, &self.extra) {
                 Ok(()) => {}
                 Err(error @ Error::Io { .. }) => return Err(error.into()),
                 Err(error) => {
@@ -227,19 +327,28 @@ impl Sink for LasSink {
             cx.note(format!("{TOO_FAR} was left out, and so is every further one: {error}"));
             self.refused = Some(error);
         }
-        self.extra = extra;
         cx.observe("points_per_line", points.len() as f64);
         Ok(())
     }
 
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
         let input = self.input.take().unwrap_or_default();
-        self.writer(&input, None, f64::NAN)?;
-        if let State::Open(writer) = self.state {
+        self.begin(&input, None, f64::NAN)?;
+        if let State::Open(mut writer) = self.state {
             if writer.n_points() == 0 {
                 // Not one point fits: then it is the file's coordinates that are wrong.
                 self.refused.map_or(Ok(()), Err)?;
                 cx.note("not a single point was found");
+            }
+            if writer.n_points() > u64::from(u32::MAX) && self.config.index != IndexKey::None {
+                cx.note("an index cannot name so many points: the file has none");
+            }
+            if let Some(mut file) = self.index
+                && let Some(index) = writer.take_index()
+            {
+                let path = file.path().to_path_buf();
+                file.write_all(&index).map_err(Error::io(&path, "write"))?;
+                cx.keep(file.finish()?);
             }
             cx.keep(writer.finish()?.finish()?);
         }
@@ -247,7 +356,13 @@ impl Sink for LasSink {
     }
 }
 
-fn point(input: &InputInfo, emission: &Emission, r: &Return, [x, y, z]: [f64; 3]) -> PointOut {
+fn point(
+    input: &InputInfo,
+    emission: &Emission,
+    r: &Return,
+    [x, y, z]: [f64; 3],
+    layout: AttributeLayout,
+) -> PointOut {
     let flag = |bit: u16| emission.flags & bit != 0;
     PointOut {
         x,
@@ -259,38 +374,18 @@ fn point(input: &InputInfo, emission: &Emission, r: &Return, [x, y, z]: [f64; 3]
         number_of_returns: r.number_of_returns,
         scan_direction: flag(emission_flags::SCAN_DIRECTION_POSITIVE),
         edge_of_flight_line: flag(emission_flags::EDGE_OF_FLIGHT_LINE),
-        classification: r.class,
+        classification: attributes::class(layout, r),
         withheld: r.withheld,
-        scanner_channel: 0,
+        scanner_channel: attributes::power_channel(r),
         scan_angle_deg: if emission.scan_angle_deg.is_nan() { 0.0 } else { emission.scan_angle_deg },
-        user_data: r.flags as u8,
+        user_data: attributes::user_data(layout, r),
         point_source_id: r.mta_zone.max(0) as u16,
         gps_time: gps_time(input, emission),
+        wave: Wave::default(),
     }
 }
 
 fn gps_time(input: &InputInfo, emission: &Emission) -> f64 {
     let time_s = emission.gps_time_s;
     adjusted_gps_time(input, time_s).unwrap_or(if time_s.is_nan() { 0.0 } else { time_s })
-}
-
-/// The value of an extra attribute of BayesWavEx 1.1 (section 3).
-fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
-    match attribute.name {
-        name if name == WIDE_RATIO.name => r.width_ratio,
-        name if name == TARGET_THICK.name => r.thickness_m,
-        name if name == AMP.name => linear_amplitude(r),
-        name if name == DEV_RATIO.name => r.deviation_ratio,
-        name if name == RANGE_ERR.name => r.range_sd_m,
-        name if name == INT_ERR.name => r.intensity_sd,
-        name if name == WIDE_ERR.name => r.width_ratio_sd,
-        name if name == THICK_ERR.name => r.thickness_sd_m,
-        name if name == CHANNEL.name => f64::from(u8::from(r.channel != ReturnChannel::Low)),
-        _ => f64::NAN,
-    }
-}
-
-/// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak's height.
-fn linear_amplitude(r: &Return) -> f64 {
-    if r.amplitude_db.is_nan() { r.amplitude_dn } else { 7.0 * 10f64.powf(r.amplitude_db / 10.0) }
 }

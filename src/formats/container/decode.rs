@@ -56,6 +56,12 @@ impl Decoder {
 
     /// The line in a message; `None` where the message is none.
     pub(super) fn line(&self, message: &Message, place: Place) -> Result<Option<ContainerLine>> {
+        let batch = self.batch(message, place)?;
+        batch.map(|batch| ContainerLine::try_new(&self.arrays(&batch), place)).transpose()
+    }
+
+    /// The columns of the layout in a message, in the order of the file; `None` where the message is no record batch.
+    pub(super) fn batch(&self, message: &Message, place: Place) -> Result<Option<RecordBatch>> {
         let parsed =
             root_as_message(&message.metadata).map_err(|e| place.bad("message", first_line(&e), DAMAGED))?;
         let (Some(batch), version) = (parsed.header_as_record_batch(), parsed.version()) else {
@@ -71,8 +77,8 @@ impl Decoder {
         }
         guard::check(&batch, version, &self.schema, &self.present, &message.body, place)?;
         let decode = |columns: &[usize]| decode(&message.body, batch, &self.schema, columns, version);
-        let decoded = match decode(&self.present) {
-            Ok(decoded) => decoded,
+        match decode(&self.present) {
+            Ok(decoded) => Ok(Some(decoded)),
             Err(error) => {
                 // The decoder does not say which column it was at: whichever fails by itself, too.
                 let culprit =
@@ -81,10 +87,9 @@ impl Decoder {
                     || ("record batch".to_string(), error),
                     |(column, error)| (format!("column `{}`", self.schema.field(column).name()), error),
                 );
-                return Err(place.bad(self.rows(&column, batch.length(), place), problem, DAMAGED));
+                Err(place.bad(self.rows(&column, batch.length(), place), problem, DAMAGED))
             }
-        };
-        ContainerLine::try_new(&self.arrays(&decoded), place).map(Some)
+        }
     }
 
     /// A column and the rows that a record batch has.

@@ -231,9 +231,9 @@ pub const CHANNEL: ExtraAttribute =
 pub const RAW_AMP: ExtraAttribute =
     attribute("RawAmp", "Raw pulse amplitude", DataType::U16, Some(1.0), Some(0.0), UNKNOWN);
 
-/// The attributes of layout 1.1 in their order, and the raw amplitude behind them.
-pub const ATTRIBUTES: [ExtraAttribute; 10] =
-    [WIDE_RATIO, TARGET_THICK, AMP, DEV_RATIO, RANGE_ERR, INT_ERR, WIDE_ERR, THICK_ERR, CHANNEL, RAW_AMP];
+/// The attributes of layout 1.1 in their order (BayesWavEx 1.1, section 3).
+pub const ATTRIBUTES_1_1: [ExtraAttribute; 9] =
+    [WIDE_RATIO, TARGET_THICK, AMP, DEV_RATIO, RANGE_ERR, INT_ERR, WIDE_ERR, THICK_ERR, CHANNEL];
 
 /// The attributes of layout 1.0 in their order (BayesWavEx 1.0, section 2): other names, and other steps for the
 /// widening and the deviation ratio.
@@ -286,12 +286,33 @@ mod tests {
             ("WideErr", Some(0.002), Some(0.0), 1),
             ("ThickErr", Some(0.001), Some(0.0), 1),
             ("Channel", None, None, 1),
-            ("RawAmp", Some(1.0), Some(0.0), 2),
         ];
-        for (attribute, row) in ATTRIBUTES.iter().zip(table) {
+        for (attribute, row) in ATTRIBUTES_1_1.iter().zip(table) {
             assert_eq!((attribute.name, attribute.scale, attribute.offset, attribute.data_type.bytes()), row);
         }
-        for attribute in ATTRIBUTES.iter().chain(&ATTRIBUTES_1_0) {
+    }
+
+    #[test]
+    fn layout_1_0_has_the_names_steps_and_types_of_its_manual() {
+        let table = [
+            ("Widening", Some(0.02), Some(1.0), 1),
+            ("Target Thickness", Some(0.008), Some(0.0), 1),
+            ("Amplitude", Some(1.0), Some(0.0), 2),
+            ("Raw Amplitude", Some(1.0), Some(0.0), 2),
+            ("Deviation Ratio", Some(0.05), Some(0.0), 1),
+            ("Range Error", Some(0.001), Some(0.0), 1),
+            ("Intensity Error", Some(0.2), Some(0.0), 1),
+            ("Widening Error", Some(0.002), Some(0.0), 1),
+            ("Thickness Error", Some(0.001), Some(0.0), 1),
+        ];
+        for (attribute, row) in ATTRIBUTES_1_0.iter().zip(table) {
+            assert_eq!((attribute.name, attribute.scale, attribute.offset, attribute.data_type.bytes()), row);
+        }
+    }
+
+    #[test]
+    fn names_fit_and_no_value_is_negative() {
+        for attribute in ATTRIBUTES_1_1.iter().chain(&ATTRIBUTES_1_0) {
             assert!(attribute.name.len() < 32 && attribute.description.len() < 32);
             assert_eq!(attribute.data_type.range().0, 0);
         }
@@ -336,17 +357,17 @@ mod tests {
 
     #[test]
     fn written_descriptors_read_back() {
-        let data: Vec<u8> = ATTRIBUTES.iter().flat_map(ExtraAttribute::descriptor).collect();
+        let data: Vec<u8> = ATTRIBUTES_1_1.iter().flat_map(ExtraAttribute::descriptor).collect();
         let read = parse(Path::new("f"), &record(data)).unwrap();
-        assert_eq!(read.len(), ATTRIBUTES.len());
+        assert_eq!(read.len(), ATTRIBUTES_1_1.len());
         let mut start = 0;
-        for (read, written) in read.iter().zip(&ATTRIBUTES) {
+        for (read, written) in read.iter().zip(&ATTRIBUTES_1_1) {
             assert_eq!((read.name.as_str(), read.description.as_str()), (written.name, written.description));
             assert_eq!((read.scale, read.offset, read.no_data), (written.scale, written.offset, None));
             assert_eq!((read.start, read.bytes), (start, written.data_type.bytes()));
             start += read.bytes;
         }
-        assert_eq!(start, 12);
+        assert_eq!(start, 10);
     }
 
     #[test]
@@ -370,7 +391,7 @@ mod tests {
 
         #[test]
         fn nothing_leaves_the_range_of_its_type(value in any::<f64>()) {
-            for attribute in ATTRIBUTES {
+            for attribute in ATTRIBUTES_1_1.into_iter().chain(ATTRIBUTES_1_0) {
                 let (least, largest) = attribute.data_type.range();
                 prop_assert!((least..=largest).contains(&quantise(value, &attribute)));
             }

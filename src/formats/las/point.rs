@@ -1,9 +1,7 @@
 //! Point data records: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
 
 /// Degrees per step of the scan angle in formats 6 to 10.
-const SCAN_ANGLE_STEP_DEG: f64 = 0.006;
-/// Largest scan angle in these steps: 180 degrees.
-const SCAN_ANGLE_MAX: f64 = 30_000.0;
+pub(super) const SCAN_ANGLE_STEP_DEG: f64 = 0.006;
 
 /// A point as read: what the file holds, with coordinates and angle also in their units.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -185,73 +183,9 @@ fn at<const N: usize>(bytes: &[u8], start: usize) -> [u8; N] {
     out
 }
 
-/// A point to be written. What does not fit its field is clamped, never wrapped.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct PointOut {
-    /// Coordinate in the file's coordinate system.
-    pub x: f64,
-    /// Coordinate in the file's coordinate system.
-    pub y: f64,
-    /// Coordinate in the file's coordinate system.
-    pub z: f64,
-    /// Strength of the return.
-    pub intensity: u16,
-    /// Which return of the pulse, from 1 to 15.
-    pub return_number: u8,
-    /// How many returns the pulse has, at most 15.
-    pub number_of_returns: u8,
-    /// The mirror moved from the left side of the track to the right.
-    pub scan_direction: bool,
-    /// The last point before the scan turned.
-    pub edge_of_flight_line: bool,
-    /// Class of the ASPRS list.
-    pub classification: u8,
-    /// To be treated as deleted.
-    pub withheld: bool,
-    /// Channel, 0 to 3.
-    pub scanner_channel: u8,
-    /// Scan angle, degrees, within -180 to 180; NaN becomes 0.
-    pub scan_angle_deg: f32,
-    /// For the user.
-    pub user_data: u8,
-    /// The file or flight line that the point comes from.
-    pub point_source_id: u16,
-    /// Time of the point on the scale that the writer was told, s.
-    pub gps_time: f64,
-}
-
-/// Length of a record of format 6 without extra bytes.
-pub(super) const FORMAT_6: usize = 30;
-
-impl PointOut {
-    /// The record of format 6 at the quantised coordinates `raw`.
-    pub(super) fn encode(&self, raw: [i32; 3]) -> [u8; FORMAT_6] {
-        let mut record = [0; FORMAT_6];
-        for (axis, value) in raw.iter().enumerate() {
-            record[4 * axis..4 * axis + 4].copy_from_slice(&value.to_le_bytes());
-        }
-        record[12..14].copy_from_slice(&self.intensity.to_le_bytes());
-        record[14] = self.return_number.min(15) | self.number_of_returns.min(15) << 4;
-        record[15] = u8::from(self.withheld) << 2
-            | self.scanner_channel.min(3) << 4
-            | u8::from(self.scan_direction) << 6
-            | u8::from(self.edge_of_flight_line) << 7;
-        record[16] = self.classification;
-        record[17] = self.user_data;
-        let steps = (f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG).round();
-        let steps = steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX) as i16;
-        record[18..20].copy_from_slice(&steps.to_le_bytes());
-        record[20..22].copy_from_slice(&self.point_source_id.to_le_bytes());
-        record[22..30].copy_from_slice(&self.gps_time.to_le_bytes());
-        record
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::tests::made::any_point;
     use super::*;
-    use proptest::prelude::*;
 
     const UNIT: ([f64; 3], [f64; 3]) = ([1.0; 3], [0.0; 3]);
 
@@ -363,47 +297,5 @@ mod tests {
         assert_eq!(wave.sample_position([1.0, 2.0, 3.0], 2.0, 1000.0), [1.0, 2.0, 3.0]);
         let first = wave.sample_position([1.0, 2.0, 3.0], 0.0, 1000.0);
         assert!((first[2] - 3.3).abs() < 1e-7, "{first:?}");
-    }
-
-    #[test]
-    fn what_does_not_fit_is_clamped() {
-        let point = PointOut {
-            return_number: 200,
-            number_of_returns: 16,
-            scanner_channel: 9,
-            scan_angle_deg: 1e9,
-            ..PointOut::default()
-        };
-        let back = decode(6, &point.encode([i32::MAX, i32::MIN, 0]));
-        assert_eq!((back.return_number, back.number_of_returns, back.scanner_channel), (15, 15, 3));
-        assert_eq!(back.scan_angle_deg, 180.0);
-        assert_eq!(back.raw, [i32::MAX, i32::MIN, 0]);
-        assert!(!back.withheld && !back.edge_of_flight_line && !back.scan_direction);
-        let nan = PointOut { scan_angle_deg: f32::NAN, ..PointOut::default() };
-        assert_eq!(decode(6, &nan.encode([0; 3])).scan_angle_deg, 0.0);
-    }
-
-    proptest! {
-        #[test]
-        fn a_record_reads_back_as_it_was_written(point in any_point(), raw in any::<[i32; 3]>()) {
-            let back = decode(6, &point.encode(raw));
-            prop_assert_eq!(back.raw, raw);
-            let again = PointOut {
-                x: point.x, y: point.y, z: point.z,
-                intensity: back.intensity,
-                return_number: back.return_number,
-                number_of_returns: back.number_of_returns,
-                scan_direction: back.scan_direction,
-                edge_of_flight_line: back.edge_of_flight_line,
-                classification: back.classification,
-                withheld: back.withheld,
-                scanner_channel: back.scanner_channel,
-                scan_angle_deg: back.scan_angle_deg,
-                user_data: back.user_data,
-                point_source_id: back.point_source_id,
-                gps_time: back.gps_time,
-            };
-            prop_assert_eq!(again, point);
-        }
     }
 }

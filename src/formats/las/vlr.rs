@@ -20,6 +20,8 @@ pub(super) const PROJECTION: &str = "LASF_Projection";
 pub(super) const EXTRA_BYTES: u16 = 4;
 /// Record ID of the waveform packets, under [`SPEC`].
 pub(super) const WAVEFORM_PACKETS: u16 = 65535;
+/// Record ID of the directory of GeoTIFF keys, under [`PROJECTION`].
+pub(super) const GEO_KEYS: u16 = 34735;
 /// Record ID of a WKT coordinate system, under [`PROJECTION`].
 pub(super) const WKT: u16 = 2112;
 

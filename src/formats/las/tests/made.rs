@@ -4,14 +4,14 @@ use std::io::{Cursor, Seek, SeekFrom};
 
 use proptest::prelude::*;
 
-use crate::formats::las::PointOut;
+use crate::formats::las::{PointOut, Wave};
 
 /// Points whose fields fit their places exactly.
 pub(crate) fn any_point() -> impl Strategy<Value = PointOut> {
     let place = (-1e6..1e6f64, -1e6..1e6f64, -1e4..1e4f64);
     let returns = (any::<u16>(), 0u8..16, 0u8..16, any::<(bool, bool, bool)>());
     let rest = (any::<u8>(), 0u8..4, -30_000i16..=30_000, any::<u8>(), any::<u16>(), -1e9..1e9f64);
-    (place, returns, rest).prop_map(|(place, returns, rest)| PointOut {
+    (place, returns, rest, any_wave()).prop_map(|(place, returns, rest, wave)| PointOut {
         x: place.0,
         y: place.1,
         z: place.2,
@@ -27,6 +27,18 @@ pub(crate) fn any_point() -> impl Strategy<Value = PointOut> {
         user_data: rest.3,
         point_source_id: rest.4,
         gps_time: rest.5,
+        wave,
+    })
+}
+
+fn any_wave() -> impl Strategy<Value = Wave> {
+    let packet = (any::<u8>(), any::<u64>(), any::<u32>(), 0f32..1e6);
+    (packet, [-2e-4f32..2e-4, -2e-4f32..2e-4, -2e-4f32..2e-4]).prop_map(|(packet, direction_per_ps)| Wave {
+        descriptor: packet.0,
+        offset: packet.1,
+        size: packet.2,
+        location_ps: packet.3,
+        direction_per_ps,
     })
 }
 

@@ -10,13 +10,15 @@ use crate::formats::las::extra_bytes;
 use crate::formats::las::point::Layout;
 use crate::formats::las::vlr::{self, Vlr};
 use crate::formats::las::{
-    AMP, ATTRIBUTES, CHANNEL, ExtraAttribute, Header, Point, PointOut, Writer, WriterOptions,
+    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, Header, IndexPlace, Point, PointOut, Version, Writer,
+    WriterOptions,
 };
 
 const WKT: &str = "PROJCS[\"UTM 33N\"]";
 
 fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
     WriterOptions {
+        version: Version::V1_4,
         scale: [0.001, 0.001, 0.002],
         offset: [1000.0, -2000.0, 0.0],
         wkt: Some(WKT),
@@ -27,6 +29,7 @@ fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
         system_identifier: "wavex",
         generating_software: "a name that is longer than the 32 bytes it may have",
         file_source_id: 17,
+        index: IndexPlace::None,
         threads: 2,
     }
 }
@@ -125,6 +128,38 @@ fn the_header_is_spelled_out() {
     assert_eq!(laz[107..375], las[107..375]);
 }
 
+/// A system with a code, which becomes GeoTIFF keys.
+fn utm_33() -> String {
+    crate::formats::geokeys::wkt_of_epsg(32633).unwrap()
+}
+
+#[test]
+fn the_header_of_version_1_2_is_spelled_out() {
+    let point = |return_number| PointOut { x: 1001.0, y: -2001.0, return_number, ..PointOut::default() };
+    let points: Vec<PointOut> = [1, 1, 5, 6, 15, 0].into_iter().map(point).collect();
+    let utm_33 = utm_33();
+    let old = WriterOptions { version: Version::V1_2, wkt: Some(&utm_33), ..options(&[AMP]) };
+    let las = write("a.las", &old, &points, &[7, 0]);
+    assert_eq!((u16_at(&las, 6), las[24], las[25]), (1, 1, 2), "adjusted time, no bit for WKT");
+    let keys = 4 * 2 * 5;
+    let offset_to_points = 227 + (54 + keys) + (54 + 192);
+    assert_eq!((u16_at(&las, 94), u32_at(&las, 96)), (227, offset_to_points as u32));
+    assert_eq!((u32_at(&las, 100), las[104], u16_at(&las, 105)), (2, 1, 30));
+    assert_eq!([107, 111, 115, 119, 123, 127].map(|at| u32_at(&las, at)), [6, 2, 0, 0, 0, 1]);
+    assert_eq!([179, 187].map(|at| f64_at(&las, at)), [1001.0, 1001.0]);
+    assert_eq!((u16_at(&las, 227 + 18), u16_at(&las, 227 + 20)), (34735, keys as u16));
+    assert_eq!(u16_at(&las, 227 + 54 + keys - 16), 3072, "key of the projected system");
+    assert_eq!(u16_at(&las, 227 + 54 + keys - 10), 32633);
+    assert_eq!(las.len(), offset_to_points + 6 * 30);
+    assert_eq!(las[offset_to_points + 28..offset_to_points + 30], [7, 0]);
+
+    let laz = write("a.laz", &old, &points, &[7, 0]);
+    assert_eq!((laz[104], u32_at(&laz, 100)), (0x81, 3));
+    assert_eq!(laz[107..227], las[107..227]);
+    let without_code = write("a.las", &WriterOptions { wkt: Some(WKT), ..old }, &points, &[7, 0]);
+    assert_eq!((u16_at(&without_code, 6), u16_at(&without_code, 227 + 18)), (1, 2112));
+}
+
 #[test]
 fn without_crs_and_in_week_time_the_bits_are_clear() {
     let plain = WriterOptions { wkt: None, adjusted_gps_time: false, ..options(&[]) };
@@ -136,7 +171,7 @@ fn without_crs_and_in_week_time_the_bits_are_clear() {
 
 /// The header and the uncompressed records of a file; those of LAZ as the `laz` crate reads them.
 fn records(bytes: &[u8]) -> (Header, Vec<u8>) {
-    let header = Header::parse(Path::new("a"), &bytes[..375], bytes.len() as u64).unwrap();
+    let header = Header::parse(Path::new("a"), &bytes[..375.min(bytes.len())], bytes.len() as u64).unwrap();
     let start = header.offset_to_points as usize;
     let length = header.n_points as usize * usize::from(header.record_length);
     if !header.compressed {
@@ -178,6 +213,30 @@ fn las_and_laz_hold_the_same_records_whatever_the_threads() {
 }
 
 #[test]
+fn an_index_stands_behind_compressed_points() {
+    let options = WriterOptions { index: IndexPlace::Appended, ..options(&[CHANNEL]) };
+    let beside = WriterOptions { index: IndexPlace::Beside, ..options.clone() };
+    let points = cloud(100);
+    let mut writer = Writer::new(Cursor::new(Vec::new()), Path::new("a.las"), &beside).unwrap();
+    points.iter().for_each(|point| writer.write_point(point, &[1]).unwrap());
+    let index = writer.take_index().unwrap();
+    assert_eq!(&index[..4], b"LASX");
+    writer.finish().unwrap();
+
+    let bytes = write("a.laz", &options, &points, &[1]);
+    let (header, _) = records(&bytes);
+    let special = header.offset_to_points as usize - (2 + 2 * 6) - 16;
+    let at = u64_at(&bytes, special + 8) as usize;
+    assert_eq!((u64_at(&bytes, special), at), (1, bytes.len() - 60 - index.len()));
+    assert_eq!((&bytes[at + 2..at + 11], u16_at(&bytes, at + 18)), (&b"LAStools\0"[..], 30));
+    assert_eq!(u64_at(&bytes, at + 20), index.len() as u64);
+    assert_eq!(bytes[at + 60..], index);
+    let without = write("a.laz", &WriterOptions { index: IndexPlace::None, ..options }, &points, &[1]);
+    assert_eq!(without.len(), at);
+    assert_eq!(without[special..special + 16], [0xff; 16]);
+}
+
+#[test]
 fn whole_chunks_and_no_points_are_files_too() {
     for n in [0, 1, 50_000, 100_000] {
         let points = cloud(n);
@@ -186,12 +245,13 @@ fn whole_chunks_and_no_points_are_files_too() {
     }
 }
 
-fn assert_read_by_las(bytes: Vec<u8>, points: &[PointOut], extra: &[u8]) {
+fn assert_read_by_las(version: Version, bytes: Vec<u8>, points: &[PointOut], extra: &[u8]) {
+    let is_new = version == Version::V1_4;
     let mut reader = las::Reader::new(Cursor::new(bytes)).unwrap();
     let header = reader.header().clone();
-    assert_eq!(header.version(), las::Version::new(1, 4));
+    assert_eq!(header.version(), las::Version::new(1, if is_new { 4 } else { 2 }));
     assert_eq!(header.number_of_points(), points.len() as u64);
-    assert_eq!((header.has_wkt_crs(), header.gps_time_type()), (true, las::GpsTimeType::Standard));
+    assert_eq!((header.has_wkt_crs(), header.gps_time_type()), (is_new, las::GpsTimeType::Standard));
     let read = reader.read_all().unwrap();
     for (written, read) in points.iter().zip(read.points()) {
         let read = read.unwrap();
@@ -224,10 +284,10 @@ fn assert_read_by_las(bytes: Vec<u8>, points: &[PointOut], extra: &[u8]) {
 #[test]
 fn attributes_are_described_for_other_readers() {
     let mut extra = Vec::new();
-    ATTRIBUTES.iter().for_each(|attribute| attribute.push(1.0, &mut extra));
-    assert_eq!(extra.len(), 12);
-    let bytes = write("a.las", &options(&ATTRIBUTES), &cloud(10), &extra);
-    assert_read_by_las(bytes.clone(), &cloud(10), &extra);
+    ATTRIBUTES_1_1.iter().for_each(|attribute| attribute.push(1.0, &mut extra));
+    assert_eq!(extra.len(), 10);
+    let bytes = write("a.las", &options(&ATTRIBUTES_1_1), &cloud(10), &extra);
+    assert_read_by_las(Version::V1_4, bytes.clone(), &cloud(10), &extra);
     let reader = las::Reader::new(Cursor::new(bytes)).unwrap();
     let vlrs = reader.header().vlrs();
     let vlr = vlrs.iter().find(|vlr| (vlr.user_id.as_str(), vlr.record_id) == ("LASF_Spec", 4)).unwrap();
@@ -240,8 +300,8 @@ fn attributes_are_described_for_other_readers() {
         data: vlr.data.clone(),
     };
     let read = extra_bytes::parse(Path::new("a"), &ours).unwrap();
-    assert_eq!(read.len(), 10);
-    for (read, written) in read.iter().zip(&ATTRIBUTES) {
+    assert_eq!(read.len(), 9);
+    for (read, written) in read.iter().zip(&ATTRIBUTES_1_1) {
         assert_eq!((read.name.as_str(), read.scale), (written.name, written.scale));
     }
 }
@@ -267,6 +327,10 @@ fn what_cannot_be_written_is_said() {
     assert_eq!(
         new("a.las", &options(&[AMP, CHANNEL, AMP])),
         "a.las: the extra attribute Amp stands twice in the list; give it once"
+    );
+    assert_eq!(
+        new("a.las", &WriterOptions { index: IndexPlace::Appended, ..good.clone() }),
+        "a.las: an index can only be appended to compressed points; write LAZ, or the index as a file of its own"
     );
     assert_eq!(
         new("a.las", &WriterOptions { wkt: Some(&"x".repeat(65_535)), ..good }),
@@ -345,6 +409,32 @@ proptest! {
             }
         }
         prop_assert_eq!((header.min, header.max), (min, max));
-        assert_read_by_las(las, &points, &extra);
+        assert_read_by_las(Version::V1_4, las, &points, &extra);
+    }
+
+    #[test]
+    fn old_versions_read_back_as_they_were_written(
+        points in prop::collection::vec(any_point(), 1..40),
+        extra in any::<[u8; 3]>(),
+    ) {
+        // The `laz` crate subtracts the bits of successive times, which debug builds refuse where signs differ.
+        let fits = |point: PointOut| PointOut {
+            gps_time: point.gps_time.abs(),
+            return_number: point.return_number.min(7),
+            number_of_returns: point.number_of_returns.min(7),
+            classification: point.classification.min(31),
+            scanner_channel: 0,
+            scan_angle_deg: point.scan_angle_deg.round().clamp(-90.0, 90.0),
+            ..point
+        };
+        let points: Vec<PointOut> = points.into_iter().map(fits).collect();
+        let utm_33 = utm_33();
+        let options = WriterOptions { version: Version::V1_2, wkt: Some(&utm_33), ..options(&[AMP, CHANNEL]) };
+        let las = write("a.las", &options, &points, &extra);
+        let (header, plain) = records(&las);
+        let (_, compressed) = records(&write("a.laz", &options, &points, &extra));
+        prop_assert_eq!(&plain, &compressed);
+        prop_assert_eq!((header.point_format, header.n_points), (1, points.len() as u64));
+        assert_read_by_las(Version::V1_2, las, &points, &extra);
     }
 }

@@ -1,0 +1,38 @@
+//! Tells the program what it is made of: the commit, where that is known, the compiler, and what it is made for.
+//!
+//! The commit is that of the environment variable `WAVEX_COMMIT`, else of git, in release builds only: others would be built
+//! anew after every commit.
+#![allow(clippy::print_stdout, reason = "cargo listens to standard output")]
+
+use std::env;
+use std::process::Command;
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-env-changed=WAVEX_COMMIT");
+    let profile = env::var("PROFILE").unwrap_or_default();
+    let given = env::var("WAVEX_COMMIT").ok().filter(|commit| !commit.is_empty());
+    let commit = given.or_else(|| if profile == "release" { commit_of_git() } else { None });
+    let rustc = env::var("RUSTC").ok().and_then(|rustc| output(&rustc, &["--version"]));
+    let target = env::var("TARGET").unwrap_or_default();
+    println!("cargo:rustc-env=WAVEX_BUILD_COMMIT={}", commit.unwrap_or_default());
+    println!("cargo:rustc-env=WAVEX_BUILD_RUSTC={}", rustc.unwrap_or_default());
+    println!("cargo:rustc-env=WAVEX_BUILD_TARGET={target}");
+    println!("cargo:rustc-env=WAVEX_BUILD_PROFILE={profile}");
+}
+
+/// The commit that is checked out, with a `+` where files differ from it.
+fn commit_of_git() -> Option<String> {
+    let log = output("git", &["rev-parse", "--git-path", "logs/HEAD"])?;
+    println!("cargo:rerun-if-changed={log}");
+    let commit = output("git", &["rev-parse", "HEAD"])?;
+    let changed = output("git", &["status", "--porcelain", "--untracked-files=no"])?;
+    Some(if changed.is_empty() { commit } else { format!("{commit}+") })
+}
+
+/// What a program prints, if it is there and succeeds.
+fn output(program: &str, arguments: &[&str]) -> Option<String> {
+    let output = Command::new(program).args(arguments).output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    output.status.success().then(|| text.trim().to_owned())
+}

@@ -1,0 +1,326 @@
+//! The files of an archive, from its folder or its `.tar.zst`, and back.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::{Component, Path, PathBuf};
+
+use super::digest;
+use super::paths::plain;
+use super::{ARCHIVE, Archive, FORMAT, JOB, RESOLVED, SEAL};
+use crate::formats::{Error, Result};
+
+/// What the name of a packed archive ends with.
+const PACKED: &str = ".tar.zst";
+/// The files of an archive have no more bytes together: they are texts.
+const MOST_BYTES: u64 = 1 << 30;
+/// The level of compression: the usual one of zstd.
+const LEVEL: i32 = 3;
+const REMEDY: &str = "give an archive that `wavex run --archive` has made";
+
+/// The files of an archive.
+#[derive(Debug)]
+pub(super) struct Contents {
+    /// The archive itself.
+    path: PathBuf,
+    /// The folder that the archive is, or would be unpacked to, from the root of the file system.
+    folder: PathBuf,
+    /// By their paths in it.
+    files: BTreeMap<String, Vec<u8>>,
+}
+
+/// Whether an archive of this name is packed into one file.
+pub(super) fn is_packed(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(PACKED))
+}
+
+/// The folder that an archive is, or would be unpacked to; it must not exist, but the folder that it lies in must.
+pub(super) fn folder_of(path: &Path) -> Result<PathBuf> {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent = parent.canonicalize().map_err(Error::io(parent, "find the folder"))?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(parent.join(name.strip_suffix(PACKED).unwrap_or(&name)))
+}
+
+impl Contents {
+    /// Reads an archive, whatever its files hold.
+    ///
+    /// # Errors
+    /// There is none, or it has more than a gigabyte.
+    pub(super) fn read(path: &Path) -> Result<Contents> {
+        let files = if path.is_dir() { read_files(path)? } else { read_packed(path)? };
+        if files.is_empty() {
+            return Err(Error::unusable(path, "no archive: it holds no file", REMEDY));
+        }
+        // As `plain` sees it, so that the name is one, whether the path ends in `/.` or not.
+        let whole = plain(&std::path::absolute(path).map_err(Error::io(path, "find"))?);
+        Ok(Contents { path: path.to_owned(), folder: folder_of(&whole)?, files })
+    }
+
+    /// The folder that the archive is, or would be unpacked to.
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// What the archive says of itself.
+    ///
+    /// # Errors
+    /// It is of another version, or damaged.
+    pub(super) fn archive(&self) -> Result<Archive> {
+        let text = self.text(ARCHIVE)?;
+        let unusable = |problem: String| Error::unusable(&self.path.join(ARCHIVE), problem, REMEDY);
+        let value: serde_json::Value =
+            serde_json::from_str(text).map_err(|error| unusable(format!("no JSON: {error}")))?;
+        if value["format"] != FORMAT {
+            let problem = format!("archives of format {} are not known, only of {FORMAT}", value["format"]);
+            return Err(Error::unusable(&self.path.join(ARCHIVE), problem, "use a newer wavex"));
+        }
+        serde_json::from_value(value)
+            .map_err(|error| unusable(format!("no description of an archive: {error}")))
+    }
+
+    /// The job as run.
+    pub(super) fn resolved_job(&self) -> Result<&str> {
+        self.text(RESOLVED)
+    }
+
+    fn text(&self, name: &str) -> Result<&str> {
+        let bytes = self.files.get(name);
+        let text = bytes.and_then(|bytes| std::str::from_utf8(bytes).ok());
+        text.ok_or_else(|| Error::unusable(&self.path, format!("no archive: it has no text {name}"), REMEDY))
+    }
+
+    /// What differs from what was sealed: a file that was changed, is missing, or was added.
+    pub(super) fn tampering(&self) -> Vec<String> {
+        let Ok(seal) = self.text(SEAL) else {
+            return vec![format!("{SEAL}: missing: nothing says whether the archive is as it was made")];
+        };
+        let mut sealed: BTreeMap<&str, &str> = BTreeMap::new();
+        let mut problems = Vec::new();
+        for (at, line) in seal.lines().enumerate() {
+            match line.split_once("  ") {
+                Some((digest, name)) => drop(sealed.insert(name, digest)),
+                None => problems.push(format!("{SEAL}: line {}: no digest and name", at + 1)),
+            }
+        }
+        for name in [ARCHIVE, JOB, RESOLVED] {
+            if !sealed.contains_key(name) {
+                problems.push(format!("{SEAL}: it does not seal {name}"));
+            }
+        }
+        for (name, digest) in &sealed {
+            match self.files.get(*name) {
+                None => problems.push(format!("{name}: missing from the archive")),
+                Some(bytes) if digest::of_bytes(bytes) != **digest => {
+                    problems.push(format!(
+                        "{name}: changed since the archive was made, or its digest in {SEAL} was"
+                    ));
+                }
+                Some(_) => {}
+            }
+        }
+        let known = |name: &&String| *name != SEAL && !sealed.contains_key(name.as_str());
+        problems.extend(
+            self.files.keys().filter(known).map(|name| format!("{name}: not sealed: it was added later")),
+        );
+        problems
+    }
+
+    /// How many files were sealed.
+    pub(super) fn count(&self) -> usize {
+        self.files.len().saturating_sub(1)
+    }
+}
+
+fn too_large(path: &Path) -> Error {
+    Error::unusable(path, format!("no archive: it has more than {MOST_BYTES} bytes"), REMEDY)
+}
+
+/// Reads to the end, but no more than is left.
+fn read_whole(path: &Path, input: impl Read, left: &mut u64) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    input.take(*left + 1).read_to_end(&mut bytes).map_err(Error::io(path, "read"))?;
+    *left = left.checked_sub(bytes.len() as u64).ok_or_else(|| too_large(path))?;
+    Ok(bytes)
+}
+
+/// All files of a folder by their paths in it.
+pub(super) fn read_files(folder: &Path) -> Result<BTreeMap<String, Vec<u8>>> {
+    let mut files = BTreeMap::new();
+    read_folder(folder, "", &mut { MOST_BYTES }, &mut files)?;
+    Ok(files)
+}
+
+fn read_folder(
+    folder: &Path,
+    prefix: &str,
+    left: &mut u64,
+    files: &mut BTreeMap<String, Vec<u8>>,
+) -> Result<()> {
+    for entry in folder.read_dir().map_err(Error::io(folder, "list"))? {
+        let entry = entry.map_err(Error::io(folder, "list"))?;
+        let path = entry.path();
+        let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+        let kind = entry.file_type().map_err(Error::io(&path, "open"))?;
+        if kind.is_dir() {
+            read_folder(&path, &format!("{name}/"), left, files)?;
+        } else {
+            let file = File::open(&path).map_err(Error::io(&path, "open"))?;
+            files.insert(name, read_whole(&path, file, left)?);
+        }
+    }
+    Ok(())
+}
+
+fn read_packed(path: &Path) -> Result<BTreeMap<String, Vec<u8>>> {
+    let (mut files, mut left) = (BTreeMap::new(), MOST_BYTES);
+    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let input = zstd::stream::read::Decoder::new(file).map_err(Error::io(path, "unpack"))?;
+    let mut tar = tar::Archive::new(input);
+    for entry in tar.entries().map_err(Error::io(path, "unpack"))? {
+        let entry = entry.map_err(Error::io(path, "unpack"))?;
+        if !entry.header().entry_type().is_file() {
+            continue;
+        }
+        let name = entry.path().map_err(Error::io(path, "unpack"))?.into_owned();
+        // The first step is the folder's own name.
+        let steps: Vec<String> = name.components().filter_map(step).skip(1).collect();
+        files.insert(steps.join("/"), read_whole(path, entry, &mut left)?);
+    }
+    Ok(files)
+}
+
+/// A step of a path down; there is no other in an archive.
+fn step(step: Component) -> Option<String> {
+    match step {
+        Component::Normal(step) => Some(step.to_string_lossy().into_owned()),
+        _ => None,
+    }
+}
+
+/// The seal of files: a line for each, with its digest and its path, as `b3sum` writes it.
+pub(super) fn seal(files: &BTreeMap<String, Vec<u8>>) -> String {
+    files.iter().map(|(name, bytes)| format!("{}  {name}\n", digest::of_bytes(bytes))).collect()
+}
+
+/// Writes files into a folder, down to the disk.
+pub(super) fn write_folder(folder: &Path, files: &BTreeMap<String, Vec<u8>>) -> Result<()> {
+    for (name, bytes) in files {
+        let path = folder.join(name);
+        let parent = path.parent().unwrap_or(folder);
+        fs::create_dir_all(parent).map_err(Error::io(parent, "make the folder"))?;
+        let mut file = File::create(&path).map_err(Error::io(&path, "create"))?;
+        file.write_all(bytes).and_then(|()| file.sync_all()).map_err(Error::io(&path, "write"))?;
+    }
+    Ok(())
+}
+
+/// Packs files as a folder of this name; all are as old as the archive, `seconds` since 1970.
+pub(super) fn pack(
+    name: &str,
+    files: &BTreeMap<String, Vec<u8>>,
+    seconds: u64,
+    to: impl Write,
+) -> std::io::Result<()> {
+    let mut tar = tar::Builder::new(zstd::stream::write::Encoder::new(to, LEVEL)?);
+    for (path, bytes) in files {
+        let mut header = tar::Header::new_gnu();
+        header.set_size(bytes.len() as u64);
+        header.set_mode(0o644);
+        header.set_mtime(seconds);
+        tar.append_data(&mut header, format!("{name}/{path}"), bytes.as_slice())?;
+    }
+    tar.into_inner()?.finish()?.flush()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sealed(files: &[(&str, &str)]) -> BTreeMap<String, Vec<u8>> {
+        let files = files.iter().map(|(name, text)| ((*name).to_owned(), text.as_bytes().to_vec()));
+        let mut files: BTreeMap<String, Vec<u8>> = files.collect();
+        files.insert(SEAL.to_owned(), seal(&files).into_bytes());
+        files
+    }
+
+    fn example() -> BTreeMap<String, Vec<u8>> {
+        let long = format!("lines/{}_lstat.txt", "a".repeat(120));
+        sealed(&[
+            (ARCHIVE, "{}"),
+            (JOB, "a"),
+            (RESOLVED, "b"),
+            (&long, "# a name longer than a header's field"),
+        ])
+    }
+
+    #[test]
+    fn a_folder_and_a_packed_one_hold_the_same() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().canonicalize().unwrap();
+        let files = example();
+        write_folder(&folder.join("flight"), &files).unwrap();
+        let packed = folder.join("flight.tar.zst");
+        pack("flight", &files, 1_700_000_000, File::create(&packed).unwrap()).unwrap();
+        for path in [folder.join("flight"), packed, folder.join("flight/.")] {
+            let contents = Contents::read(&path).unwrap();
+            assert_eq!((&contents.files, contents.folder()), (&files, folder.join("flight").as_path()));
+            assert_eq!((contents.tampering(), contents.count()), (vec![], 4));
+        }
+    }
+
+    #[test]
+    fn every_tampering_is_named() {
+        let with = |change: fn(&mut BTreeMap<String, Vec<u8>>)| {
+            let mut files = example();
+            change(&mut files);
+            Contents { path: "a".into(), folder: "a".into(), files }.tampering()
+        };
+        let changed =
+            |files: &mut BTreeMap<String, Vec<u8>>| drop(files.insert(JOB.to_owned(), b"A".to_vec()));
+        assert_eq!(
+            with(changed),
+            ["job.toml: changed since the archive was made, or its digest in archive.b3 was"]
+        );
+        assert_eq!(with(|files| drop(files.remove(JOB))), ["job.toml: missing from the archive"]);
+        let added = |files: &mut BTreeMap<String, Vec<u8>>| drop(files.insert("new".to_owned(), vec![]));
+        assert_eq!(with(added), ["new: not sealed: it was added later"]);
+        let unsealed = ["archive.b3: missing: nothing says whether the archive is as it was made"];
+        assert_eq!(with(|files| drop(files.remove(SEAL))), unsealed);
+        let emptied = with(|files| drop(files.insert(SEAL.to_owned(), b"x\n".to_vec())));
+        assert_eq!(
+            emptied[..2],
+            ["archive.b3: line 1: no digest and name", "archive.b3: it does not seal archive.json"]
+        );
+    }
+
+    #[test]
+    fn what_is_no_archive_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let problem = |path: &Path| {
+            Contents::read(path).and_then(|contents| contents.archive()).unwrap_err().to_string()
+        };
+        let empty = problem(folder.path());
+        assert!(
+            empty.ends_with(
+                "no archive: it holds no file; give an archive that `wavex run --archive` has made"
+            ),
+            "{empty}"
+        );
+        fs::write(folder.path().join("a.txt"), "").unwrap();
+        let other = problem(folder.path());
+        assert!(other.contains("no archive: it has no text archive.json; "), "{other}");
+        fs::write(folder.path().join(ARCHIVE), "{\"format\": 2}").unwrap();
+        let newer = problem(folder.path());
+        assert!(
+            newer.ends_with("archives of format 2 are not known, only of 1; use a newer wavex"),
+            "{newer}"
+        );
+        fs::write(folder.path().join(ARCHIVE), "{\"format\": 1}").unwrap();
+        let torn = problem(folder.path());
+        assert!(torn.contains("no description of an archive: missing field"), "{torn}");
+        fs::write(folder.path().join("a.tar.zst"), "not packed").unwrap();
+        let packed = problem(&folder.path().join("a.tar.zst"));
+        assert!(packed.contains("a.tar.zst: cannot unpack: "), "{packed}");
+    }
+}

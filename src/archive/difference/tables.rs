@@ -1,0 +1,142 @@
+//! The first difference of two tables or containers of Arrow or Parquet: its row and its column.
+
+use std::fs::File;
+use std::path::Path;
+
+use arrow_array::{Array, RecordBatch};
+use arrow_schema::Schema;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+
+use super::instead;
+use crate::formats::container::TableReader;
+use crate::formats::{Error, Result};
+
+const REMEDY: &str = "open it with another program to see what is wrong";
+/// So many rows of a Parquet file are decoded at once.
+const MOST_ROWS_AT_ONCE: usize = 1 << 16;
+
+pub(super) fn compare_parquet(then: &Path, now: &Path) -> Result<Option<String>> {
+    compare(parquet(then)?, parquet(now)?)
+}
+
+pub(super) fn compare_arrow(then: &Path, now: &Path) -> Result<Option<String>> {
+    compare(arrow(then)?, arrow(now)?)
+}
+
+fn parquet(path: &Path) -> Result<Rows> {
+    let unreadable = |error: &dyn std::fmt::Display| Error::unusable(path, error.to_string(), REMEDY);
+    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| unreadable(&error))?;
+    let schema = Schema::clone(builder.schema());
+    let mut reader =
+        builder.with_batch_size(MOST_ROWS_AT_ONCE).build().map_err(|error| unreadable(&error))?;
+    let path = path.to_path_buf();
+    let next = move || {
+        let unreadable = |error: &dyn std::fmt::Display| Error::unusable(&path, error.to_string(), REMEDY);
+        reader.next().transpose().map_err(|error| unreadable(&error))
+    };
+    Ok(Rows { schema, next: Box::new(next), batch: None })
+}
+
+fn arrow(path: &Path) -> Result<Rows> {
+    let mut reader = TableReader::open(path)?;
+    Ok(Rows { schema: reader.schema().clone(), next: Box::new(move || reader.next_batch()), batch: None })
+}
+
+/// The rows of a file, batch by batch.
+struct Rows {
+    schema: Schema,
+    next: Box<dyn FnMut() -> Result<Option<RecordBatch>>>,
+    /// What is left of the batch at hand.
+    batch: Option<RecordBatch>,
+}
+
+impl Rows {
+    /// How many rows are at hand; 0 at the end.
+    fn at_hand(&mut self) -> Result<usize> {
+        while self.batch.as_ref().is_none_or(|batch| batch.num_rows() == 0) {
+            match (self.next)()? {
+                None => return Ok(0),
+                found => self.batch = found,
+            }
+        }
+        Ok(self.batch.as_ref().map_or(0, RecordBatch::num_rows))
+    }
+
+    /// The next rows, of which so many are at hand.
+    fn take(&mut self, rows: usize) -> Option<RecordBatch> {
+        let batch = self.batch.take()?;
+        let taken = batch.slice(0, rows);
+        self.batch = Some(batch.slice(rows, batch.num_rows() - rows));
+        Some(taken)
+    }
+}
+
+fn compare(mut then: Rows, mut now: Rows) -> Result<Option<String>> {
+    let (was, is) = (then.schema.clone(), now.schema.clone());
+    if was.fields() != is.fields() {
+        let names = |schema: &Schema| {
+            let columns =
+                schema.fields().iter().map(|field| format!("{} {}", field.name(), field.data_type()));
+            format!("the columns {}", columns.collect::<Vec<_>>().join(", "))
+        };
+        return Ok(Some(format!("it has {}", instead(&names(&is), &names(&was)))));
+    }
+    let mut row = 0;
+    loop {
+        let (left, right) = (then.at_hand()?, now.at_hand()?);
+        match (left, right) {
+            (0, 0) => break,
+            (_, 0) => return Ok(Some(format!("it ends before row {row}"))),
+            (0, _) => return Ok(Some(format!("it goes on with row {row}"))),
+            _ => {}
+        }
+        let rows = left.min(right);
+        let (Some(a), Some(b)) = (then.take(rows), now.take(rows)) else { break };
+        if let Some((at, column, then, now)) = first_cell(&a, &b) {
+            return Ok(Some(format!("row {}, column {column}: {}", row + at, instead(&now, &then))));
+        }
+        row += rows;
+    }
+    let (was, is) = (was.metadata(), is.metadata());
+    let key = was.keys().chain(is.keys()).filter(|key| was.get(*key) != is.get(*key)).min();
+    Ok(key.map(|key| format!("metadata, key {key}")))
+}
+
+/// The first row in which two batches of as many rows differ, and the first column in it: with both values.
+fn first_cell(then: &RecordBatch, now: &RecordBatch) -> Option<(usize, String, String, String)> {
+    let schema = then.schema();
+    let columns = schema.fields().iter().zip(then.columns().iter().zip(now.columns()));
+    let differing = columns.filter_map(|(field, (a, b))| Some((first_row(a, b)?, field.name(), a, b)));
+    let (row, name, a, b) = differing.min_by_key(|(row, ..)| *row)?;
+    Some((row, name.clone(), value(a, row), value(b, row)))
+}
+
+/// The first row in which two columns differ: between rows that agree from the start and rows that do not.
+fn first_row(a: &dyn Array, b: &dyn Array) -> Option<usize> {
+    if a.to_data() == b.to_data() {
+        return None;
+    }
+    let (mut same, mut different) = (0, a.len());
+    while different - same > 1 {
+        let middle = same + (different - same) / 2;
+        let count = middle - same;
+        if a.slice(same, count).to_data() == b.slice(same, count).to_data() {
+            same = middle;
+        } else {
+            different = middle;
+        }
+    }
+    Some(same)
+}
+
+/// A value in words: what Arrow prints of an array that holds nothing else.
+fn value(column: &dyn Array, row: usize) -> String {
+    let text = format!("{:?}", column.slice(row, 1));
+    let inner = text
+        .split_once('[')
+        .and_then(|(_, rest)| rest.rsplit_once(']'))
+        .map_or(text.as_str(), |(inner, _)| inner);
+    let words: Vec<&str> = inner.split_whitespace().collect();
+    words.join(" ").trim_end_matches(',').to_owned()
+}

@@ -1,0 +1,63 @@
+//! Digests of files, and whether a file stayed the same meanwhile.
+
+use std::fs::{self, File};
+use std::io::Read;
+use std::path::Path;
+use std::time::SystemTime;
+
+use crate::formats::{Error, Result};
+
+/// So much is read at once, bytes.
+const BUFFER: usize = 1 << 20;
+
+/// The length and the BLAKE3 digest of a file.
+pub(super) fn of_file(path: &Path) -> Result<(u64, String)> {
+    let mut file = File::open(path).map_err(Error::io(path, "open"))?;
+    let mut hasher = blake3::Hasher::new();
+    let mut buffer = vec![0; BUFFER];
+    loop {
+        let read = file.read(&mut buffer).map_err(Error::io(path, "read"))?;
+        match buffer.get(..read) {
+            None | Some([]) => break,
+            Some(bytes) => hasher.update(bytes),
+        };
+    }
+    Ok((hasher.count(), hasher.finalize().to_hex().to_string()))
+}
+
+/// The digest of what is in memory.
+pub(super) fn of_bytes(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
+}
+
+/// Length and time of the last change of a file: a file that was changed has another one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Stamp(u64, Option<SystemTime>);
+
+impl Stamp {
+    pub(super) fn of(path: &Path) -> Result<Stamp> {
+        let about = fs::metadata(path).map_err(Error::io(path, "open"))?;
+        Ok(Stamp(about.len(), about.modified().ok()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digests_are_those_of_b3sum() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, "").unwrap();
+        // The digest of nothing: the test vectors of BLAKE3, input length 0.
+        let nothing = "af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262";
+        assert_eq!(of_file(&path).unwrap(), (0, nothing.to_owned()));
+        assert_eq!(of_bytes(b""), nothing);
+        // The test vector of input length 102400: bytes that count from 0 to 250 again and again.
+        let bytes: Vec<u8> = (0..102_400u32).map(|at| (at % 251) as u8).collect();
+        fs::write(&path, &bytes).unwrap();
+        let expected = "bc3e3d41a1146b069abffad3c0d44860cf664390afce4d9661f7902e7943e085";
+        assert_eq!(of_file(&path).unwrap(), (102_400, expected.to_owned()));
+    }
+}

@@ -1,0 +1,169 @@
+//! What ran: the program with all that it is made of, and the machine.
+
+use std::time::{Duration, SystemTime};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A program, and what it is made of.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Program {
+    /// Its version.
+    pub version: String,
+    /// The commit it was built from, with a `+` where files differed; none where the build did not know it.
+    pub commit: Option<String>,
+    /// The compiler.
+    pub rustc: String,
+    /// What it was built for.
+    pub target: String,
+    /// How it was built: `release` or `debug`.
+    pub profile: String,
+    /// The crates that the build was allowed to use, in the versions of `Cargo.lock`.
+    pub crates: Vec<Package>,
+}
+
+/// A crate.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Package {
+    /// Its name.
+    pub name: String,
+    /// Its version.
+    pub version: String,
+    /// The SHA-256 of its source, as `Cargo.lock` has it; none for wavex itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub checksum: Option<String>,
+}
+
+/// A machine; what the system does not tell is left out.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Machine {
+    /// What it calls itself.
+    pub host: Option<String>,
+    /// The operating system.
+    pub os: String,
+    /// Its processor's architecture.
+    pub architecture: String,
+    /// Its processor.
+    pub processor: Option<String>,
+    /// How many threads it runs at once.
+    pub cores: Option<usize>,
+    /// Its memory, MB.
+    pub memory_mb: Option<u64>,
+}
+
+/// What of `Cargo.lock` is of interest.
+#[derive(Deserialize)]
+struct Lock {
+    package: Vec<Package>,
+}
+
+const LOCK: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.lock"));
+
+impl Program {
+    /// This program.
+    pub fn this() -> Program {
+        let lock: Result<Lock, _> = toml::from_str(LOCK);
+        Program {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            commit: Some(env!("WAVEX_BUILD_COMMIT").to_owned()).filter(|commit| !commit.is_empty()),
+            rustc: env!("WAVEX_BUILD_RUSTC").to_owned(),
+            target: env!("WAVEX_BUILD_TARGET").to_owned(),
+            profile: env!("WAVEX_BUILD_PROFILE").to_owned(),
+            crates: lock.map_or_else(|_| Vec::new(), |lock| lock.package),
+        }
+    }
+
+    /// In words: `0.1.0 (commit, rustc, profile)`.
+    pub fn words(&self) -> String {
+        let commit = self.commit.as_deref().unwrap_or("unknown commit");
+        format!("{} ({commit}, {}, {}, {})", self.version, self.rustc, self.target, self.profile)
+    }
+}
+
+impl Machine {
+    /// This machine.
+    pub fn this() -> Machine {
+        let read = |path: &str| std::fs::read_to_string(path).ok();
+        let host = read("/proc/sys/kernel/hostname").map(|text| text.trim().to_owned());
+        let by_variable =
+            || ["HOSTNAME", "COMPUTERNAME"].into_iter().find_map(|name| std::env::var(name).ok());
+        let processor = read("/proc/cpuinfo").and_then(|text| value(&text, "model name").map(str::to_owned));
+        let memory_kb =
+            read("/proc/meminfo").and_then(|text| value(&text, "MemTotal")?.split(' ').next()?.parse().ok());
+        Machine {
+            host: host.or_else(by_variable),
+            os: std::env::consts::OS.to_owned(),
+            architecture: std::env::consts::ARCH.to_owned(),
+            processor,
+            cores: crate::engine::cores(),
+            memory_mb: memory_kb.map(|kb: u64| kb / 1000),
+        }
+    }
+}
+
+/// What stands behind `name:` in one of the lines.
+fn value<'t>(text: &'t str, name: &str) -> Option<&'t str> {
+    let mut pairs = text.lines().filter_map(|line| line.split_once(':'));
+    pairs.find(|(key, _)| key.trim() == name).map(|(_, value)| value.trim())
+}
+
+/// A time as ISO 8601, UTC, to a second.
+pub(super) fn utc(time: SystemTime) -> String {
+    let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
+    let (days, second) = (since / 86_400, since % 86_400);
+    let (mut year, mut day) = (1970, days);
+    while day >= days_of(year) {
+        day -= days_of(year);
+        year += 1;
+    }
+    let february = days_of(year) - 337;
+    let months = [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
+    let mut month = 1;
+    for length in months {
+        if day < length {
+            break;
+        }
+        day -= length;
+        month += 1;
+    }
+    let (hour, minute) = (second / 3600, second / 60 % 60);
+    format!("{year:04}-{month:02}-{:02}T{hour:02}:{minute:02}:{:02}Z", day + 1, second % 60)
+}
+
+/// The days of a Gregorian year.
+fn days_of(year: u64) -> u64 {
+    let is_leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
+    if is_leap { 366 } else { 365 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_those_of_the_calendar() {
+        let at = |seconds| utc(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds));
+        assert_eq!(at(0), "1970-01-01T00:00:00Z");
+        assert_eq!(at(951_782_400), "2000-02-29T00:00:00Z");
+        assert_eq!(at(1_735_689_599), "2024-12-31T23:59:59Z");
+        assert_eq!(at(4_107_542_400), "2100-03-01T00:00:00Z");
+    }
+
+    #[test]
+    fn the_program_knows_what_it_is_made_of() {
+        let program = Program::this();
+        assert!(program.rustc.starts_with("rustc 1."), "{}", program.rustc);
+        let own = program.crates.iter().find(|package| package.name == "wavex").unwrap();
+        assert_eq!((own.version.as_str(), &own.checksum), (env!("CARGO_PKG_VERSION"), &None));
+        let blake3 = program.crates.iter().find(|package| package.name == "blake3").unwrap();
+        assert_eq!(blake3.checksum.as_ref().map(String::len), Some(64));
+    }
+
+    #[test]
+    fn lines_of_proc_are_read_by_their_names() {
+        let text = "processor\t: 0\nmodel name\t: A Processor: fast\nMemTotal:   24000 kB\n";
+        assert_eq!(value(text, "model name"), Some("A Processor: fast"));
+        assert_eq!(value(text, "MemTotal"), Some("24000 kB"));
+        assert_eq!(value(text, "MemFree"), None);
+    }
+}

@@ -1,0 +1,73 @@
+//! Paths from one folder to another, by their words alone.
+
+use std::ffi::OsStr;
+use std::path::{Component, Path, PathBuf};
+
+/// A path without steps that lead nowhere or back: `a/./b/../c` is `a/c`.
+pub(super) fn plain(path: &Path) -> PathBuf {
+    let mut steps = PathBuf::new();
+    for step in path.components() {
+        match step {
+            Component::CurDir => {}
+            Component::ParentDir if matches!(steps.components().next_back(), Some(Component::Normal(_))) => {
+                steps.pop();
+            }
+            step => steps.push(step),
+        }
+    }
+    steps
+}
+
+/// The deepest folder that all of these lie in; `None` for none, and where there is no such folder.
+pub(super) fn common<'p>(folders: impl IntoIterator<Item = &'p Path>) -> Option<PathBuf> {
+    let mut folders = folders.into_iter();
+    let mut common = folders.next()?.to_path_buf();
+    for folder in folders {
+        while !folder.starts_with(&common) {
+            if !common.pop() {
+                return None;
+            }
+        }
+    }
+    Some(common)
+}
+
+/// The way from a folder to a path, both absolute, with `/` between the steps; `.` for the folder itself. `None` where there is
+/// no way (another drive), or where a step is no Unicode.
+pub(super) fn relative(from: &Path, to: &Path) -> Option<String> {
+    let shared = common([from, to])?;
+    let up = from.strip_prefix(&shared).ok()?.components().map(|_| Some(".."));
+    let down = to.strip_prefix(&shared).ok()?.components().map(|step| OsStr::to_str(step.as_os_str()));
+    let steps: Vec<&str> = up.chain(down).collect::<Option<_>>()?;
+    Some(if steps.is_empty() { ".".to_owned() } else { steps.join("/") })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_back_are_taken() {
+        let cases = [("/a/./b/../c", "/a/c"), ("/a/b/", "/a/b"), ("../a", "../a"), ("/a/../../b", "/../b")];
+        for (path, expected) in cases {
+            assert_eq!(plain(Path::new(path)), Path::new(expected), "{path}");
+        }
+    }
+
+    #[test]
+    fn a_path_starts_where_it_is_told() {
+        let way = |from: &str, to: &str| relative(Path::new(from), Path::new(to));
+        assert_eq!(way("/data/in", "/data/in/a.pls").as_deref(), Some("a.pls"));
+        assert_eq!(way("/data/out/archive", "/data/in").as_deref(), Some("../../in"));
+        assert_eq!(way("/data", "/data").as_deref(), Some("."));
+        assert_eq!(way("/data/a b", "/data/*.laz").as_deref(), Some("../*.laz"));
+    }
+
+    #[test]
+    fn the_common_folder_is_the_deepest() {
+        let of = |folders: &[&str]| common(folders.iter().map(Path::new));
+        assert_eq!(of(&["/a/b/c", "/a/b/d", "/a/b"]), Some("/a/b".into()));
+        assert_eq!(of(&["/a/bc", "/a/b"]), Some("/a".into()));
+        assert_eq!(of(&[]), None);
+    }
+}

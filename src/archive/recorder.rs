@@ -1,0 +1,237 @@
+//! The making of an archive, around a run: digests of the inputs before it, everything else behind it.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+use super::contents;
+use super::digest::{self, Stamp};
+use super::origin::{Machine, Program, utc};
+use super::paths::relative;
+use super::resolved::Resolved;
+use super::{ARCHIVE, Archive, DigestedFile, FORMAT, Files, JOB, LINES, LOG, MODELS, REPORT, RESOLVED, SEAL};
+use crate::engine::{Options, RunReport};
+use crate::formats::Error;
+use crate::job::{Job, JobStage};
+use crate::stage::{ConfigError, OutputFile, Result, StageError, partial_path};
+use crate::stages::write_lstat;
+
+/// What the stage is called that writes the statistics of scan lines for the archive.
+const STAGE_ID: &str = "archive";
+
+/// An archive that is being made. Dropped before [`Recorder::finish`], nothing is left of it.
+pub struct Recorder {
+    /// Where it is to be.
+    path: PathBuf,
+    /// Where its files gather meanwhile.
+    gathering: Gathering,
+    made: SystemTime,
+    archive: Archive,
+    job: String,
+    resolved: Resolved,
+    /// What the inputs were like when their digests were taken.
+    stamps: Vec<Stamp>,
+    /// The folder that the archive will be, or would be unpacked to.
+    folder: PathBuf,
+}
+
+/// A folder that is removed in the end.
+struct Gathering(PathBuf);
+
+impl Drop for Gathering {
+    fn drop(&mut self) {
+        // Nothing can be done about a folder that resists: its name says what it is.
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Whether an archive can get this name: nothing has it yet.
+///
+/// # Errors
+/// Something has it; and a path without a name.
+pub fn check_destination(path: &Path) -> Result<()> {
+    if path.file_name().is_none() {
+        return Err(Error::unusable(
+            path,
+            "no name for an archive",
+            "give a new folder, or a name that ends in .tar.zst",
+        )
+        .into());
+    }
+    if path.symlink_metadata().is_ok() {
+        let remedy = "choose another name: an archive is never replaced";
+        return Err(Error::unusable(path, "it exists already", remedy).into());
+    }
+    Ok(())
+}
+
+impl Recorder {
+    /// Begins the archive of a run with these options: resolves the job, and takes the digests of all inputs.
+    ///
+    /// # Errors
+    /// The archive exists already, or an input cannot be read.
+    pub fn begin(job: &Job, options: &Options, path: &Path) -> Result<Recorder> {
+        check_destination(path)?;
+        let made = SystemTime::now();
+        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        fs::create_dir_all(parent).map_err(Error::io(parent, "make the folder"))?;
+        let folder = contents::folder_of(path)?;
+        let resolved = Resolved::new(job, options, &folder)?;
+        let gathering = Gathering(partial_path(path, std::process::id()));
+        // What a dead process of the same number has left is not ours.
+        drop(Gathering(gathering.0.clone()));
+        fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "make the folder"))?;
+        let stamps: Result<Vec<Stamp>> = resolved.inputs.iter().map(|path| Ok(Stamp::of(path)?)).collect();
+        let digested = |path: &PathBuf| digested(&resolved.input_root, path, None);
+        let inputs: Result<Vec<DigestedFile>> = resolved.inputs.iter().map(digested).collect();
+        let archive = Archive {
+            format: FORMAT,
+            made: utc(made),
+            job: job.name.clone(),
+            set: job.overrides.iter().map(|set| set.text.clone()).collect(),
+            program: Program::this(),
+            machine: Machine::this(),
+            inputs: files(&folder, &resolved.input_root, inputs?),
+            outputs: files(&folder, &resolved.output_root, Vec::new()),
+        };
+        let (path, job, stamps) = (path.to_owned(), job.text.clone(), stamps?);
+        Ok(Recorder { path, gathering, made, archive, job, resolved, stamps, folder })
+    }
+
+    /// The job to run: the same, with statistics of scan lines for the archive at its end.
+    ///
+    /// # Errors
+    /// A folder whose name is no Unicode.
+    pub fn job(&self, job: &Job) -> Result<Job> {
+        let folder = std::path::absolute(&self.gathering.0).map_err(Error::io(&self.gathering.0, "find"))?;
+        let pattern = folder.join(LINES).join("*_lstat.txt");
+        let Some(pattern) = pattern.to_str().filter(|pattern| pattern.matches('*').count() == 1) else {
+            let problem = format!("{}: no name for an archive", self.path.display());
+            return Err(StageError::failed(problem, "choose one in Unicode and without `*`"));
+        };
+        let keys = format!("path = {}", toml::Value::String(pattern.to_owned()));
+        let keys = toml::de::DeTable::parse(&keys).map_err(|error| defect(&error))?;
+        let planned = (write_lstat::STAGE.parse)(keys).map_err(|error| match error {
+            ConfigError::Toml(error) => defect(&error),
+            ConfigError::Key(invalid) => defect(&invalid.problem),
+        })?;
+        let mut job = job.clone();
+        job.stages.push(JobStage { id: STAGE_ID.to_owned(), spec: &write_lstat::STAGE, planned });
+        Ok(job)
+    }
+
+    /// Takes what the archive's own stage did out of a report.
+    pub fn strip(&self, report: &mut RunReport) {
+        report.stages.pop();
+        let own = std::path::absolute(&self.gathering.0).unwrap_or_default();
+        for input in &mut report.inputs {
+            input.stages.pop();
+            input.outputs.retain(|output| !output.starts_with(&own));
+        }
+    }
+
+    /// Gives the archive its name: from here on it is there, and whole. Returns its seal, the BLAKE3 digest of `archive.b3`.
+    ///
+    /// # Errors
+    /// An input was changed during the run, or the archive cannot be written.
+    pub fn finish(mut self, report: &RunReport, log: &[u8]) -> Result<String> {
+        self.check_inputs()?;
+        self.archive.outputs.files = self.outputs(report)?;
+        let mut files = self.texts(report, log)?;
+        files.extend(contents::read_files(&self.gathering.0)?);
+        files.insert(SEAL.to_owned(), contents::seal(&files).into_bytes());
+        let seal = files.get(SEAL).map(|text| digest::of_bytes(text)).unwrap_or_default();
+        check_destination(&self.path)?;
+        if contents::is_packed(&self.path) {
+            self.pack(&files)?;
+        } else {
+            contents::write_folder(&self.gathering.0, &files)?;
+            fs::rename(&self.gathering.0, &self.path)
+                .map_err(Error::io(&self.path, "give the final name to"))?;
+        }
+        Ok(seal)
+    }
+
+    fn pack(&self, files: &BTreeMap<String, Vec<u8>>) -> Result<()> {
+        // The folder that gathers has the name that the file would have meanwhile.
+        fs::remove_dir_all(&self.gathering.0).map_err(Error::io(&self.path, "make room for"))?;
+        let mut file = OutputFile::create(&self.path)?;
+        let name = self.folder.file_name().unwrap_or_default().to_string_lossy();
+        let seconds = self.made.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
+        contents::pack(&name, files, seconds, &mut file).map_err(Error::io(&self.path, "write"))?;
+        file.finish()?.publish()?;
+        Ok(())
+    }
+
+    fn check_inputs(&self) -> Result<()> {
+        for (path, stamp) in self.resolved.inputs.iter().zip(&self.stamps) {
+            if Stamp::of(path)? != *stamp {
+                let problem = "it was changed while the run read it: no archive is made";
+                return Err(Error::unusable(path, problem, "run the job again").into());
+            }
+        }
+        Ok(())
+    }
+
+    /// The digests of all that the stages wrote, in order of their paths.
+    fn outputs(&self, report: &RunReport) -> Result<Vec<DigestedFile>> {
+        let mut files = Vec::new();
+        for output in report.inputs.iter().flat_map(|input| &input.outputs) {
+            let path = super::paths::plain(&absolute(output)?);
+            let stage = self.resolved.outputs.iter().find(|(other, _)| *other == path);
+            files.push(digested(&self.resolved.output_root, &path, stage.map(|(_, stage)| stage.clone()))?);
+        }
+        files.sort_by(|a, b| a.path.cmp(&b.path));
+        Ok(files)
+    }
+
+    /// The files that are made here, by their paths.
+    fn texts(&self, report: &RunReport, log: &[u8]) -> Result<BTreeMap<String, Vec<u8>>> {
+        let mut files = BTreeMap::from([
+            (ARCHIVE.to_owned(), json(&self.archive)?),
+            (JOB.to_owned(), self.job.clone().into_bytes()),
+            (RESOLVED.to_owned(), self.resolved.text.clone().into_bytes()),
+            (REPORT.to_owned(), json(report)?),
+            (LOG.to_owned(), log.to_vec()),
+        ]);
+        for input in &report.inputs {
+            if let Some(model) = &input.sensor_model {
+                files.insert(format!("{MODELS}/{}.json", input.stem), json(model)?);
+            }
+        }
+        Ok(files)
+    }
+}
+
+fn defect(error: &dyn std::fmt::Display) -> StageError {
+    StageError::failed(format!("the run cannot be archived: {error}"), "report this as a defect of wavex")
+}
+
+/// A value as text that people read, too.
+fn json(value: &impl serde::Serialize) -> Result<Vec<u8>> {
+    let mut text = serde_json::to_vec_pretty(value).map_err(|error| defect(&error))?;
+    text.push(b'\n');
+    Ok(text)
+}
+
+/// A file that exists, from the root of the file system; its name stays as it is.
+fn absolute(path: &Path) -> Result<PathBuf> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder.canonicalize().map_err(Error::io(folder, "find the folder"))?;
+    Ok(folder.join(path.file_name().unwrap_or_default()))
+}
+
+fn digested(root: &Path, path: &Path, stage: Option<String>) -> Result<DigestedFile> {
+    let (bytes, blake3) = digest::of_file(path)?;
+    let name = relative(root, path).ok_or_else(|| {
+        StageError::failed(format!("{}: no name in Unicode", path.display()), "give it another name")
+    })?;
+    Ok(DigestedFile { path: name, bytes, blake3, stage })
+}
+
+/// Files below a folder, as the archive in `archive` names it.
+fn files(archive: &Path, root: &Path, files: Vec<DigestedFile>) -> Files {
+    let folder_was = root.display().to_string();
+    Files { folder: relative(archive, root).unwrap_or_else(|| folder_was.clone()), folder_was, files }
+}

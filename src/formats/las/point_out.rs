@@ -1,0 +1,220 @@
+//! Points to be written: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
+
+use super::point::{Layout, SCAN_ANGLE_STEP_DEG, Wave};
+
+/// Largest scan angle of formats 6 to 10 in their steps: 180 degrees.
+const SCAN_ANGLE_MAX: f64 = 30_000.0;
+/// Largest scan angle of formats 0 to 5, degrees.
+const SCAN_ANGLE_RANK_MAX: f32 = 90.0;
+/// Largest number of a return, and of returns, in formats 0 to 5.
+pub(super) const LEGACY_RETURNS: u8 = 7;
+/// Largest number of a return, and of returns, in formats 6 to 10.
+pub(super) const RETURNS: u8 = 15;
+/// Largest class of formats 0 to 5.
+const LEGACY_CLASSES: u8 = 31;
+
+/// A point to be written. What does not fit its field is clamped, never wrapped.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PointOut {
+    /// Coordinate in the file's coordinate system.
+    pub x: f64,
+    /// Coordinate in the file's coordinate system.
+    pub y: f64,
+    /// Coordinate in the file's coordinate system.
+    pub z: f64,
+    /// Strength of the return.
+    pub intensity: u16,
+    /// Which return of the pulse, from 1: at most 15, in formats 0 to 5 at most 7.
+    pub return_number: u8,
+    /// How many returns the pulse has: at most 15, in formats 0 to 5 at most 7.
+    pub number_of_returns: u8,
+    /// The mirror moved from the left side of the track to the right.
+    pub scan_direction: bool,
+    /// The last point before the scan turned.
+    pub edge_of_flight_line: bool,
+    /// Class of the ASPRS list: at most 31 in formats 0 to 5.
+    pub classification: u8,
+    /// To be treated as deleted.
+    pub withheld: bool,
+    /// Channel, 0 to 3; formats 0 to 5 have none.
+    pub scanner_channel: u8,
+    /// Scan angle, degrees, within -180 to 180, in formats 0 to 5 whole ones within -90 to 90; NaN becomes 0.
+    pub scan_angle_deg: f32,
+    /// For the user.
+    pub user_data: u8,
+    /// The file or flight line that the point comes from.
+    pub point_source_id: u16,
+    /// Time of the point on the scale that the writer was told, s.
+    pub gps_time: f64,
+    /// The waveform the point was found in; formats without waveforms leave it out.
+    pub wave: Wave,
+}
+
+impl PointOut {
+    /// Appends the record of a format with a time and without colours (1, 4, 6 or 9) at the quantised coordinates `raw`.
+    pub(super) fn encode(&self, format: u8, raw: [i32; 3], out: &mut Vec<u8>) {
+        raw.iter().for_each(|value| out.extend(value.to_le_bytes()));
+        out.extend(self.intensity.to_le_bytes());
+        if format <= 5 {
+            self.legacy_fields(out)
+        } else {
+            self.fields(out)
+        }
+        out.extend(self.gps_time.to_le_bytes());
+        if Layout::of(format).wave.is_some() {
+            self.wave_fields(out);
+        }
+    }
+
+    /// Bytes 14 to 19 of formats 0 to 5.
+    fn legacy_fields(&self, out: &mut Vec<u8>) {
+        out.push(
+            self.return_number.min(LEGACY_RETURNS)
+                | self.number_of_returns.min(LEGACY_RETURNS) << 3
+                | u8::from(self.scan_direction) << 6
+                | u8::from(self.edge_of_flight_line) << 7,
+        );
+        out.push(self.classification.min(LEGACY_CLASSES) | u8::from(self.withheld) << 7);
+        let degrees = self.scan_angle_deg.round().clamp(-SCAN_ANGLE_RANK_MAX, SCAN_ANGLE_RANK_MAX);
+        out.extend((degrees as i8).to_le_bytes());
+        out.push(self.user_data);
+        out.extend(self.point_source_id.to_le_bytes());
+    }
+
+    /// Bytes 14 to 21 of formats 6 to 10.
+    fn fields(&self, out: &mut Vec<u8>) {
+        out.push(self.return_number.min(RETURNS) | self.number_of_returns.min(RETURNS) << 4);
+        out.push(
+            u8::from(self.withheld) << 2
+                | self.scanner_channel.min(3) << 4
+                | u8::from(self.scan_direction) << 6
+                | u8::from(self.edge_of_flight_line) << 7,
+        );
+        out.extend([self.classification, self.user_data]);
+        let steps = (f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG).round();
+        out.extend((steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX) as i16).to_le_bytes());
+        out.extend(self.point_source_id.to_le_bytes());
+    }
+
+    /// The 29 bytes on the waveform.
+    fn wave_fields(&self, out: &mut Vec<u8>) {
+        let wave = &self.wave;
+        out.push(wave.descriptor);
+        out.extend(wave.offset.to_le_bytes());
+        out.extend(wave.size.to_le_bytes());
+        out.extend(wave.location_ps.to_le_bytes());
+        wave.direction_per_ps.iter().for_each(|value| out.extend(value.to_le_bytes()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::point::Point;
+    use super::super::tests::made::any_point;
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The record of a point, read back.
+    fn back(format: u8, point: &PointOut, raw: [i32; 3]) -> Point {
+        let mut record = Vec::new();
+        point.encode(format, raw, &mut record);
+        assert_eq!(record.len(), Layout::of(format).length);
+        let mut point = Point::default();
+        Layout::of(format).decode(&record, &[1.0; 3], &[0.0; 3], &mut point);
+        point
+    }
+
+    #[test]
+    fn what_does_not_fit_is_clamped() {
+        let point = PointOut {
+            return_number: 200,
+            number_of_returns: 16,
+            scanner_channel: 9,
+            scan_angle_deg: 1e9,
+            classification: 255,
+            ..PointOut::default()
+        };
+        let read = back(6, &point, [i32::MAX, i32::MIN, 0]);
+        assert_eq!((read.return_number, read.number_of_returns, read.scanner_channel), (15, 15, 3));
+        assert_eq!((read.scan_angle_deg, read.classification), (180.0, 255));
+        assert_eq!(read.raw, [i32::MAX, i32::MIN, 0]);
+        assert!(!read.withheld && !read.edge_of_flight_line && !read.scan_direction);
+        let read = back(1, &point, [i32::MAX, i32::MIN, 0]);
+        assert_eq!((read.return_number, read.number_of_returns, read.scanner_channel), (7, 7, 0));
+        assert_eq!((read.scan_angle_deg, read.classification), (90.0, 31));
+        assert!(!read.withheld && !read.edge_of_flight_line && !read.scan_direction);
+        for format in [1, 6] {
+            let of = |scan_angle_deg| PointOut { scan_angle_deg, ..PointOut::default() };
+            assert_eq!(back(format, &of(f32::NAN), [0; 3]).scan_angle_deg, 0.0);
+            assert!(back(format, &of(f32::NEG_INFINITY), [0; 3]).scan_angle_deg <= -90.0);
+        }
+    }
+
+    #[test]
+    fn format_1_is_spelled_out() {
+        let point = PointOut {
+            intensity: 0x1234,
+            return_number: 2,
+            number_of_returns: 3,
+            scan_direction: true,
+            classification: 20,
+            withheld: true,
+            scan_angle_deg: -12.6,
+            user_data: 7,
+            point_source_id: 258,
+            gps_time: 1.0,
+            ..PointOut::default()
+        };
+        let mut record = Vec::new();
+        point.encode(1, [1, -2, 3], &mut record);
+        let mut expected = vec![1, 0, 0, 0, 0xfe, 0xff, 0xff, 0xff, 3, 0, 0, 0, 0x34, 0x12];
+        expected.extend([0b01_011_010, 0b100_10100, 0xf3, 7, 2, 1]);
+        expected.extend(1f64.to_le_bytes());
+        assert_eq!(record, expected);
+    }
+
+    proptest! {
+        #[test]
+        fn a_record_reads_back_as_it_was_written(point in any_point(), raw in any::<[i32; 3]>(), is_9 in any::<bool>()) {
+            let read = back(if is_9 { 9 } else { 6 }, &point, raw);
+            prop_assert_eq!(read.raw, raw);
+            let wave = if is_9 { point.wave } else { Wave::default() };
+            prop_assert_eq!(read.wave, wave);
+            prop_assert_eq!(again(&point, &read), point);
+        }
+
+        #[test]
+        fn an_old_record_reads_back_within_its_fields(point in any_point(), raw in any::<[i32; 3]>()) {
+            let read = back(4, &point, raw);
+            prop_assert_eq!(read.raw, raw);
+            let expected = PointOut {
+                return_number: point.return_number.min(7),
+                number_of_returns: point.number_of_returns.min(7),
+                classification: point.classification.min(31),
+                scanner_channel: 0,
+                scan_angle_deg: point.scan_angle_deg.round().clamp(-90.0, 90.0),
+                ..point.clone()
+            };
+            prop_assert_eq!(again(&point, &read), expected);
+        }
+    }
+
+    /// What was read, as a point to be written at the place of another.
+    fn again(point: &PointOut, read: &Point) -> PointOut {
+        PointOut {
+            intensity: read.intensity,
+            return_number: read.return_number,
+            number_of_returns: read.number_of_returns,
+            scan_direction: read.scan_direction,
+            edge_of_flight_line: read.edge_of_flight_line,
+            classification: read.classification,
+            withheld: read.withheld,
+            scanner_channel: read.scanner_channel,
+            scan_angle_deg: read.scan_angle_deg,
+            user_data: read.user_data,
+            point_source_id: read.point_source_id,
+            gps_time: read.gps_time,
+            ..point.clone()
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Points as the sink writes them, read back by the `las` crate.
+
+use las::point::Classification;
+
+use super::*;
+use crate::batch::{Blocks, Content, ReturnChannel, TimeScale, flags};
+
+fn found(return_number: u8) -> Return {
+    Return {
+        emission: 0,
+        return_number,
+        number_of_returns: 9,
+        channel: ReturnChannel::Low,
+        flags: flags::REFINED | flags::OVERLAP | flags::SATURATED | flags::SPLIT,
+        mta_zone: 2,
+        time_of_flight_ns: 6000.0,
+        time_of_flight_sd_ns: 0.02,
+        range_m: 900.0,
+        range_sd_m: 0.003,
+        amplitude_dn: 120.4,
+        amplitude_sd_dn: 0.9,
+        peak_dn: 122.0,
+        peak_sd_dn: 0.9,
+        amplitude_db: 20.0,
+        width_ratio: 1.25,
+        width_ratio_sd: 0.05,
+        fwhm_ns: 4.5,
+        thickness_m: 0.24,
+        thickness_sd_m: 0.125,
+        deviation_ratio: 2.0,
+        intensity: 70.6,
+        intensity_sd: 10.0,
+        ..Return::default()
+    }
+}
+
+fn info(crs_wkt: Option<&str>) -> InputInfo {
+    InputInfo {
+        stem: "made".into(),
+        time_scale: TimeScale::Adjusted,
+        crs_wkt: crs_wkt.map(str::to_owned),
+        ..InputInfo::default()
+    }
+}
+
+fn line(input: InputInfo, returns: Vec<Return>) -> Batch {
+    let flags = emission_flags::SCAN_DIRECTION_POSITIVE | emission_flags::EDGE_OF_FLIGHT_LINE;
+    let emission = Emission { gps_time_s: 2e8, flags, scan_angle_deg: -12.6, ..Emission::default() };
+    let mut batch = Batch::of_shots(Arc::new(input), 0, vec![emission], Blocks::default());
+    let points = returns.iter().map(|r| [1.0, 2.0, f64::from(r.return_number)]).collect();
+    batch.content = Content::Points(returns, points);
+    batch
+}
+
+/// The file that these keys make of these lines, and what the stage notes.
+fn write(keys: &WriteLas, lines: &[Batch]) -> (Vec<u8>, Vec<String>) {
+    let folder = tempfile::tempdir().unwrap();
+    let site = Site {
+        input: "made.sdf".into(),
+        stem: "made".into(),
+        input_dir: folder.path().into(),
+        output_dir: folder.path().into(),
+        threads: 1,
+        simd: crate::kernels::lockstep::Path::best(),
+        geometry: Arc::default(),
+    };
+    let mut cx = Context::default();
+    let mut sink = keys.make(&site).unwrap();
+    lines.iter().for_each(|line| sink.write(line, &mut cx).unwrap());
+    sink.finish(&mut cx).unwrap();
+    let whole = cx.whole.drain(..).map(|whole| whole.publish().unwrap());
+    let paths: Vec<_> = whole.collect();
+    let expected: Vec<_> = keys.outputs().iter().map(|pattern| site.output_path(pattern)).collect();
+    assert!(paths.iter().all(|path| expected.contains(path)) && paths.len() == expected.len());
+    (std::fs::read(&expected[0]).unwrap(), cx.counters().notes.clone())
+}
+
+fn points(bytes: &[u8]) -> (las::Header, Vec<las::Point>) {
+    let mut reader = las::Reader::new(std::io::Cursor::new(bytes.to_vec())).unwrap();
+    let header = reader.header().clone();
+    let read = reader.read_all().unwrap();
+    (header, read.points().map(|point| point.unwrap()).collect())
+}
+
+fn keys(path: &str) -> WriteLas {
+    WriteLas { path: path.into(), ..WriteLas::default() }
+}
+
+/// Steps, as the sink stores them.
+fn stored(point: &las::Point, layout: AttributeLayout) -> Vec<u16> {
+    let mut rest = point.extra_bytes.as_slice();
+    let stored = Attributes::of(layout, true).stored;
+    let next = |attribute: &crate::formats::las::ExtraAttribute| {
+        let (now, later) = rest.split_at(attribute.data_type.bytes());
+        rest = later;
+        u16::from(now[0]) | now.get(1).map_or(0, |high| u16::from(*high) << 8)
+    };
+    stored.iter().map(next).collect()
+}
+
+#[test]
+fn a_point_tells_of_its_return_in_version_1_4() {
+    let outlier = Return { channel: ReturnChannel::Joint, withheld: true, class: 20, ..found(8) };
+    let lines = [line(info(Some("PROJCS[\"x\"]")), vec![found(1), outlier])];
+    let (bytes, notes) = write(&keys("*.las"), &lines);
+    assert!(notes.is_empty(), "{notes:?}");
+    let (header, points) = points(&bytes);
+    assert_eq!((header.version(), header.has_wkt_crs()), (las::Version::new(1, 4), true));
+    let [first, second] = points.as_slice() else { panic!("{} points", points.len()) };
+    assert_eq!((first.intensity, first.return_number, first.number_of_returns), (71, 1, 9));
+    assert_eq!((second.return_number, second.is_withheld, first.is_withheld), (8, true, false));
+    assert_eq!((u8::from(first.classification), u8::from(second.classification)), (0, 20));
+    assert_eq!((first.scanner_channel, second.scanner_channel), (0, 1));
+    assert_eq!((first.user_data, first.point_source_id, first.gps_time), (0b0100_0011, 2, Some(2e8)));
+    assert!(first.is_edge_of_flight_line);
+    assert_eq!(first.scan_direction, las::point::ScanDirection::LeftToRight);
+    assert!((first.scan_angle + 12.6).abs() < 1e-4);
+    // The values of `found` over the steps of the layout.
+    assert_eq!(stored(first, AttributeLayout::V1_1), [30, 30, 700, 20, 3, 50, 25, 125, 0]);
+    assert_eq!(stored(second, AttributeLayout::V1_1)[8], 1);
+}
+
+#[test]
+fn version_1_2_clamps_what_its_fields_cannot_hold() {
+    let utm_33 = geokeys::wkt_of_epsg(32633).unwrap();
+    let keys = WriteLas { version: VersionKey::V1_2, ..keys("*.las") };
+    let (bytes, notes) = write(&keys, &[line(info(Some(&utm_33)), vec![found(1), found(9)])]);
+    assert!(notes.is_empty(), "{notes:?}");
+    let (header, points) = points(&bytes);
+    assert_eq!((header.version(), header.point_format().to_u8().unwrap()), (las::Version::new(1, 2), 1));
+    assert_eq!((points[1].return_number, points[1].number_of_returns, points[1].scanner_channel), (7, 7, 0));
+    assert_eq!((points[1].scan_angle, points[1].gps_time), (-13.0, Some(2e8)));
+    assert_eq!(stored(&points[1], AttributeLayout::V1_1)[..4], [30, 30, 700, 20]);
+
+    let (bytes, notes) = write(&keys, &[line(info(Some("PROJCS[\"x\"]")), vec![found(1)])]);
+    assert_eq!(
+        notes,
+        ["the coordinate reference system has no EPSG code: it stands in the file of LAS 1.2 as WKT"]
+    );
+    let reader = las::Reader::new(std::io::Cursor::new(bytes)).unwrap();
+    assert!(reader.header().vlrs().iter().any(|vlr| vlr.record_id == 2112));
+}
+
+#[test]
+fn layout_1_0_has_its_own_steps_bits_and_class() {
+    let bad = Return { deviation_ratio: 3.01, flags: flags::DIVERGED | flags::SATURATED, ..found(2) };
+    let lines = [line(info(None), vec![found(1), bad])];
+    let keys = WriteLas { attribute_layout: AttributeLayout::V1_0, ..keys("*.las") };
+    let (bytes, notes) = write(&keys, &lines);
+    assert_eq!(
+        notes,
+        ["the input names no coordinate reference system by WKT or EPSG code: the file has none"]
+    );
+    let (_, points) = points(&bytes);
+    assert_eq!(stored(&points[0], AttributeLayout::V1_0), [13, 30, 700, 120, 40, 3, 50, 25, 125]);
+    assert_eq!(points.iter().map(|point| point.user_data).collect::<Vec<_>>(), [0b0100_0001, 0b1000_0000]);
+    assert_eq!(points[0].classification, Classification::CreatedNeverClassified);
+    assert_eq!(u8::from(points[1].classification), 20);
+    assert!(!points[1].is_withheld);
+}
+
+#[test]
+fn attributes_can_be_left_out() {
+    let lengths = [(true, true, 10), (true, false, 6), (false, true, 0)];
+    for (extra_attributes, uncertainty, length) in lengths {
+        let keys = WriteLas { extra_attributes, uncertainty, ..keys("*.las") };
+        let (bytes, _) = write(&keys, &[line(info(None), vec![found(1)])]);
+        assert_eq!(points(&bytes).1[0].extra_bytes.len(), length);
+    }
+    let names = |layout| {
+        let without = Attributes::of(layout, false).stored;
+        without.iter().map(|attribute| attribute.name).collect::<Vec<_>>().join(", ")
+    };
+    assert_eq!(names(AttributeLayout::V1_1), "WideRatio, TargetThick, Amp, DevRatio, Channel");
+    let of_1_0 = "Widening, Target Thickness, Amplitude, Raw Amplitude, Deviation Ratio";
+    assert_eq!(names(AttributeLayout::V1_0), of_1_0);
+}
+
+#[test]
+fn an_index_is_a_file_or_a_part_of_one() {
+    let lines = [line(info(None), vec![found(1), found(2)])];
+    let beside = WriteLas { index: IndexKey::File, ..keys("sub/*.las") };
+    assert_eq!(beside.outputs(), ["sub/*.las", "sub/*.lax"]);
+    let (with, _) = write(&beside, &lines);
+    let (without, _) = write(&keys("*.las"), &lines);
+    assert_eq!(with, without);
+    let appended = WriteLas { index: IndexKey::Appended, ..keys("*.laz") };
+    let (bytes, _) = write(&appended, &lines);
+    assert!(bytes.windows(8).any(|window| window == b"LASX\0\0\0\0"));
+}
+
+#[test]
+fn keys_that_cannot_be_are_told() {
+    let said = |keys: WriteLas| keys.check().err().map(|invalid| format!("{invalid:?}"));
+    assert_eq!(said(WriteLas::default()), None);
+    assert!(said(keys("a.ply")).unwrap().contains("the file's name must end in .las or .laz"));
+    let appended = WriteLas { index: IndexKey::Appended, ..keys("a.las") };
+    assert!(said(appended).unwrap().contains("an index can only be appended to .laz: write it as a file"));
+    let coarse = WriteLas { coordinate_step: Some(2.0), ..WriteLas::default() };
+    assert!(said(coarse).unwrap().contains("it must lie between 1e-9 and 1"));
+}
