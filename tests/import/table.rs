@@ -1,11 +1,11 @@
 //! The tables of options: complete, and true to the build.
 
+use wavex::cli::import::Import;
 use wavex::cli::import::draft::Known;
 use wavex::cli::import::options::{Becomes, Form, Opt, Standard, Takes, VERSIONS, Version};
-use wavex::cli::import::{Import, import};
 use wavex::job::Job;
 
-use crate::{files, words};
+use crate::{files, in_version, words};
 
 /// Every option that the two documents list or use, by version.
 const V10: &str = "I idir O odir mem N nthreads q quiet progress i input o out oext ounc nil log olog clear_log_history ostat \
@@ -21,16 +21,11 @@ const V11: &str = "I idir O odir mem N nthreads q quiet progress i input o out o
 /// Keys that the tables name and this build does not have yet; `stage.` alone is a whole stage.
 const PENDING: &[&str] = &[
     "job.stat_log",
-    "geometry.",
     "read_sdf.time_scale",
     "read_sdf.utc",
     "read_sdf.time_offset_s",
     "read_sdf.refractive_index_ppm",
     "read_las.range_time_offset_ns",
-    "georeference.dummy_velocity_mps",
-    "write_las.version",
-    "write_las.attribute_layout",
-    "write_las.index",
     "write_lstat.layout",
     "write_ascii.",
     "write_trajectory.",
@@ -154,7 +149,7 @@ fn line_with(version: &Version, option: &Opt) -> (String, String) {
         ("o", _) => "new.laz",
         ("oparse" | "po_parse", _) => "txyzwpk",
         ("mem", _) => "512",
-        ("icr" | "R" | "max_width", _) => "5.5",
+        ("icr" | "R" | "max_width" | "d" | "det_lm", _) => "5.5",
         (_, Takes::Switch) => "1",
         (_, Takes::Number) => "0.25",
         (_, Takes::Whole(..)) => "7",
@@ -181,7 +176,7 @@ fn line_with(version: &Version, option: &Opt) -> (String, String) {
 }
 
 fn imported(version: &Version, line: &str, known: &Known) -> Import {
-    import(&words(line), Some(version.name), known, None, &files)
+    in_version(Some(version.name), &words(line), known, &files)
         .unwrap_or_else(|problem| panic!("{line}: {problem}"))
 }
 
