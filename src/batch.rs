@@ -41,6 +41,8 @@ pub struct Batch {
     pub emissions: Vec<Emission>,
     /// What was recorded, found or computed for them.
     pub content: Content,
+    /// Where a sink of the job wants the recorded blocks together with their returns: they stay here behind `decompose`.
+    pub waveforms: Option<Blocks>,
     /// The batch's share of the memory in flight; given back when the batch is dropped.
     pub(crate) ticket: Option<Ticket>,
 }
@@ -86,7 +88,17 @@ impl Batch {
             ..LineStats::default()
         };
         let content = Content::Shots(blocks);
-        Batch { input, line, stats, model: None, fusion: None, emissions, content, ticket: None }
+        Batch {
+            input,
+            line,
+            stats,
+            model: None,
+            fusion: None,
+            emissions,
+            content,
+            waveforms: None,
+            ticket: None,
+        }
     }
 
     /// What the batch holds.
@@ -136,7 +148,8 @@ impl Batch {
                 returns.capacity() * size_of::<Return>() + points.capacity() * size_of::<[f64; 3]>()
             }
         };
-        size_of::<Batch>() + self.emissions.capacity() * size_of::<Emission>() + content
+        let waveforms = self.waveforms.as_ref().map_or(0, Blocks::bytes);
+        size_of::<Batch>() + self.emissions.capacity() * size_of::<Emission>() + content + waveforms
     }
 
     /// Tells the budget what the batch takes now, after a stage has changed it.

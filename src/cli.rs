@@ -12,6 +12,7 @@ use crate::geo::time_axis::Clock;
 use crate::job::{Job, JobErrors, Override, job_schema};
 use crate::registry::STAGES;
 
+mod archive;
 mod check;
 mod convert;
 mod explain;
@@ -19,6 +20,7 @@ mod false_alarms;
 pub mod import;
 mod init;
 mod log;
+mod report;
 mod run;
 mod scan;
 mod stages;
@@ -62,6 +64,31 @@ enum Command {
         job: JobArgs,
         #[command(flatten)]
         machine: Machine,
+        /// Keep how the outputs were made: a new folder, or a file whose name ends in .tar.zst
+        ///
+        /// The job as written and as resolved, the digests of all inputs and outputs, the sensor model, versions, the
+        /// machine, the report, the statistics of scan lines, and the log.
+        #[arg(long, value_name = "ARCHIVE")]
+        archive: Option<PathBuf>,
+    },
+    /// Run an archived job again, and say whether it gives the same outputs to the bit
+    ///
+    /// Runs into a temporary folder (TMPDIR says where), after the archive and its inputs were found to be as they were. Exit
+    /// status 1 where something differs: which file, and the first difference in its own terms.
+    Replay {
+        #[command(flatten)]
+        archived: ArchiveArgs,
+        /// How many threads work at once; 0: one for each core [default: as many as then]
+        #[arg(long, value_name = "N")]
+        threads: Option<usize>,
+        /// Whether to show how far the run is; auto: a bar on a terminal, lines elsewhere
+        #[arg(long, value_name = "WHEN", default_value = "auto")]
+        progress: When,
+    },
+    /// Say whether an archive, its inputs and its outputs are as they were, by their digests alone
+    Verify {
+        #[command(flatten)]
+        archived: ArchiveArgs,
     },
     /// Say what is wrong with a job, or what it will do, without reading any data
     Check {
@@ -105,6 +132,16 @@ enum Command {
     /// Prints a summary and writes it beside histograms as text and a page with pictures: NAME_scan.txt, NAME_scan.html,
     /// NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
     Scan(ScanArgs),
+    /// Show what a run did as a page: where the time went, counts, sensor model, warnings
+    ///
+    /// The page is one file (HTML) without scripts, which needs no network.
+    Report {
+        /// The report.json of a run, or the folder it is in
+        place: PathBuf,
+        /// The page [default: beside the report, as report.html]
+        #[arg(short, long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
     /// Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
     ///
     /// Prints a summary; writes, where asked to, a table of the columns t lon lat h x y z w p k, and a picture (SVG).
@@ -119,6 +156,19 @@ enum Command {
         /// The shell
         shell: clap_complete::Shell,
     },
+}
+
+/// Which archive, and where its files are.
+#[derive(Args)]
+struct ArchiveArgs {
+    /// The archive: a folder, or a file whose name ends in .tar.zst
+    archive: PathBuf,
+    /// Where the inputs are now [default: where the archive says]
+    #[arg(long, value_name = "FOLDER")]
+    inputs: Option<PathBuf>,
+    /// Where the outputs are now [default: where the archive says]
+    #[arg(long, value_name = "FOLDER")]
+    outputs: Option<PathBuf>,
 }
 
 /// Which noise, and which thresholds.
@@ -384,7 +434,11 @@ pub fn main() -> ExitCode {
 fn dispatch(cli: Cli) -> Result<(), Failure> {
     let quiet = cli.loudness.quiet;
     match cli.command {
-        Command::Run { job, machine } => run::run(&job, machine, quiet),
+        Command::Run { job, machine, archive } => run::run(&job, machine, archive.as_deref(), quiet),
+        Command::Replay { archived, threads, progress } => {
+            archive::replay(archived, threads, progress, quiet)
+        }
+        Command::Verify { archived } => archive::verify(archived, quiet),
         Command::Check { job } => check::check(&job),
         Command::Stages { name } => stages::stages(STAGES, name.as_deref()),
         Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
@@ -393,6 +447,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),
+        Command::Report { place, out } => report::report(&place, out.as_deref(), quiet),
         Command::Trajectory(args) => trajectory::trajectory(&args, quiet),
         Command::Import(args) => import::run_import(&args, quiet),
         Command::Completions { shell } => {

@@ -22,6 +22,7 @@ mod link;
 mod meter;
 mod progress;
 mod report;
+mod stat_log;
 mod trace;
 mod worker;
 
@@ -29,7 +30,8 @@ pub(crate) use chain::may_hold_bytes;
 pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
 pub use progress::{Progress, ProgressMode};
-pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals};
+pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals, TrajectoryReport};
+pub use stat_log::stat_log;
 
 /// Where a job runs, and how.
 #[derive(Clone, Debug)]

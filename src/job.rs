@@ -84,6 +84,8 @@ pub struct JobSettings {
     pub simd: Simd,
     /// The report of the run (JSON), in the folder of the outputs; empty: none.
     pub report: String,
+    /// The statistics of each input in words, in the folder of the outputs; `*` is the input's stem; empty: none.
+    pub stat_log: String,
     /// The log of the run, in the folder of the outputs; empty: none.
     pub log: String,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
@@ -100,6 +102,7 @@ impl Default for JobSettings {
             channel_capacity: 16,
             simd: Simd::Auto,
             report: "report.json".into(),
+            stat_log: "*_stat.log".into(),
             log: "wavex.log".into(),
             geometry: GeometryKeys::default(),
         }
@@ -115,6 +118,9 @@ impl JobSettings {
     /// What the types alone cannot say of the keys.
     fn check(&self) -> Result<(), InvalidKey> {
         self.simd.check(lockstep::Path::is_available).map_err(|problem| InvalidKey::new("simd", problem))?;
+        let fits =
+            self.stat_log.is_empty() || (self.stat_log.contains('*') && self.stat_log.ends_with(".log"));
+        InvalidKey::unless(fits, "stat_log", "it must hold a `*` and end in .log, as in \"*_stat.log\"")?;
         self.geometry.check()
     }
 }

@@ -6,7 +6,7 @@
 //! [`lockstep`] does the same for whole batches, in `f32` and many times faster, and hands to it what it is not made for.
 //! [`mta`] finds the emission that caused an echo, where several pulses are in the air.
 //! [`radiometry`], [`penalised_spline`] and [`width_by_amplitude`] serve the corrections of returns, and [`outliers`]
-//! finds points that stand alone.
+//! finds points that stand alone; [`sensor_path`] finds the sensor where beams meet.
 //! docs/method.md describes the method. Positions are in samples from the block's first, heights in digitiser steps
 //! (DN), and a pulse stands where its peak stands.
 
@@ -31,6 +31,7 @@ pub mod response;
 pub mod response_calibrate;
 mod rules;
 pub mod sensor_model;
+pub mod sensor_path;
 pub mod shape;
 pub mod templates;
 pub mod whitening;

@@ -3,7 +3,8 @@
 use crate::stage::StageSpec;
 use crate::stages::{
     calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, read_arrow, read_las,
-    read_pulsewaves, read_sdf, resolve_mta, simulate, write_arrow, write_las, write_lstat, write_table,
+    read_pulsewaves, read_sdf, resolve_mta, simulate, write_arrow, write_ascii, write_las, write_lstat,
+    write_table, write_trajectory,
 };
 
 /// Every stage that a job can name, in the order of the manual: sources, what changes lines, sinks.
@@ -21,6 +22,8 @@ pub const STAGES: &[&StageSpec] = &[
     &filter_outliers::STAGE,
     &georeference::STAGE,
     &write_las::STAGE,
+    &write_ascii::STAGE,
+    &write_trajectory::STAGE,
     &write_lstat::STAGE,
     &write_table::STAGE,
     &write_arrow::STAGE,

@@ -16,6 +16,8 @@ pub mod read_sdf;
 pub mod resolve_mta;
 pub mod simulate;
 pub mod write_arrow;
+pub mod write_ascii;
 pub mod write_las;
 pub mod write_lstat;
 pub mod write_table;
+pub mod write_trajectory;

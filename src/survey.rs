@@ -230,9 +230,7 @@ impl Survey {
 
     /// Whether ranges count from the first sample instead of from the scanner, which the format does not tell.
     pub fn ranges_from_first_sample(&self) -> bool {
-        self.input.as_ref().is_some_and(|input| {
-            input.emission_reference == EmissionReference::ReturnLocations || input.format.starts_with("LAS ")
-        })
+        self.input.as_ref().is_some_and(|input| !input.beams_begin_at_sensor())
     }
 
     fn add_shot(&mut self, batch: &Batch, emission: &Emission, begins_line: bool) {

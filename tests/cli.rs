@@ -43,6 +43,8 @@ Usage: wavex [OPTIONS] <COMMAND>
 
 Commands:
   run           Run a job
+  replay        Run an archived job again, and say whether it gives the same outputs to the bit
+  verify        Say whether an archive, its inputs and its outputs are as they were, by their digests alone
   check         Say what is wrong with a job, or what it will do, without reading any data
   stages        List the stages, or explain one with all its keys
   schema        Print the JSON Schema of a job, for editors that check and complete TOML
@@ -51,7 +53,9 @@ Commands:
   false-alarms  Print how many returns of noise alone each threshold lets through
   explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
   scan          Tell what a recording holds: times, rates, lines, channels, noise, integrity
+  report        Show what a run did as a page: where the time went, counts, sensor model, warnings
   trajectory    Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
+  import        Translate a command line of BayesWavEx 1.0 or 1.1 into a job
   completions   Print the completions of a shell
   help          Print this message or the help of the given subcommand(s)
 
@@ -79,6 +83,7 @@ fn the_help_of_run_explains_its_options() {
         "--set <STAGE.KEY=VALUE>",
         "--threads <N>",
         "--profile",
+        "--archive <ARCHIVE>",
         "--progress <WHEN>",
         "- auto:   A bar on a terminal, lines elsewhere",
     ] {

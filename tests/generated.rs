@@ -6,6 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use schemars::generate::SchemaSettings;
+use wavex::archive::Archive;
 use wavex::batch::flags::NAMES;
 use wavex::engine::RunReport;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
@@ -35,6 +36,13 @@ fn the_schema_of_reports_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<RunReport>();
     check("schemas/report.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_archives_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12();
+    let schema = settings.into_generator().into_root_schema_for::<Archive>();
+    check("schemas/archive.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

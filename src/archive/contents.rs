@@ -52,6 +52,9 @@ impl Contents {
         if files.is_empty() {
             return Err(Error::unusable(path, "no archive: it holds no file", REMEDY));
         }
+        if !files.contains_key(ARCHIVE) && !files.contains_key(SEAL) {
+            return Err(Error::unusable(path, format!("no archive: it has no text {ARCHIVE}"), REMEDY));
+        }
         // As `plain` sees it, so that the name is one, whether the path ends in `/.` or not.
         let whole = plain(&std::path::absolute(path).map_err(Error::io(path, "find"))?);
         Ok(Contents { path: path.to_owned(), folder: folder_of(&whole)?, files })

@@ -79,6 +79,13 @@ impl Default for InputInfo {
     }
 }
 
+impl InputInfo {
+    /// Whether the origins of beams are where the sensor was: LAS tells points on a beam, but not where it begins.
+    pub fn beams_begin_at_sensor(&self) -> bool {
+        self.emission_reference != EmissionReference::ReturnLocations && !self.format.starts_with("LAS ")
+    }
+}
+
 /// What GPS times count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeScale {

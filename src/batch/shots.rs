@@ -216,6 +216,13 @@ impl Blocks {
         self.list.chunk_by(|a, b| a.emission == b.emission).map(|blocks| (blocks[0].emission, blocks))
     }
 
+    /// The blocks of one emission, each with its place in the list.
+    pub fn of_emission(&self, emission: u32) -> impl Iterator<Item = (usize, &Block)> + '_ {
+        let from = self.list.partition_point(|block| block.emission < emission);
+        let until = self.list.partition_point(|block| block.emission <= emission);
+        (from..until).zip(&self.list[from..until])
+    }
+
     /// The instrument's own returns of one emission.
     pub fn online_of(&self, emission: u32) -> &[OnlineReturn] {
         let from = self.online.partition_point(|online| online.emission < emission);

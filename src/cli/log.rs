@@ -17,6 +17,9 @@ use crate::formats::{Error, Result};
 /// The log's file, once a run has one: the log itself begins with the process.
 static FILE: Mutex<Option<File>> = Mutex::new(None);
 
+/// The log, once a run has to keep it.
+static KEPT: Mutex<Option<Vec<u8>>> = Mutex::new(None);
+
 /// Begins the log on standard error: warnings, or as much as is asked for; `RUST_LOG` has the last word.
 pub(super) fn begin(verbose: u8, quiet: bool) {
     let level = match (quiet, verbose) {
@@ -46,11 +49,25 @@ pub(super) fn to_file(path: &Path) -> Result<()> {
     Ok(())
 }
 
+/// From here on the log is kept in memory, too.
+pub(super) fn keep() {
+    *lock_kept() = Some(Vec::new());
+}
+
+/// What was kept of the log.
+pub(super) fn kept() -> Vec<u8> {
+    lock_kept().clone().unwrap_or_default()
+}
+
+fn lock_kept() -> MutexGuard<'static, Option<Vec<u8>>> {
+    KEPT.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
 fn lock() -> MutexGuard<'static, Option<File>> {
     FILE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// Writes to the log's file, where there is one.
+/// Writes to the log's file, where there is one, and to what is kept.
 struct ToFile;
 
 impl<'a> MakeWriter<'a> for ToFile {
@@ -63,7 +80,11 @@ impl<'a> MakeWriter<'a> for ToFile {
 
 impl Write for ToFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        lock().as_mut().map_or(Ok(bytes.len()), |file| file.write(bytes))
+        if let Some(kept) = lock_kept().as_mut() {
+            kept.extend_from_slice(bytes);
+        }
+        // The whole, so that nothing is kept twice.
+        lock().as_mut().map_or(Ok(()), |file| file.write_all(bytes)).map(|()| bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {

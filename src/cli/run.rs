@@ -5,6 +5,7 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use super::{Failure, JobArgs, Machine, When, log, terminal};
+use crate::archive::{Recorder, check_destination};
 use crate::engine::{self, Cancel, Cause, Options, ProgressMode, RunError, RunReport};
 use crate::formats::Error;
 use crate::job::{Job, Override};
@@ -13,21 +14,42 @@ use crate::stage::{OutputFile, OutputLock, Outputs, StageError, fixed_folder, re
 /// What `--profile` writes beside the outputs.
 const TRACE: &str = "trace.json";
 
-/// Reads the job and runs it.
-pub(super) fn run(args: &JobArgs, machine: Machine, quiet: bool) -> Result<(), Failure> {
+/// Reads the job and runs it; `archive` is the name of the archive to make of it.
+pub(super) fn run(
+    args: &JobArgs,
+    machine: Machine,
+    archive: Option<&Path>,
+    quiet: bool,
+) -> Result<(), Failure> {
     let job = args.read(machine.overrides())?;
-    run_job(&job, &args.folder(), machine, quiet)
+    if let Some(archive) = archive {
+        check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
+    }
+    run_archived(&job, &args.folder(), machine, archive, quiet)
 }
 
 /// Runs a job whose relative paths start at `folder`.
 pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -> Result<(), Failure> {
+    run_archived(job, folder, machine, None, quiet)
+}
+
+fn run_archived(
+    job: &Job,
+    folder: &Path,
+    machine: Machine,
+    archive: Option<&Path>,
+    quiet: bool,
+) -> Result<(), Failure> {
     for note in &job.notes {
         tracing::warn!("{note}");
     }
     let (input_dir, output_dir) = folders(job, folder);
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
     // Before the log: another run's would be cut off.
-    let _lock = lock(job, &output_dir, machine.profile).map_err(|error| failed(&error))?;
+    let _lock = lock(job, &output_dir, machine.profile, archive).map_err(|error| failed(&error))?;
+    if archive.is_some() {
+        log::keep();
+    }
     if !job.settings.log.is_empty() {
         log::to_file(&output_dir.join(&job.settings.log)).map_err(|error| failed(&error))?;
     }
@@ -43,32 +65,60 @@ pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -
         "" => None,
         name => Some(OutputFile::create(&output_dir.join(name)).map_err(|error| failed(&error))?),
     };
-    let report = engine::run(job, &options).map_err(|error| {
+    let logged = |error: &dyn std::fmt::Display| {
         tracing::debug!("{error}");
-        failed(&error)
-    })?;
+        failed(error)
+    };
+    let recorder = archive.map(|archive| Recorder::begin(job, &options, archive)).transpose();
+    let recorder = recorder.map_err(|error| logged(&error))?;
+    let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
+    let archived = archived.map_err(|error| logged(&error))?;
+    let mut report =
+        engine::run(archived.as_ref().unwrap_or(job), &options).map_err(|error| logged(&error))?;
+    if let Some(recorder) = &recorder {
+        recorder.strip(&mut report);
+    }
     if let Some(file) = report_file {
         write_report(&report, file).map_err(|error| failed(&error))?;
     }
+    write_stat_logs(&report, job, &output_dir).map_err(|error| failed(&error))?;
     if machine.profile {
         write_trace(&report, &output_dir.join(TRACE)).map_err(|error| failed(&error))?;
     }
-    if quiet { Ok(()) } else { terminal::print(&summary(&report, machine.profile)) }
+    let mut said = summary(&report, machine.profile);
+    if let (Some(recorder), Some(archive)) = (recorder, archive) {
+        let seal = recorder.finish(&report, &log::kept()).map_err(|error| logged(&error))?;
+        let _ = writeln!(said, "archived in {}; its seal is {seal}", archive.display());
+    }
+    if quiet { Ok(()) } else { terminal::print(&said) }
 }
 
 /// Claims what a run writes besides the outputs of its stages, which the engine claims.
-fn lock(job: &Job, output_dir: &Path, profile: bool) -> Result<OutputLock, StageError> {
+fn lock(
+    job: &Job,
+    output_dir: &Path,
+    profile: bool,
+    archive: Option<&Path>,
+) -> Result<OutputLock, StageError> {
     let names = [&job.settings.log, &job.settings.report].map(String::as_str).into_iter();
     let mut outputs = Outputs::new();
     for name in names.chain(profile.then_some(TRACE)).filter(|name| !name.is_empty()) {
         outputs.entry(fixed_folder(output_dir, name)).or_default().insert(output_dir.join(name));
+    }
+    if let Some(archive) = archive {
+        let folder = archive.parent().unwrap_or(Path::new(""));
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        outputs
+            .entry(folder.to_owned())
+            .or_default()
+            .insert(folder.join(archive.file_name().unwrap_or_default()));
     }
     OutputLock::take(&outputs)
 }
 
 /// Ctrl-C and a request to terminate end the run in order, as soon as every stage has done the line it is at; a second one
 /// ends the process at once.
-fn stop_on_signals(cancel: &Cancel) {
+pub(super) fn stop_on_signals(cancel: &Cancel) {
     let cancel = cancel.clone();
     let handler = move || {
         if cancel.is_cancelled() {
@@ -90,6 +140,17 @@ fn write_report(report: &RunReport, mut file: OutputFile) -> Result<(), StageErr
     let written = json.and_then(|json| writeln!(file, "{json}"));
     written.map_err(|error| Error::io(file.path(), "write the report")(error))?;
     file.finish()?.publish()?;
+    Ok(())
+}
+
+fn write_stat_logs(report: &RunReport, job: &Job, output_dir: &Path) -> Result<(), StageError> {
+    let pattern = job.settings.stat_log.as_str();
+    for input in report.inputs.iter().filter(|_| !pattern.is_empty()) {
+        let mut file = OutputFile::create(&output_dir.join(pattern.replace('*', &input.stem)))?;
+        let written = file.write_all(engine::stat_log(report, input).as_bytes());
+        written.map_err(|error| Error::io(file.path(), "write the statistics")(error))?;
+        file.finish()?.publish()?;
+    }
     Ok(())
 }
 
@@ -137,7 +198,14 @@ impl Machine {
     }
 
     fn progress(self, quiet: bool, on_terminal: bool) -> ProgressMode {
-        match self.progress {
+        self.progress.mode(quiet, on_terminal)
+    }
+}
+
+impl When {
+    /// How progress is shown.
+    pub(super) fn mode(self, quiet: bool, on_terminal: bool) -> ProgressMode {
+        match self {
             _ if quiet => ProgressMode::Hidden,
             When::Never => ProgressMode::Hidden,
             When::Always => ProgressMode::Bar,

@@ -13,7 +13,7 @@ use summary::Summary;
 
 mod figures;
 mod histograms;
-mod page;
+pub(in crate::cli) mod page;
 mod summary;
 
 /// Looks a recording over, writes what was seen, and prints the summary.

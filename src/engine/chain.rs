@@ -114,6 +114,7 @@ fn shared(job: &Job, options: &Options) -> Shared {
         budget: Budget::new(limit),
         may_hold_bytes: may_hold_bytes(job),
         largest_line_bytes: limit / (4 * transforms),
+        keeps_waveforms: job.stages.iter().any(|stage| stage.planned.plan.needs_waveforms()),
         gauge: Gauge::default(),
         totals: Mutex::new(Totals::default()),
         cx: Context::default(),

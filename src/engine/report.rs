@@ -12,6 +12,7 @@ use serde::{Serialize, Serializer};
 use super::Options;
 use super::meter::{Meter, Span};
 use crate::batch::{Batch, EmissionReference, Frame, InputInfo, TimeScale};
+use crate::geo::trajectory::Trajectory;
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::sensor_model::SensorModel;
@@ -83,12 +84,43 @@ pub struct InputReport {
     pub channel_fusion: Option<ChannelFusion>,
     /// What `calibrate` found.
     pub sensor_model: Option<SensorModel>,
+    /// The trajectory of `[job.geometry]`.
+    pub trajectory: Option<TrajectoryReport>,
+    /// The coordinates of the points, where a trajectory brought them there.
+    pub coordinates: Option<String>,
     /// The stages, in order.
     pub stages: Vec<StageReport>,
     /// The files written.
     #[serde(serialize_with = "paths_as_text")]
     #[schemars(with = "Vec<String>")]
     pub outputs: Vec<PathBuf>,
+}
+
+/// A trajectory in a few numbers.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct TrajectoryReport {
+    /// The file.
+    pub path: String,
+    /// How many records it has.
+    pub records: usize,
+    /// First and last time, s, on an axis without jumps.
+    pub span_s: [f64; 2],
+    /// The usual time from record to record, s.
+    pub median_step_s: f64,
+    /// How many gaps there are, bridged ones included.
+    pub gaps: usize,
+}
+
+impl From<(&Path, &Trajectory)> for TrajectoryReport {
+    fn from((path, trajectory): (&Path, &Trajectory)) -> TrajectoryReport {
+        TrajectoryReport {
+            path: path.to_string_lossy().into_owned(),
+            records: trajectory.samples().len(),
+            span_s: trajectory.span_s(),
+            median_step_s: trajectory.median_step_s(),
+            gaps: trajectory.gaps().len(),
+        }
+    }
 }
 
 /// What a stage did.
@@ -293,6 +325,9 @@ impl InputReport {
             totals: totals.counts,
             channel_fusion: totals.fusion.as_deref().cloned(),
             sensor_model: totals.model.as_deref().cloned(),
+            trajectory: site.geometry.trajectory().map(TrajectoryReport::from),
+            // An error here has ended the run before.
+            coordinates: site.geometry.target().ok().flatten().map(|target| target.name().to_owned()),
             stages,
             outputs,
         }

@@ -8,7 +8,7 @@ use super::failure::Failure;
 use super::link::{Inlet, Outlet};
 use super::meter::Meter;
 use super::report::Totals;
-use crate::batch::{Batch, Budget};
+use crate::batch::{Batch, Blocks, Budget};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 
 /// What the threads of one chain share.
@@ -17,6 +17,8 @@ pub(super) struct Shared {
     pub(super) budget: Arc<Budget>,
     pub(super) may_hold_bytes: usize,
     pub(super) largest_line_bytes: usize,
+    /// Lines keep their recorded blocks behind `decompose`.
+    pub(super) keeps_waveforms: bool,
     pub(super) gauge: Gauge,
     pub(super) totals: Mutex<Totals>,
     /// What the contexts of all workers come from.
@@ -97,6 +99,7 @@ pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut Desk) -> Result
         let Some(mut batch) = next? else { break };
         let read = source.progress().map_or(u64::MAX, |part| (part.clamp(0.0, 1.0) * 1e6) as u64);
         desk.shared.gauge.read_ppm.store(read, Ordering::Relaxed);
+        batch.waveforms = desk.shared.keeps_waveforms.then(Blocks::default);
         let bytes = batch.bytes();
         if bytes > desk.shared.largest_line_bytes {
             return Err(too_large(batch.line, bytes, desk.shared));

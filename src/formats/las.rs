@@ -1,4 +1,5 @@
-//! LAS and LAZ: full-waveform input (point formats 4, 5, 9 and 10) and point cloud output (point formats 1 and 6).
+//! LAS and LAZ: full-waveform input (point formats 4, 5, 9 and 10) and output of points
+//! (formats 1 and 6), with their waveforms on request (formats 4 and 9).
 //!
 //! The specification is ASPRS LAS 1.4 R15; older versions differ in the length of the header only, and LAS 1.5 adds
 //! three fields to its end. Compression is LASzip's, through the `laz` crate.
@@ -11,6 +12,7 @@ mod descriptor;
 mod extra_bytes;
 mod header;
 mod lax;
+mod packet_writer;
 mod packets;
 mod point;
 mod point_out;
@@ -26,12 +28,13 @@ pub use extra_bytes::{
     RANGE_ERR, RAW_AMP, TARGET_THICK, THICK_ERR, WIDE_ERR, WIDE_RATIO, quantise,
 };
 pub use header::{GpsTime, Header};
+pub use packet_writer::{Packet, PacketWriter};
 pub use point::{Point, Wave};
 pub use point_out::PointOut;
 pub use raw::{RawField, RawPoints};
 pub use reader::Reader;
 pub use vlr::Vlr;
-pub use writer::{IndexPlace, Version, Writer, WriterOptions};
+pub use writer::{IndexPlace, Version, WavePlace, Writer, WriterOptions};
 
 #[cfg(test)]
 mod tests;

@@ -11,7 +11,7 @@ use super::track::Track;
 use crate::batch::{Emission, Frame, InputInfo};
 use crate::geo::frames::Vector;
 use crate::geo::time_axis::{Alignment, Clock, Misaligned, Times};
-use crate::geo::trajectory::Pose;
+use crate::geo::trajectory::{Pose, Trajectory};
 use crate::stage::{Result, StageError};
 
 /// The geometry of a run.
@@ -135,6 +135,11 @@ impl Geometry {
     /// Whether there is a trajectory.
     pub fn has_trajectory(&self) -> bool {
         self.track.is_some()
+    }
+
+    /// The trajectory and its file.
+    pub fn trajectory(&self) -> Option<(&Path, &Trajectory)> {
+        self.track.as_ref().map(|track| (track.file(), &track.trajectory))
     }
 
     /// Whether the trajectory tells how sure it is.

@@ -23,6 +23,11 @@ pub(super) struct Track {
 }
 
 impl Track {
+    /// The file it was read from.
+    pub(super) fn file(&self) -> &Path {
+        &self.file
+    }
+
     /// Whether it was read from these files.
     pub(super) fn is_of(&self, file: &Path, accuracy: Option<&Path>) -> bool {
         self.file == file && self.accuracy.as_deref() == accuracy

@@ -105,6 +105,11 @@ impl WholeFile {
         &self.partial.path
     }
 
+    /// Opens the file for reading under the name that it has now.
+    pub fn open(&self) -> io::Result<File> {
+        File::open(&self.partial.temporary)
+    }
+
     /// Gives the file its final name, in place of what stood there before.
     pub fn publish(mut self) -> Result<PathBuf> {
         let partial = &mut self.partial;

@@ -98,6 +98,11 @@ pub trait SinkConfig: Config {
     /// Patterns of the files to write.
     fn outputs(&self) -> Vec<&str>;
 
+    /// Whether lines are to keep their recorded blocks behind `decompose`.
+    fn needs_waveforms(&self) -> bool {
+        false
+    }
+
     /// Begins the files of a run.
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>>;
 }
@@ -161,6 +166,11 @@ impl Plan {
             Plan::Map(_) => Vec::new(),
         }
     }
+
+    /// Whether lines are to keep their recorded blocks behind `decompose`.
+    pub fn needs_waveforms(&self) -> bool {
+        matches!(self, Plan::Sink(sink) if sink.needs_waveforms())
+    }
 }
 
 /// [`Plan`], and the keys with every default spelled out.
@@ -208,6 +218,8 @@ pub trait MakeTransform: Send + Sync {
 pub trait SinkPlan: Send + Sync {
     /// See [`SinkConfig::outputs`].
     fn outputs(&self) -> Vec<&str>;
+    /// See [`SinkConfig::needs_waveforms`].
+    fn needs_waveforms(&self) -> bool;
     /// See [`SinkConfig::make`].
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>>;
 }
@@ -248,6 +260,9 @@ impl<C: TransformConfig> MakeTransform for C {
 impl<C: SinkConfig> SinkPlan for C {
     fn outputs(&self) -> Vec<&str> {
         SinkConfig::outputs(self)
+    }
+    fn needs_waveforms(&self) -> bool {
+        SinkConfig::needs_waveforms(self)
     }
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
         SinkConfig::make(self, site)

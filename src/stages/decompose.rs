@@ -252,6 +252,9 @@ impl Map for DecomposeLine {
         worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
         batch.stats.np += returns.len() as u64;
         batch.content = Content::Returns(returns);
+        if let Some(kept) = &mut batch.waveforms {
+            *kept = blocks;
+        }
         self.worker = Some(worker);
         Ok(batch)
     }

@@ -1,8 +1,9 @@
 //! Points as LAS or LAZ.
 
-mod attributes;
+pub(super) mod attributes;
 #[cfg(test)]
 mod tests;
+mod waves;
 
 use std::io::Write;
 use std::path::Path;
@@ -14,12 +15,13 @@ use serde::{Deserialize, Serialize};
 use crate::batch::{Batch, Emission, InputInfo, Kind, Return, emission_flags};
 use crate::formats::Error;
 use crate::formats::geokeys;
-use crate::formats::las::{IndexPlace, PointOut, Version, Wave, Writer, WriterOptions};
+use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions};
 use crate::geo::time::{adjusted_gps_time, day_of_year};
 use crate::stage::{
     Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
 };
 use attributes::Attributes;
+use waves::Waves;
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec =
@@ -33,9 +35,9 @@ pub const STAGE: StageSpec =
 /// (bit 0 refined, 1 overlap, 2 diverged at first, 3 to 5 cross-talk, 6 saturated, 7 extremely saturated), outliers are
 /// withheld and of class 20; the channel is that of the power that gave the intensity (0 low, 1 high).
 ///
-/// LAS 1.4 has point format 6 and the coordinate reference system of the points as WKT. LAS 1.2, for older programs, has
-/// point format 1 (at most 7 returns of a pulse, whole degrees, no channel) and GeoTIFF keys, or WKT where the system has
-/// no EPSG code.
+/// LAS 1.4 has point format 6 and the coordinate reference system of the points as WKT. LAS 1.2 and 1.3, for older
+/// programs, have point format 1 (at most 7 returns of a pulse, whole degrees, no channel) and GeoTIFF keys, or WKT where the system
+/// has no EPSG code.
 ///
 /// Extra attributes: `WideRatio`, `TargetThick`, `Amp`, `DevRatio`, `RangeErr`, `IntErr`, `WideErr`, `ThickErr` and
 /// `Channel` (0 low, 1 high power), with the scales, offsets and types of BayesWavEx 1.1. All values are clamped to what
@@ -46,7 +48,13 @@ pub const STAGE: StageSpec =
 /// byte says in bit 0 that the return was refined (the number of iterations, for which bits 0 to 5 stand, is not kept), in
 /// bit 6 overlap, in bit 7 a second refinement; points of a deviation ratio above 3 belong to class 20, too.
 ///
-/// Rejected, and counted, are points too far away for 32-bit coordinates of the step; where that is every point, it is an
+/// With `wave_packets`, each point comes with the waveform it was found in (point format 9, in LAS 1.3 format 4), so that
+/// the file is itself a recording of full waveforms: `read_las` reads it back, and decomposes it into the same returns. Points
+/// of one waveform share its packet; vectors point from the target to the sensor, as those of RIEGL's and Leica's files do.
+/// Samples are in steps of the digitiser. Shots without any return are not in such a file.
+///
+/// Rejected, and counted, are waveforms beyond the 255 kinds (number of samples, time between them, 8 or 16 bits) that a
+/// file can tell apart: their points come without. Rejected are points too far away for 32-bit coordinates of the step; where that is every point, it is an
 /// error.
 ///
 /// The bytes do not depend on the number of threads, and the creation date is that of the data.
@@ -63,26 +71,52 @@ pub struct WriteLas {
     pub uncertainty: bool,
     /// Names and scales of the extra attributes, and what class and user data mean.
     pub attribute_layout: AttributeLayout,
+    /// Where the waveform goes that each point was found in.
+    pub wave_packets: WavePacketsKey,
     /// Where the spatial index for LAStools goes.
     pub index: IndexKey,
     /// Step of the coordinates, in units of the coordinate reference system; when not given, 0.001, or that of the input or
     /// of `georeference` where it is below 0.00001, as degrees need it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coordinate_step: Option<f64>,
-    /// The index beside the file, once its name was asked for.
+    /// The names of files beside the file, once they were asked for.
     #[serde(skip)]
-    index_path: OnceLock<String>,
+    beside: OnceLock<Beside>,
+}
+
+/// Patterns of files beside the file.
+#[derive(Clone, Debug)]
+struct Beside {
+    index: String,
+    packets: String,
+    /// Of packets that become a part of the file: they are gathered under a temporary name that is the file's alone.
+    packets_inside: String,
 }
 
 /// Version of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 pub enum VersionKey {
-    /// Point format 6.
+    /// Point format 6, with waveforms 9.
     #[serde(rename = "1.4")]
     V1_4,
+    /// Point format 1, with waveforms 4.
+    #[serde(rename = "1.3")]
+    V1_3,
     /// Point format 1.
     #[serde(rename = "1.2")]
     V1_2,
+}
+
+/// Where waveforms go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum WavePacketsKey {
+    /// They are not written.
+    None,
+    /// Into a file of the same name that ends in `.wdp`.
+    External,
+    /// Into the file, behind the points.
+    Internal,
 }
 
 /// Where a spatial index goes.
@@ -116,9 +150,10 @@ impl Default for WriteLas {
             extra_attributes: true,
             uncertainty: true,
             attribute_layout: AttributeLayout::V1_1,
+            wave_packets: WavePacketsKey::None,
             index: IndexKey::None,
             coordinate_step: None,
-            index_path: OnceLock::new(),
+            beside: OnceLock::new(),
         }
     }
 }
@@ -131,10 +166,11 @@ impl Config for WriteLas {
             "path",
             "the file's name must end in .las or .laz",
         )?;
+        self.check_step()?;
         InvalidKey::unless(
-            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
-            "coordinate_step",
-            "it must lie between 1e-9 and 1",
+            self.wave_packets == WavePacketsKey::None || self.version != VersionKey::V1_2,
+            "wave_packets",
+            "LAS 1.2 has no waveforms: write version 1.3 or 1.4",
         )?;
         InvalidKey::unless(
             self.index != IndexKey::Appended || lower.ends_with(".laz"),
@@ -146,10 +182,18 @@ impl Config for WriteLas {
 
 impl SinkConfig for WriteLas {
     fn outputs(&self) -> Vec<&str> {
-        match self.index {
-            IndexKey::File => vec![&self.path, self.index_path()],
-            IndexKey::None | IndexKey::Appended => vec![&self.path],
+        let mut outputs = vec![self.path.as_str()];
+        if self.wave_packets == WavePacketsKey::External {
+            outputs.push(&self.beside().packets);
         }
+        if self.index == IndexKey::File {
+            outputs.push(&self.beside().index);
+        }
+        outputs
+    }
+
+    fn needs_waveforms(&self) -> bool {
+        self.wave_packets != WavePacketsKey::None
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
@@ -158,7 +202,8 @@ impl SinkConfig for WriteLas {
             attributes: self.attributes(),
             config: self.clone(),
             threads: site.threads,
-            index: (self.index == IndexKey::File).then(|| site.create(self.index_path())).transpose()?,
+            index: (self.index == IndexKey::File).then(|| site.create(&self.beside().index)).transpose()?,
+            waves: self.waves(site)?,
             state: State::Empty(file),
             input: None,
             extra: Vec::new(),
@@ -168,6 +213,15 @@ impl SinkConfig for WriteLas {
 }
 
 impl WriteLas {
+    /// An error where there is no such step of coordinates.
+    pub(super) fn check_step(&self) -> std::result::Result<(), InvalidKey> {
+        InvalidKey::unless(
+            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
+            "coordinate_step",
+            "it must lie between 1e-9 and 1",
+        )
+    }
+
     fn attributes(&self) -> Attributes {
         match self.extra_attributes {
             true => Attributes::of(self.attribute_layout, self.uncertainty),
@@ -175,22 +229,34 @@ impl WriteLas {
         }
     }
 
-    /// The pattern of the index: that of the file, with another ending.
-    fn index_path(&self) -> &str {
-        let other = || Path::new(&self.path).with_extension("lax").to_string_lossy().into_owned();
-        self.index_path.get_or_init(other)
+    fn beside(&self) -> &Beside {
+        let other =
+            |ending: &str| Path::new(&self.path).with_extension(ending).to_string_lossy().into_owned();
+        self.beside.get_or_init(|| Beside {
+            index: other("lax"),
+            packets: other("wdp"),
+            packets_inside: format!("{}.wdp", self.path),
+        })
+    }
+
+    fn waves(&self, site: &Site) -> Result<Option<Waves>> {
+        let pattern = match self.wave_packets {
+            WavePacketsKey::None => return Ok(None),
+            WavePacketsKey::External => &self.beside().packets,
+            WavePacketsKey::Internal => &self.beside().packets_inside,
+        };
+        Waves::new(site.create(pattern)?, &site.geometry).map(Some)
     }
 
     /// The step of each coordinate.
-    fn steps(&self, input: &InputInfo) -> [f64; 3] {
+    pub(super) fn steps(&self, input: &InputInfo) -> [f64; 3] {
         let usual = input.coordinate_grid.map_or([USUAL_STEP; 3], |(steps, _)| {
             steps.map(|step| if step < DEGREES_STEP { step } else { USUAL_STEP })
         });
         self.coordinate_step.map_or(usual, |step| [step; 3])
     }
 
-    /// Writes what stands before the points. The offset of the coordinates is the input's own, else the first point's,
-    /// rounded.
+    /// Writes what stands before the points.
     fn begin(
         &self,
         file: OutputFile,
@@ -200,18 +266,17 @@ impl WriteLas {
         attributes: &Attributes,
         threads: usize,
     ) -> Result<Writer<OutputFile>> {
-        let offset = input.coordinate_grid.map(|(_, offset)| offset);
-        let near = |m: f64| (m / 1000.0).round() * 1000.0;
         let adjusted = adjusted_gps_time(input, time_s);
         let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
         let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
         let options = WriterOptions {
             version: match self.version {
                 VersionKey::V1_4 => Version::V1_4,
+                VersionKey::V1_3 => Version::V1_3,
                 VersionKey::V1_2 => Version::V1_2,
             },
             scale: self.steps(input),
-            offset: offset.unwrap_or_else(|| first.unwrap_or_default().map(near)),
+            offset: offsets(input, first),
             wkt: input.crs_wkt.as_deref(),
             extra_attributes: &attributes.stored,
             adjusted_gps_time: adjusted.is_some(),
@@ -220,6 +285,11 @@ impl WriteLas {
             system_identifier: input.instrument.as_deref().unwrap_or("EXTRACTION"),
             generating_software: concat!("wavex ", env!("CARGO_PKG_VERSION")),
             file_source_id: 0,
+            waveforms: match self.wave_packets {
+                WavePacketsKey::None => WavePlace::None,
+                WavePacketsKey::External => WavePlace::Beside,
+                WavePacketsKey::Internal => WavePlace::Inside,
+            },
             index: match self.index {
                 IndexKey::None => IndexPlace::None,
                 IndexKey::File => IndexPlace::Beside,
@@ -243,6 +313,8 @@ struct LasSink {
     threads: usize,
     /// The file of the index.
     index: Option<OutputFile>,
+    /// The waveforms of the points.
+    waves: Option<Waves>,
     state: State,
     input: Option<Arc<InputInfo>>,
     extra: Vec<u8>,
@@ -280,9 +352,12 @@ impl LasSink {
                     "the input names no coordinate reference system by WKT or EPSG code: the file has none",
                 );
             }
-            Some(wkt) if self.config.version == VersionKey::V1_2 => {
+            Some(wkt) if self.config.version != VersionKey::V1_4 => {
                 if geokeys::directory_of_wkt(wkt).is_none() {
-                    cx.note("the coordinate reference system has no EPSG code: it stands in the file of LAS 1.2 as WKT");
+                    cx.note(
+                        "the coordinate reference system has no EPSG code: it stands in the file as WKT, which belongs \
+                         to LAS 1.4",
+                    );
                 }
             }
             Some(_) => {}
@@ -308,10 +383,14 @@ impl Sink for LasSink {
         let State::Open(writer) = &mut self.state else {
             return Err(StageError::Stopped);
         };
+        let blocks = self.waves.as_mut().map(|waves| waves.begin_line(batch)).transpose()?;
         let mut refused = None;
         for (r, position) in returns.iter().zip(points) {
             let layout = self.config.attribute_layout;
-            let point = point(input, &batch.emissions[r.emission as usize], r, *position, layout);
+            let mut point = point(input, &batch.emissions[r.emission as usize], r, *position, layout);
+            if let (Some(waves), Some(blocks)) = (&mut self.waves, blocks) {
+                point.wave = waves.of(batch, blocks, r, *position)?;
+            }
             self.extra.clear();
             self.attributes.push(r, &mut self.extra);
             match writer.write_point(&point, &self.extra) {
@@ -350,13 +429,40 @@ impl Sink for LasSink {
                 file.write_all(&index).map_err(Error::io(&path, "write"))?;
                 cx.keep(file.finish()?);
             }
-            cx.keep(writer.finish()?.finish()?);
+            let file = match self.waves {
+                None => writer.finish()?,
+                Some(waves) => finish_with_waveforms(*writer, waves, self.config.wave_packets, cx)?,
+            };
+            cx.keep(file.finish()?);
         }
         Ok(())
     }
 }
 
-fn point(
+/// The offset of each coordinate: the input's own, else the first point's, rounded.
+pub(super) fn offsets(input: &InputInfo, first: Option<[f64; 3]>) -> [f64; 3] {
+    let near = |m: f64| (m / 1000.0).round() * 1000.0;
+    let own = input.coordinate_grid.map(|(_, offset)| offset);
+    own.unwrap_or_else(|| first.unwrap_or_default().map(near))
+}
+
+fn finish_with_waveforms(
+    writer: Writer<OutputFile>,
+    waves: Waves,
+    place: WavePacketsKey,
+    cx: &mut Context,
+) -> Result<OutputFile> {
+    cx.reject(Item::Blocks, "a waveform that no packet can hold", waves.n_refused);
+    let (packets, kinds) = waves.finish()?;
+    if place == WavePacketsKey::Internal {
+        return Ok(writer.finish_with_waveforms(&kinds, Some(&mut waves::open(&packets)?))?);
+    }
+    cx.keep(packets);
+    Ok(writer.finish_with_waveforms(&kinds, None)?)
+}
+
+/// A return as LAS has it.
+pub(super) fn point(
     input: &InputInfo,
     emission: &Emission,
     r: &Return,

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::batch::{Batch, Kind, LineStats};
+use crate::batch::{Batch, Kind, LineStats, Return, flags};
 use crate::formats::Error;
 use crate::geo::time::adjusted_gps_time;
 use crate::stage::{Config, Context, OutputFile, Result, Sink, SinkConfig, Site, StageSpec};
@@ -22,13 +22,15 @@ struct Column(&'static str, Values, &'static str);
 enum Values {
     /// A counter.
     Count(fn(&LineStats) -> u64),
+    /// Returns that were fitted step by step.
+    Refined,
     /// Seconds, to a microsecond.
     Time,
     /// Metres, to a centimetre.
     Metres(fn(&LineStats) -> Option<f64>),
 }
 
-use Values::{Count, Metres, Time};
+use Values::{Count, Metres, Refined, Time};
 
 /// The columns of BayesWavEx 1.1 (section 3, stat files), in their order.
 const COLUMNS: [Column; 20] = [
@@ -66,10 +68,27 @@ const COLUMNS: [Column; 20] = [
     Column("AGL", Metres(|stats| stats.agl_m), "height above the line's own ground, m"),
 ];
 
+/// The columns of BayesWavEx 1.0 (section 2, scanline statistics file), in their order. What 1.0 calls empty are all
+/// waveforms without a valid return.
+const COLUMNS_1_0: [Column; 11] = [
+    Column("gps_time", Time, "as in layout 1.1"),
+    Column("n_waveforms", Count(|stats| stats.nw), "nw"),
+    Column("n_points", Count(|stats| stats.np), "np"),
+    Column("n_empty", Count(|stats| stats.nw_empty + stats.nw_deleted), "nw_empty + nw_deleted"),
+    Column("n_filtered", Count(|stats| stats.np_filtered), "np_filtered"),
+    Column("n_merged", Count(|stats| stats.np_merged), "np_merged"),
+    Column("n_refined", Refined, "returns that were fitted step by step"),
+    Column("n_air", Count(|stats| stats.np_air), "np_air"),
+    Column("n_low", Count(|stats| stats.np_low), "np_low"),
+    Column("n_range", Count(|stats| stats.np_range), "np_range"),
+    Column("n_atm", Count(|stats| stats.np_atm), "np_atm"),
+];
+
 /// Writes the counters of every scan line as text.
 ///
-/// One row per line, separated by blanks, after a first line that begins with `#` and names the 20 columns of
-/// BayesWavEx 1.1.
+/// One row per line, separated by blanks, after a first line that begins with `#` and names the columns: the 20 of
+/// BayesWavEx 1.1, or with `layout = "1.0"` the 11 of BayesWavEx 1.0, `gps_time n_waveforms n_points n_empty n_filtered
+/// n_merged n_refined n_air n_low n_range n_atm`. `n_empty` is there `nw_empty + nw_deleted`, and `n_refined` counts returns.
 ///
 /// `gps_time` is that of the line's first shot: adjusted GPS time, as in the LAS file, where the input tells enough, else
 /// as the input has it. `np...` count returns, `nw...` waveforms. `AGL` is the height above ground in metres. What is not
@@ -81,11 +100,33 @@ pub struct WriteLstat {
     pub path: String,
     /// Name the columns in a first line that begins with `#`.
     pub header: bool,
+    /// The version of BayesWavEx whose columns these are.
+    pub layout: Layout,
+}
+
+/// The version of BayesWavEx whose columns these are.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub enum Layout {
+    /// 11 columns.
+    #[serde(rename = "1.0")]
+    V10,
+    /// 20 columns.
+    #[serde(rename = "1.1")]
+    V11,
+}
+
+impl Layout {
+    fn columns(self) -> &'static [Column] {
+        match self {
+            Layout::V10 => &COLUMNS_1_0,
+            Layout::V11 => &COLUMNS,
+        }
+    }
 }
 
 impl Default for WriteLstat {
     fn default() -> WriteLstat {
-        WriteLstat { path: "*_lstat.txt".into(), header: true }
+        WriteLstat { path: "*_lstat.txt".into(), header: true, layout: Layout::V11 }
     }
 }
 
@@ -99,21 +140,26 @@ impl SinkConfig for WriteLstat {
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
         let mut file = site.create(&self.path)?;
         if self.header {
-            writeln!(file, "# {}", COLUMNS.each_ref().map(|column| column.0).join(" "))
+            let names: Vec<&str> = self.layout.columns().iter().map(|column| column.0).collect();
+            writeln!(file, "# {}", names.join(" "))
                 .map_err(Error::io(&site.output_path(&self.path), "write"))?;
         }
-        Ok(Box::new(LstatWriter { file }))
+        Ok(Box::new(LstatWriter { file, columns: self.layout.columns() }))
     }
 }
 
 struct LstatWriter {
     file: OutputFile,
+    columns: &'static [Column],
 }
 
 impl Sink for LstatWriter {
     fn write(&mut self, batch: &Batch, _cx: &mut Context) -> Result<()> {
         let time = batch.stats.gps_time_s;
-        let row = row(&batch.stats, adjusted_gps_time(&batch.input, time).unwrap_or(time));
+        let time = adjusted_gps_time(&batch.input, time).unwrap_or(time);
+        let refined = |found: &&Return| found.flags & flags::REFINED != 0;
+        let n_refined = batch.returns().map_or(0, |returns| returns.iter().filter(refined).count());
+        let row = row(self.columns, &batch.stats, time, n_refined as u64);
         writeln!(self.file, "{row}").map_err(|error| Error::io(self.file.path(), "write")(error))?;
         Ok(())
     }
@@ -124,21 +170,22 @@ impl Sink for LstatWriter {
     }
 }
 
-/// A line's row, in the order of [`COLUMNS`].
-fn row(stats: &LineStats, gps_time_s: f64) -> String {
+/// A line's row.
+fn row(columns: &[Column], stats: &LineStats, gps_time_s: f64, n_refined: u64) -> String {
     let text = |column: &Column| match column.1 {
         Time => number(gps_time_s, 6),
         Count(count) => count(stats).to_string(),
+        Refined => n_refined.to_string(),
         Metres(metres) => number(metres(stats).unwrap_or(f64::NAN), 2),
     };
-    COLUMNS.each_ref().map(text).join(" ")
+    columns.iter().map(text).collect::<Vec<String>>().join(" ")
 }
 
 /// The file as JSON, for people and programs: what `schemas/lstat.json` holds.
 pub fn description() -> Value {
     let column = |Column(name, values, meaning): &Column| {
         let kind = match values {
-            Count(_) => "u64",
+            Count(_) | Refined => "u64",
             Time | Metres(_) => "f64",
         };
         json!({"name": name, "type": kind, "nullable": kind == "f64", "meaning": meaning})
@@ -149,6 +196,7 @@ pub fn description() -> Value {
                    with `#` names the columns, unless the job leaves it out",
         "row": "one scan line, in order of time",
         "columns": COLUMNS.each_ref().map(column),
+        "columns_of_layout_1.0": COLUMNS_1_0.each_ref().map(column),
     })
 }
 
@@ -160,9 +208,9 @@ fn number(value: f64, digits: usize) -> String {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_row_has_the_columns_in_their_order() {
-        let stats = LineStats {
+    /// A line of which every counter has another value.
+    fn stats() -> LineStats {
+        LineStats {
             nw: 1,
             np: 2,
             np_xtalk: 3,
@@ -183,15 +231,35 @@ mod tests {
             n_georef: 18,
             agl_m: Some(1500.0),
             ..LineStats::default()
-        };
-        let row = row(&stats, 101_238_765.25);
-        assert_eq!(row, "101238765.250000 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 1500.00");
-        assert_eq!(row.split(' ').count(), COLUMNS.len());
+        }
+    }
+
+    #[test]
+    fn a_row_has_the_columns_in_their_order() {
+        let row = |columns| row(columns, &stats(), 101_238_765.25, 19);
+        assert_eq!(row(&COLUMNS), "101238765.250000 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 1500.00");
+        assert_eq!(row(&COLUMNS_1_0), "101238765.250000 1 2 28 4 5 19 6 7 8 9");
+    }
+
+    /// As the documents of both versions print them.
+    #[test]
+    fn the_columns_are_those_of_the_documents() {
+        let names = |columns: &[Column]| columns.iter().map(|column| column.0).collect::<Vec<_>>().join(" ");
+        assert_eq!(
+            names(&COLUMNS),
+            "gps_time nw np np_xtalk np_filtered np_merged np_air np_low np_range np_atm np_ibrc np_ibic \
+             nw_empty nw_saturated nw_refined1x nw_refined2x nw_deleted nw_truncated n_georef AGL"
+        );
+        assert_eq!(
+            names(&COLUMNS_1_0),
+            "gps_time n_waveforms n_points n_empty n_filtered n_merged n_refined n_air n_low n_range n_atm"
+        );
     }
 
     #[test]
     fn what_is_unknown_is_nan() {
-        assert!(row(&LineStats::default(), f64::NAN).starts_with("nan 0 0 "));
-        assert!(row(&LineStats::default(), 0.0).ends_with(" nan"));
+        let row = |time| row(&COLUMNS, &LineStats::default(), time, 0);
+        assert!(row(f64::NAN).starts_with("nan 0 0 "));
+        assert!(row(0.0).ends_with(" nan"));
     }
 }

@@ -144,7 +144,7 @@ fn a_stream_that_ends_between_two_lines_is_noted() {
         ["the Arrow stream ends without its end mark: lines may be missing"]
     );
     assert_eq!(report["inputs"][0]["totals"]["nw"], json!(250));
-    assert_eq!(place.outputs(), ["report.json", "stdin_lstat.txt"]);
+    assert_eq!(place.outputs(), ["report.json", "stdin_lstat.txt", "stdin_stat.log"]);
 }
 
 #[test]

@@ -205,6 +205,7 @@ fn outputs_are_named_after_that_of_the_points() {
         ["day.1/*_b_stat.log", "day.1/*_b.laz", "day.1/*_b_traj.txt", "day.1/*_b_lstat.txt"]
     );
     assert_eq!(paths("-o*.LAS")[1], "*.las");
+    assert_eq!(paths("-o b.laz")[..2], ["*_stat.log", "b.laz"], "statistics are those of an input");
     assert_eq!(paths("-nil"), ["*_stat.log", "*_traj.txt", "*_lstat.txt"]);
     assert_eq!(paths("-otraj 0"), ["*_stat.log", "*.laz", "*_lstat.txt"]);
 }

@@ -1,4 +1,4 @@
-"""Runs the program and reads what it wrote with other programs: pyarrow, DuckDB, laspy.
+"""Runs the program and reads what it wrote with other programs: pyarrow, DuckDB, laspy, LASzip.
 
     python3 -m venv venv
     venv/bin/pip install -r tests/python/requirements.txt
@@ -22,6 +22,8 @@ import pyarrow.csv
 import pyarrow.parquet
 
 import read_container as made_up
+from check_laszip import check_laszip
+from check_packets import check_packets
 from check_points import check_points, check_same_points
 from check_waveforms import check_against_dump, check_container, check_same_waveforms, read_container, read_dump
 from checks import Checks, numbers, same_column
@@ -58,6 +60,49 @@ path = "*.las"
 type = "write_las"
 id = "laz"
 path = "*.laz"
+index = "file"
+
+[[stage]]
+type = "write_las"
+id = "las_1_2"
+path = "*_12.las"
+version = "1.2"
+index = "file"
+
+[[stage]]
+type = "write_las"
+id = "laz_1_2"
+path = "*_12_appended.laz"
+version = "1.2"
+index = "appended"
+
+[[stage]]
+type = "write_las"
+id = "layout_1_0"
+path = "*_layout_10.laz"
+attribute_layout = "1.0"
+index = "appended"
+
+[[stage]]
+type = "write_las"
+id = "waves_inside"
+path = "*_waves.laz"
+wave_packets = "internal"
+index = "appended"
+
+[[stage]]
+type = "write_las"
+id = "waves_beside"
+path = "*_waves_13.las"
+version = "1.3"
+wave_packets = "external"
+
+[[stage]]
+type = "write_las"
+id = "laz_waves_beside"
+path = "*_waves_13_compressed.laz"
+version = "1.3"
+wave_packets = "external"
 
 [[stage]]
 type = "write_table"
@@ -77,6 +122,17 @@ path = "*_returns.csv"
 [[stage]]
 type = "write_lstat"
 """
+# The points among them: ending, version, layout of attributes, where the index is. "waves" come with waveforms.
+POINTS = [
+    (".las", "1.4", "1.1", None),
+    (".laz", "1.4", "1.1", "file"),
+    ("_12.las", "1.2", "1.1", "file"),
+    ("_12_appended.laz", "1.2", "1.1", "appended"),
+    ("_layout_10.laz", "1.4", "1.0", "appended"),
+    ("_waves.laz", "1.4", "1.1", "appended"),
+    ("_waves_13.las", "1.3", "1.1", None),
+    ("_waves_13_compressed.laz", "1.3", "1.1", None),
+]
 
 
 def reader(stage, path):
@@ -114,11 +170,16 @@ def check_survey(checks, name, program, source):
         with checks.of(f"{name}, tables"):
             table = check_tables(checks, output, report)
         las = {}
-        for ending in ["las", "laz"]:
+        for ending, version, layout, index in POINTS:
             with checks.of(f"{name}, {ending}"):
-                las[ending] = check_points(checks, output(f".{ending}"), table, container)
+                las[ending] = check_points(checks, output(ending), table, container, version, layout)
+                check_laszip(checks, output(ending), las[ending], index)
+                if "waves" in ending:
+                    check_packets(checks, output(ending), las[ending], table, container)
         with checks.of(f"{name}, laz"):
-            check_same_points(checks, las["las"], las["laz"])
+            check_same_points(checks, las[".las"], las[".laz"])
+        with checks.of(f"{name}, laz 1.2"):
+            check_same_points(checks, las["_12.las"], las["_12_appended.laz"])
         with checks.of(f"{name}, line statistics"):
             check_line_statistics(checks, output("_lstat.txt"), container, report)
 

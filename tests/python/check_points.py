@@ -11,86 +11,134 @@ from checks import numbers
 WEEK_S = 604_800
 ADJUSTMENT_S = 1_000_000_000
 SCAN_ANGLE_STEP_DEG = 0.006
-# Name, type, step and value of 0 of each extra attribute (BayesWavEx 1.1, section 3), and what NaN is stored as.
-ATTRIBUTES = [
-    ("WideRatio", "u1", 0.025, 0.5, 0),
-    ("TargetThick", "u1", 0.008, 0.0, 0),
-    ("Amp", "u2", 1.0, 0.0, 0),
-    ("DevRatio", "u1", 0.1, 0.0, 0),
-    ("RangeErr", "u1", 0.001, 0.0, 255),
-    ("IntErr", "u1", 0.2, 0.0, 255),
-    ("WideErr", "u1", 0.002, 0.0, 255),
-    ("ThickErr", "u1", 0.001, 0.0, 255),
-    ("Channel", "u1", 1.0, 0.0, 0),
-]
+# Name, quantity, type, step and value of 0 of each extra attribute, and what NaN is stored as: BayesWavEx 1.1, section 3,
+# and BayesWavEx 1.0, section 2.
+LAYOUTS = {
+    "1.1": [
+        ("WideRatio", "width", "u1", 0.025, 0.5, 0),
+        ("TargetThick", "thickness", "u1", 0.008, 0.0, 0),
+        ("Amp", "amplitude", "u2", 1.0, 0.0, 0),
+        ("DevRatio", "deviation", "u1", 0.1, 0.0, 0),
+        ("RangeErr", "range_sd", "u1", 0.001, 0.0, 255),
+        ("IntErr", "intensity_sd", "u1", 0.2, 0.0, 255),
+        ("WideErr", "width_sd", "u1", 0.002, 0.0, 255),
+        ("ThickErr", "thickness_sd", "u1", 0.001, 0.0, 255),
+        ("Channel", "channel", "u1", 1.0, 0.0, 0),
+    ],
+    "1.0": [
+        ("Widening", "width", "u1", 0.02, 1.0, 0),
+        ("Target Thickness", "thickness", "u1", 0.008, 0.0, 0),
+        ("Amplitude", "amplitude", "u2", 1.0, 0.0, 0),
+        ("Raw Amplitude", "raw_amplitude", "u2", 1.0, 0.0, 0),
+        ("Deviation Ratio", "deviation", "u1", 0.05, 0.0, 0),
+        ("Range Error", "range_sd", "u1", 0.001, 0.0, 255),
+        ("Intensity Error", "intensity_sd", "u1", 0.2, 0.0, 255),
+        ("Widening Error", "width_sd", "u1", 0.002, 0.0, 255),
+        ("Thickness Error", "thickness_sd", "u1", 0.001, 0.0, 255),
+    ],
+}
+# Bits of the table's flags, and what they are in the user data of layout 1.0.
+USER_DATA_1_0 = {0: 0, 1: 6, 2: 7}
 
 
 def attribute_values(table):
     """What each extra attribute stands for, in full precision."""
     db, dn = numbers(table, "amplitude_db"), numbers(table, "amplitude_dn")
     return {
-        "WideRatio": numbers(table, "width_ratio"),
-        "TargetThick": numbers(table, "thickness_m"),
-        "Amp": np.where(np.isnan(db), dn, 7.0 * 10.0 ** (db / 10.0)),
-        "DevRatio": numbers(table, "deviation_ratio"),
-        "RangeErr": numbers(table, "range_sd_m"),
-        "IntErr": numbers(table, "intensity_sd"),
-        "WideErr": numbers(table, "width_ratio_sd"),
-        "ThickErr": numbers(table, "thickness_sd_m"),
-        "Channel": pc.equal(table.column("channel"), "high").to_numpy().astype(float),
+        "width": numbers(table, "width_ratio"),
+        "thickness": numbers(table, "thickness_m"),
+        "amplitude": np.where(np.isnan(db), dn, 7.0 * 10.0 ** (db / 10.0)),
+        "raw_amplitude": dn,
+        "deviation": numbers(table, "deviation_ratio"),
+        "range_sd": numbers(table, "range_sd_m"),
+        "intensity_sd": numbers(table, "intensity_sd"),
+        "width_sd": numbers(table, "width_ratio_sd"),
+        "thickness_sd": numbers(table, "thickness_sd_m"),
+        "channel": power_channel(table),
     }
 
 
-def check_points(checks, path, table, container):
-    las = laspy.read(path)
+def power_channel(table):
+    """The receiver that gave the intensity: that of strong echoes where both were fitted."""
+    return pc.not_equal(table.column("channel"), "low").to_numpy().astype(float)
+
+
+def check_points(checks, path, table, container, version="1.4", layout="1.1"):
+    las = laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
     header = las.header
-    checks.equal("is LAS 1.4, point format 6", (str(header.version), header.point_format.id), ("1.4", 6))
+    with_waveforms = {"1.4": 9, "1.3": 4} if "waves" in path.name else {"1.4": 6, "1.2": 1}
+    expected = (version, with_waveforms[version])
+    checks.equal("has its version and point format", (str(header.version), header.point_format.id), expected)
     checks.equal("has a point for each return of the table", len(las.points), table.num_rows)
     check_header(checks, las)
     check_crs(checks, header, container.schema.metadata)
     for axis, step in zip("xyz", header.scales):
         # Half a step, and what the doubles of a coordinate leave.
         checks.within(f"{axis} is that of the table", las[axis], numbers(table, axis), step / 2 + 1e-8)
-    check_fields(checks, las, table)
+    check_fields(checks, las, table, layout)
     check_emissions(checks, las, table, container)
     check_times(checks, las, table, container.schema.metadata)
-    check_attributes(checks, las, table)
+    check_attributes(checks, las, table, LAYOUTS[layout])
     return las
 
 
 def check_header(checks, las):
     header = las.header
     by_return = np.bincount(np.asarray(las.return_number), minlength=16)[1:16]
-    checks.equal("points by return add up", list(header.number_of_points_by_return), by_return.tolist())
+    columns = 5 if is_old(las) else 15
+    found = list(header.number_of_points_by_return)[:columns]
+    checks.equal("points by return add up", found, by_return.tolist()[:columns])
     found = [las.xyz.min(axis=0), las.xyz.max(axis=0)]
     checks.within("the bounding box is that of the points", [header.mins, header.maxs], found, 1e-8)
     checks.that("says which program made it", header.generating_software.startswith("wavex "))
 
 
+def is_old(las):
+    return las.header.version.minor < 4
+
+
 def check_crs(checks, header, metadata):
+    if header.version.minor < 4:
+        check_geo_keys(checks, header, metadata)
+        return
     records = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == ("LASF_Projection", 2112)]
     crs = metadata.get(b"wavex.crs", b"").decode()
     checks.equal("has the coordinate reference system of the input", [vlr.string for vlr in records], [crs] if crs else [])
     checks.equal("says that it is WKT where there is one", header.global_encoding.wkt, bool(crs))
 
 
-def check_fields(checks, las, table):
+def check_geo_keys(checks, header, metadata):
+    crs = metadata.get(b"wavex.crs", b"").decode()
+    records = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == ("LASF_Projection", 34735)]
+    keys = {key.id: key.value_offset for vlr in records for key in vlr.geo_keys}
+    codes = [keys[name] for name in (3072, 2048) if name in keys]
+    checks.equal("names the coordinate reference system by its code", len(codes), 1 if crs else 0)
+    checks.that("the code is that of the input", all(f'AUTHORITY["EPSG","{code}"]' in crs for code in codes), codes)
+    checks.that("does not say that it is WKT", not header.global_encoding.wkt)
+
+
+def check_fields(checks, las, table, layout):
     rounded = np.clip(np.floor(numbers(table, "intensity") + 0.5), 0, 65535)
     checks.within("intensity is that of the table, rounded", las.intensity, rounded, 0)
     for field, column, most in [
-        ("return_number", "return_number", 15),
-        ("number_of_returns", "number_of_returns", 15),
-        ("classification", "class", 255),
+        ("return_number", "return_number", 7 if is_old(las) else 15),
+        ("number_of_returns", "number_of_returns", 7 if is_old(las) else 15),
         ("withheld", "withheld", 1),
     ]:
         expected = np.minimum(numbers(table, column).astype(int), most)
         checks.within(f"{field} is that of the table", las[field], expected, 0)
-    flags = numbers(table, "flags").astype(int) & 0xFF
+    classes, flags = numbers(table, "class").astype(int), numbers(table, "flags").astype(int) & 0xFF
+    if layout == "1.0":
+        classes = np.where(numbers(table, "deviation_ratio") > 3.0, 20, classes)
+        flags = sum((flags >> bit & 1) << place for bit, place in USER_DATA_1_0.items())
+    checks.within("classification is that of the table", las.classification, classes, 0)
     checks.within("user_data holds the flags of the fit", las.user_data, flags, 0)
     zone = np.maximum(numbers(table, "mta_zone", null=0), 0)
     checks.within("point_source_id is the multiple-time-around zone", las.point_source_id, zone, 0)
-    for field in ["synthetic", "key_point", "overlap", "scanner_channel"]:
+    for field in ["synthetic", "key_point"] + ([] if is_old(las) else ["overlap"]):
         checks.that(f"{field} is not set", not np.any(las[field]))
+    if not is_old(las):
+        checks.within("scanner_channel is the power channel", las.scanner_channel, power_channel(table), 0)
 
 
 def check_emissions(checks, las, table, container):
@@ -100,8 +148,9 @@ def check_emissions(checks, las, table, container):
     checks.within("scan_direction_flag is that of the shot", las.scan_direction_flag, flags >> 8 & 1, 0)
     checks.within("edge_of_flight_line is that of the shot", las.edge_of_flight_line, flags >> 9 & 1, 0)
     angle = numbers(container, "scan_angle_deg", null=0.0).astype(float)[rows]
-    stored = las.scan_angle * SCAN_ANGLE_STEP_DEG
-    checks.within("scan_angle is that of the shot", stored, angle, SCAN_ANGLE_STEP_DEG / 2 + 1e-9)
+    step = 1.0 if is_old(las) else SCAN_ANGLE_STEP_DEG
+    stored = (las.scan_angle_rank if is_old(las) else las.scan_angle) * step
+    checks.within("scan_angle is that of the shot", stored, angle, step / 2 + 1e-9)
 
 
 def check_times(checks, las, table, metadata):
@@ -113,18 +162,18 @@ def check_times(checks, las, table, metadata):
     checks.within("gps_time is that of the table", las.gps_time, times, 0)
 
 
-def check_attributes(checks, las, table):
+def check_attributes(checks, las, table, layout):
     names = list(las.point_format.extra_dimension_names)
-    checks.equal("has the extra attributes in their order", names, [name for name, *_ in ATTRIBUTES])
+    checks.equal("has the extra attributes in their order", names, [name for name, *_ in layout])
     values = attribute_values(table)
-    for name, kind, step, zero, unknown in ATTRIBUTES:
+    for name, quantity, kind, step, zero, unknown in layout:
         stored = las.points.array[name]
         about = las.point_format.dimension_by_name(name)
         scale = 1.0 if about.scales is None else about.scales[0]
         offset = 0.0 if about.offsets is None else about.offsets[0]
-        layout = (stored.dtype.str[1:], scale, offset)
-        checks.equal(f"{name} has its type and step", layout, (kind, step, zero))
-        steps = np.clip((values[name] - zero) / step, 0, np.iinfo(stored.dtype).max)
+        found = (stored.dtype.str[1:], scale, offset)
+        checks.equal(f"{name} has its type and step", found, (kind, step, zero))
+        steps = np.clip((values[quantity] - zero) / step, 0, np.iinfo(stored.dtype).max)
         steps = np.where(np.isnan(steps), unknown, steps)
         checks.within(f"{name} is that of the table", stored, steps, 0.5 + 1e-9)
 

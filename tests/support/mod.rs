@@ -2,6 +2,7 @@
 #![allow(dead_code, missing_docs, reason = "each test binary uses its own part")]
 
 pub mod container;
+pub mod flight;
 pub mod las;
 pub mod pulsewaves;
 pub mod shots;

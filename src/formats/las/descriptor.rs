@@ -9,6 +9,11 @@ use crate::formats::bytes::Fields;
 /// The most samples that a packet may have: at one per ns more than 600 km of range.
 const MOST_SAMPLES: u32 = 1 << 22;
 
+/// Length of a descriptor's data, bytes.
+pub(super) const DESCRIPTOR_BYTES: usize = 26;
+/// Record ID of the first descriptor.
+pub(super) const FIRST_DESCRIPTOR: u16 = 100;
+
 /// How the samples of a waveform packet are stored and spaced.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Descriptor {
@@ -68,6 +73,17 @@ impl Descriptor {
     /// Length of a packet, bytes: the samples stand bit by bit behind each other.
     pub fn packet_bytes(&self) -> u64 {
         (u64::from(self.samples) * u64::from(self.bits)).div_ceil(8)
+    }
+
+    /// The data of the descriptor's record.
+    pub(super) fn encode(&self) -> [u8; DESCRIPTOR_BYTES] {
+        let mut out = [0; DESCRIPTOR_BYTES];
+        (out[0], out[1]) = (self.bits, self.compression);
+        out[2..6].copy_from_slice(&self.samples.to_le_bytes());
+        out[6..10].copy_from_slice(&self.spacing_ps.to_le_bytes());
+        out[10..18].copy_from_slice(&self.gain.to_le_bytes());
+        out[18..26].copy_from_slice(&self.offset.to_le_bytes());
+        out
     }
 
     /// What keeps packets of this descriptor from being read, as problem and remedy; `None`: nothing.
@@ -153,6 +169,7 @@ mod tests {
         let expected =
             Descriptor { bits: 16, compression: 0, samples: 60, spacing_ps: 1000, gain: 0.5, offset: -2.0 };
         assert_eq!(descriptors.get(1), Some(&expected));
+        assert_eq!(expected.encode().as_slice(), bytes);
         assert_eq!(descriptors.get(255), Some(&expected));
         assert_eq!(descriptors.get(0), None);
         assert_eq!(descriptors.get(2), None);

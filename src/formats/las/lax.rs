@@ -181,13 +181,14 @@ impl Lax {
 }
 
 impl Cell {
-    /// Puts intervals of several cells in order, and together those between which little lies.
+    /// Puts intervals of several cells in order, and together those between which little lies. They may overlap: what lies
+    /// between the points of one cell, and is read along, may be another's.
     fn join(&mut self) {
         self.intervals.sort_unstable();
         self.intervals.dedup_by(|next, before| {
-            let near = next.0 - before.1 <= GAP;
+            let near = next.0 <= before.1.saturating_add(GAP);
             if near {
-                before.1 = next.1;
+                before.1 = before.1.max(next.1);
             }
             near
         });

@@ -91,9 +91,18 @@ impl PointOut {
                 | u8::from(self.edge_of_flight_line) << 7,
         );
         out.extend([self.classification, self.user_data]);
-        let steps = (f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG).round();
-        out.extend((steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX) as i16).to_le_bytes());
+        out.extend(self.scan_angle_steps().to_le_bytes());
         out.extend(self.point_source_id.to_le_bytes());
+    }
+
+    /// The scan angle, degrees, as its field in formats 6 to 10 holds it.
+    pub fn stored_scan_angle_deg(&self) -> f64 {
+        f64::from(self.scan_angle_steps()) * SCAN_ANGLE_STEP_DEG
+    }
+
+    fn scan_angle_steps(&self) -> i16 {
+        let steps = (f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG).round();
+        steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX) as i16
     }
 
     /// The 29 bytes on the waveform.

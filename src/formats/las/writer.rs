@@ -1,22 +1,26 @@
-//! Writing LAS and LAZ with extra attributes: LAS 1.4 R15 with point format 6, LAS 1.2 with point format 1.
+//! Writing LAS and LAZ with extra attributes and waveforms: LAS 1.4 R15 with point formats 6 and 9, LAS 1.2 and 1.3 with
+//! point formats 1 and 4.
 
 mod header;
 mod options;
 mod records;
 
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use laz::laszip::ChunkTable;
 use laz::laszip::parallel::par_compress;
 use laz::{LasZipError, LazVlr};
 
+use super::descriptor::Descriptor;
 use super::lax::{self, Lax};
 use super::point::Layout;
 use super::point_out::PointOut;
 use crate::formats::{Error, Result};
 use header::{Shape, Totals};
-pub use options::{IndexPlace, Version, WriterOptions};
+pub use options::{IndexPlace, Version, WavePlace, WriterOptions};
+use records::Records;
+pub(super) use records::evlr;
 
 /// Points of a LAZ chunk, as other writers have it.
 const CHUNK: usize = 50_000;
@@ -31,6 +35,7 @@ pub struct Writer<W> {
     sink: W,
     path: PathBuf,
     version: Version,
+    point_format: u8,
     scale: [f64; 3],
     offset: [f64; 3],
     header: Vec<u8>,
@@ -43,6 +48,10 @@ pub struct Writer<W> {
     compression: Option<Compression>,
     index: Option<Lax>,
     totals: Totals,
+    /// Records before the points.
+    n_vlrs: usize,
+    /// Where the descriptors of waveforms are to be noted.
+    descriptors_at: u64,
 }
 
 /// State of a LAZ file: its chunks so far.
@@ -65,15 +74,15 @@ impl<W: Write + Seek> Writer<W> {
         let compressed = options::is_laz(path)?;
         options.check(path)?;
         let laz = compressed.then(|| records::laz_vlr(path, options)).transpose()?;
-        let vlrs = records::vlrs(path, options, laz.as_ref())?;
-        let record_length = Layout::of(options.version.point_format()).length + options.extra_bytes();
-        let offset_to_points =
-            usize::from(options.version.header_bytes()) + vlrs.iter().map(Vec::len).sum::<usize>();
-        let shape = Shape { record_length, n_vlrs: vlrs.len(), offset_to_points, compressed };
+        let records = Records::new(path, options, laz.as_ref())?;
+        let record_length = Layout::of(options.point_format()).length + options.extra_bytes();
+        let header_bytes = usize::from(options.version.header_bytes());
+        let offset_to_points = header_bytes + records.bytes.len();
+        let shape = Shape { record_length, n_vlrs: records.count, offset_to_points, compressed };
         let header = header::header(options, &shape);
         let write = |sink: &mut W| {
             sink.write_all(&header)?;
-            vlrs.iter().try_for_each(|vlr| sink.write_all(vlr))?;
+            sink.write_all(&records.bytes)?;
             // LASzip's data begin with the place of the chunk table: -1 until it is known.
             if compressed { sink.write_all(&(-1i64).to_le_bytes()) } else { Ok(()) }
         };
@@ -83,6 +92,7 @@ impl<W: Write + Seek> Writer<W> {
             sink,
             path: path.to_path_buf(),
             version: options.version,
+            point_format: options.point_format(),
             scale: options.scale,
             offset: options.offset,
             header,
@@ -90,13 +100,15 @@ impl<W: Write + Seek> Writer<W> {
             slab: Vec::with_capacity(slab * record_length),
             slab_bytes: slab * record_length,
             compression: laz.map(|laz| Compression {
-                special_evlrs_at: records::special_evlrs_at(&laz, offset_to_points),
+                special_evlrs_at: (header_bytes + records.special_evlrs_at) as u64,
                 laz,
                 table: ChunkTable::default(),
                 table_offset_at: offset_to_points as u64,
             }),
             index: (options.index != IndexPlace::None).then(|| Lax::new(options.scale[0])),
             totals: Totals::new(),
+            n_vlrs: records.count,
+            descriptors_at: (header_bytes + records.descriptors_at) as u64,
         })
     }
 
@@ -117,7 +129,7 @@ impl<W: Write + Seek> Writer<W> {
         }
         let xyz = [point.x, point.y, point.z];
         let raw = [self.steps(xyz, 0)?, self.steps(xyz, 1)?, self.steps(xyz, 2)?];
-        point.encode(self.version.point_format(), raw, &mut self.slab);
+        point.encode(self.point_format, raw, &mut self.slab);
         self.slab.extend_from_slice(extra);
         self.totals.add(self.version, raw, point.return_number);
         if let Some(index) = &mut self.index {
@@ -138,28 +150,53 @@ impl<W: Write + Seek> Writer<W> {
     ///
     /// # Errors
     /// The sink refuses.
-    pub fn finish(mut self) -> Result<W> {
+    pub fn finish(self) -> Result<W> {
+        self.finish_with_waveforms(&[], None)
+    }
+
+    /// The same for points with waveforms: notes the kinds of their packets, as
+    /// [`PacketWriter::finish`](super::PacketWriter::finish) gives them, and takes in the packets, with their record's
+    /// header, where they are to be inside of the file.
+    ///
+    /// # Errors
+    /// The sink refuses, or the packets cannot be read.
+    pub fn finish_with_waveforms(mut self, kinds: &[Descriptor], inside: Option<&mut dyn Read>) -> Result<W> {
         self.flush_slab()?;
         let index = self.take_index();
         self.totals.patch(&mut self.header, (self.version, self.scale, self.offset));
-        let Writer { mut sink, header, compression, .. } = self;
-        let mut end = || {
-            if let Some(compression) = &compression {
-                let table_at = sink.stream_position()?;
-                compression.table.write_to(&mut sink, &compression.laz)?;
-                sink.seek(SeekFrom::Start(compression.table_offset_at))?;
-                sink.write_all(&table_at.to_le_bytes())?;
-                if let Some(index) = &index {
-                    compression.append(&mut sink, index)?;
-                }
-            }
-            sink.seek(SeekFrom::Start(0))?;
-            sink.write_all(&header)?;
-            sink.seek(SeekFrom::End(0))?;
-            sink.flush()
-        };
-        end().map_err(Error::io(&self.path, "write"))?;
-        Ok(sink)
+        let descriptors = records::descriptors(&self.path, kinds)?;
+        self.end(&descriptors, kinds.len(), inside, index).map_err(Error::io(&self.path, "write"))?;
+        Ok(self.sink)
+    }
+
+    /// Writes all that is known only when the points are over.
+    fn end(
+        &mut self,
+        descriptors: &[u8],
+        n_descriptors: usize,
+        packets: Option<&mut dyn Read>,
+        index: Option<Vec<u8>>,
+    ) -> io::Result<()> {
+        let sink = &mut self.sink;
+        if let Some(compression) = &self.compression {
+            compression.end(sink)?;
+        }
+        let packets_at = sink.seek(SeekFrom::End(0))?;
+        let is_inside = packets.is_some();
+        if let Some(packets) = packets {
+            io::copy(packets, sink)?;
+        }
+        if let (Some(compression), Some(index)) = (&self.compression, index) {
+            compression.append(sink, &index)?;
+        }
+        sink.seek(SeekFrom::Start(self.descriptors_at))?;
+        sink.write_all(descriptors)?;
+        let n_vlrs = self.n_vlrs + n_descriptors;
+        header::patch_waveforms(&mut self.header, self.version, n_vlrs, is_inside.then_some(packets_at));
+        sink.seek(SeekFrom::Start(0))?;
+        sink.write_all(&self.header)?;
+        sink.seek(SeekFrom::End(0))?;
+        sink.flush()
     }
 
     /// Number of points written so far.
@@ -210,6 +247,14 @@ impl<W: Write + Seek> Writer<W> {
 }
 
 impl Compression {
+    /// Writes the chunk table, and notes before the first chunk where it is.
+    fn end(&self, sink: &mut (impl Write + Seek)) -> io::Result<()> {
+        let table_at = sink.stream_position()?;
+        self.table.write_to(&mut *sink, &self.laz)?;
+        sink.seek(SeekFrom::Start(self.table_offset_at))?;
+        sink.write_all(&table_at.to_le_bytes())
+    }
+
     /// Writes the index behind all else, and notes in the LASzip record that it is there.
     fn append(&self, sink: &mut (impl Write + Seek), index: &[u8]) -> io::Result<()> {
         let at = sink.seek(SeekFrom::End(0))?;

@@ -1,7 +1,7 @@
 //! What a point holds of its return: the attributes, the class and the user data of both layouts.
 
 use crate::batch::{Return, ReturnChannel, flags};
-use crate::formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute};
+use crate::formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, RAW_AMP};
 
 use super::AttributeLayout;
 
@@ -103,6 +103,13 @@ impl Quantity {
             Channel => f64::from(power_channel(r)),
         }
     }
+}
+
+/// What an attribute of layout 1.1, or the raw amplitude, tells of a return; NaN for others.
+pub(in crate::stages) fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
+    let mut all = ATTRIBUTES_1_1.iter().zip(QUANTITIES_1_1).chain([(&RAW_AMP, RawAmplitude)]);
+    let found = all.find(|(stored, _)| stored.name == attribute.name);
+    found.map_or(f64::NAN, |(_, quantity)| quantity.of(r))
 }
 
 /// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak's height.

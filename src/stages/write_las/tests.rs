@@ -135,7 +135,9 @@ fn version_1_2_clamps_what_its_fields_cannot_hold() {
     let (bytes, notes) = write(&keys, &[line(info(Some("PROJCS[\"x\"]")), vec![found(1)])]);
     assert_eq!(
         notes,
-        ["the coordinate reference system has no EPSG code: it stands in the file of LAS 1.2 as WKT"]
+        [
+            "the coordinate reference system has no EPSG code: it stands in the file as WKT, which belongs to LAS 1.4"
+        ]
     );
     let reader = las::Reader::new(std::io::Cursor::new(bytes)).unwrap();
     assert!(reader.header().vlrs().iter().any(|vlr| vlr.record_id == 2112));
@@ -196,6 +198,8 @@ fn keys_that_cannot_be_are_told() {
     assert!(said(keys("a.ply")).unwrap().contains("the file's name must end in .las or .laz"));
     let appended = WriteLas { index: IndexKey::Appended, ..keys("a.las") };
     assert!(said(appended).unwrap().contains("an index can only be appended to .laz: write it as a file"));
+    let old = WriteLas { version: VersionKey::V1_2, wave_packets: WavePacketsKey::Internal, ..keys("a.las") };
+    assert!(said(old).unwrap().contains("LAS 1.2 has no waveforms: write version 1.3 or 1.4"));
     let coarse = WriteLas { coordinate_step: Some(2.0), ..WriteLas::default() };
     assert!(said(coarse).unwrap().contains("it must lie between 1e-9 and 1"));
 }

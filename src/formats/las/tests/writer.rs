@@ -10,8 +10,8 @@ use crate::formats::las::extra_bytes;
 use crate::formats::las::point::Layout;
 use crate::formats::las::vlr::{self, Vlr};
 use crate::formats::las::{
-    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, Header, IndexPlace, Point, PointOut, Version, Writer,
-    WriterOptions,
+    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, Header, IndexPlace, Point, PointOut, Version, WavePlace,
+    Writer, WriterOptions,
 };
 
 const WKT: &str = "PROJCS[\"UTM 33N\"]";
@@ -29,6 +29,7 @@ fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
         system_identifier: "wavex",
         generating_software: "a name that is longer than the 32 bytes it may have",
         file_source_id: 17,
+        waveforms: WavePlace::None,
         index: IndexPlace::None,
         threads: 2,
     }

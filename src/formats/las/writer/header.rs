@@ -1,9 +1,12 @@
 //! The public header block of a written file, and the sums that it holds.
 
-use super::options::{Version, WriterOptions};
+use super::options::{Version, WavePlace, WriterOptions};
 use super::records::text;
 use crate::formats::las::header::encoding;
 use crate::formats::las::point_out::{LEGACY_RETURNS, RETURNS};
+
+/// Where a header counts the records before the points.
+const N_VLRS: usize = 100;
 
 /// What a header says of the file beside the options.
 pub(super) struct Shape {
@@ -17,7 +20,13 @@ pub(super) struct Shape {
 pub(super) fn header(options: &WriterOptions, shape: &Shape) -> Vec<u8> {
     let version = options.version;
     let bit = |set: bool, bit: u16| if set { bit } else { 0 };
-    let encoding = bit(options.adjusted_gps_time, encoding::ADJUSTED_TIME)
+    let waves = match options.waveforms {
+        WavePlace::None => 0,
+        WavePlace::Inside => encoding::WAVES_INSIDE,
+        WavePlace::Beside => encoding::WAVES_BESIDE,
+    };
+    let encoding = waves
+        | bit(options.adjusted_gps_time, encoding::ADJUSTED_TIME)
         | bit(options.wkt.is_some() && !version.is_legacy(), encoding::WKT);
     let mut header = Vec::with_capacity(version.header_bytes().into());
     header.extend(b"LASF");
@@ -32,12 +41,24 @@ pub(super) fn header(options: &WriterOptions, shape: &Shape) -> Vec<u8> {
     header.extend(version.header_bytes().to_le_bytes());
     header.extend((shape.offset_to_points as u32).to_le_bytes());
     header.extend((shape.n_vlrs as u32).to_le_bytes());
-    header.push(version.point_format() | if shape.compressed { 0x80 } else { 0 });
+    header.push(options.point_format() | if shape.compressed { 0x80 } else { 0 });
     header.extend((shape.record_length as u16).to_le_bytes());
     header.extend([0; 24]); // legacy counts: they stay 0 for formats 6 and above
     options.scale.iter().chain(&options.offset).for_each(|value| header.extend(value.to_le_bytes()));
     header.resize(version.header_bytes().into(), 0);
     header
+}
+
+/// Says in the header how many records precede the points, and where packets inside of the file are.
+pub(super) fn patch_waveforms(header: &mut [u8], version: Version, n_vlrs: usize, packets_at: Option<u64>) {
+    let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
+    put(N_VLRS, &(n_vlrs as u32).to_le_bytes());
+    let Some(packets_at) = packets_at else { return };
+    put(227, &packets_at.to_le_bytes());
+    if version == Version::V1_4 {
+        put(235, &packets_at.to_le_bytes());
+        put(243, &1u32.to_le_bytes());
+    }
 }
 
 /// What the header says of all points together.

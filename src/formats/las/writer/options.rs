@@ -6,12 +6,14 @@ use crate::formats::las::ExtraAttribute;
 use crate::formats::las::header::HEADER_1_4;
 use crate::formats::{Error, Result};
 
-/// The versions that are written.
+/// The versions that are written. Points have a time and no colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Version {
     /// LAS 1.2: point format 1.
     V1_2,
-    /// LAS 1.4: point format 6.
+    /// LAS 1.3: point format 1, with waveforms 4.
+    V1_3,
+    /// LAS 1.4: point format 6, with waveforms 9.
     V1_4,
 }
 
@@ -20,6 +22,7 @@ impl Version {
     pub(super) fn minor(self) -> u8 {
         match self {
             Version::V1_2 => 2,
+            Version::V1_3 => 3,
             Version::V1_4 => 4,
         }
     }
@@ -28,15 +31,8 @@ impl Version {
     pub(super) fn header_bytes(self) -> u16 {
         match self {
             Version::V1_2 => 227,
+            Version::V1_3 => 235,
             Version::V1_4 => HEADER_1_4,
-        }
-    }
-
-    /// The point format: with a time, without colours.
-    pub(super) fn point_format(self) -> u8 {
-        match self {
-            Version::V1_2 => 1,
-            Version::V1_4 => 6,
         }
     }
 
@@ -44,6 +40,17 @@ impl Version {
     pub(super) fn is_legacy(self) -> bool {
         self != Version::V1_4
     }
+}
+
+/// Where the waveforms of the points are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WavePlace {
+    /// Nowhere.
+    None,
+    /// In the file itself, behind the points.
+    Inside,
+    /// In a `.wdp` file of the same name.
+    Beside,
 }
 
 /// Where the spatial index of LASzip (LAX) goes.
@@ -83,6 +90,8 @@ pub struct WriterOptions<'a> {
     pub generating_software: &'a str,
     /// The flight line, 0 if unassigned.
     pub file_source_id: u16,
+    /// Where the waveforms are, which decides about the point format, too.
+    pub waveforms: WavePlace,
     /// Where the spatial index goes.
     pub index: IndexPlace,
     /// Chunks of points that are compressed at a time; the bytes of the file do not depend on it. Memory is 50 000
@@ -91,6 +100,16 @@ pub struct WriterOptions<'a> {
 }
 
 impl WriterOptions<'_> {
+    /// The point format: with a time, without colours.
+    pub(super) fn point_format(&self) -> u8 {
+        match (self.version.is_legacy(), self.waveforms) {
+            (true, WavePlace::None) => 1,
+            (true, _) => 4,
+            (false, WavePlace::None) => 6,
+            (false, _) => 9,
+        }
+    }
+
     /// Bytes of a point behind its format's fields.
     pub(super) fn extra_bytes(&self) -> usize {
         self.extra_attributes.iter().map(|attribute| attribute.data_type.bytes()).sum()
@@ -99,6 +118,9 @@ impl WriterOptions<'_> {
     /// What keeps a file from being begun with these options.
     pub(super) fn check(&self, path: &Path) -> Result<()> {
         let bad = |problem: String, remedy| Err(Error::unusable(path, problem, remedy));
+        if self.version == Version::V1_2 && self.waveforms != WavePlace::None {
+            return bad("LAS 1.2 has no waveforms".into(), "write LAS 1.3 or 1.4");
+        }
         if self.index == IndexPlace::Appended && !is_laz(path)? {
             let problem = "an index can only be appended to compressed points";
             return bad(problem.into(), "write LAZ, or the index as a file of its own");

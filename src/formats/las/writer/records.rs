@@ -2,50 +2,81 @@
 
 use std::path::Path;
 
-use laz::{LazVlr, LazVlrBuilder};
+use laz::{LazItemRecordBuilder, LazVlr, LazVlrBuilder};
 
-use super::options::WriterOptions;
+use super::options::{WavePlace, WriterOptions};
 use super::{CHUNK, into_io};
-use crate::formats::las::ExtraAttribute;
-use crate::formats::las::extra_bytes::DESCRIPTOR;
+use crate::formats::las::descriptor::{DESCRIPTOR_BYTES, Descriptor, FIRST_DESCRIPTOR};
+use crate::formats::las::extra_bytes::ExtraAttribute;
+use crate::formats::las::packet_writer::MOST_KINDS;
 use crate::formats::las::vlr::{EVLR_HEADER, EXTRA_BYTES, GEO_KEYS, PROJECTION, SPEC, VLR_HEADER, WKT};
 use crate::formats::{Error, Result, geokeys};
 
 /// How LASzip is to compress the points.
 pub(super) fn laz_vlr(path: &Path, options: &WriterOptions) -> Result<LazVlr> {
     let extra = u16::try_from(options.extra_bytes()).map_err(|_| too_much(path, "the extra attributes"))?;
-    let builder = LazVlrBuilder::default().with_point_format(options.version.point_format(), extra);
+    let builder = match options.point_format() {
+        // LASzip knows waveforms of the old formats in the first version of its items only.
+        4 => Ok(LazVlrBuilder::new(LazItemRecordBuilder::version_1_of::<laz::las::Point4>(extra))),
+        format => LazVlrBuilder::default().with_point_format(format, extra),
+    };
     let builder = builder.map_err(into_io).map_err(Error::io(path, "prepare the compression"))?;
     Ok(builder.with_fixed_chunk_size(CHUNK as u32).build())
 }
 
-/// Where the LASzip record, the last before the points, says how many special extended records follow them and where the
-/// first is.
-pub(super) fn special_evlrs_at(laz: &LazVlr, offset_to_points: usize) -> u64 {
-    // 16 bytes before them; behind them the number of items, and 6 bytes for each.
-    (offset_to_points - (16 + 2 + 6 * laz.items().len())) as u64
+/// The records before the points, and where in them something is to be noted later.
+pub(super) struct Records {
+    /// The records, each with its header; at their end room for the descriptors of waveforms.
+    pub(super) bytes: Vec<u8>,
+    /// Records that are there already.
+    pub(super) count: usize,
+    /// Where descriptors of waveforms go.
+    pub(super) descriptors_at: usize,
+    /// Where the LASzip record says how many special extended records follow, and where the first is.
+    pub(super) special_evlrs_at: usize,
 }
 
-/// The records, each with its header.
-pub(super) fn vlrs(path: &Path, options: &WriterOptions, laz: Option<&LazVlr>) -> Result<Vec<Vec<u8>>> {
-    let mut vlrs = Vec::new();
-    if let Some(wkt) = options.wkt {
-        vlrs.push(coordinate_system(path, options, wkt)?);
+/// The data of the LASzip record in front of what it says of special extended records, bytes.
+const BEFORE_SPECIAL_EVLRS: usize = 16;
+
+impl Records {
+    pub(super) fn new(path: &Path, options: &WriterOptions, laz: Option<&LazVlr>) -> Result<Records> {
+        let mut records = Records { bytes: Vec::new(), count: 0, descriptors_at: 0, special_evlrs_at: 0 };
+        if let Some(wkt) = options.wkt {
+            records.add(coordinate_system(path, options, wkt)?);
+        }
+        if !options.extra_attributes.is_empty() {
+            let data: Vec<u8> =
+                options.extra_attributes.iter().flat_map(ExtraAttribute::descriptor).collect();
+            records.add(vlr(path, SPEC, EXTRA_BYTES, "Extra bytes", &data)?);
+        }
+        if let Some(laz) = laz {
+            let mut data = Vec::new();
+            laz.write_to(&mut data).map_err(Error::io(path, "prepare the compression"))?;
+            records.special_evlrs_at = records.bytes.len() + VLR_HEADER as usize + BEFORE_SPECIAL_EVLRS;
+            records.add(vlr(path, LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, &data)?);
+        }
+        records.descriptors_at = records.bytes.len();
+        if options.waveforms != WavePlace::None {
+            let room = MOST_KINDS * (VLR_HEADER as usize + DESCRIPTOR_BYTES);
+            records.bytes.resize(records.bytes.len() + room, 0);
+        }
+        Ok(records)
     }
-    if !options.extra_attributes.is_empty() {
-        let mut data = Vec::with_capacity(options.extra_attributes.len() * DESCRIPTOR);
-        options
-            .extra_attributes
-            .iter()
-            .for_each(|attribute: &ExtraAttribute| data.extend(attribute.descriptor()));
-        vlrs.push(vlr(path, SPEC, EXTRA_BYTES, "Extra bytes", &data)?);
+
+    fn add(&mut self, record: Vec<u8>) {
+        self.bytes.extend(record);
+        self.count += 1;
     }
-    if let Some(laz) = laz {
-        let mut data = Vec::new();
-        laz.write_to(&mut data).map_err(Error::io(path, "prepare the compression"))?;
-        vlrs.push(vlr(path, LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, &data)?);
+}
+
+/// The records of the kinds of waveform packets.
+pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    for (id, kind) in (FIRST_DESCRIPTOR..).zip(kinds.iter().take(MOST_KINDS)) {
+        bytes.extend(vlr(path, SPEC, id, "Waveform packet descriptor", &kind.encode())?);
     }
-    Ok(vlrs)
+    Ok(bytes)
 }
 
 fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<Vec<u8>> {
@@ -77,7 +108,12 @@ fn too_much(path: &Path, what: &str) -> Error {
 }
 
 /// An extended record with its header.
-pub(super) fn evlr(user_id: &str, record_id: u16, description: &str, data: &[u8]) -> Vec<u8> {
+pub(in crate::formats::las) fn evlr(
+    user_id: &str,
+    record_id: u16,
+    description: &str,
+    data: &[u8],
+) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(EVLR_HEADER as usize + data.len());
     bytes.extend([0; 2]);
     bytes.extend(text::<16>(user_id));

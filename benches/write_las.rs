@@ -1,0 +1,164 @@
+//! What `write_las` adds to compressing: points with every extra attribute to LAZ, on one thread and on two, beside the
+//! `laz` crate alone on the same records.
+//!
+//! `cargo bench --bench write_las` prints millions of points per second. Goals: on one thread at most 10 % slower than
+//! `laz` alone, on two at least 1.6 times as fast as on one.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+
+#[path = "../tests/common/mod.rs"]
+#[allow(dead_code, reason = "written for tests, which use the rest")]
+mod common;
+
+use std::io::Cursor;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use laz::{LasZipCompressor, LazVlr, LazVlrBuilder};
+use wavex::batch::{Batch, Blocks, Content, InputInfo, Return, TimeScale};
+use wavex::registry;
+use wavex::stage::{Context, Plan, Sink, Site};
+
+const LINES: usize = 250;
+const SHOTS: usize = 2000;
+/// Two returns of each shot; whole chunks of LAZ, so that nothing is left for the end.
+const POINTS: usize = 2 * LINES * SHOTS;
+const RUNS: usize = 7;
+/// Bytes of a record: point format 6 and the extra attributes.
+const RECORD: usize = 30 + 10;
+const EXTRA: u16 = 10;
+
+/// Numbers as noisy as those of real returns.
+struct Noise(u64);
+
+impl Noise {
+    /// Between 0 and 1.
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 40) as f64 / (1u64 << 24) as f64
+    }
+}
+
+fn lines() -> Vec<Batch> {
+    let input = Arc::new(InputInfo { time_scale: TimeScale::Adjusted, ..common::input_info() });
+    let mut noise = Noise(1);
+    (0..LINES).map(|line| scan_line(&input, line, &mut noise)).collect()
+}
+
+fn scan_line(input: &Arc<InputInfo>, line: usize, noise: &mut Noise) -> Batch {
+    let mut batch = Batch::of_shots(Arc::clone(input), line as u32, Vec::new(), Blocks::default());
+    let (mut returns, mut points) = (Vec::new(), Vec::new());
+    for shot in 0..SHOTS {
+        let number = line * SHOTS + shot;
+        let mut emission = common::emission(number as u64);
+        emission.gps_time_s = 3e8 + number as f64 * 2.5e-6;
+        emission.scan_angle_deg = -30.0 + shot as f32 * 0.03;
+        batch.emissions.push(emission);
+        for return_number in 1..=2 {
+            returns.push(found(shot as u32, return_number, noise));
+            let height_m = 20.0 * noise.next() * f64::from(2 - return_number);
+            points.push([shot as f64 * 0.4 + 0.05 * noise.next(), line as f64 * 0.4, height_m]);
+        }
+    }
+    batch.content = Content::Points(returns, points);
+    batch
+}
+
+fn found(emission: u32, return_number: u8, noise: &mut Noise) -> Return {
+    let amplitude_dn = 20.0 + 100.0 * noise.next();
+    Return {
+        emission,
+        return_number,
+        number_of_returns: 2,
+        amplitude_dn,
+        amplitude_db: 10.0 * (amplitude_dn / 7.0).log10(),
+        intensity: amplitude_dn,
+        intensity_sd: 1.0 + noise.next(),
+        range_sd_m: 0.002 + 0.01 * noise.next(),
+        width_ratio: 1.0 + 0.3 * noise.next(),
+        width_ratio_sd: 0.01 + 0.02 * noise.next(),
+        thickness_m: 0.2 * noise.next(),
+        thickness_sd_m: 0.01 + 0.05 * noise.next(),
+        deviation_ratio: 2.0 * noise.next() - 1.0,
+        ..Return::default()
+    }
+}
+
+fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
+    let site = Site {
+        input: "made".into(),
+        stem: "made".into(),
+        input_dir: folder.into(),
+        output_dir: folder.into(),
+        threads,
+        simd: wavex::kernels::lockstep::Path::best(),
+        geometry: Arc::default(),
+    };
+    let spec = registry::find("write_las").unwrap_or_else(|| panic!("write_las is a stage"));
+    let Plan::Sink(keys) = common::stage(spec, &format!("path = '{path}'")).planned.plan else {
+        panic!("write_las is a sink")
+    };
+    keys.make(&site).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Gives all lines to a sink; the seconds that this took.
+fn write(sink: &mut dyn Sink, lines: &[Batch]) -> f64 {
+    let mut cx = Context::default();
+    let started = Instant::now();
+    for line in lines {
+        sink.write(line, &mut cx).unwrap_or_else(|error| panic!("{error}"));
+    }
+    started.elapsed().as_secs_f64()
+}
+
+/// The seconds that the stage takes without the file's end, of which there is little: all chunks are full.
+fn write_laz(folder: &Path, threads: usize, lines: &[Batch]) -> f64 {
+    write(&mut *sink(folder, "points.laz", threads), lines)
+}
+
+/// The records that the stage makes of the lines.
+fn records(folder: &Path, lines: &[Batch]) -> Vec<u8> {
+    let mut sink = sink(folder, "points.las", 1);
+    write(&mut *sink, lines);
+    let mut cx = Context::default();
+    sink.finish(&mut cx).unwrap_or_else(|error| panic!("{error}"));
+    // Only a run gives a file its final name: here it lies under its temporary one.
+    let mut files = std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{error}"));
+    let Some(Ok(file)) = files.next() else { panic!("no file was written") };
+    let las = std::fs::read(file.path()).unwrap_or_else(|error| panic!("{error}"));
+    las[las.len() - POINTS * RECORD..].to_vec()
+}
+
+/// Seconds that the `laz` crate takes for the same records.
+fn compress(records: &[u8], laz: &LazVlr) -> f64 {
+    let out = Cursor::new(Vec::with_capacity(records.len()));
+    let mut compressor = LasZipCompressor::new(out, laz.clone()).unwrap_or_else(|error| panic!("{error}"));
+    let started = Instant::now();
+    compressor.compress_many(records).unwrap_or_else(|error| panic!("{error}"));
+    started.elapsed().as_secs_f64()
+}
+
+fn main() {
+    let folder = std::env::temp_dir().join(format!("wavex-bench-las-{}", std::process::id()));
+    let lines = lines();
+    let records = records(&folder, &lines);
+    let laz = LazVlrBuilder::default().with_point_format(6, EXTRA).unwrap_or_else(|error| panic!("{error}"));
+    let laz = laz.with_fixed_chunk_size(50_000).build();
+    // In turns, so that what else the machine does meets all of them.
+    let mut seconds = [Vec::new(), Vec::new(), Vec::new()];
+    for _ in 0..RUNS {
+        seconds[0].push(compress(&records, &laz));
+        seconds[1].push(write_laz(&folder, 1, &lines));
+        seconds[2].push(write_laz(&folder, 2, &lines));
+    }
+    let [alone, one, two] = seconds.map(|mut seconds| {
+        seconds.sort_by(f64::total_cmp);
+        POINTS as f64 / seconds[RUNS / 2] / 1e6
+    });
+    println!("{POINTS} points, median of {RUNS} runs, millions of points per second");
+    println!("laz alone, one thread   {alone:>6.2}");
+    println!("write_las, one thread   {one:>6.2}   {:.2} of laz alone (goal: at least 0.9)", one / alone);
+    println!("write_las, two threads  {two:>6.2}   {:.2} of one thread (goal: at least 1.6)", two / one);
+    // What a bench leaves in the folder of temporary files is nobody's loss if it cannot be removed.
+    let _ = std::fs::remove_dir_all(&folder);
+}

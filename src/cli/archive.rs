@@ -1,0 +1,59 @@
+//! `wavex replay` and `wavex verify`: what became of an archive.
+
+use std::fmt::Write as _;
+use std::io::IsTerminal;
+use std::path::Path;
+
+use super::{ArchiveArgs, Failure, When, print, run};
+use crate::archive::{self, Folders, Replay};
+use crate::engine::Cancel;
+
+/// Runs an archive again, and says what differs.
+pub(super) fn replay(
+    args: ArchiveArgs,
+    threads: Option<usize>,
+    when: When,
+    quiet: bool,
+) -> Result<(), Failure> {
+    let cancel = Cancel::default();
+    run::stop_on_signals(&cancel);
+    let progress = when.mode(quiet, std::io::stderr().is_terminal());
+    let replay = Replay { folders: folders(&args), threads, progress, cancel };
+    let found = archive::replay(&args.archive, &replay).map_err(|error| Failure::Run(error.to_string()))?;
+    for note in &found.notes {
+        tracing::warn!("{note}");
+    }
+    failed(&args.archive, &found.problems)?;
+    let said = format!("{}: {} outputs are the same to the bit\n", args.archive.display(), found.outputs);
+    if quiet { Ok(()) } else { print(&said) }
+}
+
+/// Compares digests, and says what differs.
+pub(super) fn verify(args: ArchiveArgs, quiet: bool) -> Result<(), Failure> {
+    let found =
+        archive::verify(&args.archive, &folders(&args)).map_err(|error| Failure::Run(error.to_string()))?;
+    failed(&args.archive, &found.problems)?;
+    let [files, inputs, outputs] = found.counts;
+    let archive = args.archive.display();
+    let said = format!(
+        "{archive}: {files} files of the archive, {inputs} inputs and {outputs} outputs are as they were\n"
+    );
+    if quiet { Ok(()) } else { print(&said) }
+}
+
+fn folders(args: &ArchiveArgs) -> Folders {
+    Folders { inputs: args.inputs.clone(), outputs: args.outputs.clone() }
+}
+
+/// # Errors
+/// There are problems.
+fn failed(archive: &Path, problems: &[String]) -> Result<(), Failure> {
+    if problems.is_empty() {
+        return Ok(());
+    }
+    let mut text = format!("{}: not everything is as it was", archive.display());
+    for problem in problems {
+        let _ = write!(text, "\n  {problem}");
+    }
+    Err(Failure::Run(text))
+}

@@ -1,0 +1,45 @@
+//! `wavex report`: what a run did, as a page.
+
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use super::{Failure, terminal};
+use crate::formats::Error;
+use crate::stage::OutputFile;
+
+mod page;
+mod pictures;
+
+/// A report that is longer is none.
+const MOST_REPORT_BYTES: u64 = 200_000_000;
+
+/// Writes the page of a run's report; `place` is the report or the folder that it is in.
+pub(super) fn report(place: &Path, out: Option<&Path>, quiet: bool) -> Result<(), Failure> {
+    let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
+    let path = if place.is_dir() { place.join("report.json") } else { place.to_path_buf() };
+    let report = read(&path).map_err(|error| failed(&error))?;
+    let out: PathBuf = out.map_or_else(|| path.with_extension("html"), Path::to_path_buf);
+    write(&out, &page::page(&report)).map_err(|error| failed(&error))?;
+    if quiet { Ok(()) } else { terminal::print(&format!("wrote {}\n", out.display())) }
+}
+
+fn read(path: &Path) -> Result<Value, Error> {
+    let file = std::fs::File::open(path).map_err(Error::io(path, "open the report"))?;
+    let mut text = String::new();
+    file.take(MOST_REPORT_BYTES).read_to_string(&mut text).map_err(Error::io(path, "read the report"))?;
+    let remedy = "give the report.json of a run, or the folder of its outputs";
+    let report: Value = serde_json::from_str(&text)
+        .map_err(|error| Error::unusable(path, format!("no report of a run: {error}"), remedy))?;
+    match report["inputs"].is_array() {
+        true => Ok(report),
+        false => Err(Error::unusable(path, "no report of a run: it has no `inputs`", remedy)),
+    }
+}
+
+fn write(path: &Path, page: &str) -> Result<(), Error> {
+    let mut file = OutputFile::create(path)?;
+    file.write_all(page.as_bytes()).map_err(Error::io(path, "write the page"))?;
+    file.finish()?.publish().map(|_| ())
+}

@@ -1,0 +1,203 @@
+//! What a run did with one input, for people: the statistics that stand beside its outputs.
+
+use std::fmt::{Display, Write as _};
+
+use super::report::{InputReport, RunReport, StageReport, TrajectoryReport};
+use crate::kernels::sensor_model::ChannelModel;
+use crate::stage::RoleName;
+
+/// Counters of lines in words, in their order.
+const COUNTS: [(&str, &str); 22] = [
+    ("nw", "waveforms"),
+    ("nw_with_points", "waveforms with returns"),
+    ("nw_empty", "waveforms without any return"),
+    ("nw_deleted", "waveforms that could not be used"),
+    ("nw_saturated", "waveforms with saturated samples"),
+    ("nw_truncated", "waveforms with a return cut off"),
+    ("nw_refined1x", "waveforms refined"),
+    ("nw_refined2x", "waveforms refined twice"),
+    ("n_candidates", "candidates of the first detection"),
+    ("n_added", "candidates added later"),
+    ("np_filtered", "candidates rejected by a threshold"),
+    ("np_merged", "candidates merged"),
+    ("np", "returns"),
+    ("np_xtalk", "returns touched by cross-talk"),
+    ("np_xtalk_dropped", "returns dropped for cross-talk"),
+    ("np_air", "outliers above their neighbours"),
+    ("np_low", "outliers below their neighbours"),
+    ("np_range", "intensities corrected for range"),
+    ("np_atm", "intensities corrected for the air"),
+    ("np_ibrc", "ranges corrected by amplitude"),
+    ("np_ibic", "amplitudes corrected by table"),
+    ("n_georef", "points with coordinates"),
+];
+
+/// A text of titled parts, with a name and a value per row.
+struct Text(String);
+
+impl Text {
+    fn title(&mut self, title: &str) {
+        // Writing into a string cannot fail, here as below.
+        let _ = write!(self.0, "\n{title}\n{}\n", "-".repeat(title.len()));
+    }
+
+    fn row(&mut self, name: &str, value: impl Display) {
+        let _ = writeln!(self.0, "{name:<36} {value}");
+    }
+
+    /// A row where the value is known.
+    fn known(&mut self, name: &str, value: Option<impl Display>) {
+        if let Some(value) = value {
+            self.row(name, value);
+        }
+    }
+}
+
+/// The statistics of one input of a run (`*_stat.log`): run time, input, decoding, extraction, trajectory,
+/// georeferencing, output.
+pub fn stat_log(run: &RunReport, input: &InputReport) -> String {
+    let mut text = Text(format!("wavex {}: statistics of {}\n", run.wavex, input.stem));
+    run_time(&mut text, run, input);
+    about_input(&mut text, input);
+    decoding(&mut text, input);
+    extraction(&mut text, input);
+    trajectory(&mut text, input.trajectory.as_ref());
+    georeferencing(&mut text, input);
+    output(&mut text, input);
+    text.0
+}
+
+fn total(input: &InputReport, name: &str) -> u64 {
+    input.totals.get(name).copied().unwrap_or(0)
+}
+
+fn run_time(text: &mut Text, run: &RunReport, input: &InputReport) {
+    text.title("Run time");
+    text.row("duration", format_args!("{:.3} s", input.wall_s));
+    let rate = total(input, "nw") as f64 / input.wall_s.max(1e-9);
+    text.row("waveforms per second", format_args!("{rate:.0}"));
+    text.row("threads", run.threads);
+    text.row(
+        "most memory of lines under way",
+        format_args!("{:.1} MB", input.peak_in_flight_bytes as f64 / 1e6),
+    );
+    text.known("slowest stage", input.bottleneck().map(|stage| &stage.id));
+    let _ = write!(text.0, "\n{}", input.table());
+}
+
+fn about_input(text: &mut Text, input: &InputReport) {
+    text.title("Input");
+    match input.path.as_os_str().is_empty() {
+        true => text.row("file", "none: simulated"),
+        false => text.row("file", input.path.display()),
+    }
+    text.known("format", input.format.as_ref());
+    text.known("instrument", input.instrument.as_ref());
+    text.known("serial number", input.serial.as_ref());
+    text.known("sampling interval", input.sampling_interval_ns.map(|ns| format!("{ns} ns")));
+    text.known("group velocity", input.group_velocity_mps.map(|mps| format!("{mps} m/s")));
+    text.known("times count on the scale", input.time_scale.as_ref());
+    text.known("beams are in the frame", input.frame.as_ref());
+    text.known("moment of emission", input.emission_reference.as_ref().map(|word| word.replace('_', " ")));
+}
+
+fn decoding(text: &mut Text, input: &InputReport) {
+    text.title("Decoding");
+    for stage in input.stages.iter().filter(|stage| stage.role == RoleName::Source) {
+        text.row("read by", &stage.id);
+        text.row("scan lines", stage.lines_out);
+        text.row("shots", stage.items_out.shots);
+        text.row("sample blocks", stage.items_out.blocks);
+        remarks(text, stage);
+    }
+}
+
+fn extraction(text: &mut Text, input: &InputReport) {
+    text.title("Extraction");
+    for (name, words) in COUNTS.iter().filter(|(name, _)| *name != "n_georef") {
+        text.known(words, input.totals.get(name));
+    }
+    let model = input.sensor_model.as_ref();
+    for (name, channel) in [
+        ("low power", model.and_then(|model| model.low_power.as_ref())),
+        ("high power", model.and_then(|model| model.high_power.as_ref())),
+        ("outgoing pulse", model.and_then(|model| model.reference.as_ref())),
+    ] {
+        text.known(&format!("calibration, {name}"), channel.map(calibration));
+    }
+    let between = |stage: &&StageReport| stage.role != RoleName::Source && stage.role != RoleName::Sink;
+    for stage in input.stages.iter().filter(between).filter(|stage| stage.r#type != GEOREFERENCE) {
+        remarks(text, stage);
+    }
+}
+
+/// The stage that has a part of its own.
+const GEOREFERENCE: &str = "georeference";
+
+fn calibration(channel: &ChannelModel) -> String {
+    format!(
+        "noise {:.3} DN, background {:.2} DN, pulse {:.3} ns wide, of {} waveforms",
+        channel.noise_sd_dn,
+        channel.background_dn.iter().sum::<f64>() / channel.background_dn.len() as f64,
+        channel.pulse_fwhm_ns,
+        channel.waveforms
+    )
+}
+
+fn trajectory(text: &mut Text, trajectory: Option<&TrajectoryReport>) {
+    text.title("Trajectory");
+    let Some(trajectory) = trajectory else {
+        text.row("file", "none");
+        return;
+    };
+    text.row("file", &trajectory.path);
+    text.row("records", trajectory.records);
+    let [first_s, last_s] = trajectory.span_s;
+    text.row("from, to", format_args!("{first_s:.3} s, {last_s:.3} s"));
+    text.row("median step", format_args!("{:.6} s", trajectory.median_step_s));
+    text.row("gaps", trajectory.gaps);
+}
+
+fn georeferencing(text: &mut Text, input: &InputReport) {
+    text.title("Georeferencing");
+    text.row("coordinates", input.coordinates.as_deref().unwrap_or("those of the input"));
+    text.row("points with coordinates", total(input, "n_georef"));
+    for stage in input.stages.iter().filter(|stage| stage.r#type == GEOREFERENCE) {
+        remarks(text, stage);
+    }
+}
+
+fn output(text: &mut Text, input: &InputReport) {
+    text.title("Output");
+    for output in &input.outputs {
+        text.row("file", output.display());
+    }
+    for stage in input.stages.iter().filter(|stage| stage.role == RoleName::Sink) {
+        remarks(text, stage);
+    }
+}
+
+/// What a stage rejected, and what it had to say.
+fn remarks(text: &mut Text, stage: &StageReport) {
+    for (what, n) in &stage.rejected {
+        text.row(&format!("{}: rejected", stage.id), format_args!("{n} {what}"));
+    }
+    for note in &stage.notes {
+        text.row(&format!("{}: note", stage.id), note);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::LineStats;
+
+    #[test]
+    fn every_counter_has_its_words() {
+        let mut named: Vec<&str> = COUNTS.iter().map(|(name, _)| *name).collect();
+        let mut counted: Vec<&str> = LineStats::default().counts().iter().map(|(name, _)| *name).collect();
+        named.sort_unstable();
+        counted.sort_unstable();
+        assert_eq!(named, counted);
+    }
+}

@@ -1,0 +1,95 @@
+//! Numbers that count in steps, as text that loses none of them.
+
+use std::fmt::Write;
+
+/// Steps from an offset, and how many decimals tell them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Steps {
+    step: f64,
+    offset: f64,
+    /// `None`: no number of decimals is exact, and the shortest text that reads back as the same number is taken.
+    decimals: Option<usize>,
+}
+
+/// More decimals than that are none that a person gave.
+const MOST_DECIMALS: usize = 12;
+
+impl Steps {
+    /// Steps of `step` (above 0) from `offset`.
+    pub(super) fn new(step: f64, offset: f64) -> Steps {
+        let decimals = decimals_of(step).zip(decimals_of(offset)).map(|(a, b)| a.max(b));
+        Steps { step, offset, decimals }
+    }
+
+    /// How many steps lie between the offset and a value.
+    pub(super) fn count(&self, value: f64) -> f64 {
+        ((value - self.offset) / self.step).round()
+    }
+
+    /// Writes the value that so many steps make.
+    pub(super) fn write(&self, count: f64, text: &mut String) {
+        // Adding 0 leaves no minus before a 0.
+        let value = count * self.step + self.offset + 0.0;
+        // Writing into a string cannot fail.
+        let _ = match self.decimals {
+            _ if value.is_nan() => write!(text, "nan"),
+            Some(decimals) => write!(text, "{value:.decimals$}"),
+            None => write!(text, "{value}"),
+        };
+    }
+}
+
+/// How many decimals a number has; `None` where they do not end.
+fn decimals_of(value: f64) -> Option<usize> {
+    (0..=MOST_DECIMALS).find(|&decimals| {
+        let scaled = value * 10f64.powi(decimals as i32);
+        let whole = scaled.round();
+        value == 0.0 || (whole != 0.0 && (scaled - whole).abs() <= 4.0 * f64::EPSILON * scaled.abs())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn text(steps: Steps, value: f64) -> String {
+        let mut text = String::new();
+        steps.write(steps.count(value), &mut text);
+        text
+    }
+
+    #[test]
+    fn decimals_are_those_of_step_and_offset() {
+        let decimals = |step, offset| Steps::new(step, offset).decimals;
+        assert_eq!(decimals(0.001, 540_000.0), Some(3));
+        assert_eq!(decimals(1e-8, 11.0), Some(8));
+        assert_eq!(decimals(0.25, 0.125), Some(3));
+        assert_eq!(decimals(1.0, 0.0), Some(0));
+        assert_eq!(decimals(1.0 / 3.0, 0.0), None);
+    }
+
+    #[test]
+    fn values_are_rounded_to_the_nearest_step() {
+        assert_eq!(text(Steps::new(0.001, 500_000.0), 512_345.678_4), "512345.678");
+        assert_eq!(text(Steps::new(0.025, 0.5), 1.26), "1.250");
+        assert_eq!(text(Steps::new(0.001, 0.0), -0.000_1), "0.000");
+        assert_eq!(text(Steps::new(1.0 / 3.0, 0.0), 1.7), "1.6666666666666665");
+        assert_eq!(text(Steps::new(0.001, 0.0), f64::NAN), "nan");
+    }
+
+    proptest! {
+        /// What is read back lies on the same step.
+        #[test]
+        fn no_step_is_lost(
+            count in any::<i32>(),
+            step in prop::sample::select(vec![1e-8, 0.001, 0.0005, 0.006, 0.01, 0.25, 1.0 / 3.0, 0.000_304_8]),
+            offset in prop::sample::select(vec![0.0, -117.0, 540_000.0, 5_200_000.5, 0.1]),
+        ) {
+            let steps = Steps::new(step, offset);
+            let mut text = String::new();
+            steps.write(f64::from(count), &mut text);
+            prop_assert_eq!(steps.count(text.parse().unwrap()), f64::from(count), "{}", text);
+        }
+    }
+}

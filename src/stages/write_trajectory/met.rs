@@ -1,0 +1,67 @@
+//! The sensor's place from where beams meet, stretch by stretch.
+
+use super::pace::{Pace, time_s};
+use crate::batch::Emission;
+use crate::kernels::sensor_path::{Beam, Window};
+
+/// Gathers beams until a stretch is long enough.
+pub(super) struct Met {
+    pace: Pace,
+    window: Window,
+    has_gps_time: bool,
+    /// Beams at the last fit, which did not tell.
+    looked_at: u64,
+    without_place: u64,
+}
+
+/// Where the sensor was.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MetPlace {
+    /// NaN where shots have no GPS time.
+    pub(super) gps_time_s: f64,
+    pub(super) position_m: [f64; 3],
+    pub(super) sd_m: f64,
+}
+
+/// A place that is less sure than this is none.
+const MOST_SD_M: f64 = 5.0;
+/// A stretch whose beams do not tell the place grows up to this, and is then given up.
+const LONGEST_S: f64 = 2.0;
+
+impl Met {
+    pub(super) fn new(pace: Pace) -> Met {
+        Met { pace, window: Window::default(), has_gps_time: true, looked_at: 0, without_place: 0 }
+    }
+
+    /// Adds a shot; gives the place of the stretch that ends with it.
+    pub(super) fn add(&mut self, emission: &Emission) -> Option<MetPlace> {
+        let time_s = time_s(emission);
+        self.window.add(&Beam { time_s, through_m: emission.origin_m, direction: emission.direction });
+        self.has_gps_time &= emission.gps_time_s.is_finite();
+        let (n, length_s) = (self.window.n_beams(), self.window.length_s());
+        let is_given_up = !(0.0..=LONGEST_S).contains(&length_s);
+        // A fit at every shot of a stretch that does not tell yet would take long.
+        let may_look = self.pace.is_over(n, length_s) && (n >= self.looked_at * 5 / 4);
+        if !is_given_up && !may_look {
+            return None;
+        }
+        let place = self.window.place().filter(|place| length_s >= 0.0 && place.sd_m < MOST_SD_M);
+        self.looked_at = n;
+        if place.is_none() && !is_given_up {
+            return None;
+        }
+        let gps_time_s = |time_s| if self.has_gps_time { time_s } else { f64::NAN };
+        let found = place.map(|place| MetPlace {
+            gps_time_s: gps_time_s(place.time_s),
+            position_m: place.position_m,
+            sd_m: place.sd_m,
+        });
+        *self = Met { without_place: self.without_place + u64::from(found.is_none()), ..Met::new(self.pace) };
+        found
+    }
+
+    /// How many stretches were given up.
+    pub(super) fn n_without_place(&self) -> u64 {
+        self.without_place
+    }
+}

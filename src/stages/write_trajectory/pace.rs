@@ -1,0 +1,83 @@
+//! Which shots have a row.
+
+use crate::batch::Emission;
+
+/// Counts shots, or time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pace {
+    every: Option<u64>,
+    interval_s: f64,
+    /// Shots since the last one that was due.
+    since: u64,
+    /// Its time.
+    last_s: Option<f64>,
+}
+
+/// Time from row to row where nothing is said.
+const INTERVAL_S: f64 = 0.1;
+
+impl Pace {
+    pub(super) fn new(every: Option<u64>, interval_s: Option<f64>) -> Pace {
+        Pace { every, interval_s: interval_s.unwrap_or(INTERVAL_S), since: 0, last_s: None }
+    }
+
+    /// Whether the next shot is due; the first is. A clock that has run backwards begins anew.
+    pub(super) fn is_due(&mut self, emission: &Emission) -> bool {
+        let time_s = time_s(emission);
+        let is_due = match self.last_s {
+            None => true,
+            Some(last_s) => self.is_over(self.since, time_s - last_s) || time_s < last_s,
+        };
+        if is_due {
+            self.last_s = Some(time_s);
+            self.since = 0;
+        }
+        self.since += 1;
+        is_due
+    }
+
+    /// Whether so many shots, and so much time, are enough.
+    pub(super) fn is_over(&self, shots: u64, elapsed_s: f64) -> bool {
+        // A nanosecond is less than the rounding of times.
+        self.every.map_or(elapsed_s >= self.interval_s - 1e-9, |every| shots >= every)
+    }
+}
+
+/// The time of a shot: GPS time where it has one, else that of the instrument's clock.
+pub(super) fn time_s(emission: &Emission) -> f64 {
+    match emission.gps_time_s {
+        time_s if time_s.is_finite() => time_s,
+        _ => emission.clock_ps as f64 * 1e-12,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn due(mut pace: Pace, times_s: &[f64]) -> Vec<f64> {
+        let shot = |&gps_time_s: &f64| Emission { gps_time_s, ..Emission::default() };
+        times_s.iter().filter(|time_s| pace.is_due(&shot(time_s))).copied().collect()
+    }
+
+    #[test]
+    fn rows_come_by_time_or_by_number() {
+        let times: Vec<f64> = (0..40).map(|k| 7.0 + f64::from(k) * 0.01).collect();
+        assert_eq!(due(Pace::new(None, None), &times), [times[0], times[10], times[20], times[30]]);
+        assert_eq!(due(Pace::new(None, Some(0.15)), &times), [times[0], times[15], times[30]]);
+        assert_eq!(due(Pace::new(Some(16), None), &times), [times[0], times[16], times[32]]);
+        assert_eq!(due(Pace::new(None, Some(0.0)), &times), times);
+        assert_eq!(
+            due(Pace::new(None, Some(9.0)), &[5.0, 6.0, 2.0, 3.0]),
+            [5.0, 2.0],
+            "the clock ran backwards"
+        );
+    }
+
+    #[test]
+    fn without_gps_time_the_clock_counts() {
+        let shot = Emission { clock_ps: 2_500_000_000_000, ..Emission::default() };
+        assert_eq!(time_s(&shot), 2.5);
+        assert_eq!(time_s(&Emission { gps_time_s: 1.5, ..shot }), 1.5);
+    }
+}

@@ -1,0 +1,316 @@
+//! Archives of runs: made, run again elsewhere, and every kind of tampering named.
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use support::flight::{OUTPUTS, STAGES, flight, run, wavex};
+use support::{Outcome, Place};
+
+/// A flight whose run was archived as `archives/NAME`.
+fn archived(name: &str) -> Place {
+    let place = flight();
+    place
+        .write("job.toml", format!("# The job of a flight.\n[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
+    let outcome = run(&place, &["--threads", "2", "--archive", &format!("archives/{name}")]);
+    assert_eq!(outcome, Outcome { code: Some(0), err: String::new() });
+    place
+}
+
+#[track_caller]
+fn holds(place: &Place, arguments: &[&str]) {
+    assert_eq!(wavex(place, arguments), (Some(0), String::new()), "{arguments:?}");
+}
+
+/// The command fails, and these are the problems that it names, in order.
+#[track_caller]
+fn fails(place: &Place, arguments: &[&str], expected: &[&str]) {
+    let (code, err) = wavex(place, arguments);
+    assert_eq!(code, Some(1), "{err}");
+    let problems: Vec<&str> = err.lines().skip(1).collect();
+    assert_eq!(problems.len(), expected.len(), "{err}");
+    for (problem, expected) in problems.iter().zip(expected) {
+        assert!(problem.trim_start().starts_with(expected), "{problem}\ndoes not begin with\n{expected}");
+    }
+}
+
+fn flip(path: &Path, at: usize) {
+    let mut bytes = fs::read(path).unwrap();
+    bytes[at] ^= 1;
+    fs::write(path, bytes).unwrap();
+}
+
+fn change(path: &Path, from: &str, to: &str) {
+    let text = fs::read_to_string(path).unwrap();
+    assert!(text.contains(from), "{from} is not in {}", path.display());
+    fs::write(path, text.replacen(from, to, 1)).unwrap();
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let to = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy(&entry.path(), &to)
+        } else {
+            assert!(fs::copy(entry.path(), to).is_ok())
+        }
+    }
+}
+
+#[test]
+fn an_archive_holds_what_it_takes_and_is_replayed_elsewhere() {
+    let place = archived("a");
+    let mut names = Vec::new();
+    for folder in ["", "/lines", "/sensor_model"] {
+        let entries = fs::read_dir(place.path(&format!("archives/a{folder}"))).unwrap().map(Result::unwrap);
+        names.extend(entries.map(|entry| format!("{folder}/{}", entry.file_name().display())));
+    }
+    names.sort();
+    let expected = [
+        "/archive.b3",
+        "/archive.json",
+        "/job.resolved.toml",
+        "/job.toml",
+        "/lines",
+        "/lines/a_lstat.txt",
+        "/report.json",
+        "/sensor_model",
+        "/sensor_model/a.json",
+        "/wavex.log",
+    ];
+    assert_eq!(names, expected);
+    assert_eq!(place.text("archives/a/job.toml"), place.text("job.toml"));
+    assert_eq!(place.text("archives/a/lines/a_lstat.txt"), place.text("out/a_lstat.txt"));
+    assert!(place.text("archives/a/wavex.log").contains("INFO wavex "));
+
+    let archive: Value = serde_json::from_str(&place.text("archives/a/archive.json")).unwrap();
+    assert_eq!(archive["set"], serde_json::json!(["job.threads=2"]));
+    let paths = |of: &str| -> Vec<String> {
+        let files = archive[of]["files"].as_array().unwrap();
+        files.iter().map(|file| file["path"].as_str().unwrap().to_owned()).collect()
+    };
+    assert_eq!(
+        (paths("inputs"), archive["inputs"]["folder"].as_str()),
+        (vec!["in/a.arrow".into(), "in/model.json".into()], Some("../.."))
+    );
+    assert_eq!(
+        (paths("outputs"), archive["outputs"]["folder"].as_str()),
+        (OUTPUTS.map(String::from).to_vec(), Some("../../out"))
+    );
+    let report: Value = serde_json::from_str(&place.text("archives/a/report.json")).unwrap();
+    assert_eq!(report, serde_json::from_str::<Value>(&place.text("out/report.json")).unwrap());
+    assert_eq!(report["stages"].as_array().unwrap().len(), 9, "the archive's own stage is not told of");
+    let outputs = report["inputs"][0]["outputs"].as_array().unwrap();
+    assert!(outputs.len() == 5 && outputs.iter().all(|path| path.as_str().unwrap().starts_with("./out/")));
+
+    holds(&place, &["verify", "archives/a"]);
+    holds(&place, &["replay", "archives/a", "--threads", "1"]);
+    // Elsewhere, all together; and the inputs by themselves.
+    let elsewhere = Place::new();
+    copy(&place.path("archives"), &elsewhere.path("archives"));
+    copy(&place.path("in"), &elsewhere.path("in"));
+    copy(&place.path("out"), &elsewhere.path("out"));
+    drop(place);
+    holds(&elsewhere, &["verify", "archives/a"]);
+    fs::create_dir(elsewhere.path("disk")).unwrap();
+    fs::rename(elsewhere.path("in"), elsewhere.path("disk/in")).unwrap();
+    fs::remove_dir_all(elsewhere.path("out")).unwrap();
+    holds(&elsewhere, &["replay", "archives/a", "--inputs", "disk", "--threads", "3"]);
+    let missing = ["input in/a.arrow: not found in ", "input in/model.json: not found in "];
+    fails(&elsewhere, &["replay", "archives/a"], &missing);
+}
+
+#[test]
+fn a_resolved_job_runs_by_itself_and_gives_the_same() {
+    let place = archived("a");
+    let then = fs::read(place.path("out/a.laz")).unwrap();
+    fs::remove_dir_all(place.path("out")).unwrap();
+    holds(&place, &["run", "archives/a/job.resolved.toml"]);
+    assert!(fs::read(place.path("out/a.laz")).unwrap() == then);
+    let text = place.text("archives/a/job.resolved.toml");
+    assert!(!text.contains(&place.path("").display().to_string()), "no path from the root:\n{text}");
+    // A pattern would find other files another day.
+    assert!(text.contains("path = [\"in/a.arrow\"]") || text.contains("path = \"in/a.arrow\""), "{text}");
+}
+
+#[test]
+fn a_packed_archive_is_as_good() {
+    let place = archived("a.tar.zst");
+    assert!(place.path("archives/a.tar.zst").is_file());
+    assert_eq!(fs::read_dir(place.path("archives")).unwrap().count(), 1);
+    holds(&place, &["verify", "archives/a.tar.zst"]);
+    holds(&place, &["replay", "archives/a.tar.zst"]);
+    flip(&place.path("archives/a.tar.zst"), 1000);
+    let (code, err) = wavex(&place, &["verify", "archives/a.tar.zst"]);
+    assert_eq!(code, Some(1), "{err}");
+}
+
+#[test]
+fn every_kind_of_tampering_is_named() {
+    let place = archived("a");
+    let [verify, replay] = ["verify", "replay"].map(|command| [command, "archives/a"]);
+    let saved = Place::new();
+    copy(&place.path(""), &saved.path("all"));
+    let restore = |name: &str| {
+        let copied = fs::copy(saved.path(&format!("all/{name}")), place.path(name));
+        assert!(copied.is_ok(), "{name}");
+    };
+
+    flip(&place.path("in/a.arrow"), 5000);
+    for command in [&verify, &replay] {
+        fails(&place, command, &["input in/a.arrow: changed: the digest of "]);
+    }
+    restore("in/a.arrow");
+    fs::write(place.path("in/model.json"), "{}").unwrap();
+    fails(&place, &verify, &["input in/model.json: changed: "]);
+    fs::remove_file(place.path("in/model.json")).unwrap();
+    fails(&place, &replay, &["input in/model.json: not found in "]);
+    restore("in/model.json");
+
+    for (file, from, to) in [
+        ("archives/a/job.toml", "a flight", "A flight"),
+        ("archives/a/job.resolved.toml", "mode = \"fastest\"", "mode = \"refined\""),
+        ("archives/a/archive.json", "\"blake3\": \"", "\"blake3\": \"0"),
+        ("archives/a/report.json", "wavex", "waveX"),
+        ("archives/a/lines/a_lstat.txt", " 0 ", " 1 "),
+    ] {
+        change(&place.path(file), from, to);
+        let name = file.strip_prefix("archives/a/").unwrap();
+        let expected = format!("{name}: changed since the archive was made, or its digest in archive.b3 was");
+        let (code, err) = wavex(&place, &verify);
+        assert!(code == Some(1) && err.contains(&expected), "{err}");
+        fails(&place, &replay, &[&expected]);
+        restore(file);
+    }
+    change(&place.path("archives/a/archive.b3"), "  job.toml", "0  job.toml");
+    fails(
+        &place,
+        &verify,
+        &["job.toml: changed since the archive was made, or its digest in archive.b3 was"],
+    );
+    restore("archives/a/archive.b3");
+    fs::remove_file(place.path("archives/a/wavex.log")).unwrap();
+    fails(&place, &verify, &["wavex.log: missing from the archive"]);
+    restore("archives/a/wavex.log");
+    holds(&place, &verify);
+}
+
+#[test]
+fn an_output_that_was_changed_is_named_with_its_first_difference() {
+    let place = archived("a");
+    let csv = place.text("out/a.csv");
+    let mut rows: Vec<Vec<String>> =
+        csv.lines().map(|row| row.split(',').map(str::to_owned).collect()).collect();
+    let column = rows[0].iter().position(|name| name == "amplitude_dn").expect("a column of the table");
+    let value = rows[5][column].clone();
+    rows[5][column] = "7".into();
+    let rows: Vec<String> = rows.iter().map(|row| row.join(",")).collect();
+    place.write("out/a.csv", (rows.join("\n") + "\n").as_bytes());
+    let lstat = place.text("out/a_lstat.txt");
+    place.write(
+        "out/a_lstat.txt",
+        lstat.lines().take(3).map(|line| format!("{line}\n")).collect::<String>().as_bytes(),
+    );
+    fs::remove_file(place.path("out/a.parquet")).unwrap();
+
+    let not_found = "output a.parquet: not found in ";
+    fails(
+        &place,
+        &["verify", "archives/a"],
+        &["output a.csv: changed: ", not_found, "output a_lstat.txt: changed: "],
+    );
+    let (code, err) = wavex(&place, &["replay", "archives/a"]);
+    assert_eq!(code, Some(1), "{err}");
+    let expected = format!("a.csv was changed since: row 4, column amplitude_dn: {value} instead of 7\n");
+    assert!(err.contains("  output a.csv of stage write_table-1: the run makes it again, but "), "{err}");
+    assert!(err.contains(&expected), "{err}");
+    assert!(err.contains("a_lstat.txt was changed since: it goes on with line 4\n"), "{err}");
+    assert!(!err.contains("a.parquet"), "what is missing was made again all the same:\n{err}");
+}
+
+/// An archive whose job was edited by somebody who knows how seals are made: the outputs tell.
+#[test]
+fn a_run_that_gives_something_else_says_what_and_where() {
+    let place = archived("a");
+    change(&place.path("archives/a/job.resolved.toml"), "coordinate_step = 0.001", "coordinate_step = 0.002");
+    change(&place.path("archives/a/job.resolved.toml"), "mode = \"fastest\"", "mode = \"refined\"");
+    let digest = blake3::hash(&fs::read(place.path("archives/a/job.resolved.toml")).unwrap()).to_hex();
+    let seal = place.text("archives/a/archive.b3");
+    let edited = |line: &str| match line.split_once("  ") {
+        Some((_, "job.resolved.toml")) => format!("{digest}  job.resolved.toml\n"),
+        _ => format!("{line}\n"),
+    };
+    place.write("archives/a/archive.b3", seal.lines().map(edited).collect::<String>().as_bytes());
+    holds(&place, &["verify", "archives/a"]);
+    let (code, err) = wavex(&place, &["replay", "archives/a"]);
+    assert_eq!(code, Some(1), "{err}");
+    assert!(err.contains("  output a.laz of stage write_las: not the same: point 0, field X: "), "{err}");
+    for table in [
+        "a.csv of stage write_table-1",
+        "a.parquet of stage write_table-2",
+        "a_points.arrow of stage write_table-3",
+    ] {
+        let begins = format!("  output {table}: not the same: row ");
+        let line = err
+            .lines()
+            .find(|line| line.starts_with(&begins))
+            .unwrap_or_else(|| panic!("{table} is not in\n{err}"));
+        assert!(line.contains(", column ") && line.contains(" instead of "), "{line}");
+    }
+}
+
+#[test]
+fn an_archive_is_never_replaced_and_its_inputs_are_files() {
+    let place = archived("a");
+    let exists = "error: archives/a: it exists already; choose another name: an archive is never replaced\n";
+    assert_eq!(run(&place, &["--archive", "archives/a"]), Outcome { code: Some(2), err: exists.into() });
+    let from_stdin = run(
+        &place,
+        &["--set", "read_arrow.path='-'", "--set", "job.output_dir='out2'", "--archive", "archives/b"],
+    );
+    let problem =
+        "error: standard input cannot be archived; save it as a file, and give that to the reader\n";
+    assert_eq!(from_stdin, Outcome { code: Some(1), err: problem.into() });
+    assert_eq!(fs::read_dir(place.path("archives")).unwrap().count(), 1, "nothing is left of the other");
+    let (code, err) = wavex(&place, &["verify", "in"]);
+    assert_eq!(code, Some(1));
+    assert_eq!(
+        err,
+        "error: in: no archive: it has no text archive.json; give an archive that `wavex run --archive` has made\n"
+    );
+}
+
+#[test]
+fn inputs_outside_of_the_jobs_folder_are_told_below_one_folder() {
+    let place = flight();
+    let model = place.path("in/model.json");
+    let stages = STAGES.replace("'in/model.json'", &format!("'{}'", model.display()));
+    place.write(
+        "jobs/job.toml",
+        format!(
+            "[job]\ninput_dir = '../in'\noutput_dir = '../out'\nlog = ''\n{}",
+            stages.replace("in/*", "*")
+        )
+        .as_bytes(),
+    );
+    holds(&place, &["run", "jobs/job.toml", "--archive", "archive"]);
+    let archive: Value = serde_json::from_str(&place.text("archive/archive.json")).unwrap();
+    assert_eq!(archive["inputs"]["folder"], "../in");
+    assert_eq!(archive["inputs"]["files"][1]["path"], "model.json");
+    assert!(place.text("archive/wavex.log").contains("INFO wavex "), "the archive has a log all the same");
+
+    // With another folder above: then the paths start there.
+    fs::create_dir(place.path("models")).unwrap();
+    fs::rename(&model, place.path("models/m.json")).unwrap();
+    let set = format!("calibrate.load='{}'", place.path("models/m.json").display());
+    holds(&place, &["run", "jobs/job.toml", "--set", &set, "--archive", "archives/b"]);
+    let archive: Value = serde_json::from_str(&place.text("archives/b/archive.json")).unwrap();
+    assert_eq!(archive["inputs"]["folder"], "../..");
+    assert_eq!(archive["inputs"]["files"][0]["path"], "in/a.arrow");
+    assert_eq!(archive["inputs"]["files"][1]["path"], "models/m.json");
+    holds(&place, &["replay", "archives/b"]);
+}

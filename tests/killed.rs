@@ -1,0 +1,222 @@
+//! Runs that end by force: no file under a final name that is not whole, and the next run needs no cleaning by hand.
+#![cfg(unix)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use support::flight::{OUTPUTS, STAGES, files, flight, run, wavex};
+use support::{Outcome, Place};
+
+const KILLS: u32 = 50;
+
+fn succeeded() -> Outcome {
+    Outcome { code: Some(0), err: String::new() }
+}
+
+/// A flight with its job, and what the job makes of it.
+fn place() -> (Place, BTreeMap<String, Vec<u8>>) {
+    let place = flight();
+    place.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{STAGES}").as_bytes());
+    assert_eq!(run(&place, &[]), succeeded());
+    let whole = products(&place);
+    assert_eq!(whole.keys().collect::<Vec<_>>(), OUTPUTS.iter().collect::<Vec<_>>());
+    (place, whole)
+}
+
+/// What has a final name in the folder of outputs, besides log and report.
+fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
+    let mut files = files(&place.path("out"));
+    files.retain(|name, _| !name.starts_with('.') && !["wavex.log", "report.json"].contains(&name.as_str()));
+    files
+}
+
+/// Whatever has a final name is whole.
+fn is_whole(place: &Place, whole: &BTreeMap<String, Vec<u8>>) {
+    for (name, bytes) in products(place) {
+        assert!(whole[&name] == bytes, "{name} is not whole");
+    }
+    if let Ok(report) = fs::read(place.path("out/report.json")) {
+        serde_json::from_slice::<serde_json::Value>(&report).expect("a report is whole");
+    }
+}
+
+/// All names in a folder.
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).into_iter().flatten().map(Result::unwrap);
+    let mut names: Vec<String> = entries.map(|entry| entry.file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+fn spawn(place: &Place, arguments: &[&str]) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    command.args(["--quiet", "run", "job.toml"]).args(arguments).current_dir(place.path(""));
+    command
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .env_remove("RUST_LOG")
+        .spawn()
+        .unwrap()
+}
+
+#[test]
+fn a_run_killed_at_any_moment_leaves_whole_files_only() {
+    let (place, whole) = place();
+    let started = Instant::now();
+    assert_eq!(run(&place, &["--archive", "archives/first"]), succeeded());
+    let duration = started.elapsed();
+    let (mut killed, mut random) = (0, 12345u64);
+    for attempt in 0..KILLS {
+        fs::remove_dir_all(place.path("out")).unwrap_or_default();
+        // Without the folder's own leavings in every other attempt only: what a dead run has left is met as well.
+        if attempt % 2 == 0 {
+            fs::create_dir(place.path("out")).unwrap();
+            fs::write(place.path("out/.a.laz.4000000000.partial"), "half").unwrap();
+        }
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let mut child = spawn(&place, &["--archive", &format!("archives/{attempt}")]);
+        std::thread::sleep(duration.mul_f64((random >> 40) as f64 / f64::from(1 << 24)));
+        child.kill().unwrap();
+        killed += u32::from(child.wait().unwrap().code().is_none());
+        is_whole(&place, &whole);
+    }
+    println!("{killed} of {KILLS} runs were killed, the others had ended");
+    assert!(killed > 0);
+    for name in names(&place.path("archives")).iter().filter(|name| !name.starts_with('.')) {
+        let archive = format!("archives/{name}");
+        // Its outputs may have gone with the next attempt: the archive itself is sealed.
+        let (_, err) = wavex(&place, &["verify", &archive]);
+        assert!(err.lines().skip(1).all(|line| line.trim_start().starts_with("output ")), "{err}");
+    }
+
+    assert_eq!(run(&place, &["--archive", "archives/last"]), succeeded());
+    assert!(products(&place) == whole, "the next run makes everything");
+    assert_eq!(wavex(&place, &["verify", "archives/last"]), (Some(0), String::new()));
+    let unfinished = |folder: &str| {
+        names(&place.path(folder)).into_iter().filter(|name| name.starts_with('.')).collect::<Vec<_>>()
+    };
+    assert_eq!(unfinished("archives"), Vec::<String>::new(), "what dead runs left is swept up");
+    let others: Vec<String> =
+        unfinished("out").into_iter().filter(|name| name != ".a.laz.4000000000.partial").collect();
+    assert_eq!(others, Vec::<String>::new());
+}
+
+#[test]
+fn leavings_of_killed_runs_are_swept_up_by_the_next() {
+    let (place, whole) = place();
+    for attempt in 0..3 {
+        let mut child = spawn(&place, &["--archive", &format!("archives/{attempt}")]);
+        wait_for(|| names(&place.path("out")).iter().any(|name| name.ends_with(".partial")));
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    let mut expected: Vec<String> =
+        whole.keys().cloned().chain(["report.json".into(), "wavex.log".into()]).collect();
+    expected.sort();
+    assert_ne!(names(&place.path("out")), expected, "a killed run leaves its unfinished files");
+    assert_eq!(run(&place, &["--archive", "archives/last"]), succeeded());
+    assert_eq!(names(&place.path("out")), expected);
+    assert!(products(&place) == whole);
+    assert_eq!(names(&place.path("archives")).last().map(String::as_str), Some("last"));
+    assert!(names(&place.path("archives")).iter().all(|name| !name.starts_with('.')));
+}
+
+/// Waits until something is so, which it is sooner or later.
+fn wait_for(mut so: impl FnMut() -> bool) {
+    let started = Instant::now();
+    while !so() {
+        assert!(started.elapsed() < Duration::from_secs(60), "it never comes");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn a_full_disk_leaves_whole_files_only() {
+    let (place, whole) = place();
+    let largest = whole.values().map(Vec::len).max().unwrap() / 512 + 1;
+    let mut failed = 0;
+    for blocks in [1, 20, largest / 4, largest / 2, largest - 1, 10 * largest] {
+        fs::remove_dir_all(place.path("out")).unwrap();
+        // No file may grow beyond so many blocks of 512 bytes: as on a disk that is full, writing fails.
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" --quiet run job.toml --archive archives/{blocks}")]);
+        let output = command.arg(env!("CARGO_BIN_EXE_wavex")).current_dir(place.path("")).output().unwrap();
+        let err = String::from_utf8(output.stderr).unwrap();
+        is_whole(&place, &whole);
+        if output.status.code() == Some(0) {
+            assert!(products(&place) == whole);
+        } else {
+            failed += 1;
+            assert_eq!(output.status.code(), Some(1), "{err}");
+            assert!(err.contains("make room, or write to another disk"), "{err}");
+            assert!(!place.path(&format!("archives/{blocks}")).exists());
+            assert!(
+                names(&place.path("out")).iter().all(|name| !name.ends_with(".partial")),
+                "a run that fails cleans up"
+            );
+        }
+    }
+    assert!(failed >= 3, "{failed} of 6 runs ran out of room");
+    assert_eq!(run(&place, &[]), succeeded());
+    assert!(products(&place) == whole);
+}
+
+/// A job that goes on for a while: many lines, written as they come.
+const LONG: &str = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'simulate'\nlines = 4000\nshots_per_line = 200\n\
+                    [[stage]]\ntype = 'write_arrow'\n";
+
+#[test]
+fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
+    let place = Place::new();
+    place.write("job.toml", LONG.replace("lines = 4000", "lines = 60").as_bytes());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    command.args(["--quiet", "run", "job.toml"]).current_dir(place.path("")).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    let is_begun = |name: &String| name.starts_with(".simulated.arrow.");
+    wait_for(|| names(&place.path("out")).iter().any(is_begun));
+    wait_for(|| fs::remove_dir_all(place.path("out")).is_ok());
+    let output = child.wait_with_output().unwrap();
+    let err = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{err}");
+    assert!(err.contains("simulated.arrow: cannot give the final name to: "), "{err}");
+    assert_eq!(names(&place.path("out")), Vec::<String>::new());
+    assert_eq!(run(&place, &[]), succeeded());
+    assert_eq!(names(&place.path("out")), ["report.json", "simulated.arrow", "wavex.log"]);
+}
+
+#[test]
+fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
+    let place = Place::new();
+    place.write("job.toml", LONG.as_bytes());
+    let mut first = spawn(&place, &[]);
+    wait_for(|| names(&place.path("out")).iter().any(|name| name.starts_with(".simulated.arrow.")));
+    let shorter = ["--set", "simulate.lines=1"];
+    let second = run(&place, &shorter);
+    assert_eq!(second.code, Some(1), "{}", second.err);
+    let process = first.id();
+    let problem = format!(
+        "error: ./out/report.json is being written by another run (process {process}); \
+         wait for its end, or choose another folder with `output_dir`\n"
+    );
+    assert_eq!(second.err, problem);
+    // Without a report and a log of its own it is the output that both want.
+    let silent = run(&place, &[&shorter[..], &["--set", "job.report=", "--set", "job.log="]].concat());
+    assert!(silent.err.contains("out/simulated.arrow is being written by another run"), "{}", silent.err);
+    // Others run: into another folder, and into this one under another name.
+    assert_eq!(run(&place, &[&shorter[..], &["--set", "job.output_dir=elsewhere"]].concat()), succeeded());
+    let other_names =
+        ["--set", "job.report='b.json'", "--set", "job.log='b.log'", "--set", "write_arrow.path='b.arrow'"];
+    assert_eq!(run(&place, &[&shorter[..], &other_names].concat()), succeeded());
+    first.kill().unwrap();
+    first.wait().unwrap();
+    assert_eq!(run(&place, &shorter), succeeded(), "a run that was killed holds nothing");
+    let expected = ["b.arrow", "b.json", "b.log", "report.json", "simulated.arrow", "wavex.log"];
+    assert_eq!(names(&place.path("out")), expected);
+}

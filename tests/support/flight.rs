@@ -1,0 +1,86 @@
+//! A small simulated flight with its sensor model, and a job that makes every kind of output of it within a moment.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use super::{Outcome, Place, outcome};
+
+/// Makes the recording `in/a.arrow` and its sensor model.
+const MAKE: &str = "\
+[[stage]]
+type = 'simulate'
+stem = 'a'
+lines = 6
+shots_per_line = 60
+[[stage]]
+type = 'write_arrow'
+path = '../in/*.arrow'
+[[stage]]
+type = 'calibrate'
+waveforms = 300
+save = '../in/model.json'
+";
+
+/// The stages that make outputs of every kind.
+pub const STAGES: &str = "\
+[[stage]]
+type = 'read_arrow'
+path = 'in/*.arrow'
+[[stage]]
+type = 'calibrate'
+load = 'in/model.json'
+[[stage]]
+type = 'decompose'
+mode = 'fastest'
+[[stage]]
+type = 'georeference'
+[[stage]]
+type = 'write_las'
+path = '*.laz'
+[[stage]]
+type = 'write_lstat'
+[[stage]]
+type = 'write_table'
+path = '*.csv'
+[[stage]]
+type = 'write_table'
+path = '*.parquet'
+[[stage]]
+type = 'write_table'
+path = '*_points.arrow'
+";
+
+/// The outputs of these stages.
+pub const OUTPUTS: [&str; 5] = ["a.csv", "a.laz", "a.parquet", "a_lstat.txt", "a_points.arrow"];
+
+/// A folder with the recording and its sensor model in `in`, and nothing else.
+pub fn flight() -> Place {
+    let place = Place::new();
+    assert_eq!(place.run(MAKE), Outcome { code: Some(0), err: String::new() });
+    fs::remove_dir_all(place.path("out")).unwrap();
+    place
+}
+
+/// A run of the program in the folder, with everything that it says.
+pub fn wavex(place: &Place, arguments: &[&str]) -> (Option<i32>, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    command.args(arguments).current_dir(place.path("")).stdin(Stdio::null()).env_remove("RUST_LOG");
+    let output = command.args(["--quiet"]).output().unwrap();
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+}
+
+/// Runs a job that is in its file already.
+pub fn run(place: &Place, arguments: &[&str]) -> Outcome {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    command.args(["--quiet", "run", "job.toml"]).args(arguments).current_dir(place.path(""));
+    outcome(command.stdin(Stdio::null()).env_remove("RUST_LOG"))
+}
+
+/// The files of a folder by their names, those of folders in it left out.
+pub fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let entries = fs::read_dir(folder).into_iter().flatten().map(Result::unwrap);
+    let files = entries.filter(|entry| entry.path().is_file());
+    files.map(|file| (file.file_name().into_string().unwrap(), fs::read(file.path()).unwrap())).collect()
+}

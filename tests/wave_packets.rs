@@ -1,0 +1,118 @@
+//! Points with their waveforms are a recording of full waveforms: read back and decomposed again, they give the same
+//! returns.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and says what it skips"
+)]
+
+#[path = "common/recordings.rs"]
+#[allow(dead_code, reason = "each test binary uses its own part")]
+mod recordings;
+
+use std::path::Path;
+
+use recordings::{Table, run};
+
+const WRITE: &str = r#"
+[[stage]]
+type = "simulate"
+stem = "flight"
+lines = 4
+shots_per_line = 200
+[[stage]]
+type = "calibrate"
+waveforms = 400
+save = "model.json"
+[[stage]]
+type = "decompose"
+[[stage]]
+type = "georeference"
+[[stage]]
+type = "write_table"
+path = "*.csv"
+"#;
+
+const READ_AGAIN: &str = r#"
+[[stage]]
+type = "read_las"
+path = "*"
+[[stage]]
+type = "calibrate"
+load = "model.json"
+[[stage]]
+type = "decompose"
+[[stage]]
+type = "georeference"
+[[stage]]
+type = "write_table"
+path = "again.csv"
+"#;
+
+/// File, version, where the waveforms are, and the point format with its bit of compression.
+const FILES: [(&str, &str, &str, u8); 6] = [
+    ("a.las", "1.4", "internal", 9),
+    ("b.las", "1.4", "external", 9),
+    ("c.laz", "1.4", "internal", 9 | 0x80),
+    ("d.laz", "1.4", "external", 9 | 0x80),
+    ("e.las", "1.3", "external", 4),
+    ("f.laz", "1.3", "internal", 4 | 0x80),
+];
+
+/// The largest difference between two columns.
+fn apart(one: &Table, other: &Table, column: &str) -> f64 {
+    let pairs = one.column(column).into_iter().zip(other.column(column));
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+fn assert_same_returns(written: &Table, again: &Table, file: &str) {
+    assert_eq!(again.len(), written.len(), "{file}");
+    for axis in ["x", "y", "z"] {
+        // Points are stored to a millimetre.
+        let apart_m = apart(written, again, axis);
+        assert!(apart_m <= 0.001, "{file}: {axis} is {apart_m} m apart");
+    }
+    for (column, bound) in [("amplitude_dn", 1e-4), ("width_ratio", 1e-6), ("deviation_ratio", 1e-3)] {
+        let apart = apart(written, again, column);
+        assert!(apart <= bound, "{file}: {column} is {apart} apart");
+    }
+    for column in ["return_number", "number_of_returns"] {
+        assert_eq!(apart(written, again, column), 0.0, "{file}: {column}");
+    }
+}
+
+#[test]
+fn decomposing_again_gives_the_same_returns() {
+    let folder = tempfile::tempdir().unwrap();
+    let sinks = FILES.map(|(file, version, packets, _)| {
+        format!(
+            "[[stage]]\ntype = \"write_las\"\nid = \"{file}\"\npath = \"{file}\"\nversion = \"{version}\"\n\
+             wave_packets = \"{packets}\"\nindex = \"{}\"\n",
+            if file.ends_with('z') { "appended" } else { "none" }
+        )
+    });
+    run("write.toml", &format!("{WRITE}{}", sinks.concat()), folder.path(), folder.path(), &[]);
+    let written = Table::read(&folder.path().join("flight.csv"));
+    assert!(written.len() > 800);
+    for (file, _, packets, format) in FILES {
+        let bytes = std::fs::read(folder.path().join(file)).unwrap();
+        assert_eq!(bytes[104], format, "{file}");
+        let beside = folder.path().join(file).with_extension("wdp");
+        assert_eq!(beside.is_file(), packets == "external", "{file}");
+        let job = READ_AGAIN.replace("\"*\"", &format!("\"{file}\""));
+        run("read.toml", &job, folder.path(), folder.path(), &[]);
+        assert_same_returns(&written, &Table::read(&folder.path().join("again.csv")), file);
+    }
+    assert_nothing_is_left(folder.path());
+}
+
+/// Packets that became a part of another file leave none of their own.
+fn assert_nothing_is_left(folder: &Path) {
+    let names =
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let odd: Vec<String> =
+        names.filter(|name| name.ends_with(".partial") || name.contains(".las.")).collect();
+    assert!(odd.is_empty(), "{odd:?}");
+}
