@@ -53,7 +53,9 @@ Commands:
   false-alarms  Print how many returns of noise alone each threshold lets through
   explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
   scan          Tell what a recording holds: times, rates, lines, channels, noise, integrity
+  report        Show what a run did as a page: where the time went, counts, sensor model, warnings
   trajectory    Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
+  import        Translate a command line of BayesWavEx 1.0 or 1.1 into a job
   completions   Print the completions of a shell
   help          Print this message or the help of the given subcommand(s)
 

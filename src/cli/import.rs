@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use clap::{CommandFactory, Parser};
 
 use super::{Cli, Failure, ImportArgs, Machine, When, dispatch, run, terminal};
+use crate::formats::trajectory::{self, Records};
 use crate::job::Job;
 
 pub mod draft;
@@ -27,9 +28,10 @@ use draft::Known;
 use line::{Given, Value};
 use options::{Becomes, Flag, Part, Version};
 use problem::Problem;
-use translate::{Imported, Place};
+use translate::Imported;
 
 pub use page::page;
+pub use translate::Place;
 
 /// The job of a line, with everything that is to be said of it.
 #[derive(Debug)]
@@ -46,26 +48,17 @@ pub struct Import {
     pub missing: Vec<String>,
 }
 
-/// The files that a translation may look into, by their paths from the current folder on; `None` where one cannot be read.
-pub type Read<'a> = &'a dyn Fn(&str) -> Option<String>;
-
-/// Translates a line: its words without the program's name, the version where it is known, and the texts of its files.
+/// Translates a line: its words, and the version where it is known.
 ///
 /// # Errors
 /// Everything that is wrong with the line, each with its place, as one message without the word `error` before it.
-pub fn import(
-    words: &[String],
-    classic: Option<&str>,
-    known: &Known,
-    base: Option<&str>,
-    read: Read,
-) -> Result<Import, String> {
+pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<Import, String> {
     let words = line::without_program(words);
     let version = version_of(words, classic)?;
     let (mut given, mut problems) = (Vec::new(), Vec::new());
     let mut passed_over = Vec::new();
     for name in version.option_files {
-        match read(name) {
+        match (place.read)(name) {
             Some(text) if given.is_empty() && problems.is_empty() => {
                 (given, problems) = line::read_file(version, Path::new(name), &text);
             }
@@ -82,10 +75,9 @@ pub fn import(
     if !problems.is_empty() {
         return Err(problem::message(&problems));
     }
-    let place = Place { known, base, read };
-    let mut imported = translate::translate(version, given, &place).map_err(|all| problem::message(&all))?;
+    let mut imported = translate::translate(version, given, place).map_err(|all| problem::message(&all))?;
     imported.notes.extend(passed_over);
-    Ok(finished(version, words, &from_files, imported, known))
+    Ok(finished(version, words, &from_files, imported, place.known))
 }
 
 /// The version that is named, or that reads such inputs: 1.0 LAS and LAZ, 1.1 everything else.
@@ -178,8 +170,9 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
         }
     };
     let classic = args.classic.map(super::Classic::name);
-    let import = import(&args.line, classic, &Known::this_build(), base.as_deref(), &read);
-    let import = import.map_err(Failure::Wrong)?;
+    let known = Known::this_build();
+    let place = Place { known: &known, base: base.as_deref(), read: &read, latitude: &latitude };
+    let import = import(&args.line, classic, &place).map_err(Failure::Wrong)?;
     let job = match import.has_job {
         true => Some(Job::parse("the job of this line", &import.text, &[])?),
         false => None,
@@ -196,6 +189,15 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
         tracing::warn!("this build cannot do yet: {what}");
     }
     if args.run { run_all(&import, job, folder, quiet) } else { Ok(()) }
+}
+
+/// The latitude at which a trajectory begins, degrees; `None` where it cannot be read, or is in the coordinates of a map.
+fn latitude(file: &str, columns: Option<&str>) -> Option<f64> {
+    let options = trajectory::Options { columns: columns.map(str::to_owned), ..Default::default() };
+    match trajectory::read(Path::new(file), &options).ok()?.records {
+        Records::Geodetic(samples) => samples.first().map(|sample| sample.place.latitude_rad.to_degrees()),
+        Records::Projected(_) => None,
+    }
 }
 
 fn write(file: &PathBuf, text: &str) -> Result<(), Failure> {

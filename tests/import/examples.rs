@@ -5,9 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use wavex::cli::import::draft::Known;
-use wavex::cli::import::import;
 
-use crate::{complete, files, here, words};
+use crate::{complete, files, here, in_version, words};
 
 /// Name of the file with the job, and the line.
 const EXAMPLES: &[(&str, &str)] = &[
@@ -82,7 +81,7 @@ fn every_example_becomes_a_job_that_fits_this_build() {
 fn the_example_of_a_file_of_options_is_read() {
     let job = |(classic, name, file, line): (&str, _, &str, &str)| {
         let read = |path: &str| (path == file).then(|| "mem=4096\ndet=5\nR=1000\n".to_owned());
-        (name, import(&words(line), Some(classic), &Known::Everything, None, &read).unwrap().text)
+        (name, in_version(Some(classic), &words(line), &Known::Everything, &read).unwrap().text)
     };
     let both = [
         ("1.0", "1.0-file", "wavex.opt", "-i waveform.las"),
@@ -95,7 +94,7 @@ fn the_example_of_a_file_of_options_is_read() {
 #[test]
 fn information_is_asked_for_in_the_same_words_in_both_versions() {
     for line in ["wavex -h", "wavex -v"] {
-        let of = |classic| import(&words(line), Some(classic), &Known::Everything, None, &files).unwrap();
+        let of = |classic| in_version(Some(classic), &words(line), &Known::Everything, &files).unwrap();
         assert_eq!(of("1.0").commands, of("1.1").commands);
         assert!(!of("1.0").has_job);
     }

@@ -1,9 +1,9 @@
 //! How options may be written, and what several say together.
 
 use wavex::cli::import::draft::Known;
-use wavex::cli::import::{Import, import};
+use wavex::cli::import::{Import, Place, import};
 
-use crate::{complete, files, here, keys, stages, words};
+use crate::{complete, files, here, in_version, keys, read_with, stages, words};
 
 /// The keys of a line's job that another line's job does not have.
 #[track_caller]
@@ -77,7 +77,7 @@ fn the_input_tells_the_version() {
         let first = format!("# What BayesWavEx {version} does with this line:");
         assert_eq!(complete(line).text.lines().next(), Some(first.as_str()), "{line}");
     }
-    let forced = import(&words("-i a.las"), Some("1.1"), &Known::Everything, None, &files).unwrap();
+    let forced = in_version(Some("1.1"), &words("-i a.las"), &Known::Everything, &files).unwrap();
     assert!(forced.text.starts_with("# What BayesWavEx 1.1 does"), "{}", forced.text);
     assert_eq!(
         stages(&forced.text)[..2],
@@ -124,7 +124,7 @@ fn the_line_overrules_the_file_of_options() {
         "stripalign.opt" => Some("det=7".to_owned()),
         _ => None,
     };
-    let import = import(&words("-i data.sdf -det 6"), None, &Known::Everything, None, &read).unwrap();
+    let import = read_with("-i data.sdf -det 6", &Known::Everything, &read).unwrap();
     let keys = keys(&import.text);
     for key in [
         "decompose.detection_sigma = 6.0",
@@ -205,6 +205,7 @@ fn outputs_are_named_after_that_of_the_points() {
         ["day.1/*_b_stat.log", "day.1/*_b.laz", "day.1/*_b_traj.txt", "day.1/*_b_lstat.txt"]
     );
     assert_eq!(paths("-o*.LAS")[1], "*.las");
+    assert_eq!(paths("-o b.laz")[..2], ["*_stat.log", "b.laz"], "statistics are those of an input");
     assert_eq!(paths("-nil"), ["*_stat.log", "*_traj.txt", "*_lstat.txt"]);
     assert_eq!(paths("-otraj 0"), ["*_stat.log", "*.laz", "*_lstat.txt"]);
 }
@@ -255,6 +256,30 @@ fn coordinates_are_without_effect_where_there_is_no_trajectory() {
 }
 
 #[test]
+fn the_trajectory_tells_the_hemisphere_of_a_zone() {
+    let crs = |line: &str| {
+        let text = complete(line).text;
+        let line = text.lines().find(|line| line.starts_with("crs")).unwrap();
+        line.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    assert_eq!(crs("-i a.sdf -po n.pof -utm 33"), "crs = \"utm:33N\" # -utm 33: N, as the trajectory begins");
+    assert_eq!(crs("-i a.sdf -po s.pof -utm55"), "crs = \"utm:55S\" # -utm55: S, as the trajectory begins");
+    let unknown = "crs = \"utm:33\" # -utm 33: add N or S: neither the line nor the trajectory says it";
+    assert_eq!(crs("-i a.sdf -po u.pof -utm 33"), unknown);
+}
+
+/// One of the documents' examples leaves out the roll.
+#[test]
+fn columns_of_a_trajectory_that_are_not_enough_are_told_and_not_run() {
+    let import = here("-i a.sdf -po a.txt -po_parse xyztpk");
+    let told = "#trajectory_columns = \"xyztpk\"  # -po_parse xyztpk: `w` must stand in it once\n";
+    assert!(import.text.contains(told), "{}", import.text);
+    assert_eq!(import.missing, ["-po_parse xyztpk (`trajectory_columns` of `geometry`)"]);
+    assert!(here("-i a.sdf -po a.txt -po_parse xyz#wtpk").missing.is_empty());
+    here("-i a.sdf -po a.txt -po_parse xyztwk");
+}
+
+#[test]
 fn statistics_of_the_recording_are_a_command() {
     let import = complete("-i a.sdf -osdfstat -I in -O out");
     assert_eq!(import.commands, [words("wavex scan in/a.sdf --name out/out")]);
@@ -291,14 +316,16 @@ fn a_trajectory_can_be_projected_by_itself() {
 #[test]
 fn a_shell_could_take_what_is_printed_of_commands() {
     let line = ["-sdfscan".to_owned(), "-i".to_owned(), "it's my data.sdf".to_owned()];
-    let import = import(&line, None, &Known::Everything, None, &files).unwrap();
+    let import = in_version(None, &line, &Known::Everything, &files).unwrap();
     assert!(import.text.ends_with("#   wavex scan 'it'\\''s my data.sdf' --name out\n"), "{}", import.text);
     assert!(import.text.contains("#   wavex -sdfscan -i \"it's my data.sdf\"\n"), "{}", import.text);
 }
 
 #[test]
 fn a_job_that_stands_elsewhere_starts_where_the_line_was_typed() {
-    let import = import(&words("-i a.sdf -O out"), None, &Known::Everything, Some("/here"), &files).unwrap();
+    let place =
+        Place { known: &Known::Everything, base: Some("/here"), read: &files, latitude: &|_, _| None };
+    let import = import(&words("-i a.sdf -O out"), None, &place).unwrap();
     let keys = keys(&import.text);
     assert!(keys.contains(&"job.input_dir = \"/here\"".to_owned()), "{}", import.text);
     assert!(keys.contains(&"job.output_dir = \"/here/out\"".to_owned()), "{}", import.text);

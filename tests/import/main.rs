@@ -10,7 +10,7 @@ mod support;
 mod table;
 
 use wavex::cli::import::draft::Known;
-use wavex::cli::import::{Import, import};
+use wavex::cli::import::{Import, Place, import};
 use wavex::job::Job;
 
 /// The words of a line without blanks inside them.
@@ -23,17 +23,36 @@ fn files(path: &str) -> Option<String> {
     (path == "mnt.txt").then(|| "0.5 -0.25 90\n".to_owned())
 }
 
+/// A line in the version that its input tells, with these files beside it.
+fn read_with(line: &str, known: &Known, read: &dyn Fn(&str) -> Option<String>) -> Result<Import, String> {
+    in_version(None, &words(line), known, read)
+}
+
+/// Words in a version. Trajectories whose names begin with `s` begin in the south; those that begin with `u` cannot be read.
+fn in_version(
+    classic: Option<&str>,
+    words: &[String],
+    known: &Known,
+    read: &dyn Fn(&str) -> Option<String>,
+) -> Result<Import, String> {
+    let latitude = |file: &str, _: Option<&str>| match file {
+        file if file.starts_with('s') => Some(-33.0),
+        file if file.starts_with('u') => None,
+        _ => Some(47.0),
+    };
+    import(words, classic, &Place { known, base: None, read, latitude: &latitude })
+}
+
 /// What a line becomes where every stage and every key is there.
 #[track_caller]
 fn complete(line: &str) -> Import {
-    import(&words(line), None, &Known::Everything, None, &files).unwrap_or_else(|problem| panic!("{problem}"))
+    read_with(line, &Known::Everything, &files).unwrap_or_else(|problem| panic!("{problem}"))
 }
 
 /// What a line becomes in this build; its job must fit.
 #[track_caller]
 fn here(line: &str) -> Import {
-    let import = import(&words(line), None, &Known::this_build(), None, &files);
-    let import = import.unwrap_or_else(|problem| panic!("{problem}"));
+    let import = read_with(line, &Known::this_build(), &files).unwrap_or_else(|problem| panic!("{problem}"));
     if import.has_job {
         let job = Job::parse("job", &import.text, &[]);
         assert!(job.is_ok(), "{}\n{}", job.unwrap_err(), import.text);

@@ -1,13 +1,12 @@
 //! Lines that are wrong: each message once.
 
 use wavex::cli::import::draft::Known;
-use wavex::cli::import::import;
 
-use crate::{files, words};
+use crate::{files, in_version, read_with, words};
 
 #[track_caller]
 fn problem(line: &str) -> String {
-    import(&words(line), None, &Known::Everything, None, &files).unwrap_err()
+    read_with(line, &Known::Everything, &files).unwrap_err()
 }
 
 /// The problem of a line: its sentence, the part of the line that is marked, and the help.
@@ -90,6 +89,7 @@ fn a_word_behind_no_option_is_refused() {
 fn options_that_exclude_each_other_are_refused() {
     refused("-i a.sdf -fastest -fastsep", "`-fastest` and `-fastsep` exclude each other", "-fastsep", "");
     refused("-i a.sdf -po b -utm 33 -geo", "`-utm 33` and `-geo` exclude each other", "-geo", "");
+    refused("-i a.sdf -po b -wkt w.txt -utm 33", "`-wkt w.txt` and `-utm 33` exclude each other", "-utm", "");
     refused("-i a.sdf -po b -feet -metre", "`-metre` and `-feet` exclude each other", "-feet", "");
     refused("-i a.sdf -po b -po_day -A", "`-A` and `-po_day` exclude each other", "-po_day", "");
     refused("-i a.sdf -olas -otxt", "`-olas` and `-otxt` exclude each other", "-otxt", "");
@@ -133,14 +133,14 @@ fn a_trajectory_to_be_projected_must_be_named() {
 
 #[test]
 fn an_unknown_version_is_refused() {
-    let problem = import(&words("-v"), Some("2.0"), &Known::Everything, None, &files).unwrap_err();
+    let problem = in_version(Some("2.0"), &words("-v"), &Known::Everything, &files).unwrap_err();
     assert_eq!(problem, "there is no version 2.0\n  = help: 1.0 or 1.1");
 }
 
 #[test]
 fn a_file_of_options_tells_its_line() {
     let read = |path: &str| (path == "wavex.opt.txt").then(|| "mem=4096\n-det 5\ndett=5\ndet=\n".to_owned());
-    let problem = import(&words("-i a.sdf"), None, &Known::Everything, None, &read).unwrap_err();
+    let problem = read_with("-i a.sdf", &Known::Everything, &read).unwrap_err();
     let expected = "\
 `-det 5` is not `name=argument`
  --> wavex.opt.txt:2
@@ -165,7 +165,7 @@ error: behind `det` its argument is missing: a number
 fn everything_that_is_wrong_is_told_at_once_with_blanks_and_foreign_letters_in_place() {
     let line =
         ["-i".to_owned(), "my flüge.sdf".to_owned(), "-det".to_owned(), "x".to_owned(), "-y".to_owned()];
-    let problem = import(&line, None, &Known::Everything, None, &files).unwrap_err();
+    let problem = in_version(None, &line, &Known::Everything, &files).unwrap_err();
     let expected = "\
 `-det` takes a number; this is `x`
   | wavex -i \"my flüge.sdf\" -det x -y

@@ -103,8 +103,10 @@ pub enum Form {
     ZeroIsNothing,
     /// A switch: these values in TOML when it is off and when it is on; empty: the key is not given.
     Switch(&'static str, &'static str),
-    /// Text, with this before it.
-    After(&'static str),
+    /// A zone of UTM; the trajectory tells the hemisphere.
+    Zone,
+    /// As it is; the remark of the table stands in the job, too.
+    Remarked,
     /// A file in the folder of inputs.
     File,
     /// The columns of a trajectory, of which none may be missing.

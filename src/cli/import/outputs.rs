@@ -44,14 +44,11 @@ impl Translation<'_> {
             sinks.push("write_lstat");
         }
         if self.version.has_stat_log {
+            // Each input has its own, whatever the output is called.
+            let base = if base.contains('*') { base.as_str() } else { "*" };
             let path = toml_text(&format!("{base}_stat.log"));
-            self.draft.set(
-                "job",
-                "stat_log",
-                path,
-                &format!("{} always writes it", self.version.name),
-                false,
-            );
+            let why = format!("{} always writes it", self.version.name);
+            self.draft.set("job", "stat_log", path, &why, false);
         }
         sinks
     }

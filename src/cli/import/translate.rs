@@ -17,8 +17,10 @@ pub struct Place<'a> {
     pub known: &'a Known,
     /// Where relative paths of the line start, where that is not where the job will stand.
     pub base: Option<&'a str>,
-    /// The text of a file that the line names; `None` where it cannot be read.
+    /// The text of a file, by its path from the current folder on; `None` where it cannot be read.
     pub read: &'a dyn Fn(&str) -> Option<String>,
+    /// The latitude at which a trajectory begins, by its path and the letters of its columns; `None` where it cannot be told.
+    pub latitude: &'a dyn Fn(&str, Option<&str>) -> Option<f64>,
 }
 
 /// What a line says.
@@ -268,31 +270,39 @@ impl Translation<'_> {
         value: &Value,
         (why, is_asked): (&str, bool),
     ) {
-        if form == Form::Angles {
-            return self.mount(key, value, why);
+        match (form, value) {
+            (Form::Angles, _) => return self.mount(key, value, why),
+            (Form::Zone, Value::Whole(zone)) => return self.zone(*zone, why),
+            _ => {}
         }
         let Some(toml) = toml_of(form, value, &self.paths) else {
             self.note(why, "so it is anyway");
             return;
         };
-        if let Some((other, of)) = self.draft.asked(section, key)
-            && is_asked
-            && other != toml
-        {
-            let what = format!("`{of}` and `{why}` exclude each other");
-            let place = self.given.iter().find(|given| std::ptr::eq(given.option, option));
-            self.problems.extend(place.map(|given| Problem::at(&given.place, what)));
-            return;
+        if !is_asked {
+            return self.draft.set(section, key, toml, why, false);
         }
-        self.draft.set(section, key, toml, why, is_asked);
+        self.set_or_refuse(section, key, toml, why);
         match (form, value) {
-            (Form::After(_), _) => self.draft.remark(section, key, option.remark),
+            (Form::Remarked, _) => self.draft.remark(section, key, option.remark),
             (Form::TrajectoryColumns, Value::Text(letters)) => {
                 if let Some(obstacle) = without_a_column(letters) {
                     self.draft.obstruct(section, key, obstacle);
                 }
             }
             _ => {}
+        }
+    }
+
+    /// Sets a key that the line asks for, unless it has asked for something else before.
+    fn set_or_refuse(&mut self, section: &str, key: &'static str, toml: String, why: &str) {
+        match self.draft.asked(section, key) {
+            Some((other, of)) if other != toml => {
+                let what = format!("`{of}` and `{why}` exclude each other");
+                let place = self.given.iter().find(|given| given.written == why);
+                self.problems.extend(place.map(|given| Problem::at(&given.place, what)));
+            }
+            _ => self.draft.set(section, key, toml, why, true),
         }
     }
 
@@ -313,6 +323,26 @@ impl Translation<'_> {
                 self.problems.extend(place.map(|place| Problem::at(place, what).help(help)));
             }
         }
+    }
+
+    /// A zone of UTM, on the hemisphere where the trajectory begins.
+    fn zone(&mut self, zone: u64, why: &str) {
+        let word = |of: &Self, key| match of.of_key("geometry", key).map(|given| &given.value) {
+            Some(Value::Text(text)) => Some(text.clone()),
+            _ => None,
+        };
+        let columns = word(self, "trajectory_columns");
+        let latitude = word(self, "trajectory").and_then(|file| {
+            let file = self.paths.here(&self.paths.input(&file));
+            (self.place.latitude)(&file, columns.as_deref())
+        });
+        let (letter, remark) = match latitude {
+            Some(degrees) if degrees < 0.0 => ("S", "S, as the trajectory begins"),
+            Some(_) => ("N", "N, as the trajectory begins"),
+            None => ("", "add N or S: neither the line nor the trajectory says it"),
+        };
+        self.set_or_refuse("geometry", "crs", toml_text(&format!("utm:{zone}{letter}")), why);
+        self.draft.remark("geometry", "crs", remark);
     }
 
     /// How thoroughly waveforms are decomposed, as far as it takes more than one option to say it.
@@ -413,7 +443,6 @@ fn toml_of(form: Form, value: &Value, paths: &Paths) -> Option<String> {
         (Form::Switch(off, on), Value::Switch(is_on)) => {
             Some(if *is_on { on } else { off }.to_owned()).filter(|toml| !toml.is_empty())
         }
-        (Form::After(before), Value::Whole(number)) => Some(toml_text(&format!("{before}{number}"))),
         (Form::File, Value::Text(file)) => Some(toml_text(&paths.input(file))),
         _ => Some(plain),
     }

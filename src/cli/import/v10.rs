@@ -29,6 +29,7 @@ pub const V10: Version = Version {
 };
 
 const ALWAYS: &[Always] = &[
+    ("job", "stat_log", "\"\"", "1.0 writes none"),
     ("calibrate", "background", "\"per_waveform\"", "1.0 has no other"),
     ("correct", "range_table", "false", "1.0 has no tables"),
     ("correct", "amplitude_table", "false", "1.0 has no tables"),

@@ -1,7 +1,9 @@
 //! Version 1.1 (2018): SDF in, LAS 1.4 out. The options of its document, in its order.
 
 use super::options::Becomes::{Command, End, Flag, Key, Nothing, Part};
-use super::options::Form::{After, Angles, File, Plain, Switch, TrajectoryColumns, ZeroIs, ZeroIsNothing};
+use super::options::Form::{
+    Angles, File, Plain, Remarked, Switch, TrajectoryColumns, ZeroIs, ZeroIsNothing, Zone,
+};
 use super::options::Standard::{Same, Words, Written};
 use super::options::Takes::{Date, Number, Switch as OnOff, Text, Texts, Whole};
 use super::options::{Flag as F, Opt, Part as P, Version, row};
@@ -116,10 +118,10 @@ const OPTIONS: &[Opt] = &[
     row(&["mount"], Text("a file"), Words("0 0 0"), Key("geometry", "mount", Angles), "its three angles, read when the line is imported"),
     row(&["calib_corr"], Text("a file"), Words("none"), Key("geometry", "calibration", File), ""),
     row(&["wkt"], Text("a file"), Words("none: UTM"), Key("geometry", "crs", File), ""),
-    row(&["utm"], Whole(1, 60), Words("by position"), Key("geometry", "crs", After("utm:")), "the line does not say the hemisphere: add N or S"),
+    row(&["utm"], Whole(1, 60), Words("by position"), Key("geometry", "crs", Zone), "with N or S as the trajectory begins, where it can be read when the line is imported; else one must add it"),
     row(&["geo"], OnOff, Same("0"), Key("geometry", "crs", Switch("", "\"geodetic\"")), ""),
     row(&["ecef"], OnOff, Same("0"), Key("geometry", "crs", Switch("", "\"ecef\"")), ""),
-    row(&["geoid"], Text("a name"), Words("none"), Key("geometry", "geoid", Plain), "its file is looked for in the folder of inputs, or in `geoid_dir`; the classic folder was Geoids beside the program"),
+    row(&["geoid"], Text("a name"), Words("none"), Key("geometry", "geoid", Remarked), "looked for among the inputs, or in `geoid_dir`"),
     row(&["metre"], OnOff, Same("0"), Key("geometry", "unit", Switch("", "\"m\"")), ""),
     row(&["feet"], OnOff, Same("0"), Key("geometry", "unit", Switch("", "\"us_ft\"")), ""),
     row(&["int_feet"], OnOff, Same("0"), Key("geometry", "unit", Switch("", "\"ft\"")), ""),
