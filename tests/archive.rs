@@ -314,3 +314,24 @@ fn inputs_outside_of_the_jobs_folder_are_told_below_one_folder() {
     assert_eq!(archive["inputs"]["files"][1]["path"], "models/m.json");
     holds(&place, &["replay", "archives/b"]);
 }
+
+#[test]
+fn the_trajectory_is_an_input() {
+    let place = Place::new();
+    let make = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 200\nsbet = '../in/*.out'\n\
+                [[stage]]\ntype = 'write_arrow'\npath = '../in/*.arrow'\n";
+    assert_eq!(place.run(make), Outcome { code: Some(0), err: String::new() });
+    let job = "[job]\ninput_dir = 'in'\noutput_dir = 'out'\n[job.geometry]\ntrajectory = '*.out'\n[[stage]]\ntype = 'read_arrow'\n\
+               path = 'a.arrow'\n[[stage]]\ntype = 'calibrate'\nwaveforms = 300\n[[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_las'\n";
+    place.write("job.toml", job.as_bytes());
+    holds(&place, &["run", "job.toml", "--archive", "archive"]);
+    let archive: Value = serde_json::from_str(&place.text("archive/archive.json")).unwrap();
+    let inputs = archive["inputs"]["files"].as_array().unwrap();
+    let paths: Vec<&str> = inputs.iter().map(|file| file["path"].as_str().unwrap()).collect();
+    assert_eq!((paths, &archive["inputs"]["folder"]), (vec!["a.arrow", "a.out"], &Value::from("../in")));
+    fs::rename(place.path("in"), place.path("moved")).unwrap();
+    holds(&place, &["replay", "archive", "--inputs", "moved"]);
+    flip(&place.path("moved/a.out"), 100);
+    fails(&place, &["replay", "archive", "--inputs", "moved"], &["input a.out: changed: the digest of "]);
+}

@@ -60,7 +60,7 @@ fn every_quantity_carries_its_unit_in_its_name() {
 }
 
 /// Keys that take a text which names no file.
-const NAMES: [&str; 2] = ["stem", "gps_date"];
+const NAMES: [&str; 3] = ["stem", "gps_date", "columns"];
 
 /// Archives and locks know files by what a stage says of its keys.
 #[test]

@@ -32,7 +32,9 @@ fn place() -> (Place, BTreeMap<String, Vec<u8>>) {
 /// What has a final name in the folder of outputs, besides log and report.
 fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
     let mut files = files(&place.path("out"));
-    files.retain(|name, _| !name.starts_with('.') && !["wavex.log", "report.json"].contains(&name.as_str()));
+    let is_about_the_run =
+        |name: &String| ["wavex.log", "report.json", "a_stat.log"].contains(&name.as_str());
+    files.retain(|name, _| !name.starts_with('.') && !is_about_the_run(name));
     files
 }
 
@@ -121,7 +123,7 @@ fn leavings_of_killed_runs_are_swept_up_by_the_next() {
         child.wait().unwrap();
     }
     let mut expected: Vec<String> =
-        whole.keys().cloned().chain(["report.json".into(), "wavex.log".into()]).collect();
+        whole.keys().cloned().chain(["a_stat.log", "report.json", "wavex.log"].map(String::from)).collect();
     expected.sort();
     assert_ne!(names(&place.path("out")), expected, "a killed run leaves its unfinished files");
     assert_eq!(run(&place, &["--archive", "archives/last"]), succeeded());
@@ -191,7 +193,10 @@ fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
     assert!(err.contains("simulated.arrow: cannot give the final name to: "), "{err}");
     assert_eq!(names(&place.path("out")), Vec::<String>::new());
     assert_eq!(run(&place, &[]), succeeded());
-    assert_eq!(names(&place.path("out")), ["report.json", "simulated.arrow", "wavex.log"]);
+    assert_eq!(
+        names(&place.path("out")),
+        ["report.json", "simulated.arrow", "simulated_stat.log", "wavex.log"]
+    );
 }
 
 #[test]
@@ -210,16 +215,29 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
     );
     assert_eq!(second.err, problem);
     // Without a report and a log of its own it is the output that both want.
-    let silent = run(&place, &[&shorter[..], &["--set", "job.report=''", "--set", "job.log=''"]].concat());
+    let silent = run(
+        &place,
+        &[&shorter[..], &["--set", "job.report=''", "--set", "job.log=''", "--set", "job.stat_log=''"]]
+            .concat(),
+    );
     assert!(silent.err.contains("out/simulated.arrow is being written by another run"), "{}", silent.err);
     // Others run: into another folder, and into this one under another name.
     assert_eq!(run(&place, &[&shorter[..], &["--set", "job.output_dir=elsewhere"]].concat()), succeeded());
-    let other_names =
-        ["--set", "job.report='b.json'", "--set", "job.log='b.log'", "--set", "write_arrow.path='b.arrow'"];
+    let other_names = [
+        "--set",
+        "job.report='b.json'",
+        "--set",
+        "job.log='b.log'",
+        "--set",
+        "job.stat_log=''",
+        "--set",
+        "write_arrow.path='b.arrow'",
+    ];
     assert_eq!(run(&place, &[&shorter[..], &other_names].concat()), succeeded());
     first.kill().unwrap();
     first.wait().unwrap();
     assert_eq!(run(&place, &shorter), succeeded(), "a run that was killed holds nothing");
-    let expected = ["b.arrow", "b.json", "b.log", "report.json", "simulated.arrow", "wavex.log"];
+    let expected =
+        ["b.arrow", "b.json", "b.log", "report.json", "simulated.arrow", "simulated_stat.log", "wavex.log"];
     assert_eq!(names(&place.path("out")), expected);
 }

@@ -46,7 +46,8 @@ fn run_archived(
     let (input_dir, output_dir) = folders(job, folder);
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
     // Before the log: another run's would be cut off.
-    let _lock = lock(job, &output_dir, machine.profile, archive).map_err(|error| failed(&error))?;
+    let own = own_outputs(job, [&input_dir, &output_dir], machine.profile, archive);
+    let _lock = OutputLock::take(&own).map_err(|error| failed(&error))?;
     if archive.is_some() {
         log::keep();
     }
@@ -93,27 +94,29 @@ fn run_archived(
     if quiet { Ok(()) } else { terminal::print(&said) }
 }
 
-/// Claims what a run writes besides the outputs of its stages, which the engine claims.
-fn lock(
+/// What a run writes besides the outputs of its stages, which the engine claims.
+fn own_outputs(
     job: &Job,
-    output_dir: &Path,
+    [input_dir, output_dir]: [&Path; 2],
     profile: bool,
     archive: Option<&Path>,
-) -> Result<OutputLock, StageError> {
-    let names = [&job.settings.log, &job.settings.report].map(String::as_str).into_iter();
+) -> Outputs {
+    let settings = &job.settings;
+    // Inputs that cannot be found are the engine's to tell of.
+    let inputs = engine::inputs(job, input_dir).unwrap_or_default();
+    let stat_logs = inputs.iter().map(|input| settings.stat_log.replace('*', &input.stem));
+    let others = [settings.log.clone(), settings.report.clone()].into_iter().chain(stat_logs);
+    let names = others.chain(profile.then(|| TRACE.to_owned())).filter(|name| !name.is_empty());
     let mut outputs = Outputs::new();
-    for name in names.chain(profile.then_some(TRACE)).filter(|name| !name.is_empty()) {
-        outputs.entry(fixed_folder(output_dir, name)).or_default().insert(output_dir.join(name));
+    for name in names {
+        outputs.entry(fixed_folder(output_dir, &name)).or_default().insert(output_dir.join(name));
     }
     if let Some(archive) = archive {
-        let folder = archive.parent().unwrap_or(Path::new(""));
-        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-        outputs
-            .entry(folder.to_owned())
-            .or_default()
-            .insert(folder.join(archive.file_name().unwrap_or_default()));
+        let folder = fixed_folder(Path::new(""), &archive.to_string_lossy());
+        let path = folder.join(archive.file_name().unwrap_or_default());
+        outputs.entry(folder).or_default().insert(path);
     }
-    OutputLock::take(&outputs)
+    outputs
 }
 
 /// Ctrl-C and a request to terminate end the run in order, as soon as every stage has done the line it is at; a second one
