@@ -6,7 +6,6 @@
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
 
 #[path = "../tests/common/mod.rs"]
-#[allow(dead_code, reason = "written for tests, which use the rest")]
 mod common;
 
 use std::io::Cursor;

@@ -114,7 +114,7 @@ fn defaults_that_jobs_do_not_spell_out_are_those_of_this_build() {
             }
             let same = match (default.as_f64(), expected.parse::<f64>()) {
                 (Some(default), Ok(expected)) => default == expected,
-                _ => default.to_string() == expected,
+                _ => *default == expected,
             };
             assert!(same, "{} -{}: {default} is not {expected}", version.name, option.name());
             compared += 1;

@@ -53,12 +53,12 @@ impl Paths {
 
     /// `input_dir` of the job.
     pub fn input_dir(&self) -> Option<String> {
-        self.from_base(self.input.as_deref().filter(|_| !self.has_own_folders))
+        self.below_base(self.input.as_deref().filter(|_| !self.has_own_folders))
     }
 
     /// `output_dir` of the job.
     pub fn output_dir(&self) -> Option<String> {
-        self.from_base(self.output.as_deref())
+        self.below_base(self.output.as_deref())
     }
 
     /// Whether `-I` goes before single files.
@@ -66,7 +66,7 @@ impl Paths {
         self.input.is_some() && self.has_own_folders
     }
 
-    fn from_base(&self, folder: Option<&str>) -> Option<String> {
+    fn below_base(&self, folder: Option<&str>) -> Option<String> {
         match (&self.base, folder) {
             (Some(base), Some(folder)) => Some(joined(base, folder)),
             (Some(base), None) => Some(base.clone()),

@@ -284,9 +284,11 @@ mod tests {
     struct Read {
         levels: u32,
         root: [f32; 4],
-        /// Index, points, intervals.
-        cells: Vec<(u32, u32, Vec<(u32, u32)>)>,
+        cells: Vec<Cell>,
     }
+
+    /// Index, points, intervals.
+    type Cell = (u32, u32, Vec<(u32, u32)>);
 
     fn read(bytes: &[u8]) -> Read {
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
