@@ -236,7 +236,11 @@ fn an_output_that_was_changed_is_named_with_its_first_difference() {
 #[test]
 fn a_run_that_gives_something_else_says_what_and_where() {
     let place = archived("a");
-    change(&place.path("archives/a/job.resolved.toml"), "coordinate_step = 0.001", "coordinate_step = 0.002");
+    change(
+        &place.path("archives/a/job.resolved.toml"),
+        "path = \"*.laz\"",
+        "path = \"*.laz\"\ncoordinate_step = 0.002",
+    );
     change(&place.path("archives/a/job.resolved.toml"), "mode = \"fastest\"", "mode = \"refined\"");
     let digest = blake3::hash(&fs::read(place.path("archives/a/job.resolved.toml")).unwrap()).to_hex();
     let seal = place.text("archives/a/archive.b3");

@@ -16,7 +16,7 @@ use wavex::engine::{self, InputReport};
 use wavex::job::{Job, JobStage};
 use wavex::registry::{self, STAGES};
 use wavex::stage::{
-    Config, Context, Item, Paths, Plan, Result, RoleName, Site, Source, SourceConfig, StageSpec, choices,
+    Config, Context, Item, Key, Paths, Plan, Result, RoleName, Site, Source, SourceConfig, StageSpec, choices,
 };
 
 /// Endings of the names of quantities, by which their unit can be told.
@@ -71,13 +71,17 @@ fn every_key_that_names_a_file_is_an_input_or_an_output() {
         let is_text = |schema: &&serde_json::Value| schema["type"] == "string" && choices(schema).is_none();
         all.iter().any(is_text)
     };
+    // As the default ends, where there is one: some stages want a certain ending.
+    let file = |key: &Key| match key.default().and_then(serde_json::Value::as_str) {
+        Some(pattern) => pattern.replace('*', key.name),
+        None => format!("{}.csv", key.name),
+    };
+    let line = |key: &Key| format!("{} = '{}'\n", key.name, file(key));
     for spec in STAGES {
         let keys = spec.keys();
-        let required = keys.iter().filter(|key| key.required);
-        let given: String = required.map(|key| format!("{} = '{}.csv'\n", key.name, key.name)).collect();
+        let given: String = keys.iter().filter(|key| key.required).map(|key| line(&key)).collect();
         for key in keys.iter().filter(|key| takes_text(key.schema) && !NAMES.contains(&key.name)) {
-            let own = format!("{} = '{}.csv'\n", key.name, key.name);
-            let table = if key.required { given.clone() } else { format!("{given}{own}") };
+            let table = if key.required { given.clone() } else { given.clone() + &line(&key) };
             let planned = stage(spec, &table).planned;
             let is_path = match &planned.plan {
                 Plan::Source(source) => {
@@ -85,7 +89,7 @@ fn every_key_that_names_a_file_is_an_input_or_an_output() {
                 }
                 _ => false,
             };
-            let text = format!("{}.csv", key.name);
+            let text = file(&key);
             let is_known = is_path
                 || planned.inputs.contains(&text)
                 || planned.plan.outputs().contains(&text.as_str())
