@@ -18,7 +18,7 @@ pub use context::{Context, Counters, Distribution, Item};
 pub use keys::{Key, Keys};
 pub(crate) use output_file::partial_path;
 pub use output_file::{OutputFile, WholeFile, remove_unfinished_files};
-pub use output_lock::{OutputLock, Outputs};
+pub use output_lock::{OutputLock, Outputs, give_up_claims};
 pub use site::{Paths, Site, fixed_folder};
 pub use spec::{
     Config, ConfigError, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,

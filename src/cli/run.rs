@@ -9,7 +9,9 @@ use crate::archive::{Recorder, check_destination};
 use crate::engine::{self, Cancel, Cause, Options, ProgressMode, RunError, RunReport};
 use crate::formats::Error;
 use crate::job::{Job, Override};
-use crate::stage::{OutputFile, OutputLock, Outputs, StageError, fixed_folder, remove_unfinished_files};
+use crate::stage::{
+    OutputFile, OutputLock, Outputs, StageError, fixed_folder, give_up_claims, remove_unfinished_files,
+};
 
 /// What `--profile` writes beside the outputs.
 const TRACE: &str = "trace.json";
@@ -126,6 +128,7 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
     let handler = move || {
         if cancel.is_cancelled() {
             remove_unfinished_files();
+            give_up_claims();
             let error = RunError { stage: None, input: None, cause: Cause::Interrupted };
             let interrupted = Failure::Run(error.to_string());
             terminal::print_error(&interrupted.message(terminal::colour()));

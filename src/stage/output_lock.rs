@@ -8,6 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard};
 
 use super::output_file::partial_path;
 use super::{Result, StageError};
@@ -32,10 +33,35 @@ pub struct OutputLock(Vec<Claim>);
 /// The claim of a run on outputs below a folder.
 #[derive(Debug)]
 struct Claim {
-    folder: PathBuf,
     path: PathBuf,
     /// Locked while it is open.
     file: Option<File>,
+}
+
+/// The claims of this process, for an end without time for anything else.
+static CLAIMED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+fn claimed() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    // Each change is one insertion or removal: a panic elsewhere cannot leave the set half done.
+    CLAIMED.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// Gives up what this process claims: where it ends at once.
+pub fn give_up_claims() {
+    let paths = claimed().clone();
+    for path in &paths {
+        give_up(path);
+    }
+}
+
+/// Removes a claim, and the gate with the last one.
+fn give_up(claim: &Path) {
+    // Without the gate the file is as good as gone all the same: its lock ends with the process.
+    let gate = Gate::enter(claim.parent().unwrap_or(Path::new(".")));
+    remove(claim);
+    if let Ok(gate) = gate {
+        gate.leave();
+    }
 }
 
 impl OutputLock {
@@ -114,7 +140,8 @@ fn make(folder: &Path, wanted: &BTreeSet<String>) -> io::Result<Claim> {
             Err(error) => return Err(error),
             Ok(mut file) => {
                 let locked = file.lock().and_then(|()| file.write_all(&list));
-                let claim = Claim { folder: folder.to_owned(), path, file: Some(file) };
+                claimed().insert(path.clone());
+                let claim = Claim { path, file: Some(file) };
                 return locked.map(|()| claim);
             }
         }
@@ -183,13 +210,9 @@ fn remove(path: &Path) {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // Without the gate the file is as good as gone all the same: its lock ends here.
-        let gate = Gate::enter(&self.folder);
         self.file = None;
-        remove(&self.path);
-        if let Ok(gate) = gate {
-            gate.leave();
-        }
+        give_up(&self.path);
+        claimed().remove(&self.path);
     }
 }
 

@@ -32,7 +32,7 @@ fn a_file_where_the_folder_of_outputs_should_be() {
     fails(&place, &mut place.command(&stages), &format!("./out: {remedy}"));
     let mut command = place.command(&stages);
     command.args(["--set", "job.log=''", "--set", "job.report=''"]);
-    fails(&place, &mut command, &format!("stage write_arrow: ./out: {remedy}"));
+    fails(&place, &mut command, &format!("./out: {remedy}"));
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn a_file_where_a_folder_in_the_path_of_a_sink_should_be() {
         ("sub/deep/*.arrow", "./out/sub/deep: cannot make the folder: Not a directory (os error 20)"),
     ] {
         let mut command = place.command(&format!("{READ}{COPY}path = '{path}'\n"));
-        let message = format!("stage write_arrow: {problem}; choose another folder: a file is in the way");
+        let message = format!("{problem}; choose another folder: a file is in the way");
         fails(&place, &mut command, &message);
     }
 }
