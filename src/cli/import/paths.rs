@@ -143,8 +143,8 @@ mod tests {
 
     #[test]
     fn a_job_elsewhere_says_where_the_line_was_typed() {
-        let paths = paths("-i a.sdf -O F:\\out", Some("/work"));
-        assert_eq!(paths.input_dir().as_deref(), Some("/work"));
+        let paths = paths("-i a.sdf -O F:\\out", Some("/jobs"));
+        assert_eq!(paths.input_dir().as_deref(), Some("/jobs"));
         assert_eq!(paths.output_dir().as_deref(), Some("F:\\out"), "absolute on its own system");
         assert_eq!(joined("in/", "a"), "in/a");
         assert_eq!(joined("in", "/a"), "/a");
