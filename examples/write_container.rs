@@ -151,7 +151,7 @@ fn found(n: u64, index: u8, count: u8) -> Return {
         width_ratio: 1.0,
         width_ratio_sd: 0.0625,
         fwhm_ns: 4.5,
-        total_sd_m: f64::NAN,
+        total_sd_m: if n.is_multiple_of(4) { 0.04 } else { f64::NAN },
         thickness_m: 0.0,
         thickness_sd_m: f64::NAN,
         deviation_ratio: -0.5,

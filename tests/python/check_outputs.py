@@ -190,8 +190,10 @@ def check_report(checks, report, folder):
     checks.equal("is as its schema says", errors[:3], [])
     (of_input,) = report["inputs"]
     written = sorted(Path(path).name for path in of_input["outputs"])
-    others = {"job.toml", "wavex.log", "report.json"}
-    checks.equal("names every file that was written", written, sorted({path.name for path in folder.iterdir()} - others))
+    about_the_run = {"job.toml", "wavex.log", "report.json", f"{of_input['stem']}_stat.log"}
+    there = {path.name for path in folder.iterdir()}
+    checks.equal("stands beside the other files about the run", sorted(about_the_run - there), [])
+    checks.equal("names every file that was written", written, sorted(there - about_the_run))
     checks.that("lists its totals", of_input["totals"]["np"] > 0 and of_input["totals"]["nw"] > 0)
     total = of_input["totals"].get
     found = total("np") + total("np_filtered") + total("np_merged") + total("np_xtalk_dropped")
