@@ -18,7 +18,7 @@ fn job_text(input: &str, output: &str) -> Result<String, String> {
     let reader = reader_of(input)?;
     let quoted = |text: &str| toml::Value::String(text.to_owned());
     Ok(format!(
-        "[job]\nreport = \"\"\nlog = \"\"\n\n[[stage]]\ntype = \"{reader}\"\npath = {}\n\n[[stage]]\ntype = \"write_arrow\"\npath = {}\n",
+        "[job]\nreport = \"\"\nstat_log = \"\"\nlog = \"\"\n\n[[stage]]\ntype = \"{reader}\"\npath = {}\n\n[[stage]]\ntype = \"write_arrow\"\npath = {}\n",
         quoted(input),
         quoted(output)
     ))
@@ -55,9 +55,11 @@ mod tests {
     }
 
     #[test]
-    fn names_are_quoted_as_toml_wants_it() {
+    fn the_job_is_a_copy_and_its_names_are_quoted() {
         let text = job_text(r#"a "b" \c.las"#, "d.arrow").unwrap();
         let job: toml::Table = toml::from_str(&text).unwrap();
+        let own_files = ["report", "stat_log", "log"].map(|key| job["job"][key].as_str());
+        assert_eq!(own_files, [Some(""); 3], "the container is all that is written");
         assert_eq!(job["stage"][0]["path"].as_str(), Some(r#"a "b" \c.las"#));
         assert_eq!(job["stage"][1]["type"].as_str(), Some("write_arrow"));
     }

@@ -145,8 +145,9 @@ def run(program, folder, job):
     return command([program, "--quiet", "run", folder / "job.toml"])
 
 
-def command(words):
-    done = subprocess.run([str(word) for word in words], capture_output=True)
+def command(words, folder=None):
+    """Runs a program, in a folder where one is given; its standard output."""
+    done = subprocess.run([str(word) for word in words], capture_output=True, cwd=folder)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(map(str, words))}: exit code {done.returncode}: {done.stderr.decode()}")
     return done.stdout
@@ -205,7 +206,9 @@ def check_report(checks, report, folder):
 def check_copies(checks, program, folder, path, container):
     """What the program reads of its own containers, and writes to a pipe, is the same once more."""
     copy = folder / "copy.arrow"
-    command([program, "--quiet", "convert", path, copy])
+    with tempfile.TemporaryDirectory() as here:
+        command([program, "--quiet", "convert", path, copy], here)
+        checks.equal("convert leaves nothing where it was called", sorted(Path(here).iterdir()), [])
     check_same_waveforms(checks, "convert gives the same again", container, read_container(copy))
     piped = run(program, folder, "[job]\nreport = ''\nlog = ''\n" + reader("read_arrow", path)
                 + "\n[[stage]]\ntype = 'write_arrow'\npath = '-'\n")
