@@ -23,7 +23,7 @@ demo:
 # What the engine costs, and where a whole job spends its time
 bench:
     cargo bench --bench engine
-    cargo bench --bench whole_job
+    cargo bench --bench whole_chain
     cargo build --release --example sdf_stand_in
     cargo bench --bench sdf
 

@@ -5,22 +5,21 @@
 //! a run as argument (`-- "mixed, refined"`) does that one alone.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
-use std::f64::consts::TAU;
+#[allow(dead_code, reason = "each bench uses a part")]
+mod scenes;
+
 use std::sync::Arc;
 use std::time::Instant;
 
 use wavex::kernels::calibrate::Block;
 use wavex::kernels::decompose::{DecomposeSettings, Decomposer};
-use wavex::kernels::gauss_fit::Pulse;
 use wavex::kernels::lockstep::{Candidate, Lockstep, Mode, Outcomes, Path, Tables};
 use wavex::kernels::noise::ArNoise;
-use wavex::kernels::response::{ResponseNode, SystemResponse};
-use wavex::kernels::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
-use wavex::kernels::shape::Shape;
+use wavex::kernels::sensor_model::ChannelModel;
+
+use scenes::{SAMPLES, Scene, Waveforms, model};
 
 const WAVEFORMS: usize = 20_000;
-const SAMPLES: usize = 60;
-const BACKGROUND_DN: f64 = 20.3;
 /// Scheduler clocks are exact to a tick: a run is this long, so that a tick does not matter.
 const RUN_S: f64 = 0.15;
 const RUNS: usize = 11;
@@ -33,119 +32,11 @@ fn cpu_s(started: &Instant) -> f64 {
     ns.map_or_else(|| started.elapsed().as_secs_f64(), |ns| ns * 1e-9)
 }
 
-/// SplitMix64 and Box-Muller: the same waveforms in every run.
-struct Random(u64);
-
-impl Random {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (TAU * self.uniform()).cos()
-    }
-}
-
-/// An 8-bit channel at 1 GHz: a pulse of a Gaussian of 1.65 ns behind a decay of 0.9 ns, with an after-pulse of 4 % and a tail
-/// of 1.5 % that falls off over 30 ns, in noise of second order.
-fn model(noise: &ArNoise) -> ChannelModel {
-    let narrow = |t: f64| (-0.5 * (t / 1.65).powi(2)).exp();
-    let main =
-        |t: f64| (0..200).map(|i| f64::from(i) * 0.05).map(|d| (-d / 0.9).exp() * narrow(t - d)).sum::<f64>();
-    let slow = |t: f64| if t > 3.0 { (1.0 - (-(t - 3.0) / 4.0).exp()) * (-t / 30.0).exp() } else { 0.0 };
-    let value = |t: f64| main(t) / main(0.7) + 0.04 * narrow((t - 11.0) / 1.2) + 0.015 * slow(t);
-    let (mut peak, mut place) = (0.0, 0.0);
-    for t in (0..1500).map(|i| f64::from(i) * 0.001) {
-        if value(t) > peak {
-            (peak, place) = (value(t), t);
-        }
-    }
-    let values = (-96..=640).map(|k| value(f64::from(k) / 8.0 + place) / peak).collect();
-    let response = SystemResponse {
-        first_sample: -12,
-        nodes: vec![ResponseNode { peak_dn: 155.0, values }],
-        template_error: vec![0.001; 80],
-        echoes: 1000,
-        shape_sd: 1e-3,
-    };
-    ChannelModel {
-        sampling_interval_ns: 1.0,
-        full_scale_dn: 255.0,
-        background: Background::Fixed,
-        background_dn: [BACKGROUND_DN; 4],
-        background_sd_dn: 0.0,
-        noise_sd_dn: noise.sd(),
-        autocorrelation: Vec::new(),
-        ar: noise.coefficients().to_vec(),
-        innovation_sd_dn: noise.innovation_variance().sqrt(),
-        pulse_fwhm_ns: response.fwhm_samples(),
-        pulse_fwhm_sd_ns: 0.1,
-        pulse_shape_error: 0.0,
-        pulse_error_factor: 1.0,
-        response: Some(response),
-        digitiser: Digitiser::default(),
-        uncertainty: ModelUncertainty::default(),
-        waveforms: 1000,
-        pulses: 1000,
-    }
-}
-
-/// What the waveforms of a set hold.
-#[derive(Clone, Copy)]
-enum Scene {
-    /// One pulse.
-    One,
-    /// Two pulses that detection tells apart and a joint fit must: 7 to 13 samples.
-    Two,
-    /// 15 % nothing, 55 % one pulse, 20 % two, 10 % three, 3 to 20 samples apart; 40 % of the pulses widened by up to 40 %.
-    Mixed,
-}
-
-/// Blocks of a scene, and the places of their pulses: heights of 20 to 150 DN.
+/// Blocks of a scene, and the places of their pulses.
 fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene) -> (Vec<u16>, Vec<Vec<f64>>) {
-    let mut random = Random(7 + scene as u64);
-    let shape = Shape::of(model).expect("a channel");
-    let sd = noise.innovation_variance().sqrt();
-    let (mut samples, mut truths) = (Vec::with_capacity(WAVEFORMS * SAMPLES), Vec::new());
-    for _ in 0..WAVEFORMS {
-        let mut values = [BACKGROUND_DN; SAMPLES];
-        let mut past = [0.0; 2];
-        for value in values.iter_mut() {
-            let told: f64 = past.iter().zip(noise.coefficients()).map(|(p, c)| p * c).sum();
-            let now = told + sd * random.normal();
-            past = [now, past[0]];
-            *value += now;
-        }
-        let kind = random.uniform();
-        let count = match scene {
-            Scene::One => 1,
-            Scene::Two => 2,
-            Scene::Mixed => [0.15, 0.70, 0.90].iter().filter(|&&limit| kind >= limit).count(),
-        };
-        let mut place = 12.0 + 12.0 * random.uniform();
-        let mut truth = Vec::new();
-        for _ in 0..count {
-            let widened = matches!(scene, Scene::Mixed) && random.uniform() < 0.4;
-            let pulse = Pulse {
-                height_dn: 20.0 + 130.0 * random.uniform(),
-                position_samples: place,
-                ln_width_ratio: if widened { (1.0 + 0.4 * random.uniform()).ln() } else { 0.0 },
-                ln_width_precision: 0.0,
-            };
-            shape.add(&pulse, 1.0, &mut values);
-            truth.push(place);
-            place += match scene {
-                Scene::Two => 7.0 + 6.0 * random.uniform(),
-                _ => 3.0 + 17.0 * random.uniform(),
-            };
-        }
-        samples.extend(values.iter().map(|v| v.round().clamp(0.0, 254.0) as u16));
-        truths.push(truth);
-    }
+    let mut made = Waveforms::new(model, noise, scene, 7 + scene as u64);
+    let mut samples = Vec::with_capacity(WAVEFORMS * SAMPLES);
+    let truths = (0..WAVEFORMS).map(|_| made.next(&mut samples)).collect();
     (samples, truths)
 }
 
@@ -285,7 +176,7 @@ fn plain(model: &ChannelModel, samples: &[u16]) -> f64 {
 }
 
 fn main() {
-    let noise = ArNoise::new(&[0.85, -0.3], 0.7).expect("stationary noise");
+    let noise = scenes::noise();
     let model = model(&noise);
     let tables = Arc::new(Tables::new(&model).expect("tables"));
     let sets = [Scene::One, Scene::Two, Scene::Mixed].map(|scene| waveforms(&model, &noise, scene));

@@ -1,0 +1,255 @@
+//! The whole chain, from a container to LAZ with all attributes: how fast, in how much memory, and beside what ceiling.
+//!
+//! `cargo bench --bench whole_chain` makes the mixed scene (`scenes`) with a trajectory, runs `wavex run` on a tenth of it and
+//! on all of it, on two threads, and prints waveforms per second, the most memory that each run took, and the table of
+//! stages. `-- 10000000` makes so many waveforms instead of three million. The ceiling: what decomposition takes by the
+//! yardstick in C (`WAVEX_YARDSTICK`), compressing the same records by the `laz` crate alone, and georeferencing, added up
+//! and shared out to two cores without loss.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+#![allow(clippy::unwrap_used, reason = "a bench ends where it fails")]
+
+#[allow(dead_code, reason = "each bench uses a part")]
+mod scenes;
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Cursor, Write};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use laz::{LasZipCompressor, LasZipDecompressor, LazVlr};
+use scenes::{Scene, Waveforms, model, noise};
+use wavex::formats::container::{
+    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference, Frame,
+    LineBuilder, TimeScale, channel,
+};
+use wavex::formats::trajectory::sbet::SbetRecord;
+
+const WAVEFORMS: usize = 3_000_000;
+const SHOTS_PER_LINE: usize = 2000;
+const PULSE_RATE_HZ: f64 = 400e3;
+/// Second of the week of the first shot.
+const START_S: f64 = 200_000.0;
+const SPEED_MPS: f64 = 60.0;
+const THREADS: usize = 2;
+const GOAL: f64 = 0.7;
+/// What georeferencing a point takes at best: sums and products of one rotation and one projection.
+const GEOREFERENCE_NS: f64 = 75.0;
+const CALIBRATE: &str = "[[stage]]\ntype = 'calibrate'\n";
+
+/// A straight flight northwards, level, 700 m up.
+fn write_trajectory(path: &Path, duration_s: f64) {
+    let mut to = BufWriter::new(File::create(path).unwrap());
+    for k in 0..=((duration_s + 2.0) * 200.0) as usize {
+        let since_s = k as f64 / 200.0 - 1.0;
+        let record = SbetRecord {
+            time_s: START_S + since_s,
+            latitude_rad: 48f64.to_radians() + since_s * SPEED_MPS / 6.38e6,
+            longitude_rad: 11f64.to_radians(),
+            height_m: 1100.0,
+            velocity_mps: [SPEED_MPS, 0.0, 0.0],
+            roll_rad: 0.0,
+            pitch_rad: 0.0,
+            platform_heading_rad: 0.0,
+            wander_angle_rad: 0.0,
+            acceleration_mps2: [0.0; 3],
+            angular_rate_rad_per_s: [0.0; 3],
+        };
+        to.write_all(&record.encode()).unwrap();
+    }
+    to.flush().unwrap();
+}
+
+fn header() -> ContainerHeader {
+    ContainerHeader {
+        instrument: Some("made up".into()),
+        serial: None,
+        sampling_interval_ns: 1.0,
+        group_velocity_mps: 299_707_502.0,
+        pulse_rate_hz: Some(PULSE_RATE_HZ),
+        time_scale: TimeScale::Week,
+        gps_week: Some(1747),
+        frame: Frame::Scanner,
+        crs_wkt: None,
+        amplitude_low: None,
+        amplitude_high: None,
+        range_low: None,
+        range_high: None,
+        recorded: Some((172, 2013)),
+        full_scale_dn: Some(255),
+        coordinate_grid: None,
+        emission_reference: Some(EmissionReference::Clock),
+    }
+}
+
+/// The recording: lines from -30 to 30 degrees, a block of the mixed scene for each shot.
+fn write_recording(path: &Path, lines: usize) {
+    let noise = noise();
+    let mut waveforms = Waveforms::new(&model(&noise), &noise, Scene::Mixed, 9);
+    let to = BufWriter::new(File::create(path).unwrap());
+    let mut writer = ContainerWriter::file(to, path, &header(), Compression::Lz4).unwrap();
+    let mut samples = Vec::new();
+    for number in 0..lines {
+        let mut line = LineBuilder::new();
+        for i in 0..SHOTS_PER_LINE {
+            let shot = number * SHOTS_PER_LINE + i;
+            let scan_angle_deg = 60.0 * (i as f64 / SHOTS_PER_LINE as f64 - 0.5);
+            let (sin, cos) = scan_angle_deg.to_radians().sin_cos();
+            line.shot(&ContainerShot {
+                shot: shot as u64,
+                line: number as u32,
+                gps_time_s: Some(START_S + shot as f64 / PULSE_RATE_HZ),
+                clock_ps: (shot as f64 / PULSE_RATE_HZ * 1e12) as i64,
+                origin_m: [0.0; 3],
+                direction: [0.0, sin as f32, cos as f32].map(f32::into),
+                facet: 0,
+                flags: 0,
+                mta_zone: Some(1),
+                scan_angle_deg: Some(scan_angle_deg as f32),
+                frame_scale: None,
+            });
+            samples.clear();
+            waveforms.next(&mut samples);
+            let start_ns = (700.0 / cos / 0.149_85).floor();
+            let block = ContainerBlock {
+                channel: channel::HIGH_POWER,
+                start_ns,
+                interval_ns: None,
+                zone: None,
+                samples: &samples,
+            };
+            line.block(&block);
+        }
+        writer.write(line).unwrap();
+    }
+    writer.finish().unwrap().into_inner().unwrap();
+}
+
+fn job(calibrate: &str) -> String {
+    format!(
+        "[job]\nthreads = {THREADS}\n[job.geometry]\ntrajectory = '*.out'\ncrs = 'utm'\n\
+         [[stage]]\ntype = 'read_arrow'\npath = '*.arrow'\n{calibrate}\
+         [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n\
+         [[stage]]\ntype = 'write_las'\npath = '*.laz'\n[[stage]]\ntype = 'write_lstat'\n"
+    )
+}
+
+/// What a run took.
+struct Ran {
+    seconds: f64,
+    peak_mb: f64,
+    said: String,
+}
+
+/// Runs `wavex run` in a folder.
+fn run(folder: &Path, job: &str) -> Ran {
+    fs::write(folder.join("job.toml"), job).unwrap();
+    let started = Instant::now();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_wavex"))
+        .args(["run", "--profile", "--progress", "never", "job.toml"])
+        .current_dir(folder)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut peak_kb = 0.0;
+    while child.try_wait().unwrap().is_none() {
+        let text = fs::read_to_string(&status).unwrap_or_default();
+        let peak = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        peak_kb = peak.and_then(|peak| peak.trim().strip_suffix(" kB")?.parse().ok()).unwrap_or(peak_kb);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let seconds = started.elapsed().as_secs_f64();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "the run failed");
+    Ran { seconds, peak_mb: peak_kb / 1024.0, said: String::from_utf8_lossy(&output.stdout).into_owned() }
+}
+
+/// The records of a LAZ file and how they are compressed (LAS 1.4 specification, public header block).
+fn records(path: &Path) -> (Vec<u8>, LazVlr) {
+    let bytes = fs::read(path).unwrap();
+    let u16_at = |at: usize| usize::from(u16::from_le_bytes([bytes[at], bytes[at + 1]]));
+    let u32_at = |at: usize| u16_at(at) + (u16_at(at + 2) << 16);
+    let (points_at, record, points) = (u32_at(96), u16_at(105), u32_at(247));
+    let mut at = u16_at(94);
+    let vlr = loop {
+        let (length, id) = (u16_at(at + 20), u16_at(at + 18));
+        if bytes[at + 2..].starts_with(b"laszip encoded") && id == 22204 {
+            break LazVlr::from_buffer(&bytes[at + 54..at + 54 + length]).unwrap();
+        }
+        at += 54 + length;
+    };
+    let mut from = Cursor::new(&bytes);
+    from.set_position(points_at as u64);
+    let mut records = vec![0; record * points];
+    LasZipDecompressor::new(from, vlr.clone()).unwrap().decompress_many(&mut records).unwrap();
+    (records, vlr)
+}
+
+/// Seconds that compressing records alone takes.
+fn compress(records: &[u8], vlr: &LazVlr) -> f64 {
+    let out = Cursor::new(Vec::with_capacity(records.len()));
+    let mut compressor = LasZipCompressor::new(out, vlr.clone()).unwrap();
+    let started = Instant::now();
+    compressor.compress_many(records).unwrap();
+    compressor.done().unwrap();
+    started.elapsed().as_secs_f64()
+}
+
+/// What the yardstick takes for a waveform of the mixed scene, ns: detection everywhere, a single return whole, two and
+/// three jointly.
+fn yardstick_ns() -> Option<f64> {
+    let script = std::env::var_os("WAVEX_YARDSTICK")?;
+    let text = String::from_utf8(Command::new(script).output().ok()?.stdout).ok()?;
+    let ns = |parts: &[&str]| -> Option<f64> {
+        let line = text.lines().find(|line| parts.iter().all(|part| line.contains(part)))?;
+        line.split("wf/s (").nth(1)?.split_whitespace().next()?.parse().ok()
+    };
+    let detect = ns(&["detect, one return"])?;
+    let one = ns(&["whole single:", "GN full 4 it"])?;
+    let (two, three) = (ns(&["2-peak", " 4 it"])?, ns(&["3-peak", " 4 it"])?);
+    Some(0.15 * detect + 0.55 * one + 0.2 * (detect + two) + 0.1 * (detect + three))
+}
+
+fn main() {
+    let told = std::env::args().skip(1).find_map(|argument| argument.parse::<usize>().ok());
+    let lines = told.unwrap_or(WAVEFORMS) / SHOTS_PER_LINE;
+    let folder = std::env::temp_dir().join(format!("wavex-bench-chain-{}", std::process::id()));
+    let mut ran = Vec::new();
+    for (name, lines) in [("tenth", lines / 10), ("whole", lines)] {
+        let folder = folder.join(name);
+        fs::create_dir_all(&folder).unwrap();
+        write_recording(&folder.join("flight.arrow"), lines);
+        write_trajectory(&folder.join("flight.out"), (lines * SHOTS_PER_LINE) as f64 / PULSE_RATE_HZ);
+        ran.push(run(&folder, &job(&format!("{CALIBRATE}save = '*_model.json'\n"))));
+    }
+    let whole = folder.join("whole");
+    let loaded = run(&whole, &job(&format!("{CALIBRATE}load = 'flight_model.json'\n")));
+    let waveforms = (lines * SHOTS_PER_LINE) as f64;
+    println!("{}", loaded.said);
+    println!("{waveforms} waveforms, {THREADS} threads");
+    println!("with calibration         {:6.3} M waveforms/s", waveforms / ran[1].seconds * 1e-6);
+    let rate = waveforms / loaded.seconds * 1e-6;
+    println!("with the saved model     {rate:6.3} M waveforms/s");
+    println!(
+        "peak memory              {:6.0} MB; a tenth of the waveforms {:.0} MB",
+        ran[1].peak_mb, ran[0].peak_mb
+    );
+    let (records, vlr) = records(&whole.join("flight.laz"));
+    let points = records.len() as f64 / f64::from(vlr.items_size() as u32);
+    let laz_ns = compress(&records, &vlr) * 1e9 / waveforms;
+    println!("{:.3} points per waveform; compressing alone {laz_ns:.0} ns per waveform", points / waveforms);
+    if let Some(decompose_ns) = yardstick_ns() {
+        let georeference_ns = GEOREFERENCE_NS * points / waveforms;
+        let ceiling = THREADS as f64 * 1e3 / (decompose_ns + laz_ns + georeference_ns);
+        println!(
+            "ceiling                  {ceiling:6.3} M waveforms/s (decomposition {decompose_ns:.0} ns, LAZ {laz_ns:.0}, \
+             georeferencing {georeference_ns:.0}); reached {:.2} of it, goal {GOAL}",
+            rate / ceiling
+        );
+    } else {
+        println!("NO YARDSTICK: set WAVEX_YARDSTICK to its run script.");
+    }
+    // What a bench leaves in the folder of temporary files is nobody's loss if it cannot be removed.
+    let _ = fs::remove_dir_all(&folder);
+}
