@@ -32,6 +32,8 @@ const MIN_HEIGHT_PART: f64 = 0.2;
 const MIN_HEIGHT_SD: f64 = 1e-3;
 /// Damping below which the promised decrease tells that the optimum is near.
 const NEAR_NEWTON: f64 = 1e-2;
+/// What the next step promises is taken this many times for what a fit may still gain.
+const REACH: f64 = 8.0;
 
 /// One pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -106,6 +108,8 @@ pub enum Termination {
     NoDecrease,
     /// The permitted number of iterations was used up.
     IterationLimit,
+    /// It would not have come down to [`Limits::enough`].
+    OutOfReach,
     /// Fewer used samples than parameters: nothing was fitted.
     TooFewSamples,
     /// More pulses than the workspace was made for: nothing was fitted.
@@ -129,17 +133,20 @@ pub struct Limits {
     /// Converged is what the next step promises to lower chi-square by less than this; the square of what is left to
     /// go, in standard deviations of the parameters.
     pub decrease: f64,
+    /// A fit is given up where even [`REACH`] times what the next step promises would leave chi-square, with the priors'
+    /// part, above this.
+    pub enough: f64,
 }
 
 impl Limits {
     /// Parameters to within 1e-5 of their standard deviations.
     pub fn exact(iterations: usize) -> Limits {
-        Limits { iterations, decrease: 1e-10 }
+        Limits { iterations, decrease: 1e-10, enough: f64::INFINITY }
     }
 
     /// Chi-square to within what an acceptance turns on.
     pub fn rough(iterations: usize) -> Limits {
-        Limits { iterations, decrease: 1e-2 }
+        Limits { iterations, decrease: 1e-2, enough: f64::INFINITY }
     }
 }
 
@@ -300,7 +307,7 @@ impl GaussFit {
         while fit.iterations < limits.iterations {
             self.form_normal_equations(whitener);
             fit.iterations += 1;
-            let descent = self.descend(whitener, target_dn, limits.decrease, &mut objective, &mut damping);
+            let descent = self.descend(whitener, target_dn, limits, &mut objective, &mut damping);
             if let Some(termination) = descent {
                 fit.termination = termination;
                 break;
@@ -309,10 +316,10 @@ impl GaussFit {
         if fit.termination == Termination::IterationLimit {
             self.form_normal_equations(whitener);
         }
-        if !self.invert_normal_matrix() {
+        fit.chi_square = dot(&self.residual, &self.residual);
+        if fit.termination != Termination::OutOfReach && !self.invert_normal_matrix() {
             fit.termination = Termination::Singular;
         }
-        fit.chi_square = dot(&self.residual, &self.residual);
     }
 
     /// Looks for a step that lowers the objective, with more and more damping; says why, when it is the last.
@@ -320,7 +327,7 @@ impl GaussFit {
         &mut self,
         whitener: &Whitener,
         target_dn: &[f64],
-        decrease: f64,
+        limits: Limits,
         objective: &mut f64,
         damping: &mut f64,
     ) -> Option<Termination> {
@@ -330,8 +337,13 @@ impl GaussFit {
                 *damping *= 10.0;
                 continue;
             }
+            let is_newton = *damping <= NEAR_NEWTON;
+            // Of the whole step, before it is cut down.
+            if is_newton && *objective - REACH * self.promised_decrease() > limits.enough {
+                return Some(Termination::OutOfReach);
+            }
             let (offset, at_bound) = self.step_within_limits(target_dn.len(), min_height_dn);
-            if *damping <= NEAR_NEWTON && self.promised_decrease() < decrease {
+            if is_newton && self.promised_decrease() < limits.decrease {
                 return Some(if at_bound { Termination::AtBound } else { Termination::Converged });
             }
             let value = self.try_point(whitener, target_dn, offset);

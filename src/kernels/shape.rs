@@ -128,7 +128,7 @@ impl Shape {
             match &self.family {
                 Family::Gaussian { fwhm_samples } => pulse.add_lane_to(*fwhm_samples, sign, lane, values),
                 Family::Response(response) => {
-                    response.add(Part::Value, &pulse, sign * pulse.height_dn, lane, values);
+                    response.add([(Part::Value, sign * pulse.height_dn)], &pulse, lane, [values]);
                 }
             }
         }
@@ -174,21 +174,28 @@ impl ResponseShape {
 
     fn add_derivatives(&self, pulse: &Pulse, lane: Lane, columns: [&mut [f64]; 3]) -> usize {
         let [by_height, by_position, by_width] = columns;
-        self.add(Part::Value, pulse, 1.0, lane, by_height);
+        let height_dn = pulse.height_dn;
+        let parts = [(Part::Value, 1.0), (Part::ByTime, -height_dn), (Part::ByLnWidth, height_dn)];
+        self.add(parts, pulse, lane, [&mut *by_height, by_position, by_width]);
         self.add_change_with_height(pulse, lane, by_height);
-        self.add(Part::ByTime, pulse, -pulse.height_dn, lane, by_position);
-        self.add(Part::ByLnWidth, pulse, pulse.height_dn, lane, by_width);
         0
     }
 
-    fn add(&self, part: Part, pulse: &Pulse, factor: f64, lane: Lane, values: &mut [f64]) {
+    /// Adds parts of the pulse, each with its factor.
+    fn add<const T: usize>(
+        &self,
+        parts: [(Part, f64); T],
+        pulse: &Pulse,
+        lane: Lane,
+        mut values: [&mut [f64]; T],
+    ) {
         let (low, high, share) = self.around(pulse.height_dn);
-        let mut add = |node: usize, factor: f64| {
-            self.nodes[node].1.add(part, pulse.position_samples, pulse.ln_width_ratio, factor, lane, values);
-        };
-        add(low, (1.0 - share) * factor);
-        if share > 0.0 {
-            add(high, share * factor);
+        for (node, weight) in [(low, 1.0 - share), (high, share)] {
+            if weight > 0.0 {
+                let parts = parts.map(|(part, factor)| (part, weight * factor));
+                let values = values.each_mut().map(|values| &mut **values);
+                self.nodes[node].1.add(parts, pulse.position_samples, pulse.ln_width_ratio, lane, values);
+            }
         }
     }
 
@@ -201,7 +208,8 @@ impl ResponseShape {
         let per_dn = pulse.height_dn / (self.nodes[high].0 - self.nodes[low].0);
         for (node, factor) in [(low, -per_dn), (high, per_dn)] {
             let table = &self.nodes[node].1;
-            table.add(Part::Value, pulse.position_samples, pulse.ln_width_ratio, factor, lane, by_height);
+            let (place, width) = (pulse.position_samples, pulse.ln_width_ratio);
+            table.add([(Part::Value, factor)], place, width, lane, [&mut *by_height]);
         }
     }
 }

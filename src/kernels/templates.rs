@@ -12,7 +12,7 @@ use std::sync::OnceLock;
 use super::fourier::{self, Complex};
 use super::response::{STEPS_PER_SAMPLE, bins, spectrum};
 use super::shape::Lane;
-use super::wide::add_rows;
+use super::wide::{ROWS, add_rows};
 
 /// Step of the table in the width's logarithm.
 const LN_WIDTH_STEP: f64 = 0.05;
@@ -95,16 +95,15 @@ impl Templates {
         LN_WIDTH_RANGE
     }
 
-    /// Adds `factor` times a part of the shape with its peak at `position_samples` to these `values` among the samples of a
-    /// block.
-    pub(super) fn add(
+    /// Adds to each of `values`, the samples of a block, its factor times its part of the shape with the peak at
+    /// `position_samples`; of the samples those of a lane.
+    pub(super) fn add<const T: usize>(
         &self,
-        part: Part,
+        parts: [(Part, f64); T],
         position_samples: f64,
         ln_width_ratio: f64,
-        factor: f64,
         lane: Lane,
-        values: &mut [f64],
+        mut values: [&mut [f64]; T],
     ) {
         let [low, high] = LN_WIDTH_RANGE;
         let at = (ln_width_ratio.clamp(low, high) - low) / LN_WIDTH_STEP;
@@ -114,28 +113,33 @@ impl Templates {
         let steps = (-position_samples - whole) * STEPS_PER_SAMPLE as f64;
         let phase = (steps.floor() as usize).min(STEPS_PER_SAMPLE - 1);
         let by_time = Hermite::new(steps - phase as f64, 1.0 / STEPS_PER_SAMPLE as f64);
-        let (time, width) = match part {
-            Part::Value => (by_time.value(), by_width.value()),
-            Part::ByTime => (by_time.slope(), by_width.value()),
-            Part::ByLnWidth => (by_time.value(), by_width.slope()),
-        };
+        let samples = values.iter().map(|values| values.len()).min().unwrap_or(0);
         for (j, knot) in [self.knot(index), self.knot(index + 1)].into_iter().enumerate() {
             // Sample k of the block is sample k + whole of the row, counted from the peak.
             let offset = whole as i64 - knot.first;
-            let begin = lane.from((-offset).clamp(0, values.len() as i64) as usize).min(values.len());
+            let begin = lane.from((-offset).clamp(0, samples as i64) as usize).min(samples);
             let skipped = (offset + begin as i64).max(0) as usize;
             if skipped >= knot.length {
                 continue;
             }
-            let target = &mut values[begin..];
-            for (i, (a, b)) in [(time[0], time[1]), (time[2], time[3])].into_iter().enumerate() {
-                let rows = [0, 1, 2, 3].map(|channel| &knot.row(phase + i, channel)[skipped..]);
-                let (c, d) = (width[2 * j], width[2 * j + 1]);
-                let weights = [a * c, b * c, a * d, b * d].map(|w| w * factor);
-                accumulate(target, rows, weights, lane.step());
-            }
+            let targets = values.each_mut().map(|values| &mut values[begin..samples]);
+            let rows = std::array::from_fn(|r| &knot.row(phase + r / CHANNELS, r % CHANNELS)[skipped..]);
+            let weights = parts.map(|(part, factor)| weights(part, factor, &by_time, &by_width, j));
+            accumulate(targets, rows, &weights, lane.step());
         }
     }
+}
+
+/// The weights of a part in the rows of knot `j`: the four channels of a phase, then those of the next.
+fn weights(part: Part, factor: f64, by_time: &Hermite, by_width: &Hermite, j: usize) -> [f64; ROWS] {
+    let (time, width) = match part {
+        Part::Value => (by_time.value(), by_width.value()),
+        Part::ByTime => (by_time.slope(), by_width.value()),
+        Part::ByLnWidth => (by_time.value(), by_width.slope()),
+    };
+    let (c, d) = (factor * width[2 * j], factor * width[2 * j + 1]);
+    let [a, b, e, f] = time;
+    [a * c, b * c, a * d, b * d, e * c, f * c, e * d, f * d]
 }
 
 /// How far a response widened to `e^u` times its width reaches beyond its own samples.
@@ -143,17 +147,22 @@ fn reach(v0: f64, u: f64) -> i64 {
     (REACH_SD * (v0 * ((2.0 * u).exp() - 1.0)).max(v0).sqrt()).ceil() as i64
 }
 
-fn accumulate(target: &mut [f64], rows: [&[f64]; 4], weights: [f64; 4], step: usize) {
+fn accumulate<const T: usize>(
+    targets: [&mut [f64]; T],
+    rows: [&[f64]; ROWS],
+    weights: &[[f64; ROWS]; T],
+    step: usize,
+) {
     // Without the step the loop is over neighbours.
     if step == 1 {
-        add_rows(target, rows, weights);
+        add_rows(targets, rows, weights);
         return;
     }
-    let n = target.len().min(rows[0].len());
-    let [r0, r1, r2, r3] = rows.map(|row| &row[..n]);
-    let [w0, w1, w2, w3] = weights;
-    for k in (0..n).step_by(step) {
-        target[k] += w0 * r0[k] + w1 * r1[k] + w2 * r2[k] + w3 * r3[k];
+    let n = rows.iter().map(|row| row.len()).min().unwrap_or(0);
+    for (target, weights) in targets.into_iter().zip(weights) {
+        for k in (0..n.min(target.len())).step_by(step) {
+            target[k] += rows.iter().zip(weights).map(|(row, weight)| weight * row[k]).sum::<f64>();
+        }
     }
 }
 

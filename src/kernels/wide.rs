@@ -41,28 +41,58 @@ impl Kernel for Dot<'_> {
     }
 }
 
-/// Adds four rows with their weights to a target, as far as all reach.
-pub(super) fn add_rows(target: &mut [f64], rows: [&[f64]; 4], weights: [f64; 4]) {
-    Path::best().processor().run(AddRows { target, rows, weights });
+/// Rows that are added with weights at once.
+pub(super) const ROWS: usize = 8;
+
+/// Adds rows to each target with that target's weights, as far as all reach.
+pub(super) fn add_rows<const T: usize>(
+    targets: [&mut [f64]; T],
+    rows: [&[f64]; ROWS],
+    weights: &[[f64; ROWS]; T],
+) {
+    Path::best().processor().run(AddRows { targets, rows, weights });
 }
 
-struct AddRows<'a> {
-    target: &'a mut [f64],
-    rows: [&'a [f64]; 4],
-    weights: [f64; 4],
+struct AddRows<'a, const T: usize> {
+    targets: [&'a mut [f64]; T],
+    rows: [&'a [f64]; ROWS],
+    weights: &'a [[f64; ROWS]; T],
 }
 
-impl Kernel for AddRows<'_> {
+impl<const T: usize> Kernel for AddRows<'_, T> {
     type Output = ();
 
+    /// Each row is read once for all targets.
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let [a, b, c, d] = self.rows;
-        let n = self.target.len().min(a.len()).min(b.len()).min(c.len()).min(d.len());
-        let (a, b, c, d) = (&a[..n], &b[..n], &c[..n], &d[..n]);
-        let [wa, wb, wc, wd] = self.weights;
-        for (k, value) in self.target[..n].iter_mut().enumerate() {
-            *value += wa * a[k] + wb * b[k] + wc * c[k] + wd * d[k];
+        let AddRows { mut targets, rows, weights } = self;
+        let lengths = rows.iter().map(|row| row.len()).chain(targets.iter().map(|target| target.len()));
+        let n = lengths.min().unwrap_or(0);
+        let whole = n - n % AT_A_TIME;
+        for k in (0..whole).step_by(AT_A_TIME) {
+            let mut sums = [[0.0; AT_A_TIME]; T];
+            for r in 0..ROWS {
+                let row = &rows[r][k..k + AT_A_TIME];
+                for t in 0..T {
+                    for i in 0..AT_A_TIME {
+                        sums[t][i] += weights[t][r] * row[i];
+                    }
+                }
+            }
+            for t in 0..T {
+                for (value, sum) in targets[t][k..k + AT_A_TIME].iter_mut().zip(sums[t]) {
+                    *value += sum;
+                }
+            }
+        }
+        for k in whole..n {
+            for t in 0..T {
+                let mut sum = 0.0;
+                for r in 0..ROWS {
+                    sum += weights[t][r] * rows[r][k];
+                }
+                targets[t][k] += sum;
+            }
         }
     }
 }
@@ -123,10 +153,17 @@ mod tests {
             let row = |k: f64| (0..n).map(|i| k + i as f64).collect::<Vec<f64>>();
             let expected: f64 = row(1.0).iter().zip(row(2.0)).map(|(a, b)| a * b).sum();
             assert_eq!(dot(&row(1.0), &row(2.0)), expected, "whole numbers are exact");
-            let mut target = row(0.0);
-            add_rows(&mut target, [&row(1.0), &row(2.0), &row(3.0), &row(4.0)], [1.0, 2.0, -1.0, 0.5]);
-            for (i, value) in target.iter().enumerate() {
-                assert_eq!(*value, i as f64 + 4.0 + 2.5 * i as f64);
+            let (mut plain, mut doubled) = (row(0.0), row(1.0));
+            let rows: [Vec<f64>; ROWS] = std::array::from_fn(|r| row(r as f64));
+            let weights = [1.0, 2.0, -1.0, 0.5, 0.0, 1.0, 1.0, -2.0];
+            add_rows(
+                [&mut plain, &mut doubled],
+                rows.each_ref().map(Vec::as_slice),
+                &[weights, weights.map(|w| 2.0 * w)],
+            );
+            for i in 0..n {
+                let sum = -1.5 + 2.5 * i as f64;
+                assert_eq!([plain[i], doubled[i]], [i as f64 + sum, 1.0 + i as f64 + 2.0 * sum]);
             }
         }
     }

@@ -90,7 +90,7 @@ impl Decomposer {
         for &start in starts {
             self.scene.restore();
             if let Some(added) = self.start_with(candidate, nearest, start) {
-                self.scene.fit_around(added, matches!(start, Start::CalibratedWidth));
+                self.scene.fit_around(added, matches!(start, Start::CalibratedWidth), gain);
                 self.scene.keep_if_best();
             }
         }

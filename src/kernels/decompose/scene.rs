@@ -283,9 +283,9 @@ impl Scene {
         self.update_residual();
     }
 
-    /// Fits the cluster around pulse `index` as far as a trial needs; with `from_calibrated_width` first with the widths
-    /// held there.
-    pub(super) fn fit_around(&mut self, index: usize, from_calibrated_width: bool) {
+    /// Fits the cluster around pulse `index` as far as a trial needs that must lower chi-square by `gain`; with
+    /// `from_calibrated_width` first with the widths held there.
+    pub(super) fn fit_around(&mut self, index: usize, from_calibrated_width: bool, gain: f64) {
         let cluster = self.cluster_around(index);
         if from_calibrated_width {
             for f in &mut self.found[cluster.clone()] {
@@ -294,7 +294,8 @@ impl Scene {
             }
             self.fit_as_is(cluster.clone(), Limits::rough(FROZEN_ITERATIONS));
         }
-        self.fit_cluster(cluster, Limits::rough(self.limits.iterations));
+        let enough = self.best.objective.min(self.before.chi_square - gain);
+        self.fit_cluster(cluster, Limits { enough, ..Limits::rough(self.limits.iterations) });
         self.sort();
         self.update_residual();
     }

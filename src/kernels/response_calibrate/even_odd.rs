@@ -21,7 +21,7 @@ pub struct EvenOdd {
 }
 
 /// Places to within a hundredth of their standard deviations.
-const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4 };
+const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
 /// Noise that is correlated by less is not.
 const LEAST_CORRELATION: f64 = 1e-9;
 

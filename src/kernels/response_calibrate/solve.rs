@@ -23,7 +23,7 @@ const TAIL_SLOPE_SD: f64 = 0.003;
 const NODE_CHANGE_SD: f64 = 0.02;
 
 /// Heights and places to within a hundredth of their standard deviations.
-const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4 };
+const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
 
 /// The normal equations of the splines of all nodes.
 pub(super) struct Problem<'a> {
