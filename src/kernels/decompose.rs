@@ -224,8 +224,10 @@ impl Decomposer {
         }
         self.find_candidates(samples);
         if !self.scene.found.is_empty() {
-            self.scene.fit_all();
+            // As far as what is added turns on; then whatever is there to the end.
+            self.scene.fit_all_roughly();
             self.add_from_residual();
+            self.scene.fit_all();
             self.prune();
         }
         self.report(samples)
