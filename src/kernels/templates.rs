@@ -289,7 +289,7 @@ mod tests {
             let width = FWHM * f64::exp(u);
             let mut parts = [vec![0.0; 60], vec![0.0; 60], vec![0.0; 60]];
             for (values, part) in parts.iter_mut().zip([Part::Value, Part::ByTime, Part::ByLnWidth]) {
-                tables.add(part, position, u, 1.0, Lane::All, values);
+                tables.add([(part, 1.0)], position, u, Lane::All, [values]);
             }
             for k in 0..60 {
                 let x = (k as f64 - position) / width;
@@ -313,13 +313,13 @@ mod tests {
         let tables = Templates::new(&skewed, -12, FWHM);
         let value = |position: f64, u: f64| {
             let mut values = vec![0.0; 50];
-            tables.add(Part::Value, position, u, 3.0, Lane::All, &mut values);
+            tables.add([(Part::Value, 3.0)], position, u, Lane::All, [&mut values]);
             values
         };
         let (position, u, step) = (17.4321, -0.137, 1e-6);
         let mut slopes = [vec![0.0; 50], vec![0.0; 50]];
-        tables.add(Part::ByTime, position, u, -3.0, Lane::All, &mut slopes[0]);
-        tables.add(Part::ByLnWidth, position, u, 3.0, Lane::All, &mut slopes[1]);
+        let columns = slopes.each_mut().map(Vec::as_mut_slice);
+        tables.add([(Part::ByTime, -3.0), (Part::ByLnWidth, 3.0)], position, u, Lane::All, columns);
         let [ahead, behind] = [value(position + step, u), value(position - step, u)];
         let [wider, narrower] = [value(position, u + step), value(position, u - step)];
         for k in 0..50 {
@@ -333,7 +333,7 @@ mod tests {
         let tables = Templates::new(&gaussian(-12, 30), -12, FWHM);
         for position in [-1e4, 1e4] {
             let mut values = vec![0.0; 20];
-            tables.add(Part::Value, position, 0.0, 1.0, Lane::All, &mut values);
+            tables.add([(Part::Value, 1.0)], position, 0.0, Lane::All, [&mut values]);
             assert!(values.iter().all(|v| *v == 0.0));
         }
     }

@@ -65,7 +65,7 @@ impl<const T: usize> Kernel for AddRows<'_, T> {
     /// Each row is read once for all targets.
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let AddRows { mut targets, rows, weights } = self;
+        let AddRows { targets, rows, weights } = self;
         let lengths = rows.iter().map(|row| row.len()).chain(targets.iter().map(|target| target.len()));
         let n = lengths.min().unwrap_or(0);
         let whole = n - n % AT_A_TIME;
