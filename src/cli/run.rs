@@ -107,7 +107,8 @@ fn own_outputs(
     // Inputs that cannot be found are the engine's to tell of.
     let inputs = engine::inputs(job, input_dir).unwrap_or_default();
     let stat_logs = inputs.iter().map(|input| settings.stat_log.replace('*', &input.stem));
-    let others = [settings.log.clone(), settings.report.clone()].into_iter().chain(stat_logs);
+    let of_run = [&settings.log, &settings.report, &settings.report_page];
+    let others = of_run.into_iter().cloned().chain(stat_logs);
     let names = others.chain(profile.then(|| TRACE.to_owned())).filter(|name| !name.is_empty());
     let mut outputs = Outputs::new();
     for name in names {

@@ -107,6 +107,16 @@ impl Svg {
         );
     }
 
+    /// A picture of cells, from its upper left to its lower right corner.
+    pub(in crate::cli) fn image(&mut self, url: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
+        let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
+        let _ = writeln!(
+            self.body,
+            "<image href=\"{url}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \
+             preserveAspectRatio=\"none\"/>"
+        );
+    }
+
     /// A text that is read from below, around its middle.
     pub(in crate::cli) fn upright_text(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
         let _ = writeln!(
@@ -160,7 +170,7 @@ impl Scale {
         let (low, high) = (self.from[0].min(self.from[1]), self.from[0].max(self.from[1]));
         let first = (low / step).ceil() as i64;
         let last = (high / step).floor() as i64;
-        ((first..=last.min(first + 100)).map(|i| i as f64 * step).collect(), digits)
+        ((first..=last.min(first.saturating_add(100))).map(|i| i as f64 * step).collect(), digits)
     }
 }
 
