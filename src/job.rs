@@ -125,6 +125,8 @@ impl JobSettings {
         let fits =
             self.stat_log.is_empty() || (self.stat_log.contains('*') && self.stat_log.ends_with(".log"));
         InvalidKey::unless(fits, "stat_log", "it must hold a `*` and end in .log, as in \"*_stat.log\"")?;
+        let fits = self.report_page.is_empty() || self.report_page.ends_with(".html");
+        InvalidKey::unless(fits, "report_page", "it must end in .html, as in \"report.html\"")?;
         self.geometry.check()
     }
 }

@@ -17,6 +17,7 @@ mod map;
 mod packed;
 mod png;
 mod samples;
+mod view;
 
 pub use gallery::{Gallery, ShownKind, ShownReturn, ShownShot};
 pub use histogram::Histogram;
@@ -24,6 +25,7 @@ pub use lines::LineGroups;
 pub use map::{MapPicture, ScanLine};
 pub use png::Picture;
 pub use samples::{PER_SAMPLE, Peak, Samples, ShownBlock};
+pub use view::MapAxes;
 
 use histogram::Bins;
 use lines::Groups;
@@ -85,7 +87,7 @@ impl Gathering {
             returns.iter().for_each(|found| quantity.bins.add((quantity.of)(found)));
         }
         if let Some(points) = batch.points() {
-            self.grid.add_line(batch.line, returns, points);
+            self.grid.add_line(batch.line, &batch.input, returns, points);
         }
     }
 

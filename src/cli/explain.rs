@@ -20,7 +20,7 @@ use crate::stages::decompose::{
 };
 use upstream::{Step, Upstream};
 
-pub(in crate::cli) mod panel;
+pub(super) mod panel;
 mod picture;
 mod table;
 mod upstream;

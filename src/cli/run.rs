@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
+use super::report::write_page;
 use super::{Failure, JobArgs, Machine, When, log, terminal};
 use crate::archive::{Recorder, check_destination};
 use crate::engine::{self, Cancel, Cause, Options, ProgressMode, RunError, RunReport};
@@ -64,10 +65,11 @@ fn run_archived(
     };
     stop_on_signals(&options.cancel);
     // What keeps the report from being written is better known before the run than after it.
-    let report_file = match job.settings.report.as_str() {
-        "" => None,
-        name => Some(OutputFile::create(&output_dir.join(name)).map_err(|error| failed(&error))?),
+    let begin = |name: &str| match name {
+        "" => Ok(None),
+        name => OutputFile::create(&output_dir.join(name)).map(Some).map_err(|error| failed(&error)),
     };
+    let (report_file, page_file) = (begin(&job.settings.report)?, begin(&job.settings.report_page)?);
     let logged = |error: &dyn std::fmt::Display| {
         tracing::debug!("{error}");
         failed(error)
@@ -83,6 +85,9 @@ fn run_archived(
     }
     if let Some(file) = report_file {
         write_report(&report, file).map_err(|error| failed(&error))?;
+    }
+    if let Some(file) = page_file {
+        write_page(&report, file).map_err(|error| failed(&error))?;
     }
     write_stat_logs(&report, job, &output_dir).map_err(|error| failed(&error))?;
     if machine.profile {

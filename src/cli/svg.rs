@@ -107,6 +107,15 @@ impl Svg {
         );
     }
 
+    /// A rectangle in a colour of its own, as a legend shows it.
+    pub(in crate::cli) fn swatch(&mut self, colour: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
+        let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
+        let _ = writeln!(
+            self.body,
+            "<rect fill=\"{colour}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\"/>"
+        );
+    }
+
     /// A picture of cells, from its upper left to its lower right corner.
     pub(in crate::cli) fn image(&mut self, url: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
         let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));

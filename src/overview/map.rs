@@ -7,11 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use super::packed;
 use super::png::{HEIGHTS, INTENSITIES, Picture, css};
-use crate::batch::Return;
+use super::view::{MapAxes, View};
+use crate::batch::{InputInfo, Return};
 
 /// Points from above, in cells of a grid; rows go from north to south, columns from west to east.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct MapPicture {
+    /// What its coordinates are.
+    pub axes: MapAxes,
     /// Coordinate of the west edge, in the units of the points' coordinates.
     pub west: f64,
     /// Coordinate of the south edge.
@@ -98,6 +101,8 @@ impl Cell {
 /// The grid while it grows.
 #[derive(Clone, Debug)]
 pub(super) struct Grid {
+    /// From where the points are seen, once there are any.
+    view: Option<View>,
     /// Binary logarithm of a cell's edge.
     size: i32,
     /// Lowest and highest cell in both directions, once there are points.
@@ -113,6 +118,7 @@ pub(super) struct Grid {
 impl Default for Grid {
     fn default() -> Grid {
         Grid {
+            view: None,
             size: SMALLEST_CELL,
             span: None,
             cells: Vec::new(),
@@ -138,19 +144,21 @@ fn is_place(point: &[f64; 3]) -> bool {
 
 impl Grid {
     /// Adds the points of a line; withheld ones are left out.
-    pub(super) fn add_line(&mut self, line: u32, returns: &[Return], points: &[[f64; 3]]) {
-        let kept = || returns.iter().zip(points).filter(|(found, _)| !found.withheld);
-        for (found, point) in kept() {
-            match is_place(point) {
-                true => self.add(point, found.intensity),
-                false => self.without_place += 1,
+    pub(super) fn add_line(&mut self, line: u32, input: &InputInfo, returns: &[Return], points: &[[f64; 3]]) {
+        let is_kept = line.is_multiple_of(self.every);
+        let mut places = Vec::new();
+        for (found, point) in returns.iter().zip(points).filter(|(found, _)| !found.withheld) {
+            if !is_place(point) {
+                self.without_place += 1;
+                continue;
+            }
+            let place = self.view.get_or_insert_with(|| View::of(input, *point)).place(*point);
+            self.add(&place, found.intensity);
+            if is_kept {
+                places.push([place[0], place[1]]);
             }
         }
-        if line.is_multiple_of(self.every) {
-            let places: Vec<[f64; 2]> =
-                kept().filter(|(_, point)| is_place(point)).map(|(_, [x, y, _])| [*x, *y]).collect();
-            self.keep(line, &places);
-        }
+        self.keep(line, &places);
     }
 
     fn add(&mut self, [x, y, z]: &[f64; 3], intensity: f64) {
@@ -221,6 +229,7 @@ impl Grid {
     /// The picture; `None` without points.
     pub(super) fn finish(self) -> Option<MapPicture> {
         let [x, y] = self.bulk(self.span?);
+        let axes = self.view.as_ref()?.axes();
         let rows = (y[0]..=y[1]).rev();
         let cells: Vec<Cell> =
             rows.flat_map(|y| (x[0]..=x[1]).map(move |x| [x, y])).map(|at| self.cell(at)).collect();
@@ -244,6 +253,7 @@ impl Grid {
             places: places.into_iter().flat_map(|[x, y]| [(x - west) / edge, (y - south) / edge]).collect(),
         };
         Some(MapPicture {
+            axes,
             west,
             south,
             cell: edge,
@@ -294,7 +304,12 @@ mod tests {
     fn grid(points: &[[f64; 3]]) -> Grid {
         let mut grid = Grid::default();
         for (line, point) in (0..).zip(points) {
-            grid.add_line(line, &[Return { intensity: 7.0, ..Return::default() }], &[*point]);
+            grid.add_line(
+                line,
+                &InputInfo::default(),
+                &[Return { intensity: 7.0, ..Return::default() }],
+                &[*point],
+            );
         }
         grid
     }
@@ -326,7 +341,7 @@ mod tests {
         let mut grid =
             grid(&[[0.0, 0.0, 0.0], [f64::NAN, 0.0, 0.0], [0.0, 1e9, 0.0], [0.0, 0.0, f64::INFINITY]]);
         let withheld = Return { withheld: true, ..Return::default() };
-        grid.add_line(9, &[withheld, Return::default()], &[[5.0; 3], [0.0; 3]]);
+        grid.add_line(9, &InputInfo::default(), &[withheld, Return::default()], &[[5.0; 3], [0.0; 3]]);
         let picture = grid.finish().unwrap();
         assert_eq!((picture.points, picture.outside, picture.columns), (2, 3, 1));
         assert_eq!(picture.intensity_range, [3.5, 3.5], "an unknown intensity counts as 0");
@@ -348,7 +363,7 @@ mod tests {
         let mut grid = Grid::default();
         for line in 0..1000 {
             let points: Vec<[f64; 3]> = (0..21).map(|i| [f64::from(i), f64::from(line), 0.0]).collect();
-            grid.add_line(line, &[Return::default(); 21], &points);
+            grid.add_line(line, &InputInfo::default(), &[Return::default(); 21], &points);
         }
         let lines = grid.finish().unwrap().lines;
         assert_eq!((lines.len(), lines[1].line), (125, 8));
@@ -363,7 +378,7 @@ mod tests {
         ) {
             let mut reversed = grid(&[]);
             for (line, point) in (0..).zip(&points).collect::<Vec<(u32, _)>>().into_iter().rev() {
-                reversed.add_line(line, &[Return { intensity: 7.0, ..Return::default() }], &[*point]);
+                reversed.add_line(line, &InputInfo::default(), &[Return { intensity: 7.0, ..Return::default() }], &[*point]);
             }
             prop_assert_eq!(grid(&points).finish(), reversed.finish());
         }
