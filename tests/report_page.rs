@@ -70,7 +70,7 @@ fn the_page_is_whole_and_needs_nothing_else() {
     let page = place.text("out/page.html");
     let count = elements(&page);
     assert_eq!(count["image"], 2, "heights and intensities");
-    assert_eq!(count["svg"], 17, "{count:?}");
+    assert_eq!(count["svg"], 18, "{count:?}");
     assert!(count["rect"] >= 5 * 5 && count["polyline"] >= 30 && count["polygon"] == 4, "{count:?}");
     for forbidden in ["<script", "http:", "https:", "url(", "src=", "@import", "<link"] {
         assert!(!page.contains(forbidden), "{forbidden}");
@@ -111,7 +111,10 @@ fn the_page_tells_all_of_a_run() {
     for heading in headings {
         assert!(page.contains(&format!(">{heading}")), "{heading}");
     }
-    assert!(page.contains("<b>write_las</b>: "), "a warning of the writer: a map without a coordinate system");
+    assert!(
+        page.contains("<b>write_las</b>: "),
+        "a warning of the writer: a map without a coordinate system"
+    );
     assert!(page.contains("detection_sigma = 4.5"), "keys, every default spelled out");
 }
 

@@ -15,11 +15,13 @@ use crate::batch::{InputInfo, Return};
 pub struct MapPicture {
     /// What its coordinates are.
     pub axes: MapAxes,
-    /// Coordinate of the west edge, in the units of the points' coordinates.
+    /// The unit of the coordinates: `m`, `ft` or `°`.
+    pub unit: String,
+    /// Coordinate of the west edge, in that unit.
     pub west: f64,
     /// Coordinate of the south edge.
     pub south: f64,
-    /// Length of a cell's edges, in the same units.
+    /// Length of a cell's edges.
     pub cell: f64,
     /// How many cells there are from west to east.
     pub columns: u32,
@@ -37,7 +39,7 @@ pub struct MapPicture {
     pub intensities: Picture,
     /// The intensities that the first and the last colour stand for.
     pub intensity_range: [f64; 2],
-    /// The density that one cell in two that has points exceeds, points per square unit.
+    /// The density that one cell in two that has points exceeds, points per square of the unit.
     pub median_density: f64,
     /// Some scan lines, in their order.
     pub lines: Vec<ScanLine>,
@@ -229,7 +231,7 @@ impl Grid {
     /// The picture; `None` without points.
     pub(super) fn finish(self) -> Option<MapPicture> {
         let [x, y] = self.bulk(self.span?);
-        let axes = self.view.as_ref()?.axes();
+        let view = self.view.as_ref()?;
         let rows = (y[0]..=y[1]).rev();
         let cells: Vec<Cell> =
             rows.flat_map(|y| (x[0]..=x[1]).map(move |x| [x, y])).map(|at| self.cell(at)).collect();
@@ -253,7 +255,8 @@ impl Grid {
             places: places.into_iter().flat_map(|[x, y]| [(x - west) / edge, (y - south) / edge]).collect(),
         };
         Some(MapPicture {
-            axes,
+            axes: view.axes(),
+            unit: view.unit().to_owned(),
             west,
             south,
             cell: edge,

@@ -20,7 +20,7 @@ pub enum MapAxes {
 /// How coordinates become places in the picture.
 #[derive(Clone, Debug)]
 pub(super) enum View {
-    Map { degrees: bool },
+    Map { axes: MapAxes, unit: &'static str },
     Plane { origin: [f64; 3], axes: [[f64; 3]; 3] },
 }
 
@@ -40,7 +40,12 @@ impl View {
         }
         let wkt = input.crs_wkt.as_deref().unwrap_or_default();
         let has = |words: [&str; 2]| words.iter().any(|word| wkt.contains(word));
-        View::Map { degrees: has(["GEOGCS", "GEOGCRS"]) && !has(["PROJCS", "PROJCRS"]) }
+        let degrees = has(["GEOGCS", "GEOGCRS"]) && !has(["PROJCS", "PROJCRS"]);
+        match degrees {
+            true => View::Map { axes: MapAxes::Degrees, unit: "°" },
+            false if has(["foot", "Foot"]) => View::Map { axes: MapAxes::Coordinates, unit: "ft" },
+            false => View::Map { axes: MapAxes::Coordinates, unit: "m" },
+        }
     }
 
     fn plane(origin: [f64; 3]) -> View {
@@ -67,9 +72,16 @@ impl View {
 
     pub(super) fn axes(&self) -> MapAxes {
         match self {
-            View::Map { degrees: true } => MapAxes::Degrees,
-            View::Map { degrees: false } => MapAxes::Coordinates,
+            View::Map { axes, .. } => *axes,
             View::Plane { .. } => MapAxes::Plane,
+        }
+    }
+
+    /// The unit of west-east and south-north coordinates.
+    pub(super) fn unit(&self) -> &'static str {
+        match self {
+            View::Map { unit, .. } => unit,
+            View::Plane { .. } => "m",
         }
     }
 }
@@ -99,6 +111,10 @@ mod tests {
         assert_eq!(axes("COMPD_CS[\"a\",GEOGCS[\"WGS 84\"],VERT_CS[]]"), MapAxes::Degrees);
         assert_eq!(axes("PROJCS[\"UTM\",GEOGCS[\"WGS 84\"]]"), MapAxes::Coordinates);
         assert_eq!(axes(""), MapAxes::Coordinates);
+        let unit = |wkt| of(wkt, [2.0e6, 1.0e6, 500.0]).unit();
+        let units =
+            ["GEOGCS[]", "", "PROJCS[GEOGCS[],UNIT[\"US survey foot\",0.3048]]", "PROJCS[UNIT[\"metre\"]]"];
+        assert_eq!(units.map(unit), ["°", "m", "ft", "m"]);
         let far_north = of("", [500_000.0, 6_340_000.0, 300.0]);
         assert_eq!(far_north.axes(), MapAxes::Coordinates, "a northing is no length");
     }

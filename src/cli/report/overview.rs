@@ -95,14 +95,24 @@ const MAP: [f64; 2] = [460.0, 420.0];
 const MAP_LEFT: f64 = 86.0;
 const MAP_TOP: f64 = 10.0;
 
+/// What the axes of a picture from above show; `frame` is that of the input.
+pub(super) fn axes(map: &MapPicture, frame: Option<&str>) -> [String; 2] {
+    let names = match (map.axes, frame) {
+        (MapAxes::Degrees, _) => return ["longitude, degrees", "latitude, degrees"].map(str::to_owned),
+        (MapAxes::Coordinates, Some("scanner" | "body")) => ["x", "y"],
+        (MapAxes::Coordinates | MapAxes::Plane, _) => ["east", "north"],
+    };
+    names.map(|name| format!("{name}, {}", map.unit))
+}
+
 /// The frame of a picture from above, on the grid of its coordinates.
 struct MapFrame<'m> {
-    map: &'m MapPicture,
+    axes: &'m [String; 2],
     plot: Plot,
 }
 
-impl MapFrame<'_> {
-    fn new(map: &MapPicture) -> MapFrame<'_> {
+impl<'m> MapFrame<'m> {
+    fn new(map: &MapPicture, axes: &'m [String; 2]) -> MapFrame<'m> {
         let [width, height] = [map.columns, map.rows].map(|cells| f64::from(cells.max(1)));
         let [east, north] = [map.west + width * map.cell, map.south + height * map.cell];
         // A degree of longitude is shorter than one of latitude.
@@ -116,7 +126,7 @@ impl MapFrame<'_> {
             x: Scale { from: [map.west, east], to: [MAP_LEFT, right.max(MAP_LEFT + 40.0)] },
             y: Scale { from: [map.south, north], to: [bottom.max(MAP_TOP + 40.0), MAP_TOP] },
         };
-        MapFrame { map, plot }
+        MapFrame { axes, plot }
     }
 
     /// Lines of the map's grid, which lie above a picture.
@@ -127,11 +137,7 @@ impl MapFrame<'_> {
     }
 
     fn finish(&self, mut svg: Svg, title: &str, below: f64) -> String {
-        let [x, y] = match self.map.axes {
-            MapAxes::Coordinates => ["x, east on a map", "y, north on a map"],
-            MapAxes::Degrees => ["longitude, degrees", "latitude, degrees"],
-            MapAxes::Plane => ["east, m", "north, m"],
-        };
+        let [x, y] = self.axes;
         self.plot.frame(&mut svg, x, y);
         svg.inline(WIDTH, self.plot.y.to[0] + 46.0 + below, title)
     }
@@ -150,8 +156,7 @@ impl MapFrame<'_> {
 }
 
 /// The points from above by one of their quantities.
-fn coloured(map: &MapPicture, picture: &Picture, colours: &[String], range: [f64; 2], name: &str) -> String {
-    let frame = MapFrame::new(map);
+fn coloured(frame: &MapFrame, picture: &Picture, colours: &[String], range: [f64; 2], name: &str) -> String {
     let mut svg = Svg::new();
     let ([left, right], [bottom, top]) = (frame.plot.x.to, frame.plot.y.to);
     svg.image(&picture.data_url(), [left, top], [right, bottom]);
@@ -161,21 +166,33 @@ fn coloured(map: &MapPicture, picture: &Picture, colours: &[String], range: [f64
 }
 
 /// The points from above by height.
-pub(super) fn heights(map: &MapPicture) -> String {
-    coloured(map, &map.heights, &MapPicture::height_colours(), map.height_range_m, "height, m")
+pub(super) fn heights(map: &MapPicture, axes: &[String; 2]) -> String {
+    coloured(
+        &MapFrame::new(map, axes),
+        &map.heights,
+        &MapPicture::height_colours(),
+        map.height_range_m,
+        "height, m",
+    )
 }
 
 /// The points from above by intensity.
-pub(super) fn intensities(map: &MapPicture) -> String {
-    coloured(map, &map.intensities, &MapPicture::intensity_colours(), map.intensity_range, "intensity")
+pub(super) fn intensities(map: &MapPicture, axes: &[String; 2]) -> String {
+    coloured(
+        &MapFrame::new(map, axes),
+        &map.intensities,
+        &MapPicture::intensity_colours(),
+        map.intensity_range,
+        "intensity",
+    )
 }
 
 /// The most scan lines that are drawn.
 const MOST_LINES: usize = 48;
 
 /// The swath: its edges, and some scan lines, on the map's grid.
-pub(super) fn swath(map: &MapPicture) -> Option<String> {
-    let frame = MapFrame::new(map);
+pub(super) fn swath(map: &MapPicture, axes: &[String; 2]) -> Option<String> {
+    let frame = MapFrame::new(map, axes);
     let place = |places: &[f64]| match places {
         [x, y] => Some(frame.plot.at([map.west + x * map.cell, map.south + y * map.cell])),
         _ => None,
@@ -204,10 +221,10 @@ pub(super) fn about(map: &MapPicture, coordinates: Option<&str>) -> String {
         (_, Some(name)) => format!("Coordinates: {name}"),
         (_, None) => "Coordinates: those of the input".to_owned(),
     };
-    text += &format!("; cells of {}{}", short(map.cell), if map.axes == MapAxes::Degrees { "°" } else { "" });
+    let unit = &map.unit;
+    text += &format!("; cells of {} {unit}", short(map.cell));
     if map.axes != MapAxes::Degrees {
-        text +=
-            &format!(", half of them with more than {} points per square unit", short(map.median_density));
+        text += &format!(", half of them with more than {} points per {unit}²", short(map.median_density));
     }
     if map.outside > 0 {
         text += &format!("; {} points lie outside of the picture", label(map.outside as f64, 0));

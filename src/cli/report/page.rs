@@ -32,21 +32,27 @@ pub(super) fn page(report: &Value) -> Result<String, String> {
         text(&report["threads"]),
         seconds(&report["wall_s"]),
     );
-    what_was_run(&mut page, list(report, "stages"));
+    let chain: Vec<String> = list(report, "stages").iter().map(name).collect();
+    let _ = writeln!(page, "<p class=\"chain\">{}</p>", escaped(&chain.join(" → ")));
     for input in inputs {
         of_input(&mut page, input)?;
     }
+    what_was_run(&mut page, report);
     page.push_str("</body>\n</html>\n");
     Ok(page)
 }
 
-/// The stages with their keys, in order.
-fn what_was_run(page: &mut String, stages: &[Value]) {
-    let keys = |stage: &Value| {
-        let given = stage["keys"].as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
+/// The job: its own keys, and those of its stages in their order.
+fn what_was_run(page: &mut String, report: &Value) {
+    let keys = |table: &Value| {
+        let given = table.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
         given.map(|(key, value)| format!("{key} = {value}")).collect::<Vec<String>>().join(", ")
     };
-    section(page, "What was run", stages.iter().map(|stage| (name(stage), keys(stage))));
+    page.push_str("<div class=\"job\">\n");
+    let stages = list(report, "stages").iter().map(|stage| (name(stage), keys(&stage["keys"])));
+    let job = report["job"].is_object().then(|| ("job".to_owned(), keys(&report["job"])));
+    section(page, "What was run, with every key", job.into_iter().chain(stages));
+    page.push_str("</div>\n");
 }
 
 fn of_input(page: &mut String, input: &Value) -> Result<(), String> {
@@ -62,7 +68,7 @@ fn of_input(page: &mut String, input: &Value) -> Result<(), String> {
     key_figures(page, input);
     notes(page, input);
     if let Some(overview) = &overview {
-        from_above(page, overview, input["coordinates"].as_str());
+        from_above(page, overview, input);
         of_returns(page, overview);
         of_waveforms(page, overview);
     }
@@ -78,7 +84,7 @@ fn key_figures(page: &mut String, input: &Value) {
     let wall_s = input["wall_s"].as_f64().filter(|wall_s| *wall_s > 0.0);
     let lines = list(input, "stages").last().and_then(|stage| stage["lines_out"].as_u64());
     let count = |value: Option<u64>| value.map(|value| label(value as f64, 0));
-    let rate = total("nw").zip(wall_s).map(|(waveforms, wall_s)| short(waveforms as f64 / wall_s / 1e6));
+    let rate = total("nw").zip(wall_s).map(|(waveforms, wall_s)| label(waveforms as f64 / wall_s, 0));
     let busiest = list(input, "stages").iter().max_by(|a, b| load(a).total_cmp(&load(b)));
     let figures = [
         ("scan lines", count(lines)),
@@ -86,7 +92,7 @@ fn key_figures(page: &mut String, input: &Value) {
         ("returns", count(total("np"))),
         ("points", count(total("n_georef"))),
         ("duration", wall_s.map(|wall_s| format!("{} s", short(wall_s)))),
-        ("million waveforms per second", rate),
+        ("waveforms per second", rate),
         ("slowest stage", busiest.map(name)),
     ];
     page.push_str("<div class=\"tiles\">\n");
@@ -120,15 +126,18 @@ fn notes(page: &mut String, input: &Value) {
     let _ = write!(page, "<section>\n<h2>Warnings</h2>\n{body}</section>\n");
 }
 
-fn from_above(page: &mut String, overview: &Overview, coordinates: Option<&str>) {
+fn from_above(page: &mut String, overview: &Overview, input: &Value) {
     let mut figures = Vec::new();
     let mut about = String::new();
     if let Some(map) = &overview.map {
-        figures.push(figure("Points by height", &overview::heights(map), ""));
-        figures.push(figure("Points by intensity", &overview::intensities(map), ""));
+        let axes = overview::axes(map, input["frame"].as_str());
+        figures.push(figure("Points by height", &overview::heights(map, &axes), ""));
+        figures.push(figure("Points by intensity", &overview::intensities(map, &axes), ""));
         let words = "edges, some scan lines, and the first of them (dot)";
-        figures.extend(overview::swath(map).map(|svg| figure("Swath on the grid of the map", &svg, words)));
-        about = overview::about(map, coordinates);
+        figures.extend(
+            overview::swath(map, &axes).map(|svg| figure("Swath on the grid of the map", &svg, words)),
+        );
+        about = overview::about(map, input["coordinates"].as_str());
     }
     let along = overview::along(&overview.lines);
     let words = match overview.lines.lines_per_group {
@@ -150,8 +159,7 @@ fn of_returns(page: &mut String, overview: &Overview) {
 fn of_waveforms(page: &mut String, overview: &Overview) {
     let figures: Vec<String> = overview.waveforms.iter().map(waveforms::figure).collect();
     if !figures.is_empty() {
-        group(page, "Waveforms and their fits", "", &figures);
-        let _ = write!(page, "<div class=\"legend\">\n{}</div>\n", waveforms::legend());
+        group(page, "Waveforms and their fits", "", &[waveforms::legend(), figures.concat()]);
     }
 }
 

@@ -42,6 +42,8 @@ pub(super) fn times(stages: &[Value]) -> String {
     svg.inline(WIDTH, bottom + 26.0, "time of each stage")
 }
 
+/// A response is shown as far as it exceeds this part of its height.
+const TAIL: f64 = 0.004;
 /// Values of a response per sample.
 const PER_SAMPLE: f64 = 8.0;
 
@@ -54,19 +56,20 @@ pub(super) fn response(response: &Value) -> Option<String> {
     let first = response["first_sample"].as_f64()?;
     let nodes: Vec<Vec<f64>> =
         response["nodes"].as_array()?.iter().map(|node| numbers(&node["values"])).collect();
-    let length = nodes.iter().map(Vec::len).max().filter(|length| *length > 1)?;
+    let stands_out = |node: &Vec<f64>| node.iter().rposition(|value| value.abs() > TAIL);
+    let last = nodes.iter().filter_map(stands_out).max()? as f64 / PER_SAMPLE;
     let (low, high) =
         nodes.iter().flatten().fold((0.0f64, 1.0f64), |(low, high), v| (low.min(*v), high.max(*v)));
-    let plot = Plot::new([first, first + (length - 1) as f64 / PER_SAMPLE], [low, 1.05 * high]);
+    let plot = Plot::new([first, first + (1.1 * last).max(1.0)], [low, 1.05 * high]);
     let mut svg = Svg::new();
     plot.grid(&mut svg);
     for node in &nodes {
-        let place = |(index, value): (usize, &f64)| plot.at([first + index as f64 / PER_SAMPLE, *value]);
-        svg.curve("returns", node.iter().enumerate().map(place));
+        let points = node.iter().enumerate().map(|(i, value)| [first + i as f64 / PER_SAMPLE, *value]);
+        svg.curve("returns", plot.inside(points));
     }
     let errors = numbers(&response["template_error"]);
-    let place = |(index, error): (usize, &f64)| plot.at([first + index as f64, *error]);
-    svg.curve("found", errors.iter().enumerate().map(place));
+    let points = errors.iter().enumerate().map(|(i, error)| [first + i as f64, *error]);
+    svg.curve("found", plot.inside(points));
     svg.curve("returns", [[400.0, 28.0], [422.0, 28.0]].into_iter());
     svg.text("", [428.0, 32.0], Anchor::Start, "response");
     svg.curve("found", [[400.0, 46.0], [422.0, 46.0]].into_iter());

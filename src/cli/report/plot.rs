@@ -25,6 +25,12 @@ impl Plot {
         [within(self.x.at(x), self.x.to), within(self.y.at(y), self.y.to)]
     }
 
+    /// The points that lie between the ends of the horizontal axis.
+    pub(super) fn inside(&self, points: impl Iterator<Item = [f64; 2]>) -> impl Iterator<Item = [f64; 2]> {
+        let [low, high] = self.x.from;
+        points.filter(move |[x, _]| (low..=high).contains(x)).map(|point| self.at(point))
+    }
+
     /// Lines and numbers at the horizontal axis.
     pub(super) fn grid_x(&self, svg: &mut Svg, ticks: Vec<Tick>) {
         let [bottom, top] = self.y.to;
@@ -89,8 +95,8 @@ pub(super) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
 
 /// A number at an axis; thousands stand apart where there are many.
 pub(super) fn label(value: f64, digits: usize) -> String {
-    let value = if value == 0.0 { 0.0 } else { value };
     let text = format!("{:.digits$}", value.abs());
+    let is_zero = text.chars().all(|character| matches!(character, '0' | '.'));
     let (whole, rest) =
         text.split_once('.').map_or((text.as_str(), None), |(whole, rest)| (whole, Some(rest)));
     let mut grouped = String::new();
@@ -100,7 +106,7 @@ pub(super) fn label(value: f64, digits: usize) -> String {
         }
         grouped.push(digit);
     }
-    let sign = if value < 0.0 { "−" } else { "" };
+    let sign = if value < 0.0 && !is_zero { "−" } else { "" };
     rest.map_or_else(|| format!("{sign}{grouped}"), |rest| format!("{sign}{grouped}.{rest}"))
 }
 
@@ -121,7 +127,7 @@ mod tests {
 
     #[test]
     fn numbers_at_axes_are_easy_to_read() {
-        assert_eq!(label(-0.0, 0), "0");
+        assert_eq!([label(-0.0, 0), label(-0.04, 1)], ["0", "0.0"]);
         assert_eq!(label(5_338_200.0, 0), "5\u{202f}338\u{202f}200");
         assert_eq!(label(-1234.5, 1), "−1234.5");
         assert_eq!([short(0.012_345), short(1.0), short(123.46), short(0.0)], ["0.0123", "1", "123", "0"]);

@@ -33,8 +33,9 @@ polyline.scan{stroke:var(--first);stroke-width:.8}polyline.edge{stroke:var(--sec
 line.level{stroke:var(--faint);stroke-dasharray:5 4}.pulse{stroke:var(--pulse);stroke-width:1.2}
 .peak{stroke:var(--pulse);stroke-dasharray:2 3}.one{fill:var(--fit);fill-opacity:.16}
 .limit{stroke:var(--limit);stroke-dasharray:6 4}.stem{stroke:var(--first)}text.num{font-weight:600}
-.legend{margin-top:10px;max-width:940px}
-.figures{align-items:start}
+.legend{grid-column:1/-1;max-width:1000px}
+.figures{align-items:start;margin-bottom:20px}.chain{margin:0 0 8px}
+.job{margin-top:34px}.job td{font-size:13px}.job td:first-child{width:14%}section>p{margin:4px 0}
 @media print{h2.group{break-after:avoid}figure{break-inside:avoid}.tiles b{font-size:16px}
 *{-webkit-print-color-adjust:exact;print-color-adjust:exact}}
 ";

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::plot::WIDTH;
+use super::plot::{WIDTH, label};
 use crate::cli::explain::panel::Panels;
 use crate::cli::svg::{Anchor, Svg, escaped};
 use crate::overview::{ShownBlock, ShownKind, ShownReturn, ShownShot};
@@ -37,10 +37,8 @@ fn title(shot: &ShownShot) -> String {
         ShownKind::Saturated => "Saturated",
         ShownKind::Worst => "Worst fit",
     };
-    format!(
-        "{kind}: shot {}, scan line {}, deviation ratio {:.1}",
-        shot.shot, shot.line, shot.deviation_ratio
-    )
+    let deviation_ratio = label(shot.deviation_ratio, 1);
+    format!("{kind}: shot {}, scan line {}, deviation ratio {deviation_ratio}", shot.shot, shot.line)
 }
 
 fn returns(shot: &ShownShot) -> String {
@@ -92,5 +90,6 @@ pub(super) fn legend() -> String {
     }
     svg.rect("one", [x, 7.0], [x + 24.0, 21.0]);
     svg.text("", [x + 31.0, 18.0], Anchor::Start, "± 1 standard deviation");
-    svg.inline(x + 190.0, 28.0, "marks in the pictures of waveforms")
+    let picture = svg.inline(x + 190.0, 28.0, "marks in the pictures of waveforms");
+    format!("<div class=\"legend\">\n{picture}</div>\n")
 }
