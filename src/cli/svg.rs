@@ -116,12 +116,23 @@ impl Svg {
         );
     }
 
+    /// A picture shown before, in the same page and at the same place.
+    pub(in crate::cli) fn again(&mut self, class: &str, id: &str) {
+        let _ = writeln!(self.body, "<use class=\"{class}\" href=\"#{id}\"/>");
+    }
+
     /// A picture of cells, from its upper left to its lower right corner.
-    pub(in crate::cli) fn image(&mut self, url: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
+    pub(in crate::cli) fn image(
+        &mut self,
+        id: &str,
+        url: &str,
+        [left, top]: [f64; 2],
+        [right, bottom]: [f64; 2],
+    ) {
         let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
         let _ = writeln!(
             self.body,
-            "<image href=\"{url}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \
+            "<image id=\"{id}\" href=\"{url}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \
              preserveAspectRatio=\"none\"/>"
         );
     }

@@ -82,6 +82,10 @@ const STEPS: f64 = 1000.0;
 const MOST_LINES: usize = 128;
 /// Points of a scan line that are kept.
 const PER_LINE: usize = 9;
+/// Half of the cells of a picture have as many points at least, so that few cells between them are empty.
+const ENOUGH_POINTS: u64 = 3;
+/// A picture of no more cells in both directions is not made coarser.
+const FEW_CELLS: i64 = 64;
 /// The part of the points that may lie outside of the picture at each of its sides.
 const OUTSIDE: f64 = 0.0005;
 
@@ -229,8 +233,13 @@ impl Grid {
     }
 
     /// The picture; `None` without points.
-    pub(super) fn finish(self) -> Option<MapPicture> {
-        let [x, y] = self.bulk(self.span?);
+    pub(super) fn finish(mut self) -> Option<MapPicture> {
+        let mut bulk = self.bulk(self.span?);
+        while self.is_sparse(bulk) {
+            self.coarsen();
+            bulk = self.bulk(self.span?);
+        }
+        let [x, y] = bulk;
         let view = self.view.as_ref()?;
         let rows = (y[0]..=y[1]).rev();
         let cells: Vec<Cell> =
@@ -246,8 +255,6 @@ impl Grid {
             Picture::of(&mean(|cell| cell.intensity_steps), columns as usize, &INTENSITIES);
         let inside: u64 = cells.iter().map(|cell| cell.points).sum();
         let all: u64 = self.cells.iter().map(|cell| cell.points).sum();
-        let mut full: Vec<u64> = cells.iter().map(|cell| cell.points).filter(|points| *points > 0).collect();
-        full.sort_unstable();
         let edge = edge_of(self.size);
         let (west, south) = (x[0] as f64 * edge, y[0] as f64 * edge);
         let scan_line = |(line, places): (u32, Vec<[f64; 2]>)| ScanLine {
@@ -268,9 +275,30 @@ impl Grid {
             height_range_m,
             intensities,
             intensity_range,
-            median_density: full.get(full.len() / 2).copied().unwrap_or(0) as f64 / (edge * edge),
+            median_density: self.median_points(bulk) as f64 / (edge * edge),
             lines: self.lines.into_iter().map(scan_line).collect(),
         })
+    }
+
+    /// The number of points that one cell in two of those with points exceeds.
+    fn median_points(&self, [x, y]: [[i64; 2]; 2]) -> u64 {
+        let cells = (y[0]..=y[1]).flat_map(|y| (x[0]..=x[1]).map(move |x| [x, y]));
+        let mut full: Vec<u64> = cells.map(|at| self.cell(at).points).filter(|points| *points > 0).collect();
+        full.sort_unstable();
+        full.get(full.len() / 2).copied().unwrap_or(0)
+    }
+
+    /// Whether the picture would show single points instead of what they lie on.
+    fn is_sparse(&self, bulk: [[i64; 2]; 2]) -> bool {
+        bulk.iter().any(|[low, high]| high - low >= FEW_CELLS) && self.median_points(bulk) < ENOUGH_POINTS
+    }
+
+    /// Makes cells twice as large.
+    fn coarsen(&mut self) {
+        if let Some(span) = self.span {
+            self.merge(span, 1);
+            self.span = Some(span.map(|ends| ends.map(|end| end >> 1)));
+        }
     }
 
     /// The span without the outermost cells of very few points: an echo from a cloud would make all others small.
@@ -322,10 +350,10 @@ mod tests {
         let corners =
             [[500_000.0, 5_000_000.0, 10.0], [500_100.0, 5_000_050.0, 30.0], [500_100.0, 5_000_050.0, 20.0]];
         let picture = grid(&corners).finish().unwrap();
-        // 100 m in at most 320 cells whose edge is a power of two.
-        assert_eq!(picture.cell, 0.5);
+        // 100 m in few cells whose edge is a power of two.
+        assert_eq!(picture.cell, 2.0);
         assert_eq!((picture.west, picture.south), (500_000.0, 5_000_000.0));
-        assert_eq!((picture.columns, picture.rows), (201, 101));
+        assert_eq!((picture.columns, picture.rows), (51, 26));
         assert_eq!((picture.points, picture.outside), (3, 0));
         assert_eq!(picture.height_range_m, [10.0, 25.0]);
         assert_eq!(picture.intensity_range, [7.0, 7.0]);
@@ -336,7 +364,7 @@ mod tests {
     #[test]
     fn degrees_have_small_cells() {
         let picture = grid(&[[11.5, 48.1, 500.0], [11.501, 48.1005, 500.0]]).finish().unwrap();
-        assert!(picture.cell < 1e-5 && picture.columns > 160 && picture.columns <= 320, "{picture:?}");
+        assert!(picture.cell < 1e-4 && picture.columns > 32 && picture.columns <= 65, "{picture:?}");
     }
 
     #[test]
@@ -358,6 +386,20 @@ mod tests {
         let picture = grid(&points).finish().unwrap();
         assert_eq!((picture.points, picture.outside, picture.west), (10_000, 1, 0.0));
         assert!(f64::from(picture.columns) * picture.cell < 200.0);
+    }
+
+    #[test]
+    fn cells_are_as_small_as_their_points_allow() {
+        let filled = |points_per_m: u32| {
+            let n = 60 * points_per_m;
+            let points =
+                (0..n * n).map(|i| [i % n, i / n].map(|at| (f64::from(at) + 0.5) / f64::from(points_per_m)));
+            grid(&points.map(|[x, y]| [x, y, 0.0]).collect::<Vec<_>>()).finish().unwrap()
+        };
+        let [few, many] = [filled(2), filled(8)];
+        // A cell of 1 m has the four points that a smaller one does not have.
+        assert_eq!((few.cell, few.median_density), (1.0, 4.0));
+        assert_eq!((many.cell, many.median_density), (0.25, 64.0));
     }
 
     /// The cells have an edge of 4.

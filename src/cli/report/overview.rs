@@ -156,19 +156,27 @@ impl<'m> MapFrame<'m> {
 }
 
 /// The points from above by one of their quantities.
-fn coloured(frame: &MapFrame, picture: &Picture, colours: &[String], range: [f64; 2], name: &str) -> String {
+fn coloured(
+    frame: &MapFrame,
+    id: &str,
+    picture: &Picture,
+    colours: &[String],
+    range: [f64; 2],
+    name: &str,
+) -> String {
     let mut svg = Svg::new();
     let ([left, right], [bottom, top]) = (frame.plot.x.to, frame.plot.y.to);
-    svg.image(&picture.data_url(), [left, top], [right, bottom]);
+    svg.image(id, &picture.data_url(), [left, top], [right, bottom]);
     frame.grid(&mut svg);
     frame.colours(&mut svg, colours, range, name);
     frame.finish(svg, &format!("Points by {name}"), 34.0)
 }
 
 /// The points from above by height.
-pub(super) fn heights(map: &MapPicture, axes: &[String; 2]) -> String {
+pub(super) fn heights(map: &MapPicture, axes: &[String; 2], id: &str) -> String {
     coloured(
         &MapFrame::new(map, axes),
+        id,
         &map.heights,
         &MapPicture::height_colours(),
         map.height_range_m,
@@ -176,10 +184,11 @@ pub(super) fn heights(map: &MapPicture, axes: &[String; 2]) -> String {
     )
 }
 
-/// The points from above by intensity.
-pub(super) fn intensities(map: &MapPicture, axes: &[String; 2]) -> String {
+/// The points from above by intensity; `id` is what other pictures call that one.
+pub(super) fn intensities(map: &MapPicture, axes: &[String; 2], id: &str) -> String {
     coloured(
         &MapFrame::new(map, axes),
+        id,
         &map.intensities,
         &MapPicture::intensity_colours(),
         map.intensity_range,
@@ -190,8 +199,8 @@ pub(super) fn intensities(map: &MapPicture, axes: &[String; 2]) -> String {
 /// The most scan lines that are drawn.
 const MOST_LINES: usize = 48;
 
-/// The swath: its edges, and some scan lines, on the map's grid.
-pub(super) fn swath(map: &MapPicture, axes: &[String; 2]) -> Option<String> {
+/// The swath: some scan lines on the map's grid, above the picture that is called so.
+pub(super) fn swath(map: &MapPicture, axes: &[String; 2], below: &str) -> Option<String> {
     let frame = MapFrame::new(map, axes);
     let place = |places: &[f64]| match places {
         [x, y] => Some(frame.plot.at([map.west + x * map.cell, map.south + y * map.cell])),
@@ -200,12 +209,11 @@ pub(super) fn swath(map: &MapPicture, axes: &[String; 2]) -> Option<String> {
     let places = |line: &ScanLine| line.places.chunks(2).filter_map(place).collect::<Vec<[f64; 2]>>();
     let lines: Vec<Vec<[f64; 2]>> = map.lines.iter().map(places).collect();
     let mut svg = Svg::new();
+    svg.again("under", below);
     frame.grid(&mut svg);
     for line in lines.iter().step_by(lines.len().div_ceil(MOST_LINES).max(1)) {
         svg.curve("scan", line.iter().copied());
     }
-    svg.curve("edge", lines.iter().filter_map(|line| line.first().copied()));
-    svg.curve("edge", lines.iter().filter_map(|line| line.last().copied()));
     let middle = |line: &Vec<[f64; 2]>| line.get(line.len() / 2).copied();
     let first = lines.first().and_then(middle)?;
     svg.circle("begin", first, 5.0);

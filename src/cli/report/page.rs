@@ -34,8 +34,8 @@ pub(super) fn page(report: &Value) -> Result<String, String> {
     );
     let chain: Vec<String> = list(report, "stages").iter().map(name).collect();
     let _ = writeln!(page, "<p class=\"chain\">{}</p>", escaped(&chain.join(" → ")));
-    for input in inputs {
-        of_input(&mut page, input)?;
+    for (number, input) in inputs.iter().enumerate() {
+        of_input(&mut page, input, number)?;
     }
     what_was_run(&mut page, report);
     page.push_str("</body>\n</html>\n");
@@ -55,7 +55,7 @@ fn what_was_run(page: &mut String, report: &Value) {
     page.push_str("</div>\n");
 }
 
-fn of_input(page: &mut String, input: &Value) -> Result<(), String> {
+fn of_input(page: &mut String, input: &Value, number: usize) -> Result<(), String> {
     let stem = plain(&input["stem"]);
     let overview: Option<Overview> = match &input["overview"] {
         Value::Null => None,
@@ -68,7 +68,7 @@ fn of_input(page: &mut String, input: &Value) -> Result<(), String> {
     key_figures(page, input);
     notes(page, input);
     if let Some(overview) = &overview {
-        from_above(page, overview, input);
+        from_above(page, overview, input, number);
         of_returns(page, overview);
         of_waveforms(page, overview);
     }
@@ -126,16 +126,21 @@ fn notes(page: &mut String, input: &Value) {
     let _ = write!(page, "<section>\n<h2>Warnings</h2>\n{body}</section>\n");
 }
 
-fn from_above(page: &mut String, overview: &Overview, input: &Value) {
+fn from_above(page: &mut String, overview: &Overview, input: &Value, number: usize) {
     let mut figures = Vec::new();
     let mut about = String::new();
     if let Some(map) = &overview.map {
+        let name = format!("intensities-{number}");
         let axes = overview::axes(map, input["frame"].as_str());
-        figures.push(figure("Points by height", &overview::heights(map, &axes), ""));
-        figures.push(figure("Points by intensity", &overview::intensities(map, &axes), ""));
-        let words = "edges, some scan lines, and the first of them (dot)";
+        figures.push(figure(
+            "Points by height",
+            &overview::heights(map, &axes, &format!("heights-{number}")),
+            "",
+        ));
+        figures.push(figure("Points by intensity", &overview::intensities(map, &axes, &name), ""));
+        let words = "some scan lines, and the middle of the first (dot)";
         figures.extend(
-            overview::swath(map, &axes).map(|svg| figure("Swath on the grid of the map", &svg, words)),
+            overview::swath(map, &axes, &name).map(|svg| figure("Swath on the grid of the map", &svg, words)),
         );
         about = overview::about(map, input["coordinates"].as_str());
     }

@@ -26,7 +26,7 @@ polyline.waveforms{stroke:var(--first);stroke-width:2.4}polyline.returns{stroke:
 polyline.found{stroke:var(--third);stroke-width:1.6;stroke-dasharray:5 3}
 .middle{stroke:var(--text);stroke-dasharray:5 4}.zero{stroke:var(--frame)}
 .rod{stroke:var(--second);stroke-width:2}.span{stroke:var(--text)}.dot{fill:var(--second)}
-polyline.scan{stroke:var(--first);stroke-width:.8}polyline.edge{stroke:var(--second);stroke-width:1.8}
+polyline.scan{stroke:var(--second);stroke-width:.9}.under{opacity:.4}
 .begin{fill:var(--third);stroke:var(--card)}
 .sample{fill:var(--sample)}.left{fill:var(--card);stroke:var(--sample)}
 .sat{fill:var(--card);stroke:var(--limit);stroke-width:1.5}.fit{stroke:var(--fit);stroke-width:2}
@@ -35,7 +35,7 @@ line.level{stroke:var(--faint);stroke-dasharray:5 4}.pulse{stroke:var(--pulse);s
 .limit{stroke:var(--limit);stroke-dasharray:6 4}.stem{stroke:var(--first)}text.num{font-weight:600}
 .legend{grid-column:1/-1;max-width:1000px}
 .figures{align-items:start;margin-bottom:20px}.chain{margin:0 0 8px}
-.job{margin-top:34px}.job td{font-size:13px}.job td:first-child{width:14%}section>p{margin:4px 0}
+.job{margin-top:34px}.job td{font-size:13px}.job td:first-child{width:14%}section p{margin:4px 0}
 @media print{h2.group{break-after:avoid}figure{break-inside:avoid}.tiles b{font-size:16px}
 *{-webkit-print-color-adjust:exact;print-color-adjust:exact}}
 ";
