@@ -75,8 +75,11 @@ fn the_page_is_whole_and_needs_nothing_else() {
     for forbidden in ["<script", "http:", "https:", "url(", "src=", "@import", "<link"] {
         assert!(!page.contains(forbidden), "{forbidden}");
     }
-    let links: Vec<&str> = page.split("href=\"").skip(1).filter_map(|rest| rest.get(..22)).collect();
-    assert_eq!(links, ["data:image/png;base64,", "data:image/png;base64,", "#intensities-0\"/>\n<li"]);
+    let links = page.split("href=\"").skip(1).filter_map(|rest| rest.split(['"', ',']).next());
+    assert_eq!(
+        links.collect::<Vec<&str>>(),
+        ["data:image/png;base64", "data:image/png;base64", "#intensities-0"]
+    );
     assert!(page.contains("content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\""));
     assert!(page.contains("prefers-color-scheme:dark") && page.contains("@media print"));
     assert!(page.contains("<h1 class=\"input\">a&lt;b&amp;c</h1>"));
@@ -192,6 +195,33 @@ fn what_is_gathered_adds_up() {
     let kinds: Vec<&str> =
         overview["waveforms"].as_array().unwrap().iter().map(|shot| shot["kind"].as_str().unwrap()).collect();
     assert_eq!(kinds, ["good", "overlapping", "saturated", "worst"]);
+}
+
+/// The waveforms that are shown have the returns that the run wrote, to the last digit.
+#[test]
+fn the_fits_shown_are_those_of_the_run() {
+    let place = Place::new();
+    let table = "[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
+    assert_eq!(place.run(&(with_page("") + table)), done());
+    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let text = place.text("out/a<b&c.csv");
+    let mut rows = text.lines().map(|row| row.split(',').collect::<Vec<&str>>());
+    let heads = rows.next().unwrap();
+    let column = |name: &str| heads.iter().position(|head| *head == name).unwrap();
+    let [shot, range, amplitude] = ["shot", "range_m", "amplitude_dn"].map(column);
+    let rows: Vec<Vec<&str>> = rows.collect();
+    let shown = report["inputs"][0]["overview"]["waveforms"].as_array().unwrap();
+    for waveform in shown {
+        let number = waveform["shot"].to_string();
+        let value = |row: &Vec<&str>, column: usize| row[column].parse::<f64>().unwrap();
+        let wanted = rows.iter().filter(|row| row[shot] == number);
+        let wanted: Vec<[f64; 2]> = wanted.map(|row| [value(row, range), value(row, amplitude)]).collect();
+        let returns = waveform["returns"].as_array().unwrap().iter();
+        let found = returns.map(|found| ["range_m", "amplitude_dn"].map(|key| found[key].as_f64().unwrap()));
+        assert_eq!(found.collect::<Vec<[f64; 2]>>(), wanted, "shot {number}");
+        assert!(!wanted.is_empty());
+    }
+    assert_eq!(shown.len(), 4);
 }
 
 #[test]

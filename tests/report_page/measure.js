@@ -57,7 +57,6 @@ for (const svg of document.querySelectorAll("svg")) {
 }
 found.page = getComputedStyle(document.body).backgroundColor;
 found.wide = document.documentElement.scrollWidth > innerWidth;
-found.loaded = performance.getEntriesByType("resource").map((entry) => entry.name).filter((name) => !name.startsWith("data:"));
 const loading = [...document.querySelectorAll("image, img")].map((element) => new Promise((done) => {
   const image = new Image();
   image.onload = () => done([image.naturalWidth, image.naturalHeight]);
@@ -66,6 +65,8 @@ const loading = [...document.querySelectorAll("image, img")].map((element) => ne
 }));
 Promise.all(loading).then((images) => {
   found.images = images;
+  const names = performance.getEntriesByType("resource").map((entry) => entry.name);
+  found.loaded = [...new Set(names)].filter((name) => !name.startsWith("data:"));
   const result = document.createElement("script");
   result.type = "application/json";
   result.textContent = JSON.stringify(found);
