@@ -82,10 +82,10 @@ const STEPS: f64 = 1000.0;
 const MOST_LINES: usize = 128;
 /// Points of a scan line that are kept.
 const PER_LINE: usize = 9;
-/// Half of the cells of a picture have as many points at least, so that few cells between them are empty.
-const ENOUGH_POINTS: u64 = 3;
+/// A picture is made coarser where it is torn in more than one place for so many cells with points.
+const ENOUGH_FULL: u64 = 10;
 /// A picture of no more cells in both directions is not made coarser.
-const FEW_CELLS: i64 = 64;
+const FEW_CELLS: i64 = 24;
 /// The part of the points that may lie outside of the picture at each of its sides.
 const OUTSIDE: f64 = 0.0005;
 
@@ -288,9 +288,27 @@ impl Grid {
         full.get(full.len() / 2).copied().unwrap_or(0)
     }
 
-    /// Whether the picture would show single points instead of what they lie on.
-    fn is_sparse(&self, bulk: [[i64; 2]; 2]) -> bool {
-        bulk.iter().any(|[low, high]| high - low >= FEW_CELLS) && self.median_points(bulk) < ENOUGH_POINTS
+    /// Whether the picture would show single points or lines instead of what they lie on: cells with points that have no
+    /// neighbour in one of both directions, and empty ones between two others.
+    fn is_sparse(&self, [x, y]: [[i64; 2]; 2]) -> bool {
+        if [x, y].iter().all(|[low, high]| high - low < FEW_CELLS) {
+            return false;
+        }
+        let is_full = |x: i64, y: i64| self.cell([x, y]).points > 0;
+        let (mut full, mut torn) = (0u64, 0u64);
+        for y in y[0] + 1..y[1] {
+            for x in x[0] + 1..x[1] {
+                let [west, east, south, north] =
+                    [is_full(x - 1, y), is_full(x + 1, y), is_full(x, y - 1), is_full(x, y + 1)];
+                let within = is_full(x, y);
+                full += u64::from(within);
+                torn += u64::from(match within {
+                    true => !(west || east) || !(south || north),
+                    false => (west && east) || (south && north),
+                });
+            }
+        }
+        torn * ENOUGH_FULL >= full
     }
 
     /// Makes cells twice as large.
@@ -351,9 +369,9 @@ mod tests {
             [[500_000.0, 5_000_000.0, 10.0], [500_100.0, 5_000_050.0, 30.0], [500_100.0, 5_000_050.0, 20.0]];
         let picture = grid(&corners).finish().unwrap();
         // 100 m in few cells whose edge is a power of two.
-        assert_eq!(picture.cell, 2.0);
+        assert_eq!(picture.cell, 8.0);
         assert_eq!((picture.west, picture.south), (500_000.0, 5_000_000.0));
-        assert_eq!((picture.columns, picture.rows), (51, 26));
+        assert_eq!((picture.columns, picture.rows), (13, 7));
         assert_eq!((picture.points, picture.outside), (3, 0));
         assert_eq!(picture.height_range_m, [10.0, 25.0]);
         assert_eq!(picture.intensity_range, [7.0, 7.0]);
@@ -364,7 +382,7 @@ mod tests {
     #[test]
     fn degrees_have_small_cells() {
         let picture = grid(&[[11.5, 48.1, 500.0], [11.501, 48.1005, 500.0]]).finish().unwrap();
-        assert!(picture.cell < 1e-4 && picture.columns > 32 && picture.columns <= 65, "{picture:?}");
+        assert!(picture.cell < 1e-4 && picture.columns > 8 && picture.columns <= 25, "{picture:?}");
     }
 
     #[test]
@@ -390,16 +408,17 @@ mod tests {
 
     #[test]
     fn cells_are_as_small_as_their_points_allow() {
-        let filled = |points_per_m: u32| {
-            let n = 60 * points_per_m;
-            let points =
-                (0..n * n).map(|i| [i % n, i / n].map(|at| (f64::from(at) + 0.5) / f64::from(points_per_m)));
-            grid(&points.map(|[x, y]| [x, y, 0.0]).collect::<Vec<_>>()).finish().unwrap()
+        let filled = |spacing_m: [f64; 2]| {
+            let [columns, rows] = spacing_m.map(|spacing_m| (300.0 / spacing_m) as u32);
+            let cells = (0..columns * rows).map(|i| [i % columns, i / columns].map(|at| f64::from(at) + 0.5));
+            let points: Vec<[f64; 3]> =
+                cells.map(|[x, y]| [x * spacing_m[0], y * spacing_m[1], 0.0]).collect();
+            grid(&points).finish().map(|picture| (picture.cell, picture.median_density))
         };
-        let [few, many] = [filled(2), filled(8)];
-        // A cell of 1 m has the four points that a smaller one does not have.
-        assert_eq!((few.cell, few.median_density), (1.0, 4.0));
-        assert_eq!((many.cell, many.median_density), (0.25, 64.0));
+        assert_eq!(filled([1.0, 1.0]), Some((1.0, 1.0)));
+        assert_eq!(filled([2.0, 2.0]), Some((2.0, 0.25)));
+        // Lines 3 m apart: the cells between them are empty until they are larger than that.
+        assert_eq!(filled([1.0, 3.0]).map(|(cell, _)| cell), Some(4.0));
     }
 
     /// The cells have an edge of 4.

@@ -197,7 +197,7 @@ pub(super) fn intensities(map: &MapPicture, axes: &[String; 2], id: &str) -> Str
 }
 
 /// The most scan lines that are drawn.
-const MOST_LINES: usize = 48;
+const MOST_LINES: usize = 16;
 
 /// The swath: some scan lines on the map's grid, above the picture that is called so.
 pub(super) fn swath(map: &MapPicture, axes: &[String; 2], below: &str) -> Option<String> {
@@ -235,7 +235,7 @@ pub(super) fn about(map: &MapPicture, coordinates: Option<&str>) -> String {
         text += &format!(", half of them with more than {} points per {unit}²", short(map.median_density));
     }
     if map.outside > 0 {
-        text += &format!("; {} points lie outside of the picture", label(map.outside as f64, 0));
+        text += &format!("; points outside of the picture: {}", label(map.outside as f64, 0));
     }
     text
 }
