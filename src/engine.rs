@@ -52,6 +52,8 @@ pub struct Options {
     pub cancel: Cancel,
     /// How to show how far the run is.
     pub progress: ProgressMode,
+    /// Gather what a page shows of each input.
+    pub overview: bool,
 }
 
 impl Options {
@@ -66,6 +68,7 @@ impl Options {
             profile: false,
             cancel: Cancel::default(),
             progress: ProgressMode::Hidden,
+            overview: !job.settings.report_page.is_empty(),
         }
     }
 

@@ -84,6 +84,9 @@ pub struct JobSettings {
     pub simd: Simd,
     /// The report of the run (JSON), in the folder of the outputs; empty: none.
     pub report: String,
+    /// The report as a page that browsers show and print (HTML, one file), in the folder of the outputs; empty: none. With
+    /// a page, the report holds histograms, pictures of the points and a few waveforms, too.
+    pub report_page: String,
     /// The statistics of each input in words, in the folder of the outputs; `*` is the input's stem; empty: none.
     pub stat_log: String,
     /// The log of the run, in the folder of the outputs; empty: none.
@@ -102,6 +105,7 @@ impl Default for JobSettings {
             channel_capacity: 16,
             simd: Simd::Auto,
             report: "report.json".into(),
+            report_page: String::new(),
             stat_log: "*_stat.log".into(),
             log: "wavex.log".into(),
             geometry: GeometryKeys::default(),
@@ -121,6 +125,8 @@ impl JobSettings {
         let fits =
             self.stat_log.is_empty() || (self.stat_log.contains('*') && self.stat_log.ends_with(".log"));
         InvalidKey::unless(fits, "stat_log", "it must hold a `*` and end in .log, as in \"*_stat.log\"")?;
+        let fits = self.report_page.is_empty() || self.report_page.ends_with(".html");
+        InvalidKey::unless(fits, "report_page", "it must end in .html, as in \"report.html\"")?;
         self.geometry.check()
     }
 }

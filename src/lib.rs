@@ -11,6 +11,7 @@ pub mod geo;
 pub mod geometry;
 pub mod job;
 pub mod kernels;
+pub mod overview;
 pub mod registry;
 pub mod simulation;
 pub mod stage;

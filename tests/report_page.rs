@@ -1,10 +1,14 @@
 //! `wavex report`: the page of a run.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+#[path = "report_page/browser.rs"]
+mod browser;
 mod support;
 
 use std::process::Command;
 
+use browser::Look;
+use serde_json::Value;
 use support::{Outcome, Place, outcome};
 
 /// Every element ends, in the order in which they began; gives how often each began.
@@ -37,38 +41,267 @@ fn report(place: &Place, arguments: &[&str]) -> Outcome {
     outcome(command.args(["--quiet", "report"]).args(arguments).current_dir(place.path("")))
 }
 
-const JOB: &str = "[[stage]]\ntype = 'simulate'\nstem = 'a<b&c'\nlines = 8\nshots_per_line = 100\n\
+const JOB: &str = "[[stage]]\ntype = 'simulate'\nstem = 'a<b&c'\nlines = 8\nshots_per_line = 150\n\
+                   ground_amplitude_dn = 180.0\n\
                    [[stage]]\ntype = 'calibrate'\nwaveforms = 600\n[[stage]]\ntype = 'decompose'\n\
-                   [[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_lstat'\n";
+                   [[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_las'\npath = '*.las'\n";
+
+/// The job with a page, and more keys of `[job]`; these are the first of its text.
+fn with_page(keys: &str) -> String {
+    format!("report_page = 'page.html'\n{keys}\n{JOB}")
+}
+
+fn done() -> Outcome {
+    Outcome { code: Some(0), err: String::new() }
+}
+
+/// A run with a page, and its report.
+fn run() -> (Place, Value) {
+    let place = Place::new();
+    assert_eq!(place.run(&with_page("")), done());
+    let report = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    (place, report)
+}
 
 #[test]
 fn the_page_is_whole_and_needs_nothing_else() {
-    let place = Place::new();
-    let done = Outcome { code: Some(0), err: String::new() };
-    assert_eq!(place.run(JOB), done);
-    assert!(place.outputs().contains(&"a<b&c_stat.log".to_owned()), "{:?}", place.outputs());
-    assert_eq!(report(&place, &["out"]), done);
-    let page = place.text("out/report.html");
+    let (place, _) = run();
+    assert_eq!(place.outputs(), ["a<b&c.las", "a<b&c_stat.log", "page.html", "report.json"]);
+    let page = place.text("out/page.html");
     let count = elements(&page);
-    assert_eq!(count["svg"], 3, "times, and the responses of two receivers");
-    assert!(count["rect"] >= 3 * 5 && count["polyline"] >= 3, "{count:?}");
-    for forbidden in ["<script", "http", "url(", "src=", "@import", "<link"] {
+    assert_eq!(count["image"], 2, "heights and intensities");
+    assert_eq!(count["svg"], 18, "{count:?}");
+    assert!(count["rect"] >= 5 * 5 && count["polyline"] >= 30 && count["polygon"] == 4, "{count:?}");
+    for forbidden in ["<script", "http:", "https:", "url(", "src=", "@import", "<link"] {
         assert!(!page.contains(forbidden), "{forbidden}");
     }
+    let links = page.split("href=\"").skip(1).filter_map(|rest| rest.split(['"', ',']).next());
+    assert_eq!(
+        links.collect::<Vec<&str>>(),
+        ["data:image/png;base64", "data:image/png;base64", "#intensities-0"]
+    );
+    assert!(page.contains("content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\""));
     assert!(page.contains("prefers-color-scheme:dark") && page.contains("@media print"));
-    assert!(page.contains("<h1>a&lt;b&amp;c</h1>"));
-    assert_eq!(report(&place, &["out/report.json", "-o", "other.html"]), done);
+    assert!(page.contains("<h1 class=\"input\">a&lt;b&amp;c</h1>"));
+}
+
+#[test]
+fn the_page_tells_all_of_a_run() {
+    let (place, _) = run();
+    let page = place.text("out/page.html");
+    let headings = [
+        "What was run",
+        "Warnings",
+        "Points by height",
+        "Points by intensity",
+        "Swath on the grid of the map",
+        "Waveforms and returns along the flight",
+        "Amplitude",
+        "Width ratio",
+        "Deviation ratio",
+        "Range uncertainty",
+        "Good: shot",
+        "Overlapping: shot",
+        "Saturated: shot",
+        "Worst fit: shot",
+        "Where the time went",
+        "System response, low power",
+        "Noise, low power",
+        "System response, outgoing pulse",
+        "Counts of all lines",
+        "Sensor model, low power",
+        "Written",
+    ];
+    for heading in headings {
+        assert!(page.contains(&format!(">{heading}")), "{heading}");
+    }
+
+    assert!(page.contains("detection_sigma = 4.5"), "keys, every default spelled out");
+}
+
+#[test]
+fn warnings_stand_first_with_their_stage() {
+    let place = Place::new();
+    let fused = "[[stage]]\ntype = 'fuse_channels'\n[[stage]]\ntype = 'calibrate'";
+    assert_eq!(place.run(&with_page("").replace("[[stage]]\ntype = 'calibrate'", fused)), done());
+    let page = place.text("out/page.html");
+    let (before, rest) = page.split_once("<h2>Warnings</h2>").unwrap();
+    let (warnings, _) = rest.split_once("</section>").unwrap();
+    let said = "<li><b>fuse_channels</b>: the recording has one receiver: there is nothing to fuse</li>";
+    assert!(warnings.contains(said), "{warnings}");
+    assert!(!before.contains("<figure>"));
+}
+
+#[test]
+fn the_page_is_made_again_without_the_inputs() {
+    let (place, _) = run();
+    let page = place.text("out/page.html");
+    assert_eq!(report(&place, &["out"]), done());
+    assert_eq!(place.text("out/report.html"), page);
+    assert_eq!(report(&place, &["out/report.json", "-o", "other.html"]), done());
     assert_eq!(place.text("other.html"), page);
 }
 
 #[test]
+fn a_run_without_a_page_gathers_nothing_and_writes_the_same() {
+    let (with, _) = run();
+    let without = Place::new();
+    assert_eq!(without.run(JOB), done());
+    assert_eq!(without.outputs(), ["a<b&c.las", "a<b&c_stat.log", "report.json"]);
+    let las = |place: &Place| std::fs::read(place.path("out/a<b&c.las")).unwrap();
+    assert!(las(&with) == las(&without), "the page changes an output");
+    let found: Value = serde_json::from_str(&without.text("out/report.json")).unwrap();
+    assert!(found["inputs"][0].get("overview").is_none());
+    assert_eq!(report(&without, &["out"]), done());
+    let page = without.text("out/report.html");
+    let count = elements(&page);
+    assert_eq!(count["svg"], 5, "times, and responses and noise of two receivers");
+}
+
+#[test]
+fn what_is_gathered_does_not_depend_on_threads() {
+    let overview = |threads: &str| {
+        let place = Place::new();
+        let mut command = place.command(&with_page(""));
+        assert_eq!(outcome(command.args(["--threads", threads])), done());
+        let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+        report["inputs"][0]["overview"].clone()
+    };
+    let one = overview("1");
+    assert!(one["waveforms"].as_array().is_some_and(|shots| shots.len() == 4), "{}", one["waveforms"]);
+    assert_eq!(one, overview("5"));
+}
+
+/// The numbers of the page against those that the run counted.
+#[test]
+fn what_is_gathered_adds_up() {
+    let (_, report) = run();
+    let input = &report["inputs"][0];
+    let (overview, totals) = (&input["overview"], &input["totals"]);
+    let sum = |packed: &Value| -> u64 {
+        packed.as_str().unwrap().split(' ').map(|count| count.parse::<u64>().unwrap()).sum()
+    };
+    for histogram in overview["histograms"].as_array().unwrap() {
+        let beyond = histogram["below"].as_u64().unwrap() + histogram["above"].as_u64().unwrap();
+        assert_eq!(sum(&histogram["counts"]) + beyond, totals["np"].as_u64().unwrap(), "{histogram}");
+    }
+    let lines = &overview["lines"];
+    let counted = ["lines", "waveforms", "returns", "points"].map(|what| sum(&lines[what]));
+    let wanted = ["nw", "np", "n_georef"].map(|what| totals[what].as_u64().unwrap());
+    assert_eq!(counted, [8, wanted[0], wanted[1], wanted[2]]);
+    let map = &overview["map"];
+    assert_eq!(map["points"].as_u64().unwrap() + map["outside"].as_u64().unwrap(), wanted[2]);
+    assert_eq!(map["lines"].as_array().unwrap().len(), 8);
+    let kinds: Vec<&str> =
+        overview["waveforms"].as_array().unwrap().iter().map(|shot| shot["kind"].as_str().unwrap()).collect();
+    assert_eq!(kinds, ["good", "overlapping", "saturated", "worst"]);
+}
+
+/// The waveforms that are shown have the returns that the run wrote, to the last digit.
+#[test]
+fn the_fits_shown_are_those_of_the_run() {
+    let place = Place::new();
+    let table = "[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
+    assert_eq!(place.run(&(with_page("") + table)), done());
+    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let text = place.text("out/a<b&c.csv");
+    let mut rows = text.lines().map(|row| row.split(',').collect::<Vec<&str>>());
+    let heads = rows.next().unwrap();
+    let column = |name: &str| heads.iter().position(|head| *head == name).unwrap();
+    let [shot, range, amplitude] = ["shot", "range_m", "amplitude_dn"].map(column);
+    let rows: Vec<Vec<&str>> = rows.collect();
+    let shown = report["inputs"][0]["overview"]["waveforms"].as_array().unwrap();
+    for waveform in shown {
+        let number = waveform["shot"].to_string();
+        let value = |row: &Vec<&str>, column: usize| row[column].parse::<f64>().unwrap();
+        let wanted = rows.iter().filter(|row| row[shot] == number);
+        let wanted: Vec<[f64; 2]> = wanted.map(|row| [value(row, range), value(row, amplitude)]).collect();
+        let returns = waveform["returns"].as_array().unwrap().iter();
+        let found = returns.map(|found| ["range_m", "amplitude_dn"].map(|key| found[key].as_f64().unwrap()));
+        assert_eq!(found.collect::<Vec<[f64; 2]>>(), wanted, "shot {number}");
+        assert!(!wanted.is_empty());
+    }
+    assert_eq!(shown.len(), 4);
+}
+
+#[test]
+fn a_recording_without_returns_has_a_page_of_its_own() {
+    let place = Place::new();
+    let job = "report_page = 'page.html'\n[[stage]]\ntype = 'simulate'\nstem = 'raw'\nlines = 3\nshots_per_line = 20\n\
+               [[stage]]\ntype = 'write_arrow'\n";
+    assert_eq!(place.run(job), done());
+    let page = place.text("out/page.html");
+    assert_eq!(elements(&page)["svg"], 2, "waveforms along the flight, and times");
+    assert!(page.contains("None: no stage had anything to say"));
+}
+
+#[test]
+fn the_key_asks_for_a_page() {
+    let place = Place::new();
+    let refused = place.run(&format!("report_page = 'page.pdf'\n{JOB}"));
+    assert_eq!(refused.code, Some(2));
+    assert!(refused.err.contains("`report_page`: it must end in .html"), "{}", refused.err);
+}
+
+/// The page as a browser shows it: readable, with all its pictures, and with nothing to say on the console.
+#[test]
+fn a_browser_shows_the_page() {
+    let Some(browser) = browser::find() else { return };
+    let (place, _) = run();
+    let page = place.text("out/page.html");
+    for look in [Look::Light, Look::Dark] {
+        let (dom, said) = browser::show(&browser, &place.path("out/page.html"), look);
+        assert_eq!(said, [] as [&str; 0], "{look:?}: the console");
+        assert!(dom.contains("Report of a run"));
+        let found = browser::measured(&browser, &page, look);
+        for nothing in ["empty", "faint", "small", "overlapping", "cut", "loaded"] {
+            assert_eq!(found[nothing], serde_json::json!([]), "{look:?}: {nothing}");
+        }
+        assert_eq!(found["wide"], false, "{look:?}: it must be scrolled sideways");
+        let images = found["images"].as_array().unwrap();
+        assert!(images.len() == 2 && images.iter().all(|size| size[0].as_u64() > Some(20)), "{images:?}");
+        assert!(found["texts"].as_u64().unwrap() > 200, "{}", found["texts"]);
+        let wanted = match look {
+            Look::Light => "rgb(255, 255, 255)",
+            Look::Dark => "rgb(18, 20, 23)",
+        };
+        assert_eq!(found["page"], wanted);
+    }
+}
+
+/// What the test above would say of a page that is not as it should be.
+#[test]
+fn the_browser_notices_what_is_wrong() {
+    let Some(browser) = browser::find() else { return };
+    let place = Place::new();
+    let policy = "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\"/>";
+    let page = format!(
+        "<!DOCTYPE html><html><head>{policy}<title>t</title><style>body{{background:#fff}}p{{color:#aaa}}</style></head>\
+         <body><p>faint</p><p style=\"color:#000;font-size:8px\">small</p>\
+         <svg aria-label=\"s\" viewBox=\"0 0 100 100\" width=\"100\" height=\"100\"><text x=\"9\" y=\"50\">one</text>\
+         <text x=\"12\" y=\"52\">two</text><text x=\"95\" y=\"20\">three</text></svg>\
+         <svg width=\"1\" height=\"1\"></svg><img width=\"50\" height=\"50\" src=\"https://example.com/a.png\"></body></html>"
+    );
+    place.write("bad.html", page.as_bytes());
+    let (_, said) = browser::show(&browser, &place.path("bad.html"), Look::Light);
+    assert!(said.iter().any(|line| line.contains("https://example.com/a.png")), "{said:?}");
+    let found = browser::measured(&browser, &page, Look::Light);
+    let counts = ["empty", "faint", "small", "overlapping", "cut", "loaded"]
+        .map(|what| found[what].as_array().unwrap().len());
+    assert_eq!(counts, [1, 1, 1, 1, 1, 1], "{found}");
+    assert_eq!(found["images"], serde_json::json!(["broken"]));
+}
+
+#[test]
 fn what_is_no_report_is_said() {
-    let place = Place::with(&[("a.json", b"{}"), ("b.json", b"not JSON")]);
+    let overview = br#"{"inputs": [{"stem": "s", "overview": {"histograms": 7}}]}"#;
+    let place = Place::with(&[("a.json", b"{}"), ("b.json", b"not JSON"), ("c.json", overview)]);
     let refused = |path: &str, problem: &str| {
         let Outcome { code, err } = report(&place, &[path]);
         assert!(code == Some(1) && err.starts_with(&format!("error: {problem}")), "{err}");
     };
     refused("a.json", "a.json: no report of a run: it has no `inputs`; give the report.json of a run");
     refused("b.json", "b.json: no report of a run: expected");
+    refused("c.json", "c.json: the overview of \"s\" is none: invalid type: integer `7`");
     refused("gone.json", "gone.json: cannot open the report: ");
 }

@@ -62,6 +62,7 @@ pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     let input_dir = verify::place(&archive.inputs, &contents, replay.folders.inputs.as_deref());
     let mut options = Options::of_job(&job, input_dir, &folder.0);
     options.progress = replay.progress;
+    options.overview = false;
     options.cancel = replay.cancel.clone();
     let report = engine::run(&job, &options).map_err(|error| error.into_stage_error())?;
     let then = verify::place(&archive.outputs, &contents, replay.folders.outputs.as_deref());

@@ -131,7 +131,7 @@ impl Roots {
             let folder = self.input(folder)?;
             geometry.insert(inputs::GEOID_DIR.to_owned(), json!(folder));
         }
-        for key in ["report", "stat_log", "log"] {
+        for key in ["report", "report_page", "stat_log", "log"] {
             if let Some(Value::String(text)) = settings.get_mut(key)
                 && !text.is_empty()
             {

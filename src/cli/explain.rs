@@ -7,19 +7,21 @@ use std::sync::Arc;
 use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, convert, run, terminal};
-use crate::batch::{Batch, Returns};
+use crate::batch::{Batch, Emission, Returns};
 use crate::formats::Error;
 use crate::geometry::Loader;
 use crate::geometry::posed::Posed;
 use crate::job::{Job, JobStage, Override};
+use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Context, OutputFile, Plan, Site, Source, SourcePlan, TransformConfig};
 use crate::stages::calibrate::Calibrate;
-use crate::stages::decompose::{Decompose, Line, SensorTables, Shot, ShotDecomposer};
-use seen::{Explained, Seen};
+use crate::stages::decompose::{
+    Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
+};
 use upstream::{Step, Upstream};
 
+pub(super) mod panel;
 mod picture;
-mod seen;
 mod table;
 mod upstream;
 
@@ -195,6 +197,22 @@ impl Numbers {
     }
 }
 
+/// A shot and all that became of it.
+struct Explained {
+    file: String,
+    emission: Emission,
+    /// In order of time.
+    returns: Returns,
+    /// In order of time.
+    blocks: Vec<SeenBlock>,
+    outgoing: Option<SeenPulse>,
+    model: Arc<SensorModel>,
+    /// Threshold of detection, standard deviations.
+    threshold: f64,
+    /// What was dropped or is worth knowing, in words.
+    remarks: Vec<String>,
+}
+
 /// Decomposes the shot of a line, looking on.
 fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Failure> {
     let without = |what: &str| {
@@ -223,7 +241,17 @@ fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Fai
     let emission = line.emissions[index as usize];
     let file = chain.file().display().to_string();
     let threshold = chain.decompose.detection_sigma;
-    Ok(seen.explained(file, emission, returns, &cx, model, threshold))
+    let (blocks, outgoing) = seen.finish(&emission, &returns);
+    let remarks = remarks(&cx);
+    Ok(Explained { file, emission, returns, blocks, outgoing, model, threshold, remarks })
+}
+
+/// What was dropped or is worth knowing, in words.
+fn remarks(cx: &Context) -> Vec<String> {
+    let rejected = &cx.counters().rejected;
+    let dropped =
+        rejected.iter().map(|((item, why), n)| format!("not used: {n} of its {}: {why}", item.name()));
+    dropped.chain(cx.counters().notes.iter().cloned()).collect()
 }
 
 /// The job of every default.

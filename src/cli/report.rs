@@ -6,11 +6,16 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::{Failure, terminal};
+use crate::engine::RunReport;
 use crate::formats::Error;
 use crate::stage::OutputFile;
 
+mod overview;
 mod page;
 mod pictures;
+mod plot;
+mod style;
+mod waveforms;
 
 /// A report that is longer is none.
 const MOST_REPORT_BYTES: u64 = 200_000_000;
@@ -21,7 +26,11 @@ pub(super) fn report(place: &Path, out: Option<&Path>, quiet: bool) -> Result<()
     let path = if place.is_dir() { place.join("report.json") } else { place.to_path_buf() };
     let report = read(&path).map_err(|error| failed(&error))?;
     let out: PathBuf = out.map_or_else(|| path.with_extension("html"), Path::to_path_buf);
-    write(&out, &page::page(&report)).map_err(|error| failed(&error))?;
+    let page = page::page(&report)
+        .map_err(|problem| Error::unusable(&path, problem, "make the report anew: run the job again"));
+    let page = page.map_err(|error| failed(&error))?;
+    let file = OutputFile::create(&out).and_then(|file| write(&page, file));
+    file.map_err(|error| failed(&error))?;
     if quiet { Ok(()) } else { terminal::print(&format!("wrote {}\n", out.display())) }
 }
 
@@ -38,8 +47,16 @@ fn read(path: &Path) -> Result<Value, Error> {
     }
 }
 
-fn write(path: &Path, page: &str) -> Result<(), Error> {
-    let mut file = OutputFile::create(path)?;
-    file.write_all(page.as_bytes()).map_err(Error::io(path, "write the page"))?;
+/// Writes the page of a run that has just ended.
+pub(super) fn write_page(report: &RunReport, file: OutputFile) -> Result<(), Error> {
+    let defect = |problem: String| Error::unusable(file.path(), problem, "report this as a defect of wavex");
+    let value = serde_json::to_value(report).map_err(|error| defect(error.to_string()))?;
+    let page = page::page(&value).map_err(defect)?;
+    write(&page, file)
+}
+
+fn write(page: &str, mut file: OutputFile) -> Result<(), Error> {
+    let written = file.write_all(page.as_bytes());
+    written.map_err(|error| Error::io(file.path(), "write the page")(error))?;
     file.finish()?.publish().map(|_| ())
 }

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
+use super::report::write_page;
 use super::{Failure, JobArgs, Machine, When, log, terminal};
 use crate::archive::{Recorder, check_destination};
 use crate::engine::{self, Cancel, Cause, Options, ProgressMode, RunError, RunReport};
@@ -64,10 +65,11 @@ fn run_archived(
     };
     stop_on_signals(&options.cancel);
     // What keeps the report from being written is better known before the run than after it.
-    let report_file = match job.settings.report.as_str() {
-        "" => None,
-        name => Some(OutputFile::create(&output_dir.join(name)).map_err(|error| failed(&error))?),
+    let begin = |name: &str| match name {
+        "" => Ok(None),
+        name => OutputFile::create(&output_dir.join(name)).map(Some).map_err(|error| failed(&error)),
     };
+    let (report_file, page_file) = (begin(&job.settings.report)?, begin(&job.settings.report_page)?);
     let logged = |error: &dyn std::fmt::Display| {
         tracing::debug!("{error}");
         failed(error)
@@ -83,6 +85,9 @@ fn run_archived(
     }
     if let Some(file) = report_file {
         write_report(&report, file).map_err(|error| failed(&error))?;
+    }
+    if let Some(file) = page_file {
+        write_page(&report, file).map_err(|error| failed(&error))?;
     }
     write_stat_logs(&report, job, &output_dir).map_err(|error| failed(&error))?;
     if machine.profile {
@@ -107,7 +112,8 @@ fn own_outputs(
     // Inputs that cannot be found are the engine's to tell of.
     let inputs = engine::inputs(job, input_dir).unwrap_or_default();
     let stat_logs = inputs.iter().map(|input| settings.stat_log.replace('*', &input.stem));
-    let others = [settings.log.clone(), settings.report.clone()].into_iter().chain(stat_logs);
+    let of_run = [&settings.log, &settings.report, &settings.report_page];
+    let others = of_run.into_iter().cloned().chain(stat_logs);
     let names = others.chain(profile.then(|| TRACE.to_owned())).filter(|name| !name.is_empty());
     let mut outputs = Outputs::new();
     for name in names {

@@ -107,6 +107,36 @@ impl Svg {
         );
     }
 
+    /// A rectangle in a colour of its own, as a legend shows it.
+    pub(in crate::cli) fn swatch(&mut self, colour: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
+        let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
+        let _ = writeln!(
+            self.body,
+            "<rect fill=\"{colour}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\"/>"
+        );
+    }
+
+    /// A picture shown before, in the same page and at the same place.
+    pub(in crate::cli) fn again(&mut self, class: &str, id: &str) {
+        let _ = writeln!(self.body, "<use class=\"{class}\" href=\"#{id}\"/>");
+    }
+
+    /// A picture of cells, from its upper left to its lower right corner.
+    pub(in crate::cli) fn image(
+        &mut self,
+        id: &str,
+        url: &str,
+        [left, top]: [f64; 2],
+        [right, bottom]: [f64; 2],
+    ) {
+        let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
+        let _ = writeln!(
+            self.body,
+            "<image id=\"{id}\" href=\"{url}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \
+             preserveAspectRatio=\"none\"/>"
+        );
+    }
+
     /// A text that is read from below, around its middle.
     pub(in crate::cli) fn upright_text(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
         let _ = writeln!(
@@ -160,7 +190,7 @@ impl Scale {
         let (low, high) = (self.from[0].min(self.from[1]), self.from[0].max(self.from[1]));
         let first = (low / step).ceil() as i64;
         let last = (high / step).floor() as i64;
-        ((first..=last.min(first + 100)).map(|i| i as f64 * step).collect(), digits)
+        ((first..=last.min(first.saturating_add(100))).map(|i| i as f64 * step).collect(), digits)
     }
 }
 

@@ -15,6 +15,7 @@ use super::{Cause, Options, Progress};
 use crate::batch::Budget;
 use crate::geometry::posed::Posed;
 use crate::job::{Job, JobStage};
+use crate::overview::Gallery;
 use crate::stage::{Context, Plan, Result, Site, StageError, WholeFile};
 
 /// What a stage's workers leave behind: one entry each.
@@ -62,12 +63,13 @@ pub(super) fn run(
     if let Some(error) = shared.failure.into_error(&site.input) {
         return Err(error);
     }
-    let (stages, whole) = collect(job, leavings);
+    let (stages, whole, gallery) = collect(job, leavings);
     let outputs = publish(whole).map_err(|(stage, error)| RunError {
         stage: Some(stage),
         input: Some(site.input.clone()),
         cause: Cause::Stage(error),
     })?;
+    let totals = totals.with_gallery(gallery);
     Ok(InputReport::new(site, started, totals, stages, outputs, budget_peak))
 }
 
@@ -116,8 +118,9 @@ fn shared(job: &Job, options: &Options) -> Shared {
         largest_line_bytes: limit / (4 * transforms),
         keeps_waveforms: job.stages.iter().any(|stage| stage.planned.plan.needs_waveforms()),
         gauge: Gauge::default(),
-        totals: Mutex::new(Totals::default()),
-        cx: Context::default(),
+        overview: options.overview,
+        totals: Mutex::new(Totals::new(options.overview)),
+        cx: if options.overview { Context::with_gallery() } else { Context::default() },
     }
 }
 
@@ -156,9 +159,10 @@ fn work(stage: &JobStage, site: &Site, inlet: Option<Inlet>, desk: &mut Desk) ->
     }
 }
 
-/// What each stage did, and the files that are whole.
-fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String, WholeFile)>) {
+/// What each stage did, the files that are whole, and the shots to be shown.
+fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String, WholeFile)>, Gallery) {
     let mut whole = Vec::new();
+    let mut gallery = Gallery::default();
     let mut reports = Vec::new();
     for (stage, leavings) in job.stages.iter().zip(leavings) {
         let workers = leavings.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -168,11 +172,12 @@ fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String
         for (worker, (its_meter, its_cx)) in workers.into_iter().enumerate() {
             meter.merge(its_meter, worker);
             cx.counters.merge(its_cx.counters);
+            gallery.merge(its_cx.gallery.unwrap_or_default());
             whole.extend(its_cx.whole.into_iter().map(|file| (stage.id.clone(), file)));
         }
         reports.push(StageReport::new(stage, count, meter, cx.counters));
     }
-    (reports, whole)
+    (reports, whole, gallery)
 }
 
 /// Gives every whole file its final name.

@@ -16,6 +16,7 @@ use crate::geo::trajectory::Trajectory;
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::sensor_model::SensorModel;
+use crate::overview::{Gallery, Gathering, Overview};
 use crate::stage::{Counters, Distribution, Item, RoleName, Site};
 
 /// What a run did (`report.json`).
@@ -88,6 +89,9 @@ pub struct InputReport {
     pub trajectory: Option<TrajectoryReport>,
     /// The coordinates of the points, where a trajectory brought them there.
     pub coordinates: Option<String>,
+    /// What was made, to be looked at, where the job wants a page.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub overview: Option<Overview>,
     /// The stages, in order.
     pub stages: Vec<StageReport>,
     /// The files written.
@@ -198,13 +202,26 @@ pub struct Totals {
     input: Option<Arc<InputInfo>>,
     model: Option<Arc<SensorModel>>,
     fusion: Option<Arc<ChannelFusion>>,
+    gathering: Option<Gathering>,
+    gallery: Option<Gallery>,
 }
 
 impl Totals {
+    /// With what a page shows, or without.
+    pub(super) fn new(overview: bool) -> Totals {
+        Totals { gathering: overview.then(Gathering::default), ..Totals::default() }
+    }
+
+    /// The same, with the shots to be shown.
+    pub(super) fn with_gallery(self, gallery: Gallery) -> Totals {
+        Totals { gallery: Some(gallery), ..self }
+    }
+
     pub(super) fn add(&mut self, batch: &Batch) {
         for (name, count) in batch.stats.counts() {
             *self.counts.entry(name).or_default() += count;
         }
+        self.gathering.iter_mut().for_each(|gathering| gathering.add(batch));
         self.input.get_or_insert_with(|| Arc::clone(&batch.input));
         if self.model.is_none() {
             self.model.clone_from(&batch.model);
@@ -325,6 +342,7 @@ impl InputReport {
             totals: totals.counts,
             channel_fusion: totals.fusion.as_deref().cloned(),
             sensor_model: totals.model.as_deref().cloned(),
+            overview: totals.gathering.map(|gathering| gathering.finish(totals.gallery)),
             trajectory: site.geometry.trajectory().map(TrajectoryReport::from),
             // An error here has ended the run before.
             coordinates: site.geometry.target().ok().flatten().map(|target| target.name().to_owned()),

@@ -20,6 +20,8 @@ pub(super) struct Shared {
     /// Lines keep their recorded blocks behind `decompose`.
     pub(super) keeps_waveforms: bool,
     pub(super) gauge: Gauge,
+    /// What lines that leave hold is gathered for a page.
+    pub(super) overview: bool,
     pub(super) totals: Mutex<Totals>,
     /// What the contexts of all workers come from.
     pub(super) cx: Context,
@@ -56,6 +58,10 @@ impl Desk<'_> {
         match &self.exit {
             Exit::To(outlet) => outlet.send(place, batch)?,
             Exit::Out => self.leave(&batch),
+        }
+        if self.shared.overview && matches!(self.exit, Exit::Out) {
+            // Looking at a line that leaves is work: nobody behind blocks the last stage.
+            self.meter.worked();
         }
         self.meter.was_blocked();
         Ok(())

@@ -7,6 +7,7 @@ use hdrhistogram::Histogram;
 
 use super::WholeFile;
 use crate::batch::Batch;
+use crate::overview::Gallery;
 
 /// What can be counted on its way through a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -51,6 +52,8 @@ pub struct Context {
     pub(crate) whole: Vec<WholeFile>,
     /// The notes of all workers of the run, so that each is logged once.
     said: Arc<Mutex<BTreeSet<String>>>,
+    /// The shots to be shown, where the run is to have a page.
+    pub(crate) gallery: Option<Gallery>,
 }
 
 /// What a stage has counted, measured and said.
@@ -67,7 +70,18 @@ pub struct Counters {
 impl Context {
     /// The context of another worker of the same run.
     pub(crate) fn another(&self) -> Context {
-        Context { said: Arc::clone(&self.said), ..Context::default() }
+        let gallery = self.gallery.is_some().then(Gallery::default);
+        Context { said: Arc::clone(&self.said), gallery, ..Context::default() }
+    }
+
+    /// Of a run that shows some of its shots.
+    pub(crate) fn with_gallery() -> Context {
+        Context { gallery: Some(Gallery::default()), ..Context::default() }
+    }
+
+    /// Where shots are shown, if the run wants any.
+    pub(crate) fn gallery(&mut self) -> Option<&mut Gallery> {
+        self.gallery.as_mut()
     }
 
     /// Drops `n` items for a reason. This is the only way to drop anything.

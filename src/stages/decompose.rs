@@ -5,21 +5,24 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Content, Kind, Returns};
+use crate::batch::{Batch, Content, Emission, Kind, LineStats, Return, Returns};
 use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::lockstep::Path;
 use crate::kernels::sensor_model::SensorModel;
+use crate::overview::{Gallery, ShownReturn, ShownShot};
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
 
 mod both;
 mod crosstalk;
 mod found;
 mod receivers;
+mod seen;
 mod shots;
 
 use receivers::SharedTables;
 
 pub(crate) use receivers::SensorTables;
+pub(crate) use seen::{Seen, SeenBlock, SeenPulse};
 pub(crate) use shots::{BlockFit, Line, Shot, ShotDecomposer, Watch};
 
 /// The stage's place in the registry.
@@ -225,6 +228,43 @@ impl Worker {
     }
 }
 
+/// A line that was decomposed.
+struct Looked<'a> {
+    line: u32,
+    emissions: &'a [Emission],
+    returns: &'a [Return],
+}
+
+impl Worker {
+    /// Decomposes the shots that are worth showing once more, looking on.
+    fn show(&mut self, shots: &[Shot], looked: &Looked, threshold: f64, gallery: &mut Gallery) -> Result<()> {
+        for candidate in gallery.candidates(looked.line, looked.emissions, looked.returns) {
+            let is_it = |shot: &&Shot| shot.index == candidate.emission;
+            let Some(shot) = shots.iter().find(is_it) else { continue };
+            let mut seen = Seen::new(shot.blocks);
+            let (mut emissions, mut returns) = (looked.emissions.to_vec(), Returns::new());
+            let mut line =
+                Line { emissions: &mut emissions, returns: &mut returns, stats: &mut LineStats::default() };
+            let one = std::slice::from_ref(shot);
+            self.shots.decompose(one, &mut line, &mut Context::default(), &mut seen)?;
+            let Some(emission) = emissions.get(candidate.emission as usize) else { continue };
+            let blocks = seen.finish(emission, &returns).0;
+            let shown = ShownShot {
+                kind: candidate.kind,
+                line: looked.line,
+                shot: emission.shot,
+                gps_time_s: emission.gps_time_s.is_finite().then_some(emission.gps_time_s),
+                deviation_ratio: candidate.deviation_ratio,
+                threshold,
+                blocks: blocks.into_iter().map(|block| block.shown).collect(),
+                returns: returns.iter().map(ShownReturn::from).collect(),
+            };
+            gallery.show(candidate.merit, shown);
+        }
+        Ok(())
+    }
+}
+
 impl Map for DecomposeLine {
     fn map(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
         let Some(model) = batch.model.clone() else {
@@ -250,6 +290,10 @@ impl Map for DecomposeLine {
         let (emissions, stats) = (&mut batch.emissions, &mut batch.stats);
         let mut line = Line { emissions, returns: &mut returns, stats };
         worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
+        if let Some(gallery) = cx.gallery() {
+            let looked = Looked { line: batch.line, emissions: &batch.emissions, returns: &returns };
+            worker.show(&shots, &looked, self.config.detection_sigma, gallery)?;
+        }
         batch.stats.np += returns.len() as u64;
         batch.content = Content::Returns(returns);
         if let Some(kept) = &mut batch.waveforms {

@@ -2,9 +2,10 @@
 
 use std::fmt::Write;
 
-use super::seen::{Explained, SeenBlock};
+use super::Explained;
 use crate::batch::{Return, flags};
 use crate::kernels::sensor_model::{Background, ChannelModel};
+use crate::stages::decompose::SeenBlock;
 
 /// The heads of the columns.
 const HEADS: [&str; 9] = [
@@ -36,7 +37,7 @@ pub(super) fn table(explained: &Explained) -> String {
     text.push('\n');
     text.push_str(&outgoing(explained));
     for (number, block) in (1..).zip(&explained.blocks) {
-        text.push_str(&of_block(number, block, explained));
+        text.push_str(&of_block(number, block));
     }
     for remark in &explained.remarks {
         let _ = writeln!(text, "{remark}");
@@ -90,9 +91,9 @@ fn outgoing(explained: &Explained) -> String {
     }
 }
 
-fn of_block(number: usize, block: &SeenBlock, explained: &Explained) -> String {
-    let (samples, fit) = (&block.samples, &block.fit);
-    let start_ns = explained.time_of_flight_ns(samples.start_ns);
+fn of_block(number: usize, block: &SeenBlock) -> String {
+    let (samples, fit) = (&block.shown.samples, &block.fit);
+    let start_ns = block.shown.first_ns;
     let mut text = format!(
         "block {number}: {} power, {} of {} ns from {start_ns:.3} ns of flight; background {:.2} DN; {} not used\n",
         fit.channel.name(),

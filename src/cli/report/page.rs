@@ -4,40 +4,200 @@ use std::fmt::Write;
 
 use serde_json::Value;
 
-use super::pictures::{response, times};
+use super::plot::{label, short};
+use super::style::MORE_STYLE;
+use super::{overview, pictures, waveforms};
 use crate::cli::scan::page::STYLE;
 use crate::cli::svg::escaped;
+use crate::overview::Overview;
 
-/// What the page of a run has besides the looks of a recording's.
-const MORE_STYLE: &str = "\
-.wide th,.wide td{text-align:right;padding:3px 8px;border-top:1px solid var(--rule);width:auto}
-.wide th:first-child,.wide td:first-child{text-align:left}.wide{margin-bottom:14px}
-.working{fill:var(--low)}.waiting{fill:var(--grid);stroke:var(--frame)}.blocked{fill:var(--high)}
-.notes li{margin:4px 0}
-";
+/// What a browser may load for the page: the style within it and pictures within it, and nothing else.
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
 
 /// The page of a report, as HTML. What a report lacks is left out.
-pub(super) fn page(report: &Value) -> String {
+///
+/// # Errors
+/// An overview that is none: which input's, and why.
+pub(super) fn page(report: &Value) -> Result<String, String> {
+    let inputs = list(report, "inputs");
+    let names: Vec<String> = inputs.iter().map(|input| plain(&input["stem"])).collect();
+    let title = escaped(&format!("wavex report: {}", names.join(", ")));
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n<title>wavex report</title>\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n<title>{title}</title>\n\
          <style>\n{STYLE}{MORE_STYLE}</style>\n</head>\n<body>\n<h1>Report of a run</h1>\n\
          <p class=\"about\">wavex {}, {} threads, {} s</p>\n",
         text(&report["wavex"]),
         text(&report["threads"]),
-        text(&report["wall_s"])
+        seconds(&report["wall_s"]),
     );
-    let keys = list(report, "stages").iter().map(|stage| (name(stage), stage["keys"].to_string()));
-    section(&mut page, "What was run", keys);
-    for input in list(report, "inputs") {
-        of_input(&mut page, input);
+    let chain: Vec<String> = list(report, "stages").iter().map(name).collect();
+    let _ = writeln!(page, "<p class=\"chain\">{}</p>", escaped(&chain.join(" → ")));
+    for (number, input) in inputs.iter().enumerate() {
+        of_input(&mut page, input, number)?;
     }
+    what_was_run(&mut page, report);
     page.push_str("</body>\n</html>\n");
-    page
+    Ok(page)
 }
 
-fn of_input(page: &mut String, input: &Value) {
-    let _ = writeln!(page, "<h1>{}</h1>", text(&input["stem"]));
+/// The job: its own keys, and those of its stages in their order.
+fn what_was_run(page: &mut String, report: &Value) {
+    let keys = |table: &Value| {
+        let given = table.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
+        given.map(|(key, value)| format!("{key} = {value}")).collect::<Vec<String>>().join(", ")
+    };
+    page.push_str("<div class=\"job\">\n");
+    let stages = list(report, "stages").iter().map(|stage| (name(stage), keys(&stage["keys"])));
+    let job = report["job"].is_object().then(|| ("job".to_owned(), keys(&report["job"])));
+    section(page, "What was run, with every key", job.into_iter().chain(stages));
+    page.push_str("</div>\n");
+}
+
+fn of_input(page: &mut String, input: &Value, number: usize) -> Result<(), String> {
+    let stem = plain(&input["stem"]);
+    let overview: Option<Overview> = match &input["overview"] {
+        Value::Null => None,
+        value => Some(
+            serde_json::from_value(value.clone())
+                .map_err(|error| format!("the overview of {stem:?} is none: {error}"))?,
+        ),
+    };
+    let _ = writeln!(page, "<h1 class=\"input\">{}</h1>", escaped(&stem));
+    key_figures(page, input);
+    notes(page, input);
+    if let Some(overview) = &overview {
+        from_above(page, overview, input, number);
+        of_returns(page, overview);
+        of_waveforms(page, overview);
+    }
+    of_run(page, input);
+    of_sensor(page, &input["sensor_model"]);
+    tables(page, input);
+    Ok(())
+}
+
+/// The numbers that one looks for first.
+fn key_figures(page: &mut String, input: &Value) {
+    let total = |key: &str| input["totals"][key].as_u64();
+    let wall_s = input["wall_s"].as_f64().filter(|wall_s| *wall_s > 0.0);
+    let lines = list(input, "stages").last().and_then(|stage| stage["lines_out"].as_u64());
+    let count = |value: Option<u64>| value.map(|value| label(value as f64, 0));
+    let rate = total("nw").zip(wall_s).map(|(waveforms, wall_s)| label(waveforms as f64 / wall_s, 0));
+    let busiest = list(input, "stages").iter().max_by(|a, b| load(a).total_cmp(&load(b)));
+    let figures = [
+        ("scan lines", count(lines)),
+        ("waveforms", count(total("nw"))),
+        ("returns", count(total("np"))),
+        ("points", count(total("n_georef"))),
+        ("duration", wall_s.map(|wall_s| format!("{} s", short(wall_s)))),
+        ("waveforms per second", rate),
+        ("slowest stage", busiest.map(name)),
+    ];
+    page.push_str("<div class=\"tiles\">\n");
+    for (what, value) in figures {
+        if let Some(value) = value {
+            let _ = writeln!(page, "<div><b>{}</b><span>{what}</span></div>", escaped(&value));
+        }
+    }
+    page.push_str("</div>\n");
+}
+
+/// Working time of each of a stage's workers.
+fn load(stage: &Value) -> f64 {
+    stage["working_s"].as_f64().unwrap_or(0.0) / stage["workers"].as_f64().unwrap_or(1.0).max(1.0)
+}
+
+/// What stages had to say, and what they rejected.
+fn notes(page: &mut String, input: &Value) {
+    let mut items = String::new();
+    for stage in list(input, "stages") {
+        let told = list(stage, "notes").iter().map(plain);
+        let rejected = entries(&stage["rejected"]).map(|(what, n)| format!("rejected {n} {what}"));
+        for said in told.chain(rejected) {
+            let _ = writeln!(items, "<li><b>{}</b>: {}</li>", escaped(&name(stage)), escaped(&said));
+        }
+    }
+    let body = match items.as_str() {
+        "" => "<p>None: no stage had anything to say, and nothing was rejected.</p>\n".to_owned(),
+        items => format!("<ul class=\"notes\">\n{items}</ul>\n"),
+    };
+    let _ = write!(page, "<section>\n<h2>Warnings</h2>\n{body}</section>\n");
+}
+
+fn from_above(page: &mut String, overview: &Overview, input: &Value, number: usize) {
+    let mut figures = Vec::new();
+    let mut about = String::new();
+    if let Some(map) = &overview.map {
+        let name = format!("intensities-{number}");
+        let axes = overview::axes(map, input["frame"].as_str());
+        figures.push(figure(
+            "Points by height",
+            &overview::heights(map, &axes, &format!("heights-{number}")),
+            "",
+        ));
+        figures.push(figure("Points by intensity", &overview::intensities(map, &axes, &name), ""));
+        let words = "some scan lines, and the middle of the first (dot)";
+        figures.extend(
+            overview::swath(map, &axes, &name).map(|svg| figure("Swath on the grid of the map", &svg, words)),
+        );
+        about = overview::about(map, input["coordinates"].as_str());
+    }
+    let along = overview::along(&overview.lines);
+    let words = match overview.lines.lines_per_group {
+        0 | 1 => String::new(),
+        lines => format!("means of {lines} lines"),
+    };
+    figures.extend(along.map(|svg| figure("Waveforms and returns along the flight", &svg, &words)));
+    group(page, "Points from above", &about, &figures);
+}
+
+fn of_returns(page: &mut String, overview: &Overview) {
+    let drawn = overview.histograms.iter().filter_map(|histogram| {
+        let (svg, words) = overview::histogram(histogram)?;
+        Some(figure(&capitalised(&histogram.quantity), &svg, &words))
+    });
+    group(page, "Returns", "", &drawn.collect::<Vec<String>>());
+}
+
+fn of_waveforms(page: &mut String, overview: &Overview) {
+    let figures: Vec<String> = overview.waveforms.iter().map(waveforms::figure).collect();
+    if !figures.is_empty() {
+        group(page, "Waveforms and their fits", "", &[waveforms::legend(), figures.concat()]);
+    }
+}
+
+fn of_run(page: &mut String, input: &Value) {
+    let words = "all workers of a stage together; waiting: for lines to come; blocked: by the stage behind";
+    let times = figure("Where the time went", &pictures::times(list(input, "stages")), words);
+    group(page, "Run", "", &[times]);
+    stages(page, input);
+    observed(page, input);
+}
+
+/// The receivers of a sensor model that are shown, and what they are called.
+const CHANNELS: [(&str, &str); 3] =
+    [("low_power", "low power"), ("high_power", "high power"), ("reference", "outgoing pulse")];
+
+fn of_sensor(page: &mut String, model: &Value) {
+    let mut figures = Vec::new();
+    for (key, channel) in CHANNELS {
+        let response = pictures::response(&model[key]["response"]);
+        figures.extend(response.map(|svg| {
+            figure(&format!("System response, {channel}"), &svg, "at each height that it is known for")
+        }));
+        let noise = pictures::noise(&model[key]);
+        let sd = model[key]["noise_sd_dn"].as_f64().unwrap_or(0.0);
+        let words =
+            format!("of noise with a standard deviation of {} DN; bars: two standard deviations", short(sd));
+        figures.extend(noise.map(|svg| figure(&format!("Noise, {channel}"), &svg, &words)));
+    }
+    group(page, "Sensor model", "", &figures);
+}
+
+/// What the pictures leave out.
+fn tables(page: &mut String, input: &Value) {
     page.push_str("<div class=\"sections\">\n");
     let facts = ["path", "format", "instrument", "serial", "sampling_interval_ns", "time_scale", "frame"];
     let more = ["emission_reference", "coordinates", "wall_s", "peak_in_flight_bytes"];
@@ -45,29 +205,37 @@ fn of_input(page: &mut String, input: &Value) {
     section(page, "Input", known.map(|key| (key.replace('_', " "), plain(&input[*key]))));
     section(page, "Counts of all lines", entries(&input["totals"]));
     section(page, "Trajectory", entries(&input["trajectory"]));
-    for channel in CHANNELS {
-        let model = &input["sensor_model"][channel];
+    for (key, channel) in CHANNELS {
+        let model = &input["sensor_model"][key];
         let told = ["noise_sd_dn", "autocorrelation", "background_dn", "pulse_fwhm_ns", "waveforms"];
         let rows = told.iter().filter(|_| model.is_object());
-        let title = format!("Sensor model, {}", channel.replace('_', " "));
-        section(page, &title, rows.map(|key| (key.replace('_', " "), plain(&model[*key]))));
+        let title = format!("Sensor model, {channel}");
+        section(page, &title, rows.map(|key| (key.replace('_', " "), rounded(&model[*key]))));
     }
     section(page, "Written", list(input, "outputs").iter().map(|file| ("file".to_owned(), plain(file))));
     page.push_str("</div>\n");
-    notes(page, input);
-    stages(page, input);
-    observed(page, input);
-    page.push_str("<div class=\"figures\">\n");
-    figure(page, "Time of each stage, all workers together", Some(times(list(input, "stages"))));
-    for channel in CHANNELS {
-        let title = format!("System response and its error, {}", channel.replace('_', " "));
-        figure(page, &title, response(&input["sensor_model"][channel]["response"]));
-    }
-    page.push_str("</div>\n");
 }
 
-/// The receivers of a sensor model that have a picture.
-const CHANNELS: [&str; 3] = ["low_power", "high_power", "reference"];
+/// A titled group of figures, where there are any.
+fn group(page: &mut String, title: &str, about: &str, figures: &[String]) {
+    if figures.is_empty() {
+        return;
+    }
+    let _ = writeln!(page, "<h2 class=\"group\">{}</h2>", escaped(title));
+    if !about.is_empty() {
+        let _ = writeln!(page, "<p class=\"about\">{}</p>", escaped(about));
+    }
+    let _ = write!(page, "<div class=\"figures\">\n{}</div>\n", figures.concat());
+}
+
+/// A picture with its title, and words below it.
+fn figure(title: &str, svg: &str, words: &str) -> String {
+    let words = match words {
+        "" => String::new(),
+        words => format!("<figcaption>{}</figcaption>\n", escaped(words)),
+    };
+    format!("<figure>\n<h3>{}</h3>\n{svg}{words}</figure>\n", escaped(title))
+}
 
 /// A titled table of names and values, where there are any.
 fn section(page: &mut String, title: &str, rows: impl Iterator<Item = (String, String)>) {
@@ -77,27 +245,6 @@ fn section(page: &mut String, title: &str, rows: impl Iterator<Item = (String, S
     if !rows.is_empty() {
         let (title, rows) = (escaped(title), rows.concat());
         let _ = write!(page, "<section>\n<h2>{title}</h2>\n<table>\n{rows}</table>\n</section>\n");
-    }
-}
-
-fn figure(page: &mut String, title: &str, svg: Option<String>) {
-    if let Some(svg) = svg {
-        let _ = write!(page, "<figure>\n<h3>{}</h3>\n{svg}</figure>\n", escaped(title));
-    }
-}
-
-/// What stages had to say, and what they rejected.
-fn notes(page: &mut String, input: &Value) {
-    let mut lines = Vec::new();
-    for stage in list(input, "stages") {
-        lines.extend(list(stage, "notes").iter().map(|note| format!("{}: {}", name(stage), plain(note))));
-        let rejected = entries(&stage["rejected"]);
-        lines.extend(rejected.map(|(what, n)| format!("{}: rejected {n} {what}", name(stage))));
-    }
-    if !lines.is_empty() {
-        let items: String = lines.iter().map(|line| format!("<li>{}</li>\n", escaped(line))).collect();
-        let _ =
-            write!(page, "<section>\n<h2>Warnings</h2>\n<ul class=\"notes\">\n{items}</ul>\n</section>\n");
     }
 }
 
@@ -174,7 +321,25 @@ fn plain(value: &Value) -> String {
     }
 }
 
-/// The same as HTML holds it.
+/// Numbers and lists of numbers with a few digits.
+fn rounded(value: &Value) -> String {
+    match value {
+        Value::Array(items) => items.iter().map(rounded).collect::<Vec<String>>().join(", "),
+        Value::Number(number) => number.as_f64().map_or_else(|| number.to_string(), short),
+        other => plain(other),
+    }
+}
+
+fn seconds(value: &Value) -> String {
+    value.as_f64().map_or_else(|| plain(value), |seconds| format!("{seconds:.1}"))
+}
+
+fn capitalised(words: &str) -> String {
+    let mut letters = words.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// A value as HTML holds it.
 fn text(value: &Value) -> String {
     escaped(&plain(value))
 }

@@ -1,10 +1,10 @@
-//! Pictures of a run.
+//! Pictures of a run and of its sensor, from the report's own values.
 
 use serde_json::Value;
 
+use super::plot::{Plot, WIDTH, ticks};
 use crate::cli::svg::{Anchor, Scale, Svg};
 
-const WIDTH: f64 = 560.0;
 const LEFT: f64 = 110.0;
 const RIGHT: f64 = 546.0;
 /// Height of a stage's bar with the room around it.
@@ -18,8 +18,19 @@ pub(super) fn times(stages: &[Value]) -> String {
     let longest = stages.iter().map(sum).fold(1e-9, f64::max);
     let x = Scale { from: [0.0, longest], to: [LEFT, RIGHT] };
     let mut svg = Svg::new();
+    for (index, part) in parts.iter().enumerate() {
+        let left = LEFT + 120.0 * index as f64;
+        svg.rect(part, [left, 6.0], [left + 12.0, 18.0]);
+        svg.text("", [left + 18.0, 16.0], Anchor::Start, part);
+    }
+    let top_of = |row: usize| 32.0 + row as f64 * ROW;
+    let bottom = top_of(stages.len());
+    for (value, text) in ticks(&x, 5.0) {
+        svg.line("grid", [x.at(value), 28.0], [x.at(value), bottom]);
+        svg.text("", [x.at(value), bottom + 15.0], Anchor::Middle, &format!("{text} s"));
+    }
     for (row, stage) in stages.iter().enumerate() {
-        let top = 8.0 + row as f64 * ROW;
+        let top = top_of(row);
         svg.text("", [LEFT - 7.0, top + 14.0], Anchor::End, stage["id"].as_str().unwrap_or_default());
         let mut from = 0.0;
         for part in parts {
@@ -28,57 +39,69 @@ pub(super) fn times(stages: &[Value]) -> String {
             from = until;
         }
     }
-    let bottom = 12.0 + stages.len() as f64 * ROW;
-    let (values, digits) = x.ticks(5.0);
-    for value in values {
-        svg.text("", [x.at(value), bottom + 12.0], Anchor::Middle, &format!("{value:.digits$} s"));
-    }
-    for (index, part) in parts.iter().enumerate() {
-        let left = LEFT + 120.0 * index as f64;
-        svg.rect(part, [left, bottom + 24.0], [left + 12.0, bottom + 36.0]);
-        svg.text("", [left + 18.0, bottom + 35.0], Anchor::Start, part);
-    }
-    svg.inline(WIDTH, bottom + 46.0, "time of each stage")
+    svg.inline(WIDTH, bottom + 26.0, "time of each stage")
 }
 
+/// A response is shown as far as it exceeds this part of its height.
+const TAIL: f64 = 0.004;
 /// Values of a response per sample.
 const PER_SAMPLE: f64 = 8.0;
 
+fn numbers(list: &Value) -> Vec<f64> {
+    list.as_array().into_iter().flatten().filter_map(Value::as_f64).collect()
+}
+
 /// The response of a receiver at each height that it is known for, and the error of its shape; `None` where there is none.
 pub(super) fn response(response: &Value) -> Option<String> {
-    let numbers = |list: &Value| -> Option<Vec<f64>> {
-        Some(list.as_array()?.iter().filter_map(Value::as_f64).collect())
-    };
     let first = response["first_sample"].as_f64()?;
     let nodes: Vec<Vec<f64>> =
-        response["nodes"].as_array()?.iter().filter_map(|node| numbers(&node["values"])).collect();
-    let length = nodes.iter().map(Vec::len).max().filter(|length| *length > 1)?;
+        response["nodes"].as_array()?.iter().map(|node| numbers(&node["values"])).collect();
+    let stands_out = |node: &Vec<f64>| node.iter().rposition(|value| value.abs() > TAIL);
+    let last = nodes.iter().filter_map(stands_out).max()? as f64 / PER_SAMPLE;
     let (low, high) =
         nodes.iter().flatten().fold((0.0f64, 1.0f64), |(low, high), v| (low.min(*v), high.max(*v)));
-    let x = Scale { from: [first, first + (length - 1) as f64 / PER_SAMPLE], to: [LEFT - 50.0, RIGHT] };
-    let y = Scale { from: [low, high], to: [220.0, 12.0] };
+    let plot = Plot::new([first, first + (1.1 * last).max(1.0)], [low, 1.05 * high]);
     let mut svg = Svg::new();
-    let (values, digits) = y.ticks(5.0);
-    for value in values {
-        svg.line("grid", [x.to[0], y.at(value)], [RIGHT, y.at(value)]);
-        svg.text("", [x.to[0] - 7.0, y.at(value) + 4.0], Anchor::End, &format!("{value:.digits$}"));
-    }
-    let (values, digits) = x.ticks(7.0);
-    for value in values {
-        svg.line("grid", [x.at(value), y.to[1]], [x.at(value), y.to[0]]);
-        svg.text("", [x.at(value), 238.0], Anchor::Middle, &format!("{value:.digits$}"));
-    }
+    plot.grid(&mut svg);
     for node in &nodes {
-        let place = |(index, value): (usize, &f64)| [x.at(first + index as f64 / PER_SAMPLE), y.at(*value)];
-        svg.curve("low", node.iter().enumerate().map(place));
+        let points = node.iter().enumerate().map(|(i, value)| [first + i as f64 / PER_SAMPLE, *value]);
+        svg.curve("returns", plot.inside(points));
     }
-    let errors = numbers(&response["template_error"]).unwrap_or_default();
-    svg.curve("high", errors.iter().enumerate().map(|(index, e)| [x.at(first + index as f64), y.at(*e)]));
-    svg.text(
-        "",
-        [(x.to[0] + RIGHT) / 2.0, 258.0],
-        Anchor::Middle,
-        "samples from the peak; error of the shape in orange",
-    );
-    Some(svg.inline(WIDTH, 268.0, "system response"))
+    let errors = numbers(&response["template_error"]);
+    let points = errors.iter().enumerate().map(|(i, error)| [first + i as f64, *error]);
+    svg.curve("found", plot.inside(points));
+    svg.curve("returns", [[400.0, 28.0], [422.0, 28.0]].into_iter());
+    svg.text("", [428.0, 32.0], Anchor::Start, "response");
+    svg.curve("found", [[400.0, 46.0], [422.0, 46.0]].into_iter());
+    svg.text("", [428.0, 50.0], Anchor::Start, "error of its shape");
+    Some(plot.finish(svg, "system response", "samples from the peak", "part of the height"))
+}
+
+/// The noise of a receiver: how it is correlated from sample to sample, with twice the standard deviation where that is
+/// known; `None` where the correlation was not measured.
+pub(super) fn noise(channel: &Value) -> Option<String> {
+    let measured = numbers(&channel["autocorrelation"]);
+    let errors = numbers(&channel["uncertainty"]["autocorrelation"]);
+    let lags = 1 + measured.len();
+    if measured.is_empty() {
+        return None;
+    }
+    let least = measured.iter().copied().fold(0.0, f64::min);
+    let plot = Plot::new([-0.5, lags as f64 - 0.5], [(1.2 * least).min(-0.1), 1.08]);
+    let mut svg = Svg::new();
+    plot.grid_y(&mut svg, ticks(&plot.y, 5.0));
+    let every = lags.div_ceil(12);
+    plot.grid_x(&mut svg, (0..lags).step_by(every).map(|lag| (lag as f64, lag.to_string())).collect());
+    let [_, zero] = plot.at([0.0, 0.0]);
+    svg.line("zero", [plot.x.to[0], zero], [plot.x.to[1], zero]);
+    for (lag, value) in [1.0].iter().chain(&measured).enumerate() {
+        let [x, y] = plot.at([lag as f64, *value]);
+        svg.line("rod", [x, zero], [x, y]);
+        if let Some(error) = lag.checked_sub(1).and_then(|lag| errors.get(lag)) {
+            let [low, high] = [-2.0, 2.0].map(|times| plot.at([lag as f64, value + times * error]));
+            svg.line("span", low, high);
+        }
+        svg.circle("dot", [x, y], 3.0);
+    }
+    Some(plot.finish(svg, "correlation of the noise", "lag, samples", "correlation"))
 }

@@ -1,0 +1,187 @@
+//! The panels of a shot's blocks: samples with their fit, and below them what the fit leaves.
+
+use crate::cli::svg::{Anchor, Scale, Svg};
+use crate::overview::{PER_SAMPLE, Samples, ShownBlock};
+
+/// Where the panels of a shot stand in a picture.
+pub(in crate::cli) struct Panels {
+    /// Left and right end of all of them.
+    pub(in crate::cli) x: [f64; 2],
+    /// Room between two.
+    pub(in crate::cli) gap: f64,
+    /// Top and bottom of the samples.
+    pub(in crate::cli) samples: [f64; 2],
+    /// Top and bottom of what the fit leaves.
+    pub(in crate::cli) residual: [f64; 2],
+    /// Threshold of detection, standard deviations.
+    pub(in crate::cli) threshold: f64,
+}
+
+impl Panels {
+    /// Draws the blocks side by side, on one scale of heights.
+    pub(in crate::cli) fn draw(&self, svg: &mut Svg, blocks: &[&ShownBlock]) {
+        let total_ns: f64 = blocks.iter().map(|block| block.samples.span_ns()).sum();
+        let room = self.x[1] - self.x[0] - self.gap * blocks.len().saturating_sub(1) as f64;
+        let heights = heights(blocks);
+        let largest = self.largest_deviation(blocks);
+        let mut left = self.x[0];
+        for (i, block) in blocks.iter().enumerate() {
+            let right = left + room * block.samples.span_ns() / total_ns.max(1e-9);
+            let panel = Panel::of(block, [left, right]);
+            panel.samples(svg, &Scale { from: heights, to: [self.samples[1], self.samples[0]] }, i == 0);
+            let y = Scale { from: [-largest, largest], to: [self.residual[1], self.residual[0]] };
+            panel.residual(svg, &y, self.threshold, i == 0);
+            left = right + self.gap;
+        }
+    }
+
+    /// The largest deviation to be shown, standard deviations.
+    fn largest_deviation(&self, blocks: &[&ShownBlock]) -> f64 {
+        let all = blocks.iter().flat_map(|block| &block.samples.residual);
+        all.fold(self.threshold + 1.0, |largest, value| largest.max(1.1 * value.abs()))
+    }
+}
+
+/// The heights that all samples and fits need, DN; a fit far beyond the digitiser's range does not press them flat.
+fn heights(blocks: &[&ShownBlock]) -> [f64; 2] {
+    let mut range = [0.0f64, 10.0];
+    for block in blocks {
+        let limit = 2.0 * block.samples.full_scale_dn;
+        let samples = block.samples.samples_dn.iter().map(|&sample| f64::from(sample));
+        for value in samples.chain(block.samples.fit_dn()) {
+            range = [range[0].min(value), range[1].max(value.min(limit))];
+        }
+    }
+    // Room for the numbers of the returns.
+    [range[0] - 0.03 * (range[1] - range[0]), range[1] + 0.14 * (range[1] - range[0])]
+}
+
+/// The part of the picture that one block has.
+struct Panel<'a> {
+    block: &'a ShownBlock,
+    x: Scale,
+}
+
+impl Panel<'_> {
+    fn of(block: &ShownBlock, to: [f64; 2]) -> Panel<'_> {
+        let begin = block.first_ns - 0.5 * block.samples.interval_ns;
+        Panel { block, x: Scale { from: [begin, begin + block.samples.span_ns()], to } }
+    }
+
+    /// Where a place in the block stands.
+    fn at(&self, position_samples: f64) -> f64 {
+        self.x.at(self.block.first_ns + position_samples * self.block.samples.interval_ns)
+    }
+
+    fn samples(&self, svg: &mut Svg, y: &Scale, is_first: bool) {
+        let samples = &self.block.samples;
+        self.frame(svg, y, 6.0, is_first, false);
+        let level = y.at(samples.background_dn);
+        svg.line("level", [self.x.to[0], level], [self.x.to[1], level]);
+        let clip = |dn: f64| y.at(dn).clamp(y.to[1], y.to[0]);
+        let curve = |values: Vec<f64>, above: f64| {
+            let points = values.into_iter().enumerate();
+            points.map(move |(i, value)| (i as f64 / PER_SAMPLE as f64, value + above)).collect::<Vec<_>>()
+        };
+        for pulse in &samples.pulses_dn {
+            let visible = visible(pulse);
+            let seen = curve(pulse.clone(), samples.background_dn);
+            let part = seen.into_iter().skip(visible.start).take(visible.len());
+            svg.curve("pulse", part.map(|(at, dn)| [self.at(at), clip(dn)]));
+        }
+        let fit = curve(samples.fit_dn(), 0.0);
+        svg.curve("fit", fit.iter().map(|&(at, dn)| [self.at(at), clip(dn)]));
+        dots(svg, samples, 0, |k| self.at(k), clip);
+        self.numbers(svg, y);
+    }
+
+    /// The number of each return above its peak, one above the other where they are close.
+    fn numbers(&self, svg: &mut Svg, y: &Scale) {
+        let samples = &self.block.samples;
+        let fit = samples.fit_dn();
+        let mut taken: Vec<[f64; 2]> = Vec::new();
+        for peak in &self.block.peaks {
+            let Some(number) = peak.number else { continue };
+            let position = peak.position_samples;
+            let nearest =
+                (position * PER_SAMPLE as f64).round().clamp(0.0, fit.len().saturating_sub(1) as f64);
+            let top = fit.get(nearest as usize).copied().unwrap_or(0.0).max(samples.background_dn);
+            let x = self.at(position).clamp(self.x.to[0] + 4.0, self.x.to[1] - 4.0);
+            let mut label = y.at(top).clamp(y.to[1] + 22.0, y.to[0]) - 9.0;
+            while taken.iter().any(|other| (other[0] - x).abs() < 15.0 && (other[1] - label).abs() < 14.0) {
+                label -= 14.0;
+            }
+            taken.push([x, label]);
+            svg.line("peak", [x, label + 4.0], [x, y.at(samples.background_dn)]);
+            svg.text("num", [x, label], Anchor::Middle, &number.to_string());
+        }
+    }
+
+    fn residual(&self, svg: &mut Svg, y: &Scale, threshold: f64, is_first: bool) {
+        let [left, right] = self.x.to;
+        svg.rect("one", [left, y.at(1.0)], [right, y.at(-1.0)]);
+        self.frame(svg, y, 4.0, is_first, true);
+        svg.line("zero", [left, y.at(0.0)], [right, y.at(0.0)]);
+        for limit in [threshold, -threshold] {
+            svg.line("limit", [left, y.at(limit)], [right, y.at(limit)]);
+        }
+        let samples = &self.block.samples;
+        let residual = samples.residual.iter().zip(&samples.used);
+        for ((&value, &used), &taken_at) in residual.zip(&samples.taken_at) {
+            let x = self.at(taken_at);
+            if used {
+                svg.line("stem", [x, y.at(0.0)], [x, y.at(value)]);
+                svg.circle("sample", [x, y.at(value)], 2.2);
+            } else {
+                svg.circle("left", [x, y.at(0.0)], 2.2);
+            }
+        }
+    }
+
+    /// Frame, grid and the numbers at the axes.
+    fn frame(&self, svg: &mut Svg, y: &Scale, wanted: f64, is_first: bool, with_times: bool) {
+        let ([left, right], [bottom, top]) = (self.x.to, y.to);
+        let (values, digits) = y.ticks(wanted);
+        for value in values {
+            svg.line("grid", [left, y.at(value)], [right, y.at(value)]);
+            if is_first {
+                svg.text("", [left - 7.0, y.at(value) + 4.0], Anchor::End, &format!("{value:.digits$}"));
+            }
+        }
+        let (times, digits) = self.x.ticks(((right - left) / 75.0).max(2.0));
+        for time in times {
+            svg.line("grid", [self.x.at(time), top], [self.x.at(time), bottom]);
+            if with_times {
+                svg.text("", [self.x.at(time), bottom + 17.0], Anchor::Middle, &format!("{time:.digits$}"));
+            }
+        }
+        svg.rect("frame", [left, top], [right, bottom]);
+    }
+}
+
+/// The part of a pulse's curve from where it first leaves the background to where it is back: a hundredth of its peak.
+fn visible(pulse: &[f64]) -> std::ops::Range<usize> {
+    let least = 0.01 * pulse.iter().fold(0.0f64, |peak, value| peak.max(*value));
+    let stands_out = |value: &f64| *value > least;
+    let first = pulse.iter().position(stands_out).unwrap_or(0);
+    first..pulse.iter().rposition(stands_out).map_or(first, |last| last + 1)
+}
+
+/// The samples of a block as dots; `window` is the sample to which the first of `used` belongs.
+pub(super) fn dots(
+    svg: &mut Svg,
+    samples: &Samples,
+    window: usize,
+    x: impl Fn(f64) -> f64,
+    y: impl Fn(f64) -> f64,
+) {
+    for (k, (&fitted_dn, &taken_at)) in samples.fitted_dn.iter().zip(&samples.taken_at).enumerate() {
+        let used = k.checked_sub(window).and_then(|k| samples.used.get(k)).copied().unwrap_or(false);
+        let class = match (samples.is_saturated(k), used) {
+            (true, _) => "sat",
+            (false, true) => "sample",
+            (false, false) => "left",
+        };
+        svg.circle(class, [x(taken_at), y(fitted_dn)], 2.6);
+    }
+}

@@ -1,0 +1,143 @@
+//! The frame that the pictures of a run have in common.
+
+use crate::cli::svg::{Anchor, Scale, Svg};
+
+/// Width of a picture that stands beside another.
+pub(super) const WIDTH: f64 = 560.0;
+
+/// A framed area with its scales. Logarithmic ones count in decades.
+pub(super) struct Plot {
+    pub(super) x: Scale,
+    pub(super) y: Scale,
+}
+
+/// A value at an axis and what is written there.
+pub(super) type Tick = (f64, String);
+
+impl Plot {
+    /// Of the usual size: what `x` and `y` show, from low to high.
+    pub(super) fn new(x: [f64; 2], y: [f64; 2]) -> Plot {
+        Plot { x: Scale { from: x, to: [70.0, 546.0] }, y: Scale { from: y, to: [214.0, 14.0] } }
+    }
+
+    pub(super) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let within = |value: f64, [a, b]: [f64; 2]| value.clamp(a.min(b), a.max(b));
+        [within(self.x.at(x), self.x.to), within(self.y.at(y), self.y.to)]
+    }
+
+    /// The points that lie between the ends of the horizontal axis.
+    pub(super) fn inside(&self, points: impl Iterator<Item = [f64; 2]>) -> impl Iterator<Item = [f64; 2]> {
+        let [low, high] = self.x.from;
+        points.filter(move |[x, _]| (low..=high).contains(x)).map(|point| self.at(point))
+    }
+
+    /// Lines and numbers at the horizontal axis.
+    pub(super) fn grid_x(&self, svg: &mut Svg, ticks: Vec<Tick>) {
+        let [bottom, top] = self.y.to;
+        for (value, text) in ticks {
+            let x = self.x.at(value);
+            svg.line("grid", [x, top], [x, bottom]);
+            svg.text("", [x, bottom + 17.0], Anchor::Middle, &text);
+        }
+    }
+
+    /// Lines and numbers at the vertical axis.
+    pub(super) fn grid_y(&self, svg: &mut Svg, ticks: Vec<Tick>) {
+        let [left, right] = self.x.to;
+        for (value, text) in ticks {
+            let y = self.y.at(value);
+            svg.line("grid", [left, y], [right, y]);
+            svg.text("", [left - 7.0, y + 4.0], Anchor::End, &text);
+        }
+    }
+
+    /// Lines and round numbers at both axes.
+    pub(super) fn grid(&self, svg: &mut Svg) {
+        self.grid_y(svg, ticks(&self.y, 5.0));
+        self.grid_x(svg, ticks(&self.x, 6.0));
+    }
+
+    /// The frame, and what the axes show.
+    pub(super) fn frame(&self, svg: &mut Svg, x: &str, y: &str) {
+        let ([left, right], [bottom, top]) = (self.x.to, self.y.to);
+        svg.rect("frame", [left, top], [right, bottom]);
+        svg.text("", [0.5 * (left + right), bottom + 38.0], Anchor::Middle, x);
+        svg.upright_text("", [13.0, 0.5 * (top + bottom)], y);
+    }
+
+    /// The frame, and the picture.
+    pub(super) fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> String {
+        self.frame(&mut svg, x, y);
+        svg.inline(WIDTH, self.y.to[0] + 50.0, title)
+    }
+}
+
+/// Round values on a scale, about so many.
+pub(super) fn ticks(scale: &Scale, wanted: f64) -> Vec<Tick> {
+    let (values, digits) = scale.ticks(wanted);
+    values.into_iter().map(|value| (value, label(value, digits))).collect()
+}
+
+/// Powers of ten within these decades, and 2 and 5 times them where there are few.
+pub(super) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
+    let steps: &[f64] = if high - low > 2.5 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+    let powers = (low.floor().max(-300.0) as i32)..=(high.ceil().min(300.0) as i32);
+    let all = powers
+        .take(100)
+        .flat_map(|power| steps.iter().map(move |step| (f64::from(power) + step.log10(), power, *step)));
+    let within = all.filter(|(at, ..)| (low..=high).contains(at));
+    let text = |(at, power, step): (f64, i32, f64)| {
+        let digits = usize::try_from(-power).unwrap_or(0);
+        (at, label(step * 10f64.powi(power), digits))
+    };
+    within.map(text).collect()
+}
+
+/// A number at an axis; thousands stand apart where there are many.
+pub(super) fn label(value: f64, digits: usize) -> String {
+    let text = format!("{:.digits$}", value.abs());
+    let is_zero = text.chars().all(|character| matches!(character, '0' | '.'));
+    let (whole, rest) =
+        text.split_once('.').map_or((text.as_str(), None), |(whole, rest)| (whole, Some(rest)));
+    let mut grouped = String::new();
+    for (i, digit) in whole.chars().enumerate() {
+        if whole.len() > 4 && i > 0 && (whole.len() - i).is_multiple_of(3) {
+            grouped.push('\u{202f}');
+        }
+        grouped.push(digit);
+    }
+    let sign = if value < 0.0 && !is_zero { "−" } else { "" };
+    rest.map_or_else(|| format!("{sign}{grouped}"), |rest| format!("{sign}{grouped}.{rest}"))
+}
+
+/// A value with three digits or so.
+pub(super) fn short(value: f64) -> String {
+    let size = value.abs().max(1e-12).log10().floor();
+    let digits = (2.0 - size).clamp(0.0, 6.0) as usize;
+    let text = label(value, digits);
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_at_axes_are_easy_to_read() {
+        assert_eq!([label(-0.0, 0), label(-0.04, 1)], ["0", "0.0"]);
+        assert_eq!(label(5_338_200.0, 0), "5\u{202f}338\u{202f}200");
+        assert_eq!(label(-1234.5, 1), "−1234.5");
+        assert_eq!([short(0.012_345), short(1.0), short(123.46), short(0.0)], ["0.0123", "1", "123", "0"]);
+    }
+
+    #[test]
+    fn decades_have_their_powers_and_more_where_there_are_few() {
+        let texts = |range| decades(range).into_iter().map(|(_, text)| text).collect::<Vec<_>>().join(" ");
+        assert_eq!(texts([-2.0, 1.0]), "0.01 0.1 1 10");
+        assert_eq!(texts([0.0, 1.0]), "1 2 5 10");
+        assert!(decades([f64::NEG_INFINITY, f64::INFINITY]).len() <= 300, "never endless");
+    }
+}

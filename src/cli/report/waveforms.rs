@@ -1,0 +1,95 @@
+//! The waveforms that a page shows.
+
+use std::fmt::Write;
+
+use super::plot::{WIDTH, label};
+use crate::cli::explain::panel::Panels;
+use crate::cli::svg::{Anchor, Svg, escaped};
+use crate::overview::{ShownBlock, ShownKind, ShownReturn, ShownShot};
+
+/// Returns of a shot that its table has at most.
+const MOST_RETURNS: usize = 6;
+
+/// A shot as a figure: samples with their fit, what the fit leaves, and the returns.
+pub(super) fn figure(shot: &ShownShot) -> String {
+    let mut svg = Svg::new();
+    let panels = Panels {
+        x: [62.0, 548.0],
+        gap: 16.0,
+        samples: [10.0, 210.0],
+        residual: [228.0, 308.0],
+        threshold: shot.threshold.clamp(0.0, 1e6),
+    };
+    let blocks: Vec<&ShownBlock> = shot.blocks.iter().collect();
+    panels.draw(&mut svg, &blocks);
+    svg.text("", [305.0, 344.0], Anchor::Middle, "time of flight, ns");
+    svg.upright_text("", [13.0, 110.0], "digitiser steps, DN");
+    svg.upright_text("", [13.0, 268.0], "residual, sd");
+    let title = title(shot);
+    let picture = svg.inline(WIDTH, 352.0, &title);
+    format!("<figure>\n<h3>{}</h3>\n{picture}{}</figure>\n", escaped(&title), returns(shot))
+}
+
+fn title(shot: &ShownShot) -> String {
+    let kind = match shot.kind {
+        ShownKind::Good => "Good",
+        ShownKind::Overlapping => "Overlapping",
+        ShownKind::Saturated => "Saturated",
+        ShownKind::Worst => "Worst fit",
+    };
+    let deviation_ratio = label(shot.deviation_ratio, 1);
+    format!("{kind}: shot {}, scan line {}, deviation ratio {deviation_ratio}", shot.shot, shot.line)
+}
+
+fn returns(shot: &ShownShot) -> String {
+    let heads = ["", "range, m", "amplitude, DN", "width ratio", "flags"];
+    let heads: String = heads.iter().map(|head| format!("<th>{head}</th>")).collect();
+    let mut table = format!("<table class=\"wide\">\n<tr>{heads}</tr>\n");
+    for found in shot.returns.iter().take(MOST_RETURNS) {
+        let cells: String = cells(found).iter().map(|cell| format!("<td>{}</td>", escaped(cell))).collect();
+        let _ = writeln!(table, "<tr>{cells}</tr>");
+    }
+    table += "</table>\n";
+    let more = shot.returns.len().saturating_sub(MOST_RETURNS);
+    if more > 0 {
+        let _ = writeln!(table, "<p class=\"about\">and {more} more</p>");
+    }
+    table
+}
+
+fn cells(found: &ShownReturn) -> [String; 5] {
+    let known = |value: Option<f64>, digits: usize| value.map(|value| format!("{value:.digits$}"));
+    let with_sd = |value: Option<String>, sd: Option<String>| match (value, sd) {
+        (Some(value), Some(sd)) => format!("{value} ± {sd}"),
+        (value, _) => value.unwrap_or_else(|| "not known".to_owned()),
+    };
+    [
+        found.number.to_string(),
+        with_sd(known(found.range_m, 3), known(found.range_sd_m, 3)),
+        with_sd(known(found.amplitude_dn, 1), known(found.amplitude_sd_dn, 1)),
+        known(found.width_ratio, 2).unwrap_or_default(),
+        found.flags.clone(),
+    ]
+}
+
+/// What the marks of these pictures mean.
+pub(super) fn legend() -> String {
+    let mut svg = Svg::new();
+    let lines =
+        [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", "threshold")];
+    let mut x = 6.0;
+    for (class, text) in lines {
+        svg.line(class, [x, 14.0], [x + 24.0, 14.0]);
+        svg.text("", [x + 31.0, 18.0], Anchor::Start, text);
+        x += 58.0 + 6.6 * text.len() as f64;
+    }
+    for (class, text) in [("sample", "sample"), ("sat", "saturated sample"), ("left", "sample not used")] {
+        svg.circle(class, [x + 5.0, 14.0], 3.4);
+        svg.text("", [x + 15.0, 18.0], Anchor::Start, text);
+        x += 42.0 + 6.6 * text.len() as f64;
+    }
+    svg.rect("one", [x, 7.0], [x + 24.0, 21.0]);
+    svg.text("", [x + 31.0, 18.0], Anchor::Start, "± 1 standard deviation");
+    let picture = svg.inline(x + 190.0, 28.0, "marks in the pictures of waveforms");
+    format!("<div class=\"legend\">\n{picture}</div>\n")
+}

@@ -1,0 +1,104 @@
+//! What a run made of one input, to be looked at: histograms, a picture from above, counts along the flight, and a few
+//! waveforms with their fits.
+//!
+//! All of it is gathered while lines leave the chain, in memory that does not grow, and depends on the lines alone, not
+//! on their order: sums are of whole numbers, bins and cells double on a fixed grid, and of several shots that would do,
+//! the one that stands first is shown.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::batch::{Batch, Return};
+
+mod gallery;
+mod histogram;
+mod lines;
+mod map;
+mod packed;
+mod png;
+mod samples;
+mod view;
+
+pub use gallery::{Gallery, ShownKind, ShownReturn, ShownShot};
+pub use histogram::Histogram;
+pub use lines::LineGroups;
+pub use map::{MapPicture, ScanLine};
+pub use png::Picture;
+pub use samples::{PER_SAMPLE, Peak, Samples, ShownBlock};
+pub use view::MapAxes;
+
+use histogram::Bins;
+use lines::Groups;
+use map::Grid;
+
+/// What a run made of one input, to be looked at.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Overview {
+    /// How often each value of a return's quantities occurs; quantities of which nothing is known are left out.
+    pub histograms: Vec<Histogram>,
+    /// Waveforms, returns and points along the flight.
+    pub lines: LineGroups,
+    /// The points from above, where there are any.
+    pub map: Option<MapPicture>,
+    /// A few waveforms with their fits.
+    pub waveforms: Vec<ShownShot>,
+}
+
+/// Collects an [`Overview`], line by line.
+#[derive(Clone, Debug)]
+pub struct Gathering {
+    quantities: [Quantity; 5],
+    lines: Groups,
+    grid: Grid,
+}
+
+/// A quantity of returns, and its histogram so far.
+#[derive(Clone, Debug)]
+struct Quantity {
+    name: &'static str,
+    unit: &'static str,
+    of: fn(&Return) -> f64,
+    bins: Bins,
+}
+
+impl Default for Gathering {
+    fn default() -> Gathering {
+        let quantity = |name, unit, of, bins| Quantity { name, unit, of, bins };
+        Gathering {
+            quantities: [
+                quantity("amplitude", "DN", |r| r.amplitude_dn, Bins::logarithmic()),
+                quantity("width ratio", "", |r| r.width_ratio, Bins::linear(0.0, 0.02, 300)),
+                quantity("deviation ratio", "", |r| r.deviation_ratio, Bins::linear(-10.0, 0.25, 240)),
+                quantity("range uncertainty", "m", |r| r.range_sd_m, Bins::logarithmic()),
+                quantity("total uncertainty", "m", |r| r.total_sd_m, Bins::logarithmic()),
+            ],
+            lines: Groups::default(),
+            grid: Grid::default(),
+        }
+    }
+}
+
+impl Gathering {
+    /// Adds a line that leaves the chain.
+    pub fn add(&mut self, batch: &Batch) {
+        self.lines.add(batch);
+        let Some(returns) = batch.returns() else { return };
+        for quantity in &mut self.quantities {
+            returns.iter().for_each(|found| quantity.bins.add((quantity.of)(found)));
+        }
+        if let Some(points) = batch.points() {
+            self.grid.add_line(batch.line, &batch.input, returns, points);
+        }
+    }
+
+    /// What was gathered, with the waveforms that were kept beside.
+    pub fn finish(self, gallery: Option<Gallery>) -> Overview {
+        let histograms = self.quantities.into_iter();
+        Overview {
+            histograms: histograms.filter_map(|of| of.bins.finish(of.name, of.unit)).collect(),
+            lines: self.lines.finish(),
+            map: self.grid.finish(),
+            waveforms: gallery.map(Gallery::finish).unwrap_or_default(),
+        }
+    }
+}

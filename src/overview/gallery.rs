@@ -1,0 +1,267 @@
+//! A few shots of a run, chosen while it goes on: which of each sort does not depend on who saw it first.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::ShownBlock;
+use crate::batch::{Emission, Return, flags};
+
+/// Why a shot is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ShownKind {
+    /// One clear return, as the model expects it.
+    Good,
+    /// Returns that overlap.
+    Overlapping,
+    /// Saturated samples.
+    Saturated,
+    /// The worst fit of all.
+    Worst,
+}
+
+/// A shot with what was found in it.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct ShownShot {
+    /// Why it is shown.
+    pub kind: ShownKind,
+    /// Its scan line.
+    pub line: u32,
+    /// Its number in the input.
+    pub shot: u64,
+    /// Its time on the input's scale, s; absent where unknown.
+    pub gps_time_s: Option<f64>,
+    /// The largest deviation ratio of its returns.
+    pub deviation_ratio: f64,
+    /// Threshold of detection, standard deviations.
+    pub threshold: f64,
+    /// Its blocks of echoes, in order of time.
+    pub blocks: Vec<ShownBlock>,
+    /// Its returns, in order of time.
+    pub returns: Vec<ShownReturn>,
+}
+
+/// A return in short.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct ShownReturn {
+    /// 1 for the first.
+    pub number: u8,
+    /// Range, m.
+    pub range_m: Option<f64>,
+    /// Its standard deviation, m.
+    pub range_sd_m: Option<f64>,
+    /// Height above the background, DN.
+    pub amplitude_dn: Option<f64>,
+    /// Its standard deviation, DN.
+    pub amplitude_sd_dn: Option<f64>,
+    /// Width over that of the response.
+    pub width_ratio: Option<f64>,
+    /// Its flags in words.
+    pub flags: String,
+}
+
+impl From<&Return> for ShownReturn {
+    fn from(found: &Return) -> ShownReturn {
+        let known = |value: f64| value.is_finite().then_some(value);
+        ShownReturn {
+            number: found.return_number,
+            range_m: known(found.range_m),
+            range_sd_m: known(found.range_sd_m),
+            amplitude_dn: known(found.amplitude_dn),
+            amplitude_sd_dn: known(found.amplitude_sd_dn),
+            width_ratio: known(found.width_ratio),
+            flags: flags::words(found.flags),
+        }
+    }
+}
+
+/// The best shot of each sort so far.
+#[derive(Clone, Debug, Default)]
+pub struct Gallery {
+    shown: BTreeMap<ShownKind, (Merit, ShownShot)>,
+}
+
+/// How well a shot shows what it is to show.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Merit {
+    value: f64,
+    line: u32,
+    shot: u64,
+}
+
+impl Merit {
+    /// Of two alike, the first is better.
+    fn exceeds(&self, other: &Merit) -> bool {
+        let earlier = (other.line, other.shot).cmp(&(self.line, self.shot));
+        self.value.total_cmp(&other.value).then(earlier).is_gt()
+    }
+}
+
+/// A shot of a line that is better than what the gallery has.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Candidate {
+    pub(crate) kind: ShownKind,
+    pub(crate) merit: Merit,
+    /// Index of its emission in the line.
+    pub(crate) emission: u32,
+    /// The largest deviation ratio of its returns.
+    pub(crate) deviation_ratio: f64,
+}
+
+/// A single return is clear from so many standard deviations on.
+const CLEAR: f64 = 20.0;
+
+impl Gallery {
+    /// The best shot of a line for each sort, where it is better than the one at hand.
+    pub(crate) fn candidates(&self, line: u32, emissions: &[Emission], returns: &[Return]) -> Vec<Candidate> {
+        let mut best: BTreeMap<ShownKind, Candidate> = BTreeMap::new();
+        for of_shot in returns.chunk_by(|a, b| a.emission == b.emission) {
+            let Some(emission) = of_shot.first().map(|found| found.emission) else { continue };
+            let Some(shot) = emissions.get(emission as usize).map(|emission| emission.shot) else { continue };
+            let deviation_ratio = of_shot.iter().map(|found| found.deviation_ratio).fold(f64::MIN, f64::max);
+            if !deviation_ratio.is_finite() || deviation_ratio == f64::MIN {
+                continue;
+            }
+            for (kind, value) in merits(of_shot, deviation_ratio).into_iter().flatten() {
+                let merit = Merit { value, line, shot };
+                let rival = best.get(&kind).map(|best| best.merit);
+                let rival = rival.or(self.shown.get(&kind).map(|(merit, _)| *merit));
+                if rival.is_none_or(|rival| merit.exceeds(&rival)) {
+                    best.insert(kind, Candidate { kind, merit, emission, deviation_ratio });
+                }
+            }
+        }
+        best.into_values().collect()
+    }
+
+    /// Shows a shot instead of the one at hand, where it is better.
+    pub(crate) fn show(&mut self, merit: Merit, shot: ShownShot) {
+        let kept = self.shown.get(&shot.kind);
+        if kept.is_none_or(|(kept, _)| merit.exceeds(kept)) {
+            self.shown.insert(shot.kind, (merit, shot));
+        }
+    }
+
+    /// Adds what another worker has chosen.
+    pub(crate) fn merge(&mut self, other: Gallery) {
+        for (merit, shot) in other.shown.into_values() {
+            self.show(merit, shot);
+        }
+    }
+
+    /// The shots, each sort once.
+    pub(super) fn finish(self) -> Vec<ShownShot> {
+        self.shown.into_values().map(|(_, shot)| shot).collect()
+    }
+}
+
+/// What the returns of a shot show, and how well.
+fn merits(of_shot: &[Return], deviation_ratio: f64) -> [Option<(ShownKind, f64)>; 4] {
+    let any = of_shot.iter().fold(0, |any, found| any | found.flags);
+    let with = |flag: u16| of_shot.iter().filter(|found| found.flags & flag != 0).count();
+    let usual = -deviation_ratio.abs();
+    let is_clear = |found: &Return| {
+        found.flags & !flags::REFINED == 0 && found.amplitude_dn >= CLEAR * found.amplitude_sd_dn
+    };
+    let is_good = of_shot.len() == 1 && of_shot.iter().all(is_clear);
+    let is_saturated = any & flags::SATURATED != 0;
+    let n_overlapping = with(flags::OVERLAP);
+    // More returns come first, up to four; the deviation decides among as many.
+    let overlapping = 1000.0 * n_overlapping.min(4) as f64 + usual.max(-999.0);
+    [
+        is_good.then_some((ShownKind::Good, usual)),
+        (n_overlapping >= 2 && !is_saturated).then_some((ShownKind::Overlapping, overlapping)),
+        is_saturated.then_some((ShownKind::Saturated, usual)),
+        Some((ShownKind::Worst, deviation_ratio)),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(emission: u32, deviation_ratio: f64, flags: u16) -> Return {
+        Return {
+            emission,
+            deviation_ratio,
+            flags,
+            amplitude_dn: 100.0,
+            amplitude_sd_dn: 1.0,
+            ..Return::default()
+        }
+    }
+
+    fn line() -> (Vec<Emission>, Vec<Return>) {
+        let emissions = (0..6).map(|i| Emission { shot: 40 + i, ..Emission::default() }).collect();
+        let returns = vec![
+            found(0, -0.3, flags::REFINED),
+            found(1, 0.1, 0),
+            found(2, 0.9, flags::OVERLAP),
+            found(2, 0.9, flags::OVERLAP),
+            found(3, 2.0, flags::SATURATED),
+            found(4, 9.0, flags::TRUNCATED),
+            found(5, f64::NAN, 0),
+        ];
+        (emissions, returns)
+    }
+
+    fn shown(candidate: &Candidate) -> ShownShot {
+        ShownShot {
+            kind: candidate.kind,
+            line: candidate.merit.line,
+            shot: candidate.merit.shot,
+            gps_time_s: None,
+            deviation_ratio: candidate.deviation_ratio,
+            threshold: 4.5,
+            blocks: Vec::new(),
+            returns: Vec::new(),
+        }
+    }
+
+    fn gallery(lines: &[u32]) -> Gallery {
+        let (emissions, returns) = line();
+        let mut gallery = Gallery::default();
+        for line in lines {
+            for candidate in gallery.candidates(*line, &emissions, &returns) {
+                gallery.show(candidate.merit, shown(&candidate));
+            }
+        }
+        gallery
+    }
+
+    #[test]
+    fn each_sort_has_the_shot_that_shows_it_best() {
+        let shots: Vec<(ShownKind, u64)> =
+            gallery(&[0]).finish().iter().map(|shot| (shot.kind, shot.shot)).collect();
+        let [good, overlapping, saturated, worst] = [41, 42, 43, 44];
+        let wanted = [
+            (ShownKind::Good, good),
+            (ShownKind::Overlapping, overlapping),
+            (ShownKind::Saturated, saturated),
+            (ShownKind::Worst, worst),
+        ];
+        assert_eq!(shots, wanted);
+    }
+
+    #[test]
+    fn of_shots_that_are_alike_the_first_is_shown_whoever_saw_it() {
+        let wanted = gallery(&[3, 4, 5]).finish();
+        assert!(wanted.iter().all(|shot| shot.line == 3));
+        assert_eq!(gallery(&[5, 3, 4]).finish(), wanted);
+        let mut merged = gallery(&[5, 4]);
+        merged.merge(gallery(&[3]));
+        assert_eq!(merged.finish(), wanted);
+        let (emissions, returns) = line();
+        assert!(
+            gallery(&[3]).candidates(4, &emissions, &returns).is_empty(),
+            "no second fit for what is not better"
+        );
+    }
+
+    #[test]
+    fn returns_of_no_emission_are_passed_over() {
+        assert!(Gallery::default().candidates(0, &[], &line().1).is_empty());
+    }
+}

@@ -1,0 +1,450 @@
+//! The points from above: a grid of cells that double their size whenever the points would need too many of them.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::packed;
+use super::png::{HEIGHTS, INTENSITIES, Picture, css};
+use super::view::{MapAxes, View};
+use crate::batch::{InputInfo, Return};
+
+/// Points from above, in cells of a grid; rows go from north to south, columns from west to east.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct MapPicture {
+    /// What its coordinates are.
+    pub axes: MapAxes,
+    /// The unit of the coordinates: `m`, `ft` or `°`.
+    pub unit: String,
+    /// Coordinate of the west edge, in that unit.
+    pub west: f64,
+    /// Coordinate of the south edge.
+    pub south: f64,
+    /// Length of a cell's edges.
+    pub cell: f64,
+    /// How many cells there are from west to east.
+    pub columns: u32,
+    /// How many there are from south to north.
+    pub rows: u32,
+    /// How many points are in the picture.
+    pub points: u64,
+    /// How many lie outside of it, or have no coordinates.
+    pub outside: u64,
+    /// Mean heights of the cells as colours.
+    pub heights: Picture,
+    /// The heights that the first and the last colour stand for, m.
+    pub height_range_m: [f64; 2],
+    /// Mean intensities of the cells as colours.
+    pub intensities: Picture,
+    /// The intensities that the first and the last colour stand for.
+    pub intensity_range: [f64; 2],
+    /// The density that one cell in two that has points exceeds, points per square of the unit.
+    pub median_density: f64,
+    /// Some scan lines, in their order.
+    pub lines: Vec<ScanLine>,
+}
+
+/// A scan line from above.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct ScanLine {
+    /// Its number.
+    pub line: u32,
+    /// Points along it: how many cells they lie east of `west` and north of `south`, in turn, separated by blanks.
+    #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
+    #[schemars(with = "String")]
+    pub places: Vec<f64>,
+}
+
+impl MapPicture {
+    /// The colours of heights from low to high, at equal distances, as CSS writes them.
+    pub fn height_colours() -> Vec<String> {
+        css(&HEIGHTS)
+    }
+
+    /// The colours of intensities from weak to strong.
+    pub fn intensity_colours() -> Vec<String> {
+        css(&INTENSITIES)
+    }
+}
+
+/// The most cells in each direction.
+const CELLS: i64 = 320;
+/// The binary logarithm of the smallest cell: fit for degrees, too.
+const SMALLEST_CELL: i32 = -24;
+/// Coordinates beyond are none, m or degrees.
+const FARTHEST: f64 = 1e8;
+/// Heights and intensities beyond count as this.
+const HIGHEST: f64 = 1e7;
+/// Steps of heights and intensities, to a unit: sums of whole numbers do not depend on their order.
+const STEPS: f64 = 1000.0;
+/// The most scan lines that are kept.
+const MOST_LINES: usize = 128;
+/// Points of a scan line that are kept.
+const PER_LINE: usize = 9;
+/// A picture is made coarser where it is torn in more than one place for so many cells with points.
+const ENOUGH_FULL: u64 = 10;
+/// A picture of no more cells in both directions is not made coarser.
+const FEW_CELLS: i64 = 24;
+/// The part of the points that may lie outside of the picture at each of its sides.
+const OUTSIDE: f64 = 0.0005;
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Cell {
+    points: u64,
+    height_steps: i64,
+    intensity_steps: i64,
+}
+
+impl Cell {
+    fn add(&mut self, other: Cell) {
+        self.points += other.points;
+        self.height_steps = self.height_steps.saturating_add(other.height_steps);
+        self.intensity_steps = self.intensity_steps.saturating_add(other.intensity_steps);
+    }
+}
+
+/// The grid while it grows.
+#[derive(Clone, Debug)]
+pub(super) struct Grid {
+    /// From where the points are seen, once there are any.
+    view: Option<View>,
+    /// Binary logarithm of a cell's edge.
+    size: i32,
+    /// Lowest and highest cell in both directions, once there are points.
+    span: Option<[[i64; 2]; 2]>,
+    /// A cell's place is the rest of its numbers by [`CELLS`]: while the span is no longer than that, no two meet.
+    cells: Vec<Cell>,
+    without_place: u64,
+    /// Every line is kept whose number this divides.
+    every: u32,
+    lines: BTreeMap<u32, Vec<[f64; 2]>>,
+}
+
+impl Default for Grid {
+    fn default() -> Grid {
+        Grid {
+            view: None,
+            size: SMALLEST_CELL,
+            span: None,
+            cells: Vec::new(),
+            without_place: 0,
+            every: 1,
+            lines: BTreeMap::new(),
+        }
+    }
+}
+
+/// Where a cell stands in the list.
+fn place([x, y]: [i64; 2]) -> usize {
+    (y.rem_euclid(CELLS) * CELLS + x.rem_euclid(CELLS)) as usize
+}
+
+fn edge_of(size: i32) -> f64 {
+    f64::from(size).exp2()
+}
+
+fn is_place(point: &[f64; 3]) -> bool {
+    point.iter().all(|coordinate| coordinate.abs() < FARTHEST)
+}
+
+impl Grid {
+    /// Adds the points of a line; withheld ones are left out.
+    pub(super) fn add_line(&mut self, line: u32, input: &InputInfo, returns: &[Return], points: &[[f64; 3]]) {
+        let is_kept = line.is_multiple_of(self.every);
+        let mut places = Vec::new();
+        for (found, point) in returns.iter().zip(points).filter(|(found, _)| !found.withheld) {
+            if !is_place(point) {
+                self.without_place += 1;
+                continue;
+            }
+            let place = self.view.get_or_insert_with(|| View::of(input, *point)).place(*point);
+            self.add(&place, found.intensity);
+            if is_kept {
+                places.push([place[0], place[1]]);
+            }
+        }
+        self.keep(line, &places);
+    }
+
+    fn add(&mut self, [x, y, z]: &[f64; 3], intensity: f64) {
+        let cells_per_unit = edge_of(-self.size);
+        let mut at = [(x * cells_per_unit).floor() as i64, (y * cells_per_unit).floor() as i64];
+        let within = |span: [[i64; 2]; 2]| (0..2).all(|i| span[i][0] <= at[i] && at[i] <= span[i][1]);
+        if !self.span.is_some_and(within) {
+            at = self.make_room(at);
+        }
+        // A float converts to the nearest integer in range; what is no number counts as 0.
+        let steps = |value: f64| (value.clamp(-HIGHEST, HIGHEST) * STEPS).round() as i64;
+        let cell = Cell { points: 1, height_steps: steps(*z), intensity_steps: steps(intensity) };
+        if let Some(at) = self.cells.get_mut(place(at)) {
+            at.add(cell);
+        }
+    }
+
+    /// Widens the span to a cell, and gives its numbers in the grid that comes of it.
+    fn make_room(&mut self, at: [i64; 2]) -> [i64; 2] {
+        let Some(before) = self.span else {
+            self.cells = vec![Cell::default(); (CELLS * CELLS) as usize];
+            self.span = Some(at.map(|at| [at, at]));
+            return at;
+        };
+        let wide = [0, 1].map(|i| [before[i][0].min(at[i]), before[i][1].max(at[i])]);
+        let mut larger = 0;
+        while wide.iter().any(|[low, high]| (high >> larger) - (low >> larger) >= CELLS) {
+            larger += 1;
+        }
+        if larger > 0 {
+            self.merge(before, larger);
+        }
+        self.span = Some(wide.map(|ends| ends.map(|end| end >> larger)));
+        at.map(|at| at >> larger)
+    }
+
+    /// Makes cells larger by so many powers of two.
+    fn merge(&mut self, span: [[i64; 2]; 2], larger: i32) {
+        let mut merged = vec![Cell::default(); self.cells.len()];
+        for y in span[1][0]..=span[1][1] {
+            for x in span[0][0]..=span[0][1] {
+                let from = self.cells.get(place([x, y])).copied().unwrap_or_default();
+                if let Some(to) = merged.get_mut(place([x >> larger, y >> larger])) {
+                    to.add(from);
+                }
+            }
+        }
+        self.cells = merged;
+        self.size += larger;
+    }
+
+    /// Keeps some places of a line, and some of the lines.
+    fn keep(&mut self, line: u32, places: &[[f64; 2]]) {
+        let Some(last) = places.len().checked_sub(1).filter(|last| *last > 0) else { return };
+        let some = (0..PER_LINE).filter_map(|i| places.get(i * last / (PER_LINE - 1)).copied()).collect();
+        self.lines.insert(line, some);
+        while self.lines.len() > MOST_LINES {
+            self.every = self.every.saturating_mul(2);
+            let every = self.every;
+            self.lines.retain(|line, _| line.is_multiple_of(every));
+        }
+    }
+
+    fn cell(&self, at: [i64; 2]) -> Cell {
+        self.cells.get(place(at)).copied().unwrap_or_default()
+    }
+
+    /// The picture; `None` without points.
+    pub(super) fn finish(mut self) -> Option<MapPicture> {
+        let mut bulk = self.bulk(self.span?);
+        while self.is_sparse(bulk) {
+            self.coarsen();
+            bulk = self.bulk(self.span?);
+        }
+        let [x, y] = bulk;
+        let view = self.view.as_ref()?;
+        let rows = (y[0]..=y[1]).rev();
+        let cells: Vec<Cell> =
+            rows.flat_map(|y| (x[0]..=x[1]).map(move |x| [x, y])).map(|at| self.cell(at)).collect();
+        let mean = |steps: fn(&Cell) -> i64| -> Vec<Option<f64>> {
+            let mean = |cell: &Cell| steps(cell) as f64 / STEPS / cell.points as f64;
+            cells.iter().map(|cell| (cell.points > 0).then(|| mean(cell))).collect()
+        };
+        let columns = x[1] - x[0] + 1;
+        let (heights, height_range_m) =
+            Picture::of(&mean(|cell| cell.height_steps), columns as usize, &HEIGHTS);
+        let (intensities, intensity_range) =
+            Picture::of(&mean(|cell| cell.intensity_steps), columns as usize, &INTENSITIES);
+        let inside: u64 = cells.iter().map(|cell| cell.points).sum();
+        let all: u64 = self.cells.iter().map(|cell| cell.points).sum();
+        let edge = edge_of(self.size);
+        let (west, south) = (x[0] as f64 * edge, y[0] as f64 * edge);
+        let scan_line = |(line, places): (u32, Vec<[f64; 2]>)| ScanLine {
+            line,
+            places: places.into_iter().flat_map(|[x, y]| [(x - west) / edge, (y - south) / edge]).collect(),
+        };
+        Some(MapPicture {
+            axes: view.axes(),
+            unit: view.unit().to_owned(),
+            west,
+            south,
+            cell: edge,
+            columns: columns as u32,
+            rows: (y[1] - y[0] + 1) as u32,
+            points: inside,
+            outside: all - inside + self.without_place,
+            heights,
+            height_range_m,
+            intensities,
+            intensity_range,
+            median_density: self.median_points(bulk) as f64 / (edge * edge),
+            lines: self.lines.into_iter().map(scan_line).collect(),
+        })
+    }
+
+    /// The number of points that one cell in two of those with points exceeds.
+    fn median_points(&self, [x, y]: [[i64; 2]; 2]) -> u64 {
+        let cells = (y[0]..=y[1]).flat_map(|y| (x[0]..=x[1]).map(move |x| [x, y]));
+        let mut full: Vec<u64> = cells.map(|at| self.cell(at).points).filter(|points| *points > 0).collect();
+        full.sort_unstable();
+        full.get(full.len() / 2).copied().unwrap_or(0)
+    }
+
+    /// Whether the picture would show single points or lines instead of what they lie on: cells with points that have no
+    /// neighbour in one of both directions, and empty ones between two others.
+    fn is_sparse(&self, [x, y]: [[i64; 2]; 2]) -> bool {
+        if [x, y].iter().all(|[low, high]| high - low < FEW_CELLS) {
+            return false;
+        }
+        let is_full = |x: i64, y: i64| self.cell([x, y]).points > 0;
+        let (mut full, mut torn) = (0u64, 0u64);
+        for y in y[0] + 1..y[1] {
+            for x in x[0] + 1..x[1] {
+                let [west, east, south, north] =
+                    [is_full(x - 1, y), is_full(x + 1, y), is_full(x, y - 1), is_full(x, y + 1)];
+                let within = is_full(x, y);
+                full += u64::from(within);
+                torn += u64::from(match within {
+                    true => !(west || east) || !(south || north),
+                    false => (west && east) || (south && north),
+                });
+            }
+        }
+        torn * ENOUGH_FULL >= full
+    }
+
+    /// Makes cells twice as large.
+    fn coarsen(&mut self) {
+        if let Some(span) = self.span {
+            self.merge(span, 1);
+            self.span = Some(span.map(|ends| ends.map(|end| end >> 1)));
+        }
+    }
+
+    /// The span without the outermost cells of very few points: an echo from a cloud would make all others small.
+    fn bulk(&self, span: [[i64; 2]; 2]) -> [[i64; 2]; 2] {
+        let across = |axis: usize, at: i64| -> u64 {
+            let [low, high] = span[1 - axis];
+            (low..=high)
+                .map(|other| self.cell(if axis == 0 { [at, other] } else { [other, at] }).points)
+                .sum()
+        };
+        [0, 1].map(|axis| {
+            let [low, high] = span[axis];
+            let counts: Vec<u64> = (low..=high).map(|at| across(axis, at)).collect();
+            let most = (OUTSIDE * counts.iter().sum::<u64>() as f64) as u64;
+            let skipped = |counts: &mut dyn Iterator<Item = &u64>| {
+                let mut sum = 0;
+                let is_few = |count: &&u64| {
+                    sum += **count;
+                    sum <= most
+                };
+                counts.take_while(is_few).count() as i64
+            };
+            [low + skipped(&mut counts.iter()), high - skipped(&mut counts.iter().rev())]
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn grid(points: &[[f64; 3]]) -> Grid {
+        let mut grid = Grid::default();
+        for (line, point) in (0..).zip(points) {
+            grid.add_line(
+                line,
+                &InputInfo::default(),
+                &[Return { intensity: 7.0, ..Return::default() }],
+                &[*point],
+            );
+        }
+        grid
+    }
+
+    #[test]
+    fn cells_grow_as_points_need_and_hold_them_all() {
+        let corners =
+            [[500_000.0, 5_000_000.0, 10.0], [500_100.0, 5_000_050.0, 30.0], [500_100.0, 5_000_050.0, 20.0]];
+        let picture = grid(&corners).finish().unwrap();
+        // 100 m in few cells whose edge is a power of two.
+        assert_eq!(picture.cell, 8.0);
+        assert_eq!((picture.west, picture.south), (500_000.0, 5_000_000.0));
+        assert_eq!((picture.columns, picture.rows), (13, 7));
+        assert_eq!((picture.points, picture.outside), (3, 0));
+        assert_eq!(picture.height_range_m, [10.0, 25.0]);
+        assert_eq!(picture.intensity_range, [7.0, 7.0]);
+        assert!(grid(&[]).finish().is_none());
+        assert_eq!(grid(&[[1.5, 2.5, 3.0]]).finish().map(|one| (one.columns, one.rows)), Some((1, 1)));
+    }
+
+    #[test]
+    fn degrees_have_small_cells() {
+        let picture = grid(&[[11.5, 48.1, 500.0], [11.501, 48.1005, 500.0]]).finish().unwrap();
+        assert!(picture.cell < 1e-4 && picture.columns > 8 && picture.columns <= 25, "{picture:?}");
+    }
+
+    #[test]
+    fn what_is_nowhere_or_withheld_is_no_point() {
+        let mut grid =
+            grid(&[[0.0, 0.0, 0.0], [f64::NAN, 0.0, 0.0], [0.0, 1e9, 0.0], [0.0, 0.0, f64::INFINITY]]);
+        let withheld = Return { withheld: true, ..Return::default() };
+        grid.add_line(9, &InputInfo::default(), &[withheld, Return::default()], &[[5.0; 3], [0.0; 3]]);
+        let picture = grid.finish().unwrap();
+        assert_eq!((picture.points, picture.outside, picture.columns), (2, 3, 1));
+        assert_eq!(picture.intensity_range, [3.5, 3.5], "an unknown intensity counts as 0");
+    }
+
+    #[test]
+    fn a_few_points_far_away_are_left_out_of_the_picture() {
+        let mut points: Vec<[f64; 3]> =
+            (0..10_000).map(|i| [f64::from(i % 100), f64::from(i / 100), 0.0]).collect();
+        points.push([9000.0, 50.0, 800.0]);
+        let picture = grid(&points).finish().unwrap();
+        assert_eq!((picture.points, picture.outside, picture.west), (10_000, 1, 0.0));
+        assert!(f64::from(picture.columns) * picture.cell < 200.0);
+    }
+
+    #[test]
+    fn cells_are_as_small_as_their_points_allow() {
+        let filled = |spacing_m: [f64; 2]| {
+            let [columns, rows] = spacing_m.map(|spacing_m| (300.0 / spacing_m) as u32);
+            let cells = (0..columns * rows).map(|i| [i % columns, i / columns].map(|at| f64::from(at) + 0.5));
+            let points: Vec<[f64; 3]> =
+                cells.map(|[x, y]| [x * spacing_m[0], y * spacing_m[1], 0.0]).collect();
+            grid(&points).finish().map(|picture| (picture.cell, picture.median_density))
+        };
+        assert_eq!(filled([1.0, 1.0]), Some((1.0, 1.0)));
+        assert_eq!(filled([2.0, 2.0]), Some((2.0, 0.25)));
+        // Lines 3 m apart: the cells between them are empty until they are larger than that.
+        assert_eq!(filled([1.0, 3.0]).map(|(cell, _)| cell), Some(4.0));
+    }
+
+    /// The cells have an edge of 4.
+    #[test]
+    fn some_lines_are_kept_with_both_ends() {
+        let mut grid = Grid::default();
+        for line in 0..1000 {
+            let points: Vec<[f64; 3]> = (0..21).map(|i| [f64::from(i), f64::from(line), 0.0]).collect();
+            grid.add_line(line, &InputInfo::default(), &[Return::default(); 21], &points);
+        }
+        let lines = grid.finish().unwrap().lines;
+        assert_eq!((lines.len(), lines[1].line), (125, 8));
+        assert_eq!(lines[1].places[..4], [0.0, 2.0, 0.5, 2.0]);
+        assert_eq!(lines[1].places[2 * PER_LINE - 2..], [5.0, 2.0]);
+    }
+
+    proptest! {
+        #[test]
+        fn the_picture_does_not_depend_on_the_order(
+            points in prop::collection::vec([-1e4f64..1e4, -300f64..300.0, 0f64..90.0], 1..60),
+        ) {
+            let mut reversed = grid(&[]);
+            for (line, point) in (0..).zip(&points).collect::<Vec<(u32, _)>>().into_iter().rev() {
+                reversed.add_line(line, &InputInfo::default(), &[Return { intensity: 7.0, ..Return::default() }], &[*point]);
+            }
+            prop_assert_eq!(grid(&points).finish(), reversed.finish());
+        }
+    }
+}

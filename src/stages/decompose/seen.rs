@@ -1,0 +1,143 @@
+//! What is seen while a shot is decomposed: all that a picture of it tells.
+
+use std::ops::Range;
+
+use super::{BlockFit, Watch};
+use crate::batch::{Block, Blocks, Emission, Return};
+use crate::kernels::decompose::{DecomposeSettings, Decomposer, Decomposition, Return as Pulse};
+use crate::kernels::outgoing::Outgoing;
+use crate::kernels::sensor_model::ChannelModel;
+use crate::overview::{PER_SAMPLE, Peak, Samples, ShownBlock};
+
+/// A block of echoes with its fit.
+pub(crate) struct SeenBlock {
+    pub(crate) shown: ShownBlock,
+    pub(crate) fit: BlockFit,
+}
+
+/// The outgoing pulse: the block's samples, of which a window was fitted.
+pub(crate) struct SeenPulse {
+    /// Time of the first sample after the shot's clock, ns.
+    pub(crate) start_ns: f64,
+    pub(crate) samples: Samples,
+    /// Its place counts from the block's first sample.
+    pub(crate) pulse: Pulse,
+    /// The first sample of the window that was fitted.
+    pub(crate) window: usize,
+}
+
+/// A block of echoes before the shot's departure is known.
+struct Echoes {
+    /// Time of the first sample after the shot's clock, ns.
+    start_ns: f64,
+    samples: Samples,
+    fit: BlockFit,
+    /// Where its returns peak, samples after the first.
+    peaks: Vec<f64>,
+}
+
+/// Collects while a shot is decomposed.
+pub(crate) struct Seen<'a> {
+    line: &'a Blocks,
+    blocks: Vec<Echoes>,
+    outgoing: Option<SeenPulse>,
+}
+
+impl<'a> Seen<'a> {
+    /// For a shot of the line with these blocks.
+    pub(crate) fn new(line: &'a Blocks) -> Seen<'a> {
+        Seen { line, blocks: Vec::new(), outgoing: None }
+    }
+
+    /// What was seen of the shot, which left as `emission` tells and has these returns: its blocks in order of time, and
+    /// its outgoing pulse.
+    pub(crate) fn finish(
+        mut self,
+        emission: &Emission,
+        returns: &[Return],
+    ) -> (Vec<SeenBlock>, Option<SeenPulse>) {
+        self.blocks.sort_by(|a, b| a.start_ns.total_cmp(&b.start_ns));
+        let shown = |echoes: Echoes| {
+            let first_ns = echoes.start_ns - emission.emission_ns;
+            let peak = |position_samples: f64| Peak {
+                number: number_at(returns, first_ns + position_samples * echoes.samples.interval_ns),
+                position_samples,
+            };
+            let fit = echoes.fit;
+            let shown = ShownBlock {
+                channel: fit.channel.name().to_owned(),
+                first_ns,
+                chi_square: fit.chi_square,
+                degrees_of_freedom: u32::try_from(fit.degrees_of_freedom).unwrap_or(u32::MAX),
+                peaks: echoes.peaks.into_iter().map(peak).collect(),
+                samples: echoes.samples,
+            };
+            SeenBlock { shown, fit }
+        };
+        (self.blocks.into_iter().map(shown).collect(), self.outgoing)
+    }
+
+    /// A block whose samples in `window` were decomposed; returns count their places from the window's first.
+    ///
+    /// `None` only for a model that describes no channel.
+    fn samples(
+        &self,
+        block: &Block,
+        window: Range<usize>,
+        found: &Decomposition,
+        model: &ChannelModel,
+    ) -> Option<Samples> {
+        let samples = self.line.samples(block);
+        let mut decomposer = Decomposer::new(model, &DecomposeSettings::default(), window.len()).ok()?;
+        decomposer.show(samples.get(window.clone())?, (window.start % 4) as u8, found);
+        let window = window.start;
+        let mut fitted_dn: Vec<f64> = samples.iter().map(|&sample| f64::from(sample)).collect();
+        for (k, (fitted, signal)) in
+            (window..).zip(fitted_dn.iter_mut().skip(window).zip(decomposer.signal_dn()))
+        {
+            *fitted = signal + model.background_at(0, k);
+        }
+        let pulses = 0..decomposer.returns().len();
+        Some(Samples {
+            interval_ns: block.interval_ns,
+            samples_dn: samples.to_vec(),
+            fitted_dn,
+            taken_at: (0..samples.len()).map(|k| model.digitiser.time_of(k)).collect(),
+            full_scale_dn: model.full_scale_dn,
+            used: decomposer.used().to_vec(),
+            background_dn: mean_background_dn(model) + found.background_offset_dn,
+            pulses_dn: pulses.map(|i| decomposer.pulse_curve(i, PER_SAMPLE)).collect(),
+            residual: decomposer.standardised_residual().to_vec(),
+        })
+    }
+}
+
+impl Watch for Seen<'_> {
+    fn outgoing(&mut self, block: &Block, outgoing: &Outgoing, model: &ChannelModel) {
+        let Outgoing { pulse, window } = outgoing.clone();
+        let position_samples = pulse.position_samples - window.start as f64;
+        let in_window = [Pulse { position_samples, ..pulse }];
+        let found = Decomposition { returns: &in_window, ..Decomposition::default() };
+        let samples = self.samples(block, window.clone(), &found, model);
+        let (start_ns, window) = (block.start_ns, window.start);
+        self.outgoing = samples.map(|samples| SeenPulse { start_ns, samples, pulse, window });
+    }
+
+    fn echoes(&mut self, block: &Block, fit: BlockFit, found: &Decomposition, model: &ChannelModel) {
+        let peaks = found.returns.iter().map(|pulse| pulse.position_samples).collect();
+        let samples = self.samples(block, 0..block.len(), found, model);
+        self.blocks.extend(samples.map(|samples| Echoes { start_ns: block.start_ns, samples, fit, peaks }));
+    }
+}
+
+/// The number of the return that peaks after this time of flight.
+fn number_at(returns: &[Return], flight_ns: f64) -> Option<u8> {
+    let distance = |found: &Return| (found.time_of_flight_ns - flight_ns).abs();
+    let nearest = returns.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    nearest.filter(|found| distance(found) < 1e-6).map(|found| found.return_number)
+}
+
+/// The mean of a channel's background over the phases of its samples, DN.
+fn mean_background_dn(model: &ChannelModel) -> f64 {
+    model.background_dn.iter().sum::<f64>() / model.background_dn.len() as f64
+}
