@@ -15,6 +15,7 @@ use crate::registry::STAGES;
 mod archive;
 mod check;
 mod convert;
+mod copc;
 mod explain;
 mod false_alarms;
 pub mod import;
@@ -117,6 +118,17 @@ enum Command {
         output: String,
         #[command(flatten)]
         machine: Machine,
+    },
+    /// Copy points into a cloud-optimised file (COPC), which viewers read in parts
+    ///
+    /// Takes LAS and LAZ of point formats 6 to 10, as `write_las` makes them. All points stay as they are to the bit, with
+    /// extra attributes and coordinate system; waveforms stay behind.
+    Copc {
+        /// The points: .las or .laz
+        input: PathBuf,
+        /// The file to write [default: NAME.copc.laz beside the points]
+        #[arg(short, long, value_name = "FILE")]
+        out: Option<PathBuf>,
     },
     /// Print how many returns of noise alone each threshold lets through
     ///
@@ -444,6 +456,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
         Command::Init { file } => init::init(STAGES, file.as_deref()),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
+        Command::Copc { input, out } => copc::copc(&input, out, quiet),
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),
