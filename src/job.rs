@@ -74,8 +74,10 @@ pub struct JobSettings {
     #[schemars(range(min = 64, max = 1_000_000_000))]
     pub memory_mb: u64,
     /// Where relative input paths start; the job file's folder when not given. A relative one starts there, too.
+    #[schemars(extend("x-file" = "input_folder"))]
     pub input_dir: Option<String>,
     /// Where relative output paths start; the job file's folder when not given. A relative one starts there, too.
+    #[schemars(extend("x-file" = "output_folder"))]
     pub output_dir: Option<String>,
     /// How many scan lines may wait between two stages. The results do not depend on it.
     #[schemars(range(min = 1))]
@@ -83,10 +85,13 @@ pub struct JobSettings {
     /// The processor's instructions that the fast kernels use. The results do not depend on it.
     pub simd: Simd,
     /// The report of the run (JSON), in the folder of the outputs; empty: none.
+    #[schemars(extend("x-file" = "output"))]
     pub report: String,
     /// The statistics of each input in words, in the folder of the outputs; `*` is the input's stem; empty: none.
+    #[schemars(extend("x-file" = "output"))]
     pub stat_log: String,
     /// The log of the run, in the folder of the outputs; empty: none.
+    #[schemars(extend("x-file" = "output"))]
     pub log: String,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: GeometryKeys,

@@ -50,6 +50,7 @@ Commands:
   schema        Print the JSON Schema of a job, for editors that check and complete TOML
   init          Write a commented job to start from
   convert       Copy recorded waveforms into the open container (Arrow)
+  copc          Copy points into a cloud-optimised file (COPC), which viewers read in parts
   false-alarms  Print how many returns of noise alone each threshold lets through
   explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
   scan          Tell what a recording holds: times, rates, lines, channels, noise, integrity
