@@ -61,10 +61,10 @@ def packed(array, fields):
 def check_places(checks, reader, source):
     header = source.header
     low, high = header.mins, header.maxs
-    # Between two steps of the coordinates: on the border itself, rounding decides.
-    between = lambda place: header.offsets + (np.round((place - header.offsets) / header.scales) - 0.5) * header.scales
+    # Beside a step of the coordinates, to which laspy rounds borders: on the step itself, rounding decides.
+    beside = lambda place, steps: header.offsets + (np.round((place - header.offsets) / header.scales) + steps) * header.scales
     for number, (start, end) in enumerate([(0.0, 0.5), (0.25, 0.4), (0.9, 1.0)]):
-        bounds = Bounds(mins=between(low + (high - low) * start), maxs=between(low + (high - low) * end))
+        bounds = Bounds(mins=beside(low + (high - low) * start, -0.25), maxs=beside(low + (high - low) * end, 0.25))
         found = reader.query(bounds)
         inside = np.all((source.xyz >= bounds.mins) & (source.xyz <= bounds.maxs), axis=1)
         checks.that(f"box {number} has points, or the source has none there", inside.any() == bool(len(found)))
