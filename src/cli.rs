@@ -9,7 +9,7 @@ use clap::{ArgAction, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 
 use crate::formats::trajectory::Angles;
 use crate::geo::time_axis::Clock;
-use crate::job::{Job, JobErrors, Override, job_schema};
+use crate::job::{Include, Job, JobErrors, Override, included, job_schema};
 use crate::registry::STAGES;
 
 mod archive;
@@ -481,7 +481,24 @@ impl JobArgs {
         };
         let text = text.map_err(|error| Failure::Wrong(format!("{name}: cannot read the job: {error}")))?;
         let overrides: Vec<Override> = self.set.iter().map(Override::new).chain(more).collect();
-        Ok(Job::parse(&name, &text, &overrides)?)
+        let includes: Result<Vec<Include>, Failure> =
+            included(&text).iter().map(|included| self.read_include(included)).collect();
+        Ok(Job::parse_with(STAGES, &name, &text, &includes?, &overrides)?)
+    }
+
+    /// A file that the job includes.
+    fn read_include(&self, included: &str) -> Result<Include, Failure> {
+        // Beside a job of this folder, as the job names it.
+        let folder = self.folder();
+        let path = if folder == *"." { PathBuf::from(included) } else { folder.join(included) };
+        let name = path.display().to_string();
+        match std::fs::read_to_string(&path) {
+            Ok(text) => Ok(Include { name, text }),
+            Err(error) => {
+                let remedy = "check `include` in `[job]`";
+                Err(Failure::Wrong(format!("{name}: cannot read what the job includes: {error}; {remedy}")))
+            }
+        }
     }
 
     /// The folder that relative paths of the job start from.

@@ -89,11 +89,7 @@ fn what_cannot_be_converted_is_told_and_leaves_nothing() {
     );
     refused(&["a.laz", "-o", "a.laz"], 2, "a.laz: this is the input: give another name by --out");
     refused(&["a.laz", "-o", "b.las"], 2, "b.las: COPC is LAZ: give a name that ends in .copc.laz");
-    refused(
-        &["c.laz"],
-        1,
-        "c.laz: cannot open: No such file or directory (os error 2); check the path",
-    );
+    refused(&["c.laz"], 1, "c.laz: cannot open: No such file or directory (os error 2); check the path");
     let (code, problem) = copc(&place, &["cut.laz"]).unwrap_err();
     assert_eq!(code, Some(1));
     assert!(problem.contains("copy it again from its source"), "{problem}");

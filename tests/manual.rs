@@ -42,6 +42,7 @@ fn the_schema_carries_meanings_limits_and_defaults() {
             "description": "Where relative input paths start; the job file's folder when not given. \
                             A relative one starts there, too.",
             "type": "string",
+            "x-file": "input_folder",
         })
     );
 }

@@ -164,7 +164,8 @@ mod tests {
         let keys = JobSettings::keys();
         let mut marks = Vec::new();
         let mut seen = |pointer: &str, key: Key| {
-            let branches = key.schema["anyOf"].as_array().map_or(vec![key.schema], |all| all.iter().collect());
+            let branches =
+                key.schema["anyOf"].as_array().map_or(vec![key.schema], |all| all.iter().collect());
             let is_text = |schema: &&Value| schema["type"] == "string" && choices(schema).is_none();
             let takes_text = branches.iter().any(is_text);
             assert_eq!(key.file_mark().is_some(), takes_text, "{pointer}: say `x-file` where it is declared");
@@ -175,7 +176,8 @@ mod tests {
             let found = marks.iter().filter(|(_, mark)| *mark == wanted);
             found.map(|(pointer, _)| pointer.as_str()).collect::<Vec<_>>()
         };
-        let geometry = ["trajectory", "trajectory_accuracy", "calibration"].map(|key| format!("/geometry/{key}"));
+        let geometry =
+            ["trajectory", "trajectory_accuracy", "calibration"].map(|key| format!("/geometry/{key}"));
         assert_eq!(with(FileMark::Input), geometry);
         assert_eq!(with(FileMark::Geoid), ["/geometry/geoid"]);
         assert_eq!(with(FileMark::GeoidFolder), ["/geometry/geoid_dir"]);

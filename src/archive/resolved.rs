@@ -134,6 +134,10 @@ impl Roots {
                 *text = self.output(text)?;
             }
         }
+        if let Some(table) = settings.as_object_mut() {
+            // What the files say stands in the job itself now.
+            table.retain(|key, _| key != "include");
+        }
         settings["input_dir"] = json!(way(archive, &self.input_root)?);
         settings["output_dir"] = json!(way(archive, &self.output_root)?);
         settings["threads"] = json!(options.workers());
