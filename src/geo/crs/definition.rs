@@ -90,9 +90,9 @@ impl Definition {
         let own = horizontal.epsg().or(epsg.filter(|_| vertical.is_none()));
         let name = epsg.map_or(title.clone(), |code| format!("EPSG:{code} ({title})"));
         let ellipsoid = check_datum(&name, &horizontal, tree.find(&["ABRIDGEDTRANSFORMATION"]))?;
-        let own = own_proj_string(&horizontal);
-        let is_own = own.is_some();
-        let text = own.map_or_else(|| proj_string(&horizontal), Ok)?;
+        let given = own_proj_string(&horizontal);
+        let is_own = given.is_some();
+        let text = given.map_or_else(|| proj_string(&horizontal), Ok)?;
         let proj = ProjString { name: &name, pairs: pairs(&text), is_own };
         proj.check_axes()?;
         let method = proj.method(ellipsoid)?;

@@ -20,13 +20,13 @@ fn points(n: usize) -> Vec<PointOut> {
             return_number: (i % 3) as u8 + 1,
             number_of_returns: 3,
             classification: (i % 20) as u8,
-            withheld: i % 20 == 0,
+            withheld: i.is_multiple_of(20),
             scanner_channel: (i % 4) as u8,
             scan_angle_deg: (i % 60) as f32 - 30.0,
             user_data: i as u8,
             point_source_id: (i % 1000) as u16,
             gps_time: 1e8 + i as f64 * 1e-5,
-            edge_of_flight_line: i % 100 == 0,
+            edge_of_flight_line: i.is_multiple_of(100),
             scan_direction: i % 200 < 100,
             ..PointOut::default()
         }
