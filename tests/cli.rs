@@ -158,7 +158,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: its keys: threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, stat_log, log, geometry
+  = help: its keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, stat_log, log, geometry
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);

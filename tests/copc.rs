@@ -12,11 +12,11 @@ const POINTS: &str = "\
 [[stage]]
 type = 'simulate'
 stem = 'a'
-lines = 3
+lines = 5
 shots_per_line = 60
 [[stage]]
 type = 'calibrate'
-waveforms = 150
+waveforms = 250
 response = 'gaussian'
 [[stage]]
 type = 'decompose'

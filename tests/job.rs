@@ -230,7 +230,7 @@ fn the_example_in_full() {
 #stat_log = "*_stat.log"
 # The log of the run, in the folder of the outputs; empty: none.
 #log = "wavex.log"
-# Not set: input_dir, output_dir, geometry
+# Not set: include, input_dir, output_dir, geometry
 
 # Reads waveforms from LAS files.
 [[stage]]

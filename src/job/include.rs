@@ -72,7 +72,9 @@ pub(super) fn check(draft: &Draft, n_read: usize) -> Option<JobError> {
     let value = draft.settings.get_ref().get(KEY)?;
     let n_named = match value.get_ref() {
         DeValue::Array(names) => names.len(),
-        _ => 1,
+        DeValue::String(_) => 1,
+        // What is no name is told with the other keys.
+        _ => return None,
     };
     let error = || JobError::at(value.span(), "the files that `include` names have not been read");
     (n_named != n_read).then(|| error().help("`include` counts where it stands in the job's own text"))

@@ -20,7 +20,7 @@ error: `calibrate` has no key `waveform`
   | ^^^^^^^^
   |
   = help: did you mean `waveforms`?
-  = help: its keys: waveforms
+  = help: its keys: waveforms, background
 "#,
     );
 }
@@ -30,14 +30,14 @@ fn an_included_file_that_is_not_toml() {
     check_included(
         "
 [job]
-threads = two
+threads = many
 ",
         r#"
 error: this is not TOML: string values must be quoted, expected literal string
  --> site.toml:2:11
   |
-2 | threads = two
-  |           ^^^
+2 | threads = many
+  |           ^^^^
   |
   = help: write text between quotation marks: `"text"`
 "#,
@@ -153,7 +153,7 @@ fn a_value_that_is_no_name() {
     check(
         &format!("[job]\ninclude = 5\n{FULL}"),
         r#"
-error: `include` must be text, or a list; this is the number 5
+error: `include` must be text or a list of texts; this is the number 5
  --> job.toml:2:11
   |
 2 | include = 5
