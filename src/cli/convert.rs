@@ -18,7 +18,7 @@ fn job_text(input: &str, output: &str) -> Result<String, String> {
     let reader = reader_of(input)?;
     let quoted = |text: &str| toml::Value::String(text.to_owned());
     Ok(format!(
-        "[job]\nreport = \"\"\nlog = \"\"\n\n[[stage]]\ntype = \"{reader}\"\npath = {}\n\n[[stage]]\ntype = \"write_arrow\"\npath = {}\n",
+        "[job]\nreport = \"\"\nlog = \"\"\nstat_log = \"\"\n\n[[stage]]\ntype = \"{reader}\"\npath = {}\n\n[[stage]]\ntype = \"write_arrow\"\npath = {}\n",
         quoted(input),
         quoted(output)
     ))
@@ -60,5 +60,7 @@ mod tests {
         let job: toml::Table = toml::from_str(&text).unwrap();
         assert_eq!(job["stage"][0]["path"].as_str(), Some(r#"a "b" \c.las"#));
         assert_eq!(job["stage"][1]["type"].as_str(), Some("write_arrow"));
+        let about_the_run = ["report", "log", "stat_log"].map(|key| job["job"][key].as_str());
+        assert_eq!(about_the_run, [Some(""); 3], "nothing but the container is written");
     }
 }
