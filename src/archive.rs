@@ -43,6 +43,8 @@ const ARCHIVE: &str = "archive.json";
 const SEAL: &str = "archive.b3";
 /// The job as written.
 const JOB: &str = "job.toml";
+/// The folder of the files that the job as written includes.
+const INCLUDED: &str = "included";
 /// The job as run.
 const RESOLVED: &str = "job.resolved.toml";
 /// The report of the run.

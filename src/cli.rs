@@ -9,12 +9,13 @@ use clap::{ArgAction, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 
 use crate::formats::trajectory::Angles;
 use crate::geo::time_axis::Clock;
-use crate::job::{Job, JobErrors, Override, job_schema};
+use crate::job::{Include, Job, JobErrors, Override, included, job_schema};
 use crate::registry::STAGES;
 
 mod archive;
 mod check;
 mod convert;
+mod copc;
 mod explain;
 mod false_alarms;
 pub mod import;
@@ -117,6 +118,17 @@ enum Command {
         output: String,
         #[command(flatten)]
         machine: Machine,
+    },
+    /// Copy points into a cloud-optimised file (COPC), which viewers read in parts
+    ///
+    /// Takes LAS and LAZ of point formats 6 to 10, as `write_las` makes them. All points stay as they are to the bit, with
+    /// extra attributes and coordinate system; waveforms stay behind.
+    Copc {
+        /// The points: .las or .laz
+        input: PathBuf,
+        /// The file to write [default: NAME.copc.laz beside the points]
+        #[arg(short, long, value_name = "FILE")]
+        out: Option<PathBuf>,
     },
     /// Print how many returns of noise alone each threshold lets through
     ///
@@ -444,6 +456,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
         Command::Init { file } => init::init(STAGES, file.as_deref()),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
+        Command::Copc { input, out } => copc::copc(&input, out, quiet),
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),
@@ -468,7 +481,24 @@ impl JobArgs {
         };
         let text = text.map_err(|error| Failure::Wrong(format!("{name}: cannot read the job: {error}")))?;
         let overrides: Vec<Override> = self.set.iter().map(Override::new).chain(more).collect();
-        Ok(Job::parse(&name, &text, &overrides)?)
+        let includes: Result<Vec<Include>, Failure> =
+            included(&text).iter().map(|included| self.read_include(included)).collect();
+        Ok(Job::parse_with(STAGES, &name, &text, &includes?, &overrides)?)
+    }
+
+    /// A file that the job includes.
+    fn read_include(&self, included: &str) -> Result<Include, Failure> {
+        // Beside a job of this folder, as the job names it.
+        let folder = self.folder();
+        let path = if folder == *"." { PathBuf::from(included) } else { folder.join(included) };
+        let name = path.display().to_string();
+        match std::fs::read_to_string(&path) {
+            Ok(text) => Ok(Include { name, text }),
+            Err(error) => {
+                let remedy = "check `include` in `[job]`";
+                Err(Failure::Wrong(format!("{name}: cannot read what the job includes: {error}; {remedy}")))
+            }
+        }
     }
 
     /// The folder that relative paths of the job start from.

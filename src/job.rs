@@ -11,12 +11,13 @@ use crate::batch::Kind;
 use crate::geometry::GeometryKeys;
 use crate::kernels::lockstep;
 use crate::registry;
-use crate::stage::{InvalidKey, Keys, Planned, StageSpec};
+use crate::stage::{InvalidKey, Keys, Paths, Planned, StageSpec};
 
 mod chain;
 mod draft;
 mod errors;
 mod example;
+mod include;
 mod manual;
 mod outputs;
 mod overrides;
@@ -28,6 +29,7 @@ mod validate;
 
 pub use errors::{JobError, JobErrors};
 pub use example::example_job;
+pub use include::{Include, included};
 pub use manual::{manual, manual_of, summary};
 pub use overrides::Override;
 pub use schema::job_schema;
@@ -42,6 +44,8 @@ pub struct Job {
     pub name: String,
     /// Its text as it was written, so that it can be archived and repeated.
     pub text: String,
+    /// What it includes, in order.
+    pub includes: Vec<Include>,
     /// What was set from outside the text, in order.
     pub overrides: Vec<Override>,
     /// The table `[job]`.
@@ -68,14 +72,22 @@ pub struct JobStage {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JobSettings {
+    /// Files with keys that count where the job gives none: one or a list, of which the later counts. Relative paths start at
+    /// the job file's folder. In such a file `[job]` holds keys of this table, and `[decompose]` those of every stage of that
+    /// type.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("x-file" = "include"))]
+    pub include: Option<Paths>,
     /// How many threads work in the pools of `decompose` and its like; 0: as many as the machine has cores.
     pub threads: usize,
     /// A bound on the memory taken by the scan lines that are under way, MB.
     #[schemars(range(min = 64, max = 1_000_000_000))]
     pub memory_mb: u64,
     /// Where relative input paths start; the job file's folder when not given. A relative one starts there, too.
+    #[schemars(extend("x-file" = "input_folder"))]
     pub input_dir: Option<String>,
     /// Where relative output paths start; the job file's folder when not given. A relative one starts there, too.
+    #[schemars(extend("x-file" = "output_folder"))]
     pub output_dir: Option<String>,
     /// How many scan lines may wait between two stages. The results do not depend on it.
     #[schemars(range(min = 1))]
@@ -83,13 +95,17 @@ pub struct JobSettings {
     /// The processor's instructions that the fast kernels use. The results do not depend on it.
     pub simd: Simd,
     /// The report of the run (JSON), in the folder of the outputs; empty: none.
+    #[schemars(extend("x-file" = "output"))]
     pub report: String,
     /// The report as a page that browsers show and print (HTML, one file), in the folder of the outputs; empty: none. With
     /// a page, the report holds histograms, pictures of the points and a few waveforms, too.
+    #[schemars(extend("x-file" = "output"))]
     pub report_page: String,
     /// The statistics of each input in words, in the folder of the outputs; `*` is the input's stem; empty: none.
+    #[schemars(extend("x-file" = "output"))]
     pub stat_log: String,
     /// The log of the run, in the folder of the outputs; empty: none.
+    #[schemars(extend("x-file" = "output"))]
     pub log: String,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: GeometryKeys,
@@ -98,6 +114,7 @@ pub struct JobSettings {
 impl Default for JobSettings {
     fn default() -> JobSettings {
         JobSettings {
+            include: None,
             threads: 0,
             memory_mb: 1024,
             input_dir: None,
@@ -137,10 +154,10 @@ impl Job {
     /// # Errors
     /// Everything that is wrong with the job, each with its place in the text or in an override.
     pub fn parse(name: &str, text: &str, overrides: &[Override]) -> Result<Job, JobErrors> {
-        Job::parse_with(registry::STAGES, name, text, overrides)
+        Job::parse_with(registry::STAGES, name, text, &[], overrides)
     }
 
-    /// The same, with a list of stages of one's own.
+    /// The same, with a list of stages of one's own, and with the files that the text includes, as [`included`] names them.
     ///
     /// # Errors
     /// See [`Job::parse`].
@@ -148,13 +165,15 @@ impl Job {
         stages: &[&'static StageSpec],
         name: &str,
         text: &str,
+        includes: &[Include],
         overrides: &[Override],
     ) -> Result<Job, JobErrors> {
-        let sources = Sources::new(name, text, overrides);
+        let sources = Sources::new(name, text, includes, overrides);
         match read(stages, text, &sources) {
             Ok((settings, stages)) => Ok(Job {
                 name: name.to_owned(),
                 text: text.to_owned(),
+                includes: includes.to_vec(),
                 overrides: overrides.to_vec(),
                 notes: notes(&stages),
                 settings,
@@ -187,6 +206,7 @@ fn read(
     text: &str,
     sources: &Sources,
 ) -> Result<(JobSettings, Vec<JobStage>), Vec<JobError>> {
+    let included: Vec<String> = sources.includes().map(|(start, text)| include::pad(start, text)).collect();
     let padded: Vec<String> = sources.overrides().map(|(start, text)| overrides::pad(start, text)).collect();
     let (changes, mut errors) = overrides::read(sources, &padded);
     let root = match draft::syntax(text) {
@@ -195,7 +215,9 @@ fn read(
     };
     let (mut draft, problems) = draft::Draft::new(root, stages);
     errors.extend(problems);
+    errors.extend(include::apply(&included, &mut draft, stages));
     errors.extend(overrides::apply(changes, &mut draft));
+    errors.extend(include::check(&draft, included.len()));
 
     let settings = tables::settings(draft.settings, &mut errors);
     let links: Vec<chain::Link> = draft.stages.iter().map(chain::Link::of).collect();

@@ -15,7 +15,7 @@ mod survey;
 mod words;
 
 pub use context::{Context, Counters, Distribution, Item};
-pub use keys::{Key, Keys};
+pub use keys::{FileMark, Key, Keys};
 pub(crate) use output_file::partial_path;
 pub use output_file::{OutputFile, WholeFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, give_up_claims};

@@ -50,6 +50,7 @@ Commands:
   schema        Print the JSON Schema of a job, for editors that check and complete TOML
   init          Write a commented job to start from
   convert       Copy recorded waveforms into the open container (Arrow)
+  copc          Copy points into a cloud-optimised file (COPC), which viewers read in parts
   false-alarms  Print how many returns of noise alone each threshold lets through
   explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
   scan          Tell what a recording holds: times, rates, lines, channels, noise, integrity
@@ -157,7 +158,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: its keys: threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
+  = help: its keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);

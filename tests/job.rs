@@ -3,13 +3,14 @@
 
 use proptest::prelude::*;
 use serde_json::json;
-use wavex::job::{Job, JobSettings, Override, example_job};
+use wavex::job::{Include, Job, JobSettings, Override, example_job};
 
 mod stages;
 
 fn parse(text: &str, overrides: &[&str]) -> Job {
     let overrides: Vec<Override> = overrides.iter().copied().map(Override::new).collect();
-    Job::parse_with(stages::STAGES, "job.toml", text, &overrides).unwrap_or_else(|errors| panic!("{errors}"))
+    Job::parse_with(stages::STAGES, "job.toml", text, &[], &overrides)
+        .unwrap_or_else(|errors| panic!("{errors}"))
 }
 
 const FULL: &str = r#"
@@ -231,7 +232,7 @@ fn the_example_in_full() {
 #stat_log = "*_stat.log"
 # The log of the run, in the folder of the outputs; empty: none.
 #log = "wavex.log"
-# Not set: input_dir, output_dir, geometry
+# Not set: include, input_dir, output_dir, geometry
 
 # Reads waveforms from LAS files.
 [[stage]]
@@ -254,4 +255,46 @@ type = "decompose"
 "#;
     let example = example_job(stages::STAGES);
     assert!(example.contains(expected), "{example}");
+}
+
+/// The job of this text, with what it includes.
+fn with_includes(text: &str, files: &[&str], overrides: &[&str]) -> Job {
+    let include = |text: &&str| Include { name: "site.toml".into(), text: (*text).to_owned() };
+    let includes: Vec<Include> = files.iter().map(include).collect();
+    let overrides: Vec<Override> = overrides.iter().copied().map(Override::new).collect();
+    Job::parse_with(stages::STAGES, "job.toml", text, &includes, &overrides)
+        .unwrap_or_else(|errors| panic!("{errors}"))
+}
+
+#[test]
+fn included_keys_count_where_the_job_gives_none() {
+    let text = "\
+[job]
+include = ['country.toml', 'site.toml']
+threads = 2
+geometry.crs = 'utm'
+[[stage]]
+type = 'read_las'
+path = 'a.las'
+[[stage]]
+type = 'calibrate'
+[[stage]]
+type = 'write_lstat'
+path = 'a.txt'
+[[stage]]
+type = 'write_lstat'
+";
+    let country = "[job]\nthreads = 9\nmemory_mb = 200\ngeometry = { trajectory = 'a.out', crs = 'ecef' }\n[write_las]\n";
+    let site =
+        "\u{feff}[job]\nmemory_mb = 300\n[write_lstat]\npath = 'b.txt'\n[calibrate]\nwaveforms = 700\n";
+    let job = with_includes(text, &[country, site], &["job.channel_capacity=3"]);
+    let settings = &job.settings;
+    assert_eq!((settings.threads, settings.memory_mb, settings.channel_capacity), (2, 300, 3));
+    assert_eq!(settings.geometry.crs.as_deref(), Some("utm"));
+    assert_eq!(settings.geometry.trajectory.as_deref(), Some("a.out"), "tables are filled key by key");
+    let path = |stage: usize| job.stages[stage].planned.resolved["path"].clone();
+    assert_eq!((path(2), path(3)), (json!("a.txt"), json!("b.txt")));
+    assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(700));
+    let job = with_includes(text, &[country, site], &["calibrate.waveforms=800"]);
+    assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(800), "what is set wins over all");
 }

@@ -42,6 +42,7 @@ fn the_schema_carries_meanings_limits_and_defaults() {
             "description": "Where relative input paths start; the job file's folder when not given. \
                             A relative one starts there, too.",
             "type": "string",
+            "x-file": "input_folder",
         })
     );
 }
@@ -102,4 +103,28 @@ fn the_manual_has_a_table_of_stages_and_one_of_keys_for_each() {
 #[test]
 fn a_summary_is_the_first_sentence() {
     assert_eq!(summary(&stages::READ_LAS), "Reads waveforms from LAS files.");
+}
+
+/// Every test that the table of errors names is there.
+#[test]
+fn the_table_of_errors_names_tests_that_there_are() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let read = |path: &str| {
+        let text = std::fs::read_to_string(root.join(path));
+        text.unwrap_or_else(|error| panic!("docs/errors.md names {path}: {error}"))
+    };
+    let page = read("docs/errors.md");
+    let mut n = 0;
+    for row in page.lines().filter(|line| line.starts_with("| 1.")) {
+        let tests = row.trim_end_matches('|').rsplit(" | ").next().unwrap();
+        for group in tests.split("; ") {
+            let (path, names) = group.split_once(": ").unwrap_or_else(|| panic!("{row}"));
+            let text = read(path.trim_matches([' ', '`']));
+            for name in names.split(", ").map(|name| name.trim_matches([' ', '`'])) {
+                assert!(text.contains(&format!("fn {name}()")), "docs/errors.md: {path} has no test {name}");
+                n += 1;
+            }
+        }
+    }
+    assert!(n > 30, "only {n} tests were found in the table");
 }

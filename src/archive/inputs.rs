@@ -8,19 +8,28 @@ use serde_json::Value;
 use super::paths::plain;
 use crate::engine::Input;
 use crate::formats::companions;
-use crate::job::Job;
+use crate::job::{Job, JobSettings};
+use crate::stage::{FileMark, Key, Keys};
 
-/// Texts of `[job]` that name files, as JSON pointers; `*` in them is the input's stem.
-const SETTINGS: [&str; 3] =
-    ["/geometry/trajectory", "/geometry/trajectory_accuracy", "/geometry/calibration"];
-/// A text of `[job]` that may be the name of a file or of something else.
-const FILE_OR_NAME: &str = "/geometry/crs";
-/// The table of `[job]` with the keys of the geoid.
-const GEOMETRY: &str = "geometry";
-/// The key that names a geoid.
-const GEOID: &str = "geoid";
-/// The key of the folder in which geoids lie; that of the inputs when not given.
-pub(super) const GEOID_DIR: &str = "geoid_dir";
+/// Where `[job]` has texts with such a mark, as JSON pointers.
+pub(super) fn marked(mark: FileMark) -> Vec<String> {
+    marked_among(&JobSettings::keys(), mark)
+}
+
+fn marked_among(keys: &Keys, mark: FileMark) -> Vec<String> {
+    let mut found = Vec::new();
+    keys.iter().for_each(|key| collect(key, "", mark, &mut found));
+    found
+}
+
+/// The same of a key and of those of the table that it takes.
+fn collect(key: Key, table: &str, mark: FileMark, found: &mut Vec<String>) {
+    let pointer = format!("{table}/{}", key.name);
+    key.inner().for_each(|inner| collect(inner, &pointer, mark, found));
+    if key.file_mark() == Some(mark) {
+        found.push(pointer);
+    }
+}
 
 /// Every file that a run of the job over these inputs reads, each once; `input_dir` is absolute.
 pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &Path) -> BTreeSet<PathBuf> {
@@ -33,8 +42,8 @@ pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &
     for text in job.stages.iter().flat_map(|stage| &stage.planned.inputs) {
         files.insert(plain(&input_dir.join(text)));
     }
-    for text in pointers(settings, input_dir).iter().filter_map(|pointer| settings.pointer(pointer)?.as_str())
-    {
+    let named = pointers(settings, input_dir);
+    for text in named.iter().filter_map(|pointer| settings.pointer(pointer)?.as_str()) {
         files.extend(inputs.iter().map(|input| plain(&input_dir.join(text.replace('*', &input.stem)))));
     }
     files.extend(geoid(settings, input_dir));
@@ -42,27 +51,41 @@ pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &
 }
 
 /// Where `[job]` has texts that name files, seen from the folder of inputs, as JSON pointers.
-pub(super) fn pointers(settings: &Value, input_dir: &Path) -> Vec<&'static str> {
+pub(super) fn pointers(settings: &Value, input_dir: &Path) -> Vec<String> {
     let text = |pointer: &str| settings.pointer(pointer).and_then(Value::as_str);
-    let mut pointers = SETTINGS.to_vec();
-    pointers.retain(|pointer| text(pointer).is_some());
-    if text(FILE_OR_NAME).is_some_and(|text| input_dir.join(text).is_file()) {
-        pointers.push(FILE_OR_NAME);
-    }
-    pointers
+    let named = marked(FileMark::Input).into_iter().filter(|pointer| text(pointer).is_some());
+    let is_file = |pointer: &String| text(pointer).is_some_and(|text| input_dir.join(text).is_file());
+    named.chain(marked(FileMark::InputOrName).into_iter().filter(is_file)).collect()
 }
 
-/// The table of `[job]` that names a geoid, where one does.
-pub(super) fn table_of_geoid(settings: &mut Value) -> Option<&mut Value> {
-    let table = settings.get_mut(GEOMETRY)?;
-    if table.get(GEOID).is_some_and(Value::is_string) { Some(table) } else { None }
+/// Where `[job]` names a geoid, and where the folder of geoids, as JSON pointers.
+fn geoid_pointers() -> Option<(String, String)> {
+    marked(FileMark::Geoid).pop().zip(marked(FileMark::GeoidFolder).pop())
+}
+
+/// Says of a geoid, where the job names one, in which folder it lies: `place` makes it of what the job says, which is that of
+/// the inputs (an empty text) when not given.
+///
+/// # Errors
+/// Those of `place`.
+pub(super) fn place_geoid<E>(
+    settings: &mut Value,
+    place: impl FnOnce(&str) -> Result<String, E>,
+) -> Result<(), E> {
+    let Some((name, folder)) = geoid_pointers() else { return Ok(()) };
+    if settings.pointer(&name).is_some_and(Value::is_string)
+        && let Some(said) = settings.pointer_mut(&folder)
+    {
+        *said = place(said.as_str().unwrap_or_default())?.into();
+    }
+    Ok(())
 }
 
 /// The file of the geoid: its name or its stem is the one that the job gives, in any case.
 fn geoid(settings: &Value, input_dir: &Path) -> Option<PathBuf> {
-    let table = settings.get(GEOMETRY)?;
-    let wanted = table.get(GEOID)?.as_str()?.to_lowercase();
-    let folder = table.get(GEOID_DIR).and_then(Value::as_str);
+    let (name, folder) = geoid_pointers()?;
+    let wanted = settings.pointer(&name)?.as_str()?.to_lowercase();
+    let folder = settings.pointer(&folder).and_then(Value::as_str);
     let folder = plain(&folder.map_or(input_dir.to_owned(), |folder| input_dir.join(folder)));
     let is_grid = |path: &PathBuf| {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
@@ -77,9 +100,11 @@ fn geoid(settings: &Value, input_dir: &Path) -> Option<PathBuf> {
 mod tests {
     use std::fs;
 
+    use schemars::JsonSchema;
     use serde_json::json;
 
     use super::*;
+    use crate::stage::choices;
 
     fn input(path: &Path, stem: &str) -> Input {
         Input { path: path.to_owned(), stem: stem.to_owned() }
@@ -124,5 +149,60 @@ mod tests {
         assert_eq!(names(geometry), ["a.pof", "b.pof", "geoids/EGM96.gtx", "site.wkt"]);
         let geometry = json!({"geometry": {"crs": "utm:33N", "geoid": "egm96", "calibration": {"e0": 1.0}}});
         assert_eq!(names(geometry), Vec::<String>::new());
+    }
+
+    /// Every key of `[job]`, those of its tables included, with its pointer.
+    fn visit(key: Key, table: &str, seen: &mut dyn FnMut(&str, Key)) {
+        let pointer = format!("{table}/{}", key.name);
+        key.inner().for_each(|inner| visit(inner, &pointer, seen));
+        seen(&pointer, key);
+    }
+
+    /// A key that is forgotten here would be missing from archives.
+    #[test]
+    fn every_text_of_the_job_says_whether_it_names_a_file() {
+        let keys = JobSettings::keys();
+        let mut marks = Vec::new();
+        let mut seen = |pointer: &str, key: Key| {
+            let branches =
+                key.schema["anyOf"].as_array().map_or(vec![key.schema], |all| all.iter().collect());
+            let is_text = |schema: &&Value| schema["type"] == "string" && choices(schema).is_none();
+            let takes_text = branches.iter().any(is_text);
+            assert_eq!(key.file_mark().is_some(), takes_text, "{pointer}: say `x-file` where it is declared");
+            marks.extend(key.file_mark().map(|mark| (pointer.to_owned(), mark)));
+        };
+        keys.iter().for_each(|key| visit(key, "", &mut seen));
+        let with = |wanted| {
+            let found = marks.iter().filter(|(_, mark)| *mark == wanted);
+            found.map(|(pointer, _)| pointer.as_str()).collect::<Vec<_>>()
+        };
+        let geometry =
+            ["trajectory", "trajectory_accuracy", "calibration"].map(|key| format!("/geometry/{key}"));
+        assert_eq!(with(FileMark::Input), geometry);
+        assert_eq!(with(FileMark::Geoid), ["/geometry/geoid"]);
+        assert_eq!(with(FileMark::GeoidFolder), ["/geometry/geoid_dir"]);
+        assert_eq!(with(FileMark::Output), ["/report", "/stat_log", "/log"]);
+    }
+
+    #[test]
+    fn a_new_key_is_found_by_its_mark() {
+        #[derive(JsonSchema)]
+        #[allow(dead_code, reason = "only its schema is looked at")]
+        struct Outer {
+            name: String,
+            #[schemars(extend("x-file" = "input"))]
+            own: Option<String>,
+            inner: Option<Inner>,
+        }
+        #[derive(JsonSchema)]
+        #[allow(dead_code, reason = "only its schema is looked at")]
+        struct Inner {
+            #[schemars(extend("x-file" = "input"))]
+            terrain: String,
+            #[schemars(extend("x-file" = "output"))]
+            picture: String,
+        }
+        let found = marked_among(&Keys::of(Outer::json_schema), FileMark::Input);
+        assert_eq!(found, ["/own", "/inner/terrain"]);
     }
 }

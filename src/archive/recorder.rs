@@ -10,10 +10,12 @@ use super::digest::{self, Stamp};
 use super::origin::{Machine, Program, utc};
 use super::paths::relative;
 use super::resolved::Resolved;
-use super::{ARCHIVE, Archive, DigestedFile, FORMAT, Files, JOB, LINES, LOG, MODELS, REPORT, RESOLVED, SEAL};
+use super::{
+    ARCHIVE, Archive, DigestedFile, FORMAT, Files, INCLUDED, JOB, LINES, LOG, MODELS, REPORT, RESOLVED, SEAL,
+};
 use crate::engine::{Options, RunReport};
 use crate::formats::Error;
-use crate::job::{Job, JobStage};
+use crate::job::{Include, Job, JobStage};
 use crate::stage::{ConfigError, OutputFile, Result, StageError, partial_path};
 use crate::stages::write_lstat;
 
@@ -29,6 +31,7 @@ pub struct Recorder {
     made: SystemTime,
     archive: Archive,
     job: String,
+    includes: Vec<Include>,
     resolved: Resolved,
     /// What the inputs were like when their digests were taken.
     stamps: Vec<Stamp>,
@@ -95,8 +98,9 @@ impl Recorder {
             inputs: files(&folder, &resolved.input_root, inputs?),
             outputs: files(&folder, &resolved.output_root, Vec::new()),
         };
-        let (path, job, stamps) = (path.to_owned(), job.text.clone(), stamps?);
-        Ok(Recorder { path, gathering, made, archive, job, resolved, stamps, folder })
+        let (path, stamps) = (path.to_owned(), stamps?);
+        let (job, includes) = (job.text.clone(), job.includes.clone());
+        Ok(Recorder { path, gathering, made, archive, job, includes, resolved, stamps, folder })
     }
 
     /// The job to run: the same, with statistics of scan lines for the archive at its end.
@@ -195,6 +199,10 @@ impl Recorder {
             (REPORT.to_owned(), json(report)?),
             (LOG.to_owned(), log.to_vec()),
         ]);
+        for (number, include) in (1..).zip(&self.includes) {
+            let name = Path::new(&include.name).file_name().unwrap_or_default().to_string_lossy();
+            files.insert(format!("{INCLUDED}/{number}_{name}"), include.text.clone().into_bytes());
+        }
         for input in &report.inputs {
             if let Some(model) = &input.sensor_model {
                 files.insert(format!("{MODELS}/{}.json", input.stem), json(model)?);

@@ -10,7 +10,7 @@ use super::paths::{common, plain, relative};
 use crate::engine::{self, Input, Options};
 use crate::formats::Error;
 use crate::job::{Job, JobStage, Simd};
-use crate::stage::{Paths, Plan, Result, StageError};
+use crate::stage::{FileMark, Paths, Plan, Result, StageError};
 
 /// A job with its files by their paths below two folders.
 #[derive(Debug)]
@@ -121,22 +121,22 @@ impl Roots {
     /// The table `[job]`.
     fn settings(&self, mut settings: Value, options: &Options, archive: &Path) -> Result<Value> {
         for pointer in inputs::pointers(&settings, &self.input_dir) {
-            if let Some(Value::String(text)) = settings.pointer_mut(pointer) {
+            if let Some(Value::String(text)) = settings.pointer_mut(&pointer) {
                 *text = self.input(text)?;
             }
         }
         // Without a folder of their own, geoids lie in that of the inputs.
-        if let Some(Value::Object(geometry)) = inputs::table_of_geoid(&mut settings) {
-            let folder = geometry.get(inputs::GEOID_DIR).and_then(Value::as_str).unwrap_or_default();
-            let folder = self.input(folder)?;
-            geometry.insert(inputs::GEOID_DIR.to_owned(), json!(folder));
-        }
-        for key in ["report", "report_page", "stat_log", "log"] {
-            if let Some(Value::String(text)) = settings.get_mut(key)
+        inputs::place_geoid(&mut settings, |folder| self.input(folder))?;
+        for pointer in inputs::marked(FileMark::Output) {
+            if let Some(Value::String(text)) = settings.pointer_mut(&pointer)
                 && !text.is_empty()
             {
                 *text = self.output(text)?;
             }
+        }
+        if let Some(table) = settings.as_object_mut() {
+            // What the files say stands in the job itself now.
+            table.retain(|key, _| key != "include");
         }
         settings["input_dir"] = json!(way(archive, &self.input_root)?);
         settings["output_dir"] = json!(way(archive, &self.output_root)?);

@@ -72,7 +72,7 @@ mod tests {
         let text = "[job]\noutput_dir = \"out\"\n\n[[stage]]\ntype = \"simulate\"\n\n\
                     [[stage]]\ntype = \"write_lstat\"\npath = \"lines/*.txt\"\n\n\
                     [[stage]]\ntype = \"write_shots\"\npath = \"*.arrow\"\n";
-        let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[]).unwrap();
+        let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[], &[]).unwrap();
         let said = report(&job, folder.path()).unwrap().replace(&folder.path().display().to_string(), "HERE");
         let expected = "\
 a.toml fits
@@ -87,7 +87,7 @@ a.toml fits
     #[test]
     fn a_job_that_writes_nothing_is_noted() {
         let text = "[[stage]]\ntype = \"simulate\"\n";
-        let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[]).unwrap();
+        let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[], &[]).unwrap();
         let expected = "\
 a.toml fits
   chain:  simulate -> Shots

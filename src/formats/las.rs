@@ -1,5 +1,5 @@
 //! LAS and LAZ: full-waveform input (point formats 4, 5, 9 and 10) and output of points
-//! (formats 1 and 6), with their waveforms on request (formats 4 and 9).
+//! (formats 1 and 6), with their waveforms on request (formats 4 and 9); and cloud-optimised copies of points (COPC).
 //!
 //! The specification is ASPRS LAS 1.4 R15; older versions differ in the length of the header only, and LAS 1.5 adds
 //! three fields to its end. Compression is LASzip's, through the `laz` crate.
@@ -8,6 +8,7 @@
 //! one and compresses them in parallel slabs. Neither allocates per point.
 
 mod chunks;
+mod copc;
 mod descriptor;
 mod extra_bytes;
 mod header;
@@ -22,6 +23,7 @@ mod records;
 mod vlr;
 mod writer;
 
+pub use copc::{CopcSummary, Keep, write_copc};
 pub use descriptor::Descriptor;
 pub use extra_bytes::{
     AMP, ATTRIBUTES_1_0, ATTRIBUTES_1_1, CHANNEL, DEV_RATIO, DataType, ExtraAttribute, ExtraBytes, INT_ERR,

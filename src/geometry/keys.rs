@@ -15,6 +15,7 @@ use crate::stage::{InvalidKey, Keys};
 pub struct GeometryKeys {
     /// The file of positions and attitudes: SBET, POF, SOL, TRJ or columns of text, told apart by what is in it; `*` is the
     /// input's stem. Shots of the scanner's or the aircraft's frame get their pose from it.
+    #[schemars(extend("x-file" = "input"))]
     pub trajectory: Option<String>,
     /// What the times of the trajectory count, where its format does not say it.
     pub trajectory_time: Option<TimeKey>,
@@ -22,22 +23,28 @@ pub struct GeometryKeys {
     pub trajectory_angles: Option<AnglesKey>,
     /// The columns of a trajectory in text, a letter each: `t` time, `x` longitude, `y` latitude, `z` height above the
     /// ellipsoid, `w` roll, `p` pitch, `k` heading; any other letter passes a column over.
+    #[schemars(extend("x-file" = "none"))]
     pub trajectory_columns: Option<String>,
     /// The file of the trajectory's standard deviations: RIEGL's POQ or Applanix' `smrmsg`; `*` is the input's stem. With it
     /// points have a total uncertainty.
+    #[schemars(extend("x-file" = "input"))]
     pub trajectory_accuracy: Option<String>,
     /// How the scanner's frame stands in the aircraft: a name, or roll, pitch and yaw in degrees; `level` when not given.
     pub mount: Option<Mount>,
     /// Lever arm, boresight and internal parameters: a table with `lever_arm_m` (forward, right, down), `boresight_deg` (roll,
     /// pitch, yaw) and `e0` to `e7`, each 0 when not given; or a file that holds them.
+    #[schemars(extend("x-file" = "input"))]
     pub calibration: Option<CalibrationKey>,
     /// The coordinates of the points: `utm` (the zone of the first shot), `utm:33N`, `EPSG:2154`, a file with WKT,
     /// `geodetic` (longitude and latitude in degrees), or `ecef`; `utm` when not given.
+    #[schemars(extend("x-file" = "input_or_name"))]
     pub crs: Option<String>,
     /// The geoid that heights are to count from: the name of a file without its extension (`.bin`, `.gtx`), in any case;
     /// above the ellipsoid when not given.
+    #[schemars(extend("x-file" = "geoid"))]
     pub geoid: Option<String>,
     /// Where geoids lie; the folder of inputs when not given.
+    #[schemars(extend("x-file" = "geoid_folder"))]
     pub geoid_dir: Option<String>,
     /// The unit of all three coordinates; that of the coordinate reference system when not given.
     pub unit: Option<UnitKey>,

@@ -54,6 +54,8 @@ impl JobError {
 impl JobErrors {
     pub(super) fn new(mut errors: Vec<JobError>, sources: Sources) -> JobErrors {
         errors.sort_by_key(|error| error.span.clone().map_or((0, 0), |span| (span.start, span.end)));
+        // What an included file says of a stage is said of each of its type.
+        errors.dedup();
         JobErrors { errors, sources }
     }
 

@@ -1,15 +1,18 @@
-//! The texts that a job comes from, laid end to end: its file, then each override. A span past the end of the file is
-//! one of an override, so that an error needs no word about where its span comes from.
+//! The texts that a job comes from, laid end to end: its file, each file that it includes, then each override. A span past the
+//! end of the file is one of another text, so that an error needs no word about where its span comes from.
 
 use std::ops::Range;
 
-use super::Override;
+use super::{Include, Override};
 
-/// The job's text and its overrides.
+/// The job's text, what it includes, and its overrides.
 #[derive(Clone, Debug)]
 pub(super) struct Sources {
     file: Source,
-    overrides: Vec<Source>,
+    /// The included files, then the overrides.
+    others: Vec<Source>,
+    /// How many of them are files.
+    n_includes: usize,
 }
 
 #[derive(Clone, Debug)]
@@ -38,16 +41,18 @@ pub(super) struct Place<'s> {
 }
 
 impl Sources {
-    pub(super) fn new(name: &str, text: &str, overrides: &[Override]) -> Sources {
+    pub(super) fn new(name: &str, text: &str, includes: &[Include], overrides: &[Override]) -> Sources {
         let file = Source { name: name.to_owned(), text: text.to_owned(), start: 0 };
         let mut end = text.len();
-        let follow = |change: &Override| {
+        let follow = |(name, text): (&str, &str)| {
             // One byte between two texts: the end of one is not the beginning of the next.
             let start = end + 1;
-            end = start + change.text.len();
-            Source { name: "--set".to_owned(), text: change.text.clone(), start }
+            end = start + text.len();
+            Source { name: name.to_owned(), text: text.to_owned(), start }
         };
-        Sources { file, overrides: overrides.iter().map(follow).collect() }
+        let files = includes.iter().map(|file| (file.name.as_str(), file.text.as_str()));
+        let changes = overrides.iter().map(|change| ("--set", change.text.as_str()));
+        Sources { file, others: files.chain(changes).map(follow).collect(), n_includes: includes.len() }
     }
 
     /// What errors call the job.
@@ -55,14 +60,19 @@ impl Sources {
         &self.file.name
     }
 
+    /// Each included file, and where its text begins.
+    pub(super) fn includes(&self) -> impl Iterator<Item = (usize, &str)> {
+        self.others.iter().take(self.n_includes).map(|source| (source.start, source.text.as_str()))
+    }
+
     /// Each override, and where its text begins.
     pub(super) fn overrides(&self) -> impl Iterator<Item = (usize, &str)> {
-        self.overrides.iter().map(|source| (source.start, source.text.as_str()))
+        self.others.iter().skip(self.n_includes).map(|source| (source.start, source.text.as_str()))
     }
 
     /// Where a span is.
     pub(super) fn place(&self, span: &Range<usize>) -> Place<'_> {
-        let source = self.overrides.iter().rfind(|source| source.start <= span.start).unwrap_or(&self.file);
+        let source = self.others.iter().rfind(|source| source.start <= span.start).unwrap_or(&self.file);
         let text = &source.text;
         let start = text.floor_char_boundary(span.start - source.start);
         let end = text.floor_char_boundary(span.end.saturating_sub(source.start)).max(start);
@@ -97,7 +107,7 @@ mod tests {
 
     fn place(text: &str, overrides: &[&str], span: Range<usize>) -> (String, usize, usize, String, usize) {
         let overrides: Vec<Override> = overrides.iter().map(|&text| Override::new(text)).collect();
-        let sources = Sources::new("job.toml", text, &overrides);
+        let sources = Sources::new("job.toml", text, &[], &overrides);
         let place = sources.place(&span);
         (place.name.to_owned(), place.line, place.column, place.text, place.width)
     }

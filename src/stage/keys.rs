@@ -4,6 +4,7 @@
 use schemars::generate::SchemaSettings;
 use schemars::transform::transform_subschemas;
 use schemars::{Schema, SchemaGenerator};
+use serde::Deserialize;
 use serde_json::Value;
 
 use super::words;
@@ -89,10 +90,43 @@ impl<'k> Key<'k> {
         words::takes(self.schema)
     }
 
+    /// Which file a text that it takes names, where its declaration says so.
+    pub fn file_mark(&self) -> Option<FileMark> {
+        FileMark::deserialize(self.schema.get(FILE_MARK)?).ok()
+    }
+
     /// The unit that its name ends in.
     pub fn unit(&self) -> Option<&'static str> {
         UNITS.iter().find(|(suffix, _)| self.name.ends_with(suffix)).map(|(_, unit)| *unit)
     }
+}
+
+/// The keyword of a key's schema that says which file a text names: `#[schemars(extend("x-file" = "input"))]`. Keys of stages
+/// have none: their [`Config`](super::Config) tells files.
+const FILE_MARK: &str = "x-file";
+
+/// Which file the text of a key of `[job]` names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FileMark {
+    /// One that is read, below the folder of inputs; `*` is the input's stem.
+    Input,
+    /// The same where there is such a file; the name of something else otherwise.
+    InputOrName,
+    /// A geoid by its name, in the folder of geoids.
+    Geoid,
+    /// The folder of geoids, below that of inputs.
+    GeoidFolder,
+    /// The folder of inputs.
+    InputFolder,
+    /// One that is written, below the folder of outputs; `*` is the input's stem; none where the text is empty.
+    Output,
+    /// The folder of outputs.
+    OutputFolder,
+    /// A text of the job itself, which `Job` has read.
+    Include,
+    /// None.
+    None,
 }
 
 /// The ends of names that carry a unit; of two that fit, the longer stands first.

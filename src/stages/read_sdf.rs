@@ -9,7 +9,10 @@ use serde::{Deserialize, Serialize};
 
 use super::lines::{Lines, check_odd_sample_shift};
 use crate::batch::{AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind};
+use crate::formats::Error;
 use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
+use crate::geo::time::adjusted_gps_time;
+use crate::geo::time_axis::leap_seconds;
 use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
 mod shot;
@@ -62,12 +65,19 @@ pub struct Config {
     #[serde(default)]
     pub index_dir: Option<String>,
     /// First and last second to read, on the recording's own time scale (seconds of the GPS week as a rule; where it is
-    /// not synchronised, those of the instrument's clock). The first is sought, not read up to.
+    /// not synchronised, those of the instrument's clock), before `utc` and `time_offset_s`. The first is sought, not read up
+    /// to.
     #[serde(default)]
     pub time_s: Option<[f64; 2]>,
     /// The day on which the recording began, as in 2013-06-21, where the file's name does not begin with it.
     #[serde(default)]
     pub gps_date: Option<String>,
+    /// Times are UTC: the leap seconds of the recording's day are added to those of shots.
+    #[serde(default)]
+    pub utc: bool,
+    /// Added to the times of shots, where they are off: within -1e6 and 1e6.
+    #[serde(default)]
+    pub time_offset_s: f64,
     /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
     /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
     #[serde(default)]
@@ -92,6 +102,8 @@ impl stage::Config for Config {
         unless(ordered, "time_s", "it must be two numbers, the first not above the second")?;
         let is_date = self.gps_date.as_ref().is_none_or(|date| time::noon(date).is_some());
         unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")?;
+        let is_near = self.time_offset_s.abs() <= MOST_OFFSET_S;
+        unless(is_near, "time_offset_s", "it must lie between -1e6 and 1e6")?;
         check_odd_sample_shift(self.odd_sample_shift)
     }
 
@@ -117,6 +129,8 @@ struct ReadSdf {
     window: Option<Window>,
     /// What to add to external times, s; a period more each time that they begin anew.
     offset_s: f64,
+    /// What to add to the times of shots beyond that, s: the keys `utc` and `time_offset_s`.
+    correction_s: f64,
     /// After how many seconds external times begin anew, where they do.
     period_s: Option<f64>,
     /// The last shot's time, s; NaN before the first.
@@ -154,6 +168,8 @@ const LOOKED_AT: usize = 1000;
 const SAMPLES_LOOKED_AT: usize = 1 << 22;
 /// A window has ended where so many shots in a row are later: fewer may have a time that is wrong.
 const LATE_SHOTS: u32 = 100;
+/// No clock is set wrong by more, s.
+const MOST_OFFSET_S: f64 = 1e6;
 /// Times begin anew where the next one is then at most so much later, s: any other step back is a wrong time.
 const LONGEST_STEP_S: f64 = 3600.0;
 
@@ -180,6 +196,7 @@ impl ReadSdf {
         remarks.extend(times.remark.map(str::to_owned));
         let input = describe(config, site, &reader, &times, tables, &ahead);
         let offset_s = times.offset_s;
+        let correction_s = config.time_offset_s + leap_s(config, &input, first_s.map(|s| s + offset_s))?;
         let mut at_end = false;
         let window =
             config.time_s.map(|[from_s, to_s]| Window { from_s, to_s, is_external, now_s: from_s, late: 0 });
@@ -195,6 +212,7 @@ impl ReadSdf {
             lines: Lines::new(Arc::new(input)),
             window,
             offset_s,
+            correction_s,
             period_s: times.period_s,
             last_time_s: f64::NAN,
             ahead,
@@ -229,8 +247,10 @@ impl ReadSdf {
             }
         };
         emission.gps_time_s = self.continuous(emission.gps_time_s);
+        let external_s = emission.gps_time_s;
+        emission.gps_time_s += self.correction_s;
         let Some(window) = &mut self.window else { return Some(emission) };
-        let time_s = if window.is_external { emission.gps_time_s } else { self.record.time_s };
+        let time_s = if window.is_external { external_s } else { self.record.time_s };
         if time_s.is_nan() {
             self.reject("no time, where `time_s` asks for some", cx);
             return None;
@@ -312,6 +332,15 @@ fn look_ahead(reader: &mut SdfReader) -> Result<VecDeque<SdfRecord>> {
         ahead.push_back(record);
     }
     Ok(ahead)
+}
+
+/// GPS time less the recording's, s, where that is UTC.
+fn leap_s(config: &Config, input: &InputInfo, first_s: Option<f64>) -> Result<f64> {
+    let Some(first_s) = first_s.filter(|_| config.utc) else { return Ok(0.0) };
+    adjusted_gps_time(input, first_s).map(leap_seconds).ok_or_else(|| {
+        let problem = "its times are UTC, and without its day the leap seconds are not known";
+        Error::unusable(&input.path, problem, "say the day with the key `gps_date`").into()
+    })
 }
 
 fn has_outgoing_pulse(record: &SdfRecord) -> bool {

@@ -33,7 +33,6 @@ pub fn process(flight: &Flight, threads: usize, geometry: &str, before: &str) ->
 pub struct Found {
     pub shot: u64,
     pub range_m: f64,
-    pub number_of_returns: u64,
     pub point_m: [f64; 3],
     pub total_uncertainty_m: f64,
 }
@@ -50,7 +49,6 @@ pub fn returns(folder: &Path) -> Vec<Found> {
         Found {
             shot: number("shot") as u64,
             range_m: number("range_m"),
-            number_of_returns: number("number_of_returns") as u64,
             point_m: ["x", "y", "z"].map(number),
             total_uncertainty_m: number("total_uncertainty_m"),
         }

@@ -46,7 +46,7 @@ const NOISY: &str = "lines = 200\nshots_per_line = 40\npulse_rate_hz = 1000\nbui
 
 /// Each shot's only true return with the nearest of those found in its shot. What else was found there is a false return, and not off by
 /// its distance from the one that is true.
-fn nearest_found<'t>(flight: &'t Flight, pairs: &[(&'t Found, &'t Truth)]) -> Vec<(&'t Found, &'t Truth)> {
+fn nearest_found<'t>(pairs: &[(&'t Found, &'t Truth)]) -> Vec<(&'t Found, &'t Truth)> {
     let mut of_shot: BTreeMap<u64, (&Found, &Truth)> = BTreeMap::new();
     for &(found, truth) in pairs {
         let off_m = |found: &Found| (found.range_m - truth.range_m).abs();
@@ -67,7 +67,7 @@ fn total_uncertainty_is_what_points_are_off_by() {
     process(&flight, 2, "trajectory = '*.out'\ntrajectory_accuracy = 'smrmsg_*.out'\n", "");
     let found = returns(flight.folder());
     let of_found = pairs(&flight, &found);
-    let pairs = nearest_found(&flight, &of_found);
+    let pairs = nearest_found(&of_found);
     let false_returns = of_found.len() - pairs.len();
     assert!(false_returns <= 8, "{false_returns} false returns of {} shots", pairs.len());
     assert!(pairs.len() > 7900, "{}", pairs.len());

@@ -9,7 +9,7 @@ use wavex::cli::import::draft::Known;
 use crate::{complete, files, here, in_version, words};
 
 /// Name of the file with the job, and the line.
-const EXAMPLES: &[(&str, &str)] = &[
+pub(crate) const EXAMPLES: &[(&str, &str)] = &[
     ("1.0-01", "wavex -i waveform.las -o points.laz -fastest"),
     ("1.0-02", "wavex -i waveform.las -o points.laz -fastsep -traj -stat"),
     ("1.0-03", r"wavex -i waveform.las -o points.laz -I F:\indir -O E:\outdir -ounc 0"),

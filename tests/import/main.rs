@@ -1,6 +1,7 @@
 //! `wavex import`: lines of the classic program as jobs.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
+mod documents;
 mod examples;
 mod lines;
 mod refused;

@@ -9,18 +9,18 @@ use crate::support::{Outcome, Place};
 
 /// What a line leaves: exit code, standard output and standard error.
 #[derive(Debug, PartialEq)]
-struct Ended {
-    code: Option<i32>,
-    out: String,
-    err: String,
+pub(crate) struct Ended {
+    pub(crate) code: Option<i32>,
+    pub(crate) out: String,
+    pub(crate) err: String,
 }
 
 /// Runs `wavex import` with these words in a folder, with the stand-in for RIEGL's library.
-fn wavex(place: &Place, line: &str) -> Ended {
+pub(crate) fn wavex(place: &Place, line: &str) -> Ended {
     let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
     program.arg("import").args(line.split_whitespace()).current_dir(place.path(""));
     program.stdin(Stdio::null()).env_remove("RUST_LOG");
-    if place.path("data.sdf").exists() {
+    if place.path("data.sdf").exists() || place.path("indir").exists() {
         program.env("WAVEX_RIWAVELIB", stand_in());
     }
     let output = program.output().unwrap();
@@ -40,7 +40,7 @@ fn stand_in() -> PathBuf {
 
 /// The line runs without a word of complaint, and leaves these files besides the inputs, the log and the report.
 #[track_caller]
-fn leaves(place: &Place, line: &str, files: &[&str]) -> String {
+pub(crate) fn leaves(place: &Place, line: &str, files: &[&str]) -> String {
     let ended = wavex(place, &format!("--run -- {line}"));
     assert_eq!(ended.code, Some(0), "{line}: {}", ended.err);
     assert!(!ended.err.contains("this build cannot"), "{line}: {}", ended.err);
@@ -72,7 +72,7 @@ fn data_sdf() -> Place {
 }
 
 /// What the header of a LAS or LAZ file tells: its minor version, number of points, and least easting.
-fn header(place: &Place, file: &str) -> (u8, u64, f64) {
+pub(crate) fn header(place: &Place, file: &str) -> (u8, u64, f64) {
     let bytes = std::fs::read(place.path(file)).unwrap();
     let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
     let u64_at = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
@@ -168,9 +168,9 @@ fn a_value_that_a_key_cannot_take_is_told_with_its_place_in_the_job() {
 #[test]
 fn a_line_that_asks_for_what_is_not_there_yet_is_not_run() {
     let place = data_sdf();
-    let ended = wavex(&place, "--run -- -i data.sdf -utc");
+    let ended = wavex(&place, "--run -- -i data.sdf -n_ppm 270");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    let expected = "error: the line is not run, because this build cannot do yet: -utc (`utc` of `read_sdf`); leave that \
+    let expected = "error: the line is not run, because this build cannot do yet: -n_ppm 270 (`refractive_index_ppm` of `read_sdf`); leave that \
                     out, or write the job with `-o` and change it\n";
     assert!(ended.err.ends_with(expected), "{}", ended.err);
 }

@@ -19,13 +19,8 @@ const V11: &str = "I idir O odir mem N nthreads q quiet progress i input o out o
                    calib_corr wkt utm geo ecef geoid metre feet int_feet dumv";
 
 /// Keys that the tables name and this build does not have yet.
-const PENDING: &[&str] = &[
-    "read_sdf.time_scale",
-    "read_sdf.utc",
-    "read_sdf.time_offset_s",
-    "read_sdf.refractive_index_ppm",
-    "read_las.range_time_offset_ns",
-];
+const PENDING: &[&str] =
+    &["read_sdf.time_scale", "read_sdf.refractive_index_ppm", "read_las.range_time_offset_ns"];
 
 fn version(name: &str) -> &'static Version {
     Version::find(name).unwrap()

@@ -1,13 +1,14 @@
 //! What is wrong with a job, in the words and at the place that the user is shown: one test per message.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-use wavex::job::{Job, JobErrors, Override};
+use wavex::job::{Include, Job, JobErrors, Override};
 
 #[path = "../stages/mod.rs"]
 mod stages;
 
 mod chain;
 mod geometry;
+mod includes;
 mod keys;
 mod nested_keys;
 mod never_panics;
@@ -37,7 +38,17 @@ type = \"write_las\"
 
 fn parse(text: &str, overrides: &[&str]) -> Result<Job, JobErrors> {
     let overrides: Vec<Override> = overrides.iter().copied().map(Override::new).collect();
-    Job::parse_with(stages::STAGES, "job.toml", text, &overrides)
+    Job::parse_with(stages::STAGES, "job.toml", text, &[], &overrides)
+}
+
+/// A job that includes `site.toml`, in which this stands, has exactly these errors.
+fn check_included(site: &str, expected: &str) {
+    let text = format!("[job]\ninclude = \"site.toml\"\n{FULL}");
+    let site = Include { name: "site.toml".into(), text: site.strip_prefix('\n').unwrap_or(site).into() };
+    match Job::parse_with(stages::STAGES, "job.toml", &text, &[site], &[]) {
+        Ok(job) => panic!("no error: {}", job.chain()),
+        Err(errors) => assert_eq!(errors.to_string(), expected.strip_prefix('\n').unwrap_or(expected)),
+    }
 }
 
 /// The job, which begins behind the first line feed of `text`, has exactly these errors.

@@ -1,4 +1,4 @@
-"""Runs the program and reads what it wrote with other programs: pyarrow, DuckDB, laspy, LASzip.
+"""Runs the program and reads what it wrote with other programs: pyarrow, DuckDB, laspy, LASzip, pyproj.
 
     python3 -m venv venv
     venv/bin/pip install -r tests/python/requirements.txt
@@ -16,15 +16,18 @@ import tempfile
 from pathlib import Path
 
 import jsonschema
+import laspy
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
 import read_container as made_up
+from check_copc import check_copc
 from check_laszip import check_laszip
 from check_packets import check_packets
 from check_points import check_points, check_same_points
+from check_text import COLUMNS, check_ascii, check_beams, check_flown, check_origins
 from check_waveforms import check_against_dump, check_container, check_same_waveforms, read_container, read_dump
 from checks import Checks, numbers, same_column
 from read_container import SCHEMAS, arrow_type, sql
@@ -35,6 +38,23 @@ type = "simulate"
 stem = "flight"
 lines = 5
 shots_per_line = 200
+"""
+FLIGHT = """
+[[stage]]
+type = "simulate"
+stem = "flown"
+lines = 5
+shots_per_line = 200
+pulse_rate_hz = 1000.0
+heading_deg = 340.0
+roll_deg = 3.0
+pitch_deg = 2.0
+yaw_deg = 2.0
+motion_period_s = 2.0
+sbet = "*.sbet"
+
+[[stage]]
+type = "write_arrow"
 """
 # Every sink, behind whatever makes shots.
 SINKS = """
@@ -121,7 +141,18 @@ path = "*_returns.csv"
 
 [[stage]]
 type = "write_lstat"
-"""
+
+[[stage]]
+type = "write_ascii"
+path = "*_points.txt"
+columns = "{columns}"
+separator = "comma"
+header = true
+
+[[stage]]
+type = "write_trajectory"
+every = 50
+""".replace("{columns}", COLUMNS)
 # The points among them: ending, version, layout of attributes, where the index is. "waves" come with waveforms.
 POINTS = [
     (".las", "1.4", "1.1", None),
@@ -153,8 +184,8 @@ def command(words, folder=None):
     return done.stdout
 
 
-def check_survey(checks, name, program, source):
-    """A job with every sink, and all that it wrote."""
+def check_survey(checks, name, program, source, tells_origins=True):
+    """A job with every sink, and all that it wrote. LAS does not tell where beams begin."""
     with checks.of(name), tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         run(program, folder, source + SINKS)
@@ -181,6 +212,18 @@ def check_survey(checks, name, program, source):
             check_same_points(checks, las[".las"], las[".laz"])
         with checks.of(f"{name}, laz 1.2"):
             check_same_points(checks, las["_12.las"], las["_12_appended.laz"])
+        for ending in (".las", ".laz", "_waves.laz"):
+            with checks.of(f"{name}, COPC of {ending}"):
+                copc = folder / f"of{ending}.copc.laz"
+                command([program, "--quiet", "copc", output(ending), "-o", copc])
+                check_copc(checks, copc, las[ending])
+        with checks.of(f"{name}, points as text"):
+            check_ascii(checks, output("_points.txt"), table, container)
+        with checks.of(f"{name}, the sensor's path"):
+            if tells_origins:
+                check_origins(checks, output("_traj.txt"), container, 50)
+            else:
+                check_beams(checks, output("_traj.txt"))
         with checks.of(f"{name}, line statistics"):
             check_line_statistics(checks, output("_lstat.txt"), container, report)
 
@@ -256,6 +299,40 @@ def check_line_statistics(checks, path, container, report):
     checks.within("gps_time is that of each line's first shot", since_first, times - times[0], 2e-6)
 
 
+def check_flight(checks, program):
+    """The path of a flight with a trajectory, in coordinates that another program projects."""
+    with checks.of("a flight with a trajectory"), tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        run(program, folder, FLIGHT)
+        geometry = "[job.geometry]\ntrajectory = 'flown.sbet'\ncrs = 'utm:33N'\n"
+        stages = reader("read_arrow", "flown.arrow") + "[[stage]]\ntype = 'write_trajectory'\ninterval_s = 0.01\n"
+        run(program, folder, geometry + stages)
+        check_flown(checks, folder / "flown_traj.txt", folder / "flown.sbet", "EPSG:32633")
+
+
+def check_many_points(checks, program):
+    """Enough points that the octree of COPC has several levels."""
+    with checks.of("COPC of many points"), tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        points = laspy.LasData(laspy.LasHeader(point_format=8, version="1.4"))
+        points.header.scales = [0.01, 0.01, 0.001]
+        random = np.random.default_rng(6)
+        n = 400_000
+        # A steep sheet, denser towards a corner.
+        x, y = 1000.0 * random.random(n) ** 2, 700.0 * random.random(n)
+        points.x, points.y, points.z = x, y, 100.0 + 0.3 * x + 5.0 * random.random(n)
+        points.gps_time = np.arange(n) * 1e-5
+        points.add_extra_dim(laspy.ExtraBytesParams("range", "f8"))
+        points["range"], points.nir, points.return_number = random.random(n), np.arange(n) % 65536, 1 + np.arange(n) % 15
+        points.write(folder / "many.las")
+        command([program, "--quiet", "copc", folder / "many.las"])
+        source = laspy.read(folder / "many.las")
+        check_copc(checks, folder / "many.copc.laz", source)
+        with laspy.CopcReader.open(folder / "many.copc.laz") as file:
+            shown = [len(file.query(level=range(0, level))) for level in (1, 2, 3, 20)]
+        checks.that("has several levels", 0 < shown[0] < shown[1] <= shown[3] == n, shown)
+
+
 def check_example3(checks, program, data):
     """A recording of RIEGL's, sample for sample as the format's own library reads it."""
     pls = data / "pulsewaves" / "riegl_example3.pls"
@@ -285,13 +362,15 @@ def main():
     checks = Checks()
     check_made_up(checks, program)
     check_survey(checks, "simulated", program, SIMULATED)
+    check_flight(checks, program)
+    check_many_points(checks, program)
     data = os.environ.get("WAVEX_DATA")
     if data is None:
         print("skipped: WAVEX_DATA not set")
     else:
         data = Path(data).resolve()
         recording = data / "riegl_q680i_dev" / "riegl_q680i_dev"
-        check_survey(checks, "riegl_q680i_dev, LAS", program, reader("read_las", f"{recording}.las"))
+        check_survey(checks, "riegl_q680i_dev, LAS", program, reader("read_las", f"{recording}.las"), False)
         check_survey(checks, "riegl_q680i_dev, PulseWaves", program, reader("read_pulsewaves", f"{recording}.pls"))
         check_example3(checks, program, data)
     return checks.end()

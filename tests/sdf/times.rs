@@ -146,3 +146,30 @@ fn seconds_of_the_day_become_seconds_of_the_week() {
     assert_eq!(read(&place, "").1, lines().as_slice());
     assert_eq!(header_of(&place), header());
 }
+
+#[test]
+fn times_of_utc_and_times_that_are_off_become_those_of_gps() {
+    let given = lines();
+    let place = place(&container(&header(), &given), "");
+    let times = |keys: &str| -> Vec<f64> {
+        let (_, lines) = read(&place, keys);
+        lines.iter().flatten().map(|row| row.shot.gps_time_s.unwrap()).collect()
+    };
+    let own = times("");
+    let later = |seconds: f64| own.iter().map(|time| time + seconds).collect::<Vec<f64>>();
+    assert_eq!(times("utc = true"), later(18.0));
+    assert_eq!(times("time_offset_s = -0.75"), later(-0.75));
+    assert_eq!(times("utc = true\ntime_offset_s = 0.72"), later(18.72));
+    let window = times("utc = true\ntime_s = [208800.55, 208800.75]");
+    assert_eq!(window, later(18.0)[6..8], "a window is one of the recording's own times");
+}
+
+#[test]
+fn leap_seconds_need_a_day() {
+    let place = Place::with(&[("flight.sdf", &container(&header(), &lines()))]);
+    let job = |keys: &str| copy(keys).replace(NAME, "flight.sdf");
+    let message = "stage read_sdf: ./flight.sdf: its times are UTC, and without its day the leap seconds are not known; \
+                   say the day with the key `gps_date`";
+    place.left_nothing(place.run(&job("utc = true")), message);
+    assert_eq!(place.run(&job("utc = true\ngps_date = '2025-05-06'")).err, "");
+}

@@ -19,6 +19,8 @@ pub(super) mod encoding {
     pub(crate) const WAVES_INSIDE: u16 = 1 << 1;
     /// Waveform packets are in a file beside this one.
     pub(crate) const WAVES_BESIDE: u16 = 1 << 2;
+    /// Return numbers were made up.
+    pub(crate) const SYNTHETIC_RETURNS: u16 = 1 << 3;
     /// The coordinate system is WKT.
     pub(crate) const WKT: u16 = 1 << 4;
     /// With [`ADJUSTED_TIME`], from LAS 1.5 on: the header says which offset GPS time has.

@@ -20,7 +20,7 @@ use crate::formats::{Error, Result};
 use header::{Shape, Totals};
 pub use options::{IndexPlace, Version, WavePlace, WriterOptions};
 use records::Records;
-pub(super) use records::evlr;
+pub(super) use records::{evlr, text, vlr};
 
 /// Points of a LAZ chunk, as other writers have it.
 const CHUNK: usize = 50_000;

@@ -90,8 +90,10 @@ impl Definition {
         let own = horizontal.epsg().or(epsg.filter(|_| vertical.is_none()));
         let name = epsg.map_or(title.clone(), |code| format!("EPSG:{code} ({title})"));
         let ellipsoid = check_datum(&name, &horizontal, tree.find(&["ABRIDGEDTRANSFORMATION"]))?;
-        let text = proj_string(&horizontal)?;
-        let proj = ProjString { name: &name, pairs: pairs(&text) };
+        let given = own_proj_string(&horizontal);
+        let is_own = given.is_some();
+        let text = given.map_or_else(|| proj_string(&horizontal), Ok)?;
+        let proj = ProjString { name: &name, pairs: pairs(&text), is_own };
         proj.check_axes()?;
         let method = proj.method(ellipsoid)?;
         let unit = match method {
@@ -117,16 +119,16 @@ pub(super) fn of_proj(words: &str) -> Option<Definition> {
     Some(Definition { name, epsg, method, ellipsoid: WGS84, unit, horizontal, vertical })
 }
 
-/// The PROJ string that the text holds, as GDAL adds it where WKT 1 has no words, else one made of the text.
-fn proj_string(horizontal: &Node) -> Result<String, CrsError> {
+/// The PROJ string that the text holds, as GDAL adds it where WKT 1 has no words.
+fn own_proj_string(horizontal: &Node) -> Option<String> {
     let own = horizontal.child(&["EXTENSION"]).filter(|extension| extension.name() == Some("PROJ4"));
-    match own.and_then(|extension| extension.text(1)) {
-        Some(text) => Ok(text.to_string()),
-        None => {
-            let made = proj4wkt::wkt_to_projstring(&horizontal.to_string());
-            made.map_err(|error| CrsError::Wkt(error.to_string()))
-        }
-    }
+    own.and_then(|extension| extension.text(1)).map(str::to_owned)
+}
+
+/// One made of the text.
+fn proj_string(horizontal: &Node) -> Result<String, CrsError> {
+    let made = proj4wkt::wkt_to_projstring(&horizontal.to_string());
+    made.map_err(|error| CrsError::Wkt(error.to_string()))
 }
 
 /// The ellipsoid, where the datum is one that is taken as the earth-centred frame itself.
@@ -170,6 +172,8 @@ struct ProjString<'a> {
     /// The system, for errors.
     name: &'a str,
     pairs: Vec<(&'a str, &'a str)>,
+    /// The text holds it: what it leaves out has the value that PROJ gives it.
+    is_own: bool,
 }
 
 fn pairs(text: &str) -> Vec<(&str, &str)> {
@@ -201,6 +205,15 @@ impl ProjString<'_> {
         CrsError::Unsupported { name: self.name.into(), problem, remedy }
     }
 
+    /// The central meridian, which well-known text must say: on another one all points would lie far off.
+    fn central_meridian_rad(&self) -> Result<f64, CrsError> {
+        if self.is_own || self.text("lon_0").is_some() {
+            return self.radians("lon_0", 0.0);
+        }
+        let problem = "its projection has no central meridian".to_owned();
+        Err(self.unsupported(problem, "complete the parameters in its WKT, or give an EPSG code"))
+    }
+
     /// Axes other than east and north, and meridians other than Greenwich's, are not supported.
     fn check_axes(&self) -> Result<(), CrsError> {
         const REMEDY: &str = "choose a system with eastings and northings from Greenwich, or build wavex with the feature `proj`";
@@ -219,7 +232,6 @@ impl ProjString<'_> {
             None => self.number("k_0", 1.0)?,
         };
         let (false_easting_m, false_northing_m) = (self.number("x_0", 0.0)?, self.number("y_0", 0.0)?);
-        let central_meridian_rad = self.radians("lon_0", 0.0)?;
         Ok(match self.text("proj").unwrap_or_default() {
             "longlat" => Method::Geodetic,
             "geocent" => Method::Ecef,
@@ -229,7 +241,7 @@ impl ProjString<'_> {
             )),
             "tmerc" => Method::TransverseMercator(transverse_mercator::Parameters {
                 latitude_of_origin_rad: self.radians("lat_0", 0.0)?,
-                central_meridian_rad,
+                central_meridian_rad: self.central_meridian_rad()?,
                 scale,
                 false_easting_m,
                 false_northing_m,
@@ -242,7 +254,7 @@ impl ProjString<'_> {
                 Method::Lambert(lambert::Parameters {
                     standard_parallels_rad: [first_deg, second_deg].map(f64::to_radians),
                     latitude_of_origin_rad: self.radians("lat_0", origin_deg)?,
-                    central_meridian_rad,
+                    central_meridian_rad: self.central_meridian_rad()?,
                     scale,
                     false_easting_m,
                     false_northing_m,

@@ -291,6 +291,16 @@ fn texts_that_cannot_be_used_say_why() {
     assert!(error(&paris).contains(": its prime meridian is `2.33722917`; choose a system with"));
     let letters = ESRI.replace("False_Easting\",2296583.333", "False_Easting\",\"far\"");
     assert!(error(&letters).contains("the WKT cannot be read"), "{}", error(&letters));
+    let nowhere = ESRI.replace("Central_Meridian", "Middle");
+    assert!(
+        error(&nowhere).ends_with(
+            ": its projection has no central meridian; complete the parameters in its WKT, or give an EPSG code"
+        ),
+        "{}",
+        error(&nowhere)
+    );
+    let no_parallel = ESRI.replace("Standard_Parallel_1", "One");
+    assert!(error(&no_parallel).contains(": its standard parallels make no cone"), "{}", error(&no_parallel));
     let no_unit = ESRI.replace("0.304800609601219]]", "0]]");
     assert!(error(&no_unit).contains(": its unit of length is not known; give the system as a WKT file"));
 }

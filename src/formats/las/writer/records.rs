@@ -102,7 +102,13 @@ fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<
     }
 }
 
-fn vlr(path: &Path, user_id: &str, record_id: u16, description: &str, data: &[u8]) -> Result<Vec<u8>> {
+pub(in crate::formats::las) fn vlr(
+    path: &Path,
+    user_id: &str,
+    record_id: u16,
+    description: &str,
+    data: &[u8],
+) -> Result<Vec<u8>> {
     let length = u16::try_from(data.len()).map_err(|_| too_much(path, description))?;
     let mut bytes = Vec::with_capacity(VLR_HEADER as usize + data.len());
     bytes.extend([0; 2]);
@@ -137,7 +143,7 @@ pub(in crate::formats::las) fn evlr(
 }
 
 /// Text of a fixed length, cut or filled with zeros.
-pub(super) fn text<const N: usize>(text: &str) -> [u8; N] {
+pub(in crate::formats::las) fn text<const N: usize>(text: &str) -> [u8; N] {
     let mut bytes = [0; N];
     bytes.iter_mut().zip(text.bytes()).for_each(|(place, byte)| *place = byte);
     bytes

@@ -1,0 +1,80 @@
+//! `wavex copc`: points into a cloud-optimised file.
+
+use std::collections::BTreeSet;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use super::{Failure, terminal};
+use crate::formats::Error;
+use crate::formats::las::{CopcSummary, write_copc};
+use crate::stage::{OutputFile, OutputLock, Outputs, WholeFile};
+
+/// Sorted runs that are claimed: three thousand million points of 40 bytes need as many.
+const CLAIMED_RUNS: usize = 512;
+
+/// Writes the points of `input` into `out`, which gets its name when it is whole.
+pub(super) fn copc(input: &Path, out: Option<PathBuf>, quiet: bool) -> Result<(), Failure> {
+    let out = out.unwrap_or_else(|| input.with_extension("copc.laz"));
+    check_name(input, &out).map_err(Failure::Wrong)?;
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // What a killed process leaves is swept up by its claim.
+    let written = (0..CLAIMED_RUNS).map(|number| run_path(&out, number)).chain([out.clone()]);
+    let claimed = Outputs::from([(folder.to_path_buf(), written.collect::<BTreeSet<_>>())]);
+    let lock = OutputLock::take(&claimed).map_err(|error| Failure::Run(error.to_string()))?;
+    let summary = write(input, &out).map_err(|error| Failure::Run(error.to_string()))?;
+    drop(lock);
+    if quiet { Ok(()) } else { terminal::print(&told(&out, &summary)) }
+}
+
+fn check_name(input: &Path, out: &Path) -> Result<(), String> {
+    let extension = out.extension().unwrap_or_default();
+    if !extension.eq_ignore_ascii_case("laz") {
+        return Err(format!("{}: COPC is LAZ: give a name that ends in .copc.laz", out.display()));
+    }
+    let real = |path: &Path| path.canonicalize().ok();
+    match (real(input), real(out)) {
+        (Some(input), Some(there)) if input == there => {
+            Err(format!("{}: this is the input: give another name by --out", out.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn write(input: &Path, out: &Path) -> Result<CopcSummary, Error> {
+    let mut file = OutputFile::create(out)?;
+    // Removed when dropped.
+    let mut runs: Vec<WholeFile> = Vec::new();
+    let mut keep = |run: &[u8]| {
+        let path = run_path(out, runs.len());
+        let mut file = OutputFile::create(&path)?;
+        file.write_all(run).map_err(Error::io(&path, "write"))?;
+        let whole = file.finish()?;
+        let input = whole.open().map_err(Error::io(&path, "open"))?;
+        runs.push(whole);
+        Ok(Box::new(input) as Box<dyn Read>)
+    };
+    let summary = write_copc(input, &mut file, out, &mut keep)?;
+    file.finish()?.publish()?;
+    Ok(summary)
+}
+
+/// What a sorted run is named after.
+fn run_path(out: &Path, number: usize) -> PathBuf {
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    out.with_file_name(format!("{name}.sorted_{number}"))
+}
+
+fn told(out: &Path, summary: &CopcSummary) -> String {
+    let without = if summary.is_without_waveforms { ", without their waveforms" } else { "" };
+    let plural = |n: u64| if n == 1 { "" } else { "s" };
+    format!(
+        "wrote {}: {} point{}{without}, {} node{} on {} level{}\n",
+        out.display(),
+        summary.n_points,
+        plural(summary.n_points),
+        summary.n_nodes,
+        plural(summary.n_nodes as u64),
+        summary.n_levels,
+        plural(summary.n_levels.into()),
+    )
+}

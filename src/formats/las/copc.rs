@@ -1,0 +1,358 @@
+//! Cloud-optimised point clouds: LAZ whose chunks are the nodes of an octree, so that viewers fetch the parts they show.
+//!
+//! The specification is COPC 1.0 (<https://copc.io>): LAS 1.4 in point format 6, 7 or 8, LASzip's chunks of variable size, a
+//! record `copc`/1 first, and the octree as extended record `copc`/1000. Points are moved as records, so that each comes out
+//! as it was to the bit; a record of waveforms (formats 9 and 10) loses the reference to its packet, for which COPC has no
+//! place.
+//!
+//! The source is read twice: for the cube around all points, and for the points. Memory stays bounded: points are sorted in
+//! runs that the caller keeps, and nodes are written as soon as they are complete.
+
+mod cube;
+mod octree;
+mod sort;
+mod start;
+
+use std::io::{self, Cursor, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use laz::laszip::{ChunkTable, ChunkTableEntry};
+use laz::record::{LayeredPointRecordCompressor, RecordCompressor};
+use laz::{LasZipError, LazVlr, LazVlrBuilder};
+
+use super::header::{Header, encoding};
+use super::point::Layout;
+use super::raw::RawPoints;
+use super::vlr::{SPEC, Vlr, WAVEFORM_PACKETS};
+use super::{descriptor::FIRST_DESCRIPTOR, lax};
+use crate::formats::{Error, Result};
+use cube::Cube;
+use octree::{Node, Octree};
+use sort::Sorter;
+use start::{Entry, Start};
+
+pub use sort::Keep;
+
+/// User ID of the records that the specification of COPC defines.
+const COPC: &str = "copc";
+/// Points of a leaf of the octree, at most.
+const LEAF_POINTS: u64 = 50_000;
+/// Memory for the sorting of points, bytes.
+const SORT_BYTES: usize = 512 << 20;
+
+/// What was written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CopcSummary {
+    /// Number of points, as many as in the source.
+    pub n_points: u64,
+    /// Number of nodes of the octree, each a chunk.
+    pub n_nodes: usize,
+    /// Levels of the octree.
+    pub n_levels: u32,
+    /// Points of formats 9 and 10 were written without their waveforms.
+    pub is_without_waveforms: bool,
+}
+
+/// How much is held at once.
+#[derive(Debug, Clone, Copy)]
+struct Limits {
+    leaf_points: u64,
+    sort_bytes: usize,
+}
+
+/// Writes the points of the LAS or LAZ file `source` as COPC into `sink`, which starts at the file's first byte; `path` names it
+/// in errors. `keep` holds what does not fit into memory.
+///
+/// Needs about 512 MiB and the nodes on the way to a point, of 50 000 points or so each. More points than that within
+/// 1 / 2^14 of the cube's edge are one node and take their memory.
+///
+/// # Errors
+/// The source is not LAS, is damaged, has no points, or is what COPC cannot hold: point formats 0 to 5, times of LAS 1.5 on
+/// another offset. Or `sink` or `keep` refuses.
+pub fn write_copc(source: &Path, sink: impl Write + Seek, path: &Path, keep: Keep) -> Result<CopcSummary> {
+    write_within(source, sink, path, keep, Limits { leaf_points: LEAF_POINTS, sort_bytes: SORT_BYTES })
+}
+
+fn write_within(
+    source: &Path,
+    sink: impl Write + Seek,
+    path: &Path,
+    keep: Keep,
+    limits: Limits,
+) -> Result<CopcSummary> {
+    let extent = Extent::of(source)?;
+    let mut points = RawPoints::open(source)?;
+    let records = Reshape::of(source, points.header())?;
+    let header = points.header().clone();
+    let cube = extent.cube(&header);
+    let mut sorter = Sorter::new(records.length(), limits.sort_bytes, keep);
+    let mut out = Vec::with_capacity(records.length());
+    while let Some(record) = points.next_record()? {
+        records.reshape(record, &mut out);
+        sorter.push(cube.key(place(&header, raw(record))), &out)?;
+    }
+    let start = Start::new(source, &header, (points.vlrs(), &records), &extent)?;
+    drop(points);
+    let mut writer = Writer::new(sink, path, &records, start)?;
+    let mut octree = Octree::new(limits.leaf_points);
+    let mut done = |node: Node| writer.write_node(&node);
+    sorter.finish(path, |key, record| octree.push(key, record, &mut done))?;
+    octree.finish(&mut done)?;
+    let (n_nodes, n_levels) = (writer.entries.len(), writer.n_levels());
+    writer.finish(&cube)?;
+    let is_without_waveforms = records.format != header.point_format;
+    Ok(CopcSummary { n_points: extent.n_points, n_nodes, n_levels, is_without_waveforms })
+}
+
+/// What the header and the `copc` record say of all points together.
+#[derive(Debug)]
+struct Extent {
+    n_points: u64,
+    by_return: [u64; 15],
+    min: [i32; 3],
+    max: [i32; 3],
+    /// Least and greatest of the finite times; both 0 where there is none.
+    times: [f64; 2],
+}
+
+impl Extent {
+    /// Goes through all points of a file.
+    fn of(source: &Path) -> Result<Extent> {
+        let mut points = RawPoints::open(source)?;
+        check(source, points.header())?;
+        let mut extent = Extent {
+            n_points: 0,
+            by_return: [0; 15],
+            min: [i32::MAX; 3],
+            max: [i32::MIN; 3],
+            times: [0.0; 2],
+        };
+        let mut times = [f64::INFINITY, f64::NEG_INFINITY];
+        while let Some(record) = points.next_record()? {
+            extent.n_points += 1;
+            for (axis, value) in raw(record).into_iter().enumerate() {
+                extent.min[axis] = extent.min[axis].min(value);
+                extent.max[axis] = extent.max[axis].max(value);
+            }
+            // Return numbers stand in the lowest four bits; 0 belongs to no column.
+            let column = usize::from(record.get(14).map_or(0, |byte| byte & 15)).checked_sub(1);
+            if let Some(count) = column.and_then(|column| extent.by_return.get_mut(column)) {
+                *count += 1;
+            }
+            let time = gps_time(record);
+            if time.is_finite() {
+                times = [times[0].min(time), times[1].max(time)];
+            }
+        }
+        if extent.n_points == 0 {
+            return Err(Error::unusable(source, "it has no points", "give a file with points"));
+        }
+        if times[0] <= times[1] {
+            extent.times = times;
+        }
+        Ok(extent)
+    }
+
+    /// The bounding box in units of the coordinate system: least and greatest x, y, z. A scale may be negative.
+    fn bounds(&self, header: &Header) -> [[f64; 3]; 2] {
+        let (one, other) = (place(header, self.min), place(header, self.max));
+        let of = |choose: fn(f64, f64) -> f64| std::array::from_fn(|axis| choose(one[axis], other[axis]));
+        [of(f64::min), of(f64::max)]
+    }
+
+    /// The cube of the octree: not smaller than the steps of the coordinates.
+    fn cube(&self, header: &Header) -> Cube {
+        let [min, max] = self.bounds(header);
+        Cube::around(min, max, header.scale.into_iter().map(f64::abs).fold(0.0, f64::max))
+    }
+}
+
+fn check(source: &Path, header: &Header) -> Result<()> {
+    if header.point_format <= 5 {
+        let problem = format!("COPC takes point formats 6 to 8, and this is format {}", header.point_format);
+        return Err(Error::unusable(source, problem, "write the points with `version = \"1.4\"`"));
+    }
+    if header.time_offset_megaseconds != 0 && header.time_offset_megaseconds != 1000 {
+        let problem = format!(
+            "its times are on an offset of {} million seconds, which LAS 1.4 cannot tell",
+            header.time_offset_megaseconds
+        );
+        return Err(Error::unusable(source, problem, "convert the file to LAS 1.4"));
+    }
+    Ok(())
+}
+
+/// The coordinates of a record as stored.
+fn raw(record: &[u8]) -> [i32; 3] {
+    std::array::from_fn(|axis| {
+        record
+            .get(4 * axis..)
+            .and_then(|rest| rest.first_chunk())
+            .map_or(0, |bytes| i32::from_le_bytes(*bytes))
+    })
+}
+
+/// The time of a record of formats 6 to 10.
+fn gps_time(record: &[u8]) -> f64 {
+    record.get(22..).and_then(|rest| rest.first_chunk()).map_or(0.0, |bytes| f64::from_le_bytes(*bytes))
+}
+
+fn place(header: &Header, raw: [i32; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| f64::from(raw[axis]) * header.scale[axis] + header.offset[axis])
+}
+
+/// How a record of the source becomes one of COPC: bytes on a waveform are left out.
+#[derive(Debug)]
+struct Reshape {
+    format: u8,
+    /// Bytes before those on the waveform.
+    head: usize,
+    /// Where the bytes behind the format's own start.
+    extra: usize,
+    extra_length: u16,
+}
+
+impl Reshape {
+    fn of(source: &Path, header: &Header) -> Result<Reshape> {
+        let format = match header.point_format {
+            9 => 6,
+            10 => 8,
+            format => format,
+        };
+        let extra = Layout::of(header.point_format).length;
+        let extra_length = usize::from(header.record_length).checked_sub(extra);
+        let extra_length = extra_length.and_then(|length| u16::try_from(length).ok()).ok_or_else(|| {
+            let problem = format!("{} bytes are too few for its point format", header.record_length);
+            Error::malformed(source, 105, "point data record length", problem, "export the file again")
+        })?;
+        Ok(Reshape { format, head: Layout::of(format).length, extra, extra_length })
+    }
+
+    /// Bytes of a record of COPC.
+    fn length(&self) -> usize {
+        self.head + usize::from(self.extra_length)
+    }
+
+    fn reshape(&self, record: &[u8], out: &mut Vec<u8>) {
+        out.clear();
+        out.extend_from_slice(record.get(..self.head).unwrap_or_default());
+        out.extend_from_slice(record.get(self.extra..).unwrap_or_default());
+    }
+
+    fn laz(&self) -> laz::Result<LazVlr> {
+        let builder = LazVlrBuilder::default().with_point_format(self.format, self.extra_length)?;
+        Ok(builder.with_variable_chunk_size().build())
+    }
+}
+
+/// A file in the making.
+struct Writer<'a, W> {
+    sink: W,
+    path: &'a Path,
+    start: Start,
+    laz: LazVlr,
+    table: ChunkTable,
+    entries: Vec<Entry>,
+    /// Where the place of the chunk table is to be noted.
+    table_offset_at: u64,
+    /// Where the next chunk starts.
+    at: u64,
+}
+
+impl<'a, W: Write + Seek> Writer<'a, W> {
+    fn new(mut sink: W, path: &'a Path, records: &Reshape, start: Start) -> Result<Writer<'a, W>> {
+        let laz = records.laz().map_err(into_io).map_err(Error::io(path, "prepare the compression"))?;
+        let before = start.before_points(path, None)?;
+        // LASzip's data begin with the place of the chunk table: -1 until it is known.
+        let written = sink.write_all(&before).and_then(|()| sink.write_all(&(-1i64).to_le_bytes()));
+        written.map_err(Error::io(path, "write"))?;
+        let table_offset_at = before.len() as u64;
+        let at = table_offset_at + ChunkTable::OFFSET_SIZE as u64;
+        Ok(Writer {
+            sink,
+            path,
+            start,
+            laz,
+            table: ChunkTable::default(),
+            entries: Vec::new(),
+            table_offset_at,
+            at,
+        })
+    }
+
+    /// Compresses a node's points, in the order of their times, as one chunk.
+    fn write_node(&mut self, node: &Node) -> Result<()> {
+        let length = self.laz.items_size() as usize;
+        let mut records: Vec<&[u8]> = node.records.chunks_exact(length).collect();
+        records.sort_by(|one, other| gps_time(one).total_cmp(&gps_time(other)));
+        let chunk = compress(&self.laz, &records.concat()).map_err(Error::io(self.path, "compress"))?;
+        let too_many = || {
+            let problem = format!("{} points lie in one place", records.len());
+            Error::unusable(self.path, problem, "thin the points first")
+        };
+        let points = i32::try_from(records.len()).map_err(|_| too_many())?;
+        let bytes = i32::try_from(chunk.len()).map_err(|_| too_many())?;
+        self.sink.write_all(&chunk).map_err(Error::io(self.path, "write"))?;
+        self.table
+            .push(ChunkTableEntry { point_count: records.len() as u64, byte_count: chunk.len() as u64 });
+        self.entries.push(Entry { level: node.level, prefix: node.prefix, at: self.at, bytes, points });
+        self.at += chunk.len() as u64;
+        Ok(())
+    }
+
+    fn n_levels(&self) -> u32 {
+        self.entries.iter().map(|entry| entry.level + 1).max().unwrap_or(0)
+    }
+
+    /// Writes the chunk table, the extended records, and what stands before the points anew.
+    fn finish(mut self, cube: &Cube) -> Result<()> {
+        self.entries.sort_by_key(|entry| (entry.level, entry.prefix));
+        let failed = Error::io(self.path, "write");
+        self.table.write_to(&mut self.sink, &self.laz).map_err(&failed)?;
+        let evlrs_at = self.sink.stream_position().map_err(&failed)?;
+        let hierarchy = start::hierarchy(evlrs_at, &self.entries);
+        let before = self.start.before_points(self.path, Some((cube, &hierarchy)))?;
+        let mut write = || {
+            self.sink.write_all(&hierarchy.record)?;
+            self.sink.write_all(&self.start.evlrs)?;
+            self.sink.seek(SeekFrom::Start(0))?;
+            self.sink.write_all(&before)?;
+            self.sink.seek(SeekFrom::Start(self.table_offset_at))?;
+            self.sink.write_all(&self.at.to_le_bytes())?;
+            self.sink.seek(SeekFrom::End(0))?;
+            self.sink.flush()
+        };
+        write().map_err(&failed)
+    }
+}
+
+/// One chunk of LASzip's layered compression.
+fn compress(laz: &LazVlr, records: &[u8]) -> io::Result<Vec<u8>> {
+    let mut chunk = Cursor::new(Vec::new());
+    let mut compressor = LayeredPointRecordCompressor::new(&mut chunk);
+    compressor.set_fields_from(laz.items()).map_err(into_io)?;
+    compressor.compress_many(records)?;
+    compressor.done()?;
+    drop(compressor);
+    Ok(chunk.into_inner())
+}
+
+fn into_io(error: LasZipError) -> io::Error {
+    match error {
+        LasZipError::IoError(error) => error,
+        other => io::Error::other(other),
+    }
+}
+
+/// The record has no meaning for the points in their new order, without their waveforms.
+fn is_left_out(vlr: &Vlr) -> bool {
+    let descriptors = FIRST_DESCRIPTOR..FIRST_DESCRIPTOR + 255;
+    vlr.user_id == COPC
+        || vlr.user_id == LazVlr::USER_ID
+        || vlr.is(lax::USER_ID, lax::RECORD_ID)
+        || vlr.is(SPEC, WAVEFORM_PACKETS)
+        || vlr.user_id == SPEC && descriptors.contains(&vlr.record_id)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,194 @@
+//! Which node each point belongs to, told from a stream of points in the order of their keys.
+//!
+//! A node takes the first point of each of its cells that no coarser node took; what is left goes down. Where a node and all
+//! below it hold few points, it takes them all. Both follow from the points in the order of their keys alone: open are only
+//! the nodes that the present point lies in, one of each level.
+
+use super::cube::{self, CELL_LEVELS, DEEPEST};
+
+/// A node that has all of its points.
+#[derive(Debug, PartialEq)]
+pub(super) struct Node {
+    pub(super) level: u32,
+    /// What the keys of its points begin with.
+    pub(super) prefix: u64,
+    /// The records of its points.
+    pub(super) records: Vec<u8>,
+}
+
+/// The nodes in the making.
+pub(super) struct Octree {
+    /// Nodes that hold at most as many points, with all below them, are leaves.
+    leaf_points: u64,
+    /// The nodes that the last point lies in, from the whole cube down.
+    open: Vec<Open>,
+}
+
+/// A node to which points may come.
+struct Open {
+    prefix: u64,
+    /// The cell of the point taken last.
+    cell: Option<u64>,
+    records: Vec<u8>,
+    /// Points that came, those that went down included.
+    points: u64,
+    /// Leaves below that become part of this node where it turns out to be one itself.
+    leaves: Vec<Node>,
+}
+
+impl Octree {
+    pub(super) fn new(leaf_points: u64) -> Octree {
+        Octree { leaf_points, open: Vec::new() }
+    }
+
+    /// Takes the next point; nodes that are complete go to `done`. Keys never become smaller.
+    ///
+    /// # Errors
+    /// Those of `done`.
+    pub(super) fn push<E>(
+        &mut self,
+        key: u64,
+        record: &[u8],
+        done: &mut impl FnMut(Node) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let is_open = |(level, node): (usize, &Open)| node.prefix == cube::prefix(key, level as u32);
+        let kept = self.open.iter().enumerate().take_while(|(level, node)| is_open((*level, node))).count();
+        self.close(kept, done)?;
+        for level in 0..=DEEPEST {
+            if self.open.len() == level as usize {
+                self.open.push(Open::new(cube::prefix(key, level)));
+            }
+            let Some(node) = self.open.get_mut(level as usize) else { break };
+            node.points += 1;
+            let cell = cube::prefix(key, level + CELL_LEVELS);
+            if level == DEEPEST || node.cell != Some(cell) {
+                node.cell = Some(cell);
+                node.records.extend_from_slice(record);
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Completes all nodes.
+    ///
+    /// # Errors
+    /// Those of `done`.
+    pub(super) fn finish<E>(mut self, done: &mut impl FnMut(Node) -> Result<(), E>) -> Result<(), E> {
+        self.close(0, done)
+    }
+
+    /// Closes nodes from the deepest up, until `kept` are left.
+    fn close<E>(&mut self, kept: usize, done: &mut impl FnMut(Node) -> Result<(), E>) -> Result<(), E> {
+        while self.open.len() > kept {
+            let Some(node) = self.open.pop() else { break };
+            let is_leaf = node.points <= self.leaf_points;
+            let (own, leaves) = node.into_nodes(self.open.len() as u32, is_leaf);
+            match self.open.last_mut() {
+                Some(parent) if is_leaf => {
+                    parent.leaves.push(own);
+                    if parent.points > self.leaf_points {
+                        std::mem::take(&mut parent.leaves).into_iter().try_for_each(&mut *done)?;
+                    }
+                }
+                _ => std::iter::once(own).chain(leaves).try_for_each(&mut *done)?,
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Open {
+    fn new(prefix: u64) -> Open {
+        Open { prefix, cell: None, records: Vec::new(), points: 0, leaves: Vec::new() }
+    }
+
+    /// The node of this level, and the leaves below it, which a leaf takes in.
+    fn into_nodes(self, level: u32, is_leaf: bool) -> (Node, Vec<Node>) {
+        let Open { prefix, mut records, mut leaves, .. } = self;
+        if is_leaf {
+            leaves.drain(..).for_each(|leaf| records.extend(leaf.records));
+        }
+        (Node { level, prefix, records }, leaves)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::convert::Infallible;
+
+    use proptest::prelude::*;
+
+    use super::super::cube::KEY_LEVELS;
+    use super::*;
+
+    /// The nodes of points that are their keys.
+    fn nodes(keys: &[u64], leaf_points: u64) -> Vec<Node> {
+        let mut nodes = Vec::new();
+        let mut done = |node| {
+            nodes.push(node);
+            Ok::<(), Infallible>(())
+        };
+        let mut octree = Octree::new(leaf_points);
+        for key in keys {
+            octree.push(*key, &key.to_le_bytes(), &mut done).unwrap();
+        }
+        octree.finish(&mut done).unwrap();
+        nodes
+    }
+
+    fn keys(node: &Node) -> Vec<u64> {
+        node.records.chunks(8).map(|bytes| u64::from_le_bytes(bytes.try_into().unwrap())).collect()
+    }
+
+    #[test]
+    fn few_points_are_one_node() {
+        let found = nodes(&[0, 0, 5, 1 << 62], 4);
+        assert_eq!(found.len(), 1);
+        assert_eq!((found[0].level, keys(&found[0])), (0, vec![0, 1 << 62, 0, 5]));
+    }
+
+    #[test]
+    fn the_first_of_a_cell_stays_and_the_others_go_down() {
+        // Three in the first cell of the cube, one in its last: more than a leaf holds.
+        let cell = 1u64 << (3 * (KEY_LEVELS - CELL_LEVELS));
+        let found = nodes(&[0, 1, 2, 127 * cell], 2);
+        let by_level: BTreeMap<u32, Vec<u64>> = found.iter().map(|node| (node.level, keys(node))).collect();
+        assert_eq!(by_level, BTreeMap::from([(0, vec![0, 127 * cell]), (1, vec![1, 2])]));
+    }
+
+    #[test]
+    fn points_in_one_place_end_in_the_deepest_node() {
+        let found = nodes(&[7; 100], 2);
+        let mut sizes: Vec<(u32, usize)> = found.iter().map(|node| (node.level, keys(node).len())).collect();
+        sizes.sort();
+        let expected: Vec<(u32, usize)> =
+            (0..DEEPEST).map(|level| (level, 1)).chain([(DEEPEST, 86)]).collect();
+        assert_eq!(sizes, expected);
+    }
+
+    proptest! {
+        #[test]
+        fn each_point_is_in_one_node_that_it_lies_in_below_others(
+            mut points in prop::collection::vec(0u64..1 << 63, 0..400), shift in 0u32..50, leaf_points in 1u64..40
+        ) {
+            // Shifted keys crowd in a corner.
+            points.iter_mut().for_each(|key| *key >>= shift);
+            points.sort();
+            let found = nodes(&points, leaf_points);
+            let mut all: Vec<u64> = found.iter().flat_map(keys).collect();
+            all.sort();
+            prop_assert_eq!(all, points);
+            let places: BTreeMap<(u32, u64), &Node> =
+                found.iter().map(|node| ((node.level, node.prefix), node)).collect();
+            prop_assert_eq!(places.len(), found.len());
+            for node in &found {
+                prop_assert!(!node.records.is_empty());
+                prop_assert!(keys(node).iter().all(|key| cube::prefix(*key, node.level) == node.prefix));
+                let parent = node.level.checked_sub(1).map(|level| (level, node.prefix >> 3));
+                prop_assert!(parent.is_none_or(|parent| places.contains_key(&parent)));
+            }
+        }
+    }
+}

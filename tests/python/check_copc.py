@@ -1,0 +1,85 @@
+"""COPC, as laspy's reader of it finds points by place and by level, against the file that it was made of."""
+
+import laspy
+import numpy as np
+from laspy.copc import Bounds
+
+# Formats with waveforms, and what they are without.
+WITHOUT_WAVEFORMS = {9: 6, 10: 8}
+
+
+def check_copc(checks, path, source):
+    """`source` is what laspy read of the other file."""
+    before = source.header
+    plain = laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
+    by_laszip = laspy.read(path, laz_backend=laspy.LazBackend.Laszip)
+    checks.that("LASzip reads the same points as lazrs", np.array_equal(by_laszip.points.array, plain.points.array))
+    with laspy.CopcReader.open(path) as reader:
+        header, everything = reader.header, reader.query()
+        expected = WITHOUT_WAVEFORMS.get(before.point_format.id, before.point_format.id)
+        checks.equal("has its version and point format", (str(header.version), header.point_format.id), ("1.4", expected))
+        check_same_header(checks, header, before)
+        check_same_records(checks, "the octree leads to all points", everything.array, source.points.array)
+        check_same_records(checks, "the chunks in their order hold all points", plain.points.array, source.points.array)
+        check_places(checks, reader, source)
+        check_levels(checks, reader, everything)
+
+
+def check_same_header(checks, header, before):
+    checks.equal("counts points as before", header.point_count, before.point_count)
+    checks.equal("counts returns as before", list(header.number_of_points_by_return), list(before.number_of_points_by_return))
+    for name in ["scales", "offsets", "mins", "maxs"]:
+        checks.within(f"has the {name} of before", getattr(header, name), getattr(before, name), 0)
+    names = list(header.point_format.extra_dimension_names)
+    checks.equal("has the extra attributes of before", names, list(before.point_format.extra_dimension_names))
+    for name in names:
+        found, expected = (of.point_format.dimension_by_name(name) for of in (header, before))
+        same = (found.scales, found.offsets, found.description) == (expected.scales, expected.offsets, expected.description)
+        checks.that(f"{name} has its step and description", same, (found, expected))
+    wkt = lambda of: [vlr.string for vlr in of.vlrs if (vlr.user_id, vlr.record_id) == ("LASF_Projection", 2112)]
+    checks.equal("has the coordinate reference system of before", wkt(header), wkt(before))
+    times = (header.global_encoding.gps_time_type, before.global_encoding.gps_time_type)
+    checks.equal("says what times count", *times)
+
+
+def check_same_records(checks, what, found, expected):
+    """The same records in any order: every field of `found`, bit for bit."""
+    fields = list(found.dtype.names)
+    pick = lambda array: np.sort(np.array([row.tobytes() for row in packed(array, fields)]))
+    checks.equal(f"{what}: their number", len(found), len(expected))
+    checks.that(what, np.array_equal(pick(found), pick(expected)))
+
+
+def packed(array, fields):
+    out = np.empty(len(array), dtype=[(name, array.dtype[name]) for name in fields])
+    for name in fields:
+        out[name] = array[name]
+    # Not S: its trailing zeros would be lost.
+    return out.view(f"V{out.dtype.itemsize}")
+
+
+def check_places(checks, reader, source):
+    header = source.header
+    low, high = header.mins, header.maxs
+    # Beside a step of the coordinates, to which laspy rounds borders: on the step itself, rounding decides.
+    beside = lambda place, steps: header.offsets + (np.round((place - header.offsets) / header.scales) + steps) * header.scales
+    for number, (start, end) in enumerate([(0.0, 0.5), (0.25, 0.4), (0.9, 1.0)]):
+        bounds = Bounds(mins=beside(low + (high - low) * start, -0.25), maxs=beside(low + (high - low) * end, 0.25))
+        found = reader.query(bounds)
+        inside = np.all((source.xyz >= bounds.mins) & (source.xyz <= bounds.maxs), axis=1)
+        checks.that(f"box {number} has points, or the source has none there", inside.any() == bool(len(found)))
+        check_same_records(checks, f"box {number} holds the points of the source", found.array, source.points.array[inside])
+
+
+def check_levels(checks, reader, everything):
+    """The levels share the points; the root shows at most one in each of its cells, unless it holds them all."""
+    info = reader.copc_info
+    levels = [reader.query(level=range(level, level + 1)) for level in range(4)]
+    checks.that("level 0 is not empty", len(levels[0]) > 0)
+    checks.that("the first levels are no more than all", sum(map(len, levels)) <= len(everything))
+    if len(levels[0]) == len(everything):
+        return
+    root = levels[0]
+    xyz = np.stack([root.x, root.y, root.z], axis=1)
+    cells = np.floor((xyz - (info.center - info.halfsize)) / info.spacing)
+    checks.equal("the root shows one point of each cell", len(np.unique(cells, axis=0)), len(root))
