@@ -251,5 +251,7 @@ fn main() {
         println!("NO YARDSTICK: set WAVEX_YARDSTICK to its run script.");
     }
     // What a bench leaves in the folder of temporary files is nobody's loss if it cannot be removed.
-    let _ = fs::remove_dir_all(&folder);
+    if std::env::var_os("WAVEX_BENCH_KEEP").is_none() {
+        let _ = fs::remove_dir_all(&folder);
+    }
 }
