@@ -23,7 +23,7 @@ pub fn run(folder: &Path, library: &Path, calibrate: &str) {
 
 fn job(reader: &str, library: &str, calibrate: &str) -> String {
     format!(
-        "[job]\nmemory_mb = 2048\n[job.geometry]\ntrajectory = 'flight.sbet'\ncrs = 'ecef'\n\
+        "[job]\nmemory_mb = 4096\n[job.geometry]\ntrajectory = 'flight.sbet'\ncrs = 'ecef'\n\
          [[stage]]\ntype = '{reader}'\npath = '{NAME}'\n{library}\
          [[stage]]\ntype = 'resolve_mta'\n\
          [[stage]]\ntype = 'calibrate'\n{calibrate}\n\
