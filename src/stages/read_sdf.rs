@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::lines::{Lines, check_odd_sample_shift};
 use crate::batch::{AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind};
 use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
+use crate::geo::time::WEEK_S;
 use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
 mod shot;
@@ -62,9 +63,23 @@ pub struct Config {
     #[serde(default)]
     pub index_dir: Option<String>,
     /// First and last second to read, on the recording's own time scale (seconds of the GPS week as a rule; where it is
-    /// not synchronised, those of the instrument's clock). The first is sought, not read up to.
+    /// not synchronised, those of the instrument's clock), or as `time_scale` says. The first is sought, not read up to.
     #[serde(default)]
     pub time_s: Option<[f64; 2]>,
+    /// What `time_s` counts: seconds of the GPS week, or adjusted seconds (since 1980-01-06, less 1e9). Times that come out
+    /// count what the recording's do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_scale: Option<ScaleKey>,
+    /// The recording's times are UTC: leap seconds are added. The day must be known, by the file's name or by `gps_date`.
+    #[serde(default)]
+    pub utc: bool,
+    /// What is added to the recording's times, s. `time_s` asks for the sums.
+    #[serde(default)]
+    pub time_offset_s: f64,
+    /// By how many millionths the air's refractive index for the pulse exceeds 1; the recording's own speed of the pulse
+    /// when not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refractive_index_ppm: Option<f64>,
     /// The day on which the recording began, as in 2013-06-21, where the file's name does not begin with it.
     #[serde(default)]
     pub gps_date: Option<String>,
@@ -73,6 +88,19 @@ pub struct Config {
     #[serde(default)]
     pub odd_sample_shift: f64,
 }
+
+/// What the seconds of a window count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleKey {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds since 1980-01-06, less 1e9.
+    Adjusted,
+}
+
+/// More than this is no air, millionths.
+const MOST_PPM: f64 = 1000.0;
 
 impl stage::Config for Config {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
@@ -90,6 +118,10 @@ impl stage::Config for Config {
         unless(is_given(&self.index_dir), "index_dir", "the path is empty")?;
         let ordered = self.time_s.is_none_or(|[from, to]| from.is_finite() && to.is_finite() && from <= to);
         unless(ordered, "time_s", "it must be two numbers, the first not above the second")?;
+        let is_offset = self.time_offset_s.abs() <= WEEK_S;
+        unless(is_offset, "time_offset_s", "it must be at most a week, 604800 s, either way")?;
+        let is_air = self.refractive_index_ppm.is_none_or(|ppm| (0.0..=MOST_PPM).contains(&ppm));
+        unless(is_air, "refractive_index_ppm", "it must lie between 0 and 1000")?;
         let is_date = self.gps_date.as_ref().is_none_or(|date| time::noon(date).is_some());
         unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")?;
         check_odd_sample_shift(self.odd_sample_shift)
@@ -176,13 +208,22 @@ impl ReadSdf {
         let is_first = |record: &&SdfRecord| !record.blocks.is_empty() && record.time_external_s.is_finite();
         let first_s = ahead.iter().find(is_first).map(|record| record.time_external_s);
         let is_external = reader.info().is_synchronised();
-        let times = Times::new(if is_external { &reader.info().epoch } else { "UNKNOWN" }, first_s, about);
+        let epoch = if is_external { &reader.info().epoch } else { "UNKNOWN" };
+        let times = Times::new(epoch, first_s, about);
+        let leap_s = if config.utc { times.leap_s(path, first_s)? } else { 0.0 };
+        let times = times.later_by(leap_s + config.time_offset_s);
         remarks.extend(times.remark.map(str::to_owned));
         let input = describe(config, site, &reader, &times, tables, &ahead);
         let offset_s = times.offset_s;
         let mut at_end = false;
-        let window =
-            config.time_s.map(|[from_s, to_s]| Window { from_s, to_s, is_external, now_s: from_s, late: 0 });
+        let shift_s = match (config.time_s, config.time_scale) {
+            (Some(_), Some(scale)) => times.shift_s(scale, path)?,
+            _ => 0.0,
+        };
+        let window = config.time_s.map(|asked_s| {
+            let [from_s, to_s] = asked_s.map(|time_s| time_s + shift_s);
+            Window { from_s, to_s, is_external, now_s: from_s, late: 0 }
+        });
         if let Some(window) = &window {
             ahead.clear();
             at_end = !match window.is_external {
@@ -318,6 +359,8 @@ fn has_outgoing_pulse(record: &SdfRecord) -> bool {
     record.blocks.iter().any(|block| block.channel == channel::REFERENCE && !block.is_empty())
 }
 
+/// Speed of light in vacuum, m/s.
+const LIGHT_MPS: f64 = 299_792_458.0;
 /// Samples are words that hold 8-bit values.
 const FULL_SCALE_DN: u16 = 255;
 
@@ -346,7 +389,10 @@ fn describe(
         sampling_interval_ns: fine_ns(info.sampling_interval_s),
         odd_sample_shift: config.odd_sample_shift,
         full_scale_dn: Some(FULL_SCALE_DN),
-        group_velocity_mps: info.group_velocity_mps,
+        group_velocity_mps: match config.refractive_index_ppm {
+            Some(ppm) => LIGHT_MPS / (1.0 + 1e-6 * ppm),
+            None => info.group_velocity_mps,
+        },
         pulse_rate_hz: None,
         time_scale: times.scale,
         gps_week: times.gps_week,
