@@ -20,7 +20,7 @@ use scenes::{Recording, SCENES, Scene, Spec};
 
 /// Lines of each scene, and how much of the swath.
 const LINES: u32 = 16;
-const PART: f64 = 0.02;
+const PART: f64 = 0.015;
 const HOW: Recording =
     Recording { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
 
@@ -57,6 +57,6 @@ fn ten_scenes_come_back_by_both_doors() {
         (echoes, right) = (echoes + score.echoes, right + score.right);
     }
     println!("{right} of {echoes} right");
-    assert!(echoes > 15_000);
+    assert!(echoes > 11_000);
     assert!(right as f64 >= 0.999 * echoes as f64, "{right} of {echoes}");
 }
