@@ -187,6 +187,34 @@ fn odd_samples_that_come_late_bias_no_range() {
     assert_eq!(model["low_power"]["digitiser"]["odd_sample_shift"], 0.1);
 }
 
+/// Points of LAS move along their beams by what is added to their times of flight.
+#[test]
+fn a_time_offset_moves_points_along_their_beams() {
+    let las = support::las::Las::new(SHOTS);
+    let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
+    let mut found = Vec::new();
+    for offset in ["", "range_time_offset_ns = 10.0\n"] {
+        let stages = format!("{offset}{}", support::TO_TABLE);
+        place.succeeds("read_las", "a.las", &stages);
+        let text = place.text("out/a.csv");
+        let mut rows = text.lines().map(|row| row.split(',').map(str::to_owned).collect::<Vec<_>>());
+        let names = rows.next().unwrap();
+        let columns = ["range_m", "x", "y", "z"].map(|name| names.iter().position(|n| n == name).unwrap());
+        found.push(rows.map(|row| columns.map(|at| row[at].parse::<f64>().unwrap())).collect::<Vec<_>>());
+    }
+    let [as_is, moved] = &found[..] else { panic!("two runs") };
+    assert!(as_is.len() >= SHOTS && as_is.len() == moved.len());
+    let expected_m = 10.0 * shots::METRES_PER_NS;
+    for (as_is, moved) in as_is.iter().zip(moved) {
+        let farther_m = moved[0] - as_is[0];
+        let step_m = (1..4).map(|axis| (moved[axis] - as_is[axis]).powi(2)).sum::<f64>().sqrt();
+        assert!(
+            (farther_m - expected_m).abs() < 1e-5 && (step_m - expected_m).abs() < 1e-3,
+            "{farther_m} {step_m}"
+        );
+    }
+}
+
 /// Behind every echo hangs an exponential tail of 40 % of its area. Taken off, no return is found in it, and the widths and
 /// amplitudes are those of the echoes.
 #[test]

@@ -4,6 +4,9 @@
 //! `cargo bench --bench mta` prints the table of docs/mta.md; words behind it choose rows (`-- 17ns terrain`), and `seed=300`
 //! takes other scenes of the same kind. A row's scenes hold about five million echoes. Times are CPU time of the thread, from the
 //! first line pushed to the last one popped.
+//!
+//! `cargo build --release --example sdf_stand_in && cargo bench --bench mta -- chain` takes the scenes through the whole chain
+//! instead, waveforms and all, by `read_arrow` and by `read_sdf` with the stand-in, and compares ranges and points with the truth.
 #![allow(missing_docs, reason = "no one imports a bench")]
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a bench prints its figures")]
 
@@ -11,7 +14,9 @@ use std::time::Instant;
 
 use wavex::kernels::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
 
+mod chain;
 mod scenes;
+mod waveforms;
 
 use scenes::{Class, RecordedLine, Recording, SCENES, Scene};
 
@@ -218,10 +223,46 @@ fn print(row: &Row, [blocks, variance]: &[Tally; 2]) {
     );
 }
 
+/// The stand-in beside this bench's program.
+fn stand_in() -> Option<std::path::PathBuf> {
+    let program = std::env::current_exe().ok()?;
+    let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+    let library = program.parent()?.parent()?.join(format!("examples/{before}sdf_stand_in{after}"));
+    library.is_file().then_some(library)
+}
+
+/// The scenes at +-17 ns through the whole chain by both doors.
+fn through_the_chain(seed: u64) {
+    let Some(library) = stand_in() else {
+        println!("NOTHING WAS MEASURED: build the stand-in: cargo build --release --example sdf_stand_in");
+        std::process::exit(1);
+    };
+    let how = Recording { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
+    let (mut echoes, mut right) = (0, 0);
+    for (seed, spec) in (seed..).zip(SCENES) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene = Scene::new(spec, seed, LINES, 1.0);
+        let truth = waveforms::write(&scene, &scene.record(&how), folder.path());
+        chain::run(folder.path(), &library, "");
+        let (are_same, score) = chain::compare(folder.path(), &truth);
+        let same = if are_same { "same bytes by both doors" } else { "THE DOORS DIFFER" };
+        println!(
+            "{}: {same}; {score}; points {:.4} mm beyond that",
+            spec.name,
+            1e3 * score.worst_beyond_range_m
+        );
+        (echoes, right) = (echoes + score.echoes, right + score.right);
+    }
+    println!("{right} of {echoes} right: {:.4} %", 100.0 * right as f64 / echoes.max(1) as f64);
+}
+
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
     let seed = arguments.iter().find_map(|word| word.strip_prefix("seed=")?.parse().ok()).unwrap_or(SEED);
     let chosen: Vec<&String> = arguments.iter().filter(|word| !word.starts_with("seed=")).collect();
+    if chosen.iter().any(|word| *word == "chain") {
+        return through_the_chain(seed);
+    }
     let is_chosen = |row: &Row| chosen.is_empty() || chosen.iter().any(|word| *word == row.name);
     for fast in [false, true] {
         let rows: Vec<&Row> =

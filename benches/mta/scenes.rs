@@ -74,7 +74,7 @@ const fn spec(
 }
 
 /// 64 bits that depend on every bit of the key: rounds of SplitMix64.
-fn hash(key: [u64; 4]) -> u64 {
+pub fn hash(key: [u64; 4]) -> u64 {
     key.into_iter().fold(0, |hash, word| {
         let z = (hash ^ word).wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -146,8 +146,10 @@ struct Sweep {
 /// A scene's geometry: what each shot meets.
 pub struct Scene {
     pub spec: Spec,
-    seed: u64,
+    pub seed: u64,
     sweeps: Vec<Sweep>,
+    /// Angle of each shot from straight down, positive to the right.
+    pub angles_rad: Vec<f64>,
     cosines: Vec<f32>,
 }
 
@@ -197,7 +199,9 @@ impl Scene {
         };
         let world = World::new(spec, seed, half_m * 1.6);
         let sweeps = (0..lines).map(|line| world.sweep(line, shots, &angle)).collect();
-        Scene { spec, seed, sweeps, cosines: (0..shots).map(|shot| angle(shot).cos() as f32).collect() }
+        let angles_rad: Vec<f64> = (0..shots).map(angle).collect();
+        let cosines = angles_rad.iter().map(|angle| angle.cos() as f32).collect();
+        Scene { spec, seed, sweeps, angles_rad, cosines }
     }
 
     /// A terrain model that is wrong by up to `error_m`, smoothly.

@@ -64,6 +64,13 @@ impl Budget {
 }
 
 impl Ticket {
+    /// A share of its own for `bytes` that stay as long as it does, whatever becomes of this one. Never waits.
+    pub fn beside(&self, bytes: usize) -> Ticket {
+        let mut other = Ticket { budget: Arc::clone(&self.budget), bytes: 0 };
+        other.resize(bytes);
+        other
+    }
+
     /// The batch takes `bytes` now. Never waits: a line that is under way must be able to leave.
     pub fn resize(&mut self, bytes: usize) {
         if bytes == self.bytes {
@@ -101,6 +108,18 @@ mod tests {
         assert_eq!(budget.peak(), 100);
         drop((second, third));
         assert_eq!(budget.lock().used, 0);
+    }
+
+    #[test]
+    fn what_stays_keeps_its_share_when_the_line_is_gone() {
+        let budget = Budget::new(100);
+        let line = budget.take(60, || true).unwrap();
+        let beside = line.beside(30);
+        drop(line);
+        assert!(budget.take(71, || true).is_none());
+        drop(beside);
+        assert_eq!(budget.lock().used, 0);
+        assert_eq!(budget.peak(), 90);
     }
 
     #[test]

@@ -63,6 +63,11 @@ impl Terrain {
         })
     }
 
+    /// What the heights take, bytes.
+    pub fn bytes(&self) -> usize {
+        self.heights_m.len() * size_of::<f32>()
+    }
+
     fn new(raster: Raster) -> Option<Terrain> {
         let Raster { columns, rows, first_m, step_m, mut heights_m, epsg } = raster;
         let (mut lowest_m, mut highest_m) = (f32::INFINITY, f32::NEG_INFINITY);

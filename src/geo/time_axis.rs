@@ -58,11 +58,16 @@ impl Clock {
     }
 }
 
-/// Carries times, in their order, across the ends of weeks or days: a step back by over half a period is one. Any other step
-/// back stays.
+/// Times that are out of order are so by less than this, s.
+const OUT_OF_ORDER_S: f64 = 60.0;
+
+/// Carries times, in their order, across the ends of weeks or days: a step back by over half a period is one. Where times are
+/// out of order about such an end, a step ahead to less than a minute before the last time, a period less, is one back across
+/// it. Any other step stays. A time that is no number stays none, and changes no other.
 #[derive(Clone, Copy, Debug)]
 pub struct Unwrap {
     period_s: Option<f64>,
+    /// NaN before there was a time.
     last_s: f64,
     periods: f64,
 }
@@ -70,14 +75,20 @@ pub struct Unwrap {
 impl Unwrap {
     /// Begins; the first time stays as it is.
     pub fn new(clock: Clock) -> Unwrap {
-        Unwrap { period_s: clock.period_s(), last_s: f64::NEG_INFINITY, periods: 0.0 }
+        Unwrap { period_s: clock.period_s(), last_s: f64::NAN, periods: 0.0 }
     }
 
     /// The next time, s, on the axis of the first.
     pub fn next(&mut self, time_s: f64) -> f64 {
         let Some(period_s) = self.period_s else { return time_s };
-        if time_s < self.last_s - 0.5 * period_s {
+        if !time_s.is_finite() {
+            return time_s;
+        }
+        let step_s = time_s - self.last_s;
+        if step_s < -0.5 * period_s {
             self.periods += 1.0;
+        } else if step_s > period_s - OUT_OF_ORDER_S {
+            self.periods -= 1.0;
         }
         self.last_s = time_s;
         time_s + self.periods * period_s
@@ -342,6 +353,28 @@ mod tests {
         );
         assert_eq!(run_on(Clock::Adjusted, [1e8, 0.0, 2e8, 1.0]), [1e8, 0.0, 2e8, 1.0]);
         assert!(run_on(Clock::Day, [1.0, f64::NAN, 2.0, 3.0])[1].is_nan());
+    }
+
+    #[test]
+    fn times_out_of_order_about_midnight_belong_to_their_own_day() {
+        for (clock, period_s) in [(Clock::Week, WEEK_S), (Clock::Day, DAY_S)] {
+            let mut unwrap = Unwrap::new(clock);
+            for off_s in [-1.0, 0.25, -0.5, 1.0, -30.0, f64::NAN, 0.5, 2.0] {
+                let found_s = unwrap.next(f64::rem_euclid(off_s, period_s));
+                assert!(
+                    found_s == period_s + off_s || off_s.is_nan() && found_s.is_nan(),
+                    "{off_s}: {found_s}"
+                );
+            }
+            // The first time is the one behind midnight.
+            let mut unwrap = Unwrap::new(clock);
+            assert_eq!([0.5, period_s - 0.5, 1.0].map(|time_s| unwrap.next(time_s)), [0.5, -0.5, 1.0]);
+            // A missing time hides no midnight.
+            let mut unwrap = Unwrap::new(clock);
+            unwrap.next(period_s - 1.0);
+            unwrap.next(f64::NAN);
+            assert_eq!(unwrap.next(1.0), period_s + 1.0);
+        }
     }
 
     #[test]

@@ -12,6 +12,7 @@ mod blocks;
 mod cells;
 mod grid;
 mod held;
+mod joined;
 mod pulses;
 mod summary;
 #[cfg(test)]
@@ -24,6 +25,7 @@ pub use summary::{Summary, Warning};
 
 use blocks::Blocks;
 use held::{Held, Places};
+use joined::Joined;
 use variance::Variance;
 
 /// One emission of a line.
@@ -238,7 +240,12 @@ pub struct Resolver {
     places: Places,
     method: State,
     lines: u64,
+    joined: Joined,
+    /// How many lines, those that are joined taken as one, the method was given.
+    runs: u64,
     summary: Summary,
+    /// What the method has finished, and that line by line.
+    found: VecDeque<Resolved>,
     ready: VecDeque<Resolved>,
     /// The last line of all that were pushed, as far as later lines need it.
     tail: pulses::Tail,
@@ -289,7 +296,10 @@ impl Resolver {
             places: Places::default(),
             method,
             lines: 0,
+            joined: Joined::default(),
+            runs: 0,
             summary: Summary::default(),
+            found: VecDeque::new(),
             ready: VecDeque::new(),
             tail: pulses::Tail::default(),
         })
@@ -297,32 +307,52 @@ impl Resolver {
 
     /// So many lines at most are held back after a push, this one included: what a look-ahead costs is this times
     /// [`BYTES_PER_SHOT`] and [`BYTES_PER_ECHO`]. With the method `Variance` it is so many unless lines have fewer echoes than
-    /// half a buffer.
+    /// half a buffer. Lines shorter than a cell count as one while the beam sweeps on: then it grows with the most of them that
+    /// have made one so far.
     pub fn look_ahead_lines(&self) -> usize {
-        match &self.method {
+        let lines = match &self.method {
             State::Blocks(_) => blocks::LOOK_AHEAD_LINES,
             State::Variance(variance) => variance.look_ahead_lines(),
             State::Fixed(..) => 1,
-        }
+        };
+        self.joined.held_back(lines)
     }
 
     /// Takes the next line; [`Resolver::pop`] has what is finished then. After an error the resolver is of no further use.
     pub fn push(&mut self, line: &Line) -> Result<(), MtaError> {
-        let number = self.lines;
-        check(line, number)?;
-        let held = Held::new(line, number, &self.settings, &mut self.places, &mut self.tail);
+        check(line, self.lines)?;
         self.lines += 1;
+        // Of a fixed zone neighbours have no say.
+        let joins = !matches!(self.settings.method, Method::Fixed(_));
+        for line in self.joined.push(line, joins) {
+            self.give(&line)?;
+        }
+        self.tell();
+        Ok(())
+    }
+
+    /// Gives the method a line that is long enough.
+    fn give(&mut self, line: &Line) -> Result<(), MtaError> {
+        let held = Held::new(line, self.runs, &self.settings, &mut self.places, &mut self.tail);
+        self.runs += 1;
         self.summary.add_line(&held);
         match &mut self.method {
-            State::Blocks(blocks) => blocks.push(held, &mut self.summary, &mut self.ready),
-            State::Variance(variance) => variance.push(held, &mut self.summary, &mut self.ready),
+            State::Blocks(blocks) => blocks.push(held, &mut self.summary, &mut self.found),
+            State::Variance(variance) => variance.push(held, &mut self.summary, &mut self.found),
             State::Fixed(zone, last) => {
                 if let Some(done) = last.take() {
-                    self.ready.push_back(fixed(&done, *zone, Some(&held), &self.settings, &mut self.summary));
+                    self.found.push_back(fixed(&done, *zone, Some(&held), &self.settings, &mut self.summary));
                 }
                 *last = Some(held);
                 Ok(())
             }
+        }
+    }
+
+    /// Makes lines of what the method has finished.
+    fn tell(&mut self) {
+        for found in self.found.drain(..) {
+            self.joined.apart(found, &mut self.ready);
         }
     }
 
@@ -333,16 +363,20 @@ impl Resolver {
 
     /// Says that no line follows: all lines are finished then.
     pub fn finish(&mut self) -> Result<(), MtaError> {
+        if let Some(line) = self.joined.take() {
+            self.give(&line)?;
+        }
         match &mut self.method {
-            State::Blocks(blocks) => blocks.finish(&mut self.summary, &mut self.ready),
-            State::Variance(variance) => variance.finish(&mut self.summary, &mut self.ready),
+            State::Blocks(blocks) => blocks.finish(&mut self.summary, &mut self.found)?,
+            State::Variance(variance) => variance.finish(&mut self.summary, &mut self.found)?,
             State::Fixed(zone, last) => {
                 if let Some(done) = last.take() {
-                    self.ready.push_back(fixed(&done, *zone, None, &self.settings, &mut self.summary));
+                    self.found.push_back(fixed(&done, *zone, None, &self.settings, &mut self.summary));
                 }
-                Ok(())
             }
         }
+        self.tell();
+        Ok(())
     }
 
     /// What was found so far, over all finished lines.

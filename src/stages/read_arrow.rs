@@ -64,13 +64,21 @@ impl SourceConfig for Config {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        Ok(Box::new(ReadArrow::open(&site.input, &site.stem, self.odd_sample_shift)?))
+        self.make_survey(site, true)
+    }
+
+    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+        let source = ReadArrow::open(&site.input, &site.stem, self.odd_sample_shift)?;
+        Ok(Box::new(ReadArrow { with_samples, ..source }))
     }
 }
 
 /// A container that is being read.
 struct ReadArrow {
     reader: ContainerReader,
+    /// Else blocks say how many samples they have, and hold none. They are decoded all the same: a record batch is passed
+    /// over by whole columns, and samples are a part of the column `blocks`.
+    with_samples: bool,
     info: Arc<InputInfo>,
     /// The record batch at hand, and its first row that was not given on.
     at: Option<(ContainerLine, usize)>,
@@ -93,7 +101,7 @@ impl ReadArrow {
         let format = format!("wavex container {} (Arrow IPC {})", container::VERSION, reader.form());
         let mut info = info_of(reader.header(), path.to_path_buf(), stem.to_string(), format, reference);
         info.odd_sample_shift = odd_sample_shift;
-        Ok(ReadArrow { reader, info: Arc::new(info), at: first.map(|line| (line, 0)) })
+        Ok(ReadArrow { reader, with_samples: true, info: Arc::new(info), at: first.map(|line| (line, 0)) })
     }
 
     /// The next rows that are a line, from the record batch at hand.
@@ -103,7 +111,7 @@ impl ReadArrow {
             return None;
         }
         let number = line.line(from);
-        let mut part = Part::default();
+        let mut part = Part { with_samples: self.with_samples, ..Part::default() };
         let mut row = from;
         while row < line.rows() && line.line(row) == number && part.emissions.len() < MAX_SHOTS_PER_LINE {
             part.add(&line, row, &self.info, cx);
@@ -145,6 +153,7 @@ fn has_outgoing_pulse(line: &ContainerLine) -> bool {
 /// A line that grows row by row.
 #[derive(Default)]
 struct Part {
+    with_samples: bool,
     emissions: Vec<Emission>,
     blocks: Blocks,
 }
@@ -169,7 +178,13 @@ impl Part {
         for block in line.blocks(row) {
             let Some(channel) = channel_of(block.channel) else { continue };
             let interval_ns = block.interval_ns.unwrap_or(info.sampling_interval_ns);
-            self.blocks.push(emission, channel, block.zone, block.start_ns, interval_ns, block.samples);
+            let (zone, start_ns, samples) = (block.zone, block.start_ns, block.samples);
+            if self.with_samples {
+                self.blocks.push(emission, channel, zone, start_ns, interval_ns, samples);
+            } else {
+                let len = samples.len() as u32;
+                self.blocks.push_without_samples(emission, channel, zone, start_ns, interval_ns, len);
+            }
         }
         let online = |online: ContainerOnline| OnlineReturn {
             emission,

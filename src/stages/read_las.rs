@@ -45,10 +45,19 @@ pub struct ReadLas {
     /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
+    /// What is added to the times of the waveforms after their pulses, ns: at most 1000 either way. Points move along their
+    /// beams, away from the sensor where it is positive.
+    #[serde(default)]
+    pub range_time_offset_ns: f64,
 }
+
+/// The largest correction of a time of flight, ns: more is no calibration.
+const MOST_OFFSET_NS: f64 = 1000.0;
 
 impl Config for ReadLas {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
+        let is_offset = self.range_time_offset_ns.abs() <= MOST_OFFSET_NS;
+        InvalidKey::unless(is_offset, "range_time_offset_ns", "it must lie between -1000 and 1000")?;
         check_odd_sample_shift(self.odd_sample_shift)
     }
 }
@@ -64,7 +73,7 @@ impl SourceConfig for ReadLas {
 
     fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
         let source = LasSource::open(&site.input, &site.stem, self.odd_sample_shift)?;
-        Ok(Box::new(LasSource { with_samples, ..source }))
+        Ok(Box::new(LasSource { with_samples, range_time_offset_ns: self.range_time_offset_ns, ..source }))
     }
 }
 
@@ -72,6 +81,8 @@ struct LasSource {
     reader: Reader,
     /// Else the waveform packets stay unread.
     with_samples: bool,
+    /// What is added to times of flight, ns.
+    range_time_offset_ns: f64,
     points_read: u64,
     points: u64,
     /// The point that was read last, the first of the next pulse.
@@ -139,6 +150,7 @@ impl LasSource {
         let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &geometry) };
         Ok(LasSource {
             with_samples: true,
+            range_time_offset_ns: 0.0,
             points_read: 0,
             points: reader.header().n_points,
             ahead: None,
@@ -237,7 +249,7 @@ impl LasSource {
             let start_m = first_sample(&self.pulse, wave.offset, &self.geometry);
             let origin_m = *found.origin_m.get_or_insert(start_m);
             let along_m: f64 = (0..3).map(|axis| (start_m[axis] - origin_m[axis]) * direction[axis]).sum();
-            let start_ns = along_m / metres_per_ns;
+            let start_ns = along_m / metres_per_ns + self.range_time_offset_ns;
             for point in self.pulse.iter().filter(|point| point.wave.offset == wave.offset) {
                 let time_ns = start_ns + f64::from(point.wave.location_ps) / 1000.0;
                 found.online.push(OnlineReturn {

@@ -9,10 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::lines::{Lines, check_odd_sample_shift};
 use crate::batch::{AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind};
-use crate::formats::Error;
 use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
-use crate::geo::time::adjusted_gps_time;
-use crate::geo::time_axis::leap_seconds;
+use crate::geo::time::WEEK_S;
 use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
 mod shot;
@@ -65,24 +63,44 @@ pub struct Config {
     #[serde(default)]
     pub index_dir: Option<String>,
     /// First and last second to read, on the recording's own time scale (seconds of the GPS week as a rule; where it is
-    /// not synchronised, those of the instrument's clock), before `utc` and `time_offset_s`. The first is sought, not read up
-    /// to.
+    /// not synchronised, those of the instrument's clock), or as `time_scale` says. The first is sought, not read up to.
     #[serde(default)]
     pub time_s: Option<[f64; 2]>,
+    /// What `time_s` counts: seconds of the GPS week, or adjusted seconds (since 1980-01-06, less 1e9). Times that come out
+    /// count what the recording's do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_scale: Option<ScaleKey>,
+    /// The recording's times are UTC: leap seconds are added. The day must be known, by the file's name or by `gps_date`.
+    #[serde(default)]
+    pub utc: bool,
+    /// What is added to the recording's times, s. `time_s` asks for the sums.
+    #[serde(default)]
+    pub time_offset_s: f64,
+    /// By how many millionths the air's refractive index for the pulse exceeds 1; the recording's own speed of the pulse
+    /// when not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refractive_index_ppm: Option<f64>,
     /// The day on which the recording began, as in 2013-06-21, where the file's name does not begin with it.
     #[serde(default)]
     pub gps_date: Option<String>,
-    /// Times are UTC: the leap seconds of the recording's day are added to those of shots.
-    #[serde(default)]
-    pub utc: bool,
-    /// Added to the times of shots, where they are off: within -1e6 and 1e6.
-    #[serde(default)]
-    pub time_offset_s: f64,
     /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
     /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
 }
+
+/// What the seconds of a window count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleKey {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds since 1980-01-06, less 1e9.
+    Adjusted,
+}
+
+/// More than this is no air, millionths.
+const MOST_PPM: f64 = 1000.0;
 
 impl stage::Config for Config {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
@@ -100,10 +118,12 @@ impl stage::Config for Config {
         unless(is_given(&self.index_dir), "index_dir", "the path is empty")?;
         let ordered = self.time_s.is_none_or(|[from, to]| from.is_finite() && to.is_finite() && from <= to);
         unless(ordered, "time_s", "it must be two numbers, the first not above the second")?;
+        let is_offset = self.time_offset_s.abs() <= WEEK_S;
+        unless(is_offset, "time_offset_s", "it must be at most a week, 604800 s, either way")?;
+        let is_air = self.refractive_index_ppm.is_none_or(|ppm| (0.0..=MOST_PPM).contains(&ppm));
+        unless(is_air, "refractive_index_ppm", "it must lie between 0 and 1000")?;
         let is_date = self.gps_date.as_ref().is_none_or(|date| time::noon(date).is_some());
         unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")?;
-        let is_near = self.time_offset_s.abs() <= MOST_OFFSET_S;
-        unless(is_near, "time_offset_s", "it must lie between -1e6 and 1e6")?;
         check_odd_sample_shift(self.odd_sample_shift)
     }
 
@@ -129,8 +149,6 @@ struct ReadSdf {
     window: Option<Window>,
     /// What to add to external times, s; a period more each time that they begin anew.
     offset_s: f64,
-    /// What to add to the times of shots beyond that, s: the keys `utc` and `time_offset_s`.
-    correction_s: f64,
     /// After how many seconds external times begin anew, where they do.
     period_s: Option<f64>,
     /// The last shot's time, s; NaN before the first.
@@ -168,8 +186,6 @@ const LOOKED_AT: usize = 1000;
 const SAMPLES_LOOKED_AT: usize = 1 << 22;
 /// A window has ended where so many shots in a row are later: fewer may have a time that is wrong.
 const LATE_SHOTS: u32 = 100;
-/// No clock is set wrong by more, s.
-const MOST_OFFSET_S: f64 = 1e6;
 /// Times begin anew where the next one is then at most so much later, s: any other step back is a wrong time.
 const LONGEST_STEP_S: f64 = 3600.0;
 
@@ -192,14 +208,22 @@ impl ReadSdf {
         let is_first = |record: &&SdfRecord| !record.blocks.is_empty() && record.time_external_s.is_finite();
         let first_s = ahead.iter().find(is_first).map(|record| record.time_external_s);
         let is_external = reader.info().is_synchronised();
-        let times = Times::new(if is_external { &reader.info().epoch } else { "UNKNOWN" }, first_s, about);
+        let epoch = if is_external { &reader.info().epoch } else { "UNKNOWN" };
+        let times = Times::new(epoch, first_s, about);
+        let leap_s = if config.utc { times.leap_s(path, first_s)? } else { 0.0 };
+        let times = times.later_by(leap_s + config.time_offset_s);
         remarks.extend(times.remark.map(str::to_owned));
         let input = describe(config, site, &reader, &times, tables, &ahead);
         let offset_s = times.offset_s;
-        let correction_s = config.time_offset_s + leap_s(config, &input, first_s.map(|s| s + offset_s))?;
         let mut at_end = false;
-        let window =
-            config.time_s.map(|[from_s, to_s]| Window { from_s, to_s, is_external, now_s: from_s, late: 0 });
+        let shift_s = match (config.time_s, config.time_scale) {
+            (Some(_), Some(scale)) => times.shift_s(scale, path)?,
+            _ => 0.0,
+        };
+        let window = config.time_s.map(|asked_s| {
+            let [from_s, to_s] = asked_s.map(|time_s| time_s + shift_s);
+            Window { from_s, to_s, is_external, now_s: from_s, late: 0 }
+        });
         if let Some(window) = &window {
             ahead.clear();
             at_end = !match window.is_external {
@@ -212,7 +236,6 @@ impl ReadSdf {
             lines: Lines::new(Arc::new(input)),
             window,
             offset_s,
-            correction_s,
             period_s: times.period_s,
             last_time_s: f64::NAN,
             ahead,
@@ -247,10 +270,8 @@ impl ReadSdf {
             }
         };
         emission.gps_time_s = self.continuous(emission.gps_time_s);
-        let external_s = emission.gps_time_s;
-        emission.gps_time_s += self.correction_s;
         let Some(window) = &mut self.window else { return Some(emission) };
-        let time_s = if window.is_external { external_s } else { self.record.time_s };
+        let time_s = if window.is_external { emission.gps_time_s } else { self.record.time_s };
         if time_s.is_nan() {
             self.reject("no time, where `time_s` asks for some", cx);
             return None;
@@ -334,19 +355,12 @@ fn look_ahead(reader: &mut SdfReader) -> Result<VecDeque<SdfRecord>> {
     Ok(ahead)
 }
 
-/// GPS time less the recording's, s, where that is UTC.
-fn leap_s(config: &Config, input: &InputInfo, first_s: Option<f64>) -> Result<f64> {
-    let Some(first_s) = first_s.filter(|_| config.utc) else { return Ok(0.0) };
-    adjusted_gps_time(input, first_s).map(leap_seconds).ok_or_else(|| {
-        let problem = "its times are UTC, and without its day the leap seconds are not known";
-        Error::unusable(&input.path, problem, "say the day with the key `gps_date`").into()
-    })
-}
-
 fn has_outgoing_pulse(record: &SdfRecord) -> bool {
     record.blocks.iter().any(|block| block.channel == channel::REFERENCE && !block.is_empty())
 }
 
+/// Speed of light in vacuum, m/s.
+const LIGHT_MPS: f64 = 299_792_458.0;
 /// Samples are words that hold 8-bit values.
 const FULL_SCALE_DN: u16 = 255;
 
@@ -375,7 +389,10 @@ fn describe(
         sampling_interval_ns: fine_ns(info.sampling_interval_s),
         odd_sample_shift: config.odd_sample_shift,
         full_scale_dn: Some(FULL_SCALE_DN),
-        group_velocity_mps: info.group_velocity_mps,
+        group_velocity_mps: match config.refractive_index_ppm {
+            Some(ppm) => LIGHT_MPS / (1.0 + 1e-6 * ppm),
+            None => info.group_velocity_mps,
+        },
         pulse_rate_hz: None,
         time_scale: times.scale,
         gps_week: times.gps_week,

@@ -168,9 +168,9 @@ fn a_value_that_a_key_cannot_take_is_told_with_its_place_in_the_job() {
 #[test]
 fn a_line_that_asks_for_what_is_not_there_yet_is_not_run() {
     let place = data_sdf();
-    let ended = wavex(&place, "--run -- -i data.sdf -n_ppm 270");
+    let ended = wavex(&place, "--run -- -i data.sdf -po a.txt -po_parse xyztpk");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    let expected = "error: the line is not run, because this build cannot do yet: -n_ppm 270 (`refractive_index_ppm` of `read_sdf`); leave that \
-                    out, or write the job with `-o` and change it\n";
+    let expected = "error: the line is not run, because this build cannot do yet: -po_parse xyztpk \
+                    (`trajectory_columns` of `geometry`); leave that out, or write the job with `-o` and change it\n";
     assert!(ended.err.ends_with(expected), "{}", ended.err);
 }

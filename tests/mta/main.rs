@@ -16,4 +16,5 @@ mod faults;
 mod flights;
 mod memory;
 mod priors;
+mod ten_scenes;
 mod zones;

@@ -147,29 +147,59 @@ fn seconds_of_the_day_become_seconds_of_the_week() {
     assert_eq!(header_of(&place), header());
 }
 
+fn times(lines: &[Vec<Row>]) -> Vec<f64> {
+    lines.concat().iter().map(|row| row.shot.gps_time_s.unwrap()).collect()
+}
+
+/// GPS time was 18 s ahead of UTC in 2025.
 #[test]
-fn times_of_utc_and_times_that_are_off_become_those_of_gps() {
-    let given = lines();
-    let place = place(&container(&header(), &given), "");
-    let times = |keys: &str| -> Vec<f64> {
-        let (_, lines) = read(&place, keys);
-        lines.iter().flatten().map(|row| row.shot.gps_time_s.unwrap()).collect()
-    };
-    let own = times("");
-    let later = |seconds: f64| own.iter().map(|time| time + seconds).collect::<Vec<f64>>();
-    assert_eq!(times("utc = true"), later(18.0));
-    assert_eq!(times("time_offset_s = -0.75"), later(-0.75));
-    assert_eq!(times("utc = true\ntime_offset_s = 0.72"), later(18.72));
-    let window = times("utc = true\ntime_s = [208800.55, 208800.75]");
-    assert_eq!(window, later(18.0)[6..8], "a window is one of the recording's own times");
+fn leap_seconds_and_an_offset_are_added() {
+    let place = place(&container(&header(), &lines()), "");
+    let (report, found) = read(&place, "utc = true\ntime_offset_s = 0.25");
+    let expected: Vec<f64> = times(&lines()).iter().map(|time_s| time_s + 18.25).collect();
+    assert_eq!((times(&found), clocks(&found)), (expected, clocks(&lines())));
+    assert_eq!(notes(&report), Vec::<String>::new());
+    let (_, part) = read(&place, "time_offset_s = 100.0\ntime_s = [208900.65, 208901.2]");
+    assert_eq!(clocks(&part), clocks(&lines())[7..13], "a window asks for the sums");
 }
 
 #[test]
-fn leap_seconds_need_a_day() {
+fn a_window_may_count_another_scale_than_the_recording() {
+    let week_s = 2365.0 * 604_800.0 - 1e9;
+    let in_weeks = place(&container(&header(), &lines()), "");
+    let asked =
+        format!("time_s = [{}, {}]\ntime_scale = 'adjusted'", week_s + 208_800.65, week_s + 208_801.25);
+    let (_, part) = read(&in_weeks, &asked);
+    assert_eq!(clocks(&part), clocks(&lines())[7..13]);
+    assert_eq!(times(&part)[0], 208_800.7, "what comes out counts what it did");
+    let (_, part) = read(&in_weeks, "time_s = [208800.65, 208801.2]\ntime_scale = 'week'");
+    assert_eq!(clocks(&part), clocks(&lines())[7..13]);
+    let adjusted = place(&container(&header(), &lines()), "epoch 2025-05-04T00:00:00");
+    let (_, part) = read(&adjusted, "time_s = [208800.55, 208800.75]\ntime_scale = 'week'");
+    assert_eq!(clocks(&part), clocks(&lines())[6..8]);
+    assert_eq!(header_of(&adjusted).time_scale, TimeScale::Adjusted);
+}
+
+#[test]
+fn keys_that_need_the_day_say_so() {
     let place = Place::with(&[("flight.sdf", &container(&header(), &lines()))]);
-    let job = |keys: &str| copy(keys).replace(NAME, "flight.sdf");
-    let message = "stage read_sdf: ./flight.sdf: its times are UTC, and without its day the leap seconds are not known; \
-                   say the day with the key `gps_date`";
-    place.left_nothing(place.run(&job("utc = true")), message);
-    assert_eq!(place.run(&job("utc = true\ngps_date = '2025-05-06'")).err, "");
+    let remedy = "say the day with the key `gps_date`, or leave the key out";
+    for (keys, problem) in [
+        ("utc = true", "its times are UTC, and without a day the leap seconds are not known"),
+        (
+            "time_s = [0.0, 1.0]\ntime_scale = 'adjusted'",
+            "the recording does not say of which week its times are, which `time_scale` asks for",
+        ),
+    ] {
+        let outcome = place.run(&copy(keys).replace(NAME, "flight.sdf"));
+        place.left_nothing(outcome, &format!("stage read_sdf: ./flight.sdf: {problem}; {remedy}"));
+    }
+    assert_eq!(place.run(&copy("utc = true\ngps_date = '2025-05-06'").replace(NAME, "flight.sdf")).err, "");
+}
+
+#[test]
+fn the_air_may_be_another_than_the_recording_says() {
+    let place = place(&container(&header(), &lines()), "");
+    read(&place, "refractive_index_ppm = 280.0");
+    assert_eq!(header_of(&place).group_velocity_mps, 299_792_458.0 / 1.000_28);
 }

@@ -188,7 +188,8 @@ impl Band {
         let mut bins = vec![[(0u16, 0f32); BINS]; self.cells.len()];
         for line in lines {
             let interval_m = line.pulses.interval_m;
-            for echo in line.echoes.iter().filter(|echo| is_inside(line, echo, self.zones)) {
+            let inside = inside_from(line, self.zones);
+            for echo in line.echoes.iter().filter(|echo| echo.last >= inside) {
                 let bin = (echo.range_m / interval_m * BINS as f32).clamp(0.0, BINS as f32 - 1.0) as usize;
                 let bin = &mut bins[self.index(line.column(echo))][bin];
                 bin.0 = bin.0.saturating_add(1);
@@ -217,7 +218,8 @@ impl Band {
         let mut slopes = vec![Slope::default(); self.cells.len()];
         for line in lines {
             let interval_m = line.pulses.interval_m;
-            for echo in line.echoes.iter().filter(|echo| is_inside(line, echo, self.zones)) {
+            let inside = inside_from(line, self.zones);
+            for echo in line.echoes.iter().filter(|echo| echo.last >= inside) {
                 let column = line.column(echo);
                 let index = self.index(column);
                 let apart = echo.range_m - self.cells[index].phase_m;
@@ -278,12 +280,14 @@ impl Band {
 
     /// Adds the evidence of neighbours within a line.
     pub fn add_line(&mut self, line: &Held) {
-        for (i, echo) in line.echoes.iter().enumerate() {
+        let inside = inside_from(line, self.zones);
+        for (i, echo) in line.echoes.iter().enumerate().filter(|(_, echo)| echo.last >= inside) {
             let column = line.column(echo);
             let cell = self.index(column);
             let near =
                 line.echoes[i + 1..].iter().take_while(|other| line.column(other) <= column + REACH[0]);
-            for other in near.filter(|other| other.last != echo.last).take(NEIGHBOURS[0]) {
+            let near = near.filter(|other| other.last != echo.last && other.last >= inside);
+            for other in near.take(NEIGHBOURS[0]) {
                 self.add_pair(cell, (line, echo), (line, other));
             }
         }
@@ -292,14 +296,15 @@ impl Band {
     /// Adds the evidence of neighbours in the line after `line`, which is one of this band's.
     pub fn add_next(&mut self, line: &Held, next: &Held) {
         let mut from = 0;
-        for echo in &line.echoes {
+        let (inside, next_inside) = (inside_from(line, self.zones), inside_from(next, self.zones));
+        for echo in line.echoes.iter().filter(|echo| echo.last >= inside) {
             let column = line.column(echo);
             while next.echoes.get(from).is_some_and(|other| next.column(other) < column - REACH[1]) {
                 from += 1;
             }
             let cell = self.index(column);
             let near = next.echoes[from..].iter().take_while(|other| next.column(other) <= column + REACH[1]);
-            for other in near.take(NEIGHBOURS[1]) {
+            for other in near.filter(|other| other.last >= next_inside).take(NEIGHBOURS[1]) {
                 self.add_pair(cell, (line, echo), (next, other));
             }
         }
@@ -308,9 +313,11 @@ impl Band {
     /// Adds the evidence of three neighbouring shots' last echoes: their curvature does not see a slope.
     pub fn add_curvature(&mut self, line: &Held) {
         let ends = |pair: &[HeldEcho]| pair.len() == 1 || pair[0].last != pair[1].last;
+        let inside = inside_from(line, self.zones);
         let mut shots = (0..line.echoes.len())
             .filter(|&i| ends(&line.echoes[i..(i + 2).min(line.echoes.len())]))
-            .map(|i| &line.echoes[i]);
+            .map(|i| &line.echoes[i])
+            .filter(|echo| echo.last >= inside);
         let (Some(mut before), Some(mut echo)) = (shots.next(), shots.next()) else { return };
         for after in shots {
             if line.column(after) - line.column(before) == 2 {
@@ -401,11 +408,11 @@ fn offsets(line: &Held, base: i32, stride: usize) -> Option<&[f32]> {
     if regular + 1 < stride { None } else { line.pulses.offset_m.get(begin..end) }
 }
 
-/// Whether an echo cannot come from a line before: the other end of the swath is another surface.
-fn is_inside(line: &Held, echo: &HeldEcho, zones: usize) -> bool {
-    let own = echo.last as usize;
+/// The first place at which no echo comes from a line before: the other end of the swath is another surface, and neither its
+/// phase nor its evidence is that of the cells here.
+fn inside_from(line: &Held, zones: usize) -> u32 {
     let margin = if line.pulses.lead == 0 { 0 } else { zones.min(line.pulses.own() / 4) };
-    own >= line.pulses.lead + margin
+    (line.pulses.lead + margin) as u32
 }
 
 /// Finds where most echoes of a cell lie: the quarter of the interval that holds most, and their mean in it.

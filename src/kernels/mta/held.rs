@@ -7,7 +7,7 @@ use super::{Assigned, Line, Resolved, Settings};
 /// Columns beyond this are drawn to it.
 const MOST_COLUMNS: f32 = 65_535.0;
 
-/// Which scan angle stands in which column: found from the first line with two angles.
+/// Which scan angle stands in which column: found from the first line with four angles.
 #[derive(Debug, Default)]
 pub(super) struct Places {
     /// Angle of column 0, and from one column to the next.
@@ -21,7 +21,8 @@ impl Places {
             let known: Vec<f32> = angles().filter(|angle| angle.is_finite()).collect();
             let mut steps: Vec<f32> = known.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
             let middle = steps.len() / 2;
-            if !steps.is_empty() {
+            // A sweep's end and the begin of the next are no step.
+            if steps.len() >= 3 {
                 let step = *steps.select_nth_unstable_by(middle, f32::total_cmp).1;
                 let least = known.iter().copied().fold(f32::INFINITY, f32::min);
                 self.raster_deg = (step > 0.0).then_some((least, step));

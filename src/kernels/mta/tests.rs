@@ -6,6 +6,8 @@ use super::*;
 #[allow(missing_docs, dead_code, reason = "shared with the bench, which uses all of it")]
 mod scenes;
 
+mod sweeps;
+
 use scenes::{Class, METRES_PER_NS, RecordedLine, Recording, SCENES, Scene};
 
 const INTERVAL_PS: i64 = 2_500_000;
@@ -352,17 +354,7 @@ fn echoes_of_the_line_before_are_found_there_and_say_when_it_is_settled() {
     // Lines without a pause: the last shots of each are received in the next.
     let shots = 100;
     let (lines, _) = strip(1, 30 * shots, 17.0, |_, shot| 1010.0 + 0.3 * (shot % shots) as f64);
-    let all = &lines[0];
-    let lines: Vec<Line> = (0..30)
-        .map(|line| {
-            let within = |echo: &&Echo| echo.emission as usize / shots == line;
-            let moved = |echo: &Echo| Echo { emission: echo.emission % shots as u32, ..*echo };
-            Line {
-                emissions: all.emissions[line * shots..][..shots].to_vec(),
-                echoes: all.echoes.iter().filter(within).map(moved).collect(),
-            }
-        })
-        .collect();
+    let lines = sweeps::cut(&lines[0], shots);
     let (resolved, _) = resolve(&settings(Method::Blocks), &lines);
     let first = resolved[5].echoes[0].cause.unwrap();
     assert_eq!((first.line, first.emission), (4, 98));
@@ -397,20 +389,7 @@ fn scan_angles_bring_lines_of_both_directions_together() {
 #[test]
 fn lines_of_one_shot_and_clocks_that_jump_are_taken_as_they_are() {
     let (lines, causes) = strip(1, 600, 17.0, |_, _| 300.0);
-    let single: Vec<Line> = (0..600)
-        .map(|shot| {
-            let within = |echo: &&Echo| echo.emission == shot;
-            Line {
-                emissions: vec![lines[0].emissions[shot as usize]],
-                echoes: lines[0]
-                    .echoes
-                    .iter()
-                    .filter(within)
-                    .map(|echo| Echo { emission: 0, ..*echo })
-                    .collect(),
-            }
-        })
-        .collect();
+    let single = sweeps::cut(&lines[0], 1);
     let (resolved, _) = resolve(&settings(Method::Blocks), &single);
     let found: Vec<u32> = resolved
         .iter()

@@ -3,8 +3,12 @@
 
 use std::path::Path;
 
+use super::ScaleKey;
 use crate::batch::TimeScale;
+use crate::formats::Error;
 use crate::geo::time::{ADJUSTMENT_S, WEEK_S, day_of_year, gps_week};
+use crate::geo::time_axis::leap_seconds;
+use crate::stage::Result;
 
 const DAY_S: f64 = 86_400.0;
 
@@ -68,6 +72,49 @@ impl Times {
         .of_week(week_begins)
     }
 
+    /// The same times, so much later, s.
+    pub(super) fn later_by(self, by_s: f64) -> Times {
+        Times { offset_s: self.offset_s + by_s, ..self }
+    }
+
+    /// GPS time less the recording's, s, where that is UTC and begins with the external time `first_s`.
+    ///
+    /// # Errors
+    /// The day is not known.
+    pub(super) fn leap_s(&self, file: &Path, first_s: Option<f64>) -> Result<f64> {
+        let begins_s = self.scale_begins_s().and_then(|begins_s| Some(begins_s + first_s? + self.offset_s));
+        let Some(begins_s) = begins_s else {
+            let problem = "its times are UTC, and without a day the leap seconds are not known";
+            return Err(Error::unusable(file, problem, NO_DAY).into());
+        };
+        Ok(leap_seconds(begins_s))
+    }
+
+    /// What is to be added to a time of this scale so that it counts what the recording's do, s.
+    ///
+    /// # Errors
+    /// The recording does not say what its times count, or in which week.
+    pub(super) fn shift_s(&self, scale: ScaleKey, file: &Path) -> Result<f64> {
+        let week_s = || self.gps_week.map(|week| f64::from(week) * WEEK_S - ADJUSTMENT_S);
+        let shift_s = match (scale, self.scale) {
+            (ScaleKey::Week, TimeScale::Week) | (ScaleKey::Adjusted, TimeScale::Adjusted) => Some(0.0),
+            (ScaleKey::Week, TimeScale::Adjusted) => week_s(),
+            (ScaleKey::Adjusted, TimeScale::Week) => week_s().map(|week_s| -week_s),
+            _ => None,
+        };
+        let problem = "the recording does not say of which week its times are, which `time_scale` asks for";
+        Ok(shift_s.ok_or_else(|| Error::unusable(file, problem, NO_DAY))?)
+    }
+
+    /// Adjusted time when the seconds of the recording's scale began, s.
+    fn scale_begins_s(&self) -> Option<f64> {
+        match self.scale {
+            TimeScale::Adjusted => Some(0.0),
+            TimeScale::Week => self.gps_week.map(|week| f64::from(week) * WEEK_S - ADJUSTMENT_S),
+            TimeScale::Day | TimeScale::Unknown => None,
+        }
+    }
+
     fn dated(first: Option<SinceEpoch>) -> Times {
         let week = first.map(|first| (first / WEEK_S).floor()).filter(|week| (0.0..1e5).contains(week));
         Times {
@@ -89,6 +136,7 @@ impl Times {
     }
 }
 
+const NO_DAY: &str = "say the day with the key `gps_date`, or leave the key out";
 const NO_SCALE: &str =
     "the recording does not say what its times count from: no trajectory can be matched to them";
 const NO_WEEK: &str = "the GPS week is not known: the file's name does not begin with its date as in 130621_101500.sdf; \

@@ -24,8 +24,11 @@ pub(super) struct Geometry {
     down: [f64; 3],
     /// Where the terrain model is, if beams are in the earth's frame.
     map: Option<Arc<Target>>,
-    /// Across the line: from the first shot of a line to its last; `None` before a line had two.
+    /// Across the line: from the first shot of a line to its last, or from a line of one shot to the next; `None` before there
+    /// were two.
     across: Option<[f64; 3]>,
+    /// The last beam so far.
+    last: Option<[f64; 3]>,
 }
 
 impl Geometry {
@@ -61,7 +64,7 @@ impl Geometry {
             Frame::Body => [0.0, 0.0, 1.0],
             _ => main_axis(batch.emissions.iter().map(|emission| emission.direction)),
         });
-        Ok(Geometry { frame, range_m, down, map, across: None })
+        Ok(Geometry { frame, range_m, down, map, across: None, last: None })
     }
 
     /// Learns the direction across the line.
@@ -70,7 +73,9 @@ impl Geometry {
             return;
         }
         let (Some(first), Some(last)) = (emissions.first(), emissions.last()) else { return };
-        let step: [f64; 3] = std::array::from_fn(|axis| last.direction[axis] - first.direction[axis]);
+        let first =
+            self.last.replace(last.direction).filter(|_| emissions.len() == 1).unwrap_or(first.direction);
+        let step: [f64; 3] = std::array::from_fn(|axis| last.direction[axis] - first[axis]);
         let fall = dot(step, self.down);
         let level: [f64; 3] = std::array::from_fn(|axis| step[axis] - fall * self.down[axis]);
         let length = dot(level, level).sqrt();

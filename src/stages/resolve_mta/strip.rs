@@ -6,7 +6,7 @@ use super::echoes::{Group, Peak, Place, Received};
 use super::geometry::Geometry;
 use super::summary::Tally;
 use super::{ResolveMta, failed};
-use crate::batch::{Batch, Blocks, Channel, Content, OnlineReturn};
+use crate::batch::{Batch, Blocks, Channel, Content, OnlineReturn, Ticket};
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry as Placed;
 use crate::kernels::mta::{self, Assigned, BYTES_PER_ECHO, BYTES_PER_SHOT, Resolved, Resolver};
@@ -28,6 +28,10 @@ pub(super) struct Strip {
     /// Lines below this number are complete.
     settled: u64,
     held_bytes: usize,
+    /// What the terrain model takes, bytes.
+    terrain_bytes: usize,
+    /// Its share of the memory in flight, given back with the strip.
+    _terrain_ticket: Option<Ticket>,
     tally: Tally,
 }
 
@@ -81,8 +85,11 @@ impl Strip {
         let settings = config.settings(first.input.group_velocity_mps);
         let resolver = Resolver::new(&settings).map_err(|error| failed(&error))?;
         let geometry = Geometry::of(first, config.range_m, terrain, placed)?;
+        let mut terrain_bytes = 0;
         if let Some(terrain) = terrain {
             terrain_elsewhere(terrain, first, out);
+            terrain_bytes = terrain.bytes();
+            fits(terrain_bytes, out.may_hold_bytes())?;
         }
         Ok(Strip {
             resolver,
@@ -91,6 +98,8 @@ impl Strip {
             first: 0,
             settled: 0,
             held_bytes: 0,
+            terrain_bytes,
+            _terrain_ticket: first.ticket.as_ref().map(|ticket| ticket.beside(terrain_bytes)),
             tally: Tally::new(settings.blind_gap_ns),
         })
     }
@@ -118,7 +127,8 @@ impl Strip {
         self.held.push_back(held);
         self.resolver.push(&line).map_err(|error| failed(&error))?;
         self.settle(out)?;
-        if self.held_bytes > out.may_hold_bytes() {
+        let for_lines = out.may_hold_bytes().saturating_sub(self.terrain_bytes);
+        if self.held_bytes > for_lines {
             return Err(self.too_much(out.may_hold_bytes()));
         }
         Ok(())
@@ -253,12 +263,17 @@ impl Strip {
 
     fn too_much(&self, may_hold_bytes: usize) -> StageError {
         let ahead = self.resolver.look_ahead_lines();
-        let needed = self.held_bytes as f64 / self.held.len().max(1) as f64 * (ahead + 1) as f64;
+        let for_lines = self.held_bytes as f64 / self.held.len().max(1) as f64 * (ahead + 1) as f64;
+        let needed = for_lines + self.terrain_bytes as f64;
+        let beside = match self.terrain_bytes {
+            0 => String::new(),
+            bytes => format!(" beside the {:.1} MB of the terrain model", bytes as f64 / 1e6),
+        };
         let times = (1.1 * needed / may_hold_bytes.max(1) as f64).max(1.1);
         StageError::failed(
             format!(
-                "resolving zones takes up to {ahead} lines, and {} of them take {:.1} MB, more than this stage's share of \
-                 memory_mb",
+                "resolving zones takes up to {ahead} lines, and {} of them take {:.1} MB{beside}, more than this stage's \
+                 share of memory_mb",
                 self.held.len(),
                 self.held_bytes as f64 / 1e6
             ),
@@ -395,6 +410,22 @@ impl HeldLine {
         }
         moves
     }
+}
+
+/// An error where a terrain model leaves no room for lines.
+fn fits(terrain_bytes: usize, may_hold_bytes: usize) -> Result<()> {
+    if terrain_bytes < may_hold_bytes {
+        return Ok(());
+    }
+    // As much again for the lines.
+    let times = 2.0 * terrain_bytes as f64 / may_hold_bytes.max(1) as f64;
+    Err(StageError::failed(
+        format!(
+            "the terrain model takes {:.1} MB, all of this stage's share of memory_mb or more",
+            terrain_bytes as f64 / 1e6
+        ),
+        format!("set memory_mb {times:.1} times as high, or give a coarser model"),
+    ))
 }
 
 /// Says so where a terrain model and a recording name different maps.

@@ -158,6 +158,37 @@ fn a_share_of_memory_that_is_too_small_is_told() {
 }
 
 #[test]
+fn a_terrain_model_counts_in_the_share_of_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dtm.asc");
+    // 100 000 heights of 4 bytes.
+    let rows = format!("{}\n", "5 ".repeat(500)).repeat(200);
+    let head = "ncols 500\nnrows 200\nxllcorner 0\nyllcorner 0\ncellsize 10\n";
+    std::fs::write(&path, format!("{head}{rows}")).unwrap();
+    let line = |number: u32| {
+        let mut blocks = Blocks::default();
+        (0..50).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 700.0, 1.0, &PULSE));
+        Batch::of_shots(input(), number, shots(u64::from(number) * 50, 50), blocks)
+    };
+    let lines = || (0..30).map(line).collect::<Vec<_>>();
+    let config = ResolveMta { terrain: Some(path), ..ResolveMta::default() };
+    let told = |may_hold_bytes| run(&config, lines(), may_hold_bytes).0.unwrap_err().to_string();
+    assert_eq!(
+        told(400_000),
+        "the terrain model takes 0.4 MB, all of this stage's share of memory_mb or more; set memory_mb 2.0 times as high, \
+         or give a coarser model"
+    );
+    let error = told(600_000);
+    assert!(
+        error.contains(" MB beside the 0.4 MB of the terrain model, more than this stage's share"),
+        "{error}"
+    );
+    let times: f64 =
+        error.split("set memory_mb ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    run(&config, lines(), (600_000.0 * times) as usize).0.unwrap();
+}
+
+#[test]
 fn lines_without_shots_keep_their_place() {
     let line = |number: u32, count: u64| {
         let mut blocks = Blocks::default();

@@ -6,6 +6,8 @@
     reason = "a test fails by panicking, and tells its figures"
 )]
 
+mod blinded;
+#[path = "../common/mod.rs"]
 mod common;
 
 use std::path::Path;
@@ -44,11 +46,15 @@ struct TwoReceivers {
     seed: u64,
     /// Heights in the sensitive receiver, spaced evenly in their logarithm.
     heights_dn: [f64; 2],
+    /// Whether the overdriven sensitive receiver sees echoes early.
+    walks: bool,
+    /// Whether every second shot has two echoes whose plateaus in the sensitive receiver are one.
+    shares_plateau: bool,
 }
 
 impl Default for TwoReceivers {
     fn default() -> TwoReceivers {
-        TwoReceivers { lines: 6, seed: 1, heights_dn: [60.0, 4400.0] }
+        TwoReceivers { lines: 6, seed: 1, heights_dn: [60.0, 4400.0], walks: false, shares_plateau: false }
     }
 }
 
@@ -101,35 +107,64 @@ fn truth(config: &TwoReceivers, shot: u32) -> (f64, f64) {
     (least * (most / least).powf(random.uniform()), 4000.0 + 200.0 * random.uniform())
 }
 
+/// Height and time of all echoes of a shot.
+fn truths(config: &TwoReceivers, shot: u32) -> Vec<(f64, f64)> {
+    let (height_dn, time_ns) = truth(config, shot);
+    if !config.shares_plateau || shot % 2 == 1 {
+        return vec![(height_dn, time_ns)];
+    }
+    let mut random =
+        Random::of_shot(config.seed, shot / SHOTS_PER_LINE, shot % SHOTS_PER_LINE, Purpose::Modulation);
+    let mut strong_dn = || 1000.0 * 2.5_f64.powf(random.uniform());
+    let heights_dn = [strong_dn(), strong_dn()];
+    vec![(heights_dn[0], time_ns), (heights_dn[1], time_ns + 6.0 + 3.0 * random.uniform())]
+}
+
+/// How early the overdriven sensitive receiver sees an echo, ns.
+fn early_ns(config: &TwoReceivers, height_dn: f64) -> f64 {
+    if config.walks { 0.005 * (height_dn - 210.0).clamp(0.0, 40.0) } else { 0.0 }
+}
+
+impl Recording {
+    /// Adds what both receivers record of a shot.
+    fn record(&mut self, index: u32, echoes: &[Echo], blocks: &mut Blocks) {
+        let mut windows = Vec::new();
+        self.receiver.windows(echoes, &mut windows);
+        let mut random = [Purpose::Noise, Purpose::HighPowerNoise]
+            .map(|p| Random::of_shot(self.config.seed, self.line, index, p));
+        // A block without samples says the time of the emission itself: it has no error.
+        blocks.push(index, Channel::Reference, None, 0.0, 1.0, &[]);
+        let early =
+            |echo: &Echo| Echo { time_ns: echo.time_ns - early_ns(&self.config, echo.amplitude_dn), ..*echo };
+        let seen: Vec<Echo> = echoes.iter().map(early).collect();
+        let (start_ns, samples) = self.receiver.record(&windows[0], &seen, &mut random[0]);
+        blocks.push(index, Channel::LowPower, None, start_ns, 1.0, samples);
+        if self.receiver.is_strong(&windows[0], echoes) {
+            let recorded = self.receiver.record_high_power(&windows[0], echoes, &mut random[1]);
+            let (start_ns, samples) = recorded.unwrap();
+            blocks.push(index, Channel::HighPower, None, start_ns, 1.0, samples);
+        }
+    }
+}
+
 impl Source for Recording {
     fn next(&mut self, _cx: &mut Context) -> Result<Option<Batch>> {
         if self.line == self.config.lines {
             return Ok(None);
         }
-        let (mut blocks, mut emissions, mut windows) = (Blocks::default(), Vec::new(), Vec::new());
+        let (mut blocks, mut emissions) = (Blocks::default(), Vec::new());
+        let width = self.receiver.response().width(0.0);
         for index in 0..SHOTS_PER_LINE {
             let shot = self.line * SHOTS_PER_LINE + index;
-            let (amplitude_dn, time_ns) = truth(&self.config, shot);
-            let width = self.receiver.response().width(0.0);
-            let echo = Echo {
+            let echo = |(amplitude_dn, time_ns): (f64, f64)| Echo {
                 time_ns,
                 amplitude_dn,
                 high_power_dn: amplitude_dn / GAIN,
                 linear_dn: amplitude_dn,
                 width,
             };
-            self.receiver.windows(&[echo], &mut windows);
-            let mut random = [Purpose::Noise, Purpose::HighPowerNoise]
-                .map(|p| Random::of_shot(self.config.seed, self.line, index, p));
-            // A block without samples says the time of the emission itself: it has no error.
-            blocks.push(index, Channel::Reference, None, 0.0, 1.0, &[]);
-            let (start_ns, samples) = self.receiver.record(&windows[0], &[echo], &mut random[0]);
-            blocks.push(index, Channel::LowPower, None, start_ns, 1.0, samples);
-            if self.receiver.is_strong(&windows[0], &[echo]) {
-                let recorded = self.receiver.record_high_power(&windows[0], &[echo], &mut random[1]);
-                let (start_ns, samples) = recorded.unwrap();
-                blocks.push(index, Channel::HighPower, None, start_ns, 1.0, samples);
-            }
+            let echoes: Vec<Echo> = truths(&self.config, shot).into_iter().map(echo).collect();
+            self.record(index, &echoes, &mut blocks);
             emissions.push(Emission {
                 shot: u64::from(shot),
                 clock_ps: i64::from(shot) * 10_000_000,
@@ -148,6 +183,8 @@ struct Row {
     channel: String,
     range_m: f64,
     range_sd_m: f64,
+    width_ratio: f64,
+    width_ratio_sd: f64,
 }
 
 fn rows(path: &Path) -> Vec<Row> {
@@ -156,6 +193,7 @@ fn rows(path: &Path) -> Vec<Row> {
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
     let at = |name: &str| names.iter().position(|known| *known == name).unwrap();
     let [shot, channel, range, range_sd] = ["shot", "channel", "range_m", "range_sd_m"].map(at);
+    let [width, width_sd] = ["width_ratio", "width_ratio_sd"].map(at);
     let row = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();
         Row {
@@ -163,6 +201,8 @@ fn rows(path: &Path) -> Vec<Row> {
             channel: cells[channel].to_owned(),
             range_m: cells[range].parse().unwrap(),
             range_sd_m: cells[range_sd].parse().unwrap(),
+            width_ratio: cells[width].parse().unwrap(),
+            width_ratio_sd: cells[width_sd].parse().unwrap(),
         }
     };
     lines.map(row).collect()
@@ -227,12 +267,12 @@ fn bounds(height_dn: f64) -> [f64; 3] {
     variances.map(f64::sqrt)
 }
 
-fn run(keys: &str, fusion: Option<&str>, folder: &Path) -> InputReport {
+fn run(keys: &str, fusion: Option<&str>, decompose: &str, folder: &Path) -> InputReport {
     let of = |name| registry::find(name).unwrap();
     let mut stages = vec![(&TWO_RECEIVERS, keys)];
     stages.extend(fusion.map(|keys| (of("fuse_channels"), keys)));
     stages.push((of("calibrate"), ""));
-    stages.push((of("decompose"), ""));
+    stages.push((of("decompose"), decompose));
     stages.push((of("write_table"), "path = \"returns.csv\""));
     let job = job(&stages);
     engine::run(&job, &into(&job, folder)).unwrap().inputs.remove(0)
@@ -244,8 +284,8 @@ struct Cell {
     /// Errors of the range, m, and the same over the joint bound.
     errors_m: Vec<f64>,
     scores: Vec<f64>,
-    /// Errors over their own standard deviations.
-    own_scores: Vec<f64>,
+    /// Errors of ranges and of widths over their own standard deviations.
+    own_scores: [Vec<f64>; 2],
     channels: [usize; 3],
 }
 
@@ -253,6 +293,11 @@ fn moments(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     (mean, (values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
+}
+
+/// With the mean: an error of the delay is one of all ranges, and their standard deviations hold it.
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
 }
 
 fn cells(config: &TwoReceivers, rows: &[Row]) -> Vec<Cell> {
@@ -264,7 +309,7 @@ fn cells(config: &TwoReceivers, rows: &[Row]) -> Vec<Cell> {
             snr: [pair[0], pair[1]],
             errors_m: Vec::new(),
             scores: Vec::new(),
-            own_scores: Vec::new(),
+            own_scores: [Vec::new(), Vec::new()],
             channels: [0; 3],
         };
         for row in rows {
@@ -277,14 +322,15 @@ fn cells(config: &TwoReceivers, rows: &[Row]) -> Vec<Cell> {
             let bound_ns = at_edges[k][2].powf(1.0 - part) * at_edges[k + 1][2].powf(part);
             cell.errors_m.push(error_m);
             cell.scores.push(error_m / (0.5 * SPEED_M_PER_NS * bound_ns));
-            cell.own_scores.push(error_m / row.range_sd_m);
+            cell.own_scores[0].push(error_m / row.range_sd_m);
+            cell.own_scores[1].push((row.width_ratio - 1.0) / row.width_ratio_sd);
             cell.channels[["low", "high", "joint"].iter().position(|name| *name == row.channel).unwrap()] +=
                 1;
         }
         let [low, high, joint] = at_edges[k].map(|bound_ns| 500.0 * SPEED_M_PER_NS * bound_ns);
         println!(
             "{:5}-{:4}: {:4} ({:?}) bounds mm low {low:5.2} high {high:5.2} joint {joint:5.2}; sd {:5.2} mm, over joint bound {:5.3}, \
-             mean {:+5.2} mm, own score {:5.2}",
+             mean {:+5.2} mm, own score {:5.2}, of widths {:5.2}",
             pair[0],
             pair[1],
             cell.errors_m.len(),
@@ -292,7 +338,8 @@ fn cells(config: &TwoReceivers, rows: &[Row]) -> Vec<Cell> {
             1e3 * moments(&cell.errors_m).1,
             moments(&cell.scores).1,
             1e3 * moments(&cell.errors_m).0,
-            moments(&cell.own_scores).1,
+            rms(&cell.own_scores[0]),
+            rms(&cell.own_scores[1]),
         );
         cells.push(cell);
     }
@@ -302,7 +349,8 @@ fn cells(config: &TwoReceivers, rows: &[Row]) -> Vec<Cell> {
 #[test]
 fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     let folder = tempfile::tempdir().unwrap();
-    let report = run("", Some(""), folder.path());
+    // The emission is known without an error here, and the clock has none.
+    let report = run("", Some(""), "timing_error_ns = 0.0", folder.path());
     let fusion = report.channel_fusion.as_ref().unwrap();
     println!("{fusion:?}");
     let count = |names: &[&str]| names.iter().map(|name| report.totals[name]).sum::<u64>();
@@ -317,6 +365,17 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     for cell in &cells {
         let (_, ratio) = moments(&cell.scores);
         assert!(cell.errors_m.len() > 150 && ratio <= 1.15, "{:?}: {ratio}", cell.snr);
+    }
+    // Above, errors of the calibrated response are no longer small against the noise: widths have no allowance for them.
+    let widths = cells.iter().take_while(|cell| cell.snr[1] <= 800.0).count();
+    for (part, what, cells) in [(0, "range", &cells[..]), (1, "width", &cells[..widths])] {
+        let all: Vec<f64> = cells.iter().flat_map(|cell| cell.own_scores[part].iter().copied()).collect();
+        println!("{what}: errors are {:.3} of their standard deviations (0.95 to 1.05)", rms(&all));
+        assert!((0.95..=1.05).contains(&rms(&all)), "{what}: {}", rms(&all));
+        for cell in cells {
+            let own = rms(&cell.own_scores[part]);
+            assert!((0.85..=1.15).contains(&own), "{what}, {:?}: {own}", cell.snr);
+        }
     }
     // Cells of the sensitive receiver alone against those where both are used.
     let mean = |is_joint: bool| {

@@ -1,0 +1,133 @@
+//! Lines shorter than a cell, joined while the beam sweeps on.
+//!
+//! A line of a few shots has no neighbours to compare its echoes with, and the one beside it is no neighbour of its own but the
+//! next piece of the sweep. So such lines go to the method as one, and what it finds is told line by line again.
+
+use std::collections::VecDeque;
+
+use super::cells::CELL_SHOTS;
+use super::{Cause, Line, Resolved};
+
+/// Lines with fewer emissions than this are joined with those that follow.
+const SHORT_SHOTS: usize = CELL_SHOTS as usize;
+/// Where angles do not tell a sweep's end, so many shots are taken for one.
+const SWEEP_SHOTS: usize = 256;
+/// A joined line ends here, whatever the angles say.
+const MOST_SHOTS: usize = 4096;
+
+/// Lines that the method takes as one.
+#[derive(Debug, Default)]
+struct Run {
+    /// Number of the first of the lines, as they were pushed.
+    first: u64,
+    /// Where the emissions of each line begin in the joined line, and how many echoes it has.
+    lines: Vec<(u32, usize)>,
+}
+
+impl Run {
+    /// The line and the emission that stand at an index of the joined line.
+    fn cause(&self, emission: u32) -> Option<Cause> {
+        let line = self.lines.partition_point(|&(start, _)| start <= emission).checked_sub(1)?;
+        Some(Cause { line: self.first + line as u64, emission: emission - self.lines[line].0 })
+    }
+}
+
+/// Joins lines, and takes the results apart again.
+#[derive(Debug, Default)]
+pub(super) struct Joined {
+    /// Short lines that wait for the end of their sweep, joined.
+    waiting: Line,
+    run: Run,
+    /// The runs that the method knows and a result may still name.
+    runs: VecDeque<Run>,
+    /// Number of the first of them, as the method counts.
+    first_run: u64,
+    /// How many lines were pushed.
+    lines: u64,
+    /// The most lines of a run.
+    most_lines: usize,
+    /// No line that is still to come has an echo caused by lines below this.
+    settled: u64,
+}
+
+impl Joined {
+    /// How many lines may be held back where the method holds back so many.
+    pub fn held_back(&self, lines: usize) -> usize {
+        match self.most_lines.max(self.run.lines.len()) {
+            0 | 1 => lines,
+            // Those that wait come on top.
+            most => (lines + 1) * most,
+        }
+    }
+
+    /// Takes a line, and gives those that are ready for the method; `joins` says whether short ones wait.
+    pub fn push(&mut self, line: &Line, joins: bool) -> impl Iterator<Item = Line> + use<> {
+        // A line without shots waits only where others do.
+        let least = usize::from(self.run.lines.is_empty());
+        let is_short = joins && (least..SHORT_SHOTS).contains(&line.emissions.len());
+        let before = (!is_short || !self.goes_on(line)).then(|| self.take()).flatten();
+        self.append(line);
+        let own = if is_short { None } else { self.take() };
+        before.into_iter().chain(own)
+    }
+
+    /// The joined line that waits, if one does.
+    pub fn take(&mut self) -> Option<Line> {
+        let run = std::mem::take(&mut self.run);
+        if run.lines.is_empty() {
+            return None;
+        }
+        self.most_lines = self.most_lines.max(run.lines.len());
+        self.runs.push_back(run);
+        Some(std::mem::take(&mut self.waiting))
+    }
+
+    /// Whether a line goes on where the waiting ones end: in time, and across the line.
+    fn goes_on(&self, line: &Line) -> bool {
+        let shots = &self.waiting.emissions;
+        let (Some(last), Some(next)) = (shots.last(), line.emissions.first()) else { return true };
+        let sweep_deg = last.scan_angle_deg - shots[0].scan_angle_deg;
+        let ahead_deg = next.scan_angle_deg - last.scan_angle_deg;
+        // NaN, where angles are not known, turns nowhere.
+        let turns = sweep_deg * ahead_deg < 0.0;
+        let most = if ahead_deg.is_nan() { SWEEP_SHOTS } else { MOST_SHOTS };
+        next.clock_ps > last.clock_ps && !turns && shots.len() + line.emissions.len() <= most
+    }
+
+    fn append(&mut self, line: &Line) {
+        let start = self.waiting.emissions.len() as u32;
+        if self.run.lines.is_empty() {
+            self.run.first = self.lines;
+        }
+        self.lines += 1;
+        self.run.lines.push((start, line.echoes.len()));
+        self.waiting.emissions.extend_from_slice(&line.emissions);
+        let moved = |echo: &super::Echo| super::Echo { emission: echo.emission + start, ..*echo };
+        self.waiting.echoes.extend(line.echoes.iter().map(moved));
+    }
+
+    /// What was found of a joined line, for each of its lines.
+    pub fn apart(&mut self, found: Resolved, into: &mut VecDeque<Resolved>) {
+        let at = |number: u64| number.checked_sub(self.first_run).map(|at| at as usize);
+        let run_at = |number: u64| self.runs.get(at(number)?);
+        let Some(run) = run_at(found.line) else { return };
+        let begins = |number: u64| run_at(number).map(|run| run.first);
+        let behind = run.first + run.lines.len() as u64;
+        let before = self.settled;
+        self.settled = begins(found.settled_lines).unwrap_or(behind);
+        let mut echoes = found.echoes.into_iter().map(|mut echo| {
+            echo.cause = echo.cause.and_then(|cause| run_at(cause.line)?.cause(cause.emission));
+            echo
+        });
+        for (line, &(_, count)) in (run.first..).zip(&run.lines) {
+            // What the joined line settles is settled behind the last of its lines.
+            let settled_lines = if line + 1 == behind { self.settled } else { before };
+            into.push_back(Resolved { line, echoes: echoes.by_ref().take(count).collect(), settled_lines });
+        }
+        drop(echoes);
+        while self.first_run < found.settled_lines.min(found.line + 1) && !self.runs.is_empty() {
+            self.runs.pop_front();
+            self.first_run += 1;
+        }
+    }
+}

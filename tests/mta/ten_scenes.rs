@@ -1,0 +1,62 @@
+//! The ten scenes of the bench `mta`, smaller, through the whole chain by both doors, against the truth.
+//! `cargo bench --bench mta -- chain` does the same with the whole ones.
+
+use std::path::Path;
+
+use crate::flights::text;
+use crate::made::stand_in;
+use crate::support::Place;
+
+#[path = "../../benches/mta/chain.rs"]
+mod chain;
+#[path = "../../benches/mta/scenes.rs"]
+#[allow(dead_code, reason = "shared with the bench, which uses all of it")]
+mod scenes;
+#[path = "../../benches/mta/waveforms.rs"]
+mod waveforms;
+
+use chain::{Score, quantile};
+use scenes::{Recording, SCENES, Scene, Spec};
+
+/// Lines of each scene, and how much of the swath.
+const LINES: u32 = 16;
+const PART: f64 = 0.015;
+const HOW: Recording =
+    Recording { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
+
+/// Runs a scene through both doors, which must lead to the same bytes. The first scene calibrates, the others take its sensor
+/// model: one receiver recorded all ten.
+fn through(spec: Spec, seed: u64, model: &Path) -> Score {
+    let place = Place::new();
+    let scene = Scene::new(spec, seed, LINES, PART);
+    let truth = waveforms::write(&scene, &scene.record(&HOW), &place.path(""));
+    let calibrate = match model.exists() {
+        false => format!("waveforms = 1000\nsave = '{}'", text(model)),
+        true => format!("load = '{}'", text(model)),
+    };
+    chain::run(&place.path(""), &stand_in(), &calibrate);
+    let (are_same, score) = chain::compare(&place.path(""), &truth);
+    assert!(are_same, "{}: the doors differ", spec.name);
+    score
+}
+
+#[test]
+fn ten_scenes_come_back_by_both_doors() {
+    let models = Place::new();
+    let (mut echoes, mut right) = (0, 0);
+    for (seed, spec) in (100..).zip(SCENES) {
+        let score = through(spec, seed, &models.path("model.json"));
+        println!("{}: {score}", spec.name);
+        // 1500 m are 4.003 intervals, and the highest flight is at 3000 m.
+        assert!((4..=7).contains(&score.zone_most), "{}: {score}", spec.name);
+        // Pulses of 15 to 160 digitiser steps in a noise of one: a tenth of a nanosecond at the weakest.
+        assert!(quantile(&score.range_errors_m, 50) < 0.004, "{}: {score}", spec.name);
+        assert!(quantile(&score.range_errors_m, 99) < 0.02, "{}: {score}", spec.name);
+        let beyond_m = score.worst_beyond_range_m;
+        assert!(beyond_m < 1e-3, "{}: {beyond_m} m are not the range's", spec.name);
+        (echoes, right) = (echoes + score.echoes, right + score.right);
+    }
+    println!("{right} of {echoes} right");
+    assert!(echoes > 11_000);
+    assert!(right as f64 >= 0.999 * echoes as f64, "{right} of {echoes}");
+}
