@@ -5,7 +5,7 @@
 
 use super::sensor_model::ChannelModel;
 
-/// Error of the response behind a pulse that overdrives the receiver.
+/// Error of the response from a pulse on that overdrives the receiver; before it there is nothing that it could bend.
 const OVERDRIVEN_ERROR: f64 = 0.06;
 /// The template error is the greatest within so many widths (4 ns of 4.4).
 const ENVELOPE_WIDTHS: f64 = 0.9;
@@ -23,6 +23,8 @@ pub(super) struct Allowance {
     far_error: f64,
     overdriven_error: f64,
     overdriven_dn: f64,
+    /// Lag from which the receiver is overdriven: where the main lobe begins.
+    overdriven_from: f64,
     noise_sd_dn: f64,
     /// Lag of the first entry of the tables, samples.
     first_lag: i64,
@@ -54,6 +56,7 @@ impl Allowance {
             far_error,
             overdriven_error: OVERDRIVEN_ERROR.max(least_error),
             overdriven_dn,
+            overdriven_from: LOBE_WIDTHS.start * fwhm,
             noise_sd_dn: model.noise_sd_dn,
             first_lag: first_sample - margin,
             errors: Vec::new(),
@@ -78,7 +81,7 @@ impl Allowance {
     /// The error of the response so many samples behind a pulse, as part of its height.
     #[inline(always)]
     fn error(&self, height_dn: f64, lag_samples: f64) -> f64 {
-        if self.overdrives(height_dn) {
+        if self.overdrives(height_dn) && lag_samples > self.overdriven_from {
             return self.overdriven_error;
         }
         let index = lag_samples.round() as i64 - self.first_lag;
@@ -152,8 +155,11 @@ mod tests {
         {
             assert!((raise(lag) - (1.0 + f64::powi(error * 100.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{lag}");
         }
-        let overdriven = allowance.raise(40.0, 10.0, 0.5, [(30.0, 201.0)].into_iter());
-        assert!((overdriven - (1.0 + f64::powi(0.06 * 201.0 * 0.5, 2)).sqrt()).abs() < 1e-12);
+        // Before its main lobe an overdriven receiver is like any other.
+        for (place, error) in [(40.0, 0.06), (22.0, 0.06), (16.0, 0.005)] {
+            let raised = allowance.raise(place, 10.0, 0.5, [(30.0, 201.0)].into_iter());
+            assert!((raised - (1.0 + f64::powi(error * 201.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{place}");
+        }
         let weaker = allowance.raise(31.0, 150.0, 0.5, [(30.0, 100.0)].into_iter());
         assert_eq!(weaker, 1.0);
         assert!(allowance.overdrives(201.0) && !allowance.overdrives(200.0));
