@@ -13,6 +13,7 @@ mod descriptor;
 mod extra_bytes;
 mod header;
 mod lax;
+mod nearest;
 mod packet_writer;
 mod packets;
 mod point;

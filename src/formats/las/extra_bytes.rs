@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::nearest::nearest;
 use super::vlr::Vlr;
 use crate::formats::Result;
 use crate::formats::bytes::Fields;
@@ -80,7 +81,7 @@ pub fn quantise(value: f64, attribute: &ExtraAttribute) -> i64 {
         return attribute.nan.clamp(least, largest);
     }
     let steps = (value - attribute.offset.unwrap_or(0.0)) / attribute.scale.unwrap_or(1.0);
-    (steps.round() as i64).clamp(least, largest)
+    nearest(steps).clamp(least, largest)
 }
 
 impl ExtraAttribute {

@@ -1,5 +1,6 @@
 //! Points to be written: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
 
+use super::nearest::nearest;
 use super::point::{Layout, SCAN_ANGLE_STEP_DEG, Wave};
 
 /// Largest scan angle of formats 6 to 10 in their steps: 180 degrees.
@@ -101,8 +102,8 @@ impl PointOut {
     }
 
     fn scan_angle_steps(&self) -> i16 {
-        let steps = (f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG).round();
-        steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX) as i16
+        let steps = f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG;
+        nearest(steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX)) as i16
     }
 
     /// The 29 bytes on the waveform.

@@ -1,6 +1,7 @@
 //! Writing LAS and LAZ with extra attributes and waveforms: LAS 1.4 R15 with point formats 6 and 9, LAS 1.2 and 1.3 with
 //! point formats 1 and 4.
 
+mod compression;
 mod header;
 mod options;
 mod records;
@@ -8,15 +9,13 @@ mod records;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use laz::laszip::ChunkTable;
-use laz::laszip::parallel::par_compress;
-use laz::{LasZipError, LazVlr};
-
 use super::descriptor::Descriptor;
-use super::lax::{self, Lax};
+use super::lax::Lax;
+use super::nearest::nearest;
 use super::point::Layout;
 use super::point_out::PointOut;
 use crate::formats::{Error, Result};
+use compression::Compression;
 use header::{Shape, Totals};
 pub use options::{IndexPlace, Version, WavePlace, WriterOptions};
 use records::Records;
@@ -54,16 +53,6 @@ pub struct Writer<W> {
     descriptors_at: u64,
 }
 
-/// State of a LAZ file: its chunks so far.
-struct Compression {
-    laz: LazVlr,
-    table: ChunkTable,
-    /// Where the place of the chunk table is to be noted.
-    table_offset_at: u64,
-    /// Where the place of the index is to be noted.
-    special_evlrs_at: u64,
-}
-
 impl<W: Write + Seek> Writer<W> {
     /// Writes all that stands before the points. `path` names the file in errors, and its extension decides between LAS
     /// and LAZ.
@@ -99,11 +88,9 @@ impl<W: Write + Seek> Writer<W> {
             extra_bytes: options.extra_bytes(),
             slab: Vec::with_capacity(slab * record_length),
             slab_bytes: slab * record_length,
-            compression: laz.map(|laz| Compression {
-                special_evlrs_at: (header_bytes + records.special_evlrs_at) as u64,
-                laz,
-                table: ChunkTable::default(),
-                table_offset_at: offset_to_points as u64,
+            compression: laz.map(|laz| {
+                let special_evlrs_at = (header_bytes + records.special_evlrs_at) as u64;
+                Compression::new(laz, offset_to_points as u64, special_evlrs_at, options.threads)
             }),
             index: (options.index != IndexPlace::None).then(|| Lax::new(options.scale[0])),
             totals: Totals::new(),
@@ -178,7 +165,7 @@ impl<W: Write + Seek> Writer<W> {
         index: Option<Vec<u8>>,
     ) -> io::Result<()> {
         let sink = &mut self.sink;
-        if let Some(compression) = &self.compression {
+        if let Some(compression) = &mut self.compression {
             compression.end(sink)?;
         }
         let packets_at = sink.seek(SeekFrom::End(0))?;
@@ -205,9 +192,11 @@ impl<W: Write + Seek> Writer<W> {
     }
 
     fn steps(&self, xyz: [f64; 3], axis: usize) -> Result<i32> {
-        let steps = ((xyz[axis] - self.offset[axis]) / self.scale[axis]).round();
-        if steps >= f64::from(i32::MIN) && steps <= f64::from(i32::MAX) {
-            return Ok(steps as i32);
+        let steps = (xyz[axis] - self.offset[axis]) / self.scale[axis];
+        if steps.is_finite()
+            && let Ok(steps) = i32::try_from(nearest(steps))
+        {
+            return Ok(steps);
         }
         let problem = format!(
             "point {} at {xyz:?} cannot be stored: {} = {} is too far from the offset {} for steps of {}",
@@ -235,44 +224,12 @@ impl<W: Write + Seek> Writer<W> {
         }
         let io = Error::io(&self.path, "write");
         match &mut self.compression {
-            None => self.sink.write_all(&self.slab).map_err(io)?,
-            Some(compression) => {
-                let table = par_compress(&mut self.sink, &self.slab, &compression.laz);
-                compression.table.extend(&table.map_err(into_io).map_err(io)?);
+            Some(compression) => compression.put(&mut self.slab, &mut self.sink).map_err(io),
+            None => {
+                self.sink.write_all(&self.slab).map_err(io)?;
+                self.slab.clear();
+                Ok(())
             }
         }
-        self.slab.clear();
-        Ok(())
-    }
-}
-
-impl Compression {
-    /// Writes the chunk table, and notes before the first chunk where it is.
-    fn end(&self, sink: &mut (impl Write + Seek)) -> io::Result<()> {
-        let table_at = sink.stream_position()?;
-        self.table.write_to(&mut *sink, &self.laz)?;
-        sink.seek(SeekFrom::Start(self.table_offset_at))?;
-        sink.write_all(&table_at.to_le_bytes())
-    }
-
-    /// Writes the index behind all else, and notes in the LASzip record that it is there.
-    fn append(&self, sink: &mut (impl Write + Seek), index: &[u8]) -> io::Result<()> {
-        let at = sink.seek(SeekFrom::End(0))?;
-        sink.write_all(&records::evlr(
-            lax::USER_ID,
-            lax::RECORD_ID,
-            "LAX spatial indexing (LASindex)",
-            index,
-        ))?;
-        sink.seek(SeekFrom::Start(self.special_evlrs_at))?;
-        sink.write_all(&1i64.to_le_bytes())?;
-        sink.write_all(&at.to_le_bytes())
-    }
-}
-
-fn into_io(error: LasZipError) -> io::Error {
-    match error {
-        LasZipError::IoError(error) => error,
-        other => io::Error::other(other),
     }
 }

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use laz::{LazItemType, LazVlr, LazVlrBuilder};
 
+use super::CHUNK;
+use super::compression::into_io;
 use super::options::{WavePlace, WriterOptions};
-use super::{CHUNK, into_io};
 use crate::formats::las::descriptor::{DESCRIPTOR_BYTES, Descriptor, FIRST_DESCRIPTOR};
 use crate::formats::las::extra_bytes::ExtraAttribute;
 use crate::formats::las::packet_writer::MOST_KINDS;
