@@ -224,10 +224,8 @@ impl Decomposer {
         }
         self.find_candidates(samples);
         if !self.scene.found.is_empty() {
-            // As far as what is added turns on; then whatever is there to the end.
-            self.scene.fit_all_roughly();
-            self.add_from_residual();
             self.scene.fit_all();
+            self.add_from_residual();
             self.prune();
         }
         self.report(samples)

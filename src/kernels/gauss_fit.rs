@@ -133,7 +133,7 @@ pub struct Limits {
     /// Converged is what the next step promises to lower chi-square by less than this; the square of what is left to
     /// go, in standard deviations of the parameters.
     pub decrease: f64,
-    /// A fit is given up where even [`REACH`] times what the next step promises would leave chi-square, with the priors'
+    /// A fit is given up where even eight times what the next step promises would leave chi-square, with the priors'
     /// part, above this.
     pub enough: f64,
 }

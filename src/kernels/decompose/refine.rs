@@ -32,6 +32,9 @@ impl Decomposer {
             self.counts.n_added += 1;
             self.refined_twice = true;
         }
+        if self.counts.n_added > 0 {
+            self.scene.fit_all();
+        }
     }
 
     /// Adds a pulse at one of the residual's greatest maxima.

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::kernels::decompose::Return;
+use crate::kernels::flags;
 use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::noise::ArNoise;
 use crate::kernels::response::{ResponseNode, SystemResponse};
@@ -161,6 +162,26 @@ fn mixture(model: &ChannelModel) -> Vec<Vec<u16>> {
         waveforms.push(block(model, &shape, &mut random, samples, &pulses));
     }
     waveforms
+}
+
+/// What overdrives the receiver bends nothing that came before it.
+#[test]
+fn an_echo_before_an_overdriven_one_stays() {
+    let model = model();
+    let shape = Shape::of(&model).unwrap();
+    let mut random = Random::new(5);
+    let pulses = [pulse(25.0, 9.0, 1.0), pulse(225.0, 38.0, 1.0)];
+    let waveforms: Vec<_> = (0..20).map(|_| block(&model, &shape, &mut random, SAMPLES, &pulses)).collect();
+    let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
+    let outcomes = decompose(&mut fast(&model, Mode::Refined, Path::best()), &waveforms);
+    for (outcome, samples) in outcomes.iter().zip(&waveforms) {
+        for returns in [outcome.returns, plain.decompose(samples, 0).returns] {
+            let places: Vec<f64> = returns.iter().map(|r| r.position_samples).collect();
+            assert_eq!(places.len(), 2, "{places:?}");
+            assert!((places[0] - 9.0).abs() < 0.5 && (places[1] - 38.0).abs() < 0.5, "{places:?}");
+            assert!(returns[1].flags & flags::OVERDRIVEN != 0);
+        }
+    }
 }
 
 #[test]
