@@ -25,7 +25,8 @@ pub(super) struct Allowance {
     overdriven_dn: f64,
     /// Lag from which the receiver is overdriven: where the main lobe begins.
     overdriven_from: f64,
-    noise_sd_dn: f64,
+    /// One over the standard deviation of the noise, 1/DN.
+    per_noise_sd: f64,
     /// Lag of the first entry of the tables, samples.
     first_lag: i64,
     /// Error of the response by whole sample of time after the peak, as part of the height.
@@ -57,7 +58,7 @@ impl Allowance {
             overdriven_error: OVERDRIVEN_ERROR.max(least_error),
             overdriven_dn,
             overdriven_from: LOBE_WIDTHS.start * fwhm,
-            noise_sd_dn: model.noise_sd_dn,
+            per_noise_sd: model.noise_sd_dn.recip(),
             first_lag: first_sample - margin,
             errors: Vec::new(),
             squares: vec![0.0],
@@ -120,7 +121,7 @@ impl Allowance {
         let first = -(position_samples.round() as i64) - self.first_lag;
         let last = self.squares.len() as i64 - 1;
         let at = |index: i64| self.squares[index.clamp(0, last) as usize];
-        (height_dn / self.noise_sd_dn).powi(2) * (at(first + samples as i64) - at(first))
+        (height_dn * self.per_noise_sd).powi(2) * (at(first + samples as i64) - at(first))
     }
 }
 

@@ -36,6 +36,7 @@ macro_rules! unrolled {
 mod batch;
 mod candidates;
 mod columns;
+mod detection;
 mod fit;
 mod gate;
 mod jobs;
@@ -67,10 +68,11 @@ pub use tables::Tables;
 pub use vector::Path;
 pub(super) use vector::{Kernel, Simd};
 
-use batch::{Decompose, Detect, Workspace};
+use batch::{Decompose, Workspace};
+use detection::Detect;
 use limits::Limits;
 use outcome::{Finish, Give};
-use rows::BATCH;
+use rows::{BATCH, FAST_BATCH};
 use scene::{Scene, Way};
 
 /// A deviation ratio beyond this calls for refinement.
@@ -165,7 +167,9 @@ impl Lockstep {
     pub fn decompose(&mut self, blocks: &[Block<'_>], outcomes: &mut Outcomes) {
         outcomes.clear();
         self.work.make_room(blocks);
-        for blocks in blocks.chunks(self.work.rows.batch()) {
+        let refines = self.mode == Mode::Refined || self.refine_when_needed;
+        let batch = self.work.rows.batch().min(if refines { BATCH } else { FAST_BATCH });
+        for blocks in blocks.chunks(batch) {
             self.batch(blocks, outcomes);
         }
     }

@@ -3,6 +3,7 @@
 use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
+use super::detection::{Begin, DetectAll};
 use super::fit::{FittedPulse, Job};
 use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
@@ -13,7 +14,7 @@ use super::tables::Tables;
 use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
 use crate::kernels::calibrate::Block;
-use crate::kernels::decompose::{Counts, DecomposeSettings, Decomposer};
+use crate::kernels::decompose::{DecomposeSettings, Decomposer};
 use crate::kernels::flags;
 
 /// What a thread keeps from batch to batch.
@@ -137,44 +138,14 @@ impl Decompose<'_> {
 
     /// Loads, filters and whitens all blocks, and starts a scene for each with its candidates.
     fn detect(&mut self) {
-        let threshold = self.limits.least_sigma as f32;
-        let Workspace { rows, columns, candidates: out, scenes, .. } = &mut *self.work;
-        self.on.run(Detect { tables: self.tables, rows, columns, blocks: self.blocks, threshold, out });
-        scenes.resize_with(self.blocks.len(), Scene::default);
-        for i in 0..self.blocks.len() {
-            let found = &mut self.work.candidates[i];
-            found.drop_weak(self.settings.detection_sigma as f32);
-            found.screen(threshold, self.tables.fwhm_samples as f32, &self.limits.echo, self.limits.per_dn);
-            self.begin(i);
-        }
-    }
-
-    /// The first pulses of a waveform: its candidates.
-    fn begin(&mut self, row: usize) {
-        let (block, found) = (&self.blocks[row], &self.work.candidates[row]);
-        let scene = &mut self.work.scenes[row];
-        scene.reset();
-        let saturated = self.full_scale_dn.ceil().clamp(0.0, 65_535.0) as u16;
-        let [lowest, highest] = found.extremes;
-        let is_cut_off = highest >= saturated || (lowest == 0 && self.clear_of_zero);
-        let is_long = block.samples.len() > self.work.rows.capacity();
-        if is_cut_off || is_long || found.too_many || !block.start_phase.is_multiple_of(4) {
-            scene.give_up();
-            return;
-        }
-        // The candidates are sorted by strength: of too many the strongest are kept.
-        let kept = found.as_slice();
-        let kept = &kept[..kept.len().min(self.settings.max_returns)];
-        scene.counts = Counts {
-            n_candidates: found.found as u32,
-            np_filtered: (found.found - kept.len()) as u32,
-            ..Counts::default()
+        let Workspace { rows, columns, scenes, .. } = &mut *self.work;
+        let begin = Begin {
+            limits: self.limits,
+            settings: self.settings,
+            saturated: self.full_scale_dn.ceil().clamp(0.0, 65_535.0) as u16,
+            clear_of_zero: self.clear_of_zero,
         };
-        for candidate in kept {
-            let height = candidate.statistic / self.limits.per_dn;
-            scene.push(Pulse::of_calibrated_width(height, candidate.position_samples));
-        }
-        scene.sort();
+        self.on.run(DetectAll { tables: self.tables, rows, columns, blocks: self.blocks, begin, scenes });
     }
 
     /// The clusters of all waveforms are to be fitted.
@@ -198,51 +169,65 @@ impl Decompose<'_> {
 
     /// Takes all pulses off their waveform's row, where they are not yet.
     fn take_off_all(&mut self, row: usize) {
+        self.take_off_all_but(row, None);
+    }
+
+    /// Takes all pulses but one off their waveform's row, where they are not yet.
+    fn take_off_all_but(&mut self, row: usize, kept: Option<usize>) {
         let scene = &mut self.work.scenes[row];
         if !scene.taken_off {
             scene.taken_off = true;
-            for pulse in scene.pulses() {
-                add(self.on, self.tables, &mut self.work.rows, row, pulse.values(), -1.0);
+            for (number, pulse) in scene.pulses().iter().enumerate() {
+                if kept != Some(number) {
+                    add(self.on, self.tables, &mut self.work.rows, row, pulse.values(), -1.0);
+                }
             }
         }
     }
 
-    /// One step on each pulse, or on those that overlap no other.
+    /// One step on each pulse, or on those that overlap no other: the first of each waveform, then the second, and so on.
     fn step_each(&mut self, separated: bool) {
         let fwhm = self.fwhm();
         let mut jobs = std::mem::take(&mut self.work.singles);
-        let most = self.work.scenes.iter().map(|scene| scene.pulses().len()).max().unwrap_or(0);
-        for number in 0..most {
+        let mut round = std::mem::take(&mut self.work.round);
+        round.clear();
+        round.extend(0..self.work.scenes.len());
+        for number in 0..MAX_PULSES {
             jobs.clear();
-            for row in 0..self.work.scenes.len() {
+            round.retain(|&row| {
+                let scene = &self.work.scenes[row];
+                scene.way == Way::Fast && number < scene.pulses().len()
+            });
+            if round.is_empty() {
+                break;
+            }
+            for &row in &round {
                 let scene = &self.work.scenes[row];
                 let pulses = scene.pulses().len();
-                if scene.way == Way::Plain || number >= pulses {
-                    continue;
-                }
-                let overlaps = (number > 0 && scene.overlap(number - 1, number, fwhm))
-                    || (number + 1 < pulses && scene.overlap(number, number + 1, fwhm));
                 let values = scene.pulses()[number].values();
                 if pulses > 1 {
-                    self.take_off_all(row);
-                }
-                if overlaps && separated {
-                    continue;
-                }
-                if pulses > 1 {
-                    add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
+                    let overlaps = (number > 0 && scene.overlap(number - 1, number, fwhm))
+                        || (number + 1 < pulses && scene.overlap(number, number + 1, fwhm));
+                    let is_stepped = !(overlaps && separated);
+                    let is_on = is_stepped && !scene.taken_off;
+                    self.take_off_all_but(row, Some(number).filter(|_| is_on));
+                    if !is_stepped {
+                        continue;
+                    }
+                    if !is_on {
+                        add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
+                    }
                 }
                 jobs.push(Job { row, pulses: [values], aim: Aim::OPTIMUM });
             }
             self.step_group(&mut jobs, number);
         }
-        self.work.singles = jobs;
+        (self.work.singles, self.work.round) = (jobs, round);
     }
 
     fn step_group(&mut self, jobs: &mut [Job<1>], number: usize) {
         let (on, tables) = (self.on, self.tables);
         let Workspace { rows, scenes, stepped, queues, .. } = &mut *self.work;
-        on.run(FromBank { tables, rows, jobs });
         on.run(OneStep { tables, rows, jobs, out: stepped });
         for (job, stepped) in jobs.iter().zip(stepped) {
             let scene = &mut scenes[job.row];
@@ -361,72 +346,6 @@ impl Decompose<'_> {
         for (&row, square) in which.iter().zip(squares) {
             scenes[row].chi_square = *square;
             scenes[row].samples = rows.counted(row);
-        }
-    }
-}
-
-/// Loads, filters and whitens blocks, and finds the candidates of each.
-pub(super) struct Detect<'a> {
-    pub(super) tables: &'a Tables,
-    pub(super) rows: &'a mut Rows,
-    pub(super) columns: &'a mut Columns,
-    pub(super) blocks: &'a [Block<'a>],
-    pub(super) threshold: f32,
-    pub(super) out: &'a mut Vec<Candidates>,
-}
-
-impl Kernel for Detect<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self, s: S) {
-        let Detect { tables, rows, columns, threshold, out, .. } = self;
-        // In place: what is written value by value and read at once as a whole is slow.
-        out.resize_with(self.blocks.len(), Candidates::default);
-        let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
-        for (group, (blocks, out)) in groups.enumerate() {
-            let mut samples: [&[u16]; LANES] = [&[]; LANES];
-            for (samples, block) in samples.iter_mut().zip(blocks) {
-                *samples = block.samples;
-            }
-            let extremes = columns.load(s, tables, &samples[..blocks.len()]);
-            columns.whiten(s, tables, rows, group * LANES, blocks.len());
-            columns.filter_samples(s, tables);
-            columns.mark_maxima(s, threshold);
-            for (lane, (extremes, found)) in extremes.into_iter().zip(out).enumerate() {
-                found.find(s, columns, lane, threshold);
-                found.extremes = extremes;
-            }
-        }
-    }
-}
-
-/// The candidates in what the pulses of some waveforms leave.
-pub(super) struct Search<'a> {
-    pub(super) tables: &'a Tables,
-    pub(super) rows: &'a Rows,
-    pub(super) columns: &'a mut Columns,
-    pub(super) which: &'a [usize],
-    pub(super) threshold: f32,
-    pub(super) out: &'a mut Vec<Candidates>,
-}
-
-impl Kernel for Search<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self, s: S) {
-        let Search { tables, rows, columns, threshold, out, .. } = self;
-        out.resize_with(self.which.len(), Candidates::default);
-        for (which, out) in self.which.chunks(LANES).zip(out.chunks_mut(LANES)) {
-            let mut lanes = [which[0]; LANES];
-            lanes[..which.len()].copy_from_slice(which);
-            columns.load_residuals(s, rows, &lanes);
-            columns.filter_residuals(s, tables);
-            columns.mark_maxima(s, threshold);
-            for (lane, found) in out.iter_mut().enumerate() {
-                found.find(s, columns, lane, threshold);
-            }
         }
     }
 }

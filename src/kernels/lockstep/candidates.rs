@@ -108,23 +108,29 @@ impl Candidates {
         (self.count, self.found) = (kept, kept);
     }
 
-    /// Sorts by strength and drops what is no more than stronger ones leave behind them: `echo` is the statistic that a
-    /// pulse of height 1 leaves by whole sample behind its peak, `per_dn` the statistic of its peak.
-    pub(super) fn screen(&mut self, threshold: f32, fwhm_samples: f32, echo: &[f32], per_dn: f32) {
+    /// Drops what is no more than stronger candidates leave behind them; `per_dn` is the statistic of a pulse of height 1.
+    /// They are in order of position.
+    #[inline(always)]
+    pub(super) fn screen(&mut self, threshold: f32, left: &LeftBehind, per_dn: f32) {
         if self.count < 2 {
             return;
         }
-        self.all[..self.count].sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
-        let told = TOLD_WIDTHS as f32 * fwhm_samples;
+        let statistics = self.as_slice().iter().map(|c| c.statistic);
+        let weakest = statistics.clone().fold(f32::INFINITY, f32::min);
+        let others = statistics.sum::<f32>() - weakest;
+        if weakest - others / per_dn * left.most < threshold {
+            self.screen_each(threshold, left, per_dn);
+        }
+    }
+
+    fn screen_each(&mut self, threshold: f32, left: &LeftBehind, per_dn: f32) {
+        self.sort_by_strength();
         let mut kept = 0;
         for i in 0..self.count {
             let candidate = self.all[i];
-            let left: f32 = self.all[..kept]
-                .iter()
-                .map(|stronger| {
-                    let lag = candidate.position_samples - stronger.position_samples;
-                    if lag > told { stronger.statistic / per_dn * interpolated(echo, lag) } else { 0.0 }
-                })
+            let stronger = self.all[..kept].iter();
+            let left: f32 = stronger
+                .map(|s| s.statistic / per_dn * left.at(candidate.position_samples - s.position_samples))
                 .sum();
             if candidate.statistic - left >= threshold {
                 self.all[kept] = candidate;
@@ -132,13 +138,55 @@ impl Candidates {
             }
         }
         self.count = kept;
+        self.sort_by_position();
+    }
+
+    /// Keeps the strongest where there are more than so many. They are in order of position.
+    #[inline(always)]
+    pub(super) fn keep_strongest(&mut self, most: usize) {
+        if self.count > most {
+            self.sort_by_strength();
+            self.count = most;
+            self.sort_by_position();
+        }
+    }
+
+    fn sort_by_strength(&mut self) {
+        self.all[..self.count].sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
+    }
+
+    fn sort_by_position(&mut self) {
+        self.all[..self.count].sort_unstable_by(|a, b| a.position_samples.total_cmp(&b.position_samples));
     }
 }
 
-fn interpolated(echo: &[f32], lag: f32) -> f32 {
-    let at = |k: usize| echo.get(k).copied().unwrap_or(0.0);
-    let (k, part) = (lag as usize, lag.fract());
-    (1.0 - part) * at(k) + part * at(k + 1)
+/// The statistic that a pulse of height 1 leaves behind itself.
+pub(super) struct LeftBehind {
+    /// By whole sample behind the peak.
+    echo: Vec<f32>,
+    /// From so many samples on; what is nearer is told by its own maximum.
+    from_samples: f32,
+    /// The greatest value from there on.
+    most: f32,
+}
+
+impl LeftBehind {
+    /// `echo` is the statistic by whole sample behind the peak.
+    pub(super) fn new(echo: Vec<f32>, fwhm_samples: f64) -> LeftBehind {
+        let from_samples = TOLD_WIDTHS as f32 * fwhm_samples as f32;
+        let behind = echo.get(from_samples as usize..).unwrap_or_default();
+        let most = behind.iter().copied().fold(0.0, f32::max);
+        LeftBehind { echo, from_samples, most }
+    }
+
+    fn at(&self, lag_samples: f32) -> f32 {
+        if lag_samples <= self.from_samples {
+            return 0.0;
+        }
+        let at = |k: usize| self.echo.get(k).copied().unwrap_or(0.0);
+        let (k, part) = (lag_samples as usize, lag_samples.fract());
+        (1.0 - part) * at(k) + part * at(k + 1)
+    }
 }
 
 /// Whether the statistic between two maxima falls so far below the lower one.

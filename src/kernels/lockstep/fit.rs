@@ -266,7 +266,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         let mut promised = zero;
         let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
         for _ in 0..=iterations {
-            let next = self.evaluate::<STRONG>(&trial, &mut inside);
+            let next = self.evaluate::<STRONG>(&trial, active, &mut inside);
             let better = active & s.ge(point.objective, next.objective);
             for p in 0..P {
                 pulses[p] = trial[p].select(s, better, pulses[p]);
@@ -324,11 +324,13 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         step
     }
 
-    /// The equations at sixteen points; takes lanes whose pulses are too far apart for the frame out of `inside`.
+    /// The equations at the points of some lanes, the other lanes' being what they happen to be; takes lanes whose pulses
+    /// are too far apart for the frame out of `inside`.
     #[inline(always)]
     fn evaluate<const STRONG: bool>(
         &mut self,
         pulses: &[Pulses<S::V>; P],
+        lanes: u16,
         inside: &mut u16,
     ) -> Point<S::V, N> {
         let s = self.s;
@@ -336,7 +338,10 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         for (sites, pulse) in sites.iter_mut().zip(pulses) {
             sites.set(s, pulse);
         }
-        for w in 0..LANES {
+        let mut left = lanes;
+        while left != 0 {
+            let w = left.trailing_zeros() as usize % LANES;
+            left &= left - 1;
             let mut of_pulse = [Site::default(); P];
             for (site, sites) in of_pulse.iter_mut().zip(&sites) {
                 *site = sites.get::<STRONG>(self.tables, w);

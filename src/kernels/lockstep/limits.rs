@@ -1,5 +1,6 @@
 //! What a pulse must reach to be a return.
 
+use super::candidates::LeftBehind;
 use super::scene::{Pulse, Scene};
 use super::tables::BEFORE_PEAK;
 use crate::kernels::allowance::Allowance;
@@ -19,8 +20,8 @@ const LEFT_OUT_SD: f32 = 0.5;
 
 /// Thresholds of one channel.
 pub(super) struct Limits {
-    /// The matched filter's statistic by whole sample behind a pulse of height 1.
-    pub(super) echo: Vec<f32>,
+    /// The matched filter's statistic behind a pulse of height 1.
+    pub(super) left_behind: LeftBehind,
     /// The statistic of a whole pulse of height 1.
     pub(super) per_dn: f32,
     pub(super) allowance: Allowance,
@@ -51,8 +52,9 @@ impl Limits {
         let left_out = f64::from(LEFT_OUT_SD) * model.noise_sd_dn / held_height_dn;
         let held_sd_samples = f64::from(BEFORE_PEAK) / (-2.0 * left_out.min(0.5).ln()).sqrt();
         let overdriven_dn = settings.overdriven_part * model.full_scale_dn;
+        let echo = (0..ECHO_SAMPLES).map(|lag| detector.echo(lag as f64) as f32).collect();
         Ok(Limits {
-            echo: (0..ECHO_SAMPLES).map(|lag| detector.echo(lag as f64) as f32).collect(),
+            left_behind: LeftBehind::new(echo, model.fwhm_samples()),
             per_dn: detector.full_significance_per_dn() as f32,
             allowance: Allowance::new(model, settings.template_error, overdriven_dn),
             detection_sigma: settings.detection_sigma,
@@ -81,10 +83,16 @@ impl Limits {
     /// The threshold at a place, raised by what pulses higher than `height_dn` leave there; another one behind all others.
     #[inline(always)]
     pub(super) fn threshold(&self, scene: &Scene, position: f32, height_dn: f32) -> f64 {
+        self.sigma(scene, position) * self.raise(scene, position, height_dn)
+    }
+
+    /// The threshold at a place where no pulse leaves anything.
+    #[inline(always)]
+    fn sigma(&self, scene: &Scene, position: f32) -> f64 {
+        let Some(of_last) = self.detection_sigma_last else { return self.detection_sigma };
         let mut others = scene.pulses().iter().map(Pulse::position);
         let is_last = others.clone().any(|p| p < position) && others.all(|p| p <= position);
-        let sigma = self.detection_sigma_last.filter(|_| is_last).unwrap_or(self.detection_sigma);
-        sigma * self.raise(scene, position, height_dn)
+        if is_last { of_last } else { self.detection_sigma }
     }
 
     /// What became of a waveform, but for its returns.
@@ -133,7 +141,13 @@ impl Limits {
         let is_whole = position >= before && position <= samples as f64 - 1.0 - behind;
         let per_dn = if is_whole { f64::from(self.per_dn) } else { self.at_edge(position, samples) };
         let energy = f64::from(pulse.height() * pulse.width_ratio());
-        per_dn * energy >= self.threshold(scene, pulse.position(), pulse.height())
+        let alone = scene.pulses().len() == 1;
+        let threshold = if alone {
+            self.sigma(scene, pulse.position())
+        } else {
+            self.threshold(scene, pulse.position(), pulse.height())
+        };
+        per_dn * energy >= threshold
     }
 
     #[inline(never)]

@@ -137,9 +137,10 @@ impl Finish<'_> {
         let first = outcomes.returns.len();
         let fwhm_samples = self.model.fwhm_samples();
         let fwhm = fwhm_samples as f32;
+        let mut overlaps_last = false;
         for (i, pulse) in scene.pulses().iter().enumerate() {
-            let neighbours = [i.checked_sub(1), Some(i + 1).filter(|&j| j < scene.pulses().len())];
-            let overlaps = neighbours.into_iter().flatten().any(|j| scene.overlap(i, j, fwhm));
+            let overlaps_next = i + 1 < scene.pulses().len() && scene.overlap(i, i + 1, fwhm);
+            let overlaps = std::mem::replace(&mut overlaps_last, overlaps_next) || overlaps_next;
             let [height, position, _] = pulse.values().map(f64::from);
             let sds = pulse.sds.map(|sd| self.model.pulse_error_factor * f64::from(sd));
             let width_ratio = f64::from(pulse.width_ratio());

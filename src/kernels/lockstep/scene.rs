@@ -115,6 +115,7 @@ impl Scene {
     }
 
     /// A new waveform, without pulses.
+    #[inline(always)]
     pub(super) fn reset(&mut self) {
         let Scene {
             way,
@@ -140,6 +141,7 @@ impl Scene {
     }
 
     /// Adds a pulse behind the others; `false` where there is no room.
+    #[inline(always)]
     pub(super) fn push(&mut self, pulse: Pulse) -> bool {
         let Some(place) = self.pulses.get_mut(self.count) else { return false };
         *place = pulse;

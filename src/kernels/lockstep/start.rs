@@ -28,11 +28,11 @@ impl Kernel for FromBank<'_> {
     }
 }
 
-/// One step on each job.
+/// One step on each job, from where the bank has it.
 pub(super) struct OneStep<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
-    pub(super) jobs: &'a [Job<1>],
+    pub(super) jobs: &'a mut [Job<1>],
     pub(super) out: &'a mut Vec<Stepped>,
 }
 
@@ -41,9 +41,10 @@ impl Kernel for OneStep<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let mut sums = [[s.splat(0.0); LANES]; 4];
+        let (mut bank, mut sums) = ([[s.splat(0.0); LANES]; BANK], [[s.splat(0.0); LANES]; 4]);
         self.out.resize(self.jobs.len(), Stepped::NOTHING);
-        for (jobs, out) in self.jobs.chunks(LANES).zip(self.out.chunks_mut(LANES)) {
+        for (jobs, out) in self.jobs.chunks_mut(LANES).zip(self.out.chunks_mut(LANES)) {
+            from_bank(s, self.tables, self.rows, jobs, &mut bank);
             one_step(s, self.tables, self.rows, jobs, &mut sums, out);
         }
     }
@@ -172,7 +173,7 @@ fn one_step<S: Simd>(
     let mut inverse = [[0.0; LANES]; 6];
     let mut whole = [false; LANES];
     let mut counted = [0; LANES];
-    for w in 0..LANES {
+    for w in 0..jobs.len().min(LANES) {
         let site = sites.get::<true>(tables, w);
         for (inverse, value) in inverse.iter_mut().zip(tables.inverse_fisher(site.entry)) {
             inverse[w] = value;

@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use super::batch::{ChiSquares, Decompose, Search, Workspace};
+use super::batch::{ChiSquares, Decompose, Workspace};
+use super::detection::Search;
 use super::candidates::{Candidate, Candidates};
 use super::fit::FittedPulse;
 use super::gate::Scores;

@@ -1,0 +1,162 @@
+//! Detection: sixteen waveforms at a time from samples to candidates, and to the scenes that begin with them.
+
+use super::candidates::Candidates;
+use super::columns::Columns;
+use super::limits::Limits;
+use super::rows::Rows;
+use super::scene::{Pulse, Scene};
+use super::tables::Tables;
+use super::vector::{Kernel, LANES, Simd};
+use crate::kernels::calibrate::Block;
+use crate::kernels::decompose::{Counts, DecomposeSettings};
+
+/// Loads, filters and whitens blocks, and finds the candidates of each.
+pub(super) struct Detect<'a> {
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a mut Rows,
+    pub(super) columns: &'a mut Columns,
+    pub(super) blocks: &'a [Block<'a>],
+    pub(super) threshold: f32,
+    pub(super) out: &'a mut Vec<Candidates>,
+}
+
+impl Kernel for Detect<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let Detect { tables, rows, columns, threshold, out, .. } = self;
+        // In place: what is written value by value and read at once as a whole is slow.
+        out.resize_with(self.blocks.len(), Candidates::default);
+        let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
+        for (group, (blocks, out)) in groups.enumerate() {
+            detect(s, tables, rows, columns, blocks, group * LANES, threshold, out);
+        }
+    }
+}
+
+/// Detection on up to sixteen blocks, whose residuals are the rows from `first` on.
+#[inline(always)]
+fn detect<S: Simd>(
+    s: S,
+    tables: &Tables,
+    rows: &mut Rows,
+    columns: &mut Columns,
+    blocks: &[Block<'_>],
+    first: usize,
+    threshold: f32,
+    out: &mut [Candidates],
+) {
+    let mut samples: [&[u16]; LANES] = [&[]; LANES];
+    for (samples, block) in samples.iter_mut().zip(blocks) {
+        *samples = block.samples;
+    }
+    let extremes = columns.load(s, tables, &samples[..blocks.len()]);
+    columns.whiten(s, tables, rows, first, blocks.len());
+    columns.filter_samples(s, tables);
+    columns.mark_maxima(s, threshold);
+    for (lane, (extremes, found)) in extremes.into_iter().zip(out).enumerate() {
+        found.find(s, columns, lane, threshold);
+        found.extremes = extremes;
+    }
+}
+
+/// Detection on a batch's blocks, with a scene of its candidates for each.
+pub(super) struct DetectAll<'a> {
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a mut Rows,
+    pub(super) columns: &'a mut Columns,
+    pub(super) blocks: &'a [Block<'a>],
+    pub(super) begin: Begin<'a>,
+    pub(super) scenes: &'a mut Vec<Scene>,
+}
+
+impl Kernel for DetectAll<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let DetectAll { tables, rows, columns, begin, scenes, .. } = self;
+        let threshold = begin.limits.least_sigma as f32;
+        let mut found = [Candidates::default(); LANES];
+        scenes.resize_with(self.blocks.len(), Scene::default);
+        let groups = self.blocks.chunks(LANES).zip(scenes.chunks_mut(LANES));
+        for (group, (blocks, scenes)) in groups.enumerate() {
+            detect(s, tables, rows, columns, blocks, group * LANES, threshold, &mut found[..blocks.len()]);
+            for ((block, found), scene) in blocks.iter().zip(&mut found).zip(scenes) {
+                begin.begin(block, rows.capacity(), found, scene);
+            }
+        }
+    }
+}
+
+/// What candidates become pulses.
+pub(super) struct Begin<'a> {
+    pub(super) limits: &'a Limits,
+    pub(super) settings: &'a DecomposeSettings,
+    /// Samples from this one on are cut off.
+    pub(super) saturated: u16,
+    /// Whether the background is so high that a sample of 0 has been cut off.
+    pub(super) clear_of_zero: bool,
+}
+
+impl Begin<'_> {
+    /// The first pulses of a waveform: its candidates.
+    #[inline(always)]
+    fn begin(&self, block: &Block<'_>, capacity: usize, found: &mut Candidates, scene: &mut Scene) {
+        let Begin { limits, settings, .. } = self;
+        scene.reset();
+        let [lowest, highest] = found.extremes;
+        let is_cut_off = highest >= self.saturated || (lowest == 0 && self.clear_of_zero);
+        let is_long = block.samples.len() > capacity;
+        if is_cut_off || is_long || found.too_many || !block.start_phase.is_multiple_of(4) {
+            scene.give_up();
+            return;
+        }
+        if settings.detection_sigma > limits.least_sigma {
+            found.drop_weak(settings.detection_sigma as f32);
+        }
+        found.screen(limits.least_sigma as f32, &limits.left_behind, limits.per_dn);
+        found.keep_strongest(settings.max_returns);
+        let kept = found.as_slice();
+        scene.counts = Counts {
+            n_candidates: found.found as u32,
+            np_filtered: (found.found - kept.len()) as u32,
+            ..Counts::default()
+        };
+        for candidate in kept {
+            let height = candidate.statistic / limits.per_dn;
+            scene.push(Pulse::of_calibrated_width(height, candidate.position_samples));
+        }
+    }
+}
+
+/// The candidates in what the pulses of some waveforms leave.
+pub(super) struct Search<'a> {
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a Rows,
+    pub(super) columns: &'a mut Columns,
+    pub(super) which: &'a [usize],
+    pub(super) threshold: f32,
+    pub(super) out: &'a mut Vec<Candidates>,
+}
+
+impl Kernel for Search<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let Search { tables, rows, columns, threshold, out, .. } = self;
+        out.resize_with(self.which.len(), Candidates::default);
+        for (which, out) in self.which.chunks(LANES).zip(out.chunks_mut(LANES)) {
+            let mut lanes = [which[0]; LANES];
+            lanes[..which.len()].copy_from_slice(which);
+            columns.load_residuals(s, rows, &lanes);
+            columns.filter_residuals(s, tables);
+            columns.mark_maxima(s, threshold);
+            for (lane, found) in out.iter_mut().enumerate() {
+                found.find(s, columns, lane, threshold);
+            }
+        }
+    }
+}
