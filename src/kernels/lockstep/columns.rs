@@ -12,6 +12,8 @@ use super::vector::{LANES, Simd, Sixteen};
 const BEFORE: usize = 16;
 /// Empty rows behind the last sample.
 const BEHIND: usize = 32;
+/// Samples that are loaded at a time: two for each lane.
+const PAIRS: usize = 2 * LANES;
 /// Positions that are filtered at a time: their sums, the taps and a sample are what registers hold.
 const POSITIONS: usize = 8;
 
@@ -58,7 +60,7 @@ impl Columns {
             *lane = block.get(..self.capacity).unwrap_or(block);
         }
         let n = of_lane[0].len();
-        let alike = n >= LANES && of_lane.iter().all(|block| block.len() == n);
+        let alike = n >= PAIRS && of_lane.iter().all(|block| block.len() == n);
         self.set_lengths(of_lane.map(<[u16]>::len));
         let lengths: Sixteen = std::array::from_fn(|w| of_lane[w].len() as f32);
         let lengths = s.load(&lengths);
@@ -67,30 +69,38 @@ impl Columns {
             *level = s.splat(value);
         }
         let (mut lowest, mut highest) = (s.splat(f32::from(u16::MAX)), s.splat(0.0));
-        for start in (0..self.longest).step_by(LANES) {
-            // The last sixteen once more in part, rather than some with nothing behind.
-            let start = if alike { start.min(n - LANES) } else { start };
-            let mut values = [s.splat(0.0); LANES];
+        for start in (0..self.longest).step_by(PAIRS) {
+            // The last ones once more in part, rather than some with nothing behind.
+            let start = if alike { start.min(n - PAIRS) } else { start };
+            let mut pairs = [s.splat(0.0); LANES];
             for w in 0..LANES {
-                values[w] = s.widen(&padded(of_lane[w], start));
+                pairs[w] = s.pairs(&padded(of_lane[w], start));
             }
-            s.transpose(&mut values);
-            let Some(to) = rows_from_mut::<LANES>(&mut self.samples, BEFORE + start) else { break };
-            if alike {
-                for (k, (value, to)) in values.iter().zip(to).enumerate() {
-                    lowest = s.min(lowest, *value);
-                    highest = s.max(highest, *value);
-                    s.store(s.sub(*value, background[(start + k) % 4]), to);
-                }
-                continue;
-            }
-            for (k, (value, to)) in values.iter().zip(to).enumerate() {
-                let inside = s.gt(lengths, s.splat((start + k) as f32));
-                lowest = s.min(lowest, s.select(inside, *value, lowest));
-                highest = s.max(highest, s.select(inside, *value, highest));
-                let without = s.sub(*value, background[(start + k) % 4]);
-                s.store(s.select(inside, without, s.splat(0.0)), to);
-            }
+            s.transpose(&mut pairs);
+            let Some(to) = rows_from_mut::<PAIRS>(&mut self.samples, BEFORE + start) else { break };
+            let levels = [
+                background[start % 4],
+                background[(start + 1) % 4],
+                background[(start + 2) % 4],
+                background[(start + 3) % 4],
+            ];
+            unrolled!(k in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15] if LANES => {
+                let values = [s.first(pairs[k]), s.second(pairs[k])];
+                unrolled!(i in [0 1] if 2 => {
+                    let at = 2 * k + i;
+                    let without = s.sub(values[i], levels[at % 4]);
+                    if alike {
+                        lowest = s.min(lowest, values[i]);
+                        highest = s.max(highest, values[i]);
+                        s.store(without, &mut to[at]);
+                    } else {
+                        let inside = s.gt(lengths, s.splat((start + at) as f32));
+                        lowest = s.min(lowest, s.select(inside, values[i], lowest));
+                        highest = s.max(highest, s.select(inside, values[i], highest));
+                        s.store(s.select(inside, without, s.splat(0.0)), &mut to[at]);
+                    }
+                });
+            });
         }
         let (mut low, mut high): (Sixteen, Sixteen) = ([0.0; LANES], [0.0; LANES]);
         s.store(lowest, &mut low);
@@ -125,13 +135,30 @@ impl Columns {
         if filled > kept {
             self.samples.as_mut_slice()[kept..filled].fill(0.0);
         }
-        self.filled = self.longest.div_ceil(LANES) * LANES;
+        self.filled = self.longest.div_ceil(PAIRS) * PAIRS;
     }
 
     /// Whitens the samples into the residuals from row `first` on. The first samples, as many as the noise's order, have a
     /// whitening of their own, in which pulses are not taken off: they count as long as no pulse reaches them.
     #[inline(always)]
     pub(super) fn whiten<S: Simd>(&self, s: S, tables: &Tables, rows: &mut Rows, first: usize, count: usize) {
+        // Noise of a low order leaves the last taps empty.
+        if tables.order <= MAX_ORDER / 2 {
+            self.whiten_by::<S, { MAX_ORDER / 2 }>(s, tables, rows, first, count);
+        } else {
+            self.whiten_by::<S, MAX_ORDER>(s, tables, rows, first, count);
+        }
+    }
+
+    #[inline(always)]
+    fn whiten_by<S: Simd, const ORDER: usize>(
+        &self,
+        s: S,
+        tables: &Tables,
+        rows: &mut Rows,
+        first: usize,
+        count: usize,
+    ) {
         for (w, &length) in self.lengths.iter().enumerate().take(count) {
             rows.begin(first + w, length);
         }
@@ -147,7 +174,7 @@ impl Columns {
             let mut values = [s.splat(0.0); LANES];
             for (k, value) in values.iter_mut().enumerate() {
                 let mut sum = s.mul(taps[0], s.load(&inputs[MAX_ORDER + k]));
-                unrolled!(lag in [1 2 3 4] if MAX_ORDER + 1 => {
+                unrolled!(lag in [1 2 3 4] if ORDER + 1 => {
                     sum = s.fma(taps[lag], s.load(&inputs[MAX_ORDER + k - lag]), sum);
                 });
                 *value = sum;
@@ -313,14 +340,14 @@ fn rows_from_mut<const N: usize>(of: &mut Aligned, row: usize) -> Option<&mut [S
     of.as_mut_slice().as_chunks_mut::<LANES>().0.get_mut(row..)?.first_chunk_mut()
 }
 
-/// Sixteen samples from `start` on; zeros behind the last.
+/// Samples from `start` on; zeros behind the last.
 #[inline(always)]
-fn padded(block: &[u16], start: usize) -> [u16; LANES] {
+fn padded(block: &[u16], start: usize) -> [u16; PAIRS] {
     let rest = block.get(start..).unwrap_or_default();
     match rest.first_chunk() {
         Some(whole) => *whole,
         None => {
-            let mut out = [0; LANES];
+            let mut out = [0; PAIRS];
             out[..rest.len()].copy_from_slice(rest);
             out
         }

@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use super::batch::{ChiSquares, Decompose, Workspace};
-use super::detection::Search;
 use super::candidates::{Candidate, Candidates};
+use super::detection::Search;
 use super::fit::FittedPulse;
 use super::gate::Scores;
 use super::jobs::{Aim, add, take_off};

@@ -26,8 +26,12 @@ pub(in crate::kernels) trait Simd: Copy {
     fn splat(self, value: f32) -> Self::V;
     fn load(self, from: &Sixteen) -> Self::V;
     fn store(self, value: Self::V, to: &mut Sixteen);
-    /// Whole numbers as `f32`.
-    fn widen(self, from: &[u16; LANES]) -> Self::V;
+    /// Two neighbours in each lane, as bits: for [`Simd::transpose`], [`Simd::first`] and [`Simd::second`].
+    fn pairs(self, from: &[u16; 2 * LANES]) -> Self::V;
+    /// The first number of each lane's pair as `f32`.
+    fn first(self, pairs: Self::V) -> Self::V;
+    /// The second number of each lane's pair as `f32`.
+    fn second(self, pairs: Self::V) -> Self::V;
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
     fn sub(self, a: Self::V, b: Self::V) -> Self::V;
     fn mul(self, a: Self::V, b: Self::V) -> Self::V;
@@ -168,6 +172,9 @@ mod tests {
             ]);
             let halves = s.mul(s.round(v[5]), s.splat(0.5));
             let not_a_number = s.sqrt(s.splat(-1.0));
+            let numbers =
+                std::array::from_fn(|i| [0, 1, 255, 256, 4095, 32_768, 65_535, 9][i % 8] + i as u16 / 8);
+            let pairs = s.pairs(&numbers);
             let shown = [
                 s.add(v[0], v[1]),
                 s.sub(v[0], v[1]),
@@ -184,7 +191,8 @@ mod tests {
                 s.round(v[9]),
                 s.round(halves),
                 s.sum_each(&v),
-                s.widen(&[0, 1, 2, 3, 255, 256, 4095, 65535, 8, 9, 10, 11, 12, 13, 14, 15]),
+                s.first(pairs),
+                s.second(pairs),
             ];
             for value in shown {
                 let mut out = [0.0; LANES];
@@ -236,6 +244,27 @@ mod tests {
                 assert_eq!(*column, std::array::from_fn(|k| (16 * k + i) as f32), "{path:?}");
             }
             assert_eq!(bits, (0..64).step_by(5).fold(0, |bits, i| bits | 1u64 << i), "{path:?}");
+        }
+    }
+
+    #[test]
+    fn pairs_are_neighbours() {
+        struct Pairs;
+        impl Kernel for Pairs {
+            type Output = [Sixteen; 2];
+            fn run<S: Simd>(self, s: S) -> [Sixteen; 2] {
+                let pairs = s.pairs(&std::array::from_fn(|i| 65_535 - i as u16));
+                let mut out = [[0.0; LANES]; 2];
+                s.store(s.first(pairs), &mut out[0]);
+                s.store(s.second(pairs), &mut out[1]);
+                out
+            }
+        }
+        for path in Path::ALL {
+            let number = |i: usize| (65_535 - i) as f32;
+            let [first, second] = path.run(Pairs);
+            assert_eq!(first, std::array::from_fn(|i| number(2 * i)), "{path:?}");
+            assert_eq!(second, std::array::from_fn(|i| number(2 * i + 1)), "{path:?}");
         }
     }
 

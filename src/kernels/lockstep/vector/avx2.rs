@@ -168,12 +168,26 @@ impl Simd for Avx2 {
         bits
     }
     #[inline(always)]
-    fn widen(self, from: &[u16; LANES]) -> Pair {
-        let [low, high] = halves(from);
-        // SAFETY: as above; each half covers the 16 bytes that are read, at any alignment.
+    fn pairs(self, from: &[u16; 2 * LANES]) -> Pair {
+        let (low, high) = from.split_at(LANES);
+        // SAFETY: as above; each half covers the 32 bytes that are read, at any alignment.
+        unsafe { [low, high].map(|half| _mm256_castsi256_ps(_mm256_loadu_si256(half.as_ptr().cast()))) }
+    }
+    #[inline(always)]
+    fn first(self, pairs: Pair) -> Pair {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
         unsafe {
-            let (low, high) = (_mm_loadu_si128(low.cast()), _mm_loadu_si128(high.cast()));
-            [_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(low)), _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(high))]
+            let part = _mm256_set1_epi32(0xffff);
+            let [a, b] = [_mm256_castps_si256(pairs[0]), _mm256_castps_si256(pairs[1])];
+            [_mm256_cvtepi32_ps(_mm256_and_si256(a, part)), _mm256_cvtepi32_ps(_mm256_and_si256(b, part))]
+        }
+    }
+    #[inline(always)]
+    fn second(self, pairs: Pair) -> Pair {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe {
+            let [a, b] = [_mm256_castps_si256(pairs[0]), _mm256_castps_si256(pairs[1])];
+            [_mm256_cvtepi32_ps(_mm256_srli_epi32::<16>(a)), _mm256_cvtepi32_ps(_mm256_srli_epi32::<16>(b))]
         }
     }
     #[inline(always)]

@@ -119,9 +119,22 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
-    fn widen(self, from: &[u16; LANES]) -> __m512 {
-        // SAFETY: as above; the reference covers the 32 bytes that are read, at any alignment.
-        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(from.as_ptr().cast()))) }
+    fn pairs(self, from: &[u16; 2 * LANES]) -> __m512 {
+        // SAFETY: as above; the reference covers the 64 bytes that are read, at any alignment.
+        unsafe { _mm512_castsi512_ps(_mm512_loadu_si512(from.as_ptr().cast())) }
+    }
+    #[inline(always)]
+    fn first(self, pairs: __m512) -> __m512 {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe {
+            let low = _mm512_and_si512(_mm512_castps_si512(pairs), _mm512_set1_epi32(0xffff));
+            _mm512_cvtepi32_ps(low)
+        }
+    }
+    #[inline(always)]
+    fn second(self, pairs: __m512) -> __m512 {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe { _mm512_cvtepi32_ps(_mm512_srli_epi32::<16>(_mm512_castps_si512(pairs))) }
     }
     #[inline(always)]
     fn ge(self, a: __m512, b: __m512) -> u16 {

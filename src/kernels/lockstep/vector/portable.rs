@@ -55,8 +55,16 @@ impl Simd for Portable {
         masks.iter().rev().fold(0, |bits, mask| bits << 1 | u64::from(mask >> lane & 1))
     }
     #[inline(always)]
-    fn widen(self, from: &[u16; LANES]) -> Sixteen {
-        each!(i => f32::from(from[i]))
+    fn pairs(self, from: &[u16; 2 * LANES]) -> Sixteen {
+        each!(i => f32::from_bits(u32::from(from[2 * i]) | u32::from(from[2 * i + 1]) << 16))
+    }
+    #[inline(always)]
+    fn first(self, pairs: Sixteen) -> Sixteen {
+        each!(i => (pairs[i].to_bits() & 0xffff) as f32)
+    }
+    #[inline(always)]
+    fn second(self, pairs: Sixteen) -> Sixteen {
+        each!(i => (pairs[i].to_bits() >> 16) as f32)
     }
     #[inline(always)]
     fn add(self, a: Sixteen, b: Sixteen) -> Sixteen {
