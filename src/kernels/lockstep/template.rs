@@ -245,15 +245,26 @@ pub(super) fn tail<S: Simd, const STRONG: bool>(s: S, tables: &Tables, site: &Si
     s.mul(values, s.splat(site.height * tables.tail_gain(site.entry)))
 }
 
-/// 1 for the samples of a window that count, 0 for the others.
+/// Zeros, ones and zeros again.
+static STEP_UP_AND_DOWN: [f32; 3 * LANES] = {
+    let mut values = [0.0; 3 * LANES];
+    let mut i = LANES;
+    while i < 2 * LANES {
+        values[i] = 1.0;
+        i += 1;
+    }
+    values
+};
+
+/// 1 for the samples of a window that count, those from `order` to the length, 0 for the others.
 #[inline(always)]
 pub(super) fn weights<S: Simd>(s: S, first: i32, order: usize, length: usize) -> S::V {
-    let mut weights: Sixteen = [0.0; LANES];
-    for (k, weight) in weights.iter_mut().enumerate() {
-        let sample = first + k as i32;
-        *weight = f32::from(u8::from(sample >= order as i32 && sample < length as i32));
-    }
-    s.load(&weights)
+    let window = LANES as i32;
+    let before = (order as i32 - first).clamp(0, window);
+    let behind = (first + window - length as i32).clamp(0, window);
+    let from = s.load(sixteen(&STEP_UP_AND_DOWN, LANES.saturating_add_signed(-before as isize)));
+    let to = s.load(sixteen(&STEP_UP_AND_DOWN, LANES + behind as usize));
+    s.mul(from, to)
 }
 
 /// Vectors of a template's row.
