@@ -3,7 +3,7 @@
 use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
-use super::detection::{Begin, DetectAll};
+use super::detection::{Begin, ByCount, DetectAll};
 use super::fit::{FittedPulse, Job};
 use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
@@ -35,6 +35,8 @@ pub(super) struct Workspace {
     pub(super) suspects: Vec<(usize, Pulse)>,
     pub(super) suspect_numbers: Vec<usize>,
     pub(super) candidates: Vec<Candidates>,
+    /// Waveforms by the number of pulses that detection gave them.
+    by_count: ByCount,
     pub(super) squares: Vec<f32>,
     /// Rows to be summed.
     pub(super) which: Vec<usize>,
@@ -74,6 +76,7 @@ impl Workspace {
             suspects: Vec::with_capacity(BATCH),
             suspect_numbers: Vec::with_capacity(BATCH),
             candidates: Vec::with_capacity(BATCH),
+            by_count: ByCount::default(),
             squares: Vec::with_capacity(BATCH),
             which: Vec::with_capacity(BATCH),
             singles: Vec::with_capacity(BATCH),
@@ -138,14 +141,15 @@ impl Decompose<'_> {
 
     /// Loads, filters and whitens all blocks, and starts a scene for each with its candidates.
     fn detect(&mut self) {
-        let Workspace { rows, columns, scenes, .. } = &mut *self.work;
+        let Workspace { rows, columns, scenes, by_count, .. } = &mut *self.work;
         let begin = Begin {
             limits: self.limits,
             settings: self.settings,
             saturated: self.full_scale_dn.ceil().clamp(0.0, 65_535.0) as u16,
             clear_of_zero: self.clear_of_zero,
         };
-        self.on.run(DetectAll { tables: self.tables, rows, columns, blocks: self.blocks, begin, scenes });
+        let (tables, blocks) = (self.tables, self.blocks);
+        self.on.run(DetectAll { tables, rows, columns, blocks, begin, scenes, by_count });
     }
 
     /// The clusters of all waveforms are to be fitted.
@@ -187,42 +191,39 @@ impl Decompose<'_> {
 
     /// One step on each pulse, or on those that overlap no other: the first of each waveform, then the second, and so on.
     fn step_each(&mut self, separated: bool) {
-        let fwhm = self.fwhm();
         let mut jobs = std::mem::take(&mut self.work.singles);
-        let mut round = std::mem::take(&mut self.work.round);
-        round.clear();
-        round.extend(0..self.work.scenes.len());
+        let by_count = std::mem::take(&mut self.work.by_count);
         for number in 0..MAX_PULSES {
             jobs.clear();
-            round.retain(|&row| {
-                let scene = &self.work.scenes[row];
-                scene.way == Way::Fast && number < scene.pulses().len()
-            });
-            if round.is_empty() {
-                break;
-            }
-            for &row in &round {
-                let scene = &self.work.scenes[row];
-                let pulses = scene.pulses().len();
-                let values = scene.pulses()[number].values();
-                if pulses > 1 {
-                    let overlaps = (number > 0 && scene.overlap(number - 1, number, fwhm))
-                        || (number + 1 < pulses && scene.overlap(number, number + 1, fwhm));
-                    let is_stepped = !(overlaps && separated);
-                    let is_on = is_stepped && !scene.taken_off;
-                    self.take_off_all_but(row, Some(number).filter(|_| is_on));
-                    if !is_stepped {
-                        continue;
-                    }
-                    if !is_on {
-                        add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
+            for (count, rows) in by_count.iter().enumerate().skip(number + 1) {
+                for &row in rows {
+                    if count == 1 || self.clear_for_step(row, number, separated) {
+                        let values = self.work.scenes[row].pulses()[number].values();
+                        jobs.push(Job { row, pulses: [values], aim: Aim::OPTIMUM });
                     }
                 }
-                jobs.push(Job { row, pulses: [values], aim: Aim::OPTIMUM });
             }
-            self.step_group(&mut jobs, number);
+            if !jobs.is_empty() {
+                self.step_group(&mut jobs, number);
+            }
         }
-        (self.work.singles, self.work.round) = (jobs, round);
+        (self.work.singles, self.work.by_count) = (jobs, by_count);
+    }
+
+    /// Leaves a pulse on its row that others stand on, and nothing else, so that it can be stepped; `false` where it
+    /// overlaps another and only separated ones are.
+    fn clear_for_step(&mut self, row: usize, number: usize, separated: bool) -> bool {
+        let fwhm = self.fwhm();
+        let scene = &self.work.scenes[row];
+        let overlaps = |i: usize| i + 1 < scene.pulses().len() && scene.overlap(i, i + 1, fwhm);
+        let is_stepped = !separated || !(overlaps(number) || number > 0 && overlaps(number - 1));
+        let is_on = is_stepped && !scene.taken_off;
+        let values = scene.pulses()[number].values();
+        self.take_off_all_but(row, Some(number).filter(|_| is_on));
+        if is_stepped && !is_on {
+            add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
+        }
+        is_stepped
     }
 
     fn step_group(&mut self, jobs: &mut [Job<1>], number: usize) {

@@ -4,7 +4,7 @@ use super::candidates::Candidates;
 use super::columns::Columns;
 use super::limits::Limits;
 use super::rows::Rows;
-use super::scene::{Pulse, Scene};
+use super::scene::{MAX_PULSES, Pulse, Scene};
 use super::tables::Tables;
 use super::vector::{Kernel, LANES, Simd};
 use crate::kernels::calibrate::Block;
@@ -69,22 +69,31 @@ pub(super) struct DetectAll<'a> {
     pub(super) blocks: &'a [Block<'a>],
     pub(super) begin: Begin<'a>,
     pub(super) scenes: &'a mut Vec<Scene>,
+    /// The waveforms by their number of pulses. What goes on with a number of them at a time loops as often for each: that
+    /// the processor foresees.
+    pub(super) by_count: &'a mut ByCount,
 }
+
+/// Waveforms of a batch by their number of pulses.
+pub(super) type ByCount = [Vec<usize>; MAX_PULSES + 1];
 
 impl Kernel for DetectAll<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let DetectAll { tables, rows, columns, begin, scenes, .. } = self;
+        let DetectAll { tables, rows, columns, begin, scenes, by_count, .. } = self;
+        by_count.iter_mut().for_each(Vec::clear);
         let threshold = begin.limits.least_sigma as f32;
         let mut found = [Candidates::default(); LANES];
         scenes.resize_with(self.blocks.len(), Scene::default);
         let groups = self.blocks.chunks(LANES).zip(scenes.chunks_mut(LANES));
         for (group, (blocks, scenes)) in groups.enumerate() {
             detect(s, tables, rows, columns, blocks, group * LANES, threshold, &mut found[..blocks.len()]);
-            for ((block, found), scene) in blocks.iter().zip(&mut found).zip(scenes) {
+            let lanes = blocks.iter().zip(&mut found).zip(scenes).enumerate();
+            for (lane, ((block, found), scene)) in lanes {
                 begin.begin(block, rows.capacity(), found, scene);
+                by_count[scene.pulses().len()].push(group * LANES + lane);
             }
         }
     }
