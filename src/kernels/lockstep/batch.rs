@@ -4,12 +4,12 @@ use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::detection::{Begin, ByCount, DetectAll};
-use super::fit::{FittedPulse, Job};
+use super::fit::{FittedPulse, Job, Values};
 use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
-use super::start::{FromBank, OneStep, Stepped};
+use super::start::{FromBank, OneStep};
 use super::tables::Tables;
 use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
@@ -45,7 +45,8 @@ pub(super) struct Workspace {
     /// The numbers of these pulses in their waveforms.
     single_tags: Vec<usize>,
     pub(super) scores: Vec<(f32, bool)>,
-    stepped: Vec<Stepped>,
+    /// Pulses that one step is not made for.
+    to_fit: Vec<(usize, Values)>,
 }
 
 /// Blocks up to so many samples are decomposed in lock-step.
@@ -82,7 +83,7 @@ impl Workspace {
             singles: Vec::with_capacity(BATCH),
             single_tags: Vec::with_capacity(BATCH),
             scores: Vec::with_capacity(BATCH),
-            stepped: Vec::with_capacity(BATCH),
+            to_fit: Vec::new(),
         }
     }
 }
@@ -191,23 +192,22 @@ impl Decompose<'_> {
 
     /// One step on each pulse, or on those that overlap no other: the first of each waveform, then the second, and so on.
     fn step_each(&mut self, separated: bool) {
-        let mut jobs = std::mem::take(&mut self.work.singles);
+        let mut which = std::mem::take(&mut self.work.which);
         let by_count = std::mem::take(&mut self.work.by_count);
         for number in 0..MAX_PULSES {
-            jobs.clear();
+            which.clear();
             for (count, rows) in by_count.iter().enumerate().skip(number + 1) {
-                for &row in rows {
-                    if count == 1 || self.clear_for_step(row, number, separated) {
-                        let values = self.work.scenes[row].pulses()[number].values();
-                        jobs.push(Job { row, pulses: [values], aim: Aim::OPTIMUM });
-                    }
+                if count == 1 {
+                    which.extend_from_slice(rows);
+                } else {
+                    which.extend(rows.iter().filter(|&&row| self.clear_for_step(row, number, separated)));
                 }
             }
-            if !jobs.is_empty() {
-                self.step_group(&mut jobs, number);
+            if !which.is_empty() {
+                self.step_group(&which, number);
             }
         }
-        (self.work.singles, self.work.by_count) = (jobs, by_count);
+        (self.work.which, self.work.by_count) = (which, by_count);
     }
 
     /// Leaves a pulse on its row that others stand on, and nothing else, so that it can be stepped; `false` where it
@@ -226,27 +226,16 @@ impl Decompose<'_> {
         is_stepped
     }
 
-    fn step_group(&mut self, jobs: &mut [Job<1>], number: usize) {
+    fn step_group(&mut self, which: &[usize], number: usize) {
         let (on, tables) = (self.on, self.tables);
-        let Workspace { rows, scenes, stepped, queues, .. } = &mut *self.work;
-        on.run(OneStep { tables, rows, jobs, out: stepped });
-        for (job, stepped) in jobs.iter().zip(stepped) {
-            let scene = &mut scenes[job.row];
-            if !stepped.is_whole || !stepped.pulse.is_known() || !stepped.pulse.is_held() {
-                // The tabulated matrix is that of whole pulses: others are fitted.
-                queues.push(tables, job.row, &job.pulses, Aim::OPTIMUM, number);
-                continue;
+        let Workspace { rows, scenes, to_fit, queues, .. } = &mut *self.work;
+        on.run(OneStep { tables, rows, scenes, which, number, to_fit });
+        if !to_fit.is_empty() {
+            for (row, pulse) in to_fit {
+                queues.push(tables, *row, &[*pulse], Aim::OPTIMUM, number);
             }
-            scene.chi_square = stepped.chi_square;
-            scene.samples = stepped.samples;
-            let pulse = &mut scene.pulses_mut()[number];
-            pulse.take(&stepped.pulse);
-            pulse.sds = stepped.pulse.sds;
-            if scene.taken_off {
-                add(on, tables, rows, job.row, stepped.pulse.values, -1.0);
-            }
+            self.run_clusters();
         }
-        self.run_clusters();
     }
 
     /// Fits the clusters of at least so many pulses in the waveforms that are due: the first of each waveform, then the

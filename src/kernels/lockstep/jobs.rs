@@ -250,7 +250,7 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     }
 }
 
-/// Adds `sign` times a pulse to a row.
+/// The same, as a computation of its own.
 pub(super) fn add(on: Processor, tables: &Tables, rows: &mut Rows, row: usize, values: Values, sign: f32) {
     on.run(Add { tables, rows, row, values, sign });
 }
@@ -298,8 +298,16 @@ impl Kernel for Add<'_> {
     }
 }
 
+/// Adds `sign` times a pulse to a row.
 #[inline(always)]
-fn add_pulse<S: Simd>(s: S, tables: &Tables, rows: &mut Rows, row: usize, values: Values, sign: f32) {
+pub(super) fn add_pulse<S: Simd>(
+    s: S,
+    tables: &Tables,
+    rows: &mut Rows,
+    row: usize,
+    values: Values,
+    sign: f32,
+) {
     let site = Site::of(tables, values);
     if site.height >= tables.strong_dn() {
         rows.add::<S, true>(s, tables, row, &site, sign);

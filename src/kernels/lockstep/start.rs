@@ -1,7 +1,9 @@
 //! The width bank, and the one tabulated step of the mode `fastest`.
 
-use super::fit::{FittedLanes, FittedPulse, Job};
+use super::fit::{FittedLanes, Job, Values};
+use super::jobs::add_pulse;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
+use super::scene::Scene;
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
 use super::template::{Pulses, Sites, VECTORS, bounded, template};
 use super::vector::{Kernel, LANES, Simd, Sixteen};
@@ -23,17 +25,35 @@ impl Kernel for FromBank<'_> {
     fn run<S: Simd>(self, s: S) {
         let mut sums = [[s.splat(0.0); LANES]; BANK];
         for jobs in self.jobs.chunks_mut(LANES) {
-            from_bank(s, self.tables, self.rows, jobs, &mut sums);
+            let (mut which, mut positions) = ([EMPTY; LANES], SOMEWHERE);
+            for (w, job) in jobs.iter().enumerate() {
+                (which[w], positions[w]) = (job.row, job.pulses[0][1]);
+            }
+            let which = &which[..jobs.len()];
+            let (height, width) = from_bank(s, self.tables, self.rows, which, s.load(&positions), &mut sums);
+            let (mut heights, mut widths) = ([0.0; LANES], [0.0; LANES]);
+            s.store(height, &mut heights);
+            s.store(width, &mut widths);
+            for (w, job) in jobs.iter_mut().enumerate() {
+                (job.pulses[0][0], job.pulses[0][2]) = (heights[w], widths[w]);
+            }
         }
     }
 }
 
-/// One step on each job, from where the bank has it.
+/// A place in a row for lanes without work.
+const SOMEWHERE: Sixteen = [20.0; LANES];
+
+/// One step, from where the bank has it, on the pulse of one number in each of some waveforms. Where the pulses have been
+/// taken off the row, and this one put back, it is taken off once more.
 pub(super) struct OneStep<'a> {
     pub(super) tables: &'a Tables,
-    pub(super) rows: &'a Rows,
-    pub(super) jobs: &'a mut [Job<1>],
-    pub(super) out: &'a mut Vec<Stepped>,
+    pub(super) rows: &'a mut Rows,
+    pub(super) scenes: &'a mut [Scene],
+    pub(super) which: &'a [usize],
+    pub(super) number: usize,
+    /// What is to be fitted instead, with its row: the step's matrix is that of whole pulses.
+    pub(super) to_fit: &'a mut Vec<(usize, Values)>,
 }
 
 impl Kernel for OneStep<'_> {
@@ -41,25 +61,57 @@ impl Kernel for OneStep<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
+        let OneStep { tables, rows, scenes, number, to_fit, .. } = self;
         let (mut bank, mut sums) = ([[s.splat(0.0); LANES]; BANK], [[s.splat(0.0); LANES]; 4]);
-        self.out.resize(self.jobs.len(), Stepped::NOTHING);
-        for (jobs, out) in self.jobs.chunks_mut(LANES).zip(self.out.chunks_mut(LANES)) {
-            from_bank(s, self.tables, self.rows, jobs, &mut bank);
-            one_step(s, self.tables, self.rows, jobs, &mut sums, out);
+        to_fit.clear();
+        for which in self.which.chunks(LANES) {
+            let mut positions = SOMEWHERE;
+            for (position, &row) in positions.iter_mut().zip(which) {
+                *position = scenes[row].pulses()[number].position();
+            }
+            let position = s.load(&positions);
+            let (height, width) = from_bank(s, tables, rows, which, position, &mut bank);
+            let steps = one_step(s, tables, rows, which, Pulses { height, position, width }, &mut sums);
+            let (mut heights, mut widths) = ([0.0; LANES], [0.0; LANES]);
+            s.store(height, &mut heights);
+            s.store(width, &mut widths);
+            for (w, &row) in which.iter().enumerate() {
+                let stepped = steps.fitted.get(w);
+                if !steps.is_whole[w] || !stepped.is_known() || !stepped.is_held() {
+                    to_fit.push((row, [heights[w], positions[w], widths[w]]));
+                    continue;
+                }
+                let scene = &mut scenes[row];
+                (scene.chi_square, scene.samples) = (steps.chi_square[w], steps.samples[w]);
+                let pulse = &mut scene.pulses_mut()[number];
+                pulse.take(&stepped);
+                pulse.sds = stepped.sds;
+                if scene.taken_off {
+                    add_pulse(s, tables, rows, row, stepped.values, -1.0);
+                }
+            }
         }
     }
 }
 
-/// Replaces heights and widths of up to sixteen jobs by those of the bank at their positions: the width with the largest
-/// normalised matched filter, by a parabola through the best and its neighbours.
+/// Heights and widths of the bank at positions on up to sixteen rows: the width with the largest normalised matched filter,
+/// by a parabola through the best and its neighbours.
 #[inline(always)]
-fn from_bank<S: Simd>(s: S, tables: &Tables, rows: &Rows, jobs: &mut [Job<1>], sums: &mut BankSums<S::V>) {
-    for (w, job) in jobs.iter().enumerate().take(LANES) {
-        let steps = (job.pulses[0][1] * PHASES as f32).round_ties_even() as i32;
-        let first = steps.div_euclid(PHASES as i32) - BEFORE_PEAK;
-        let row = rows.residual_row(job.row);
+fn from_bank<S: Simd>(
+    s: S,
+    tables: &Tables,
+    rows: &Rows,
+    which: &[usize],
+    position: S::V,
+    sums: &mut BankSums<S::V>,
+) -> (S::V, S::V) {
+    let mut steps = [0; LANES];
+    s.to_i32(s.mul(position, s.splat(PHASES as f32)), &mut steps);
+    for (w, &row) in which.iter().enumerate().take(LANES) {
+        let first = steps[w].div_euclid(PHASES as i32) - BEFORE_PEAK;
+        let row = rows.residual_row(row);
         let at = FRONT.saturating_add_signed(first as isize);
-        let bank = tables.bank((steps & (PHASES as i32 - 1)) as usize);
+        let bank = tables.bank((steps[w] & (PHASES as i32 - 1)) as usize);
         let (low, high) = (s.load(sixteen(row, at)), s.load(sixteen(row, at + LANES)));
         for (k, sums) in sums.iter_mut().enumerate() {
             let product = s.mul(low, s.load(sixteen(bank, k * ROW)));
@@ -70,14 +122,7 @@ fn from_bank<S: Simd>(s: S, tables: &Tables, rows: &Rows, jobs: &mut [Job<1>], s
     for (value, sums) in statistic.iter_mut().zip(sums.iter()) {
         *value = s.sum_each(sums);
     }
-    let (height, width) = vertex(s, tables, &statistic);
-    let (mut heights, mut widths) = ([0.0; LANES], [0.0; LANES]);
-    s.store(height, &mut heights);
-    s.store(width, &mut widths);
-    for (w, job) in jobs.iter_mut().enumerate().take(LANES) {
-        job.pulses[0][0] = heights[w];
-        job.pulses[0][2] = widths[w];
-    }
+    vertex(s, tables, &statistic)
 }
 
 /// Height and width at the maximum of the parabola through the bank's best statistic and its neighbours.
@@ -134,19 +179,14 @@ impl<V: Copy> Parabola<V> {
 /// Products of the step: the right side and the residual's square.
 type StepSums<V> = [[V; LANES]; 4];
 
-/// A pulse after one step, and the sum of the squared whitened residuals over the block's samples in its row.
-#[derive(Clone, Copy)]
-pub(super) struct Stepped {
-    pub(super) pulse: FittedPulse,
+/// Sixteen pulses after one step.
+struct Steps {
+    fitted: FittedLanes,
     /// Whether the block holds the whole pulse.
-    pub(super) is_whole: bool,
-    pub(super) chi_square: f32,
-    pub(super) samples: usize,
-}
-
-impl Stepped {
-    const NOTHING: Stepped =
-        Stepped { pulse: FittedPulse::NOTHING, is_whole: false, chi_square: 0.0, samples: 0 };
+    is_whole: [bool; LANES],
+    /// Sum of the squared whitened residuals over the block's samples in the pulse's row, and how many these are.
+    chi_square: Sixteen,
+    samples: [usize; LANES],
 }
 
 /// One step with the tabulated inverse Fisher matrix, whose diagonal also gives the standard deviations. Not whole
@@ -156,24 +196,20 @@ fn one_step<S: Simd>(
     s: S,
     tables: &Tables,
     rows: &Rows,
-    jobs: &[Job<1>],
+    which: &[usize],
+    start: Pulses<S::V>,
     sums: &mut StepSums<S::V>,
-    out: &mut [Stepped],
-) {
-    let of = |i: usize| -> Sixteen {
-        std::array::from_fn(|w| jobs.get(w).map_or([1.0, 20.0, 0.0][i], |job| job.pulses[0][i]))
-    };
-    let row_of = |w: usize| jobs.get(w).map_or(EMPTY, |job| job.row);
+) -> Steps {
+    let row_of = |w: usize| which.get(w).copied().unwrap_or(EMPTY);
     let lengths: Sixteen = std::array::from_fn(|w| rows.length(row_of(w)).saturating_sub(1) as f32);
     let last = s.load(&lengths);
-    let pulses = Pulses { height: s.load(&of(0)), position: s.load(&of(1)), width: s.load(&of(2)) };
-    let pulses = pulses.within(s, last);
+    let pulses = start.within(s, last);
     let mut sites = Sites::NONE;
     sites.set(s, &pulses);
     let mut inverse = [[0.0; LANES]; 6];
     let mut whole = [false; LANES];
     let mut counted = [0; LANES];
-    for w in 0..jobs.len().min(LANES) {
+    for w in 0..which.len().min(LANES) {
         let site = sites.get::<true>(tables, w);
         for (inverse, value) in inverse.iter_mut().zip(tables.inverse_fisher(site.entry)) {
             inverse[w] = value;
@@ -220,14 +256,7 @@ fn one_step<S: Simd>(
     let squared = s.mul(per_height, per_height);
     let variances = [aa, s.mul(tt, squared), s.mul(uu, squared)];
     let fitted = FittedLanes::of(s, &stepped, variances);
-    let mut chi_squares = [0.0; LANES];
-    s.store(s.sub(s.sum_each(&sums[3]), told), &mut chi_squares);
-    for (w, stepped) in out.iter_mut().enumerate() {
-        *stepped = Stepped {
-            pulse: fitted.get(w),
-            is_whole: whole[w],
-            chi_square: chi_squares[w],
-            samples: counted[w],
-        };
-    }
+    let mut chi_square = [0.0; LANES];
+    s.store(s.sub(s.sum_each(&sums[3]), told), &mut chi_square);
+    Steps { fitted, is_whole: whole, chi_square, samples: counted }
 }
