@@ -163,6 +163,9 @@ impl ResponseShape {
     /// The nodes around a height, and the part of the second.
     #[inline]
     fn around(&self, height_dn: f64) -> (usize, usize, f64) {
+        if self.nodes.len() == 1 {
+            return (0, 0, 0.0);
+        }
         let above = self.nodes.partition_point(|(peak_dn, _)| *peak_dn <= height_dn);
         if above == 0 || above == self.nodes.len() {
             let only = above.saturating_sub(1);

@@ -126,10 +126,14 @@ impl Decompose<'_> {
             }
         }
         let Workspace { scenes, which, .. } = &mut *self.work;
-        which.clear();
-        which.extend(
-            (0..scenes.len()).filter(|&row| scenes[row].taken_off || scenes[row].pulses().is_empty()),
-        );
+        // Without a branch that depends on the waveform.
+        which.resize(scenes.len(), 0);
+        let mut count = 0;
+        for (row, scene) in scenes.iter().enumerate() {
+            which[count] = row;
+            count += usize::from(scene.taken_off | scene.pulses().is_empty());
+        }
+        which.truncate(count);
         self.sum_squares();
         if self.mode == Mode::Refined && self.settings.max_added > 0 {
             self.search_residuals();

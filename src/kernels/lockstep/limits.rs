@@ -141,13 +141,17 @@ impl Limits {
         let is_whole = position >= before && position <= samples as f64 - 1.0 - behind;
         let per_dn = if is_whole { f64::from(self.per_dn) } else { self.at_edge(position, samples) };
         let energy = f64::from(pulse.height() * pulse.width_ratio());
-        let alone = scene.pulses().len() == 1;
-        let threshold = if alone {
-            self.sigma(scene, pulse.position())
+        let statistic = per_dn * energy;
+        let sigma = self.sigma(scene, pulse.position());
+        // One alone, or a strong one among others: what others may leave need not be looked at.
+        let heights = scene.pulses().iter().map(|p| f64::from(p.height()));
+        let most = if scene.pulses().len() == 1 {
+            1.0
         } else {
-            self.threshold(scene, pulse.position(), pulse.height())
+            self.allowance.raise_at_most(self.per_dn.into(), heights)
         };
-        per_dn * energy >= threshold
+        statistic >= sigma * most
+            || (most > 1.0 && statistic >= sigma * self.raise(scene, pulse.position(), pulse.height()))
     }
 
     #[inline(never)]

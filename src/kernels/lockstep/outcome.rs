@@ -104,11 +104,13 @@ impl Kernel for Give<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(mut self, _: S) {
-        let first = self.outcomes.len();
-        for (block, scene) in self.blocks.iter().zip(self.scenes) {
-            self.finish.give(block.samples, block.start_phase, scene, self.outcomes);
+        for (blocks, scenes) in self.blocks.chunks(AT_A_TIME).zip(self.scenes.chunks_mut(AT_A_TIME)) {
+            let first = self.outcomes.len();
+            for (block, scene) in blocks.iter().zip(scenes) {
+                self.finish.give(block.samples, block.start_phase, scene, self.outcomes);
+            }
+            self.outcomes.set_deviation_ratios(first);
         }
-        self.outcomes.set_deviation_ratios(first);
     }
 }
 
