@@ -9,7 +9,7 @@ use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
-use super::start::{FromBank, OneStep};
+use super::start::{ClearForStep, FromBank, OneStep};
 use super::tables::Tables;
 use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
@@ -178,67 +178,31 @@ impl Decompose<'_> {
 
     /// Takes all pulses off their waveform's row, where they are not yet.
     fn take_off_all(&mut self, row: usize) {
-        self.take_off_all_but(row, None);
-    }
-
-    /// Takes all pulses but one off their waveform's row, where they are not yet.
-    fn take_off_all_but(&mut self, row: usize, kept: Option<usize>) {
         let scene = &mut self.work.scenes[row];
         if !scene.taken_off {
             scene.taken_off = true;
-            for (number, pulse) in scene.pulses().iter().enumerate() {
-                if kept != Some(number) {
-                    add(self.on, self.tables, &mut self.work.rows, row, pulse.values(), -1.0);
-                }
+            for pulse in scene.pulses() {
+                add(self.on, self.tables, &mut self.work.rows, row, pulse.values(), -1.0);
             }
         }
     }
 
     /// One step on each pulse, or on those that overlap no other: the first of each waveform, then the second, and so on.
     fn step_each(&mut self, separated: bool) {
-        let mut which = std::mem::take(&mut self.work.which);
-        let by_count = std::mem::take(&mut self.work.by_count);
+        let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
         for number in 0..MAX_PULSES {
-            which.clear();
-            for (count, rows) in by_count.iter().enumerate().skip(number + 1) {
-                if count == 1 {
-                    which.extend_from_slice(rows);
-                } else {
-                    which.extend(rows.iter().filter(|&&row| self.clear_for_step(row, number, separated)));
+            let Workspace { rows, scenes, by_count, which, to_fit, queues, .. } = &mut *self.work;
+            on.run(ClearForStep { tables, rows, scenes, by_count, number, separated, fwhm, which });
+            if which.is_empty() {
+                continue;
+            }
+            on.run(OneStep { tables, rows, scenes, which, number, to_fit });
+            if !to_fit.is_empty() {
+                for (row, pulse) in to_fit {
+                    queues.push(tables, *row, &[*pulse], Aim::OPTIMUM, number);
                 }
+                self.run_clusters();
             }
-            if !which.is_empty() {
-                self.step_group(&which, number);
-            }
-        }
-        (self.work.which, self.work.by_count) = (which, by_count);
-    }
-
-    /// Leaves a pulse on its row that others stand on, and nothing else, so that it can be stepped; `false` where it
-    /// overlaps another and only separated ones are.
-    fn clear_for_step(&mut self, row: usize, number: usize, separated: bool) -> bool {
-        let fwhm = self.fwhm();
-        let scene = &self.work.scenes[row];
-        let overlaps = |i: usize| i + 1 < scene.pulses().len() && scene.overlap(i, i + 1, fwhm);
-        let is_stepped = !separated || !(overlaps(number) || number > 0 && overlaps(number - 1));
-        let is_on = is_stepped && !scene.taken_off;
-        let values = scene.pulses()[number].values();
-        self.take_off_all_but(row, Some(number).filter(|_| is_on));
-        if is_stepped && !is_on {
-            add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
-        }
-        is_stepped
-    }
-
-    fn step_group(&mut self, which: &[usize], number: usize) {
-        let (on, tables) = (self.on, self.tables);
-        let Workspace { rows, scenes, to_fit, queues, .. } = &mut *self.work;
-        on.run(OneStep { tables, rows, scenes, which, number, to_fit });
-        if !to_fit.is_empty() {
-            for (row, pulse) in to_fit {
-                queues.push(tables, *row, &[*pulse], Aim::OPTIMUM, number);
-            }
-            self.run_clusters();
         }
     }
 

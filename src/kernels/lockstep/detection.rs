@@ -3,7 +3,7 @@
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::limits::Limits;
-use super::rows::Rows;
+use super::rows::{BATCH, Rows};
 use super::scene::{MAX_PULSES, Pulse, Scene};
 use super::tables::Tables;
 use super::vector::{Kernel, LANES, Simd};
@@ -75,7 +75,35 @@ pub(super) struct DetectAll<'a> {
 }
 
 /// Waveforms of a batch by their number of pulses.
-pub(super) type ByCount = [Vec<usize>; MAX_PULSES + 1];
+#[derive(Default)]
+pub(super) struct ByCount {
+    rows: Vec<[u32; BATCH]>,
+    lengths: [usize; MAX_PULSES + 1],
+}
+
+impl ByCount {
+    fn clear(&mut self) {
+        self.rows.resize(MAX_PULSES + 1, [0; BATCH]);
+        self.lengths = [0; MAX_PULSES + 1];
+    }
+
+    /// Adds a waveform of so many pulses.
+    #[inline(always)]
+    fn push(&mut self, count: usize, row: usize) {
+        let (Some(rows), Some(length)) = (self.rows.get_mut(count), self.lengths.get_mut(count)) else {
+            return;
+        };
+        if let Some(place) = rows.get_mut(*length) {
+            *place = row as u32;
+            *length += 1;
+        }
+    }
+
+    /// The waveforms with so many pulses, in order.
+    pub(super) fn rows(&self, count: usize) -> impl Iterator<Item = usize> {
+        self.rows[count][..self.lengths[count]].iter().map(|&row| row as usize)
+    }
+}
 
 impl Kernel for DetectAll<'_> {
     type Output = ();
@@ -83,7 +111,7 @@ impl Kernel for DetectAll<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let DetectAll { tables, rows, columns, begin, scenes, by_count, .. } = self;
-        by_count.iter_mut().for_each(Vec::clear);
+        by_count.clear();
         let threshold = begin.limits.least_sigma as f32;
         let mut found = [Candidates::default(); LANES];
         scenes.resize_with(self.blocks.len(), Scene::default);
@@ -93,7 +121,7 @@ impl Kernel for DetectAll<'_> {
             let lanes = blocks.iter().zip(&mut found).zip(scenes).enumerate();
             for (lane, ((block, found), scene)) in lanes {
                 begin.begin(block, rows.capacity(), found, scene);
-                by_count[scene.pulses().len()].push(group * LANES + lane);
+                by_count.push(scene.pulses().len(), group * LANES + lane);
             }
         }
     }

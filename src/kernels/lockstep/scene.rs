@@ -85,24 +85,26 @@ pub(super) enum Way {
     Plain,
 }
 
+/// One waveform. Most have one pulse: what is asked of these stands together at the front.
 #[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
 pub(super) struct Scene {
-    pub(super) way: Way,
-    pulses: [Pulse; MAX_PULSES],
     count: usize,
-    /// Ends of the clusters that are fitted jointly, in order; 0 behind the last.
-    ends: [u8; MAX_PULSES],
+    pub(super) way: Way,
     /// Whether the pulses have been taken off the waveform's row.
     pub(super) taken_off: bool,
     /// Whether a trial has been taken up in the present round.
     pub(super) has_changed: bool,
+    pub(super) refined_twice: bool,
     pub(super) chi_square: f32,
-    /// By how much chi-square promises to fall with pulses wider than the tables allow.
-    pub(super) beyond: f32,
     /// Samples that chi-square is the sum over.
     pub(super) samples: usize,
     pub(super) counts: Counts,
-    pub(super) refined_twice: bool,
+    /// By how much chi-square promises to fall with pulses wider than the tables allow.
+    pub(super) beyond: f32,
+    /// Ends of the clusters that are fitted jointly, in order; 0 behind the last.
+    ends: [u8; MAX_PULSES],
+    pulses: [Pulse; MAX_PULSES],
 }
 
 impl Scene {

@@ -1,9 +1,10 @@
 //! The width bank, and the one tabulated step of the mode `fastest`.
 
+use super::detection::ByCount;
 use super::fit::{FittedLanes, Job, Values};
 use super::jobs::add_pulse;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
-use super::scene::Scene;
+use super::scene::{MAX_PULSES, Scene};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
 use super::template::{Pulses, Sites, VECTORS, bounded, template};
 use super::vector::{Kernel, LANES, Simd, Sixteen};
@@ -43,6 +44,50 @@ impl Kernel for FromBank<'_> {
 
 /// A place in a row for lanes without work.
 const SOMEWHERE: Sixteen = [20.0; LANES];
+
+/// Gives the waveforms whose pulse of one number is to be stepped, that pulse standing on its row, and no other; not those
+/// where it overlaps another, when only separated ones are.
+pub(super) struct ClearForStep<'a> {
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a mut Rows,
+    pub(super) scenes: &'a mut [Scene],
+    pub(super) by_count: &'a ByCount,
+    pub(super) number: usize,
+    pub(super) separated: bool,
+    pub(super) fwhm: f32,
+    pub(super) which: &'a mut Vec<usize>,
+}
+
+impl Kernel for ClearForStep<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let ClearForStep { tables, rows, scenes, by_count, number, separated, fwhm, which } = self;
+        which.clear();
+        if number == 0 {
+            which.extend(by_count.rows(1));
+        }
+        for count in (number + 1).max(2)..=MAX_PULSES {
+            for row in by_count.rows(count) {
+                let scene = &mut scenes[row];
+                let overlaps = |i: usize| i + 1 < count && scene.overlap(i, i + 1, fwhm);
+                let is_stepped = !separated || !(overlaps(number) || number > 0 && overlaps(number - 1));
+                let is_off = std::mem::replace(&mut scene.taken_off, true);
+                for (i, pulse) in scene.pulses().iter().enumerate() {
+                    let stays = i == number && is_stepped;
+                    if stays == is_off {
+                        let sign = if stays { 1.0 } else { -1.0 };
+                        add_pulse(s, tables, rows, row, pulse.values(), sign);
+                    }
+                }
+                if is_stepped {
+                    which.push(row);
+                }
+            }
+        }
+    }
+}
 
 /// One step, from where the bank has it, on the pulse of one number in each of some waveforms. Where the pulses have been
 /// taken off the row, and this one put back, it is taken off once more.
