@@ -222,7 +222,6 @@ impl Lockstep {
             needy.extend(is_needy.then_some(*block));
         }
         self.run(tables, &needy, Mode::Refined);
-        let before = outcomes.len();
         let mut refined = std::mem::take(&mut self.work.scenes);
         let mut first_look = std::mem::take(&mut self.first_look);
         for (i, block) in blocks.iter().enumerate() {
@@ -232,7 +231,6 @@ impl Lockstep {
             };
             self.finish(mode).give(block.samples, block.start_phase, scene, outcomes);
         }
-        outcomes.set_deviation_ratios(before);
         (self.work.scenes, self.first_look) = (refined, first_look);
     }
 

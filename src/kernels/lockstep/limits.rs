@@ -31,7 +31,9 @@ pub(super) struct Limits {
     pub(super) least_sigma: f64,
     fwhm_samples: f64,
     noise_sd_dn: f64,
-    ln_width_ratio: [f64; 2],
+    ln_width_ratio: [f32; 2],
+    /// Pulses so many samples inside the block, from its begin and from its end, have the significance of whole ones.
+    whole_from_ends: [f32; 2],
     /// Pulses nearer to each other than this are one, samples.
     pub(super) least_separation: f32,
     /// Pulses up to this width and height are held by a row.
@@ -62,7 +64,8 @@ impl Limits {
             least_sigma: settings.least_sigma(),
             fwhm_samples: model.fwhm_samples(),
             noise_sd_dn: model.noise_sd_dn,
-            ln_width_ratio: settings.width_ratio.map(f64::ln),
+            ln_width_ratio: settings.width_ratio.map(|ratio| ratio.ln() as f32),
+            whole_from_ends: WHOLE_WIDTHS.map(|widths| (widths * model.fwhm_samples()) as f32),
             least_separation: (LEAST_SEPARATION_WIDTHS as f32 * model.fwhm_samples() as f32).max(1.0),
             held_width_ratio: (0.99 * held_sd_samples / (SD_OF_FWHM * model.fwhm_samples())) as f32,
             held_height_dn: held_height_dn as f32,
@@ -126,20 +129,20 @@ impl Limits {
     /// the energy it has and the calibrated width.
     #[inline(always)]
     pub(super) fn is_return(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
-        let [_, position, u] = pulse.values().map(f64::from);
-        let reach = 2.0 * f64::from(pulse.sds[2]);
+        let [_, position, u] = pulse.values();
+        let reach = 2.0 * pulse.sds[2];
         u + reach >= self.ln_width_ratio[0]
             && u - reach <= self.ln_width_ratio[1]
-            && (-1.0..=samples as f64).contains(&position)
+            && (-1.0..=samples as f32).contains(&position)
             && self.is_significant(scene, pulse, samples)
     }
 
     #[inline(always)]
     fn is_significant(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
-        let position = f64::from(pulse.position());
-        let [before, behind] = WHOLE_WIDTHS.map(|widths| widths * self.fwhm_samples);
-        let is_whole = position >= before && position <= samples as f64 - 1.0 - behind;
-        let per_dn = if is_whole { f64::from(self.per_dn) } else { self.at_edge(position, samples) };
+        let [before, behind] = self.whole_from_ends;
+        let is_whole = pulse.position() >= before && pulse.position() <= samples as f32 - 1.0 - behind;
+        let per_dn =
+            if is_whole { f64::from(self.per_dn) } else { self.at_edge(pulse.position().into(), samples) };
         let energy = f64::from(pulse.height() * pulse.width_ratio());
         let statistic = per_dn * energy;
         let sigma = self.sigma(scene, pulse.position());

@@ -10,9 +10,6 @@ use crate::kernels::decompose::{Decomposer, Decomposition, Return, truncation_fl
 use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
 
-/// Waveforms whose deviation ratios are computed together.
-const AT_A_TIME: usize = 16;
-
 /// The returns of many waveforms; keeps its memory from one use to the next.
 #[derive(Debug, Clone, Default)]
 pub struct Outcomes {
@@ -49,30 +46,6 @@ impl Outcomes {
         self.waveforms.clear();
     }
 
-    /// Gives the returns their waveform's deviation ratio, from a waveform on. All at once: a root and a quotient, one after
-    /// the other, would hold up each waveform.
-    #[inline(always)]
-    pub(super) fn set_deviation_ratios(&mut self, first: usize) {
-        let waveforms = self.waveforms.get(first..).unwrap_or_default();
-        for waveforms in waveforms.chunks(AT_A_TIME) {
-            let (mut excess, mut expected) = ([0.0; AT_A_TIME], [1.0; AT_A_TIME]);
-            for (i, (_, outcome)) in waveforms.iter().enumerate() {
-                if outcome.degrees_of_freedom() > 0 {
-                    expected[i] = outcome.expected_chi_square();
-                    excess[i] = outcome.chi_square - expected[i];
-                }
-            }
-            for i in 0..AT_A_TIME {
-                excess[i] /= (2.0 * expected[i]).sqrt();
-            }
-            for ((returns, _), ratio) in waveforms.iter().zip(excess) {
-                for r in &mut self.returns[returns.clone()] {
-                    r.deviation_ratio = ratio;
-                }
-            }
-        }
-    }
-
     pub(super) fn push(&mut self, outcome: &Decomposition<'_>) {
         let first = self.returns.len();
         self.returns.extend_from_slice(outcome.returns);
@@ -104,12 +77,8 @@ impl Kernel for Give<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(mut self, _: S) {
-        for (blocks, scenes) in self.blocks.chunks(AT_A_TIME).zip(self.scenes.chunks_mut(AT_A_TIME)) {
-            let first = self.outcomes.len();
-            for (block, scene) in blocks.iter().zip(scenes) {
-                self.finish.give(block.samples, block.start_phase, scene, self.outcomes);
-            }
-            self.outcomes.set_deviation_ratios(first);
+        for (block, scene) in self.blocks.iter().zip(self.scenes) {
+            self.finish.give(block.samples, block.start_phase, scene, self.outcomes);
         }
     }
 }
@@ -136,6 +105,7 @@ impl Finish<'_> {
         }
         let mut outcome = self.limits.outcome(scene, samples.len());
         outcome.refined_once |= self.is_refined && scene.counts.n_candidates > 0;
+        let deviation_ratio = outcome.deviation_ratio();
         let first = outcomes.returns.len();
         let fwhm_samples = self.model.fwhm_samples();
         let fwhm = fwhm_samples as f32;
@@ -157,8 +127,7 @@ impl Finish<'_> {
                 fwhm_ns: width_ratio
                     * self.limits.shape.fwhm_samples_at(height)
                     * self.model.sampling_interval_ns,
-                // With the others of the batch.
-                deviation_ratio: 0.0,
+                deviation_ratio,
                 flags: pulse.flags
                     | truncation_flag(position, width_ratio * fwhm_samples, samples.len())
                     | if overlaps { flags::OVERLAP } else { 0 }
