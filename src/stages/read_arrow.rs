@@ -1,5 +1,6 @@
 //! `read_arrow`: recorded waveforms from the open container.
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -111,9 +112,10 @@ impl ReadArrow {
             return None;
         }
         let number = line.line(from);
-        let mut part = Part { with_samples: self.with_samples, ..Part::default() };
+        let until = (from..line.rows()).find(|&row| line.line(row) != number).unwrap_or(line.rows());
+        let mut part = Part::of(&line, from..until.min(from + MAX_SHOTS_PER_LINE), self.with_samples);
         let mut row = from;
-        while row < line.rows() && line.line(row) == number && part.emissions.len() < MAX_SHOTS_PER_LINE {
+        while row < until && part.emissions.len() < MAX_SHOTS_PER_LINE {
             part.add(&line, row, &self.info, cx);
             row += 1;
         }
@@ -151,7 +153,6 @@ fn has_outgoing_pulse(line: &ContainerLine) -> bool {
 }
 
 /// A line that grows row by row.
-#[derive(Default)]
 struct Part {
     with_samples: bool,
     emissions: Vec<Emission>,
@@ -159,6 +160,16 @@ struct Part {
 }
 
 impl Part {
+    /// Empty, with room for these rows.
+    fn of(line: &ContainerLine, rows: Range<usize>, with_samples: bool) -> Part {
+        let (blocks, samples) = line.blocks_and_samples(rows.clone());
+        Part {
+            with_samples,
+            emissions: Vec::with_capacity(rows.len()),
+            blocks: Blocks::with_capacity(blocks, if with_samples { samples } else { 0 }),
+        }
+    }
+
     /// Adds a row, or rejects it.
     fn add(&mut self, line: &ContainerLine, row: usize, info: &InputInfo, cx: &mut Context) {
         let shot = line.shot(row);
