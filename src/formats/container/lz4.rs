@@ -164,6 +164,10 @@ fn copy_literals(block: &[u8], from: usize, out: &mut [u8], at: usize, count: us
 #[inline(always)]
 fn copy_match(out: &mut [u8], at: usize, back: usize, count: usize) -> Option<()> {
     let from = at - back;
+    if count <= 8 && back >= 8 && at + 8 <= out.len() {
+        copy_piece::<8>(out, from, at);
+        return Some(());
+    }
     if count <= 2 * PIECE && at + 2 * PIECE <= out.len() {
         if back >= PIECE {
             copy_piece::<PIECE>(out, from, at);

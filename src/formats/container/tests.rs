@@ -23,25 +23,7 @@ struct Row {
 }
 
 fn header() -> ContainerHeader {
-    ContainerHeader {
-        instrument: Some("made up".into()),
-        serial: None,
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
-        time_scale: TimeScale::Unknown,
-        gps_week: None,
-        frame: Frame::Scanner,
-        crs_wkt: None,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
-        recorded: None,
-        full_scale_dn: None,
-        coordinate_grid: None,
-        emission_reference: None,
-    }
+    ContainerHeader { instrument: Some("made up".into()), ..ContainerHeader::new(1.0, 299_707_502.0) }
 }
 
 fn row(shot: u64, line: u32) -> Row {
