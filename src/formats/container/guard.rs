@@ -1,6 +1,6 @@
-//! What must hold of a record batch's metadata before `arrow-ipc` may see it.
+//! What must hold of a record batch's metadata before its buffers are unpacked, and before `arrow-ipc` may see it.
 //!
-//! The decoder takes memory by the unpacked length that stands before each packed buffer, slices the body by the
+//! Memory is taken by the unpacked length that stands before each packed buffer; the decoder slices the body by the
 //! offset and length of each buffer, and reads a list's offsets as whole numbers of 32 bits: lengths that lie make it
 //! abort or panic. This walk goes over the nodes and buffers in the order in which the decoder will (Arrow columnar
 //! format 1.5, "RecordBatch message"), and also finds the row of a list that points outside its items.

@@ -202,6 +202,8 @@ fn copy_piece<const N: usize>(out: &mut [u8], from: usize, to: usize) {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     /// A frame of independent blocks without checksums, which stand as they are given.
@@ -305,6 +307,77 @@ mod tests {
             (frame(&[(PLAIN, b"plain"), (0, &[0x00, 5, 0, 0x10, b'b'])]), 10, damaged),
         ] {
             assert_eq!(unpacked(&packed, size).unwrap_err(), problem);
+        }
+    }
+
+    /// What a block unpacks to, byte by byte as the format's description has it; `None` where it contradicts itself.
+    fn plainly(block: &[u8], size: usize) -> Option<Vec<u8>> {
+        let mut bytes = block.iter().map(|&byte| usize::from(byte));
+        let mut out = Vec::new();
+        loop {
+            let token = bytes.next()?;
+            let long = |start: usize, bytes: &mut dyn Iterator<Item = usize>| {
+                let mut length = start;
+                while start == 15 {
+                    let more = bytes.next()?;
+                    length += more;
+                    if more != 255 {
+                        break;
+                    }
+                }
+                Some(length)
+            };
+            for _ in 0..long(token >> 4, &mut bytes)? {
+                out.push(bytes.next()? as u8);
+            }
+            if bytes.len() == 0 {
+                return (out.len() == size).then_some(out);
+            }
+            let back = bytes.next()? + 256 * bytes.next()?;
+            for _ in 0..MIN_MATCH + long(token & 15, &mut bytes)? {
+                let repeated = out.len().checked_sub(back).filter(|_| back > 0)?;
+                out.push(out[repeated]);
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        /// Sequences that mostly make sense: what the fast copies give is what the description says.
+        #[test]
+        fn a_block_is_unpacked_as_described(
+            sequences in prop::collection::vec((0usize..40, 1u16..60, 0usize..80), 0..30),
+            last in 0usize..20,
+            off in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..2),
+            size_off in 0usize..3,
+        ) {
+            let mut block = Vec::new();
+            let mut size = last;
+            let more = |block: &mut Vec<u8>, length: usize| {
+                if length >= 15 {
+                    block.push((length - 15) as u8);
+                }
+            };
+            for (literals, back, matched) in sequences {
+                block.push((literals.min(15) << 4) as u8 | matched.min(15) as u8);
+                more(&mut block, literals);
+                block.extend((0..literals).map(|i| (i * 7 + size) as u8));
+                block.extend(back.to_le_bytes());
+                more(&mut block, matched);
+                size += literals + matched + MIN_MATCH;
+            }
+            block.push((last.min(15) << 4) as u8);
+            more(&mut block, last);
+            block.extend((0..last).map(|i| i as u8));
+            for (index, byte) in off {
+                let at = index.index(block.len());
+                block[at] = byte;
+            }
+            let size = size + size_off;
+            let mut out = vec![0; size];
+            let end = unpack_block(&block, &mut out, 0, 0);
+            prop_assert_eq!(end.filter(|&end| end == size).map(|_| out), plainly(&block, size));
         }
     }
 }
