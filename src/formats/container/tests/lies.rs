@@ -47,7 +47,7 @@ fn a_packed_list_that_points_outside_is_named_by_its_row() {
     rows[299].online = row(2, 0).online;
     assert_eq!(rows[299].online.len(), 2);
     let mut bytes = write(&[rows], false, Compression::Lz4);
-    patch(&mut bytes, &[0x50, 0, 2, 0, 0, 0, 0, 0, 0, 0], &[0x50, 0, 9]);
+    patch(&mut bytes, &[0x60, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0], &[0x60, 0, 0, 9]);
     let error = complaint(bytes);
     assert!(error.contains("column `online`, row 299: a list from 0 to 9 of 2 items"), "{error}");
 }
