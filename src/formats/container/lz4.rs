@@ -317,13 +317,10 @@ mod tests {
         loop {
             let token = bytes.next()?;
             let long = |start: usize, bytes: &mut dyn Iterator<Item = usize>| {
-                let mut length = start;
-                while start == 15 {
-                    let more = bytes.next()?;
+                let (mut length, mut more) = (start, if start == 15 { 255 } else { 0 });
+                while more == 255 {
+                    more = bytes.next()?;
                     length += more;
-                    if more != 255 {
-                        break;
-                    }
                 }
                 Some(length)
             };
