@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 use laz::{LasZipCompressor, LasZipDecompressor, LazVlr};
 use scenes::{Scene, Waveforms, model, noise};
 use wavex::formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference, Frame,
+    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale, channel,
 };
 use wavex::formats::trajectory::sbet::SbetRecord;
@@ -63,22 +63,13 @@ fn write_trajectory(path: &Path, duration_s: f64) {
 fn header() -> ContainerHeader {
     ContainerHeader {
         instrument: Some("made up".into()),
-        serial: None,
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
         pulse_rate_hz: Some(PULSE_RATE_HZ),
         time_scale: TimeScale::Week,
         gps_week: Some(1747),
-        frame: Frame::Scanner,
-        crs_wkt: None,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
         recorded: Some((172, 2013)),
         full_scale_dn: Some(255),
-        coordinate_grid: None,
         emission_reference: Some(EmissionReference::Clock),
+        ..ContainerHeader::new(1.0, 299_707_502.0)
     }
 }
 

@@ -14,7 +14,7 @@ use anyhow::{Context, Result};
 use wavex::batch::{Return, ReturnChannel};
 use wavex::formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
-    EmissionReference, Frame, LineBuilder, TimeScale, channel,
+    EmissionReference, LineBuilder, TimeScale, channel,
 };
 use wavex::stages::write_table::{Format, Row, TableWriter};
 
@@ -53,21 +53,14 @@ fn header() -> ContainerHeader {
     ContainerHeader {
         instrument: Some("made up".into()),
         serial: Some("1".into()),
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
         pulse_rate_hz: Some(400e3),
         time_scale: TimeScale::Week,
         gps_week: Some(1747),
-        frame: Frame::Scanner,
-        crs_wkt: None,
         amplitude_low: Some(vec![(9.0, 0.0), (255.0, 19.7)]),
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
         recorded: Some((172, 2013)),
         full_scale_dn: Some(255),
-        coordinate_grid: None,
         emission_reference: Some(EmissionReference::OutgoingPulse),
+        ..ContainerHeader::new(1.0, 299_707_502.0)
     }
 }
 

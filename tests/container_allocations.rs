@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use wavex::formats::Result;
 use wavex::formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter, Frame,
+    Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
     LineBuilder, TimeScale, channel,
 };
 
@@ -44,25 +44,7 @@ static ALLOCATOR: Noting = Noting;
 const MOST_BYTES: usize = 16 << 20;
 
 fn container(compression: Compression) -> Result<Vec<u8>> {
-    let header = ContainerHeader {
-        instrument: None,
-        serial: None,
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
-        time_scale: TimeScale::Week,
-        gps_week: None,
-        frame: Frame::Scanner,
-        crs_wkt: None,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
-        recorded: None,
-        full_scale_dn: None,
-        coordinate_grid: None,
-        emission_reference: None,
-    };
+    let header = ContainerHeader { time_scale: TimeScale::Week, ..ContainerHeader::new(1.0, 299_707_502.0) };
     let mut line = LineBuilder::new();
     line.shot(&ContainerShot {
         shot: 0,

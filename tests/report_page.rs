@@ -235,6 +235,60 @@ fn a_recording_without_returns_has_a_page_of_its_own() {
     assert!(page.contains("None: no stage had anything to say"));
 }
 
+/// Two recordings of one job, each with its part of the page.
+#[test]
+fn a_run_with_several_inputs_has_one_page() {
+    let place = Place::new();
+    for (stem, lines) in [("a<b", 8), ("second", 6)] {
+        let simulate = JOB.split_inclusive("ground_amplitude_dn = 180.0\n").next().unwrap();
+        let simulate =
+            simulate.replace("stem = 'a<b&c'\nlines = 8", &format!("stem = '{stem}'\nlines = {lines}"));
+        assert_eq!(place.run(&format!("{simulate}[[stage]]\ntype = 'write_arrow'\n")), done());
+        let name = format!("{stem}.arrow");
+        place.write(&name, &std::fs::read(place.path("out").join(&name)).unwrap());
+    }
+    let stages = JOB.split_once("ground_amplitude_dn = 180.0\n").unwrap().1;
+    let reader = "report_page = 'page.html'\n[[stage]]\ntype = 'read_arrow'\npath = '*.arrow'\n";
+    assert_eq!(place.run(&format!("{reader}{stages}")), done());
+
+    let page = place.text("out/page.html");
+    let count = elements(&page);
+    assert_eq!((count["image"], count["svg"], count["h1"]), (4, 36, 3), "{count:?}");
+    assert!(page.contains("<title>wavex report: a&lt;b, second</title>"));
+    let parts: Vec<&str> = page.split("<h1 class=\"input\">").skip(1).collect();
+    let names: Vec<&str> = parts.iter().map(|part| part.split_once("</h1>").unwrap().0).collect();
+    assert_eq!(names, ["a&lt;b", "second"]);
+    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    for (part, input) in parts.iter().zip(report["inputs"].as_array().unwrap()) {
+        let headings = [
+            "<h3>Points by height<",
+            "<h3>Worst fit: shot ",
+            "<h3>Where the time went",
+            "<h2>Sensor model, low power",
+            "<h2>Written",
+        ];
+        for heading in headings {
+            assert_eq!(part.matches(heading).count(), 1, "{heading}");
+        }
+        let returns = format!("<td>np</td><td>{}</td>", input["totals"]["np"]);
+        assert!(part.contains(&returns), "{returns}");
+    }
+    let values = |name: &str| -> Vec<&str> {
+        let begin = format!(" {name}=\"");
+        let rest = page.split(&begin).skip(1);
+        rest.filter_map(|rest| rest.split_once('"').map(|(value, _)| value)).collect()
+    };
+    let mut ids = values("id");
+    ids.sort_unstable();
+    assert!(ids.windows(2).all(|pair| pair[0] != pair[1]), "{ids:?}");
+    let within: Vec<&str> = values("href").iter().filter_map(|href| href.strip_prefix('#')).collect();
+    assert_eq!(within, ["intensities-0", "intensities-1"]);
+    assert!(within.iter().all(|id| ids.contains(id)), "{ids:?}");
+
+    assert_eq!(self::report(&place, &["out"]), done());
+    assert_eq!(place.text("out/report.html"), page);
+}
+
 #[test]
 fn the_key_asks_for_a_page() {
     let place = Place::new();

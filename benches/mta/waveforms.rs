@@ -6,7 +6,7 @@ use std::path::Path;
 
 use wavex::batch::emission_flags::{SYNCHRONISED, SYNCHRONISED_WITHIN_LAST_SECOND};
 use wavex::formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference, Frame,
+    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale, channel,
 };
 use wavex::formats::trajectory::sbet::SbetRecord;
@@ -50,21 +50,13 @@ fn header() -> ContainerHeader {
     ContainerHeader {
         instrument: Some("LMS-Q680i".into()),
         serial: Some("9997".into()),
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 2e9 * METRES_PER_NS,
-        pulse_rate_hz: None,
         time_scale: TimeScale::Week,
         gps_week: Some(2365),
-        frame: Frame::Scanner,
-        crs_wkt: None,
         amplitude_low: Some(vec![(9.0, 0.0), (68.0, 9.75), (255.0, 19.7)]),
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
         recorded: Some((126, 2025)),
         full_scale_dn: Some(255),
-        coordinate_grid: None,
         emission_reference: Some(EmissionReference::OutgoingPulse),
+        ..ContainerHeader::new(1.0, 2e9 * METRES_PER_NS)
     }
 }
 

@@ -121,6 +121,11 @@ pub struct Blocks {
 }
 
 impl Blocks {
+    /// None yet, with room for so many blocks, and for so many samples in all of them.
+    pub fn with_capacity(blocks: usize, samples: usize) -> Blocks {
+        Blocks { list: Vec::with_capacity(blocks), arena: Vec::with_capacity(samples), online: Vec::new() }
+    }
+
     /// Adds a block of `samples` (digitiser steps). Blocks come in the order of their emissions.
     ///
     /// # Panics

@@ -46,6 +46,8 @@ pub struct Import {
     pub flags: Vec<Flag>,
     /// What the line asks for and this build cannot do.
     pub missing: Vec<String>,
+    /// What the line asks for in a way that cannot be used, and why.
+    pub obstacles: Vec<String>,
 }
 
 /// Translates a line: its words, and the version where it is known.
@@ -105,7 +107,7 @@ fn finished(
     known: &Known,
 ) -> Import {
     let has_job = !imported.job.toml.is_empty();
-    let mut missing = imported.job.missing;
+    let (mut missing, obstacles) = (imported.job.missing, imported.job.obstacles);
     let mut text =
         format!("# What BayesWavEx {} does with this line:\n#\n#   {}\n", version.name, line::joined(words));
     for written in from_files {
@@ -129,7 +131,7 @@ fn finished(
         }
     }
     text += &imported.job.toml;
-    Import { text, has_job, commands: imported.commands, flags: imported.flags, missing }
+    Import { text, has_job, commands: imported.commands, flags: imported.flags, missing, obstacles }
 }
 
 /// Words as a shell takes them.
@@ -188,6 +190,9 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
     for what in &import.missing {
         tracing::warn!("this build cannot do yet: {what}");
     }
+    for what in &import.obstacles {
+        tracing::warn!("{what}");
+    }
     if args.run { run_all(&import, job, folder, quiet) } else { Ok(()) }
 }
 
@@ -216,6 +221,10 @@ fn write(file: &PathBuf, text: &str) -> Result<(), Failure> {
 
 /// Runs the job and the commands, or says what keeps this build from it.
 fn run_all(import: &Import, job: Option<Job>, folder: Option<&Path>, quiet: bool) -> Result<(), Failure> {
+    if !import.obstacles.is_empty() {
+        let what = import.obstacles.join("; ");
+        return Err(Failure::Wrong(format!("the line is not run: {what}")));
+    }
     if !import.missing.is_empty() {
         let what = import.missing.join(", ");
         return Err(Failure::Wrong(format!(

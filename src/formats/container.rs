@@ -12,8 +12,8 @@
 //! # Trust
 //! `arrow-ipc` panics on, or allocates by, some lengths that a damaged file gives it. [`ContainerReader`] therefore
 //! walks over the metadata of each record batch first (`guard`), and only a record batch whose buffers lie in its
-//! body, are as long as its row count wants and unpack to at most [`MAX_BATCH_BYTES`] is handed to it; there, its own
-//! validation stays on.
+//! body, are as long as its row count wants and unpack to at most [`MAX_BATCH_BYTES`] is unpacked (`unpack`), checked once
+//! more, and handed to it; there, its own validation stays on.
 
 mod builder;
 mod decode;
@@ -21,13 +21,16 @@ mod guard;
 mod header;
 pub mod layout;
 mod line;
+mod lz4;
 mod messages;
 mod place;
 mod reader;
 mod table;
 #[cfg(test)]
 mod tests;
+mod unpack;
 mod writer;
+mod xxh32;
 
 pub use builder::LineBuilder;
 pub use header::{ContainerHeader, EmissionReference, Frame, TimeScale};

@@ -97,11 +97,11 @@ impl Context {
     }
 
     /// Tells the user something, once per run: it is logged and stands in the report.
-    pub fn note(&mut self, text: impl Into<String>) {
-        let text = text.into();
-        if self.counters.notes.contains(&text) {
+    pub fn note(&mut self, text: impl AsRef<str> + Into<String>) {
+        if self.counters.notes.iter().any(|said| said == text.as_ref()) {
             return;
         }
+        let text = text.into();
         let mut said = self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         if said.insert(text.clone()) {
             tracing::warn!("{text}");

@@ -1,5 +1,6 @@
 //! `read_arrow`: recorded waveforms from the open container.
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -111,14 +112,52 @@ impl ReadArrow {
             return None;
         }
         let number = line.line(from);
-        let mut part = Part { with_samples: self.with_samples, ..Part::default() };
+        let until = (from..line.rows()).find(|&row| line.line(row) != number).unwrap_or(line.rows());
+        let room = (until - from).min(MAX_SHOTS_PER_LINE);
+        let (mut emissions, mut rows) = (Vec::with_capacity(room), Vec::with_capacity(room));
         let mut row = from;
-        while row < line.rows() && line.line(row) == number && part.emissions.len() < MAX_SHOTS_PER_LINE {
-            part.add(&line, row, &self.info, cx);
+        while row < until && emissions.len() < MAX_SHOTS_PER_LINE {
+            let shot = line.shot(row);
+            match wrong_row(&line, row, &shot, emissions.last()) {
+                None => {
+                    emissions.push(emission_of(&shot));
+                    rows.push(row);
+                }
+                Some(reason) => {
+                    cx.reject(Item::Shots, reason, 1);
+                    cx.reject(Item::Blocks, reason, line.blocks(row).len() as u64);
+                }
+            }
             row += 1;
         }
+        let blocks = self.blocks(&line, from..row, &rows);
         self.at = Some((line, row));
-        Some(Batch::of_shots(Arc::clone(&self.info), number, part.emissions, part.blocks))
+        Some(Batch::of_shots(Arc::clone(&self.info), number, emissions, blocks))
+    }
+
+    /// The blocks and online returns of the rows `kept` among some rows.
+    fn blocks(&self, line: &ContainerLine, rows: Range<usize>, kept: &[usize]) -> Blocks {
+        let (n, samples) = line.blocks_and_samples(rows);
+        let mut blocks = Blocks::with_capacity(n, if self.with_samples { samples } else { 0 });
+        for (emission, &row) in (0..).zip(kept) {
+            for block in line.blocks(row) {
+                let Some(channel) = channel_of(block.channel) else { continue };
+                let interval_ns = block.interval_ns.unwrap_or(self.info.sampling_interval_ns);
+                let (zone, start_ns, samples) = (block.zone, block.start_ns, block.samples);
+                if self.with_samples {
+                    blocks.push(emission, channel, zone, start_ns, interval_ns, samples);
+                } else {
+                    let len = samples.len() as u32;
+                    blocks.push_without_samples(emission, channel, zone, start_ns, interval_ns, len);
+                }
+            }
+        }
+        for (emission, &row) in (0..).zip(kept) {
+            let online =
+                |ContainerOnline { time_ns, amplitude }| OnlineReturn { emission, time_ns, amplitude };
+            blocks.online.extend(line.online(row).map(online));
+        }
+        blocks
     }
 }
 
@@ -150,51 +189,6 @@ fn has_outgoing_pulse(line: &ContainerLine) -> bool {
     (0..line.rows()).any(|row| line.blocks(row).any(is_reference))
 }
 
-/// A line that grows row by row.
-#[derive(Default)]
-struct Part {
-    with_samples: bool,
-    emissions: Vec<Emission>,
-    blocks: Blocks,
-}
-
-impl Part {
-    /// Adds a row, or rejects it.
-    fn add(&mut self, line: &ContainerLine, row: usize, info: &InputInfo, cx: &mut Context) {
-        let shot = line.shot(row);
-        let earlier = self.emissions.last().is_some_and(|last| shot.clock_ps < last.clock_ps);
-        let clock = earlier.then_some("the clock runs backwards");
-        let wrong = clock
-            .or_else(|| wrong_shot(&shot))
-            .or_else(|| line.blocks(row).find_map(wrong_block))
-            .or_else(|| line.online(row).find_map(wrong_online));
-        if let Some(reason) = wrong {
-            cx.reject(Item::Shots, reason, 1);
-            cx.reject(Item::Blocks, reason, line.blocks(row).len() as u64);
-            return;
-        }
-        let emission = self.emissions.len() as u32;
-        self.emissions.push(emission_of(&shot));
-        for block in line.blocks(row) {
-            let Some(channel) = channel_of(block.channel) else { continue };
-            let interval_ns = block.interval_ns.unwrap_or(info.sampling_interval_ns);
-            let (zone, start_ns, samples) = (block.zone, block.start_ns, block.samples);
-            if self.with_samples {
-                self.blocks.push(emission, channel, zone, start_ns, interval_ns, samples);
-            } else {
-                let len = samples.len() as u32;
-                self.blocks.push_without_samples(emission, channel, zone, start_ns, interval_ns, len);
-            }
-        }
-        let online = |online: ContainerOnline| OnlineReturn {
-            emission,
-            time_ns: online.time_ns,
-            amplitude: online.amplitude,
-        };
-        self.blocks.online.extend(line.online(row).map(online));
-    }
-}
-
 fn emission_of(shot: &ContainerShot) -> Emission {
     Emission {
         shot: shot.shot,
@@ -210,6 +204,20 @@ fn emission_of(shot: &ContainerShot) -> Emission {
         mta_zone: shot.mta_zone,
         scan_angle_deg: shot.scan_angle_deg.unwrap_or(f32::NAN),
     }
+}
+
+/// Why a row cannot be used behind the last emission of its line, if so.
+fn wrong_row(
+    line: &ContainerLine,
+    row: usize,
+    shot: &ContainerShot,
+    last: Option<&Emission>,
+) -> Option<&'static str> {
+    let earlier = last.is_some_and(|last| shot.clock_ps < last.clock_ps);
+    (earlier.then_some("the clock runs backwards"))
+        .or_else(|| wrong_shot(shot))
+        .or_else(|| line.blocks(row).find_map(wrong_block))
+        .or_else(|| line.online(row).find_map(wrong_online))
 }
 
 /// Why a shot cannot be used, if so.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 use wavex::formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference, Frame,
+    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale, channel,
 };
 
@@ -18,23 +18,10 @@ const DAMAGED: &str = "the file is damaged: copy it again from its source";
 
 fn header() -> ContainerHeader {
     ContainerHeader {
-        instrument: None,
-        serial: None,
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
         time_scale: TimeScale::Week,
-        gps_week: None,
-        frame: Frame::Scanner,
-        crs_wkt: None,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
-        recorded: None,
         full_scale_dn: Some(255),
-        coordinate_grid: None,
         emission_reference: Some(EmissionReference::Clock),
+        ..ContainerHeader::new(1.0, 299_707_502.0)
     }
 }
 

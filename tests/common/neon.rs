@@ -32,22 +32,11 @@ pub fn waveforms(path: &Path) -> Vec<Vec<u16>> {
 pub fn to_container(folder: &Path, path: &Path) {
     let header = ContainerHeader {
         instrument: Some("Optech Gemini".into()),
-        serial: None,
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
         time_scale: TimeScale::Week,
-        gps_week: None,
         frame: Frame::Map,
-        crs_wkt: None,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
-        recorded: None,
         full_scale_dn: Some(4095),
-        coordinate_grid: None,
         emission_reference: Some(EmissionReference::OutgoingPulse),
+        ..ContainerHeader::new(1.0, 299_707_502.0)
     };
     let to = BufWriter::new(File::create(path).unwrap());
     let mut writer = ContainerWriter::file(to, path, &header, Compression::Lz4).unwrap();

@@ -233,8 +233,8 @@ fn the_lines_with_a_trajectory_in_text() {
         let line = EXAMPLES.iter().find(|(example, _)| *example == name).unwrap().1;
         let refused = wavex(&place, &format!("--run -- {line}"));
         assert_eq!((refused.code, refused.out.as_str()), (Some(2), ""), "{}", refused.err);
-        let what = "-po_parse xyztpk (`trajectory_columns` of `geometry`)";
-        assert!(refused.err.contains("the line is not run") && refused.err.contains(what), "{}", refused.err);
+        let what = "the line is not run: -po_parse xyztpk: the roll (`w`) is missing, and no point has a place without it";
+        assert!(refused.err.contains(what), "{}", refused.err);
         leaves(&place, &line.replace("xyztpk", "xyztwpk"), &["data.laz", "data_traj.txt"]);
         let (_, points, least) = header(&place, "data.laz");
         assert!(

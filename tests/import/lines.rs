@@ -272,10 +272,22 @@ fn the_trajectory_tells_the_hemisphere_of_a_zone() {
 #[test]
 fn columns_of_a_trajectory_that_are_not_enough_are_told_and_not_run() {
     let import = here("-i a.sdf -po a.txt -po_parse xyztpk");
-    let told = "#trajectory_columns = \"xyztpk\"  # -po_parse xyztpk: `w` must stand in it once\n";
-    assert!(import.text.contains(told), "{}", import.text);
-    assert_eq!(import.missing, ["-po_parse xyztpk (`trajectory_columns` of `geometry`)"]);
-    assert!(here("-i a.sdf -po a.txt -po_parse xyz#wtpk").missing.is_empty());
+    let told = "-po_parse xyztpk: the roll (`w`) is missing, and no point has a place without it: give a trajectory \
+                that has it, or add such a column to the text and its letter here";
+    let line = format!("#trajectory_columns = \"xyztpk\"  # {told}\n");
+    assert!(import.text.contains(&line), "{}", import.text);
+    assert_eq!(import.obstacles, [told]);
+    assert_eq!(import.missing, [] as [&str; 0]);
+    let obstacles = |columns: &str| here(&format!("-i a.sdf -po a.txt -po_parse {columns}")).obstacles;
+    assert_eq!(
+        obstacles("txyzk"),
+        [
+            "-po_parse txyzk: the roll (`w`) and the pitch (`p`) are missing, and no point has a place without them: give a \
+          trajectory that has them, or add such columns to the text and their letters here"
+        ]
+    );
+    assert_eq!(obstacles("txyzwpkz"), ["-po_parse txyzwpkz: the height (`z`) may stand in it only once"]);
+    assert_eq!(obstacles("xyz#wtpk"), [] as [&str; 0]);
     here("-i a.sdf -po a.txt -po_parse xyztwk");
 }
 

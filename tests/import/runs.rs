@@ -166,11 +166,11 @@ fn a_value_that_a_key_cannot_take_is_told_with_its_place_in_the_job() {
 
 /// A job that leaves out what changes its points is not run as if nothing were missing.
 #[test]
-fn a_line_that_asks_for_what_is_not_there_yet_is_not_run() {
+fn a_line_with_columns_that_are_not_enough_is_not_run() {
     let place = data_sdf();
     let ended = wavex(&place, "--run -- -i data.sdf -po a.txt -po_parse xyztpk");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    let expected = "error: the line is not run, because this build cannot do yet: -po_parse xyztpk \
-                    (`trajectory_columns` of `geometry`); leave that out, or write the job with `-o` and change it\n";
+    let expected = "error: the line is not run: -po_parse xyztpk: the roll (`w`) is missing, and no point has a place \
+                    without it: give a trajectory that has it, or add such a column to the text and its letter here\n";
     assert!(ended.err.ends_with(expected), "{}", ended.err);
 }

@@ -7,7 +7,7 @@ use serde_json::Value;
 use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
 use wavex::formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
-    EmissionReference, Frame, LineBuilder, TimeScale, channel,
+    EmissionReference, LineBuilder, TimeScale, channel,
 };
 
 use crate::support::{Outcome, Place};
@@ -38,21 +38,16 @@ pub fn header() -> ContainerHeader {
     ContainerHeader {
         instrument: Some("LMS-Q680i".into()),
         serial: Some("9997".into()),
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
         time_scale: TimeScale::Week,
         gps_week: Some(2365),
-        frame: Frame::Scanner,
-        crs_wkt: None,
         amplitude_low: Some(vec![(9.0, 0.0), (68.0, 9.75), (255.0, 19.7)]),
         amplitude_high: Some(vec![(3.0, 10.5), (255.0, 39.7)]),
         range_low: Some(vec![(9.0, -4.3e-11), (255.0, 3.5e-11)]),
         range_high: Some(vec![(3.0, 1e-12), (255.0, 2e-12)]),
         recorded: Some((126, 2025)),
         full_scale_dn: Some(255),
-        coordinate_grid: None,
         emission_reference: Some(EmissionReference::OutgoingPulse),
+        ..ContainerHeader::new(1.0, 299_707_502.0)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Containers made by hand: shots that look straight down, each with its blocks.
 
 use wavex::formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference, Frame,
+    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale,
 };
 
@@ -16,23 +16,10 @@ pub struct Shot {
 /// A container of one line with these shots, numbered from 100 on; without times where `timed` is false.
 pub fn container(shots: &[Shot], reference: EmissionReference, timed: bool) -> Vec<u8> {
     let header = ContainerHeader {
-        instrument: None,
-        serial: None,
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
         time_scale: TimeScale::Week,
-        gps_week: None,
-        frame: Frame::Scanner,
-        crs_wkt: None,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
-        recorded: None,
         full_scale_dn: Some(255),
-        coordinate_grid: None,
         emission_reference: Some(reference),
+        ..ContainerHeader::new(1.0, 299_707_502.0)
     };
     let path = std::path::Path::new("made by hand");
     let mut writer = ContainerWriter::file(Vec::new(), path, &header, Compression::None).unwrap();

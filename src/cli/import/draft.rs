@@ -51,6 +51,8 @@ pub struct Text {
     pub toml: String,
     /// What the line asks for and this build cannot do.
     pub missing: Vec<String>,
+    /// What the line asks for in a way that cannot be used, and why.
+    pub obstacles: Vec<String>,
 }
 
 impl Known {
@@ -161,7 +163,7 @@ impl Draft {
             self.write_entries(name, known, text);
             return;
         }
-        let mut inner = Text { toml: format!("{header}\n"), missing: Vec::new() };
+        let mut inner = Text { toml: format!("{header}\n"), ..Text::default() };
         self.write_entries(name, &Known::Everything, &mut inner);
         let _ = writeln!(text.toml, "\n# This build cannot do this yet:");
         for line in inner.toml.lines() {
@@ -181,12 +183,15 @@ impl Draft {
                 lines.push((line, why));
                 continue;
             }
-            let obstacle =
-                if entry.obstacle.is_empty() { "this build cannot do this yet" } else { &entry.obstacle };
-            lines.push((format!("#{line}"), format!("{why}: {obstacle}")));
-            if entry.is_asked {
-                text.missing.push(format!("{} (`{}` of `{section}`)", entry.why, entry.key));
+            let is_usable = entry.obstacle.is_empty();
+            let obstacle = if is_usable { "this build cannot do this yet" } else { &entry.obstacle };
+            let told = format!("{why}: {obstacle}");
+            match (entry.is_asked, is_usable) {
+                (true, true) => text.missing.push(format!("{} (`{}` of `{section}`)", entry.why, entry.key)),
+                (true, false) => text.obstacles.push(told.clone()),
+                (false, _) => {}
             }
+            lines.push((format!("#{line}"), told));
         }
         let width = lines.iter().map(|(line, _)| line.chars().count()).max().unwrap_or(0).min(44);
         for (line, why) in lines {

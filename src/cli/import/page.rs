@@ -19,7 +19,8 @@ wavex import --classic 1.1 -- -i data.laz                   # 1.0 is meant where
 
 Each key of the job says which option it comes from. Defaults in which a version differs from wavex are written out. An option
 that is no key any more, has no effect in this line, or stands for a command stands as a comment above the job. What a build
-cannot do yet stands there as a comment, too, and `--run` refuses a line that asks for it.
+cannot do yet, and columns of a trajectory that are not enough for a pose, stand in it as comments, too, and `--run` refuses a
+line that asks for them.
 
 Options may be written `-d 6`, `-d6`, `-d=6`, `-det 6`, `-det=6`; a switch without its 0 or 1 is on; of an option that stands
 twice the last counts. Where a word can be read in two ways (`-awc10`), that is an error. Unknown options are errors in both

@@ -50,8 +50,16 @@ pub(super) struct Translation<'a> {
     pub(super) reader: &'static str,
 }
 
-/// Time, longitude, latitude, height, roll, pitch and heading: without one of them there is no pose.
-const TRAJECTORY_COLUMNS: &str = "txyzwpk";
+/// The columns of a trajectory with their letters: without one of them there is no pose.
+const TRAJECTORY_COLUMNS: [(char, &str); 7] = [
+    ('t', "time"),
+    ('x', "longitude or easting"),
+    ('y', "latitude or northing"),
+    ('z', "height"),
+    ('w', "roll"),
+    ('p', "pitch"),
+    ('k', "heading"),
+];
 
 /// A list of two numbers that options give one by one.
 type Ends = BTreeMap<(&'static str, &'static str), ([f64; 2], Vec<String>)>;
@@ -448,14 +456,27 @@ fn toml_of(form: Form, value: &Value, paths: &Paths) -> Option<String> {
     }
 }
 
-/// What keeps columns of a trajectory from being enough.
+/// What keeps columns of a trajectory from being enough, and what can be done.
 fn without_a_column(letters: &str) -> Option<String> {
-    let missing: Vec<String> = TRAJECTORY_COLUMNS
-        .chars()
-        .filter(|column| letters.matches(*column).count() != 1)
-        .map(|column| format!("`{column}`"))
-        .collect();
-    (!missing.is_empty()).then(|| format!("{} must stand in it once", listed(&missing, "and")))
+    let of = |is_wrong: fn(usize) -> bool| -> Vec<String> {
+        let wrong =
+            TRAJECTORY_COLUMNS.iter().filter(|(letter, _)| is_wrong(letters.matches(*letter).count()));
+        wrong.map(|(letter, name)| format!("the {name} (`{letter}`)")).collect()
+    };
+    let (absent, repeated) = (of(|count| count == 0), of(|count| count > 1));
+    if absent.is_empty() {
+        return (!repeated.is_empty())
+            .then(|| format!("{} may stand in it only once", listed(&repeated, "and")));
+    }
+    let (are, them, columns, letters) = match absent.len() {
+        1 => ("is", "it", "such a column", "its letter"),
+        _ => ("are", "them", "such columns", "their letters"),
+    };
+    Some(format!(
+        "{} {are} missing, and no point has a place without {them}: give a trajectory that has {them}, or add {columns} \
+         to the text and {letters} here",
+        listed(&absent, "and")
+    ))
 }
 
 /// What a folder comes from, with a word on folders of Windows where there are none.

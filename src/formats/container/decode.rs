@@ -12,6 +12,7 @@ use arrow_schema::{DataType, Field, FieldRef, Schema, SchemaRef};
 
 use super::messages::{Message, first_line};
 use super::place::{DAMAGED, Place};
+use super::unpack::{Found, Unpacker};
 use super::{ContainerLine, guard};
 use crate::formats::Result;
 
@@ -44,6 +45,7 @@ pub(super) struct Decoder {
     columns: Vec<Option<usize>>,
     /// Those that are there.
     present: Vec<usize>,
+    unpacker: Unpacker,
 }
 
 impl Decoder {
@@ -51,45 +53,75 @@ impl Decoder {
     pub(super) fn new(schema: &Schema, columns: Vec<Option<usize>>) -> Decoder {
         let fields: Vec<FieldRef> = schema.fields().iter().map(nullable).collect();
         let present = columns.iter().flatten().copied().collect();
-        Decoder { schema: Arc::new(Schema::new(fields)), columns, present }
+        Decoder { schema: Arc::new(Schema::new(fields)), columns, present, unpacker: Unpacker::default() }
     }
 
     /// The line in a message; `None` where the message is none.
-    pub(super) fn line(&self, message: &Message, place: Place) -> Result<Option<ContainerLine>> {
+    pub(super) fn line(&mut self, message: &Message, place: Place) -> Result<Option<ContainerLine>> {
         let batch = self.batch(message, place)?;
         batch.map(|batch| ContainerLine::try_new(&self.arrays(&batch), place)).transpose()
     }
 
     /// The columns of the layout in a message, in the order of the file; `None` where the message is no record batch.
-    pub(super) fn batch(&self, message: &Message, place: Place) -> Result<Option<RecordBatch>> {
-        let parsed =
-            root_as_message(&message.metadata).map_err(|e| place.bad("message", first_line(&e), DAMAGED))?;
-        let (Some(batch), version) = (parsed.header_as_record_batch(), parsed.version()) else {
-            return match parsed.header_type() {
-                // Only columns that are passed over can have a dictionary.
-                MessageHeader::DictionaryBatch | MessageHeader::NONE => Ok(None),
-                _ => Err(place.bad("message", "neither a record batch nor a dictionary", DAMAGED)),
-            };
+    pub(super) fn batch(&mut self, message: &Message, place: Place) -> Result<Option<RecordBatch>> {
+        let parsed = parsed(message, place)?;
+        let Some(batch) = record_batch_of(&parsed, place)? else { return Ok(None) };
+        let found = self.check(message, &parsed, &batch, place)?;
+        let Some(compression) = batch.compression() else {
+            return self.plain(message, &parsed, batch, place).map(Some);
         };
-        if version < MetadataVersion::V4 {
-            let problem = format!("a record batch of the metadata version {version:?}");
-            return Err(place.bad("message", problem, "write it with Arrow 0.8 or later"));
+        let unpacked = self.unpacker.unpack(message, &batch, compression.codec(), &found);
+        let unpacked = unpacked.map_err(|(column, problem)| {
+            let column = column.map_or("record batch".into(), |column| self.name(column));
+            place.bad(self.rows(&column, batch.length(), place), problem, DAMAGED)
+        })?;
+        self.unpacked(&unpacked, place)
+    }
+
+    /// The same of a message that has just been unpacked. It is checked as if it came from the file: only now do the lists'
+    /// offsets lie open.
+    fn unpacked(&self, message: &Message, place: Place) -> Result<Option<RecordBatch>> {
+        let parsed = parsed(message, place)?;
+        let Some(batch) = record_batch_of(&parsed, place)? else { return Ok(None) };
+        if batch.compression().is_some() {
+            return Err(place.bad("record batch", "its metadata overlap", DAMAGED));
         }
-        guard::check(&batch, version, &self.schema, &self.present, &message.body, place)?;
-        let decode = |columns: &[usize]| decode(&message.body, batch, &self.schema, columns, version);
-        match decode(&self.present) {
-            Ok(decoded) => Ok(Some(decoded)),
-            Err(error) => {
-                // The decoder does not say which column it was at: whichever fails by itself, too.
-                let culprit =
-                    self.present.iter().find_map(|&column| Some((column, decode(&[column]).err()?)));
-                let (column, problem) = culprit.map_or_else(
-                    || ("record batch".to_string(), error),
-                    |(column, error)| (format!("column `{}`", self.schema.field(column).name()), error),
-                );
-                Err(place.bad(self.rows(&column, batch.length(), place), problem, DAMAGED))
-            }
-        }
+        self.check(message, &parsed, &batch, place)?;
+        self.plain(message, &parsed, batch, place).map(Some)
+    }
+
+    fn check(
+        &self,
+        message: &Message,
+        parsed: &arrow_ipc::Message,
+        batch: &arrow_ipc::RecordBatch,
+        place: Place,
+    ) -> Result<Vec<Found>> {
+        guard::check(batch, parsed.version(), &self.schema, &self.present, &message.body, place)
+    }
+
+    /// Decodes a record batch without packed buffers.
+    fn plain(
+        &self,
+        message: &Message,
+        parsed: &arrow_ipc::Message,
+        batch: arrow_ipc::RecordBatch,
+        place: Place,
+    ) -> Result<RecordBatch> {
+        let decode =
+            |columns: &[usize]| decode(&message.body, batch, &self.schema, columns, parsed.version());
+        decode(&self.present).map_err(|error| {
+            // The decoder does not say which column it was at: whichever fails by itself, too.
+            let culprit = self.present.iter().find_map(|&column| Some((column, decode(&[column]).err()?)));
+            let (column, problem) = culprit
+                .map_or_else(|| ("record batch".into(), error), |(column, error)| (self.name(column), error));
+            place.bad(self.rows(&column, batch.length(), place), problem, DAMAGED)
+        })
+    }
+
+    /// A column in words.
+    fn name(&self, column: usize) -> String {
+        format!("column `{}`", self.schema.field(column).name())
     }
 
     /// A column and the rows that a record batch has.
@@ -103,6 +135,30 @@ impl Decoder {
         let mut arrays = decoded.columns().iter();
         self.columns.iter().map(|column| column.and_then(|_| arrays.next().cloned())).collect()
     }
+}
+
+fn parsed<'a>(message: &'a Message, place: Place) -> Result<arrow_ipc::Message<'a>> {
+    root_as_message(&message.metadata).map_err(|e| place.bad("message", first_line(&e), DAMAGED))
+}
+
+/// The record batch that a message is; `None` for a dictionary.
+fn record_batch_of<'a>(
+    message: &arrow_ipc::Message<'a>,
+    place: Place,
+) -> Result<Option<arrow_ipc::RecordBatch<'a>>> {
+    let Some(batch) = message.header_as_record_batch() else {
+        return match message.header_type() {
+            // Only columns that are passed over can have a dictionary.
+            MessageHeader::DictionaryBatch | MessageHeader::NONE => Ok(None),
+            _ => Err(place.bad("message", "neither a record batch nor a dictionary", DAMAGED)),
+        };
+    };
+    let version = message.version();
+    if version < MetadataVersion::V4 {
+        let problem = format!("a record batch of the metadata version {version:?}");
+        return Err(place.bad("message", problem, "write it with Arrow 0.8 or later"));
+    }
+    Ok(Some(batch))
 }
 
 /// A record batch with the columns `columns`, in that order.

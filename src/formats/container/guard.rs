@@ -1,6 +1,6 @@
-//! What must hold of a record batch's metadata before `arrow-ipc` may see it.
+//! What must hold of a record batch's metadata before its buffers are unpacked, and before `arrow-ipc` may see it.
 //!
-//! The decoder takes memory by the unpacked length that stands before each packed buffer, slices the body by the
+//! Memory is taken by the unpacked length that stands before each packed buffer; the decoder slices the body by the
 //! offset and length of each buffer, and reads a list's offsets as whole numbers of 32 bits: lengths that lie make it
 //! abort or panic. This walk goes over the nodes and buffers in the order in which the decoder will (Arrow columnar
 //! format 1.5, "RecordBatch message"), and also finds the row of a list that points outside its items.
@@ -12,12 +12,20 @@ use arrow_schema::{DataType, Field, Schema, UnionMode};
 
 use super::MAX_BATCH_BYTES;
 use super::place::{DAMAGED, Place};
+use super::unpack::Found;
 use crate::formats::{Error, Result};
 
 /// Unpacked bytes that a buffer may have over what its rows need: writers fill up, and may keep room to grow.
 const SPARE_BYTES: u64 = 1 << 16;
 
-/// An error unless `batch` can be decoded: see the module. `decoded` are the columns that will be.
+/// Bytes of the length before a packed buffer.
+const LENGTH_BYTES: usize = 8;
+
+/// Room is made for so many buffers at once: more than a container's columns have.
+const MOST_BUFFERS: usize = 128;
+
+/// An error unless `batch` can be decoded: see the module. `decoded` are the columns that will be, and the buffers given
+/// are theirs.
 pub(super) fn check(
     batch: &RecordBatch,
     version: MetadataVersion,
@@ -25,7 +33,7 @@ pub(super) fn check(
     decoded: &[usize],
     body: &[u8],
     place: Place,
-) -> Result<()> {
+) -> Result<Vec<Found>> {
     let (Some(nodes), Some(buffers)) = (batch.nodes(), batch.buffers()) else {
         return Err(place.bad("record batch", "it lists no buffers", DAMAGED));
     };
@@ -39,16 +47,20 @@ pub(super) fn check(
         version,
         body,
         unpacked: 0,
+        column: 0,
+        listed: buffers.len(),
+        found: Vec::with_capacity(buffers.len().min(MOST_BUFFERS)),
         place,
     };
     for (index, field) in schema.fields().iter().enumerate() {
+        walk.column = index;
         if decoded.contains(&index) {
             walk.field(field, field.name(), Some(rows), &mut Vec::new())?;
         } else {
             walk.pass(field.data_type(), field.name())?;
         }
     }
-    Ok(())
+    Ok(walk.found)
 }
 
 /// The rest of a record batch's nodes and buffers.
@@ -62,6 +74,11 @@ struct Walk<'a> {
     body: &'a [u8],
     /// Bytes that the buffers so far unpack to.
     unpacked: u64,
+    /// The number of the column at hand.
+    column: usize,
+    /// How many buffers the record batch lists.
+    listed: usize,
+    found: Vec<Found>,
     place: Place<'a>,
 }
 
@@ -215,6 +232,14 @@ impl<'a> Walk<'a> {
         if self.unpacked > MAX_BATCH_BYTES {
             return bad(format!("the record batch unpacks to over {MAX_BATCH_BYTES} bytes"));
         }
+        // The buffer lies in the body, and what precedes it when it is packed is a part of it.
+        let end = entry.offset() as usize + bytes.len();
+        let (start, unpacks_to) = match raw {
+            Some(raw) => (end - raw.len(), None),
+            None => (end - bytes.len() + LENGTH_BYTES, Some(size as usize)),
+        };
+        let number = self.listed - self.buffers.len() - 1;
+        self.found.push(Found { number, column: self.column, bytes: start..end, unpacks_to });
         Ok((size, raw))
     }
 
@@ -224,7 +249,7 @@ impl<'a> Walk<'a> {
         let Some(codec) = self.codec.filter(|_| !bytes.is_empty()) else {
             return Ok((bytes.len() as u64, Some(bytes)));
         };
-        let Some((size, packed)) = bytes.split_first_chunk::<8>() else {
+        let Some((size, packed)) = bytes.split_first_chunk::<LENGTH_BYTES>() else {
             return Err(format!("a packed buffer of {} bytes", bytes.len()));
         };
         let most = match codec {

@@ -143,14 +143,23 @@ impl ContainerLine {
             line: self.line.value(row),
             gps_time_s: value(&self.gps_time_s, row),
             clock_ps: self.clock_ps.value(row),
-            origin_m: [0, 1, 2].map(|axis| self.origin.value(3 * row + axis)),
-            direction: [0, 1, 2].map(|axis| self.direction.value(3 * row + axis)),
+            origin_m: self.origin.values().as_chunks().0[row],
+            direction: self.direction.values().as_chunks().0[row],
             facet: self.facet.value(row),
             flags: self.flags.value(row),
             mta_zone: value(&self.mta_zone, row),
             scan_angle_deg: self.scan_angle_deg.as_ref().and_then(|array| value(array, row)),
             frame_scale: self.frame_scale.as_ref().and_then(|array| value(array, row)),
         }
+    }
+
+    /// How many blocks some of the rows have, and how many samples these.
+    ///
+    /// # Panics
+    /// Where the rows pass [`ContainerLine::rows`].
+    pub fn blocks_and_samples(&self, rows: Range<usize>) -> (usize, usize) {
+        let blocks = items_of(&self.blocks.rows, &rows);
+        (blocks.len(), items_of(&self.blocks.lists, &blocks).len())
     }
 
     /// The blocks of a row, as they stand in the file.

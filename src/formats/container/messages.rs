@@ -108,6 +108,8 @@ pub(super) struct FileMessages {
     file: Box<dyn Searchable>,
     blocks: Vec<Block>,
     next: usize,
+    /// The last message's bytes: their memory is free once nobody uses them.
+    last: Option<Buffer>,
 }
 
 impl FileMessages {
@@ -118,7 +120,7 @@ impl FileMessages {
         let schema = footer.schema().ok_or_else(|| place.bad("footer", "it has no schema", DAMAGED))?;
         let schema = schema_of(schema, place)?;
         let blocks = blocks_of(&footer, offset, place)?;
-        Ok((FileMessages { name: name.to_path_buf(), file, blocks, next: 0 }, schema))
+        Ok((FileMessages { name: name.to_path_buf(), file, blocks, next: 0, last: None }, schema))
     }
 
     fn next(&mut self) -> Result<Option<Message>> {
@@ -131,7 +133,10 @@ impl FileMessages {
         let len = head + block.bodyLength() as usize;
         let io = Error::io(&self.name, "read a record batch of");
         self.file.seek(SeekFrom::Start(offset)).map_err(&io)?;
-        let bytes = Buffer::from_vec(read_up_to(&mut self.file, len).map_err(&io)?);
+        let mut bytes = self.last.take().and_then(|last| last.into_vec().ok()).unwrap_or_default();
+        read_into(&mut self.file, len, &mut bytes).map_err(&io)?;
+        let bytes = Buffer::from_vec(bytes);
+        self.last = Some(bytes.clone());
         let place = Place { file: &self.name, offset, first_row: 0 };
         if bytes.len() < len {
             return Err(place.bad("record batch", "the file has become shorter", CUT_OFF));
@@ -370,9 +375,17 @@ impl StreamMessages {
 
 /// The next `n` bytes, or as many as there are. The memory grows with the bytes that have come.
 fn read_up_to(from: &mut (impl Read + ?Sized), n: usize) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::with_capacity(n.min(MAX_AHEAD));
-    from.take(n as u64).read_to_end(&mut bytes)?;
+    let mut bytes = Vec::new();
+    read_into(from, n, &mut bytes)?;
     Ok(bytes)
+}
+
+/// The same into the memory of `bytes`, which are dropped.
+fn read_into(from: &mut (impl Read + ?Sized), n: usize, bytes: &mut Vec<u8>) -> io::Result<()> {
+    bytes.clear();
+    bytes.reserve_exact(n.min(MAX_AHEAD));
+    from.take(n as u64).read_to_end(bytes)?;
+    Ok(())
 }
 
 fn not_arrow(name: &Path) -> Error {

@@ -23,25 +23,7 @@ struct Row {
 }
 
 fn header() -> ContainerHeader {
-    ContainerHeader {
-        instrument: Some("made up".into()),
-        serial: None,
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
-        time_scale: TimeScale::Unknown,
-        gps_week: None,
-        frame: Frame::Scanner,
-        crs_wkt: None,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
-        recorded: None,
-        full_scale_dn: None,
-        coordinate_grid: None,
-        emission_reference: None,
-    }
+    ContainerHeader { instrument: Some("made up".into()), ..ContainerHeader::new(1.0, 299_707_502.0) }
 }
 
 fn row(shot: u64, line: u32) -> Row {
@@ -148,6 +130,17 @@ fn what_is_written_comes_back_from_files_and_streams() {
     }
 }
 
+/// The memory of a line is used again only when nobody holds the line any more.
+#[test]
+fn lines_that_are_held_keep_their_values() {
+    for compression in ALL {
+        let bytes = write(&lines(), true, compression);
+        let mut reader = ContainerReader::from_bytes(Path::new("a.arrow"), bytes).unwrap();
+        let held: Vec<ContainerLine> = std::iter::from_fn(|| reader.next_line().unwrap()).collect();
+        assert_eq!(held.iter().map(rows_of).collect::<Vec<_>>(), lines(), "{compression:?}");
+    }
+}
+
 #[test]
 fn the_same_lines_give_the_same_bytes() {
     for compression in ALL {
@@ -226,6 +219,31 @@ fn no_flipped_bit_makes_a_panic() {
             refused += usize::from(read.is_err());
         }
         assert!(refused > 500 / step, "{refused}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(100))]
+
+    #[test]
+    fn samples_of_any_kind_come_back(
+        shots in prop::collection::vec((0usize..700, 1usize..40, 0u16..5), 1..8),
+        seed in any::<u16>(),
+    ) {
+        let mut state = u32::from(seed);
+        let mut noise = |most: u16| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 16) as u16 % (most + 1)
+        };
+        let mut rows = Vec::new();
+        for (shot, (len, period, most)) in (0..).zip(shots) {
+            let samples = (0..len).map(|i| (i % period) as u16 * 9 + noise(most)).collect();
+            rows.push(Row { blocks: vec![(0, 1.5, None, None, samples)], ..row(shot, 0) });
+        }
+        let lines = [rows];
+        for compression in ALL {
+            prop_assert_eq!(&read_file(&write(&lines, true, compression)).unwrap(), &lines, "{:?}", compression);
+        }
     }
 }
 

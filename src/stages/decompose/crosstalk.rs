@@ -11,6 +11,8 @@ const NEAR_WIDTHS: f64 = 3.0;
 pub(super) struct Departures<'a> {
     /// In order of their clocks; none where block times do not count from the clock.
     emissions: &'a [Emission],
+    /// The shot's own place among them.
+    index: usize,
     clock_ps: i64,
     /// How long after its clock a shot leaves: the shot's own delay stands for all.
     delay_ns: f64,
@@ -21,8 +23,9 @@ impl<'a> Departures<'a> {
     pub(super) fn of(emissions: &'a [Emission], shot: &Shot, delay_ns: f64) -> Departures<'a> {
         // Where only return locations are known (LAS), blocks count from their own first sample.
         let known = shot.input.emission_reference != EmissionReference::ReturnLocations;
-        let clock_ps = emissions.get(shot.index as usize).map_or(0, |emission| emission.clock_ps);
-        Departures { emissions: if known { emissions } else { &[] }, clock_ps, delay_ns }
+        let index = shot.index as usize;
+        let clock_ps = emissions.get(index).map_or(0, |emission| emission.clock_ps);
+        Departures { emissions: if known { emissions } else { &[] }, index, clock_ps, delay_ns }
     }
 
     /// Times between two moments at which other shots left, all after the shot's clock, ns.
@@ -31,8 +34,9 @@ impl<'a> Departures<'a> {
             // A float converts to the nearest integer in range.
             self.clock_ps.saturating_add(((time_ns - self.delay_ns) * 1000.0) as i64)
         };
-        let first = self.emissions.partition_point(|emission| emission.clock_ps < clock_at(from_ns));
-        let end = self.emissions.partition_point(|emission| emission.clock_ps <= clock_at(to_ns));
+        let (from_ps, to_ps) = (clock_at(from_ns), clock_at(to_ns));
+        let first = partition_near(self.emissions, self.index, |emission| emission.clock_ps < from_ps);
+        let end = partition_near(self.emissions, first, |emission| emission.clock_ps <= to_ps);
         let others = self.emissions.get(first..end).unwrap_or_default().iter();
         // Shots that share a clock cannot be told apart: their times are too coarse.
         let others = others.filter(|emission| emission.clock_ps != self.clock_ps);
@@ -70,9 +74,28 @@ impl<'a> Departures<'a> {
     }
 }
 
+/// How many of the emissions, from the first on, are `before`: what `partition_point` gives, sought outwards from the one
+/// at `near` in steps that double, since a block is mostly recorded a few emissions after its own.
+fn partition_near(emissions: &[Emission], near: usize, before: impl Fn(&Emission) -> bool) -> usize {
+    let near = near.min(emissions.len());
+    let (mut low, mut high, mut step) = (near, near, 1);
+    while emissions.get(high).is_some_and(&before) {
+        low = high + 1;
+        high = (high + step).min(emissions.len());
+        step *= 2;
+    }
+    while low > 0 && !before(&emissions[low - 1]) {
+        high = low - 1;
+        low = low.saturating_sub(step);
+        step *= 2;
+    }
+    low + emissions[low..high].partition_point(before)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     fn at(clock_ps: i64) -> Emission {
         Emission { clock_ps, ..Emission::default() }
@@ -82,7 +105,8 @@ mod tests {
     fn departures_count_from_the_shots_clock() {
         let emissions = [at(0), at(1_000_000), at(1_000_000), at(2_500_000), at(9_000_000)];
         let of = |clock_ps, delay_ns, from, to| {
-            let departures = Departures { emissions: &emissions, clock_ps, delay_ns };
+            let index = emissions.partition_point(|emission| emission.clock_ps < clock_ps);
+            let departures = Departures { emissions: &emissions, index, clock_ps, delay_ns };
             departures.within(from, to).collect::<Vec<f64>>()
         };
         assert_eq!(of(0, 0.0, 900.0, 2600.0), [1000.0, 1000.0, 2500.0]);
@@ -90,5 +114,18 @@ mod tests {
         assert_eq!(of(1_000_000, 0.0, -10.0, 10.0), [] as [f64; 0], "neither itself nor its equal");
         assert_eq!(of(2_500_000, 0.0, -1600.0, -1400.0), [-1500.0, -1500.0]);
         assert_eq!(of(0, 0.0, f64::NEG_INFINITY, f64::INFINITY).len(), 4);
+    }
+    proptest! {
+        #[test]
+        fn a_search_from_anywhere_ends_at_the_same_place(
+            mut clocks in prop::collection::vec(0i64..40, 0..60),
+            near in 0usize..70,
+            sought in -1i64..41,
+        ) {
+            clocks.sort_unstable();
+            let emissions: Vec<Emission> = clocks.into_iter().map(at).collect();
+            let before = |emission: &Emission| emission.clock_ps < sought;
+            prop_assert_eq!(partition_near(&emissions, near, before), emissions.partition_point(before));
+        }
     }
 }

@@ -5,25 +5,7 @@ use crate::formats::container::{Compression, ContainerHeader, ContainerWriter, L
 use crate::stage::Config as _;
 
 fn header() -> ContainerHeader {
-    ContainerHeader {
-        instrument: None,
-        serial: None,
-        sampling_interval_ns: 1.0,
-        group_velocity_mps: 299_707_502.0,
-        pulse_rate_hz: None,
-        time_scale: container::TimeScale::Week,
-        gps_week: None,
-        frame: container::Frame::Scanner,
-        crs_wkt: None,
-        amplitude_low: None,
-        amplitude_high: None,
-        range_low: None,
-        range_high: None,
-        recorded: None,
-        full_scale_dn: None,
-        coordinate_grid: None,
-        emission_reference: None,
-    }
+    ContainerHeader { time_scale: container::TimeScale::Week, ..ContainerHeader::new(1.0, 299_707_502.0) }
 }
 
 fn good(shot: u64, line: u32) -> ContainerShot {

@@ -41,6 +41,18 @@ fn a_list_that_points_outside_is_named_by_its_row() {
 }
 
 #[test]
+fn a_packed_list_that_points_outside_is_named_by_its_row() {
+    // Only the last of 300 shots has online returns: its list's end is what LZ4 leaves as it is.
+    let mut rows: Vec<Row> = (0..300).map(|shot| Row { online: Vec::new(), ..row(shot, 0) }).collect();
+    rows[299].online = row(2, 0).online;
+    assert_eq!(rows[299].online.len(), 2);
+    let mut bytes = write(&[rows], false, Compression::Lz4);
+    patch(&mut bytes, &[0x60, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0], &[0x60, 0, 0, 9]);
+    let error = complaint(bytes);
+    assert!(error.contains("column `online`, row 299: a list from 0 to 9 of 2 items"), "{error}");
+}
+
+#[test]
 fn a_row_is_counted_through_the_whole_container() {
     let mut bytes = write(&lines(), true, Compression::None);
     // The online returns of shots 5 to 8.
