@@ -1,6 +1,8 @@
 //! Writing LAS and LAZ with extra attributes and waveforms: LAS 1.4 R15 with point formats 6 and 9, LAS 1.2 and 1.3 with
 //! point formats 1 and 4.
 
+mod byte_layers;
+mod chunk;
 mod compression;
 mod header;
 mod options;
@@ -142,18 +144,24 @@ impl<W: Write + Seek> Writer<W> {
         while next < n {
             let points = next..n.min(next + self.room());
             next = points.end;
+            // The extra attributes come first: their loops are short, so that the processor fetches many points at a time.
+            let start = self.slab.len();
+            self.put_extra(points.len(), |columns| extra(points.clone(), columns))?;
             self.tile.fill(points.clone().map(&point));
             if let Some(ends) = self.tile.count_steps(self.scale, self.offset)
                 && self.may_count(points.len())
             {
-                self.put(ends, |columns| extra(points, columns))?;
+                self.put(start, ends)?;
                 continue;
             }
-            for number in points {
-                self.tile.fill(std::iter::once(point(number)));
+            self.slab.truncate(start);
+            let tile = self.tile.clone();
+            for number in points.clone() {
+                self.tile.take_one(&tile, number - points.start);
                 match self.check_one() {
                     Ok(raw) => {
-                        self.put(raw.map(|raw| (raw, raw)), |columns| extra(number..number + 1, columns))?
+                        self.put_extra(1, |columns| extra(number..number + 1, columns))?;
+                        self.put(self.slab.len() - self.record_length, raw.map(|raw| (raw, raw)))?;
                     }
                     Err(error) => refused(error),
                 }
@@ -184,19 +192,25 @@ impl<W: Write + Seek> Writer<W> {
         Ok(raw)
     }
 
-    /// Puts the points of the tile, whose coordinates as stored lie between these ends, into the slab.
-    fn put(&mut self, ends: [(i32, i32); 3], extra: impl FnOnce(&mut ExtraColumns)) -> Result<()> {
+    /// Begins `n` records in the slab with their extra attributes.
+    fn put_extra(&mut self, n: usize, extra: impl FnOnce(&mut ExtraColumns)) -> Result<()> {
         let start = self.slab.len();
-        self.slab.resize(start + self.tile.len() * self.record_length, 0);
+        self.slab.resize(start + n * self.record_length, 0);
         let records = &mut self.slab[start..];
-        self.tile.encode(records, self.record_length);
         let mut columns = ExtraColumns::new(records, self.record_length, self.standard_length);
         extra(&mut columns);
         let left = columns.left();
-        if left != 0 {
-            self.slab.truncate(start);
-            return Err(self.wrong_extra_bytes(left));
+        if left == 0 {
+            return Ok(());
         }
+        self.slab.truncate(start);
+        Err(self.wrong_extra_bytes(left))
+    }
+
+    /// Completes the records of the tile, which begin at `start` in the slab, and whose coordinates as stored lie between these
+    /// ends.
+    fn put(&mut self, start: usize, ends: [(i32, i32); 3]) -> Result<()> {
+        self.tile.encode(&mut self.slab[start..], self.record_length);
         self.totals.add(self.version, ends, self.tile.return_numbers());
         if let Some(index) = &mut self.index {
             let place = |raw: i32, axis: usize| f64::from(raw) * self.scale[axis] + self.offset[axis];

@@ -5,9 +5,9 @@ use std::thread::{self, JoinHandle};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use laz::laszip::ChunkTable;
-use laz::laszip::parallel::par_compress;
 use laz::{LasZipError, LazVlr};
 
+use super::chunk::compress_all;
 use super::records;
 use crate::formats::las::lax;
 
@@ -40,7 +40,7 @@ impl Compression {
     /// Compresses a slab of whole chunks (the last one may be cut short), or has it compressed, and leaves an empty one.
     pub(super) fn put(&mut self, slab: &mut Vec<u8>, sink: &mut impl Write) -> io::Result<()> {
         let Some(beside) = &mut self.beside else {
-            self.table.extend(&par_compress(sink, slab, &self.laz).map_err(into_io)?);
+            self.table.extend(&compress_all(slab, &self.laz, |bytes| sink.write_all(bytes))?);
             slab.clear();
             return Ok(());
         };
@@ -76,7 +76,7 @@ impl Compression {
 
 /// A slab that was compressed: its chunks, their bytes, and the slab for further use.
 struct Compressed {
-    chunks: laz::Result<ChunkTable>,
+    chunks: io::Result<ChunkTable>,
     bytes: Vec<u8>,
     slab: Vec<u8>,
 }
@@ -99,7 +99,10 @@ impl Beside {
         let work = move || {
             for mut slab in to_do {
                 let mut bytes = Vec::new();
-                let chunks = par_compress(&mut bytes, &slab, &laz);
+                let chunks = compress_all(&slab, &laz, |chunk| {
+                    bytes.extend(chunk);
+                    Ok(())
+                });
                 slab.clear();
                 if done.send(Compressed { chunks, bytes, slab }).is_err() {
                     break;
@@ -128,7 +131,7 @@ impl Beside {
         let Compressed { chunks, bytes, slab } = self.compressed.recv().map_err(|_| has_ended())?;
         self.spare = slab;
         sink.write_all(&bytes)?;
-        table.extend(&chunks.map_err(into_io)?);
+        table.extend(&chunks?);
         Ok(())
     }
 }

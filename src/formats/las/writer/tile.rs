@@ -9,6 +9,7 @@ use crate::kernels::steps::Steps;
 pub const TOGETHER: usize = 128;
 
 /// Columns of up to [`TOGETHER`] points.
+#[derive(Clone)]
 pub(super) struct Tile {
     format: u8,
     n: usize,
@@ -66,8 +67,19 @@ impl Tile {
         scan_angle_steps(self.format).count(&self.scan_angles_deg[..n], &mut self.scan_angles[..n]);
     }
 
-    pub(super) fn len(&self) -> usize {
-        self.n
+    /// Takes one point of another tile in the place of those that this one has.
+    pub(super) fn take_one(&mut self, from: &Tile, number: usize) {
+        let point = number % TOGETHER;
+        for (column, from) in self.coordinates.iter_mut().zip(&from.coordinates) {
+            column[0] = from[point];
+        }
+        self.gps_times_s[0] = from.gps_times_s[point];
+        self.intensities[0] = from.intensities[point];
+        self.fields[0] = from.fields[point];
+        self.return_numbers[0] = from.return_numbers[point];
+        self.waves[0] = from.waves[point];
+        self.scan_angles[0] = from.scan_angles[point];
+        self.n = 1;
     }
 
     /// The return numbers, in the points' order.
