@@ -88,7 +88,7 @@ impl<W: Write + Seek> Writer<W> {
             if compressed { sink.write_all(&(-1i64).to_le_bytes()) } else { Ok(()) }
         };
         write(&mut sink).map_err(Error::io(path, "write"))?;
-        let slab = if compressed { options.threads.max(1) * CHUNK } else { PLAIN_SLAB };
+        let slab = if compressed { CHUNK } else { PLAIN_SLAB };
         Ok(Writer {
             sink,
             path: path.to_path_buf(),
@@ -315,7 +315,7 @@ impl<W: Write + Seek> Writer<W> {
         Error::unusable(&self.path, problem, "give each attribute of the options once, in order")
     }
 
-    /// Writes the slab. A full one holds whole chunks only, so that the chunks do not depend on its size.
+    /// Writes the slab, which is a chunk where points are compressed.
     fn flush_slab(&mut self) -> Result<()> {
         if self.slab.is_empty() {
             return Ok(());

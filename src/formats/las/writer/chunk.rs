@@ -1,10 +1,8 @@
 //! Compressing a chunk of points.
 
 use std::io;
-use std::thread;
 
 use laz::las::v3::{LasPoint6Compressor, LasWavepacketCompressor};
-use laz::laszip::{ChunkTable, ChunkTableEntry};
 use laz::record::{LayeredFieldCompressor, RecordCompressor, SequentialPointRecordCompressor};
 use laz::{LazItemType, LazVlr};
 
@@ -15,47 +13,10 @@ use super::compression::into_io;
 const POINT: usize = 30;
 
 /// A chunk that was compressed.
-type Chunk = io::Result<Vec<u8>>;
-
-/// Compresses whole chunks of records (the last one may be cut short), each on a thread of its own, and gives their bytes
-/// to `write`, in order.
-pub(super) fn compress_all(
-    records: &[u8],
-    laz: &LazVlr,
-    mut write: impl FnMut(&[u8]) -> io::Result<()>,
-) -> io::Result<ChunkTable> {
-    let chunk_bytes = laz.chunk_size() as usize * laz.items_size() as usize;
-    let mut table = ChunkTable::default();
-    let mut chunks = records.chunks(chunk_bytes.max(1));
-    let Some(first) = chunks.next() else { return Ok(table) };
-    thread::scope(|scope| {
-        let begin = |chunk| (chunk, thread::Builder::new().spawn_scoped(scope, move || compress(chunk, laz)));
-        let further: Vec<_> = chunks.map(begin).collect();
-        let mut take = |chunk: Chunk| {
-            let bytes = chunk?;
-            table.push(ChunkTableEntry {
-                point_count: laz.chunk_size().into(),
-                byte_count: bytes.len() as u64,
-            });
-            write(&bytes)
-        };
-        take(compress(first, laz))?;
-        for (chunk, thread) in further {
-            take(match thread {
-                Ok(thread) => thread
-                    .join()
-                    .unwrap_or_else(|_| Err(io::Error::other("a thread that compresses has died"))),
-                // Without a further thread it works, only slower.
-                Err(_) => compress(chunk, laz),
-            })?;
-        }
-        io::Result::Ok(())
-    })?;
-    Ok(table)
-}
+pub(super) type Chunk = io::Result<Vec<u8>>;
 
 /// The bytes of a chunk of records.
-fn compress(records: &[u8], laz: &LazVlr) -> Chunk {
+pub(super) fn compress(records: &[u8], laz: &LazVlr) -> Chunk {
     let is_layered = laz.items().iter().any(|item| item.item_type() == LazItemType::Point14);
     if is_layered { layered(records, laz) } else { sequential(records, laz) }
 }
@@ -159,24 +120,14 @@ mod tests {
     use laz::laszip::parallel::par_compress;
     use proptest::prelude::*;
 
-    /// What the `laz` crate makes of the records, and what this does.
-    fn both(records: &[u8], format: u8, extra: u16, chunk: u32) -> [(Vec<u8>, Vec<u8>); 2] {
-        let builder = LazVlrBuilder::default().with_point_format(format, extra).unwrap();
-        let laz = builder.with_fixed_chunk_size(chunk).build();
+    /// What the `laz` crate makes of a chunk of records, and what this does.
+    fn both(records: &[u8], format: u8, extra: u16) -> [Vec<u8>; 2] {
+        let laz = LazVlrBuilder::default().with_point_format(format, extra).unwrap();
+        let laz = laz.with_fixed_chunk_size(100_000).build();
         assert_eq!(records.len() % laz.items_size() as usize, 0);
-        let table = |table: ChunkTable| {
-            let mut bytes = Vec::new();
-            table.write_to(&mut bytes, &laz).unwrap();
-            bytes
-        };
-        let (mut theirs, mut ours) = (Vec::new(), Vec::new());
-        let their_table = par_compress(&mut theirs, records, &laz).unwrap();
-        let write = |bytes: &[u8]| {
-            ours.extend(bytes);
-            Ok(())
-        };
-        let our_table = compress_all(records, &laz, write).unwrap();
-        [(theirs, table(their_table)), (ours, table(our_table))]
+        let mut theirs = Vec::new();
+        par_compress(&mut theirs, records, &laz).unwrap();
+        [theirs, compress(records, &laz).unwrap()]
     }
 
     /// Records of points whose fields, extra bytes and channels change more or less often.
@@ -211,26 +162,24 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(40))]
+        #![proptest_config(ProptestConfig::with_cases(60))]
         #[test]
         fn chunks_are_those_of_laz(
-            n in prop_oneof![0..4usize, 500..530usize, 1000..5000usize],
+            n in prop_oneof![0..4usize, 510..520usize, 1000..5000usize],
             extra in 0..12u16,
             (format, standard) in prop::sample::select(vec![(6, 30), (9, 59)]),
-            chunk in prop::sample::select(vec![1u32, 512, 1000, 50_000]),
             channel_every in prop::sample::select(vec![1u64, 3, 700, u64::MAX]),
             seed in any::<u64>(),
         ) {
-            let chunk = if n > 600 { chunk.max(512) } else { chunk };
             let records = records(n, standard + usize::from(extra), seed, channel_every);
-            let [theirs, ours] = both(&records, format, extra, chunk);
+            let [theirs, ours] = both(&records, format, extra);
             prop_assert_eq!(theirs, ours);
         }
 
         #[test]
         fn old_chunks_are_those_of_laz(n in 0..1200usize, extra in 0..4u16, seed in any::<u64>()) {
             let records = records(n, 28 + usize::from(extra), seed, u64::MAX);
-            let [theirs, ours] = both(&records, 1, extra, 500);
+            let [theirs, ours] = both(&records, 1, extra);
             prop_assert_eq!(theirs, ours);
         }
     }
@@ -238,7 +187,7 @@ mod tests {
     #[test]
     fn a_long_chunk_is_that_of_laz() {
         // Frequencies are halved after 32 768 symbols.
-        let [theirs, ours] = both(&records(70_000, 36, 1, 100), 6, 6, 70_000);
+        let [theirs, ours] = both(&records(70_000, 36, 1, 100), 6, 6);
         assert_eq!(theirs, ours);
     }
 }
