@@ -10,13 +10,13 @@ use crate::formats::las::extra_bytes;
 use crate::formats::las::point::Layout;
 use crate::formats::las::vlr::{self, Vlr};
 use crate::formats::las::{
-    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, ExtraColumns, Header, IndexPlace, Point, PointOut, Version,
-    WavePlace, Writer, WriterOptions,
+    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, Header, IndexPlace, Point, PointOut, Version, WavePlace,
+    Writer, WriterOptions,
 };
 
 const WKT: &str = "PROJCS[\"UTM 33N\"]";
 
-fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
+pub(super) fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
     WriterOptions {
         version: Version::V1_4,
         scale: [0.001, 0.001, 0.002],
@@ -46,7 +46,7 @@ fn write(name: &str, options: &WriterOptions, points: &[PointOut], extra: &[u8])
 }
 
 /// Points on a spiral: neighbours are alike, as in a real cloud.
-fn cloud(n: usize) -> Vec<PointOut> {
+pub(super) fn cloud(n: usize) -> Vec<PointOut> {
     (0..n)
         .map(|i| {
             let t = i as f64 * 0.01;
@@ -72,7 +72,7 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())
 }
 
-fn u64_at(bytes: &[u8], at: usize) -> u64 {
+pub(super) fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap())
 }
 
@@ -349,64 +349,6 @@ fn what_cannot_be_written_is_said() {
         "a.las: OGC coordinate system WKT: more than the 65535 bytes that a LAS record may have; \
          give a shorter WKT, or fewer extra attributes"
     );
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
-    #[test]
-    fn points_written_together_are_those_written_one_by_one(
-        n in 0..600usize,
-        too_far in prop::collection::vec(0..600usize, 0..3),
-        format in prop::sample::select(vec!["a.las", "a.laz"]),
-        version in prop::sample::select(vec![Version::V1_2, Version::V1_4]),
-    ) {
-        let options = WriterOptions { version, wkt: None, index: IndexPlace::Beside, ..options(&[AMP, CHANNEL]) };
-        let mut points = cloud(n);
-        for (number, x) in too_far.into_iter().zip([1e300, f64::NAN]) {
-            points.iter_mut().skip(number).take(1).for_each(|point| point.x = x);
-        }
-        let extra = |number: usize| [number as f64 * 0.7, (number % 2) as f64];
-        let new = || Writer::new(Cursor::new(Vec::new()), Path::new(format), &options).unwrap();
-
-        let mut one_by_one = new();
-        let mut refused = Vec::new();
-        for (number, point) in points.iter().enumerate() {
-            let mut bytes = Vec::new();
-            let values = [AMP, CHANNEL].into_iter().zip(extra(number));
-            values.for_each(|(attribute, value)| attribute.push(value, &mut bytes));
-            refused.extend(one_by_one.write_point(point, &bytes).err().map(|error| error.to_string()));
-        }
-        let mut together = new();
-        let mut refused_together = Vec::new();
-        let put = |numbers: std::ops::Range<usize>, columns: &mut ExtraColumns| {
-            for (k, attribute) in [AMP, CHANNEL].iter().enumerate() {
-                let values: Vec<f64> = numbers.clone().map(|number| extra(number)[k]).collect();
-                columns.put(attribute, &values);
-            }
-        };
-        let made = |number: usize| points[number].clone();
-        together.write_points(n, made, put, |error| refused_together.push(error.to_string())).unwrap();
-
-        prop_assert_eq!(refused_together, refused);
-        prop_assert_eq!(together.n_points(), one_by_one.n_points());
-        prop_assert_eq!(together.take_index(), one_by_one.take_index());
-        prop_assert_eq!(together.finish().unwrap().into_inner(), one_by_one.finish().unwrap().into_inner());
-    }
-}
-
-#[test]
-fn extra_attributes_that_are_missing_leave_points_out() {
-    let mut writer = Writer::new(Cursor::new(Vec::new()), Path::new("a.las"), &options(&[AMP])).unwrap();
-    let points = cloud(3);
-    let made = |number: usize| points[number].clone();
-    let refused = |error: crate::formats::Error| panic!("{error}");
-    let found = writer.write_points(3, made, |_, _| (), refused).unwrap_err().to_string();
-    assert!(found.starts_with("a.las: point 0 has 0 extra bytes, and the attributes need 2; "), "{found}");
-    writer
-        .write_points(3, made, |numbers, columns| columns.put(&AMP, &vec![7.0; numbers.len()]), refused)
-        .unwrap();
-    let las = writer.finish().unwrap().into_inner();
-    assert_eq!((las[las.len() - 2], u64_at(&las, 247)), (7, 3));
 }
 
 #[test]

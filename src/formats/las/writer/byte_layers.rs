@@ -133,7 +133,7 @@ impl Model {
         let share = (1 << 31) / self.total;
         let mut sum = 0;
         for (below, count) in self.below.iter_mut().zip(&self.counts) {
-            *below = (share * sum >> 16) as u16;
+            *below = ((share * sum) >> 16) as u16;
             sum += u32::from(*count);
         }
         self.cycle = (5 * self.cycle / 4).min((SYMBOLS as u32 + 6) * 8);
