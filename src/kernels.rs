@@ -33,6 +33,7 @@ mod rules;
 pub mod sensor_model;
 pub mod sensor_path;
 pub mod shape;
+pub(crate) mod steps;
 pub mod templates;
 pub mod whitening;
 mod wide;

@@ -4,8 +4,8 @@
 //! The specification is ASPRS LAS 1.4 R15; older versions differ in the length of the header only, and LAS 1.5 adds
 //! three fields to its end. Compression is LASzip's, through the `laz` crate.
 //!
-//! [`Reader`] gives points one by one and, on request, the waveform packet of a point; [`Writer`] takes points one by
-//! one and compresses them in parallel slabs. Neither allocates per point.
+//! [`Reader`] gives points one by one and, on request, the waveform packet of a point; [`Writer`] takes points, best
+//! many at once, and compresses them in parallel slabs. Neither allocates per point.
 
 mod chunks;
 mod copc;
@@ -31,13 +31,14 @@ pub use extra_bytes::{
     RANGE_ERR, RAW_AMP, TARGET_THICK, THICK_ERR, WIDE_ERR, WIDE_RATIO, quantise,
 };
 pub use header::{GpsTime, Header};
+pub(crate) use nearest::nearest;
 pub use packet_writer::{Packet, PacketWriter};
 pub use point::{Point, Wave};
 pub use point_out::PointOut;
 pub use raw::{RawField, RawPoints};
 pub use reader::Reader;
 pub use vlr::Vlr;
-pub use writer::{IndexPlace, Version, WavePlace, Writer, WriterOptions};
+pub use writer::{ExtraColumns, IndexPlace, TOGETHER, Version, WavePlace, Writer, WriterOptions};
 
 #[cfg(test)]
 mod tests;

@@ -4,7 +4,7 @@
 //! of a few nanometers", J. Geod. 85:475-485. The error of the series is below 5 nm within 4000 km of the central
 //! meridian. Everything is made of `+ - * /`, square roots and the crate `libm`: the same bits on every machine.
 
-use super::conformal::{Normal, conformal_tangent, geographic_tangent};
+use super::conformal::{Normal, conformal_tangents, geographic_tangent};
 use super::ellipsoid::Ellipsoid;
 
 /// A transverse Mercator projection of an ellipsoid.
@@ -88,25 +88,36 @@ impl TransverseMercator {
         self.project_normal(&Normal::new(latitude_rad, longitude_rad))
     }
 
-    /// Easting and northing, m, of a place (Karney 2011, equations 7 to 11).
+    /// Easting and northing, m, of a place.
+    pub fn project_normal(&self, normal: &Normal) -> (f64, f64) {
+        let [coordinates] = self.project_each(&[*normal]);
+        coordinates
+    }
+
+    /// Eastings and northings, m, of some places, each step for all of them at once (Karney 2011, equations 7 to 11).
     ///
     /// The sines of the angles xi and eta are known before the angles are: the harmonics need no more.
-    pub fn project_normal(&self, normal: &Normal) -> (f64, f64) {
-        let conformal = conformal_tangent(self.eccentricity, normal.tangent());
-        let [sine, cosine] = normal.longitude_from(self.central_meridian);
-        let length = (conformal * conformal + cosine * cosine).sqrt();
-        let across = sine / length;
-        let xi = libm::atan2(conformal, cosine);
-        let eta = libm::asinh(across);
-        let (north, east) = harmonics(
-            &self.forward,
-            [conformal / length, cosine / length],
-            [across, (1.0 + across * across).sqrt()],
-        );
-        (
-            self.false_easting_m + self.radius_m * (eta + east),
-            self.false_northing_m - self.origin_m + self.radius_m * (xi + north),
-        )
+    pub fn project_each<const N: usize>(&self, normals: &[Normal; N]) -> [(f64, f64); N] {
+        let conformal = conformal_tangents(self.eccentricity, &normals.each_ref().map(Normal::tangent));
+        let (mut cosines, mut across) = ([0.0; N], [0.0; N]);
+        let (mut xi, mut eta) = ([[0.0; N]; 2], [[0.0; N]; 2]);
+        for i in 0..N {
+            let [sine, cosine] = normals[i].longitude_from(self.central_meridian);
+            let length = (conformal[i] * conformal[i] + cosine * cosine).sqrt();
+            cosines[i] = cosine;
+            across[i] = sine / length;
+            (xi[0][i], xi[1][i]) = (conformal[i] / length, cosine / length);
+            (eta[0][i], eta[1][i]) = (across[i], (1.0 + across[i] * across[i]).sqrt());
+        }
+        let (north, east) = harmonics(&self.forward, xi, eta);
+        std::array::from_fn(|i| {
+            let xi = libm::atan2(conformal[i], cosines[i]);
+            let eta = libm::asinh(across[i]);
+            (
+                self.false_easting_m + self.radius_m * (eta + east[i]),
+                self.false_northing_m - self.origin_m + self.radius_m * (xi + north[i]),
+            )
+        })
     }
 
     /// Latitude and longitude, rad, of an easting and a northing, m (Karney 2011, equations 15 to 21); the longitude
@@ -115,7 +126,8 @@ impl TransverseMercator {
         let xi = (northing_m - self.false_northing_m + self.origin_m) / self.radius_m;
         let eta = (easting_m - self.false_easting_m) / self.radius_m;
         let (sinh, cosh) = (libm::sinh(eta), libm::cosh(eta));
-        let (north, east) = harmonics(&self.inverse, libm::sincos(xi).into(), [sinh, cosh]);
+        let (sine, cosine) = libm::sincos(xi);
+        let ([north], [east]) = harmonics(&self.inverse, [[sine], [cosine]], [[sinh], [cosh]]);
         let (sine, cosine) = libm::sincos(xi - north);
         let across = libm::sinh(eta - east);
         let conformal = sine / (across * across + cosine * cosine).sqrt();
@@ -155,21 +167,34 @@ fn series(n: f64, coefficients: &[&[f64]; 6]) -> [f64; 6] {
 
 /// The sums of `c_j sin(2j xi) cosh(2j eta)` and `c_j cos(2j xi) sinh(2j eta)`: the parts of `c_j sin(2j (xi + i eta))`, by
 /// Clenshaw's recurrence in complex numbers. Given are the sine and cosine of `xi` and the hyperbolic ones of `eta`.
-fn harmonics(coefficients: &[f64; 6], [sin, cos]: [f64; 2], [sinh, cosh]: [f64; 2]) -> (f64, f64) {
-    let (sin_2, cos_2) = (2.0 * sin * cos, (cos - sin) * (cos + sin));
-    let (sinh_2, cosh_2) = (2.0 * sinh * cosh, 1.0 + 2.0 * sinh * sinh);
-    // Twice the cosine of the doubled angle.
-    let (real, imaginary) = (2.0 * cos_2 * cosh_2, -2.0 * sin_2 * sinh_2);
-    let (mut last, mut before) = ((0.0, 0.0), (0.0, 0.0));
-    for coefficient in coefficients.iter().rev() {
-        let next = (
-            coefficient + real * last.0 - imaginary * last.1 - before.0,
-            real * last.1 + imaginary * last.0 - before.1,
-        );
-        (last, before) = (next, last);
+fn harmonics<const N: usize>(
+    coefficients: &[f64; 6],
+    [sin, cos]: [[f64; N]; 2],
+    [sinh, cosh]: [[f64; N]; 2],
+) -> ([f64; N], [f64; N]) {
+    let (mut real, mut imaginary) = ([0.0; N], [0.0; N]);
+    let (mut sine_real, mut sine_imaginary) = ([0.0; N], [0.0; N]);
+    for i in 0..N {
+        let (sin_2, cos_2) = (2.0 * sin[i] * cos[i], (cos[i] - sin[i]) * (cos[i] + sin[i]));
+        let (sinh_2, cosh_2) = (2.0 * sinh[i] * cosh[i], 1.0 + 2.0 * sinh[i] * sinh[i]);
+        // Twice the cosine of the doubled angle.
+        (real[i], imaginary[i]) = (2.0 * cos_2 * cosh_2, -2.0 * sin_2 * sinh_2);
+        (sine_real[i], sine_imaginary[i]) = (sin_2 * cosh_2, cos_2 * sinh_2);
     }
-    let (sine_real, sine_imaginary) = (sin_2 * cosh_2, cos_2 * sinh_2);
-    (last.0 * sine_real - last.1 * sine_imaginary, last.0 * sine_imaginary + last.1 * sine_real)
+    let (mut last, mut before) = ([[0.0; N]; 2], [[0.0; N]; 2]);
+    for coefficient in coefficients.iter().rev() {
+        for i in 0..N {
+            let next = [
+                coefficient + real[i] * last[0][i] - imaginary[i] * last[1][i] - before[0][i],
+                real[i] * last[1][i] + imaginary[i] * last[0][i] - before[1][i],
+            ];
+            (before[0][i], before[1][i]) = (last[0][i], last[1][i]);
+            (last[0][i], last[1][i]) = (next[0], next[1]);
+        }
+    }
+    let north = |i: usize| last[0][i] * sine_real[i] - last[1][i] * sine_imaginary[i];
+    let east = |i: usize| last[0][i] * sine_imaginary[i] + last[1][i] * sine_real[i];
+    (std::array::from_fn(north), std::array::from_fn(east))
 }
 
 #[cfg(test)]

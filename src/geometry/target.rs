@@ -128,6 +128,14 @@ impl Target {
         self.crs.from_ecef(ecef_m).map_err(|error| failed(&error))
     }
 
+    /// Puts the coordinates of places in the earth's frame, m, where the places stood.
+    ///
+    /// # Errors
+    /// As [`Target::coordinates`].
+    pub fn replace(&self, ecef_m: &mut [Vector]) -> Result<()> {
+        self.crs.replace_ecef(ecef_m).map_err(|error| failed(&error))
+    }
+
     /// What outputs say of them: WKT 1, with the vertical part where heights count from a geoid.
     pub fn wkt(&self) -> &str {
         &self.wkt

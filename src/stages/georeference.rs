@@ -122,9 +122,7 @@ impl Georeferencer {
     fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector]) -> Result<()> {
         // Without a first shot there are no points.
         let Some(target) = self.geometry.target()? else { return Ok(()) };
-        for point in points {
-            *point = target.coordinates(*point)?;
-        }
+        target.replace(points)?;
         *input = self.info(input, &target);
         Ok(())
     }

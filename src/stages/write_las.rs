@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::batch::{Batch, Emission, InputInfo, Kind, Return, emission_flags};
 use crate::formats::Error;
 use crate::formats::geokeys;
-use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions};
+use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
 use crate::geo::time::{adjusted_gps_time, day_of_year};
 use crate::stage::{
     Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
@@ -206,7 +206,6 @@ impl SinkConfig for WriteLas {
             waves: self.waves(site)?,
             state: State::Empty(file),
             input: None,
-            extra: Vec::new(),
             refused: None,
         }))
     }
@@ -317,7 +316,6 @@ struct LasSink {
     waves: Option<Waves>,
     state: State,
     input: Option<Arc<InputInfo>>,
-    extra: Vec<u8>,
     /// Why the first point was left out that does not fit into the file's coordinates.
     refused: Option<Error>,
 }
@@ -384,24 +382,28 @@ impl Sink for LasSink {
             return Err(StageError::Stopped);
         };
         let blocks = self.waves.as_mut().map(|waves| waves.begin_line(batch)).transpose()?;
-        let mut refused = None;
-        for (r, position) in returns.iter().zip(points) {
-            let layout = self.config.attribute_layout;
-            let mut point = point(input, &batch.emissions[r.emission as usize], r, *position, layout);
-            if let (Some(waves), Some(blocks)) = (&mut self.waves, blocks) {
-                point.wave = waves.of(batch, blocks, r, *position)?;
-            }
-            self.extra.clear();
-            self.attributes.push(r, &mut self.extra);
-            match writer.write_point(&point, &self.extra) {
-                Ok(()) => {}
-                Err(error @ Error::Io { .. }) => return Err(error.into()),
-                Err(error) => {
-                    cx.reject(Item::Returns, TOO_FAR, 1);
-                    refused.get_or_insert(error);
-                }
-            }
-        }
+        let wave_of = |(waves, blocks): (&mut Waves, &_)| {
+            let points = returns.iter().zip(points);
+            points.map(|(r, position)| waves.of(batch, blocks, r, *position)).collect::<Result<Vec<Wave>>>()
+        };
+        let waves = self.waves.as_mut().zip(blocks).map_or(Ok(Vec::new()), wave_of)?;
+        let layout = self.config.attribute_layout;
+        let made = |number: usize| {
+            let r = &returns[number];
+            let point = point(input, &batch.emissions[r.emission as usize], r, points[number], layout);
+            PointOut { wave: waves.get(number).copied().unwrap_or_default(), ..point }
+        };
+        let (mut refused, mut n_refused) = (None, 0);
+        writer.write_points(
+            returns.len().min(points.len()),
+            made,
+            |numbers, columns| self.attributes.put(&returns[numbers], columns),
+            |error| {
+                n_refused += 1;
+                refused.get_or_insert(error);
+            },
+        )?;
+        cx.reject(Item::Returns, TOO_FAR, n_refused);
         if let (Some(error), None) = (refused, &self.refused) {
             cx.note(format!("{TOO_FAR} was left out, and so is every further one: {error}"));
             self.refused = Some(error);
@@ -462,6 +464,7 @@ fn finish_with_waveforms(
 }
 
 /// A return as LAS has it.
+#[inline]
 pub(super) fn point(
     input: &InputInfo,
     emission: &Emission,
@@ -474,8 +477,8 @@ pub(super) fn point(
         x,
         y,
         z,
-        // A float converts to the nearest integer in range: larger values clamp, NaN is 0.
-        intensity: r.intensity.round() as u16,
+        // NaN is 0.
+        intensity: nearest(r.intensity).clamp(0, u16::MAX.into()) as u16,
         return_number: r.return_number,
         number_of_returns: r.number_of_returns,
         scan_direction: flag(emission_flags::SCAN_DIRECTION_POSITIVE),

@@ -6,6 +6,7 @@ use super::nearest::nearest;
 use super::vlr::Vlr;
 use crate::formats::Result;
 use crate::formats::bytes::Fields;
+use crate::kernels::steps::Steps;
 
 /// Length of an attribute's descriptor, bytes.
 pub(super) const DESCRIPTOR: usize = 192;
@@ -89,6 +90,22 @@ impl ExtraAttribute {
     pub fn push(&self, value: f64, extra: &mut Vec<u8>) {
         let bytes = quantise(value, self).to_le_bytes();
         extra.extend_from_slice(&bytes[..self.data_type.bytes()]);
+    }
+
+    /// The stored integers for a column of values, as [`quantise`] has them, as far as both slices reach; of those of
+    /// [`DataType::U32`] the bits.
+    pub(super) fn quantise_column(&self, values: &[f64], stored: &mut [i32]) {
+        let (least, largest) = self.data_type.range();
+        let (Ok(least), Ok(largest)) = (i32::try_from(least), i32::try_from(largest)) else {
+            for (stored, value) in stored.iter_mut().zip(values) {
+                *stored = quantise(*value, self) as i32;
+            }
+            return;
+        };
+        // Within the range of the type, which is one of 32 bits.
+        let nan = quantise(f64::NAN, self) as i32;
+        let (offset, scale) = (self.offset.unwrap_or(0.0), self.scale.unwrap_or(1.0));
+        Steps { offset, scale, least, largest, nan }.count(values, stored);
     }
 
     /// The attribute's descriptor in the Extra Bytes record.
@@ -333,6 +350,26 @@ mod tests {
         let wide = ExtraAttribute { data_type: DataType::I8, nan: -1000, ..CHANNEL };
         assert_eq!(quantise(f64::NAN, &wide), -128);
         assert_eq!(quantise(-1e300, &wide), -128);
+    }
+
+    proptest! {
+        #[test]
+        fn a_column_is_stored_as_its_values(
+            values in prop::collection::vec(prop_oneof![-10.0..10.0f64, -1e5..1e5f64, any::<f64>()], 0..40),
+            attribute in prop::sample::select([ATTRIBUTES_1_1, ATTRIBUTES_1_0].concat()),
+            data_type in prop::sample::select(vec![
+                DataType::U8, DataType::I8, DataType::U16, DataType::I16, DataType::U32, DataType::I32,
+            ]),
+            is_as_declared in any::<bool>(),
+        ) {
+            let data_type = if is_as_declared { attribute.data_type } else { data_type };
+            let attribute = ExtraAttribute { data_type, ..attribute };
+            let mut stored = vec![0; values.len()];
+            attribute.quantise_column(&values, &mut stored);
+            for (stored, value) in stored.into_iter().zip(values) {
+                prop_assert_eq!(stored, quantise(value, &attribute) as i32, "{}", value);
+            }
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@
 /// On processors of which nothing is known but that they are x86-64 `round` is a call, and a point has fifteen of them. The
 /// number added is the greatest below a half: so what is just below a half does not become one.
 #[inline]
-pub(super) fn nearest(value: f64) -> i64 {
+pub(crate) fn nearest(value: f64) -> i64 {
     const BELOW_HALF: f64 = 0.5 - f64::EPSILON / 4.0;
     (value + BELOW_HALF.copysign(value)) as i64
 }

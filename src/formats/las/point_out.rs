@@ -1,12 +1,12 @@
 //! Points to be written: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
 
-use super::nearest::nearest;
-use super::point::{Layout, SCAN_ANGLE_STEP_DEG, Wave};
+use super::point::{SCAN_ANGLE_STEP_DEG, Wave};
+use crate::kernels::steps::Steps;
 
 /// Largest scan angle of formats 6 to 10 in their steps: 180 degrees.
-const SCAN_ANGLE_MAX: f64 = 30_000.0;
+const SCAN_ANGLE_MAX: i32 = 30_000;
 /// Largest scan angle of formats 0 to 5, degrees.
-const SCAN_ANGLE_RANK_MAX: f32 = 90.0;
+const SCAN_ANGLE_RANK_MAX: i32 = 90;
 /// Largest number of a return, and of returns, in formats 0 to 5.
 pub(super) const LEGACY_RETURNS: u8 = 7;
 /// Largest number of a return, and of returns, in formats 6 to 10.
@@ -52,82 +52,63 @@ pub struct PointOut {
 }
 
 impl PointOut {
-    /// Appends the record of a format with a time and without colours (1, 4, 6 or 9) at the quantised coordinates `raw`.
-    pub(super) fn encode(&self, format: u8, raw: [i32; 3], out: &mut Vec<u8>) {
-        raw.iter().for_each(|value| out.extend(value.to_le_bytes()));
-        out.extend(self.intensity.to_le_bytes());
-        if format <= 5 {
-            self.legacy_fields(out)
-        } else {
-            self.fields(out)
-        }
-        out.extend(self.gps_time.to_le_bytes());
-        if Layout::of(format).wave.is_some() {
-            self.wave_fields(out);
-        }
+    /// The bytes between intensity and time, from the lowest: 8, in formats 0 to 5 only 6. Those of the scan angle are 0.
+    #[inline]
+    pub(super) fn fields(&self, format: u8) -> u64 {
+        let bytes = if format <= 5 { self.legacy_fields() } else { self.new_fields() };
+        u64::from_le_bytes(bytes)
     }
 
     /// Bytes 14 to 19 of formats 0 to 5.
-    fn legacy_fields(&self, out: &mut Vec<u8>) {
-        out.push(
-            self.return_number.min(LEGACY_RETURNS)
-                | self.number_of_returns.min(LEGACY_RETURNS) << 3
-                | u8::from(self.scan_direction) << 6
-                | u8::from(self.edge_of_flight_line) << 7,
-        );
-        out.push(self.classification.min(LEGACY_CLASSES) | u8::from(self.withheld) << 7);
-        let degrees = self.scan_angle_deg.round().clamp(-SCAN_ANGLE_RANK_MAX, SCAN_ANGLE_RANK_MAX);
-        out.extend((degrees as i8).to_le_bytes());
-        out.push(self.user_data);
-        out.extend(self.point_source_id.to_le_bytes());
+    #[inline]
+    fn legacy_fields(&self) -> [u8; 8] {
+        let returns = self.return_number.min(LEGACY_RETURNS)
+            | self.number_of_returns.min(LEGACY_RETURNS) << 3
+            | u8::from(self.scan_direction) << 6
+            | u8::from(self.edge_of_flight_line) << 7;
+        let class = self.classification.min(LEGACY_CLASSES) | u8::from(self.withheld) << 7;
+        let [source_low, source_high] = self.point_source_id.to_le_bytes();
+        [returns, class, 0, self.user_data, source_low, source_high, 0, 0]
     }
 
     /// Bytes 14 to 21 of formats 6 to 10.
-    fn fields(&self, out: &mut Vec<u8>) {
-        out.push(self.return_number.min(RETURNS) | self.number_of_returns.min(RETURNS) << 4);
-        out.push(
-            u8::from(self.withheld) << 2
-                | self.scanner_channel.min(3) << 4
-                | u8::from(self.scan_direction) << 6
-                | u8::from(self.edge_of_flight_line) << 7,
-        );
-        out.extend([self.classification, self.user_data]);
-        out.extend(self.scan_angle_steps().to_le_bytes());
-        out.extend(self.point_source_id.to_le_bytes());
+    #[inline]
+    fn new_fields(&self) -> [u8; 8] {
+        let returns = self.return_number.min(RETURNS) | self.number_of_returns.min(RETURNS) << 4;
+        let flags = u8::from(self.withheld) << 2
+            | self.scanner_channel.min(3) << 4
+            | u8::from(self.scan_direction) << 6
+            | u8::from(self.edge_of_flight_line) << 7;
+        let [source_low, source_high] = self.point_source_id.to_le_bytes();
+        [returns, flags, self.classification, self.user_data, 0, 0, source_low, source_high]
     }
 
     /// The scan angle, degrees, as its field in formats 6 to 10 holds it.
     pub fn stored_scan_angle_deg(&self) -> f64 {
-        f64::from(self.scan_angle_steps()) * SCAN_ANGLE_STEP_DEG
+        let mut steps = [0];
+        scan_angle_steps(6).count(&[f64::from(self.scan_angle_deg)], &mut steps);
+        f64::from(steps[0]) * SCAN_ANGLE_STEP_DEG
     }
+}
 
-    fn scan_angle_steps(&self) -> i16 {
-        let steps = f64::from(self.scan_angle_deg) / SCAN_ANGLE_STEP_DEG;
-        nearest(steps.clamp(-SCAN_ANGLE_MAX, SCAN_ANGLE_MAX)) as i16
-    }
-
-    /// The 29 bytes on the waveform.
-    fn wave_fields(&self, out: &mut Vec<u8>) {
-        let wave = &self.wave;
-        out.push(wave.descriptor);
-        out.extend(wave.offset.to_le_bytes());
-        out.extend(wave.size.to_le_bytes());
-        out.extend(wave.location_ps.to_le_bytes());
-        wave.direction_per_ps.iter().for_each(|value| out.extend(value.to_le_bytes()));
-    }
+/// How a format stores degrees of scan angle.
+pub(super) fn scan_angle_steps(format: u8) -> Steps {
+    let (scale, largest) =
+        if format <= 5 { (1.0, SCAN_ANGLE_RANK_MAX) } else { (SCAN_ANGLE_STEP_DEG, SCAN_ANGLE_MAX) };
+    Steps { offset: 0.0, scale, least: -largest, largest, nan: 0 }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::point::Point;
+    use super::super::point::{Layout, Point};
     use super::super::tests::made::any_point;
+    use super::super::writer::record;
     use super::*;
     use proptest::prelude::*;
 
     /// The record of a point, read back.
     fn back(format: u8, point: &PointOut, raw: [i32; 3]) -> Point {
-        let mut record = Vec::new();
-        point.encode(format, raw, &mut record);
+        let record = record(format, point, raw);
         assert_eq!(record.len(), Layout::of(format).length);
         let mut point = Point::default();
         Layout::of(format).decode(&record, &[1.0; 3], &[0.0; 3], &mut point);
@@ -175,8 +156,7 @@ mod tests {
             gps_time: 1.0,
             ..PointOut::default()
         };
-        let mut record = Vec::new();
-        point.encode(1, [1, -2, 3], &mut record);
+        let record = record(1, &point, [1, -2, 3]);
         let mut expected = vec![1, 0, 0, 0, 0xfe, 0xff, 0xff, 0xff, 3, 0, 0, 0, 0x34, 0x12];
         expected.extend([0b01_011_010, 0b100_10100, 0xf3, 7, 2, 1]);
         expected.extend(1f64.to_le_bytes());

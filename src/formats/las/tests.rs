@@ -4,4 +4,5 @@ mod chunks;
 pub(super) mod made;
 mod reader;
 mod samples;
+mod together;
 mod writer;

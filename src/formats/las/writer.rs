@@ -1,12 +1,16 @@
 //! Writing LAS and LAZ with extra attributes and waveforms: LAS 1.4 R15 with point formats 6 and 9, LAS 1.2 and 1.3 with
 //! point formats 1 and 4.
 
+mod byte_layers;
+mod chunk;
 mod compression;
 mod header;
 mod options;
 mod records;
+mod tile;
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::descriptor::Descriptor;
@@ -20,6 +24,10 @@ use header::{Shape, Totals};
 pub use options::{IndexPlace, Version, WavePlace, WriterOptions};
 use records::Records;
 pub(super) use records::{evlr, text, vlr};
+use tile::Tile;
+#[cfg(test)]
+pub(super) use tile::record;
+pub use tile::{ExtraColumns, TOGETHER};
 
 /// Points of a LAZ chunk, as other writers have it.
 const CHUNK: usize = 50_000;
@@ -34,12 +42,15 @@ pub struct Writer<W> {
     sink: W,
     path: PathBuf,
     version: Version,
-    point_format: u8,
     scale: [f64; 3],
     offset: [f64; 3],
     header: Vec<u8>,
-    /// Bytes of a record behind the fields of its format.
-    extra_bytes: usize,
+    /// Length of a record, bytes.
+    record_length: usize,
+    /// Of these the fields of the format.
+    standard_length: usize,
+    /// The points that are being made into records.
+    tile: Box<Tile>,
     /// Records that are not written yet.
     slab: Vec<u8>,
     /// Bytes at which the slab is written.
@@ -64,7 +75,8 @@ impl<W: Write + Seek> Writer<W> {
         options.check(path)?;
         let laz = compressed.then(|| records::laz_vlr(path, options)).transpose()?;
         let records = Records::new(path, options, laz.as_ref())?;
-        let record_length = Layout::of(options.point_format()).length + options.extra_bytes();
+        let standard_length = Layout::of(options.point_format()).length;
+        let record_length = standard_length + options.extra_bytes();
         let header_bytes = usize::from(options.version.header_bytes());
         let offset_to_points = header_bytes + records.bytes.len();
         let shape = Shape { record_length, n_vlrs: records.count, offset_to_points, compressed };
@@ -76,16 +88,17 @@ impl<W: Write + Seek> Writer<W> {
             if compressed { sink.write_all(&(-1i64).to_le_bytes()) } else { Ok(()) }
         };
         write(&mut sink).map_err(Error::io(path, "write"))?;
-        let slab = if compressed { options.threads.max(1) * CHUNK } else { PLAIN_SLAB };
+        let slab = if compressed { CHUNK } else { PLAIN_SLAB };
         Ok(Writer {
             sink,
             path: path.to_path_buf(),
             version: options.version,
-            point_format: options.point_format(),
             scale: options.scale,
             offset: options.offset,
             header,
-            extra_bytes: options.extra_bytes(),
+            record_length,
+            standard_length,
+            tile: Box::new(Tile::new(options.point_format())),
             slab: Vec::with_capacity(slab * record_length),
             slab_bytes: slab * record_length,
             compression: laz.map(|laz| {
@@ -107,21 +120,103 @@ impl<W: Write + Seek> Writer<W> {
     /// the options say, or the version cannot count as many points: the point is left out then. Or the sink refuses: the
     /// file cannot be completed then.
     pub fn write_point(&mut self, point: &PointOut, extra: &[u8]) -> Result<()> {
-        if extra.len() != self.extra_bytes {
-            return Err(self.wrong_extra_bytes(extra.len()));
+        let mut refused = None;
+        let put = |_, columns: &mut ExtraColumns| columns.put_all(extra);
+        self.write_points(1, |_| point.clone(), put, |error| refused = Some(error))?;
+        refused.map_or(Ok(()), Err)
+    }
+
+    /// Writes points number 0 to `n - 1`: the same as one by one, and faster. `extra` is asked for the extra attributes of up to
+    /// [`TOGETHER`] points at a time: it puts them in the order of the options. `refused` takes what is wrong with each point
+    /// that is left out, as [`Writer::write_point`] has it; the others are written.
+    ///
+    /// # Errors
+    /// The extra attributes put are not as many bytes as the options say: the points asked for are left out. Or the sink
+    /// refuses: the file cannot be completed then.
+    pub fn write_points(
+        &mut self,
+        n: usize,
+        point: impl Fn(usize) -> PointOut,
+        mut extra: impl FnMut(Range<usize>, &mut ExtraColumns),
+        mut refused: impl FnMut(Error),
+    ) -> Result<()> {
+        let mut next = 0;
+        while next < n {
+            let points = next..n.min(next + self.room());
+            next = points.end;
+            // The extra attributes come first: their loops are short, so that the processor fetches many points at a time.
+            let start = self.slab.len();
+            self.put_extra(points.len(), |columns| extra(points.clone(), columns))?;
+            self.tile.fill(points.clone().map(&point));
+            if let Some(ends) = self.tile.count_steps(self.scale, self.offset)
+                && self.may_count(points.len())
+            {
+                self.put(start, ends)?;
+                continue;
+            }
+            self.slab.truncate(start);
+            let tile = self.tile.clone();
+            for number in points.clone() {
+                self.tile.take_one(&tile, number - points.start);
+                match self.check_one() {
+                    Ok(raw) => {
+                        self.put_extra(1, |columns| extra(number..number + 1, columns))?;
+                        self.put(self.slab.len() - self.record_length, raw.map(|raw| (raw, raw)))?;
+                    }
+                    Err(error) => refused(error),
+                }
+            }
         }
-        if self.version.is_legacy() && self.totals.points >= u64::from(u32::MAX) {
+        Ok(())
+    }
+
+    /// Points that are made into records before the slab may be full: at least one.
+    fn room(&self) -> usize {
+        (self.slab_bytes.saturating_sub(self.slab.len()) / self.record_length).clamp(1, TOGETHER)
+    }
+
+    /// Whether the version can count as many more points.
+    fn may_count(&self, n: usize) -> bool {
+        !self.version.is_legacy() || self.totals.points + n as u64 <= u64::from(u32::MAX)
+    }
+
+    /// How the only point of the tile is stored.
+    fn check_one(&mut self) -> Result<[i32; 3]> {
+        if !self.may_count(1) {
             let problem = format!("LAS 1.{} holds at most {} points", self.version.minor(), u32::MAX);
             return Err(Error::unusable(&self.path, problem, "write LAS 1.4"));
         }
-        let xyz = [point.x, point.y, point.z];
+        let xyz = self.tile.first();
         let raw = [self.steps(xyz, 0)?, self.steps(xyz, 1)?, self.steps(xyz, 2)?];
-        point.encode(self.point_format, raw, &mut self.slab);
-        self.slab.extend_from_slice(extra);
-        self.totals.add(self.version, raw, point.return_number);
+        self.tile.set_raw(raw);
+        Ok(raw)
+    }
+
+    /// Begins `n` records in the slab with their extra attributes.
+    fn put_extra(&mut self, n: usize, extra: impl FnOnce(&mut ExtraColumns)) -> Result<()> {
+        let start = self.slab.len();
+        self.slab.resize(start + n * self.record_length, 0);
+        let records = &mut self.slab[start..];
+        let mut columns = ExtraColumns::new(records, self.record_length, self.standard_length);
+        extra(&mut columns);
+        let left = columns.left();
+        if left == 0 {
+            return Ok(());
+        }
+        self.slab.truncate(start);
+        Err(self.wrong_extra_bytes(left))
+    }
+
+    /// Completes the records of the tile, which begin at `start` in the slab, and whose coordinates as stored lie between these
+    /// ends.
+    fn put(&mut self, start: usize, ends: [(i32, i32); 3]) -> Result<()> {
+        self.tile.encode(&mut self.slab[start..], self.record_length);
+        self.totals.add(self.version, ends, self.tile.return_numbers());
         if let Some(index) = &mut self.index {
-            let place = |axis: usize| f64::from(raw[axis]) * self.scale[axis] + self.offset[axis];
-            index.add(place(0), place(1));
+            let place = |raw: i32, axis: usize| f64::from(raw) * self.scale[axis] + self.offset[axis];
+            for (x, y) in self.tile.raw(0).iter().zip(self.tile.raw(1)) {
+                index.add(place(*x, 0), place(*y, 1));
+            }
         }
         if self.slab.len() >= self.slab_bytes { self.flush_slab() } else { Ok(()) }
     }
@@ -209,15 +304,18 @@ impl<W: Write + Seek> Writer<W> {
         Err(Error::unusable(&self.path, problem, "choose an offset near the points, or a larger scale"))
     }
 
-    fn wrong_extra_bytes(&self, found: usize) -> Error {
+    /// `left` of the extra bytes were not put, or were too many.
+    fn wrong_extra_bytes(&self, left: i64) -> Error {
+        let need = (self.record_length - self.standard_length) as i64;
         let problem = format!(
-            "point {} has {found} extra bytes, and the attributes need {}",
-            self.totals.points, self.extra_bytes
+            "point {} has {} extra bytes, and the attributes need {need}",
+            self.totals.points,
+            need - left
         );
         Error::unusable(&self.path, problem, "give each attribute of the options once, in order")
     }
 
-    /// Writes the slab. A full one holds whole chunks only, so that the chunks do not depend on its size.
+    /// Writes the slab, which is a chunk where points are compressed.
     fn flush_slab(&mut self) -> Result<()> {
         if self.slab.is_empty() {
             return Ok(());

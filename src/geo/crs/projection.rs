@@ -81,6 +81,20 @@ impl Projection {
         (x.abs() < FARTHEST_M && y.abs() < FARTHEST_M).then_some([x, y])
     }
 
+    /// [`Projection::project`] each of some places.
+    pub fn project_each<const N: usize>(
+        &self,
+        normals: &[Normal; N],
+        heights_m: &[f64; N],
+    ) -> [Option<[f64; 2]>; N] {
+        match self {
+            Projection::TransverseMercator(map) => {
+                map.project_each(normals).map(|(x, y)| map.reaches(x, y).then_some([x, y]))
+            }
+            _ => std::array::from_fn(|i| self.project(&normals[i], heights_m[i])),
+        }
+    }
+
     /// The inverse of [`Projection::project`]: latitude and longitude, rad.
     #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
     pub fn unproject(&self, [x, y]: [f64; 2], height_m: f64) -> Option<(f64, f64)> {

@@ -401,4 +401,34 @@ proptest! {
             prop_assert!(apart(back_m, place_m) < 2e-8, "{} {:?} {:?}", word, back_m, place_m);
         }
     }
+
+    #[test]
+    fn many_places_have_the_coordinates_of_each(
+        n in 0..40usize,
+        longitude in 9.0..11.0,
+        latitude in 41.0..49.0,
+        word in prop::sample::select(vec!["utm:33N", "utm:32N", "EPSG:3034", "EPSG:3035", "geodetic", "ecef"]),
+        with_geoid in any::<bool>(),
+    ) {
+        let geoid = if with_geoid && word != "ecef" { geoid("here") } else { None };
+        let crs = Crs::new(&named(word), NOWHERE, geoid, None).unwrap();
+        let place = |i: usize| place(longitude + i as f64 * 1e-4, latitude - i as f64 * 1e-3, i as f64 * 7.0);
+        let mut places: Vec<Vector> = (0..n).map(|i| crs.ellipsoid().ecef_of(place(i))).collect();
+        let expected: Vec<Vector> = places.iter().map(|place| crs.from_ecef(*place).unwrap()).collect();
+        crs.replace_ecef(&mut places).unwrap();
+        prop_assert_eq!(places, expected);
+    }
+}
+
+#[test]
+fn the_first_of_many_places_that_has_no_coordinates_is_named() {
+    let crs = crs("utm:33N");
+    let mut places: Vec<Vector> = (0..40)
+        .map(|i| crs.ellipsoid().ecef_of(place(if i < 20 { 15.0 } else { -90.0 - f64::from(i) }, 3.0, 0.0)))
+        .collect();
+    let error = crs.replace_ecef(&mut places).unwrap_err().to_string();
+    assert!(
+        error.contains("the point at latitude 3.000000, longitude -110.000000 degrees cannot"),
+        "{error}"
+    );
 }

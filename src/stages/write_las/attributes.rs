@@ -1,7 +1,8 @@
 //! What a point holds of its return: the attributes, the class and the user data of both layouts.
 
 use crate::batch::{Return, ReturnChannel, flags};
-use crate::formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, RAW_AMP};
+use crate::formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER};
+use crate::kernels::steps::power_ratios;
 
 use super::AttributeLayout;
 
@@ -76,10 +77,13 @@ impl Attributes {
         Attributes { stored: Vec::new(), told: Vec::new() }
     }
 
-    /// Appends the extra bytes of a return.
-    pub(super) fn push(&self, r: &Return, extra: &mut Vec<u8>) {
+    /// Puts what returns tell, at most [`TOGETHER`] of them.
+    pub(super) fn put(&self, returns: &[Return], columns: &mut ExtraColumns) {
+        let mut values = [0.0; TOGETHER];
+        let values = &mut values[..returns.len().min(TOGETHER)];
         for (attribute, quantity) in self.stored.iter().zip(&self.told) {
-            attribute.push(quantity.of(r), extra);
+            quantity.column(returns, values);
+            columns.put(attribute, values);
         }
     }
 }
@@ -89,6 +93,25 @@ impl Quantity {
         matches!(self, RangeSd | IntensitySd | WidthSd | ThicknessSd)
     }
 
+    /// [`Quantity::of`] each return, with the exception that linear amplitudes are only near enough to be rounded to whole
+    /// numbers.
+    fn column(self, returns: &[Return], values: &mut [f64]) {
+        // The quantity is named in each function: it is not to be asked for every value.
+        match self {
+            WidthRatio => fill(values, returns, |r| WidthRatio.of(r)),
+            Thickness => fill(values, returns, |r| Thickness.of(r)),
+            LinearAmplitude => linear_amplitudes(values, returns),
+            RawAmplitude => fill(values, returns, |r| RawAmplitude.of(r)),
+            DeviationRatio => fill(values, returns, |r| DeviationRatio.of(r)),
+            RangeSd => fill(values, returns, |r| RangeSd.of(r)),
+            IntensitySd => fill(values, returns, |r| IntensitySd.of(r)),
+            WidthSd => fill(values, returns, |r| WidthSd.of(r)),
+            ThicknessSd => fill(values, returns, |r| ThicknessSd.of(r)),
+            Channel => fill(values, returns, |r| Channel.of(r)),
+        }
+    }
+
+    #[inline]
     fn of(self, r: &Return) -> f64 {
         match self {
             WidthRatio => r.width_ratio,
@@ -105,11 +128,41 @@ impl Quantity {
     }
 }
 
+/// The value of each return.
+#[inline]
+fn fill(values: &mut [f64], returns: &[Return], of: impl Fn(&Return) -> f64) {
+    values.iter_mut().zip(returns).for_each(|(value, r)| *value = of(r));
+}
+
 /// What an attribute of layout 1.1, or the raw amplitude, tells of a return; NaN for others.
 pub(in crate::stages) fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
     let mut all = ATTRIBUTES_1_1.iter().zip(QUANTITIES_1_1).chain([(&RAW_AMP, RawAmplitude)]);
     let found = all.find(|(stored, _)| stored.name == attribute.name);
     found.map_or(f64::NAN, |(_, quantity)| quantity.of(r))
+}
+
+/// Linear amplitudes, which become the same whole numbers as those of [`linear_amplitude`]: where one is so near to the middle
+/// between two that this is not certain, it is the same.
+fn linear_amplitudes(values: &mut [f64], returns: &[Return]) {
+    /// Far more than either of the two ways can be off, as a share of the amplitude.
+    const UNCERTAIN: f64 = 1e-11;
+    /// Adding this rounds to whole numbers.
+    const ROUNDING: f64 = 1.5 / f64::EPSILON;
+    let (mut decibels, mut ratios) = ([0.0; TOGETHER], [0.0; TOGETHER]);
+    fill(&mut decibels, returns, |r| r.amplitude_db);
+    power_ratios(&decibels[..values.len().min(TOGETHER)], &mut ratios);
+    let mut is_uncertain = [false; TOGETHER];
+    for (i, (value, r)) in (0..TOGETHER).zip(values.iter_mut().zip(returns)) {
+        *value = if ratios[i].is_nan() { r.amplitude_dn } else { 7.0 * ratios[i] };
+        let from_middle = *value - 0.5;
+        let nearest_middle = (from_middle + ROUNDING) - ROUNDING;
+        is_uncertain[i] = (from_middle - nearest_middle).abs() <= *value * UNCERTAIN;
+    }
+    if is_uncertain.contains(&true) {
+        let uncertain =
+            values.iter_mut().zip(returns).zip(is_uncertain).filter(|(_, is_uncertain)| *is_uncertain);
+        uncertain.for_each(|((value, r), _)| *value = linear_amplitude(r));
+    }
 }
 
 /// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak's height.
@@ -136,5 +189,81 @@ pub(super) fn class(layout: AttributeLayout, r: &Return) -> u8 {
     match layout {
         AttributeLayout::V1_0 if r.deviation_ratio > UNDEFINED_DEVIATION_RATIO => UNDEFINED,
         _ => r.class,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::las::quantise;
+    use proptest::prelude::*;
+
+    /// The stored amplitudes of returns of these decibels and heights, from the column and one by one.
+    fn stored(amplitudes: &[(f64, f64)]) -> (Vec<i64>, Vec<i64>) {
+        let of = |(amplitude_db, amplitude_dn): &(f64, f64)| Return {
+            amplitude_db: *amplitude_db,
+            amplitude_dn: *amplitude_dn,
+            ..Return::default()
+        };
+        let returns: Vec<Return> = amplitudes.iter().map(of).collect();
+        let mut values = vec![0.0; returns.len()];
+        LinearAmplitude.column(&returns, &mut values);
+        let amp = Attributes::of(AttributeLayout::V1_1, false).stored[2];
+        let whole = |value: f64| quantise(value, &amp);
+        (
+            values.into_iter().map(whole).collect(),
+            returns.iter().map(|r| whole(linear_amplitude(r))).collect(),
+        )
+    }
+
+    #[test]
+    fn amplitudes_are_stored_as_whole_numbers() {
+        for layout in [AttributeLayout::V1_0, AttributeLayout::V1_1] {
+            let attributes = Attributes::of(layout, true);
+            let at = attributes.told.iter().position(|quantity| *quantity == LinearAmplitude).unwrap();
+            let amplitude = &attributes.stored[at];
+            assert_eq!((amplitude.scale, amplitude.offset), (Some(1.0), Some(0.0)));
+        }
+    }
+
+    #[test]
+    fn amplitudes_about_the_middle_of_whole_numbers_are_stored_as_their_powers() {
+        for middle in (0..70_000).step_by(64) {
+            let middles = (middle..middle + 64).map(|number| {
+                let decibels = 10.0 * ((f64::from(number) + 0.5) / 7.0).log10();
+                let nudged = f64::from_bits(decibels.to_bits() + (number % 5) as u64 - 2);
+                (nudged, f64::NAN)
+            });
+            let (column, one_by_one) = stored(&middles.collect::<Vec<_>>());
+            assert_eq!(column, one_by_one);
+        }
+    }
+
+    #[test]
+    fn amplitudes_that_are_no_numbers_or_too_large() {
+        let nan = f64::NAN;
+        let amplitudes = [
+            (nan, 2.5),
+            (nan, nan),
+            (nan, 1e300),
+            (nan, f64::INFINITY),
+            (f64::INFINITY, nan),
+            (f64::NEG_INFINITY, 3.0),
+            (1e300, nan),
+            (60.0, nan),
+        ];
+        let (column, one_by_one) = stored(&amplitudes);
+        assert_eq!(column, [3, 0, 65_535, 65_535, 65_535, 0, 65_535, 65_535]);
+        assert_eq!(column, one_by_one);
+    }
+
+    proptest! {
+        #[test]
+        fn amplitudes_are_stored_as_their_powers(
+            amplitudes in prop::collection::vec((prop_oneof![-50.0..60.0f64, Just(f64::NAN)], any::<f64>()), 1..128)
+        ) {
+            let (column, one_by_one) = stored(&amplitudes);
+            prop_assert_eq!(column, one_by_one);
+        }
     }
 }

@@ -16,7 +16,7 @@ use crate::formats::las::{
 
 const WKT: &str = "PROJCS[\"UTM 33N\"]";
 
-fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
+pub(super) fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
     WriterOptions {
         version: Version::V1_4,
         scale: [0.001, 0.001, 0.002],
@@ -46,7 +46,7 @@ fn write(name: &str, options: &WriterOptions, points: &[PointOut], extra: &[u8])
 }
 
 /// Points on a spiral: neighbours are alike, as in a real cloud.
-fn cloud(n: usize) -> Vec<PointOut> {
+pub(super) fn cloud(n: usize) -> Vec<PointOut> {
     (0..n)
         .map(|i| {
             let t = i as f64 * 0.01;
@@ -72,7 +72,7 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())
 }
 
-fn u64_at(bytes: &[u8], at: usize) -> u64 {
+pub(super) fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap())
 }
 

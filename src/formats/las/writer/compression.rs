@@ -1,13 +1,14 @@
 //! Compressing while further points are gathered.
 
+use std::collections::VecDeque;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::thread::{self, JoinHandle};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
-use laz::laszip::ChunkTable;
-use laz::laszip::parallel::par_compress;
+use laz::laszip::{ChunkTable, ChunkTableEntry};
 use laz::{LasZipError, LazVlr};
 
+use super::chunk::{self, Chunk};
 use super::records;
 use crate::formats::las::lax;
 
@@ -19,39 +20,55 @@ pub(super) struct Compression {
     table_offset_at: u64,
     /// Where the place of the index is to be noted.
     special_evlrs_at: u64,
-    /// `None`: all is done by the thread that writes.
-    beside: Option<Beside>,
+    /// The threads that compress; without any the thread that writes does it.
+    beside: Beside,
 }
 
 impl Compression {
-    /// For a file whose points begin at `table_offset_at`. With more than one thread a slab is compressed while the next one
-    /// is gathered.
+    /// For a file whose points begin at `table_offset_at`. With more than one thread chunks are compressed while further ones
+    /// are gathered.
     pub(super) fn new(
         laz: LazVlr,
         table_offset_at: u64,
         special_evlrs_at: u64,
         threads: usize,
     ) -> Compression {
-        // Without a second thread it works, only slower.
-        let beside = if threads > 1 { Beside::start(&laz).ok() } else { None };
+        let beside = Beside::start(&laz, threads);
         Compression { laz, table: ChunkTable::default(), table_offset_at, special_evlrs_at, beside }
     }
 
-    /// Compresses a slab of whole chunks (the last one may be cut short), or has it compressed, and leaves an empty one.
-    pub(super) fn put(&mut self, slab: &mut Vec<u8>, sink: &mut impl Write) -> io::Result<()> {
-        let Some(beside) = &mut self.beside else {
-            self.table.extend(&par_compress(sink, slab, &self.laz).map_err(into_io)?);
-            slab.clear();
+    /// Compresses the records of a chunk, or has them compressed, and leaves room for those of the next one.
+    pub(super) fn put(&mut self, records: &mut Vec<u8>, sink: &mut impl Write) -> io::Result<()> {
+        if self.beside.is_full() {
+            self.write_next(sink)?;
+        }
+        if self.beside.send(records) {
             return Ok(());
-        };
-        beside.collect(&mut self.table, sink)?;
-        beside.send(slab)
+        }
+        let chunk = chunk::compress(records, &self.laz);
+        records.clear();
+        self.write(chunk, sink)
+    }
+
+    /// Waits for the chunk that was given away first, and writes it.
+    fn write_next(&mut self, sink: &mut impl Write) -> io::Result<()> {
+        match self.beside.next() {
+            Some(chunk) => self.write(chunk, sink),
+            None => Ok(()),
+        }
+    }
+
+    fn write(&mut self, chunk: Chunk, sink: &mut impl Write) -> io::Result<()> {
+        let bytes = chunk?;
+        let point_count = self.laz.chunk_size().into();
+        self.table.push(ChunkTableEntry { point_count, byte_count: bytes.len() as u64 });
+        sink.write_all(&bytes)
     }
 
     /// Writes what is still being compressed and the chunk table, and notes before the first chunk where it is.
     pub(super) fn end(&mut self, sink: &mut (impl Write + Seek)) -> io::Result<()> {
-        if let Some(beside) = &mut self.beside {
-            beside.collect(&mut self.table, sink)?;
+        while self.beside.is_busy() {
+            self.write_next(sink)?;
         }
         let table_at = sink.stream_position()?;
         self.table.write_to(&mut *sink, &self.laz)?;
@@ -74,77 +91,87 @@ impl Compression {
     }
 }
 
-/// A slab that was compressed: its chunks, their bytes, and the slab for further use.
-struct Compressed {
-    chunks: laz::Result<ChunkTable>,
-    bytes: Vec<u8>,
-    slab: Vec<u8>,
-}
+/// The records of a chunk, and where the thread that compresses them sends it, and the records' memory for further use.
+type Job = (Vec<u8>, Sender<(Chunk, Vec<u8>)>);
 
-/// A thread that compresses one slab at a time.
+/// Threads that compress chunks.
 struct Beside {
-    slabs: Option<Sender<Vec<u8>>>,
-    compressed: Receiver<Compressed>,
-    thread: Option<JoinHandle<()>>,
-    is_busy: bool,
-    /// The slab before the last one, empty.
-    spare: Vec<u8>,
+    /// `None`: there is no thread.
+    jobs: Option<Sender<Job>>,
+    /// Chunks that are not written yet, in order.
+    waiting: VecDeque<Receiver<(Chunk, Vec<u8>)>>,
+    /// Chunks there may be: one for each thread, and as many more, of which one is being gathered.
+    most: usize,
+    threads: Vec<JoinHandle<()>>,
+    /// Memory for records.
+    spare: Vec<Vec<u8>>,
 }
 
 impl Beside {
-    fn start(laz: &LazVlr) -> io::Result<Beside> {
-        let (slabs, to_do) = bounded::<Vec<u8>>(1);
-        let (done, compressed) = bounded(1);
-        let laz = laz.clone();
-        let work = move || {
-            for mut slab in to_do {
-                let mut bytes = Vec::new();
-                let chunks = par_compress(&mut bytes, &slab, &laz);
-                slab.clear();
-                if done.send(Compressed { chunks, bytes, slab }).is_err() {
-                    break;
+    /// Without threads where one has to do.
+    fn start(laz: &LazVlr, n_threads: usize) -> Beside {
+        let n_threads = if n_threads > 1 { n_threads } else { 0 };
+        let (jobs, to_do) = bounded::<Job>(2 * n_threads);
+        let start = |_| {
+            let (laz, to_do) = (laz.clone(), to_do.clone());
+            let work = move || {
+                for (mut records, done) in to_do {
+                    let chunk = chunk::compress(&records, &laz);
+                    records.clear();
+                    // Where nobody waits any more, writing has failed.
+                    let _ = done.send((chunk, records));
                 }
-            }
+            };
+            thread::Builder::new().name("compress".into()).spawn(work).ok()
         };
-        let thread = thread::Builder::new().name("compress".into()).spawn(work)?;
-        Ok(Beside { slabs: Some(slabs), compressed, thread: Some(thread), is_busy: false, spare: Vec::new() })
+        // With fewer threads it works, only slower.
+        let threads: Vec<JoinHandle<()>> = (0..n_threads).filter_map(start).collect();
+        let jobs = (!threads.is_empty()).then_some(jobs);
+        let most = 2 * threads.len();
+        Beside { jobs, waiting: VecDeque::new(), most, threads, spare: Vec::new() }
     }
 
-    fn send(&mut self, slab: &mut Vec<u8>) -> io::Result<()> {
-        let next = std::mem::take(&mut self.spare);
-        let full = std::mem::replace(slab, next);
-        slab.reserve(full.len());
-        let slabs = self.slabs.as_ref().ok_or_else(has_ended)?;
-        slabs.send(full).map_err(|_| has_ended())?;
-        self.is_busy = true;
-        Ok(())
+    fn is_full(&self) -> bool {
+        self.is_busy() && self.waiting.len() + 1 >= self.most
     }
 
-    /// Waits for the slab that is being compressed, if there is one, and writes it.
-    fn collect(&mut self, table: &mut ChunkTable, sink: &mut impl Write) -> io::Result<()> {
-        if !std::mem::take(&mut self.is_busy) {
-            return Ok(());
-        }
-        let Compressed { chunks, bytes, slab } = self.compressed.recv().map_err(|_| has_ended())?;
-        self.spare = slab;
-        sink.write_all(&bytes)?;
-        table.extend(&chunks.map_err(into_io)?);
-        Ok(())
+    fn is_busy(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
+    /// Gives records away and leaves empty memory; `false`: there is no thread to take them.
+    fn send(&mut self, records: &mut Vec<u8>) -> bool {
+        let Some(jobs) = &self.jobs else { return false };
+        let next = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(records.capacity()));
+        let full = std::mem::replace(records, next);
+        let (done, chunk) = bounded(1);
+        // If all threads have died, nothing is sent to where the chunk is waited for, and that is told there.
+        let _ = jobs.send((full, done));
+        self.waiting.push_back(chunk);
+        true
+    }
+
+    /// Waits for the chunk that was given away first; `None`: no one is waited for.
+    fn next(&mut self) -> Option<Chunk> {
+        let received = self.waiting.pop_front()?.recv();
+        let Ok((chunk, records)) = received else { return Some(Err(has_ended())) };
+        self.spare.push(records);
+        Some(chunk)
     }
 }
 
 impl Drop for Beside {
     fn drop(&mut self) {
-        self.slabs = None;
-        if let Some(thread) = self.thread.take() {
-            // What it died of has been told where its slab was waited for.
+        self.jobs = None;
+        for thread in self.threads.drain(..) {
+            // What it died of has been told where its chunk was waited for.
             let _ = thread.join();
         }
     }
 }
 
 fn has_ended() -> io::Error {
-    io::Error::other("the thread that compresses has ended")
+    io::Error::other("a thread that compresses has ended")
 }
 
 pub(super) fn into_io(error: LasZipError) -> io::Error {

@@ -74,18 +74,20 @@ impl Totals {
         Totals { points: 0, by_return: [0; 15], min: [i32::MAX; 3], max: [i32::MIN; 3] }
     }
 
-    /// Counts a point; its return number as it is written.
-    pub(super) fn add(&mut self, version: Version, raw: [i32; 3], return_number: u8) {
-        self.points += 1;
+    /// Counts points: the smallest and largest coordinate of each axis, and the return numbers as they are written.
+    pub(super) fn add(&mut self, version: Version, ends: [(i32, i32); 3], return_numbers: &[u8]) {
+        self.points += return_numbers.len() as u64;
         let most = if version.is_legacy() { LEGACY_RETURNS } else { RETURNS };
-        // A return number of 0 belongs to no column.
-        let column = usize::from(return_number.min(most)).checked_sub(1);
-        if let Some(count) = column.and_then(|column| self.by_return.get_mut(column)) {
-            *count += 1;
+        for return_number in return_numbers {
+            // A return number of 0 belongs to no column.
+            let column = usize::from((*return_number).min(most)).checked_sub(1);
+            if let Some(count) = column.and_then(|column| self.by_return.get_mut(column)) {
+                *count += 1;
+            }
         }
-        for (axis, value) in raw.into_iter().enumerate() {
-            self.min[axis] = self.min[axis].min(value);
-            self.max[axis] = self.max[axis].max(value);
+        for (axis, (least, largest)) in ends.into_iter().enumerate() {
+            self.min[axis] = self.min[axis].min(least);
+            self.max[axis] = self.max[axis].max(largest);
         }
     }
 

@@ -94,8 +94,8 @@ pub struct WriterOptions<'a> {
     pub waveforms: WavePlace,
     /// Where the spatial index goes.
     pub index: IndexPlace,
-    /// Chunks of points that are compressed at a time; the bytes of the file do not depend on it. Memory is 50 000
-    /// points per thread and about as much again for their compressed form.
+    /// Chunks of points that are compressed at a time; the bytes of the file do not depend on it. Memory is at most 100 000
+    /// points per thread and their compressed form.
     pub threads: usize,
 }
 
