@@ -247,24 +247,12 @@ impl Trajectory {
 
     /// The pose at a time; `None` outside the span and inside gaps that are not bridged.
     pub fn pose(&self, time_s: f64) -> Option<Pose> {
-        let before = self.index.before(time_s)?;
-        let around = self.around(before, time_s)?;
-        let weights = weights(&self.index.times_s()[around.clone()], time_s);
-        let base = &self.nodes[before];
-        let to_body = base.ecef_from_body.inverse();
-        let (mut moved_m, mut turned) = ([0.0; 3], [0.0; 3]);
-        for (node, weight) in self.nodes[around.clone()].iter().zip(weights) {
-            let parameters = to_body.after(&node.ecef_from_body).parameters();
-            for axis in 0..3 {
-                moved_m[axis] += weight * (node.position_m[axis] - base.position_m[axis]);
-                turned[axis] += weight * parameters[axis];
-            }
-        }
-        Some(Pose {
-            origin_in_ecef_m: core::array::from_fn(|axis| base.position_m[axis] + moved_m[axis]),
-            ecef_from_body: base.ecef_from_body.after(&Quaternion::of_parameters(turned)).rotation(),
-            accuracy: self.accuracies.as_ref().and_then(|accuracies| accuracies.at(time_s)),
-        })
+        self.poses().at(time_s)
+    }
+
+    /// Poses at many times, each mostly near the one before: that one's neighbours are looked at once.
+    pub fn poses(&self) -> Poses<'_> {
+        Poses { trajectory: self, last: None }
     }
 
     /// The records that tell about a time between record `before` and the next: both, and the neighbours on either side
@@ -282,6 +270,71 @@ impl Trajectory {
         let first = before.checked_sub(1).filter(|&first| tells(start_s - times_s[first])).unwrap_or(before);
         let behind = times_s.get(before + 2).is_some_and(|time_s| tells(time_s - end_s));
         Some(first..before + 2 + usize::from(behind))
+    }
+}
+
+/// The poses of a [`Trajectory`].
+#[derive(Clone, Debug)]
+pub struct Poses<'a> {
+    trajectory: &'a Trajectory,
+    last: Option<Neighbours>,
+}
+
+impl Poses<'_> {
+    /// What [`Trajectory::pose`] tells.
+    pub fn at(&mut self, time_s: f64) -> Option<Pose> {
+        let trajectory = self.trajectory;
+        let times_s = trajectory.index.times_s();
+        let is_same = |last: &&Neighbours| (times_s[last.before]..times_s[last.before + 1]).contains(&time_s);
+        let before = match self.last.as_ref().filter(is_same) {
+            Some(last) => last.before,
+            None => trajectory.index.before(time_s)?,
+        };
+        let around = trajectory.around(before, time_s)?;
+        let near = match self.last.take() {
+            Some(last) if last.before == before && last.around == around => last,
+            _ => Neighbours::of(trajectory, before, around),
+        };
+        let near = self.last.insert(near);
+        let weights = weights(&times_s[near.around.clone()], time_s);
+        let (mut moved_m, mut turned) = ([0.0; 3], [0.0; 3]);
+        for ((moved_by_m, turned_by), weight) in near.moved_m.iter().zip(&near.turned).zip(weights) {
+            for axis in 0..3 {
+                moved_m[axis] += weight * moved_by_m[axis];
+                turned[axis] += weight * turned_by[axis];
+            }
+        }
+        let base = &trajectory.nodes[before];
+        Some(Pose {
+            origin_in_ecef_m: core::array::from_fn(|axis| base.position_m[axis] + moved_m[axis]),
+            ecef_from_body: base.ecef_from_body.after(&Quaternion::of_parameters(turned)).rotation(),
+            accuracy: trajectory.accuracies.as_ref().and_then(|accuracies| accuracies.at(time_s)),
+        })
+    }
+}
+
+/// The records that tell about the times between two of them.
+#[derive(Clone, Debug)]
+struct Neighbours {
+    /// The record before these times.
+    before: usize,
+    around: Range<usize>,
+    /// How far each of `around` is from that record, and how it is turned from it; zeros behind the last.
+    moved_m: [Vector; 4],
+    turned: [[f64; 3]; 4],
+}
+
+impl Neighbours {
+    fn of(trajectory: &Trajectory, before: usize, around: Range<usize>) -> Neighbours {
+        let base = &trajectory.nodes[before];
+        let to_body = base.ecef_from_body.inverse();
+        let (mut moved_m, mut turned) = ([[0.0; 3]; 4], [[0.0; 3]; 4]);
+        let nodes = &trajectory.nodes[around.clone()];
+        for ((node, moved_m), turned) in nodes.iter().zip(&mut moved_m).zip(&mut turned) {
+            *moved_m = core::array::from_fn(|axis| node.position_m[axis] - base.position_m[axis]);
+            *turned = to_body.after(&node.ecef_from_body).parameters();
+        }
+        Neighbours { before, around, moved_m, turned }
     }
 }
 

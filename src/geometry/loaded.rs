@@ -11,7 +11,7 @@ use super::track::Track;
 use crate::batch::{Emission, Frame, InputInfo};
 use crate::geo::frames::Vector;
 use crate::geo::time_axis::{Alignment, Clock, Misaligned, Times};
-use crate::geo::trajectory::{Pose, Trajectory};
+use crate::geo::trajectory::{Pose, Poses, Trajectory};
 use crate::stage::{Result, StageError};
 
 /// The geometry of a run.
@@ -103,6 +103,19 @@ impl Loader {
     }
 }
 
+/// Poses at the times of shots, mostly each near the one before.
+pub(super) struct ShotPoses<'a> {
+    poses: Poses<'a>,
+    alignment: &'a Alignment,
+}
+
+impl ShotPoses<'_> {
+    /// The aircraft's pose; `None` where the trajectory does not tell it.
+    pub(super) fn at(&mut self, gps_time_s: f64) -> Option<Pose> {
+        self.poses.at(self.alignment.on_trajectory(gps_time_s))
+    }
+}
+
 impl Geometry {
     fn of(
         keys: GeometryKeys,
@@ -172,7 +185,12 @@ impl Geometry {
 
     /// The aircraft's pose at the time of a shot; `None` where the trajectory does not tell it.
     pub fn pose(&self, gps_time_s: f64) -> Option<Pose> {
-        self.track.as_ref()?.trajectory.pose(self.alignment.get()?.on_trajectory(gps_time_s))
+        self.poses()?.at(gps_time_s)
+    }
+
+    /// The poses at many times; `None` where there is no trajectory, or none that covers the recording.
+    pub(super) fn poses(&self) -> Option<ShotPoses<'_>> {
+        Some(ShotPoses { poses: self.track.as_ref()?.trajectory.poses(), alignment: self.alignment.get()? })
     }
 
     /// Whether the trajectory ends before a time of the recording.

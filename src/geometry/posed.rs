@@ -95,8 +95,9 @@ impl Posed {
         let mut place = Vec::with_capacity(batch.emissions.len());
         let mut kept = 0;
         let geometry = Arc::clone(&self.geometry);
+        let mut poses = geometry.poses();
         batch.emissions.retain_mut(|emission| {
-            let pose = geometry.pose(emission.gps_time_s);
+            let pose = poses.as_mut().and_then(|poses| poses.at(emission.gps_time_s));
             self.coverage.add(emission.gps_time_s, pose.is_some());
             place.push(pose.is_some().then_some(kept));
             if let Some(pose) = &pose {

@@ -282,6 +282,23 @@ fn accuracies_that_are_none_are_refused() {
     assert_eq!(problem, Problem::Duplicate { record: 1, time_s: 0.0, more: 0 });
 }
 
+/// In whatever order poses are asked for, at records, in gaps that are not bridged and outside the span too.
+#[test]
+fn many_poses_are_the_single_ones() {
+    let records = (0..40).chain(600..640).chain(660..700).map(|k| f64::from(k) / 100.0);
+    let trajectory = Flight::at(48.0, 11.0, 70.0).flown(records);
+    let mut poses = trajectory.poses();
+    let forth = (-20..1500).map(|k| f64::from(k) / 200.0);
+    let back = (-20..1500).rev().step_by(7).map(|k| f64::from(k) / 200.0);
+    let mut told = 0;
+    for time_s in forth.chain(back) {
+        let pose = poses.at(time_s);
+        told += usize::from(pose.is_some());
+        assert_eq!(pose, trajectory.pose(time_s), "{time_s}");
+    }
+    assert!((200..1700).contains(&told), "{told}");
+}
+
 proptest! {
     /// Whatever the records: a pose inside the span is finite, and its rotation is one.
     #[test]
