@@ -46,6 +46,9 @@ pub const VERSION: &str = "1";
 /// samples each takes 2^22.
 pub const MAX_BATCH_BYTES: u64 = 1 << 30;
 
+/// Memory for a line up to this size is kept for the next one, bytes.
+const MOST_KEPT_BYTES: usize = 1 << 26;
+
 /// Codes of the column `blocks.channel`.
 pub mod channel {
     /// The receiver for strong echoes.

@@ -10,9 +10,8 @@
 //! to the plain kernels, one waveform at a time: they decide, and are the oracle of the tests.
 //!
 //! The first samples of a block, as many as the noise's order, carry no weight in a fit, and count in chi-square as long as
-//! no pulse reaches them. After its start
-//! a [`Lockstep`] allocates nothing but room for more returns or longer blocks, two lists per batch of which a part is
-//! refined, and a little where pulses stand at the ends of blocks of changing length.
+//! no pulse reaches them. After its start a [`Lockstep`] allocates nothing but room for more returns or longer blocks, two
+//! lists per batch of which a part is refined, and a little where pulses stand at the ends of blocks of changing length.
 
 #![allow(
     clippy::needless_range_loop,

@@ -33,7 +33,7 @@ struct Count<'a> {
 }
 
 /// Adding this rounds what is small beside it to whole numbers, halves to even ones, and leaves them in the lowest bits.
-const ROUNDING: f64 = 1.5 / f64::EPSILON;
+pub(crate) const ROUNDING: f64 = 1.5 / f64::EPSILON;
 
 impl Kernel for Count<'_> {
     type Output = ();

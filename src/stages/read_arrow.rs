@@ -1,6 +1,5 @@
 //! `read_arrow`: recorded waveforms from the open container.
 
-use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -112,11 +111,11 @@ impl ReadArrow {
             return None;
         }
         let number = line.line(from);
-        let until = (from..line.rows()).find(|&row| line.line(row) != number).unwrap_or(line.rows());
-        let room = (until - from).min(MAX_SHOTS_PER_LINE);
+        let is_next = |row: usize| row < line.rows() && line.line(row) == number;
+        let room = (from..from + MAX_SHOTS_PER_LINE).take_while(|&row| is_next(row)).count();
         let (mut emissions, mut rows) = (Vec::with_capacity(room), Vec::with_capacity(room));
         let mut row = from;
-        while row < until && emissions.len() < MAX_SHOTS_PER_LINE {
+        while is_next(row) && emissions.len() < MAX_SHOTS_PER_LINE {
             let shot = line.shot(row);
             match wrong_row(&line, row, &shot, emissions.last()) {
                 None => {
@@ -130,14 +129,15 @@ impl ReadArrow {
             }
             row += 1;
         }
-        let blocks = self.blocks(&line, from..row, &rows);
+        let blocks = self.blocks(&line, &rows);
         self.at = Some((line, row));
         Some(Batch::of_shots(Arc::clone(&self.info), number, emissions, blocks))
     }
 
-    /// The blocks and online returns of the rows `kept` among some rows.
-    fn blocks(&self, line: &ContainerLine, rows: Range<usize>, kept: &[usize]) -> Blocks {
-        let (n, samples) = line.blocks_and_samples(rows);
+    /// The blocks and online returns of the rows `kept`.
+    fn blocks(&self, line: &ContainerLine, kept: &[usize]) -> Blocks {
+        let sizes = kept.iter().map(|&row| line.blocks_and_samples(row..row + 1));
+        let (n, samples) = sizes.fold((0, 0), |sum, row| (sum.0 + row.0, sum.1 + row.1));
         let mut blocks = Blocks::with_capacity(n, if self.with_samples { samples } else { 0 });
         for (emission, &row) in (0..).zip(kept) {
             for block in line.blocks(row) {

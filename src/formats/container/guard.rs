@@ -21,7 +21,7 @@ const SPARE_BYTES: u64 = 1 << 16;
 /// Bytes of the length before a packed buffer.
 const LENGTH_BYTES: usize = 8;
 
-/// Room is made for so many buffers at once: more than a container's columns have.
+/// Room is made for so many buffers at once; more are rare.
 const MOST_BUFFERS: usize = 128;
 
 /// An error unless `batch` can be decoded: see the module. `decoded` are the columns that will be, and the buffers given
@@ -227,6 +227,9 @@ impl<'a> Walk<'a> {
             if let Some(most) = most.filter(|&most| size > 2 * most as u64 + SPARE_BYTES) {
                 return bad(format!("a buffer that unpacks to {size} bytes, where {most} are needed"));
             }
+        }
+        // Those that are not packed are copied with the others, and many columns may list the same one.
+        if self.codec.is_some() {
             self.unpacked += size;
         }
         if self.unpacked > MAX_BATCH_BYTES {

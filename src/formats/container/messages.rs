@@ -10,9 +10,9 @@ use arrow_buffer::Buffer;
 use arrow_ipc::{Block, Footer, MessageHeader, root_as_footer, root_as_message};
 use arrow_schema::Schema;
 
-use super::MAX_BATCH_BYTES;
 use super::decode::schema_of;
 use super::place::{CUT_OFF, DAMAGED, Place};
+use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES};
 use crate::formats::{Error, Result};
 
 /// The first and the last bytes of the file format.
@@ -136,7 +136,7 @@ impl FileMessages {
         let mut bytes = self.last.take().and_then(|last| last.into_vec().ok()).unwrap_or_default();
         read_into(&mut self.file, len, &mut bytes).map_err(&io)?;
         let bytes = Buffer::from_vec(bytes);
-        self.last = Some(bytes.clone());
+        self.last = (len <= MOST_KEPT_BYTES).then(|| bytes.clone());
         let place = Place { file: &self.name, offset, first_row: 0 };
         if bytes.len() < len {
             return Err(place.bad("record batch", "the file has become shorter", CUT_OFF));

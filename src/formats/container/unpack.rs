@@ -9,8 +9,8 @@ use std::ops::Range;
 use arrow_buffer::Buffer;
 use arrow_ipc::{CompressionType, RecordBatch};
 
-use super::lz4;
 use super::messages::Message;
+use super::{MOST_KEPT_BYTES, lz4};
 
 /// A buffer of a column that will be decoded.
 pub(super) struct Found {
@@ -78,7 +78,7 @@ impl Unpacker {
             put(&mut metadata, compression, [0; 2]);
         }
         let body = Buffer::from(body);
-        self.last = Some(body.clone());
+        self.last = (body.len() <= MOST_KEPT_BYTES).then(|| body.clone());
         Ok(Message { offset: message.offset, metadata: Buffer::from_vec(metadata), body })
     }
 

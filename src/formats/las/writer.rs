@@ -127,7 +127,8 @@ impl<W: Write + Seek> Writer<W> {
     }
 
     /// Writes points number 0 to `n - 1`: the same as one by one, and faster. `extra` is asked for the extra attributes of up to
-    /// [`TOGETHER`] points at a time: it puts them in the order of the options. `refused` takes what is wrong with each point
+    /// [`TOGETHER`] points at a time, and once more one by one where a point of them is left out: it puts them in the order of
+    /// the options. `refused` takes what is wrong with each point
     /// that is left out, as [`Writer::write_point`] has it; the others are written.
     ///
     /// # Errors
@@ -137,7 +138,7 @@ impl<W: Write + Seek> Writer<W> {
         &mut self,
         n: usize,
         point: impl Fn(usize) -> PointOut,
-        mut extra: impl FnMut(Range<usize>, &mut ExtraColumns),
+        extra: impl Fn(Range<usize>, &mut ExtraColumns),
         mut refused: impl FnMut(Error),
     ) -> Result<()> {
         let mut next = 0;

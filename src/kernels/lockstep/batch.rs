@@ -77,13 +77,13 @@ impl Workspace {
             suspects: Vec::with_capacity(BATCH),
             suspect_numbers: Vec::with_capacity(BATCH),
             candidates: Vec::with_capacity(BATCH),
-            by_count: ByCount::default(),
+            by_count: ByCount::new(),
             squares: Vec::with_capacity(BATCH),
             which: Vec::with_capacity(BATCH),
             singles: Vec::with_capacity(BATCH),
             single_tags: Vec::with_capacity(BATCH),
             scores: Vec::with_capacity(BATCH),
-            to_fit: Vec::new(),
+            to_fit: Vec::with_capacity(BATCH),
         }
     }
 }

@@ -75,15 +75,17 @@ pub(super) struct DetectAll<'a> {
 }
 
 /// Waveforms of a batch by their number of pulses.
-#[derive(Default)]
 pub(super) struct ByCount {
     rows: Vec<[u32; BATCH]>,
     lengths: [usize; MAX_PULSES + 1],
 }
 
 impl ByCount {
+    pub(super) fn new() -> ByCount {
+        ByCount { rows: vec![[0; BATCH]; MAX_PULSES + 1], lengths: [0; MAX_PULSES + 1] }
+    }
+
     fn clear(&mut self) {
-        self.rows.resize(MAX_PULSES + 1, [0; BATCH]);
         self.lengths = [0; MAX_PULSES + 1];
     }
 

@@ -274,10 +274,12 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             point = next.select(s, better, point);
             damping = self.next_damping(damping, better);
             let step = self.step(&point, damping);
-            promised = zero;
+            let mut gain = zero;
             for i in 0..N {
-                promised = s.fma(step[i], point.side[i], promised);
+                gain = s.fma(step[i], point.side[i], gain);
             }
+            // What a lane came to stays while others go on: it must not depend on them.
+            promised = s.select(active, gain, promised);
             let near = s.ge(s.splat(DECREASE), promised) & s.ge(s.splat(NEAR_NEWTON), damping);
             let done = active & near;
             active &= !near & !s.ge(damping, s.splat(NO_DECREASE));

@@ -2,7 +2,7 @@
 
 use crate::batch::{Return, ReturnChannel, flags};
 use crate::formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER};
-use crate::kernels::steps::power_ratios;
+use crate::kernels::steps::{ROUNDING, power_ratios};
 
 use super::AttributeLayout;
 
@@ -146,8 +146,6 @@ pub(in crate::stages) fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
 fn linear_amplitudes(values: &mut [f64], returns: &[Return]) {
     /// Far more than either of the two ways can be off, as a share of the amplitude.
     const UNCERTAIN: f64 = 1e-11;
-    /// Adding this rounds to whole numbers.
-    const ROUNDING: f64 = 1.5 / f64::EPSILON;
     let (mut decibels, mut ratios) = ([0.0; TOGETHER], [0.0; TOGETHER]);
     fill(&mut decibels, returns, |r| r.amplitude_db);
     power_ratios(&decibels[..values.len().min(TOGETHER)], &mut ratios);

@@ -59,8 +59,16 @@ fn extra_attributes_that_are_missing_leave_points_out() {
     let points = cloud(3);
     let made = |number: usize| points[number].clone();
     let refused = |error: Error| panic!("{error}");
-    let found = writer.write_points(3, made, |_, _| (), refused).unwrap_err().to_string();
-    assert!(found.starts_with("a.las: point 0 has 0 extra bytes, and the attributes need 2; "), "{found}");
+    let too_few = |_: Range<usize>, columns: &mut ExtraColumns| columns.put(&AMP, &[7.0; 2]);
+    for found in
+        [writer.write_points(3, made, |_, _| (), refused), writer.write_points(3, made, too_few, refused)]
+    {
+        let found = found.unwrap_err().to_string();
+        assert!(
+            found.starts_with("a.las: point 0 has 0 extra bytes, and the attributes need 2; "),
+            "{found}"
+        );
+    }
     writer
         .write_points(3, made, |numbers, columns| columns.put(&AMP, &vec![7.0; numbers.len()]), refused)
         .unwrap();

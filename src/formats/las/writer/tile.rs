@@ -189,7 +189,7 @@ impl<'a> ExtraColumns<'a> {
         self.record_length as i64 - self.at as i64
     }
 
-    /// Puts the values of the next attribute, one for each point, at most 128.
+    /// Puts the values of the next attribute, one for each point, at most 128; nothing where there are fewer than points.
     pub fn put(&mut self, attribute: &ExtraAttribute, values: &[f64]) {
         let mut stored = [0; TOGETHER];
         attribute.quantise_column(values, &mut stored);
@@ -203,6 +203,9 @@ impl<'a> ExtraColumns<'a> {
 
     /// Puts the lowest bytes of each number.
     fn put_bytes<const N: usize>(&mut self, stored: &[i32]) {
+        if stored.len() < self.records.len() / self.record_length {
+            return;
+        }
         let at = self.at;
         for (record, number) in self.records.chunks_exact_mut(self.record_length).zip(stored) {
             let bytes = number.to_le_bytes();
