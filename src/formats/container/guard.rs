@@ -223,10 +223,10 @@ impl<'a> Walk<'a> {
         if size < least as u64 {
             return bad(format!("a buffer of {size} bytes, where {least} are needed"));
         }
-        if raw.is_none() {
-            if let Some(most) = most.filter(|&most| size > 2 * most as u64 + SPARE_BYTES) {
-                return bad(format!("a buffer that unpacks to {size} bytes, where {most} are needed"));
-            }
+        if raw.is_none()
+            && let Some(most) = most.filter(|&most| size > 2 * most as u64 + SPARE_BYTES)
+        {
+            return bad(format!("a buffer that unpacks to {size} bytes, where {most} are needed"));
         }
         // Those that are not packed are copied with the others, and many columns may list the same one.
         if self.codec.is_some() {
