@@ -260,8 +260,36 @@ fn returns_are_riegls_and_few_more() {
         assert!(missed <= 0.007 && after <= 0.0015);
     }
     assert!(by_default[1] <= 0.055);
-    // The goal of 3 % is not reached: what is left stands out of the noise and of the response's error.
+    // The goal of 3 % is not reached: what is left are echoes, see the next test.
     assert!(vendor_like[1] < by_default[1]);
+}
+
+/// What a wrong response or noise makes stands at the same distances from strong echoes everywhere; what is an echo stands where
+/// the pulses beside it hit, too: RIEGL's returns of other pulses, which have nothing of this waveform, tell the two apart.
+#[test]
+fn returns_beside_riegls_stand_where_riegls_other_pulses_hit() {
+    let Some(data) = data() else { return };
+    let vendor_like = ["decompose.split_evidence=false", "decompose.template_error=0.0075"];
+    for (name, set, most_alone) in [("default", &[][..], 0.02), ("vendor-like", &vendor_like[..], 0.015)] {
+        let pulses = agreement(&data, set);
+        let vendor: usize = pulses.iter().map(|pulse| pulse.vendor.len()).sum();
+        let distances = agreement::extras_beside_other_pulses(&pulses);
+        let [there, mirrored] = [0, 1].map(|side| distances.iter().map(|d| d[side]).collect::<Vec<f64>>());
+        // Twice the distance from one pulse's return to the next one's.
+        let near = |distances: &[f64]| distances.iter().filter(|distance| **distance <= 0.7).count();
+        let alone = (there.len() - near(&there)) as f64 / vendor as f64;
+        println!(
+            "{name}: of {} returns beside RIEGL's, {} lie within 0.7 m of one that RIEGL has of another pulse (median {:.2} \
+             m); mirrored at their pulse's strongest return {} would ({:.2} m); {:.2} % of RIEGL's returns have none there",
+            there.len(),
+            near(&there),
+            median(&there),
+            near(&mirrored),
+            median(&mirrored),
+            100.0 * alone
+        );
+        assert!(alone <= most_alone && median(&there) <= 0.5 && median(&mirrored) >= 1.5 * median(&there));
+    }
 }
 
 /// An error of the response leaves as many minima beside strong echoes as maxima, an echo leaves none: what minima there are
@@ -331,54 +359,54 @@ fn a_model_of_one_half_holds_for_the_other() {
 fn returns_agree_with_riegls_to_their_uncertainty() {
     let Some(data) = data() else { return };
     let pulses = agreement(&data, &[]);
-    let mut pairs: Vec<(agreement::Echo, agreement::Echo, f64, bool)> = Vec::new();
-    for pulse in &pulses {
-        let single = pulse.vendor.len() == 1 && pulse.ours.len() == 1;
-        pairs.extend(
-            pulse
-                .pairs
-                .iter()
-                .map(|&(i, j)| (pulse.vendor[i], pulse.ours[j], pulse.separation_ns(i), single)),
+    let pairs: Vec<agreement::Told> = pulses.iter().flat_map(agreement::Pulse::told).collect();
+    let walk: Vec<f64> = pairs.iter().map(|pair| pair.ours.amplitude_dn).collect();
+    let raw: Vec<f64> = pairs.iter().map(|pair| 1000.0 * (pair.ours.time_ns - pair.vendor.time_ns)).collect();
+    let left = agreement::without_trend(&walk, &raw);
+    let of = |values: &[f64], wanted: &dyn Fn(&agreement::Told) -> bool| -> Vec<f64> {
+        values.iter().zip(&pairs).filter(|(_, pair)| wanted(pair)).map(|(value, _)| *value).collect()
+    };
+    let single = |pair: &agreement::Told| pair.single;
+    let multi = |pair: &agreement::Told| !pair.single && pair.vendor_separation_ns.is_finite();
+    // Where another return of ours is near, RIEGL's one return stands between the two.
+    let far =
+        |pair: &agreement::Told| multi(pair) && pair.vendor_separation_ns.min(pair.our_separation_ns) > 12.0;
+    // Weak returns are as uncertain as their amplitude lets them be: they are judged by their own standard deviations.
+    let far_and_strong = |pair: &agreement::Told| far(pair) && pair.ours.amplitude_dn > 40.0;
+    let spread =
+        |values: &[f64], wanted: &dyn Fn(&agreement::Told) -> bool| agreement::spread(&of(values, wanted));
+    for (name, wanted, goals) in [
+        ("singles", &single as &dyn Fn(&agreement::Told) -> bool, "20, 15"),
+        ("multi", &multi, "60"),
+        ("multi, more than 12 ns apart", &far, "25"),
+        ("multi, more than 12 ns apart, above 40 DN", &far_and_strong, "25"),
+    ] {
+        println!(
+            "{name}: {} returns, {:.1} ps, without the trend {:.1} ps (goal {goals})",
+            of(&raw, wanted).len(),
+            spread(&raw, wanted),
+            spread(&left, wanted)
         );
     }
-    let walk: Vec<f64> = pairs.iter().map(|pair| pair.1.amplitude_dn).collect();
-    let raw: Vec<f64> = pairs.iter().map(|(v, o, _, _)| 1000.0 * (o.time_ns - v.time_ns)).collect();
-    let left = agreement::without_trend(&walk, &raw);
-    let of = |values: &[f64], wanted: &dyn Fn(usize) -> bool| -> Vec<f64> {
-        (0..values.len()).filter(|&i| wanted(i)).map(|i| values[i]).collect()
-    };
-    let single = |i: usize| pairs[i].3;
-    let multi = |i: usize| !pairs[i].3 && pairs[i].2.is_finite();
-    // Weak returns are as uncertain as their amplitude lets them be: they are judged by their own standard deviations.
-    let far = |i: usize| multi(i) && pairs[i].2 > 12.0 && pairs[i].1.amplitude_dn > 40.0;
-    let spread = |values: &[f64], wanted: &dyn Fn(usize) -> bool| agreement::spread(&of(values, wanted));
-    println!(
-        "singles: {:.1} ps (goal 20), without the trend {:.1} ps (goal 15)",
-        spread(&raw, &single),
-        spread(&left, &single)
-    );
-    println!(
-        "multi: {:.1} ps (goal 60), without the trend {:.1} ps; above 40 DN and more than 12 ns apart {:.1} ps, without \
-         the trend {:.1} ps (goal 25)",
-        spread(&raw, &multi),
-        spread(&left, &multi),
-        spread(&raw, &far),
-        spread(&left, &far)
-    );
     assert!(spread(&raw, &single) <= 20.0 && spread(&left, &single) <= 15.0);
-    assert!(spread(&left, &multi) <= 60.0 && spread(&left, &far) <= 25.0);
+    assert!(spread(&left, &multi) <= 60.0 && spread(&left, &far_and_strong) <= 25.0);
 
-    let scores: Vec<f64> = left.iter().zip(&pairs).map(|(d, pair)| d / (1000.0 * pair.1.sd_ns)).collect();
-    let scores = of(&scores, &single);
-    let [one, two] = [1.0, 2.0].map(|limit| agreement::share(&scores, |z| z.abs() < limit));
-    println!("coverage: {one:.3} (goal 0.62-0.76), {two:.3} (goal 0.92-0.98)");
+    let scores: Vec<f64> = left.iter().zip(&pairs).map(|(d, pair)| d / (1000.0 * pair.ours.sd_ns)).collect();
+    let coverage = |wanted| {
+        let scores = of(&scores, wanted);
+        [1.0, 2.0].map(|limit| agreement::share(&scores, |z| z.abs() < limit))
+    };
+    let ([one, two], of_far) = (coverage(&single), coverage(&far));
+    println!(
+        "coverage: {one:.3} (goal 0.62-0.76), {two:.3} (goal 0.92-0.98); more than 12 ns apart {of_far:.3?}"
+    );
     assert!((0.62..=0.76).contains(&one) && two >= 0.92);
 
-    let singles: Vec<_> = pairs.iter().filter(|pair| pair.3).collect();
-    let db: Vec<f64> = singles.iter().map(|(v, o, _, _)| o.amplitude_db - v.amplitude_db).collect();
-    let fwhm: Vec<f64> = singles.iter().map(|(v, o, _, _)| o.fwhm_ns - v.fwhm_ns).collect();
-    let below = singles.iter().filter(|pair| pair.1.amplitude_dn < 190.0);
-    let deviations: Vec<f64> = below.map(|pair| pair.1.deviation_ratio).collect();
+    let singles: Vec<_> = pairs.iter().filter(|pair| pair.single).collect();
+    let db: Vec<f64> = singles.iter().map(|pair| pair.ours.amplitude_db - pair.vendor.amplitude_db).collect();
+    let fwhm: Vec<f64> = singles.iter().map(|pair| pair.ours.fwhm_ns - pair.vendor.fwhm_ns).collect();
+    let below = singles.iter().filter(|pair| pair.ours.amplitude_dn < 190.0);
+    let deviations: Vec<f64> = below.map(|pair| pair.ours.deviation_ratio).collect();
     let near = [
         agreement::share(&db, |d| d.abs() < 0.05),
         agreement::share(&fwhm, |d| d.abs() < 0.15),

@@ -9,6 +9,8 @@ const PAIR_NS: f64 = 3.0;
 #[derive(Clone, Copy, Debug)]
 pub struct Echo {
     pub time_ns: f64,
+    /// Where it stands: `[x, y, z]`.
+    pub place_m: [f64; 3],
     pub amplitude_dn: f64,
     pub amplitude_db: f64,
     pub fwhm_ns: f64,
@@ -55,11 +57,32 @@ impl Pulse {
         (0..self.ours.len()).filter(paired).map(|j| &self.ours[j])
     }
 
-    /// Distance of the vendor's return `i` to the nearest other of the pulse, ns.
-    pub fn separation_ns(&self, i: usize) -> f64 {
-        let others = self.vendor.iter().enumerate().filter(|(k, _)| *k != i);
-        others.map(|(_, other)| (other.time_ns - self.vendor[i].time_ns).abs()).fold(f64::INFINITY, f64::min)
+    /// The pairs.
+    pub fn told(&self) -> impl Iterator<Item = Told> {
+        self.pairs.iter().map(|&(i, j)| Told {
+            vendor: self.vendor[i],
+            ours: self.ours[j],
+            vendor_separation_ns: separation_ns(&self.vendor, i),
+            our_separation_ns: separation_ns(&self.ours, j),
+            single: self.vendor.len() == 1 && self.ours.len() == 1,
+        })
     }
+}
+
+/// A return that both tell.
+pub struct Told {
+    pub vendor: Echo,
+    pub ours: Echo,
+    /// Distances to the nearest other return that the same one tells of the pulse, ns.
+    pub vendor_separation_ns: f64,
+    pub our_separation_ns: f64,
+    /// Whether both tell one return.
+    pub single: bool,
+}
+
+fn separation_ns(echoes: &[Echo], i: usize) -> f64 {
+    let others = echoes.iter().enumerate().filter(|(k, _)| *k != i);
+    others.map(|(_, other)| (other.time_ns - echoes[i].time_ns).abs()).fold(f64::INFINITY, f64::min)
 }
 
 /// All pulses of a recording.
@@ -68,9 +91,11 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
     let mut pulses = vec![Pulse::default(); count];
     let column = |name: &str| vendor.column(name);
     let (time, db, fwhm) = (column("range_units_from_anchor"), column("amplitude_db"), column("fwhm_ns"));
+    let axes = ["x", "y", "z"].map(column);
     for (i, pulse) in column("pulse_index").into_iter().enumerate() {
         pulses[pulse as usize].vendor.push(Echo {
             time_ns: time[i],
+            place_m: [axes[0][i], axes[1][i], axes[2][i]],
             amplitude_dn: f64::NAN,
             amplitude_db: db[i],
             fwhm_ns: fwhm[i],
@@ -82,10 +107,12 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
     let (time, dn, db) = (column("time_of_flight_ns"), column("amplitude_dn"), column("amplitude_db"));
     let (fwhm, sd) = (column("fwhm_ns"), column("time_of_flight_sd_ns"));
     let deviation = column("deviation_ratio");
+    let axes = ["x", "y", "z"].map(column);
     for (i, pulse) in column("shot").into_iter().enumerate() {
         if let Some(pulse) = pulses.get_mut(pulse as usize) {
             pulse.ours.push(Echo {
                 time_ns: time[i],
+                place_m: [axes[0][i], axes[1][i], axes[2][i]],
                 amplitude_dn: dn[i],
                 amplitude_db: db[i],
                 fwhm_ns: fwhm[i],
@@ -159,4 +186,29 @@ pub fn share(values: &[f64], test: impl Fn(f64) -> bool) -> f64 {
 pub fn spread(values: &[f64]) -> f64 {
     let centre = median(values);
     1.4826 * median(&values.iter().map(|value| (value - centre).abs()).collect::<Vec<_>>())
+}
+
+/// How far the returns that are ours alone stand from the vendor's nearest return of *another* pulse; and how far a place as
+/// far on the other side of their pulse's strongest return does, m.
+pub fn extras_beside_other_pulses(pulses: &[Pulse]) -> Vec<[f64; 2]> {
+    let nearest_m = |of: usize, place: [f64; 3]| {
+        let others = pulses.iter().enumerate().filter(|(i, _)| *i != of).flat_map(|(_, pulse)| &pulse.vendor);
+        others.map(|echo| distance_m(place, echo.place_m)).fold(f64::INFINITY, f64::min)
+    };
+    let mut distances = Vec::new();
+    for (i, pulse) in pulses.iter().enumerate() {
+        let Some(strongest) = pulse.ours.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))
+        else {
+            continue;
+        };
+        for extra in pulse.extra() {
+            let mirrored = [0, 1, 2].map(|axis| 2.0 * strongest.place_m[axis] - extra.place_m[axis]);
+            distances.push([extra.place_m, mirrored].map(|place| nearest_m(i, place)));
+        }
+    }
+    distances
+}
+
+fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
