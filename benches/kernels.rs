@@ -5,11 +5,11 @@
 //! a run as argument (`-- "mixed, refined"`) does that one alone.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
+mod clock;
 #[allow(dead_code, reason = "each bench uses a part")]
 mod scenes;
 
 use std::sync::Arc;
-use std::time::Instant;
 
 use wavex::kernels::calibrate::Block;
 use wavex::kernels::decompose::{DecomposeSettings, Decomposer};
@@ -17,20 +17,14 @@ use wavex::kernels::lockstep::{Candidate, Lockstep, Mode, Outcomes, Path, Tables
 use wavex::kernels::noise::ArNoise;
 use wavex::kernels::sensor_model::ChannelModel;
 
+use clock::cpu_s;
 use scenes::{SAMPLES, Scene, Waveforms, model};
 
 const WAVEFORMS: usize = 20_000;
-/// Scheduler clocks are exact to a tick: a run is this long, so that a tick does not matter.
-const RUN_S: f64 = 0.15;
-const RUNS: usize = 11;
+/// A run is this long.
+const RUN_S: f64 = 0.1;
+const RUNS: usize = 21;
 const GOAL: f64 = 0.6;
-
-/// Seconds of CPU time of this thread; of wall-clock time where the system does not tell.
-fn cpu_s(started: &Instant) -> f64 {
-    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let ns = told.and_then(|text| text.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()));
-    ns.map_or_else(|| started.elapsed().as_secs_f64(), |ns| ns * 1e-9)
-}
 
 /// Blocks of a scene, and the places of their pulses.
 fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene) -> (Vec<u16>, Vec<Vec<f64>>) {
@@ -42,15 +36,14 @@ fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene) -> (Vec<u16>, 
 
 /// Median million waveforms per core-second.
 fn rate(mut work: impl FnMut()) -> f64 {
-    let started = Instant::now();
     let mut repeats = 1;
     let mut rates = Vec::new();
     while rates.len() < RUNS {
-        let before = cpu_s(&started);
+        let before = cpu_s();
         for _ in 0..repeats {
             work();
         }
-        let spent = cpu_s(&started) - before;
+        let spent = cpu_s() - before;
         if spent < 0.7 * RUN_S {
             repeats =
                 if spent < 0.02 { repeats * 4 } else { (repeats as f64 * RUN_S / spent).ceil() as usize };
@@ -166,11 +159,10 @@ fn yardstick() -> Option<[f64; 4]> {
 /// The mixed scene by the plain kernels, thousand waveforms per core-second.
 fn plain(model: &ChannelModel, samples: &[u16]) -> f64 {
     let mut decomposer = Decomposer::new(model, &DecomposeSettings::default(), SAMPLES).expect("a channel");
-    let started = Instant::now();
-    let before = cpu_s(&started);
+    let before = cpu_s();
     let some = samples.chunks(SAMPLES).take(2000);
     let returns: usize = some.map(|samples| decomposer.decompose(samples, 0).returns.len()).sum();
-    let spent = cpu_s(&started) - before;
+    let spent = cpu_s() - before;
     println!("      {returns} returns of the first 2000 waveforms");
     2.0 / spent
 }

@@ -3,11 +3,11 @@
 //! `cargo bench --bench simulate` prints a table; the goal for the first row is 300 000.
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
 
+mod clock;
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-use std::time::Instant;
-
+use clock::cpu_s;
 use common::{COUNT, WORK, WRITE_NUMBERS, job};
 use wavex::kernels::lockstep;
 use wavex::registry;
@@ -30,12 +30,6 @@ const CASES: &[(&str, &str)] = &[
     ),
 ];
 
-/// Seconds that this thread has been running, where the system tells: on a busy machine it waits the rest of the time.
-fn busy_s() -> Option<f64> {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
-    Some(1e-9 * text.split_whitespace().next()?.parse::<f64>().ok()?)
-}
-
 /// Shots per second, the median of five flights.
 fn shots_per_second(keys: &str) -> f64 {
     let spec = registry::find("simulate").unwrap_or_else(|| panic!("there is a simulator"));
@@ -52,7 +46,7 @@ fn shots_per_second(keys: &str) -> f64 {
     };
     let mut rates: Vec<f64> = (0..5)
         .map(|_| {
-            let (started, busy) = (Instant::now(), busy_s());
+            let before = cpu_s();
             let mut lines = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
             let mut shots = 0;
             while let Some(line) =
@@ -60,8 +54,7 @@ fn shots_per_second(keys: &str) -> f64 {
             {
                 shots += line.emissions.len();
             }
-            let busy_s = busy_s().zip(busy).map(|(after, before)| after - before);
-            shots as f64 / busy_s.unwrap_or(started.elapsed().as_secs_f64())
+            shots as f64 / (cpu_s() - before)
         })
         .collect();
     rates.sort_by(f64::total_cmp);

@@ -10,7 +10,8 @@
 #![allow(missing_docs, reason = "no one imports a bench")]
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a bench prints its figures")]
 
-use std::time::Instant;
+#[path = "../clock/mod.rs"]
+mod clock;
 
 use wavex::kernels::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
 
@@ -18,6 +19,7 @@ mod chain;
 mod scenes;
 mod waveforms;
 
+use clock::cpu_s;
 use scenes::{Class, RecordedLine, Recording, SCENES, Scene};
 
 const LINES: u32 = 120;
@@ -64,13 +66,6 @@ const fn row(
     goal: Option<f64>,
 ) -> Row {
     Row { name, modulation_ns, pulse_rate_hz, known, goal }
-}
-
-/// Seconds of CPU time of this thread; of wall-clock time where the system does not tell.
-fn cpu_s(started: &Instant) -> f64 {
-    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let ns = told.and_then(|text| text.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()));
-    ns.map_or_else(|| started.elapsed().as_secs_f64(), |ns| ns * 1e-9)
 }
 
 /// Echoes and how many of them are wrong: away from transitions, near to them, then by class.
@@ -139,8 +134,7 @@ fn lines(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
 
 /// All lines through a resolver, and the CPU time that took; `None` where it refuses.
 fn resolve(settings: &Settings, lines: &[Line]) -> Option<(Vec<Resolved>, f64)> {
-    let started = Instant::now();
-    let before = cpu_s(&started);
+    let before = cpu_s();
     let mut resolver = Resolver::new(settings).expect("settings");
     let mut resolved = Vec::with_capacity(lines.len());
     for line in lines {
@@ -149,7 +143,7 @@ fn resolve(settings: &Settings, lines: &[Line]) -> Option<(Vec<Resolved>, f64)> 
     }
     resolver.finish().ok()?;
     resolved.extend(std::iter::from_fn(|| resolver.pop()));
-    Some((resolved, cpu_s(&started) - before))
+    Some((resolved, cpu_s() - before))
 }
 
 fn settings(row: &Row, scene: &Scene, method: Method) -> Settings {

@@ -173,7 +173,7 @@ impl<const P: usize, const N: usize, const C: usize, const D: usize, const STRON
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let mut sums: Sums<S::V, D> = [[s.splat(0.0); LANES]; D];
+        let mut sums: Sums<S::Half, D> = [[s.halved(s.splat(0.0)); LANES]; D];
         let Fit { tables, rows, precision, iterations, out, .. } = self;
         out.resize(self.jobs.len(), Fitted::NOTHING);
         for (jobs, out) in self.jobs.chunks(LANES).zip(out.chunks_mut(LANES)) {
@@ -190,11 +190,11 @@ struct Group<'a, S: Simd, const P: usize, const N: usize, const C: usize, const 
     row: [usize; LANES],
     last: S::V,
     precision: f32,
-    sums: &'a mut [[S::V; LANES]; D],
+    sums: &'a mut Sums<S::Half, D>,
 }
 
-/// The products before their sums: per product one vector of each row.
-type Sums<V, const D: usize> = [[V; LANES]; D];
+/// The products before their sums: per product half a vector of each row.
+type Sums<H, const D: usize> = [[H; LANES]; D];
 
 /// Frames that start with the first pulse's row; a later row starts at most this many samples on.
 const fn farthest(vectors: usize) -> i32 {
@@ -217,7 +217,7 @@ pub(super) fn fit<
     jobs: &[Job<P>],
     precision: f32,
     iterations: usize,
-    sums: &mut Sums<S::V, D>,
+    sums: &mut Sums<S::Half, D>,
     out: &mut [Fitted<P>],
 ) {
     const { assert!(N == 3 * P && D == (N + 1) * (N + 2) / 2 && C * LANES >= ROW) };
@@ -373,7 +373,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
                 unrolled!(c in [1 2 3] if C => {
                     sum = s.fma(columns[i][c], columns[j][c], sum);
                 });
-                self.sums[i * (i + 1) / 2 + j][w] = sum;
+                self.sums[i * (i + 1) / 2 + j][w] = s.halved(sum);
             });
         });
     }

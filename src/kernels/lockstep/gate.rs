@@ -20,7 +20,7 @@ const N: usize = 6;
 const PRODUCTS: usize = N * (N + 1) / 2 + N;
 
 /// Products before their sums.
-type GateSums<V> = [[V; LANES]; PRODUCTS];
+type GateSums<H> = [[H; LANES]; PRODUCTS];
 
 /// `q` of pulses, given with their rows, that have been taken off their rows.
 pub(super) struct Scores<'a> {
@@ -36,7 +36,7 @@ impl Kernel for Scores<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let mut sums = [[s.splat(0.0); LANES]; PRODUCTS];
+        let mut sums = [[s.halved(s.splat(0.0)); LANES]; PRODUCTS];
         self.out.clear();
         for pulses in self.pulses.chunks(LANES) {
             let scores = scores(s, self.tables, self.rows, pulses, &mut sums);
@@ -51,7 +51,7 @@ fn scores<S: Simd>(
     tables: &Tables,
     rows: &Rows,
     pulses: &[(usize, Pulse)],
-    sums: &mut GateSums<S::V>,
+    sums: &mut GateSums<S::Half>,
 ) -> [(f32, bool); LANES] {
     let idle = Pulse::of_calibrated_width(1.0, 20.0);
     for w in 0..LANES {
@@ -109,7 +109,7 @@ fn products<S: Simd>(
     site: &Site,
     pair: &[Site; 2],
     w: usize,
-    sums: &mut GateSums<S::V>,
+    sums: &mut GateSums<S::Half>,
 ) {
     let (values, length) = (rows.residual_row(row), rows.length(row));
     let edge = leaves_block(site.first, ROW, tables.order, length);
@@ -137,7 +137,8 @@ fn products<S: Simd>(
     unrolled!(i in [0 1 2 3 4 5 6] if N + 1 => {
         unrolled!(j in [0 1 2 3 4 5] if (i + 1).min(N) => {
             let product = s.mul(columns[i][0], columns[j][0]);
-            sums[i * (i + 1) / 2 + j][w] = s.fma(columns[i][1], columns[j][1], product);
+            let sum = s.fma(columns[i][1], columns[j][1], product);
+            sums[i * (i + 1) / 2 + j][w] = s.halved(sum);
         });
     });
 }

@@ -200,13 +200,15 @@ impl Rows {
     /// Sums of squares of sixteen residuals.
     #[inline(always)]
     pub(super) fn chi_squares<S: Simd>(&self, s: S, rows: &[usize; LANES]) -> Sixteen {
-        let mut sums = [s.splat(0.0); LANES];
-        for (sum, &row) in sums.iter_mut().zip(rows) {
+        let mut sums = [s.halved(s.splat(0.0)); LANES];
+        for (half, &row) in sums.iter_mut().zip(rows) {
+            let mut sum = s.splat(0.0);
             let values = self.residual_row(row);
             for c in (0..self.lengths[row]).step_by(LANES) {
                 let value = s.load(sixteen(values, FRONT + c));
-                *sum = s.fma(value, value, *sum);
+                sum = s.fma(value, value, sum);
             }
+            *half = s.halved(sum);
         }
         let mut out = [0.0; LANES];
         s.store(s.sum_each(&sums), &mut out);

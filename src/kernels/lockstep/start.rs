@@ -10,7 +10,7 @@ use super::template::{Pulses, Sites, VECTORS, bounded, template};
 use super::vector::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
-type BankSums<V> = [[V; LANES]; BANK];
+type BankSums<H> = [[H; LANES]; BANK];
 
 /// Replaces heights and widths of jobs by those of the bank at their positions.
 pub(super) struct FromBank<'a> {
@@ -24,7 +24,7 @@ impl Kernel for FromBank<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let mut sums = [[s.splat(0.0); LANES]; BANK];
+        let mut sums = [[s.halved(s.splat(0.0)); LANES]; BANK];
         for jobs in self.jobs.chunks_mut(LANES) {
             let (mut which, mut positions) = ([EMPTY; LANES], SOMEWHERE);
             for (w, job) in jobs.iter().enumerate() {
@@ -107,7 +107,8 @@ impl Kernel for OneStep<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let OneStep { tables, rows, scenes, number, to_fit, .. } = self;
-        let (mut bank, mut sums) = ([[s.splat(0.0); LANES]; BANK], [[s.splat(0.0); LANES]; 4]);
+        let none = s.halved(s.splat(0.0));
+        let (mut bank, mut sums) = ([[none; LANES]; BANK], [[none; LANES]; 4]);
         to_fit.clear();
         for which in self.which.chunks(LANES) {
             let mut positions = SOMEWHERE;
@@ -148,7 +149,7 @@ fn from_bank<S: Simd>(
     rows: &Rows,
     which: &[usize],
     position: S::V,
-    sums: &mut BankSums<S::V>,
+    sums: &mut BankSums<S::Half>,
 ) -> (S::V, S::V) {
     let mut steps = [0; LANES];
     s.to_i32(s.mul(position, s.splat(PHASES as f32)), &mut steps);
@@ -160,7 +161,7 @@ fn from_bank<S: Simd>(
         let (low, high) = (s.load(sixteen(row, at)), s.load(sixteen(row, at + LANES)));
         for (k, sums) in sums.iter_mut().enumerate() {
             let product = s.mul(low, s.load(sixteen(bank, k * ROW)));
-            sums[w] = s.fma(high, s.load(sixteen(bank, k * ROW + LANES)), product);
+            sums[w] = s.halved(s.fma(high, s.load(sixteen(bank, k * ROW + LANES)), product));
         }
     }
     let mut statistic = [s.splat(0.0); BANK];
@@ -222,7 +223,7 @@ impl<V: Copy> Parabola<V> {
 }
 
 /// Products of the step: the right side and the residual's square.
-type StepSums<V> = [[V; LANES]; 4];
+type StepSums<H> = [[H; LANES]; 4];
 
 /// Sixteen pulses after one step.
 struct Steps {
@@ -243,7 +244,7 @@ fn one_step<S: Simd>(
     rows: &Rows,
     which: &[usize],
     start: Pulses<S::V>,
-    sums: &mut StepSums<S::V>,
+    sums: &mut StepSums<S::Half>,
 ) -> Steps {
     let row_of = |w: usize| which.get(w).copied().unwrap_or(EMPTY);
     let lengths: Sixteen = std::array::from_fn(|w| rows.length(row_of(w)).saturating_sub(1) as f32);
@@ -277,7 +278,7 @@ fn one_step<S: Simd>(
             acc[3] = s.fma(residual, residual, acc[3]);
         }
         for (sums, acc) in sums.iter_mut().zip(acc) {
-            sums[w] = acc;
+            sums[w] = s.halved(acc);
         }
         let length = rows.length(row_of(w)) as i32;
         let [from, to] = tables.needed(site.entry);

@@ -22,6 +22,8 @@ pub(in crate::kernels) type Sixteen = [f32; LANES];
 pub(in crate::kernels) trait Simd: Copy {
     /// Sixteen lanes.
     type V: Copy;
+    /// Eight lanes.
+    type Half: Copy;
 
     fn splat(self, value: f32) -> Self::V;
     fn load(self, from: &Sixteen) -> Self::V;
@@ -57,8 +59,10 @@ pub(in crate::kernels) trait Simd: Copy {
     fn transpose(self, of: &mut [Self::V; LANES]);
     /// Bit `i` is bit `lane` of the `i`-th mask.
     fn lane_bits(self, masks: &[u16; 64], lane: usize) -> u64;
-    /// Lane `i` is the sum of `of[i]`'s lanes: lanes 8 apart first, then 4, 2, 1.
-    fn sum_each(self, of: &[Self::V; LANES]) -> Self::V;
+    /// The sums of lanes 8 apart: where vectors wait for [`Simd::sum_each`], their halves are half as much to keep.
+    fn halved(self, a: Self::V) -> Self::Half;
+    /// Lane `i` is the sum of `of[i]`'s lanes: lanes 4 apart first, then 2, 1.
+    fn sum_each(self, of: &[Self::Half; LANES]) -> Self::V;
 }
 
 /// A computation that is the same on every path.
@@ -189,7 +193,7 @@ mod tests {
                 s.select(ge, v[7], v[8]),
                 s.round(v[9]),
                 s.round(halves),
-                s.sum_each(&v),
+                s.sum_each(&v.map(|v| s.halved(v))),
                 s.first(pairs),
                 s.second(pairs),
             ];
@@ -273,7 +277,7 @@ mod tests {
         impl Kernel for Sum {
             type Output = Sixteen;
             fn run<S: Simd>(self, s: S) -> Sixteen {
-                let v: [S::V; LANES] = std::array::from_fn(|i| s.splat(i as f32));
+                let v: [S::Half; LANES] = std::array::from_fn(|i| s.halved(s.splat(i as f32)));
                 let mut out = [0.0; LANES];
                 s.store(s.sum_each(&v), &mut out);
                 out

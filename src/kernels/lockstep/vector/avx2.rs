@@ -99,6 +99,7 @@ impl Avx2 {
 
 impl Simd for Avx2 {
     type V = Pair;
+    type Half = __m256;
 
     register! {
         add(a, b) = _mm256_add_ps;
@@ -235,17 +236,15 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn sum_each(self, of: &[Pair; LANES]) -> Pair {
+    fn halved(self, a: Pair) -> __m256 {
         // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
-        let mut low = unsafe { [_mm256_add_ps(of[0][0], of[0][1]); 8] };
-        let mut high = low;
-        for i in 0..8 {
-            // SAFETY: as above.
-            unsafe {
-                low[i] = _mm256_add_ps(of[i][0], of[i][1]);
-                high[i] = _mm256_add_ps(of[i + 8][0], of[i + 8][1]);
-            }
-        }
+        unsafe { _mm256_add_ps(a[0], a[1]) }
+    }
+    #[inline(always)]
+    fn sum_each(self, of: &[__m256; LANES]) -> Pair {
+        let (mut low, mut high) = ([of[0]; 8], [of[8]; 8]);
+        low.copy_from_slice(&of[..8]);
+        high.copy_from_slice(&of[8..]);
         [self.sum_eight(&mut low), self.sum_eight(&mut high)]
     }
 }

@@ -47,6 +47,7 @@ const SWAP_1: [i32; 16] = [1, 16, 3, 18, 5, 20, 7, 22, 9, 24, 11, 26, 13, 28, 15
 
 impl Simd for Avx512 {
     type V = __m512;
+    type Half = __m256;
 
     register! {
         add(a, b) = _mm512_add_ps;
@@ -163,15 +164,19 @@ impl Simd for Avx512 {
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), _mm512_cvtps_epi32(a)) }
     }
     #[inline(always)]
-    fn sum_each(self, of: &[__m512; LANES]) -> __m512 {
+    fn halved(self, a: __m512) -> __m256 {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe { _mm256_add_ps(_mm512_castps512_ps256(a), _mm512_extractf32x8_ps::<1>(a)) }
+    }
+    #[inline(always)]
+    fn sum_each(self, of: &[__m256; LANES]) -> __m512 {
         // SAFETY: `self` exists, so the processor has the instructions; the constants cover the 64 bytes that are read.
         unsafe {
             let swap_4 = _mm512_loadu_si512(SWAP_4.as_ptr().cast());
             let swap_1 = _mm512_loadu_si512(SWAP_1.as_ptr().cast());
-            let mut v = *of;
+            let mut v = [_mm512_setzero_ps(); 8];
             for i in 0..8 {
-                let (a, b) = (v[i], v[i + 8]);
-                v[i] = _mm512_add_ps(_mm512_mask_blend_ps(0xff00, a, b), _mm512_shuffle_f32x4::<0x4e>(a, b));
+                v[i] = _mm512_insertf32x8::<1>(_mm512_castps256_ps512(of[i]), of[i + 8]);
             }
             for i in 0..4 {
                 let (a, b) = (v[i], v[i + 4]);

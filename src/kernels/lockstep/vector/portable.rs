@@ -30,6 +30,7 @@ macro_rules! mask {
 
 impl Simd for Portable {
     type V = Sixteen;
+    type Half = [f32; LANES / 2];
 
     #[inline(always)]
     fn splat(self, value: f32) -> Sixteen {
@@ -123,11 +124,19 @@ impl Simd for Portable {
         *to = each!(i => a[i].round_ties_even() as i32);
     }
     #[inline(always)]
-    fn sum_each(self, of: &[Sixteen; LANES]) -> Sixteen {
+    fn halved(self, a: Sixteen) -> Self::Half {
+        let mut sums = [0.0; LANES / 2];
+        for i in 0..LANES / 2 {
+            sums[i] = a[i] + a[i + LANES / 2];
+        }
+        sums
+    }
+    #[inline(always)]
+    fn sum_each(self, of: &[Self::Half; LANES]) -> Sixteen {
         let mut sums = [0.0; LANES];
-        for (sum, v) in sums.iter_mut().zip(of) {
-            let mut lanes = *v;
-            for half in [8, 4, 2, 1] {
+        for (sum, half) in sums.iter_mut().zip(of) {
+            let mut lanes = *half;
+            for half in [4, 2, 1] {
                 for i in 0..half {
                     lanes[i] += lanes[i + half];
                 }
