@@ -152,16 +152,12 @@ impl Decomposition<'_> {
     /// `(χ² - ν)/√(2ν)` with [`Decomposition::expected_excess`] added to `ν`; 0 where no degree of freedom is left.
     #[inline(always)]
     pub fn deviation_ratio(&self) -> f64 {
-        let [found, expected] = self.chi_squares();
-        deviation_ratio(found, expected)
-    }
-
-    /// Chi-square as it is and as it is expected; alike where no degree of freedom is left.
-    #[inline(always)]
-    pub(super) fn chi_squares(&self) -> [f64; 2] {
         match self.degrees_of_freedom() {
-            0 => [1.0; 2],
-            _ => [self.chi_square, self.expected_chi_square()],
+            0 => 0.0,
+            _ => {
+                let expected = self.expected_chi_square();
+                (self.chi_square - expected) / (2.0 * expected).sqrt()
+            }
         }
     }
 
@@ -170,12 +166,6 @@ impl Decomposition<'_> {
     pub(super) fn expected_chi_square(&self) -> f64 {
         self.degrees_of_freedom() as f64 + self.expected_excess
     }
-}
-
-/// By how many of its standard deviations chi-square is above what is expected.
-#[inline(always)]
-pub(super) fn deviation_ratio(chi_square: f64, expected: f64) -> f64 {
-    (chi_square - expected) / (2.0 * expected).sqrt()
 }
 
 /// Decomposes the waveforms of one channel; keeps its memory from one to the next.

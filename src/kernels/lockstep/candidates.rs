@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::columns::Columns;
 use super::scene::MAX_PULSES;
-use super::vector::{LANES, Simd, Sixteen};
+use super::vector::Simd;
 use crate::kernels::rules::{DIP_PART, TOLD_WIDTHS};
 
 /// Candidates of one waveform that are held; a waveform with more is left to the plain kernels.
@@ -32,6 +32,17 @@ pub(super) struct Candidates {
     pub(super) extremes: [u16; 2],
 }
 
+impl Candidate {
+    /// The maximum of a lane at a position.
+    #[inline(always)]
+    fn at(columns: &Columns, lane: usize, position: usize) -> Candidate {
+        let [left, centre, right] = columns.around(lane, position);
+        let bend = left - 2.0 * centre + right;
+        let shift = if bend < 0.0 { (0.5 * (left - right) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+        Candidate { position_samples: position as f32 + shift, statistic: centre }
+    }
+}
+
 impl Default for Candidates {
     fn default() -> Candidates {
         Candidates::none()
@@ -48,31 +59,9 @@ impl Candidates {
         &self.all[..self.count]
     }
 
-    /// Takes the maxima of each lane, from left to right, those without a dip between them being one.
+    /// Takes the maxima of a lane, from left to right, those without a dip between them being one.
     #[inline(always)]
-    pub(super) fn find_each<S: Simd>(s: S, columns: &Columns, threshold: f32, out: &mut [Candidates]) {
-        let mut most = 0;
-        for (lane, found) in out.iter_mut().enumerate() {
-            found.find(s, columns, lane, threshold);
-            most = most.max(found.count);
-        }
-        for number in 0..most {
-            let mut samples: Sixteen = [0.0; LANES];
-            for (sample, found) in samples.iter_mut().zip(&*out) {
-                *sample = found.all[number].position_samples;
-            }
-            let vertices = columns.vertices(s, &samples);
-            for (vertex, found) in vertices.into_iter().zip(&mut *out) {
-                if number < found.count {
-                    found.all[number].position_samples = vertex;
-                }
-            }
-        }
-    }
-
-    /// Takes the maxima of a lane, at their samples.
-    #[inline(always)]
-    fn find<S: Simd>(&mut self, s: S, columns: &Columns, lane: usize, threshold: f32) {
+    pub(super) fn find<S: Simd>(&mut self, s: S, columns: &Columns, lane: usize, threshold: f32) {
         (self.count, self.found, self.too_many) = (0, 0, false);
         let depth = DIP_PART as f32 * threshold;
         let mut last = 0;
@@ -80,8 +69,7 @@ impl Candidates {
             while bits != 0 {
                 let at = from + bits.trailing_zeros() as usize;
                 bits &= bits - 1;
-                let candidate =
-                    Candidate { position_samples: at as f32, statistic: columns.statistic(lane, at) };
+                let candidate = Candidate::at(columns, lane, at);
                 match self.all[..self.count].last_mut() {
                     Some(before) if !dips(columns, lane, last..at, depth) => {
                         if candidate.statistic > before.statistic {

@@ -300,26 +300,13 @@ impl Columns {
         self.statistic.as_slice().get((1 + position) * LANES + lane).copied().unwrap_or(0.0)
     }
 
-    /// Of a maximum of each lane, at this sample, the vertex of the parabola through it and its neighbours.
+    /// The statistic of a lane before a position, at it and behind it.
     #[inline(always)]
-    pub(super) fn vertices<S: Simd>(&self, s: S, samples: &Sixteen) -> Sixteen {
-        let mut around = [[0.0; LANES]; 3];
-        for (lane, &sample) in samples.iter().enumerate() {
-            if let Some(rows) = rows_from::<3>(&self.statistic, sample as usize) {
-                unrolled!(i in [0 1 2] if 3 => {
-                    around[i][lane] = rows[i][lane];
-                });
-            }
+    pub(super) fn around(&self, lane: usize, position: usize) -> [f32; 3] {
+        match rows_from::<3>(&self.statistic, position) {
+            Some(rows) => rows.map(|row| row[lane]),
+            None => [0.0; 3],
         }
-        let [left, centre, right] = [s.load(&around[0]), s.load(&around[1]), s.load(&around[2])];
-        let bend = s.add(s.sub(left, s.mul(s.splat(2.0), centre)), right);
-        let shift = s.div(s.mul(s.splat(0.5), s.sub(left, right)), bend);
-        let shift = s.max(s.min(shift, s.splat(0.5)), s.splat(-0.5));
-        let zero = s.splat(0.0);
-        let shift = s.select(s.gt(zero, bend), shift, zero);
-        let mut vertices = [0.0; LANES];
-        s.store(s.add(s.load(samples), shift), &mut vertices);
-        vertices
     }
 }
 

@@ -55,8 +55,8 @@ fn detect<S: Simd>(
     columns.whiten(s, tables, rows, first, blocks.len());
     columns.filter_samples(s, tables);
     columns.mark_maxima(s, threshold);
-    Candidates::find_each(s, columns, threshold, out);
-    for (extremes, found) in extremes.into_iter().zip(out) {
+    for (lane, (extremes, found)) in extremes.into_iter().zip(out).enumerate() {
+        found.find(s, columns, lane, threshold);
         found.extremes = extremes;
     }
 }
@@ -193,7 +193,9 @@ impl Kernel for Search<'_> {
             columns.load_residuals(s, rows, &lanes);
             columns.filter_residuals(s, tables);
             columns.mark_maxima(s, threshold);
-            Candidates::find_each(s, columns, threshold, out);
+            for (lane, found) in out.iter_mut().enumerate() {
+                found.find(s, columns, lane, threshold);
+            }
         }
     }
 }

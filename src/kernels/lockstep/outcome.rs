@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use super::limits::Limits;
 use super::scene::{Scene, Way};
-use super::vector::{Kernel, LANES, Simd};
+use super::vector::{Kernel, Simd};
 use crate::kernels::calibrate::Block;
-use crate::kernels::decompose::{Decomposer, Decomposition, Return, deviation_ratio, truncation_flag};
+use crate::kernels::decompose::{Decomposer, Decomposition, Return, truncation_flag};
 use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
 
@@ -76,41 +76,16 @@ impl Kernel for Give<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<S: Simd>(self, _: S) {
-        let Give { mut finish, blocks, scenes, outcomes } = self;
-        let mut of_lanes = [const { None }; LANES];
-        for (blocks, scenes) in blocks.chunks(LANES).zip(scenes.chunks_mut(LANES)) {
-            for (outcome, (block, scene)) in of_lanes.iter_mut().zip(blocks.iter().zip(&mut *scenes)) {
-                *outcome = finish.outcome(block.samples, scene);
-            }
-            // Apart from the rest: roots and quotients of several at once.
-            let ratios = deviation_ratios(&of_lanes);
-            for (lane, (block, scene)) in blocks.iter().zip(&*scenes).enumerate() {
-                match &of_lanes[lane] {
-                    Some(outcome) => {
-                        finish.give_returns(block.samples, scene, outcome, ratios[lane], outcomes);
-                    }
-                    None => finish.give_plain(block.samples, block.start_phase, outcomes),
-                }
-            }
+    fn run<S: Simd>(mut self, _: S) {
+        for (block, scene) in self.blocks.iter().zip(self.scenes) {
+            self.finish.give(block.samples, block.start_phase, scene, self.outcomes);
         }
     }
-}
-
-/// The deviation ratios of sixteen waveforms; 0 for those without an outcome.
-#[inline(always)]
-fn deviation_ratios(outcomes: &[Option<Decomposition<'static>>; LANES]) -> [f64; LANES] {
-    let (mut found, mut expected) = ([1.0; LANES], [1.0; LANES]);
-    for (lane, outcome) in outcomes.iter().enumerate() {
-        if let Some(outcome) = outcome {
-            [found[lane], expected[lane]] = outcome.chi_squares();
-        }
-    }
-    std::array::from_fn(|lane| deviation_ratio(found[lane], expected[lane]))
 }
 
 impl Finish<'_> {
     /// Gives the returns of a waveform.
+    #[inline(always)]
     pub(super) fn give(
         &mut self,
         samples: &[u16],
@@ -118,45 +93,19 @@ impl Finish<'_> {
         scene: &mut Scene,
         outcomes: &mut Outcomes,
     ) {
-        match self.outcome(samples, scene) {
-            Some(outcome) => {
-                self.give_returns(samples, scene, &outcome, outcome.deviation_ratio(), outcomes);
-            }
-            None => self.give_plain(samples, start_phase, outcomes),
-        }
-    }
-
-    /// What became of a waveform, but for its returns; `None` where its pulses do not stand up.
-    #[inline(always)]
-    fn outcome(&mut self, samples: &[u16], scene: &mut Scene) -> Option<Decomposition<'static>> {
         let held =
             scene.pulses().iter().all(|p| p.is_fitted() && (!self.is_refined || self.limits.is_held(p)));
         let stands = scene.way == Way::Fast
             && held
             && (self.stands(scene, samples.len()) || self.drop(scene, samples.len()));
         if !stands {
-            return None;
+            *self.left_to_plain += 1;
+            outcomes.push(&self.plain.decompose(samples, start_phase));
+            return;
         }
         let mut outcome = self.limits.outcome(scene, samples.len());
         outcome.refined_once |= self.is_refined && scene.counts.n_candidates > 0;
-        Some(outcome)
-    }
-
-    /// Leaves a waveform to the plain kernels.
-    fn give_plain(&mut self, samples: &[u16], start_phase: u8, outcomes: &mut Outcomes) {
-        *self.left_to_plain += 1;
-        outcomes.push(&self.plain.decompose(samples, start_phase));
-    }
-
-    #[inline(always)]
-    fn give_returns(
-        &self,
-        samples: &[u16],
-        scene: &Scene,
-        outcome: &Decomposition<'static>,
-        deviation_ratio: f64,
-        outcomes: &mut Outcomes,
-    ) {
+        let deviation_ratio = outcome.deviation_ratio();
         let first = outcomes.returns.len();
         let fwhm_samples = self.model.fwhm_samples();
         let fwhm = fwhm_samples as f32;
@@ -185,7 +134,7 @@ impl Finish<'_> {
                     | if overdriven { flags::OVERDRIVEN } else { 0 },
             });
         }
-        outcomes.waveforms.push((first..outcomes.returns.len(), *outcome));
+        outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
     }
 
     #[inline(always)]
