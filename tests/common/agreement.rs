@@ -80,6 +80,19 @@ pub struct Told {
     pub single: bool,
 }
 
+impl Told {
+    /// Whether the vendor tells others of the pulse.
+    pub fn is_multi(&self) -> bool {
+        !self.single && self.vendor_separation_ns.is_finite()
+    }
+
+    /// Whether these, and ours, are more than 12 ns away: where another of ours is near, the vendor's return stands between
+    /// the two.
+    pub fn is_far(&self) -> bool {
+        self.is_multi() && self.vendor_separation_ns.min(self.our_separation_ns) > 12.0
+    }
+}
+
 fn separation_ns(echoes: &[Echo], i: usize) -> f64 {
     let others = echoes.iter().enumerate().filter(|(k, _)| *k != i);
     others.map(|(_, other)| (other.time_ns - echoes[i].time_ns).abs()).fold(f64::INFINITY, f64::min)
