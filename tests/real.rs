@@ -367,10 +367,7 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
         values.iter().zip(&pairs).filter(|(_, pair)| wanted(pair)).map(|(value, _)| *value).collect()
     };
     let single = |pair: &agreement::Told| pair.single;
-    let multi = |pair: &agreement::Told| !pair.single && pair.vendor_separation_ns.is_finite();
-    // Where another return of ours is near, RIEGL's one return stands between the two.
-    let far =
-        |pair: &agreement::Told| multi(pair) && pair.vendor_separation_ns.min(pair.our_separation_ns) > 12.0;
+    let (multi, far) = (agreement::Told::is_multi, agreement::Told::is_far);
     // Weak returns are as uncertain as their amplitude lets them be: they are judged by their own standard deviations.
     let far_and_strong = |pair: &agreement::Told| far(pair) && pair.ours.amplitude_dn > 40.0;
     let spread =
