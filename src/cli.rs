@@ -187,16 +187,18 @@ struct ArchiveArgs {
 #[derive(Args)]
 struct FalseAlarmArgs {
     /// Correlations of the noise, one column each: 0.6 from one sample to the next, or 0.63:0.42:0.22 at several lags
-    #[arg(long, num_args = 1.., value_name = "RHO", default_values = ["0", "0.3", "0.6", "0.63:0.42:0.22:0.11"])]
+    #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
+    #[arg(value_name = "RHO", default_values = ["0", "0.3", "0.6", "0.63:0.42:0.22:0.11"])]
     correlation: Vec<String>,
     /// Thresholds, one row each
-    #[arg(long, num_args = 1.., value_name = "SIGMA", default_values_t = [3.5, 4.0, 4.5, 5.0, 5.5, 6.0])]
+    #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
+    #[arg(value_name = "SIGMA", default_values_t = [3.5, 4.0, 4.5, 5.0, 5.5, 6.0])]
     sigma: Vec<f64>,
     /// Full width at half maximum of a pulse, samples
-    #[arg(long, default_value_t = 4.5)]
+    #[arg(long, default_value_t = 4.5, allow_negative_numbers = true)]
     fwhm: f64,
     /// Samples of a waveform
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
     samples: f64,
 }
 

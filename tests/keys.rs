@@ -273,6 +273,80 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
     );
 }
 
+/// A job that loads `model.json`, with the keys of calibrate behind it.
+fn load(place: &Place, keys: &str) -> Outcome {
+    let path = place.path("model.json");
+    place.read(
+        "read_arrow",
+        "a.arrow",
+        &format!(
+            "[[stage]]\ntype = 'calibrate'\nload = '{}'\n{keys}\n[[stage]]\ntype = 'decompose'\n[[stage]]\n\
+             type = 'write_table'\npath = '*.csv'\n",
+            path.display()
+        ),
+    )
+}
+
+#[test]
+fn a_model_is_held_against_the_recording() {
+    let place = recording(|_, _| {});
+    run(&place, "", "save = 'model.json'", "");
+    let model: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
+    let said = |model: &serde_json::Value, keys: &str| {
+        place.write("model.json", model.to_string().as_bytes());
+        let outcome = load(&place, keys);
+        (outcome.code, outcome.err)
+    };
+    let notes = |text: &str| place.text("out/report.json").matches(text).count();
+
+    assert_eq!(said(&model, ""), (Some(0), String::new()));
+    assert_eq!(notes("the loaded model"), 0);
+    assert_eq!(said(&model, "waveforms = 300").0, Some(0));
+    assert_eq!(notes("have no effect beside `load`: leave them out, or calibrate anew"), 1);
+
+    let mut other = model.clone();
+    other["low_power"]["full_scale_dn"] = 1023.0.into();
+    assert_eq!(said(&other, "").0, Some(0));
+    assert_eq!(notes("another full scale than the recording's: the model's own is used"), 1);
+
+    let mut other = model.clone();
+    other["low_power"]["sampling_interval_ns"] = 0.5.into();
+    let (code, err) = said(&other, "");
+    assert_eq!(code, Some(1));
+    let problem = "the loaded model is of samples every 0.5 ns (the low power receiver), the recording has them every 1 ns; \
+                   load a model of this instrument and setting, or calibrate anew";
+    assert!(err.contains(problem), "{err}");
+
+    let mut other = model;
+    let low_power = other.as_object_mut().unwrap().remove("low_power").unwrap();
+    let (code, err) = said(&other, "");
+    assert_eq!(code, Some(1));
+    assert!(err.contains("the sensor model has no receiver of echoes"), "{err}");
+    other["high_power"] = low_power;
+    assert_eq!(said(&other, "").0, Some(0));
+    assert_eq!(notes("lacks the low power receiver: its waveforms are not decomposed; calibrate anew"), 1);
+}
+
+#[test]
+fn an_unknown_full_scale_is_said_and_can_be_given() {
+    let place = recording(|_, _| {});
+    // A container whose key is another program's.
+    let (ours, theirs) = (b"wavex.full_scale_dn", b"other.full_scale_dn");
+    let mut bytes = std::fs::read(place.path("a.arrow")).unwrap();
+    while let Some(at) = bytes.windows(ours.len()).position(|window| window == ours) {
+        bytes[at..at + ours.len()].copy_from_slice(theirs);
+    }
+    place.write("a.arrow", &bytes);
+    let notes =
+        || place.text("out/report.json").matches("give the reader's full_scale_dn (255 for 8 bits)").count();
+    run(&place, "", "", "");
+    let unknown = notes();
+    run(&place, "full_scale_dn = 255", "save = 'model.json'", "");
+    assert_eq!((unknown, notes()), (1, 0));
+    let model: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
+    assert_eq!(model["low_power"]["full_scale_dn"], 255.0);
+}
+
 /// The returns of the same shots in two modes.
 fn pairs<'a>(a: &'a [Row], b: &'a [Row], shots: &[usize]) -> Vec<(&'a Row, &'a Row)> {
     let of = |&shot: &usize| {

@@ -207,8 +207,6 @@ struct Explained {
     blocks: Vec<SeenBlock>,
     outgoing: Option<SeenPulse>,
     model: Arc<SensorModel>,
-    /// Threshold of detection, standard deviations.
-    threshold: f64,
     /// What was dropped or is worth knowing, in words.
     remarks: Vec<String>,
 }
@@ -240,10 +238,9 @@ fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Fai
     shots.decompose(&[of_line], &mut into, &mut cx, &mut seen).map_err(|error| failed(&error))?;
     let emission = line.emissions[index as usize];
     let file = chain.file().display().to_string();
-    let threshold = chain.decompose.detection_sigma;
     let (blocks, outgoing) = seen.finish(&emission, &returns);
     let remarks = remarks(&cx);
-    Ok(Explained { file, emission, returns, blocks, outgoing, model, threshold, remarks })
+    Ok(Explained { file, emission, returns, blocks, outgoing, model, remarks })
 }
 
 /// What was dropped or is worth knowing, in words.

@@ -7,10 +7,25 @@ use super::{Failure, FalseAlarmArgs};
 use crate::kernels::false_alarms::FilteredNoise;
 use crate::kernels::noise::{ArNoise, fit_by_bic};
 
+/// Correlations that differ by less are the same.
+const SAME_CORRELATION: f64 = 1e-3;
+
 /// Prints the table.
 pub(super) fn false_alarms(args: &FalseAlarmArgs) -> Result<(), Failure> {
+    check(args)?;
     let noises: Vec<ArNoise> = args.correlation.iter().map(|text| noise(text)).collect::<Result<_, _>>()?;
     print(&table(args, &noises))
+}
+
+/// Numbers that a table can be made of.
+fn check(args: &FalseAlarmArgs) -> Result<(), Failure> {
+    let within = |name: &str, value: f64, [low, high]: [f64; 2]| match (low..=high).contains(&value) {
+        true => Ok(()),
+        false => Err(Failure::Wrong(format!("--{name} {value}: it must lie between {low} and {high}"))),
+    };
+    args.sigma.iter().try_for_each(|&sigma| within("sigma", sigma, [1.0, 30.0]))?;
+    within("fwhm", args.fwhm, [0.5, 100.0])?;
+    within("samples", args.samples, [args.fwhm.ceil(), 65_535.0])
 }
 
 fn table(args: &FalseAlarmArgs, noises: &[ArNoise]) -> String {
@@ -50,8 +65,13 @@ fn noise(text: &str) -> Result<ArNoise, Failure> {
     }
     let autocovariance: Vec<f64> = [1.0].into_iter().chain(lags.iter().copied()).collect();
     // So many samples that the order is as high as the correlations ask for.
-    fit_by_bic(&autocovariance, 1_000_000_000, lags.len())
-        .ok_or_else(|| wrong("no noise has such correlations"))
+    let found = fit_by_bic(&autocovariance, 1_000_000_000, lags.len());
+    let has_them = |noise: &ArNoise| {
+        let mut own = vec![0.0; autocovariance.len()];
+        noise.autocovariance_into(&mut own);
+        own.iter().zip(&autocovariance).all(|(own, asked)| (own - asked).abs() < SAME_CORRELATION)
+    };
+    found.filter(has_them).ok_or_else(|| wrong("no noise has such correlations"))
 }
 
 #[cfg(test)]
@@ -87,5 +107,40 @@ mod tests {
             message("1.5"),
             "error: --correlation 1.5: correlations lie between -1 and 1, and there are at most 8 of them\n"
         );
+        for text in ["0.9:-0.9", "0.5:-0.8:0.9"] {
+            assert_eq!(
+                message(text),
+                format!("error: --correlation {text}: no noise has such correlations\n")
+            );
+        }
+        assert!(["-0.3", "0.6:0.36", "0.6:0.9"].iter().all(|text| noise(text).is_ok()));
+    }
+
+    #[test]
+    fn what_no_table_can_be_made_of_is_refused() {
+        let message = |args: FalseAlarmArgs| check(&args).unwrap_err().message(false);
+        let sigma = |sigma: f64| FalseAlarmArgs { sigma: vec![4.5, sigma], ..args(&["0"]) };
+        assert_eq!(message(sigma(f64::NAN)), "error: --sigma NaN: it must lie between 1 and 30\n");
+        assert_eq!(message(sigma(-1.0)), "error: --sigma -1: it must lie between 1 and 30\n");
+        let fwhm = |fwhm: f64| FalseAlarmArgs { fwhm, ..args(&["0"]) };
+        assert_eq!(message(fwhm(0.0)), "error: --fwhm 0: it must lie between 0.5 and 100\n");
+        assert_eq!(message(fwhm(f64::INFINITY)), "error: --fwhm inf: it must lie between 0.5 and 100\n");
+        let samples = |samples: f64| FalseAlarmArgs { samples, ..args(&["0"]) };
+        assert_eq!(message(samples(-100.0)), "error: --samples -100: it must lie between 5 and 65535\n");
+    }
+
+    #[test]
+    fn the_manual_shows_the_table() {
+        let correlation = ["0", "0.3", "0.6", "0.63:0.42:0.22:0.11"];
+        let args = FalseAlarmArgs {
+            sigma: vec![3.5, 4.0, 4.5, 5.0, 5.5, 6.0],
+            fwhm: 4.5,
+            samples: 60.0,
+            ..args(&correlation)
+        };
+        let noises: Vec<ArNoise> = args.correlation.iter().map(|text| noise(text).unwrap()).collect();
+        let table = table(&args, &noises);
+        let manual = include_str!("../../docs/method.md");
+        assert!(table.lines().filter(|line| line.contains("e-")).all(|row| manual.contains(row)), "{table}");
     }
 }

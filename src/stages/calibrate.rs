@@ -20,6 +20,9 @@ use crate::stage::{
 /// A model has a few thousand numbers: what is larger is none.
 const MAX_MODEL_BYTES: u64 = 1 << 26;
 
+/// Sampling intervals that differ by less than this part are the same.
+const SAME_INTERVAL: f64 = 1e-3;
+
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Kind::Shots]);
 
@@ -32,7 +35,7 @@ pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Ki
 /// line, and stands in the report. Fewer than 200 waveforms of the sensitive receiver are an error. A receiver of which
 /// there are fewer, or an outgoing pulse that was recorded fewer than 20 times, is left out, and the report says so.
 ///
-/// A saved model is this instrument's preset: `load` uses it as it is, in another run or on another recording, down to a
+/// A saved model is this instrument's preset (`save` writes to `output_dir`, `load` looks in `input_dir`): `load` uses it as it is, in another run or on another recording, down to a
 /// single waveform. It may lack channels, which are then not used, and may be written by hand: its form stands in
 /// `schemas/sensor_model.schema.json`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -176,7 +179,7 @@ impl Transform for Calibrator {
     fn process(&mut self, mut batch: Batch, out: &mut Output) -> Result<()> {
         self.save(out)?;
         if let Some(model) = &self.model {
-            self.compare(model, &batch.input, out);
+            self.compare(model, &batch, out)?;
             batch.model = Some(Arc::clone(model));
             return out.emit(batch);
         }
@@ -216,6 +219,7 @@ impl Calibrator {
     }
 
     fn calibrate(&self, out: &mut Output) -> Result<SensorModel> {
+        self.tell_unknown_scale(out);
         let low_power = self.channel(Channel::LowPower, out)?;
         let high_power = self.channel(Channel::HighPower, out)?;
         let reference = self.channel(Channel::Reference, out)?;
@@ -226,6 +230,22 @@ impl Calibrator {
             return Err(failed(Channel::LowPower, &error));
         }
         Ok(SensorModel { low_power, high_power, saturation: None, reference })
+    }
+
+    /// Says so where nothing tells the largest value of the digitiser, and it may be far below that of the samples' bits.
+    fn tell_unknown_scale(&self, out: &mut Output) {
+        let is_known = self.survey.lines().first().is_none_or(|batch| batch.input.full_scale_dn.is_some());
+        let echoes = [Channel::LowPower, Channel::HighPower];
+        let samples =
+            echoes.into_iter().flat_map(|channel| self.blocks(channel)).flat_map(|block| block.samples);
+        if let (false, Some(&highest)) = (is_known, samples.max()) {
+            let scale = (u32::from(highest) + 1).next_power_of_two().max(256) - 1;
+            out.cx.note(format!(
+                "the recording does not say what its digitiser's largest value is: no pulse counts as cut off or as overdriven; \
+                 the highest sample is {highest} DN: give the reader's full_scale_dn ({scale} for {} bits)",
+                (scale + 1).ilog2()
+            ));
+        }
     }
 
     /// The model of one receiver; `None` where it recorded too little, which the report then says.
@@ -297,22 +317,56 @@ impl Calibrator {
         Digitiser { odd_sample_shift: input.odd_sample_shift, decay }
     }
 
-    /// Says so where a loaded model was made for samples taken otherwise.
-    fn compare(&self, model: &SensorModel, input: &InputInfo, out: &mut Output) {
+    /// Holds a loaded model against a line: one for another sampling interval is an error; what else differs is said.
+    fn compare(&self, model: &SensorModel, batch: &Batch, out: &mut Output) -> Result<()> {
         if self.config.load.is_none() {
-            return;
+            return Ok(());
         }
+        let input = &batch.input;
         let channels = [
             (Channel::LowPower, &model.low_power),
             (Channel::HighPower, &model.high_power),
             (Channel::Reference, &model.reference),
         ];
-        let differs = |(channel, known): &(Channel, &Option<ChannelModel>)| {
-            known.as_ref().is_some_and(|known| known.digitiser != self.digitiser(*channel, input))
-        };
-        if channels.iter().any(differs) {
-            out.cx.note("the loaded model was calibrated with another odd_sample_shift, decay_amplitude or decay_time_ns than this job gives: the model's own are used");
+        for (channel, known) in channels {
+            let Some(known) = known else {
+                if channel == Channel::LowPower
+                    && batch
+                        .blocks()
+                        .is_some_and(|blocks| blocks.iter().any(|block| block.channel == channel))
+                {
+                    out.cx.note(format!(
+                        "the loaded model lacks {}: its waveforms are not decomposed; calibrate anew",
+                        name(channel)
+                    ));
+                }
+                continue;
+            };
+            let (of_model_ns, interval_ns) = (known.sampling_interval_ns, input.sampling_interval_ns);
+            if (of_model_ns / interval_ns - 1.0).abs() > SAME_INTERVAL {
+                return Err(StageError::failed(
+                    format!(
+                        "the loaded model is of samples every {of_model_ns} ns ({}), the recording has them every {interval_ns} ns",
+                        name(channel)
+                    ),
+                    "load a model of this instrument and setting, or calibrate anew",
+                ));
+            }
+            if known.digitiser != self.digitiser(channel, input) {
+                out.cx.note("the loaded model was calibrated with another odd_sample_shift, decay_amplitude or decay_time_ns than this job gives: the model's own are used");
+            }
+            if input.full_scale_dn.is_some_and(|dn| f64::from(dn) != known.full_scale_dn) {
+                out.cx.note("the loaded model was calibrated with another full scale than the recording's: the model's own is used");
+            }
         }
+        let (config, default) = (&self.config, Calibrate::default());
+        let is_asked = config.waveforms != default.waveforms
+            || config.background != default.background
+            || config.response != default.response;
+        if is_asked {
+            out.cx.note("`waveforms`, `background` and `response` of calibrate have no effect beside `load`: leave them out, or calibrate anew");
+        }
+        Ok(())
     }
 
     /// The blocks of one receiver in the lines at hand.
@@ -349,6 +403,9 @@ fn load(path: &Path) -> Result<SensorModel> {
     let channels = [&model.low_power, &model.high_power, &model.saturation, &model.reference];
     for channel in channels.into_iter().flatten() {
         channel.check().map_err(|error| Error::unusable(path, error.to_string(), REMEDY))?;
+    }
+    if model.low_power.is_none() && model.high_power.is_none() {
+        return Err(Error::unusable(path, "the sensor model has no receiver of echoes", REMEDY).into());
     }
     Ok(model)
 }

@@ -55,7 +55,7 @@ pub const STAGE: StageSpec =
 pub struct Decompose {
     /// How thoroughly waveforms are decomposed.
     pub mode: Mode,
-    /// Refine waveforms whose returns overlap or whose deviation ratio exceeds 3; for `fastest` and `fast_separated`, as the
+    /// Refine waveforms whose pulses overlap, weak ones that are dropped later included, or whose deviation ratio exceeds 3; for `fastest` and `fast_separated`, as the
     /// other modes refine all.
     pub refine_when_needed: bool,
     /// Detection threshold, in standard deviations of the noise after the matched filter.
@@ -69,7 +69,7 @@ pub struct Decompose {
     /// The part of a range's standard deviation that no fit can show: clock and cabling, ns.
     pub timing_error_ns: f64,
     /// How much two returns must lower chi-square against one widened return to stand in its place; `false`: widened returns
-    /// are not divided. At 16 fewer than one single return in a thousand is divided; at 11, three in a thousand, and closer
+    /// are not divided. At 16 at most one single return in a thousand is divided; at 11, four in a thousand, and closer
     /// pairs are told apart. Without effect where pulses are taken to be Gaussians.
     pub split_evidence: NumberOrFalse,
     /// How well the system response is known at least, as part of a return's amplitude: what an error of this size looks

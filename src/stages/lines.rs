@@ -10,6 +10,31 @@ pub(super) fn check_odd_sample_shift(shift: f64) -> Result<(), InvalidKey> {
     InvalidKey::unless(shift.abs() < 0.5, "odd_sample_shift", "it must lie between -0.5 and 0.5")
 }
 
+/// The least full scale: four bits.
+const LEAST_FULL_SCALE_DN: u16 = 15;
+
+/// What a job says of how a file's samples were taken.
+#[derive(Clone, Copy)]
+pub(super) struct Sampling {
+    pub(super) odd_sample_shift: f64,
+    /// Where the file does not tell it, or tells it wrongly.
+    pub(super) full_scale_dn: Option<u16>,
+}
+
+impl Sampling {
+    pub(super) fn check(self) -> Result<(), InvalidKey> {
+        check_odd_sample_shift(self.odd_sample_shift)?;
+        let is_scale = self.full_scale_dn.is_none_or(|dn| dn >= LEAST_FULL_SCALE_DN);
+        InvalidKey::unless(is_scale, "full_scale_dn", "it must be at least 15, four bits")
+    }
+
+    /// What a file tells of itself, with what the job says.
+    pub(super) fn with(self, info: InputInfo) -> InputInfo {
+        let full_scale_dn = self.full_scale_dn.or(info.full_scale_dn);
+        InputInfo { odd_sample_shift: self.odd_sample_shift, full_scale_dn, ..info }
+    }
+}
+
 /// Collects shots into scan lines.
 ///
 /// A line ends after a shot with the edge-of-flight-line flag, and before one whose scan direction flag or facet differs

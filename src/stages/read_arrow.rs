@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{channel_of, info_of};
-use super::lines::check_odd_sample_shift;
+use super::lines::Sampling;
 use crate::batch::{
     Batch, Blocks, Emission, EmissionReference, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
 };
@@ -47,6 +47,10 @@ pub struct Config {
     /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
+    /// The largest value that the digitiser can give, DN, at least 15; by default what the file says. Samples at it
+    /// are cut off, and from 82 % of it on a receiver counts as overdriven.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub full_scale_dn: Option<u16>,
 }
 
 impl stage::Config for Config {
@@ -54,7 +58,13 @@ impl stage::Config for Config {
         let patterns = self.path.patterns();
         InvalidKey::unless(!patterns.is_empty(), "path", "at least one file is needed")?;
         InvalidKey::unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")?;
-        check_odd_sample_shift(self.odd_sample_shift)
+        self.sampling().check()
+    }
+}
+
+impl Config {
+    fn sampling(&self) -> Sampling {
+        Sampling { odd_sample_shift: self.odd_sample_shift, full_scale_dn: self.full_scale_dn }
     }
 }
 
@@ -68,7 +78,7 @@ impl SourceConfig for Config {
     }
 
     fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
-        let source = ReadArrow::open(&site.input, &site.stem, self.odd_sample_shift)?;
+        let source = ReadArrow::open(&site.input, &site.stem, self.sampling())?;
         Ok(Box::new(ReadArrow { with_samples, ..source }))
     }
 }
@@ -88,7 +98,7 @@ struct ReadArrow {
 const UNIT_TOLERANCE: f64 = 1e-6;
 
 impl ReadArrow {
-    fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<ReadArrow> {
+    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<ReadArrow> {
         let mut reader = match path.as_os_str() == "-" {
             true => ContainerReader::from_stream(path, Box::new(std::io::stdin()))?,
             false => ContainerReader::open(path)?,
@@ -99,9 +109,9 @@ impl ReadArrow {
             false => EmissionReference::Clock,
         };
         let format = format!("wavex container {} (Arrow IPC {})", container::VERSION, reader.form());
-        let mut info = info_of(reader.header(), path.to_path_buf(), stem.to_string(), format, reference);
-        info.odd_sample_shift = odd_sample_shift;
-        Ok(ReadArrow { reader, with_samples: true, info: Arc::new(info), at: first.map(|line| (line, 0)) })
+        let info = info_of(reader.header(), path.to_path_buf(), stem.to_string(), format, reference);
+        let info = Arc::new(sampling.with(info));
+        Ok(ReadArrow { reader, with_samples: true, info, at: first.map(|line| (line, 0)) })
     }
 
     /// The next rows that are a line, from the record batch at hand.

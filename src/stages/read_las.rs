@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::broken::BrokenRun;
-use super::lines::{Lines, check_odd_sample_shift};
+use super::lines::{Lines, Sampling};
 use crate::batch::{
     Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, OnlineReturn, TimeScale,
     emission_flags,
@@ -45,6 +45,11 @@ pub struct ReadLas {
     /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
+    /// The largest value that the digitiser can give, DN, at least 15; by default what the file says: nothing, where
+    /// samples have sixteen bits, which may be room for fewer. Samples at it
+    /// are cut off, and from 82 % of it on a receiver counts as overdriven.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub full_scale_dn: Option<u16>,
     /// What is added to the times of the waveforms after their pulses, ns: at most 1000 either way. Points move along their
     /// beams, away from the sensor where it is positive.
     #[serde(default)]
@@ -58,7 +63,13 @@ impl Config for ReadLas {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         let is_offset = self.range_time_offset_ns.abs() <= MOST_OFFSET_NS;
         InvalidKey::unless(is_offset, "range_time_offset_ns", "it must lie between -1000 and 1000")?;
-        check_odd_sample_shift(self.odd_sample_shift)
+        self.sampling().check()
+    }
+}
+
+impl ReadLas {
+    fn sampling(&self) -> Sampling {
+        Sampling { odd_sample_shift: self.odd_sample_shift, full_scale_dn: self.full_scale_dn }
     }
 }
 
@@ -72,7 +83,7 @@ impl SourceConfig for ReadLas {
     }
 
     fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
-        let source = LasSource::open(&site.input, &site.stem, self.odd_sample_shift)?;
+        let source = LasSource::open(&site.input, &site.stem, self.sampling())?;
         Ok(Box::new(LasSource { with_samples, range_time_offset_ns: self.range_time_offset_ns, ..source }))
     }
 }
@@ -144,10 +155,10 @@ const MOST_RETURNS: usize = 15;
 const SAME_BEAM: f64 = 1e-9;
 
 impl LasSource {
-    fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<LasSource> {
+    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<LasSource> {
         let geometry = Geometry::learn(&mut Reader::open(path)?)?;
         let reader = Reader::open(path)?;
-        let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &geometry) };
+        let input = sampling.with(describe(&reader, path, stem, &geometry));
         Ok(LasSource {
             with_samples: true,
             range_time_offset_ns: 0.0,

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::broken::BrokenRun;
-use super::lines::{Lines, check_odd_sample_shift};
+use super::lines::{Lines, Sampling};
 use crate::batch::{
     AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, TimeScale,
     emission_flags,
@@ -45,11 +45,22 @@ pub struct ReadPulseWaves {
     /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
+    /// The largest value that the digitiser can give, DN, at least 15; by default what the file says: nothing, where
+    /// samples have more than eight bits, which may be room for fewer. Samples at it
+    /// are cut off, and from 82 % of it on a receiver counts as overdriven.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub full_scale_dn: Option<u16>,
 }
 
 impl Config for ReadPulseWaves {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        check_odd_sample_shift(self.odd_sample_shift)
+        self.sampling().check()
+    }
+}
+
+impl ReadPulseWaves {
+    fn sampling(&self) -> Sampling {
+        Sampling { odd_sample_shift: self.odd_sample_shift, full_scale_dn: self.full_scale_dn }
     }
 }
 
@@ -59,13 +70,13 @@ impl SourceConfig for ReadPulseWaves {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        let source = PulseWavesSource::open(&site.input, &site.stem, self.odd_sample_shift)?;
+        let source = PulseWavesSource::open(&site.input, &site.stem, self.sampling())?;
         source.reader.check_complete()?;
         Ok(Box::new(source))
     }
 
     fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
-        let source = PulseWavesSource::open(&site.input, &site.stem, self.odd_sample_shift)?;
+        let source = PulseWavesSource::open(&site.input, &site.stem, self.sampling())?;
         Ok(Box::new(PulseWavesSource { with_samples, ..source }))
     }
 }
@@ -114,11 +125,11 @@ const NO_HEIGHT_M: f64 = 50_000.0;
 const EARTH_M: std::ops::Range<f64> = 6.35e6..6.41e6;
 
 impl PulseWavesSource {
-    fn open(path: &Path, stem: &str, odd_sample_shift: f64) -> Result<PulseWavesSource> {
+    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<PulseWavesSource> {
         let mut reader = Reader::open(path)?;
         let (beams, around_earth) = look_at_beams(&mut reader)?;
         let single = returning_channels(&reader).len() < 2;
-        let input = InputInfo { odd_sample_shift, ..describe(&reader, path, stem, &beams, around_earth) };
+        let input = sampling.with(describe(&reader, path, stem, &beams, around_earth));
         let input = Arc::new(input);
         let first_t = reader.header().min_t;
         Ok(PulseWavesSource {

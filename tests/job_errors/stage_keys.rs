@@ -58,6 +58,8 @@ fn keys_of_readers() {
         let error = Job::parse("job.toml", &text, &[]).unwrap_err().to_string();
         assert!(error.starts_with(&format!("error: {problem}\n --> job.toml:4:20")), "{error}");
     }
+    let problem = "`full_scale_dn`: it must be at least 15, four bits";
+    refused("read_arrow", "full_scale_dn = 14", problem);
     let text = "[[stage]]\ntype = \"read_las\"\npath = \"a\"\nrange_time_offset_ns = -1001.0\n";
     let error = Job::parse("job.toml", text, &[]).unwrap_err().to_string();
     let problem = "`range_time_offset_ns`: it must lie between -1000 and 1000";

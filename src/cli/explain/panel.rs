@@ -13,9 +13,12 @@ pub(in crate::cli) struct Panels {
     pub(in crate::cli) samples: [f64; 2],
     /// Top and bottom of what the fit leaves.
     pub(in crate::cli) residual: [f64; 2],
-    /// Threshold of detection, standard deviations.
-    pub(in crate::cli) threshold: f64,
 }
+
+/// What a sample's residual hardly exceeds by noise alone, standard deviations.
+pub(in crate::cli) const FAR_SD: f64 = 3.0;
+/// What the lines there mean.
+pub(in crate::cli) const FAR_LABEL: &str = "± 3 standard deviations";
 
 impl Panels {
     /// Draws the blocks side by side, on one scale of heights.
@@ -30,7 +33,7 @@ impl Panels {
             let panel = Panel::of(block, [left, right]);
             panel.samples(svg, &Scale { from: heights, to: [self.samples[1], self.samples[0]] }, i == 0);
             let y = Scale { from: [-largest, largest], to: [self.residual[1], self.residual[0]] };
-            panel.residual(svg, &y, self.threshold, i == 0);
+            panel.residual(svg, &y, i == 0);
             left = right + self.gap;
         }
     }
@@ -38,7 +41,7 @@ impl Panels {
     /// The largest deviation to be shown, standard deviations.
     fn largest_deviation(&self, blocks: &[&ShownBlock]) -> f64 {
         let all = blocks.iter().flat_map(|block| &block.samples.residual);
-        all.fold(self.threshold + 1.0, |largest, value| largest.max(1.1 * value.abs()))
+        all.fold(FAR_SD + 1.0, |largest, value| largest.max(1.1 * value.abs()))
     }
 }
 
@@ -117,12 +120,12 @@ impl Panel<'_> {
         }
     }
 
-    fn residual(&self, svg: &mut Svg, y: &Scale, threshold: f64, is_first: bool) {
+    fn residual(&self, svg: &mut Svg, y: &Scale, is_first: bool) {
         let [left, right] = self.x.to;
         svg.rect("one", [left, y.at(1.0)], [right, y.at(-1.0)]);
         self.frame(svg, y, 4.0, is_first, true);
         svg.line("zero", [left, y.at(0.0)], [right, y.at(0.0)]);
-        for limit in [threshold, -threshold] {
+        for limit in [FAR_SD, -FAR_SD] {
             svg.line("limit", [left, y.at(limit)], [right, y.at(limit)]);
         }
         let samples = &self.block.samples;

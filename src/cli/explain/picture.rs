@@ -1,6 +1,6 @@
 //! The picture of a shot: its samples with their fit, what the fit leaves, and the outgoing pulse.
 
-use super::panel::{Panels, dots};
+use super::panel::{FAR_LABEL, Panels, dots};
 use super::{Explained, table};
 use crate::cli::svg::{Anchor, Scale, Svg};
 use crate::overview::{PER_SAMPLE, ShownBlock};
@@ -27,13 +27,7 @@ pub(super) fn draw(explained: &Explained) -> String {
     let gaps = GAP * blocks.len().saturating_sub(1) as f64;
     let right = LEFT + (total_ns * PER_NS).clamp(WIDTHS[0], WIDTHS[1]) + gaps;
     header(&mut svg, explained);
-    let panels = Panels {
-        x: [LEFT, right],
-        gap: GAP,
-        samples: SAMPLES,
-        residual: RESIDUAL,
-        threshold: explained.threshold,
-    };
+    let panels = Panels { x: [LEFT, right], gap: GAP, samples: SAMPLES, residual: RESIDUAL };
     panels.draw(&mut svg, &blocks);
     svg.text("", [0.5 * (LEFT + right), RESIDUAL[1] + 38.0], Anchor::Middle, "time of flight, ns");
     svg.upright_text("", [16.0, 0.5 * (SAMPLES[0] + SAMPLES[1])], "digitiser steps, DN");
@@ -42,7 +36,7 @@ pub(super) fn draw(explained: &Explained) -> String {
         outgoing(&mut svg, pulse);
     }
     let beside = if explained.outgoing.is_some() { LEFT + OUTGOING_WIDTH + 40.0 } else { LEFT };
-    legend(&mut svg, explained, beside);
+    legend(&mut svg, beside);
     returns(&mut svg, explained, beside + 204.0);
     svg.finish((right + RIGHT).round(), HEIGHT, &table::title(explained, &name(explained)))
 }
@@ -114,10 +108,9 @@ fn frame_of(svg: &mut Svg, x: &Scale, y: &Scale) {
 }
 
 /// What each mark means.
-fn legend(svg: &mut Svg, explained: &Explained, left: f64) {
-    let threshold = format!("threshold, ± {}", explained.threshold);
+fn legend(svg: &mut Svg, left: f64) {
     let lines =
-        [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", &threshold)];
+        [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", FAR_LABEL)];
     let dots = [("sample", "sample"), ("sat", "saturated sample"), ("left", "sample not used")];
     let mut y = BOTTOM[0] + 4.0;
     for (class, text) in lines {

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::plot::{WIDTH, label};
-use crate::cli::explain::panel::Panels;
+use crate::cli::explain::panel::{FAR_LABEL, Panels};
 use crate::cli::svg::{Anchor, Svg, escaped};
 use crate::overview::{ShownBlock, ShownKind, ShownReturn, ShownShot};
 
@@ -13,13 +13,7 @@ const MOST_RETURNS: usize = 6;
 /// A shot as a figure: samples with their fit, what the fit leaves, and the returns.
 pub(super) fn figure(shot: &ShownShot) -> String {
     let mut svg = Svg::new();
-    let panels = Panels {
-        x: [62.0, 548.0],
-        gap: 16.0,
-        samples: [10.0, 210.0],
-        residual: [228.0, 308.0],
-        threshold: shot.threshold.clamp(0.0, 1e6),
-    };
+    let panels = Panels { x: [62.0, 548.0], gap: 16.0, samples: [10.0, 210.0], residual: [228.0, 308.0] };
     let blocks: Vec<&ShownBlock> = shot.blocks.iter().collect();
     panels.draw(&mut svg, &blocks);
     svg.text("", [305.0, 344.0], Anchor::Middle, "time of flight, ns");
@@ -76,7 +70,7 @@ fn cells(found: &ShownReturn) -> [String; 5] {
 pub(super) fn legend() -> String {
     let mut svg = Svg::new();
     let lines =
-        [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", "threshold")];
+        [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", FAR_LABEL)];
     let mut x = 6.0;
     for (class, text) in lines {
         svg.line(class, [x, 14.0], [x + 24.0, 14.0]);

@@ -194,7 +194,7 @@ impl Receivers {
     /// The lot of a block of echoes, where nothing speaks against its receiver.
     fn echoes(&self, receiver: Option<&Receiver>, block: &Block, lot: impl FnOnce() -> Lot) -> Lot {
         match receiver {
-            None => Lot::Unused("a receiver that could not be calibrated"),
+            None => Lot::Unused("a receiver that the sensor model lacks"),
             Some(_) if block.is_empty() => Lot::Unused("a block without samples"),
             Some(_) => lot(),
         }

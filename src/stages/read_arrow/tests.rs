@@ -4,6 +4,9 @@ use super::*;
 use crate::formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
 use crate::stage::Config as _;
 
+/// A job that says nothing of the samples.
+const NO_WORD: Sampling = Sampling { odd_sample_shift: 0.0, full_scale_dn: None };
+
 fn header() -> ContainerHeader {
     ContainerHeader { time_scale: container::TimeScale::Week, ..ContainerHeader::new(1.0, 299_707_502.0) }
 }
@@ -56,7 +59,7 @@ fn read(bytes: &[u8]) -> (Vec<Batch>, Context) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("made.arrow");
     std::fs::write(&path, bytes).unwrap();
-    let mut source = ReadArrow::open(&path, "made", 0.0).unwrap();
+    let mut source = ReadArrow::open(&path, "made", NO_WORD).unwrap();
     let mut cx = Context::default();
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
     assert_eq!(source.progress(), Some(1.0));
@@ -232,5 +235,5 @@ fn the_key_is_a_path_or_several() {
     let error = toml::from_str::<Config>("").unwrap_err().to_string();
     assert!(error.contains("missing field `path`"), "{error}");
     let error = toml::from_str::<Config>("path = \"a\"\nline = 3").unwrap_err().to_string();
-    assert!(error.contains("unknown field `line`, expected `path`"), "{error}");
+    assert!(error.contains("unknown field `line`, expected one of `path`"), "{error}");
 }

@@ -1,0 +1,80 @@
+//! The kernels take their memory at the start: not for each waveform.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and tells its figures"
+)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Arc;
+
+use wavex::kernels::calibrate::Block;
+use wavex::kernels::decompose::DecomposeSettings;
+use wavex::kernels::lockstep::{Lockstep, Mode, Outcomes, Path, Tables};
+
+#[allow(dead_code, reason = "the benches use all of it")]
+#[path = "../benches/scenes/mod.rs"]
+mod scenes;
+
+use scenes::{SAMPLES, Scene, Waveforms, model, noise};
+
+/// The system's allocator, with a count of each thread's requests.
+struct Counting;
+
+thread_local! {
+    static REQUESTS: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: every request is passed on to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        REQUESTS.set(REQUESTS.get() + 1);
+        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        REQUESTS.set(REQUESTS.get() + 1);
+        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const WARM_UP: usize = 12_000;
+const COUNTED: usize = 8_000;
+
+/// Waveforms of the mixed scene, one in five hundred of which the plain kernels decompose.
+#[test]
+fn decomposition_allocates_nothing_per_waveform() {
+    let noise = noise();
+    let model = model(&noise);
+    let tables = Tables::new(&model).map(Arc::new);
+    let mut waveforms = Waveforms::new(&model, &noise, Scene::Mixed, 5);
+    let mut samples = Vec::new();
+    (0..WARM_UP + COUNTED).for_each(|_| drop(waveforms.next(&mut samples)));
+    let blocks: Vec<_> = samples.chunks(SAMPLES).map(|samples| Block { samples, start_phase: 0 }).collect();
+    let (first, then) = blocks.split_at(WARM_UP);
+    for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
+        let settings = DecomposeSettings::default();
+        let mut kernels = Lockstep::new(&model, tables.clone(), &settings, mode, Path::best()).unwrap();
+        let mut outcomes = Outcomes::default();
+        kernels.decompose(first, &mut outcomes);
+        let (before, plain) = (REQUESTS.get(), kernels.left_to_plain());
+        kernels.decompose(then, &mut outcomes);
+        let (requests, plain) = (REQUESTS.get() - before, kernels.left_to_plain() - plain);
+        println!(
+            "{mode:?}: {requests} requests for {COUNTED} waveforms, {plain} of them by the plain kernels"
+        );
+        assert!(requests <= COUNTED / 1000, "{mode:?}: {requests}");
+        assert_eq!(outcomes.len(), COUNTED);
+    }
+}
