@@ -12,7 +12,7 @@ use std::sync::{Arc, OnceLock};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Emission, InputInfo, Kind, Return, emission_flags};
+use crate::batch::{Batch, Emission, Frame, InputInfo, Kind, Return, emission_flags};
 use crate::formats::Error;
 use crate::formats::geokeys;
 use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
@@ -346,11 +346,14 @@ impl LasSink {
     /// What is said once about the input.
     fn note(&self, input: &InputInfo, cx: &mut Context) {
         match &input.crs_wkt {
-            None => {
-                cx.note(
-                    "the input names no coordinate reference system by WKT or EPSG code: the file has none",
-                );
-            }
+            None if input.frame == Frame::Map => cx.note(
+                "the input names no coordinate reference system by WKT or EPSG code: the file has none; name it in the \
+                 input by another program, such as PDAL",
+            ),
+            None => cx.note(
+                "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
+                 trajectory, and the crs that points are to have",
+            ),
             Some(wkt) if self.config.version != VersionKey::V1_4 => {
                 if geokeys::directory_of_wkt(wkt).is_none() {
                     cx.note(

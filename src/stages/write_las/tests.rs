@@ -161,7 +161,10 @@ fn layout_1_0_has_its_own_steps_bits_and_class() {
     let (bytes, notes) = write(&keys, &lines);
     assert_eq!(
         notes,
-        ["the input names no coordinate reference system by WKT or EPSG code: the file has none"]
+        [
+            "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
+             trajectory, and the crs that points are to have"
+        ]
     );
     let (_, points) = points(&bytes);
     assert_eq!(stored(&points[0], AttributeLayout::V1_0), [13, 30, 700, 120, 40, 3, 50, 25, 125]);
