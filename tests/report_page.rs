@@ -133,6 +133,23 @@ fn warnings_stand_first_with_their_stage() {
 }
 
 #[test]
+fn what_is_normal_is_no_warning() {
+    let place = Place::new();
+    let two = "lines = 8\nshots_per_line = 100\nhigh_power = true\n[[stage]]\ntype = 'fuse_channels'\n\
+               gain_ratio = 0.1\ndelay_ns = 0.0\n[[stage]]\ntype = 'calibrate'\nwaveforms = 300\n\
+               [[stage]]\ntype = 'decompose'\n";
+    let job = format!("report_page = 'page.html'\n[[stage]]\ntype = 'simulate'\nstem = 'two'\n{two}");
+    assert_eq!(place.run(&format!("{job}[[stage]]\ntype = 'write_table'\n")), done());
+    let page = place.text("out/page.html");
+    let (_, rest) = page.split_once("<h2>Warnings</h2>").unwrap();
+    let (warnings, found) = rest.split_once("<h2>Found</h2>").unwrap();
+    let found = found.split_once("</section>").unwrap().0;
+    let said = "blocks: the sensitive receiver recorded it as well</li>";
+    assert!(found.contains("<li><b>decompose</b>: set aside ") && found.contains(said), "{found}");
+    assert!(!warnings.contains(said), "{warnings}");
+}
+
+#[test]
 fn the_page_is_made_again_without_the_inputs() {
     let (place, _) = run();
     let page = place.text("out/page.html");

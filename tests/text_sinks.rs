@@ -174,6 +174,27 @@ fn the_path_is_told_by_origins_and_found_again_from_beams() {
     assert!(worst_m < 0.001, "{worst_m} m");
 }
 
+/// A path without rows says by its first line what it is.
+#[test]
+fn a_path_without_rows_has_its_first_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let run_on = |stages: &str| {
+        let job = Job::parse("job.toml", stages, &[]).unwrap_or_else(|e| panic!("{e}"));
+        engine::run(&job, &engine::Options::of_job(&job, folder.path(), folder.path())).unwrap();
+    };
+    let text = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    // Without its trajectory the recording is in the scanner's frame.
+    run_on(
+        "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 50\nroll_deg = 6\n\
+         sbet = 'a.out'\n[[stage]]\ntype = 'write_arrow'\npath = 'a.arrow'\n",
+    );
+    run_on(
+        "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'write_trajectory'\n\
+         [[stage]]\ntype = 'write_trajectory'\nid = 'bare'\nheader = false\npath = 'bare.txt'\n",
+    );
+    assert_eq!((text("a_traj.txt"), text("bare.txt")), ("# gps_time X Y Z\n".into(), String::new()));
+}
+
 const WEEK_2365_S: f64 = 2365.0 * 604_800.0 - 1e9;
 
 /// With a trajectory, rows are its own poses, at the times of shots.

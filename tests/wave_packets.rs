@@ -109,6 +109,59 @@ fn decomposing_again_gives_the_same_returns() {
     assert_nothing_is_left(folder.path());
 }
 
+/// A flight over buildings and trees whose instrument has a second receiver for strong echoes.
+fn two_receivers() -> String {
+    let simulate = "lines = 12\nshots_per_line = 150\nlandscape = \"country\"\nhigh_power = true\n\
+                    ground_amplitude_dn = 250.0\n[[stage]]\ntype = \"fuse_channels\"";
+    WRITE.replace("lines = 4\nshots_per_line = 200", simulate)
+}
+
+/// Points of one pulse stand in two channels where one return is of the sensitive receiver and another of both: they come
+/// back as one pulse all the same.
+#[test]
+fn a_pulse_in_two_receivers_stays_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let versions = ["1.4", "1.3"].map(|version| {
+        format!(
+            "[[stage]]\ntype = \"write_las\"\nid = \"v{version}\"\npath = \"v{version}.las\"\n\
+             version = \"{version}\"\nwave_packets = \"internal\"\n"
+        )
+    });
+    let job = format!("{}{}", two_receivers(), versions.concat().replace("id = \"v1.", "id = \"v"));
+    run("write.toml", &job, folder.path(), folder.path(), &[]);
+    let written = Table::read(&folder.path().join("flight.csv"));
+    assert!(shots_in_two_channels(folder.path()) >= 20);
+    for version in ["1.4", "1.3"] {
+        let job = READ_AGAIN.replace("\"*\"", &format!("\"v{version}.las\""));
+        let report = run("read.toml", &job, folder.path(), folder.path(), &[]);
+        assert_eq!(report.stages[0].rejected.len(), 0, "{version}: {:?}", report.stages[0].rejected);
+        let again = Table::read(&folder.path().join("again.csv"));
+        assert_eq!(shots(&again), shots(&written), "{version}");
+        for column in ["return_number", "number_of_returns"] {
+            assert_eq!(apart(&written, &again, column), 0.0, "{version}: {column}");
+        }
+        for axis in ["x", "y", "z"] {
+            // Of the receiver for strong echoes nothing comes back: saturated echoes move a little within their millimetre.
+            let apart_m = apart(&written, &again, axis);
+            assert!(apart_m <= 0.001, "{version}: {axis} is {apart_m} m apart");
+        }
+    }
+}
+
+/// The number of returns of each shot that has any.
+fn shots(table: &Table) -> Vec<usize> {
+    let shots = table.column("shot");
+    shots.chunk_by(|a, b| a == b).map(<[f64]>::len).collect()
+}
+
+/// Shots with returns of the sensitive receiver alone and others of both.
+fn shots_in_two_channels(folder: &Path) -> usize {
+    let mut reader = las::Reader::from_path(folder.join("v1.4.las")).unwrap();
+    let points: Vec<las::Point> = reader.read_all().unwrap().points().map(|point| point.unwrap()).collect();
+    let pulses = points.chunk_by(|a, b| a.gps_time == b.gps_time);
+    pulses.filter(|points| points.iter().any(|p| p.scanner_channel != points[0].scanner_channel)).count()
+}
+
 /// Packets that became a part of another file leave none of their own.
 fn assert_nothing_is_left(folder: &Path) {
     let names =

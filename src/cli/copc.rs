@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Failure, terminal};
 use crate::formats::Error;
-use crate::formats::las::{CopcSummary, write_copc};
+use crate::formats::las::{CopcSummary, indexes_beside, write_copc};
 use crate::stage::{OutputFile, OutputLock, Outputs, WholeFile};
 
 /// Sorted runs that are claimed: three thousand million points of 40 bytes need as many.
@@ -54,7 +54,7 @@ fn write(input: &Path, out: &Path) -> Result<CopcSummary, Error> {
         Ok(Box::new(input) as Box<dyn Read>)
     };
     let summary = write_copc(input, &mut file, out, &mut keep)?;
-    file.finish()?.publish()?;
+    file.finish()?.instead_of(indexes_beside(out)).publish()?;
     Ok(summary)
 }
 

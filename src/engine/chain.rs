@@ -180,7 +180,10 @@ fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String
     (reports, whole, gallery)
 }
 
-/// Gives every whole file its final name.
-fn publish(whole: Vec<(String, WholeFile)>) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
+/// Gives every whole file its final name, in the order in which its stage kept it.
+fn publish(mut whole: Vec<(String, WholeFile)>) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
+    for (stage, file) in &mut whole {
+        file.make_way().map_err(|error| (stage.clone(), error.into()))?;
+    }
     whole.into_iter().map(|(stage, file)| file.publish().map_err(|error| (stage, error.into()))).collect()
 }

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::RunError;
+use crate::formats::companions;
 use crate::job::Job;
 use crate::stage::{Outputs, Paths, Site, StageError, fixed_folder};
 
@@ -92,9 +93,13 @@ pub(super) fn outputs(job: &Job, sites: &[Site]) -> Outputs {
     outputs
 }
 
-/// No output of any run may take the place of an input of any run: `job` compares the names, here are the files.
+/// No output of any run may take the place of an input of any run, or of a file that belongs to it: `job` compares the
+/// names, here are the files.
 pub(super) fn keep_from_outputs(job: &Job, sites: &[Site]) -> Result<(), RunError> {
-    let inputs: BTreeSet<PathBuf> = sites.iter().filter_map(|site| site.input.canonicalize().ok()).collect();
+    let with_companions =
+        |site: &Site| companions(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>();
+    let inputs: BTreeSet<PathBuf> =
+        sites.iter().flat_map(with_companions).filter_map(|path| path.canonicalize().ok()).collect();
     let patterns = || job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());
     let mut outputs = sites.iter().flat_map(|site| patterns().map(|pattern| site.output_path(pattern)));
     // An output that does not exist yet is no input.

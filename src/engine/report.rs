@@ -148,10 +148,14 @@ pub struct StageReport {
     pub items_out: ItemCounts,
     /// Items dropped: `what: why` and how many.
     pub rejected: BTreeMap<String, u64>,
+    /// Of these, the names of what nothing is lost with.
+    pub set_aside: Vec<String>,
     /// Quantities measured.
     pub observed: BTreeMap<String, Summary>,
     /// What the stage had to say.
     pub notes: Vec<String>,
+    /// What came out, which is no reason to act.
+    pub findings: Vec<String>,
     /// Time spent working, s, all workers together.
     pub working_s: f64,
     /// Time spent waiting for input, s, all workers together.
@@ -278,6 +282,11 @@ impl Summary {
     }
 }
 
+/// What was dropped, and why.
+fn dropped((item, reason): &(Item, &'static str)) -> String {
+    format!("{}: {reason}", item.name())
+}
+
 impl StageReport {
     pub(super) fn new(stage: &JobStage, workers: usize, meter: Meter, counters: Counters) -> StageReport {
         StageReport {
@@ -289,13 +298,11 @@ impl StageReport {
             lines_out: meter.lines_out,
             items_in: meter.items_in.into(),
             items_out: meter.items_out.into(),
-            rejected: counters
-                .rejected
-                .iter()
-                .map(|((item, reason), n)| (format!("{}: {reason}", item.name()), *n))
-                .collect(),
+            rejected: counters.rejected.iter().map(|(what, n)| (dropped(what), *n)).collect(),
+            set_aside: counters.set_aside.iter().map(dropped).collect(),
             observed: counters.observed.iter().map(|(name, d)| (name.to_string(), d.into())).collect(),
             notes: counters.notes,
+            findings: counters.findings,
             working_s: meter.working.as_secs_f64(),
             waiting_s: meter.waiting.as_secs_f64(),
             blocked_s: meter.blocked.as_secs_f64(),

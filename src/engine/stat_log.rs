@@ -185,6 +185,9 @@ fn remarks(text: &mut Text, stage: &StageReport) {
     for note in &stage.notes {
         text.row(&format!("{}: note", stage.id), note);
     }
+    for finding in &stage.findings {
+        text.row(&format!("{}: found", stage.id), finding);
+    }
 }
 
 #[cfg(test)]

@@ -31,6 +31,7 @@ pub use extra_bytes::{
     RANGE_ERR, RAW_AMP, TARGET_THICK, THICK_ERR, WIDE_ERR, WIDE_RATIO, quantise,
 };
 pub use header::{GpsTime, Header};
+pub use lax::beside as indexes_beside;
 pub(crate) use nearest::nearest;
 pub use packet_writer::{Packet, PacketWriter};
 pub use point::{Point, Wave};

@@ -63,8 +63,12 @@ pub struct Counters {
     pub rejected: BTreeMap<(Item, &'static str), u64>,
     /// Quantities measured, by name.
     pub observed: BTreeMap<&'static str, Distribution>,
+    /// Of these, what nothing is lost with.
+    pub set_aside: BTreeSet<(Item, &'static str)>,
     /// What the user should know, each thing once, in order.
     pub notes: Vec<String>,
+    /// What came out, which is no reason to act, each thing once, in order.
+    pub findings: Vec<String>,
 }
 
 impl Context {
@@ -84,11 +88,19 @@ impl Context {
         self.gallery.as_mut()
     }
 
-    /// Drops `n` items for a reason. This is the only way to drop anything.
+    /// Drops `n` items for a reason. This and [`Context::set_aside`] are the only ways to drop anything.
     pub fn reject(&mut self, item: Item, reason: &'static str, n: u64) {
         if n > 0 {
             *self.counters.rejected.entry((item, reason)).or_default() += n;
         }
+    }
+
+    /// Drops `n` items that nothing is lost with: they are counted as rejected, and are no reason for a warning.
+    pub fn set_aside(&mut self, item: Item, reason: &'static str, n: u64) {
+        if n > 0 {
+            self.counters.set_aside.insert((item, reason));
+        }
+        self.reject(item, reason, n);
     }
 
     /// Adds a value to the distribution `name`, whose unit is part of the name. Negative values count as 0.
@@ -102,11 +114,27 @@ impl Context {
             return;
         }
         let text = text.into();
-        let mut said = self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        if said.insert(text.clone()) {
+        if self.is_new(&text) {
             tracing::warn!("{text}");
         }
         self.counters.notes.push(text);
+    }
+
+    /// Tells the user what came out, as [`Context::note`] does, and not as a warning.
+    pub fn tell(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        if self.counters.findings.contains(&text) {
+            return;
+        }
+        if self.is_new(&text) {
+            tracing::info!("{text}");
+        }
+        self.counters.findings.push(text);
+    }
+
+    /// Whether no worker of the run has said this so far.
+    fn is_new(&self, text: &str) -> bool {
+        self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
     }
 
     /// Keeps a file that is whole: it gets its final name when every stage has succeeded.
@@ -129,16 +157,23 @@ impl Counters {
         for (name, distribution) in other.observed {
             self.observed.entry(name).or_default().merge(&distribution);
         }
-        for note in other.notes {
-            if !self.notes.contains(&note) {
-                self.notes.push(note);
-            }
-        }
+        self.set_aside.extend(other.set_aside);
+        add_new(&mut self.notes, other.notes);
+        add_new(&mut self.findings, other.findings);
     }
 
     /// How many of `item` were dropped, whatever the reason.
     pub fn rejected_of(&self, item: Item) -> u64 {
         self.rejected.iter().filter(|((of, _), _)| *of == item).map(|(_, n)| n).sum()
+    }
+}
+
+/// Adds the texts that are not among these.
+fn add_new(texts: &mut Vec<String>, more: Vec<String>) {
+    for text in more {
+        if !texts.contains(&text) {
+            texts.push(text);
+        }
     }
 }
 
@@ -213,6 +248,24 @@ mod tests {
         cx.note("no outgoing pulse");
         cx.note("no outgoing pulse");
         assert_eq!(cx.counters.notes, ["no outgoing pulse"]);
+    }
+
+    #[test]
+    fn what_is_no_warning_is_told_apart() {
+        let mut cx = Context::default();
+        cx.tell("3 echoes in zone 1");
+        cx.tell("3 echoes in zone 1");
+        cx.reject(Item::Blocks, "cut off", 1);
+        cx.set_aside(Item::Blocks, "recorded twice", 2);
+        cx.set_aside(Item::Shots, "recorded twice", 0);
+        let mut counters = Counters::default();
+        counters.merge(cx.counters);
+        assert_eq!(
+            (counters.findings.as_slice(), counters.notes.len()),
+            (&["3 echoes in zone 1".to_owned()][..], 0)
+        );
+        assert_eq!(counters.rejected_of(Item::Blocks), 3);
+        assert_eq!(counters.set_aside, BTreeSet::from([(Item::Blocks, "recorded twice")]));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
@@ -19,6 +19,8 @@ pub struct OutputFile {
 #[derive(Debug)]
 pub struct WholeFile {
     partial: Partial,
+    /// Files that must be gone before this one has its final name.
+    stale: Vec<PathBuf>,
 }
 
 /// A file under a temporary name, removed when dropped unless it was renamed.
@@ -79,7 +81,7 @@ impl OutputFile {
         let path = self.partial.path.clone();
         let file = self.writer.into_inner().map_err(|e| Error::io(&path, "write")(e.into_error()))?;
         file.sync_all().map_err(Error::io(&path, "write"))?;
-        Ok(WholeFile { partial: self.partial })
+        Ok(WholeFile { partial: self.partial, stale: Vec::new() })
     }
 }
 
@@ -110,8 +112,36 @@ impl WholeFile {
         File::open(&self.partial.temporary)
     }
 
+    /// Names files that belong to what stood there before, such as its index: they are removed first, so that no moment
+    /// shows them beside this one.
+    pub fn instead_of(self, stale: impl IntoIterator<Item = PathBuf>) -> WholeFile {
+        WholeFile { stale: stale.into_iter().collect(), ..self }
+    }
+
+    /// Removes these files, where there are any; [`WholeFile::publish`] does so, too. Where several files get their names
+    /// together, all make way first: what one removes, another may bring anew.
+    ///
+    /// # Errors
+    /// The system refuses.
+    pub fn make_way(&mut self) -> Result<()> {
+        for path in std::mem::take(&mut self.stale) {
+            match fs::remove_file(&path) {
+                // No program takes a folder for what belongs to a file.
+                Err(error) if error.kind() != ErrorKind::NotFound && !path.is_dir() => {
+                    return Err(Error::io(&path, "remove what belongs to the earlier output")(error));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
     /// Gives the file its final name, in place of what stood there before.
+    ///
+    /// # Errors
+    /// The system refuses.
     pub fn publish(mut self) -> Result<PathBuf> {
+        self.make_way()?;
         let partial = &mut self.partial;
         fs::rename(&partial.temporary, &partial.path)
             .map_err(Error::io(&partial.path, "give the final name to"))?;
@@ -172,6 +202,31 @@ mod tests {
         drop(file);
         drop(OutputFile::create(&folder.path().join("b.txt")).unwrap().finish().unwrap());
         assert_eq!(names(folder.path()), Vec::<String>::new());
+    }
+
+    #[test]
+    fn what_belongs_to_the_earlier_file_goes_before_the_new_one_comes() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, index) = (folder.path().join("a.laz"), folder.path().join("a.lax"));
+        let whole = || {
+            let whole = OutputFile::create(&path).unwrap().finish().unwrap();
+            whole.instead_of([index.clone(), folder.path().join("never.lax"), folder.path().to_path_buf()])
+        };
+        fs::write(&index, b"old").unwrap();
+        // A new name that cannot be given shows what was done before it.
+        let begun = whole();
+        fs::create_dir_all(path.join("in the way")).unwrap();
+        assert!(begun.publish().unwrap_err().to_string().contains("a.laz: cannot give the final name to: "));
+        assert_eq!(names(folder.path()), ["a.laz"]);
+        fs::remove_dir_all(&path).unwrap();
+
+        fs::write(&index, b"old").unwrap();
+        let mut file = whole();
+        file.make_way().unwrap();
+        assert!(!index.exists());
+        fs::write(&index, b"new").unwrap();
+        file.publish().unwrap();
+        assert_eq!(names(folder.path()), ["a.lax", "a.laz"]);
     }
 
     #[test]

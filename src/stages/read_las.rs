@@ -1,5 +1,7 @@
 //! LAS full waveform as lines of shots.
 
+mod pulse;
+
 use std::collections::{HashSet, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
@@ -17,6 +19,7 @@ use crate::formats::geokeys;
 use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
 use crate::geo::beam_length::BeamLength;
 use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use pulse::same_pulse;
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
@@ -26,13 +29,15 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shot
 /// Versions 1.3 and 1.4, point formats 4, 5, 9 and 10, waveform packets inside the file or in a `.wdp` file beside it.
 ///
 /// Points of one pulse share its waveforms: consecutive points of the same time and direction become one shot again, in
-/// the order of the file. The file's own points are not used, but for one thing: the format carries no outgoing pulse, and
-/// the part of a sample by which a shot left its raster survives only in the locations that the points have in their
-/// waveforms. Where they are there, times of flight are tied to them (see `decompose`); where a file gives none, the
-/// report says so.
+/// the order of the file. Points of several scanner channels do where their returns are numbered together, as those of two
+/// receivers of one pulse are in files of `write_las`; lasers that fire together have numbers or directions of their own.
+///
+/// The file's own points are not used, but for one thing: the format carries no outgoing pulse, and the part of a sample by
+/// which a shot left its raster survives only in the locations that the points have in their waveforms. Where they are
+/// there, times of flight are tied to them (see `decompose`); where a file gives none, the report says so.
 ///
 /// The format does not tell where the scanner was: ranges count from the first sample of a shot's first waveform, and
-/// coordinates are right all the same. All waveforms count as low power.
+/// coordinates are right all the same. All waveforms count as low power, those of a second receiver, too.
 ///
 /// Rejects points without waveform, points whose waveform cannot be read, and waveforms that come again after other
 /// pulses (in files that are not ordered by time), and goes on with the next.
@@ -151,8 +156,6 @@ struct Geometry {
 const POINTS_LOOKED_AT: usize = 10_000;
 /// The format counts so many returns of a pulse: more points of one time and direction are several pulses.
 const MOST_RETURNS: usize = 15;
-/// Directions of points of one pulse differ by less than this, as a cosine.
-const SAME_BEAM: f64 = 1e-9;
 
 impl LasSource {
     fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<LasSource> {
@@ -195,7 +198,7 @@ impl LasSource {
                 continue;
             }
             let has_room = self.pulse.len() < MOST_RETURNS;
-            if self.pulse.last().is_none_or(|last| has_room && same_pulse(last, &point)) {
+            if self.pulse.is_empty() || has_room && same_pulse(&self.pulse, &point) {
                 self.pulse.push(point);
             } else {
                 self.ahead = Some(point);
@@ -380,17 +383,6 @@ fn is_usable(point: &Point) -> bool {
     wave.location_ps.is_finite() && square.is_finite() && square > 0.0
 }
 
-/// Whether two consecutive points belong to one pulse.
-fn same_pulse(a: &Point, b: &Point) -> bool {
-    let (u, v) = (a.wave.direction_per_ps.map(f64::from), b.wave.direction_per_ps.map(f64::from));
-    let dot = |u: [f64; 3], v: [f64; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
-    let cosine = dot(u, v) / (dot(u, u) * dot(v, v)).sqrt();
-    a.gps_time == b.gps_time
-        && a.scanner_channel == b.scanner_channel
-        && a.return_number != b.return_number
-        && cosine > 1.0 - SAME_BEAM
-}
-
 /// Seconds to whole picoseconds.
 fn clock_ps(time_s: f64) -> i64 {
     // Adjusted times of 1e9 s do not fit: the clock may count from any origin, so that whole days are left out.
@@ -474,26 +466,6 @@ mod tests {
         assert!(!recent.is_new(60));
         (0..REMEMBERED as u64).for_each(|i| assert!(recent.is_new(1000 + i)));
         assert!(recent.is_new(60), "what was long ago is forgotten");
-    }
-
-    fn point(gps_time: f64, return_number: u8, offset: u64) -> Point {
-        let wave =
-            Wave { descriptor: 1, offset, size: 60, location_ps: 0.0, direction_per_ps: [0.0, 0.0, 1.5e-4] };
-        Point { gps_time, return_number, wave, ..Point::default() }
-    }
-
-    #[test]
-    fn points_of_one_time_and_beam_are_one_pulse() {
-        assert!(same_pulse(&point(1.0, 1, 60), &point(1.0, 2, 60)));
-        assert!(same_pulse(&point(1.0, 1, 60), &point(1.0, 2, 180)), "a second waveform of the same pulse");
-        assert!(!same_pulse(&point(1.0, 1, 60), &point(1.000_002, 2, 60)));
-        assert!(
-            !same_pulse(&point(1.0, 1, 60), &point(1.0, 1, 180)),
-            "a time too coarse to tell pulses apart"
-        );
-        let mut tilted = point(1.0, 2, 60);
-        tilted.wave.direction_per_ps[0] = 1e-7;
-        assert!(!same_pulse(&point(1.0, 1, 60), &tilted));
     }
 
     #[test]

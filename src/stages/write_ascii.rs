@@ -226,6 +226,10 @@ mod tests {
 
     /// What a sink with these keys writes of the line.
     fn written(config: &WriteAscii) -> String {
+        written_of(config, &[line()])
+    }
+
+    fn written_of(config: &WriteAscii, lines: &[Batch]) -> String {
         let folder = tempfile::tempdir().unwrap();
         let site = Site {
             input: "a.las".into(),
@@ -238,7 +242,7 @@ mod tests {
         };
         let mut sink = config.make(&site).unwrap();
         let mut cx = Context::default();
-        sink.write(&line(), &mut cx).unwrap();
+        lines.iter().for_each(|line| sink.write(line, &mut cx).unwrap());
         sink.finish(&mut cx).unwrap();
         cx.whole.pop().unwrap().publish().unwrap();
         std::fs::read_to_string(folder.path().join("a.txt")).unwrap()
@@ -271,6 +275,12 @@ mod tests {
              13;1.250;0.104;41;0.0;0.003;51.0;0.510;0.255;1;41\n"
         );
         assert!(written(&with("xy", Separator::Tab, true)).starts_with("x\ty\n540123.457\t"));
+    }
+
+    #[test]
+    fn without_points_the_header_stands_all_the_same() {
+        assert_eq!(written_of(&with("txy", Separator::Comma, true), &[]), "gps_time,x,y\n");
+        assert_eq!(written_of(&with("txy", Separator::Comma, false), &[]), "");
     }
 
     #[test]

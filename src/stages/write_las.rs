@@ -1,18 +1,18 @@
 //! Points as LAS or LAZ.
 
 pub(super) mod attributes;
+mod files;
 #[cfg(test)]
 mod tests;
 mod waves;
 
-use std::io::Write;
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Emission, InputInfo, Kind, Return, emission_flags};
+use crate::batch::{Batch, Emission, Frame, InputInfo, Kind, Return, emission_flags};
 use crate::formats::Error;
 use crate::formats::geokeys;
 use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
@@ -21,6 +21,7 @@ use crate::stage::{
     Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
 };
 use attributes::Attributes;
+use files::Files;
 use waves::Waves;
 
 /// The stage's place in the registry.
@@ -345,11 +346,14 @@ impl LasSink {
     /// What is said once about the input.
     fn note(&self, input: &InputInfo, cx: &mut Context) {
         match &input.crs_wkt {
-            None => {
-                cx.note(
-                    "the input names no coordinate reference system by WKT or EPSG code: the file has none",
-                );
-            }
+            None if input.frame == Frame::Map => cx.note(
+                "the input names no coordinate reference system by WKT or EPSG code: the file has none; name it in the \
+                 input by another program, such as PDAL",
+            ),
+            None => cx.note(
+                "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
+                 trajectory, and the crs that points are to have",
+            ),
             Some(wkt) if self.config.version != VersionKey::V1_4 => {
                 if geokeys::directory_of_wkt(wkt).is_none() {
                     cx.note(
@@ -415,7 +419,7 @@ impl Sink for LasSink {
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
         let input = self.input.take().unwrap_or_default();
         self.begin(&input, None, f64::NAN)?;
-        if let State::Open(mut writer) = self.state {
+        if let State::Open(writer) = self.state {
             if writer.n_points() == 0 {
                 // Not one point fits: then it is the file's coordinates that are wrong.
                 self.refused.map_or(Ok(()), Err)?;
@@ -424,18 +428,8 @@ impl Sink for LasSink {
             if writer.n_points() > u64::from(u32::MAX) && self.config.index != IndexKey::None {
                 cx.note("an index cannot name so many points: the file has none");
             }
-            if let Some(mut file) = self.index
-                && let Some(index) = writer.take_index()
-            {
-                let path = file.path().to_path_buf();
-                file.write_all(&index).map_err(Error::io(&path, "write"))?;
-                cx.keep(file.finish()?);
-            }
-            let file = match self.waves {
-                None => writer.finish()?,
-                Some(waves) => finish_with_waveforms(*writer, waves, self.config.wave_packets, cx)?,
-            };
-            cx.keep(file.finish()?);
+            let files = Files { index: self.index, waves: self.waves, place: self.config.wave_packets };
+            files.finish(*writer, cx)?;
         }
         Ok(())
     }
@@ -446,21 +440,6 @@ pub(super) fn offsets(input: &InputInfo, first: Option<[f64; 3]>) -> [f64; 3] {
     let near = |m: f64| (m / 1000.0).round() * 1000.0;
     let own = input.coordinate_grid.map(|(_, offset)| offset);
     own.unwrap_or_else(|| first.unwrap_or_default().map(near))
-}
-
-fn finish_with_waveforms(
-    writer: Writer<OutputFile>,
-    waves: Waves,
-    place: WavePacketsKey,
-    cx: &mut Context,
-) -> Result<OutputFile> {
-    cx.reject(Item::Blocks, "a waveform that no packet can hold", waves.n_refused);
-    let (packets, kinds) = waves.finish()?;
-    if place == WavePacketsKey::Internal {
-        return Ok(writer.finish_with_waveforms(&kinds, Some(&mut waves::open(&packets)?))?);
-    }
-    cx.keep(packets);
-    Ok(writer.finish_with_waveforms(&kinds, None)?)
 }
 
 /// A return as LAS has it.

@@ -34,7 +34,7 @@ pub const STAGE: StageSpec =
 /// LAS files tell points on each beam, but not where it began: there the sensor's place is estimated from where the beams of
 /// at least `interval_s` meet. Observes `trajectory_sd_m`, the standard deviation of these places.
 ///
-/// Where shots have no place on the earth, the file has no rows, and the report says so.
+/// Where shots have no place on the earth, the file has no rows but the first line, and the report says so.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WriteTrajectory {
@@ -100,6 +100,7 @@ impl SinkConfig for WriteTrajectory {
             geometry: Arc::clone(&site.geometry),
             sensor: self.sensor,
             header: self.header,
+            frame: Frame::Scanner,
             last: None,
             met: Met::new(pace),
             pace,
@@ -113,6 +114,8 @@ struct TrajectoryWriter {
     sensor: Sensor,
     /// Still to be written.
     header: bool,
+    /// Of the input; the scanner's where there was none.
+    frame: Frame,
     pace: Pace,
     met: Met,
     /// The last shot, where it has no row: the path goes as far.
@@ -121,6 +124,7 @@ struct TrajectoryWriter {
 
 impl Sink for TrajectoryWriter {
     fn write(&mut self, batch: &Batch, cx: &mut Context) -> Result<()> {
+        self.frame = batch.input.frame;
         if batch.emissions.is_empty() {
             return Ok(());
         }
@@ -130,7 +134,7 @@ impl Sink for TrajectoryWriter {
             );
             return Ok(());
         }
-        self.begin(batch.input.frame)?;
+        self.begin()?;
         let from_beams = match self.sensor {
             Sensor::Auto => !batch.input.beams_begin_at_sensor(),
             Sensor::Origins => false,
@@ -153,6 +157,8 @@ impl Sink for TrajectoryWriter {
     }
 
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
+        // Without a single row the file still says what it is.
+        self.begin()?;
         if let Some((input, emission)) = self.last.take() {
             self.row(&input, emission.gps_time_s, emission.origin_m)?;
         }
@@ -168,10 +174,10 @@ impl Sink for TrajectoryWriter {
 }
 
 impl TrajectoryWriter {
-    /// Writes the first line.
-    fn begin(&mut self, frame: Frame) -> Result<()> {
+    /// Writes the first line, unless it stands there.
+    fn begin(&mut self) -> Result<()> {
         if std::mem::take(&mut self.header) {
-            let attitude = if frame == Frame::Earth { " roll pitch heading" } else { "" };
+            let attitude = if self.frame == Frame::Earth { " roll pitch heading" } else { "" };
             writeln!(self.file, "# gps_time X Y Z{attitude}")
                 .map_err(Error::io(self.file.path(), "write"))?;
         }

@@ -103,6 +103,20 @@ fn an_output_that_would_replace_an_input() {
     assert_eq!(fs::read(place.path("a_copy.las")).unwrap(), recording);
 }
 
+#[test]
+fn an_output_that_would_replace_the_packets_of_an_input() {
+    let place = place(250);
+    place.write("a.wdp", b"packets");
+    let keys = "write_las'\npath = '*.laz'\nwave_packets = 'external'";
+    let mut command =
+        place.command(&format!("{READ}{}", TO_TABLE.replace("write_table'\npath = '*.csv'", keys)));
+    command.args(["--set", "job.output_dir='.'"]);
+    let message =
+        "the output ././a.wdp would replace an input; give the output another folder or another name";
+    fails(&place, &mut command, message);
+    assert_eq!(fs::read(place.path("a.wdp")).unwrap(), b"packets");
+}
+
 /// The same command on a disk that takes files of at most 8 kB.
 ///
 /// A file that may not grow further refuses a write as a full disk does, and needs no rights to be set up. Where it is

@@ -215,6 +215,8 @@ fn a_coordinate_system_that_is_missing_is_noted() {
     let whole = PulseWaves::new(250);
     let stages = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'");
     let input = place(&whole.pls(), &whole.waves).succeeds("read_pulsewaves", "a.pls", &stages);
-    let expected = ["the input names no coordinate reference system by WKT or EPSG code: the file has none"];
+    let expected =
+        ["the input names no coordinate reference system by WKT or EPSG code: the file has none; \
+         name it in the input by another program, such as PDAL"];
     assert_eq!(notes(&input), expected);
 }

@@ -109,21 +109,31 @@ fn load(stage: &Value) -> f64 {
     stage["working_s"].as_f64().unwrap_or(0.0) / stage["workers"].as_f64().unwrap_or(1.0).max(1.0)
 }
 
-/// What stages had to say, and what they rejected.
+/// What stages had to say and what they rejected; apart from it, what is no reason to act.
 fn notes(page: &mut String, input: &Value) {
-    let mut items = String::new();
+    let (mut warnings, mut findings) = (String::new(), String::new());
+    let add = |items: &mut String, stage: &Value, said: &str| {
+        let _ = writeln!(items, "<li><b>{}</b>: {}</li>", escaped(&name(stage)), escaped(said));
+    };
     for stage in list(input, "stages") {
-        let told = list(stage, "notes").iter().map(plain);
-        let rejected = entries(&stage["rejected"]).map(|(what, n)| format!("rejected {n} {what}"));
-        for said in told.chain(rejected) {
-            let _ = writeln!(items, "<li><b>{}</b>: {}</li>", escaped(&name(stage)), escaped(&said));
+        list(stage, "notes").iter().for_each(|note| add(&mut warnings, stage, &plain(note)));
+        list(stage, "findings").iter().for_each(|finding| add(&mut findings, stage, &plain(finding)));
+        for (what, n) in entries(&stage["rejected"]) {
+            match list(stage, "set_aside").iter().any(|other| *other == what) {
+                true => add(&mut findings, stage, &format!("set aside {n} {what}")),
+                false => add(&mut warnings, stage, &format!("rejected {n} {what}")),
+            }
         }
     }
-    let body = match items.as_str() {
+    let body = match warnings.as_str() {
         "" => "<p>None: no stage had anything to say, and nothing was rejected.</p>\n".to_owned(),
         items => format!("<ul class=\"notes\">\n{items}</ul>\n"),
     };
     let _ = write!(page, "<section>\n<h2>Warnings</h2>\n{body}</section>\n");
+    if !findings.is_empty() {
+        let body = format!("<ul class=\"notes\">\n{findings}</ul>\n");
+        let _ = write!(page, "<section>\n<h2>Found</h2>\n{body}</section>\n");
+    }
 }
 
 fn from_above(page: &mut String, overview: &Overview, input: &Value, number: usize) {

@@ -14,6 +14,7 @@
 //! long as a power of two and begins at a multiple of it, so that `f32` holds every border exactly.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// Points between two intervals that are read along rather than skipped, as LAStools do.
 const GAP: u32 = 1000;
@@ -30,6 +31,12 @@ const MOST_CELLS_FROM_ZERO: i64 = 1 << 24;
 pub(super) const USER_ID: &str = "LAStools";
 /// The record in which an index stands behind the points.
 pub(super) const RECORD_ID: u16 = 30;
+
+/// Where LASzip looks for the index of a file of points, whatever stands there (`LASindex::read`): it takes the case of the
+/// file's own extension.
+pub fn beside(points: &Path) -> [PathBuf; 2] {
+    ["lax", "LAX"].map(|extension| points.with_extension(extension))
+}
 
 /// An index in the making. Its memory is bounded: where there are many cells, they become larger.
 #[derive(Debug)]

@@ -105,15 +105,18 @@ impl Corrections {
 /// Says what is wanted and not there.
 fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], cx: &mut Context) {
     let kinds = [
-        (wanted[0], &tables.range, "range table", "ranges are not corrected by amplitude"),
-        (wanted[1], &tables.amplitude, "amplitude table", "intensities are heights of pulses"),
+        (wanted[0], &tables.range, "range", "ranges are not corrected by amplitude"),
+        (wanted[1], &tables.amplitude, "amplitude", "intensities are heights of pulses"),
     ];
     for (is_wanted, both, kind, so) in kinds {
         for channel in [ReturnChannel::Low, ReturnChannel::High] {
             let receiver = receiver_of(channel);
             let is_of = |r: &Return| receiver_of(r.channel) == receiver;
             if is_wanted && both[receiver].is_none() && returns.iter().any(is_of) {
-                cx.note(format!("{}: there is no {kind}: {so}", name(channel)));
+                cx.note(format!(
+                    "{}: there is no {kind} table: {so}; give {kind}_table a file, or false where none is wanted",
+                    name(channel)
+                ));
             }
         }
     }

@@ -214,10 +214,10 @@ fn what_is_missing_is_said_once() {
     assert_eq!(
         notes,
         [
-            "the low power receiver: there is no range table: ranges are not corrected by amplitude",
-            "the high power receiver: there is no range table: ranges are not corrected by amplitude",
-            "the low power receiver: there is no amplitude table: intensities are heights of pulses",
-            "the high power receiver: there is no amplitude table: intensities are heights of pulses",
+            "the low power receiver: there is no range table: ranges are not corrected by amplitude; give range_table a file, or false where none is wanted",
+            "the high power receiver: there is no range table: ranges are not corrected by amplitude; give range_table a file, or false where none is wanted",
+            "the low power receiver: there is no amplitude table: intensities are heights of pulses; give amplitude_table a file, or false where none is wanted",
+            "the high power receiver: there is no amplitude table: intensities are heights of pulses; give amplitude_table a file, or false where none is wanted",
             "intensities are not corrected for incidence: without a trajectory the beams' angles to the vertical are not known",
         ]
     );

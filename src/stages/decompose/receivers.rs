@@ -75,6 +75,8 @@ pub(super) enum Lot {
     Outgoing(usize),
     /// Left out, and why.
     Unused(&'static str),
+    /// Echoes that the sensitive receiver recorded as well.
+    Covered,
     /// Neither an echo nor an outgoing pulse.
     Other,
 }
@@ -169,9 +171,7 @@ impl Receivers {
                     Channel::LowPower => {
                         self.echoes(self.low.as_ref(), block, || queued(&mut low, waveform, Lot::Low))
                     }
-                    Channel::HighPower if shot.is_covered(block, both) => {
-                        Lot::Unused("the sensitive receiver recorded it as well")
-                    }
+                    Channel::HighPower if shot.is_covered(block, both) => Lot::Covered,
                     Channel::HighPower => {
                         self.echoes(self.high.as_ref(), block, || queued(&mut high, waveform, Lot::High))
                     }
@@ -210,7 +210,7 @@ impl Receivers {
         let (receiver, channel, number) = match lot {
             Lot::Low(number) => (&self.low, ReturnChannel::Low, number),
             Lot::High(number) => (&self.high, ReturnChannel::High, number),
-            Lot::Outgoing(_) | Lot::Unused(_) | Lot::Other => return None,
+            Lot::Outgoing(_) | Lot::Unused(_) | Lot::Covered | Lot::Other => return None,
         };
         let receiver = receiver.as_ref()?;
         Some((channel, receiver.outcomes.get(number)?, receiver.kernels.model()))

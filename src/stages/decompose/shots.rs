@@ -300,8 +300,10 @@ impl ShotDecomposer {
         let blocks = shot.of_shot.iter().zip(lots).enumerate();
         for (index, (block, &lot)) in blocks.filter(|(_, (block, _))| block.channel.is_echo()) {
             waveform.recorded = true;
-            if let Lot::Unused(why) = lot {
-                cx.reject(Item::Blocks, why, 1);
+            match lot {
+                Lot::Unused(why) => cx.reject(Item::Blocks, why, 1),
+                Lot::Covered => cx.set_aside(Item::Blocks, "the sensitive receiver recorded it as well", 1),
+                _ => {}
             }
             let Some((channel, result, model)) = self.receivers.found(lot) else { continue };
             let Some(zone) = block.zone.or(emission.mta_zone) else {

@@ -35,7 +35,7 @@ impl Tally {
         let zones = summary.zones.iter().enumerate().filter(|(_, count)| **count > 0);
         let zones: Vec<String> = zones.map(|(zone, count)| format!("{count} in {zone}")).collect();
         let percent = |count: u64| 100.0 * count as f64 / summary.echoes as f64;
-        cx.note(format!(
+        cx.tell(format!(
             "echoes by zone: {}; {} without a cause, {:.2} % uncertain, {:.2} % within {} ns of an emission",
             zones.join(", "),
             summary.without_cause,

@@ -52,22 +52,32 @@ fn line(input: InputInfo, returns: Vec<Return>) -> Batch {
     batch
 }
 
-/// The file that these keys make of these lines, and what the stage notes.
-fn write(keys: &WriteLas, lines: &[Batch]) -> (Vec<u8>, Vec<String>) {
-    let folder = tempfile::tempdir().unwrap();
-    let site = Site {
+fn site(folder: &Path) -> Site {
+    Site {
         input: "made.sdf".into(),
         stem: "made".into(),
-        input_dir: folder.path().into(),
-        output_dir: folder.path().into(),
+        input_dir: folder.into(),
+        output_dir: folder.into(),
         threads: 1,
         simd: crate::kernels::lockstep::Path::best(),
         geometry: Arc::default(),
-    };
+    }
+}
+
+/// What the stage leaves, its files before they have their names.
+fn run(keys: &WriteLas, site: &Site, lines: &[Batch]) -> Context {
     let mut cx = Context::default();
-    let mut sink = keys.make(&site).unwrap();
+    let mut sink = keys.make(site).unwrap();
     lines.iter().for_each(|line| sink.write(line, &mut cx).unwrap());
     sink.finish(&mut cx).unwrap();
+    cx
+}
+
+/// The file that these keys make of these lines, and what the stage notes.
+fn write(keys: &WriteLas, lines: &[Batch]) -> (Vec<u8>, Vec<String>) {
+    let folder = tempfile::tempdir().unwrap();
+    let site = site(folder.path());
+    let mut cx = run(keys, &site, lines);
     let whole = cx.whole.drain(..).map(|whole| whole.publish().unwrap());
     let paths: Vec<_> = whole.collect();
     let expected: Vec<_> = keys.outputs().iter().map(|pattern| site.output_path(pattern)).collect();
@@ -151,7 +161,10 @@ fn layout_1_0_has_its_own_steps_bits_and_class() {
     let (bytes, notes) = write(&keys, &lines);
     assert_eq!(
         notes,
-        ["the input names no coordinate reference system by WKT or EPSG code: the file has none"]
+        [
+            "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
+             trajectory, and the crs that points are to have"
+        ]
     );
     let (_, points) = points(&bytes);
     assert_eq!(stored(&points[0], AttributeLayout::V1_0), [13, 30, 700, 120, 40, 3, 50, 25, 125]);
@@ -189,6 +202,58 @@ fn an_index_is_a_file_or_a_part_of_one() {
     let appended = WriteLas { index: IndexKey::Appended, ..keys("*.laz") };
     let (bytes, _) = write(&appended, &lines);
     assert!(bytes.windows(8).any(|window| window == b"LASX\0\0\0\0"));
+}
+
+/// LASzip takes whatever index has the name of the points: what an earlier run left is not that of these.
+#[test]
+fn an_index_of_earlier_points_is_gone() {
+    let lines = [line(info(None), vec![found(1), found(2)])];
+    for index in [IndexKey::None, IndexKey::Appended, IndexKey::File] {
+        let folder = tempfile::tempdir().unwrap();
+        let index_path = folder.path().join("made.lax");
+        for name in ["made.lax", "made.LAX", "other.lax"] {
+            std::fs::write(folder.path().join(name), b"old").unwrap();
+        }
+        let mut cx = run(&WriteLas { index, ..keys("*.laz") }, &site(folder.path()), &lines);
+        assert_eq!(std::fs::read(&index_path).unwrap(), b"old", "until the new points are whole");
+        cx.whole.drain(..).for_each(|whole| drop(whole.publish().unwrap()));
+        match index {
+            IndexKey::File => assert!(std::fs::read(&index_path).unwrap().starts_with(b"LASX")),
+            _ => assert!(!index_path.exists()),
+        }
+        assert!(folder.path().join("other.lax").exists() && !folder.path().join("made.LAX").exists());
+    }
+}
+
+/// What a run that is killed after any step leaves: never points beside packets or an index that are not theirs.
+#[test]
+fn points_never_stand_beside_what_belongs_to_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let external =
+        WriteLas { wave_packets: WavePacketsKey::External, index: IndexKey::File, ..keys("*.las") };
+    let names = ["made.wdp", "made.las", "made.lax"];
+    names.iter().for_each(|name| std::fs::write(folder.path().join(name), b"old").unwrap());
+    let line = Batch { waveforms: Some(Blocks::default()), ..line(info(None), vec![found(1)]) };
+    let mut cx = run(&external, &site(folder.path()), &[line]);
+    // Of each file: o is old, n new, and - not there.
+    let state = || {
+        let state = |name: &str| match std::fs::read(folder.path().join(name)) {
+            Ok(bytes) if bytes == b"old" => 'o',
+            Ok(_) => 'n',
+            Err(_) => '-',
+        };
+        names.map(state).iter().collect::<String>()
+    };
+    let mut states = vec![state()];
+    for whole in &mut cx.whole {
+        whole.make_way().unwrap();
+        states.push(state());
+    }
+    for whole in cx.whole.drain(..) {
+        whole.publish().unwrap();
+        states.push(state());
+    }
+    assert_eq!(states, ["ooo", "o-o", "o--", "o--", "n--", "nn-", "nnn"]);
 }
 
 #[test]
