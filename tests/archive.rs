@@ -411,7 +411,7 @@ fn archives_of_another_kind_are_not_made() {
 #[test]
 fn what_is_no_archive_or_no_whole_one_is_refused_with_a_remedy() {
     let place = archived("a.tar.zst");
-    let other = "error: job.toml: no archive: neither a folder nor a .tar.zst; give an archive that `wavex run --archive` has \
+    let other = "error: job.toml: no archive: neither a folder nor packed as a .tar.zst is; give an archive that `wavex run --archive` has \
                  made\n";
     assert_eq!(wavex(&place, &["verify", "job.toml"]), (Some(1), other.to_owned()));
     let whole = fs::read(place.path("archives/a.tar.zst")).unwrap();

@@ -200,7 +200,11 @@ fn read_packed(path: &Path) -> Result<BTreeMap<String, Vec<u8>>> {
     let mut begin = Vec::new();
     (&file).take(MAGIC.len() as u64).read_to_end(&mut begin).map_err(Error::io(path, "read"))?;
     if begin != MAGIC {
-        return Err(Error::unusable(path, "no archive: neither a folder nor a .tar.zst", REMEDY));
+        return Err(Error::unusable(
+            path,
+            "no archive: neither a folder nor packed as a .tar.zst is",
+            REMEDY,
+        ));
     }
     let unpacked = unpack(begin.as_slice().chain(file)).map_err(|error| damaged(path, &error))?;
     unpacked.ok_or_else(|| too_large(path))
@@ -368,7 +372,8 @@ mod tests {
         for (name, content) in [("a.tar.zst", "not packed"), ("geo.toml", "[a]\n"), ("empty", "")] {
             fs::write(folder.path().join(name), content).unwrap();
             let other = problem(&folder.path().join(name));
-            let expected = format!("{name}: no archive: neither a folder nor a .tar.zst; {REMEDY}");
+            let expected =
+                format!("{name}: no archive: neither a folder nor packed as a .tar.zst is; {REMEDY}");
             assert!(other.ends_with(&expected), "{other}");
         }
     }
