@@ -90,6 +90,12 @@ enum Command {
     Verify {
         #[command(flatten)]
         archived: ArchiveArgs,
+        /// The seal that was written down when the archive was made: another one is an error
+        ///
+        /// 64 hexadecimal digits, as `wavex run --archive` prints them. Whoever changes an archive can seal it anew, but not with
+        /// this number.
+        #[arg(long, value_name = "HEX", value_parser = seal)]
+        seal: Option<String>,
     },
     /// Say what is wrong with a job, or what it will do, without reading any data
     Check {
@@ -318,6 +324,14 @@ impl From<AnglesName> for Angles {
     }
 }
 
+/// A digest in hexadecimal digits.
+fn seal(text: &str) -> Result<String, String> {
+    let is_digest = text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_digest.then(|| text.to_ascii_lowercase()).ok_or_else(|| {
+        "a seal has 64 hexadecimal digits, as `wavex run --archive` prints them at its end".to_owned()
+    })
+}
+
 /// A count of at least 1.
 fn every(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|every| *every >= 1).ok_or_else(|| "give a whole number from 1 on".to_owned())
@@ -452,7 +466,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Replay { archived, threads, progress } => {
             archive::replay(archived, threads, progress, quiet)
         }
-        Command::Verify { archived } => archive::verify(archived, quiet),
+        Command::Verify { archived, seal } => archive::verify(&archived, seal.as_deref(), quiet),
         Command::Check { job } => check::check(&job),
         Command::Stages { name } => stages::stages(STAGES, name.as_deref()),
         Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
@@ -531,6 +545,14 @@ mod tests {
         assert_eq!((wrong.exit_code(), failed.exit_code()), (2, 1));
         assert_eq!(failed.message(false), "error: the disk is full; make room\n");
         assert_eq!(wrong.message(true), "\x1b[1;31merror\x1b[0m: no such file\n");
+    }
+
+    #[test]
+    fn a_seal_is_64_hexadecimal_digits() {
+        assert_eq!(seal(&"aB".repeat(32)), Ok("ab".repeat(32)));
+        for wrong in ["", "ab", &"ag".repeat(32), &"é".repeat(32)] {
+            assert!(seal(wrong).unwrap_err().starts_with("a seal has 64 hexadecimal digits"), "{wrong}");
+        }
     }
 
     #[test]

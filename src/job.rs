@@ -21,6 +21,7 @@ mod include;
 mod manual;
 mod outputs;
 mod overrides;
+mod page;
 mod schema;
 mod simd;
 mod sources;
@@ -97,11 +98,14 @@ pub struct JobSettings {
     /// The report of the run (JSON), in the folder of the outputs; empty: none.
     #[schemars(extend("x-file" = "output"))]
     pub report: String,
-    /// The report as a page that browsers show and print (HTML, one file), in the folder of the outputs; empty: none. With
-    /// a page, the report holds histograms, pictures of the points and a few waveforms, too.
-    #[schemars(extend("x-file" = "output"))]
+    /// The report as a page that browsers show and print (HTML, one file), in the folder of the outputs: its name, or `true`
+    /// for `report.html`; `false` or empty: none. With a page, the report holds histograms, pictures of the points and a few
+    /// waveforms, too.
+    #[serde(deserialize_with = "page::name")]
+    #[schemars(with = "page::PageKey", extend("x-file" = "output"))]
     pub report_page: String,
-    /// The statistics of each input in words, in the folder of the outputs; `*` is the input's stem; empty: none.
+    /// The statistics of each input in words, in the folder of the outputs; `*` is the input's stem, needed where
+    /// there are several inputs; empty: none.
     #[schemars(extend("x-file" = "output"))]
     pub stat_log: String,
     /// The log of the run, in the folder of the outputs; empty: none.
@@ -139,9 +143,11 @@ impl JobSettings {
     /// What the types alone cannot say of the keys.
     fn check(&self) -> Result<(), InvalidKey> {
         self.simd.check(lockstep::Path::is_available).map_err(|problem| InvalidKey::new("simd", problem))?;
-        let fits =
-            self.stat_log.is_empty() || (self.stat_log.contains('*') && self.stat_log.ends_with(".log"));
-        InvalidKey::unless(fits, "stat_log", "it must hold a `*` and end in .log, as in \"*_stat.log\"")?;
+        let fits = self.stat_log.is_empty() || self.stat_log.ends_with(".log");
+        InvalidKey::unless(fits, "stat_log", "it must end in .log, as in \"*_stat.log\"")?;
+        // What the command line sets is text, where a key takes nothing else.
+        let is_name = !matches!(self.report.as_str(), "true" | "false");
+        InvalidKey::unless(is_name, "report", page::REPORT_IS_A_NAME)?;
         let fits = self.report_page.is_empty() || self.report_page.ends_with(".html");
         InvalidKey::unless(fits, "report_page", "it must end in .html, as in \"report.html\"")?;
         self.geometry.check()

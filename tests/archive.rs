@@ -5,6 +5,7 @@ mod support;
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use serde_json::Value;
 use support::flight::{OUTPUTS, STAGES, flight, run, wavex};
@@ -225,11 +226,77 @@ fn an_output_that_was_changed_is_named_with_its_first_difference() {
     );
     let (code, err) = wavex(&place, &["replay", "archives/a"]);
     assert_eq!(code, Some(1), "{err}");
-    let expected = format!("a.csv was changed since: row 4, column amplitude_dn: {value} instead of 7\n");
+    let expected = format!("a.csv was changed since: row 4, column amplitude_dn: 7 instead of {value}\n");
     assert!(err.contains("  output a.csv of stage write_table-1: the run makes it again, but "), "{err}");
     assert!(err.contains(&expected), "{err}");
-    assert!(err.contains("a_lstat.txt was changed since: it goes on with line 4\n"), "{err}");
+    assert!(err.contains("a_lstat.txt was changed since: it ends before line 4\n"), "{err}");
     assert!(!err.contains("a.parquet"), "what is missing was made again all the same:\n{err}");
+}
+
+/// The intensity of the first point, and its place in a LAS file of point format 6.
+fn intensity(las: &[u8]) -> (usize, u16) {
+    let points = u32::from_le_bytes(las[96..100].try_into().unwrap()) as usize;
+    let at = points + 12;
+    (at, u16::from_le_bytes([las[at], las[at + 1]]))
+}
+
+/// What a file has now comes first, whatever kind it is of.
+#[test]
+fn a_changed_file_is_told_by_what_it_has_now_instead_of_then() {
+    let place = flight();
+    let stages = STAGES.replace("'*.laz'", "'*.las'");
+    place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{stages}").as_bytes());
+    holds(&place, &["run", "job.toml", "--archive", "archive"]);
+    let mut las = fs::read(place.path("out/a.las")).unwrap();
+    let (at, then) = intensity(&las);
+    let now = then ^ 1;
+    las[at..at + 2].copy_from_slice(&now.to_le_bytes());
+    place.write("out/a.las", &las);
+    let lstat = place.text("out/a_lstat.txt");
+    let line = lstat.lines().nth(1).unwrap();
+    place.write("out/a_lstat.txt", lstat.replacen(line, "mine", 1).as_bytes());
+    let (value, column) = resave_with_snappy(&place.path("out/a.parquet"));
+
+    let (code, err) = wavex(&place, &["replay", "archive"]);
+    assert_eq!(code, Some(1), "{err}");
+    for expected in [
+        format!("a.las was changed since: point 0, field intensity: {now} instead of {then}\n"),
+        "a_lstat.txt was changed since: line 2: \"mine\" instead of \"".to_owned(),
+        format!("a.parquet was changed since: row 2, column {column}: 87.0 instead of {value:?}\n"),
+    ] {
+        assert!(err.contains(&expected), "{expected} is not in\n{err}");
+    }
+}
+
+/// Saves a table as other programs do, with another compression, and with 87 in row 2 of a column; gives what stood there, and
+/// the column's name.
+fn resave_with_snappy(path: &Path) -> (f64, String) {
+    use arrow_array::{Array, ArrayRef, Float64Array, RecordBatch};
+    use parquet::arrow::ArrowWriter;
+    use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+    use parquet::basic::Compression;
+    use parquet::file::properties::WriterProperties;
+
+    let reader = ParquetRecordBatchReaderBuilder::try_new(fs::File::open(path).unwrap()).unwrap();
+    let schema = reader.schema().clone();
+    let batches: Vec<RecordBatch> = reader.build().unwrap().map(Result::unwrap).collect();
+    let properties = WriterProperties::builder().set_compression(Compression::SNAPPY).build();
+    let mut writer =
+        ArrowWriter::try_new(fs::File::create(path).unwrap(), schema.clone(), Some(properties)).unwrap();
+    let is_number = |column: &ArrayRef| {
+        column.as_any().downcast_ref::<Float64Array>().is_some_and(|column| column.is_valid(2))
+    };
+    let at = batches[0].columns().iter().rposition(is_number).expect("a column of numbers");
+    let column = batches[0].column(at).as_any().downcast_ref::<Float64Array>().unwrap();
+    let then = column.value(2);
+    let mut values: Vec<Option<f64>> = column.iter().collect();
+    values[2] = Some(87.0);
+    let mut columns = batches[0].columns().to_vec();
+    columns[at] = std::sync::Arc::new(Float64Array::from(values));
+    writer.write(&RecordBatch::try_new(schema.clone(), columns).unwrap()).unwrap();
+    batches[1..].iter().for_each(|batch| writer.write(batch).unwrap());
+    writer.close().unwrap();
+    (then, schema.field(at).name().clone())
 }
 
 /// An archive whose job was edited by somebody who knows how seals are made: the outputs tell.
@@ -286,6 +353,96 @@ fn an_archive_is_never_replaced_and_its_inputs_are_files() {
         err,
         "error: in: no archive: it has no text archive.json; give an archive that `wavex run --archive` has made\n"
     );
+}
+
+/// What the program says in the folder, to the standard output.
+fn said(place: &Place, arguments: &[&str]) -> String {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    let output = command.args(arguments).current_dir(place.path("")).output();
+    String::from_utf8(output.unwrap().stdout).unwrap()
+}
+
+#[test]
+fn the_seal_is_told_and_compared() {
+    let place = flight();
+    place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
+    let run = said(&place, &["run", "job.toml", "--archive", "archive"]);
+    let (_, seal) = run.trim_end().rsplit_once("archived in archive; its seal is ").expect("a seal");
+    assert_eq!(seal, blake3::hash(place.text("archive/archive.b3").as_bytes()).to_hex().as_str());
+    let expected = "7 files of the archive, 2 inputs and 5 outputs are as they were; its seal is";
+    assert_eq!(said(&place, &["verify", "archive"]), format!("archive: {expected} {seal}\n"));
+    let replayed = said(&place, &["replay", "archive"]);
+    assert_eq!(replayed, format!("archive: 5 outputs are the same to the bit; its seal is {seal}\n"));
+    holds(&place, &["verify", "archive", "--seal", seal]);
+    holds(&place, &["verify", "archive", "--seal", &seal.to_uppercase()]);
+
+    let other = "0123456789abcdef".repeat(4);
+    let (code, err) = wavex(&place, &["verify", "archive", "--seal", &other]);
+    let expected = format!(
+        "error: archive: not everything is as it was; its seal is {seal}\n  the seal is {seal} instead of {other}: this is not \
+         the archive whose seal was written down, or it was changed and sealed anew\n"
+    );
+    assert_eq!((code, err), (Some(1), expected));
+    let (code, err) = wavex(&place, &["verify", "archive", "--seal", "0123"]);
+    assert_eq!(code, Some(2), "{err}");
+    assert!(err.contains("a seal has 64 hexadecimal digits, as `wavex run --archive` prints them"), "{err}");
+    // Whoever takes the seal away leaves nothing to compare.
+    fs::remove_file(place.path("archive/archive.b3")).unwrap();
+    let (code, err) = wavex(&place, &["verify", "archive", "--seal", seal]);
+    let expected = "error: archive: not everything is as it was\n  archive.b3: missing: nothing says whether the archive is \
+                    as it was made\n";
+    assert_eq!((code, err.as_str()), (Some(1), expected));
+}
+
+#[test]
+fn archives_of_another_kind_are_not_made() {
+    let place = flight();
+    place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
+    for (name, kind) in [("x.zip", ".zip"), ("a/x.tar.gz", ".gz")] {
+        let expected = format!(
+            "error: {name}: wavex makes no archive of the kind {kind}; give a name that ends in .tar.zst, or that of a new \
+             folder\n"
+        );
+        assert_eq!(run(&place, &["--archive", name]), Outcome { code: Some(2), err: expected });
+        assert!(!place.path(name).exists() && !place.path("out").exists());
+    }
+}
+
+#[test]
+fn what_is_no_archive_or_no_whole_one_is_refused_with_a_remedy() {
+    let place = archived("a.tar.zst");
+    let other = "error: job.toml: no archive: neither a folder nor packed as a .tar.zst is; give an archive that `wavex run --archive` has \
+                 made\n";
+    assert_eq!(wavex(&place, &["verify", "job.toml"]), (Some(1), other.to_owned()));
+    let whole = fs::read(place.path("archives/a.tar.zst")).unwrap();
+    place.write("cut.tar.zst", &whole[..whole.len() / 2]);
+    let cut =
+        "error: cut.tar.zst: a damaged archive: it ends too early, and was cut off; get a whole copy of it\n";
+    for command in ["verify", "replay"] {
+        assert_eq!(wavex(&place, &[command, "cut.tar.zst"]), (Some(1), cut.to_owned()));
+    }
+}
+
+/// Every value that counts stands in the job as run, and nothing that is this machine's.
+#[test]
+fn a_resolved_job_spells_out_defaults_that_hang_on_other_keys() {
+    let place = flight();
+    let more = "[[stage]]\ntype = 'write_trajectory'\n";
+    place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{STAGES}{more}").as_bytes());
+    let job = place.path("job.toml");
+    holds(&place, &["run", job.to_str().unwrap(), "--archive", "archive"]);
+    let text = place.text("archive/job.resolved.toml");
+    let begin = "# The job \"job.toml\" as wavex ";
+    assert!(text.starts_with(begin), "{text}");
+    let job: toml::Table = text.parse().unwrap();
+    let geometry = &job["job"]["geometry"];
+    assert_eq!(geometry["mount"].as_str(), Some("level"));
+    let calibration = geometry["calibration"].as_table().unwrap();
+    assert_eq!((calibration.len(), calibration["e7"].as_float()), (10, Some(0.0)));
+    let stages = job["stage"].as_array().unwrap();
+    let last = stages.last().unwrap();
+    assert_eq!(last["interval_s"].as_float(), Some(0.1), "{text}");
+    holds(&place, &["replay", "archive"]);
 }
 
 #[test]

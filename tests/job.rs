@@ -226,9 +226,9 @@ fn the_example_in_full() {
 #simd = "auto"
 # The report of the run (JSON), in the folder of the outputs; empty: none.
 #report = "report.json"
-# The report as a page that browsers show and print (HTML, one file), in the folder of the outputs; empty: none.
+# The report as a page that browsers show and print (HTML, one file), in the folder of the outputs: its name, or `true` for `report.html`; `false` or empty: none.
 #report_page = ""
-# The statistics of each input in words, in the folder of the outputs; `*` is the input's stem; empty: none.
+# The statistics of each input in words, in the folder of the outputs; `*` is the input's stem, needed where there are several inputs; empty: none.
 #stat_log = "*_stat.log"
 # The log of the run, in the folder of the outputs; empty: none.
 #log = "wavex.log"

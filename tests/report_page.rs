@@ -312,6 +312,8 @@ fn the_key_asks_for_a_page() {
     let refused = place.run(&format!("report_page = 'page.pdf'\n{JOB}"));
     assert_eq!(refused.code, Some(2));
     assert!(refused.err.contains("`report_page`: it must end in .html"), "{}", refused.err);
+    assert_eq!(place.run(&format!("report_page = true\n{JOB}")), done());
+    assert!(place.text("out/report.html").starts_with("<!DOCTYPE html>"));
 }
 
 /// The page as a browser shows it: readable, with all its pictures, and with nothing to say on the console.

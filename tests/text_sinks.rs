@@ -260,13 +260,18 @@ fn the_statistics_in_words_have_every_part() {
 
 #[test]
 fn statistics_need_a_name_for_each_input() {
-    for (pattern, fits) in [("", true), ("logs/*.log", true), ("stat.log", false), ("*.las", false)] {
+    for (pattern, fits) in [("", true), ("logs/*.log", true), ("stat.log", true), ("*.las", false)] {
         match Job::parse("job.toml", &format!("[job]\nstat_log = '{pattern}'\n{TO_POINTS}"), &[]) {
             Ok(_) => assert!(fits, "{pattern}"),
             Err(errors) => {
                 let errors = errors.to_string();
-                assert!(!fits && errors.contains("`stat_log`: it must hold a `*`"), "{errors}");
+                assert!(!fits && errors.contains("`stat_log`: it must end in .log"), "{errors}");
             }
         }
     }
+    let several = "[job]\nstat_log = 'out/stat.log'\n[[stage]]\ntype = 'read_las'\npath = '*.las'\n";
+    let errors = Job::parse("job.toml", several, &[]).unwrap_err().to_string();
+    let expected = "error: `stat_log`: every input of this job would write the same file, \"out/stat.log\"\n --> job.toml\n = \
+                    help: write `*` where the input's name belongs, as in \"out/*_stat.log\"\n";
+    assert_eq!(errors, expected);
 }

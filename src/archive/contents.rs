@@ -17,6 +17,13 @@ const MOST_BYTES: u64 = 1 << 30;
 /// The level of compression: the usual one of zstd.
 const LEVEL: i32 = 3;
 const REMEDY: &str = "give an archive that `wavex run --archive` has made";
+/// What a file packed by zstd begins with (RFC 8878, section 3.1.1).
+const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+/// What the names of archives of other programs end with, and of parts of one's own.
+const OTHERS: [&str; 15] = [
+    ".zip", ".tar", ".gz", ".tgz", ".bz2", ".tbz", ".tbz2", ".xz", ".txz", ".lzma", ".zst", ".tzst", ".7z",
+    ".rar", ".lz4",
+];
 
 /// The files of an archive.
 #[derive(Debug)]
@@ -32,6 +39,12 @@ pub(super) struct Contents {
 /// Whether an archive of this name is packed into one file.
 pub(super) fn is_packed(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(PACKED))
+}
+
+/// The end of a name that means an archive of another kind, if it has one.
+pub(super) fn other_kind(path: &Path) -> Option<&'static str> {
+    let name = path.file_name()?.to_string_lossy().to_lowercase();
+    OTHERS.into_iter().find(|end| name.ends_with(end) && !is_packed(path))
 }
 
 /// The folder that an archive is, or would be unpacked to; it must not exist, but the folder that it lies in must.
@@ -129,6 +142,11 @@ impl Contents {
         problems
     }
 
+    /// The digest of the seal's text: one number for everything in the archive. Empty where it is missing.
+    pub(super) fn seal(&self) -> String {
+        self.files.get(SEAL).map(|text| digest::of_bytes(text)).unwrap_or_default()
+    }
+
     /// How many files were sealed.
     pub(super) fn count(&self) -> usize {
         self.files.len().saturating_sub(1)
@@ -139,12 +157,13 @@ fn too_large(path: &Path) -> Error {
     Error::unusable(path, format!("no archive: it has more than {MOST_BYTES} bytes"), REMEDY)
 }
 
-/// Reads to the end, but no more than is left.
-fn read_whole(path: &Path, input: impl Read, left: &mut u64) -> Result<Vec<u8>> {
+/// Reads to the end; `None` where that is more than is left.
+fn read_whole(input: impl Read, left: &mut u64) -> std::io::Result<Option<Vec<u8>>> {
     let mut bytes = Vec::new();
-    input.take(*left + 1).read_to_end(&mut bytes).map_err(Error::io(path, "read"))?;
-    *left = left.checked_sub(bytes.len() as u64).ok_or_else(|| too_large(path))?;
-    Ok(bytes)
+    input.take(*left + 1).read_to_end(&mut bytes)?;
+    let rest = left.checked_sub(bytes.len() as u64);
+    *left = rest.unwrap_or(0);
+    Ok(rest.map(|_| bytes))
 }
 
 /// All files of a folder by their paths in it.
@@ -169,28 +188,56 @@ fn read_folder(
             read_folder(&path, &format!("{name}/"), left, files)?;
         } else {
             let file = File::open(&path).map_err(Error::io(&path, "open"))?;
-            files.insert(name, read_whole(&path, file, left)?);
+            let bytes = read_whole(file, left).map_err(Error::io(&path, "read"))?;
+            files.insert(name, bytes.ok_or_else(|| too_large(&path))?);
         }
     }
     Ok(())
 }
 
 fn read_packed(path: &Path) -> Result<BTreeMap<String, Vec<u8>>> {
-    let (mut files, mut left) = (BTreeMap::new(), MOST_BYTES);
     let file = File::open(path).map_err(Error::io(path, "open"))?;
-    let input = zstd::stream::read::Decoder::new(file).map_err(Error::io(path, "unpack"))?;
-    let mut tar = tar::Archive::new(input);
-    for entry in tar.entries().map_err(Error::io(path, "unpack"))? {
-        let entry = entry.map_err(Error::io(path, "unpack"))?;
+    let mut begin = Vec::new();
+    (&file).take(MAGIC.len() as u64).read_to_end(&mut begin).map_err(Error::io(path, "read"))?;
+    if begin != MAGIC {
+        return Err(Error::unusable(
+            path,
+            "no archive: neither a folder nor packed as a .tar.zst is",
+            REMEDY,
+        ));
+    }
+    let unpacked = unpack(begin.as_slice().chain(file)).map_err(|error| damaged(path, &error))?;
+    unpacked.ok_or_else(|| too_large(path))
+}
+
+/// The files of a packed archive; `None` where they have too many bytes.
+fn unpack(packed: impl Read) -> std::io::Result<Option<BTreeMap<String, Vec<u8>>>> {
+    let (mut files, mut left) = (BTreeMap::new(), MOST_BYTES);
+    let mut tar = tar::Archive::new(zstd::stream::read::Decoder::new(packed)?);
+    for entry in tar.entries()? {
+        let entry = entry?;
         if !entry.header().entry_type().is_file() {
             continue;
         }
-        let name = entry.path().map_err(Error::io(path, "unpack"))?.into_owned();
+        let name = entry.path()?.into_owned();
         // The first step is the folder's own name.
         let steps: Vec<String> = name.components().filter_map(step).skip(1).collect();
-        files.insert(steps.join("/"), read_whole(path, entry, &mut left)?);
+        let Some(bytes) = read_whole(entry, &mut left)? else { return Ok(None) };
+        files.insert(steps.join("/"), bytes);
     }
-    Ok(files)
+    // To the very end, so that a file that was cut off there is told, too.
+    Ok(read_whole(tar.into_inner(), &mut left)?.map(|_| files))
+}
+
+/// What keeps a file that begins as a packed archive does from being unpacked.
+fn damaged(path: &Path, error: &std::io::Error) -> Error {
+    let problem = match error.kind() {
+        std::io::ErrorKind::UnexpectedEof => {
+            "a damaged archive: it ends too early, and was cut off".to_owned()
+        }
+        _ => format!("a damaged archive, or none: it cannot be unpacked: {error}"),
+    };
+    Error::unusable(path, problem, "get a whole copy of it")
 }
 
 /// A step of a path down; there is no other in an archive.
@@ -322,8 +369,50 @@ mod tests {
         fs::write(folder.path().join(ARCHIVE), "{\"format\": 1}").unwrap();
         let torn = problem(folder.path());
         assert!(torn.contains("no description of an archive: missing field"), "{torn}");
-        fs::write(folder.path().join("a.tar.zst"), "not packed").unwrap();
-        let packed = problem(&folder.path().join("a.tar.zst"));
-        assert!(packed.contains("a.tar.zst: cannot unpack: "), "{packed}");
+        for (name, content) in [("a.tar.zst", "not packed"), ("geo.toml", "[a]\n"), ("empty", "")] {
+            fs::write(folder.path().join(name), content).unwrap();
+            let other = problem(&folder.path().join(name));
+            let expected =
+                format!("{name}: no archive: neither a folder nor packed as a .tar.zst is; {REMEDY}");
+            assert!(other.ends_with(&expected), "{other}");
+        }
+    }
+
+    #[test]
+    fn a_packed_archive_that_is_not_whole_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.tar.zst");
+        let mut whole = Vec::new();
+        pack("a", &example(), 1_700_000_000, &mut whole).unwrap();
+        for length in MAGIC.len()..whole.len() {
+            fs::write(&path, &whole[..length]).unwrap();
+            let cut = Contents::read(&path).unwrap_err().to_string();
+            let expected =
+                "a.tar.zst: a damaged archive: it ends too early, and was cut off; get a whole copy of it";
+            assert!(cut.ends_with(expected), "{length} of {}: {cut}", whole.len());
+        }
+        let no_tar = zstd::encode_all([7u8; 2000].as_slice(), LEVEL).unwrap();
+        fs::write(&path, no_tar).unwrap();
+        let other = Contents::read(&path).unwrap_err().to_string();
+        let expected = "a.tar.zst: a damaged archive, or none: it cannot be unpacked: ";
+        assert!(other.contains(expected) && other.ends_with("; get a whole copy of it"), "{other}");
+    }
+
+    #[test]
+    fn names_of_other_archives_are_told() {
+        let found = ["a.zip", "b/x.tar.gz", "x.TGZ", "x.zst", "x.TAR.ZST", "x.tar"]
+            .map(|name| other_kind(Path::new(name)));
+        assert_eq!(found, [".zip", ".gz", ".tgz", ".zst", ".zst", ".tar"].map(Some));
+        for name in ["flight7", "flight.tar.zst", "day.1", "zip", "a.zip/flight"] {
+            assert_eq!(other_kind(Path::new(name)), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn the_seal_is_the_digest_of_its_text() {
+        let of = |files| Contents { path: "a".into(), folder: "a".into(), files }.seal();
+        let files = example();
+        assert_eq!(of(files.clone()), digest::of_bytes(&files[SEAL]));
+        assert_eq!(of(BTreeMap::new()), "");
     }
 }

@@ -1,4 +1,6 @@
 //! Where two files differ first, in their own terms.
+//!
+//! One is what should be (`then`), the other what is (`now`): it is the second that is described.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -12,8 +14,9 @@ mod tables;
 /// The longest value that is told, characters.
 const LONGEST: usize = 80;
 
-/// Where a file differs first from what it was: `then` and `now` are the same output. The format is told by the name; where the
-/// content does not differ in its terms, or cannot be read, it is the byte that is told.
+/// Where the file `now` differs first from what it should be, `then`: both are the same output, and what is told is the value in
+/// `now` instead of that in `then`. The format is told by the name; where the content does not differ in its terms, or cannot be
+/// read, it is the byte that is told.
 pub(super) fn first_difference(then: &Path, now: &Path) -> String {
     let extension = now.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let compare = || match extension.as_str() {

@@ -52,7 +52,7 @@ impl Drop for Gathering {
 /// Whether an archive can get this name: nothing has it yet.
 ///
 /// # Errors
-/// Something has it; and a path without a name.
+/// Something has it; a path without a name; and a name that means an archive of another kind.
 pub fn check_destination(path: &Path) -> Result<()> {
     if path.file_name().is_none() {
         return Err(Error::unusable(
@@ -61,6 +61,11 @@ pub fn check_destination(path: &Path) -> Result<()> {
             "give a new folder, or a name that ends in .tar.zst",
         )
         .into());
+    }
+    if let Some(kind) = contents::other_kind(path) {
+        let problem = format!("wavex makes no archive of the kind {kind}");
+        let remedy = "give a name that ends in .tar.zst, or that of a new folder";
+        return Err(Error::unusable(path, problem, remedy).into());
     }
     if path.symlink_metadata().is_ok() {
         let remedy = "choose another name: an archive is never replaced";

@@ -38,6 +38,8 @@ pub struct Replayed {
     pub notes: Vec<String>,
     /// How many outputs were compared.
     pub outputs: usize,
+    /// The archive's seal, the BLAKE3 digest of `archive.b3`; empty where that is missing.
+    pub seal: String,
 }
 
 /// Runs an archive again, into a folder of its own that is removed behind it, and compares what comes out with what came out
@@ -47,15 +49,16 @@ pub struct Replayed {
 /// There is no archive, or the run fails.
 pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     let contents = Contents::read(path)?;
-    let stopped = |problems| Ok(Replayed { problems, notes: Vec::new(), outputs: 0 });
+    let seal = contents.seal();
+    let stopped = |seal, problems| Ok(Replayed { problems, notes: Vec::new(), outputs: 0, seal });
     let tampering = contents.tampering();
     if !tampering.is_empty() {
-        return stopped(tampering);
+        return stopped(seal, tampering);
     }
     let archive = contents.archive()?;
     let inputs = verify::inputs(&archive, &contents, &replay.folders);
     if !inputs.is_empty() {
-        return stopped(inputs);
+        return stopped(seal, inputs);
     }
     let (job, mut notes) = job(&contents, &archive, replay.threads)?;
     let folder = Temporary::new()?;
@@ -70,7 +73,7 @@ pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     if !problems.is_empty() {
         notes.extend(other_program(&archive));
     }
-    Ok(Replayed { problems, notes, outputs: archive.outputs.files.len() })
+    Ok(Replayed { problems, notes, outputs: archive.outputs.files.len(), seal })
 }
 
 /// The job as it was run, and what is different of it here.
@@ -133,16 +136,18 @@ fn compare_file(file: &DigestedFile, now: &Path, then: &Path) -> Result<Option<S
     };
     let is_same =
         |path: &Path| -> Result<bool> { Ok(digest::of_file(path)? == (file.bytes, file.blake3.clone())) };
-    let difference = || first_difference(then, now);
     let is_reproduced = is_same(now)?;
     Ok(match (is_reproduced, then.is_file()) {
         (true, false) => None,
         (true, true) if is_same(then)? => None,
         (true, true) => {
+            let difference = first_difference(now, then);
             let then = then.display();
-            Some(format!("{name}: the run makes it again, but {then} was changed since: {}", difference()))
+            Some(format!("{name}: the run makes it again, but {then} was changed since: {difference}"))
         }
-        (false, true) if is_same(then)? => Some(format!("{name}: not the same: {}", difference())),
+        (false, true) if is_same(then)? => {
+            Some(format!("{name}: not the same: {}", first_difference(then, now)))
+        }
         (false, _) => {
             let (_, blake3) = digest::of_file(now)?;
             Some(format!(

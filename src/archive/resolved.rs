@@ -1,5 +1,6 @@
 //! A job as it was run, in a form that runs anywhere: every default spelled out, every path relative.
 
+use std::borrow::Cow;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -49,7 +50,9 @@ impl Resolved {
             let remedy = "save it as a file, and give that to the reader";
             return Err(StageError::failed("standard input cannot be archived", remedy));
         }
-        let settings = serde_json::to_value(&job.settings).unwrap_or(Value::Null);
+        let mut settings = job.settings.clone();
+        settings.geometry.spell_out();
+        let settings = serde_json::to_value(&settings).unwrap_or(Value::Null);
         let files: Vec<PathBuf> = inputs::of_job(job, &settings, &sources, &input_dir).into_iter().collect();
         let outputs = outputs_of(job, &sources, &output_dir);
         let roots = Roots {
@@ -64,8 +67,8 @@ impl Resolved {
         let text = toml::to_string_pretty(&without_null(json!({"job": job_table, "stage": stages?})))
             .map_err(|error| defect(&error))?;
         let text = format!(
-            "# The job {:?} as wavex {} ran it: every default spelled out, every path relative.\n\n{text}",
-            job.name,
+            "# The job {:?} as wavex {} ran it: every default spelled out that hangs on no data, every path relative.\n\n{text}",
+            name_of(&job.name),
             env!("CARGO_PKG_VERSION")
         );
         Job::parse(super::RESOLVED, &text, &[]).map_err(|errors| defect(&errors))?;
@@ -76,6 +79,14 @@ impl Resolved {
             inputs: files,
             outputs,
         })
+    }
+}
+
+/// What a job is called without the folders that are this machine's.
+fn name_of(job: &str) -> Cow<'_, str> {
+    match Path::new(job) {
+        path if path.is_absolute() => path.file_name().unwrap_or_default().to_string_lossy(),
+        _ => job.into(),
     }
 }
 

@@ -24,24 +24,42 @@ pub struct Verified {
     pub problems: Vec<String>,
     /// How many files of the archive, inputs and outputs were looked at.
     pub counts: [usize; 3],
+    /// The archive's seal, the BLAKE3 digest of `archive.b3`; empty where that is missing.
+    pub seal: String,
 }
 
-/// Compares the files of an archive, its inputs and its outputs with their digests.
+/// Compares the files of an archive, its inputs and its outputs with their digests; and the archive's seal with the one that
+/// was written down, where that is given.
 ///
 /// # Errors
 /// There is no archive.
-pub fn verify(path: &Path, folders: &Folders) -> Result<Verified> {
+pub fn verify(path: &Path, folders: &Folders, seal_noted: Option<&str>) -> Result<Verified> {
     let contents = Contents::read(path)?;
-    let mut problems = contents.tampering();
+    let seal = contents.seal();
+    let mut problems: Vec<String> =
+        seal_noted.and_then(|noted| other_seal(&seal, noted)).into_iter().collect();
+    problems.extend(contents.tampering());
     // What cannot be told of an archive that was tampered with is told by that.
     let archive = match contents.archive() {
-        Err(_) if !problems.is_empty() => return Ok(Verified { problems, counts: [contents.count(), 0, 0] }),
+        Err(_) if !problems.is_empty() => {
+            return Ok(Verified { problems, counts: [contents.count(), 0, 0], seal });
+        }
         archive => archive?,
     };
     problems.extend(inputs(&archive, &contents, folders));
     problems.extend(outputs(&archive, &contents, folders));
     let counts = [contents.count(), archive.inputs.files.len(), archive.outputs.files.len()];
-    Ok(Verified { problems, counts })
+    Ok(Verified { problems, counts, seal })
+}
+
+/// What a seal that is not the one written down means.
+fn other_seal(seal: &str, noted: &str) -> Option<String> {
+    (!seal.is_empty() && !seal.eq_ignore_ascii_case(noted)).then(|| {
+        format!(
+            "the seal is {seal} instead of {noted}: this is not the archive whose seal was written down, or it was changed and \
+             sealed anew"
+        )
+    })
 }
 
 /// What is not as it was of the inputs.

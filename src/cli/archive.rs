@@ -23,20 +23,22 @@ pub(super) fn replay(
     for note in &found.notes {
         tracing::warn!("{note}");
     }
-    failed(&args.archive, &found.problems)?;
-    let said = format!("{}: {} outputs are the same to the bit\n", args.archive.display(), found.outputs);
+    failed(&args.archive, &found.problems, &found.seal)?;
+    let (archive, outputs, seal) = (args.archive.display(), found.outputs, &found.seal);
+    let said = format!("{archive}: {outputs} outputs are the same to the bit; its seal is {seal}\n");
     if quiet { Ok(()) } else { print(&said) }
 }
 
-/// Compares digests, and says what differs.
-pub(super) fn verify(args: ArchiveArgs, quiet: bool) -> Result<(), Failure> {
-    let found =
-        archive::verify(&args.archive, &folders(&args)).map_err(|error| Failure::Run(error.to_string()))?;
-    failed(&args.archive, &found.problems)?;
+/// Compares digests, and the seal with the one that was written down, and says what differs.
+pub(super) fn verify(args: &ArchiveArgs, seal_noted: Option<&str>, quiet: bool) -> Result<(), Failure> {
+    let found = archive::verify(&args.archive, &folders(args), seal_noted);
+    let found = found.map_err(|error| Failure::Run(error.to_string()))?;
+    failed(&args.archive, &found.problems, &found.seal)?;
     let [files, inputs, outputs] = found.counts;
     let archive = args.archive.display();
     let said = format!(
-        "{archive}: {files} files of the archive, {inputs} inputs and {outputs} outputs are as they were\n"
+        "{archive}: {files} files of the archive, {inputs} inputs and {outputs} outputs are as they were; its seal is {}\n",
+        found.seal
     );
     if quiet { Ok(()) } else { print(&said) }
 }
@@ -47,11 +49,14 @@ fn folders(args: &ArchiveArgs) -> Folders {
 
 /// # Errors
 /// There are problems.
-fn failed(archive: &Path, problems: &[String]) -> Result<(), Failure> {
+fn failed(archive: &Path, problems: &[String], seal: &str) -> Result<(), Failure> {
     if problems.is_empty() {
         return Ok(());
     }
     let mut text = format!("{}: not everything is as it was", archive.display());
+    if !seal.is_empty() {
+        let _ = write!(text, "; its seal is {seal}");
+    }
     for problem in problems {
         let _ = write!(text, "\n  {problem}");
     }

@@ -141,9 +141,23 @@ impl GeometryKeys {
         Ok(())
     }
 
+    /// Gives the keys that are not given, and whose defaults hang on no data, the values that count in their place.
+    pub fn spell_out(&mut self) {
+        self.mount.get_or_insert_default();
+        self.calibration.get_or_insert(CalibrationKey::Inline(Calibration::default()));
+    }
+
     /// Whether the job says where scanners are.
     pub fn places_scanners(&self) -> bool {
-        self.trajectory.is_some() || self.mount.is_some() || self.calibration.is_some()
+        let none = CalibrationKey::Inline(Calibration::default());
+        self.trajectory.is_some()
+            || self.turns_scanners()
+            || self.calibration.as_ref().is_some_and(|calibration| *calibration != none)
+    }
+
+    /// Whether the job has a mount that leaves axes other than they are.
+    pub fn turns_scanners(&self) -> bool {
+        self.mount.is_some_and(|mount| mount != Mount::default())
     }
 
     /// Whether the job asks for coordinates of a kind.
@@ -178,6 +192,25 @@ mod tests {
         let problem = "`k` must stand in it once: t, x, y, z, w, p and k are needed";
         assert_eq!(of("txyzwp"), Err(InvalidKey::new("geometry.trajectory_columns", problem)));
         assert!(of("ttxyzwpk").is_err());
+    }
+
+    #[test]
+    fn what_is_spelled_out_changes_nothing() {
+        let mut keys = GeometryKeys::default();
+        keys.spell_out();
+        let zero = Calibration::default();
+        let expected = GeometryKeys {
+            mount: Some(Mount::default()),
+            calibration: Some(CalibrationKey::Inline(zero)),
+            ..GeometryKeys::default()
+        };
+        assert_eq!(keys, expected);
+        assert_eq!((keys.check(), keys.places_scanners(), keys.wants_coordinates()), (Ok(()), false, false));
+        let given = "mount = 'x_down_z_left'\ncalibration = 'c.toml'";
+        let mut keys: GeometryKeys = toml::from_str(given).unwrap();
+        let before = keys.clone();
+        keys.spell_out();
+        assert_eq!((&keys, keys.turns_scanners(), keys.places_scanners()), (&before, true, true));
     }
 
     #[test]

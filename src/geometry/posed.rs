@@ -71,7 +71,7 @@ impl Posed {
 
     /// What is in the aircraft's axes already has no mount.
     fn check_frame(&self, frame: Frame) -> Result<()> {
-        if frame == Frame::Body && self.geometry.keys().mount.is_some() {
+        if frame == Frame::Body && self.geometry.keys().turns_scanners() {
             return Err(StageError::failed(
                 "the beams of this recording are in the aircraft's axes already, and `[job.geometry]` has a `mount`",
                 "leave `mount` out",

@@ -32,7 +32,15 @@ pub(super) fn check(stages: &[Option<Stage>], settings: Option<&JobSettings>) ->
         }
         seen.push((file, &stage.stage.id));
     }
+    errors.extend(settings.filter(|_| source.several).and_then(shared_stat_log));
     errors
+}
+
+/// The statistics of one input would replace those of another.
+fn shared_stat_log(settings: &JobSettings) -> Option<JobError> {
+    let pattern = Some(&settings.stat_log).filter(|name| !name.is_empty() && !name.contains('*'))?;
+    let problem = format!("`stat_log`: every input of this job would write the same file, {pattern:?}");
+    Some(JobError::of_job(problem).help(with_star(pattern)))
 }
 
 /// What the source tells of its files.

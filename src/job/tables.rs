@@ -7,6 +7,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::draft::DraftStage;
+use super::page::REPORT_IS_A_NAME;
 use super::{JobError, JobSettings, JobStage, validate};
 use crate::stage::{ConfigError, InvalidKey, Keys};
 
@@ -33,7 +34,12 @@ pub(super) fn settings(table: Spanned<DeTable>, errors: &mut Vec<JobError>) -> O
     let keys = JobSettings::keys();
     let problems = validate::check("`[job]`", &keys, &table);
     if !problems.is_empty() {
-        errors.extend(problems);
+        let report = table.get_ref().get("report").filter(|report| report.get_ref().is_bool());
+        let place = report.map(Spanned::span);
+        errors.extend(problems.into_iter().map(|error| match &place {
+            Some(place) if error.span.as_ref() == Some(place) => error.help(REPORT_IS_A_NAME),
+            _ => error,
+        }));
         return None;
     }
     let places = Places::of(&table);

@@ -17,6 +17,10 @@ pub trait Config: DeserializeOwned + Serialize + JsonSchema + Send + Sync + 'sta
         Ok(())
     }
 
+    /// Gives the keys that the job does not, and whose defaults hang on other keys, the values that count in their place.
+    /// Comes behind [`Config::check`].
+    fn spell_out(&mut self) {}
+
     /// The files that the stage reads besides the source's `path`: texts among its keys, which start where inputs do.
     /// Archives keep their digests.
     fn inputs(&self) -> Vec<&str> {
@@ -375,8 +379,9 @@ fn parse<C: Config>(
     table: toml::Spanned<toml::de::DeTable<'_>>,
     plan: fn(Arc<C>) -> Plan,
 ) -> std::result::Result<Planned, ConfigError> {
-    let config = C::deserialize(toml::de::Deserializer::from(table)).map_err(ConfigError::Toml)?;
+    let mut config = C::deserialize(toml::de::Deserializer::from(table)).map_err(ConfigError::Toml)?;
     config.check().map_err(ConfigError::Key)?;
+    config.spell_out();
     let resolved = serde_json::to_value(&config).unwrap_or(serde_json::Value::Null);
     let inputs = config.inputs().into_iter().map(str::to_owned).collect();
     let local_keys = config.local_keys();

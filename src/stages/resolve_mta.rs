@@ -168,6 +168,12 @@ impl Config for ResolveMta {
         unless(undecided, "zone", "a fixed zone leaves nothing to decide: leave `agl_m` and `terrain` out")
     }
 
+    fn spell_out(&mut self) {
+        if matches!(self.agl_m, Some(HeightKey::Usual(_))) {
+            self.agl_sd_m.get_or_insert(USUAL_AGL_SD_M);
+        }
+    }
+
     fn inputs(&self) -> Vec<&str> {
         self.terrain.iter().filter_map(|path| path.to_str()).collect()
     }

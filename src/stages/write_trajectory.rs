@@ -86,6 +86,12 @@ impl Config for WriteTrajectory {
         let one = self.every.is_none() || self.interval_s.is_none();
         InvalidKey::unless(one, "every", "it takes the place of `interval_s`: give one of them")
     }
+
+    fn spell_out(&mut self) {
+        if self.every.is_none() {
+            self.interval_s.get_or_insert(pace::INTERVAL_S);
+        }
+    }
 }
 
 impl SinkConfig for WriteTrajectory {

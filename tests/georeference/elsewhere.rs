@@ -130,7 +130,7 @@ fn a_place_is_given_once() {
           coordinates is used"
         ]
     );
-    let report = with("mount = 'level'", "[[stage]]\ntype = 'simulate'\nlines = 1\n");
+    let report = with("mount = 'x_down_z_left'", "[[stage]]\ntype = 'simulate'\nlines = 1\n");
     assert_eq!(
         report.inputs[0].stages[0].notes,
         ["the recording is in a map already: trajectory, mount and calibration are not used"]
@@ -141,14 +141,21 @@ fn a_place_is_given_once() {
 #[test]
 fn a_mount_is_for_scanners() {
     let flight = fly(QUIET).in_body();
-    let error = flight.place("trajectory = 'a.out'\nmount = 'level'", |truth| truth.range_m).err().unwrap();
+    let mounted = |mount: &str| {
+        flight.place(&format!("trajectory = 'a.out'\nmount = '{mount}'"), |truth| truth.range_m)
+    };
+    let error = mounted("x_down_z_right").err().unwrap();
     assert_eq!(
         error,
         "the beams of this recording are in the aircraft's axes already, and `[job.geometry]` has a `mount`; leave `mount` out"
     );
-    let placed = flight.place("trajectory = 'a.out'", |truth| truth.range_m).unwrap();
-    let off = placed.points.iter().zip(&flight.truth).map(|(point, truth)| distance_m(*point, truth.point_m));
-    assert!(off.fold(0.0, f64::max) < 1e-3);
+    // A mount that turns nothing is none.
+    for placed in [flight.place("trajectory = 'a.out'", |truth| truth.range_m), mounted("level")] {
+        let placed = placed.unwrap();
+        let off =
+            placed.points.iter().zip(&flight.truth).map(|(point, truth)| distance_m(*point, truth.point_m));
+        assert!(off.fold(0.0, f64::max) < 1e-3);
+    }
 }
 
 /// Every file that cannot be read, and every system that is none, before the run begins.

@@ -205,7 +205,12 @@ fn outputs_are_named_after_that_of_the_points() {
         ["day.1/*_b_stat.log", "day.1/*_b.laz", "day.1/*_b_traj.txt", "day.1/*_b_lstat.txt"]
     );
     assert_eq!(paths("-o*.LAS")[1], "*.las");
-    assert_eq!(paths("-o b.laz")[..2], ["*_stat.log", "b.laz"], "statistics are those of an input");
+    assert_eq!(paths("-o b.laz"), ["b_stat.log", "b.laz", "b_traj.txt", "b_lstat.txt"]);
+    let of_several = keys(&complete("-i a.sdf b.sdf -o b.laz").text);
+    assert!(
+        of_several.contains(&"job.stat_log = \"*_stat.log\"".to_owned()),
+        "statistics are those of an input"
+    );
     assert_eq!(paths("-nil"), ["*_stat.log", "*_traj.txt", "*_lstat.txt"]);
     assert_eq!(paths("-otraj 0"), ["*_stat.log", "*.laz", "*_lstat.txt"]);
 }
@@ -233,6 +238,19 @@ fn an_index_lies_beside_the_points_or_within() {
     assert_eq!(index("-olax -lax_append"), ["write_las.index = \"appended\""]);
     assert_eq!(index("-lax_append"), ["write_las.index = \"appended\""]);
     assert_eq!(index("-olax 0"), Vec::<String>::new());
+}
+
+/// `write_las` refuses to append an index to LAS.
+#[test]
+fn an_index_of_las_is_a_file_of_its_own() {
+    let remark = "a file of its own, because only LAZ can hold an index";
+    for (options, said) in
+        [("-olas -lax_append", "-lax_append"), ("-o points.las -olax -lax_append", "-olax -lax_append")]
+    {
+        let text = here(&format!("-i a.sdf -po a.pof {options}")).text;
+        assert!(keys(&text).contains(&"write_las.index = \"file\"".to_owned()), "{text}");
+        assert!(text.contains(&format!("  # {said}: {remark}\n")), "{text}");
+    }
 }
 
 #[test]

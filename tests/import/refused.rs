@@ -42,7 +42,24 @@ fn an_unknown_option_is_named_with_the_nearest_or_with_the_version_that_has_it()
         "-emflt",
         "version 1.1 has one: `--classic 1.1`",
     );
-    refused("-i a.sdf -W -d5", "version 1.1 has no option `-W`", "-W", "docs/import.md lists them all");
+    refused(
+        "-i a.sdf -W -d5",
+        "version 1.1 has no option `-W`",
+        "-W",
+        "some begin alike: `-wkt`; docs/import.md lists them all",
+    );
+    refused(
+        "-i a.sdf -oxymoron",
+        "version 1.1 has no option `-oxymoron`",
+        "-oxymoron",
+        "if you mean `-o xymoron`, write it with the blank",
+    );
+    refused(
+        "-i a.sdf -lidarlidar",
+        "version 1.1 has no option `-lidarlidar`",
+        "-lidarlidar",
+        "some begin alike: `-lax_append`, `-log`, `-log_flush`, `-lstat`, `-lm_det`; docs/import.md lists them all",
+    );
     refused("-i a.sdf -Det 5", "version 1.1 has no option `-Det`", "-Det", "did you mean `-det`?");
     let help = "if you mean `-name myscan`, write it with the blank";
     refused("-i a.sdf -namemyscan", "version 1.1 has no option `-namemyscan`", "-namemyscan", help);

@@ -101,6 +101,10 @@ fn lines_of_version_1_1() {
     assert!((100_000.0..900_000.0).contains(&easting), "no easting of UTM: {easting}");
     leaves(&place, "wavex -i data.sdf -fastest -oext 0 -O nothing -nil", &["nothing/report.json"]);
     assert!(!place.path("nothing/data.laz").exists());
+    // An index can be a part of LAZ only.
+    leaves(&place, "-i data.sdf -fastest -olas -lax_append", &["data.las", "data.lax", "data_stat.log"]);
+    leaves(&place, "-i data.sdf -fastest -o flown.laz -lax_append", &["flown.laz", "flown_stat.log"]);
+    assert!(!place.path("flown.lax").exists());
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The keys of a stage.
 
-use super::check;
+use super::{FULL, check, check_set, parse};
 
 #[test]
 fn a_misspelt_key() {
@@ -383,6 +383,64 @@ error: `version` must be "1.2" or "1.4"; this is the number 1.4
    |           ^^^
    |
    = help: write text between quotation marks: `"text"`
+"#,
+    );
+}
+
+const REPORT_IS_A_NAME: &str = "it is the name of the report (JSON), \"\" for none; the report as a page is asked for by \
+                                `report_page = true`";
+
+#[test]
+fn a_report_that_is_a_truth_value() {
+    for value in ["true", "false"] {
+        let marks = "^".repeat(value.len());
+        check(
+            &format!("[job]\nreport = {value}\n{FULL}"),
+            &format!(
+                "error: `report` must be text; this is `{value}`\n --> job.toml:2:10\n  |\n2 | report = {value}\n  |          {marks}\n  |\n  \
+                 = help: {REPORT_IS_A_NAME}\n"
+            ),
+        );
+    }
+}
+
+/// From outside, text needs no quotation marks.
+#[test]
+fn a_report_that_is_set_to_a_truth_value() {
+    for value in ["true", "false"] {
+        let marks = "^".repeat(value.len());
+        check_set(
+            FULL,
+            &[&format!("job.report={value}")],
+            &format!(
+                "error: `report`: {REPORT_IS_A_NAME}\n --> --set:1:12\n  |\n1 | job.report={value}\n  |            {marks}\n"
+            ),
+        );
+    }
+}
+
+#[test]
+fn a_page_is_asked_for_by_its_name_or_by_a_truth_value() {
+    let page =
+        |text: &str, set: &[&str]| parse(&format!("{text}\n{FULL}"), set).unwrap().settings.report_page;
+    assert_eq!(page("", &[]), "");
+    for (value, expected) in [("true", "report.html"), ("false", ""), ("'a.html'", "a.html"), ("''", "")] {
+        assert_eq!(page(&format!("[job]\nreport_page = {value}"), &[]), expected);
+        assert_eq!(page("", &[&format!("job.report_page={value}")]), expected);
+    }
+    assert_eq!(page("", &["job.report_page=a.html"]), "a.html");
+}
+
+#[test]
+fn a_page_that_is_a_number() {
+    check(
+        &format!("[job]\nreport_page = 1\n{FULL}"),
+        r#"
+error: `report_page` must be `true` or `false` or text; this is the number 1
+ --> job.toml:2:15
+  |
+2 | report_page = 1
+  |               ^
 "#,
     );
 }

@@ -12,6 +12,8 @@ use crate::formats::container::TableReader;
 use crate::formats::{Error, Result};
 
 const REMEDY: &str = "open it with another program to see what is wrong";
+/// How the library for Parquet begins what it says of a compression that it was built without.
+const NOT_BUILT_IN: &str = "Disabled feature";
 /// So many rows of a Parquet file are decoded at once.
 const MOST_ROWS_AT_ONCE: usize = 1 << 16;
 
@@ -23,18 +25,28 @@ pub(super) fn compare_arrow(then: &Path, now: &Path) -> Result<Option<String>> {
     compare(arrow(then)?, arrow(now)?)
 }
 
+/// What keeps a Parquet file from being read, with a remedy.
+pub(super) fn unreadable(path: &Path, error: &dyn std::fmt::Display) -> Error {
+    let error = error.to_string();
+    if error.contains(NOT_BUILT_IN) {
+        let problem = "it is compressed in a way that wavex neither writes nor reads: rows are not compared";
+        return Error::unusable(
+            path,
+            problem,
+            "save it with zstd, snappy or no compression, and compare again",
+        );
+    }
+    Error::unusable(path, error, REMEDY)
+}
+
 fn parquet(path: &Path) -> Result<Rows> {
-    let unreadable = |error: &dyn std::fmt::Display| Error::unusable(path, error.to_string(), REMEDY);
     let file = File::open(path).map_err(Error::io(path, "open"))?;
-    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| unreadable(&error))?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| unreadable(path, &error))?;
     let schema = Schema::clone(builder.schema());
     let mut reader =
-        builder.with_batch_size(MOST_ROWS_AT_ONCE).build().map_err(|error| unreadable(&error))?;
+        builder.with_batch_size(MOST_ROWS_AT_ONCE).build().map_err(|error| unreadable(path, &error))?;
     let path = path.to_path_buf();
-    let next = move || {
-        let unreadable = |error: &dyn std::fmt::Display| Error::unusable(&path, error.to_string(), REMEDY);
-        reader.next().transpose().map_err(|error| unreadable(&error))
-    };
+    let next = move || reader.next().transpose().map_err(|error| unreadable(&path, &error));
     Ok(Rows { schema, next: Box::new(next), batch: None })
 }
 
@@ -74,13 +86,13 @@ impl Rows {
 
 fn compare(mut then: Rows, mut now: Rows) -> Result<Option<String>> {
     let (was, is) = (then.schema.clone(), now.schema.clone());
-    if was.fields() != is.fields() {
-        let names = |schema: &Schema| {
-            let columns =
-                schema.fields().iter().map(|field| format!("{} {}", field.name(), field.data_type()));
-            format!("the columns {}", columns.collect::<Vec<_>>().join(", "))
-        };
-        return Ok(Some(format!("it has {}", instead(&names(&is), &names(&was)))));
+    let columns = |schema: &Schema| -> Vec<String> {
+        schema.fields().iter().map(|field| format!("{} {}", field.name(), field.data_type())).collect()
+    };
+    let (columns_then, columns_now) = (columns(&was), columns(&is));
+    if columns_then != columns_now {
+        let names = |columns: &[String]| format!("the columns {}", columns.join(", "));
+        return Ok(Some(format!("it has {}", instead(&names(&columns_now), &names(&columns_then)))));
     }
     let mut row = 0;
     loop {
@@ -100,7 +112,15 @@ fn compare(mut then: Rows, mut now: Rows) -> Result<Option<String>> {
     }
     let (was, is) = (was.metadata(), is.metadata());
     let key = was.keys().chain(is.keys()).filter(|key| was.get(key) != is.get(key)).min();
-    Ok(key.map(|key| format!("metadata, key {key}")))
+    let of_file = key.map(|key| format!("metadata, key {key}"));
+    Ok(of_file.or_else(|| column_besides(&then.schema, &now.schema)))
+}
+
+/// The first column that differs in what a schema says of it besides its name and its type.
+fn column_besides(then: &Schema, now: &Schema) -> Option<String> {
+    let mut columns = then.fields().iter().zip(now.fields().iter());
+    let (column, _) = columns.find(|(then, now)| then != now)?;
+    Some(format!("what the schema says of the column {}", column.name()))
 }
 
 /// The first row in which two batches of as many rows differ, and the first column in it: with both values.

@@ -185,6 +185,9 @@ fn is_text(takes: Takes) -> bool {
     matches!(takes, Takes::Text(_) | Takes::Texts(_))
 }
 
+/// So many options that begin alike are named.
+const MOST_ALIKE: usize = 5;
+
 /// A name that the version does not have, with the one that was meant.
 fn unknown(version: &Version, name: &str, place: &Place) -> Problem {
     let problem = Problem::at(place, format!("version {} has no option `-{name}`", version.name));
@@ -204,8 +207,18 @@ fn unknown(version: &Version, name: &str, place: &Place) -> Problem {
             let rest = name.get(option.name().len()..).unwrap_or_default();
             problem.help(format!("if you mean `-{} {rest}`, write it with the blank", option.name()))
         }
-        None => problem.help("docs/import.md lists them all"),
+        None => problem.help(format!("{}docs/import.md lists them all", alike(version, name))),
     }
+}
+
+/// The options that begin with the same letter, in words that go before others; empty where there is none.
+fn alike(version: &Version, name: &str) -> String {
+    let Some(first) = name.chars().next() else { return String::new() };
+    let begins =
+        |option: &&str| option.chars().next().is_some_and(|letter| letter.eq_ignore_ascii_case(&first));
+    let names: Vec<String> =
+        version.names().filter(begins).take(MOST_ALIKE).map(|name| format!("`-{name}`")).collect();
+    if names.is_empty() { String::new() } else { format!("some begin alike: {}; ", names.join(", ")) }
 }
 
 /// The value that words give an option.

@@ -24,7 +24,7 @@ impl Translation<'_> {
             sinks.push(sink);
         }
         self.columns();
-        self.index();
+        self.index(&file);
         if self.writes_trajectory() {
             let why = self.why_text(Part::Trajectory);
             let is_asked = self.on(Part::Trajectory) || self.on(Part::AllTexts);
@@ -45,7 +45,7 @@ impl Translation<'_> {
         }
         if self.version.has_stat_log {
             // Each input has its own, whatever the output is called.
-            let base = if base.contains('*') { base.as_str() } else { "*" };
+            let base = if base.contains('*') || self.has_one_input() { base.as_str() } else { "*" };
             let path = toml_text(&format!("{base}_stat.log"));
             let why = format!("{} always writes it", self.version.name);
             self.draft.set("job", "stat_log", path, &why, false);
@@ -113,17 +113,27 @@ impl Translation<'_> {
         }
     }
 
-    fn index(&mut self) {
+    /// The index of the points in `file`: LAS has no room for it behind its points, as LAZ has.
+    fn index(&mut self, file: &str) {
         let (beside, within) = (self.on(Part::Index), self.on(Part::IndexWithin));
         let why: Vec<String> = [(beside, Part::Index), (within, Part::IndexWithin)]
             .into_iter()
             .filter(|(is_on, _)| *is_on)
             .map(|(_, part)| self.written(part))
             .collect();
-        let place = if within { "\"appended\"" } else { "\"file\"" };
+        let fits = file.ends_with(".laz");
+        let place = if within && fits { "\"appended\"" } else { "\"file\"" };
         if beside || within {
             self.draft.set("write_las", "index", place.to_owned(), &why.join(" "), true);
         }
+        if within && !fits {
+            self.draft.remark("write_las", "index", "a file of its own, because only LAZ can hold an index");
+        }
+    }
+
+    /// Whether the line reads one file, as far as its words tell.
+    fn has_one_input(&self) -> bool {
+        matches!(self.inputs().as_slice(), [file] if !file.contains(['*', '?', '[']))
     }
 
     /// Whether the job writes the trajectory; what keeps it from it is noted.

@@ -68,7 +68,8 @@ fn besides(version: &Version) -> String {
         }
     }
     if version.has_stat_log {
-        text += "\nBesides, jobs of this version always have `[job] stat_log`, named after the output.\n";
+        text += "\nBesides, jobs of this version always have `[job] stat_log`, named after the output, or, of several inputs, after \
+                 each.\n";
     }
     text
 }

@@ -53,7 +53,7 @@ const OPTIONS: &[Opt] = &[
     row(&["ounc"], OnOff, Same("1"), Key("write_las", "uncertainty", Plain), ""),
     row(&["o12"], OnOff, Same("0"), Key("write_las", "version", Switch("\"1.4\"", "\"1.2\"")), ""),
     row(&["olax"], OnOff, Same("0"), Part(P::Index), "`index` of `write_las`: \"file\""),
-    row(&["lax_append"], OnOff, Same("0"), Part(P::IndexWithin), "`index` of `write_las`: \"appended\", with or without `-olax`"),
+    row(&["lax_append"], OnOff, Same("0"), Part(P::IndexWithin), "`index` of `write_las`: \"appended\", with or without `-olax`; \"file\" where the output is LAS, which cannot hold one"),
     row(&["nil"], OnOff, Same("0"), Part(P::NoPoints), "no sink for points"),
     // Logs and texts.
     row(&["log"], OnOff, Same("1"), Key("job", "log", Switch("\"\"", "")), ""),

@@ -204,6 +204,19 @@ fn lines_without_shots_keep_their_place() {
 }
 
 #[test]
+fn the_departure_from_a_single_height_is_spelled_out() {
+    let departure = |keys: &str| {
+        let mut config: ResolveMta = toml::from_str(keys).unwrap();
+        config.spell_out();
+        config.agl_sd_m
+    };
+    assert_eq!(
+        ["agl_m = 900", "agl_m = 900\nagl_sd_m = 9", "agl_m = [800, 900]", ""].map(departure),
+        [Some(100.0), Some(9.0), None, None]
+    );
+}
+
+#[test]
 fn keys_that_contradict_one_another_are_refused() {
     let problem = |keys: &str| {
         let config: ResolveMta = toml::from_str(keys).unwrap();

@@ -14,7 +14,7 @@ pub(super) struct Pace {
 }
 
 /// Time from row to row where nothing is said.
-const INTERVAL_S: f64 = 0.1;
+pub(super) const INTERVAL_S: f64 = 0.1;
 
 impl Pace {
     pub(super) fn new(every: Option<u64>, interval_s: Option<f64>) -> Pace {
@@ -54,6 +54,20 @@ pub(super) fn time_s(emission: &Emission) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stage::Config;
+    use crate::stages::write_trajectory::WriteTrajectory;
+
+    #[test]
+    fn the_time_from_row_to_row_is_spelled_out() {
+        let pace = |keys: &str| {
+            let mut config: WriteTrajectory = toml::from_str(keys).unwrap();
+            config.spell_out();
+            (config.interval_s, config.every)
+        };
+        assert_eq!(pace(""), (Some(0.1), None));
+        assert_eq!(pace("interval_s = 2"), (Some(2.0), None));
+        assert_eq!(pace("every = 3"), (None, Some(3)));
+    }
 
     fn due(mut pace: Pace, times_s: &[f64]) -> Vec<f64> {
         let shot = |&gps_time_s: &f64| Emission { gps_time_s, ..Emission::default() };
