@@ -9,12 +9,10 @@ use super::decompose::DecomposeSettings;
 use super::noise::{ArNoise, fit_by_bic};
 use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use first_look::FirstLook;
-use mirrored::Mirrored;
 use survey::Survey;
 
 mod batches;
 mod first_look;
-mod mirrored;
 mod noise_statistics;
 mod survey;
 #[cfg(test)]
@@ -198,7 +196,7 @@ fn survey<'a>(
         split_evidence: None,
         ..settings.decompose.clone()
     };
-    let mut survey = Survey::with(model)?;
+    let mut survey = Survey::default();
     decompose_each(blocks, model, &settings, |block, outcome| survey.add(model, block, outcome))?;
     Ok(survey)
 }
@@ -278,17 +276,14 @@ fn better_model(
 /// Background and noise from samples before the first pulse of their block.
 fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &CalibrationSettings) {
     let drift_sd = survey.noise.drift_variance().sqrt();
-    let mirrored = survey.mirrored.as_ref();
-    let of_all = || survey.noise.autocovariance();
-    let mut autocovariance = mirrored.and_then(Mirrored::autocovariance).unwrap_or_else(of_all);
+    let mut autocovariance = survey.noise.autocovariance();
     if model.background == Background::PerWaveform {
         // The drift is told apart by the free background, so it is no noise.
         autocovariance = survey.noise.autocovariance_without_drift().unwrap_or(autocovariance);
     }
     autocovariance[0] = autocovariance[0].max(QUANTISATION_VARIANCE);
     let noise = fit_by_bic(&autocovariance, survey.noise.samples(), settings.max_ar_order);
-    let level = mirrored.and_then(Mirrored::background_dn);
-    model.background_dn = level.unwrap_or_else(|| survey.noise.background_dn());
+    model.background_dn = survey.noise.background_dn();
     model.background_sd_dn = drift_sd;
     if model.background == Background::PerWaveform {
         // No drift seen is still no certainty of a level, and 0 would be no prior at all.

@@ -44,12 +44,11 @@ pub struct NoiseStatistics {
 
 impl NoiseStatistics {
     /// Adds a stretch of consecutive samples; `start_phase` is the index of the first modulo 4.
-    pub fn add<T: Copy + Into<f64>>(&mut self, samples: &[T], start_phase: u8) {
+    pub fn add(&mut self, samples: &[u16], start_phase: u8) {
         if self.samples() == 0 {
-            self.origin_dn = samples.first().map_or(0.0, |&sample| sample.into());
+            self.origin_dn = samples.first().map_or(0.0, |&s| f64::from(s));
         }
-        let origin_dn = self.origin_dn;
-        let value = |k: usize| samples[k].into() - origin_dn;
+        let value = |k: usize| f64::from(samples[k]) - self.origin_dn;
         let (mut sum, mut square, mut near) = (0.0, 0.0, 0.0);
         for k in 0..samples.len() {
             let later = value(k);
@@ -147,14 +146,14 @@ mod tests {
     #[test]
     fn moments_of_stretches_by_hand() {
         let mut statistics = NoiseStatistics::default();
-        statistics.add(&[5u16, 7, 6, 10], 2);
+        statistics.add(&[5, 7, 6, 10], 2);
         assert_eq!(statistics.background_dn(), [7.0; 4]);
         assert_eq!(statistics.autocovariance(), [3.5, -1.0, 1.0, -6.0]);
         // Phases 2 3 0 1, each with its own mean; then deviations -2 0 -2 0 and 2 0 2 0.
-        (1..400).for_each(|_| statistics.add(&[5u16, 7, 6, 10], 2));
+        (1..400).for_each(|_| statistics.add(&[5, 7, 6, 10], 2));
         assert_eq!(statistics.background_dn(), [6.0, 10.0, 5.0, 7.0]);
         assert_eq!(statistics.autocovariance(), [0.0; 4]);
-        (0..400).for_each(|_| statistics.add(&[9u16, 7, 10, 10], 2));
+        (0..400).for_each(|_| statistics.add(&[9, 7, 10, 10], 2));
         assert_eq!(statistics.background_dn(), [8.0, 10.0, 7.0, 7.0]);
         assert_eq!(statistics.autocovariance(), [2.0, 0.0, 2.0, 0.0]);
         assert_eq!((statistics.samples(), statistics.drift_variance()), (3200, 0.0));
@@ -164,7 +163,7 @@ mod tests {
     #[test]
     fn without_samples_nothing_is_told() {
         let mut statistics = NoiseStatistics::default();
-        statistics.add::<u16>(&[], 0);
+        statistics.add(&[], 0);
         assert_eq!(statistics.background_dn(), [0.0; 4]);
         assert_eq!((statistics.variance(), statistics.drift_variance()), (0.0, 0.0));
     }

@@ -1,12 +1,11 @@
 //! One pass over the blocks with the model at hand: free samples, widths, what the fits leave.
 
 use super::Block;
-use super::mirrored::Mirrored;
 use super::noise_statistics::NoiseStatistics;
 use super::width::{Width, Widths};
 use crate::kernels::decompose::{Decomposition, Return};
 use crate::kernels::flags;
-use crate::kernels::sensor_model::{ChannelModel, ModelError};
+use crate::kernels::sensor_model::ChannelModel;
 
 /// A sample is free of a pulse so many of the pulse's widths before its peak (8 ns of 4.25).
 const FREE_WIDTHS: f64 = 1.9;
@@ -18,13 +17,10 @@ const MINOR_PART: f64 = 0.1;
 const APART_WIDTHS: f64 = 2.0;
 
 /// What a pass has seen.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Survey {
     pub(super) blocks: u64,
-    /// Of all free samples.
     pub(super) noise: NoiseStatistics,
-    /// Of what no weak return has raised.
-    pub(super) mirrored: Option<Mirrored>,
     pub(super) widths: Widths,
     offsets_dn: Vec<f64>,
     residual_sds: Vec<f64>,
@@ -32,19 +28,6 @@ pub(super) struct Survey {
 }
 
 impl Survey {
-    /// Before the first block is decomposed with a model.
-    pub(super) fn with(model: &ChannelModel) -> Result<Survey, ModelError> {
-        Ok(Survey {
-            blocks: 0,
-            noise: NoiseStatistics::default(),
-            mirrored: Mirrored::new(model)?,
-            widths: Widths::default(),
-            offsets_dn: Vec::new(),
-            residual_sds: Vec::new(),
-            residual_parts: Vec::new(),
-        })
-    }
-
     /// Takes in a block and what became of it with the model.
     pub(super) fn add(&mut self, model: &ChannelModel, block: Block<'_>, outcome: &Decomposition<'_>) {
         let fwhm_samples = model.fwhm_samples();
@@ -59,9 +42,6 @@ impl Survey {
         }
         let free = free_samples(outcome, fwhm_samples, block.samples.len());
         self.noise.add(&block.samples[..free], block.start_phase);
-        if let Some(mirrored) = &mut self.mirrored {
-            mirrored.add(&block.samples[..free], block.start_phase);
-        }
         if let Some(r) = single(outcome, fwhm_samples).filter(|r| r.amplitude_dn >= strong_dn) {
             let sd = r.width_ratio_sd / r.width_ratio;
             self.widths.0.push(Width { ln_fwhm: r.fwhm_ns.ln(), sd, deviation_ratio: r.deviation_ratio });

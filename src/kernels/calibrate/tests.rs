@@ -74,39 +74,6 @@ fn a_channel_is_found_from_blocks_that_all_hold_pulses() {
     assert_eq!(model.waveforms, 4000);
 }
 
-/// In a third of the blocks stands an echo too weak to be detected before the strong one.
-#[test]
-fn weak_echoes_do_not_count_as_noise() {
-    let mut random = Random::new(39);
-    let process = process(2.0);
-    let mut raised = NoiseStatistics::default();
-    let blocks: Vec<_> = (0..6000)
-        .map(|i| {
-            let mut echoes = vec![pulse(60.0 + 100.0 * random.uniform(), 42.0 + 8.0 * random.uniform(), 1.0)];
-            if i % 3 == 0 {
-                let height = 2.0 * (0.5 + 2.5 * random.uniform());
-                echoes.push(pulse(height, 3.0 + 28.0 * random.uniform(), 1.0));
-            }
-            let samples = digitised(&analogue(&mut random, &process, 60, 20.0, FWHM, &echoes), 255);
-            raised.add(&samples[..33], 0);
-            (samples, 0)
-        })
-        .collect();
-    let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
-    let lags = exact_lags();
-    let (all, left) = ((raised.variance() / lags[0]).sqrt(), model.noise_sd_dn / lags[0].sqrt());
-    println!("noise over the true one: {all:.4} of all samples before the echo, {left:.4} of the model");
-    // What is below three standard deviations of the matched filter is still among the noise.
-    assert!(all > 1.05, "{all}");
-    assert!((left - 1.0).abs() < 0.025, "{left}");
-    for (lag, got) in model.autocorrelation.iter().enumerate() {
-        let exact = lags[lag + 1] / lags[0];
-        assert!((got - exact).abs() < 0.02, "lag {}: {got} {exact}", lag + 1);
-    }
-    // The echoes raise the mean of all of these samples by 0.16 DN.
-    assert!(model.background_dn.iter().all(|level| (level - 20.0).abs() < 0.15), "{:?}", model.background_dn);
-}
-
 /// A drift of the level, 1.5 times the noise, is told from the noise and makes the background each waveform's own.
 #[test]
 fn a_drifting_background_is_each_waveforms_own() {

@@ -18,9 +18,6 @@ const SPREAD_OF_MEDIAN: f64 = 1.253_314_137_315_500_3;
 /// - Level of a phase: `σ² (4/n) (1 + 2 Σ_j (1 - 4j/L) ρ_4j)`, and the variance of the drift over the blocks.
 /// - Noise: `σ² (1 + 2 Σ_k (1 - k/L) ρ_k²) / 2n`, the variance of a standard deviation of correlated normal values.
 /// - Correlation: Bartlett's formula (1946) with `n (1 - k/L)` pairs.
-///
-/// Where stretches are left out or taken twice ([`super::mirrored`]), the level is told by fewer samples and the noise with
-/// a larger variance. All this is of independent blocks of one noise: what changes along a recording is not in it.
 pub(super) fn of_free_samples(model: &ChannelModel, survey: &Survey) -> ModelUncertainty {
     let Ok(noise) = model.noise() else { return ModelUncertainty::default() };
     let (samples, blocks) = (survey.noise.samples().max(1) as f64, survey.blocks.max(1) as f64);
@@ -29,17 +26,14 @@ pub(super) fn of_free_samples(model: &ChannelModel, survey: &Survey) -> ModelUnc
     noise.autocovariance_into(&mut rho);
     let variance = rho[0];
     rho.iter_mut().for_each(|r| *r /= variance);
-    let mirrored = survey.mirrored.as_ref();
-    let level_samples = mirrored.map_or(samples, |m| m.level_samples().max(1) as f64);
-    let gain = mirrored.map_or(1.0, |m| m.variance_gain(samples));
     let part = |lag: usize| (1.0 - lag as f64 / length).max(0.0);
     let of_phase: f64 = (4..LAGS).step_by(4).map(|lag| 2.0 * part(lag) * rho[lag]).sum();
     let of_square: f64 = (1..LAGS).map(|lag| 2.0 * part(lag) * rho[lag].powi(2)).sum();
     let drift = model.background_sd_dn.powi(2) / blocks;
-    let of_lag = |lag: usize| (gain * bartlett(&rho, lag) / (samples * part(lag)).max(1.0)).sqrt();
+    let of_lag = |lag: usize| (bartlett(&rho, lag) / (samples * part(lag)).max(1.0)).sqrt();
     ModelUncertainty {
-        background_dn: (variance * 4.0 / level_samples * (1.0 + of_phase) + drift).sqrt(),
-        noise_sd_dn: (gain * variance * (1.0 + of_square) / (2.0 * samples)).sqrt(),
+        background_dn: (variance * 4.0 / samples * (1.0 + of_phase) + drift).sqrt(),
+        noise_sd_dn: (variance * (1.0 + of_square) / (2.0 * samples)).sqrt(),
         autocorrelation: (1..=model.autocorrelation.len()).map(of_lag).collect(),
         ..of_width(model)
     }
