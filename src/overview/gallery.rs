@@ -35,8 +35,6 @@ pub struct ShownShot {
     pub gps_time_s: Option<f64>,
     /// The largest deviation ratio of its returns.
     pub deviation_ratio: f64,
-    /// Threshold of detection, standard deviations.
-    pub threshold: f64,
     /// Its blocks of echoes, in order of time.
     pub blocks: Vec<ShownBlock>,
     /// Its returns, in order of time.
@@ -214,7 +212,6 @@ mod tests {
             shot: candidate.merit.shot,
             gps_time_s: None,
             deviation_ratio: candidate.deviation_ratio,
-            threshold: 4.5,
             blocks: Vec::new(),
             returns: Vec::new(),
         }

@@ -237,7 +237,7 @@ struct Looked<'a> {
 
 impl Worker {
     /// Decomposes the shots that are worth showing once more, looking on.
-    fn show(&mut self, shots: &[Shot], looked: &Looked, threshold: f64, gallery: &mut Gallery) -> Result<()> {
+    fn show(&mut self, shots: &[Shot], looked: &Looked, gallery: &mut Gallery) -> Result<()> {
         for candidate in gallery.candidates(looked.line, looked.emissions, looked.returns) {
             let is_it = |shot: &&Shot| shot.index == candidate.emission;
             let Some(shot) = shots.iter().find(is_it) else { continue };
@@ -255,7 +255,6 @@ impl Worker {
                 shot: emission.shot,
                 gps_time_s: emission.gps_time_s.is_finite().then_some(emission.gps_time_s),
                 deviation_ratio: candidate.deviation_ratio,
-                threshold,
                 blocks: blocks.into_iter().map(|block| block.shown).collect(),
                 returns: returns.iter().map(ShownReturn::from).collect(),
             };
@@ -292,7 +291,7 @@ impl Map for DecomposeLine {
         worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
         if let Some(gallery) = cx.gallery() {
             let looked = Looked { line: batch.line, emissions: &batch.emissions, returns: &returns };
-            worker.show(&shots, &looked, self.config.detection_sigma, gallery)?;
+            worker.show(&shots, &looked, gallery)?;
         }
         batch.stats.np += returns.len() as u64;
         batch.content = Content::Returns(returns);
