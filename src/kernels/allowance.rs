@@ -3,6 +3,7 @@
 //! A response known to the part `κ` of a pulse's height `a` leaves behind it, in the matched filter, something of the size
 //! `κ a √E`; with the noise it makes the threshold `T √(1 + Σ (κ a √E)²)`.
 
+use super::rules::BEGINS_WIDTHS;
 use super::sensor_model::ChannelModel;
 
 /// Error of the response from a pulse on that overdrives the receiver; before it there is nothing that it could bend.
@@ -23,7 +24,7 @@ pub(super) struct Allowance {
     far_error: f64,
     overdriven_error: f64,
     overdriven_dn: f64,
-    /// Lag from which the receiver is overdriven: where the main lobe begins.
+    /// Lag from which the receiver is overdriven: where the pulse begins.
     overdriven_from: f64,
     /// One over the standard deviation of the noise, 1/DN.
     per_noise_sd: f64,
@@ -60,7 +61,7 @@ impl Allowance {
             far_error,
             overdriven_error: OVERDRIVEN_ERROR.max(least_error),
             overdriven_dn,
-            overdriven_from: LOBE_WIDTHS.start * fwhm,
+            overdriven_from: -BEGINS_WIDTHS * fwhm,
             per_noise_sd: model.noise_sd_dn.recip(),
             first_lag: first_sample - margin,
             errors: Vec::new(),
@@ -176,8 +177,8 @@ mod tests {
         {
             assert!((raise(lag) - (1.0 + f64::powi(error * 100.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{lag}");
         }
-        // Before its main lobe an overdriven receiver is like any other.
-        for (place, error) in [(40.0, 0.06), (22.0, 0.06), (16.0, 0.005)] {
+        // Before the pulse an overdriven receiver is like any other.
+        for (place, error) in [(40.0, 0.06), (23.0, 0.06), (22.0, 0.01), (16.0, 0.005)] {
             let raised = allowance.raise(place, 10.0, 0.5, [(30.0, 201.0)].into_iter());
             assert!((raised - (1.0 + f64::powi(error * 201.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{place}");
         }

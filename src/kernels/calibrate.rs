@@ -9,10 +9,13 @@ use super::decompose::DecomposeSettings;
 use super::noise::{ArNoise, fit_by_bic};
 use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use first_look::FirstLook;
+use free_samples::Told;
 use survey::Survey;
 
 mod batches;
 mod first_look;
+mod free_samples;
+mod mirror;
 mod noise_statistics;
 mod survey;
 #[cfg(test)]
@@ -22,14 +25,18 @@ mod width;
 
 pub(super) use batches::decompose_each;
 pub use noise_statistics::NoiseStatistics;
+pub(super) use uncertainty::jackknife_sd;
+pub(super) use width::narrowest_mode;
 
 /// Pulses without which nothing can be said of their width.
 const MIN_PULSES: usize = 10;
 /// Rounds of decomposing and estimating, each with about so many blocks at most, chosen evenly: the first model only
 /// serves to make the second. Whether the level drifts is decided in the first.
 const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
-/// With fewer free samples in a block, in widths of a pulse, what seems free is the rise of a pulse.
-const MIN_FREE_WIDTHS: f64 = 1.0;
+/// Free samples tell the noise where at least this part of the unsaturated blocks begins well before its pulses.
+const FREE_PART: f64 = 0.3;
+/// A recording is divided into so many consecutive groups, whose scatter tells how well a number is known: to 15 %.
+pub(super) const GROUPS: usize = 25;
 /// Pulses that are looked for beside those of detection, where the background is unknown.
 const MAX_OVERLOOKED: u32 = 4;
 /// Background that spreads from block to block by more than this part of the noise's variance is a waveform's own.
@@ -167,11 +174,11 @@ where
         let step = found.div_ceil(most) as usize | 1;
         let chosen = || blocks.clone().step_by(step);
         let mut survey = survey(chosen(), &model, free, settings)?;
-        free = has_free_samples(&survey, &model, settings);
+        free = has_free_samples(&survey, settings);
         if pass == 0 && settings.background == BackgroundChoice::Auto && (!free || drifts(&survey)) {
             model = first_model(&look, Background::PerWaveform, settings, found);
             survey = self::survey(chosen(), &model, free, settings)?;
-            free = free && has_free_samples(&survey, &model, settings);
+            free = free && has_free_samples(&survey, settings);
         }
         model = better_model(&survey, &look, &model, free, settings);
     }
@@ -185,7 +192,7 @@ where
 /// and make it narrow. Only beside a strong pulse on an unknown background can detection overlook one, which then
 /// would stand in the free samples; there a few are added.
 fn survey<'a>(
-    blocks: impl Iterator<Item = Block<'a>>,
+    blocks: impl Iterator<Item = Block<'a>> + Clone,
     model: &ChannelModel,
     free: bool,
     settings: &CalibrationSettings,
@@ -196,22 +203,22 @@ fn survey<'a>(
         split_evidence: None,
         ..settings.decompose.clone()
     };
-    let mut survey = Survey::default();
+    let mut survey = Survey::of(model, blocks.clone().count() as u64)?;
     decompose_each(blocks, model, &settings, |block, outcome| survey.add(model, block, outcome))?;
     Ok(survey)
 }
 
 /// Whether the level changes from block to block by as much as the noise.
 fn drifts(survey: &Survey) -> bool {
-    survey.noise.drift_variance() > DRIFT_PART * survey.noise.variance()
+    let (variance, drift) = survey.free.variance_and_drift();
+    drift > DRIFT_PART * variance
 }
 
 /// Whether blocks begin before their pulses; with a fixed background by choice, whether any does.
-fn has_free_samples(survey: &Survey, model: &ChannelModel, settings: &CalibrationSettings) -> bool {
-    let samples = survey.noise.samples() as f64;
+fn has_free_samples(survey: &Survey, settings: &CalibrationSettings) -> bool {
     match settings.background {
-        BackgroundChoice::Fixed => samples > 0.0,
-        _ => samples >= MIN_FREE_WIDTHS * model.fwhm_samples() * survey.blocks as f64,
+        BackgroundChoice::Fixed => survey.free.samples() > 0,
+        _ => survey.free_blocks as f64 >= FREE_PART * survey.told_blocks as f64,
     }
 }
 
@@ -275,15 +282,11 @@ fn better_model(
 
 /// Background and noise from samples before the first pulse of their block.
 fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &CalibrationSettings) {
-    let drift_sd = survey.noise.drift_variance().sqrt();
-    let mut autocovariance = survey.noise.autocovariance();
-    if model.background == Background::PerWaveform {
-        // The drift is told apart by the free background, so it is no noise.
-        autocovariance = survey.noise.autocovariance_without_drift().unwrap_or(autocovariance);
-    }
+    let drift_sd = survey.free.variance_and_drift().1.sqrt();
+    let Told { background_dn, mut autocovariance } = survey.free.told();
     autocovariance[0] = autocovariance[0].max(QUANTISATION_VARIANCE);
-    let noise = fit_by_bic(&autocovariance, survey.noise.samples(), settings.max_ar_order);
-    model.background_dn = survey.noise.background_dn();
+    let noise = fit_by_bic(&autocovariance, survey.free.samples(), settings.max_ar_order);
+    model.background_dn = background_dn;
     model.background_sd_dn = drift_sd;
     if model.background == Background::PerWaveform {
         // No drift seen is still no certainty of a level, and 0 would be no prior at all.

@@ -206,7 +206,9 @@ impl ChannelFusion {
         let (high_shift_ns, high_ratio) = plain_of_model(high, height_dn / self.gain_ratio)?;
         let shift_ns = low_shift_ns - high_shift_ns;
         let factor = high_ratio / low_ratio;
-        let alike = low.response.is_some() == high.response.is_some();
+        let is_own =
+            |model: &ChannelModel| model.response.as_ref().is_some_and(|response| response.echoes > 0);
+        let alike = is_own(low) == is_own(high);
         let unknown_ns = if alike { 0.0 } else { UNKNOWN_RESPONSE_WIDTHS * low.pulse_fwhm_ns };
         let mut fusion = self.clone();
         fusion.gain_ratio *= factor;

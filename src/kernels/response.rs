@@ -31,7 +31,7 @@ pub struct SystemResponse {
     /// Standard deviation of the pulses' shape about the response, as part of the height: one value for each sample
     /// of time from `first_sample` on. 0 where none stands out of the noise.
     pub template_error: Vec<f64>,
-    /// Single echoes the response was found from.
+    /// Single echoes the response was found from; 0 where it is another receiver's.
     pub echoes: u64,
     /// Root mean square uncertainty of the first node's values, as part of the peak.
     pub shape_sd: f64,

@@ -5,7 +5,9 @@
 //! whitened domain gives the splines of the response, and the next round starts with it. The zero of time is the peak,
 //! the width ratio 1 the mode of the widths.
 
-use super::calibrate::{Block, CalibrationError, CalibrationSettings, decompose_each};
+use super::calibrate::{
+    Block, CalibrationError, CalibrationSettings, GROUPS, decompose_each, jackknife_sd, narrowest_mode,
+};
 use super::decompose::{DecomposeSettings, Decomposition, Return};
 use super::flags;
 use super::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
@@ -36,8 +38,8 @@ const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
 /// Echoes of one height that a round's response is made of, at most: but for the last one, a response only serves to
 /// choose and to place the echoes of the next.
 const MOST_ECHOES: [usize; 4] = [1_500, 1_500, 1_500, usize::MAX];
-/// Echoes whose places are told by even and odd samples, at most: they tell the factor to 2 %.
-const MOST_SCORED: usize = 2_000;
+/// Echoes whose places are told by even and odd samples, at most: they tell the factor to 1.3 %.
+const MOST_SCORED: usize = 6_000;
 /// Heights of usable echoes: at least so many standard deviations of the noise, …
 const STRONG_SD: f64 = 30.0;
 /// … and at most this part of the full scale, above which the receiver is overdriven (210 of 255 DN).
@@ -53,6 +55,9 @@ const LEAST_WINDOW: f64 = 0.015;
 const ENOUGH_NARROW: usize = 300;
 /// The response reaches at least so many full widths behind the peak (62 ns of 4.4).
 const LEAST_REACH_WIDTHS: f64 = 14.0;
+/// How far another receiver's response is to be trusted, as part of the height, where it is higher than that: they see the
+/// same laser pulse, and a Gaussian has no after-pulse at all.
+const BORROWED_ERROR: f64 = 0.02;
 
 /// A single echo.
 #[derive(Debug, Clone, Copy)]
@@ -104,7 +109,7 @@ pub fn calibrate_response<'a>(
     let mut quality = Quality::new(&model, longest)?;
     let scored = singles.len().div_ceil(MOST_SCORED).max(1);
     singles.iter().enumerate().for_each(|(i, single)| quality.add(single, i % scored == 0));
-    let (factor, factor_sd) = (quality.pulse_error_factor(), quality.pulse_error_factor_sd());
+    let (factor, factor_sd) = quality.pulse_error_factor();
     let template_error = quality.template_error();
     model.pulse_error_factor = factor;
     model.uncertainty.pulse_error_factor = factor_sd;
@@ -113,6 +118,23 @@ pub fn calibrate_response<'a>(
         response.template_error = template_error;
     }
     Ok(Calibrated { model, usable_echoes })
+}
+
+/// A channel whose own echoes do not tell its response, with that of another receiver of the same laser pulses for weak
+/// echoes; none of the channel's own echoes made it. `None` where the other has none.
+pub fn with_response_of(model: &ChannelModel, other: &ChannelModel) -> Option<ChannelModel> {
+    let known = other.response.as_ref()?;
+    let node = known.nodes.first()?.clone();
+    let error = |(&told, values): (&f64, &[f64])| {
+        let is_high = values.iter().any(|value| value.abs() >= BORROWED_ERROR);
+        if is_high { told.max(BORROWED_ERROR) } else { told }
+    };
+    let samples = node.values.chunks(STEPS_PER_SAMPLE);
+    let template_error = known.template_error.iter().zip(samples).map(error).collect();
+    let response = SystemResponse { nodes: vec![node], template_error, echoes: 0, ..known.clone() };
+    let mut borrowed = with_response(model, response);
+    borrowed.uncertainty.pulse_fwhm_ns = BORROWED_ERROR * borrowed.pulse_fwhm_ns;
+    Some(borrowed)
 }
 
 fn with_response(model: &ChannelModel, response: SystemResponse) -> ChannelModel {
@@ -200,38 +222,33 @@ fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
 }
 
 fn within_window<'a>(singles: &[Single<'a>], least_window: f64) -> Vec<Single<'a>> {
-    let mut kept = singles.to_vec();
-    kept.sort_by(|a, b| a.fitted.deviation_ratio.total_cmp(&b.fitted.deviation_ratio));
-    kept.truncate(kept.len() - (kept.len() as f64 * WORST_PART) as usize);
+    let mut deviations: Vec<f64> = singles.iter().map(|single| single.fitted.deviation_ratio).collect();
+    deviations.sort_by(f64::total_cmp);
+    let fitting = deviations.len() - (deviations.len() as f64 * WORST_PART) as usize;
+    let worst = deviations.get(fitting).copied().unwrap_or(f64::INFINITY);
+    let mut kept: Vec<Single<'a>> =
+        singles.iter().filter(|single| single.fitted.deviation_ratio < worst).copied().collect();
     let mut widths: Vec<f64> = kept.iter().map(Single::ln_width).collect();
     widths.sort_by(f64::total_cmp);
     let mut sds: Vec<f64> = kept.iter().map(|s| s.fitted.width_ratio_sd / s.fitted.width_ratio).collect();
     sds.sort_by(f64::total_cmp);
     let window = (WINDOW_SD * sds.get(sds.len() / 2).copied().unwrap_or(0.0)).max(least_window);
-    let mode = densest(&widths, window);
+    let mode = narrowest_mode(&widths, window);
     kept.retain(|single| (single.ln_width() - mode).abs() <= window);
     kept
 }
 
-/// Standard deviation of the response's width, ns: that of the mean width of the echoes it is made of.
+/// Standard deviation of the response's width, ns: that of the mean width of the echoes it is made of, chosen anew each time,
+/// by leaving out one of consecutive groups of echoes after the other (jackknife).
 fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
-    let widths: Vec<f64> = narrow_population(singles).iter().map(Single::ln_width).collect();
-    let n = widths.len().max(1) as f64;
-    let mean = widths.iter().sum::<f64>() / n;
-    let sd = (widths.iter().map(|width| (width - mean).powi(2)).sum::<f64>() / n).sqrt();
-    sd / n.sqrt() * model.pulse_fwhm_ns
-}
-
-/// Centre of the window of this half width that holds the most of the sorted values.
-fn densest(sorted: &[f64], half_width: f64) -> f64 {
-    let mut best = (0, 0.0);
-    for (i, low) in sorted.iter().enumerate() {
-        let end = sorted.partition_point(|value| *value <= low + 2.0 * half_width);
-        if end - i > best.0 {
-            best = (end - i, sorted[i..end].iter().sum::<f64>() / (end - i) as f64);
-        }
-    }
-    best.1
+    let per_group = singles.len().div_ceil(GROUPS).max(1);
+    let groups = singles.len().div_ceil(per_group);
+    let mean_without = |group: usize| {
+        let (before, after) = (group * per_group, ((group + 1) * per_group).min(singles.len()));
+        let narrow = narrow_population(&[&singles[..before], &singles[after..]].concat());
+        narrow.iter().map(Single::ln_width).sum::<f64>() / narrow.len().max(1) as f64
+    };
+    jackknife_sd(&(0..groups).map(mean_without).collect::<Vec<_>>()) * model.pulse_fwhm_ns
 }
 
 /// At most so many of the echoes, chosen evenly.

@@ -9,6 +9,8 @@ pub(super) const DIP_PART: f64 = 0.5;
 pub(super) const ECHO_SAMPLES: usize = 256;
 /// What is seen of a candidate's strength is told from what stronger ones leave there from so many widths on.
 pub(super) const TOLD_WIDTHS: f64 = 1.5;
+/// A pulse begins so many of its widths before its peak (8 ns of 4.25).
+pub(super) const BEGINS_WIDTHS: f64 = 1.9;
 /// Pulses nearer than so many of their widths are fitted jointly and bear on each other.
 pub(super) const CLUSTER_WIDTHS: f64 = 3.0;
 /// Nearer than so many calibrated widths, and in any case than one sample, two pulses are one.

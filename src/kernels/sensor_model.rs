@@ -140,15 +140,16 @@ impl Digitiser {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelUncertainty {
-    /// Of the level of one phase, DN: the noise over the root of the free samples, their correlation and the drift from
-    /// block to block counted in.
+    /// Of the level of one phase, DN. This and the next two come from leaving out one of 25 consecutive parts of the
+    /// recording after the other (jackknife, Tukey 1958), so that what changes along it counts as well as chance; where no
+    /// sample is free of pulses, from the spread over the blocks.
     pub background_dn: f64,
-    /// Of the standard deviation of the noise, DN: `σ √((1 + 2 Σ ρ_k²) / 2n)` of `n` free samples.
+    /// Of the standard deviation of the noise, DN.
     pub noise_sd_dn: f64,
-    /// Of the correlation at each lag (Bartlett 1946).
+    /// Of the correlation at each lag.
     pub autocorrelation: Vec<f64>,
-    /// Of the full width at half maximum, ns: `1.45 s / √n` for the mode of `n` widths of Gaussians that spread by `s`, and
-    /// `s / √n` for a response made of `n` echoes.
+    /// Of the full width at half maximum, ns: `1.45 s / √n` for the mode of `n` widths of Gaussians that spread by `s`; for a
+    /// response by the jackknife, too.
     pub pulse_fwhm_ns: f64,
     /// Of the error factor: `0.96 f / √n` of `n` scores, it being half of what lies between two of their percentiles.
     pub pulse_error_factor: f64,

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::batch::{Batch, Channel, InputInfo, Kind};
 use crate::formats::Error;
 use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
-use crate::kernels::response_calibrate::{MIN_ECHOES, calibrate_response};
+use crate::kernels::response_calibrate::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
 use crate::kernels::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use crate::stage::{
     Config, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Survey, Transform,
@@ -94,7 +94,8 @@ impl AutoOrNumber {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ResponseKey {
-    /// The system response where there are 150 usable single echoes, else a Gaussian; the report says so.
+    /// The system response where there are 150 usable single echoes, else that of the other receiver, else a Gaussian; the report
+    /// says so.
     Auto,
     /// A Gaussian of the measured width.
     Gaussian,
@@ -220,16 +221,45 @@ impl Calibrator {
 
     fn calibrate(&self, out: &mut Output) -> Result<SensorModel> {
         self.tell_unknown_scale(out);
-        let low_power = self.channel(Channel::LowPower, out)?;
-        let high_power = self.channel(Channel::HighPower, out)?;
+        let low = self.channel(Channel::LowPower, out)?;
+        let high = self.channel(Channel::HighPower, out)?;
         let reference = self.channel(Channel::Reference, out)?;
-        if low_power.is_none() && high_power.is_none() {
+        if low.is_none() && high.is_none() {
             let found = self.count(Channel::LowPower).max(self.count(Channel::HighPower));
             let needed = self.settings(Channel::LowPower).min_blocks;
             let error = CalibrationError::TooFewBlocks { found, needed };
             return Err(failed(Channel::LowPower, &error));
         }
-        Ok(SensorModel { low_power, high_power, saturation: None, reference })
+        Ok(SensorModel {
+            low_power: self.completed(Channel::LowPower, &low, &high, out),
+            high_power: self.completed(Channel::HighPower, &high, &low, out),
+            saturation: None,
+            reference: self.completed(Channel::Reference, &reference, &None, out),
+        })
+    }
+
+    /// A channel's model. Where its own echoes do not tell the response, that of the other receiver stands in, or a Gaussian.
+    fn completed(
+        &self,
+        channel: Channel,
+        own: &Option<Calibrated>,
+        other: &Option<Calibrated>,
+        out: &mut Output,
+    ) -> Option<ChannelModel> {
+        let Calibrated { model, usable_echoes } = own.as_ref()?;
+        if model.response.is_some() || self.config.response == ResponseKey::Gaussian {
+            return Some(model.clone());
+        }
+        let borrowed = other.as_ref().and_then(|other| with_response_of(model, &other.model));
+        let pulses = match &borrowed {
+            Some(_) => "have the system response of the other receiver".to_owned(),
+            None => format!("are taken to be Gaussians {:.2} ns wide", model.pulse_fwhm_ns),
+        };
+        out.cx.note(format!(
+            "{}: pulses {pulses}: its own response needs {MIN_ECHOES} strong single pulses and there were {usable_echoes}",
+            name(channel)
+        ));
+        Some(borrowed.unwrap_or_else(|| model.clone()))
     }
 
     /// Says so where nothing tells the largest value of the digitiser, and it may be far below that of the samples' bits.
@@ -248,11 +278,17 @@ impl Calibrator {
         }
     }
 
-    /// The model of one receiver; `None` where it recorded too little, which the report then says.
-    fn channel(&self, channel: Channel, out: &mut Output) -> Result<Option<ChannelModel>> {
+    /// The model of one receiver, with the response that its own echoes tell; `None` where it recorded too little, which the
+    /// report then says.
+    fn channel(&self, channel: Channel, out: &mut Output) -> Result<Option<Calibrated>> {
         let settings = self.settings(channel);
         match calibrate::calibrate(self.blocks(channel), &settings) {
-            Ok(model) => self.with_response(channel, model, &settings, out).map(Some),
+            Ok(model) if self.config.response == ResponseKey::Gaussian => {
+                Ok(Some(Calibrated { model, usable_echoes: 0 }))
+            }
+            Ok(model) => calibrate_response(self.blocks(channel), &model, &settings)
+                .map(Some)
+                .map_err(|error| failed(channel, &error)),
             Err(CalibrationError::TooFewBlocks { found: 0, .. }) => Ok(None),
             Err(error @ CalibrationError::TooFewBlocks { .. }) => {
                 out.cx.note(format!("{} was not calibrated and is not used: {error}", name(channel)));
@@ -260,31 +296,6 @@ impl Calibrator {
             }
             Err(error) => Err(failed(channel, &error)),
         }
-    }
-
-    /// Adds the system response where it is wanted and there are echoes enough.
-    fn with_response(
-        &self,
-        channel: Channel,
-        model: ChannelModel,
-        settings: &CalibrationSettings,
-        out: &mut Output,
-    ) -> Result<ChannelModel> {
-        if self.config.response == ResponseKey::Gaussian {
-            return Ok(model);
-        }
-        let calibrated = calibrate_response(self.blocks(channel), &model, settings)
-            .map_err(|error| failed(channel, &error))?;
-        if calibrated.model.response.is_none() {
-            out.cx.note(format!(
-                "{}: pulses are taken to be Gaussians {:.2} ns wide: the system response needs {MIN_ECHOES} strong single \
-                 pulses and there were {}",
-                name(channel),
-                calibrated.model.pulse_fwhm_ns,
-                calibrated.usable_echoes
-            ));
-        }
-        Ok(calibrated.model)
     }
 
     fn settings(&self, channel: Channel) -> CalibrationSettings {

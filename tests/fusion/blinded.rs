@@ -1,6 +1,7 @@
 //! Where the sensitive receiver is blinded: its delay walks with the height of the echo, and echoes share a plateau.
 
 use super::*;
+use wavex::kernels::sensor_model::ChannelModel;
 
 /// The table of returns of a recording, and what was found of the receivers.
 fn found(keys: &str) -> (Vec<Row>, InputReport) {
@@ -31,7 +32,7 @@ fn a_walk_by_amplitude_bends_no_range() {
     let config =
         TwoReceivers { lines: 2, walks: true, heights_dn: [100.0, 1500.0], ..TwoReceivers::default() };
     let (rows, report) = found(keys);
-    assert_eq!(rows.len(), (config.lines * SHOTS_PER_LINE) as usize, "each echo is one return");
+    assert_few_more(&rows, (config.lines * SHOTS_PER_LINE) as usize, 1000);
     let walk = &report.channel_fusion.as_ref().unwrap().walk;
     assert!(walk.len() >= 2, "{walk:?}");
     for heights_dn in [[100.0, 210.0], [210.0, 243.0], [243.0, 400.0], [400.0, 800.0], [800.0, 1500.0]] {
@@ -51,26 +52,51 @@ fn a_walk_by_amplitude_bends_no_range() {
     }
 }
 
-/// Two echoes 6 to 9 ns apart, so strong that the sensitive receiver has one plateau of both: both come back. What errors of
-/// the response leave beside them is taken for a return here and there, and is not in their standard deviations.
+/// What is found of a recording in which every second shot has two echoes 6 to 9 ns apart, so strong that the sensitive
+/// receiver has one plateau of both; the others have one of these heights. Shots, returns and echoes are counted.
+fn found_of_plateaus(seed: u64, heights_dn: [f64; 2]) -> (TwoReceivers, Vec<Row>, usize, InputReport) {
+    let keys = format!("lines = 2\nseed = {seed}\nshares_plateau = true\nheights_dn = {heights_dn:?}");
+    let config = TwoReceivers { lines: 2, seed, shares_plateau: true, heights_dn, ..TwoReceivers::default() };
+    let (rows, report) = found(&keys);
+    let echoes: usize = (0..config.lines * SHOTS_PER_LINE).map(|shot| truths(&config, shot).len()).sum();
+    println!("seed {seed}: {} returns of {echoes} echoes", rows.len());
+    (config, rows, echoes, report)
+}
+
+/// Both come back, and next to nothing else.
 #[test]
 fn echoes_that_share_a_plateau_are_told_apart() {
-    let keys = "lines = 2\nshares_plateau = true\nheights_dn = [60.0, 240.0]";
-    let config =
-        TwoReceivers { lines: 2, shares_plateau: true, heights_dn: [60.0, 240.0], ..TwoReceivers::default() };
-    let (rows, _) = found(keys);
-    let echoes: usize = (0..config.lines * SHOTS_PER_LINE).map(|shot| truths(&config, shot).len()).sum();
-    let (errors_m, scores) = errors(&config, &rows, [900.0, 1e4]);
-    let (mean_m, sd_m) = moments(&errors_m);
-    println!(
-        "{} returns of {echoes} echoes; {} of plateaus, mean {:+.2} mm, sd {:.2} mm, score {:.2}",
-        rows.len(),
-        errors_m.len(),
-        1e3 * mean_m,
-        1e3 * sd_m,
-        rms(&scores)
-    );
-    assert!(rows.len() >= echoes && (rows.len() - echoes) * 20 <= echoes, "{} of {echoes}", rows.len());
-    assert!(errors_m.len() * 100 >= 99 * (config.lines * SHOTS_PER_LINE) as usize);
-    assert!(mean_m.abs() <= 0.005 && sd_m <= 0.01, "{mean_m} {sd_m}");
+    for seed in 1..=4 {
+        let (config, rows, echoes, _) = found_of_plateaus(seed, [60.0, 2400.0]);
+        let (errors_m, scores) = errors(&config, &rows, [900.0, 1e4]);
+        let (mean_m, sd_m) = moments(&errors_m);
+        let far = errors_m.iter().filter(|error_m| error_m.abs() > 0.01).count();
+        println!(
+            "{} of plateaus, mean {:+.2} mm, sd {:.2} mm, {far} off by more than 10 mm, score {:.2}",
+            errors_m.len(),
+            1e3 * mean_m,
+            1e3 * sd_m,
+            rms(&scores)
+        );
+        assert_few_more(&rows, echoes, 100);
+        assert!(errors_m.len() * 100 >= 99 * (config.lines * SHOTS_PER_LINE) as usize);
+        // A few strong echoes are told as two, with standard deviations of decimetres.
+        assert!(mean_m.abs() <= 0.005 && far * 100 <= errors_m.len() && rms(&scores) < 1.5, "{mean_m} {far}");
+    }
+}
+
+/// One receiver has too few single echoes to tell its response: that of the other stands in, after-pulse and all.
+#[test]
+fn a_receiver_without_single_echoes_has_the_response_of_the_other() {
+    // Single echoes are weak in the first scene, where the receiver for strong ones sees pairs alone, and strong in the second.
+    for (seed, heights_dn) in [(1, [60.0, 240.0]), (2, [60.0, 240.0]), (9, [60.0, 2400.0])] {
+        let (_, rows, echoes, report) = found_of_plateaus(seed, heights_dn);
+        let model = report.sensor_model.unwrap();
+        let of_echoes = |model: Option<ChannelModel>| model.unwrap().response.unwrap().echoes;
+        let borrowed = [model.low_power, model.high_power].map(|model| of_echoes(model) == 0);
+        assert_eq!(borrowed, [heights_dn[1] > 1000.0, heights_dn[1] < 1000.0]);
+        assert_few_more(&rows, echoes, 100);
+        let mut notes = report.stages.iter().flat_map(|stage| &stage.notes);
+        assert!(notes.any(|note| note.contains("the system response of the other receiver")));
+    }
 }

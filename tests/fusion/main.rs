@@ -346,6 +346,11 @@ fn cells(config: &TwoReceivers, rows: &[Row]) -> Vec<Cell> {
     cells
 }
 
+/// At most one return in so many has no echo: at 4.5 sigma noise passes for one in ten thousand waveforms of each receiver.
+fn assert_few_more(rows: &[Row], echoes: usize, one_in: usize) {
+    assert!(rows.len() >= echoes && (rows.len() - echoes) * one_in <= echoes, "{} of {echoes}", rows.len());
+}
+
 #[test]
 fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     let folder = tempfile::tempdir().unwrap();
@@ -361,7 +366,7 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     let config = TwoReceivers::default();
     let cells = cells(&config, &rows);
     println!("{} returns of {} shots", rows.len(), config.lines * SHOTS_PER_LINE);
-    assert_eq!(rows.len(), (config.lines * SHOTS_PER_LINE) as usize, "each echo is one return");
+    assert_few_more(&rows, (config.lines * SHOTS_PER_LINE) as usize, 1000);
     for cell in &cells {
         let (_, ratio) = moments(&cell.scores);
         assert!(cell.errors_m.len() > 150 && ratio <= 1.15, "{:?}: {ratio}", cell.snr);

@@ -35,20 +35,38 @@ impl Pairs {
 pub struct NoiseStatistics {
     /// By lag and phase.
     pairs: [[Pairs; 4]; LAGS],
-    /// Level that sums are taken about, so that squares stay small.
-    origin_dn: f64,
+    /// Level that sums are taken about; where none is given, the first sample.
+    origin_dn: Option<f64>,
     /// Half the squared differences of all pairs of a stretch farther apart than the lags kept.
     distant: f64,
     distant_pairs: f64,
 }
 
 impl NoiseStatistics {
-    /// Adds a stretch of consecutive samples; `start_phase` is the index of the first modulo 4.
-    pub fn add(&mut self, samples: &[u16], start_phase: u8) {
-        if self.samples() == 0 {
-            self.origin_dn = samples.first().map_or(0.0, |&s| f64::from(s));
+    /// Of samples about a level that need not be exact: sums are taken about it, so that squares stay small.
+    pub fn about(level_dn: f64) -> NoiseStatistics {
+        NoiseStatistics { origin_dn: Some(level_dn), ..NoiseStatistics::default() }
+    }
+
+    /// Takes in what another about the same level has seen.
+    pub fn merge(&mut self, other: &NoiseStatistics) {
+        debug_assert_eq!(self.origin_dn, other.origin_dn);
+        for (cell, more) in self.pairs.as_flattened_mut().iter_mut().zip(other.pairs.as_flattened()) {
+            cell.count += more.count;
+            cell.product += more.product;
+            cell.earlier += more.earlier;
+            cell.later += more.later;
+            cell.squares += more.squares;
         }
-        let value = |k: usize| f64::from(samples[k]) - self.origin_dn;
+        self.distant += other.distant;
+        self.distant_pairs += other.distant_pairs;
+    }
+
+    /// Adds a stretch of consecutive samples; `start_phase` is the index of the first modulo 4.
+    pub fn add<T: Copy + Into<f64>>(&mut self, samples: &[T], start_phase: u8) {
+        let Some(&first) = samples.first() else { return };
+        let origin_dn = *self.origin_dn.get_or_insert(first.into());
+        let value = |k: usize| samples[k].into() - origin_dn;
         let (mut sum, mut square, mut near) = (0.0, 0.0, 0.0);
         for k in 0..samples.len() {
             let later = value(k);
@@ -73,17 +91,31 @@ impl NoiseStatistics {
         }
     }
 
+    fn origin_dn(&self) -> f64 {
+        self.origin_dn.unwrap_or(0.0)
+    }
+
     /// Samples seen.
     pub fn samples(&self) -> u64 {
         self.pairs[0].iter().map(|cell| cell.count).sum()
     }
 
-    /// Mean level by phase, DN; of all samples for phases seen too rarely to tell a difference. 0 without samples.
+    /// Mean level by phase, DN. A phase seen too rarely to tell a difference has the level of the other one of its parity, as
+    /// two converters that take turns make even and odd samples differ, or else of all samples; 0 without samples.
     pub fn background_dn(&self) -> [f64; 4] {
         let cells = &self.pairs[0];
-        let level = |sum: f64, count: u64| self.origin_dn + sum / count.max(1) as f64;
-        let overall = level(cells.iter().map(|c| c.earlier).sum(), self.samples());
-        cells.map(|c| if c.count >= MIN_PHASE_SAMPLES { level(c.earlier, c.count) } else { overall })
+        let level = |of: &[usize]| {
+            let sum: f64 = of.iter().map(|&phase| cells[phase].earlier).sum();
+            let count: u64 = of.iter().map(|&phase| cells[phase].count).sum();
+            (count, self.origin_dn() + sum / count.max(1) as f64)
+        };
+        let (_, overall) = level(&[0, 1, 2, 3]);
+        std::array::from_fn(|phase| {
+            let told = [level(&[phase]), level(&[phase, (phase + 2) % 4])];
+            told.into_iter()
+                .find(|(count, _)| *count >= MIN_PHASE_SAMPLES)
+                .map_or(overall, |(_, level)| level)
+        })
     }
 
     /// Autocovariance about the phases' means at lags 0 to 5, DN², a drift of the level included; as many lags as there
@@ -109,7 +141,7 @@ impl NoiseStatistics {
 
     /// Mean over the pairs of each lag of a sum about the phases' means.
     fn means(&self, sum_about: fn(&Pairs, f64, f64) -> f64) -> Vec<f64> {
-        let means = self.background_dn().map(|level| level - self.origin_dn);
+        let means = self.background_dn().map(|level| level - self.origin_dn());
         self.pairs
             .iter()
             .enumerate()
@@ -146,24 +178,32 @@ mod tests {
     #[test]
     fn moments_of_stretches_by_hand() {
         let mut statistics = NoiseStatistics::default();
-        statistics.add(&[5, 7, 6, 10], 2);
+        statistics.add(&[5u16, 7, 6, 10], 2);
         assert_eq!(statistics.background_dn(), [7.0; 4]);
         assert_eq!(statistics.autocovariance(), [3.5, -1.0, 1.0, -6.0]);
         // Phases 2 3 0 1, each with its own mean; then deviations -2 0 -2 0 and 2 0 2 0.
-        (1..400).for_each(|_| statistics.add(&[5, 7, 6, 10], 2));
+        (1..400).for_each(|_| statistics.add(&[5u16, 7, 6, 10], 2));
         assert_eq!(statistics.background_dn(), [6.0, 10.0, 5.0, 7.0]);
         assert_eq!(statistics.autocovariance(), [0.0; 4]);
-        (0..400).for_each(|_| statistics.add(&[9, 7, 10, 10], 2));
+        (0..400).for_each(|_| statistics.add(&[9u16, 7, 10, 10], 2));
         assert_eq!(statistics.background_dn(), [8.0, 10.0, 7.0, 7.0]);
         assert_eq!(statistics.autocovariance(), [2.0, 0.0, 2.0, 0.0]);
         assert_eq!((statistics.samples(), statistics.drift_variance()), (3200, 0.0));
         assert_eq!(statistics.autocovariance_without_drift(), None);
     }
 
+    /// Blocks whose first two samples alone are free: the third is like the first, the fourth like the second.
+    #[test]
+    fn phases_that_are_not_seen_have_the_level_of_their_parity() {
+        let mut statistics = NoiseStatistics::default();
+        (0..400).for_each(|_| statistics.add(&[4u16, 9], 0));
+        assert_eq!(statistics.background_dn(), [4.0, 9.0, 4.0, 9.0]);
+    }
+
     #[test]
     fn without_samples_nothing_is_told() {
         let mut statistics = NoiseStatistics::default();
-        statistics.add(&[], 0);
+        statistics.add::<u16>(&[], 0);
         assert_eq!(statistics.background_dn(), [0.0; 4]);
         assert_eq!((statistics.variance(), statistics.drift_variance()), (0.0, 0.0));
     }

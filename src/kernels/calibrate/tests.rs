@@ -74,6 +74,71 @@ fn a_channel_is_found_from_blocks_that_all_hold_pulses() {
     assert_eq!(model.waveforms, 4000);
 }
 
+/// In a third of the blocks stands an echo too weak to be detected before the strong one.
+#[test]
+fn weak_echoes_do_not_count_as_noise() {
+    let mut random = Random::new(39);
+    let process = process(2.0);
+    let mut raised = NoiseStatistics::default();
+    let blocks: Vec<_> = (0..6000)
+        .map(|i| {
+            let mut echoes = vec![pulse(60.0 + 100.0 * random.uniform(), 42.0 + 8.0 * random.uniform(), 1.0)];
+            if i % 3 == 0 {
+                let height = 2.0 * (0.5 + 2.5 * random.uniform());
+                echoes.push(pulse(height, 3.0 + 28.0 * random.uniform(), 1.0));
+            }
+            let samples = digitised(&analogue(&mut random, &process, 60, 20.0, FWHM, &echoes), 255);
+            raised.add(&samples[..33], 0);
+            (samples, 0)
+        })
+        .collect();
+    let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
+    let lags = exact_lags();
+    let (all, left) = ((raised.variance() / lags[0]).sqrt(), model.noise_sd_dn / lags[0].sqrt());
+    println!("noise over the true one: {all:.4} of all samples before the echo, {left:.4} of the model");
+    // What is below the limit is still among the noise.
+    assert!(all > 1.05, "{all}");
+    assert!((left - 1.0).abs() < 0.025, "{left}");
+    for (lag, got) in model.autocorrelation.iter().enumerate() {
+        let exact = lags[lag + 1] / lags[0];
+        assert!((got - exact).abs() < 0.02, "lag {}: {got} {exact}", lag + 1);
+    }
+    assert!(model.background_dn.iter().all(|level| (level - 20.0).abs() < 0.15), "{:?}", model.background_dn);
+}
+
+/// Half of the blocks hold two echoes that share a plateau, and behind them the receiver's tail: one Gaussian does not tell
+/// them, and what is not told is not free.
+#[test]
+fn saturated_blocks_that_no_pulse_tells_do_not_count_as_noise() {
+    let mut random = Random::new(41);
+    let process = process(2.0);
+    let blocks: Vec<_> = (0..2000)
+        .map(|i| {
+            let first = 16.0 + random.uniform();
+            let echoes = match i % 2 {
+                0 => vec![pulse(60.0 + 100.0 * random.uniform(), first, 1.0)],
+                _ => [first, first + 6.0 + 3.0 * random.uniform()]
+                    .map(|position| pulse(1000.0 + 1500.0 * random.uniform(), position, 1.0))
+                    .into(),
+            };
+            let mut values = analogue(&mut random, &process, 60, 20.0, FWHM, &echoes);
+            for (k, value) in values.iter_mut().enumerate() {
+                let behind = |p: &Pulse| (k as f64 - p.position_samples - FWHM).max(0.0);
+                let tail = |p: &Pulse| 0.02 * p.height_dn * behind(p) * (-behind(p) / 8.0).exp();
+                *value += echoes.iter().map(tail).sum::<f64>();
+            }
+            (digitised(&values, 255), 0)
+        })
+        .collect();
+    let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
+    println!("{model:?}");
+    assert_eq!(model.background, Background::Fixed);
+    // Fourteen thousand free samples tell it to 1.3 %.
+    assert!((model.noise_sd_dn / exact_lags()[0].sqrt() - 1.0).abs() < 0.04, "{}", model.noise_sd_dn);
+    assert!(model.background_dn.iter().all(|level| (level - 20.0).abs() < 0.2), "{:?}", model.background_dn);
+    assert!((model.pulse_fwhm_ns / FWHM - 1.0).abs() < 0.02, "{}", model.pulse_fwhm_ns);
+}
+
 /// A drift of the level, 1.5 times the noise, is told from the noise and makes the background each waveform's own.
 #[test]
 fn a_drifting_background_is_each_waveforms_own() {

@@ -3,8 +3,6 @@
 use super::survey::Survey;
 use crate::kernels::sensor_model::{ChannelModel, ModelUncertainty};
 
-/// Lags at which the correlation of the noise is summed up.
-const LAGS: usize = 64;
 /// The mode of a normal distribution, found as the mean of the window of 1.5 standard deviations about itself, spreads by so
 /// many standard deviations over the root of the count: `√(0.552/0.866)/(1 - 0.448)`, with 0.866 of the values in the window,
 /// 0.552 their variance, and 0.448 the part of a shift that the window takes back into the mean.
@@ -12,31 +10,9 @@ const SPREAD_OF_MODE: f64 = 1.446;
 /// The same for a median: `√(π/2)`.
 const SPREAD_OF_MEDIAN: f64 = 1.253_314_137_315_500_3;
 
-/// Of a model made from samples that are free of signal: `L` is the mean length of their stretches, `n` their number, `ρ_k`
-/// the correlation of the fitted noise.
-///
-/// - Level of a phase: `σ² (4/n) (1 + 2 Σ_j (1 - 4j/L) ρ_4j)`, and the variance of the drift over the blocks.
-/// - Noise: `σ² (1 + 2 Σ_k (1 - k/L) ρ_k²) / 2n`, the variance of a standard deviation of correlated normal values.
-/// - Correlation: Bartlett's formula (1946) with `n (1 - k/L)` pairs.
+/// Of a model made from samples that are free of signal.
 pub(super) fn of_free_samples(model: &ChannelModel, survey: &Survey) -> ModelUncertainty {
-    let Ok(noise) = model.noise() else { return ModelUncertainty::default() };
-    let (samples, blocks) = (survey.noise.samples().max(1) as f64, survey.blocks.max(1) as f64);
-    let length = (samples / blocks).max(1.0);
-    let mut rho = vec![0.0; LAGS];
-    noise.autocovariance_into(&mut rho);
-    let variance = rho[0];
-    rho.iter_mut().for_each(|r| *r /= variance);
-    let part = |lag: usize| (1.0 - lag as f64 / length).max(0.0);
-    let of_phase: f64 = (4..LAGS).step_by(4).map(|lag| 2.0 * part(lag) * rho[lag]).sum();
-    let of_square: f64 = (1..LAGS).map(|lag| 2.0 * part(lag) * rho[lag].powi(2)).sum();
-    let drift = model.background_sd_dn.powi(2) / blocks;
-    let of_lag = |lag: usize| (bartlett(&rho, lag) / (samples * part(lag)).max(1.0)).sqrt();
-    ModelUncertainty {
-        background_dn: (variance * 4.0 / samples * (1.0 + of_phase) + drift).sqrt(),
-        noise_sd_dn: (variance * (1.0 + of_square) / (2.0 * samples)).sqrt(),
-        autocorrelation: (1..=model.autocorrelation.len()).map(of_lag).collect(),
-        ..of_width(model)
-    }
+    ModelUncertainty { pulse_fwhm_ns: of_width(model).pulse_fwhm_ns, ..survey.free.uncertainty() }
 }
 
 /// Of a model made from what fits leave: medians over the blocks.
@@ -58,32 +34,27 @@ fn of_width(model: &ChannelModel) -> ModelUncertainty {
     }
 }
 
-/// `n` times the variance of the correlation measured at a lag of a process with the correlation `rho`.
-fn bartlett(rho: &[f64], lag: usize) -> f64 {
-    let at = |m: i64| rho.get(m.unsigned_abs() as usize).copied().unwrap_or(0.0);
-    let (k, reach) = (lag as i64, rho.len() as i64);
-    let of_k = at(k);
-    let term = |m: i64| {
-        at(m).powi(2) + at(m - k) * at(m + k) - 4.0 * of_k * at(m) * at(m - k) + 2.0 * (at(m) * of_k).powi(2)
-    };
-    (-reach..=reach).map(term).sum::<f64>().max(0.0)
+/// Standard deviation of a number from what it is without each of as many equal parts of the recording (jackknife, Tukey 1958):
+/// what changes along the recording counts as well as chance.
+pub(in crate::kernels) fn jackknife_sd(without_one: &[f64]) -> f64 {
+    let n = without_one.len().max(1) as f64;
+    let mean = without_one.iter().sum::<f64>() / n;
+    ((n - 1.0) / n * without_one.iter().map(|value| (value - mean).powi(2)).sum::<f64>()).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::kernels::calibrate::{Block, CalibrationSettings, calibrate};
     use crate::kernels::noise::ArNoise;
     use crate::kernels::simulated::{Random, analogue, digitised, moments, pulse};
 
-    /// Of white noise every correlation is known to `1/√n`; of a process of order 1 the first to `√((1 - φ²)/n)`.
+    /// Of a mean it is the standard deviation of the mean.
     #[test]
-    fn bartletts_formula_has_its_closed_forms() {
-        let mut white = [0.0; LAGS];
-        white[0] = 1.0;
-        assert_eq!([1, 2, 5].map(|lag| bartlett(&white, lag)), [1.0; 3]);
-        let ar: Vec<f64> = (0..LAGS as i32).map(|lag| 0.6f64.powi(lag)).collect();
-        assert!((bartlett(&ar, 1) - 0.64).abs() < 1e-9, "{}", bartlett(&ar, 1));
+    fn the_jackknife_of_a_mean_is_its_standard_error() {
+        let values = [3.0, 5.0, 4.0, 9.0];
+        let without: Vec<f64> = values.iter().map(|value| (21.0 - value) / 3.0).collect();
+        assert!((super::jackknife_sd(&without) - moments(&values).1 / 2.0).abs() < 1e-12);
+        assert_eq!(super::jackknife_sd(&[]), 0.0);
     }
 
     /// Sixty recordings of the same sensor: what is told of them spreads as each of them says.

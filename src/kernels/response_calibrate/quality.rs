@@ -8,7 +8,7 @@ use crate::kernels::shape::Shape;
 
 /// Half of what lies between these is the standard deviation of a normal distribution.
 const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
-/// A mean stands out of the noise from so many of its standard deviations on.
+/// A mean, or a spread, stands out of the noise from so many of its standard deviations on.
 const SIGNIFICANT: f64 = 2.0;
 
 pub(super) struct Quality<'a> {
@@ -87,14 +87,11 @@ impl<'a> Quality<'a> {
         self.excess.iter().map(error).collect()
     }
 
-    /// Standard deviation of that factor.
-    pub(super) fn pulse_error_factor_sd(&self) -> f64 {
-        factor_sd(self.pulse_error_factor(), self.scores.len())
-    }
-
-    /// Spread of the scores, at least 1.
-    pub(super) fn pulse_error_factor(&self) -> f64 {
-        spread(&self.scores).max(1.0)
+    /// Spread of the scores and its standard deviation; 1 where it does not stand out of that.
+    pub(super) fn pulse_error_factor(&self) -> (f64, f64) {
+        let spread = spread(&self.scores);
+        let sd = factor_sd(spread.max(1.0), self.scores.len());
+        (if spread > 1.0 + SIGNIFICANT * sd { spread } else { 1.0 }, sd)
     }
 }
 

@@ -173,9 +173,13 @@ impl BothReceivers {
             .copied()
             .filter(|&i| matched(i) || all[i].fitted.flags & BLINDED != 0 && explained(i))
             .collect();
+        // What the other receiver sees as well, if only roughly there, stands by that.
+        let wide_ns = self.wide_ns();
+        let is_near = |i: usize, h: usize| (all[i].time_ns - all[h].time_ns).abs() <= wide_ns;
+        let is_confirmed = |i: usize| partner.contains(&Some(i)) || highs.iter().any(|&h| is_near(i, h));
         let (others, false_ones): (Vec<usize>, Vec<usize>) = (lows.iter().copied())
             .filter(|i| !doubles.contains(i))
-            .partition(|&i| self.stands_out(&all[i], [low, high], all, &joined));
+            .partition(|&i| is_confirmed(i) || self.stands_out(&all[i], [low, high], all, &joined));
         for false_one in false_ones {
             gone[false_one] = true;
             stats.np_filtered += 1;
@@ -214,7 +218,7 @@ impl BothReceivers {
     /// For each return of the other receiver the nearest one of the sensitive one's that may be the same echo.
     fn partners(&self, all: &[Found], lows: &[usize], highs: &[usize], low: &Block) -> Vec<Option<usize>> {
         let mut taken: Vec<usize> = Vec::new();
-        let wide_ns = SAME_WIDTHS * self.low.model().pulse_fwhm_ns;
+        let wide_ns = self.wide_ns();
         let mut partner = vec![None; highs.len()];
         let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
         for (k, &h) in highs.iter().enumerate() {
@@ -236,6 +240,11 @@ impl BothReceivers {
             }
         }
         partner
+    }
+
+    /// How far apart two places of one echo may lie, ns, where one of them is not told surely.
+    fn wide_ns(&self) -> f64 {
+        SAME_WIDTHS * self.low.model().pulse_fwhm_ns
     }
 
     /// Whether a moment lies within a width of a saturated sample of a block.
