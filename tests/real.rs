@@ -359,24 +359,21 @@ fn a_model_of_one_half_holds_for_the_other() {
 fn returns_agree_with_riegls_to_their_uncertainty() {
     let Some(data) = data() else { return };
     let pulses = agreement(&data, &[]);
-    let pairs: Vec<agreement::Told> = pulses.iter().flat_map(agreement::Pulse::told).collect();
-    let walk: Vec<f64> = pairs.iter().map(|pair| pair.ours.amplitude_dn).collect();
+    let pairs: Vec<agreement::Told> =
+        pulses.iter().enumerate().flat_map(|(index, pulse)| pulse.told(index)).collect();
     let raw: Vec<f64> = pairs.iter().map(|pair| 1000.0 * (pair.ours.time_ns - pair.vendor.time_ns)).collect();
-    let left = agreement::without_trend(&walk, &raw);
+    let left = agreement::without_trend(&pairs, &raw);
     let of = |values: &[f64], wanted: &dyn Fn(&agreement::Told) -> bool| -> Vec<f64> {
         values.iter().zip(&pairs).filter(|(_, pair)| wanted(pair)).map(|(value, _)| *value).collect()
     };
     let single = |pair: &agreement::Told| pair.single;
     let (multi, far) = (agreement::Told::is_multi, agreement::Told::is_far);
-    // Weak returns are as uncertain as their amplitude lets them be: they are judged by their own standard deviations.
-    let far_and_strong = |pair: &agreement::Told| far(pair) && pair.ours.amplitude_dn > 40.0;
     let spread =
         |values: &[f64], wanted: &dyn Fn(&agreement::Told) -> bool| agreement::spread(&of(values, wanted));
     for (name, wanted, goals) in [
         ("singles", &single as &dyn Fn(&agreement::Told) -> bool, "20, 15"),
         ("multi", &multi, "60"),
         ("multi, more than 12 ns apart", &far, "25"),
-        ("multi, more than 12 ns apart, above 40 DN", &far_and_strong, "25"),
     ] {
         println!(
             "{name}: {} returns, {:.1} ps, without the trend {:.1} ps (goal {goals})",
@@ -386,7 +383,7 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
         );
     }
     assert!(spread(&raw, &single) <= 20.0 && spread(&left, &single) <= 15.0);
-    assert!(spread(&left, &multi) <= 60.0 && spread(&left, &far_and_strong) <= 25.0);
+    assert!(spread(&left, &multi) <= 60.0 && spread(&left, &far) <= 25.0);
 
     let scores: Vec<f64> = left.iter().zip(&pairs).map(|(d, pair)| d / (1000.0 * pair.ours.sd_ns)).collect();
     let coverage = |wanted| {

@@ -57,9 +57,10 @@ impl Pulse {
         (0..self.ours.len()).filter(paired).map(|j| &self.ours[j])
     }
 
-    /// The pairs.
-    pub fn told(&self) -> impl Iterator<Item = Told> {
-        self.pairs.iter().map(|&(i, j)| Told {
+    /// The pairs; `index` is the pulse's.
+    pub fn told(&self, index: usize) -> impl Iterator<Item = Told> {
+        self.pairs.iter().map(move |&(i, j)| Told {
+            pulse: index,
             vendor: self.vendor[i],
             ours: self.ours[j],
             vendor_separation_ns: separation_ns(&self.vendor, i),
@@ -71,6 +72,7 @@ impl Pulse {
 
 /// A return that both tell.
 pub struct Told {
+    pub pulse: usize,
     pub vendor: Echo,
     pub ours: Echo,
     /// Distances to the nearest other return that the same one tells of the pulse, ns.
@@ -138,42 +140,63 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
     pulses
 }
 
-/// What a cubic in `x` leaves of `y`: fitted on one half and applied to the other, both ways.
-pub fn without_trend(x: &[f64], y: &[f64]) -> Vec<f64> {
-    let mut left = vec![f64::NAN; y.len()];
-    for half in 0..2 {
-        let fitted = |i: &usize| i % 2 == half;
-        let coefficients = cubic(&(0..x.len()).filter(fitted).map(|i| (x[i], y[i])).collect::<Vec<_>>());
-        for i in (0..x.len()).filter(|i| !fitted(i)) {
-            left[i] = y[i] - powers(x[i]).iter().zip(coefficients).map(|(p, c)| p * c).sum::<f64>();
+/// What a walk that follows the amplitude leaves of differences: a cubic in the amplitude's logarithm, as tables of the receivers
+/// are given in dB, weighted by the standard deviations. Each tenth of the pulses by the walk that the others tell.
+pub fn without_trend(pairs: &[Told], differences: &[f64]) -> Vec<f64> {
+    let points: Vec<Point> = pairs
+        .iter()
+        .zip(differences)
+        .map(|(pair, &y)| Point {
+            powers: powers(pair.ours.amplitude_dn),
+            y,
+            weight: pair.ours.sd_ns.recip(),
+        })
+        .collect();
+    let mut left = vec![f64::NAN; points.len()];
+    for tenth in 0..10 {
+        let of_tenth = |i: &usize| pairs[*i].pulse % 10 == tenth;
+        let coefficients = cubic((0..points.len()).filter(|i| !of_tenth(i)).map(|i| points[i]).collect());
+        for i in (0..points.len()).filter(of_tenth) {
+            left[i] = points[i].rest(coefficients);
         }
     }
     left
 }
 
-fn powers(x: f64) -> [f64; 4] {
-    let t = x / 100.0 - 1.0;
+#[derive(Clone, Copy)]
+struct Point {
+    powers: [f64; 4],
+    y: f64,
+    weight: f64,
+}
+
+impl Point {
+    fn rest(&self, coefficients: [f64; 4]) -> f64 {
+        self.y - self.powers.iter().zip(coefficients).map(|(p, c)| p * c).sum::<f64>()
+    }
+}
+
+fn powers(amplitude_dn: f64) -> [f64; 4] {
+    let t = (amplitude_dn / 100.0).ln();
     [1.0, t, t * t, t * t * t]
 }
 
-/// A cubic by least squares, twice without what lies far off.
-fn cubic(points: &[(f64, f64)]) -> [f64; 4] {
-    let mut points = points.to_vec();
+/// A cubic by weighted least squares, twice without what lies far off.
+fn cubic(mut points: Vec<Point>) -> [f64; 4] {
     let mut coefficients = [0.0; 4];
     for _ in 0..3 {
         let mut matrix = [[0.0; 5]; 4];
-        for (x, y) in &points {
-            let p = powers(*x);
+        for Point { powers, y, weight } in &points {
+            let weight = weight * weight;
             for i in 0..4 {
-                (0..4).for_each(|j| matrix[i][j] += p[i] * p[j]);
-                matrix[i][4] += p[i] * y;
+                (0..4).for_each(|j| matrix[i][j] += weight * powers[i] * powers[j]);
+                matrix[i][4] += weight * powers[i] * y;
             }
         }
         coefficients = solve(matrix);
-        let rest =
-            |(x, y): &(f64, f64)| y - powers(*x).iter().zip(coefficients).map(|(p, c)| p * c).sum::<f64>();
-        let (centre, sd) = robust(&points.iter().map(rest).collect::<Vec<_>>());
-        points.retain(|point| (rest(point) - centre).abs() < 3.5 * sd);
+        let score = |point: &Point| point.weight * point.rest(coefficients);
+        let (centre, sd) = robust(&points.iter().map(score).collect::<Vec<_>>());
+        points.retain(|point| (score(point) - centre).abs() < 3.5 * sd);
     }
     coefficients
 }
