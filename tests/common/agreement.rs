@@ -57,6 +57,11 @@ impl Pulse {
         (0..self.ours.len()).filter(paired).map(|j| &self.ours[j])
     }
 
+    /// The strongest of ours.
+    pub fn strongest(&self) -> Option<&Echo> {
+        self.ours.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))
+    }
+
     /// The pairs; `index` is the pulse's.
     pub fn told(&self, index: usize) -> impl Iterator<Item = Told> {
         self.pairs.iter().map(move |&(i, j)| Told {
@@ -224,27 +229,76 @@ pub fn spread(values: &[f64]) -> f64 {
     1.4826 * median(&values.iter().map(|value| (value - centre).abs()).collect::<Vec<_>>())
 }
 
-/// How far the returns that are ours alone stand from the vendor's nearest return of *another* pulse; and how far a place as
-/// far on the other side of their pulse's strongest return does, m.
-pub fn extras_beside_other_pulses(pulses: &[Pulse]) -> Vec<[f64; 2]> {
-    let nearest_m = |of: usize, place: [f64; 3]| {
-        let others = pulses.iter().enumerate().filter(|(i, _)| *i != of).flat_map(|(_, pulse)| &pulse.vendor);
-        others.map(|echo| distance_m(place, echo.place_m)).fold(f64::INFINITY, f64::min)
-    };
-    let mut distances = Vec::new();
-    for (i, pulse) in pulses.iter().enumerate() {
-        let Some(strongest) = pulse.ours.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))
-        else {
-            continue;
-        };
-        for extra in pulse.extra() {
-            let mirrored = [0, 1, 2].map(|axis| 2.0 * strongest.place_m[axis] - extra.place_m[axis]);
-            distances.push([extra.place_m, mirrored].map(|place| nearest_m(i, place)));
-        }
-    }
-    distances
+/// A return that is ours alone.
+pub struct Extra {
+    pub pulse: usize,
+    pub place_m: [f64; 3],
+    /// From the strongest return of its pulse.
+    pub offset_m: [f64; 3],
 }
 
-fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+/// The returns that are ours alone.
+pub fn extras(pulses: &[Pulse]) -> Vec<Extra> {
+    let of_pulse = |(index, pulse): (usize, &Pulse)| {
+        let strongest_m = pulse.strongest().map(|echo| echo.place_m)?;
+        let extra = |echo: &Echo| Extra {
+            pulse: index,
+            place_m: echo.place_m,
+            offset_m: [0, 1, 2].map(|axis| echo.place_m[axis] - strongest_m[axis]),
+        };
+        Some(pulse.extra().map(extra).collect::<Vec<_>>())
+    };
+    pulses.iter().enumerate().filter_map(of_pulse).flatten().collect()
+}
+
+/// From a place to the vendor's nearest return of *another* pulse, m.
+pub fn to_another_pulse_m(pulses: &[Pulse], pulse: usize, place_m: [f64; 3]) -> f64 {
+    let others = pulses.iter().enumerate().filter(|(index, _)| *index != pulse);
+    others
+        .flat_map(|(_, pulse)| &pulse.vendor)
+        .map(|echo| length_m(difference_m(echo.place_m, place_m)))
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// Part of the places within `near_m` of the vendor's return of another pulse, were returns as far from the strongest ones of
+/// any pulses as these are of theirs.
+pub fn near_by_chance(pulses: &[Pulse], extras: &[Extra], near_m: f64) -> f64 {
+    let (mut near, mut all) = (0, 0);
+    for (index, strongest) in pulses.iter().enumerate().filter_map(|(i, pulse)| Some((i, pulse.strongest()?)))
+    {
+        for extra in extras.iter().filter(|extra| extra.pulse != index) {
+            let place_m = [0, 1, 2].map(|axis| strongest.place_m[axis] + extra.offset_m[axis]);
+            near += usize::from(to_another_pulse_m(pulses, index, place_m) <= near_m);
+            all += 1;
+        }
+    }
+    near as f64 / f64::from(all.max(1))
+}
+
+/// The most places within `near_m` of one straight line through two of them that are 3 m apart or more: indices.
+pub fn on_a_line(places_m: &[[f64; 3]], near_m: f64) -> Vec<usize> {
+    let mut most = Vec::new();
+    for (i, from_m) in places_m.iter().enumerate() {
+        for along_m in places_m[..i].iter().map(|to_m| difference_m(*to_m, *from_m)) {
+            let length = length_m(along_m);
+            let distance_m = |place_m: [f64; 3]| {
+                let offset_m = difference_m(place_m, *from_m);
+                let along = (0..3).map(|axis| offset_m[axis] * along_m[axis]).sum::<f64>() / length;
+                (length_m(offset_m).powi(2) - along * along).max(0.0).sqrt()
+            };
+            let on: Vec<usize> = (0..places_m.len()).filter(|k| distance_m(places_m[*k]) <= near_m).collect();
+            if length >= 3.0 && on.len() > most.len() {
+                most = on;
+            }
+        }
+    }
+    most
+}
+
+fn difference_m(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|axis| a[axis] - b[axis])
+}
+
+fn length_m(v: [f64; 3]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
