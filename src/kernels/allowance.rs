@@ -6,7 +6,8 @@
 use super::rules::BEGINS_WIDTHS;
 use super::sensor_model::ChannelModel;
 
-/// Error of the response from a pulse on that overdrives the receiver; before it there is nothing that it could bend.
+/// Error of the response to a pulse that overdrives the receiver: from where it begins, before which there is nothing that it
+/// could bend, to its after-pulse. Behind that its tail is taken to be as wrong as it is high.
 const OVERDRIVEN_ERROR: f64 = 0.06;
 /// The template error is the greatest within so many widths (4 ns of 4.4).
 const ENVELOPE_WIDTHS: f64 = 0.9;
@@ -22,16 +23,15 @@ pub(super) struct Allowance {
     has_response: bool,
     /// Error far from a pulse.
     far_error: f64,
-    overdriven_error: f64,
     overdriven_dn: f64,
-    /// Lag from which the receiver is overdriven: where the pulse begins.
-    overdriven_from: f64,
     /// One over the standard deviation of the noise, 1/DN.
     per_noise_sd: f64,
     /// Lag of the first entry of the tables, samples.
     first_lag: i64,
-    /// Error of the response by whole sample of time after the peak, as part of the height.
+    /// Error of the response by whole sample of time after the peak, as part of the height …
     errors: Vec<f64>,
+    /// … and where the pulse overdrives the receiver.
+    overdriven_errors: Vec<f64>,
     /// The greatest of these and the far one, and that or the overdriven one.
     greatest_known_error: f64,
     greatest_error: f64,
@@ -51,6 +51,7 @@ impl Allowance {
             None => (-margin, margin),
         };
         let measured = |lag: i64| model.response.as_ref().map_or(0.0, |r| r.template_error_at(lag as f64));
+        let height = |lag: i64| model.response.as_ref().map_or(0.0, |r| r.highest_at(lag as f64));
         // A Gaussian is as wrong as its pulses were seen to be, in the main lobe, and nowhere else.
         let (near_error, far_error) = match &model.response {
             Some(_) => (least_error, FAR_PART * least_error),
@@ -59,25 +60,35 @@ impl Allowance {
         let mut allowance = Allowance {
             has_response: model.response.is_some(),
             far_error,
-            overdriven_error: OVERDRIVEN_ERROR.max(least_error),
             overdriven_dn,
-            overdriven_from: -BEGINS_WIDTHS * fwhm,
             per_noise_sd: model.noise_sd_dn.recip(),
             first_lag: first_sample - margin,
             errors: Vec::new(),
+            overdriven_errors: Vec::new(),
             greatest_known_error: 0.0,
             greatest_error: 0.0,
             squares: vec![0.0],
         };
         let mut sum = 0.0;
         for lag in (0..known + 2 * margin).map(|k| allowance.first_lag + k) {
-            let least = if LOBE_WIDTHS.contains(&(lag as f64 / fwhm)) { near_error } else { far_error };
-            allowance.errors.push((-reach..=reach).map(|k| measured(lag + k)).fold(least, f64::max));
+            let widths = lag as f64 / fwhm;
+            let least = if LOBE_WIDTHS.contains(&widths) { near_error } else { far_error };
+            let error = (-reach..=reach).map(|k| measured(lag + k)).fold(least, f64::max);
+            let overdriven = if widths <= -BEGINS_WIDTHS {
+                0.0
+            } else if widths < LOBE_WIDTHS.end {
+                OVERDRIVEN_ERROR
+            } else {
+                (-reach..=reach).map(|k| height(lag + k).abs()).fold(0.0, f64::max).min(OVERDRIVEN_ERROR)
+            };
+            allowance.errors.push(error);
+            allowance.overdriven_errors.push(overdriven.max(error));
             sum += measured(lag).powi(2);
             allowance.squares.push(sum);
         }
-        allowance.greatest_known_error = allowance.errors.iter().copied().fold(far_error, f64::max);
-        allowance.greatest_error = allowance.greatest_known_error.max(allowance.overdriven_error);
+        let greatest = |errors: &[f64]| errors.iter().copied().fold(far_error, f64::max);
+        allowance.greatest_known_error = greatest(&allowance.errors);
+        allowance.greatest_error = greatest(&allowance.overdriven_errors);
         allowance
     }
 
@@ -90,11 +101,9 @@ impl Allowance {
     /// The error of the response so many samples behind a pulse, as part of its height.
     #[inline(always)]
     fn error(&self, height_dn: f64, lag_samples: f64) -> f64 {
-        if self.overdrives(height_dn) && lag_samples > self.overdriven_from {
-            return self.overdriven_error;
-        }
+        let errors = if self.overdrives(height_dn) { &self.overdriven_errors } else { &self.errors };
         let index = lag_samples.round() as i64 - self.first_lag;
-        let known = usize::try_from(index).ok().and_then(|index| self.errors.get(index));
+        let known = usize::try_from(index).ok().and_then(|index| errors.get(index));
         known.copied().unwrap_or(self.far_error)
     }
 
@@ -157,7 +166,11 @@ mod tests {
         let mut model = channel(&ArNoise::new(&[], 2.0).unwrap(), 4.0, 20.0);
         let response = SystemResponse {
             first_sample: -2,
-            nodes: vec![ResponseNode { peak_dn: 155.0, values: vec![1.0; 400] }],
+            // From sample 12 on a tail, to sample 48.
+            nodes: vec![ResponseNode {
+                peak_dn: 155.0,
+                values: [[1.0; 112].as_slice(), &[0.02; 288]].concat(),
+            }],
             template_error: errors.to_vec(),
             echoes: 200,
             shape_sd: 1e-3,
@@ -177,8 +190,16 @@ mod tests {
         {
             assert!((raise(lag) - (1.0 + f64::powi(error * 100.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{lag}");
         }
-        // Before the pulse an overdriven receiver is like any other.
-        for (place, error) in [(40.0, 0.06), (23.0, 0.06), (22.0, 0.01), (16.0, 0.005)] {
+        // Before the pulse an overdriven receiver is like any other, and far behind it what its tail may be wrong by.
+        for (place, error) in [
+            (40.0, 0.06),
+            (23.0, 0.06),
+            (22.0, 0.01),
+            (16.0, 0.005),
+            (45.0, 0.06),
+            (46.0, 0.02),
+            (90.0, 0.005),
+        ] {
             let raised = allowance.raise(place, 10.0, 0.5, [(30.0, 201.0)].into_iter());
             assert!((raised - (1.0 + f64::powi(error * 201.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{place}");
         }

@@ -90,6 +90,13 @@ impl SystemResponse {
         let index = (samples - f64::from(self.first_sample)).round();
         if index >= 0.0 { self.template_error.get(index as usize).copied().unwrap_or(0.0) } else { 0.0 }
     }
+
+    /// The response for the highest echoes at a time after the peak, in samples: as part of the height, 0 outside.
+    pub(super) fn highest_at(&self, samples: f64) -> f64 {
+        let step = ((samples - f64::from(self.first_sample)) * STEPS_PER_SAMPLE as f64).round();
+        let values = self.nodes.last().map_or(&[][..], |node| &node.values);
+        if step >= 0.0 { values.get(step as usize).copied().unwrap_or(0.0) } else { 0.0 }
+    }
 }
 
 /// Full width at half of the greatest value, in steps; 0 where one side does not fall to the half.
