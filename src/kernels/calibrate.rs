@@ -3,7 +3,8 @@
 //! With Gaussian pulses (docs/method.md, Calibration). A first look gives a level, a spread and a width; then twice blocks are
 //! decomposed with the model at hand, and a better one is made of the samples before the first pulse that was found
 //! (behind a pulse stands the receiver's slow tail) and of the widths of single pulses. What is signal is thus told by
-//! fitted pulses and never by a threshold on samples, which would cut the noise's own peaks away.
+//! fitted pulses and never by a threshold on samples, which would cut the noise's own peaks away; where pulses too weak to be
+//! fitted make a peak, a mirrored dip of the noise stands for it.
 
 use super::decompose::DecomposeSettings;
 use super::noise::{ArNoise, fit_by_bic};
@@ -31,7 +32,7 @@ pub(super) use width::narrowest_mode;
 /// Pulses without which nothing can be said of their width.
 const MIN_PULSES: usize = 10;
 /// Rounds of decomposing and estimating, each with about so many blocks at most, chosen evenly: the first model only
-/// serves to make the second. Whether the level drifts is decided in the first.
+/// serves to make the second. Whether samples are free, and whether the level drifts, is decided in the first.
 const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
 /// Free samples tell the noise where at least this part of the unsaturated blocks begins well before its pulses.
 const FREE_PART: f64 = 0.3;
@@ -174,7 +175,10 @@ where
         let step = found.div_ceil(most) as usize | 1;
         let chosen = || blocks.clone().step_by(step);
         let mut survey = survey(chosen(), &model, free, settings)?;
-        free = has_free_samples(&survey, settings);
+        free = match pass {
+            0 => has_free_samples(&survey, settings),
+            _ => free && survey.free.samples() > 0,
+        };
         if pass == 0 && settings.background == BackgroundChoice::Auto && (!free || drifts(&survey)) {
             model = first_model(&look, Background::PerWaveform, settings, found);
             survey = self::survey(chosen(), &model, free, settings)?;
@@ -218,7 +222,7 @@ fn drifts(survey: &Survey) -> bool {
 fn has_free_samples(survey: &Survey, settings: &CalibrationSettings) -> bool {
     match settings.background {
         BackgroundChoice::Fixed => survey.free.samples() > 0,
-        _ => survey.free_blocks as f64 >= FREE_PART * survey.told_blocks as f64,
+        _ => survey.free_blocks > 0 && survey.free_blocks as f64 >= FREE_PART * survey.told_blocks as f64,
     }
 }
 
@@ -270,13 +274,14 @@ fn better_model(
     } else {
         from_residuals(&mut model, survey, look);
     }
+    model.uncertainty =
+        if free { survey.free.uncertainty() } else { uncertainty::of_residuals(&model, survey) };
     if let Some(width) = survey.widths.narrow_population() {
         model.pulse_fwhm_ns = width.fwhm_ns;
         model.pulse_fwhm_sd_ns = width.fwhm_sd_ns;
+        model.uncertainty.pulse_fwhm_ns = width.fwhm_uncertainty_ns;
         model.pulses = width.pulses;
     }
-    let told = if free { uncertainty::of_free_samples } else { uncertainty::of_residuals };
-    model.uncertainty = told(&model, survey);
     model
 }
 

@@ -28,7 +28,7 @@ pub use even_odd::EvenOdd;
 
 /// Fewer usable single echoes do not tell a response.
 pub const MIN_ECHOES: usize = 150;
-/// Blocks that are looked at, at most: more would not change the response by what can be measured.
+/// Blocks that are looked at, at most, chosen evenly: more would not change the response by what can be measured.
 const MAX_BLOCKS: usize = 12_000;
 /// Rounds; in each, echoes beside the strongest one are allowed up to this part of its height: a Gaussian finds the
 /// after-pulse as an echo, a first response may leave something of it.
@@ -58,6 +58,8 @@ const LEAST_REACH_WIDTHS: f64 = 14.0;
 /// How far another receiver's response is to be trusted, as part of the height, where it is higher than that: they see the
 /// same laser pulse, and a Gaussian has no after-pulse at all.
 const BORROWED_ERROR: f64 = 0.02;
+/// Receivers whose pulses differ in width by more than this part do not share a response.
+const BORROWED_WIDTH: f64 = 0.15;
 
 /// A single echo.
 #[derive(Debug, Clone, Copy)]
@@ -83,11 +85,11 @@ pub struct Calibrated {
 
 /// Adds the system response to a channel's model that [`super::calibrate::calibrate`] has made from the same blocks.
 pub fn calibrate_response<'a>(
-    blocks: impl Iterator<Item = Block<'a>>,
+    blocks: impl Iterator<Item = Block<'a>> + Clone,
     model: &ChannelModel,
     settings: &CalibrationSettings,
 ) -> Result<Calibrated, CalibrationError> {
-    let mut blocks: Vec<Block<'a>> = blocks.take(MAX_BLOCKS).collect();
+    let mut blocks = chosen_evenly(blocks);
     let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0);
     let mut model = ChannelModel { response: None, pulse_error_factor: 1.0, ..model.clone() };
     let gaussian = model.clone();
@@ -120,19 +122,37 @@ pub fn calibrate_response<'a>(
     Ok(Calibrated { model, usable_echoes })
 }
 
+/// [`MAX_BLOCKS`] of the blocks from the whole recording, or all.
+fn chosen_evenly<'a>(blocks: impl Iterator<Item = Block<'a>> + Clone) -> Vec<Block<'a>> {
+    let count = blocks.clone().count().max(1);
+    let most = MAX_BLOCKS.min(count);
+    let is_chosen = |i: usize| (i + 1) * most / count > i * most / count;
+    blocks.enumerate().filter(|(i, _)| is_chosen(*i)).map(|(_, block)| block).collect()
+}
+
 /// A channel whose own echoes do not tell its response, with that of another receiver of the same laser pulses for weak
-/// echoes; none of the channel's own echoes made it. `None` where the other has none.
+/// echoes, and its factor of errors; none of the channel's own echoes made it. `None` where the other has none, or the channel's
+/// own pulses are of another width.
 pub fn with_response_of(model: &ChannelModel, other: &ChannelModel) -> Option<ChannelModel> {
     let known = other.response.as_ref()?;
     let node = known.nodes.first()?.clone();
-    let error = |(&told, values): (&f64, &[f64])| {
+    let is_other_pulse = (model.pulse_fwhm_ns / other.pulse_fwhm_ns).ln().abs() > BORROWED_WIDTH;
+    if is_other_pulse && model.pulses > 0 {
+        return None;
+    }
+    let error = |(k, &told): (usize, &f64)| {
+        // The half sample about the time of the error.
+        let (from, to) =
+            ((k * STEPS_PER_SAMPLE).saturating_sub(STEPS_PER_SAMPLE / 2), (2 * k + 1) * STEPS_PER_SAMPLE / 2);
+        let values = &node.values[from.min(node.values.len())..to.min(node.values.len())];
         let is_high = values.iter().any(|value| value.abs() >= BORROWED_ERROR);
         if is_high { told.max(BORROWED_ERROR) } else { told }
     };
-    let samples = node.values.chunks(STEPS_PER_SAMPLE);
-    let template_error = known.template_error.iter().zip(samples).map(error).collect();
+    let template_error = known.template_error.iter().enumerate().map(error).collect();
     let response = SystemResponse { nodes: vec![node], template_error, echoes: 0, ..known.clone() };
     let mut borrowed = with_response(model, response);
+    borrowed.pulse_error_factor = other.pulse_error_factor;
+    borrowed.uncertainty.pulse_error_factor = other.uncertainty.pulse_error_factor;
     borrowed.uncertainty.pulse_fwhm_ns = BORROWED_ERROR * borrowed.pulse_fwhm_ns;
     Some(borrowed)
 }

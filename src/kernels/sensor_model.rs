@@ -66,7 +66,7 @@ pub struct ChannelModel {
     #[serde(default)]
     pub pulse_shape_error: f64,
     /// How much larger errors on a pulse are than the noise before it lets expect: its standard deviations are
-    /// multiplied by this. 1 where it was not measured.
+    /// multiplied by this. 1 where it was not measured or does not stand out of its own uncertainty.
     #[serde(default = "one")]
     pub pulse_error_factor: f64,
     /// The system response; absent where pulses are taken to be Gaussians of the width `pulse_fwhm_ns`.
@@ -80,8 +80,8 @@ pub struct ChannelModel {
     pub uncertainty: ModelUncertainty,
     /// Blocks the model was found from.
     pub waveforms: u64,
-    /// Single, unsaturated pulses the width was found from; 0 where there were too few and the width is a first
-    /// measure, taken from the samples above half the height.
+    /// Single, unsaturated pulses the width was found from; 0 where there were too few, and the width is
+    /// another receiver's or a first measure, taken from the samples above half the height.
     pub pulses: u64,
 }
 
@@ -148,7 +148,7 @@ pub struct ModelUncertainty {
     pub noise_sd_dn: f64,
     /// Of the correlation at each lag.
     pub autocorrelation: Vec<f64>,
-    /// Of the full width at half maximum, ns: `1.45 s / √n` for the mode of `n` widths of Gaussians that spread by `s`; for a
+    /// Of the full width at half maximum, ns: `1.35 s / √n` for the mode of widths of Gaussians that spread by `s`, `n` of them within `1.5 s`; for a
     /// response by the jackknife, too.
     pub pulse_fwhm_ns: f64,
     /// Of the error factor: `0.96 f / √n` of `n` scores, it being half of what lies between two of their percentiles.

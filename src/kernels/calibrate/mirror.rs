@@ -84,7 +84,7 @@ impl Mirror {
         self.mirrored_dn.clear();
         self.mirrored_dn.extend(self.free_dn.iter().enumerate().map(|(k, value)| 2.0 * level(k) - value));
         self.filter_samples();
-        let stretches = (samples.len() as f64 / self.stretch_samples).round().max(1.0) as usize;
+        let stretches = (samples.len() as f64 / self.stretch_samples).floor().max(1.0) as usize;
         // In fewer samples than a stretch nothing can be told apart.
         let is_short = samples.len() < self.stretch_samples as usize;
         for i in 0..stretches {
@@ -125,7 +125,7 @@ impl Mirror {
 /// variance left.
 pub(super) fn part_left(left: f64, level_dn: f64) -> f64 {
     let mut part = 1.0;
-    // The part depends little on the variance: each round is nearer by a factor of ten.
+    // The part depends little on the variance: each round is nearer by a factor of three or more.
     for _ in 0..8 {
         let variance = left / part;
         let rounded_sd = (variance - ROUNDING).sqrt();

@@ -3,33 +3,15 @@
 use super::survey::Survey;
 use crate::kernels::sensor_model::{ChannelModel, ModelUncertainty};
 
-/// The mode of a normal distribution, found as the mean of the window of 1.5 standard deviations about itself, spreads by so
-/// many standard deviations over the root of the count: `√(0.552/0.866)/(1 - 0.448)`, with 0.866 of the values in the window,
-/// 0.552 their variance, and 0.448 the part of a shift that the window takes back into the mean.
-const SPREAD_OF_MODE: f64 = 1.446;
-/// The same for a median: `√(π/2)`.
+/// The median of a normal distribution spreads by so many standard deviations over the root of the count: `√(π/2)`.
 const SPREAD_OF_MEDIAN: f64 = 1.253_314_137_315_500_3;
 
-/// Of a model made from samples that are free of signal.
-pub(super) fn of_free_samples(model: &ChannelModel, survey: &Survey) -> ModelUncertainty {
-    ModelUncertainty { pulse_fwhm_ns: of_width(model).pulse_fwhm_ns, ..survey.free.uncertainty() }
-}
-
-/// Of a model made from what fits leave: medians over the blocks.
+/// Of background and noise made from what fits leave: medians over the blocks.
 pub(super) fn of_residuals(model: &ChannelModel, survey: &Survey) -> ModelUncertainty {
     let of_median = |spread: f64| SPREAD_OF_MEDIAN * spread / (survey.blocks.max(1) as f64).sqrt();
     ModelUncertainty {
         background_dn: of_median(model.background_sd_dn),
         noise_sd_dn: of_median(survey.residual_spread() * model.noise_sd_dn),
-        ..of_width(model)
-    }
-}
-
-/// The width is the mode of as many.
-fn of_width(model: &ChannelModel) -> ModelUncertainty {
-    let pulses = (model.pulses.max(1) as f64).sqrt();
-    ModelUncertainty {
-        pulse_fwhm_ns: SPREAD_OF_MODE * model.pulse_fwhm_sd_ns / pulses,
         ..ModelUncertainty::default()
     }
 }

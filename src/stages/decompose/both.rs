@@ -173,10 +173,12 @@ impl BothReceivers {
             .copied()
             .filter(|&i| matched(i) || all[i].fitted.flags & BLINDED != 0 && explained(i))
             .collect();
-        // What the other receiver sees as well, if only roughly there, stands by that.
+        // What the other receiver sees as well, if only roughly there, stands by that; an echo that is joined has its own.
         let wide_ns = self.wide_ns();
+        let is_free = |h: usize| joined.iter().all(|&(of_high, _)| of_high != h);
         let is_near = |i: usize, h: usize| (all[i].time_ns - all[h].time_ns).abs() <= wide_ns;
-        let is_confirmed = |i: usize| partner.contains(&Some(i)) || highs.iter().any(|&h| is_near(i, h));
+        let is_confirmed =
+            |i: usize| partner.contains(&Some(i)) || highs.iter().any(|&h| is_free(h) && is_near(i, h));
         let (others, false_ones): (Vec<usize>, Vec<usize>) = (lows.iter().copied())
             .filter(|i| !doubles.contains(i))
             .partition(|&i| is_confirmed(i) || self.stands_out(&all[i], [low, high], all, &joined));
