@@ -29,8 +29,8 @@ use instrument::{
     mean_bound, moments, noise_sd_dn,
 };
 
-/// Waveforms that calibration has; the goals are for 10 000.
-const CALIBRATION: usize = 4000;
+/// Waveforms that calibration has.
+const CALIBRATION: usize = 10_000;
 
 /// Three standard deviations of a figure that so many waveforms tell.
 mod uncertain {
@@ -106,7 +106,7 @@ fn calibration_finds_the_instrument() {
     let rms = ((-9..35).map(square).sum::<f64>() / 44.0).sqrt();
     println!(
         "A10: noise {:+.2} % (goal 1.5), correlation {correlation:.4} (0.02), background {background:.3} DN (0.1), \
-         width {:+.2} % (0.6 from 10 000), shape {:.3} % (0.1 from 10 000), error factor {:.3} (1.00 +- 0.01), \
+         width {:+.2} % (0.6), shape {:.3} % (0.1), error factor {:.3} (1.00 +- 0.01), \
          {} responses of {} echoes",
         100.0 * noise,
         100.0 * (width - 1.0),
@@ -117,7 +117,8 @@ fn calibration_finds_the_instrument() {
     );
     assert!(noise.abs() <= 0.015 && correlation <= 0.02 && background <= 0.1);
     // The targets that count as flat widen a pulse by 0.5 % on average, which is part of what calibration shall find.
-    assert!((width - 1.0).abs() <= 0.006 + 0.01 * uncertain::mean(found.echoes as usize) * 3.0, "{width}");
+    let width_sd = model.uncertainty.pulse_fwhm_ns / model.pulse_fwhm_ns;
+    assert!((width - 1.0).abs() <= 0.006 + 3.0 * width_sd && width_sd <= 0.001, "{width} +- {width_sd}");
     assert!(rms <= 1e-3, "{rms}");
     assert!((model.pulse_error_factor - 1.0).abs() <= 0.01 + uncertain::spread(found.echoes as usize));
     assert_eq!(found.nodes.len(), 1, "a receiver that does not compress has one response");
@@ -126,10 +127,10 @@ fn calibration_finds_the_instrument() {
 /// A1 to A4, and coverage: isolated returns at the Cramer-Rao bound, unbiased, with true uncertainties.
 #[test]
 fn isolated_returns_reach_the_bound() {
-    const COUNT: usize = 400;
+    const COUNT: usize = 2500;
     let mut instrument = instrument(2);
     let mut decomposer = decomposer(DecomposeSettings::default());
-    let cells = [1.0, 1.5, 2.5].map(|width| [10.0, 20.0, 100.0].map(|snr| (snr, width)));
+    let cells = [1.0, 1.5, 2.5].map(|width| [6.0, 10.0, 20.0, 100.0].map(|snr| (snr, width)));
     let mut all_places = Vec::new();
     for (snr, width) in cells.into_iter().flatten() {
         let [_, bound, _] = mean_bound(response(), snr, width);
@@ -149,8 +150,9 @@ fn isolated_returns_reach_the_bound() {
         let (bias, sd) = moments(&errors);
         let z = [&scores[0], &scores[1], &scores[2]].map(|scores| moments(scores).1);
         let (centre, fit) = moments(&fits);
+        let reach = if snr < 10.0 { 1.15 } else { 1.05 };
         println!(
-            "A1-A4: SNR {snr} width {width}: {:.3} of the bound (goal 1.05), bias {:+.1} ps (goal 3, known to {:.1}), \
+            "A1-A4: SNR {snr} width {width}: {:.3} of the bound (goal {reach}), bias {:+.1} ps (goal 3, known to {:.1}), \
              z {z:.3?} (goal 0.95-1.05), deviation ratio {centre:+.3} sd {fit:.3} (goals 0 +- 0.05, 1 +- 0.05), \
              not one: {}",
             sd / bound,
@@ -159,9 +161,11 @@ fn isolated_returns_reach_the_bound() {
             COUNT - errors.len()
         );
         let margin = uncertain::spread(COUNT);
-        assert!(sd / bound <= 1.05 * (1.0 + margin), "{}", sd / bound);
-        // The zero of time of a response from 4000 waveforms is itself known to 2 ps.
-        assert!(snr < 20.0 || bias.abs() <= 0.005 + sd * uncertain::mean(COUNT), "{bias}");
+        assert!(sd / bound <= reach * (1.0 + margin), "{}", sd / bound);
+        if snr < 10.0 {
+            continue;
+        }
+        assert!(snr < 20.0 || bias.abs() <= 0.003 + sd * uncertain::mean(COUNT), "{bias}");
         let of_width = if snr < 15.0 { 2 } else { 3 };
         assert!(z[..of_width].iter().all(|z| (z - 1.0).abs() <= 0.05 + margin), "{z:?}");
         assert!(
@@ -176,10 +180,37 @@ fn isolated_returns_reach_the_bound() {
     assert!((covered - 0.68).abs() <= 0.02 + uncertain::rate(0.68, all_places.len()));
 }
 
+/// A5: one step from the width bank is enough for isolated returns.
+#[test]
+fn fastest_reaches_the_bound_too() {
+    const COUNT: usize = 2500;
+    let mut instrument = instrument(10);
+    let mut engine = Engine::new(model(), &DecomposeSettings::default(), Mode::Fastest);
+    for (snr, width) in [1.0, 1.5, 2.5].map(|width| [15.0, 50.0, 100.0].map(|snr| (snr, width))).concat() {
+        let (mut squares, mut heights) = (Vec::new(), Vec::new());
+        for _ in 0..COUNT {
+            let echo = instrument.echo(snr, width);
+            let samples = instrument.record(&[echo], EIGHT_BITS);
+            let [r] = engine.decompose(&samples).0 else { continue };
+            squares.push((r.position_samples - echo.place).powi(2));
+            heights.push(r.amplitude_dn / (NOISE_SD_DN * snr) - 1.0);
+        }
+        let ratio = moments(&squares).0.sqrt() / mean_bound(response(), snr, width)[1];
+        let (bias, sd) = moments(&heights);
+        println!(
+            "A5: SNR {snr} width {width}: {ratio:.3} of the bound (goal 1.03), height {:+.2} % (goal 0.5), not one: {}",
+            100.0 * bias,
+            COUNT - squares.len()
+        );
+        assert!(ratio <= 1.03 * (1.0 + uncertain::spread(COUNT)), "{ratio}");
+        assert!(bias.abs() <= 0.005 + sd * uncertain::mean(COUNT), "{bias}");
+    }
+}
+
 /// A6: noise alone. Rice's rate for the matched filter of this pulse is 0.44/2pi exp(-T^2/2) per sample.
 #[test]
 fn noise_alone_gives_no_more_returns_than_theory() {
-    const COUNT: usize = 12_000;
+    const COUNT: usize = 60_000;
     for sigma in [3.5_f64, 4.5] {
         let mut instrument = instrument(3);
         let mut decomposer =
@@ -206,7 +237,7 @@ fn is_pair(returns: &[Return], echoes: &[Echo]) -> bool {
 /// A7 and A8: equal and unequal pairs; coverage for pairs.
 #[test]
 fn close_pairs_are_told_apart() {
-    const COUNT: usize = 150;
+    const COUNT: usize = 1500;
     let cells = [
         ("A7", 20.0, 0.9, 1.0, 0.95),
         ("A7", 50.0, 0.7, 1.0, 0.95),
@@ -241,7 +272,7 @@ fn close_pairs_are_told_apart() {
 /// A7: single returns, widened or not, stay one. Coverage of pairs that are told apart.
 #[test]
 fn single_returns_are_not_divided_and_pairs_have_true_uncertainties() {
-    const COUNT: usize = 300;
+    const COUNT: usize = 3000;
     let mut instrument = instrument(7);
     let mut decomposer = decomposer_of_twelve_bits(11.0);
     let mut divided = 0;
@@ -272,12 +303,15 @@ fn single_returns_are_not_divided_and_pairs_have_true_uncertainties() {
     println!("coverage: {:.1} % of pairs at 0.75 widths within one (goal 62-76)", 100.0 * covered);
     // The two places of a pair are one figure.
     assert!((covered - 0.69).abs() <= 0.07 + uncertain::rate(0.69, places.len() / 2));
+    let z = moments(&places).1;
+    println!("A3: z {z:.3} of pairs at 0.75 widths (goal 0.85-1.15)");
+    assert!((z - 1.0).abs() <= 0.15 + uncertain::spread(places.len() / 2), "{z}");
 }
 
 /// A9: nothing false behind strong returns whose ringing varies from pulse to pulse, and a weak one there is kept.
 #[test]
 fn late_returns_are_true_ones() {
-    const COUNT: usize = 300;
+    const COUNT: usize = 3000;
     let varying = |seed: u64| {
         let mut instrument = instrument(seed);
         instrument.ringing_sd = 0.25;
@@ -315,7 +349,7 @@ fn unsaturated(samples: &[u16]) -> Vec<bool> {
 /// A11: peaks cut off by the digitiser, against the bound without the samples that are lost.
 #[test]
 fn saturated_pulses_reach_their_bound() {
-    const COUNT: usize = 150;
+    const COUNT: usize = 1500;
     let mut instrument = instrument(6);
     let mut decomposer = decomposer(DecomposeSettings::default());
     for snr in [150.0, 300.0, 800.0] {

@@ -244,10 +244,34 @@ fn missed_and_extra(pulses: &[agreement::Pulse]) -> [f64; 3] {
     [missed, extra, after].map(|count| count as f64 / vendor as f64)
 }
 
+/// RIEGL's missed returns that are none of its own after-pulses (at most 0.6 dB, 7.5 to 14 ns behind an echo 10 dB stronger), and
+/// ours that are extra behind echoes that overdrive the receiver, as parts of RIEGL's returns.
+fn missed_echoes_and_overdriven(pulses: &[agreement::Pulse]) -> [f64; 2] {
+    let vendor: usize = pulses.iter().map(|pulse| pulse.vendor.len()).sum();
+    let is_after_pulse = |pulse: &agreement::Pulse, echo: &agreement::Echo| {
+        let strong = pulse.vendor.iter().filter(|other| other.amplitude_db > echo.amplitude_db + 10.0);
+        let behind = strong.map(|other| echo.time_ns - other.time_ns).any(|lag| (7.5..14.0).contains(&lag));
+        echo.amplitude_db <= 0.6 && behind
+    };
+    let missed: usize =
+        pulses.iter().map(|pulse| pulse.missed().filter(|echo| !is_after_pulse(pulse, echo)).count()).sum();
+    let overdriven =
+        pulses.iter().filter(|pulse| pulse.strongest().is_some_and(|echo| echo.amplitude_dn > 210.0));
+    [missed, overdriven.map(|pulse| pulse.extra().count()).sum()].map(|count| count as f64 / vendor as f64)
+}
+
 #[test]
 fn returns_are_riegls_and_few_more() {
     let Some(data) = data() else { return };
-    let by_default = missed_and_extra(&agreement(&data, &[]));
+    let by_default = agreement(&data, &[]);
+    let [missed, overdriven] = missed_echoes_and_overdriven(&by_default);
+    println!(
+        "missed but for RIEGL's after-pulses {:.2} % (goal 0.2), extra where the receiver is overdriven {:.2} % (goal 0.2)",
+        100.0 * missed,
+        100.0 * overdriven
+    );
+    assert!(missed <= 0.002 && overdriven <= 0.002);
+    let by_default = missed_and_extra(&by_default);
     let vendor_like = missed_and_extra(&agreement(&data, &VENDOR_LIKE));
     for (name, [missed, extra, after], goal) in
         [("default", by_default, 5.5), ("vendor-like", vendor_like, 3.0)]
@@ -261,8 +285,8 @@ fn returns_are_riegls_and_few_more() {
         assert!(missed <= 0.007 && after <= 0.0015);
     }
     assert!(by_default[1] <= 0.055);
-    // The goal of 3 % is not reached: what is left are echoes, see the next test.
-    assert!(vendor_like[1] < by_default[1]);
+    // The goal of 3 % is not reached: what is left are echoes, see the next test. It is 4.05 %, and shall not rise.
+    assert!(vendor_like[1] <= 0.042);
 }
 
 /// What a wrong response or noise makes stands at the same distances from strong echoes everywhere; what is an echo stands where
@@ -372,12 +396,14 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
     };
     let single = |pair: &agreement::Told| pair.single;
     let (multi, far) = (agreement::Told::is_multi, agreement::Told::is_far);
+    let far_for_riegl = |pair: &agreement::Told| multi(pair) && pair.vendor_separation_ns > 12.0;
     let spread =
         |values: &[f64], wanted: &dyn Fn(&agreement::Told) -> bool| agreement::spread(&of(values, wanted));
     for (name, wanted, goals) in [
         ("singles", &single as &dyn Fn(&agreement::Told) -> bool, "20, 15"),
         ("multi", &multi, "60"),
         ("multi, more than 12 ns apart", &far, "25"),
+        ("multi, more than 12 ns from others of RIEGL's, but not of ours", &far_for_riegl, "none"),
     ] {
         println!(
             "{name}: {} returns, {:.1} ps, without the trend {:.1} ps (goal {goals})",
@@ -396,9 +422,11 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
     };
     let ([one, two], of_far) = (coverage(&single), coverage(&far));
     println!(
-        "coverage: {one:.3} (goal 0.62-0.76), {two:.3} (goal 0.92-0.98); more than 12 ns apart {of_far:.3?}"
+        "coverage: {one:.3} (goal 0.62-0.76), {two:.3} (goal 0.92-0.98); more than 12 ns apart {of_far:.3?}, all of several \
+         {:.3?}",
+        coverage(&multi)
     );
-    assert!((0.62..=0.76).contains(&one) && two >= 0.92);
+    assert!((0.62..=0.76).contains(&one) && (0.92..=0.98).contains(&two));
 
     let singles: Vec<_> = pairs.iter().filter(|pair| pair.single).collect();
     let db: Vec<f64> = singles.iter().map(|pair| pair.ours.amplitude_db - pair.vendor.amplitude_db).collect();

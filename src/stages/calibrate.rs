@@ -29,11 +29,12 @@ pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Ki
 /// Finds, from the first waveforms, what `decompose` must know of the sensor: for each receiver the background (by sample
 /// index modulo 4, or one per waveform where no sample is free of signal), the noise and its correlation, and the shape of
 /// a pulse from a flat target: the system response with its after-pulse and tail, found from single echoes, its error, and
-/// how much larger errors on a pulse are than the noise lets expect. Noise is told from signal by fitted pulses, never by a threshold on samples.
+/// how much larger errors on a pulse are than the noise lets expect. Noise is told from signal by fitted pulses, never by a
+/// threshold on samples. Of the waveforms at most 20 000, chosen evenly, tell background and noise, and 12 000 the shape.
 ///
 /// Holds back the first lines until it has enough waveforms, then lets everything through; the model travels with every
-/// line, and stands in the report. Fewer than 200 waveforms of the sensitive receiver are an error. A receiver of which
-/// there are fewer, or an outgoing pulse that was recorded fewer than 20 times, is left out, and the report says so.
+/// line, and stands in the report. A receiver with fewer than 200 waveforms, or an outgoing pulse that was recorded
+/// fewer than 20 times, is left out, and the report says so; where no receiver of echoes has as many, it is an error.
 ///
 /// A saved model is this instrument's preset (`save` writes to `output_dir`, `load` looks in `input_dir`): `load` uses it as it is, in another run or on another recording, down to a
 /// single waveform. It may lack channels, which are then not used, and may be written by hand: its form stands in
