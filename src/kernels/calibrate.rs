@@ -27,7 +27,7 @@ mod width;
 pub(super) use batches::decompose_each;
 pub use noise_statistics::NoiseStatistics;
 pub(super) use uncertainty::jackknife_sd;
-pub(super) use width::narrowest_mode;
+pub(super) use width::{Narrow, Width};
 
 /// Pulses without which nothing can be said of their width.
 const MIN_PULSES: usize = 10;

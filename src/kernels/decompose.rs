@@ -17,6 +17,9 @@ mod score;
 mod tests;
 mod view;
 
+/// Pulses above this part of the full scale overdrive a RIEGL receiver (210 of 255 DN).
+pub const OVERDRIVEN_PART: f64 = 210.0 / 255.0;
+
 /// How waveforms are decomposed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DecomposeSettings {
@@ -44,7 +47,8 @@ pub struct DecomposeSettings {
     /// raised by what an error of this size looks like. Gaussians have no such allowance.
     pub template_error: f64,
     /// Pulses higher than this part of the full scale overdrive the receiver though no sample is saturated: they are
-    /// flagged, not divided, and the response is known to 6 % of its height only. For models with a response.
+    /// flagged, not divided, and up to the after-pulse the response is known to 6 % of their height only. For models with a
+    /// response.
     pub overdriven_part: f64,
     /// Samples that the receiver needs after saturation before they can be used.
     pub recovery_samples: usize,
@@ -64,7 +68,7 @@ impl Default for DecomposeSettings {
             split_score: 6.0,
             max_added: 16,
             template_error: 0.005,
-            overdriven_part: 210.0 / 255.0,
+            overdriven_part: OVERDRIVEN_PART,
             recovery_samples: 1,
             max_returns: 24,
         }

@@ -6,6 +6,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::decompose::OVERDRIVEN_PART;
 use super::sensor_model::{ChannelModel, ModelError};
 pub use joint::{Expected, JointFit, JointFitted, JointPulse, Outcome};
 pub use plain_peak::{PlainPeak, lead_noise_sd_dn, plain_peak, plain_peak_of};
@@ -21,8 +22,6 @@ mod tests;
 pub const MIN_PAIRS: usize = 20;
 /// Echoes are used from this height over the noise in the receiver for strong echoes on.
 const LEAST_SNR: f64 = 8.0;
-/// Above this part of the full scale the sensitive receiver is overdriven.
-pub const OVERDRIVEN_PART: f64 = 210.0 / 255.0;
 /// Heights at which the delay of the overdriven receiver is told, at most.
 const WALK_NODES: usize = 4;
 /// A change of delay, or of the gain between weaker and stronger echoes, is one from so many standard deviations on.

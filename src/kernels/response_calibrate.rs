@@ -6,9 +6,9 @@
 //! the width ratio 1 the mode of the widths.
 
 use super::calibrate::{
-    Block, CalibrationError, CalibrationSettings, GROUPS, decompose_each, jackknife_sd, narrowest_mode,
+    Block, CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd,
 };
-use super::decompose::{DecomposeSettings, Decomposition, Return};
+use super::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return};
 use super::flags;
 use super::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
 use super::sensor_model::{ChannelModel, ModelError};
@@ -40,18 +40,11 @@ const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
 const MOST_ECHOES: [usize; 4] = [1_500, 1_500, 1_500, usize::MAX];
 /// Echoes whose places are told by even and odd samples, at most: they tell the factor to 1.3 %.
 const MOST_SCORED: usize = 6_000;
-/// Heights of usable echoes: at least so many standard deviations of the noise, …
+/// Heights of usable echoes: at least so many standard deviations of the noise, and not overdriving the receiver.
 const STRONG_SD: f64 = 30.0;
-/// … and at most this part of the full scale, above which the receiver is overdriven (210 of 255 DN).
-pub(super) const OVERDRIVEN_PART: f64 = 210.0 / 255.0;
 /// Heights with a response of their own, as parts of the full scale (155, 171, 182 and 200 of 255 DN).
 const NODE_PARTS: [f64; 4] = [155.0 / 255.0, 171.0 / 255.0, 182.0 / 255.0, 200.0 / 255.0];
-/// Waveforms that fit badly, this part of all, are left out.
-const WORST_PART: f64 = 0.1;
-/// Half of the window about the mode of the widths: in standard deviations of one, and at least.
-const WINDOW_SD: f64 = 1.5;
-const LEAST_WINDOW: f64 = 0.015;
-/// With fewer echoes in the window it is made twice as wide: the noise of the response weighs more than its blur.
+/// With fewer echoes in the window its least width is doubled: the noise of the response weighs more than its blur.
 const ENOUGH_NARROW: usize = 300;
 /// The response reaches at least so many full widths behind the peak (62 ns of 4.4).
 const LEAST_REACH_WIDTHS: f64 = 14.0;
@@ -69,8 +62,9 @@ struct Single<'a> {
 }
 
 impl Single<'_> {
-    fn ln_width(&self) -> f64 {
-        self.fitted.width_ratio.ln()
+    fn width(&self) -> Width {
+        let Return { width_ratio, width_ratio_sd, deviation_ratio, .. } = self.fitted;
+        Width { ln_width: width_ratio.ln(), sd: width_ratio_sd / width_ratio, deviation_ratio }
     }
 }
 
@@ -237,25 +231,14 @@ fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
 
 /// The echoes of a group that fit well and that nothing widened: those about the mode of the widths.
 fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
-    let narrow = within_window(singles, LEAST_WINDOW);
-    if narrow.len() >= ENOUGH_NARROW { narrow } else { within_window(singles, 2.0 * LEAST_WINDOW) }
-}
-
-fn within_window<'a>(singles: &[Single<'a>], least_window: f64) -> Vec<Single<'a>> {
-    let mut deviations: Vec<f64> = singles.iter().map(|single| single.fitted.deviation_ratio).collect();
-    deviations.sort_by(f64::total_cmp);
-    let fitting = deviations.len() - (deviations.len() as f64 * WORST_PART) as usize;
-    let worst = deviations.get(fitting).copied().unwrap_or(f64::INFINITY);
-    let mut kept: Vec<Single<'a>> =
-        singles.iter().filter(|single| single.fitted.deviation_ratio < worst).copied().collect();
-    let mut widths: Vec<f64> = kept.iter().map(Single::ln_width).collect();
-    widths.sort_by(f64::total_cmp);
-    let mut sds: Vec<f64> = kept.iter().map(|s| s.fitted.width_ratio_sd / s.fitted.width_ratio).collect();
-    sds.sort_by(f64::total_cmp);
-    let window = (WINDOW_SD * sds.get(sds.len() / 2).copied().unwrap_or(0.0)).max(least_window);
-    let mode = narrowest_mode(&widths, window);
-    kept.retain(|single| (single.ln_width() - mode).abs() <= window);
-    kept
+    let widths: Vec<Width> = singles.iter().map(Single::width).collect();
+    let within = |times_least: f64| -> Vec<Single<'a>> {
+        let narrow = Narrow::of(&widths, times_least);
+        let kept = singles.iter().zip(&widths).filter(|(_, width)| narrow.holds(width));
+        kept.map(|(single, _)| *single).collect()
+    };
+    let narrow = within(1.0);
+    if narrow.len() >= ENOUGH_NARROW { narrow } else { within(2.0) }
 }
 
 /// Standard deviation of the response's width, ns: that of the mean width of the echoes it is made of, chosen anew each time,
@@ -266,7 +249,7 @@ fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
     let mean_without = |group: usize| {
         let (before, after) = (group * per_group, ((group + 1) * per_group).min(singles.len()));
         let narrow = narrow_population(&[&singles[..before], &singles[after..]].concat());
-        narrow.iter().map(Single::ln_width).sum::<f64>() / narrow.len().max(1) as f64
+        narrow.iter().map(|single| single.width().ln_width).sum::<f64>() / narrow.len().max(1) as f64
     };
     jackknife_sd(&(0..groups).map(mean_without).collect::<Vec<_>>()) * model.pulse_fwhm_ns
 }

@@ -257,8 +257,14 @@ impl Calibrator {
             None => format!("are taken to be Gaussians {:.2} ns wide", model.pulse_fwhm_ns),
         };
         out.cx.note(format!(
-            "{}: pulses {pulses}: its own response needs {MIN_ECHOES} strong single pulses and there were {usable_echoes}",
-            name(channel)
+            "{}: pulses {pulses}: {}",
+            name(channel),
+            match *usable_echoes {
+                enough if enough >= MIN_ECHOES =>
+                    format!("its {enough} strong single pulses have no common response"),
+                few =>
+                    format!("its own response needs {MIN_ECHOES} strong single pulses and there were {few}"),
+            }
         ));
         Some(borrowed.unwrap_or_else(|| model.clone()))
     }

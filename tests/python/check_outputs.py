@@ -229,9 +229,14 @@ def check_survey(checks, name, program, source, tells_origins=True):
 
 
 def check_report(checks, report, folder):
-    schema = json.loads((SCHEMAS / "report.schema.json").read_text())
-    errors = [f"{error.json_path}: {error.message}" for error in jsonschema.Draft202012Validator(schema).iter_errors(report)]
-    checks.equal("is as its schema says", errors[:3], [])
+    def errors(name, value):
+        schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text())
+        found = jsonschema.Draft202012Validator(schema).iter_errors(value)
+        return [f"{error.json_path}: {error.message}" for error in found][:3]
+
+    checks.equal("is as its schema says", errors("report", report), [])
+    if report.get("sensor_model"):
+        checks.equal("has a sensor model as its schema says", errors("sensor_model", report["sensor_model"]), [])
     (of_input,) = report["inputs"]
     written = sorted(Path(path).name for path in of_input["outputs"])
     about_the_run = {"job.toml", "wavex.log", "report.json", f"{of_input['stem']}_stat.log"}

@@ -33,12 +33,13 @@ pub(super) struct FreeSamples {
     blocks_per_group: u64,
     blocks: u64,
     groups: Vec<Sums>,
-    level_dn: f64,
+    /// What is taken off every sample before it is summed.
+    origin_dn: f64,
 }
 
 impl Sums {
-    fn about(level_dn: f64) -> Sums {
-        let statistics = NoiseStatistics::about(level_dn);
+    fn about(origin_dn: f64) -> Sums {
+        let statistics = NoiseStatistics::about(origin_dn);
         Sums { all: statistics.clone(), noise: statistics.clone(), level: statistics }
     }
 
@@ -77,7 +78,7 @@ impl FreeSamples {
             blocks_per_group: blocks.div_ceil(GROUPS as u64).max(1),
             blocks: 0,
             groups: Vec::new(),
-            level_dn: model.background_dn[0],
+            origin_dn: model.background_dn[0],
         })
     }
 
@@ -86,7 +87,7 @@ impl FreeSamples {
         let group = (self.blocks / self.blocks_per_group) as usize;
         self.blocks += 1;
         if self.groups.len() <= group {
-            self.groups.push(Sums::about(self.level_dn));
+            self.groups.push(Sums::about(self.origin_dn));
         }
         let Some(sums) = self.groups.last_mut() else { return };
         sums.all.add(samples, start_phase);
@@ -105,7 +106,7 @@ impl FreeSamples {
 
     fn sums_but(&self, left_out: Option<usize>) -> Sums {
         let kept = self.groups.iter().enumerate().filter(|(i, _)| Some(*i) != left_out);
-        kept.fold(Sums::about(self.level_dn), |sums, (_, group)| sums.merge(group))
+        kept.fold(Sums::about(self.origin_dn), |sums, (_, group)| sums.merge(group))
     }
 
     /// Samples seen.

@@ -5,6 +5,7 @@
 //! mirrored: in mere noise both are equally frequent and have the same squares and products, whatever its size and
 //! correlation, so that nothing is cut away from its statistics, wherever the threshold lies.
 
+use super::QUANTISATION_VARIANCE;
 use crate::kernels::noise::ArNoise;
 use crate::kernels::sensor_model::{Background, ChannelModel, ModelError};
 
@@ -23,8 +24,6 @@ const REACH_WIDTHS: f64 = 1.5;
 const LEAST_LEVEL_SD: f64 = 1.5;
 /// From so many standard deviations on, 0 cuts nothing away.
 const UNCUT_LEVEL_SD: f64 = 6.0;
-/// Rounding to whole steps adds this to the noise's variance, DN².
-const ROUNDING: f64 = super::QUANTISATION_VARIANCE;
 
 /// What a stretch shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -128,7 +127,7 @@ pub(super) fn part_left(left: f64, level_dn: f64) -> f64 {
     // The part depends little on the variance: each round is nearer by a factor of three or more.
     for _ in 0..8 {
         let variance = left / part;
-        let rounded_sd = (variance - ROUNDING).sqrt();
+        let rounded_sd = (variance - QUANTISATION_VARIANCE).sqrt();
         if !(rounded_sd > 0.0 && level_dn > 0.0) || level_dn > UNCUT_LEVEL_SD * variance.sqrt() {
             return 1.0;
         }
@@ -199,7 +198,7 @@ mod tests {
             .collect();
         let left = moments(&squares).0;
         let variance = left / part_left(left, level);
-        assert!((variance / (sd * sd + ROUNDING) - 1.0).abs() < 0.01, "{variance}");
+        assert!((variance / (sd * sd + QUANTISATION_VARIANCE) - 1.0).abs() < 0.01, "{variance}");
     }
 
     #[test]

@@ -66,7 +66,7 @@ impl Survey {
         self.free.add(&block.samples[..free], block.start_phase);
         if let Some(r) = single(outcome, fwhm_samples).filter(|r| r.amplitude_dn >= strong_dn) {
             let sd = r.width_ratio_sd / r.width_ratio;
-            self.widths.0.push(Width { ln_fwhm: r.fwhm_ns.ln(), sd, deviation_ratio: r.deviation_ratio });
+            self.widths.0.push(Width { ln_width: r.fwhm_ns.ln(), sd, deviation_ratio: r.deviation_ratio });
         }
     }
 

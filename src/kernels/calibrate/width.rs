@@ -18,13 +18,48 @@ const LEAST_PART_OF_MODE: f64 = 0.1;
 
 /// One single pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Width {
-    /// Logarithm of the full width at half maximum in ns.
-    pub(super) ln_fwhm: f64,
+pub(in crate::kernels) struct Width {
+    /// Logarithm of the width, in ns or as a ratio.
+    pub(in crate::kernels) ln_width: f64,
     /// Its standard deviation.
-    pub(super) sd: f64,
+    pub(in crate::kernels) sd: f64,
     /// How well its waveform is told.
-    pub(super) deviation_ratio: f64,
+    pub(in crate::kernels) deviation_ratio: f64,
+}
+
+/// Which of many pulses fit well and are about as wide as the narrowest mode of their widths: nothing has widened them.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::kernels) struct Narrow {
+    worst_deviation_ratio: f64,
+    ln_width: f64,
+    half_window: f64,
+}
+
+impl Narrow {
+    /// Of pulses; the least window about the mode may be given wider.
+    pub(in crate::kernels) fn of(pulses: &[Width], times_least_window: f64) -> Narrow {
+        let mut deviations: Vec<f64> = pulses.iter().map(|pulse| pulse.deviation_ratio).collect();
+        deviations.sort_by(f64::total_cmp);
+        let fitting = deviations.len() - (deviations.len() as f64 * WORST_PART) as usize;
+        let worst_deviation_ratio = deviations[..fitting].last().copied().unwrap_or(f64::INFINITY);
+        let fitting = || pulses.iter().filter(|pulse| pulse.deviation_ratio <= worst_deviation_ratio);
+        let mut sds: Vec<f64> = fitting().map(|pulse| pulse.sd).collect();
+        sds.sort_by(f64::total_cmp);
+        let mut ln_widths: Vec<f64> = fitting().map(|pulse| pulse.ln_width).collect();
+        ln_widths.sort_by(f64::total_cmp);
+        let sd = sds.get(sds.len() / 2).copied().unwrap_or(0.0);
+        let half_window = (WINDOW_SD * sd).max(times_least_window * LEAST_WINDOW);
+        Narrow { worst_deviation_ratio, ln_width: narrowest_mode(&ln_widths, half_window), half_window }
+    }
+
+    fn fits(&self, pulse: &Width) -> bool {
+        pulse.deviation_ratio <= self.worst_deviation_ratio
+    }
+
+    /// Whether a pulse is one of these.
+    pub(in crate::kernels) fn holds(&self, pulse: &Width) -> bool {
+        self.fits(pulse) && (pulse.ln_width - self.ln_width).abs() <= self.half_window
+    }
 }
 
 /// The widths of single pulses.
@@ -48,18 +83,13 @@ impl Widths {
         if self.0.len() < MIN_PULSES {
             return None;
         }
-        let mut by_fit = self.0.clone();
-        by_fit.sort_by(|a, b| a.deviation_ratio.total_cmp(&b.deviation_ratio));
-        by_fit.truncate(by_fit.len() - (by_fit.len() as f64 * WORST_PART) as usize);
-        let mut sds: Vec<f64> = by_fit.iter().map(|w| w.sd).collect();
-        sds.sort_by(f64::total_cmp);
-        let window = (WINDOW_SD * sds[sds.len() / 2]).max(LEAST_WINDOW);
-        let mut widths: Vec<f64> = by_fit.iter().map(|w| w.ln_fwhm).collect();
+        let narrow = Narrow::of(&self.0, 1.0);
+        let mut widths: Vec<f64> = self.0.iter().filter(|w| narrow.fits(w)).map(|w| w.ln_width).collect();
         widths.sort_by(f64::total_cmp);
-        let mut mode = narrowest_mode(&widths, window);
+        let mut mode = narrow.ln_width;
         let mut count = 0;
         for _ in 0..20 {
-            let near = || widths.iter().filter(|w| (**w - mode).abs() <= window);
+            let near = || widths.iter().filter(|w| (**w - mode).abs() <= narrow.half_window);
             count = near().count();
             if count == 0 {
                 break;
@@ -74,7 +104,7 @@ impl Widths {
             fwhm_ns,
             fwhm_sd_ns: spread * fwhm_ns,
             fwhm_uncertainty_ns: SPREAD_OF_MODE * spread * fwhm_ns / (count.max(1) as f64).sqrt(),
-            pulses: by_fit.len() as u64,
+            pulses: widths.len() as u64,
         })
     }
 }
@@ -82,7 +112,7 @@ impl Widths {
 /// The narrowest mode of sorted values: the centre of the first window of this half width that holds more of them than its
 /// neighbours and at least twice as many as some window between it and any that holds still more. What leaves and thick
 /// crowns widen alike has a mode of its own, and over woods the higher one.
-pub(in crate::kernels) fn narrowest_mode(sorted: &[f64], half_width: f64) -> f64 {
+fn narrowest_mode(sorted: &[f64], half_width: f64) -> f64 {
     // Windows begin on each value in turn.
     let end = |i: usize| sorted.partition_point(|value| *value <= sorted[i] + 2.0 * half_width);
     let highest = (0..sorted.len()).map(|i| end(i) - i).max().unwrap_or(0);
@@ -132,8 +162,8 @@ mod tests {
             (0..2000)
                 .map(|i| {
                     let widened = if i % 5 < 3 { 0.0 } else { 0.1 + 0.4 * random.uniform() };
-                    let ln_fwhm = 4.2f64.ln() + 0.03 * random.normal() + widened;
-                    Width { ln_fwhm, sd: 0.03, deviation_ratio: random.normal() }
+                    let ln_width = 4.2f64.ln() + 0.03 * random.normal() + widened;
+                    Width { ln_width, sd: 0.03, deviation_ratio: random.normal() }
                 })
                 .collect(),
         );

@@ -8,6 +8,7 @@
 
 use crate::kernels::allowance::Allowance;
 use crate::kernels::cholesky;
+use crate::kernels::decompose::OVERDRIVEN_PART;
 use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::rules::CLEAR_OF_ZERO_SD;
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
@@ -106,7 +107,7 @@ impl JointFit {
     /// Where the model describes no channel.
     pub fn new(model: &ChannelModel, template_error: f64) -> Result<JointFit, ModelError> {
         let (shape, mut whitener) = (Shape::of(model)?, Whitener::new(model.noise()?, 0));
-        let allowance = Allowance::new(model, template_error, super::OVERDRIVEN_PART * model.full_scale_dn);
+        let allowance = Allowance::new(model, template_error, OVERDRIVEN_PART * model.full_scale_dn);
         let per_dn = significance_per_dn(&shape, &mut whitener);
         Ok(JointFit {
             shape,

@@ -47,7 +47,7 @@ impl<'a> Quality<'a> {
         let start = Pulse {
             height_dn: single.fitted.amplitude_dn,
             position_samples: single.fitted.position_samples,
-            ln_width_ratio: single.ln_width(),
+            ln_width_ratio: single.width().ln_width,
             ln_width_precision: 0.0,
         };
         self.add_residual(&target, start);

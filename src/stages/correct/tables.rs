@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::{Correct, TableKey};
 use crate::batch::{AmplitudeTable, InputInfo, ReturnChannel};
 use crate::formats::lookup_tables::{LookupTables, Row};
-use crate::kernels::fusion::OVERDRIVEN_PART;
+use crate::kernels::decompose::OVERDRIVEN_PART;
 use crate::kernels::penalised_spline::{Point, smooth};
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{Result, StageError};

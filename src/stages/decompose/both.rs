@@ -3,7 +3,8 @@
 use super::found::{Found, InHighPower};
 use super::shots::Shot;
 use crate::batch::{Block, Channel, LineStats, ReturnChannel, flags};
-use crate::kernels::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse, OVERDRIVEN_PART};
+use crate::kernels::decompose::OVERDRIVEN_PART;
+use crate::kernels::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse};
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Result, StageError};
 
