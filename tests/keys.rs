@@ -273,6 +273,26 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
     );
 }
 
+/// A hundred waveforms tell no sensor; a RIEGL's tells these, which were made like it.
+#[test]
+fn a_preset_serves_where_there_is_too_little_to_calibrate_from() {
+    let place = Place::with(&[]);
+    let job = |keys: &str| {
+        format!(
+            "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 1\nshots_per_line = 100\ncanopy_height_m = 0\n\
+             building_height_m = 0\ndropout_rate = 0\n[[stage]]\ntype = 'calibrate'\n{keys}\n\
+             [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n"
+        )
+    };
+    let Outcome { code, err } = place.run(&job(""));
+    assert_eq!(code, Some(1));
+    assert!(err.contains("calibration needs 200 waveforms of the channel and there were 100"), "{err}");
+
+    assert_eq!(place.run(&job("preset = 'riegl_lms_q680i'")).code, Some(0));
+    assert_eq!(place.text("out/a.csv").lines().count(), 101);
+    assert_eq!(place.text("out/report.json").matches("the sensor model is a preset").count(), 1);
+}
+
 /// A job that loads `model.json`, with the keys of calibrate behind it.
 fn load(place: &Place, keys: &str) -> Outcome {
     let path = place.path("model.json");
@@ -302,7 +322,7 @@ fn a_model_is_held_against_the_recording() {
     assert_eq!(said(&model, ""), (Some(0), String::new()));
     assert_eq!(notes("the loaded model"), 0);
     assert_eq!(said(&model, "waveforms = 300").0, Some(0));
-    assert_eq!(notes("have no effect beside `load`: leave them out, or calibrate anew"), 1);
+    assert_eq!(notes("have no effect beside `load` or `preset`: leave them out, or calibrate anew"), 1);
 
     let mut other = model.clone();
     other["low_power"]["full_scale_dn"] = 1023.0.into();

@@ -16,6 +16,9 @@ use crate::stage::{
     Config, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Survey, Transform,
     TransformConfig,
 };
+pub use presets::Preset;
+
+mod presets;
 
 /// A model has a few thousand numbers: what is larger is none.
 const MAX_MODEL_BYTES: u64 = 1 << 26;
@@ -36,9 +39,10 @@ pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Ki
 /// line, and stands in the report. A receiver with fewer than 200 waveforms, or an outgoing pulse that was recorded
 /// fewer than 20 times, is left out, and the report says so; where no receiver of echoes has as many, it is an error.
 ///
-/// A saved model is this instrument's preset (`save` writes to `output_dir`, `load` looks in `input_dir`): `load` uses it as it is, in another run or on another recording, down to a
-/// single waveform. It may lack channels, which are then not used, and may be written by hand: its form stands in
-/// `schemas/sensor_model.schema.json`.
+/// A model that was kept (`save` writes to `output_dir`, `load` looks in `input_dir`) is used as it is, in another run or on
+/// another recording, down to a single waveform. It may lack channels, which are then not used, and may be written by hand: its
+/// form stands in `schemas/sensor_model.schema.json`. A `preset` is the model of another instrument of the same type, for
+/// recordings too short to calibrate from; none was tried on another instrument than the one that was measured.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Calibrate {
@@ -60,6 +64,9 @@ pub struct Calibrate {
     /// A file that `save` has written: its model is used, and nothing is calibrated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub load: Option<PathBuf>,
+    /// The model of a type of instrument, as one of them was measured: nothing is calibrated. Not beside `load`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preset: Option<Preset>,
 }
 
 /// A number, or `auto`.
@@ -124,6 +131,7 @@ impl Default for Calibrate {
             decay_time_ns: AutoOrNumber::AUTO,
             save: None,
             load: None,
+            preset: None,
         }
     }
 }
@@ -131,6 +139,11 @@ impl Default for Calibrate {
 impl Config for Calibrate {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         InvalidKey::unless(self.waveforms >= 200, "waveforms", "at least 200 waveforms are needed")?;
+        InvalidKey::unless(
+            self.load.is_none() || self.preset.is_none(),
+            "preset",
+            "it stands for a model, and load gives one: leave one of them out",
+        )?;
         let (amplitude, time_ns) = (self.decay_amplitude.number(), self.decay_time_ns.number());
         InvalidKey::unless(
             amplitude.is_none_or(|amplitude| amplitude.abs() < 0.9),
@@ -160,9 +173,10 @@ impl TransformConfig for Calibrate {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
-        let model = match &self.load {
-            Some(path) => Some(Arc::new(load(&site.input_path(path))?)),
-            None => None,
+        let model = match (&self.load, self.preset) {
+            (Some(path), _) => Some(Arc::new(load(&site.input_path(path))?)),
+            (None, Some(preset)) => Some(Arc::new(preset.model()?)),
+            (None, None) => None,
         };
         let save = self.save.as_ref().map(|pattern| site.create(pattern)).transpose()?;
         Ok(Box::new(Calibrator { config: self.clone(), survey: Survey::new(self.waveforms), model, save }))
@@ -337,8 +351,11 @@ impl Calibrator {
 
     /// Holds a loaded model against a line: one for another sampling interval is an error; what else differs is said.
     fn compare(&self, model: &SensorModel, batch: &Batch, out: &mut Output) -> Result<()> {
-        if self.config.load.is_none() {
+        if self.config.load.is_none() && self.config.preset.is_none() {
             return Ok(());
+        }
+        if self.config.preset.is_some() {
+            out.cx.note("the sensor model is a preset, of another instrument of this type: background, noise and pulse of this one may differ; calibrate where there are 200 waveforms");
         }
         let input = &batch.input;
         let channels = [
@@ -382,7 +399,7 @@ impl Calibrator {
             || config.background != default.background
             || config.response != default.response;
         if is_asked {
-            out.cx.note("`waveforms`, `background` and `response` of calibrate have no effect beside `load`: leave them out, or calibrate anew");
+            out.cx.note("`waveforms`, `background` and `response` of calibrate have no effect beside `load` or `preset`: leave them out, or calibrate anew");
         }
         Ok(())
     }

@@ -47,6 +47,8 @@ fn keys_of_calibrate() {
     refused("calibrate", "decay_amplitude = 0.1", problem);
     let problem = "`decay_time_ns`: it needs decay_amplitude beside it";
     refused("calibrate", "decay_time_ns = 20", problem);
+    let problem = "`preset`: it stands for a model, and load gives one: leave one of them out";
+    refused("calibrate", "preset = 'riegl_lms_q680'\nload = 'model.json'", problem);
 }
 
 #[test]
