@@ -1,6 +1,6 @@
 """Compares coordinates with PROJ: those that `examples/project.rs` prints, and what its WKT means to PROJ.
 
-    target/venv/bin/python tests/python/check_crs.py target/release/examples/project
+    target/venv/bin/python tests/python/check_crs.py target/debug/examples/project
 
 Prints a line per check; exit code 1 where one fails.
 """
