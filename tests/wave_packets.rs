@@ -149,7 +149,7 @@ fn a_pulse_in_two_receivers_stays_one() {
             let moved = differences(&written, &again, axis).filter(|moved_m| *moved_m > 0.001).count();
             println!("{version}: {moved} of {} moved by more than 1 mm, at most {apart_m} m", again.len());
             assert!(
-                apart_m <= 0.005 && moved * 100 <= again.len(),
+                apart_m <= 0.002 && moved * 100 <= again.len(),
                 "{version}: {axis} is {apart_m} m apart, {moved}"
             );
         }
