@@ -44,6 +44,7 @@ mod outcome;
 mod rows;
 mod scene;
 mod series;
+mod singles;
 mod solve;
 mod start;
 mod tables;

@@ -7,8 +7,9 @@ use super::detection::{Begin, ByCount, DetectAll};
 use super::fit::{FittedPulse, Job, Values};
 use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
-use super::rows::{BATCH, EMPTY, Rows};
+use super::rows::{BATCH, EMPTY, FAST_BATCH, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
+use super::singles::FitSingles;
 use super::start::{ClearForStep, FromBank, OneStep};
 use super::tables::Tables;
 use super::trials::Trial;
@@ -106,7 +107,13 @@ pub(super) struct Decompose<'a> {
 impl Decompose<'_> {
     /// Does the work.
     pub(super) fn run(mut self) {
-        self.detect();
+        self.work.scenes.resize_with(self.blocks.len(), Scene::default);
+        for first in (0..self.blocks.len()).step_by(FAST_BATCH) {
+            self.detect(first);
+            if self.mode == Mode::Refined {
+                self.fit_singles();
+            }
+        }
         match self.mode {
             Mode::Fastest => self.step_each(false),
             Mode::FastSeparated => {
@@ -131,7 +138,7 @@ impl Decompose<'_> {
         let mut count = 0;
         for (row, scene) in scenes.iter().enumerate() {
             which[count] = row;
-            count += usize::from(scene.taken_off | scene.pulses().is_empty());
+            count += usize::from((scene.taken_off | scene.pulses().is_empty()) & !scene.is_settled);
         }
         which.truncate(count);
         self.sum_squares();
@@ -144,8 +151,10 @@ impl Decompose<'_> {
         self.tables.fwhm_samples as f32
     }
 
-    /// Loads, filters and whitens all blocks, and starts a scene for each with its candidates.
-    fn detect(&mut self) {
+    /// Loads, filters and whitens the blocks from one on, and starts a scene for each with its candidates: as many as stay in
+    /// the cache for what follows.
+    fn detect(&mut self, first: usize) {
+        let some = first..(first + FAST_BATCH).min(self.blocks.len());
         let Workspace { rows, columns, scenes, by_count, .. } = &mut *self.work;
         let begin = Begin {
             limits: self.limits,
@@ -153,14 +162,24 @@ impl Decompose<'_> {
             saturated: self.full_scale_dn.ceil().clamp(0.0, 65_535.0) as u16,
             clear_of_zero: self.clear_of_zero,
         };
-        let (tables, blocks) = (self.tables, self.blocks);
-        self.on.run(DetectAll { tables, rows, columns, blocks, begin, scenes, by_count });
+        let (tables, blocks, scenes) = (self.tables, &self.blocks[some.clone()], &mut scenes[some]);
+        self.on.run(DetectAll { tables, rows, columns, blocks, first, begin, scenes, by_count });
     }
 
-    /// The clusters of all waveforms are to be fitted.
+    /// Fits the waveforms of one pulse among those that detection has just looked at.
+    fn fit_singles(&mut self) {
+        let (tables, fwhm) = (self.tables, self.fwhm());
+        let Workspace { rows, scenes, by_count, which, .. } = &mut *self.work;
+        which.clear();
+        which.extend(by_count.rows(1));
+        self.on.run(FitSingles { tables, rows, scenes, which, fwhm });
+    }
+
+    /// The clusters of all waveforms are to be fitted that are not settled.
     fn set_all_due(&mut self) {
-        self.work.due.clear();
-        self.work.due.extend(0..self.work.scenes.len());
+        let Workspace { due, scenes, .. } = &mut *self.work;
+        due.clear();
+        due.extend((0..scenes.len()).filter(|&row| !scenes[row].is_settled));
         self.keep_due(1);
     }
 

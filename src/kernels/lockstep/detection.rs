@@ -30,8 +30,17 @@ impl Kernel for Detect<'_> {
         out.resize_with(self.blocks.len(), Candidates::default);
         let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
         for (group, (blocks, out)) in groups.enumerate() {
+            fetch(s, self.blocks, group + 1);
             detect(s, tables, rows, columns, blocks, group * LANES, threshold, out);
         }
+    }
+}
+
+/// Asks for the samples of a group while another is worked on: they come as a stream, and once.
+#[inline(always)]
+fn fetch<S: Simd>(s: S, blocks: &[Block<'_>], group: usize) {
+    for block in blocks.iter().skip(group * LANES).take(LANES) {
+        s.fetch(block.samples);
     }
 }
 
@@ -66,9 +75,11 @@ pub(super) struct DetectAll<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a mut Rows,
     pub(super) columns: &'a mut Columns,
+    /// Their rows are those from `first` on.
     pub(super) blocks: &'a [Block<'a>],
+    pub(super) first: usize,
     pub(super) begin: Begin<'a>,
-    pub(super) scenes: &'a mut Vec<Scene>,
+    pub(super) scenes: &'a mut [Scene],
     /// The waveforms by their number of pulses. What goes on with a number of them at a time loops as often for each: that
     /// the processor foresees.
     pub(super) by_count: &'a mut ByCount,
@@ -112,18 +123,19 @@ impl Kernel for DetectAll<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let DetectAll { tables, rows, columns, begin, scenes, by_count, .. } = self;
+        let DetectAll { tables, rows, columns, first, begin, scenes, by_count, .. } = self;
         by_count.clear();
         let threshold = begin.limits.least_sigma as f32;
         let mut found = [Candidates::default(); LANES];
-        scenes.resize_with(self.blocks.len(), Scene::default);
         let groups = self.blocks.chunks(LANES).zip(scenes.chunks_mut(LANES));
         for (group, (blocks, scenes)) in groups.enumerate() {
-            detect(s, tables, rows, columns, blocks, group * LANES, threshold, &mut found[..blocks.len()]);
+            fetch(s, self.blocks, group + 1);
+            let first = first + group * LANES;
+            detect(s, tables, rows, columns, blocks, first, threshold, &mut found[..blocks.len()]);
             let lanes = blocks.iter().zip(&mut found).zip(scenes).enumerate();
             for (lane, ((block, found), scene)) in lanes {
                 begin.begin(block, rows.capacity(), found, scene);
-                by_count.push(scene.pulses().len(), group * LANES + lane);
+                by_count.push(scene.pulses().len(), first + lane);
             }
         }
     }

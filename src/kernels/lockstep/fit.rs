@@ -21,7 +21,7 @@ pub(super) struct Job<const P: usize> {
 
 impl<const P: usize> Job<P> {
     /// What a lane without work does.
-    const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
+    pub(super) const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
 }
 
 /// A fitted pulse.

@@ -7,7 +7,7 @@ use super::template::Site;
 use super::vector::{Kernel, Processor, Simd};
 
 /// Iterations of one fit at most: most need fewer than the first number, the others go on together.
-const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
+pub(super) const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
 /// Pulses farther apart than this, samples, have a frame of four vectors: three hold two pulses up to 16 apart.
 const FAR: f32 = 14.0;
 /// Heights from this part of the one where the response begins to follow the height: they may end above.
@@ -142,7 +142,8 @@ pub(super) struct Queues {
 }
 
 /// Whether the response may follow the height of one of the pulses.
-fn is_strong(tables: &Tables, pulses: &[Values]) -> bool {
+#[inline(always)]
+pub(super) fn is_strong(tables: &Tables, pulses: &[Values]) -> bool {
     pulses.iter().any(|pulse| pulse[0] > NEARLY_STRONG * tables.strong_dn())
 }
 

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::fit::{FittedPulse, Values};
 use crate::kernels::decompose::Counts;
+use crate::kernels::flags;
 use crate::kernels::rules::CLUSTER_WIDTHS;
 
 /// Pulses of one waveform that the fast kernels hold; waveforms with more are decomposed by the plain ones.
@@ -96,6 +97,8 @@ pub(super) struct Scene {
     /// Whether a trial has been taken up in the present round.
     pub(super) has_changed: bool,
     pub(super) refined_twice: bool,
+    /// Whether its one pulse has been fitted and taken off, and chi-square summed.
+    pub(super) is_settled: bool,
     pub(super) chi_square: f32,
     /// Samples that chi-square is the sum over.
     pub(super) samples: usize,
@@ -130,10 +133,11 @@ impl Scene {
             samples,
             counts,
             refined_twice,
+            is_settled,
             ..
         } = self;
         (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
-        (*taken_off, *has_changed, *refined_twice) = (false, false, false);
+        (*taken_off, *has_changed, *refined_twice, *is_settled) = (false, false, false, false);
         (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
     }
 
@@ -149,6 +153,16 @@ impl Scene {
         *place = pulse;
         self.count += 1;
         true
+    }
+
+    /// Its one pulse is fitted, and to be taken off its row.
+    #[inline(always)]
+    pub(super) fn settle(&mut self, fitted: &FittedPulse) {
+        (self.is_settled, self.taken_off) = (true, true);
+        if let [pulse] = self.pulses_mut() {
+            pulse.take(fitted);
+            (pulse.sds, pulse.flags) = (fitted.sds, pulse.flags | flags::REFINED);
+        }
     }
 
     /// Puts the given pulses in the place of some; `false` where there is no room.

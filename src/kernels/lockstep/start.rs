@@ -10,7 +10,7 @@ use super::template::{Pulses, Sites, VECTORS, bounded, template};
 use super::vector::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
-type BankSums<H> = [[H; LANES]; BANK];
+pub(super) type BankSums<H> = [[H; LANES]; BANK];
 
 /// Replaces heights and widths of jobs by those of the bank at their positions.
 pub(super) struct FromBank<'a> {
@@ -43,7 +43,7 @@ impl Kernel for FromBank<'_> {
 }
 
 /// A place in a row for lanes without work.
-const SOMEWHERE: Sixteen = [20.0; LANES];
+pub(super) const SOMEWHERE: Sixteen = [20.0; LANES];
 
 /// Gives the waveforms whose pulse of one number is to be stepped, that pulse standing on its row, and no other; not those
 /// where it overlaps another, when only separated ones are.
@@ -143,7 +143,7 @@ impl Kernel for OneStep<'_> {
 /// Heights and widths of the bank at positions on up to sixteen rows: the width with the largest normalised matched filter,
 /// by a parabola through the best and its neighbours.
 #[inline(always)]
-fn from_bank<S: Simd>(
+pub(super) fn from_bank<S: Simd>(
     s: S,
     tables: &Tables,
     rows: &Rows,

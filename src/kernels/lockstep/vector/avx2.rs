@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Kernel, LANES, Simd, Sixteen};
+use super::{CACHE_LINE_BYTES, Kernel, LANES, Simd, Sixteen};
 
 /// Exists only where [`Avx2::detect`] has found the instructions.
 #[derive(Clone, Copy)]
@@ -167,6 +167,13 @@ impl Simd for Avx2 {
             }
         }
         bits
+    }
+    #[inline(always)]
+    fn fetch(self, soon: &[u16]) {
+        for line in soon.chunks(CACHE_LINE_BYTES / size_of::<u16>()) {
+            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no address.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) }
+        }
     }
     #[inline(always)]
     fn pairs(self, from: &[u16; 2 * LANES]) -> Pair {

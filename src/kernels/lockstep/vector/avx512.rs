@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Kernel, LANES, Simd, Sixteen};
+use super::{CACHE_LINE_BYTES, Kernel, LANES, Simd, Sixteen};
 
 /// Exists only where [`Avx512::detect`] has found the instructions.
 #[derive(Clone, Copy)]
@@ -117,6 +117,13 @@ impl Simd for Avx512 {
             let low = _mm512_test_epi16_mask(_mm512_loadu_si512(low.as_ptr().cast()), bit);
             let high = _mm512_test_epi16_mask(_mm512_loadu_si512(high.as_ptr().cast()), bit);
             u64::from(low) | u64::from(high) << 32
+        }
+    }
+    #[inline(always)]
+    fn fetch(self, soon: &[u16]) {
+        for line in soon.chunks(CACHE_LINE_BYTES / size_of::<u16>()) {
+            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no address.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) }
         }
     }
     #[inline(always)]

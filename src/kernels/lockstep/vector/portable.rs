@@ -56,6 +56,8 @@ impl Simd for Portable {
         masks.iter().rev().fold(0, |bits, mask| bits << 1 | u64::from(mask >> lane & 1))
     }
     #[inline(always)]
+    fn fetch(self, _: &[u16]) {}
+    #[inline(always)]
     fn pairs(self, from: &[u16; 2 * LANES]) -> Sixteen {
         each!(i => f32::from_bits(u32::from(from[2 * i]) | u32::from(from[2 * i + 1]) << 16))
     }

@@ -1,0 +1,66 @@
+//! Waveforms of one pulse, as most are: from the width bank to chi-square while their rows are at hand.
+
+use super::fit::{Fitted, Job, fit};
+use super::jobs::{Aim, ITERATIONS, add_pulse, is_strong};
+use super::rows::{EMPTY, Rows};
+use super::scene::Scene;
+use super::start::{BankSums, SOMEWHERE, from_bank};
+use super::tables::{BANK, Tables};
+use super::vector::{Kernel, LANES, Simd};
+
+/// Settles waveforms of one pulse that the first iterations bring to an optimum, and that the response does not change with.
+/// The others stay as they are: fits of their kind wait for them.
+pub(super) struct FitSingles<'a> {
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a mut Rows,
+    pub(super) scenes: &'a mut [Scene],
+    pub(super) which: &'a [usize],
+    pub(super) fwhm: f32,
+}
+
+impl Kernel for FitSingles<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let FitSingles { tables, rows, scenes, fwhm, .. } = self;
+        let none = s.halved(s.splat(0.0));
+        let mut bank: BankSums<S::Half> = [[none; LANES]; BANK];
+        let mut sums = [[none; LANES]; 10];
+        let mut fitted = [Fitted::NOTHING; LANES];
+        for which in self.which.chunks(LANES) {
+            let (mut positions, mut heights, mut widths) = (SOMEWHERE, [0.0; LANES], [0.0; LANES]);
+            for (position, &row) in positions.iter_mut().zip(which) {
+                *position = scenes[row].pulses()[0].position();
+            }
+            let (height, width) = from_bank(s, tables, rows, which, s.load(&positions), &mut bank);
+            s.store(height, &mut heights);
+            s.store(width, &mut widths);
+            let (mut jobs, mut count) = ([Job::<1>::IDLE; LANES], 0);
+            for (w, &row) in which.iter().enumerate() {
+                let pulses = [[heights[w], positions[w], widths[w]]];
+                if !is_strong(tables, &pulses) {
+                    jobs[count] = Job { row, pulses, aim: Aim::OPTIMUM };
+                    count += 1;
+                }
+            }
+            let (jobs, fitted) = (&jobs[..count], &mut fitted[..count]);
+            fit::<S, 1, 3, 2, 10, false>(s, tables, rows, jobs, 0.0, ITERATIONS[0], &mut sums, fitted);
+            let (mut settled, mut count) = ([EMPTY; LANES], 0);
+            for (job, fitted) in jobs.iter().zip(fitted) {
+                let [pulse] = &fitted.pulses;
+                if fitted.is_optimum && pulse.is_held() && pulse.values[0] <= tables.strong_dn() {
+                    let scene = &mut scenes[job.row];
+                    scene.set_clusters(fwhm);
+                    scene.settle(pulse);
+                    add_pulse(s, tables, rows, job.row, pulse.values, -1.0);
+                    settled[count] = job.row;
+                    count += 1;
+                }
+            }
+            for (square, &row) in rows.chi_squares(s, &settled).into_iter().zip(&settled[..count]) {
+                (scenes[row].chi_square, scenes[row].samples) = (square, rows.counted(row));
+            }
+        }
+    }
+}
