@@ -1,8 +1,8 @@
 //! What the fast kernels reach: million waveforms per core-second, by thread CPU time, medians.
 //!
 //! `cargo bench --bench kernels` prints a table. With `WAVEX_YARDSTICK` naming the yardstick's run script it also runs
-//! that, in the same minute, and prints the ratios to it: absolute figures depend on the core, ratios much less. The name of
-//! a run as argument (`-- "mixed, refined"`) does that one alone.
+//! that before each round, and prints the ratios to it, medians of the rounds: absolute figures depend on the core, ratios
+//! much less. The name of a run as argument (`-- "mixed, refined"`) does that one alone.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 mod clock;
@@ -24,6 +24,9 @@ const WAVEFORMS: usize = 20_000;
 /// A run is this long.
 const RUN_S: f64 = 0.1;
 const RUNS: usize = 21;
+/// The path in use is measured so often, each time behind a run of the yardstick: a neighbour on the machine slows either
+/// down, and rarely for long.
+const ROUNDS: usize = 3;
 const GOAL: f64 = 0.6;
 
 /// Blocks of a scene, and the places of their pulses.
@@ -145,7 +148,7 @@ const MIXED: [(&str, f64); 3] =
 const MIXED_LINE: &str = "detect, two returns";
 const MIXED_REFERENCE: f64 = 28.0;
 
-/// Medians of the yardstick's lines, that of [`MIXED_LINE`] last.
+/// Medians of the yardstick's runs of each line, that of [`MIXED_LINE`] last.
 fn yardstick() -> Option<[f64; 5]> {
     let script = std::env::var_os("WAVEX_YARDSTICK")?;
     let output = std::process::Command::new(script).output().ok()?;
@@ -170,12 +173,50 @@ fn plain(model: &ChannelModel, samples: &[u16]) -> f64 {
     2.0 / spent
 }
 
+/// Median of an odd number of values, and their range.
+fn median(mut values: Vec<f64>) -> (f64, String) {
+    values.sort_by(f64::total_cmp);
+    let range = match values[..] {
+        [least, .., greatest] => format!(" ({least:.2}-{greatest:.2})"),
+        _ => String::new(),
+    };
+    (values[values.len() / 2], range)
+}
+
+/// How a figure stands to its goal.
+fn verdict(figure: f64, goal: f64) -> &'static str {
+    if figure >= goal { "reached" } else { "MISSED" }
+}
+
+/// Prints rates, and where the yardstick ran before each of them, medians of the ratios.
+fn report(rounds: &[[f64; 7]], yards: &[[f64; 5]]) {
+    let rate = |i: usize| median(rounds.iter().map(|rates| rates[i]).collect()).0;
+    let ratio = |i: usize, yard: usize| median(rounds.iter().zip(yards).map(|(r, y)| r[i] / y[yard]).collect());
+    for (i, (name, _)) in LINES.iter().enumerate() {
+        print!("{name:<50} {:7.2} M waveforms per core-second", rate(i));
+        if !yards.is_empty() {
+            let (ratio, range) = ratio(i, i);
+            let yard = median(yards.iter().map(|yard| yard[i]).collect()).0;
+            print!("  yardstick {yard:6.2}  ratio {ratio:.2}{range}, goal {GOAL} {}", verdict(ratio, GOAL));
+        }
+        println!();
+    }
+    for (i, (name, goal)) in MIXED.iter().enumerate() {
+        print!("{name:<50} {:7.2} M waveforms per core-second", rate(LINES.len() + i));
+        if !yards.is_empty() {
+            let scaled = MIXED_REFERENCE * ratio(LINES.len() + i, LINES.len()).0;
+            print!("  where the yardstick reads 28 {scaled:.2}, goal {goal} {}", verdict(scaled, *goal));
+        }
+        println!();
+    }
+}
+
 fn main() {
     let noise = scenes::noise();
     let model = model(&noise);
     let tables = Arc::new(Tables::new(&model).expect("tables"));
     let sets = [Scene::One, Scene::Two, Scene::Mixed].map(|scene| waveforms(&model, &noise, scene));
-    let before = yardstick();
+    let mut has_yardstick = true;
     for path in [Path::Avx512, Path::Avx2, Path::Portable].into_iter().filter(|path| path.is_available()) {
         // Without FMA instructions the portable path is exact, not fast: a figure would only cost time.
         if path == Path::Portable
@@ -185,29 +226,19 @@ fn main() {
             continue;
         }
         println!("{path:?}{}", if path == Path::best() { ", the path in use" } else { "" });
-        let rates = measure(path, &model, &tables, &sets);
-        for (i, (name, _)) in LINES.iter().enumerate() {
-            let ratio = before.map_or_else(String::new, |yard| {
-                let ratio = rates[i] / yard[i];
-                let verdict = if ratio >= GOAL { "reached" } else { "MISSED" };
-                format!("  yardstick {:6.2}  ratio {ratio:.2}, goal {GOAL} {verdict}", yard[i])
-            });
-            println!("{name:<50} {:7.2} M waveforms per core-second{ratio}", rates[i]);
+        let (mut rounds, mut yards) = (Vec::new(), Vec::new());
+        for _ in 0..if path == Path::best() { ROUNDS } else { 1 } {
+            yards.extend(yardstick());
+            rounds.push(measure(path, &model, &tables, &sets));
         }
-        for (i, (name, goal)) in MIXED.iter().enumerate() {
-            let goal = before.map_or_else(String::new, |yard| {
-                let goal = goal * yard[4] / MIXED_REFERENCE;
-                let verdict = if rates[4 + i] >= goal { "reached" } else { "MISSED" };
-                format!("  goal on this machine {goal:.2} {verdict}")
-            });
-            println!("{name:<50} {:7.2} M waveforms per core-second{goal}", rates[4 + i]);
-        }
+        has_yardstick = yards.len() == rounds.len();
+        report(&rounds, if has_yardstick { &yards } else { &[] });
     }
     println!(
         "mixed scene, plain kernels: {:.1} thousand waveforms per core-second",
         plain(&model, &sets[2].0)
     );
-    if before.is_none() {
+    if !has_yardstick {
         println!(
             "\nNO YARDSTICK: set WAVEX_YARDSTICK to its run script. Without it these figures say little."
         );
