@@ -53,6 +53,10 @@ pub(super) struct FittedLanes {
     values: [Sixteen; 3],
     sds: [Sixteen; 3],
     width_ratios: Sixteen,
+    /// Lanes whose standard deviations are known.
+    known: u16,
+    /// Lanes whose width is inside the tables.
+    held: u16,
 }
 
 impl FittedLanes {
@@ -62,16 +66,25 @@ impl FittedLanes {
         s.store(pulses.height, &mut values[0]);
         s.store(pulses.position, &mut values[1]);
         s.store(pulses.width, &mut values[2]);
-        s.store(s.sqrt(variances[0]), &mut sds[0]);
-        s.store(s.sqrt(variances[1]), &mut sds[1]);
-        s.store(s.sqrt(variances[2]), &mut sds[2]);
+        let mut known = u16::MAX;
+        for (variance, sds) in variances.into_iter().zip(&mut sds) {
+            let sd = s.sqrt(variance);
+            known &= s.gt(sd, s.splat(0.0)) & s.gt(s.splat(f32::INFINITY), sd);
+            s.store(sd, sds);
+        }
         s.store(exponential(s, pulses.width), &mut width_ratios);
-        FittedLanes { values, sds, width_ratios }
+        let held = s.gt(s.splat(U_MAX as f32), pulses.width);
+        FittedLanes { values, sds, width_ratios, known, held }
+    }
+
+    /// Lanes whose standard deviations are known, and whose width is inside the tables.
+    pub(super) fn known_and_held(&self) -> u16 {
+        self.known & self.held
     }
 
     #[inline(always)]
     pub(super) fn get(&self, lane: usize) -> FittedPulse {
-        let FittedLanes { values, sds, width_ratios } = self;
+        let FittedLanes { values, sds, width_ratios, .. } = self;
         FittedPulse {
             values: [values[0][lane], values[1][lane], values[2][lane]],
             sds: [sds[0][lane], sds[1][lane], sds[2][lane]],

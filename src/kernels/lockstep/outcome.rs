@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::limits::Limits;
-use super::scene::{Scene, Way};
+use super::scene::{Pulse, Scene, Way};
 use super::vector::{Kernel, Simd};
 use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::{Decomposer, Decomposition, Return, truncation_flag};
@@ -93,12 +93,8 @@ impl Finish<'_> {
         scene: &mut Scene,
         outcomes: &mut Outcomes,
     ) {
-        let held =
-            scene.pulses().iter().all(|p| p.is_fitted() && (!self.is_refined || self.limits.is_held(p)));
-        let stands = scene.way == Way::Fast
-            && held
-            && (self.stands(scene, samples.len()) || self.drop(scene, samples.len()));
-        if !stands {
+        let is_fast = scene.way == Way::Fast;
+        if !(is_fast && (self.stands(scene, samples.len()) || self.drop(scene, samples.len()))) {
             *self.left_to_plain += 1;
             outcomes.push(&self.plain.decompose(samples, start_phase));
             return;
@@ -137,16 +133,27 @@ impl Finish<'_> {
         outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
     }
 
+    /// Whether the pulse is fitted, and what is held of it is enough.
+    #[inline(always)]
+    fn is_told(&self, pulse: &Pulse) -> bool {
+        pulse.is_fitted() && (!self.is_refined || self.limits.is_held(pulse))
+    }
+
+    /// Whether all pulses stand up as returns, apart from each other.
     #[inline(always)]
     fn stands(&mut self, scene: &Scene, samples: usize) -> bool {
-        let least = self.limits.least_separation;
-        let apart = scene.pulses().windows(2).all(|pair| pair[1].position() - pair[0].position() >= least);
-        apart && (0..scene.pulses().len()).all(|i| self.limits.is_return(scene, &scene.pulses()[i], samples))
+        let mut before = f32::NEG_INFINITY;
+        scene.pulses().iter().all(|pulse| {
+            let is_apart = pulse.position() - before >= self.limits.least_separation;
+            before = pulse.position();
+            is_apart && self.is_told(pulse) && self.limits.is_return(scene, pulse, samples)
+        })
     }
 
     /// Drops what does not stand up, where neighbours need not be fitted anew.
+    #[inline(never)]
     fn drop(&mut self, scene: &mut Scene, samples: usize) -> bool {
-        if self.is_refined {
+        if self.is_refined || !scene.pulses().iter().all(|pulse| self.is_told(pulse)) {
             return false;
         }
         let least = self.limits.least_separation;

@@ -122,11 +122,11 @@ impl Kernel for OneStep<'_> {
             s.store(height, &mut heights);
             s.store(width, &mut widths);
             for (w, &row) in which.iter().enumerate() {
-                let stepped = steps.fitted.get(w);
-                if !steps.is_whole[w] || !stepped.is_known() || !stepped.is_held() {
+                if steps.made & (1 << w) == 0 {
                     to_fit.push((row, [heights[w], positions[w], widths[w]]));
                     continue;
                 }
+                let stepped = steps.fitted.get(w);
                 let scene = &mut scenes[row];
                 (scene.chi_square, scene.samples) = (steps.chi_square[w], steps.samples[w]);
                 let pulse = &mut scene.pulses_mut()[number];
@@ -228,8 +228,8 @@ type StepSums<H> = [[H; LANES]; 4];
 /// Sixteen pulses after one step.
 struct Steps {
     fitted: FittedLanes,
-    /// Whether the block holds the whole pulse.
-    is_whole: [bool; LANES],
+    /// Lanes in which a step was made: of pulses that the block holds whole, to what the tables hold.
+    made: u16,
     /// Sum of the squared whitened residuals over the block's samples in the pulse's row, and how many these are.
     chi_square: Sixteen,
     samples: [usize; LANES],
@@ -253,7 +253,7 @@ fn one_step<S: Simd>(
     let mut sites = Sites::NONE;
     sites.set(s, &pulses);
     let mut inverse = [[0.0; LANES]; 6];
-    let mut whole = [false; LANES];
+    let mut whole = 0;
     let mut counted = [0; LANES];
     for w in 0..which.len().min(LANES) {
         let site = sites.get::<true>(tables, w);
@@ -282,7 +282,8 @@ fn one_step<S: Simd>(
         }
         let length = rows.length(row_of(w)) as i32;
         let [from, to] = tables.needed(site.entry);
-        whole[w] = site.first + from >= tables.order as i32 && site.first + to <= length;
+        let is_whole = site.first + from >= tables.order as i32 && site.first + to <= length;
+        whole |= u16::from(is_whole) << w;
         counted[w] = ((site.first + ROW as i32).min(length) - site.first.max(0)).max(0) as usize;
     }
     let right = [s.sum_each(&sums[0]), s.sub(s.splat(0.0), s.sum_each(&sums[1])), s.sum_each(&sums[2])];
@@ -304,5 +305,5 @@ fn one_step<S: Simd>(
     let fitted = FittedLanes::of(s, &stepped, variances);
     let mut chi_square = [0.0; LANES];
     s.store(s.sub(s.sum_each(&sums[3]), told), &mut chi_square);
-    Steps { fitted, is_whole: whole, chi_square, samples: counted }
+    Steps { made: whole & fitted.known_and_held(), fitted, chi_square, samples: counted }
 }

@@ -54,25 +54,25 @@ const NEGLIGIBLE_ENERGY: f32 = 1e-6;
 pub(super) struct Aligned {
     values: Vec<f32>,
     start: usize,
-    length: usize,
 }
 
 impl Aligned {
     pub(super) fn zeros(length: usize) -> Aligned {
-        let values = vec![0.0; length + LANES];
+        let mut values = vec![0.0; length + LANES];
         // A start that is not aligned costs time, nothing else.
         let start = values.as_ptr().align_offset(64).min(LANES);
-        Aligned { values, start, length }
+        values.truncate(start + length);
+        Aligned { values, start }
     }
 
     #[inline(always)]
     pub(super) fn as_slice(&self) -> &[f32] {
-        &self.values[self.start..self.start + self.length]
+        &self.values[self.start..]
     }
 
     #[inline(always)]
     pub(super) fn as_mut_slice(&mut self) -> &mut [f32] {
-        &mut self.values[self.start..self.start + self.length]
+        &mut self.values[self.start..]
     }
 }
 

@@ -13,9 +13,9 @@ mod portable;
 /// Lanes of a vector.
 pub(super) const LANES: usize = 16;
 
-/// What a processor fetches at once.
+/// Samples that a processor fetches at once.
 #[cfg(target_arch = "x86_64")]
-const CACHE_LINE_BYTES: usize = 64;
+const CACHE_LINE_SAMPLES: usize = 32;
 
 /// What a register holds, as memory.
 pub(in crate::kernels) type Sixteen = [f32; LANES];
@@ -32,7 +32,7 @@ pub(in crate::kernels) trait Simd: Copy {
     fn splat(self, value: f32) -> Self::V;
     fn load(self, from: &Sixteen) -> Self::V;
     fn store(self, value: Self::V, to: &mut Sixteen);
-    /// Asks the memory for what will soon be read. No result depends on it.
+    /// Asks the memory for the first samples of what will soon be read; it foresees the next ones. No result depends on it.
     fn fetch(self, soon: &[u16]);
     /// Two neighbours in each lane, as bits: for [`Simd::transpose`], [`Simd::first`] and [`Simd::second`].
     fn pairs(self, from: &[u16; 2 * LANES]) -> Self::V;

@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{CACHE_LINE_BYTES, Kernel, LANES, Simd, Sixteen};
+use super::{CACHE_LINE_SAMPLES, Kernel, LANES, Simd, Sixteen};
 
 /// Exists only where [`Avx2::detect`] has found the instructions.
 #[derive(Clone, Copy)]
@@ -170,9 +170,9 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn fetch(self, soon: &[u16]) {
-        for line in soon.chunks(CACHE_LINE_BYTES / size_of::<u16>()) {
+        for line in [soon.first(), soon.get(CACHE_LINE_SAMPLES)].into_iter().flatten() {
             // SAFETY: every such processor has the instruction; it reads nothing, and faults at no address.
-            unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) }
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(line).cast()) }
         }
     }
     #[inline(always)]
