@@ -22,11 +22,11 @@ use scenes::{SAMPLES, Scene, Waveforms, model};
 
 const WAVEFORMS: usize = 20_000;
 /// A run is this long.
-const RUN_S: f64 = 0.1;
-const RUNS: usize = 21;
+const RUN_S: f64 = 0.05;
+const RUNS: usize = 7;
 /// The path in use is measured so often, each time behind a run of the yardstick: a neighbour on the machine slows either
 /// down, and rarely for long.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 9;
 const GOAL: f64 = 0.6;
 
 /// Blocks of a scene, and the places of their pulses.
@@ -83,16 +83,18 @@ fn blocks(samples: &[u16]) -> Vec<Block<'_>> {
 type Sets = [(Vec<u16>, Vec<Vec<f64>>); 3];
 
 /// The rate of detection alone.
-fn detection(blocks: &[Block<'_>], mut detector: Lockstep) -> f64 {
+fn detection(blocks: &[Block<'_>], mut detector: Lockstep, shows: bool) -> f64 {
     let mut candidates: Vec<(u32, Candidate)> = Vec::with_capacity(2 * WAVEFORMS);
     let rate = rate(|| detector.detect(blocks, &mut candidates));
-    println!("      {:.4} candidates per waveform", candidates.len() as f64 / WAVEFORMS as f64);
+    if shows {
+        println!("      {:.4} candidates per waveform", candidates.len() as f64 / WAVEFORMS as f64);
+    }
     rate
 }
 
 /// Rates of detection, one return fitted whole, one return in the fastest mode, two returns jointly, and of the mixed scene
-/// in the modes refined, fast-separated and fastest.
-fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets) -> [f64; 7] {
+/// in the modes refined, fast-separated and fastest. With `shows`, what they come to is printed.
+fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets, shows: bool) -> [f64; 7] {
     let settings = DecomposeSettings::default();
     let plain_settings = DecomposeSettings { max_added: 0, ..settings.clone() };
     let kernels = |settings: &DecomposeSettings, mode: Mode| {
@@ -109,7 +111,7 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets) 
     let only = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
     let mut rates = [0.0; 7];
     if only.as_ref().is_none_or(|only| only == "detect") {
-        rates[0] = detection(&blocks(&sets[0].0), kernels(&settings, Mode::Refined));
+        rates[0] = detection(&blocks(&sets[0].0), kernels(&settings, Mode::Refined), shows);
     }
     for (rate_of, (name, settings, mode, set)) in rates[1..].iter_mut().zip(runs) {
         if only.as_ref().is_some_and(|only| only != name) {
@@ -120,6 +122,9 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets) 
         let mut kernels = kernels(settings, mode);
         let mut outcomes = Outcomes::default();
         *rate_of = rate(|| kernels.decompose(&blocks, &mut outcomes));
+        if !shows {
+            continue;
+        }
         let before = kernels.left_to_plain();
         kernels.decompose(&blocks, &mut outcomes);
         let left = kernels.left_to_plain() - before;
@@ -191,7 +196,8 @@ fn verdict(figure: f64, goal: f64) -> &'static str {
 /// Prints rates, and where the yardstick ran before each of them, medians of the ratios.
 fn report(rounds: &[[f64; 7]], yards: &[[f64; 5]]) {
     let rate = |i: usize| median(rounds.iter().map(|rates| rates[i]).collect()).0;
-    let ratio = |i: usize, yard: usize| median(rounds.iter().zip(yards).map(|(r, y)| r[i] / y[yard]).collect());
+    let ratio =
+        |i: usize, yard: usize| median(rounds.iter().zip(yards).map(|(r, y)| r[i] / y[yard]).collect());
     for (i, (name, _)) in LINES.iter().enumerate() {
         print!("{name:<50} {:7.2} M waveforms per core-second", rate(i));
         if !yards.is_empty() {
@@ -227,9 +233,9 @@ fn main() {
         }
         println!("{path:?}{}", if path == Path::best() { ", the path in use" } else { "" });
         let (mut rounds, mut yards) = (Vec::new(), Vec::new());
-        for _ in 0..if path == Path::best() { ROUNDS } else { 1 } {
+        for round in 0..if path == Path::best() { ROUNDS } else { 3 } {
             yards.extend(yardstick());
-            rounds.push(measure(path, &model, &tables, &sets));
+            rounds.push(measure(path, &model, &tables, &sets, round == 0));
         }
         has_yardstick = yards.len() == rounds.len();
         report(&rounds, if has_yardstick { &yards } else { &[] });
