@@ -108,10 +108,12 @@ impl Decompose<'_> {
     /// Does the work.
     pub(super) fn run(mut self) {
         self.work.scenes.resize_with(self.blocks.len(), Scene::default);
+        self.work.by_count.clear();
         for first in (0..self.blocks.len()).step_by(FAST_BATCH) {
+            let singles = self.work.by_count.count(1);
             self.detect(first);
             if self.mode == Mode::Refined {
-                self.fit_singles();
+                self.fit_singles(singles);
             }
         }
         match self.mode {
@@ -166,12 +168,12 @@ impl Decompose<'_> {
         self.on.run(DetectAll { tables, rows, columns, blocks, first, begin, scenes, by_count });
     }
 
-    /// Fits the waveforms of one pulse among those that detection has just looked at.
-    fn fit_singles(&mut self) {
+    /// Fits the waveforms of one pulse, but for so many that have been fitted before.
+    fn fit_singles(&mut self, done: usize) {
         let (tables, fwhm) = (self.tables, self.fwhm());
         let Workspace { rows, scenes, by_count, which, .. } = &mut *self.work;
         which.clear();
-        which.extend(by_count.rows(1));
+        which.extend(by_count.rows(1).skip(done));
         self.on.run(FitSingles { tables, rows, scenes, which, fwhm });
     }
 

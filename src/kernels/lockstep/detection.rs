@@ -96,7 +96,7 @@ impl ByCount {
         ByCount { rows: vec![[0; BATCH]; MAX_PULSES + 1], lengths: [0; MAX_PULSES + 1] }
     }
 
-    fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         self.lengths = [0; MAX_PULSES + 1];
     }
 
@@ -112,6 +112,11 @@ impl ByCount {
         }
     }
 
+    /// How many waveforms have so many pulses.
+    pub(super) fn count(&self, count: usize) -> usize {
+        self.lengths[count]
+    }
+
     /// The waveforms with so many pulses, in order.
     pub(super) fn rows(&self, count: usize) -> impl Iterator<Item = usize> {
         self.rows[count][..self.lengths[count]].iter().map(|&row| row as usize)
@@ -124,7 +129,6 @@ impl Kernel for DetectAll<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let DetectAll { tables, rows, columns, first, begin, scenes, by_count, .. } = self;
-        by_count.clear();
         let threshold = begin.limits.least_sigma as f32;
         let mut found = [Candidates::default(); LANES];
         let groups = self.blocks.chunks(LANES).zip(scenes.chunks_mut(LANES));

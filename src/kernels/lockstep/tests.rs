@@ -164,6 +164,18 @@ fn mixture(model: &ChannelModel) -> Vec<Vec<u16>> {
     waveforms
 }
 
+/// More waveforms than a batch holds get what they get in small batches.
+#[test]
+fn a_waveform_gets_the_same_in_batches_of_any_size() {
+    let model = model();
+    let waveforms = scenes(&model, 9, BATCH + 500);
+    let whole = everything(&model, Path::best(), &waveforms);
+    let parts = waveforms.chunks(100).flat_map(|part| everything(&model, Path::best(), part));
+    for (i, (whole, part)) in whole.iter().zip(parts).enumerate() {
+        assert!(*whole == part, "waveform {i}: {whole} {part}");
+    }
+}
+
 /// What overdrives the receiver bends nothing that came before it.
 #[test]
 fn an_echo_before_an_overdriven_one_stays() {
