@@ -322,6 +322,16 @@ fn returns_beside_riegls_stand_where_other_pulses_hit() {
             100.0 * confirmed as f64 / vendor as f64
         );
         assert!(beside as f64 >= 4.0 * chance * extras.len() as f64 && confirmed * 4 >= extras.len() * 3);
+        // Echoes stand close to each other where there is more than one: so do ours beside RIEGL's.
+        let [of_one, of_several] = [true, false].map(|is_one| {
+            let of = pulses.iter().filter(|pulse| (pulse.vendor.len() == 1) == is_one);
+            of.fold([0; 2], |[extra, count], pulse| [extra + pulse.extra().count(), count + 1])
+        });
+        println!(
+            "{name}: beside RIEGL's, and pulses: where it has one {of_one:?}, where it has several {of_several:?}"
+        );
+        let rate = |[extra, count]: [usize; 2]| extra as f64 / count as f64;
+        assert!(rate(of_several) >= 4.0 * rate(of_one));
     }
 }
 
