@@ -310,6 +310,19 @@ fn returns_beside_riegls_stand_where_other_pulses_hit() {
         };
         let chance = agreement::near_by_chance(&pulses, &extras, near_m);
         let line = agreement::on_a_line(&extras.iter().map(|extra| extra.place_m).collect::<Vec<_>>(), 0.1);
+        let by_chance = (0..100).map(|seed| {
+            agreement::on_a_line(&agreement::placed_by_chance(&pulses, &extras, seed), 0.1).len()
+        });
+        let mut by_chance: Vec<usize> = by_chance.collect();
+        by_chance.sort_unstable();
+        println!(
+            "{name}: in a line of a hundred such sets placed by chance {} at the median, {} at most; {} sets have as many as {}",
+            by_chance[50],
+            by_chance[99],
+            by_chance.iter().filter(|count| **count >= line.len()).count(),
+            line.len()
+        );
+        assert!(line.len() > by_chance[99]);
         let beside = extras.iter().filter(|extra| near(extra)).count();
         let confirmed = (0..extras.len()).filter(|i| near(&extras[*i]) || line.contains(i)).count();
         println!(
@@ -404,7 +417,7 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
     let pairs: Vec<agreement::Told> =
         pulses.iter().enumerate().flat_map(|(index, pulse)| pulse.told(index)).collect();
     let raw: Vec<f64> = pairs.iter().map(|pair| 1000.0 * (pair.ours.time_ns - pair.vendor.time_ns)).collect();
-    let left = agreement::without_trend(&pairs, &raw);
+    let left = agreement::without_trend(&pairs, &raw, |pulse| pulse % 10);
     let of = |values: &[f64], wanted: &dyn Fn(&agreement::Told) -> bool| -> Vec<f64> {
         values.iter().zip(&pairs).filter(|(_, pair)| wanted(pair)).map(|(value, _)| *value).collect()
     };
@@ -428,6 +441,21 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
     }
     assert!(spread(&raw, &single) <= 20.0 && spread(&left, &single) <= 15.0);
     assert!(spread(&left, &multi) <= 60.0 && spread(&left, &far) <= 25.0);
+    let mut of_other_tenths: Vec<f64> = (0..100)
+        .map(|way| {
+            let tenth_of = |pulse| agreement::scattered(1000 * way + pulse) % 10;
+            spread(&agreement::without_trend(&pairs, &raw, tenth_of), &far)
+        })
+        .collect();
+    of_other_tenths.sort_by(f64::total_cmp);
+    println!(
+        "more than 12 ns apart, by a hundred other ways to make the tenths: {:.1} to {:.1} ps, median {:.1}, {} above 25",
+        of_other_tenths[0],
+        of_other_tenths[99],
+        of_other_tenths[50],
+        of_other_tenths.iter().filter(|ps| **ps > 25.0).count()
+    );
+    assert!(of_other_tenths[50] <= 25.0);
 
     let scores: Vec<f64> = left.iter().zip(&pairs).map(|(d, pair)| d / (1000.0 * pair.ours.sd_ns)).collect();
     let coverage = |wanted| {

@@ -146,8 +146,9 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
 }
 
 /// What a walk that follows the amplitude leaves of differences: a cubic in the amplitude's logarithm, as tables of the receivers
-/// are given in dB, weighted by the standard deviations. Each tenth of the pulses by the walk that the others tell.
-pub fn without_trend(pairs: &[Told], differences: &[f64]) -> Vec<f64> {
+/// are given in dB, weighted by the standard deviations. Each tenth of the pulses by the walk that the others tell;
+/// `tenth_of` tells which tenth a pulse is of.
+pub fn without_trend(pairs: &[Told], differences: &[f64], tenth_of: impl Fn(usize) -> usize) -> Vec<f64> {
     let points: Vec<Point> = pairs
         .iter()
         .zip(differences)
@@ -159,7 +160,7 @@ pub fn without_trend(pairs: &[Told], differences: &[f64]) -> Vec<f64> {
         .collect();
     let mut left = vec![f64::NAN; points.len()];
     for tenth in 0..10 {
-        let of_tenth = |i: &usize| pairs[*i].pulse % 10 == tenth;
+        let of_tenth = |i: &usize| tenth_of(pairs[*i].pulse) == tenth;
         let coefficients = cubic((0..points.len()).filter(|i| !of_tenth(i)).map(|i| points[i]).collect());
         for i in (0..points.len()).filter(of_tenth) {
             left[i] = points[i].rest(coefficients);
@@ -273,6 +274,27 @@ pub fn near_by_chance(pulses: &[Pulse], extras: &[Extra], near_m: f64) -> f64 {
         }
     }
     near as f64 / f64::from(all.max(1))
+}
+
+/// As many places as these returns, each as far from the strongest return of a pulse by chance as it is from its own.
+pub fn placed_by_chance(pulses: &[Pulse], extras: &[Extra], seed: usize) -> Vec<[f64; 3]> {
+    let strongest: Vec<[f64; 3]> =
+        pulses.iter().filter_map(|pulse| Some(pulse.strongest()?.place_m)).collect();
+    let mut random = seed + 1;
+    let place = |extra: &Extra| {
+        random = scattered(random);
+        let by_m = strongest[random % strongest.len()];
+        [0, 1, 2].map(|axis| by_m[axis] + extra.offset_m[axis])
+    };
+    extras.iter().map(place).collect()
+}
+
+/// A number that has little to do with the one that it is made of (Steele, Lea and Flood's finaliser of SplitMix64).
+pub fn scattered(number: usize) -> usize {
+    let mut z = (number as u64).wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 1) as usize
 }
 
 /// The most places within `near_m` of one straight line through two of them that are 3 m apart or more: indices.
