@@ -199,12 +199,12 @@ fn verdict(figure: f64, goal: f64) -> &'static str {
     if figure >= goal { "reached" } else { "MISSED" }
 }
 
-/// Prints rates, and where the yardstick ran before each of them, medians of the ratios.
+/// Prints the rates of what was run, and where the yardstick ran before each of them, medians of the ratios.
 fn report(rounds: &[[f64; 7]], yards: &[[f64; 5]]) {
     let rate = |i: usize| median(rounds.iter().map(|rates| rates[i]).collect()).0;
     let ratio =
         |i: usize, yard: usize| median(rounds.iter().zip(yards).map(|(r, y)| r[i] / y[yard]).collect());
-    for (i, (name, _)) in LINES.iter().enumerate() {
+    for (i, (name, _)) in LINES.iter().enumerate().filter(|(i, _)| rate(*i) > 0.0) {
         print!("{name:<50} {:7.2} M waveforms per core-second", rate(i));
         if !yards.is_empty() {
             let (ratio, range) = ratio(i, i);
@@ -213,7 +213,7 @@ fn report(rounds: &[[f64; 7]], yards: &[[f64; 5]]) {
         }
         println!();
     }
-    for (i, (name, goal)) in MIXED.iter().enumerate() {
+    for (i, (name, goal)) in MIXED.iter().enumerate().filter(|(i, _)| rate(LINES.len() + i) > 0.0) {
         print!("{name:<50} {:7.2} M waveforms per core-second", rate(LINES.len() + i));
         if !yards.is_empty() {
             let scaled = MIXED_REFERENCE * ratio(LINES.len() + i, LINES.len()).0;

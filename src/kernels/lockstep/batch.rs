@@ -170,11 +170,10 @@ impl Decompose<'_> {
 
     /// Fits the waveforms of one pulse, but for so many that have been fitted before.
     fn fit_singles(&mut self, done: usize) {
-        let (tables, fwhm) = (self.tables, self.fwhm());
         let Workspace { rows, scenes, by_count, which, .. } = &mut *self.work;
         which.clear();
         which.extend(by_count.rows(1).skip(done));
-        self.on.run(FitSingles { tables, rows, scenes, which, fwhm });
+        self.on.run(FitSingles { tables: self.tables, rows, scenes, which });
     }
 
     /// The clusters of all waveforms are to be fitted that are not settled.

@@ -14,7 +14,8 @@ const BACK: usize = 80;
 pub(super) const CHUNK: usize = 64;
 /// Waveforms of a batch: enough for full vectors of the rarer fits.
 pub(super) const BATCH: usize = 2048;
-/// The same where nothing is refined, and few fits wait for others: what a batch needs then stays in the cache.
+/// Waveforms that are detected at a time, and a whole batch where nothing is refined and few fits wait for others: what these
+/// need stays in the cache.
 pub(super) const FAST_BATCH: usize = 512;
 /// Blocks up to so many samples come in whole batches, longer ones in smaller ones, for the memory's sake …
 const WHOLE_BATCH_SAMPLES: usize = 256;

@@ -15,7 +15,6 @@ pub(super) struct FitSingles<'a> {
     pub(super) rows: &'a mut Rows,
     pub(super) scenes: &'a mut [Scene],
     pub(super) which: &'a [usize],
-    pub(super) fwhm: f32,
 }
 
 impl Kernel for FitSingles<'_> {
@@ -23,7 +22,7 @@ impl Kernel for FitSingles<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let FitSingles { tables, rows, scenes, fwhm, .. } = self;
+        let FitSingles { tables, rows, scenes, .. } = self;
         let none = s.halved(s.splat(0.0));
         let mut bank: BankSums<S::Half> = [[none; LANES]; BANK];
         let mut sums = [[none; LANES]; 10];
@@ -50,9 +49,7 @@ impl Kernel for FitSingles<'_> {
             for (job, fitted) in jobs.iter().zip(fitted) {
                 let [pulse] = &fitted.pulses;
                 if fitted.is_optimum && pulse.is_held() && pulse.values[0] <= tables.strong_dn() {
-                    let scene = &mut scenes[job.row];
-                    scene.set_clusters(fwhm);
-                    scene.settle(pulse);
+                    scenes[job.row].settle(pulse);
                     add_pulse(s, tables, rows, job.row, pulse.values, -1.0);
                     settled[count] = job.row;
                     count += 1;
