@@ -154,8 +154,8 @@ impl Lockstep {
         let threshold = self.settings.detection_sigma as f32;
         for (batch, blocks) in blocks.chunks(BATCH).enumerate() {
             self.work.make_room(blocks);
-            let Workspace { rows, columns, candidates: out, .. } = &mut self.work;
-            self.path.processor().run(Detect { tables: &tables, rows, columns, blocks, threshold, out });
+            let Workspace { columns, candidates: out, .. } = &mut self.work;
+            self.path.processor().run(Detect { tables: &tables, columns, blocks, threshold, out });
             for (i, candidates) in out.iter().enumerate() {
                 let index = (batch * BATCH + i) as u32;
                 found.extend(candidates.as_slice().iter().map(|candidate| (index, *candidate)));

@@ -4,7 +4,7 @@ use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::detection::{Begin, ByCount, DetectAll};
-use super::fit::{FittedPulse, Job, Values};
+use super::fit::{FittedPulse, Job};
 use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, FAST_BATCH, Rows};
@@ -46,8 +46,8 @@ pub(super) struct Workspace {
     /// The numbers of these pulses in their waveforms.
     single_tags: Vec<usize>,
     pub(super) scores: Vec<(f32, bool)>,
-    /// Pulses that one step is not made for.
-    to_fit: Vec<(usize, Values)>,
+    /// Pulses that one step is not made for: rows and numbers.
+    to_fit: Vec<(usize, usize)>,
 }
 
 /// Blocks up to so many samples are decomposed in lock-step.
@@ -207,23 +207,33 @@ impl Decompose<'_> {
         }
     }
 
-    /// One step on each pulse, or on those that overlap no other: the first of each waveform, then the second, and so on.
+    /// One step on each pulse, or on those that overlap no other: the first of each waveform, then the second, and so on. Then
+    /// the few that one step is not made for are fitted, together.
     fn step_each(&mut self, separated: bool) {
         let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
+        let Workspace { rows, scenes, by_count, which, to_fit, .. } = &mut *self.work;
+        to_fit.clear();
         for number in 0..MAX_PULSES {
-            let Workspace { rows, scenes, by_count, which, to_fit, queues, .. } = &mut *self.work;
             on.run(ClearForStep { tables, rows, scenes, by_count, number, separated, fwhm, which });
-            if which.is_empty() {
-                continue;
-            }
-            on.run(OneStep { tables, rows, scenes, which, number, to_fit });
-            if !to_fit.is_empty() {
-                for (row, pulse) in to_fit {
-                    queues.push(tables, *row, &[*pulse], Aim::OPTIMUM, number);
-                }
-                self.run_clusters();
+            if !which.is_empty() {
+                on.run(OneStep { tables, rows, scenes, which, number, to_fit });
             }
         }
+        let mut to_fit = std::mem::take(&mut self.work.to_fit);
+        // One of a waveform at a time.
+        to_fit.sort_unstable_by_key(|(row, number)| (*number, *row));
+        for to_fit in to_fit.chunk_by(|a, b| a.1 == b.1) {
+            for &(row, number) in to_fit {
+                let Workspace { rows, scenes, queues, .. } = &mut *self.work;
+                let values = scenes[row].pulses()[number].values();
+                if scenes[row].taken_off {
+                    add(on, tables, rows, row, values, 1.0);
+                }
+                queues.push(tables, row, &[values], Aim::OPTIMUM, number);
+            }
+            self.run_clusters();
+        }
+        self.work.to_fit = to_fit;
     }
 
     /// Fits the clusters of at least so many pulses in the waveforms that are due: the first of each waveform, then the

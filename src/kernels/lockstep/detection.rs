@@ -10,10 +10,9 @@ use super::vector::{Kernel, LANES, Simd};
 use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::{Counts, DecomposeSettings};
 
-/// Loads, filters and whitens blocks, and finds the candidates of each.
+/// Loads and filters blocks, and finds the candidates of each.
 pub(super) struct Detect<'a> {
     pub(super) tables: &'a Tables,
-    pub(super) rows: &'a mut Rows,
     pub(super) columns: &'a mut Columns,
     pub(super) blocks: &'a [Block<'a>],
     pub(super) threshold: f32,
@@ -25,13 +24,14 @@ impl Kernel for Detect<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let Detect { tables, rows, columns, threshold, out, .. } = self;
+        let Detect { tables, columns, threshold, out, .. } = self;
         // In place: what is written value by value and read at once as a whole is slow.
         out.resize_with(self.blocks.len(), Candidates::default);
         let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
         for (group, (blocks, out)) in groups.enumerate() {
             fetch(s, self.blocks, group + 1);
-            detect(s, tables, rows, columns, blocks, group * LANES, threshold, out);
+            let extremes = load(s, tables, columns, blocks);
+            detect(s, tables, columns, extremes, threshold, out);
         }
     }
 }
@@ -44,24 +44,26 @@ fn fetch<S: Simd>(s: S, blocks: &[Block<'_>], group: usize) {
     }
 }
 
-/// Detection on up to sixteen blocks, whose residuals are the rows from `first` on.
+/// Takes up to sixteen blocks, and gives the lowest and the highest sample of each.
 #[inline(always)]
-fn detect<S: Simd>(
-    s: S,
-    tables: &Tables,
-    rows: &mut Rows,
-    columns: &mut Columns,
-    blocks: &[Block<'_>],
-    first: usize,
-    threshold: f32,
-    out: &mut [Candidates],
-) {
+fn load<S: Simd>(s: S, tables: &Tables, columns: &mut Columns, blocks: &[Block<'_>]) -> [[u16; 2]; LANES] {
     let mut samples: [&[u16]; LANES] = [&[]; LANES];
     for (samples, block) in samples.iter_mut().zip(blocks) {
         *samples = block.samples;
     }
-    let extremes = columns.load(s, tables, &samples[..blocks.len()]);
-    columns.whiten(s, tables, rows, first, blocks.len());
+    columns.load(s, tables, &samples[..blocks.len()])
+}
+
+/// The candidates of blocks that are loaded.
+#[inline(always)]
+fn detect<S: Simd>(
+    s: S,
+    tables: &Tables,
+    columns: &mut Columns,
+    extremes: [[u16; 2]; LANES],
+    threshold: f32,
+    out: &mut [Candidates],
+) {
     columns.filter_samples(s, tables);
     columns.mark_maxima(s, threshold);
     for (lane, (extremes, found)) in extremes.into_iter().zip(out).enumerate() {
@@ -135,8 +137,11 @@ impl Kernel for DetectAll<'_> {
         for (group, (blocks, scenes)) in groups.enumerate() {
             fetch(s, self.blocks, group + 1);
             let first = first + group * LANES;
-            detect(s, tables, rows, columns, blocks, first, threshold, &mut found[..blocks.len()]);
-            let lanes = blocks.iter().zip(&mut found).zip(scenes).enumerate();
+            let found = &mut found[..blocks.len()];
+            let extremes = load(s, tables, columns, blocks);
+            columns.whiten(s, tables, rows, first, blocks.len());
+            detect(s, tables, columns, extremes, threshold, found);
+            let lanes = blocks.iter().zip(found).zip(scenes).enumerate();
             for (lane, ((block, found), scene)) in lanes {
                 begin.begin(block, rows.capacity(), found, scene);
                 by_count.push(scene.pulses().len(), first + lane);

@@ -142,6 +142,8 @@ const DECREASE: f32 = 1e-2;
 const DAMPING: [f32; 3] = [1e-3, 1e-6, 1e6];
 /// No step with this damping lowers the objective: the optimum, where the response's change with the height has a kink.
 const NO_DECREASE: f32 = 1e2;
+/// So much stands in the matrix of a value that is held.
+const HELD: f32 = 1e30;
 /// Damping up to which a small promise tells that the optimum is near.
 const NEAR_NEWTON: f32 = 1e-2;
 
@@ -286,7 +288,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             }
             point = next.select(s, better, point);
             damping = self.next_damping(damping, better);
-            let step = self.step(&point, damping);
+            let step = self.step(&point, damping, &pulses);
             let mut gain = zero;
             for i in 0..N {
                 gain = s.fma(step[i], point.side[i], gain);
@@ -326,13 +328,19 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         s.select(better, less, more)
     }
 
-    /// Solves the damped equations.
+    /// Solves the damped equations, with the widths held that would leave the tables: what a step is cut short by would bend
+    /// its other values.
     #[inline(always)]
-    fn step(&self, point: &Point<S::V, N>, damping: S::V) -> [S::V; N] {
+    fn step(&self, point: &Point<S::V, N>, damping: S::V, pulses: &[Pulses<S::V>; P]) -> [S::V; N] {
         let s = self.s;
         let mut damped = point.matrix;
         for (i, row) in damped.iter_mut().enumerate() {
             row[i] = s.fma(damping, row[i], row[i]);
+        }
+        for (p, pulse) in pulses.iter().enumerate() {
+            let u = 3 * p + 2;
+            let leaving = s.ge(pulse.width, s.splat(U_MAX as f32)) & s.gt(point.side[u], s.splat(0.0));
+            damped[u][u] = s.select(leaving, s.splat(HELD), damped[u][u]);
         }
         let mut step = point.side;
         factor(s, damped).solve(s, &mut step);
@@ -482,9 +490,15 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         }
         let mut beyonds = [0.0; LANES];
         s.store(beyond, &mut beyonds);
+        let mut step = point.side;
+        factors.solve(s, &mut step);
         for (p, pulses) in pulses.iter().enumerate() {
+            // Where the tables cut a width short, what a step from there tells of it is nearer than where they end.
+            let is_cut = s.ge(pulses.width, s.splat(U_MAX as f32));
+            let free = pulses.moved(s, [step[3 * p], step[3 * p + 1], step[3 * p + 2]]);
+            let pulses = free.select(s, is_cut, *pulses);
             let lanes =
-                FittedLanes::of(s, pulses, [variances[3 * p], variances[3 * p + 1], variances[3 * p + 2]]);
+                FittedLanes::of(s, &pulses, [variances[3 * p], variances[3 * p + 1], variances[3 * p + 2]]);
             for (w, fitted) in out.iter_mut().enumerate() {
                 fitted.pulses[p] = lanes.get(w);
             }

@@ -1,12 +1,12 @@
 //! The width bank, and the one tabulated step of the mode `fastest`.
 
 use super::detection::ByCount;
-use super::fit::{FittedLanes, Job, Values};
+use super::fit::{FittedLanes, Job};
 use super::jobs::add_pulse;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::scene::{MAX_PULSES, Scene};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
-use super::template::{Pulses, Sites, VECTORS, bounded, template};
+use super::template::{Pulses, Sites, VECTORS, bounded, template, weights};
 use super::vector::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
@@ -97,8 +97,9 @@ pub(super) struct OneStep<'a> {
     pub(super) scenes: &'a mut [Scene],
     pub(super) which: &'a [usize],
     pub(super) number: usize,
-    /// What is to be fitted instead, with its row: the step's matrix is that of whole pulses.
-    pub(super) to_fit: &'a mut Vec<(usize, Values)>,
+    /// Rows and numbers of the pulses that are to be fitted instead, from where the bank has them, are added here: the step's
+    /// matrix is that of whole pulses.
+    pub(super) to_fit: &'a mut Vec<(usize, usize)>,
 }
 
 impl Kernel for OneStep<'_> {
@@ -109,7 +110,6 @@ impl Kernel for OneStep<'_> {
         let OneStep { tables, rows, scenes, number, to_fit, .. } = self;
         let none = s.halved(s.splat(0.0));
         let (mut bank, mut sums) = ([[none; LANES]; BANK], [[none; LANES]; 4]);
-        to_fit.clear();
         for which in self.which.chunks(LANES) {
             let mut positions = SOMEWHERE;
             for (position, &row) in positions.iter_mut().zip(which) {
@@ -122,18 +122,20 @@ impl Kernel for OneStep<'_> {
             s.store(height, &mut heights);
             s.store(width, &mut widths);
             for (w, &row) in which.iter().enumerate() {
-                if steps.made & (1 << w) == 0 {
-                    to_fit.push((row, [heights[w], positions[w], widths[w]]));
-                    continue;
-                }
-                let stepped = steps.fitted.get(w);
                 let scene = &mut scenes[row];
-                (scene.chi_square, scene.samples) = (steps.chi_square[w], steps.samples[w]);
                 let pulse = &mut scene.pulses_mut()[number];
-                pulse.take(&stepped);
-                pulse.sds = stepped.sds;
+                if steps.made & (1 << w) == 0 {
+                    pulse.set_values([heights[w], positions[w], widths[w]]);
+                    to_fit.push((row, number));
+                } else {
+                    let stepped = steps.fitted.get(w);
+                    pulse.take(&stepped);
+                    pulse.sds = stepped.sds;
+                    (scene.chi_square, scene.samples) = (steps.chi_square[w], steps.samples[w]);
+                }
                 if scene.taken_off {
-                    add_pulse(s, tables, rows, row, stepped.values, -1.0);
+                    let values = scene.pulses()[number].values();
+                    add_pulse(s, tables, rows, row, values, -1.0);
                 }
             }
         }
@@ -228,7 +230,7 @@ type StepSums<H> = [[H; LANES]; 4];
 /// Sixteen pulses after one step.
 struct Steps {
     fitted: FittedLanes,
-    /// Lanes in which a step was made: of pulses that the block holds whole, to what the tables hold.
+    /// Lanes in which a step was made: of pulses that the block holds as good as whole, to what the tables hold.
     made: u16,
     /// Sum of the squared whitened residuals over the block's samples in the pulse's row, and how many these are.
     chi_square: Sixteen,
@@ -253,7 +255,7 @@ fn one_step<S: Simd>(
     let mut sites = Sites::NONE;
     sites.set(s, &pulses);
     let mut inverse = [[0.0; LANES]; 6];
-    let mut whole = 0;
+    let mut made = 0;
     let mut counted = [0; LANES];
     for w in 0..which.len().min(LANES) {
         let site = sites.get::<true>(tables, w);
@@ -263,6 +265,10 @@ fn one_step<S: Simd>(
         let row = rows.residual_row(row_of(w));
         let at = FRONT.saturating_add_signed(site.first as isize);
         let height = s.splat(site.height);
+        let (order, length) = (tables.order as i32, rows.length(row_of(w)) as i32);
+        let is_inside = |[from, to]: [i32; 2]| site.first + from >= order && site.first + to <= length;
+        let is_whole = is_inside(tables.needed(site.entry));
+        made |= u16::from(is_whole || is_inside(tables.telling(site.entry))) << w;
         let mut acc = [s.splat(0.0); 4];
         for c in 0..VECTORS {
             // The step's matrix is the first response's; the pulse that it corrects is the height's own.
@@ -271,7 +277,11 @@ fn one_step<S: Simd>(
             } else {
                 template::<S, true>(s, tables, &site, LANES + c * LANES)
             };
-            let residual = s.fnma(height, shape.pulse, s.load(sixteen(row, at + c * LANES)));
+            let mut residual = s.fnma(height, shape.pulse, s.load(sixteen(row, at + c * LANES)));
+            if !is_whole {
+                let first = site.first + (c * LANES) as i32;
+                residual = s.mul(residual, weights(s, first, tables.order, length as usize));
+            }
             acc[0] = s.fma(shape.pulse, residual, acc[0]);
             acc[1] = s.fma(shape.by_time, residual, acc[1]);
             acc[2] = s.fma(shape.by_width, residual, acc[2]);
@@ -280,11 +290,8 @@ fn one_step<S: Simd>(
         for (sums, acc) in sums.iter_mut().zip(acc) {
             sums[w] = s.halved(acc);
         }
-        let length = rows.length(row_of(w)) as i32;
-        let [from, to] = tables.needed(site.entry);
-        let is_whole = site.first + from >= tables.order as i32 && site.first + to <= length;
-        whole |= u16::from(is_whole) << w;
-        counted[w] = ((site.first + ROW as i32).min(length) - site.first.max(0)).max(0) as usize;
+        let begin = if is_whole { 0 } else { order };
+        counted[w] = ((site.first + ROW as i32).min(length) - site.first.max(begin)).max(0) as usize;
     }
     let right = [s.sum_each(&sums[0]), s.sub(s.splat(0.0), s.sum_each(&sums[1])), s.sum_each(&sums[2])];
     let mut lanes = [s.splat(0.0); 6];
@@ -305,5 +312,5 @@ fn one_step<S: Simd>(
     let fitted = FittedLanes::of(s, &stepped, variances);
     let mut chi_square = [0.0; LANES];
     s.store(s.sub(s.sum_each(&sums[3]), told), &mut chi_square);
-    Steps { made: whole & fitted.known_and_held(), fitted, chi_square, samples: counted }
+    Steps { made: made & fitted.known_and_held(), fitted, chi_square, samples: counted }
 }

@@ -49,6 +49,9 @@ const LEAST_ENERGY: f64 = 0.3;
 /// Part of a pulse's energy that may be left out at either end of its row: at a signal-to-noise ratio of 100 a tenth of a
 /// standard deviation.
 const NEGLIGIBLE_ENERGY: f32 = 1e-6;
+/// Part of what a pulse's samples tell of any of its values that may be missing where the tables' Fisher matrix still is its
+/// own: standard deviations come out smaller by half of it at most.
+const NEGLIGIBLE_INFORMATION: f32 = 0.01;
 
 /// Values that start on a cache line.
 pub(super) struct Aligned {
@@ -100,6 +103,8 @@ pub struct Tables {
     tail_gain: [f32; KNOTS],
     /// By knot the row's samples that hold a pulse: from one to before another.
     needed: [[i32; 2]; KNOTS],
+    /// The same for those that tell of it.
+    telling: [[i32; 2]; KNOTS],
     /// Values of a tail, the zeros included.
     tail_stride: usize,
     pub(super) taps: [f32; TAPS],
@@ -170,6 +175,7 @@ impl Tables {
             bank_scale: [0.0; BANK],
             tail_gain: [1.0; KNOTS],
             needed: [[0, ROW as i32]; KNOTS],
+            telling: [[0, ROW as i32]; KNOTS],
             tail_stride: tail.div_ceil(LANES) * LANES + 2 * LANES,
             taps: [0.0; TAPS],
             matched: [0.0; FILTER_LAGS],
@@ -237,6 +243,12 @@ impl Tables {
         self.needed.get(index / PHASES).copied().unwrap_or([0, ROW as i32])
     }
 
+    /// The samples of a row that tell of an entry's pulse: from one to before another.
+    #[inline(always)]
+    pub(super) fn telling(&self, index: usize) -> [i32; 2] {
+        self.telling.get(index / PHASES).copied().unwrap_or([0, ROW as i32])
+    }
+
     /// Height from which the response is not the first node's, DN; infinite with one node.
     pub(super) fn strong_dn(&self) -> f32 {
         if self.nodes.len() > 1 { self.nodes[0].peak_dn } else { f32::INFINITY }
@@ -266,7 +278,16 @@ impl Tables {
                 let fisher = fill_entry(entry, &widened, phase, filter);
                 if is_first {
                     self.inverse_fisher.push(inverse(fisher));
-                    self.needed[knot] = needed(&entry[LANES..LANES + ROW], self.needed[knot], phase == 0);
+                    let row = |k: usize| &entry[LANES + k * ROW_STRIDE..][..ROW];
+                    let [pulse, by_time, by_width] = [row(0), row(1), row(3)];
+                    let of_pulse = holding(pulse, NEGLIGIBLE_ENERGY);
+                    let of_values =
+                        [pulse, by_time, by_width].map(|row| holding(row, NEGLIGIBLE_INFORMATION));
+                    if phase == 0 {
+                        (self.needed[knot], self.telling[knot]) = (of_pulse, of_values[0]);
+                    }
+                    self.needed[knot] = both(self.needed[knot], of_pulse);
+                    self.telling[knot] = of_values.into_iter().fold(self.telling[knot], both);
                 }
             }
         }
@@ -332,21 +353,25 @@ impl Tables {
     }
 }
 
-/// The samples of a row that hold its pulse, or those and others.
-fn needed(row: &[f32], others: [i32; 2], is_first: bool) -> [i32; 2] {
+/// The samples of a row that hold all but this part of its energy at either end: from one to before another.
+fn holding(row: &[f32], negligible: f32) -> [i32; 2] {
     let whole: f32 = row.iter().map(|v| v * v).sum();
     let (mut energy, mut first) = (0.0, 0);
-    while first < row.len() && energy + row[first] * row[first] <= NEGLIGIBLE_ENERGY * whole {
+    while first < row.len() && energy + row[first] * row[first] <= negligible * whole {
         energy += row[first] * row[first];
         first += 1;
     }
     let (mut energy, mut end) = (0.0, row.len());
-    while end > first && energy + row[end - 1] * row[end - 1] <= NEGLIGIBLE_ENERGY * whole {
+    while end > first && energy + row[end - 1] * row[end - 1] <= negligible * whole {
         end -= 1;
         energy += row[end] * row[end];
     }
-    let own = [first as i32, end as i32];
-    if is_first { own } else { [own[0].min(others[0]), own[1].max(others[1])] }
+    [first as i32, end as i32]
+}
+
+/// The samples of two spans and what is between them.
+fn both(a: [i32; 2], b: [i32; 2]) -> [i32; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
 }
 
 /// What exact whitening does to the first samples of a block, row by row.

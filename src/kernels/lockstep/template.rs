@@ -24,12 +24,17 @@ impl<V: Copy> Pulses<V> {
     /// The pulses after a step, within the limits of one iteration and of the tables.
     #[inline(always)]
     pub(super) fn stepped<S: Simd<V = V>>(self, s: S, step: [V; 3], last: V) -> Pulses<V> {
-        let next = Pulses {
+        self.moved(s, step).within(s, last)
+    }
+
+    /// The pulses after a step, within the limits of one iteration.
+    #[inline(always)]
+    pub(super) fn moved<S: Simd<V = V>>(self, s: S, step: [V; 3]) -> Pulses<V> {
+        Pulses {
             height: s.max(s.add(self.height, step[0]), s.mul(self.height, s.splat(LEAST_LEFT))),
             position: s.add(self.position, bounded(s, step[1], LIMITS[0])),
             width: s.add(self.width, bounded(s, step[2], LIMITS[1])),
-        };
-        next.within(s, last)
+        }
     }
 
     /// The pulses within what the tables and rows hold; what is not a number becomes the lower bound.

@@ -230,26 +230,14 @@ fn pulses_are_those_of_the_plain_templates() {
     let tables = Tables::new(&model).unwrap();
     let shape = Shape::of(&model).unwrap();
     let mut rows = rows::Rows::new(SAMPLES);
-    let mut columns = columns::Columns::new(rows.capacity());
     let mut random = Random::new(3);
-    let empty = [0u16; SAMPLES];
     (model.background_dn, model.background_sd_dn) = ([0.0; 4], 0.0);
     for _ in 0..300 {
         let (place, ratio) = (14.0 + 20.0 * random.uniform(), 0.9 + 0.6 * random.uniform());
         let height = 20.0 + 190.0 * random.uniform();
         let values = [height as f32, place as f32, ratio.ln() as f32];
-        let block = [Block { samples: &empty, start_phase: 0 }];
-        let mut out = Vec::new();
         let on = Path::best().processor();
-        let (rows_of, columns) = (&mut rows, &mut columns);
-        on.run(Detect {
-            tables: &tables,
-            rows: rows_of,
-            columns,
-            blocks: &block,
-            threshold: 4.0,
-            out: &mut out,
-        });
+        rows.begin(0, SAMPLES);
         let before = rows.residual_row(0).to_vec();
         jobs::add(on, &tables, &mut rows, 0, values, 1.0);
         let mut exact = vec![0.0; SAMPLES];
@@ -319,6 +307,75 @@ fn the_score_of_one_pulse_is_that_of_noise() {
     let above = scores.iter().filter(|&&score| score > 6.0).count() as f64 / scores.len() as f64;
     println!("{} scores: mean {mean:.3}, above 6 {above:.4}", scores.len());
     assert!(scores.len() > 3500 && (1.9..2.4).contains(&mean) && (0.045..0.075).contains(&above));
+}
+
+/// A pulse that the block's ends cut off what tells nothing of: one step places it as well as the plain fit, and its deviation
+/// ratio is that of noise.
+#[test]
+fn near_the_ends_of_blocks_one_step_is_enough() {
+    let model = model();
+    let shape = Shape::of(&model).unwrap();
+    let mut random = Random::new(12);
+    let places: Vec<f64> = (0..4000)
+        .map(|i| if i % 2 == 0 { 41.0 + 13.0 * random.uniform() } else { 7.0 + 3.0 * random.uniform() })
+        .collect();
+    let waveforms: Vec<Vec<u16>> = places
+        .iter()
+        .map(|&place| {
+            let one = pulse(30.0 + 100.0 * random.uniform(), place, 1.0 + 0.3 * random.uniform());
+            block(&model, &shape, &mut random, SAMPLES, &[one])
+        })
+        .collect();
+    let mut kernels = fast(&model, Mode::Fastest, Path::best());
+    let outcomes = decompose(&mut kernels, &waveforms);
+    let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
+    let (mut ours, mut theirs, mut deviations) = (Vec::new(), Vec::new(), Vec::new());
+    for ((outcome, samples), place) in outcomes.iter().zip(&waveforms).zip(&places) {
+        if let ([a], [b]) = (outcome.returns, plain.decompose(samples, 0).returns) {
+            ours.push((a.position_samples - place) / a.position_sd_samples);
+            theirs.push((b.position_samples - place) / b.position_sd_samples);
+            deviations.push(a.deviation_ratio);
+        }
+    }
+    let rms = |z: &[f64]| (z.iter().map(|z| z * z).sum::<f64>() / z.len() as f64).sqrt();
+    let mean = deviations.iter().sum::<f64>() / deviations.len() as f64;
+    println!(
+        "{} of 4000: z {:.3}, plain {:.3}; deviation {mean:.3}, {:.3}",
+        ours.len(),
+        rms(&ours),
+        rms(&theirs),
+        rms(&deviations)
+    );
+    assert!(ours.len() >= 3900);
+    assert!((0.95..1.06).contains(&rms(&ours)) && rms(&ours) <= 1.03 * rms(&theirs));
+    assert!(mean.abs() < 0.1 && (0.9..1.1).contains(&rms(&deviations)));
+}
+
+/// Of pulses wider than the tables the mode `fastest` tells what a step from where the tables end does, and flags them.
+#[test]
+fn beyond_the_tables_a_step_tells_width_and_height() {
+    let model = model();
+    let shape = Shape::of(&model).unwrap();
+    let mut random = Random::new(13);
+    let truth: Vec<Pulse> = (0..200)
+        .map(|_| {
+            pulse(60.0 + 60.0 * random.uniform(), 24.0 + 4.0 * random.uniform(), 2.4 + 0.3 * random.uniform())
+        })
+        .collect();
+    let waveforms: Vec<Vec<u16>> =
+        truth.iter().map(|wide| block(&model, &shape, &mut random, SAMPLES, &[*wide])).collect();
+    let outcomes = decompose(&mut fast(&model, Mode::Fastest, Path::best()), &waveforms);
+    let (mut widths, mut heights) = (Vec::new(), Vec::new());
+    for (outcome, truth) in outcomes.iter().zip(&truth) {
+        let [r] = outcome.returns else { continue };
+        assert!(r.flags & flags::DIVERGED != 0, "{r:?}");
+        widths.push(r.width_ratio.ln() - truth.ln_width_ratio);
+        heights.push(r.amplitude_dn / truth.height_dn - 1.0);
+    }
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    println!("{} of 200: width {:.4}, height {:.4}", widths.len(), mean(&widths), mean(&heights));
+    assert!(widths.len() >= 195 && mean(&widths).abs() < 0.01 && mean(&heights).abs() < 0.01);
+    assert!(widths.iter().all(|error| error.abs() < 0.1));
 }
 
 /// Without tables the plain kernels do everything; with a response of its own for strong echoes heights above it count.
