@@ -219,9 +219,8 @@ impl Decompose<'_> {
                 on.run(OneStep { tables, rows, scenes, which, number, to_fit });
             }
         }
-        let mut to_fit = std::mem::take(&mut self.work.to_fit);
-        // One of a waveform at a time.
-        to_fit.sort_unstable_by_key(|(row, number)| (*number, *row));
+        let to_fit = std::mem::take(&mut self.work.to_fit);
+        // One of a waveform at a time: they are in the order of their numbers.
         for to_fit in to_fit.chunk_by(|a, b| a.1 == b.1) {
             for &(row, number) in to_fit {
                 let Workspace { rows, scenes, queues, .. } = &mut *self.work;

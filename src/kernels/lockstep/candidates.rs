@@ -196,5 +196,5 @@ fn dips(columns: &Columns, lane: usize, maxima: Range<usize>, depth: f32) -> boo
     let least = at(maxima.start).min(at(maxima.end)) - depth;
     // Mostly the middle tells already.
     let middle = maxima.start.midpoint(maxima.end);
-    at(middle) <= least || maxima.map(at).fold(f32::INFINITY, f32::min) <= least
+    at(middle) <= least || maxima.rev().any(|position| at(position) <= least)
 }
