@@ -49,8 +49,8 @@ const LEAST_ENERGY: f64 = 0.3;
 /// Part of a pulse's energy that may be left out at either end of its row: at a signal-to-noise ratio of 100 a tenth of a
 /// standard deviation.
 const NEGLIGIBLE_ENERGY: f32 = 1e-6;
-/// Part of what a pulse's samples tell of any of its values that may be missing where the tables' Fisher matrix still is its
-/// own: standard deviations come out smaller by half of it at most.
+/// Part of what a pulse's samples tell of any of its values that may be missing at either end of its row, where the tables'
+/// Fisher matrix still is its own: standard deviations come out smaller by about half of it.
 const NEGLIGIBLE_INFORMATION: f32 = 0.01;
 
 /// Values that start on a cache line.
