@@ -36,6 +36,7 @@ mod batch;
 mod candidates;
 mod columns;
 mod detection;
+mod filter;
 mod fit;
 mod gate;
 mod jobs;

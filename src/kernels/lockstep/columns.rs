@@ -4,6 +4,7 @@
 //! Here whitening and the matched filter need no value twice from memory, and no shuffle. Every operation on a lane looks
 //! at that lane alone, and adds in the same order wherever the waveform stands.
 
+use super::filter::{Filter, HIGHEST, POSITIONS, sums};
 use super::rows::{CHUNK, Rows};
 use super::tables::{Aligned, FILTER_BEFORE, FILTER_LAGS, MAX_ORDER, TAPS, TAPS_BEFORE, Tables};
 use super::vector::{LANES, Simd, Sixteen};
@@ -14,23 +15,25 @@ const BEFORE: usize = 16;
 const BEHIND: usize = 32;
 /// Samples that are loaded at a time: two for each lane.
 const PAIRS: usize = 2 * LANES;
-/// Positions that are filtered at a time: their sums, the taps and a sample are what registers hold.
-const POSITIONS: usize = 8;
 
 /// The scratch space of one thread for sixteen waveforms.
 pub(super) struct Columns {
     capacity: usize,
-    /// Samples without background, sample 0 at `BEFORE`.
-    samples: Aligned,
+    /// Two samples in each lane, up to [`HIGHEST`], the first two at half of `BEFORE`.
+    pairs: Aligned,
+    /// Residuals, that of sample 0 at `BEFORE`.
+    residuals: Aligned,
+    /// Rows of both behind which there is nothing.
+    filled_pairs: usize,
+    filled_residuals: usize,
     /// The statistic, position 0 at row 1.
     statistic: Aligned,
-    /// What the statistic is multiplied with: 1 within a block, the edges' factors at its ends, 0 beyond.
-    gain: Aligned,
-    gain_lengths: [usize; LANES],
+    /// What the filter's sums are multiplied with, 0 beyond a block, and what is added then to take off the background.
+    scale: Aligned,
+    level: Aligned,
+    scale_lengths: [usize; LANES],
     lengths: [usize; LANES],
     longest: usize,
-    /// Rows of `samples` that may hold values.
-    filled: usize,
     /// Lanes with a local maximum, by position.
     masks: Vec<[u16; CHUNK]>,
 }
@@ -40,71 +43,63 @@ impl Columns {
     pub(super) fn new(capacity: usize) -> Columns {
         Columns {
             capacity,
-            samples: Aligned::zeros((BEFORE + capacity + BEHIND) * LANES),
+            pairs: Aligned::zeros((BEFORE + capacity + BEHIND) / 2 * LANES),
+            residuals: Aligned::zeros((BEFORE + capacity + BEHIND) * LANES),
+            filled_pairs: 0,
+            filled_residuals: 0,
             statistic: Aligned::zeros((capacity + 2) * LANES),
-            gain: Aligned::zeros(capacity * LANES),
-            gain_lengths: [0; LANES],
+            scale: Aligned::zeros(capacity * LANES),
+            level: Aligned::zeros(capacity * LANES),
+            scale_lengths: [0; LANES],
             lengths: [0; LANES],
             longest: 0,
-            filled: 0,
             masks: vec![[0; CHUNK]; capacity / CHUNK],
         }
     }
 
-    /// Takes up to sixteen blocks, of each at most the capacity, minus the background; missing blocks are empty. Gives the
-    /// lowest and the highest sample of each.
+    /// Takes up to sixteen blocks, of each at most the capacity; missing blocks are empty. Gives the lowest and the highest
+    /// sample of each.
     #[inline(always)]
-    pub(super) fn load<S: Simd>(&mut self, s: S, tables: &Tables, blocks: &[&[u16]]) -> [[u16; 2]; LANES] {
+    pub(super) fn load<S: Simd>(&mut self, s: S, blocks: &[&[u16]]) -> [[u16; 2]; LANES] {
         let mut of_lane: [&[u16]; LANES] = [&[]; LANES];
         for (lane, block) in of_lane.iter_mut().zip(blocks) {
             *lane = block.get(..self.capacity).unwrap_or(block);
         }
         let n = of_lane[0].len();
-        let alike = n >= PAIRS && of_lane.iter().all(|block| block.len() == n);
+        let alike = n >= PAIRS && n.is_multiple_of(2) && of_lane.iter().all(|block| block.len() == n);
         self.set_lengths(of_lane.map(<[u16]>::len));
+        empty_behind(&mut self.pairs, (BEFORE + self.longest).div_ceil(2), &mut self.filled_pairs);
         let lengths: Sixteen = std::array::from_fn(|w| of_lane[w].len() as f32);
         let lengths = s.load(&lengths);
-        let mut background = [s.splat(0.0); 4];
-        for (level, &value) in background.iter_mut().zip(&tables.background[0]) {
-            *level = s.splat(value);
-        }
-        let (mut lowest, mut highest) = (s.splat(f32::from(u16::MAX)), s.splat(0.0));
+        let nothing = s.splat_pair([0, 0]);
+        let (mut lowest, mut highest) = (s.splat_pair([u16::MAX, u16::MAX]), nothing);
+        let limit = s.splat_pair([HIGHEST, HIGHEST]);
         for start in (0..self.longest).step_by(PAIRS) {
             // The last ones once more in part, rather than some with nothing behind.
             let start = if alike { start.min(n - PAIRS) } else { start };
-            let mut pairs = [s.splat(0.0); LANES];
-            for w in 0..LANES {
-                pairs[w] = s.pairs(&padded(of_lane[w], start));
-            }
+            let mut pairs =
+                if alike { whole_pairs(s, &of_lane, start) } else { padded_pairs(s, &of_lane, start) };
             s.transpose(&mut pairs);
-            let Some(to) = rows_from_mut::<PAIRS>(&mut self.samples, BEFORE + start) else { break };
-            let levels = [
-                background[start % 4],
-                background[(start + 1) % 4],
-                background[(start + 2) % 4],
-                background[(start + 3) % 4],
-            ];
+            let Some(to) = rows_from_mut::<LANES>(&mut self.pairs, (BEFORE + start) / 2) else { break };
             unrolled!(k in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15] if LANES => {
-                let values = [s.first(pairs[k]), s.second(pairs[k])];
-                unrolled!(i in [0 1] if 2 => {
-                    let at = 2 * k + i;
-                    let without = s.sub(values[i], levels[at % 4]);
-                    if alike {
-                        lowest = s.min(lowest, values[i]);
-                        highest = s.max(highest, values[i]);
-                        s.store(without, &mut to[at]);
-                    } else {
-                        let inside = s.gt(lengths, s.splat((start + at) as f32));
-                        lowest = s.min(lowest, s.select(inside, values[i], lowest));
-                        highest = s.max(highest, s.select(inside, values[i], highest));
-                        s.store(s.select(inside, without, s.splat(0.0)), &mut to[at]);
-                    }
-                });
+                let pair = pairs[k];
+                let mut least = pair;
+                if !alike {
+                    // What stands behind a block is no low sample.
+                    let first = s.gt(lengths, s.splat((start + 2 * k) as f32));
+                    let second = s.gt(lengths, s.splat((start + 2 * k + 1) as f32));
+                    let behind = s.select(second, nothing, s.splat_pair([0, u16::MAX]));
+                    let behind = s.select(first, behind, s.splat_pair([u16::MAX, u16::MAX]));
+                    least = s.max_pairs(pair, behind);
+                }
+                lowest = s.min_pairs(lowest, least);
+                highest = s.max_pairs(highest, pair);
+                s.store(s.min_pairs(pair, limit), &mut to[k]);
             });
         }
         let (mut low, mut high): (Sixteen, Sixteen) = ([0.0; LANES], [0.0; LANES]);
-        s.store(lowest, &mut low);
-        s.store(highest, &mut high);
+        s.store(s.min(s.first(lowest), s.second(lowest)), &mut low);
+        s.store(s.max(s.first(highest), s.second(highest)), &mut high);
         std::array::from_fn(|w| [low[w] as u16, high[w] as u16])
     }
 
@@ -112,30 +107,24 @@ impl Columns {
     #[inline(always)]
     pub(super) fn load_residuals<S: Simd>(&mut self, s: S, rows: &Rows, which: &[usize; LANES]) {
         self.set_lengths(which.map(|row| rows.length(row)));
+        empty_behind(&mut self.residuals, BEFORE + self.longest, &mut self.filled_residuals);
         for start in (0..self.longest).step_by(LANES) {
             let mut values = [s.splat(0.0); LANES];
             for (value, &row) in values.iter_mut().zip(which) {
                 *value = s.load(rows.residual_sixteen(row, start));
             }
             s.transpose(&mut values);
-            let Some(to) = rows_from_mut::<LANES>(&mut self.samples, BEFORE + start) else { return };
+            let Some(to) = rows_from_mut::<LANES>(&mut self.residuals, BEFORE + start) else { return };
             for (value, to) in values.iter().zip(to) {
                 s.store(*value, to);
             }
         }
     }
 
-    /// Empties what longer waveforms have left.
     #[inline(always)]
     fn set_lengths(&mut self, lengths: [usize; LANES]) {
         self.lengths = lengths;
         self.longest = lengths.into_iter().max().unwrap_or(0).min(self.capacity);
-        let kept = (BEFORE + self.longest) * LANES;
-        let filled = (BEFORE + self.filled) * LANES;
-        if filled > kept {
-            self.samples.as_mut_slice()[kept..filled].fill(0.0);
-        }
-        self.filled = self.longest.div_ceil(PAIRS) * PAIRS;
     }
 
     /// Whitens the samples into the residuals from row `first` on. The first samples, as many as the noise's order, have a
@@ -166,25 +155,32 @@ impl Columns {
         for (tap, &value) in taps.iter_mut().zip(&tables.whitening) {
             *tap = s.splat(value);
         }
+        let mut background = [s.splat(0.0); 4];
+        for (level, &whitened) in background.iter_mut().zip(&tables.whitened_background) {
+            *level = s.splat(-whitened);
+        }
         for start in (0..self.longest).step_by(LANES) {
-            let Some(inputs) = rows_from::<{ MAX_ORDER + LANES }>(&self.samples, BEFORE + start - MAX_ORDER)
-            else {
-                return;
-            };
+            let from = (BEFORE + start - MAX_ORDER) / 2;
+            let Some(pairs) = rows_from::<{ (MAX_ORDER + LANES) / 2 }>(&self.pairs, from) else { return };
+            let mut inputs = [s.splat(0.0); MAX_ORDER + LANES];
+            unrolled!(m in [0 1 2 3 4 5 6 7 8 9] if (MAX_ORDER + LANES) / 2 => {
+                let pair = s.load(&pairs[m]);
+                (inputs[2 * m], inputs[2 * m + 1]) = (s.first(pair), s.second(pair));
+            });
             let mut values = [s.splat(0.0); LANES];
-            for (k, value) in values.iter_mut().enumerate() {
-                let mut sum = s.mul(taps[0], s.load(&inputs[MAX_ORDER + k]));
+            unrolled!(k in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15] if LANES => {
+                let mut sum = s.fma(taps[0], inputs[MAX_ORDER + k], background[k % 4]);
                 unrolled!(lag in [1 2 3 4] if ORDER + 1 => {
-                    sum = s.fma(taps[lag], s.load(&inputs[MAX_ORDER + k - lag]), sum);
+                    sum = s.fma(taps[lag], inputs[MAX_ORDER + k - lag], sum);
                 });
-                *value = sum;
-            }
+                values[k] = sum;
+            });
             if start == 0 {
                 for k in 0..tables.order {
                     let mut value = s.splat(0.0);
                     for j in 0..=k {
-                        let part = s.mul(s.splat(tables.begin[k][j]), s.load(&inputs[MAX_ORDER + j]));
-                        value = s.add(value, part);
+                        let sample = s.sub(inputs[MAX_ORDER + j], s.splat(tables.background[j % 4]));
+                        value = s.add(value, s.mul(s.splat(tables.begin[k][j]), sample));
                     }
                     values[k] = value;
                 }
@@ -195,76 +191,99 @@ impl Columns {
         rows.end_residuals(s, first, &self.lengths, count);
     }
 
-    /// Computes the statistic of every position of samples without background.
+    /// Computes the statistic of every position of samples.
     #[inline(always)]
     pub(super) fn filter_samples<S: Simd>(&mut self, s: S, tables: &Tables) {
         // Noise of a low order leaves the first taps empty.
-        match tables.taps.last_chunk() {
-            Some(taps) if tables.order <= MAX_ORDER / 2 => {
-                self.filter::<S, { TAPS - MAX_ORDER / 2 }, { TAPS_BEFORE - MAX_ORDER / 2 }>(s, tables, taps);
-            }
-            _ => self.filter::<S, TAPS, TAPS_BEFORE>(s, tables, &tables.taps),
+        if tables.order <= MAX_ORDER / 2 {
+            self.filter_pairs::<S, { TAPS - MAX_ORDER / 2 }>(s, &tables.filter);
+        } else {
+            self.filter_pairs::<S, TAPS>(s, &tables.filter);
         }
+    }
+
+    #[inline(always)]
+    fn filter_pairs<S: Simd, const N: usize>(&mut self, s: S, filter: &Filter) {
+        self.set_scale(filter);
+        let taps = filter.taps::<S, N>(s);
+        let earlier = N - (TAPS - TAPS_BEFORE);
+        let mut at = 0;
+        while at < self.longest {
+            let from = (BEFORE + at - earlier) / 2;
+            let (scale, level) = (rows_from(&self.scale, at), rows_from(&self.level, at));
+            let to = rows_from_mut::<POSITIONS>(&mut self.statistic, 1 + at);
+            let (Some(window), Some(scale), Some(level), Some(to)) =
+                (rows_from(&self.pairs, from), scale, level, to)
+            else {
+                return;
+            };
+            let (scale, level): (&[Sixteen; POSITIONS], &[Sixteen; POSITIONS]) = (scale, level);
+            let sums = sums::<S, N>(s, &taps, window);
+            unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
+                let value = s.fma(s.from_i32(sums[i]), s.load(&scale[i]), s.load(&level[i]));
+                s.store(value, &mut to[i]);
+            });
+            at += POSITIONS;
+        }
+        self.end_statistic(at);
     }
 
     /// Computes the statistic of every position of whitened residuals.
     #[inline(always)]
     pub(super) fn filter_residuals<S: Simd>(&mut self, s: S, tables: &Tables) {
-        self.filter::<S, FILTER_LAGS, { FILTER_BEFORE as usize }>(s, tables, &tables.matched);
-    }
-
-    /// Taps over what stands `EARLIER` samples before a position and later.
-    #[inline(always)]
-    fn filter<S: Simd, const N: usize, const EARLIER: usize>(
-        &mut self,
-        s: S,
-        tables: &Tables,
-        taps: &[f32; N],
-    ) {
-        const { assert!(EARLIER <= BEFORE && N <= 18 && N - EARLIER + POSITIONS <= BEHIND) };
-        if self.gain_lengths != self.lengths {
-            self.set_gain(tables);
-        }
-        let mut lanes = [s.splat(0.0); N];
-        for (lane, &tap) in lanes.iter_mut().zip(taps) {
-            *lane = s.splat(tap);
-        }
+        const EARLIER: usize = FILTER_BEFORE as usize;
+        const { assert!(EARLIER <= BEFORE && FILTER_LAGS - EARLIER + POSITIONS <= BEHIND) };
+        self.set_scale(&tables.filter);
+        let taps: [S::V; FILTER_LAGS] = std::array::from_fn(|i| s.splat(tables.matched[i]));
         let mut at = 0;
         while at < self.longest {
-            let Some(inputs) = rows_from::<{ 18 + POSITIONS - 1 }>(&self.samples, BEFORE + at - EARLIER)
+            let scale = rows_from::<POSITIONS>(&self.scale, at);
+            let to = rows_from_mut::<POSITIONS>(&mut self.statistic, 1 + at);
+            let (Some(window), Some(scale), Some(to)) =
+                (rows_from(&self.residuals, BEFORE + at - EARLIER), scale, to)
             else {
                 return;
             };
-            let sums = filtered::<S, N>(s, &lanes, inputs);
-            let gain = rows_from::<POSITIONS>(&self.gain, at);
-            let to = rows_from_mut::<POSITIONS>(&mut self.statistic, 1 + at);
-            let (Some(gain), Some(to)) = (gain, to) else { return };
+            let sums = filtered::<S>(s, &taps, window);
             unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
-                s.store(s.mul(sums[i], s.load(&gain[i])), &mut to[i]);
+                s.store(s.mul(sums[i], s.load(&scale[i])), &mut to[i]);
             });
             at += POSITIONS;
         }
+        self.end_statistic(at);
+    }
+
+    /// Nothing stands at the position behind those that have been filtered.
+    #[inline(always)]
+    fn end_statistic(&mut self, at: usize) {
         if let Some(behind) = self.statistic.as_mut_slice().get_mut((1 + at) * LANES..) {
             behind.iter_mut().take(LANES).for_each(|value| *value = 0.0);
         }
     }
 
-    fn set_gain(&mut self, tables: &Tables) {
-        let gain = self.gain.as_mut_slice();
-        gain.fill(0.0);
-        for (w, &n) in self.lengths.iter().enumerate() {
-            for (sample, row) in gain.as_chunks_mut::<LANES>().0.iter_mut().enumerate().take(n) {
-                let mut factor = 1.0;
-                if let Some(leading) = tables.leading.get(sample) {
-                    factor *= leading;
-                }
-                if n - sample <= LANES {
-                    factor *= tables.trailing[LANES - (n - sample)];
-                }
-                row[w] = factor;
-            }
+    /// Sets the scales and levels of lanes whose waveforms are not as long as those before.
+    #[inline(always)]
+    fn set_scale(&mut self, filter: &Filter) {
+        if self.scale_lengths != self.lengths {
+            self.set_scale_of_lanes(filter);
         }
-        self.gain_lengths = self.lengths;
+    }
+
+    #[inline(never)]
+    fn set_scale_of_lanes(&mut self, filter: &Filter) {
+        let rows = self.scale.as_mut_slice().as_chunks_mut::<LANES>().0;
+        let levels = self.level.as_mut_slice().as_chunks_mut::<LANES>().0;
+        for (w, (before, &length)) in self.scale_lengths.iter_mut().zip(&self.lengths).enumerate() {
+            // Only near either end it matters where the end is.
+            let changed = (*before).min(length).saturating_sub(LANES)..(*before).max(length);
+            for position in changed {
+                let inside = position < length;
+                let [scale, level] =
+                    if inside { filter.scale_and_level(position, length) } else { [0.0; 2] };
+                (rows[position][w], levels[position][w]) = (scale, level);
+            }
+            *before = length;
+        }
     }
 
     /// Marks the positions that are local maxima of at least the threshold.
@@ -310,18 +329,27 @@ impl Columns {
     }
 }
 
+/// Empties the rows behind some of a space, up to those that are filled, which they are then, if in whole loads.
+#[inline(always)]
+fn empty_behind(rows: &mut Aligned, kept: usize, filled: &mut usize) {
+    if *filled > kept {
+        rows.as_mut_slice()[kept * LANES..*filled * LANES].fill(0.0);
+    }
+    *filled = kept + LANES;
+}
+
 /// Sums of the taps over eight windows, each a sample later. Every input is read once and meets the taps that it has to.
 #[inline(always)]
-fn filtered<S: Simd, const N: usize>(
+fn filtered<S: Simd>(
     s: S,
-    taps: &[S::V; N],
-    window: &[Sixteen; 18 + POSITIONS - 1],
+    taps: &[S::V; FILTER_LAGS],
+    window: &[Sixteen; FILTER_LAGS + POSITIONS - 1],
 ) -> [S::V; POSITIONS] {
     let mut sums = [s.splat(0.0); POSITIONS];
-    unrolled!(m in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24] if N + POSITIONS - 1 => {
+    unrolled!(m in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20] if FILTER_LAGS + POSITIONS - 1 => {
         let value = s.load(&window[m]);
         unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
-            if m >= i && m - i < N {
+            if m >= i && m - i < FILTER_LAGS {
                 sums[i] = s.fma(taps[m - i], value, sums[i]);
             }
         });
@@ -338,6 +366,27 @@ fn rows_from<const N: usize>(of: &Aligned, row: usize) -> Option<&[Sixteen; N]> 
 #[inline(always)]
 fn rows_from_mut<const N: usize>(of: &mut Aligned, row: usize) -> Option<&mut [Sixteen; N]> {
     of.as_mut_slice().as_chunks_mut::<LANES>().0.get_mut(row..)?.first_chunk_mut()
+}
+
+/// Samples of each block from `start` on, of which there are enough.
+#[inline(always)]
+fn whole_pairs<S: Simd>(s: S, blocks: &[&[u16]; LANES], start: usize) -> [S::V; LANES] {
+    let mut pairs = [s.splat(0.0); LANES];
+    unrolled!(w in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15] if LANES => {
+        let samples = blocks[w].get(start..).and_then(|rest| rest.first_chunk());
+        pairs[w] = s.pairs(samples.unwrap_or(&[0; PAIRS]));
+    });
+    pairs
+}
+
+/// The same of blocks that may end before; zeros behind the last sample.
+#[inline(always)]
+fn padded_pairs<S: Simd>(s: S, blocks: &[&[u16]; LANES], start: usize) -> [S::V; LANES] {
+    let mut pairs = [s.splat(0.0); LANES];
+    for w in 0..LANES {
+        pairs[w] = s.pairs(&padded(blocks[w], start));
+    }
+    pairs
 }
 
 /// Samples from `start` on; zeros behind the last.

@@ -30,7 +30,7 @@ impl Kernel for Detect<'_> {
         let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
         for (group, (blocks, out)) in groups.enumerate() {
             fetch(s, self.blocks, group + 1);
-            let extremes = load(s, tables, columns, blocks);
+            let extremes = load(s, columns, blocks);
             detect(s, tables, columns, extremes, threshold, out);
         }
     }
@@ -46,12 +46,12 @@ fn fetch<S: Simd>(s: S, blocks: &[Block<'_>], group: usize) {
 
 /// Takes up to sixteen blocks, and gives the lowest and the highest sample of each.
 #[inline(always)]
-fn load<S: Simd>(s: S, tables: &Tables, columns: &mut Columns, blocks: &[Block<'_>]) -> [[u16; 2]; LANES] {
+fn load<S: Simd>(s: S, columns: &mut Columns, blocks: &[Block<'_>]) -> [[u16; 2]; LANES] {
     let mut samples: [&[u16]; LANES] = [&[]; LANES];
     for (samples, block) in samples.iter_mut().zip(blocks) {
         *samples = block.samples;
     }
-    columns.load(s, tables, &samples[..blocks.len()])
+    columns.load(s, &samples[..blocks.len()])
 }
 
 /// The candidates of blocks that are loaded.
@@ -138,7 +138,7 @@ impl Kernel for DetectAll<'_> {
             fetch(s, self.blocks, group + 1);
             let first = first + group * LANES;
             let found = &mut found[..blocks.len()];
-            let extremes = load(s, tables, columns, blocks);
+            let extremes = load(s, columns, blocks);
             columns.whiten(s, tables, rows, first, blocks.len());
             detect(s, tables, columns, extremes, threshold, found);
             let lanes = blocks.iter().zip(found).zip(scenes).enumerate();

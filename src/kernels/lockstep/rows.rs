@@ -113,12 +113,13 @@ impl Rows {
         lengths: &[usize; LANES],
         count: usize,
     ) {
-        let rows = self.residual.as_mut_slice().get_mut(first * self.stride..).unwrap_or_default();
-        for (w, row) in rows.chunks_exact_mut(self.stride).enumerate().take(count.min(LANES)) {
-            if sample < lengths[w] {
-                put(s, values[w], row, FRONT + sample);
+        let at = first * self.stride + FRONT + sample;
+        let rows = self.residual.as_mut_slice().get_mut(at..).unwrap_or_default();
+        unrolled!(w in [0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15] if LANES => {
+            if w < count && sample < lengths[w] {
+                put(s, values[w], rows, w * self.stride);
             }
-        }
+        });
     }
 
     /// Empties what stands behind the last sample of consecutive residuals.

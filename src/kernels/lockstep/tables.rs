@@ -1,7 +1,8 @@
 //! What the kernels look up: whitened templates over height, width and phase, inverse Fisher matrices, the filters.
 
+use super::filter::Filter;
 use super::series::{Series, Widened};
-use super::vector::{LANES, Sixteen};
+use super::vector::LANES;
 use crate::kernels::gauss_fit::FOUR_LN_2;
 use crate::kernels::noise::ArNoise;
 use crate::kernels::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
@@ -107,19 +108,17 @@ pub struct Tables {
     telling: [[i32; 2]; KNOTS],
     /// Values of a tail, the zeros included.
     tail_stride: usize,
-    pub(super) taps: [f32; TAPS],
-    /// The matched filter on whitened samples.
+    pub(super) filter: Filter,
+    /// The matched filter on whitened samples, in the units of `filter`'s taps.
     pub(super) matched: [f32; FILTER_LAGS],
-    /// What the statistic is multiplied with at the first positions of a block, and at the last.
-    pub(super) leading: Sixteen,
-    pub(super) trailing: Sixteen,
     /// Whitening: what the sample is multiplied with, then those before it.
     pub(super) whitening: [f32; MAX_ORDER + 1],
     pub(super) order: usize,
     /// Whitening of the first samples, as many as the order: each with those before it, its own factor last.
     pub(super) begin: [[f32; MAX_ORDER]; MAX_ORDER],
-    /// The background by sample number modulo 4, for vectors that start at sample 0 to 3 modulo 4.
-    pub(super) background: [Sixteen; 4],
+    /// The background by sample number modulo 4, DN, and what whitening makes of it.
+    pub(super) background: [f32; 4],
+    pub(super) whitened_background: [f32; 4],
     /// Full width at half maximum of a pulse of width ratio 1, samples.
     pub(super) fwhm_samples: f64,
 }
@@ -151,7 +150,7 @@ impl Tables {
             let series = Series::new(&node.values, response.first_sample, fwhm, reach);
             tables.add_node(&series, node.peak_dn, &filter, i == 0);
             if i == 0 {
-                tables.set_filter(&series.widened(0.0), &filter, &noise);
+                tables.set_filter(&series.widened(0.0), &filter, &noise, &model.background_dn);
             }
         }
         tables.fill_bank();
@@ -177,15 +176,16 @@ impl Tables {
             needed: [[0, ROW as i32]; KNOTS],
             telling: [[0, ROW as i32]; KNOTS],
             tail_stride: tail.div_ceil(LANES) * LANES + 2 * LANES,
-            taps: [0.0; TAPS],
+            filter: Filter::NONE,
             matched: [0.0; FILTER_LAGS],
-            leading: [0.0; LANES],
-            trailing: [0.0; LANES],
             whitening,
             order: noise.order(),
             begin: beginning(noise),
-            background: std::array::from_fn(|first| {
-                std::array::from_fn(|lane| model.background_dn[(first + lane) % 4] as f32)
+            background: model.background_dn.map(|level| level as f32),
+            whitened_background: std::array::from_fn(|k| {
+                let taps = whitening.iter().enumerate();
+                taps.map(|(lag, &tap)| f64::from(tap) * model.background_dn[(k + 4 - lag) % 4]).sum::<f64>()
+                    as f32
             }),
             fwhm_samples: model.fwhm_samples(),
         }
@@ -315,7 +315,13 @@ impl Tables {
     /// Taps of whitening and matched filter in one, of unit output variance, and what makes it so at a block's edges,
     /// where samples are missing (taken as background): the inverse standard deviation, or 0 where too little energy is
     /// left.
-    fn set_filter(&mut self, pulse: &Widened, filter: &Whitening, noise: &ArNoise) {
+    fn set_filter(
+        &mut self,
+        pulse: &Widened,
+        filter: &Whitening,
+        noise: &ArNoise,
+        background_dn: &[f64; 4],
+    ) {
         let template: [f64; FILTER_LAGS] =
             std::array::from_fn(|k| filter.at(pulse, 0, k as i64 - i64::from(FILTER_BEFORE), 0));
         let norm = template.iter().map(|v| v * v).sum::<f64>().sqrt().recip();
@@ -335,21 +341,13 @@ impl Tables {
             (signal, variance)
         };
         let whole = part(0..TAPS).0.powi(2);
-        let gain = |(signal, variance): (f64, f64)| {
+        self.filter = Filter::new(&taps, background_dn, |used| {
+            let (signal, variance) = part(used);
             let enough = signal > 0.0 && signal * signal >= LEAST_ENERGY * whole * variance;
             if enough { variance.sqrt().recip() as f32 } else { 0.0 }
-        };
-        let behind = TAPS - TAPS_BEFORE;
-        self.leading = std::array::from_fn(|k| match TAPS_BEFORE.saturating_sub(k) {
-            0 => 1.0,
-            missing => gain(part(missing..TAPS)),
         });
-        self.trailing = std::array::from_fn(|k| match behind.saturating_sub(LANES - k) {
-            0 => 1.0,
-            missing => gain(part(0..TAPS - missing)),
-        });
-        self.taps = taps.map(|tap| tap as f32);
-        self.matched = template.map(|value| (value * norm) as f32);
+        let scale = f64::from(self.filter.scale());
+        self.matched = template.map(|value| (value * norm / scale) as f32);
     }
 }
 

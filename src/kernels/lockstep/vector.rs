@@ -34,8 +34,19 @@ pub(in crate::kernels) trait Simd: Copy {
     fn store(self, value: Self::V, to: &mut Sixteen);
     /// Asks the memory for the first samples of what will soon be read; it foresees the next ones. No result depends on it.
     fn fetch(self, soon: &[u16]);
-    /// Two neighbours in each lane, as bits: for [`Simd::transpose`], [`Simd::first`] and [`Simd::second`].
+    /// Two neighbours in each lane, as bits: for [`Simd::transpose`], [`Simd::select`] and what follows here.
     fn pairs(self, from: &[u16; 2 * LANES]) -> Self::V;
+    /// The same pair in every lane.
+    fn splat_pair(self, pair: [u16; 2]) -> Self::V;
+    /// The lower one of each number in two vectors of pairs.
+    fn min_pairs(self, a: Self::V, b: Self::V) -> Self::V;
+    /// The higher one of each number in two vectors of pairs.
+    fn max_pairs(self, a: Self::V, b: Self::V) -> Self::V;
+    /// A whole number of 32 bits per lane, as bits: `sum` and the products of the two numbers of each pair, all of 16 bits and
+    /// signed. It wraps.
+    fn dot(self, a: Self::V, b: Self::V, sum: Self::V) -> Self::V;
+    /// Whole numbers of 32 bits, given as bits, rounded to `f32`.
+    fn from_i32(self, bits: Self::V) -> Self::V;
     /// The first number of each lane's pair as `f32`.
     fn first(self, pairs: Self::V) -> Self::V;
     /// The second number of each lane's pair as `f32`.
@@ -184,6 +195,8 @@ mod tests {
             let not_a_number = s.sqrt(s.splat(-1.0));
             let numbers = std::array::from_fn(|i| [0, 1, 255, 256, 4095, 32_768, 65_535, 9][i % 8]);
             let pairs = s.pairs(&numbers);
+            let others = s.pairs(&std::array::from_fn(|i| numbers[(i + 3) % 8].wrapping_mul(40_503)));
+            let dot = s.dot(pairs, others, s.splat_pair([77, 0]));
             let shown = [
                 s.add(v[0], v[1]),
                 s.sub(v[0], v[1]),
@@ -202,6 +215,10 @@ mod tests {
                 s.sum_each(&v.map(|v| s.halved(v))),
                 s.first(pairs),
                 s.second(pairs),
+                s.min_pairs(pairs, others),
+                s.max_pairs(pairs, others),
+                s.from_i32(dot),
+                s.from_i32(s.dot(dot, s.splat_pair([65_535, 32_767]), dot)),
             ];
             for value in shown {
                 let mut out = [0.0; LANES];

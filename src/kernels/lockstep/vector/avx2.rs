@@ -38,6 +38,22 @@ macro_rules! register {
     )*};
 }
 
+/// The same on whole numbers, as bits.
+macro_rules! bits {
+    ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
+        #[inline(always)]
+        fn $name(self, $($a: Pair),*) -> Pair {
+            // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+            unsafe {
+                [
+                    _mm256_castsi256_ps($intrinsic($(_mm256_castps_si256($a[0])),*)),
+                    _mm256_castsi256_ps($intrinsic($(_mm256_castps_si256($a[1])),*)),
+                ]
+            }
+        }
+    )*};
+}
+
 /// The halves of what a reference covers.
 #[inline(always)]
 fn halves<T>(of: &[T; LANES]) -> [*const T; 2] {
@@ -46,6 +62,11 @@ fn halves<T>(of: &[T; LANES]) -> [*const T; 2] {
 }
 
 impl Avx2 {
+    bits! {
+        products(a, b) = _mm256_madd_epi16;
+        add_i32(a, b) = _mm256_add_epi32;
+    }
+
     /// One bit per lane whose sign is set.
     #[inline(always)]
     fn mask(self, of: Pair) -> u16 {
@@ -111,6 +132,10 @@ impl Simd for Avx2 {
         max(a, b) = _mm256_max_ps;
         fma(a, b, c) = _mm256_fmadd_ps;
         fnma(a, b, c) = _mm256_fnmadd_ps;
+    }
+    bits! {
+        min_pairs(a, b) = _mm256_min_epu16;
+        max_pairs(a, b) = _mm256_max_epu16;
     }
 
     #[inline(always)]
@@ -180,6 +205,23 @@ impl Simd for Avx2 {
         let (low, high) = from.split_at(LANES);
         // SAFETY: as above; each half covers the 32 bytes that are read, at any alignment.
         unsafe { [low, high].map(|half| _mm256_castsi256_ps(_mm256_loadu_si256(half.as_ptr().cast()))) }
+    }
+    #[inline(always)]
+    fn splat_pair(self, [first, second]: [u16; 2]) -> Pair {
+        let pair = u32::from(first) | u32::from(second) << 16;
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { [_mm256_castsi256_ps(_mm256_set1_epi32(pair.cast_signed())); 2] }
+    }
+    #[inline(always)]
+    fn dot(self, a: Pair, b: Pair, sum: Pair) -> Pair {
+        self.add_i32(sum, self.products(a, b))
+    }
+    #[inline(always)]
+    fn from_i32(self, bits: Pair) -> Pair {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe {
+            [_mm256_cvtepi32_ps(_mm256_castps_si256(bits[0])), _mm256_cvtepi32_ps(_mm256_castps_si256(bits[1]))]
+        }
     }
     #[inline(always)]
     fn first(self, pairs: Pair) -> Pair {

@@ -40,10 +40,28 @@ macro_rules! register {
     )*};
 }
 
+/// The same on whole numbers, as bits.
+macro_rules! bits {
+    ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
+        #[inline(always)]
+        fn $name(self, $($a: __m512),*) -> __m512 {
+            // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+            unsafe { _mm512_castsi512_ps($intrinsic($(_mm512_castps_si512($a)),*)) }
+        }
+    )*};
+}
+
 /// Lanes 4 apart change places: from `a` what goes down, from `b` what goes up.
 const SWAP_4: [i32; 16] = [4, 5, 6, 7, 16, 17, 18, 19, 12, 13, 14, 15, 24, 25, 26, 27];
 /// Neighbours change places.
 const SWAP_1: [i32; 16] = [1, 16, 3, 18, 5, 20, 7, 22, 9, 24, 11, 26, 13, 28, 15, 30];
+
+impl Avx512 {
+    bits! {
+        products(a, b) = _mm512_madd_epi16;
+        add_i32(a, b) = _mm512_add_epi32;
+    }
+}
 
 impl Simd for Avx512 {
     type V = __m512;
@@ -59,6 +77,10 @@ impl Simd for Avx512 {
         max(a, b) = _mm512_max_ps;
         fma(a, b, c) = _mm512_fmadd_ps;
         fnma(a, b, c) = _mm512_fnmadd_ps;
+    }
+    bits! {
+        min_pairs(a, b) = _mm512_min_epu16;
+        max_pairs(a, b) = _mm512_max_epu16;
     }
 
     #[inline(always)]
@@ -130,6 +152,21 @@ impl Simd for Avx512 {
     fn pairs(self, from: &[u16; 2 * LANES]) -> __m512 {
         // SAFETY: as above; the reference covers the 64 bytes that are read, at any alignment.
         unsafe { _mm512_castsi512_ps(_mm512_loadu_si512(from.as_ptr().cast())) }
+    }
+    #[inline(always)]
+    fn splat_pair(self, [first, second]: [u16; 2]) -> __m512 {
+        let pair = u32::from(first) | u32::from(second) << 16;
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { _mm512_castsi512_ps(_mm512_set1_epi32(pair.cast_signed())) }
+    }
+    #[inline(always)]
+    fn dot(self, a: __m512, b: __m512, sum: __m512) -> __m512 {
+        self.add_i32(sum, self.products(a, b))
+    }
+    #[inline(always)]
+    fn from_i32(self, bits: __m512) -> __m512 {
+        // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
+        unsafe { _mm512_cvtepi32_ps(_mm512_castps_si512(bits)) }
     }
     #[inline(always)]
     fn first(self, pairs: __m512) -> __m512 {

@@ -28,6 +28,26 @@ macro_rules! mask {
     }};
 }
 
+/// Two numbers as a lane's bits.
+#[inline(always)]
+fn join([first, second]: [u16; 2]) -> u32 {
+    u32::from(first) | u32::from(second) << 16
+}
+
+/// The two numbers of a lane.
+#[inline(always)]
+fn split(lane: f32) -> [u16; 2] {
+    [lane.to_bits() as u16, (lane.to_bits() >> 16) as u16]
+}
+
+#[inline(always)]
+fn pair_by_pair(a: Sixteen, b: Sixteen, of: impl Fn(u16, u16) -> u16) -> Sixteen {
+    each!(i => {
+        let ([a, c], [b, d]) = (split(a[i]), split(b[i]));
+        f32::from_bits(join([of(a, b), of(c, d)]))
+    })
+}
+
 impl Simd for Portable {
     type V = Sixteen;
     type Half = [f32; LANES / 2];
@@ -59,7 +79,32 @@ impl Simd for Portable {
     fn fetch(self, _: &[u16]) {}
     #[inline(always)]
     fn pairs(self, from: &[u16; 2 * LANES]) -> Sixteen {
-        each!(i => f32::from_bits(u32::from(from[2 * i]) | u32::from(from[2 * i + 1]) << 16))
+        each!(i => f32::from_bits(join([from[2 * i], from[2 * i + 1]])))
+    }
+    #[inline(always)]
+    fn splat_pair(self, pair: [u16; 2]) -> Sixteen {
+        [f32::from_bits(join(pair)); LANES]
+    }
+    #[inline(always)]
+    fn min_pairs(self, a: Sixteen, b: Sixteen) -> Sixteen {
+        pair_by_pair(a, b, u16::min)
+    }
+    #[inline(always)]
+    fn max_pairs(self, a: Sixteen, b: Sixteen) -> Sixteen {
+        pair_by_pair(a, b, u16::max)
+    }
+    #[inline(always)]
+    fn dot(self, a: Sixteen, b: Sixteen, sum: Sixteen) -> Sixteen {
+        each!(i => {
+            let ([a, c], [b, d]) = (split(a[i]), split(b[i]));
+            let product = |a: u16, b: u16| i32::from(a.cast_signed()) * i32::from(b.cast_signed());
+            let products = product(a, b).wrapping_add(product(c, d));
+            f32::from_bits(sum[i].to_bits().wrapping_add(products.cast_unsigned()))
+        })
+    }
+    #[inline(always)]
+    fn from_i32(self, bits: Sixteen) -> Sixteen {
+        each!(i => bits[i].to_bits().cast_signed() as f32)
     }
     #[inline(always)]
     fn first(self, pairs: Sixteen) -> Sixteen {
