@@ -4,6 +4,7 @@ use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::detection::{Begin, ByCount, DetectAll};
+use super::filter::HIGHEST;
 use super::fit::{FittedPulse, Job};
 use super::jobs::{Aim, Queues, Results, add, take_off};
 use super::limits::Limits;
@@ -161,7 +162,7 @@ impl Decompose<'_> {
         let begin = Begin {
             limits: self.limits,
             settings: self.settings,
-            saturated: self.full_scale_dn.ceil().clamp(0.0, 65_535.0) as u16,
+            saturated: self.full_scale_dn.ceil().clamp(0.0, f64::from(HIGHEST)) as u16,
             clear_of_zero: self.clear_of_zero,
         };
         let (tables, blocks, scenes) = (self.tables, &self.blocks[some.clone()], &mut scenes[some]);

@@ -28,10 +28,6 @@ pub(super) struct Columns {
     filled_residuals: usize,
     /// The statistic, position 0 at row 1.
     statistic: Aligned,
-    /// What the filter's sums are multiplied with, 0 beyond a block, and what is added then to take off the background.
-    scale: Aligned,
-    level: Aligned,
-    scale_lengths: [usize; LANES],
     lengths: [usize; LANES],
     longest: usize,
     /// Lanes with a local maximum, by position.
@@ -48,9 +44,6 @@ impl Columns {
             filled_pairs: 0,
             filled_residuals: 0,
             statistic: Aligned::zeros((capacity + 2) * LANES),
-            scale: Aligned::zeros(capacity * LANES),
-            level: Aligned::zeros(capacity * LANES),
-            scale_lengths: [0; LANES],
             lengths: [0; LANES],
             longest: 0,
             masks: vec![[0; CHUNK]; capacity / CHUNK],
@@ -69,8 +62,7 @@ impl Columns {
         let alike = n >= PAIRS && n.is_multiple_of(2) && of_lane.iter().all(|block| block.len() == n);
         self.set_lengths(of_lane.map(<[u16]>::len));
         empty_behind(&mut self.pairs, (BEFORE + self.longest).div_ceil(2), &mut self.filled_pairs);
-        let lengths: Sixteen = std::array::from_fn(|w| of_lane[w].len() as f32);
-        let lengths = s.load(&lengths);
+        let (lengths, _) = self.ends(s);
         let nothing = s.splat_pair([0, 0]);
         let (mut lowest, mut highest) = (s.splat_pair([u16::MAX, u16::MAX]), nothing);
         let limit = s.splat_pair([HIGHEST, HIGHEST]);
@@ -204,24 +196,18 @@ impl Columns {
 
     #[inline(always)]
     fn filter_pairs<S: Simd, const N: usize>(&mut self, s: S, filter: &Filter) {
-        self.set_scale(filter);
         let taps = filter.taps::<S, N>(s);
         let earlier = N - (TAPS - TAPS_BEFORE);
+        let (lengths, shortest) = self.ends(s);
         let mut at = 0;
         while at < self.longest {
-            let from = (BEFORE + at - earlier) / 2;
-            let (scale, level) = (rows_from(&self.scale, at), rows_from(&self.level, at));
+            let window = rows_from(&self.pairs, (BEFORE + at - earlier) / 2);
             let to = rows_from_mut::<POSITIONS>(&mut self.statistic, 1 + at);
-            let (Some(window), Some(scale), Some(level), Some(to)) =
-                (rows_from(&self.pairs, from), scale, level, to)
-            else {
-                return;
-            };
-            let (scale, level): (&[Sixteen; POSITIONS], &[Sixteen; POSITIONS]) = (scale, level);
+            let (Some(window), Some(to)) = (window, to) else { return };
             let sums = sums::<S, N>(s, &taps, window);
             unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
-                let value = s.fma(s.from_i32(sums[i]), s.load(&scale[i]), s.load(&level[i]));
-                s.store(value, &mut to[i]);
+                let [scale, level] = filter.scales_and_levels(s, at + i, lengths, shortest);
+                s.store(s.fma(s.float(sums[i]), scale, level), &mut to[i]);
             });
             at += POSITIONS;
         }
@@ -233,24 +219,31 @@ impl Columns {
     pub(super) fn filter_residuals<S: Simd>(&mut self, s: S, tables: &Tables) {
         const EARLIER: usize = FILTER_BEFORE as usize;
         const { assert!(EARLIER <= BEFORE && FILTER_LAGS - EARLIER + POSITIONS <= BEHIND) };
-        self.set_scale(&tables.filter);
-        let taps: [S::V; FILTER_LAGS] = std::array::from_fn(|i| s.splat(tables.matched[i]));
+        let mut taps = [s.splat(0.0); FILTER_LAGS];
+        for (tap, &value) in taps.iter_mut().zip(&tables.matched) {
+            *tap = s.splat(value);
+        }
+        let (lengths, shortest) = self.ends(s);
         let mut at = 0;
         while at < self.longest {
-            let scale = rows_from::<POSITIONS>(&self.scale, at);
+            let window = rows_from(&self.residuals, BEFORE + at - EARLIER);
             let to = rows_from_mut::<POSITIONS>(&mut self.statistic, 1 + at);
-            let (Some(window), Some(scale), Some(to)) =
-                (rows_from(&self.residuals, BEFORE + at - EARLIER), scale, to)
-            else {
-                return;
-            };
+            let (Some(window), Some(to)) = (window, to) else { return };
             let sums = filtered::<S>(s, &taps, window);
             unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
-                s.store(s.mul(sums[i], s.load(&scale[i])), &mut to[i]);
+                let [scale, _] = tables.filter.scales_and_levels(s, at + i, lengths, shortest);
+                s.store(s.mul(sums[i], scale), &mut to[i]);
             });
             at += POSITIONS;
         }
         self.end_statistic(at);
+    }
+
+    /// The lengths of the waveforms, and the least.
+    #[inline(always)]
+    fn ends<S: Simd>(&self, s: S) -> (S::V, usize) {
+        let lengths: Sixteen = std::array::from_fn(|w| self.lengths[w] as f32);
+        (s.load(&lengths), self.lengths.into_iter().min().unwrap_or(0))
     }
 
     /// Nothing stands at the position behind those that have been filtered.
@@ -258,31 +251,6 @@ impl Columns {
     fn end_statistic(&mut self, at: usize) {
         if let Some(behind) = self.statistic.as_mut_slice().get_mut((1 + at) * LANES..) {
             behind.iter_mut().take(LANES).for_each(|value| *value = 0.0);
-        }
-    }
-
-    /// Sets the scales and levels of lanes whose waveforms are not as long as those before.
-    #[inline(always)]
-    fn set_scale(&mut self, filter: &Filter) {
-        if self.scale_lengths != self.lengths {
-            self.set_scale_of_lanes(filter);
-        }
-    }
-
-    #[inline(never)]
-    fn set_scale_of_lanes(&mut self, filter: &Filter) {
-        let rows = self.scale.as_mut_slice().as_chunks_mut::<LANES>().0;
-        let levels = self.level.as_mut_slice().as_chunks_mut::<LANES>().0;
-        for (w, (before, &length)) in self.scale_lengths.iter_mut().zip(&self.lengths).enumerate() {
-            // Only near either end it matters where the end is.
-            let changed = (*before).min(length).saturating_sub(LANES)..(*before).max(length);
-            for position in changed {
-                let inside = position < length;
-                let [scale, level] =
-                    if inside { filter.scale_and_level(position, length) } else { [0.0; 2] };
-                (rows[position][w], levels[position][w]) = (scale, level);
-            }
-            *before = length;
         }
     }
 
@@ -384,23 +352,9 @@ fn whole_pairs<S: Simd>(s: S, blocks: &[&[u16]; LANES], start: usize) -> [S::V; 
 fn padded_pairs<S: Simd>(s: S, blocks: &[&[u16]; LANES], start: usize) -> [S::V; LANES] {
     let mut pairs = [s.splat(0.0); LANES];
     for w in 0..LANES {
-        pairs[w] = s.pairs(&padded(blocks[w], start));
+        pairs[w] = s.some_pairs(blocks[w].get(start..).unwrap_or_default());
     }
     pairs
-}
-
-/// Samples from `start` on; zeros behind the last.
-#[inline(always)]
-fn padded(block: &[u16], start: usize) -> [u16; PAIRS] {
-    let rest = block.get(start..).unwrap_or_default();
-    match rest.first_chunk() {
-        Some(whole) => *whole,
-        None => {
-            let mut out = [0; PAIRS];
-            out[..rest.len()].copy_from_slice(rest);
-            out
-        }
-    }
 }
 
 #[cfg(test)]
@@ -421,7 +375,7 @@ mod tests {
         type Output = [[u16; 2]; LANES];
 
         fn run<S: Simd>(self, s: S) -> [[u16; 2]; LANES] {
-            let extremes = self.columns.load(s, self.tables, self.blocks);
+            let extremes = self.columns.load(s, self.blocks);
             self.columns.whiten(s, self.tables, self.rows, 0, self.blocks.len());
             self.columns.filter_samples(s, self.tables);
             self.columns.mark_maxima(s, 4.0);
@@ -462,24 +416,29 @@ mod tests {
 
     fn check(tables: &Tables, columns: &Columns, rows: &Rows, w: usize, block: &[u16]) {
         let at = |i: isize| match usize::try_from(i).ok().and_then(|i| Some((i, block.get(i)?))) {
-            Some((i, &sample)) => f64::from(sample) - f64::from(tables.background[0][i % 4]),
+            Some((i, &sample)) => f64::from(sample) - f64::from(tables.background[i % 4]),
             None => 0.0,
         };
+        let white = |i: isize| -> f64 {
+            let taps = tables.whitening.iter().enumerate();
+            taps.map(|(lag, tap)| f64::from(*tap) * at(i - lag as isize)).sum()
+        };
         for k in 0..block.len() {
-            let taps = tables.taps.iter().enumerate();
-            let whole: f64 =
-                taps.map(|(j, tap)| f64::from(*tap) * at((k + j) as isize - TAPS_BEFORE as isize)).sum();
-            let edge = |factors: &Sixteen, i: usize| factors.get(i).map_or(1.0, |f| f64::from(*f));
-            let behind = block.len() - k;
-            let trailing = if behind <= LANES { edge(&tables.trailing, LANES - behind) } else { 1.0 };
-            let expected = whole * edge(&tables.leading, k) * trailing;
-            let found = f64::from(columns.statistic(w, k));
-            assert!((found - expected).abs() < 1e-3, "lane {w}, position {k}: {found} {expected}");
+            let matched = tables.matched.iter().enumerate();
+            let first = k as isize - FILTER_BEFORE as isize;
+            let sum: f64 = matched.map(|(i, value)| f64::from(*value) * white(first + i as isize)).sum();
+            let [scale, _] =
+                tables.filter.scale_and_level(k, (block.len() - k).min(LANES - 1)).map(f64::from);
+            // Each tap may be rounded by a half.
+            let samples = k as isize - TAPS_BEFORE as isize..(k + TAPS - TAPS_BEFORE) as isize;
+            let rounding: f64 = samples.map(|i| 0.5 * scale * at(i).abs()).sum();
+            let (found, expected) = (f64::from(columns.statistic(w, k)), scale * sum);
+            let bound = rounding + 1e-3;
+            assert!((found - expected).abs() < bound, "lane {w}, position {k}: {found} {expected}");
             if k >= tables.order {
-                let taps = tables.whitening.iter().enumerate();
-                let white: f64 = taps.map(|(j, tap)| f64::from(*tap) * at(k as isize - j as isize)).sum();
                 let found = f64::from(rows.residual_sixteen(w, k)[0]);
-                assert!((found - white).abs() < 1e-3, "lane {w}, sample {k}: {found} {white}");
+                let expected = white(k as isize);
+                assert!((found - expected).abs() < 1e-3, "lane {w}, sample {k}: {found} {expected}");
             }
         }
         assert_eq!(rows.length(w), block.len());

@@ -23,11 +23,17 @@ pub(super) struct Filter {
     taps: [i16; TAPS],
     /// The statistic of a sum of 1.
     scale: f32,
-    /// What the statistic is multiplied with at the first positions of a block, and at the last.
-    pub(super) leading: Sixteen,
-    pub(super) trailing: Sixteen,
-    /// By the number modulo 4 of the sample that the first tap meets: the background's part in the sum of as many taps.
+    /// What the statistic is multiplied with for the samples that are missing, by position, and by samples from the position to
+    /// the block's end.
+    leading: Sixteen,
+    trailing: Sixteen,
+    /// The background's part in the sum of the first taps, by how many these are and by position modulo 4.
     background: [[f32; TAPS + 1]; 4],
+    /// The same of the taps that meet samples before a block's end, by samples from the position to that.
+    background_met: [Sixteen; 4],
+    /// What sums far from a block's end are multiplied with, and what is added then: by position, the last ones by position
+    /// modulo 8.
+    far: [[f32; 2]; LANES + POSITIONS],
 }
 
 impl Filter {
@@ -38,6 +44,8 @@ impl Filter {
         leading: [0.0; LANES],
         trailing: [0.0; LANES],
         background: [[0.0; TAPS + 1]; 4],
+        background_met: [[0.0; LANES]; 4],
+        far: [[0.0; 2]; LANES + POSITIONS],
     };
 
     /// `gain` tells what the statistic of some of the taps is to be multiplied with: the inverse standard deviation, or 0 where
@@ -51,40 +59,64 @@ impl Filter {
         let largest = taps.iter().fold(0.0, |a: f64, tap| a.max(tap.abs()));
         let per_unit = (TAPS_SUM / sum).min(f64::from(i16::MAX) / largest);
         let taps = taps.map(|tap| (tap * per_unit).round() as i16);
-        let behind = TAPS - TAPS_BEFORE;
-        let mut background = [[0.0; TAPS + 1]; 4];
-        for (first, sums) in background.iter_mut().enumerate() {
+        let mut filter = Filter { taps, scale: per_unit.recip() as f32, ..Filter::NONE };
+        for (position, sums) in filter.background.iter_mut().enumerate() {
             let mut sum = 0.0;
             for (i, &tap) in taps.iter().enumerate() {
-                sum += f64::from(tap) * background_dn[(first + i) % 4];
+                sum += f64::from(tap) * background_dn[(position + i + 4 * TAPS - TAPS_BEFORE) % 4];
                 sums[i + 1] = sum as f32;
             }
         }
-        Filter {
-            taps,
-            scale: per_unit.recip() as f32,
-            leading: std::array::from_fn(|k| match TAPS_BEFORE.saturating_sub(k) {
-                0 => 1.0,
-                missing => gain(missing..TAPS),
-            }),
-            trailing: std::array::from_fn(|k| match behind.saturating_sub(LANES - k) {
-                0 => 1.0,
-                missing => gain(0..TAPS - missing),
-            }),
-            background,
+        filter.leading = std::array::from_fn(|k| match TAPS_BEFORE.saturating_sub(k) {
+            0 => 1.0,
+            missing => gain(missing..TAPS),
+        });
+        filter.trailing = std::array::from_fn(|behind| match TAPS.saturating_sub(TAPS_BEFORE + behind) {
+            _ if behind == 0 => 0.0,
+            0 => 1.0,
+            missing => gain(0..TAPS - missing),
+        });
+        for (met, sums) in filter.background_met.iter_mut().zip(&filter.background) {
+            *met = std::array::from_fn(|behind| sums[TAPS.min(TAPS_BEFORE + behind)]);
         }
+        for position in 0..LANES + POSITIONS {
+            filter.far[position] = filter.scale_and_level(position, LANES - 1);
+        }
+        filter
     }
 
-    /// What the sum at a position of a block is multiplied with, and what is added then.
-    pub(super) fn scale_and_level(&self, position: usize, length: usize) -> [f32; 2] {
-        let behind = length - position;
-        let mut scale = self.scale;
-        scale *= self.leading.get(position).copied().unwrap_or(1.0);
-        scale *= self.trailing.get(LANES.wrapping_sub(behind)).copied().unwrap_or(1.0);
-        // The taps that meet samples of the block.
-        let met = TAPS_BEFORE.saturating_sub(position)..TAPS.min(TAPS_BEFORE + behind);
-        let sums = &self.background[(position + 4 * TAPS - TAPS_BEFORE) % 4];
-        [scale, -scale * (sums[met.end] - sums[met.start])]
+    /// What the sum at a position is multiplied with, and what is added then to take off the background; `behind` is the number
+    /// of samples from the position to the block's end, at most 15.
+    pub(super) fn scale_and_level(&self, position: usize, behind: usize) -> [f32; 2] {
+        let scale = self.scale * self.leading.get(position).copied().unwrap_or(1.0) * self.trailing[behind];
+        [scale, -scale * (self.background_met[position % 4][behind] - self.background_missed(position))]
+    }
+
+    /// The background's part in the sum of the taps that a block's begin leaves out.
+    #[inline(always)]
+    fn background_missed(&self, position: usize) -> f32 {
+        self.background[position % 4][TAPS_BEFORE.saturating_sub(position)]
+    }
+
+    /// The same in blocks of any lengths, of which the shortest is given as well.
+    #[inline(always)]
+    pub(super) fn scales_and_levels<S: Simd>(
+        &self,
+        s: S,
+        position: usize,
+        lengths: S::V,
+        shortest: usize,
+    ) -> [S::V; 2] {
+        if position + LANES <= shortest {
+            let at = if position < LANES { position } else { LANES + position % POSITIONS };
+            return self.far[at].map(|value| s.splat(value));
+        }
+        let behind = s.sub(lengths, s.splat(position as f32));
+        let behind = s.min(s.max(behind, s.splat(0.0)), s.splat((LANES - 1) as f32));
+        let leading = self.leading.get(position).copied().unwrap_or(1.0);
+        let scale = s.mul(s.splat(self.scale * leading), s.look_up(&self.trailing, behind));
+        let met = s.look_up(&self.background_met[position % 4], behind);
+        [scale, s.mul(scale, s.sub(s.splat(self.background_missed(position)), met))]
     }
 
     /// The statistic per unit of the sums.
@@ -134,4 +166,52 @@ pub(super) fn sums<S: Simd, const N: usize>(
         });
     });
     sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One tap of all, which no rounding changes.
+    fn one_tap(at: usize) -> Filter {
+        let mut taps = [0.0; TAPS];
+        taps[at] = 0.25;
+        Filter::new(&taps, &[2.0, 2.5, 3.0, 2.25], |_| 0.5)
+    }
+
+    /// `value × tap`, the background taken off where the tap meets a sample of the block, and nothing where it does not.
+    #[test]
+    fn the_background_counts_as_far_as_the_block_goes() {
+        let (length, filter) = (40_usize, one_tap(3));
+        let sum_of_one = f32::from(filter.taps[3]);
+        for position in 0..length {
+            let sample = (position + 3).checked_sub(TAPS_BEFORE);
+            let [scale, level] = filter.scale_and_level(position, (length - position).min(LANES - 1));
+            let edges = [position < TAPS_BEFORE, length - position < TAPS - TAPS_BEFORE];
+            let gain = edges.into_iter().filter(|missing| *missing).fold(1.0, |gain, _| gain * 0.5);
+            for value in [0.0, 5.0, 4000.0] {
+                let (sum, expected) = match sample {
+                    Some(i) => (value * sum_of_one, 0.25 * gain * (value - [2.0, 2.5, 3.0, 2.25][i % 4])),
+                    None => (0.0, 0.0),
+                };
+                let found = scale * sum + level;
+                assert!((found - expected).abs() < 1e-5 * value.max(1.0), "{position}: {found} {expected}");
+            }
+        }
+        assert_eq!(filter.scale_and_level(50, 0), [0.0, 0.0]);
+    }
+
+    /// No sum of taps and samples leaves 32 bits, and no tap 16.
+    #[test]
+    fn sums_stay_within_32_bits() {
+        let alternating: [f64; TAPS] = std::array::from_fn(|i| if i % 2 == 0 { 0.3 } else { -0.2 });
+        let mut lone = [1e-9; TAPS];
+        lone[5] = -7.0;
+        for taps in [alternating, lone] {
+            let filter = Filter::new(&taps, &[0.0; 4], |_| 1.0);
+            let sum: i64 = filter.taps.iter().map(|tap| i64::from(tap.unsigned_abs())).sum();
+            assert!(sum * i64::from(HIGHEST) <= i64::from(i32::MAX), "{sum}");
+            assert!(sum > 32_000, "the taps use the range: {sum}");
+        }
+    }
 }

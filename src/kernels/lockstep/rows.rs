@@ -92,12 +92,13 @@ impl Rows {
         self.counted.get(row).copied().unwrap_or(0)
     }
 
-    /// Begins a waveform of so many samples in a residual row.
+    /// Begins a waveform of so many samples, all of which are to be written, in a residual row: nothing stands behind them.
     #[inline(always)]
     pub(super) fn begin(&mut self, row: usize, length: usize) {
-        if self.lengths[row] != length {
-            self.lengths[row] = length;
-            self.residual.as_mut_slice()[row * self.stride..][..self.stride].fill(0.0);
+        let before = std::mem::replace(&mut self.lengths[row], length);
+        if length < before {
+            let row = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
+            row[FRONT + length..FRONT + before].fill(0.0);
         }
         self.counted[row] = length;
     }

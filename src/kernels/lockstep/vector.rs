@@ -36,6 +36,15 @@ pub(in crate::kernels) trait Simd: Copy {
     fn fetch(self, soon: &[u16]);
     /// Two neighbours in each lane, as bits: for [`Simd::transpose`], [`Simd::select`] and what follows here.
     fn pairs(self, from: &[u16; 2 * LANES]) -> Self::V;
+    /// The same of as many numbers as there are, up to thirty-two; zeros behind them.
+    #[inline(always)]
+    fn some_pairs(self, from: &[u16]) -> Self::V {
+        let mut padded = [0; 2 * LANES];
+        for (to, from) in padded.iter_mut().zip(from) {
+            *to = *from;
+        }
+        self.pairs(&padded)
+    }
     /// The same pair in every lane.
     fn splat_pair(self, pair: [u16; 2]) -> Self::V;
     /// The lower one of each number in two vectors of pairs.
@@ -45,8 +54,8 @@ pub(in crate::kernels) trait Simd: Copy {
     /// A whole number of 32 bits per lane, as bits: `sum` and the products of the two numbers of each pair, all of 16 bits and
     /// signed. It wraps.
     fn dot(self, a: Self::V, b: Self::V, sum: Self::V) -> Self::V;
-    /// Whole numbers of 32 bits, given as bits, rounded to `f32`.
-    fn from_i32(self, bits: Self::V) -> Self::V;
+    /// Whole numbers of 32 bits, given as bits, as `f32`, ties to even.
+    fn float(self, bits: Self::V) -> Self::V;
     /// The first number of each lane's pair as `f32`.
     fn first(self, pairs: Self::V) -> Self::V;
     /// The second number of each lane's pair as `f32`.
@@ -68,6 +77,8 @@ pub(in crate::kernels) trait Simd: Copy {
     fn gt(self, a: Self::V, b: Self::V) -> u16;
     /// `yes` in the lanes of the mask, `no` in the others.
     fn select(self, mask: u16, yes: Self::V, no: Self::V) -> Self::V;
+    /// The table's values at whole numbers from 0 to 15.
+    fn look_up(self, table: &Sixteen, at: Self::V) -> Self::V;
     /// To the nearest whole number, ties to even; magnitudes below 2²².
     fn round(self, a: Self::V) -> Self::V;
     /// The nearest whole numbers, ties to even; magnitudes below 2²².
@@ -212,13 +223,18 @@ mod tests {
                 s.select(ge, v[7], v[8]),
                 s.round(v[9]),
                 s.round(halves),
+                s.look_up(&rows[3], s.load(&std::array::from_fn(|i| (i * 7 % 16) as f32))),
                 s.sum_each(&v.map(|v| s.halved(v))),
                 s.first(pairs),
                 s.second(pairs),
+                s.some_pairs(&numbers[..0]),
+                s.some_pairs(&numbers[..7]),
+                s.some_pairs(&numbers[..31]),
+                s.some_pairs(&numbers),
                 s.min_pairs(pairs, others),
                 s.max_pairs(pairs, others),
-                s.from_i32(dot),
-                s.from_i32(s.dot(dot, s.splat_pair([65_535, 32_767]), dot)),
+                s.float(dot),
+                s.float(s.dot(dot, s.splat_pair([65_535, 32_767]), dot)),
             ];
             for value in shown {
                 let mut out = [0.0; LANES];

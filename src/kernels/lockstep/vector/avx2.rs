@@ -217,7 +217,7 @@ impl Simd for Avx2 {
         self.add_i32(sum, self.products(a, b))
     }
     #[inline(always)]
-    fn from_i32(self, bits: Pair) -> Pair {
+    fn float(self, bits: Pair) -> Pair {
         // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
         unsafe {
             [_mm256_cvtepi32_ps(_mm256_castps_si256(bits[0])), _mm256_cvtepi32_ps(_mm256_castps_si256(bits[1]))]
@@ -264,6 +264,22 @@ impl Simd for Avx2 {
                 let set = _mm256_and_si256(_mm256_set1_epi32(i32::from(mask >> (8 * half))), bit);
                 let lanes = _mm256_castsi256_ps(_mm256_cmpeq_epi32(set, bit));
                 *out = _mm256_blendv_ps(*out, yes[half], lanes);
+            }
+            out
+        }
+    }
+    #[inline(always)]
+    fn look_up(self, table: &Sixteen, at: Pair) -> Pair {
+        let [low, high] = self.load(table);
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe {
+            let mut out = at;
+            for out in &mut out {
+                let index = _mm256_cvtps_epi32(*out);
+                // Of an index the permutation sees the last three bits; the fourth, as sign, chooses between the halves.
+                let is_high = _mm256_castsi256_ps(_mm256_slli_epi32::<28>(index));
+                let of_low = _mm256_permutevar8x32_ps(low, index);
+                *out = _mm256_blendv_ps(of_low, _mm256_permutevar8x32_ps(high, index), is_high);
             }
             out
         }

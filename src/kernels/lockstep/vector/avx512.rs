@@ -154,6 +154,13 @@ impl Simd for Avx512 {
         unsafe { _mm512_castsi512_ps(_mm512_loadu_si512(from.as_ptr().cast())) }
     }
     #[inline(always)]
+    fn some_pairs(self, from: &[u16]) -> __m512 {
+        let count = from.len().min(2 * LANES) as u32;
+        let mask = 1u64.checked_shl(count).unwrap_or(0).wrapping_sub(1) as u32;
+        // SAFETY: as above; the mask leaves what the slice covers, and nothing else is read.
+        unsafe { _mm512_castsi512_ps(_mm512_maskz_loadu_epi16(mask, from.as_ptr().cast())) }
+    }
+    #[inline(always)]
     fn splat_pair(self, [first, second]: [u16; 2]) -> __m512 {
         let pair = u32::from(first) | u32::from(second) << 16;
         // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
@@ -164,7 +171,7 @@ impl Simd for Avx512 {
         self.add_i32(sum, self.products(a, b))
     }
     #[inline(always)]
-    fn from_i32(self, bits: __m512) -> __m512 {
+    fn float(self, bits: __m512) -> __m512 {
         // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
         unsafe { _mm512_cvtepi32_ps(_mm512_castps_si512(bits)) }
     }
@@ -195,6 +202,11 @@ impl Simd for Avx512 {
     fn select(self, mask: u16, yes: __m512, no: __m512) -> __m512 {
         // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
         unsafe { _mm512_mask_blend_ps(mask, no, yes) }
+    }
+    #[inline(always)]
+    fn look_up(self, table: &Sixteen, at: __m512) -> __m512 {
+        // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
+        unsafe { _mm512_permutexvar_ps(_mm512_cvtps_epi32(at), self.load(table)) }
     }
     #[inline(always)]
     fn round(self, a: __m512) -> __m512 {

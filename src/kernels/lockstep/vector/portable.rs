@@ -103,7 +103,7 @@ impl Simd for Portable {
         })
     }
     #[inline(always)]
-    fn from_i32(self, bits: Sixteen) -> Sixteen {
+    fn float(self, bits: Sixteen) -> Sixteen {
         each!(i => bits[i].to_bits().cast_signed() as f32)
     }
     #[inline(always)]
@@ -161,6 +161,10 @@ impl Simd for Portable {
     #[inline(always)]
     fn select(self, mask: u16, yes: Sixteen, no: Sixteen) -> Sixteen {
         each!(i => if mask & (1 << i) == 0 { no[i] } else { yes[i] })
+    }
+    #[inline(always)]
+    fn look_up(self, table: &Sixteen, at: Sixteen) -> Sixteen {
+        each!(i => table[at[i] as usize % LANES])
     }
     #[inline(always)]
     fn round(self, a: Sixteen) -> Sixteen {
