@@ -38,6 +38,7 @@ mod columns;
 mod detection;
 mod filter;
 mod fit;
+mod fitted;
 mod gate;
 mod jobs;
 mod limits;
@@ -148,7 +149,7 @@ impl Lockstep {
     }
 
     /// Finds the local maxima of the matched filter that reach the threshold, each with its block's index; `found` is
-    /// emptied first. Nothing without tables.
+    /// emptied first. Nothing without tables. Samples beyond 32 767 count as that.
     pub fn detect(&mut self, blocks: &[Block<'_>], found: &mut Vec<(u32, Candidate)>) {
         found.clear();
         let Some(tables) = self.tables.clone() else { return };

@@ -1,7 +1,7 @@
 //! Whitening and matched filter in one, on samples as they come: in whole numbers.
 //!
 //! Two products of 16 bits and their sum are one instruction: half as many as in `f32`, and the sum is exact in any order.
-//! Scaled to the full range, the taps are rounded by 1e-4 of the largest at most.
+//! Scaled to the full range, the taps are rounded by less than 2e-4 of the largest.
 
 use std::ops::Range;
 
@@ -98,7 +98,7 @@ impl Filter {
         self.background[position % 4][TAPS_BEFORE.saturating_sub(position)]
     }
 
-    /// The same in blocks of any lengths, of which the shortest is given as well.
+    /// The same for sixteen blocks at once, of any lengths, the shortest of which is given as well.
     #[inline(always)]
     pub(super) fn scales_and_levels<S: Simd>(
         &self,

@@ -1,6 +1,7 @@
 //! Fits that wait for others of their kind.
 
-use super::fit::{Fit, Fitted, FittedPulse, Job, Values};
+use super::fit::{Fit, Job};
+use super::fitted::{Fitted, FittedPulse, Values};
 use super::rows::{BATCH, Rows};
 use super::tables::Tables;
 use super::template::Site;

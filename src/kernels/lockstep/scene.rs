@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::fit::{FittedPulse, Values};
+use super::fitted::{FittedPulse, Values};
 use crate::kernels::decompose::Counts;
 use crate::kernels::flags;
 use crate::kernels::rules::CLUSTER_WIDTHS;

@@ -1,6 +1,7 @@
 //! Waveforms of one pulse, as most are: from the width bank to chi-square while their rows are at hand.
 
-use super::fit::{Fitted, Job, fit};
+use super::fit::{Job, fit};
+use super::fitted::Fitted;
 use super::jobs::{Aim, ITERATIONS, add_pulse, is_strong};
 use super::rows::{EMPTY, Rows};
 use super::scene::Scene;

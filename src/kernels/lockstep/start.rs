@@ -1,7 +1,8 @@
 //! The width bank, and the one tabulated step of the mode `fastest`.
 
 use super::detection::ByCount;
-use super::fit::{FittedLanes, Job};
+use super::fit::Job;
+use super::fitted::FittedLanes;
 use super::jobs::add_pulse;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::scene::{MAX_PULSES, Scene};

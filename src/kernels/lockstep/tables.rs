@@ -315,13 +315,7 @@ impl Tables {
     /// Taps of whitening and matched filter in one, of unit output variance, and what makes it so at a block's edges,
     /// where samples are missing (taken as background): the inverse standard deviation, or 0 where too little energy is
     /// left.
-    fn set_filter(
-        &mut self,
-        pulse: &Widened,
-        filter: &Whitening,
-        noise: &ArNoise,
-        background_dn: &[f64; 4],
-    ) {
+    fn set_filter(&mut self, pulse: &Widened, filter: &Whitening, noise: &ArNoise, background_dn: &[f64; 4]) {
         let template: [f64; FILTER_LAGS] =
             std::array::from_fn(|k| filter.at(pulse, 0, k as i64 - i64::from(FILTER_BEFORE), 0));
         let norm = template.iter().map(|v| v * v).sum::<f64>().sqrt().recip();

@@ -1,6 +1,6 @@
 //! A pulse's whitened template and its derivatives, out of the tables.
 
-use super::fit::Values;
+use super::fitted::Values;
 use super::rows::sixteen;
 use super::tables::{BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, Tables, U_MAX, U_MIN, U_STEP};
 use super::vector::{LANES, Simd, Sixteen};

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::batch::{ChiSquares, Decompose, Workspace};
 use super::candidates::{Candidate, Candidates};
 use super::detection::Search;
-use super::fit::FittedPulse;
+use super::fitted::FittedPulse;
 use super::gate::Scores;
 use super::jobs::{Aim, add, take_off};
 use super::rows::BATCH;

@@ -220,7 +220,10 @@ impl Simd for Avx2 {
     fn float(self, bits: Pair) -> Pair {
         // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
         unsafe {
-            [_mm256_cvtepi32_ps(_mm256_castps_si256(bits[0])), _mm256_cvtepi32_ps(_mm256_castps_si256(bits[1]))]
+            [
+                _mm256_cvtepi32_ps(_mm256_castps_si256(bits[0])),
+                _mm256_cvtepi32_ps(_mm256_castps_si256(bits[1])),
+            ]
         }
     }
     #[inline(always)]
