@@ -297,7 +297,7 @@ impl Columns {
     }
 }
 
-/// Empties the rows behind some of a space, up to those that are filled, which they are then, if in whole loads.
+/// Empties the rows behind those that are kept, as far as they are filled. Then a load may fill up to sixteen more than kept.
 #[inline(always)]
 fn empty_behind(rows: &mut Aligned, kept: usize, filled: &mut usize) {
     if *filled > kept {

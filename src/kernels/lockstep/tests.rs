@@ -1,5 +1,6 @@
 //! The fast kernels against the plain ones, which are their oracle, and against themselves on other paths.
 
+use super::filter::HIGHEST;
 use super::*;
 use crate::kernels::decompose::Return;
 use crate::kernels::flags;
@@ -174,6 +175,40 @@ fn a_waveform_gets_the_same_in_batches_of_any_size() {
     for (i, (whole, part)) in whole.iter().zip(parts).enumerate() {
         assert!(*whole == part, "waveform {i}: {whole} {part}");
     }
+}
+
+/// A high background costs no accuracy; what sixteen bits with a sign do not hold goes to the plain kernels.
+#[test]
+fn large_samples_are_decomposed_as_small_ones() {
+    let waveforms = scenes(&model(), 3, 500);
+    let lifted = |by: u16| {
+        let mut model = model();
+        model.background_dn = model.background_dn.map(|level| level + f64::from(by));
+        model.full_scale_dn = f64::from(u16::MAX);
+        let waveforms: Vec<Vec<u16>> =
+            waveforms.iter().map(|samples| samples.iter().map(|sample| sample + by).collect()).collect();
+        (model, waveforms)
+    };
+    let told = |(model, waveforms): &(ChannelModel, Vec<Vec<u16>>)| {
+        decompose(&mut fast(model, Mode::Refined, Path::best()), waveforms)
+    };
+    let (low, high) = (told(&lifted(0)), told(&lifted(20_000)));
+    for (low, high) in low.iter().zip(high.iter()) {
+        assert_eq!(low.returns.len(), high.returns.len());
+        for (low, high) in low.returns.iter().zip(high.returns) {
+            assert!(difference(low, high) < 0.02, "{low:?} {high:?}");
+        }
+    }
+    let beyond = lifted(HIGHEST - 60);
+    let mut plain = Decomposer::new(&beyond.0, &DecomposeSettings::default(), SAMPLES).unwrap();
+    let mut left = 0;
+    for (outcome, samples) in told(&beyond).iter().zip(&beyond.1) {
+        if samples.iter().any(|sample| *sample >= HIGHEST) {
+            assert_eq!(outcome, plain.decompose(samples, 0));
+            left += 1;
+        }
+    }
+    assert!(left > 100, "{left}");
 }
 
 /// What overdrives the receiver bends nothing that came before it.
