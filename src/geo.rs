@@ -1,6 +1,7 @@
 //! Time and geometry: numbers to numbers.
 
 pub mod beam_length;
+pub mod cone;
 pub mod conformal;
 pub mod crs;
 pub mod ellipsoid;

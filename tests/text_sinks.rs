@@ -144,9 +144,17 @@ const LONG: &str =
 /// What the beams of a simulated flight tell of the sensor's place, against where it was.
 #[test]
 fn the_path_is_told_by_origins_and_found_again_from_beams() {
+    let circular =
+        "scanner = 'circular'\nscan_angle_deg = [-20, 20]\nrotation_hz = 25\nroll_deg = 5\npitch_deg = 3\n";
+    for keys in ["", circular] {
+        path_from_beams(&format!("{LONG}{keys}"));
+    }
+}
+
+fn path_from_beams(flight: &str) {
     let folder = tempfile::tempdir().unwrap();
     let job = format!(
-        "{LONG}[[stage]]\ntype = 'write_trajectory'\nid = 'told'\ninterval_s = 0\n\
+        "{flight}[[stage]]\ntype = 'write_trajectory'\nid = 'told'\ninterval_s = 0\n\
          [[stage]]\ntype = 'write_trajectory'\nid = 'met'\nsensor = 'beams'\npath = 'met.txt'\n\
          [[stage]]\ntype = 'write_trajectory'\nid = 'some'\nevery = 5000\npath = 'some.txt'\nheader = false\n"
     );

@@ -160,6 +160,9 @@ pub struct Settings {
     pub group_velocity_mps: f64,
     /// Echoes so near to an emission are marked, ns.
     pub blind_gap_ns: f64,
+    /// Scan angles are azimuths of a beam that turns on a cone: they grow with time and go on at 0 after 360 degrees. Lines
+    /// are joined to revolutions.
+    pub is_cyclic: bool,
 }
 
 impl Default for Settings {
@@ -170,6 +173,7 @@ impl Default for Settings {
             range_m: [30.0, 5000.0],
             group_velocity_mps: 299_710_540.0,
             blind_gap_ns: 15.0,
+            is_cyclic: false,
         }
     }
 }
@@ -293,10 +297,10 @@ impl Resolver {
         };
         Ok(Resolver {
             settings: *settings,
-            places: Places::default(),
+            places: Places::new(settings.is_cyclic),
             method,
             lines: 0,
-            joined: Joined::default(),
+            joined: Joined::new(settings.is_cyclic),
             runs: 0,
             summary: Summary::default(),
             found: VecDeque::new(),

@@ -202,6 +202,34 @@ mod tests {
         assert!(error_m(&turned) < 4.0 * turned.sd_m && turned.sd_m < 2e-3, "{turned:?}");
     }
 
+    /// A beam that turns on a cone of 20 degrees, 80 times a second, is as good a sweep.
+    #[test]
+    fn beams_of_a_cone_meet_at_the_sensor() {
+        for (step_m, direction_error_rad) in [(0.0, 0.0), (0.001, 1e-5)] {
+            let mut cone = beams(0.2, 0.0, 0.0, direction_error_rad);
+            let (away, down) = 20f64.to_radians().sin_cos();
+            for beam in &mut cone {
+                let (sin, cos) = (std::f64::consts::TAU * 80.0 * beam.time_s).sin_cos();
+                let (on_beam, sensor) = ([away * cos, away * sin, -down], sensor(beam.time_s));
+                let rounded = |m: f64| if step_m > 0.0 { (m / step_m).round() * step_m } else { m };
+                beam.through_m =
+                    std::array::from_fn(|axis| rounded(sensor[axis] + 990.0 / down * on_beam[axis]));
+                // What a beam straight down is off the vertical, this one is off its own.
+                let off = [beam.direction[0], beam.direction[1], 0.0];
+                let turned: [f64; 3] = std::array::from_fn(|axis| on_beam[axis] + off[axis]);
+                let length = dot_of(turned, turned).sqrt();
+                beam.direction = turned.map(|part| part / length);
+            }
+            let place = fitted(&cone).unwrap();
+            println!("{place:?}: {} m off", error_m(&place));
+            assert!(error_m(&place) < 4.0 * place.sd_m + 1e-5 && place.sd_m < 3e-3, "{place:?}");
+        }
+    }
+
+    fn dot_of(a: [f64; 3], b: [f64; 3]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| a * b).sum()
+    }
+
     #[test]
     fn beams_that_do_not_meet_tell_no_place() {
         assert_eq!(fitted(&[]), None);

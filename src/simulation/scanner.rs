@@ -1,5 +1,7 @@
 //! When each pulse leaves, and in which direction it leaves the scanner.
 
+use core::f64::consts::TAU;
+
 use super::random::{Purpose, Random};
 
 /// GPS week of the flight: from 4 May 2025 on.
@@ -23,6 +25,9 @@ pub enum Mirror {
     /// A row of fixed fibres, one after the other: spots are evenly spaced on level ground, and each fibre's spots make a
     /// line along the flight. It never pauses.
     ParallelLines,
+    /// A mirror whose beam turns around straight down on a cone, clockwise seen from above. It never pauses, and lines are
+    /// nothing but so many shots.
+    Circular,
 }
 
 /// A laser with a mirror, and the clock that both run on.
@@ -42,7 +47,10 @@ pub struct Scanner {
     /// What the modulation starts from.
     pub seed: u64,
     /// The first and the last shot's angle from straight down, radians, positive to the right.
+    /// Those of a circular scanner lie between these, half of their difference from the axis.
     pub scan_angle_rad: [f64; 2],
+    /// Revolutions per second of a circular scanner.
+    pub rotation_hz: f64,
 }
 
 /// A pulse that leaves the scanner.
@@ -77,6 +85,9 @@ impl Shot {
 impl Scanner {
     /// A shot by its scan line and its place in the line, both from 0.
     pub fn shot(&self, line: u32, index: u32) -> Shot {
+        if self.mirror == Mirror::Circular {
+            return self.circular_shot(line, index);
+        }
         let to_the_right = self.mirror != Mirror::Oscillating || line.is_multiple_of(2);
         let scan_angle_rad = self.angle_rad(to_the_right, index);
         Shot {
@@ -86,6 +97,20 @@ impl Scanner {
             direction_in_scanner: [0.0, libm::sin(scan_angle_rad), libm::cos(scan_angle_rad)],
             facet: if self.mirror == Mirror::RotatingPolygon { (line % FACETS) as u16 } else { 0 },
             to_the_right,
+        }
+    }
+
+    fn circular_shot(&self, line: u32, index: u32) -> Shot {
+        let [first, last] = self.scan_angle_rad;
+        let (sin, cos) = libm::sincos(TAU * (self.rotation_hz * self.time_s(line, index)).fract());
+        let (away, down) = libm::sincos(0.5 * (last - first));
+        Shot {
+            number: self.number(line, index),
+            since_start_ns: self.tick_ns(line, index),
+            scan_angle_rad: libm::atan2(away * sin, down),
+            direction_in_scanner: [away * cos, away * sin, down],
+            facet: 0,
+            to_the_right: cos > 0.0,
         }
     }
 
@@ -133,7 +158,8 @@ impl Scanner {
                 let swing = 0.5 - 0.5 * libm::cos(core::f64::consts::PI * phase);
                 first + (last - first) * if to_the_right { swing } else { 1.0 - swing }
             }
-            Mirror::ParallelLines => {
+            // A cone's place across follows from its azimuth.
+            Mirror::ParallelLines | Mirror::Circular => {
                 let (left, right) = (libm::tan(first), libm::tan(last));
                 libm::atan(left + (right - left) * place)
             }
@@ -153,6 +179,7 @@ mod tests {
             modulation_ns: 0.0,
             seed: 1,
             scan_angle_rad: [-0.5, 0.5],
+            rotation_hz: 100.0,
         }
     }
 
@@ -197,6 +224,27 @@ mod tests {
             assert!((step * 1000.0 / (2.0 * 0.5f64.tan()) - 1.0).abs() < 1e-9);
         }
         assert!((shots[0].scan_angle_rad + 0.5).abs() < 1e-15 && shots[0].facet == 0);
+    }
+
+    /// 150 kHz and 100 revolutions a second: 1500 shots a revolution, whatever the lines.
+    #[test]
+    fn a_circular_scanner_turns_around_straight_down() {
+        let shots: Vec<Shot> = (0..4).flat_map(|number| line(Mirror::Circular, number)).collect();
+        for (number, shot) in shots.iter().enumerate() {
+            let [forward, right, down] = shot.direction_in_scanner;
+            assert!(
+                (down - 0.5f64.cos()).abs() < 1e-15 && (forward.hypot(right) - 0.5f64.sin()).abs() < 1e-15
+            );
+            let azimuth = TAU * number as f64 / 1500.0;
+            assert!((forward - 0.5f64.sin() * azimuth.cos()).abs() < 1e-9, "{number}");
+            assert!((right - 0.5f64.sin() * azimuth.sin()).abs() < 1e-9, "{number}");
+            assert!((shot.scan_angle_rad.tan() * down - right).abs() < 1e-12);
+            assert_eq!((shot.to_the_right, shot.facet, shot.number), (forward > 0.0, 0, number as u64));
+        }
+        assert!(
+            (shots[1001].since_start_ns - shots[1000].since_start_ns - 6667).abs() <= 1,
+            "without a pause"
+        );
     }
 
     #[test]

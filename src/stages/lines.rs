@@ -1,8 +1,10 @@
 //! Where one scan line ends and the next begins, for readers of files that do not say it.
 
+use std::f64::consts::PI;
 use std::sync::Arc;
 
 use crate::batch::{Batch, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emission_flags};
+use crate::geo::cone::{Cone, Turning};
 use crate::stage::InvalidKey;
 
 /// What all readers ask of their key `odd_sample_shift`.
@@ -39,7 +41,8 @@ impl Sampling {
 ///
 /// A line ends after a shot with the edge-of-flight-line flag, and before one whose scan direction flag or facet differs
 /// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots or
-/// [`MOST_BYTES`]. It also ends where time runs backwards, as between flights that were put into one file: a line's shots
+/// [`MOST_BYTES`]. Beams that turn on a cone have none of these: where the file ends no line itself, a line is one revolution,
+/// counted from the file's first beam. It also ends where time runs backwards, as between flights that were put into one file: a line's shots
 /// are in order of time.
 pub(super) struct Lines {
     input: Arc<InputInfo>,
@@ -47,6 +50,13 @@ pub(super) struct Lines {
     emissions: Vec<Emission>,
     blocks: Blocks,
     sweep: Sweep,
+    turning: Turning,
+    /// How far the beam has turned in the present revolution, rad.
+    turned_rad: f64,
+    /// The last shot that was added.
+    last: Option<Emission>,
+    /// The file itself has ended a line.
+    has_ends: bool,
 }
 
 /// The usual movement of the beam from shot to shot.
@@ -72,6 +82,10 @@ impl Lines {
             emissions: Vec::new(),
             blocks: Blocks::default(),
             sweep: Sweep::default(),
+            turning: Turning::default(),
+            turned_rad: 0.0,
+            last: None,
+            has_ends: false,
         }
     }
 
@@ -83,20 +97,42 @@ impl Lines {
     /// Whether a shot would begin a new line: then [`Lines::take`] the one at hand first.
     pub(super) fn ends_before(&self, next: &Emission) -> bool {
         let Some(last) = self.emissions.last() else { return false };
-        let flag = |emission: &Emission| emission.flags & emission_flags::SCAN_DIRECTION_POSITIVE;
         self.emissions.len() >= MAX_SHOTS_PER_LINE
             || self.blocks.bytes() >= MOST_BYTES
-            || last.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0
-            || flag(last) != flag(next)
-            || last.facet != next.facet
+            || is_end(last, next)
             || last.clock_ps > next.clock_ps
             || self.sweep.jumps(last.direction, next.direction)
+            || (!self.has_ends && self.ends_revolution(last, next))
+    }
+
+    /// Whether the beam passes, with a shot, the azimuth of the file's first.
+    fn ends_revolution(&self, last: &Emission, next: &Emission) -> bool {
+        self.turned_rad >= PI
+            && self
+                .turning
+                .cone()
+                .is_some_and(|cone| cone.azimuth_rad(last.direction) - cone.azimuth_rad(next.direction) > PI)
+    }
+
+    /// Ends the line at hand where the file says so, otherwise than by its shots.
+    pub(super) fn end(&mut self) -> Option<Batch> {
+        self.has_ends = true;
+        self.take()
     }
 
     /// Adds a shot; its blocks go to [`Lines::blocks`] with the index returned.
     pub(super) fn add(&mut self, emission: Emission) -> u32 {
         if let Some(last) = self.emissions.last() {
             self.sweep.learn(last.direction, emission.direction);
+        }
+        self.turning.add(emission.direction);
+        if let Some(last) = self.last.replace(emission) {
+            self.has_ends |= is_end(&last, &emission);
+            let turned = |cone: &Cone| cone.turned_rad(last.direction, emission.direction);
+            self.turned_rad = match self.ends_revolution(&last, &emission) {
+                true => 0.0,
+                false => self.turned_rad + self.turning.cone().map_or(0.0, turned),
+            };
         }
         self.emissions.push(emission);
         (self.emissions.len() - 1) as u32
@@ -118,6 +154,14 @@ impl Lines {
         let emissions = std::mem::take(&mut self.emissions);
         Some(Batch::of_shots(Arc::clone(&self.input), line, emissions, std::mem::take(&mut self.blocks)))
     }
+}
+
+/// Whether the flags or facets of consecutive shots say that a line ends between them.
+fn is_end(last: &Emission, next: &Emission) -> bool {
+    let flag = |emission: &Emission| emission.flags & emission_flags::SCAN_DIRECTION_POSITIVE;
+    last.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0
+        || flag(last) != flag(next)
+        || last.facet != next.facet
 }
 
 impl Sweep {
@@ -187,6 +231,48 @@ mod tests {
         let turned = [with(0, 0), with(0, 0), with(0, 0), with(SCAN_DIRECTION_POSITIVE, 0)];
         assert_eq!(lengths(turned), [3, 1]);
         assert_eq!(lengths([with(0, 0), with(0, 1), with(0, 1)]), [1, 2]);
+    }
+
+    /// Shots of a beam on a cone of 20 degrees, so many a revolution, by a scanner that is tilted by 3 degrees.
+    fn on_cone(shots: std::ops::Range<u32>, per_revolution: f64) -> impl Iterator<Item = Emission> {
+        let (sin_tilt, cos_tilt) = 3f64.to_radians().sin_cos();
+        let (away, down) = 20f64.to_radians().sin_cos();
+        shots.map(move |k| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / per_revolution).sin_cos();
+            let [x, y, z] = [away * cos, away * sin, -down];
+            let direction = [x, cos_tilt * y - sin_tilt * z, sin_tilt * y + cos_tilt * z];
+            Emission { direction, clock_ps: i64::from(k), ..Emission::default() }
+        })
+    }
+
+    #[test]
+    fn a_beam_on_a_cone_makes_a_line_of_each_revolution() {
+        assert_eq!(lengths(on_cone(0..2600, 500.5)), [501, 500, 501, 500, 501, 97]);
+        // From any place on, and with pieces where a revolution is too long for a line.
+        assert_eq!(lengths(on_cone(77..15_000, 6875.0)), [4096, 2779, 4096, 2779, 1173]);
+        // The gap passes the end of the revolution.
+        let with_gap = on_cone(0..2000, 500.5).filter(|shot| !(450..520).contains(&shot.clock_ps));
+        assert_eq!(lengths(with_gap), [450, 481, 501, 498]);
+    }
+
+    #[test]
+    fn lines_that_the_file_ends_are_those_of_a_cone_too() {
+        let to_the_right = |mut shot: Emission| {
+            shot.flags = if shot.clock_ps % 500 < 250 { emission_flags::SCAN_DIRECTION_POSITIVE } else { 0 };
+            shot
+        };
+        assert_eq!(lengths(on_cone(100..1100, 500.0).map(to_the_right)), [150, 250, 250, 250, 100]);
+        // Ended by records that are no shots: two thirds of a revolution each.
+        let mut lines = Lines::new(Arc::new(InputInfo::default()));
+        let mut lengths = Vec::new();
+        for shot in on_cone(0..2000, 500.0) {
+            let ends = lines.ends_before(&shot);
+            let ended = if shot.clock_ps > 0 && shot.clock_ps % 333 == 0 { lines.end() } else { None };
+            lengths
+                .extend(ended.or_else(|| if ends { lines.take() } else { None }).map(|l| l.emissions.len()));
+            lines.add(shot);
+        }
+        assert_eq!(lengths, [333; 6]);
     }
 
     #[test]

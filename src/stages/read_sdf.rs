@@ -419,7 +419,7 @@ impl Source for ReadSdf {
                 self.add(emission);
                 if shot::ends_line(&emission) {
                     self.ends_are_marked = true;
-                    return Ok(self.lines.take());
+                    return Ok(self.lines.end());
                 }
             }
             if !self.read()? {
@@ -431,7 +431,7 @@ impl Source for ReadSdf {
                 What::EndOfLine => {
                     self.pass_over(cx);
                     self.ends_are_marked = true;
-                    if let Some(line) = self.lines.take() {
+                    if let Some(line) = self.lines.end() {
                         return Ok(Some(line));
                     }
                 }

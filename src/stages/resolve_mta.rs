@@ -198,7 +198,7 @@ impl ResolveMta {
             (None, None) => Prior::None,
         };
         let (range_m, blind_gap_ns) = (self.range_m, self.blind_gap_ns);
-        Settings { method, prior, range_m, group_velocity_mps, blind_gap_ns }
+        Settings { method, prior, range_m, group_velocity_mps, blind_gap_ns, is_cyclic: false }
     }
 }
 
@@ -243,7 +243,7 @@ impl Transform for Resolving {
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
         match self.strip.take() {
-            Some(strip) => strip.finish(out),
+            Some(strip) => strip.finish(self.terrain.as_ref(), out),
             None => Ok(()),
         }
     }

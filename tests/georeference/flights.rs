@@ -44,6 +44,15 @@ fn a_level_flight() {
     comes_back("level", "heading_deg = 30.0\n");
 }
 
+/// 500 shots a revolution of 20 degrees half angle, level and swaying in a turn.
+#[test]
+fn a_circular_scanner() {
+    let circular = "scanner = 'circular'\nrotation_hz = 40.0\nscan_angle_deg = [-20, 20]\n";
+    comes_back("circular, level", &format!("{circular}heading_deg = 30.0\n"));
+    let swaying = SWAYING.replace("scan_angle_deg = [-25, 25]\n", "");
+    comes_back("circular, in a turn", &format!("{circular}{swaying}turn_radius_m = 300.0\n"));
+}
+
 #[test]
 fn a_turning_flight() {
     comes_back("a turn to the right", &format!("{SWAYING}turn_radius_m = 300.0\n"));

@@ -58,12 +58,14 @@ pub fn recorded() -> &'static Flight {
 /// The same in the scanner's frame, of which SDF holds all.
 pub fn in_scanner_frame() -> &'static Flight {
     static FOUND: OnceLock<Flight> = OnceLock::new();
-    FOUND.get_or_init(|| {
-        let flight = fly(&format!("{FLIGHT}as_recorded = true\nsbet = 'flight.sbet'"));
-        let mut lines = lines_of(&flight.recording);
-        lines.iter_mut().flatten().for_each(as_sdf);
-        Flight { recording: container(&header(), &lines), ..flight }
-    })
+    FOUND.get_or_init(|| in_sdf(fly(&format!("{FLIGHT}as_recorded = true\nsbet = 'flight.sbet'"))))
+}
+
+/// The part of a flight that SDF has a place for.
+pub fn in_sdf(flight: Flight) -> Flight {
+    let mut lines = lines_of(&flight.recording);
+    lines.iter_mut().flatten().for_each(as_sdf);
+    Flight { recording: container(&header(), &lines), ..flight }
 }
 
 /// Leaves out what SDF has no place for.

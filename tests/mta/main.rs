@@ -12,6 +12,7 @@ mod made;
 #[path = "../support/mod.rs"]
 mod support;
 
+mod circular;
 mod faults;
 mod flights;
 mod memory;

@@ -120,6 +120,8 @@ pub(super) struct Band {
     /// Roughness by cell and zone, nats: the greatest zone first, `stride` for a cell.
     rough: Vec<f32>,
     stride: usize,
+    /// The last cell is beside the first.
+    pub is_ring: bool,
 }
 
 /// Number of the cell that a column lies in.
@@ -141,8 +143,9 @@ impl Band {
         let zones =
             ((settings.range_m[1] as f32 / interval_m).ceil() + 1.0).clamp(2.0, MOST_ZONES as f32) as usize;
         let stride = zones.next_multiple_of(LANES);
-        let first = cell_of(least);
-        let count = (cell_of(most) - first) as usize + 1;
+        let ring = lines.iter().map(|line| line.ring).max().unwrap_or(0);
+        let (first, last) = if ring > 0 { (0, cell_of(ring) - 1) } else { (cell_of(least), cell_of(most)) };
+        let count = (last - first) as usize + 1;
         let mut band = Band {
             first,
             cells: vec![Cell::default(); count],
@@ -150,6 +153,7 @@ impl Band {
             zones,
             rough: vec![0.0; count * stride],
             stride,
+            is_ring: ring > 0,
         };
         band.find_phases(lines);
         band.find_slopes(lines);
@@ -175,7 +179,10 @@ impl Band {
     pub fn nearest(&self, column: i32, range_m: f32) -> (&Cell, f32) {
         let index = self.index(column);
         let mut found = (index, self.apart_m(index, column, range_m));
-        for other in index.saturating_sub(1)..(index + 2).min(self.cells.len()) {
+        let count = self.cells.len();
+        let before = index.checked_sub(1).or(self.is_ring.then_some(count - 1));
+        let after = if index + 1 < count { Some(index + 1) } else { self.is_ring.then_some(0) };
+        for other in before.into_iter().chain(after) {
             let apart_m = self.apart_m(other, column, range_m) + BESIDE_M;
             if apart_m < found.1 {
                 found = (other, apart_m);
@@ -239,7 +246,7 @@ impl Band {
 
     /// Counts the zones of all echoes from the phase of their cell, or of the nearest that has one.
     fn count_from_phases(&mut self, lines: &mut [Held]) {
-        fill(&mut self.cells);
+        fill(&mut self.cells, self.is_ring);
         for line in lines {
             let interval_m = line.pulses.interval_m;
             for i in 0..line.echoes.len() {
@@ -409,9 +416,9 @@ fn offsets(line: &Held, base: i32, stride: usize) -> Option<&[f32]> {
 }
 
 /// The first place at which no echo comes from a line before: the other end of the swath is another surface, and neither its
-/// phase nor its evidence is that of the cells here.
+/// phase nor its evidence is that of the cells here. A revolution goes on where the one before ended.
 fn inside_from(line: &Held, zones: usize) -> u32 {
-    let margin = if line.pulses.lead == 0 { 0 } else { zones.min(line.pulses.own() / 4) };
+    let margin = if line.pulses.lead == 0 || line.ring > 0 { 0 } else { zones.min(line.pulses.own() / 4) };
     (line.pulses.lead + margin) as u32
 }
 
@@ -433,19 +440,25 @@ fn find_phase(cell: &mut Cell, bins: &[(u16, f32); BINS], interval_m: f32) {
     cell.known = surface >= LEAST_PART * f32::from(count);
 }
 
-/// Gives cells without a phase of their own that of the nearest cell in the band.
-fn fill(cells: &mut [Cell]) {
-    let known: Vec<usize> = (0..cells.len()).filter(|&i| cells[i].known).collect();
-    let (Some(&first), mut next) = (known.first(), 0) else { return };
-    let mut before = first;
-    for i in 0..cells.len() {
+/// Gives cells without a phase of their own that of the nearest cell in the band, around its end in a ring.
+fn fill(cells: &mut [Cell], is_ring: bool) {
+    let count = cells.len() as i32;
+    let mut known: Vec<i32> = (0..count).filter(|&i| cells[i as usize].known).collect();
+    let (Some(&first), Some(&last)) = (known.first(), known.last()) else { return };
+    let (mut before, mut next) = (first, 0);
+    if is_ring {
+        before = last - count;
+        known.push(first + count);
+    }
+    for i in 0..count {
         if known.get(next) == Some(&i) {
             (before, next) = (i, next + 1);
         } else {
             let after = known.get(next).copied().unwrap_or(before);
             let nearest = if after.abs_diff(i) < before.abs_diff(i) { after } else { before };
-            let apart = i as f32 - nearest as f32;
+            let apart = (i - nearest) as f32;
             let along = apart.clamp(-EXTENDED_CELLS, EXTENDED_CELLS);
+            let (i, nearest) = (i as usize, nearest.rem_euclid(count) as usize);
             let slope_m = cells[nearest].slope_m;
             cells[i].slope_m = if apart == along { slope_m } else { 0.0 };
             cells[i].phase_m = cells[nearest].phase_m + slope_m * along * CELL_SHOTS as f32;

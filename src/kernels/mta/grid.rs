@@ -105,8 +105,15 @@ impl<'a> Grid<'a> {
             for cell in 1..cells {
                 self.send(Place { row, cell: cell - 1 }, Place { row, cell }, LEFT, &mut held);
             }
+            let is_ring = self.bands[row].is_ring && cells > 2;
+            if is_ring {
+                self.send(Place { row, cell: cells - 1 }, Place { row, cell: 0 }, LEFT, &mut held);
+            }
             for cell in (1..cells).rev() {
                 self.send(Place { row, cell }, Place { row, cell: cell - 1 }, RIGHT, &mut held);
+            }
+            if is_ring {
+                self.send(Place { row, cell: 0 }, Place { row, cell: cells - 1 }, RIGHT, &mut held);
             }
         }
         for row in 1..rows {

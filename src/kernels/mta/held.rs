@@ -1,5 +1,6 @@
 //! A line while it is held back.
 
+use super::cells::CELL_SHOTS;
 use super::pulses::{Pulses, Tail};
 use super::summary::Summary;
 use super::{Assigned, Line, Resolved, Settings};
@@ -12,9 +13,17 @@ const MOST_COLUMNS: f32 = 65_535.0;
 pub(super) struct Places {
     /// Angle of column 0, and from one column to the next.
     raster_deg: Option<(f32, f32)>,
+    /// Angles are azimuths, which go on at 0 after 360 degrees.
+    is_cyclic: bool,
+    /// Columns of a revolution; 0 where there are none.
+    ring: i32,
 }
 
 impl Places {
+    pub fn new(is_cyclic: bool) -> Places {
+        Places { is_cyclic, ..Places::default() }
+    }
+
     fn columns(&mut self, line: &Line) -> Vec<i32> {
         let angles = || line.emissions.iter().map(|emission| emission.scan_angle_deg);
         if self.raster_deg.is_none() {
@@ -26,9 +35,20 @@ impl Places {
                 let step = *steps.select_nth_unstable_by(middle, f32::total_cmp).1;
                 let least = known.iter().copied().fold(f32::INFINITY, f32::min);
                 self.raster_deg = (step > 0.0).then_some((least, step));
+                if self.is_cyclic && step > 0.0 {
+                    // Whole cells make a revolution.
+                    let cells = (360.0 / step / CELL_SHOTS as f32)
+                        .round()
+                        .clamp(1.0, MOST_COLUMNS / CELL_SHOTS as f32);
+                    self.ring = cells as i32 * CELL_SHOTS;
+                    self.raster_deg = Some((0.0, 360.0 / self.ring as f32));
+                }
             }
         }
         let column = |(index, angle): (i32, f32)| match self.raster_deg {
+            Some((_, step)) if angle.is_finite() && self.ring > 0 => {
+                ((angle / step) as i32).rem_euclid(self.ring)
+            }
             Some((least, step)) if angle.is_finite() => {
                 ((angle - least) / step).round().clamp(-MOST_COLUMNS, MOST_COLUMNS) as i32
             }
@@ -72,6 +92,8 @@ pub(super) struct Held {
     pub pulses: Pulses,
     /// In order of column and time.
     pub echoes: Vec<HeldEcho>,
+    /// Columns of a revolution, the last of them beside the first; 0 where the beam sweeps.
+    pub ring: i32,
 }
 
 impl Held {
@@ -88,7 +110,7 @@ impl Held {
                 places.then(a.since_ns.total_cmp(&b.since_ns))
             });
         }
-        Held { number, pulses, echoes }
+        Held { number, pulses, echoes, ring: places.ring }
     }
 
     /// The column in which an echo was received.

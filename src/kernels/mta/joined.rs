@@ -6,7 +6,7 @@
 use std::collections::VecDeque;
 
 use super::cells::CELL_SHOTS;
-use super::{Cause, Line, Resolved};
+use super::{Cause, Emission, Line, Resolved};
 
 /// Lines with fewer emissions than this are joined with those that follow.
 const SHORT_SHOTS: usize = CELL_SHOTS as usize;
@@ -14,6 +14,8 @@ const SHORT_SHOTS: usize = CELL_SHOTS as usize;
 const SWEEP_SHOTS: usize = 256;
 /// A joined line ends here, whatever the angles say.
 const MOST_SHOTS: usize = 4096;
+/// The same of a revolution.
+const MOST_SHOTS_OF_RING: usize = 1 << 17;
 
 /// Lines that the method takes as one.
 #[derive(Debug, Default)]
@@ -32,6 +34,12 @@ impl Run {
     }
 }
 
+/// How far the beam turns from the first to the last of some emissions, degrees; those of unknown azimuth do not count.
+fn turned_deg(emissions: &[Emission]) -> f32 {
+    let steps = emissions.windows(2).map(|pair| pair[1].scan_angle_deg - pair[0].scan_angle_deg);
+    steps.filter(|step| step.is_finite()).map(|step| step - 360.0 * (step / 360.0).round()).sum()
+}
+
 /// Joins lines, and takes the results apart again.
 #[derive(Debug, Default)]
 pub(super) struct Joined {
@@ -48,9 +56,17 @@ pub(super) struct Joined {
     most_lines: usize,
     /// No line that is still to come has an echo caused by lines below this.
     settled: u64,
+    /// Angles are azimuths: lines are joined until they make a revolution.
+    is_cyclic: bool,
+    /// How far the beam has turned over the lines that wait, degrees.
+    turned_deg: f32,
 }
 
 impl Joined {
+    pub fn new(is_cyclic: bool) -> Joined {
+        Joined { is_cyclic, ..Joined::default() }
+    }
+
     /// How many lines may be held back where the method holds back so many.
     pub fn held_back(&self, lines: usize) -> usize {
         match self.most_lines.max(self.run.lines.len()) {
@@ -64,15 +80,21 @@ impl Joined {
     pub fn push(&mut self, line: &Line, joins: bool) -> impl Iterator<Item = Line> + use<> {
         // A line without shots waits only where others do.
         let least = usize::from(self.run.lines.is_empty());
-        let is_short = joins && (least..SHORT_SHOTS).contains(&line.emissions.len());
+        let is_short =
+            joins && (self.is_cyclic || line.emissions.len() < SHORT_SHOTS) && line.emissions.len() >= least;
         let before = (!is_short || !self.goes_on(line)).then(|| self.take()).flatten();
         self.append(line);
-        let own = if is_short { None } else { self.take() };
+        let turned_deg = if self.is_cyclic { turned_deg(&line.emissions) } else { 0.0 };
+        self.turned_deg += turned_deg;
+        // The nearest number of lines to a revolution.
+        let is_whole = self.is_cyclic && self.turned_deg + 0.5 * turned_deg >= 360.0;
+        let own = if is_short && !is_whole { None } else { self.take() };
         before.into_iter().chain(own)
     }
 
     /// The joined line that waits, if one does.
     pub fn take(&mut self) -> Option<Line> {
+        self.turned_deg = 0.0;
         let run = std::mem::take(&mut self.run);
         if run.lines.is_empty() {
             return None;
@@ -86,12 +108,16 @@ impl Joined {
     fn goes_on(&self, line: &Line) -> bool {
         let shots = &self.waiting.emissions;
         let (Some(last), Some(next)) = (shots.last(), line.emissions.first()) else { return true };
+        let shots_of_both = shots.len() + line.emissions.len();
+        if self.is_cyclic {
+            return next.clock_ps > last.clock_ps && shots_of_both <= MOST_SHOTS_OF_RING;
+        }
         let sweep_deg = last.scan_angle_deg - shots[0].scan_angle_deg;
         let ahead_deg = next.scan_angle_deg - last.scan_angle_deg;
         // NaN, where angles are not known, turns nowhere.
         let turns = sweep_deg * ahead_deg < 0.0;
         let most = if ahead_deg.is_nan() { SWEEP_SHOTS } else { MOST_SHOTS };
-        next.clock_ps > last.clock_ps && !turns && shots.len() + line.emissions.len() <= most
+        next.clock_ps > last.clock_ps && !turns && shots_of_both <= most
     }
 
     fn append(&mut self, line: &Line) {

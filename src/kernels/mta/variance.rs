@@ -4,7 +4,7 @@
 //! range, so that it follows a surface through a change of zone. A buffer holds the squared differences of its consecutive
 //! ranges, a second one those of the zone alone; when the second has the smaller sum, the chain has left the surface, and is
 //! begun anew from the second. The chain of the least sum decides for the echo in the middle of the buffer. Every second line is
-//! taken from its other end, so that the lines join. This is the method of HydroVISH's documentation, which names a buffer of 50
+//! taken from its other end, so that the lines join; revolutions join as they are. This is the method of HydroVISH's documentation, which names a buffer of 50
 //! and leaves open when the second buffer takes over.
 
 use std::collections::VecDeque;
@@ -133,7 +133,7 @@ impl Variance {
 
     /// Takes a line's echoes into the chains, and decides those in whose buffer the second half is full.
     fn take(&mut self, line: Held) {
-        let (number, count) = (line.number, line.echoes.len());
+        let (number, count, is_ring) = (line.number, line.echoes.len(), line.ring > 0);
         if self.chains.is_empty() && count > 0 {
             let most = self.settings.range_m[1] / f64::from(line.pulses.interval_m);
             let zones = most.ceil().clamp(1.0, MOST_ZONES) as usize + 1;
@@ -142,7 +142,7 @@ impl Variance {
         let mut ranges = vec![f64::NAN; self.chains.len()];
         self.lines.push_back(Waiting { line, decided: vec![(None, 0.0); count] });
         for turn in 0..count {
-            let i = if number % 2 == 0 { turn } else { count - 1 - turn };
+            let i = if number % 2 == 0 || is_ring { turn } else { count - 1 - turn };
             if let Some(Waiting { line, .. }) = self.lines.back() {
                 ranges_of(line, &line.echoes[i], &self.settings, &mut ranges);
             }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::batch::{Batch, Emission, Frame};
 use crate::formats::terrain::Terrain;
+use crate::geo::cone::Turning;
 use crate::geo::vertical::{down_at, main_axis};
 use crate::geometry::Geometry as Placed;
 use crate::geometry::target::Target;
@@ -14,6 +15,9 @@ use crate::stage::{Result, StageError};
 const LEAST_SWEEP: f64 = 1e-6;
 /// A beam of the earth's frame is taken to be as straight in the map as it is up to here, m.
 const REACH_M: f64 = 1000.0;
+/// Beams that have jumped or turned back so often, or so many beams, that have not turned around an axis, sweep.
+const MOST_RESTARTS: usize = 3;
+const MOST_BEAMS: usize = 4096;
 
 /// How a recording's beams lie.
 #[derive(Clone, Debug)]
@@ -29,6 +33,10 @@ pub(super) struct Geometry {
     across: Option<[f64; 3]>,
     /// The last beam so far.
     last: Option<[f64; 3]>,
+    turning: Turning,
+    beams: usize,
+    /// Whether beams turn on a cone; `None` while that is not known.
+    is_circular: Option<bool>,
 }
 
 impl Geometry {
@@ -64,7 +72,36 @@ impl Geometry {
             Frame::Body => [0.0, 0.0, 1.0],
             _ => main_axis(batch.emissions.iter().map(|emission| emission.direction)),
         });
-        Ok(Geometry { frame, range_m, down, map, across: None, last: None })
+        Ok(Geometry {
+            frame,
+            range_m,
+            down,
+            map,
+            across: None,
+            last: None,
+            turning: Turning::default(),
+            beams: 0,
+            is_circular: None,
+        })
+    }
+
+    /// Follows the beams of the next line, and says whether it is known if they turn on a cone.
+    pub fn follow(&mut self, emissions: &[Emission]) -> bool {
+        if self.is_circular != Some(false) {
+            emissions.iter().for_each(|emission| self.turning.add(emission.direction));
+            self.beams += emissions.len();
+        }
+        if self.turning.cone().is_some() {
+            self.is_circular.get_or_insert(true);
+        } else if self.turning.restarts() >= MOST_RESTARTS || self.beams >= MOST_BEAMS {
+            self.is_circular.get_or_insert(false);
+        }
+        self.is_circular.is_some()
+    }
+
+    /// Whether places across the line are azimuths. What is not known by now is not asked again.
+    pub fn is_circular(&mut self) -> bool {
+        *self.is_circular.get_or_insert(false)
     }
 
     /// Learns the direction across the line.
@@ -111,8 +148,11 @@ impl Geometry {
         (near, std::array::from_fn(|axis| (far[axis] - near[axis]) / REACH_M))
     }
 
-    /// The place across the line: the recording's own scan angle, or, in the scanner's frame, that of the beam.
+    /// The place across the line: the azimuth on a cone, else the recording's own scan angle, or, in the scanner's frame, that of the beam.
     fn scan_angle_deg(&self, emission: &Emission, cos_nadir: f64) -> f64 {
+        if let (Some(true), Some(cone)) = (self.is_circular, self.turning.cone()) {
+            return cone.azimuth_rad(emission.direction).to_degrees();
+        }
         match (self.frame, self.across) {
             _ if emission.scan_angle_deg.is_finite() => f64::from(emission.scan_angle_deg),
             (Frame::Scanner | Frame::Body | Frame::Earth, Some(across)) => {

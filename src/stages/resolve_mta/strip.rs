@@ -9,7 +9,7 @@ use super::{ResolveMta, failed};
 use crate::batch::{Batch, Blocks, Channel, Content, OnlineReturn, Ticket};
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry as Placed;
-use crate::kernels::mta::{self, Assigned, BYTES_PER_ECHO, BYTES_PER_SHOT, Resolved, Resolver};
+use crate::kernels::mta::{self, Assigned, BYTES_PER_ECHO, BYTES_PER_SHOT, Resolved, Resolver, Settings};
 use crate::stage::{Item, Output, Result, StageError};
 
 /// What the kernel's cells take at most for each shot of the lines at hand, bytes (docs/mta.md, Memory and order).
@@ -21,7 +21,10 @@ const NO_SHOT: &str = "its emission is not in the line";
 /// Lines whose zones are being found.
 pub(super) struct Strip {
     resolver: Resolver,
+    settings: Settings,
     geometry: Geometry,
+    /// The first lines, while it is not known whether their beams turn on a cone.
+    first_lines: Vec<Batch>,
     held: VecDeque<HeldLine>,
     /// Number of the first line in `held`, as the resolver counts.
     first: u64,
@@ -93,7 +96,9 @@ impl Strip {
         }
         Ok(Strip {
             resolver,
+            settings,
             geometry,
+            first_lines: Vec::new(),
             held: VecDeque::new(),
             first: 0,
             settled: 0,
@@ -106,6 +111,25 @@ impl Strip {
 
     /// Takes the next line, and gives on what is complete.
     pub fn push(&mut self, batch: Batch, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
+        let is_known = self.geometry.follow(&batch.emissions);
+        self.first_lines.push(batch);
+        let bytes: usize = self.first_lines.iter().map(Batch::bytes).sum();
+        match is_known || bytes > out.may_hold_bytes() / 2 {
+            true => self.take_first_lines(terrain, out),
+            false => Ok(()),
+        }
+    }
+
+    fn take_first_lines(&mut self, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
+        let is_cyclic = self.geometry.is_circular();
+        if is_cyclic != self.settings.is_cyclic {
+            self.settings.is_cyclic = is_cyclic;
+            self.resolver = Resolver::new(&self.settings).map_err(|error| failed(&error))?;
+        }
+        std::mem::take(&mut self.first_lines).into_iter().try_for_each(|line| self.take(line, terrain, out))
+    }
+
+    fn take(&mut self, batch: Batch, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
         self.geometry.learn(&batch.emissions);
         let empty = Blocks::default();
         let received = Received::of(&batch.emissions, batch.blocks().unwrap_or(&empty));
@@ -135,7 +159,8 @@ impl Strip {
     }
 
     /// Says that no line follows.
-    pub fn finish(mut self, out: &mut Output) -> Result<()> {
+    pub fn finish(mut self, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
+        self.take_first_lines(terrain, out)?;
         self.resolver.finish().map_err(|error| failed(&error))?;
         self.settle(out)?;
         self.settled = u64::MAX;

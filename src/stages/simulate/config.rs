@@ -53,7 +53,8 @@ pub struct Simulate {
     #[schemars(range(min = 1, max = 4096))]
     pub shots_per_line: u32,
     /// What moves the beam: a polygon of four facets with a pause of half a line between lines; a mirror that swings
-    /// there and back; or a row of fibres, whose spots are evenly spaced on level ground.
+    /// there and back; a row of fibres, whose spots are evenly spaced on level ground; or a beam that turns on a cone
+    /// around straight down (`circular`), whose lines are nothing but so many shots.
     pub scanner: ScannerKind,
     /// Pulses per second. Echoes that return after the next pulse are given to the pulse that caused them, unless
     /// `as_recorded`.
@@ -63,8 +64,11 @@ pub struct Simulate {
     /// independently of the others; 0: the rate is constant. Below half the interval.
     #[schemars(range(min = 0.0))]
     pub modulation_ns: f64,
-    /// The first and the last shot's angle from straight down, positive to the right.
+    /// The first and the last shot's angle from straight down, positive to the right; the half angle of a cone to both sides.
     pub scan_angle_deg: [f64; 2],
+    /// Revolutions per second of a `circular` scanner.
+    #[schemars(range(min = 1.0, max = 1000.0))]
+    pub rotation_hz: f64,
     /// Height above the level ground, or above the lowest ground of the `country`.
     #[schemars(range(min = 20.0, max = 10000.0))]
     pub flying_height_m: f64,
@@ -182,6 +186,8 @@ pub enum ScannerKind {
     Oscillating,
     /// A row of fibres.
     ParallelLines,
+    /// A beam that turns on a cone.
+    Circular,
 }
 
 /// What is flown over.
@@ -226,6 +232,7 @@ impl Default for Simulate {
             pulse_rate_hz: 150_000.0,
             modulation_ns: 0.0,
             scan_angle_deg: [-30.0, 30.0],
+            rotation_hz: 80.0,
             flying_height_m: 600.0,
             speed_mps: 60.0,
             heading_deg: 0.0,
@@ -298,7 +305,10 @@ impl Simulate {
         unless(modulation, "modulation_ns", "must lie between 0 and half the interval between pulses")?;
         let [first, last] = self.scan_angle_deg;
         let angles = within(first, -60.0, 60.0) && within(last, -60.0, 60.0) && first < last;
-        unless(angles, "scan_angle_deg", "must be two ascending angles between -60 and 60")
+        unless(angles, "scan_angle_deg", "must be two ascending angles between -60 and 60")?;
+        let even = self.scanner != ScannerKind::Circular || first == -last;
+        unless(even, "scan_angle_deg", "must be -a and a for a circular scanner of half angle a")?;
+        unless(within(self.rotation_hz, 1.0, 1000.0), "rotation_hz", "must lie between 1 and 1000")
     }
 
     fn check_platform(&self) -> Checked {
@@ -404,12 +414,14 @@ impl Simulate {
                 ScannerKind::RotatingPolygon => Mirror::RotatingPolygon,
                 ScannerKind::Oscillating => Mirror::Oscillating,
                 ScannerKind::ParallelLines => Mirror::ParallelLines,
+                ScannerKind::Circular => Mirror::Circular,
             },
             shots_per_line: self.shots_per_line,
             pulse_rate_hz: self.pulse_rate_hz,
             modulation_ns: self.modulation_ns,
             seed: self.seed,
             scan_angle_rad: self.scan_angle_deg.map(f64::to_radians),
+            rotation_hz: self.rotation_hz,
         }
     }
 

@@ -304,7 +304,8 @@ impl Flight {
 
     pub(super) fn emission(&self, cast: &Cast, mta_zone: Option<i16>) -> Emission {
         let Cast { shot, beam, .. } = cast;
-        let is_last = cast.index + 1 == self.scanner.shots_per_line;
+        let has_edges = self.scanner.mirror != Mirror::Circular;
+        let is_last = has_edges && cast.index + 1 == self.scanner.shots_per_line;
         let edge = if is_last { emission_flags::EDGE_OF_FLIGHT_LINE } else { 0 };
         let to_the_right = if shot.to_the_right { emission_flags::SCAN_DIRECTION_POSITIVE } else { 0 };
         let synchronised = emission_flags::SYNCHRONISED | emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND;

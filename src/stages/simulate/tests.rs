@@ -279,7 +279,8 @@ fn lines_of_everything_have_these_bytes() {
 #[test]
 fn any_kind_of_line_alone_is_the_line_in_sequence() {
     for as_recorded in [false, true] {
-        for scanner in [ScannerKind::Oscillating, ScannerKind::RotatingPolygon, ScannerKind::ParallelLines] {
+        use ScannerKind::{Circular, Oscillating, ParallelLines, RotatingPolygon};
+        for scanner in [Oscillating, RotatingPolygon, ParallelLines, Circular] {
             let config =
                 Simulate { as_recorded, scanner, sbet: as_recorded.then(|| "*.sbet".to_owned()), ..rich() };
             let sequence = lines(&config, 0..6);

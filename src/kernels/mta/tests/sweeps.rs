@@ -76,6 +76,29 @@ fn pieces_of_a_sweep_are_resolved_as_the_sweep() {
     }
 }
 
+/// A beam that turns on a cone, 1000 shots a revolution, over ground with a step that its end and its begin share, in lines that
+/// are no whole part of it. Neighbours are found by the azimuth, around its end.
+#[test]
+fn revolutions_are_compared_by_azimuth() {
+    let range_m = |_: usize, shot: usize| {
+        let (azimuth, wood) = (shot % 1000, f64::from(u8::from((930..1060).contains(&(shot % 1000 + 60)))));
+        let tilted = 1010.0 + 90.0 * (azimuth as f64 / 1000.0 * std::f64::consts::TAU + 0.4).sin();
+        tilted + wood * (20.0 * random(7 + shot as u64) - 40.0)
+    };
+    let (mut lines, causes) = strip(1, 24_000, 15.0, range_m);
+    for (shot, emission) in lines[0].emissions.iter_mut().enumerate() {
+        emission.scan_angle_deg = 0.36 * (shot % 1000) as f32;
+    }
+    for shots in [1, 300, 1000, 1600] {
+        let settings = Settings { is_cyclic: true, ..settings(Method::Blocks) };
+        let lines = cut(&lines[0], shots);
+        let (resolved, resolver) = resolve(&settings, &lines);
+        assert_eq!(wrong_of(&resolved, shots, &causes[0]), 0, "{shots}");
+        assert!(resolved.iter().enumerate().all(|(number, line)| line.line == number as u64));
+        assert_eq!(resolver.warnings(), []);
+    }
+}
+
 #[test]
 fn a_constant_rate_is_refused_for_pieces_of_a_sweep_too() {
     let (lines, _) = pieces(1, 0.0);

@@ -6,7 +6,7 @@ use crate::stage::InvalidKey;
 #[test]
 fn each_limit_has_its_message() {
     type Change = fn(&mut Simulate);
-    let cases: [(Change, &str, &str); 42] = [
+    let cases: [(Change, &str, &str); 44] = [
         (|c| c.stem = "a/b".to_owned(), "stem", "must be a file name without folders"),
         (|c| c.lines = 0, "lines", "must be at least 1"),
         (|c| c.shots_per_line = 4097, "shots_per_line", "must lie between 1 and 4096"),
@@ -16,6 +16,12 @@ fn each_limit_has_its_message() {
             "scan_angle_deg",
             "must be two ascending angles between -60 and 60",
         ),
+        (
+            |c| (c.scanner, c.scan_angle_deg) = (ScannerKind::Circular, [-30.0, 20.0]),
+            "scan_angle_deg",
+            "must be -a and a for a circular scanner of half angle a",
+        ),
+        (|c| c.rotation_hz = 0.5, "rotation_hz", "must lie between 1 and 1000"),
         (
             |c| c.modulation_ns = 3334.0,
             "modulation_ns",
