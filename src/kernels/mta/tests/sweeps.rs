@@ -81,7 +81,8 @@ fn pieces_of_a_sweep_are_resolved_as_the_sweep() {
 #[test]
 fn revolutions_are_compared_by_azimuth() {
     let range_m = |_: usize, shot: usize| {
-        let (azimuth, wood) = (shot % 1000, f64::from(u8::from((930..1060).contains(&(shot % 1000 + 60)))));
+        let azimuth = shot % 1000;
+        let wood = f64::from(u8::from(!(60..930).contains(&azimuth)));
         let tilted = 1010.0 + 90.0 * (azimuth as f64 / 1000.0 * std::f64::consts::TAU + 0.4).sin();
         tilted + wood * (20.0 * random(7 + shot as u64) - 40.0)
     };
