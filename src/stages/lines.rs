@@ -247,12 +247,12 @@ mod tests {
 
     #[test]
     fn a_beam_on_a_cone_makes_a_line_of_each_revolution() {
-        assert_eq!(lengths(on_cone(0..2600, 500.5)), [501, 500, 501, 500, 501, 97]);
+        assert_eq!(lengths(on_cone(0..2600, 500.3)), [501, 500, 500, 501, 500, 98]);
         // From any place on, and with pieces where a revolution is too long for a line.
-        assert_eq!(lengths(on_cone(77..15_000, 6875.0)), [4096, 2779, 4096, 2779, 1173]);
+        assert_eq!(lengths(on_cone(77..15_000, 6874.6)), [4096, 2779, 4096, 2779, 1173]);
         // The gap passes the end of the revolution.
-        let with_gap = on_cone(0..2000, 500.5).filter(|shot| !(450..520).contains(&shot.clock_ps));
-        assert_eq!(lengths(with_gap), [450, 481, 501, 498]);
+        let with_gap = on_cone(0..2000, 500.3).filter(|shot| !(450..520).contains(&shot.clock_ps));
+        assert_eq!(lengths(with_gap), [450, 481, 500, 499]);
     }
 
     #[test]

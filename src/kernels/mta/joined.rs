@@ -84,11 +84,8 @@ impl Joined {
             joins && (self.is_cyclic || line.emissions.len() < SHORT_SHOTS) && line.emissions.len() >= least;
         let before = (!is_short || !self.goes_on(line)).then(|| self.take()).flatten();
         self.append(line);
-        let turned_deg = if self.is_cyclic { turned_deg(&line.emissions) } else { 0.0 };
-        self.turned_deg += turned_deg;
-        // The nearest number of lines to a revolution.
-        let is_whole = self.is_cyclic && self.turned_deg + 0.5 * turned_deg >= 360.0;
-        let own = if is_short && !is_whole { None } else { self.take() };
+        let whole = is_short && self.is_cyclic && self.is_revolution();
+        let own = if is_short && !whole { None } else { self.take() };
         before.into_iter().chain(own)
     }
 
@@ -120,6 +117,12 @@ impl Joined {
         next.clock_ps > last.clock_ps && !turns && shots_of_both <= most
     }
 
+    /// Whether the lines that wait are a revolution, as nearly as so many lines can be.
+    fn is_revolution(&self) -> bool {
+        let share = 0.5 / self.run.lines.len().max(1) as f32;
+        self.turned_deg * (1.0 + share) >= 360.0
+    }
+
     fn append(&mut self, line: &Line) {
         let start = self.waiting.emissions.len() as u32;
         if self.run.lines.is_empty() {
@@ -128,6 +131,8 @@ impl Joined {
         self.lines += 1;
         self.run.lines.push((start, line.echoes.len()));
         self.waiting.emissions.extend_from_slice(&line.emissions);
+        let joint = self.waiting.emissions.len().saturating_sub(line.emissions.len() + 1);
+        self.turned_deg += turned_deg(&self.waiting.emissions[joint..]);
         let moved = |echo: &super::Echo| super::Echo { emission: echo.emission + start, ..*echo };
         self.waiting.echoes.extend(line.echoes.iter().map(moved));
     }

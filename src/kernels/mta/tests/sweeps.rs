@@ -84,7 +84,7 @@ fn revolutions_are_compared_by_azimuth() {
         let azimuth = shot % 1000;
         let wood = f64::from(u8::from(!(60..930).contains(&azimuth)));
         let tilted = 1010.0 + 90.0 * (azimuth as f64 / 1000.0 * std::f64::consts::TAU + 0.4).sin();
-        tilted + wood * (20.0 * random(7 + shot as u64) - 40.0)
+        tilted + wood * (8.0 * random(7 + shot as u64) - 30.0)
     };
     let (mut lines, causes) = strip(1, 24_000, 15.0, range_m);
     for (shot, emission) in lines[0].emissions.iter_mut().enumerate() {
