@@ -59,7 +59,7 @@ fn zones_of_a_circular_scanner_are_right_near_their_changes_and_away() {
     let found = resolve(&flight.recording, "");
     let wrong = Wrong::of(&flight.truth, &found);
     println!("{wrong:?}");
-    assert!(wrong.away[0] > 5000 && wrong.near[0] > 5000, "{wrong:?}");
+    assert!(wrong.away[0] > 5000 && wrong.near[0] > 4000, "{wrong:?}");
     assert!(wrong.away[1] * 1000 <= wrong.away[0] && wrong.near[1] * 1000 <= wrong.near[0], "{wrong:?}");
     let stage = stage(&found.report, "resolve_mta");
     assert_eq!(stage["notes"].as_array().unwrap().len(), 0, "{stage}");
@@ -76,7 +76,7 @@ fn pieces_of_a_revolution_are_resolved_as_the_revolution() {
     let flight = in_sdf(flight);
     let wrong = Wrong::of(&flight.truth, &resolve(&flight.recording, ""));
     println!("{wrong:?}");
-    assert!(wrong.away[0] > 5000 && wrong.near[0] > 5000, "{wrong:?}");
+    assert!(wrong.away[0] > 5000 && wrong.near[0] > 4000, "{wrong:?}");
     assert!(wrong.away[1] * 1000 <= wrong.away[0] && wrong.near[1] * 1000 <= wrong.near[0], "{wrong:?}");
 }
 
@@ -93,13 +93,13 @@ fn the_least_variance_goes_around_the_cone() {
     assert!(count > 8000 && wrong * 1000 <= count, "{wrong} of {count}");
 }
 
-/// 520 pulses a revolution, to either side: a file that ends no line itself has one for each.
+/// 519.5 pulses a revolution, to either side: a file that ends no line itself has one for each.
 #[test]
 fn a_revolution_is_a_line_where_the_file_has_none() {
     for sense in [1.0, -1.0] {
         let mut file = PulseWaves::new(1300);
         for pulse in 0..1300 {
-            let (sin, cos) = (sense * TAU * pulse as f64 / 520.0).sin_cos();
+            let (sin, cos) = (sense * TAU * pulse as f64 / 519.5).sin_cos();
             let (away, down) = 20f64.to_radians().sin_cos();
             // 150 m, a thousand nanoseconds, in millimetres from the anchor.
             let along = [away * cos, away * sin, -down].map(|part| (part * 149_896.0).round() as i32);
@@ -111,6 +111,6 @@ fn a_revolution_is_a_line_where_the_file_has_none() {
         let place = Place::with(&[("a.pls", &file.pls()), ("a.wvs", &file.waves)]);
         place.succeeds("read_pulsewaves", "a.pls", "[[stage]]\ntype = 'write_arrow'\npath = 'a.arrow'\n");
         let lines = lines_of(&std::fs::read(place.path("out/a.arrow")).unwrap());
-        assert_eq!(lines.iter().map(Vec::len).collect::<Vec<_>>(), [520, 520, 260], "{sense}");
+        assert_eq!(lines.iter().map(Vec::len).collect::<Vec<_>>(), [520, 519, 261], "{sense}");
     }
 }
