@@ -88,8 +88,7 @@ impl Turning {
         };
         let step: Vector = std::array::from_fn(|k| beam[k] - last[k]);
         let length = dot(step, step).sqrt();
-        // NaN is less than nothing.
-        if !(length >= LEAST_STEP) {
+        if length.is_nan() || length < LEAST_STEP {
             return;
         }
         let step = step.map(|part| part / length);
