@@ -5,6 +5,7 @@
 //! it finds there into coordinates ([`target`]). `docs/georeferencing.md` gives the formulas.
 
 pub mod calibration;
+pub mod declared;
 pub mod keys;
 mod loaded;
 pub mod mount;

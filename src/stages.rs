@@ -13,6 +13,7 @@ pub mod read_arrow;
 pub mod read_las;
 pub mod read_pulsewaves;
 pub mod read_sdf;
+mod recording;
 pub mod resolve_mta;
 pub mod simulate;
 pub mod write_arrow;

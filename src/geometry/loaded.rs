@@ -268,14 +268,20 @@ impl Geometry {
         if *self.is_own_map.get_or_init(|| crs_wkt.is_some_and(|wkt| self.wanted.is_map(wkt, point))) {
             return Ok(());
         }
-        let name =
-            crs_wkt.and_then(|wkt| wkt.split('"').nth(1)).unwrap_or("a map that the recording does not name");
-        Err(StageError::failed(
-            format!(
-                "the beams of this recording are in {name} already, and `[job.geometry]` asks for other coordinates"
+        let (name, remedy) = match crs_wkt.and_then(|wkt| wkt.split('"').nth(1)) {
+            Some(name) => (
+                name,
+                "leave `crs`, `geoid` and `unit` out, and transform the points with another program, such as PDAL",
             ),
-            "leave `crs`, `geoid` and `unit` out, and transform the points with another program, such as PDAL",
-        ))
+            None => (
+                "a map that the recording does not name",
+                "name it with the reader's key `crs_of_input`, or leave `crs`, `geoid` and `unit` out",
+            ),
+        };
+        let problem = format!(
+            "the beams of this recording are in {name} already, and `[job.geometry]` asks for other coordinates"
+        );
+        Err(StageError::failed(problem, remedy))
     }
 
     /// Whether a recording without a place on the earth may stay so.

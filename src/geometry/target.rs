@@ -36,7 +36,7 @@ const LENGTH_STEP: f64 = 1e-3;
 /// Two systems are one where a point has the same coordinates in both within this, in their unit.
 const SAME: f64 = 1e-3;
 /// A place for systems that are the same everywhere.
-const ANYWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };
+pub(super) const ANYWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };
 
 impl Default for Wanted {
     /// UTM in the zone of the first shot, metres, heights above the ellipsoid.
@@ -73,6 +73,11 @@ impl Wanted {
         Ok(wanted)
     }
 
+    /// This system, and heights above the ellipsoid.
+    pub(super) fn of(named: Named) -> Wanted {
+        Wanted { named, ..Wanted::default() }
+    }
+
     fn crs(&self, first_place: Geodetic) -> std::result::Result<Crs, CrsError> {
         Crs::new(&self.named, first_place, self.geoid.clone(), self.unit.clone())
     }
@@ -105,7 +110,7 @@ impl Wanted {
     }
 }
 
-fn read_wkt(path: &Path) -> Result<String> {
+pub(super) fn read_wkt(path: &Path) -> Result<String> {
     let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the WKT of `crs`"))?.len();
     if bytes > MOST_WKT_BYTES {
         let problem = format!("{bytes} bytes are too many for WKT");

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::container_info::{channel_of, info_of};
 use super::lines::Sampling;
+use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
     Batch, Blocks, Emission, EmissionReference, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
 };
@@ -19,6 +20,7 @@ use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source,
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Shots);
 
+with_time_keys! {
 /// Reads recorded waveforms from the open waveform container (Arrow IPC).
 ///
 /// One record batch per scan line, one row per shot, as pyarrow, Polars, DuckDB and R write it. The columns and metadata keys stand in `schemas/container.json`.
@@ -51,6 +53,15 @@ pub struct Config {
     /// are cut off, and from 82 % of it on a receiver counts as overdriven.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_scale_dn: Option<u16>,
+    /// By how many millionths the air's refractive index for the pulse exceeds 1; the recording's own speed of the pulse
+    /// when not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refractive_index_ppm: Option<f64>,
+    /// The map that the recording's coordinates are in, where the file names none or a wrong one: `utm:33N`, `EPSG:2154`,
+    /// or a file with WKT. It overrides what the file says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crs_of_input: Option<String>,
+}
 }
 
 impl stage::Config for Config {
@@ -58,7 +69,14 @@ impl stage::Config for Config {
         let patterns = self.path.patterns();
         InvalidKey::unless(!patterns.is_empty(), "path", "at least one file is needed")?;
         InvalidKey::unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")?;
+        recording::check_refractive_index(self.refractive_index_ppm)?;
+        self.time_keys().check()?;
+        recording::check_crs(self.crs_of_input.as_deref())?;
         self.sampling().check()
+    }
+
+    fn inputs(&self) -> Vec<&str> {
+        recording::crs_file(self.crs_of_input.as_deref())
     }
 }
 
@@ -79,7 +97,9 @@ impl SourceConfig for Config {
 
     fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
         let source = ReadArrow::open(&site.input, &site.stem, self.sampling())?;
-        Ok(Box::new(ReadArrow { with_samples, ..source }))
+        let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
+        let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
+        Ok(Box::new(AsDeclared::new(ReadArrow { with_samples, ..source }, declared)))
     }
 }
 

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::broken::BrokenRun;
 use super::lines::{Lines, Sampling};
+use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
     Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, OnlineReturn, TimeScale,
     emission_flags,
@@ -24,6 +25,7 @@ use pulse::same_pulse;
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
 
+with_time_keys! {
 /// Reads full-waveform LAS and LAZ.
 ///
 /// Versions 1.3 and 1.4, point formats 4, 5, 9 and 10, waveform packets inside the file or in a `.wdp` file beside it.
@@ -59,6 +61,11 @@ pub struct ReadLas {
     /// beams, away from the sensor where it is positive.
     #[serde(default)]
     pub range_time_offset_ns: f64,
+    /// The map that the recording's coordinates are in, where the file names none or a wrong one: `utm:33N`, `EPSG:2154`,
+    /// or a file with WKT. It overrides what the file says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crs_of_input: Option<String>,
+}
 }
 
 /// The largest correction of a time of flight, ns: more is no calibration.
@@ -68,7 +75,13 @@ impl Config for ReadLas {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         let is_offset = self.range_time_offset_ns.abs() <= MOST_OFFSET_NS;
         InvalidKey::unless(is_offset, "range_time_offset_ns", "it must lie between -1000 and 1000")?;
+        self.time_keys().check()?;
+        recording::check_crs(self.crs_of_input.as_deref())?;
         self.sampling().check()
+    }
+
+    fn inputs(&self) -> Vec<&str> {
+        recording::crs_file(self.crs_of_input.as_deref())
     }
 }
 
@@ -88,8 +101,14 @@ impl SourceConfig for ReadLas {
     }
 
     fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
-        let source = LasSource::open(&site.input, &site.stem, self.sampling())?;
-        Ok(Box::new(LasSource { with_samples, range_time_offset_ns: self.range_time_offset_ns, ..source }))
+        let mut source = LasSource::open(&site.input, &site.stem, self.sampling())?;
+        (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
+        if self.recording_time.is_some() {
+            source.time_shift_s = 0.0;
+        }
+        let times = self.time_keys();
+        let declared = Declared::new(times, self.crs_of_input.as_deref(), None, site)?;
+        Ok(Box::new(AsDeclared::new(source, declared)))
     }
 }
 
@@ -99,6 +118,8 @@ struct LasSource {
     with_samples: bool,
     /// What is added to times of flight, ns.
     range_time_offset_ns: f64,
+    /// What is added to the points' times, s: they count seconds of the GPS week or adjusted GPS time then.
+    time_shift_s: f64,
     points_read: u64,
     points: u64,
     /// The point that was read last, the first of the next pulse.
@@ -165,6 +186,7 @@ impl LasSource {
         Ok(LasSource {
             with_samples: true,
             range_time_offset_ns: 0.0,
+            time_shift_s: time_shift_s(&reader),
             points_read: 0,
             points: reader.header().n_points,
             ahead: None,
@@ -222,7 +244,7 @@ impl LasSource {
         let edge = self.pulse.iter().any(|point| point.edge_of_flight_line);
         let emission = Emission {
             shot: self.next_shot,
-            gps_time_s: gps_time_s(&self.reader, time_s),
+            gps_time_s: time_s + self.time_shift_s,
             clock_ps: clock_ps(time_s),
             origin_m,
             direction,
@@ -389,10 +411,11 @@ fn clock_ps(time_s: f64) -> i64 {
     ((time_s.rem_euclid(1e6)) * 1e12).round() as i64
 }
 
-fn gps_time_s(reader: &Reader, time_s: f64) -> f64 {
+/// From the times of the points to adjusted GPS times, s, where the header says that they are of that kind.
+fn time_shift_s(reader: &Reader) -> f64 {
     match reader.header().gps_time() {
-        GpsTime::Standard { offset_s } => time_s + offset_s - crate::geo::time::ADJUSTMENT_S,
-        GpsTime::Week => time_s,
+        GpsTime::Standard { offset_s } => offset_s - crate::geo::time::ADJUSTMENT_S,
+        GpsTime::Week => 0.0,
     }
 }
 

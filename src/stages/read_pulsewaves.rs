@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::broken::BrokenRun;
 use super::lines::{Lines, Sampling};
+use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
     AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, TimeScale,
     emission_flags,
@@ -21,6 +22,7 @@ use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, Site, Sourc
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
 
+with_time_keys! {
 /// Reads PulseWaves: a `.pls` file of pulses, version 0.3, and the `.wvs` file of their waves beside it.
 ///
 /// Every pulse becomes a shot, every segment of samples a block. Outgoing segments are the reference channel; the
@@ -50,11 +52,27 @@ pub struct ReadPulseWaves {
     /// are cut off, and from 82 % of it on a receiver counts as overdriven.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_scale_dn: Option<u16>,
+    /// By how many millionths the air's refractive index for the pulse exceeds 1; the recording's own speed of the pulse
+    /// when not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refractive_index_ppm: Option<f64>,
+    /// The map that the recording's coordinates are in, where the file names none or a wrong one: `utm:33N`, `EPSG:2154`,
+    /// or a file with WKT. It overrides what the file says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crs_of_input: Option<String>,
+}
 }
 
 impl Config for ReadPulseWaves {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
+        recording::check_refractive_index(self.refractive_index_ppm)?;
+        self.time_keys().check()?;
+        recording::check_crs(self.crs_of_input.as_deref())?;
         self.sampling().check()
+    }
+
+    fn inputs(&self) -> Vec<&str> {
+        recording::crs_file(self.crs_of_input.as_deref())
     }
 }
 
@@ -70,14 +88,29 @@ impl SourceConfig for ReadPulseWaves {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
-        let source = PulseWavesSource::open(&site.input, &site.stem, self.sampling())?;
+        let source = self.open(site)?;
         source.reader.check_complete()?;
-        Ok(Box::new(source))
+        self.declare(source, site)
     }
 
     fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
-        let source = PulseWavesSource::open(&site.input, &site.stem, self.sampling())?;
-        Ok(Box::new(PulseWavesSource { with_samples, ..source }))
+        self.declare(PulseWavesSource { with_samples, ..self.open(site)? }, site)
+    }
+}
+
+impl ReadPulseWaves {
+    fn open(&self, site: &Site) -> Result<PulseWavesSource> {
+        let mut source = PulseWavesSource::open(&site.input, &site.stem, self.sampling())?;
+        if self.recording_time.is_some() {
+            source.time_shift_s = 0.0;
+        }
+        Ok(source)
+    }
+
+    fn declare(&self, source: PulseWavesSource, site: &Site) -> Result<Box<dyn Source>> {
+        let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
+        let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
+        Ok(Box::new(AsDeclared::new(source, declared)))
     }
 }
 
@@ -85,6 +118,8 @@ struct PulseWavesSource {
     reader: Reader,
     /// Else the waves file stays unread, and shots have no blocks.
     with_samples: bool,
+    /// What is added to the pulses' times, s: they count seconds of the GPS week or adjusted GPS time then.
+    time_shift_s: f64,
     next_pulse: u64,
     waves: Waves,
     lines: Lines,
@@ -132,9 +167,14 @@ impl PulseWavesSource {
         let input = sampling.with(describe(&reader, path, stem, &beams, around_earth));
         let input = Arc::new(input);
         let first_t = reader.header().min_t;
+        let time_shift_s = match reader.header().time_axis() {
+            TimeAxis::Standard => -crate::geo::time::ADJUSTMENT_S,
+            TimeAxis::WeekSeconds | TimeAxis::Undecided => 0.0,
+        };
         Ok(PulseWavesSource {
             reader,
             with_samples: true,
+            time_shift_s,
             next_pulse: 0,
             waves: Waves::new(),
             lines: Lines::new(input),
@@ -167,7 +207,7 @@ impl PulseWavesSource {
         let flag = |set: bool, bit: u16| if set { bit } else { 0 };
         Emission {
             shot: pulse.index,
-            gps_time_s: gps_time_s(&self.reader, pulse),
+            gps_time_s: pulse.gps_time_s + self.time_shift_s,
             clock_ps: (clock_s * 1e12).round() as i64,
             origin_m: pulse.anchor,
             direction: beam.map(|x| x / own_length),
@@ -261,13 +301,6 @@ fn returning_channels(reader: &Reader) -> BTreeSet<u8> {
         .filter(|sampling| sampling.kind == SegmentKind::Returning)
         .map(|sampling| sampling.channel)
         .collect()
-}
-
-fn gps_time_s(reader: &Reader, pulse: &Pulse) -> f64 {
-    match reader.header().time_axis() {
-        TimeAxis::Standard => pulse.gps_time_s - crate::geo::time::ADJUSTMENT_S,
-        TimeAxis::WeekSeconds | TimeAxis::Undecided => pulse.gps_time_s,
-    }
 }
 
 fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around_earth: bool) -> InputInfo {

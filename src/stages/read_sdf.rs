@@ -8,20 +8,20 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::lines::{Lines, check_odd_sample_shift};
+use super::recording::time::{self, Axis, Scale, Times};
+use super::recording::{self, NO_TIME, with_time_keys};
 use crate::batch::{AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind};
 use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
-use crate::geo::time::WEEK_S;
 use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
 mod shot;
-mod time;
 
 use shot::{Found, What, channel_of, fine_ns, what_is, zero_of};
-use time::Times;
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots);
 
+with_time_keys! {
 /// Reads RIEGL's SDF and WFM files through RIEGL's own library; no real SDF file has been read with it yet.
 ///
 /// None could be had. The stage follows RIEGL's public interface, and is tested against a library of our own with the
@@ -43,6 +43,9 @@ pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots
 /// Seconds of the week or of the day that begin anew within a recording are counted on. The GPS week follows from the recording's epoch and the file's name, `YYMMDD_HHMMSS`, or the key `gps_date`. Amplitude
 /// and range tables are taken over; where the library has none, or no licence for them, that is said in the report.
 ///
+/// The beginning of `time_s` is sought, not read up to. It counts seconds of the instrument's clock where that is not
+/// synchronised with GPS.
+///
 /// Where the library wants an index that is missing, it is made, which reads the whole file and writes beside the data or
 /// into `index_dir`.
 ///
@@ -62,45 +65,16 @@ pub struct Config {
     /// symbolic links.
     #[serde(default)]
     pub index_dir: Option<String>,
-    /// First and last second to read, on the recording's own time scale (seconds of the GPS week as a rule; where it is
-    /// not synchronised, those of the instrument's clock), or as `time_scale` says. The first is sought, not read up to.
-    #[serde(default)]
-    pub time_s: Option<[f64; 2]>,
-    /// What `time_s` counts: seconds of the GPS week, or adjusted seconds (since 1980-01-06, less 1e9). Times that come out
-    /// count what the recording's do.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub time_scale: Option<ScaleKey>,
-    /// The recording's times are UTC: leap seconds are added. The day must be known, by the file's name or by `gps_date`.
-    #[serde(default)]
-    pub utc: bool,
-    /// What is added to the recording's times, s. `time_s` asks for the sums.
-    #[serde(default)]
-    pub time_offset_s: f64,
     /// By how many millionths the air's refractive index for the pulse exceeds 1; the recording's own speed of the pulse
     /// when not given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refractive_index_ppm: Option<f64>,
-    /// The day on which the recording began, as in 2013-06-21, where the file's name does not begin with it.
-    #[serde(default)]
-    pub gps_date: Option<String>,
     /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
     /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
 }
-
-/// What the seconds of a window count.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ScaleKey {
-    /// Seconds of the GPS week.
-    Week,
-    /// Seconds since 1980-01-06, less 1e9.
-    Adjusted,
 }
-
-/// More than this is no air, millionths.
-const MOST_PPM: f64 = 1000.0;
 
 impl stage::Config for Config {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
@@ -116,14 +90,8 @@ impl stage::Config for Config {
         let is_given = |text: &Option<String>| text.as_ref().is_none_or(|text| !text.is_empty());
         unless(is_given(&self.library), "library", "the path is empty")?;
         unless(is_given(&self.index_dir), "index_dir", "the path is empty")?;
-        let ordered = self.time_s.is_none_or(|[from, to]| from.is_finite() && to.is_finite() && from <= to);
-        unless(ordered, "time_s", "it must be two numbers, the first not above the second")?;
-        let is_offset = self.time_offset_s.abs() <= WEEK_S;
-        unless(is_offset, "time_offset_s", "it must be at most a week, 604800 s, either way")?;
-        let is_air = self.refractive_index_ppm.is_none_or(|ppm| (0.0..=MOST_PPM).contains(&ppm));
-        unless(is_air, "refractive_index_ppm", "it must lie between 0 and 1000")?;
-        let is_date = self.gps_date.as_ref().is_none_or(|date| time::noon(date).is_some());
-        unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")?;
+        recording::check_refractive_index(self.refractive_index_ppm)?;
+        self.time_keys().check()?;
         check_odd_sample_shift(self.odd_sample_shift)
     }
 
@@ -147,12 +115,8 @@ struct ReadSdf {
     reader: SdfReader,
     lines: Lines,
     window: Option<Window>,
-    /// What to add to external times, s; a period more each time that they begin anew.
-    offset_s: f64,
-    /// After how many seconds external times begin anew, where they do.
-    period_s: Option<f64>,
-    /// The last shot's time, s; NaN before the first.
-    last_time_s: f64,
+    /// From external times to those of the recording.
+    axis: Axis,
     /// Records that were read to learn about the file.
     ahead: VecDeque<SdfRecord>,
     /// The record at hand.
@@ -186,8 +150,6 @@ const LOOKED_AT: usize = 1000;
 const SAMPLES_LOOKED_AT: usize = 1 << 22;
 /// A window has ended where so many shots in a row are later: fewer may have a time that is wrong.
 const LATE_SHOTS: u32 = 100;
-/// Times begin anew where the next one is then at most so much later, s: any other step back is a wrong time.
-const LONGEST_STEP_S: f64 = 3600.0;
 
 impl ReadSdf {
     fn open(config: &Config, site: &Site) -> Result<ReadSdf> {
@@ -208,26 +170,26 @@ impl ReadSdf {
         let is_first = |record: &&SdfRecord| !record.blocks.is_empty() && record.time_external_s.is_finite();
         let first_s = ahead.iter().find(is_first).map(|record| record.time_external_s);
         let is_external = reader.info().is_synchronised();
-        let epoch = if is_external { &reader.info().epoch } else { "UNKNOWN" };
-        let times = Times::new(epoch, first_s, about);
+        let scale = match config.recording_time {
+            _ if !is_external => Scale::Unknown,
+            Some(said) => said.into(),
+            None => Scale::of_epoch(&reader.info().epoch),
+        };
+        let misfit = first_s.and_then(|first_s| scale.misfit(first_s, None));
+        remarks.extend(misfit.map(|problem| format!("{problem}; {}", time::SAY_SCALE)));
+        let times = Times::new(scale, first_s, about);
         let leap_s = if config.utc { times.leap_s(path, first_s)? } else { 0.0 };
         let times = times.later_by(leap_s + config.time_offset_s);
         remarks.extend(times.remark.map(str::to_owned));
         let input = describe(config, site, &reader, &times, tables, &ahead);
-        let offset_s = times.offset_s;
         let mut at_end = false;
-        let shift_s = match (config.time_s, config.time_scale) {
-            (Some(_), Some(scale)) => times.shift_s(scale, path)?,
-            _ => 0.0,
-        };
-        let window = config.time_s.map(|asked_s| {
-            let [from_s, to_s] = asked_s.map(|time_s| time_s + shift_s);
-            Window { from_s, to_s, is_external, now_s: from_s, late: 0 }
-        });
+        let window_s = config.time_keys().window_s(&times, path)?;
+        let window =
+            window_s.map(|[from_s, to_s]| Window { from_s, to_s, is_external, now_s: from_s, late: 0 });
         if let Some(window) = &window {
             ahead.clear();
             at_end = !match window.is_external {
-                true => reader.seek_time_external(window.from_s - offset_s)?,
+                true => reader.seek_time_external(window.from_s - times.offset_s)?,
                 false => reader.seek_time(window.from_s)?,
             };
         }
@@ -235,9 +197,7 @@ impl ReadSdf {
             reader,
             lines: Lines::new(Arc::new(input)),
             window,
-            offset_s,
-            period_s: times.period_s,
-            last_time_s: f64::NAN,
+            axis: times.axis(),
             ahead,
             record: SdfRecord::default(),
             waiting: None,
@@ -269,11 +229,11 @@ impl ReadSdf {
                 return None;
             }
         };
-        emission.gps_time_s = self.continuous(emission.gps_time_s);
+        emission.gps_time_s = self.axis.next(emission.gps_time_s);
         let Some(window) = &mut self.window else { return Some(emission) };
         let time_s = if window.is_external { emission.gps_time_s } else { self.record.time_s };
         if time_s.is_nan() {
-            self.reject("no time, where `time_s` asks for some", cx);
+            self.reject(NO_TIME, cx);
             return None;
         }
         window.late = if time_s > window.to_s { window.late + 1 } else { 0 };
@@ -283,21 +243,6 @@ impl ReadSdf {
             window.now_s = time_s;
         }
         is_inside.then_some(emission)
-    }
-
-    /// A time on the recording's scale, which runs on where external times begin anew.
-    fn continuous(&mut self, external_s: f64) -> f64 {
-        if let Some(period_s) = self.period_s {
-            let step_s = external_s + self.offset_s + period_s - self.last_time_s;
-            if (0.0..LONGEST_STEP_S).contains(&step_s) {
-                self.offset_s += period_s;
-            }
-        }
-        let time_s = external_s + self.offset_s;
-        if !time_s.is_nan() {
-            self.last_time_s = time_s;
-        }
-        time_s
     }
 
     /// Counts the blocks of a record that is no shot.
@@ -359,8 +304,6 @@ fn has_outgoing_pulse(record: &SdfRecord) -> bool {
     record.blocks.iter().any(|block| block.channel == channel::REFERENCE && !block.is_empty())
 }
 
-/// Speed of light in vacuum, m/s.
-const LIGHT_MPS: f64 = 299_792_458.0;
 /// Samples are words that hold 8-bit values.
 const FULL_SCALE_DN: u16 = 255;
 
@@ -390,7 +333,7 @@ fn describe(
         odd_sample_shift: config.odd_sample_shift,
         full_scale_dn: Some(FULL_SCALE_DN),
         group_velocity_mps: match config.refractive_index_ppm {
-            Some(ppm) => LIGHT_MPS / (1.0 + 1e-6 * ppm),
+            Some(ppm) => recording::group_velocity_mps(ppm),
             None => info.group_velocity_mps,
         },
         pulse_rate_hz: None,

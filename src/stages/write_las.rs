@@ -12,7 +12,7 @@ use std::sync::{Arc, OnceLock};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Emission, Frame, InputInfo, Kind, Return, emission_flags};
+use crate::batch::{Batch, Emission, Frame, InputInfo, Kind, Return, TimeScale, emission_flags};
 use crate::formats::Error;
 use crate::formats::geokeys;
 use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
@@ -347,8 +347,8 @@ impl LasSink {
     fn note(&self, input: &InputInfo, cx: &mut Context) {
         match &input.crs_wkt {
             None if input.frame == Frame::Map => cx.note(
-                "the input names no coordinate reference system by WKT or EPSG code: the file has none; name it in the \
-                 input by another program, such as PDAL",
+                "the input names no coordinate reference system by WKT or EPSG code: the file has none; name it with the \
+                 reader's key `crs_of_input`",
             ),
             None => cx.note(
                 "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
@@ -363,6 +363,22 @@ impl LasSink {
                 }
             }
             Some(_) => {}
+        }
+    }
+
+    /// What is said once where the header cannot say what the points' times count.
+    fn note_times(input: &InputInfo, time_s: f64, cx: &mut Context) {
+        match input.time_scale {
+            _ if time_s.is_nan() => {}
+            TimeScale::Day => cx.note(
+                "the times of the points are seconds of the day, and the header of the LAS file can only say seconds of \
+                 the GPS week; give the day with the reader's key `gps_date`",
+            ),
+            TimeScale::Unknown => cx.note(
+                "the recording does not say what its times count, and the header of the LAS file says seconds of the GPS \
+                 week; say it with the reader's key `recording_time`",
+            ),
+            TimeScale::Week | TimeScale::Adjusted => {}
         }
     }
 }
@@ -380,6 +396,7 @@ impl Sink for LasSink {
         }
         if let State::Empty(_) = self.state {
             self.note(input, cx);
+            LasSink::note_times(input, batch.stats.gps_time_s, cx);
         }
         self.begin(input, points.first().copied(), batch.stats.gps_time_s)?;
         let State::Open(writer) = &mut self.state else {

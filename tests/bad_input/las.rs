@@ -325,7 +325,7 @@ fn what_a_recording_does_not_tell_is_noted() {
         "the input has neither outgoing pulses nor return locations: nothing tells which part of a sample the emissions \
          miss their raster by, and the standard deviations of ranges include it",
         "the input names no coordinate reference system by WKT or EPSG code: the file has none; \
-         name it in the input by another program, such as PDAL",
+         name it with the reader's key `crs_of_input`",
     ];
     assert_eq!(notes(&input), expected);
     let input = place(&Las::new(250).with_crs("LOCAL_CS[\"made up\"]"), |_| {})

@@ -217,6 +217,6 @@ fn a_coordinate_system_that_is_missing_is_noted() {
     let input = place(&whole.pls(), &whole.waves).succeeds("read_pulsewaves", "a.pls", &stages);
     let expected =
         ["the input names no coordinate reference system by WKT or EPSG code: the file has none; \
-         name it in the input by another program, such as PDAL"];
+         name it with the reader's key `crs_of_input`"];
     assert_eq!(notes(&input), expected);
 }

@@ -171,7 +171,7 @@ fn one_end_of_a_range_leaves_the_other_open() {
     assert_eq!(added("-i a.sdf -min_width 0.5", "-i a.sdf"), ["decompose.width_ratio = [0.5, 10.0]"]);
     assert_eq!(added("-i a.sdf -max_width 5", "-i a.sdf"), ["decompose.width_ratio = [0.8, 5.0]"]);
     assert_eq!(added("-i a.sdf -t_min 82300", "-i a.sdf"), ["read_sdf.time_s = [82300.0, 10000000000.0]"]);
-    assert_eq!(added("-i a.sdf -t_max 82400", "-i a.sdf"), ["read_sdf.time_s = [0.0, 82400.0]"]);
+    assert_eq!(added("-i a.sdf -t_max 82400", "-i a.sdf"), ["read_sdf.time_s = [-10000000000.0, 82400.0]"]);
     here("-i a.sdf -t_min 82300");
 }
 
@@ -382,4 +382,27 @@ fn matters_of_the_run_are_none_of_the_job() {
         ]
     );
     assert!(keys(&import.text).contains(&"job.log = \"\"".to_owned()));
+}
+
+/// Times are options of every reader, not only of that of SDF.
+#[test]
+fn options_for_times_are_keys_of_every_reader() {
+    let line = "-t_min 82300 -t_max 82400 -t_adj -gps_date 2025-05-06 -utc -t_corr 0.72";
+    let known = Known::this_build();
+    for (file, reader) in [("a.las", "read_las"), ("a.pls", "read_pulsewaves"), ("a.arrow", "read_arrow")] {
+        let import = in_version(Some("1.1"), &words(&format!("-i {file} {line}")), &known, &files).unwrap();
+        assert_eq!(import.missing, Vec::<String>::new(), "{file}");
+        wavex::job::Job::parse("job", &import.text, &[]).unwrap();
+        for key in [
+            "time_s = [82300.0, 82400.0]",
+            "time_scale = \"adjusted\"",
+            "gps_date = \"2025-05-06\"",
+            "utc = true",
+        ] {
+            assert!(keys(&import.text).contains(&format!("{reader}.{key}")), "{}", import.text);
+        }
+        assert!(keys(&import.text).contains(&format!("{reader}.time_offset_s = 0.72")), "{}", import.text);
+    }
+    let air = in_version(Some("1.1"), &words("-i a.pls -n_ppm 280"), &known, &files).unwrap();
+    assert!(keys(&air.text).contains(&"read_pulsewaves.refractive_index_ppm = 280.0".to_owned()));
 }

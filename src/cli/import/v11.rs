@@ -88,8 +88,8 @@ const OPTIONS: &[Opt] = &[
     row(&["decay_a"], Number, Words("auto"), Key("calibrate", "decay_amplitude", Plain), "together with `-decay_t`"),
     row(&["decay_t"], Number, Words("auto"), Key("calibrate", "decay_time_ns", Plain), "in nanoseconds; together with `-decay_a`"),
     // Times.
-    row(&["t_min"], Number, Words("from the beginning"), End("reader", "time_s", 0, [0.0, 1e10]), ""),
-    row(&["t_max"], Number, Words("to the end"), End("reader", "time_s", 1, [0.0, 1e10]), ""),
+    row(&["t_min"], Number, Words("from the beginning"), End("reader", "time_s", 0, [-1e10, 1e10]), ""),
+    row(&["t_max"], Number, Words("to the end"), End("reader", "time_s", 1, [-1e10, 1e10]), ""),
     row(&["t_adj"], OnOff, Same("0"), Key("reader", "time_scale", Switch("\"week\"", "\"adjusted\"")), ""),
     row(&["ibrc"], OnOff, Same("1"), Key("correct", "range_table", Plain), ""),
     row(&["utc"], OnOff, Same("0"), Key("reader", "utc", Plain), ""),

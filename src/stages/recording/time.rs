@@ -1,55 +1,180 @@
-//! What the times of an SDF file count, and in which GPS week it was recorded: from its epoch, its name, and the time of
-//! its first shot.
+//! What the times of a recording count, and in which GPS week it was made: from what its file and the job say, and from
+//! the time of its first shot.
 
 use std::path::Path;
 
-use super::ScaleKey;
-use crate::batch::TimeScale;
+use super::{RecordingTime, ScaleKey};
+use crate::batch::{InputInfo, TimeScale};
 use crate::formats::Error;
 use crate::geo::time::{ADJUSTMENT_S, WEEK_S, day_of_year, gps_week};
-use crate::geo::time_axis::leap_seconds;
+use crate::geo::time_axis::{date, leap_seconds};
 use crate::stage::Result;
 
 const DAY_S: f64 = 86_400.0;
 
 /// A moment, in seconds since the GPS epoch (1980-01-06), leap seconds left out.
-pub(super) type SinceEpoch = f64;
+pub(in crate::stages) type SinceEpoch = f64;
 
-/// What external times mean.
+/// What the times in a file count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::stages) enum Scale {
+    Week,
+    Day,
+    /// Seconds since this moment.
+    Since(SinceEpoch),
+    Unknown,
+}
+
+impl From<RecordingTime> for Scale {
+    fn from(said: RecordingTime) -> Scale {
+        match said {
+            RecordingTime::Week => Scale::Week,
+            RecordingTime::Day => Scale::Day,
+            RecordingTime::Adjusted => Scale::Since(ADJUSTMENT_S),
+            RecordingTime::Standard => Scale::Since(0.0),
+        }
+    }
+}
+
+impl Scale {
+    /// The scale that a reader has found.
+    pub(in crate::stages) fn of(scale: TimeScale) -> Scale {
+        match scale {
+            TimeScale::Week => Scale::Week,
+            TimeScale::Day => Scale::Day,
+            TimeScale::Adjusted => Scale::Since(ADJUSTMENT_S),
+            TimeScale::Unknown => Scale::Unknown,
+        }
+    }
+
+    /// The scale of an SDF file's epoch, as the library gives it.
+    pub(in crate::stages) fn of_epoch(epoch: &str) -> Scale {
+        match epoch.trim() {
+            "WEEKSEC" => Scale::Week,
+            "DAYSEC" => Scale::Day,
+            epoch => date_and_time(epoch).map_or(Scale::Unknown, Scale::Since),
+        }
+    }
+
+    /// Why a usual time of the recording cannot be of this scale; `file_date`: when the file was made (day, year).
+    pub(in crate::stages) fn misfit(self, time_s: f64, file_date: Option<(u16, u16)>) -> Option<String> {
+        let (fits, what) = match self {
+            // A clock may count on over the end of its week or day.
+            Scale::Week => ((0.0..WEEK_S + DAY_S).contains(&time_s), "seconds of the GPS week"),
+            Scale::Day => ((0.0..2.0 * DAY_S).contains(&time_s), "seconds of the day"),
+            Scale::Since(epoch) => {
+                (is_plausible(epoch + time_s, file_date), "seconds since a day in 1980 or later")
+            }
+            Scale::Unknown => (true, ""),
+        };
+        let dates = || {
+            let readings = [("adjusted", 0.0), ("standard", -ADJUSTMENT_S)].map(|(name, shift_s)| {
+                let [year, month, day] = date(time_s + shift_s)?;
+                Some(format!("{name} GPS times they would be of {year}-{month:02}-{day:02}"))
+            });
+            let readings: Vec<String> = readings.into_iter().flatten().collect();
+            if readings.is_empty() { String::new() } else { format!(" (as {})", readings.join(", as ")) }
+        };
+        let what = match self {
+            Scale::Since(ADJUSTMENT_S) => "adjusted GPS times",
+            Scale::Since(0.0) => "standard GPS times",
+            _ => what,
+        };
+        (!fits).then(|| {
+            format!(
+                "the recording's times, as {time_s:.1} s, do not fit what they are said to be, {what}{}",
+                dates()
+            )
+        })
+    }
+}
+
+/// No full waveforms were recorded in flight before 1990, none is from after 2079, and none from a year behind that of its file. The first week of
+/// adjusted time is one of September 2011: in a file of another year these are seconds of a week.
+fn is_plausible(moment: SinceEpoch, file_date: Option<(u16, u16)>) -> bool {
+    let adjusted_s = moment - ADJUSTMENT_S;
+    let Some((year, day)) = day_of_year(adjusted_s) else { return false };
+    let is_week_of_2011 = (0.0..WEEK_S).contains(&adjusted_s);
+    let fits_file = file_date.is_none_or(|(file_day, file_year)| {
+        (year, day) <= (file_year + 1, file_day) && !(is_week_of_2011 && file_year != year)
+    });
+    (1990..2080).contains(&year) && fits_file
+}
+
+/// The remedy where times do not fit.
+pub(in crate::stages) const SAY_SCALE: &str = "say what they count with the reader's key `recording_time`";
+
+/// What the times of a file mean.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Times {
-    pub(super) scale: TimeScale,
-    /// What to add to an external time, s.
-    pub(super) offset_s: f64,
-    /// After how many seconds external times begin anew, where they do.
-    pub(super) period_s: Option<f64>,
+pub(in crate::stages) struct Times {
+    pub(in crate::stages) scale: TimeScale,
+    /// What to add to a time of the file, s.
+    pub(in crate::stages) offset_s: f64,
+    /// After how many seconds times of the file begin anew, where they do.
+    pub(in crate::stages) period_s: Option<f64>,
     /// The GPS week of the first shot.
-    pub(super) gps_week: Option<u32>,
+    pub(in crate::stages) gps_week: Option<u32>,
     /// The day of the first shot: (day of the year from 1, year).
-    pub(super) recorded: Option<(u16, u16)>,
+    pub(in crate::stages) recorded: Option<(u16, u16)>,
     /// What the user should know.
-    pub(super) remark: Option<&'static str>,
+    pub(in crate::stages) remark: Option<&'static str>,
+}
+
+/// Times of a file as those of the recording, one after the other: they run on where the file's begin anew.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::stages) struct Axis {
+    /// What to add to times of the file, s; a period more each time that they begin anew.
+    pub(in crate::stages) offset_s: f64,
+    period_s: Option<f64>,
+    /// The last time, s; NaN before the first.
+    last_s: f64,
+}
+
+/// Times begin anew where the next one is then at most so much later, s: any other step back is a wrong time.
+const LONGEST_STEP_S: f64 = 3600.0;
+
+impl Axis {
+    /// The next time of the file, s.
+    pub(in crate::stages) fn next(&mut self, of_file_s: f64) -> f64 {
+        if let Some(period_s) = self.period_s {
+            let step_s = of_file_s + self.offset_s + period_s - self.last_s;
+            if (0.0..LONGEST_STEP_S).contains(&step_s) {
+                self.offset_s += period_s;
+            }
+        }
+        let time_s = of_file_s + self.offset_s;
+        if !time_s.is_nan() {
+            self.last_s = time_s;
+        }
+        time_s
+    }
 }
 
 impl Times {
-    /// `epoch` as the library gives it; `first_s`: the external time of the first shot, if any; `about`: when the
-    /// recording was made, to half a day for seconds of the day, to half a week for seconds of the week.
-    pub(super) fn new(epoch: &str, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
-        match epoch.trim() {
-            "WEEKSEC" => Times::periodic(WEEK_S, TimeScale::Week, first_s, about),
-            "DAYSEC" => Times::periodic(DAY_S, TimeScale::Day, first_s, about),
-            epoch => match date_and_time(epoch) {
-                Some(epoch) => {
-                    let scale = TimeScale::Adjusted;
-                    Times {
-                        scale,
-                        offset_s: epoch - ADJUSTMENT_S,
-                        ..Times::dated(first_s.map(|s| epoch + s))
-                    }
-                }
-                None => Times { remark: Some(NO_SCALE), ..Times::dated(None) },
+    /// `first_s`: the file's time of the first shot, if any; `about`: when the recording was made, to half a day for
+    /// seconds of the day, to half a week for seconds of the week.
+    pub(in crate::stages) fn new(scale: Scale, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
+        match scale {
+            Scale::Week => Times::periodic(WEEK_S, TimeScale::Week, first_s, about),
+            Scale::Day => Times::periodic(DAY_S, TimeScale::Day, first_s, about),
+            Scale::Since(epoch) => Times {
+                scale: TimeScale::Adjusted,
+                offset_s: epoch - ADJUSTMENT_S,
+                ..Times::dated(first_s.map(|s| epoch + s))
             },
+            Scale::Unknown => Times { remark: Some(NO_SCALE), ..Times::dated(None) },
         }
+    }
+
+    /// The times as a reader gives them.
+    pub(in crate::stages) fn as_said(info: &InputInfo) -> Times {
+        let (scale, gps_week, recorded) = (info.time_scale, info.gps_week, info.recorded);
+        Times { scale, gps_week, recorded, ..Times::dated(None) }
+    }
+
+    /// Begins to turn times of the file into those of the recording.
+    pub(in crate::stages) fn axis(&self) -> Axis {
+        Axis { offset_s: self.offset_s, period_s: self.period_s, last_s: f64::NAN }
     }
 
     /// Times that begin anew with every period.
@@ -73,7 +198,7 @@ impl Times {
     }
 
     /// The same times, so much later, s.
-    pub(super) fn later_by(self, by_s: f64) -> Times {
+    pub(in crate::stages) fn later_by(self, by_s: f64) -> Times {
         Times { offset_s: self.offset_s + by_s, ..self }
     }
 
@@ -81,7 +206,7 @@ impl Times {
     ///
     /// # Errors
     /// The day is not known.
-    pub(super) fn leap_s(&self, file: &Path, first_s: Option<f64>) -> Result<f64> {
+    pub(in crate::stages) fn leap_s(&self, file: &Path, first_s: Option<f64>) -> Result<f64> {
         let begins_s = self.scale_begins_s().and_then(|begins_s| Some(begins_s + first_s? + self.offset_s));
         let Some(begins_s) = begins_s else {
             let problem = "its times are UTC, and without a day the leap seconds are not known";
@@ -94,7 +219,7 @@ impl Times {
     ///
     /// # Errors
     /// The recording does not say what its times count, or in which week.
-    pub(super) fn shift_s(&self, scale: ScaleKey, file: &Path) -> Result<f64> {
+    pub(in crate::stages) fn shift_s(&self, scale: ScaleKey, file: &Path) -> Result<f64> {
         let week_s = || self.gps_week.map(|week| f64::from(week) * WEEK_S - ADJUSTMENT_S);
         let shift_s = match (scale, self.scale) {
             (ScaleKey::Week, TimeScale::Week) | (ScaleKey::Adjusted, TimeScale::Adjusted) => Some(0.0),
@@ -143,7 +268,7 @@ const NO_WEEK: &str = "the GPS week is not known: the file's name does not begin
                        say the day with the key `gps_date`";
 
 /// When a recording was made, by its file's name: `YYMMDD_HHMMSS`, and anything behind it.
-pub(super) fn named(file: &Path) -> Option<SinceEpoch> {
+pub(in crate::stages) fn named(file: &Path) -> Option<SinceEpoch> {
     let name = file.file_stem()?.to_str()?;
     let (date, rest) = name.split_once('_')?;
     let time = rest.get(..6).filter(|_| !rest[6..].starts_with(|next: char| next.is_ascii_digit()))?;
@@ -154,7 +279,7 @@ pub(super) fn named(file: &Path) -> Option<SinceEpoch> {
 }
 
 /// Noon of a day, `YYYY-MM-DD`.
-pub(super) fn noon(date: &str) -> Option<SinceEpoch> {
+pub(in crate::stages) fn noon(date: &str) -> Option<SinceEpoch> {
     Some(day(date)? + 0.5 * DAY_S)
 }
 
@@ -210,6 +335,10 @@ fn number(text: &str, digits: usize) -> Option<u32> {
 mod tests {
     use super::*;
 
+    fn times_of(epoch: &str, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
+        Times::new(Scale::of_epoch(epoch), first_s, about)
+    }
+
     /// 2013-06-21 lies in week 1745, on its Friday.
     const FRIDAY: f64 = 1745.0 * WEEK_S + 5.0 * DAY_S;
 
@@ -239,7 +368,7 @@ mod tests {
 
     #[test]
     fn seconds_of_the_week_take_the_nearest_week() {
-        let times = |first, about| Times::new("WEEKSEC", Some(first), Some(about));
+        let times = |first, about| times_of("WEEKSEC", Some(first), Some(about));
         let friday = times(5.0 * DAY_S + 36_901.5, FRIDAY + 36_900.0);
         assert_eq!((friday.scale, friday.offset_s, friday.gps_week), (TimeScale::Week, 0.0, Some(1745)));
         assert_eq!((friday.recorded, friday.remark), (Some((172, 2013)), None));
@@ -253,37 +382,37 @@ mod tests {
 
     #[test]
     fn seconds_of_a_known_day_become_those_of_the_week() {
-        let times = Times::new("DAYSEC", Some(2.0), Some(FRIDAY - 1.0));
+        let times = times_of("DAYSEC", Some(2.0), Some(FRIDAY - 1.0));
         assert_eq!((times.scale, times.offset_s, times.gps_week), (TimeScale::Week, 5.0 * DAY_S, Some(1745)));
         assert_eq!(times.recorded, Some((172, 2013)));
-        let unknown = Times::new("DAYSEC", Some(2.0), None);
+        let unknown = times_of("DAYSEC", Some(2.0), None);
         assert_eq!((unknown.scale, unknown.gps_week, unknown.remark), (TimeScale::Day, None, Some(NO_WEEK)));
     }
 
     #[test]
     fn a_date_and_time_gives_adjusted_seconds() {
-        let times = Times::new("2013-06-21T00:00:00", Some(7.5), None);
+        let times = times_of("2013-06-21T00:00:00", Some(7.5), None);
         assert_eq!((times.scale, times.offset_s), (TimeScale::Adjusted, FRIDAY - 1e9));
         assert_eq!((times.gps_week, times.recorded), (Some(1745), Some((172, 2013))));
-        assert_eq!(Times::new("2011-09-14T01:46:40.0Z", None, None).offset_s, 0.0);
+        assert_eq!(times_of("2011-09-14T01:46:40.0Z", None, None).offset_s, 0.0);
     }
 
     #[test]
     fn what_is_not_known_stays_so() {
         for epoch in ["UNKNOWN", "", "2013-06-21", "2013-06-31T00:00:00", "2013-06-21T00:61:00", "tomorrow T"]
         {
-            let times = Times::new(epoch, Some(1.0), Some(FRIDAY));
+            let times = times_of(epoch, Some(1.0), Some(FRIDAY));
             assert_eq!((times.scale, times.gps_week), (TimeScale::Unknown, None), "{epoch}");
             assert_eq!(times.remark, Some(NO_SCALE));
         }
-        assert_eq!(Times::new("WEEKSEC", Some(1.0), None).remark, Some(NO_WEEK));
+        assert_eq!(times_of("WEEKSEC", Some(1.0), None).remark, Some(NO_WEEK));
     }
 
     #[test]
     fn without_a_time_the_name_alone_dates_a_recording() {
-        let times = Times::new("WEEKSEC", None, Some(FRIDAY + 36_900.0));
+        let times = times_of("WEEKSEC", None, Some(FRIDAY + 36_900.0));
         assert_eq!((times.gps_week, times.recorded, times.offset_s), (Some(1745), Some((172, 2013)), 0.0));
-        assert_eq!(Times::new("DAYSEC", None, Some(FRIDAY + 36_900.0)).offset_s, 5.0 * DAY_S);
+        assert_eq!(times_of("DAYSEC", None, Some(FRIDAY + 36_900.0)).offset_s, 5.0 * DAY_S);
     }
 
     #[test]

@@ -1,0 +1,340 @@
+//! What a job says of a recording that its file does not say, or says wrongly: times, coordinates, the air.
+
+use std::sync::Arc;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::batch::{Batch, Content, Emission, Frame, InputInfo};
+use crate::geo::time::WEEK_S;
+use crate::geometry::declared;
+use crate::stage::{Context, InvalidKey, Item, Result, Site, Source, StageError};
+
+pub(super) mod time;
+
+use time::{Axis, Scale, Times};
+
+/// Declares the keys of a reader: its own, and those for times that all readers share.
+macro_rules! with_time_keys {
+    ($(#[$about:meta])* pub struct $name:ident { $($(#[$of_field:meta])* pub $field:ident: $type:ty,)* }) => {
+        $(#[$about])*
+        pub struct $name {
+            $($(#[$of_field])* pub $field: $type,)*
+            /// First and last second to read, both included, as the recording's times count or as `time_scale` says. Shots
+            /// outside are left out, and shots without a time are rejected.
+            #[serde(default)]
+            pub time_s: Option<[f64; 2]>,
+            /// What `time_s` counts: seconds of the GPS week, or adjusted seconds (since 1980-01-06, less 1e9). Times that
+            /// come out count what the recording's do.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub time_scale: Option<$crate::stages::recording::ScaleKey>,
+            /// What the recording's times count, where the file does not say it or says it wrongly.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub recording_time: Option<$crate::stages::recording::RecordingTime>,
+            /// The recording's times are UTC: leap seconds are added. The day must be known: by the recording's times, by
+            /// the name of an SDF file, or by `gps_date`.
+            #[serde(default)]
+            pub utc: bool,
+            /// What is added to the recording's times, s. `time_s` asks for the sums.
+            #[serde(default)]
+            pub time_offset_s: f64,
+            /// The day on which the recording began, as in 2013-06-21, where neither its times nor, for SDF, its file's
+            /// name give it. Seconds of the day or the week then have a date, and LAS outputs hold adjusted GPS times.
+            #[serde(default)]
+            pub gps_date: Option<String>,
+        }
+
+        impl $name {
+            /// The keys for times.
+            fn time_keys(&self) -> $crate::stages::recording::TimeKeys {
+                $crate::stages::recording::TimeKeys {
+                    time_s: self.time_s,
+                    time_scale: self.time_scale,
+                    recording_time: self.recording_time,
+                    utc: self.utc,
+                    time_offset_s: self.time_offset_s,
+                    gps_date: self.gps_date.clone(),
+                }
+            }
+        }
+    };
+}
+pub(super) use with_time_keys;
+
+/// What the seconds of a window count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleKey {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds since 1980-01-06, less 1e9.
+    Adjusted,
+}
+
+/// What the times of a recording count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingTime {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds of the day.
+    Day,
+    /// Adjusted GPS time: seconds since 1980-01-06, less 1e9.
+    Adjusted,
+    /// Standard GPS time: seconds since 1980-01-06.
+    Standard,
+}
+
+/// The keys for times, as [`with_time_keys`] declares them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct TimeKeys {
+    pub(super) time_s: Option<[f64; 2]>,
+    pub(super) time_scale: Option<ScaleKey>,
+    pub(super) recording_time: Option<RecordingTime>,
+    pub(super) utc: bool,
+    pub(super) time_offset_s: f64,
+    pub(super) gps_date: Option<String>,
+}
+
+/// Why a shot is rejected that has no time.
+pub(super) const NO_TIME: &str = "no time, where `time_s` asks for some";
+
+impl TimeKeys {
+    pub(super) fn check(&self) -> std::result::Result<(), InvalidKey> {
+        let unless = InvalidKey::unless;
+        let ordered = self.time_s.is_none_or(|[from, to]| from.is_finite() && to.is_finite() && from <= to);
+        unless(ordered, "time_s", "it must be two numbers, the first not above the second")?;
+        let is_offset = self.time_offset_s.abs() <= WEEK_S;
+        unless(is_offset, "time_offset_s", "it must be at most a week, 604800 s, either way")?;
+        let is_date = self.gps_date.as_ref().is_none_or(|date| time::noon(date).is_some());
+        unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")
+    }
+
+    /// Whether a key needs to know what the times count.
+    fn needs_scale(&self) -> bool {
+        self.utc || self.gps_date.is_some() || self.time_scale.is_some()
+    }
+}
+
+/// More than this is no air, millionths.
+const MOST_PPM: f64 = 1000.0;
+/// Speed of light in vacuum, m/s.
+const LIGHT_MPS: f64 = 299_792_458.0;
+
+/// What readers ask of their key `refractive_index_ppm`.
+pub(super) fn check_refractive_index(ppm: Option<f64>) -> std::result::Result<(), InvalidKey> {
+    let is_air = ppm.is_none_or(|ppm| (0.0..=MOST_PPM).contains(&ppm));
+    InvalidKey::unless(is_air, "refractive_index_ppm", "it must lie between 0 and 1000")
+}
+
+/// Speed of the pulse in air of this refractivity, m/s.
+pub(super) fn group_velocity_mps(ppm: f64) -> f64 {
+    LIGHT_MPS / (1.0 + 1e-6 * ppm)
+}
+
+/// What readers ask of their key `crs_of_input`.
+pub(super) fn check_crs(word: Option<&str>) -> std::result::Result<(), InvalidKey> {
+    let checked = word.map_or(Ok(()), declared::check);
+    checked.map_err(|problem| InvalidKey::new("crs_of_input", problem))
+}
+
+/// The file that `crs_of_input` names, if it names one.
+pub(super) fn crs_file(word: Option<&str>) -> Vec<&str> {
+    word.filter(|word| declared::is_file(word)).into_iter().collect()
+}
+
+/// What a job says of a recording.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Declared {
+    pub(super) times: TimeKeys,
+    /// The coordinate reference system of the recording's map, as WKT.
+    pub(super) crs_wkt: Option<String>,
+    pub(super) group_velocity_mps: Option<f64>,
+}
+
+impl Declared {
+    /// What the keys of a reader say.
+    ///
+    /// # Errors
+    /// A coordinate reference system that cannot be read.
+    pub(super) fn new(
+        times: TimeKeys,
+        crs_of_input: Option<&str>,
+        refractive_index_ppm: Option<f64>,
+        site: &Site,
+    ) -> Result<Declared> {
+        let crs_wkt = crs_of_input.map(|word| declared::wkt(word, &site.input_dir)).transpose()?;
+        Ok(Declared { times, crs_wkt, group_velocity_mps: refractive_index_ppm.map(group_velocity_mps) })
+    }
+}
+
+/// Gives on the lines of a reader with what the job says of the recording.
+pub(super) struct AsDeclared<S> {
+    source: S,
+    declared: Declared,
+    /// The times of the recording; `None` before the first line.
+    begun: Option<Begun>,
+}
+
+/// What is known once there is a line.
+struct Begun {
+    /// What the reader says of the recording, and what comes out.
+    info: [Arc<InputInfo>; 2],
+    /// `None` where times stay as they are.
+    axis: Option<Axis>,
+    window_s: Option<[f64; 2]>,
+}
+
+impl<S: Source> AsDeclared<S> {
+    pub(super) fn new(source: S, declared: Declared) -> AsDeclared<S> {
+        AsDeclared { source, declared, begun: None }
+    }
+
+    /// Learns from the first line what times count.
+    fn begin(&self, first: &Batch, cx: &mut Context) -> Result<Begun> {
+        let (keys, from) = (&self.declared.times, &first.input);
+        let mut times_s: Vec<f64> =
+            first.emissions.iter().map(|shot| shot.gps_time_s).filter(|time_s| time_s.is_finite()).collect();
+        let first_s = times_s.first().copied();
+        times_s.sort_by(f64::total_cmp);
+        let scale = keys.recording_time.map_or(Scale::of(from.time_scale), Scale::from);
+        // What a job says of the scale weighs more than the date of a file.
+        let file_date = from.recorded.filter(|_| keys.recording_time.is_none());
+        let usual_s = times_s.get(times_s.len() / 2).copied();
+        if let Some(problem) = usual_s.and_then(|time_s| scale.misfit(time_s, file_date)) {
+            if keys.needs_scale() {
+                return Err(StageError::failed(problem, time::SAY_SCALE));
+            }
+            cx.note(format!("{problem}; {}", time::SAY_SCALE));
+        }
+        let about = keys.gps_date.as_deref().and_then(time::noon);
+        let times = match (keys.recording_time, about) {
+            (None, None) => Times::as_said(from),
+            _ => Times::new(scale, first_s, about),
+        };
+        if self.declared.group_velocity_mps.is_some() && !from.beams_begin_at_sensor() {
+            return Err(StageError::failed(
+                "`refractive_index_ppm` needs ranges from the sensor, and those of this recording count from the first sample",
+                "leave it out",
+            ));
+        }
+        let leap_s = if keys.utc { times.leap_s(&from.path, first_s)? } else { 0.0 };
+        let times = times.later_by(leap_s + keys.time_offset_s);
+        let window_s = keys.window_s(&times, &from.path)?;
+        let is_changed = times.offset_s != 0.0 || times.period_s.is_some();
+        let info = InputInfo {
+            time_scale: times.scale,
+            gps_week: times.gps_week,
+            recorded: times.recorded.or(from.recorded),
+            group_velocity_mps: self.declared.group_velocity_mps.unwrap_or(from.group_velocity_mps),
+            crs_wkt: self.crs(first, cx)?,
+            ..InputInfo::clone(from)
+        };
+        let info = [Arc::clone(from), Arc::new(info)];
+        Ok(Begun { info, axis: is_changed.then(|| times.axis()), window_s })
+    }
+
+    /// The coordinate reference system that comes out.
+    fn crs(&self, first: &Batch, cx: &mut Context) -> Result<Option<String>> {
+        let of_file = &first.input.crs_wkt;
+        let Some(declared) = &self.declared.crs_wkt else { return Ok(of_file.clone()) };
+        let frame = match first.input.frame {
+            Frame::Map => None,
+            Frame::Scanner => Some("the scanner's own frame"),
+            Frame::Body => Some("the aircraft's frame"),
+            Frame::Earth => Some("geocentric coordinates"),
+        };
+        if let Some(frame) = frame {
+            return Err(StageError::failed(
+                format!("`crs_of_input` names a map, and this recording is in {frame}"),
+                "leave it out; which coordinates points get is `crs` of `[job.geometry]`",
+            ));
+        }
+        let place_m = first.emissions.first().map(|shot| shot.origin_m).unwrap_or_default();
+        if let Some(other) = of_file.as_deref().filter(|wkt| declared::differ(wkt, declared, place_m)) {
+            let [file, job] =
+                [other, declared].map(|wkt| wkt.split('"').nth(1).unwrap_or("a map without a name"));
+            cx.note(format!(
+                "the file says that its coordinates are in {file}; `crs_of_input` overrides it: they are taken as {job}"
+            ));
+        }
+        Ok(Some(declared.clone()))
+    }
+}
+
+impl TimeKeys {
+    /// The window on the scale of these times, s.
+    ///
+    /// # Errors
+    /// See [`Times::shift_s`].
+    pub(super) fn window_s(&self, times: &Times, file: &std::path::Path) -> Result<Option<[f64; 2]>> {
+        let shift_s = match (self.time_s, self.time_scale) {
+            (Some(_), Some(scale)) => times.shift_s(scale, file)?,
+            _ => 0.0,
+        };
+        Ok(self.time_s.map(|asked_s| asked_s.map(|time_s| time_s + shift_s)))
+    }
+}
+
+impl Begun {
+    /// The line with its times as they are to be; empty where none of its shots is wanted.
+    fn line(&mut self, mut line: Batch, cx: &mut Context) -> Batch {
+        line.input = Arc::clone(&self.info[1]);
+        if let Some(axis) = &mut self.axis {
+            line.emissions.iter_mut().for_each(|shot| shot.gps_time_s = axis.next(shot.gps_time_s));
+            line.stats.gps_time_s = line.emissions.first().map_or(f64::NAN, |shot| shot.gps_time_s);
+        }
+        match self.window_s {
+            Some([from_s, to_s]) => within(line, from_s, to_s, cx),
+            None => line,
+        }
+    }
+}
+
+/// The shots of a line that were fired between two times, s.
+fn within(line: Batch, from_s: f64, to_s: f64, cx: &mut Context) -> Batch {
+    let is_inside = |shot: &Emission| (from_s..=to_s).contains(&shot.gps_time_s);
+    if line.emissions.iter().all(is_inside) {
+        return line;
+    }
+    let Content::Shots(mut blocks) = line.content else { return line };
+    let mut place = Vec::with_capacity(line.emissions.len());
+    let (mut emissions, mut without_time) = (Vec::new(), [0, 0]);
+    for (index, shot) in (0..).zip(&line.emissions) {
+        place.push(is_inside(shot).then_some(emissions.len() as u32));
+        if is_inside(shot) {
+            emissions.push(*shot);
+        } else if shot.gps_time_s.is_nan() {
+            without_time[0] += 1;
+            without_time[1] += blocks.of_emission(index).count() as u64;
+        }
+    }
+    cx.reject(Item::Shots, NO_TIME, without_time[0]);
+    cx.reject(Item::Blocks, NO_TIME, without_time[1]);
+    blocks.keep(&place);
+    Batch::of_shots(line.input, line.line, emissions, blocks)
+}
+
+impl<S: Source> Source for AsDeclared<S> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+        loop {
+            let Some(line) = self.source.next(cx)? else { return Ok(None) };
+            let is_known = self.begun.as_ref().is_some_and(|begun| Arc::ptr_eq(&begun.info[0], &line.input));
+            if !is_known {
+                self.begun = Some(self.begin(&line, cx)?);
+            }
+            let Some(begun) = &mut self.begun else { continue };
+            let line = begun.line(line, cx);
+            if !line.emissions.is_empty() {
+                return Ok(Some(line));
+            }
+        }
+    }
+
+    fn progress(&self) -> Option<f64> {
+        self.source.progress()
+    }
+}
+
+#[cfg(test)]
+mod tests;

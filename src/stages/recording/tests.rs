@@ -1,0 +1,114 @@
+//! Windows, labels that do not fit, and maps. What whole jobs make of the keys stands in `tests/declared.rs`.
+
+use super::*;
+use crate::batch::{Blocks, Channel, TimeScale};
+
+/// Lines of shots with these times.
+struct Lines(std::vec::IntoIter<Vec<f64>>, Arc<InputInfo>);
+
+impl Source for Lines {
+    fn next(&mut self, _cx: &mut Context) -> Result<Option<Batch>> {
+        let Some(times_s) = self.0.next() else { return Ok(None) };
+        let mut blocks = Blocks::default();
+        (0..times_s.len() as u32)
+            .for_each(|shot| blocks.push(shot, Channel::LowPower, None, 0.0, 1.0, &[2, 3]));
+        let shot = |gps_time_s| Emission { gps_time_s, ..Emission::default() };
+        let emissions = times_s.into_iter().map(shot).collect();
+        Ok(Some(Batch::of_shots(Arc::clone(&self.1), 0, emissions, blocks)))
+    }
+}
+
+fn read(scale: TimeScale, lines: Vec<Vec<f64>>, times: TimeKeys) -> Result<(Vec<Batch>, Context)> {
+    let info = InputInfo { time_scale: scale, frame: Frame::Map, ..InputInfo::default() };
+    let declared = Declared { times, ..Declared::default() };
+    let mut source = AsDeclared::new(Lines(lines.into_iter(), Arc::new(info)), declared);
+    let mut cx = Context::default();
+    let mut read = Vec::new();
+    while let Some(line) = source.next(&mut cx)? {
+        read.push(line);
+    }
+    Ok((read, cx))
+}
+
+fn times(lines: &[Batch]) -> Vec<Vec<f64>> {
+    lines.iter().map(|line| line.emissions.iter().map(|shot| shot.gps_time_s).collect()).collect()
+}
+
+#[test]
+fn a_window_keeps_the_blocks_of_its_shots_and_drops_empty_lines() {
+    let lines = vec![vec![1.0, 2.0], vec![3.0, f64::NAN, 4.0], vec![9.0]];
+    let keys = TimeKeys { time_s: Some([2.0, 3.5]), ..TimeKeys::default() };
+    let (read, cx) = read(TimeScale::Week, lines, keys).unwrap();
+    assert_eq!(times(&read), [[2.0], [3.0]]);
+    assert!(read.iter().all(|line| line.blocks().unwrap().len() == 1 && line.stats.nw == 1));
+    assert_eq!(read[0].stats.gps_time_s, 2.0);
+    let rejected: Vec<_> = cx.counters().rejected.iter().collect();
+    assert_eq!(rejected, [(&(Item::Shots, NO_TIME), &1), (&(Item::Blocks, NO_TIME), &1)]);
+}
+
+#[test]
+fn times_that_do_not_fit_their_label_are_named() {
+    let said = |scale, time_s| {
+        let (_, cx) = read(scale, vec![vec![time_s]], TimeKeys::default()).unwrap();
+        cx.counters().notes.clone()
+    };
+    let expected = "the recording's times, as 1000061758.0 s, do not fit what they are said to be, seconds of the GPS week \
+                    (as adjusted GPS times they would be of 2043-05-23, as standard GPS times they would be of 2011-09-14); \
+                    say what they count with the reader's key `recording_time`";
+    assert_eq!(said(TimeScale::Week, 1_000_061_758.0), [expected]);
+    assert_eq!(said(TimeScale::Day, 400_000.0).len(), 1);
+    assert_eq!(said(TimeScale::Adjusted, 1_400_000_000.0 + 2e9).len(), 1);
+    for (scale, time_s) in [
+        (TimeScale::Week, 604_801.0),
+        (TimeScale::Day, 86_401.0),
+        (TimeScale::Adjusted, 4e8),
+        (TimeScale::Unknown, -5.0),
+    ] {
+        assert_eq!(said(scale, time_s), Vec::<String>::new(), "{scale:?}");
+    }
+}
+
+#[test]
+fn the_date_of_a_file_shows_seconds_of_the_week_called_adjusted() {
+    let adjusted = Scale::of(TimeScale::Adjusted);
+    assert_eq!(adjusted.misfit(400_000.0, Some((260, 2011))), None);
+    assert!(adjusted.misfit(400_000.0, Some((188, 2015))).is_some());
+    assert!(adjusted.misfit(430_000_000.0, Some((188, 2015))).is_some(), "2025 in a file of 2015");
+    assert_eq!(adjusted.misfit(120_000_000.0, Some((188, 2015))), None);
+}
+
+#[test]
+fn keys_that_build_on_a_label_refuse_one_that_does_not_fit() {
+    let keys = |recording_time| TimeKeys {
+        gps_date: Some("2011-09-14".into()),
+        recording_time,
+        ..TimeKeys::default()
+    };
+    let lines = || vec![vec![1_000_061_758.0]];
+    let error = read(TimeScale::Week, lines(), keys(None)).unwrap_err().to_string();
+    assert!(error.ends_with(time::SAY_SCALE), "{error}");
+    let (lines, cx) = read(TimeScale::Week, lines(), keys(Some(RecordingTime::Standard))).unwrap();
+    assert_eq!((times(&lines), cx.counters().notes.len()), (vec![vec![61_758.0]], 0));
+    assert_eq!((lines[0].input.time_scale, lines[0].input.gps_week), (TimeScale::Adjusted, Some(1653)));
+}
+
+#[test]
+fn a_day_dates_seconds_that_begin_anew() {
+    let keys = TimeKeys { gps_date: Some("2025-05-03".into()), ..TimeKeys::default() };
+    let lines = vec![vec![604_799.0], vec![1.0]];
+    let (lines, _) = read(TimeScale::Week, lines, keys).unwrap();
+    assert_eq!(times(&lines), [[604_799.0], [604_801.0]]);
+    assert_eq!((lines[1].input.gps_week, lines[1].input.recorded), (Some(2364), Some((123, 2025))));
+}
+
+#[test]
+fn a_map_that_is_declared_must_be_one() {
+    for word in ["utm", "geodetic", "ecef", ""] {
+        assert_eq!(check_crs(Some(word)).unwrap_err().key, "crs_of_input", "{word}");
+    }
+    assert!(check_crs(Some("utm:99N")).is_err());
+    for word in ["EPSG:2154", "utm:33N", "site.wkt"] {
+        assert_eq!(check_crs(Some(word)), Ok(()));
+    }
+    assert_eq!((crs_file(Some("site.wkt")), crs_file(Some("utm:33N"))), (vec!["site.wkt"], vec![]));
+}
