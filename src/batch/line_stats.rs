@@ -3,7 +3,7 @@
 /// What happened on one scan line; `np...` count returns, `nw...` waveforms.
 ///
 /// Two laws hold after `decompose`:
-/// `n_candidates + n_added = np + np_filtered + np_merged + np_xtalk_dropped` and
+/// `n_candidates + n_added + np_online = np + np_filtered + np_merged + np_xtalk_dropped` and
 /// `nw = nw_empty + nw_deleted + nw_with_points`.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct LineStats {
@@ -55,11 +55,13 @@ pub struct LineStats {
     pub nw_with_points: u64,
     /// Returns dropped because they overlap what leaks in from an emission.
     pub np_xtalk_dropped: u64,
+    /// Returns that the instrument itself computed.
+    pub np_online: u64,
 }
 
 impl LineStats {
     /// Every counter with its name, in the order of the fields.
-    pub fn counts(&self) -> [(&'static str, u64); 22] {
+    pub fn counts(&self) -> [(&'static str, u64); 23] {
         [
             ("nw", self.nw),
             ("np", self.np),
@@ -83,12 +85,13 @@ impl LineStats {
             ("n_added", self.n_added),
             ("nw_with_points", self.nw_with_points),
             ("np_xtalk_dropped", self.np_xtalk_dropped),
+            ("np_online", self.np_online),
         ]
     }
 
     /// Whether the two laws hold.
     pub fn laws_hold(&self) -> bool {
-        self.n_candidates + self.n_added
+        self.n_candidates + self.n_added + self.np_online
             == self.np + self.np_filtered + self.np_merged + self.np_xtalk_dropped
             && self.nw == self.nw_empty + self.nw_deleted + self.nw_with_points
     }

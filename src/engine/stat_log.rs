@@ -7,7 +7,7 @@ use crate::kernels::sensor_model::ChannelModel;
 use crate::stage::RoleName;
 
 /// Counters of lines in words, in their order.
-const COUNTS: [(&str, &str); 22] = [
+const COUNTS: [(&str, &str); 23] = [
     ("nw", "waveforms"),
     ("nw_with_points", "waveforms with returns"),
     ("nw_empty", "waveforms without any return"),
@@ -23,6 +23,7 @@ const COUNTS: [(&str, &str); 22] = [
     ("np", "returns"),
     ("np_xtalk", "returns touched by cross-talk"),
     ("np_xtalk_dropped", "returns dropped for cross-talk"),
+    ("np_online", "returns that the instrument computed"),
     ("np_air", "outliers above their neighbours"),
     ("np_low", "outliers below their neighbours"),
     ("np_range", "intensities corrected for range"),

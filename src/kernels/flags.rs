@@ -25,12 +25,14 @@ pub const TRUNCATED: u16 = 1 << 9;
 pub const SPLIT: u16 = 1 << 10;
 /// The MTA zone was decided against little evidence.
 pub const ZONE_UNCERTAIN: u16 = 1 << 11;
+/// The instrument's own return: it was not computed from a waveform.
+pub const INSTRUMENT: u16 = 1 << 12;
 
 /// The flags of cross-talk between emissions and echoes.
 pub const CROSSTALK: u16 = EMISSION_ON_ECHO | EMISSION_IN_BLOCK | ECHO_ON_OUTGOING;
 
 /// Every flag with its name in words, by bit.
-pub const NAMES: [(u16, &str); 12] = [
+pub const NAMES: [(u16, &str); 13] = [
     (REFINED, "refined"),
     (OVERLAP, "overlap"),
     (DIVERGED, "diverged"),
@@ -43,6 +45,7 @@ pub const NAMES: [(u16, &str); 12] = [
     (TRUNCATED, "truncated"),
     (SPLIT, "split"),
     (ZONE_UNCERTAIN, "zone uncertain"),
+    (INSTRUMENT, "instrument's own return"),
 ];
 
 /// The flags that are set, in words: `refined, overlap`; `none` where none is.
@@ -79,6 +82,7 @@ mod tests {
             TRUNCATED,
             SPLIT,
             ZONE_UNCERTAIN,
+            INSTRUMENT,
         ];
         for (bit, flag) in all.into_iter().enumerate() {
             assert_eq!(flag, 1 << bit);

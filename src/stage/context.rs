@@ -108,6 +108,11 @@ impl Context {
         self.counters.observed.entry(name).or_default().add(value);
     }
 
+    /// Adds a value that may be negative to the distribution `name`, as [`Context::observe`] does.
+    pub fn observe_signed(&mut self, name: &'static str, value: f64) {
+        self.counters.observed.entry(name).or_default().add_signed(value);
+    }
+
     /// Tells the user something, once per run: it is logged and stands in the report.
     pub fn note(&mut self, text: impl AsRef<str> + Into<String>) {
         if self.counters.notes.iter().any(|said| said == text.as_ref()) {
@@ -181,13 +186,16 @@ fn add_new(texts: &mut Vec<String>, more: Vec<String>) {
 #[derive(Clone, Debug)]
 pub struct Distribution {
     millionths: Histogram<u64>,
+    /// The sizes of negative values.
+    negative: Histogram<u64>,
 }
 
 impl Default for Distribution {
     fn default() -> Distribution {
-        let millionths =
-            Histogram::new(3).unwrap_or_else(|_| unreachable!("3 digits are within hdrhistogram's limits"));
-        Distribution { millionths }
+        let three_digits = || {
+            Histogram::new(3).unwrap_or_else(|_| unreachable!("3 digits are within hdrhistogram's limits"))
+        };
+        Distribution { millionths: three_digits(), negative: three_digits() }
     }
 }
 
@@ -199,30 +207,55 @@ impl Distribution {
         let _ = self.millionths.record((value * 1e6).round() as u64);
     }
 
+    /// Adds a value that may be negative; undefined ones count as 0.
+    pub fn add_signed(&mut self, value: f64) {
+        if value < 0.0 {
+            let _ = self.negative.record((-value * 1e6).round() as u64);
+        } else {
+            self.add(value);
+        }
+    }
+
     /// Adds another distribution.
     pub fn merge(&mut self, other: &Distribution) {
         // The histograms resize by themselves: an addition can only fail where that is switched off.
         let _ = self.millionths.add(&other.millionths);
+        let _ = self.negative.add(&other.negative);
     }
 
     /// How many values were added.
     pub fn count(&self) -> u64 {
-        self.millionths.len()
+        self.millionths.len() + self.negative.len()
     }
 
     /// Their mean.
     pub fn mean(&self) -> f64 {
-        self.millionths.mean() / 1e6
+        let sum = |of: &Histogram<u64>| of.mean() * of.len() as f64;
+        match self.negative.len() {
+            0 => self.millionths.mean() / 1e6,
+            _ => (sum(&self.millionths) - sum(&self.negative)) / self.count() as f64 / 1e6,
+        }
     }
 
     /// The value below which `percent` of them lie.
     pub fn percentile(&self, percent: f64) -> f64 {
-        self.millionths.value_at_percentile(percent) as f64 / 1e6
+        let (below, above) = (self.negative.len() as f64, self.millionths.len() as f64);
+        let rank = percent / 100.0 * (below + above);
+        if below == 0.0 {
+            self.millionths.value_at_percentile(percent) as f64 / 1e6
+        } else if rank <= below {
+            self.negative.value_at_percentile(100.0 * (1.0 - rank / below)) as f64 / -1e6
+        } else {
+            self.millionths.value_at_percentile(100.0 * (rank - below) / above) as f64 / 1e6
+        }
     }
 
     /// The largest.
     pub fn max(&self) -> f64 {
-        self.millionths.max() as f64 / 1e6
+        match self.millionths.len() {
+            0 if self.negative.len() > 0 => self.negative.min() as f64 / -1e6,
+            _ => self.millionths.max() as f64 / 1e6,
+        }
     }
 }
 
@@ -266,6 +299,20 @@ mod tests {
         );
         assert_eq!(counters.rejected_of(Item::Blocks), 3);
         assert_eq!(counters.set_aside, BTreeSet::from([(Item::Blocks, "recorded twice")]));
+    }
+
+    #[test]
+    fn distributions_have_two_sides() {
+        let mut both = Distribution::default();
+        [-3.0, -2.0, -1.0, 4.0, f64::NAN].into_iter().for_each(|value| both.add_signed(value));
+        let near = |value: f64, exact: f64| (value - exact).abs() < 0.01;
+        assert!(near(both.percentile(50.0), -1.0), "{}", both.percentile(50.0));
+        assert!(near(both.percentile(1.0), -3.0) && near(both.percentile(99.0), 4.0));
+        assert!(near(both.mean(), -0.4) && both.count() == 5 && near(both.max(), 4.0));
+        let mut below = Distribution::default();
+        below.add_signed(-2.0);
+        both.merge(&below);
+        assert!(near(below.max(), -2.0) && near(both.percentile(50.0), -2.0), "{}", both.percentile(50.0));
     }
 
     #[test]

@@ -15,11 +15,14 @@ use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, St
 mod both;
 mod crosstalk;
 mod found;
+mod online;
 mod receivers;
 mod seen;
 mod shots;
 
 use receivers::SharedTables;
+
+pub use online::OnlinePoints;
 
 pub(crate) use receivers::SensorTables;
 pub(crate) use seen::{Seen, SeenBlock, SeenPulse};
@@ -41,6 +44,14 @@ pub const STAGE: StageSpec =
 /// `fuse_channels` both are fitted together where the sensitive one is saturated or overdriven and the other sees the same
 /// echo (channel `joint`), the other one's are used where the sensitive one contradicts it, and what both see counts once.
 ///
+/// The instrument's own returns, where the recording has them (the column `online` of a container, the points of LAS), become
+/// returns as `online_points` says, with flag bit 12. They have time and amplitude of the instrument, which is their
+/// intensity; the standard deviation of their range is 0.255 m, and what is not known is `nan` (in LAS: 0). SDF and
+/// PulseWaves have none. Where a shot has such returns and computed ones, the report compares them: `online_matched` and
+/// `computed_matched` (share of each that has a partner within a pulse width), `online_minus_computed_ns`,
+/// `online_computed_distance_ns` (times 1.4826, its median is a robust standard deviation) and
+/// `online_over_computed_amplitude`.
+///
 /// Per return: `time_of_flight_ns`, `range_m`, `amplitude_dn`, `width_ratio`, `thickness_m`, `intensity`, each with its
 /// standard deviation, and `deviation_ratio` and `flags`. Their definitions, with formulas and units, stand in
 /// `docs/returns.md`, the method in `docs/method.md`.
@@ -49,7 +60,7 @@ pub const STAGE: StageSpec =
 /// like any other. Returns within three widths of that moment have flag bit 3, the block's other returns bit 4. Where an
 /// echo lies on a shot's outgoing pulse, all its returns have bit 5, and the standard deviation of their ranges is 0.255 m.
 ///
-/// Counts `np np_xtalk np_xtalk_dropped np_filtered np_merged nw_empty nw_saturated nw_refined1x nw_refined2x nw_truncated nw_deleted`.
+/// Counts `np np_xtalk np_xtalk_dropped np_filtered np_merged np_online nw_empty nw_saturated nw_refined1x nw_refined2x nw_truncated nw_deleted`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Decompose {
@@ -77,6 +88,9 @@ pub struct Decompose {
     pub template_error: f64,
     /// Drop returns that overlap what leaks in from the emission of another shot (flag bit 3).
     pub drop_emission_crosstalk: bool,
+    /// When the instrument's own returns become points: for shots without a recorded waveform, never, or instead of all
+    /// that could be computed.
+    pub online_points: OnlinePoints,
     #[serde(skip)]
     tables: SharedTables,
 }
@@ -136,6 +150,7 @@ impl Default for Decompose {
             split_evidence: NumberOrFalse::Number(16.0),
             template_error: 0.005,
             drop_emission_crosstalk: false,
+            online_points: OnlinePoints::default(),
             tables: SharedTables::default(),
         }
     }
@@ -285,13 +300,27 @@ impl Map for DecomposeLine {
         };
         let mut returns = Returns::new();
         let shot = |(index, of_shot)| Shot { index, blocks: &blocks, of_shot, input: &batch.input };
-        let shots: Vec<Shot> = blocks.by_emission().map(shot).collect();
+        let choice = self.config.online_points;
+        let outgoing = if choice == OnlinePoints::Only { online::outgoing_only(&blocks) } else { Vec::new() };
+        let shots: Vec<Shot> = match choice {
+            OnlinePoints::Only => outgoing
+                .chunk_by(|a, b| a.emission == b.emission)
+                .map(|of_shot| shot((of_shot[0].emission, of_shot)))
+                .collect(),
+            OnlinePoints::Never | OnlinePoints::Fallback => blocks.by_emission().map(shot).collect(),
+        };
         let (emissions, stats) = (&mut batch.emissions, &mut batch.stats);
         let mut line = Line { emissions, returns: &mut returns, stats };
         worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
         if let Some(gallery) = cx.gallery() {
             let looked = Looked { line: batch.line, emissions: &batch.emissions, returns: &returns };
             worker.show(&shots, &looked, gallery)?;
+        }
+        if !blocks.online.is_empty() {
+            if choice != OnlinePoints::Only {
+                online::compare(&blocks, &batch, &returns, &model, cx);
+            }
+            online::add(choice, &mut batch, &blocks, &mut returns)?;
         }
         batch.stats.np += returns.len() as u64;
         batch.content = Content::Returns(returns);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::tables::{Both, Sources, receiver_of, told_by_fusion_s};
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
-use crate::batch::{Batch, Emission, InputInfo, LineStats, Return, ReturnChannel};
+use crate::batch::{Batch, Emission, InputInfo, LineStats, Return, ReturnChannel, flags};
 use crate::formats::lookup_tables::LookupTables;
 use crate::geo::vertical::down_at;
 use crate::kernels::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};
@@ -64,7 +64,8 @@ impl Corrections {
             _ => 0.0,
         };
         let half_speed_m_per_ns = 0.5e-9 * batch.input.group_velocity_mps;
-        for r in returns.iter_mut() {
+        // Tables and widths are those of computed returns.
+        for r in returns.iter_mut().filter(|r| r.flags & flags::INSTRUMENT == 0) {
             correct_range(r, &tables.range, told_s, half_speed_m_per_ns, &mut batch.stats);
             correct_width(r, widths, half_speed_m_per_ns);
             take_amplitude(r, &tables.amplitude, &mut batch.stats);

@@ -10,7 +10,8 @@ pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChann
 /// A power of the amplitude counts from here, DN.
 const POWER_FROM_DN: f64 = 100.0;
 /// Returns with one of these flags do not show how wide a flat target is.
-const NOT_PLAIN: u16 = flags::OVERLAP
+const NOT_PLAIN: u16 = flags::INSTRUMENT
+    | flags::OVERLAP
     | flags::DIVERGED
     | flags::EMISSION_ON_ECHO
     | flags::SATURATED

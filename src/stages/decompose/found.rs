@@ -6,7 +6,7 @@ use crate::kernels::decompose::Return as Pulse;
 use crate::kernels::radiometry::target_thickness_m;
 
 /// Standard deviation of a range that cannot be relied upon, m: the largest that the LAS attribute `RangeErr` can hold.
-const UNRELIABLE_RANGE_SD_M: f64 = 0.255;
+pub(super) const UNRELIABLE_RANGE_SD_M: f64 = 0.255;
 
 /// A return before its range is known.
 #[derive(Clone, Copy)]

@@ -4,6 +4,7 @@ use super::Decompose;
 use super::both::BothReceivers;
 use super::crosstalk::Departures;
 use super::found::Found;
+use super::online::unresolved;
 use super::receivers::{Lot, Receivers, SensorTables};
 use crate::batch::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
@@ -14,7 +15,7 @@ use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::lockstep::Path;
 use crate::kernels::outgoing::Outgoing;
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
-use crate::stage::{Context, Item, Result, StageError};
+use crate::stage::{Context, Item, Result};
 
 /// When a shot left, after its clock.
 #[derive(Clone, Copy)]
@@ -307,10 +308,7 @@ impl ShotDecomposer {
             }
             let Some((channel, result, model)) = self.receivers.found(lot) else { continue };
             let Some(zone) = block.zone.or(emission.mta_zone) else {
-                return Err(StageError::failed(
-                    format!("it is not known which pulse caused the echoes of shot {}", emission.shot),
-                    "put resolve_mta before decompose",
-                ));
+                return Err(unresolved(emission.shot));
             };
             waveform.used = true;
             waveform.add(&result, stats);
