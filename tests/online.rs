@@ -132,7 +132,7 @@ fn they_can_be_left_out_or_stand_in_for_all() {
 fn the_report_compares_them_with_computed_ones() {
     let (_, report) = run("");
     let stages = report["stages"].as_array().unwrap();
-    let observed = &stages.iter().find(|stage| stage["name"] == "decompose").unwrap()["observed"];
+    let observed = &stages.iter().find(|stage| stage["type"] == "decompose").unwrap()["observed"];
     let of = |name: &str, what: &str| observed[name][what].as_f64().unwrap_or(f64::NAN);
     assert_eq!(of("online_matched", "count"), (SHOTS - WITHOUT) as f64, "{observed}");
     assert!(of("online_matched", "mean") > 0.99 && of("computed_matched", "mean") > 0.98, "{observed}");
