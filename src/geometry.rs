@@ -11,6 +11,7 @@ mod loaded;
 pub mod mount;
 pub mod posed;
 pub mod poses;
+pub mod scan_angles;
 pub mod target;
 mod track;
 

@@ -228,9 +228,9 @@ impl Survey {
         &self.channels[channel as usize]
     }
 
-    /// Whether ranges count from the first sample instead of from the scanner, which the format does not tell.
+    /// Whether ranges count from a point near the waveform, because the recording does not give the sensor's position.
     pub fn ranges_from_first_sample(&self) -> bool {
-        self.input.as_ref().is_some_and(|input| !input.beams_begin_at_sensor())
+        self.input.as_ref().is_some_and(|input| !input.origin_is_sensor)
     }
 
     fn add_shot(&mut self, batch: &Batch, emission: &Emission, begins_line: bool) {

@@ -40,6 +40,9 @@ pub struct InputInfo {
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
     /// How the moment of emission is known.
     pub emission_reference: EmissionReference,
+    /// Whether the origins of shots are where the sensor was, so that ranges count from it. Else they are points on the
+    /// beams near the waveforms, and ranges count from there.
+    pub origin_is_sensor: bool,
     /// Amplitude tables of the low and of the high power channel.
     pub amplitude_low: Option<AmplitudeTable>,
     /// See `amplitude_low`.
@@ -71,18 +74,12 @@ impl Default for InputInfo {
             crs_wkt: None,
             coordinate_grid: None,
             emission_reference: EmissionReference::Clock,
+            origin_is_sensor: true,
             amplitude_low: None,
             amplitude_high: None,
             range_low: None,
             range_high: None,
         }
-    }
-}
-
-impl InputInfo {
-    /// Whether the origins of beams are where the sensor was: LAS tells points on a beam, but not where it begins.
-    pub fn beams_begin_at_sensor(&self) -> bool {
-        self.emission_reference != EmissionReference::ReturnLocations && !self.format.starts_with("LAS ")
     }
 }
 

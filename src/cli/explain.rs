@@ -239,7 +239,13 @@ fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Fai
     let emission = line.emissions[index as usize];
     let file = chain.file().display().to_string();
     let (blocks, outgoing) = seen.finish(&emission, &returns);
-    let remarks = remarks(&cx);
+    let mut remarks = remarks(&cx);
+    if !line.input.origin_is_sensor {
+        remarks.push(
+            "ranges count from the first sample: the recording does not give the position of the sensor"
+                .into(),
+        );
+    }
     Ok(Explained { file, emission, returns, blocks, outgoing, model, remarks })
 }
 

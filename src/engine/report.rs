@@ -75,6 +75,8 @@ pub struct InputReport {
     /// How the moment of emission is known: `outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or
     /// `clock`.
     pub emission_reference: Option<String>,
+    /// Where ranges count from: `sensor`, or `first_sample` where the recording does not give the sensor's position.
+    pub ranges_count_from: Option<String>,
     /// Duration of this run, s.
     pub wall_s: f64,
     /// The most memory that lines under way took at once, bytes.
@@ -344,6 +346,8 @@ impl InputReport {
             time_scale: input.map(|input| time_scale(input.time_scale).into()),
             frame: input.map(|input| frame(input.frame).into()),
             emission_reference: input.map(|input| emission_reference(input.emission_reference).into()),
+            ranges_count_from: input
+                .map(|input| if input.origin_is_sensor { "sensor" } else { "first_sample" }.into()),
             wall_s: started.elapsed().as_secs_f64(),
             peak_in_flight_bytes,
             totals: totals.counts,

@@ -100,6 +100,7 @@ fn about_input(text: &mut Text, input: &InputReport) {
     text.known("times count on the scale", input.time_scale.as_ref());
     text.known("beams are in the frame", input.frame.as_ref());
     text.known("moment of emission", input.emission_reference.as_ref().map(|word| word.replace('_', " ")));
+    text.known("ranges count from", input.ranges_count_from.as_ref().map(|word| word.replace('_', " ")));
 }
 
 fn decoding(text: &mut Text, input: &InputReport) {

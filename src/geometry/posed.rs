@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::loaded::Geometry;
 use super::poses::{scan_angle_deg, to_earth};
+use super::scan_angles::{ScanAngles, are_unknown, set_directions};
 use crate::batch::{Batch, Content, Emission, Frame, InputInfo};
 use crate::geo::time_axis::{Clock, Unwrap};
 use crate::geo::trajectory::Pose;
@@ -11,7 +12,7 @@ use crate::geo::vertical::down_at;
 use crate::stage::{Context, Item, Result, Source, StageError};
 
 /// A source whose shots start and point in the earth's frame, where there is a trajectory and they came in the scanner's
-/// or the aircraft's; others pass as they are.
+/// or the aircraft's; others stay where they are. Shots with a place on the earth have scan angles and directions.
 pub struct Posed {
     source: Box<dyn Source>,
     geometry: Arc<Geometry>,
@@ -19,20 +20,37 @@ pub struct Posed {
     coverage: Coverage,
     /// What the source says of its recording, and what the lines say that leave.
     input: Option<[Arc<InputInfo>; 2]>,
+    angles: ScanAngles,
+    has_ended: bool,
 }
 
 impl Posed {
     /// The source with the poses of a geometry.
     pub fn new(source: Box<dyn Source>, geometry: Arc<Geometry>) -> Posed {
-        Posed { source, geometry, times: None, coverage: Coverage::default(), input: None }
+        let (coverage, angles) = (Coverage::default(), ScanAngles::default());
+        Posed { source, geometry, times: None, coverage, input: None, angles, has_ended: false }
     }
 }
 
 impl Source for Posed {
     fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
-        match self.source.next(cx)? {
-            Some(batch) => self.place(batch, cx).map(Some),
-            None => self.coverage.finish(&self.geometry, cx).map(|()| None),
+        loop {
+            if let Some(batch) = self.angles.pop() {
+                return Ok(Some(batch));
+            }
+            if self.has_ended {
+                return self.finish(cx).map(|()| None);
+            }
+            match self.source.next(cx)? {
+                Some(batch) => {
+                    let batch = self.place(batch, cx)?;
+                    self.angles.push(batch);
+                }
+                None => {
+                    self.has_ended = true;
+                    self.angles.finish();
+                }
+            }
         }
     }
 
@@ -42,6 +60,16 @@ impl Source for Posed {
 }
 
 impl Posed {
+    fn finish(&self, cx: &mut Context) -> Result<()> {
+        if self.angles.gave_up() {
+            cx.note(
+                "scan angles are not known, and are 0 in outputs: the recording has none, and its beams do not show the \
+                 direction of flight",
+            );
+        }
+        self.coverage.finish(&self.geometry, cx)
+    }
+
     fn place(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
         match batch.input.frame {
             Frame::Map if self.geometry.keys().places_scanners() => {
@@ -91,6 +119,7 @@ impl Posed {
         if self.coverage.span_s.is_none() {
             self.geometry.notes().iter().for_each(|note| cx.note(note));
         }
+        let without_angles = are_unknown(&batch.emissions);
         let mut down = None;
         let mut place = Vec::with_capacity(batch.emissions.len());
         let mut kept = 0;
@@ -109,6 +138,9 @@ impl Posed {
         if (kept as usize) < place.len() {
             self.coverage.check(&self.geometry)?;
             reject(batch, &place, cx);
+        }
+        if without_angles {
+            set_directions(&mut batch.emissions);
         }
         batch.input = self.info(batch, Frame::Earth);
         batch.stats.gps_time_s = batch.emissions.first().map_or(f64::NAN, |first| first.gps_time_s);

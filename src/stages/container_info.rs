@@ -36,6 +36,11 @@ pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {
             EmissionReference::ReturnLocations => container::EmissionReference::ReturnLocations,
             EmissionReference::Clock => container::EmissionReference::Clock,
         }),
+        origin: match (info.origin_is_sensor, info.emission_reference) {
+            (false, _) => Some(container::Origin::Waveform),
+            (true, EmissionReference::ReturnLocations) => Some(container::Origin::Sensor),
+            (true, _) => None,
+        },
     }
 }
 
@@ -58,6 +63,8 @@ pub(super) fn info_of(
     reference: EmissionReference,
 ) -> InputInfo {
     let table = |pairs: &Option<Vec<(f64, f64)>>| pairs.clone().and_then(AmplitudeTable::new);
+    // Return locations come from LAS, which does not give the sensor's position.
+    let is_from_las = header.emission_reference == Some(container::EmissionReference::ReturnLocations);
     InputInfo {
         path,
         stem,
@@ -93,6 +100,10 @@ pub(super) fn info_of(
             Some(container::EmissionReference::ReturnLocations) => EmissionReference::ReturnLocations,
             Some(container::EmissionReference::Clock) => EmissionReference::Clock,
             None => reference,
+        },
+        origin_is_sensor: match header.origin {
+            Some(origin) => origin == container::Origin::Sensor,
+            None => !is_from_las,
         },
         amplitude_low: table(&header.amplitude_low),
         amplitude_high: table(&header.amplitude_high),

@@ -62,7 +62,8 @@ pub struct Correct {
     /// Correct intensities for the angle at which beams meet flat terrain, or not. Without a vertical, in the scanner's own
     /// frame, they are not corrected, and the report says so.
     pub incidence: Incidence,
-    /// Intensities are made those of this range, from 1 to 100000; `false`: they fall with the range.
+    /// Intensities are made those of this range, from 1 to 100000; `false`: they fall with the range. A recording that does
+    /// not give the position of the sensor (LAS) is corrected neither for range nor for attenuation, and the report says so.
     pub reference_range_m: NumberOrFalse,
     /// What the air takes from the light on one kilometre, one way, from 0 to 100; intensities are freed of it both ways,
     /// beyond `reference_range_m`; `false`: nothing.

@@ -9,6 +9,7 @@ use crate::batch::{Batch, Content, Emission, Frame, InputInfo, Kind, Return};
 use crate::geo::frames::Vector;
 use crate::geometry::Geometry;
 use crate::geometry::calibration::is_on_low_power_scale;
+use crate::geometry::scan_angles::complete_in_own_axes;
 use crate::geometry::target::Target;
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
 
@@ -80,11 +81,12 @@ impl Map for Georeferencer {
         };
         let frame = batch.input.frame;
         if frame != Frame::Map {
-            self.correct_ranges(&mut returns, batch.fusion.is_some());
+            self.correct_ranges(&batch.input, &mut returns, batch.fusion.is_some(), cx);
         }
         let mut points: Vec<Vector> =
             returns.iter().map(|r| position(&batch.emissions[r.emission as usize], r)).collect();
         batch.stats.agl_m = Level::of(frame, &batch.emissions)
+            .filter(|_| batch.input.origin_is_sensor)
             .and_then(|level| level.agl_m(&batch.emissions, &returns, &points));
         match frame {
             Frame::Map => self.geometry.keep_map(batch.input.crs_wkt.as_deref())?,
@@ -100,6 +102,7 @@ impl Map for Georeferencer {
                     }
                     _ => "the input is not georeferenced: its points are in the frame of the scanner",
                 });
+                complete_in_own_axes(frame, &mut batch.emissions);
                 self.spread(&batch.emissions, &returns, &mut points);
             }
         }
@@ -111,8 +114,15 @@ impl Map for Georeferencer {
 
 impl Georeferencer {
     /// Ranges as the calibration has them.
-    fn correct_ranges(&self, returns: &mut [Return], fused: bool) {
-        let calibration = self.geometry.installation().calibration();
+    fn correct_ranges(&self, input: &InputInfo, returns: &mut [Return], fused: bool, cx: &mut Context) {
+        let mut calibration = *self.geometry.installation().calibration();
+        if !input.origin_is_sensor && calibration.e1 != 0.0 {
+            cx.note(
+                "ranges are not corrected by `e1`: the recording does not give the position of the sensor, and ranges count \
+                 from a point near the waveform; leave `e1` out of the calibration",
+            );
+            calibration.e1 = 0.0;
+        }
         for r in returns {
             r.range_m = calibration.range_m(r.range_m, is_on_low_power_scale(r.channel, fused));
         }

@@ -57,6 +57,10 @@ pub(super) struct Lines {
     last: Option<Emission>,
     /// The file itself has ended a line.
     has_ends: bool,
+    /// Whether the last shot of a line gets the edge-of-flight-line flag.
+    marks_edges: bool,
+    /// Whether the line at hand is complete, and not only full.
+    is_complete: bool,
 }
 
 /// The usual movement of the beam from shot to shot.
@@ -86,7 +90,15 @@ impl Lines {
             turned_rad: 0.0,
             last: None,
             has_ends: false,
+            marks_edges: false,
+            is_complete: false,
         }
+    }
+
+    /// The same, for formats whose edge-of-flight-line flag is missing or often not set: the last shot of a complete line gets
+    /// it.
+    pub(super) fn marking_edges(self) -> Lines {
+        Lines { marks_edges: true, ..self }
     }
 
     /// What is known of the recording.
@@ -95,14 +107,14 @@ impl Lines {
     }
 
     /// Whether a shot would begin a new line: then [`Lines::take`] the one at hand first.
-    pub(super) fn ends_before(&self, next: &Emission) -> bool {
+    pub(super) fn ends_before(&mut self, next: &Emission) -> bool {
+        self.is_complete = false;
         let Some(last) = self.emissions.last() else { return false };
-        self.emissions.len() >= MAX_SHOTS_PER_LINE
-            || self.blocks.bytes() >= MOST_BYTES
-            || is_end(last, next)
+        self.is_complete = is_end(last, next)
             || last.clock_ps > next.clock_ps
             || self.sweep.jumps(last.direction, next.direction)
-            || (!self.has_ends && self.ends_revolution(last, next))
+            || (!self.has_ends && self.ends_revolution(last, next));
+        self.is_complete || self.emissions.len() >= MAX_SHOTS_PER_LINE || self.blocks.bytes() >= MOST_BYTES
     }
 
     /// Whether the beam passes, with a shot, the azimuth of the file's first.
@@ -147,6 +159,10 @@ impl Lines {
     pub(super) fn take(&mut self) -> Option<Batch> {
         if self.emissions.is_empty() {
             return None;
+        }
+        let is_complete = std::mem::take(&mut self.is_complete);
+        if let Some(last) = self.emissions.last_mut().filter(|_| is_complete && self.marks_edges) {
+            last.flags |= emission_flags::EDGE_OF_FLIGHT_LINE;
         }
         self.sweep = Sweep::default();
         let line = self.next_line;
@@ -273,6 +289,33 @@ mod tests {
             lines.add(shot);
         }
         assert_eq!(lengths, [333; 6]);
+    }
+
+    #[test]
+    fn the_last_shot_of_a_complete_line_is_an_edge() {
+        let with = |facet| Emission { facet, ..shot(3.0) };
+        let facets = [0, 0, 1, 1, 1, 2].map(with).into_iter().chain((0..4999).map(|_| with(2)));
+        let edges = |mut lines: Lines| {
+            let (mut edges, mut n) = (Vec::new(), 0);
+            let mut look = |line: Option<Batch>| {
+                let emissions = line.map_or(Vec::new(), |line| line.emissions);
+                let is_edge = |e: &Emission| e.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0;
+                edges.extend(emissions.iter().enumerate().filter(|(_, e)| is_edge(e)).map(|(i, _)| n + i));
+                n += emissions.len();
+            };
+            for shot in facets.clone() {
+                if lines.ends_before(&shot) {
+                    look(lines.take());
+                }
+                lines.add(shot);
+            }
+            look(lines.take());
+            edges
+        };
+        let lines = || Lines::new(Arc::new(InputInfo::default()));
+        // Neither where a line was only full, nor at the end of the file.
+        assert_eq!(edges(lines().marking_edges()), [1, 4]);
+        assert_eq!(edges(lines()), Vec::<usize>::new());
     }
 
     #[test]

@@ -38,8 +38,8 @@ with_time_keys! {
 /// which a shot left its raster survives only in the locations that the points have in their waveforms. Where they are
 /// there, times of flight are tied to them (see `decompose`); where a file gives none, the report says so.
 ///
-/// The format does not tell where the scanner was: ranges count from the first sample of a shot's first waveform, and
-/// coordinates are right all the same. All waveforms count as low power, those of a second receiver, too.
+/// The format does not give the position of the scanner: ranges count from the first sample of a shot's first waveform.
+/// Coordinates are right all the same, and `correct` does not correct intensities for range and attenuation. All waveforms count as low power, those of a second receiver, too.
 ///
 /// Rejects points without waveform, points whose waveform cannot be read, and waveforms that come again after other
 /// pulses (in files that are not ordered by time), and goes on with the next.
@@ -448,6 +448,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
             true => EmissionReference::ReturnLocations,
             false => EmissionReference::Clock,
         },
+        origin_is_sensor: false,
         ..unknown
     }
 }

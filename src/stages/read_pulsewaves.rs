@@ -36,6 +36,13 @@ with_time_keys! {
 /// outgoing pulse's peak: on such a recording that reading leaves points within 16 mm of the planes of their neighbours,
 /// where each beam's own length leaves 21 mm.
 ///
+/// Ranges count from the sensor where the file's descriptors place the anchors of its pulses at the optical centre and store
+/// durations from there (RIEGL, GeoLas, Optech). Files converted from LAS, and those of NASA LVIS, anchor pulses at their first
+/// sample: coordinates are right all the same, and `correct` does not correct intensities for range and attenuation.
+///
+/// The format has no scan angles, and does not define which way of the mirror its flag means: both are computed from the beams
+/// and the course (`docs/las.md`). The last shot of each scan line gets the edge-of-flight-line flag.
+///
 /// Rejects pulses whose waves cannot be read, and goes on with the next. A file that ends with such pulses is cut off:
 /// that is an error. Compressed files (`.plz`, `.wvz`) are refused.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -177,7 +184,7 @@ impl PulseWavesSource {
             time_shift_s,
             next_pulse: 0,
             waves: Waves::new(),
-            lines: Lines::new(input),
+            lines: Lines::new(input).marking_edges(),
             beams,
             receivers: Receivers { single },
             first_t,
@@ -344,11 +351,25 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around
         crs_wkt: wkt().filter(|_| !is_geocentric),
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference,
+        origin_is_sensor: anchors_are_sensor(reader),
         amplitude_low: amplitude_table(reader, 1),
         amplitude_high: amplitude_table(reader, 0),
         range_low: None,
         range_high: None,
     }
+}
+
+/// Whether the anchors of pulses are the optical centre: descriptors give the distance between the two, and durations of the
+/// returning samples are stored. Files converted from formats without the sensor's position anchor pulses at their first
+/// sample, have no durations, and declare no constant distance.
+fn anchors_are_sensor(reader: &Reader) -> bool {
+    reader.descriptors().values().all(|descriptor| {
+        let mut returning =
+            descriptor.samplings.iter().filter(|s| s.kind == SegmentKind::Returning).peekable();
+        returning.peek().is_none()
+            || descriptor.optical_center_to_anchor == Some(0)
+                && returning.all(|sampling| sampling.duration_bits > 0 || sampling.duration_offset != 0.0)
+    })
 }
 
 /// Speed of a near infrared pulse in the air near the ground, m/s, where the file does not show it.

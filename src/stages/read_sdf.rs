@@ -347,6 +347,7 @@ fn describe(
             true => EmissionReference::OutgoingPulse,
             false => EmissionReference::Clock,
         },
+        origin_is_sensor: true,
         amplitude_low: AmplitudeTable::new(tables.amplitude_low),
         amplitude_high: AmplitudeTable::new(tables.amplitude_high),
         range_low: AmplitudeTable::new(tables.range_low),

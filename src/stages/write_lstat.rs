@@ -91,8 +91,8 @@ const COLUMNS_1_0: [Column; 11] = [
 /// n_merged n_refined n_air n_low n_range n_atm`. `n_empty` is there `nw_empty + nw_deleted`, and `n_refined` counts returns.
 ///
 /// `gps_time` is that of the line's first shot: adjusted GPS time, as in the LAS file, where the input tells enough, else
-/// as the input has it. `np...` count returns, `nw...` waveforms. `AGL` is the height above ground in metres. What is not
-/// known is `nan`.
+/// as the input has it. `np...` count returns, `nw...` waveforms. `AGL` is the height above ground in metres, `nan` for
+/// recordings that do not give the position of the sensor. What is not known is `nan`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WriteLstat {

@@ -31,8 +31,8 @@ pub const STAGE: StageSpec =
 /// `roll pitch heading`, too: degrees, right wing down, nose up, and clockwise from true north, `nan` where the trajectory
 /// does not tell.
 ///
-/// LAS files tell points on each beam, but not where it began: there the sensor's place is estimated from where the beams of
-/// at least `interval_s` meet. Observes `trajectory_sd_m`, the standard deviation of these places.
+/// LAS and some PulseWaves files give points on each beam, but not where it began: there the sensor's place is estimated from
+/// where the beams of at least `interval_s` meet. Observes `trajectory_sd_m`, the standard deviation of these places.
 ///
 /// Where shots have no place on the earth, the file has no rows but the first line, and the report says so.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -142,7 +142,7 @@ impl Sink for TrajectoryWriter {
         }
         self.begin()?;
         let from_beams = match self.sensor {
-            Sensor::Auto => !batch.input.beams_begin_at_sensor(),
+            Sensor::Auto => !batch.input.origin_is_sensor,
             Sensor::Origins => false,
             Sensor::Beams => true,
         };

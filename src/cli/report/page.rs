@@ -210,7 +210,7 @@ fn of_sensor(page: &mut String, model: &Value) {
 fn tables(page: &mut String, input: &Value) {
     page.push_str("<div class=\"sections\">\n");
     let facts = ["path", "format", "instrument", "serial", "sampling_interval_ns", "time_scale", "frame"];
-    let more = ["emission_reference", "coordinates", "wall_s", "peak_in_flight_bytes"];
+    let more = ["emission_reference", "ranges_count_from", "coordinates", "wall_s", "peak_in_flight_bytes"];
     let known = facts.iter().chain(&more).filter(|key| !input[**key].is_null());
     section(page, "Input", known.map(|key| (key.replace('_', " "), plain(&input[*key]))));
     section(page, "Counts of all lines", entries(&input["totals"]));

@@ -258,7 +258,7 @@ fn blocks(survey: &Survey) -> Section {
     section.say("pulses in the air", zones(survey));
     if let Some(range) = survey.ranges_m.range() {
         let from = if survey.ranges_from_first_sample() {
-            "; from the first sample of each shot: the format does not tell the scanner's place"
+            "; from the first sample of each shot: the recording does not give the position of the sensor"
         } else if survey.zones.contains_key(&None) {
             "; from the emission before the reception: zones are unresolved"
         } else {

@@ -45,6 +45,8 @@ pub struct ContainerHeader {
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
     /// How the moment of emission is known; `None`: to be told from the blocks.
     pub emission_reference: Option<EmissionReference>,
+    /// What `origin` is; `None`: the sensor's position, unless emissions are known by return locations.
+    pub origin: Option<Origin>,
 }
 
 impl ContainerHeader {
@@ -68,6 +70,7 @@ impl ContainerHeader {
             full_scale_dn: None,
             coordinate_grid: None,
             emission_reference: None,
+            origin: None,
         }
     }
 }
@@ -142,6 +145,16 @@ named! {
     }
 }
 
+named! {
+    /// What the origins of shots are.
+    Origin {
+        /// Where the sensor was: ranges count from there.
+        Sensor = "sensor",
+        /// A point on the beam near the waveform: the sensor's position is not known.
+        Waveform = "waveform",
+    }
+}
+
 /// The value of `wavex.tables`. An undefined number is written as null, which is how JSON says NaN.
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -189,6 +202,7 @@ impl ContainerHeader {
             ("wavex.full_scale_dn", self.full_scale_dn.map(|dn| dn.to_string())),
             ("wavex.coordinate_grid", grid),
             ("wavex.emission_reference", self.emission_reference.map(|by| by.name().to_string())),
+            ("wavex.origin", self.origin.map(|origin| origin.name().to_string())),
         ];
         debug_assert!(values.iter().map(|value| value.0).eq(KEYS.iter().map(|key| key.name)));
         values.into_iter().filter_map(|(key, value)| Some((key, value?))).collect()
@@ -235,6 +249,7 @@ impl ContainerHeader {
             full_scale_dn: keys.value("wavex.full_scale_dn", |text| text.parse().ok())?,
             coordinate_grid: grid.map(|grid| (grid.scale, grid.offset)),
             emission_reference: keys.value("wavex.emission_reference", EmissionReference::of)?,
+            origin: keys.value("wavex.origin", Origin::of)?,
         })
     }
 }
@@ -340,152 +355,4 @@ fn day_of_year(text: &str) -> Option<(u16, u16)> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::path::Path;
-
-    fn place() -> Place<'static> {
-        Place { file: Path::new("a.arrow"), offset: 8, first_row: 0 }
-    }
-
-    fn header() -> ContainerHeader {
-        ContainerHeader {
-            instrument: Some("LMS-Q680i".into()),
-            serial: Some("9997".into()),
-            sampling_interval_ns: 1.0,
-            group_velocity_mps: 299_707_502.1,
-            pulse_rate_hz: Some(400e3),
-            time_scale: TimeScale::Week,
-            gps_week: Some(1747),
-            frame: Frame::Map,
-            crs_wkt: Some("GEOCCS[\"x\"]".into()),
-            amplitude_low: Some(vec![(9.0, 0.0), (255.0, 19.7)]),
-            amplitude_high: None,
-            range_low: None,
-            range_high: Some(vec![(9.0, -1e-11), (255.0, 0.1 + 0.2)]),
-            recorded: Some((60, 2012)),
-            full_scale_dn: Some(255),
-            coordinate_grid: Some(([0.001, 0.01, 0.1], [4e6, 0.0, -1.5])),
-            emission_reference: Some(EmissionReference::ReturnLocations),
-        }
-    }
-
-    #[test]
-    fn a_header_becomes_strings_and_comes_back() {
-        let metadata = header().to_metadata();
-        let text: Vec<(&str, &str)> = metadata.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
-        let expected = [
-            ("wavex.container", "1"),
-            ("wavex.coordinate_grid", r#"{"scale":[0.001,0.01,0.1],"offset":[4000000.0,0.0,-1.5]}"#),
-            ("wavex.crs", "GEOCCS[\"x\"]"),
-            ("wavex.emission_reference", "return_locations"),
-            ("wavex.frame", "map"),
-            ("wavex.full_scale_dn", "255"),
-            ("wavex.gps_week", "1747"),
-            ("wavex.group_velocity_mps", "299707502.1"),
-            ("wavex.instrument", "LMS-Q680i"),
-            ("wavex.pulse_rate_hz", "400000"),
-            ("wavex.recorded", "2012-02-29"),
-            ("wavex.sampling_interval_ns", "1"),
-            ("wavex.serial", "9997"),
-            (
-                "wavex.tables",
-                r#"{"amplitude_low":[[9.0,0.0],[255.0,19.7]],"range_high":[[9.0,-1e-11],[255.0,0.30000000000000004]]}"#,
-            ),
-            ("wavex.time_scale", "week"),
-        ];
-        assert_eq!(text, expected);
-        assert_eq!(ContainerHeader::from_metadata(&metadata, place()).unwrap(), header());
-    }
-
-    #[test]
-    fn what_is_not_known_is_left_out() {
-        let short = ContainerHeader::new(1.0, 299_707_502.1);
-        let metadata = short.to_metadata();
-        let required: Vec<&str> = KEYS.iter().filter(|key| key.required).map(|key| key.name).collect();
-        assert!(required.iter().all(|key| metadata.contains_key(key)));
-        assert_eq!(metadata.len(), required.len());
-        assert_eq!(ContainerHeader::from_metadata(&metadata, place()).unwrap(), short);
-        for key in required.iter().skip(1) {
-            let mut less = metadata.clone();
-            less.remove(key);
-            let error = ContainerHeader::from_metadata(&less, place()).unwrap_err().to_string();
-            assert!(
-                error.starts_with(&format!("a.arrow: byte 8: metadata `{key}`: is missing; ")),
-                "{error}"
-            );
-        }
-    }
-
-    #[test]
-    fn undefined_entries_of_tables_are_left_out_and_other_keys_passed_over() {
-        let metadata = header()
-            .to_metadata()
-            .with("wavex.tables", r#"{"amplitude_high":[[1,null],[9,0],[10,0.5]],"other":3}"#)
-            .with("pandas", "{}");
-        let header = ContainerHeader::from_metadata(&metadata, place()).unwrap();
-        assert_eq!(header.amplitude_high, Some(vec![(9.0, 0.0), (10.0, 0.5)]));
-        assert_eq!(header.amplitude_low, None);
-    }
-
-    #[test]
-    fn a_wrong_value_is_named_with_its_form() {
-        let cases = [
-            ("wavex.sampling_interval_ns", "0", "number > 0"),
-            ("wavex.sampling_interval_ns", "inf", "number > 0"),
-            ("wavex.group_velocity_mps", "3e8", "number > 0, at most 299792458"),
-            ("wavex.pulse_rate_hz", "NaN", "number > 0"),
-            ("wavex.time_scale", "utc", "`week`, `day`, `adjusted` or `unknown`"),
-            ("wavex.frame", "ned", "`scanner`, `body` or `map`"),
-            ("wavex.gps_week", "-1", "whole number"),
-            ("wavex.tables", "[[1,2]]", "JSON object of arrays of pairs"),
-            ("wavex.tables", r#"{"range_low":[[1]]}"#, "JSON object of arrays of pairs"),
-            ("wavex.recorded", "2013-02-29", "`YYYY-MM-DD`"),
-            ("wavex.recorded", "2013-13-01", "`YYYY-MM-DD`"),
-            ("wavex.recorded", "13-01-01", "`YYYY-MM-DD`"),
-            ("wavex.recorded", "2013-+1-01", "`YYYY-MM-DD`"),
-            ("wavex.full_scale_dn", "65536", "whole number up to 65535"),
-            (
-                "wavex.emission_reference",
-                "none",
-                "`outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or `clock`",
-            ),
-        ];
-        for (key, value, form) in cases {
-            let metadata = header().to_metadata().with(key, value);
-            let error = ContainerHeader::from_metadata(&metadata, place()).unwrap_err().to_string();
-            let expected =
-                format!("a.arrow: byte 8: metadata `{key}`: `{value}` is no value for it; write a {form}");
-            assert_eq!(error, expected);
-        }
-    }
-
-    #[test]
-    fn another_version_and_another_file_are_told_apart() {
-        let newer = header().to_metadata().with("wavex.container", "2");
-        let error = ContainerHeader::from_metadata(&newer, place()).unwrap_err().to_string();
-        assert_eq!(
-            error,
-            "a.arrow: a waveform container of version `2`, where 1 is known; use a newer wavex"
-        );
-        let error = ContainerHeader::from_metadata(&Metadata::default(), place()).unwrap_err().to_string();
-        assert!(
-            error.contains("no waveform container: its metadata has no key `wavex.container`"),
-            "{error}"
-        );
-    }
-
-    #[test]
-    fn every_day_of_a_leap_year_and_of_another_has_a_date() {
-        for (year, days) in [(2012, 366), (2013, 365), (2000, 366), (1900, 365), (1, 365), (9999, 365)] {
-            for day in 1..=days {
-                let text = iso_date((day, year)).unwrap();
-                assert_eq!(day_of_year(&text), Some((day, year)), "{text}");
-            }
-            assert_eq!(iso_date((days + 1, year)), None);
-        }
-        assert_eq!(iso_date((0, 2012)), None);
-        assert_eq!(iso_date((1, 10_000)), None);
-        assert_eq!(iso_date((366, 2012)).as_deref(), Some("2012-12-31"));
-    }
-}
+mod tests;

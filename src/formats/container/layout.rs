@@ -134,6 +134,7 @@ pub static KEYS: &[Key] = &[
     key("wavex.full_scale_dn", false, "whole number up to 65535", "extension: the largest value that the digitiser can give"),
     key("wavex.coordinate_grid", false, "JSON object {`scale`: [x, y, z], `offset`: [x, y, z]}", "extension: the grid on which the recording's own file stored coordinates; point outputs take the same"),
     key("wavex.emission_reference", false, "`outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or `clock`", "extension: how the moment of emission is known; without it `outgoing_pulse` where the first scan line has blocks of channel 3, else `clock`"),
+    key("wavex.origin", false, "`sensor` or `waveform`", "extension: what `origin` is: the sensor's position, or a point on the beam near the waveform where that is not known; without it `sensor`, unless `wavex.emission_reference` is `return_locations`"),
 ];
 
 impl Kind {

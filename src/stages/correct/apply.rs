@@ -78,6 +78,7 @@ impl Corrections {
     /// By range, air and incidence.
     fn correct_intensities(&self, batch: &mut Batch, returns: &mut [Return], cx: &mut Context) {
         let frame = batch.input.frame;
+        let range_and_air = self.range_and_air(&batch.input, cx);
         for of_shot in returns.chunk_by_mut(|a, b| a.emission == b.emission) {
             let emission = of_shot.first().and_then(|r| batch.emissions.get(r.emission as usize));
             let cos_incidence = match self.incidence {
@@ -91,15 +92,28 @@ impl Corrections {
                 },
             };
             for r in of_shot {
-                let (factor, slope_per_m) = self.range_and_air.factor(r.range_m);
+                let (factor, slope_per_m) = range_and_air.factor(r.range_m);
                 let by_range = r.intensity * slope_per_m * r.range_sd_m;
                 r.intensity_sd = (r.intensity_sd * factor).hypot(by_range) / cos_incidence;
                 r.intensity *= factor / cos_incidence;
             }
         }
         let n = returns.len() as u64;
-        batch.stats.np_range += if self.range_and_air.reference_range_m.is_some() { n } else { 0 };
-        batch.stats.np_atm += if self.range_and_air.attenuation_db_per_km.is_some() { n } else { 0 };
+        batch.stats.np_range += if range_and_air.reference_range_m.is_some() { n } else { 0 };
+        batch.stats.np_atm += if range_and_air.attenuation_db_per_km.is_some() { n } else { 0 };
+    }
+
+    /// The corrections that need ranges from the sensor: none where its position is not known.
+    fn range_and_air(&self, input: &InputInfo, cx: &mut Context) -> RangeAndAir {
+        if input.origin_is_sensor || self.range_and_air == RangeAndAir::default() {
+            return self.range_and_air;
+        }
+        cx.note(
+            "intensities are not corrected for range and attenuation: the recording does not give the position of the sensor, \
+             and ranges count from a point near the waveform; read the instrument's own recording, or set \
+             `reference_range_m` and `attenuation_db_per_km` to false",
+        );
+        RangeAndAir::default()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::found::Found;
 use super::shots::Shot;
-use crate::batch::{Block, Emission, EmissionReference, flags};
+use crate::batch::{Block, Emission, flags};
 
 /// A return so many widths of a pulse from an emission is on what leaks in from it.
 const NEAR_WIDTHS: f64 = 3.0;
@@ -21,8 +21,8 @@ pub(super) struct Departures<'a> {
 impl<'a> Departures<'a> {
     /// `delay_ns` is how long after its clock the shot left.
     pub(super) fn of(emissions: &'a [Emission], shot: &Shot, delay_ns: f64) -> Departures<'a> {
-        // Where only return locations are known (LAS), blocks count from their own first sample.
-        let known = shot.input.emission_reference != EmissionReference::ReturnLocations;
+        // Where the sensor's position is not known, blocks count from their own first sample.
+        let known = shot.input.origin_is_sensor;
         let index = shot.index as usize;
         let clock_ps = emissions.get(index).map_or(0, |emission| emission.clock_ps);
         Departures { emissions: if known { emissions } else { &[] }, index, clock_ps, delay_ns }

@@ -41,7 +41,11 @@ impl Places {
             let position_m: [f64; 3] =
                 std::array::from_fn(|axis| emission.origin_m[axis] + emission.direction[axis] * reach_m);
             points.push(Point { position_m, waveform: r.emission });
-            spacing_m.push((reach_m.abs() * turn(emissions, r.emission as usize)) as f32);
+            let apart_m = match batch.input.origin_is_sensor {
+                true => reach_m.abs() * turn(emissions, r.emission as usize),
+                false => to_next_beam_m(emissions, r.emission as usize, position_m),
+            };
+            spacing_m.push(apart_m as f32);
             height_m.push(-dot(position_m, down));
         }
         let along = along(emissions, down);
@@ -76,6 +80,16 @@ fn turn(emissions: &[Emission], shot: usize) -> f64 {
     between(shot, shot + 1).or_else(|| between(shot.checked_sub(1)?, shot)).unwrap_or(0.0)
 }
 
+/// How far a point of a shot's beam is from the beam of the next shot (of the one before, for the last), m.
+fn to_next_beam_m(emissions: &[Emission], shot: usize, position_m: [f64; 3]) -> f64 {
+    let next = emissions.get(shot + 1).or_else(|| emissions.get(shot.checked_sub(1)?));
+    next.map_or(0.0, |next| {
+        let from_origin: [f64; 3] = std::array::from_fn(|axis| position_m[axis] - next.origin_m[axis]);
+        let along = dot(from_origin, next.direction);
+        (dot(from_origin, from_origin) - along * along).max(0.0).sqrt()
+    })
+}
+
 /// The level direction from the first shot of a line to its last; any where there is none.
 fn along(emissions: &[Emission], down: [f64; 3]) -> [f64; 3] {
     let any = if down[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
@@ -89,4 +103,35 @@ fn along(emissions: &[Emission], down: [f64; 3]) -> [f64; 3] {
 
 pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::batch::{Blocks, Content, InputInfo, Return};
+
+    /// Beams 0.01 rad apart from 1000 m, told by their sensor or by points 5 m above the ground.
+    #[test]
+    fn shots_are_as_far_apart_wherever_ranges_count_from() {
+        let spacings = |origin_is_sensor: bool| {
+            let before_m = if origin_is_sensor { 0.0 } else { 995.0 };
+            let emission = |index: u32| {
+                let (sin, cos) = (0.01 * f64::from(index)).sin_cos();
+                let origin_m = [before_m * sin, 0.0, 1000.0 - before_m * cos];
+                Emission { origin_m, direction: [sin, 0.0, -cos], ..Emission::default() }
+            };
+            let found = |emission| Return { emission, range_m: 1000.0 - before_m, ..Return::default() };
+            let input = InputInfo { frame: Frame::Map, origin_is_sensor, ..InputInfo::default() };
+            let emissions = (0..3).map(emission).collect();
+            let mut batch = Batch::of_shots(Arc::new(input), 0, emissions, Blocks::default());
+            batch.content = Content::Returns((0..3).map(found).collect());
+            Places::of(&batch).spacing_m
+        };
+        for origin_is_sensor in [true, false] {
+            let spacings_m = spacings(origin_is_sensor);
+            assert!(spacings_m.iter().all(|apart_m| (apart_m - 10.0).abs() < 0.01), "{spacings_m:?}");
+        }
+    }
 }

@@ -424,6 +424,7 @@ fn input(config: &Simulate) -> InputInfo {
         crs_wkt: (frame == Frame::Map).then(|| world::CRS_WKT.to_owned()),
         coordinate_grid: None,
         emission_reference: EmissionReference::OutgoingPulse,
+        origin_is_sensor: true,
         amplitude_low: table(Sensitivity::Sensitive),
         amplitude_high: config.high_power.then(|| table(Sensitivity::Coarse)).flatten(),
         range_low: None,

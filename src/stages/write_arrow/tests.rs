@@ -76,6 +76,7 @@ prop_compose! {
         emission_reference in prop::sample::select(vec![
             EmissionReference::OutgoingPulse, EmissionReference::ReturnLocations, EmissionReference::Clock,
         ]),
+        origin_is_sensor in any::<bool>(),
         tables in (table(), table(), table(), table()),
     ) -> InputInfo {
         InputInfo {
@@ -96,6 +97,7 @@ prop_compose! {
             crs_wkt: None,
             coordinate_grid: None,
             emission_reference,
+            origin_is_sensor,
             amplitude_low: tables.0,
             amplitude_high: tables.1,
             range_low: tables.2,
@@ -236,6 +238,7 @@ fn plain_info() -> Arc<InputInfo> {
         crs_wkt: None,
         coordinate_grid: None,
         emission_reference: EmissionReference::Clock,
+        origin_is_sensor: true,
         amplitude_low: table,
         amplitude_high: None,
         range_low: None,

@@ -59,7 +59,7 @@ pub(super) static COLUMNS: &[Column] = &[
     column("number_of_returns", Values::U8(|row| row.found.number_of_returns), "how many returns the emission has, withheld ones included"),
     column("channel", Values::Text(|row| row.found.channel.name()), "the receiver that gave the intensity: `low`, `high` or `joint`"),
     column("mta_zone", Values::MaybeI16(|row| Some(row.found.mta_zone).filter(|&zone| zone != -1)), "emissions between the causing shot and the reception; null where unresolved"),
-    column("range_m", Values::F64(|row| row.found.range_m), "range along the beam from the emission's origin, m"),
+    column("range_m", Values::F64(|row| row.found.range_m), "range along the beam from the emission's origin, m: from the sensor, or for recordings that do not give its position (LAS) from the first sample"),
     column("range_sd_m", Values::F64(|row| row.found.range_sd_m), "standard deviation of range_m"),
     column("time_of_flight_ns", Values::F64(|row| row.found.time_of_flight_ns), "echo minus outgoing pulse, both at the peak of the response, ns"),
     column("time_of_flight_sd_ns", Values::F64(|row| row.found.time_of_flight_sd_ns), "standard deviation of time_of_flight_ns"),

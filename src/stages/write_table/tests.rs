@@ -39,6 +39,7 @@ fn info() -> Arc<InputInfo> {
         crs_wkt: None,
         coordinate_grid: None,
         emission_reference: EmissionReference::Clock,
+        origin_is_sensor: true,
         amplitude_low: None,
         amplitude_high: None,
         range_low: None,

@@ -1,0 +1,302 @@
+//! Scan angles and mirror directions of recordings that do not give them.
+//!
+//! The scan angle is that of LAS: off the vertical, across the flight, positive to the right, roll included. With a trajectory
+//! the heading tells what is right ([`super::poses::scan_angle_deg`]); else, in a map or on the earth, the course does, which
+//! the beams' own origins show. The mirror's direction is the sign of the angle's change.
+
+use std::collections::VecDeque;
+
+use super::poses::{cross, dot};
+use crate::batch::{Batch, Emission, Frame, InputInfo, emission_flags};
+use crate::geo::frames::Vector;
+use crate::geo::vertical::{down_at, main_axis};
+use crate::kernels::sensor_path::{Beam, Window};
+
+/// Steps of the angle before and after a shot: most of them tell its direction, so that a gap in a line turns none.
+const REACH: usize = 4;
+
+/// Whether a line's shots have no scan angles of their own.
+pub(super) fn are_unknown(emissions: &[Emission]) -> bool {
+    emissions.iter().any(|emission| emission.scan_angle_deg.is_nan())
+}
+
+/// Sets the direction of the mirror of a line's shots from their scan angles. A shot whose angle does not change, or is not
+/// known, keeps its flag.
+pub(super) fn set_directions(emissions: &mut [Emission]) {
+    let sign = |pair: &[Emission]| match pair {
+        [from, to] if to.scan_angle_deg > from.scan_angle_deg => 1,
+        [from, to] if to.scan_angle_deg < from.scan_angle_deg => -1,
+        _ => 0,
+    };
+    let steps: Vec<i32> = emissions.windows(2).map(sign).collect();
+    for (at, emission) in emissions.iter_mut().enumerate() {
+        let near = at.saturating_sub(REACH)..(at + REACH).min(steps.len());
+        match steps[near].iter().sum::<i32>().signum() {
+            1 => emission.flags |= emission_flags::SCAN_DIRECTION_POSITIVE,
+            -1 => emission.flags &= !emission_flags::SCAN_DIRECTION_POSITIVE,
+            _ => {}
+        }
+    }
+}
+
+/// Scan angles and directions of a line in the aircraft's or the scanner's own axes, where it has none. The aircraft's are
+/// forward, right and down. In the scanner's, down is the axis nearest to the beams' mean, and right the positive end of the
+/// one along which they sweep.
+pub fn complete_in_own_axes(frame: Frame, emissions: &mut [Emission]) {
+    if !are_unknown(emissions) {
+        return;
+    }
+    let (right, down) = match frame {
+        Frame::Scanner => axes_of_scanner(emissions),
+        _ => ([0.0, 1.0, 0.0], [0.0, 0.0, 1.0]),
+    };
+    set_angles(emissions, |_| (right, down));
+}
+
+fn axes_of_scanner(emissions: &[Emission]) -> (Vector, Vector) {
+    let down = main_axis(emissions.iter().map(|emission| emission.direction));
+    let sweep = |axis: usize| {
+        let parts = emissions.iter().map(|emission| emission.direction[axis]);
+        let [least, most] = parts.fold([f64::MAX, f64::MIN], |[a, b], part| [a.min(part), b.max(part)]);
+        most - least
+    };
+    let across = (0..3).filter(|axis| down[*axis] == 0.0).max_by(|a, b| sweep(*a).total_cmp(&sweep(*b)));
+    let right = std::array::from_fn(|axis| if Some(axis) == across { 1.0 } else { 0.0 });
+    (right, down)
+}
+
+/// Sets the angles of the shots that have none, and the directions of all.
+fn set_angles(emissions: &mut [Emission], axes: impl Fn(&Emission) -> (Vector, Vector)) {
+    for emission in emissions.iter_mut().filter(|emission| emission.scan_angle_deg.is_nan()) {
+        let (right, down) = axes(emission);
+        let [across, deep] = [right, down].map(|axis| dot(emission.direction, axis));
+        emission.scan_angle_deg = libm::atan2(across, deep).to_degrees() as f32;
+    }
+    set_directions(emissions);
+}
+
+/// Lines that wait for the course are given on without scan angles beyond so many bytes, or lines.
+const MOST_HELD_BYTES: usize = 16 << 20;
+const MOST_HELD_LINES: usize = 256;
+
+/// Completes the lines of a source that are in a map or on the earth. The first lines wait until the course is known.
+#[derive(Debug, Default)]
+pub(super) struct ScanAngles {
+    course: Course,
+    held: VecDeque<Batch>,
+    held_bytes: usize,
+    /// Lines that leave.
+    ready: VecDeque<Batch>,
+    /// Whether lines left without scan angles.
+    gave_up: bool,
+}
+
+impl ScanAngles {
+    /// Takes a line.
+    pub(super) fn push(&mut self, batch: Batch) {
+        let is_placed = matches!(batch.input.frame, Frame::Map | Frame::Earth);
+        if !is_placed || !are_unknown(&batch.emissions) {
+            self.release();
+            self.ready.push_back(batch);
+            return;
+        }
+        self.course.add(&batch);
+        self.held_bytes += batch.bytes();
+        self.held.push_back(batch);
+        let is_full = self.held_bytes > MOST_HELD_BYTES || self.held.len() > MOST_HELD_LINES;
+        if self.course.forward.is_some() || is_full {
+            self.release();
+        }
+    }
+
+    /// The next line that leaves.
+    pub(super) fn pop(&mut self) -> Option<Batch> {
+        self.ready.pop_front()
+    }
+
+    /// Says that no line follows.
+    pub(super) fn finish(&mut self) {
+        self.course.settle();
+        self.release();
+    }
+
+    /// Whether any line left without scan angles.
+    pub(super) fn gave_up(&self) -> bool {
+        self.gave_up
+    }
+
+    fn release(&mut self) {
+        self.held_bytes = 0;
+        for mut batch in self.held.drain(..) {
+            let frame = batch.input.frame;
+            let Some(forward) = self.course.forward else {
+                self.gave_up = true;
+                self.ready.push_back(batch);
+                continue;
+            };
+            let down = batch.emissions.first().and_then(|first| down_at(frame, first.origin_m));
+            let down = down.unwrap_or_default();
+            let right = unit(cross(down, forward));
+            set_angles(&mut batch.emissions, |_| (right, down));
+            self.ready.push_back(batch);
+        }
+    }
+}
+
+/// The direction of flight.
+#[derive(Debug, Default)]
+struct Course {
+    /// As last seen; not a unit vector.
+    forward: Option<Vector>,
+    /// The shot from which the next course is taken: time, s, and origin.
+    from: Option<(f64, Vector)>,
+    /// The beams of a recording that does not give the position of the sensor.
+    window: Window,
+}
+
+/// The sensor must have moved by so much, and by so many steps of the grid of its positions.
+const LEAST_WAY_M: f64 = 0.3;
+const LEAST_WAY_STEPS: f64 = 30.0;
+/// What moves slower or faster, or takes longer for its way, is another flight.
+const SPEED_MPS: std::ops::Range<f64> = 0.5..400.0;
+const LONGEST_WAY_S: f64 = 10.0;
+const LONGEST_WAY_M: f64 = 100.0;
+/// Beams of a sensor whose position is not known must span so long, s.
+const LEAST_WINDOW_S: f64 = 0.1;
+/// A horizontal grid so many times finer than the vertical one is one of degrees.
+const DEGREES_FINER: f64 = 1000.0;
+
+impl Course {
+    fn add(&mut self, batch: &Batch) {
+        let time_s = |emission: &Emission| 1e-12 * emission.clock_ps as f64;
+        let Some(grid_m) = grid_m(&batch.input) else { return };
+        if !batch.input.origin_is_sensor {
+            for emission in &batch.emissions {
+                let (through_m, direction) = (emission.origin_m, emission.direction);
+                self.window.add(&Beam { time_s: time_s(emission), through_m, direction });
+            }
+            if self.window.length_s() >= LEAST_WINDOW_S {
+                self.settle();
+            }
+            return;
+        }
+        let way_m = LEAST_WAY_M.max(LEAST_WAY_STEPS * grid_m);
+        let (Some(first), Some(last)) = (batch.emissions.first(), batch.emissions.last()) else { return };
+        for emission in [first, last] {
+            let (time_s, origin_m) = (time_s(emission), emission.origin_m);
+            let (from_s, from_m) = *self.from.get_or_insert((time_s, origin_m));
+            let way: Vector = std::array::from_fn(|axis| origin_m[axis] - from_m[axis]);
+            let length_m = dot(way, way).sqrt();
+            if length_m < way_m {
+                continue;
+            }
+            let since_s = time_s - from_s;
+            // Some files have no times: their order stands in.
+            let is_flight = match since_s == 0.0 {
+                true => length_m < LONGEST_WAY_M,
+                false => since_s.abs() < LONGEST_WAY_S && SPEED_MPS.contains(&(length_m / since_s.abs())),
+            };
+            self.forward = is_flight.then(|| way.map(|part| if since_s < 0.0 { -part } else { part }));
+            self.from = Some((time_s, origin_m));
+        }
+    }
+
+    /// Takes the course from the beams gathered.
+    fn settle(&mut self) {
+        let velocity_mps = self.window.place().map(|place| place.velocity_mps);
+        let is_flight = |velocity: &Vector| SPEED_MPS.contains(&dot(*velocity, *velocity).sqrt());
+        if let Some(velocity_mps) = velocity_mps.filter(is_flight) {
+            self.forward = Some(velocity_mps);
+            self.window = Window::default();
+        } else if self.window.length_s() > 20.0 * LEAST_WINDOW_S {
+            self.window = Window::default();
+        }
+    }
+}
+
+/// The step of the grid that positions are rounded to, m: 0 where there is none; `None` where they are degrees.
+fn grid_m(input: &InputInfo) -> Option<f64> {
+    let Some((scale, _)) = input.coordinate_grid else { return Some(0.0) };
+    (scale[0] * DEGREES_FINER > scale[2]).then_some(scale.iter().fold(0.0, |most: f64, step| most.max(*step)))
+}
+
+fn unit(vector: Vector) -> Vector {
+    let length = dot(vector, vector).sqrt();
+    vector.map(|part| part / length)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn beam(direction: Vector) -> Emission {
+        Emission { direction, ..Emission::default() }
+    }
+
+    fn found(emissions: &[Emission]) -> Vec<(f32, bool)> {
+        let is_positive = |e: &Emission| e.flags & emission_flags::SCAN_DIRECTION_POSITIVE != 0;
+        emissions.iter().map(|e| (e.scan_angle_deg.round(), is_positive(e))).collect()
+    }
+
+    #[test]
+    fn own_axes_are_those_of_the_sweep() {
+        let angles = [-30.0f64, -10.0, 15.0, 20.0].map(f64::to_radians);
+        let expected = [-30.0, -10.0, 15.0, 20.0].map(|deg: f32| (deg, true));
+        let complete = |frame, of_angle: fn(f64, f64) -> Vector| {
+            let mut emissions = angles.map(|angle| beam(of_angle(angle.sin(), angle.cos())));
+            complete_in_own_axes(frame, &mut emissions);
+            found(&emissions)
+        };
+        assert_eq!(complete(Frame::Body, |sin, cos| [0.0, sin, cos]), expected);
+        assert_eq!(complete(Frame::Scanner, |sin, cos| [0.0, sin, cos]), expected);
+        assert_eq!(complete(Frame::Scanner, |sin, cos| [cos, 0.0, sin]), expected);
+        assert_eq!(complete(Frame::Scanner, |sin, cos| [sin, 0.0, -cos]), expected);
+        let mut own = [Emission { scan_angle_deg: 7.0, ..beam([0.0, 0.0, 1.0]) }; 2];
+        complete_in_own_axes(Frame::Body, &mut own);
+        assert_eq!(found(&own), [(7.0, false); 2], "a recording's own angles and flags stay");
+    }
+
+    #[test]
+    fn a_gap_in_a_line_turns_no_shot() {
+        let angles = [9.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
+        let mut emissions = angles.map(|deg| Emission { scan_angle_deg: deg, ..Emission::default() });
+        set_directions(&mut emissions);
+        assert_eq!(found(&emissions), angles.map(|deg| (deg, true)));
+        emissions.reverse();
+        set_directions(&mut emissions);
+        assert!(found(&emissions).iter().all(|(_, is_positive)| !is_positive));
+    }
+
+    /// A sensor whose position is not known: beams through points on the ground, from one that flies north.
+    #[test]
+    fn beams_of_an_unknown_sensor_tell_its_course() {
+        let input = InputInfo { frame: Frame::Map, origin_is_sensor: false, ..InputInfo::default() };
+        let input = std::sync::Arc::new(input);
+        let mut angles = ScanAngles::default();
+        let mut held = 0;
+        for line in 0..20u32 {
+            let shot = |index: u32| {
+                let clock_ps = 10_000_000 * i64::from(1000 * line + index);
+                let angle = (-20.0 + 0.04 * f64::from(index)).to_radians();
+                let north_m = 60e-12 * clock_ps as f64;
+                let direction = [angle.sin(), 0.0, -angle.cos()];
+                Emission {
+                    clock_ps,
+                    origin_m: [1000.0 * angle.tan(), north_m, 0.0],
+                    direction,
+                    ..Emission::default()
+                }
+            };
+            let emissions: Vec<Emission> = (0..1000).map(shot).collect();
+            angles.push(Batch::of_shots(input.clone(), line, emissions, crate::batch::Blocks::default()));
+            held = held.max(angles.held.len());
+            while let Some(batch) = angles.pop() {
+                let expected: Vec<(f32, bool)> =
+                    (0..1000).map(|index| ((-20.0 + 0.04 * index as f32).round(), true)).collect();
+                let wrong = found(&batch.emissions).iter().zip(&expected).filter(|(a, b)| a != b).count();
+                assert!(wrong <= 2, "line {line}: {wrong} differ (in rounding)");
+            }
+        }
+        assert!((9..=11).contains(&held) && !angles.gave_up(), "{held} lines of 10 ms waited");
+    }
+}

@@ -1,0 +1,254 @@
+//! Recordings that do not give the position of the sensor: what counts from it is left out, with a warning.
+#![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
+
+#[path = "common/recordings.rs"]
+#[allow(dead_code, reason = "each test binary uses its own part")]
+mod recordings;
+mod support;
+
+use std::path::Path;
+use std::process::Command;
+
+use recordings::{Table, data};
+use serde_json::Value;
+use support::las::Las;
+use support::pulsewaves::PulseWaves;
+use support::{Outcome, Place};
+use wavex::formats::container::{
+    Compression, ContainerHeader, ContainerReader, ContainerWriter, LineBuilder, Origin,
+};
+
+/// What is said instead of a wrong intensity.
+const NOT_CORRECTED: &str = "intensities are not corrected for range and attenuation: the recording does not give the \
+                             position of the sensor, and ranges count from a point near the waveform; read the \
+                             instrument's own recording, or set `reference_range_m` and `attenuation_db_per_km` to false";
+
+/// The stages from samples to points; `keys` are those of `correct`, which is left out without any.
+fn chain(keys: Option<&str>) -> String {
+    let correct = keys.map_or(String::new(), |keys| format!("[[stage]]\ntype = 'correct'\n{keys}\n"));
+    format!(
+        "[[stage]]\ntype = 'calibrate'\nwaveforms = 300\nresponse = 'gaussian'\n[[stage]]\ntype = 'decompose'\nmode = 'fastest'\n{correct}\
+         [[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n\
+         [[stage]]\ntype = 'write_lstat'\npath = '*_lstat.txt'\n"
+    )
+}
+
+/// Everything on, but for the widths, which take part in nothing here.
+const ALL: &str = "attenuation_db_per_km = 0.2\nwidth_correction_low = false\nwidth_correction_high = false";
+
+/// What a run leaves of `a.*`: the report of the input, intensities, and `AGL` of its first line.
+fn run(place: &Place, reader: &str, file: &str, keys: Option<&str>) -> (Value, Vec<f64>, String) {
+    let report = place.succeeds(reader, file, &chain(keys));
+    let intensities = Table::read(&place.path("out/a.csv")).column("intensity");
+    assert!(intensities.len() > 300);
+    let lines = place.text("out/a_lstat.txt");
+    let agl = lines.lines().nth(1).unwrap().rsplit(' ').next().unwrap().to_owned();
+    (report, intensities, agl)
+}
+
+fn notes(report: &Value) -> Vec<&str> {
+    let stages = report["stages"].as_array().unwrap();
+    stages
+        .iter()
+        .flat_map(|stage| stage["notes"].as_array().unwrap())
+        .map(|note| note.as_str().unwrap())
+        .collect()
+}
+
+/// Neither corrected nor counted, and said once.
+#[track_caller]
+fn is_left_alone(place: &Place, reader: &str, file: &str) {
+    let (_, before, _) = run(place, reader, file, None);
+    let (report, after, agl) = run(place, reader, file, Some(ALL));
+    assert_eq!(after, before, "{file}: beams are vertical: there is nothing else to correct");
+    assert_eq!([&report["totals"]["np_range"], &report["totals"]["np_atm"]], [0, 0]);
+    assert_eq!(notes(&report).iter().filter(|note| **note == NOT_CORRECTED).count(), 1);
+    assert_eq!(report["ranges_count_from"], "first_sample");
+    assert_eq!(agl, "nan");
+    let off = format!("reference_range_m = false\n{}", ALL.replace("0.2", "false"));
+    let (report, _, _) = run(place, reader, file, Some(&off));
+    assert!(!notes(&report).contains(&NOT_CORRECTED), "what is not wanted is not missed");
+}
+
+#[test]
+fn intensities_of_las_are_not_corrected_for_range() {
+    let recording = Las::new(400);
+    let place = Place::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
+    is_left_alone(&place, "read_las", "a.las");
+    // A container made of it says so, too.
+    let to_container = "[[stage]]\ntype = 'write_arrow'\npath = 'b.arrow'\n";
+    place.succeeds("read_las", "a.las", to_container);
+    std::fs::copy(place.path("out/b.arrow"), place.path("a.arrow")).unwrap();
+    is_left_alone(&place, "read_arrow", "a.arrow");
+}
+
+/// Where a descriptor has the distance from the optical centre to the anchor, and what says that it is not constant.
+const CENTRE_TO_ANCHOR: usize = 8;
+const NOT_CONSTANT: [u8; 4] = 0x8FFF_FFFFu32.to_le_bytes();
+
+#[test]
+fn anchors_of_pulsewaves_are_the_sensor_where_the_descriptor_says_so() {
+    let recording = PulseWaves::new(400);
+    let place = Place::with(&[("a.pls", &recording.pls()), ("a.wvs", &recording.waves)]);
+    let (_, before, _) = run(&place, "read_pulsewaves", "a.pls", None);
+    let (report, after, agl) = run(&place, "read_pulsewaves", "a.pls", Some("width_correction_low = false"));
+    // The ground lies about 600 m below the anchors.
+    let factors: Vec<f64> = after.iter().zip(&before).map(|(after, before)| after / before).collect();
+    assert!(factors.iter().all(|factor| (factor / 0.36 - 1.0).abs() < 0.02), "{:?}", &factors[..5]);
+    assert_eq!(
+        (&report["ranges_count_from"], agl.parse::<f64>().unwrap().round()),
+        (&"sensor".into(), 600.0)
+    );
+    assert!(!notes(&report).contains(&NOT_CORRECTED));
+
+    let mut bytes = recording.pls();
+    let at = 352 + 96 + CENTRE_TO_ANCHOR;
+    assert_eq!(bytes[at..at + 4], [0; 4]);
+    bytes[at..at + 4].copy_from_slice(&NOT_CONSTANT);
+    place.write("a.pls", &bytes);
+    is_left_alone(&place, "read_pulsewaves", "a.pls");
+}
+
+/// The file of options that the document of version 1.0 prints, against the same line without its last row.
+#[test]
+fn the_option_file_of_version_1_0_leaves_intensities_as_they_are() {
+    let recording = Las::new(400);
+    let intensities = |options: &str| {
+        let files: [(&str, &[u8]); 3] = [
+            ("waveform.las", &recording.las()),
+            ("waveform.wdp", &recording.packets),
+            ("wavex.opt", options.as_bytes()),
+        ];
+        let place = Place::with(&files);
+        let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
+        let line = ["import", "--run", "--", "wavex", "-i", "waveform.las", "-o", "out.las"];
+        let ended = program.args(line).current_dir(place.path("")).env_remove("RUST_LOG").output().unwrap();
+        let err = String::from_utf8(ended.stderr).unwrap();
+        assert_eq!(ended.status.code(), Some(0), "{err}");
+        let mut reader = las::Reader::from_path(place.path("out.las")).unwrap();
+        let points = reader.read_all().unwrap();
+        let found: Vec<u16> = points.points().map(|point| point.unwrap().intensity).collect();
+        (found, err)
+    };
+    let (without, _) = intensities("mem=4096\ndet=5\n");
+    let (with, err) = intensities("mem=4096\ndet=5\nR=1000\n");
+    assert!(with.len() > 300 && with.iter().all(|intensity| *intensity > 20), "{:?}", &with[..5]);
+    assert_eq!(with, without);
+    assert_eq!(err.matches(NOT_CORRECTED).count(), 1, "{err}");
+}
+
+#[test]
+fn explain_says_where_ranges_count_from() {
+    let recording = Las::new(400);
+    let place = Place::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
+    let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    program.args(["explain", "a.las", "--shot", "7", "--set", "calibrate.waveforms=300"]);
+    let ended = program.current_dir(place.path("")).env_remove("RUST_LOG").output().unwrap();
+    let out = String::from_utf8_lossy(&ended.stdout);
+    let said =
+        "\nranges count from the first sample: the recording does not give the position of the sensor\n";
+    assert!(out.contains(said), "{out}{}", String::from_utf8_lossy(&ended.stderr));
+}
+
+/// The same container, whose header says another thing of its origins.
+fn with_origin(path: &Path, origin: Option<Origin>) -> Vec<u8> {
+    let mut reader = ContainerReader::open(path).unwrap();
+    let mut lines = Vec::new();
+    while let Some(line) = reader.next_line().unwrap() {
+        lines.push(line);
+    }
+    let header = ContainerHeader { origin, ..reader.header().clone() };
+    let mut writer = ContainerWriter::file(Vec::new(), path, &header, Compression::None).unwrap();
+    for line in lines {
+        let mut builder = LineBuilder::new();
+        for row in 0..line.rows() {
+            builder.shot(&line.shot(row));
+            line.blocks(row).for_each(|block| builder.block(&block));
+        }
+        writer.write(builder).unwrap();
+    }
+    writer.finish().unwrap()
+}
+
+/// A trajectory does not make the position known where the origins are not the sensor's; nor can a part of the range be
+/// added to what counts from elsewhere.
+#[test]
+fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() {
+    let place = Place::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 100\npof = 'a.pof'\n\
+               [[stage]]\ntype = 'write_arrow'\n";
+    assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+    let recording = place.path("recording.arrow");
+    std::fs::copy(place.path("out/a.arrow"), &recording).unwrap();
+    std::fs::copy(place.path("out/a.pof"), place.path("a.pof")).unwrap();
+    let said = "ranges are not corrected by `e1`: the recording does not give the position of the sensor, and ranges \
+                count from a point near the waveform; leave `e1` out of the calibration";
+    let mut ranges = Vec::new();
+    for (origin, e1, is_said) in
+        [(None, 0.01, false), (Some(Origin::Waveform), 0.01, true), (Some(Origin::Waveform), 0.0, false)]
+    {
+        place.write("a.arrow", &with_origin(&recording, origin));
+        let geometry = format!(
+            "[job.geometry]\ntrajectory = 'a.pof'\n[job.geometry.calibration]\ne1 = {e1}\n{}",
+            chain(Some("width_correction_low = false"))
+        );
+        let text = format!("[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{}", geometry);
+        // The table of the geometry stands before the stages.
+        let (before, after) = text.split_at(text.find("[job.geometry]").unwrap());
+        let (table, stages) = after.split_at(after.find("[[stage]]").unwrap());
+        assert_eq!(
+            place.run(&format!("{table}{before}{stages}")),
+            Outcome { code: Some(0), err: String::new() }
+        );
+        let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+        let report = &report["inputs"][0];
+        assert_eq!(
+            (notes(report).contains(&said), notes(report).contains(&NOT_CORRECTED)),
+            (is_said, origin.is_some())
+        );
+        ranges.push(Table::read(&place.path("out/a.csv")).column("range_m"));
+    }
+    assert_eq!(ranges[1], ranges[2]);
+    assert!((ranges[0][0] / ranges[1][0] - 1.01).abs() < 1e-9);
+}
+
+/// What the real recordings say: the makers' own formats give the sensor's position, what was converted from LAS, and LVIS,
+/// do not.
+#[test]
+fn real_recordings_say_where_ranges_count_from() {
+    let Some(data) = data() else { return };
+    for (reader, file, from) in [
+        ("read_las", "riegl_q680i_dev/riegl_q680i_dev.las", "first_sample"),
+        ("read_pulsewaves", "riegl_q680i_dev/riegl_q680i_dev.pls", "sensor"),
+        ("read_pulsewaves", "pulsewaves/riegl_example3.pls", "sensor"),
+        ("read_pulsewaves", "pulsewaves/geolas_example1.pls", "sensor"),
+        ("read_pulsewaves", "pulsewaves/optech_example1.pls", "sensor"),
+        ("read_pulsewaves", "pulsewaves/las13fwf_example1.pls", "first_sample"),
+        ("read_pulsewaves", "pulsewaves/lvis_example1.pls", "first_sample"),
+    ] {
+        let out = tempfile::tempdir().unwrap();
+        let job = format!("[[stage]]\ntype = '{reader}'\npath = '{file}'\n[[stage]]\ntype = 'write_lstat'\n");
+        let report = recordings::run("job.toml", &job, &data, out.path(), &[]);
+        assert_eq!(report.ranges_count_from.as_deref(), Some(from), "{file}");
+    }
+}
+
+/// Of RIEGL's recording in both formats, corrected intensities of LAS are those without the correction for range.
+#[test]
+fn real_las_keeps_its_intensities() {
+    let Some(data) = data() else { return };
+    let found = |keys: &str| {
+        let out = tempfile::tempdir().unwrap();
+        let job = format!(
+            "[[stage]]\ntype = 'read_las'\npath = 'riegl_q680i_dev/riegl_q680i_dev.las'\n{}",
+            chain(Some(&format!("width_correction_low = false\n{keys}")))
+        );
+        let report = recordings::run("job.toml", &job, &data, out.path(), &[]);
+        (Table::read(&out.path().join("riegl_q680i_dev.csv")).column("intensity"), report.totals["np_range"])
+    };
+    let (before, _) = found("reference_range_m = false");
+    let (after, np_range) = found("");
+    assert_eq!((&after, np_range), (&before, 0));
+    println!("median intensity {:.1}", recordings::median(&after));
+    assert!(recordings::median(&after) > 5.0);
+}
