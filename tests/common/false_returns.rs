@@ -21,7 +21,7 @@ pub struct Scene {
 /// Keys that all scenes of the country have.
 const COUNTRY: &str = "landscape = 'country'\nfalse_alarm_rate = 0.01\nwater_ratio = 0.0\n";
 
-pub const SCENES: [Scene; 8] = [
+pub const SCENES: [Scene; 9] = [
     Scene {
         name: "strips",
         keys: "false_alarm_rate = 0.01\nlines = 60\nshots_per_line = 800\n",
@@ -56,6 +56,12 @@ pub const SCENES: [Scene; 8] = [
     Scene {
         name: "swinging mirror",
         keys: "lines = 60\nshots_per_line = 800\nscanner = 'oscillating'\nroll_deg = 4\npitch_deg = 2\nyaw_deg = 3\n",
+        margin_m: 4.0,
+    },
+    Scene {
+        name: "circular",
+        keys: "lines = 60\nshots_per_line = 800\nscanner = 'circular'\nscan_angle_deg = [-20, 20]\nrotation_hz = 93.75\n\
+               roll_deg = 4\npitch_deg = 2\nyaw_deg = 3\nwire_height_m = 30\n",
         margin_m: 4.0,
     },
     Scene {
