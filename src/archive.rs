@@ -29,7 +29,9 @@ mod replay;
 mod resolved;
 mod verify;
 
+pub(crate) use inputs::missing_inputs;
 pub use origin::{Machine, Package, Program};
+pub(crate) use paths::plain;
 pub use recorder::{Recorder, check_destination};
 pub use replay::{Replay, Replayed, replay};
 pub use verify::{Folders, Verified, verify};

@@ -5,6 +5,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
 
 use crate::job::{Include, Job, JobErrors, Override, included, job_schema};
@@ -12,6 +13,7 @@ use crate::registry::STAGES;
 
 mod archive;
 mod args;
+mod calibrate;
 mod check;
 mod convert;
 mod copc;
@@ -20,6 +22,7 @@ mod false_alarms;
 pub mod import;
 mod init;
 mod log;
+mod recording;
 mod report;
 mod run;
 mod scan;
@@ -27,10 +30,12 @@ mod stages;
 mod svg;
 mod terminal;
 mod trajectory;
+mod usage;
+mod version;
 
 use args::{
-    ArchiveArgs, Classic, Cli, Command, ExplainArgs, FalseAlarmArgs, ImportArgs, JobArgs, Machine, ScanArgs,
-    TrajectoryArgs, When,
+    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, FalseAlarmArgs, ImportArgs, JobArgs,
+    Machine, ScanArgs, TrajectoryArgs, When,
 };
 use terminal::print;
 
@@ -73,15 +78,32 @@ impl From<JobErrors> for Failure {
 
 /// The program: reads the arguments of the process, does what they say, and tells what went wrong.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(answer) if answer.kind() == ErrorKind::DisplayVersion && asks_for_more() => {
+            return ExitCode::from(print(&version::details()).map_or_else(|error| error.exit_code(), |()| 0));
+        }
+        Err(answer) => answer.exit(),
+    };
     log::begin(cli.loudness.verbose, cli.loudness.quiet);
-    match dispatch(cli) {
-        Ok(()) => ExitCode::SUCCESS,
+    let exit_code = match dispatch(cli) {
+        Ok(()) => 0,
         Err(failure) => {
             terminal::print_error(&failure.message(terminal::colour()));
-            ExitCode::from(failure.exit_code())
+            failure.exit_code()
         }
-    }
+    };
+    // For the log of a run, whose last line says how it ended.
+    tracing::debug!("exit status {exit_code}");
+    ExitCode::from(exit_code)
+}
+
+/// Whether `--verbose` or `-v` is among the arguments: clap answers `--version` before it reads the others.
+fn asks_for_more() -> bool {
+    let is_verbose = |word: String| {
+        word == "--verbose" || (word.starts_with('-') && !word.starts_with("--") && word.contains('v'))
+    };
+    std::env::args_os().skip(1).filter_map(|word| word.into_string().ok()).any(is_verbose)
 }
 
 fn dispatch(cli: Cli) -> Result<(), Failure> {
@@ -95,8 +117,9 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Check { job } => check::check(&job),
         Command::Stages { name } => stages::stages(STAGES, name.as_deref()),
         Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
-        Command::Init { file } => init::init(STAGES, file.as_deref()),
+        Command::Init { file, from } => init::init(file.as_deref(), from.as_deref(), quiet),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
+        Command::Calibrate(args) => calibrate::calibrate(&args, quiet),
         Command::Copc { input, out } => copc::copc(&input, out, quiet),
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),

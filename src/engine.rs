@@ -13,7 +13,7 @@ use std::time::Instant;
 use crate::geometry::Loader;
 use crate::job::Job;
 use crate::kernels::lockstep;
-use crate::stage::{OutputLock, Plan, Site, StageError};
+use crate::stage::{Context, OutputLock, Plan, Site, StageError};
 
 mod chain;
 mod failure;
@@ -31,7 +31,7 @@ pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
 pub use progress::{Progress, ProgressMode};
 pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals, TrajectoryReport};
-pub use stat_log::stat_log;
+pub use stat_log::{geometry_words, sensor_model_words, stat_log};
 
 /// Where a job runs, and how.
 #[derive(Clone, Debug)]
@@ -122,11 +122,12 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
     let _lock = OutputLock::take(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
     let mut report = RunReport::new(job, options);
     let mut progress = Progress::new(options.progress, sites.len());
+    let cx = Context::default();
     for mut site in sites {
         let of_input =
             |error| RunError { stage: None, input: Some(site.input.clone()), cause: Cause::Stage(error) };
         site.geometry = Arc::new(geometry.load(&site.stem).map_err(of_input)?);
-        let result = chain::run(job, &Arc::new(site), options, &mut progress)?;
+        let result = chain::run(job, &Arc::new(site), options, &mut progress, &cx)?;
         report.add(result);
     }
     report.wall_s = started.elapsed().as_secs_f64();

@@ -16,6 +16,9 @@ pub mod pulsewaves;
 pub mod sdf;
 pub mod terrain;
 pub mod trajectory;
+mod unsupported;
+
+pub use unsupported::unsupported;
 
 /// What can be wrong with a file.
 #[derive(Debug, thiserror::Error)]

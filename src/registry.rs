@@ -1,5 +1,8 @@
 //! The list of all stages. A stage exists for jobs, the manual and the tests as soon as it stands here.
 
+use std::path::Path;
+
+use crate::formats::unsupported;
 use crate::stage::StageSpec;
 use crate::stages::{
     calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, read_arrow, read_las,
@@ -34,6 +37,27 @@ pub fn find(name: &str) -> Option<&'static StageSpec> {
     find_in(STAGES, name)
 }
 
+/// The stage that reads files with this name's extension.
+///
+/// # Errors
+/// A format that cannot be read, with the way round where it is known.
+pub fn reader_of(input: &str) -> Result<&'static str, String> {
+    if let Some(error) = unsupported(Path::new(input)) {
+        return Err(error.to_string());
+    }
+    let extension = Path::new(input).extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    match extension.as_str() {
+        "las" | "laz" => Ok("read_las"),
+        "pls" => Ok("read_pulsewaves"),
+        "sdf" | "wfm" => Ok("read_sdf"),
+        "arrow" => Ok("read_arrow"),
+        _ => {
+            let known = "an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
+            Err(format!("{input}: the name does not say what kind of recording this is; {known}"))
+        }
+    }
+}
+
 /// The name in the list that one may have meant by `name`.
 pub fn nearest(name: &str) -> Option<&'static str> {
     nearest_of(name, STAGES.iter().map(|spec| spec.name))
@@ -55,6 +79,20 @@ pub fn nearest_of<'n>(name: &str, names: impl IntoIterator<Item = &'n str>) -> O
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_extension_chooses_the_reader() {
+        let readers =
+            ["a/B.LAS", "b.laz", "in/*.pls", "d.arrow", "130621_101500.sdf", "w.WFM"].map(reader_of);
+        let expected = ["read_las", "read_las", "read_pulsewaves", "read_arrow", "read_sdf", "read_sdf"];
+        assert_eq!(readers, expected.map(Ok));
+        let problem = "a.dat: the name does not say what kind of recording this is; \
+                       an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
+        assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
+        for name in ["a.rxp", "a.h5", "a.plz"] {
+            assert!(reader_of(name).unwrap_err().contains(" is not supported; "), "{name}");
+        }
+    }
 
     #[test]
     fn a_slip_of_the_pen_finds_the_name_that_was_meant() {

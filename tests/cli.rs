@@ -45,10 +45,11 @@ Commands:
   run           Run a job
   replay        Run an archived job again, and say whether it gives the same outputs to the bit
   verify        Say whether an archive, its inputs and its outputs are as they were, by their digests alone
-  check         Say what is wrong with a job, or what it will do, without reading any data
+  check         Validate a job without reading data: its keys, its chain, its folders, and which inputs are missing
   stages        List the stages, or explain one with all its keys
   schema        Print the JSON Schema of a job, for editors that check and complete TOML
   init          Write a commented job to start from
+  calibrate     Calibrate from a recording, and save the sensor model for others
   convert       Copy recorded waveforms into the open container (Arrow)
   copc          Copy points into a cloud-optimised file (COPC), which viewers read in parts
   false-alarms  Print how many returns of noise alone each threshold lets through
@@ -96,6 +97,35 @@ fn the_help_of_run_explains_its_options() {
 fn the_version_is_that_of_the_crate() {
     let version = wavex(&["--version"]);
     assert_eq!(version.out, format!("wavex {}\n", env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn the_version_tells_licence_and_features_where_more_is_asked_for() {
+    for words in [&["--version", "--verbose"][..], &["-v", "-V"], &["-vV"]] {
+        let details = wavex(words);
+        assert_eq!((details.code, details.err.as_str()), (Some(0), ""), "{words:?}");
+        assert!(
+            details.out.starts_with(&format!("wavex {}\n", env!("CARGO_PKG_VERSION"))),
+            "{}",
+            details.out
+        );
+        for part in ["\nlicence: MIT OR Apache-2.0\n", "\nfeatures: ", "\ncommit: ", "\ncompiler: rustc "] {
+            assert!(details.out.contains(part), "{part}: {}", details.out);
+        }
+    }
+}
+
+#[test]
+fn the_help_of_every_command_ends_with_examples() {
+    let help = wavex(&["--help"]).out;
+    let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
+    let commands: Vec<&str> = commands.map_while(|line| line.split_whitespace().next()).collect();
+    assert_eq!(commands.len(), 18, "{commands:?}");
+    for command in commands.into_iter().filter(|command| *command != "help") {
+        let help = wavex(&[command, "--help"]).out;
+        let examples = help.split_once("\nExample").map(|(_, examples)| examples).unwrap_or_default();
+        assert!(examples.contains(&format!("\n  wavex {command}")), "{command}: {help}");
+    }
 }
 
 #[test]
@@ -197,11 +227,19 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
     assert_eq!(printed.out, wavex::job::example_job(wavex::registry::STAGES));
 
     let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("job.toml");
-    let file = file.to_str().unwrap();
+    let [file, schema] = ["job.toml", "job.schema.json"].map(|name| folder.path().join(name));
+    let (file, schema) = (file.to_str().unwrap(), schema.to_str().unwrap());
     let written = wavex(&["init", file]);
-    assert_eq!(written, Outcome { code: Some(0), out: String::new(), err: String::new() });
+    let remark = "it reads RECORDING.las: change `type` and `path` of its first stage, or let `wavex init --from RECORDING` do so\n";
+    let expected = format!("wrote {file}\nwrote {schema}\n{remark}");
+    assert_eq!(written, Outcome { code: Some(0), out: expected, err: String::new() });
     assert_eq!(fs::read_to_string(file).unwrap(), printed.out);
+    assert_eq!(fs::read_to_string(schema).unwrap(), wavex(&["schema"]).out);
+    assert!(printed.out.starts_with("#:schema job.schema.json\n"), "{}", printed.out);
+    let checked = wavex(&["check", file]);
+    assert_eq!((checked.code, checked.err.as_str()), (Some(0), ""));
+    let warning = format!("  warning: {}: no such file\n", folder.path().join("RECORDING.las").display());
+    assert!(checked.out.contains(&warning), "{}", checked.out);
 
     fs::write(file, "mine").unwrap();
     let expected = format!("error: {file}: the file exists already; choose another name, or remove it\n");
@@ -211,9 +249,43 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
 
 #[test]
 fn an_input_of_an_unknown_kind_is_not_converted() {
-    let expected = "error: flight.rxp: the name does not say what kind of recording this is; \
+    let expected = "error: flight.dat: the name does not say what kind of recording this is; \
                     an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow\n";
-    refused(wavex(&["convert", "flight.rxp", "flight.arrow"]), expected);
+    refused(wavex(&["convert", "flight.dat", "flight.arrow"]), expected);
+}
+
+#[test]
+fn a_container_has_the_name_of_what_it_is() {
+    let expected = "error: flight.parquet: the container is Arrow: give a name that ends in .arrow; tables of returns, as \
+                    Parquet, CSV or Arrow, are made by the stage write_table of a job\n";
+    refused(wavex(&["convert", "flight.pls", "flight.parquet"]), expected);
+}
+
+#[test]
+fn a_format_that_cannot_be_read_is_named_with_the_way_round_wherever_it_is_tried() {
+    for (file, problem) in [
+        ("flight.rxp", "RIEGL RXP is not supported; export the waveforms with RIEGL's software "),
+        ("flight.h5", "HDF5 (F5) is not supported; copy its waveforms into the open waveform container "),
+        ("flight.plz", "compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
+    ] {
+        for words in [
+            &["convert", file, "a.arrow"][..],
+            &["scan", file],
+            &["explain", file, "--shot", "1"],
+            &["init", "--from", file],
+            &["calibrate", file],
+        ] {
+            let outcome = wavex(words);
+            assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""), "{words:?}");
+            let begins = format!("error: {file}: {problem}");
+            assert!(outcome.err.starts_with(&begins), "{words:?}: {}", outcome.err);
+        }
+        let job = format!("[job]\nlog = ''\n[[stage]]\ntype = 'read_las'\npath = '{file}'\n");
+        let run = wavex_with_input(&["run", "-"], &job);
+        assert!(run.code == Some(1) && run.err.contains(&format!("{file}: {problem}")), "{}", run.err);
+        let checked = wavex_with_input(&["check", "-"], &job);
+        assert!(checked.code == Some(0) && checked.out.contains(problem), "{}", checked.out);
+    }
 }
 
 #[test]

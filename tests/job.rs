@@ -238,7 +238,7 @@ fn the_example_in_full() {
 [[stage]]
 type = "read_las"
 # The files to read, one run each.
-path = "flight.las"
+path = "RECORDING.las"
 # Not set: time_s
 
 # Learns the sensor from the first waveforms.

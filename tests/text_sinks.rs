@@ -249,7 +249,7 @@ fn the_statistics_in_words_have_every_part() {
     let folder = tempfile::tempdir().unwrap();
     let report = run(folder.path(), "[[stage]]\ntype = 'write_lstat'\n");
     let input = &report.inputs[0];
-    let text = engine::stat_log(&report, input);
+    let text = engine::stat_log(&report, input, &["out/report.json".into()]);
     let titles = ["Run time", "Input", "Decoding", "Extraction", "Trajectory", "Georeferencing", "Output"];
     let place =
         |title: &&str| text.find(&format!("\n{title}\n---")).unwrap_or_else(|| panic!("{title}: {text}"));
@@ -263,7 +263,28 @@ fn the_statistics_in_words_have_every_part() {
     assert_eq!(value("points with coordinates"), input.totals["n_georef"].to_string());
     assert_eq!((value("scan lines"), value("shots")), ("6".into(), "900".into()));
     assert!(value("calibration, low power").starts_with("noise "));
-    assert!(text.contains("a_lstat.txt"), "{text}");
+    assert!(text.contains("a_lstat.txt") && text.contains("out/report.json"), "{text}");
+    for name in ["start", "end"] {
+        assert!(value(name).ends_with('Z') && value(name).len() == 20, "{name}: {}", value(name));
+    }
+    assert_eq!(value("exit status"), "0, done");
+    assert_eq!((value("mount"), value("calibration")), ("level".into(), "none".into()));
+    assert!(value("geoid").starts_with("none: "), "{text}");
+    assert_eq!(value("unit"), "that of the coordinate reference system");
+}
+
+#[test]
+fn what_the_geometry_says_stands_in_the_statistics() {
+    let keys = "trajectory = 'a.out'\nmount = [0.0, 0.5, 90.0]\ncalibration = 'cal.txt'\ngeoid = 'egm96'\n\
+                geoid_dir = 'geoids'\nunit = 'us_ft'\n";
+    let geometry = toml::from_str(keys).unwrap();
+    let expected = [
+        ("mount", "[0.0,0.5,90.0]"),
+        ("calibration", "cal.txt"),
+        ("geoid", "egm96 in geoids"),
+        ("unit", "us_ft"),
+    ];
+    assert_eq!(engine::geometry_words(&geometry), expected.map(|(name, words)| (name, words.to_owned())));
 }
 
 #[test]

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::paths::plain;
-use crate::engine::Input;
+use crate::engine::{self, Input};
 use crate::formats::companions;
+use crate::geo::crs::Named;
 use crate::job::{Job, JobSettings};
 use crate::stage::{FileMark, Key, Keys};
 
@@ -48,6 +49,31 @@ pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &
     }
     files.extend(geoid(settings, input_dir));
     files
+}
+
+/// Inputs of a job that do not exist, in words; `input_dir` is absolute.
+pub(crate) fn missing_inputs(job: &Job, input_dir: &Path) -> Vec<String> {
+    let inputs = match engine::inputs(job, input_dir) {
+        Ok(inputs) => inputs,
+        Err(error) => return vec![error.to_string()],
+    };
+    let settings = serde_json::to_value(&job.settings).unwrap_or_default();
+    let is_standard_input = |path: &PathBuf| path.file_name().is_some_and(|name| name == "-");
+    let files = of_job(job, &settings, &inputs, input_dir);
+    let files = files.into_iter().filter(|path| !is_standard_input(path) && !path.exists());
+    let mut missing: Vec<String> = files.map(|path| format!("{}: no such file", path.display())).collect();
+    let geometry = &job.settings.geometry;
+    let names_crs = |word: &str| !matches!(Named::parse(word), Ok(None)) || input_dir.join(word).is_file();
+    if let Some(word) = geometry.crs.as_deref().filter(|word| !names_crs(word)) {
+        missing.push(format!("{}: no such file", plain(&input_dir.join(word)).display()));
+    }
+    if let Some(name) = &geometry.geoid
+        && geoid(&settings, input_dir).is_none()
+    {
+        let folder = geometry.geoid_dir.as_deref().unwrap_or_default();
+        missing.push(format!("{}: no geoid {name} (.bin, .gtx)", plain(&input_dir.join(folder)).display()));
+    }
+    missing
 }
 
 /// Where `[job]` has texts that name files, seen from the folder of inputs, as JSON pointers.

@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::path::{Component, Path, PathBuf};
 
 /// A path without steps that lead nowhere or back: `a/./b/../c` is `a/c`.
-pub(super) fn plain(path: &Path) -> PathBuf {
+pub(crate) fn plain(path: &Path) -> PathBuf {
     let mut steps = PathBuf::new();
     for step in path.components() {
         match step {

@@ -7,7 +7,7 @@ use std::time::{Duration, SystemTime};
 
 use super::contents;
 use super::digest::{self, Stamp};
-use super::origin::{Machine, Program, utc};
+use super::origin::{Machine, Program};
 use super::paths::relative;
 use super::resolved::Resolved;
 use super::{
@@ -15,6 +15,7 @@ use super::{
 };
 use crate::engine::{Options, RunReport};
 use crate::formats::Error;
+use crate::geo::time::utc;
 use crate::job::{Include, Job, JobStage};
 use crate::stage::{ConfigError, OutputFile, Result, StageError, partial_path};
 use crate::stages::write_lstat;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 
+use super::usage;
 use crate::formats::trajectory::Angles;
 use crate::geo::time_axis::Clock;
 
@@ -36,6 +37,7 @@ pub(super) enum Command {
     ///
     /// Relative paths in the job start at its folder, or at its `input_dir` and `output_dir`. Outputs get their names
     /// only when the whole run has succeeded.
+    #[command(after_help = usage::RUN)]
     Run {
         #[command(flatten)]
         job: JobArgs,
@@ -52,6 +54,7 @@ pub(super) enum Command {
     ///
     /// Runs into a temporary folder (TMPDIR says where), after the archive and its inputs were found to be as they were. Exit
     /// status 1 where something differs: which file, and the first difference in its own terms.
+    #[command(after_help = usage::REPLAY)]
     Replay {
         #[command(flatten)]
         archived: ArchiveArgs,
@@ -63,6 +66,7 @@ pub(super) enum Command {
         progress: When,
     },
     /// Say whether an archive, its inputs and its outputs are as they were, by their digests alone
+    #[command(after_help = usage::VERIFY)]
     Verify {
         #[command(flatten)]
         archived: ArchiveArgs,
@@ -73,12 +77,14 @@ pub(super) enum Command {
         #[arg(long, value_name = "HEX", value_parser = seal)]
         seal: Option<String>,
     },
-    /// Say what is wrong with a job, or what it will do, without reading any data
+    /// Validate a job without reading data: its keys, its chain, its folders, and which inputs are missing
+    #[command(after_help = usage::CHECK)]
     Check {
         #[command(flatten)]
         job: JobArgs,
     },
     /// List the stages, or explain one with all its keys
+    #[command(after_help = usage::STAGES)]
     Stages {
         /// The stage to explain
         name: Option<String>,
@@ -86,13 +92,28 @@ pub(super) enum Command {
     /// Print the JSON Schema of a job, for editors that check and complete TOML
     ///
     /// Save it as job.schema.json and begin a job with the line `#:schema job.schema.json`.
+    #[command(after_help = usage::SCHEMA)]
     Schema,
     /// Write a commented job to start from
+    ///
+    /// With --from, the job for this recording: its format, its instrument and its frame choose the stages. The schema for editors
+    /// is written beside the job, as job.schema.json.
+    #[command(after_help = usage::INIT)]
     Init {
         /// The file to write, which must not exist yet; standard output when not given
         file: Option<PathBuf>,
+        /// The recording that the job is for
+        #[arg(long, value_name = "RECORDING")]
+        from: Option<PathBuf>,
     },
+    /// Calibrate from a recording, and save the sensor model for others
+    ///
+    /// Reads the whole recording, prints noise, background and pulse width of each receiver, and writes the model as JSON. Jobs use
+    /// it by `load` of `calibrate`. docs/presets.md says how to make and share one.
+    #[command(after_help = usage::CALIBRATE)]
+    Calibrate(CalibrateArgs),
     /// Copy recorded waveforms into the open container (Arrow)
+    #[command(after_help = usage::CONVERT)]
     Convert {
         /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow; a pattern in quotation marks means several
         input: String,
@@ -105,6 +126,7 @@ pub(super) enum Command {
     ///
     /// Takes LAS and LAZ of point formats 6 to 10, as `write_las` makes them. All points stay as they are to the bit, with
     /// extra attributes and coordinate system; waveforms stay behind.
+    #[command(after_help = usage::COPC)]
     Copc {
         /// The points: .las or .laz
         input: PathBuf,
@@ -115,20 +137,24 @@ pub(super) enum Command {
     /// Print how many returns of noise alone each threshold lets through
     ///
     /// The table to choose `detection_sigma` by: false returns per waveform, by threshold and correlation of the noise.
+    #[command(after_help = usage::FALSE_ALARMS)]
     FalseAlarms(FalseAlarmArgs),
     /// Show one shot: its samples, the fit, what the fit leaves, and its returns
     ///
     /// Calibrates from the recording as a run would, decomposes one shot, prints its returns with their standard
     /// deviations, and draws a picture (SVG, which any browser shows).
+    #[command(after_help = usage::EXPLAIN)]
     Explain(ExplainArgs),
     /// Tell what a recording holds: times, rates, lines, channels, noise, integrity
     ///
     /// Prints a summary and writes it beside histograms as text and a page with pictures: NAME_scan.txt, NAME_scan.html,
     /// NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
+    #[command(after_help = usage::SCAN)]
     Scan(ScanArgs),
     /// Show what a run did as a page: where the time went, counts, sensor model, warnings
     ///
     /// The page is one file (HTML) without scripts, which needs no network.
+    #[command(after_help = usage::REPORT)]
     Report {
         /// The report.json of a run, or the folder it is in
         place: PathBuf,
@@ -139,13 +165,16 @@ pub(super) enum Command {
     /// Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
     ///
     /// Prints a summary; writes, where asked to, a table of the columns t lon lat h x y z w p k, and a picture (SVG).
+    #[command(after_help = usage::TRAJECTORY)]
     Trajectory(TrajectoryArgs),
     /// Translate a command line of BayesWavEx 1.0 or 1.1 into a job
     ///
     /// Prints the job; every key says which option it comes from, and what has no key stands there as a comment.
     /// docs/import.md lists all options.
+    #[command(after_help = usage::IMPORT)]
     Import(ImportArgs),
     /// Print the completions of a shell
+    #[command(after_help = usage::COMPLETIONS)]
     Completions {
         /// The shell
         shell: clap_complete::Shell,
@@ -163,6 +192,21 @@ pub(super) struct ArchiveArgs {
     /// Where the outputs are now [default: where the archive says]
     #[arg(long, value_name = "FOLDER")]
     pub(super) outputs: Option<PathBuf>,
+}
+
+/// Which recording, and where its model goes.
+#[derive(Args)]
+pub(super) struct CalibrateArgs {
+    /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow
+    pub(super) file: PathBuf,
+    /// The sensor model to write (.json)
+    #[arg(long, value_name = "NAME.json")]
+    pub(super) save_preset: Option<PathBuf>,
+    /// Set a key of the reader or of calibrate, this time: as for `wavex run`; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    pub(super) set: Vec<String>,
+    #[command(flatten)]
+    pub(super) machine: Machine,
 }
 
 /// Which noise, and which thresholds.

@@ -6,6 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::{Failure, JobArgs, print, run};
+use crate::archive::missing_inputs;
 use crate::job::Job;
 use crate::stage::fixed_folder;
 
@@ -23,6 +24,10 @@ fn report(job: &Job, folder: &Path) -> Result<String, String> {
     for folder in output_folders(job, &output_dir) {
         let found = writable(&folder)?;
         said += &format!("  output: {} ({found})\n", folder.display());
+    }
+    let absolute = std::path::absolute(&input_dir).unwrap_or(input_dir);
+    for missing in missing_inputs(job, &absolute) {
+        said += &format!("  warning: {missing}\n");
     }
     for note in &job.notes {
         said += &format!("  note:   {note}\n");
@@ -82,6 +87,40 @@ a.toml fits
   output: HERE/out/lines (will be made)
 ";
         assert_eq!(said, expected);
+    }
+
+    #[test]
+    fn inputs_that_are_missing_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let of = |path: &str, more: &str| {
+            let text = format!(
+                "[job.geometry]\n{more}\n[[stage]]\ntype = 'read_arrow'\npath = '{path}'\n\
+                 [[stage]]\ntype = 'calibrate'\nload = 'model.json'\n[[stage]]\ntype = 'write_arrow'\npath = 'out/*.arrow'\n"
+            );
+            let job = Job::parse("a.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+            let said = report(&job, folder.path()).unwrap();
+            let said = said.replace(&folder.path().display().to_string(), "HERE");
+            let warnings = said.lines().filter_map(|line| line.strip_prefix("  warning: "));
+            warnings.map(str::to_owned).collect::<Vec<_>>()
+        };
+        let geometry = "trajectory = '*.pof'\ncrs = 'site.wkt'\ngeoid = 'egm96'\ngeoid_dir = 'geoids'";
+        assert_eq!(
+            of("flight.arrow", geometry),
+            [
+                "HERE/flight.arrow: no such file",
+                "HERE/flight.pof: no such file",
+                "HERE/model.json: no such file",
+                "HERE/site.wkt: no such file",
+                "HERE/geoids: no geoid egm96 (.bin, .gtx)",
+            ]
+        );
+        let pattern =
+            "no file matches `HERE/lines/*.arrow`; check `path` of the reader and `input_dir` of the job";
+        assert_eq!(of("lines/*.arrow", ""), [pattern]);
+        for name in ["flight.arrow", "model.json"] {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        assert_eq!(of("flight.arrow", ""), Vec::<String>::new());
     }
 
     #[test]

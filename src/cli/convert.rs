@@ -4,18 +4,26 @@ use std::path::Path;
 
 use super::{Failure, Machine, run};
 use crate::job::Job;
+use crate::registry::reader_of;
 
 /// Runs the job that copies `input` into `output`; relative paths start at the current folder.
 pub(super) fn convert(input: &str, output: &str, machine: Machine, quiet: bool) -> Result<(), Failure> {
     let text = job_text(input, output).map_err(Failure::Wrong)?;
     let overrides: Vec<_> = machine.overrides().into_iter().collect();
     let job = Job::parse("the job of `wavex convert`", &text, &overrides)?;
-    run::run_job(&job, Path::new("."), machine, quiet)
+    run::run_job(&job, Path::new("."), machine, quiet).map(drop)
 }
 
 /// The job that copies waveforms from `input` into the container `output`.
 fn job_text(input: &str, output: &str) -> Result<String, String> {
     let reader = reader_of(input)?;
+    let is_arrow = Path::new(output).extension().is_some_and(|found| found.eq_ignore_ascii_case("arrow"));
+    if output != "-" && !is_arrow {
+        return Err(format!(
+            "{output}: the container is Arrow: give a name that ends in .arrow; tables of returns, as Parquet, CSV or Arrow, are \
+             made by the stage write_table of a job"
+        ));
+    }
     let quoted = |text: &str| toml::Value::String(text.to_owned());
     Ok(format!(
         "[job]\nreport = \"\"\nstat_log = \"\"\nlog = \"\"\n\n[[stage]]\ntype = \"{reader}\"\npath = {}\n\n[[stage]]\ntype = \"write_arrow\"\npath = {}\n",
@@ -24,35 +32,9 @@ fn job_text(input: &str, output: &str) -> Result<String, String> {
     ))
 }
 
-/// The stage that reads files with this name's extension.
-pub(super) fn reader_of(input: &str) -> Result<&'static str, String> {
-    let extension = Path::new(input).extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    match extension.as_str() {
-        "las" | "laz" => Ok("read_las"),
-        "pls" => Ok("read_pulsewaves"),
-        "sdf" | "wfm" => Ok("read_sdf"),
-        "arrow" => Ok("read_arrow"),
-        _ => {
-            let known = "an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
-            Err(format!("{input}: the name does not say what kind of recording this is; {known}"))
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_extension_chooses_the_reader() {
-        let readers =
-            ["a/B.LAS", "b.laz", "in/*.pls", "d.arrow", "130621_101500.sdf", "w.WFM"].map(reader_of);
-        let expected = ["read_las", "read_las", "read_pulsewaves", "read_arrow", "read_sdf", "read_sdf"];
-        assert_eq!(readers, expected.map(Ok));
-        let problem = "a.rxp: the name does not say what kind of recording this is; \
-                       an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
-        assert_eq!(reader_of("a.rxp"), Err(problem.to_owned()));
-    }
 
     #[test]
     fn the_job_is_a_copy_and_its_names_are_quoted() {

@@ -6,13 +6,14 @@ use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 
-use super::{ExplainArgs, Failure, JobArgs, convert, run, terminal};
+use super::{ExplainArgs, Failure, JobArgs, run, terminal};
 use crate::batch::{Batch, Emission, Returns};
 use crate::formats::Error;
 use crate::geometry::Loader;
 use crate::geometry::posed::Posed;
 use crate::job::{Job, JobStage, Override};
 use crate::kernels::sensor_model::SensorModel;
+use crate::registry::reader_of;
 use crate::stage::{Context, OutputFile, Plan, Site, Source, SourcePlan, TransformConfig};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
@@ -68,7 +69,7 @@ struct Chain {
 impl Chain {
     fn of(args: &ExplainArgs) -> Result<Chain, Failure> {
         let file = args.file.display().to_string();
-        let reader = convert::reader_of(&file).map_err(Failure::Wrong)?;
+        let reader = reader_of(&file).map_err(Failure::Wrong)?;
         let default_job = default_job(reader, &file, if args.job.is_some() { &[] } else { &args.set })?;
         let (job, folder) = match &args.job {
             None => (default_job.clone(), PathBuf::from(".")),

@@ -4,8 +4,7 @@
 //! of a job, notes and commands (`translate`, `outputs`), and is written as TOML (`draft`), in which every key says what it
 //! comes from. Nothing of a line is dropped in silence.
 
-use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use clap::{CommandFactory, Parser};
 
@@ -30,7 +29,7 @@ use options::{Becomes, Flag, Part, Version};
 use problem::Problem;
 use translate::Imported;
 
-pub use page::page;
+pub use page::{becomes, page};
 pub use translate::Place;
 
 /// The job of a line, with everything that is to be said of it.
@@ -183,7 +182,7 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
         Some(_) if job.is_none() => {
             return Err(Failure::Wrong(format!("this line makes no job to write:\n{}", import.text)));
         }
-        Some(file) => write(file, &import.text)?,
+        Some(file) => super::init::write_new(file, &import.text)?,
         None if !args.run => terminal::print(&import.text)?,
         None => {}
     }
@@ -203,20 +202,6 @@ fn latitude(file: &str, columns: Option<&str>) -> Option<f64> {
         Records::Geodetic(samples) => samples.first().map(|sample| sample.place.latitude_rad.to_degrees()),
         Records::Projected(_) => None,
     }
-}
-
-fn write(file: &PathBuf, text: &str) -> Result<(), Failure> {
-    let new = std::fs::OpenOptions::new().write(true).create_new(true).open(file);
-    let written = new.and_then(|mut file| std::io::Write::write_all(&mut file, text.as_bytes()));
-    written.map_err(|error| {
-        let problem = match error.kind() {
-            ErrorKind::AlreadyExists => {
-                "the file exists already; choose another name, or remove it".to_owned()
-            }
-            _ => format!("cannot write the job: {error}"),
-        };
-        Failure::Wrong(format!("{}: {problem}", file.display()))
-    })
 }
 
 /// Runs the job and the commands, or says what keeps this build from it.

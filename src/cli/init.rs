@@ -1,19 +1,44 @@
-//! `wavex init`: a commented job to start from.
+//! `wavex init`: a commented job to start from, or one for a recording.
 
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use super::recording::{Recording, beside};
 use super::{Failure, print};
-use crate::job::example_job;
-use crate::stage::StageSpec;
+use crate::job::{example_job, job_schema};
+use crate::registry::STAGES;
 
-/// Writes the job into a file that does not exist yet, or prints it.
-pub(super) fn init(stages: &[&'static StageSpec], file: Option<&Path>) -> Result<(), Failure> {
-    let text = example_job(stages);
+/// What editors check jobs by, beside the job.
+const SCHEMA: &str = "job.schema.json";
+
+/// Writes the job into a file that does not exist yet, with its schema beside it, or prints it.
+pub(super) fn init(file: Option<&Path>, from: Option<&Path>, quiet: bool) -> Result<(), Failure> {
+    let (text, remark) = match from {
+        Some(recording) => (of_recording(recording, file)?, String::new()),
+        None => (
+            example_job(STAGES),
+            "it reads RECORDING.las: change `type` and `path` of its first stage, or let `wavex init --from RECORDING` do so\n"
+                .to_owned(),
+        ),
+    };
     let Some(file) = file else {
         return print(&text);
     };
+    write_new(file, &text)?;
+    let schema = file.with_file_name(SCHEMA);
+    let kept = match schema.exists() {
+        true => format!("{} exists already and stays as it is\n", schema.display()),
+        false => {
+            write_new(&schema, &format!("{:#}\n", job_schema(STAGES)))?;
+            format!("wrote {}\n", schema.display())
+        }
+    };
+    if quiet { Ok(()) } else { print(&format!("wrote {}\n{kept}{remark}", file.display())) }
+}
+
+/// Writes a file that does not exist yet.
+pub(super) fn write_new(file: &Path, text: &str) -> Result<(), Failure> {
     let written = OpenOptions::new().write(true).create_new(true).open(file);
     written.and_then(|mut file| file.write_all(text.as_bytes())).map_err(|error| {
         let problem = match error.kind() {
@@ -24,4 +49,48 @@ pub(super) fn init(stages: &[&'static StageSpec], file: Option<&Path>) -> Result
         };
         Failure::Wrong(format!("{}: {problem}", file.display()))
     })
+}
+
+/// The job for a recording: a job of the folder `jobs` with this recording in it.
+fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Failure> {
+    let recording = Recording::recognise(path)?;
+    let folder = job.and_then(Path::parent).filter(|folder| !folder.as_os_str().is_empty());
+    let quoted = |path: &Path| toml::Value::String(seen_from(folder, path).display().to_string()).to_string();
+    let name = job.and_then(Path::file_name).map_or("FILE".into(), |name| name.to_string_lossy());
+    let trajectory = beside(path, &["pof", "sbet", "out", "sol", "trj"]);
+    let mut text = String::new();
+    for paragraph in recording.kind.template().split_inclusive("\n\n") {
+        let is_reader = paragraph.contains("\ntype = \"read_");
+        if is_reader && !paragraph.contains(&format!("\ntype = \"{}\"", recording.reader)) {
+            let path = quoted(path);
+            text +=
+                &format!("# The recording.\n[[stage]]\ntype = \"{}\"\npath = {path}\n\n", recording.reader);
+            continue;
+        }
+        for line in paragraph.split_inclusive('\n') {
+            text += &match line.split(" = ").next().unwrap_or_default() {
+                "path" if is_reader => format!("path = {}\n", quoted(path)),
+                "output_dir" => "output_dir = \"out\"\n".to_owned(),
+                "trajectory" => match &trajectory {
+                    Some(trajectory) => format!("trajectory = {}\n", quoted(trajectory)),
+                    None => format!("# None was found beside the recording:\n# {line}"),
+                },
+                // Without a trajectory there are no such coordinates.
+                "crs" if trajectory.is_none() => format!("# {line}"),
+                _ if line.starts_with("#:schema ") => {
+                    format!("#:schema {SCHEMA}\n\n# For {}: {}.\n", path.display(), recording.facts)
+                }
+                _ => line.replace(&format!("jobs/{}", recording.kind.file()), &name),
+            };
+        }
+    }
+    Ok(text)
+}
+
+/// A path as a job in this folder names it: as it is, where the job is in the current folder, else absolute.
+fn seen_from(folder: Option<&Path>, path: &Path) -> PathBuf {
+    match folder {
+        None => path.to_owned(),
+        Some(_) => path.canonicalize().unwrap_or_else(|_| path.to_owned()),
+    }
 }

@@ -28,11 +28,11 @@ pub(super) fn run(
     if let Some(archive) = archive {
         check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
     }
-    run_archived(&job, &args.folder(), machine, archive, quiet)
+    run_archived(&job, &args.folder(), machine, archive, quiet).map(drop)
 }
 
 /// Runs a job whose relative paths start at `folder`.
-pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -> Result<(), Failure> {
+pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -> Result<RunReport, Failure> {
     run_archived(job, folder, machine, None, quiet)
 }
 
@@ -42,7 +42,7 @@ fn run_archived(
     machine: Machine,
     archive: Option<&Path>,
     quiet: bool,
-) -> Result<(), Failure> {
+) -> Result<RunReport, Failure> {
     for note in &job.notes {
         tracing::warn!("{note}");
     }
@@ -58,6 +58,9 @@ fn run_archived(
         log::to_file(&output_dir.join(&job.settings.log)).map_err(|error| failed(&error))?;
     }
     tracing::info!("wavex {}: {} ({})", env!("CARGO_PKG_VERSION"), job.name, job.chain());
+    for (name, words) in engine::geometry_words(&job.settings.geometry) {
+        tracing::info!("{name}: {words}");
+    }
     let options = Options {
         profile: machine.profile,
         progress: machine.progress(quiet, std::io::stderr().is_terminal()),
@@ -83,22 +86,36 @@ fn run_archived(
     if let Some(recorder) = &recorder {
         recorder.strip(&mut report);
     }
+    let mut own = Vec::new();
     if let Some(file) = report_file {
+        own.push(file.path().to_owned());
         write_report(&report, file).map_err(|error| failed(&error))?;
     }
     if let Some(file) = page_file {
+        own.push(file.path().to_owned());
         write_page(&report, file).map_err(|error| failed(&error))?;
     }
-    write_stat_logs(&report, job, &output_dir).map_err(|error| failed(&error))?;
     if machine.profile {
+        own.push(output_dir.join(TRACE));
         write_trace(&report, &output_dir.join(TRACE)).map_err(|error| failed(&error))?;
     }
-    let mut said = summary(&report, machine.profile);
+    if !job.settings.log.is_empty() {
+        own.push(output_dir.join(&job.settings.log));
+    }
+    let stat_logs = write_stat_logs(&report, job, &output_dir, &own).map_err(|error| failed(&error))?;
+    own.extend(stat_logs);
+    for (note, inputs) in report.repeated_notes() {
+        tracing::warn!("{inputs} of {} inputs: {note}", report.inputs.len());
+    }
+    let mut said = summary(&report, &own, machine.profile);
     if let (Some(recorder), Some(archive)) = (recorder, archive) {
         let seal = recorder.finish(&report, &log::kept()).map_err(|error| logged(&error))?;
         let _ = writeln!(said, "archived in {}; its seal is {seal}", archive.display());
     }
-    if quiet { Ok(()) } else { terminal::print(&said) }
+    if !quiet {
+        terminal::print(&said)?;
+    }
+    Ok(report)
 }
 
 /// What a run writes besides the outputs of its stages, which the engine claims.
@@ -155,15 +172,22 @@ fn write_report(report: &RunReport, mut file: OutputFile) -> Result<(), StageErr
     Ok(())
 }
 
-fn write_stat_logs(report: &RunReport, job: &Job, output_dir: &Path) -> Result<(), StageError> {
+/// Writes the statistics of each input, and gives their names; `own` are the other files of the run.
+fn write_stat_logs(
+    report: &RunReport,
+    job: &Job,
+    output_dir: &Path,
+    own: &[PathBuf],
+) -> Result<Vec<PathBuf>, StageError> {
     let pattern = job.settings.stat_log.as_str();
+    let mut names = Vec::new();
     for input in report.inputs.iter().filter(|_| !pattern.is_empty()) {
         let mut file = OutputFile::create(&output_dir.join(pattern.replace('*', &input.stem)))?;
-        let written = file.write_all(engine::stat_log(report, input).as_bytes());
+        let written = file.write_all(engine::stat_log(report, input, own).as_bytes());
         written.map_err(|error| Error::io(file.path(), "write the statistics")(error))?;
-        file.finish()?.publish()?;
+        names.push(file.finish()?.publish()?);
     }
-    Ok(())
+    Ok(names)
 }
 
 fn write_trace(report: &RunReport, path: &Path) -> Result<(), StageError> {
@@ -173,8 +197,9 @@ fn write_trace(report: &RunReport, path: &Path) -> Result<(), StageError> {
     Ok(())
 }
 
-/// What the user sees at the end: for each input where the time went, what was dropped, and what was written.
-fn summary(report: &RunReport, profile: bool) -> String {
+/// What the user sees at the end: for each input where the time went, what was dropped, and what was written; `own` are the
+/// files of the run as a whole.
+fn summary(report: &RunReport, own: &[PathBuf], profile: bool) -> String {
     let mut text = String::new();
     for input in &report.inputs {
         let totals = |name: &str| input.totals.get(name).copied().unwrap_or(0);
@@ -190,11 +215,18 @@ fn summary(report: &RunReport, profile: bool) -> String {
                 let _ = writeln!(text, "{}: rejected {n} {what}", stage.id);
             }
         }
-        for output in &input.outputs {
-            let _ = writeln!(text, "wrote {}", output.display());
-        }
+        wrote(&mut text, &input.outputs);
     }
+    wrote(&mut text, own);
     text
+}
+
+fn wrote(text: &mut String, paths: &[PathBuf]) {
+    for path in paths {
+        let path = terminal::shown(path);
+        tracing::info!("wrote {}", path.display());
+        let _ = writeln!(text, "wrote {}", path.display());
+    }
 }
 
 /// Where relative input and output paths of a job start that stands in `folder`.

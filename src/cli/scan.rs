@@ -1,12 +1,12 @@
 //! `wavex scan`: what a recording holds, as a summary, as histograms, and as a page with pictures.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::{Failure, ScanArgs, convert, terminal};
+use super::{Failure, ScanArgs, terminal};
 use crate::formats::Error;
 use crate::job::{Job, Override};
-use crate::kernels::lockstep;
+use crate::registry::reader_of;
 use crate::stage::{Context, OutputFile, Plan, Site, StageError, WholeFile};
 use crate::survey::Survey;
 use summary::Summary;
@@ -45,31 +45,29 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
 
 /// Reads the recording from beginning to end, or to where it cannot be read any further.
 fn look(args: &ScanArgs) -> Result<(Survey, Context, Result<(), StageError>), Failure> {
-    let file = args.file.display().to_string();
-    let reader = convert::reader_of(&file).map_err(Failure::Wrong)?;
-    let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(file));
-    let overrides: Vec<Override> = args.set.iter().map(Override::new).collect();
+    look_at(&args.file, &args.set, !args.fast, u64::MAX)
+}
+
+/// Reads a recording until it has given so many shots, or to where it cannot be read any further.
+pub(super) fn look_at(
+    file: &Path,
+    set: &[String],
+    with_samples: bool,
+    shots: u64,
+) -> Result<(Survey, Context, Result<(), StageError>), Failure> {
+    let name = file.display().to_string();
+    let reader = reader_of(&name).map_err(Failure::Wrong)?;
+    let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(name));
+    let overrides: Vec<Override> = set.iter().map(Override::new).collect();
     let job = Job::parse("the job of `wavex scan`", &text, &overrides)?;
     let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
         return Err(Failure::Run("the job has no source; report this as a defect of wavex".into()));
     };
-    let here = || PathBuf::from(".");
-    let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let simd = lockstep::Path::Portable;
-    let site = Site {
-        input: args.file.clone(),
-        stem,
-        input_dir: here(),
-        output_dir: here(),
-        threads: 1,
-        simd,
-        geometry: Default::default(),
-    };
-    let with_samples = !args.fast;
-    let mut source = source.make_survey(&site, with_samples).map_err(|error| failed(&error))?;
+    let mut source = source.make_survey(&Site::alone(file), with_samples).map_err(|error| failed(&error))?;
     let (mut survey, mut cx) = (Survey::new(with_samples), Context::default());
     let ended = loop {
         match source.next(&mut cx) {
+            Ok(Some(_)) if survey.shots.count >= shots => break Ok(()),
             Ok(Some(line)) => survey.add(&line),
             Ok(None) => break Ok(()),
             Err(error) => break Err(error),

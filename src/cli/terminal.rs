@@ -1,8 +1,10 @@
 //! What reaches the user: results on standard output, everything else on standard error.
 
 use std::io::{self, ErrorKind, IsTerminal, Write};
+use std::path::{Path, PathBuf};
 
 use super::Failure;
+use crate::archive::plain;
 
 /// Prints a result. A reader that has seen enough (`wavex stages | head`) is no failure.
 pub(super) fn print(text: &str) -> Result<(), Failure> {
@@ -12,6 +14,15 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
             Err(Failure::Run(format!("cannot write to standard output: {error}; look where it leads")))
         }
         _ => Ok(()),
+    }
+}
+
+/// A path as users read it: `jobs/../out` is `out`, where both are the same place (a symbolic link may lead elsewhere).
+pub(super) fn shown(path: &Path) -> PathBuf {
+    let plain = plain(path);
+    match (plain.canonicalize(), path.canonicalize()) {
+        (Ok(short), Ok(long)) if short == long => plain,
+        _ => path.to_owned(),
     }
 }
 

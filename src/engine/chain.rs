@@ -21,15 +21,16 @@ use crate::stage::{Context, Plan, Result, Site, StageError, WholeFile};
 /// What a stage's workers leave behind: one entry each.
 type Leavings = Mutex<Vec<(Meter, Context)>>;
 
-/// Runs the chain over one input.
+/// Runs the chain over one input; `cx` is that of the run.
 pub(super) fn run(
     job: &Job,
     site: &Arc<Site>,
     options: &Options,
     progress: &mut Progress,
+    cx: &Context,
 ) -> std::result::Result<InputReport, RunError> {
     let started = Instant::now();
-    let shared = shared(job, options);
+    let shared = shared(job, options, cx);
     let leavings: Vec<Leavings> = job.stages.iter().map(|_| Leavings::default()).collect();
     progress.begin(&site.stem);
     std::thread::scope(|scope| {
@@ -107,7 +108,7 @@ pub(crate) fn may_hold_bytes(job: &Job) -> usize {
     limit / (2 * transforms)
 }
 
-fn shared(job: &Job, options: &Options) -> Shared {
+fn shared(job: &Job, options: &Options, cx: &Context) -> Shared {
     let (limit, transforms) = memory(job);
     // What all transforms hold back, each with one line over its share, stays below three quarters of the limit: there
     // is always room for one more line, so a run cannot come to a standstill.
@@ -120,7 +121,7 @@ fn shared(job: &Job, options: &Options) -> Shared {
         gauge: Gauge::default(),
         overview: options.overview,
         totals: Mutex::new(Totals::new(options.overview)),
-        cx: if options.overview { Context::with_gallery() } else { Context::default() },
+        cx: cx.of_input(options.overview),
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::RunError;
-use crate::formats::companions;
+use crate::formats::{companions, unsupported};
 use crate::job::Job;
 use crate::stage::{Outputs, Paths, Site, StageError, fixed_folder};
 
@@ -26,6 +26,9 @@ pub(super) fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Res
     let mut stems: BTreeMap<String, PathBuf> = BTreeMap::new();
     for pattern in paths.patterns() {
         for path in matches(pattern, input_dir)? {
+            if let Some(error) = unsupported(&path) {
+                return Err(RunError::of_job(error.into()));
+            }
             if inputs.iter().any(|input: &Input| input.path == path) {
                 continue;
             }

@@ -1,10 +1,10 @@
 //! What a run did: the table at its end, and `report.json`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 
 use schemars::JsonSchema;
 use serde::{Serialize, Serializer};
@@ -12,6 +12,7 @@ use serde::{Serialize, Serializer};
 use super::Options;
 use super::meter::{Meter, Span};
 use crate::batch::{Batch, EmissionReference, Frame, InputInfo, TimeScale};
+use crate::geo::time::utc;
 use crate::geo::trajectory::Trajectory;
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::kernels::fusion::ChannelFusion;
@@ -77,6 +78,10 @@ pub struct InputReport {
     pub emission_reference: Option<String>,
     /// Where ranges count from: `sensor`, or `first_sample` where the recording does not give the sensor's position.
     pub ranges_count_from: Option<String>,
+    /// When this run began, UTC, as ISO 8601.
+    pub started: String,
+    /// When it ended.
+    pub ended: String,
     /// Duration of this run, s.
     pub wall_s: f64,
     /// The most memory that lines under way took at once, bytes.
@@ -335,6 +340,7 @@ impl InputReport {
         peak_in_flight_bytes: usize,
     ) -> InputReport {
         let input = totals.input.as_deref();
+        let (now, elapsed) = (SystemTime::now(), started.elapsed());
         InputReport {
             path: site.input.clone(),
             stem: site.stem.clone(),
@@ -348,7 +354,9 @@ impl InputReport {
             emission_reference: input.map(|input| emission_reference(input.emission_reference).into()),
             ranges_count_from: input
                 .map(|input| if input.origin_is_sensor { "sensor" } else { "first_sample" }.into()),
-            wall_s: started.elapsed().as_secs_f64(),
+            started: utc(now - elapsed),
+            ended: utc(now),
+            wall_s: elapsed.as_secs_f64(),
             peak_in_flight_bytes,
             totals: totals.counts,
             channel_fusion: totals.fusion.as_deref().cloned(),
@@ -451,6 +459,18 @@ impl RunReport {
 
     pub(super) fn add(&mut self, input: InputReport) {
         self.inputs.push(input);
+    }
+
+    /// What stages noted of several inputs, with the number of inputs; each note is logged for the first one only.
+    pub fn repeated_notes(&self) -> BTreeMap<&str, usize> {
+        let mut inputs_of: BTreeMap<&str, usize> = BTreeMap::new();
+        for input in &self.inputs {
+            let notes = input.stages.iter().flat_map(|stage| &stage.notes);
+            let notes: BTreeSet<&str> = notes.map(String::as_str).collect();
+            notes.into_iter().for_each(|note| *inputs_of.entry(note).or_default() += 1);
+        }
+        inputs_of.retain(|_, inputs| *inputs > 1);
+        inputs_of
     }
 }
 

@@ -1,9 +1,11 @@
 //! What a run did with one input, for people: the statistics that stand beside its outputs.
 
 use std::fmt::{Display, Write as _};
+use std::path::PathBuf;
 
 use super::report::{InputReport, RunReport, StageReport, TrajectoryReport};
-use crate::kernels::sensor_model::ChannelModel;
+use crate::geometry::keys::{CalibrationKey, GeometryKeys};
+use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::RoleName;
 
 /// Counters of lines in words, in their order.
@@ -55,16 +57,16 @@ impl Text {
 }
 
 /// The statistics of one input of a run (`*_stat.log`): run time, input, decoding, extraction, trajectory,
-/// georeferencing, output.
-pub fn stat_log(run: &RunReport, input: &InputReport) -> String {
+/// georeferencing, output. `own` are the files of the run as a whole.
+pub fn stat_log(run: &RunReport, input: &InputReport, own: &[PathBuf]) -> String {
     let mut text = Text(format!("wavex {}: statistics of {}\n", run.wavex, input.stem));
     run_time(&mut text, run, input);
     about_input(&mut text, input);
     decoding(&mut text, input);
     extraction(&mut text, input);
     trajectory(&mut text, input.trajectory.as_ref());
-    georeferencing(&mut text, input);
-    output(&mut text, input);
+    georeferencing(&mut text, run, input);
+    output(&mut text, input, own);
     text.0
 }
 
@@ -74,6 +76,9 @@ fn total(input: &InputReport, name: &str) -> u64 {
 
 fn run_time(text: &mut Text, run: &RunReport, input: &InputReport) {
     text.title("Run time");
+    text.row("start", &input.started);
+    text.row("end", &input.ended);
+    text.row("exit status", "0, done");
     text.row("duration", format_args!("{:.3} s", input.wall_s));
     let rate = total(input, "nw") as f64 / input.wall_s.max(1e-9);
     text.row("waveforms per second", format_args!("{rate:.0}"));
@@ -119,13 +124,8 @@ fn extraction(text: &mut Text, input: &InputReport) {
     for (name, words) in COUNTS.iter().filter(|(name, _)| *name != "n_georef") {
         text.known(words, input.totals.get(name));
     }
-    let model = input.sensor_model.as_ref();
-    for (name, channel) in [
-        ("low power", model.and_then(|model| model.low_power.as_ref())),
-        ("high power", model.and_then(|model| model.high_power.as_ref())),
-        ("outgoing pulse", model.and_then(|model| model.reference.as_ref())),
-    ] {
-        text.known(&format!("calibration, {name}"), channel.map(calibration));
+    for (name, words) in input.sensor_model.iter().flat_map(sensor_model_words) {
+        text.row(&format!("calibration, {name}"), words);
     }
     let between = |stage: &&StageReport| stage.role != RoleName::Source && stage.role != RoleName::Sink;
     for stage in input.stages.iter().filter(between).filter(|stage| stage.r#type != GEOREFERENCE) {
@@ -135,6 +135,16 @@ fn extraction(text: &mut Text, input: &InputReport) {
 
 /// The stage that has a part of its own.
 const GEOREFERENCE: &str = "georeference";
+
+/// What was found of each receiver, by name.
+pub fn sensor_model_words(model: &SensorModel) -> impl Iterator<Item = (&'static str, String)> {
+    let channels = [
+        ("low power", &model.low_power),
+        ("high power", &model.high_power),
+        ("outgoing pulse", &model.reference),
+    ];
+    channels.into_iter().filter_map(|(name, channel)| Some((name, calibration(channel.as_ref()?))))
+}
 
 fn calibration(channel: &ChannelModel) -> String {
     format!(
@@ -160,18 +170,47 @@ fn trajectory(text: &mut Text, trajectory: Option<&TrajectoryReport>) {
     text.row("gaps", trajectory.gaps);
 }
 
-fn georeferencing(text: &mut Text, input: &InputReport) {
+/// What `[job.geometry]` says of mount, calibration, geoid and unit, by name.
+pub fn geometry_words(keys: &GeometryKeys) -> [(&'static str, String); 4] {
+    let calibration = keys.calibration.as_ref().map(|calibration| match calibration {
+        CalibrationKey::File(file) => file.clone(),
+        CalibrationKey::Inline(calibration) => words(calibration),
+    });
+    let folder = keys.geoid_dir.as_ref().map_or(String::new(), |folder| format!(" in {folder}"));
+    let geoid = keys.geoid.as_ref().map(|name| format!("{name}{folder}"));
+    let or = |word: Option<String>, otherwise: &str| word.unwrap_or_else(|| otherwise.to_owned());
+    [
+        ("mount", or(keys.mount.as_ref().map(words), "level")),
+        ("calibration", or(calibration, "none")),
+        ("geoid", or(geoid, "none: heights are those of the coordinate reference system")),
+        ("unit", or(keys.unit.as_ref().map(words), "that of the coordinate reference system")),
+    ]
+}
+
+/// A value of a job on one line.
+fn words(value: &impl serde::Serialize) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(text)) => text,
+        Ok(value) => value.to_string(),
+        Err(error) => error.to_string(),
+    }
+}
+
+fn georeferencing(text: &mut Text, run: &RunReport, input: &InputReport) {
     text.title("Georeferencing");
     text.row("coordinates", input.coordinates.as_deref().unwrap_or("those of the input"));
+    for (name, words) in geometry_words(&run.job.geometry) {
+        text.row(name, words);
+    }
     text.row("points with coordinates", total(input, "n_georef"));
     for stage in input.stages.iter().filter(|stage| stage.r#type == GEOREFERENCE) {
         remarks(text, stage);
     }
 }
 
-fn output(text: &mut Text, input: &InputReport) {
+fn output(text: &mut Text, input: &InputReport, own: &[PathBuf]) {
     text.title("Output");
-    for output in &input.outputs {
+    for output in input.outputs.iter().chain(own) {
         text.row("file", output.display());
     }
     for stage in input.stages.iter().filter(|stage| stage.role == RoleName::Sink) {

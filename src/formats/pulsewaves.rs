@@ -35,8 +35,7 @@ pub use waves::{Segment, Waves};
 use vlr::Records;
 use window::Window;
 
-/// What to do about a compressed file.
-const UNCOMPRESS: &str = "uncompress the pair with rapidlasso's pulsezip (pulsezip -i in.plz -o out.pls)";
+pub(crate) use super::unsupported::UNCOMPRESS;
 
 /// A pair of pulse and waves file, open for reading.
 #[derive(Debug)]

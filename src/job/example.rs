@@ -10,20 +10,26 @@ const CHAIN: &[&str] = &["read_las", "calibrate", "decompose", "georeference", "
 
 /// Values for the keys that must be given, by stage and key.
 const EXAMPLES: &[(&str, &str, &str)] = &[
-    ("read_las", "path", "\"flight.las\""),
+    ("read_las", "path", "\"RECORDING.las\""),
     ("write_las", "path", "\"out/*.laz\""),
     ("write_lstat", "path", "\"out/*_lstat.txt\""),
 ];
 
 const HEADING: &str = "\
+#:schema job.schema.json
+
 # A job of wavex: the stages that the data passes, in order.
 #
-#   wavex check FILE     says whether it fits
+# First name your recording: `path` of the first stage. For PulseWaves, SDF or a container put `read_pulsewaves`, `read_sdf` or
+# `read_arrow` in the place of `read_las`; `wavex init --from RECORDING FILE` does so, and adds the stages that a raw recording
+# needs.
+#
+#   wavex check FILE     checks it, and names the inputs that are missing
 #   wavex run FILE       runs it
 #   wavex stages NAME    explains a stage and all its keys
 #
-# `#key = value`, without a blank behind the `#`, is what counts when the key is not given: take the `#` away to change
-# it. `wavex schema > job.schema.json` and a first line `#:schema job.schema.json` let an editor check this file.
+# `#key = value`, without a blank behind the `#`, is the default: take the `#` away to change it. The first line lets an editor
+# check this file, where job.schema.json lies beside it: `wavex init` writes both, `wavex schema` prints it.
 ";
 
 /// A job of these stages from waveforms to points, with every key that has a default.

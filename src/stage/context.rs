@@ -50,7 +50,7 @@ pub struct Context {
     pub(crate) counters: Counters,
     /// Files that are whole and wait for the end of the run.
     pub(crate) whole: Vec<WholeFile>,
-    /// The notes of all workers of the run, so that each is logged once.
+    /// The notes of all workers and inputs of the run, so that each is logged once.
     said: Arc<Mutex<BTreeSet<String>>>,
     /// The shots to be shown, where the run is to have a page.
     pub(crate) gallery: Option<Gallery>,
@@ -78,9 +78,10 @@ impl Context {
         Context { said: Arc::clone(&self.said), gallery, ..Context::default() }
     }
 
-    /// Of a run that shows some of its shots.
-    pub(crate) fn with_gallery() -> Context {
-        Context { gallery: Some(Gallery::default()), ..Context::default() }
+    /// The context of one input of the same run, whose shots are shown or not.
+    pub(crate) fn of_input(&self, with_gallery: bool) -> Context {
+        let gallery = with_gallery.then(Gallery::default);
+        Context { said: Arc::clone(&self.said), gallery, ..Context::default() }
     }
 
     /// Where shots are shown, if the run wants any.
@@ -242,21 +243,30 @@ impl Distribution {
         let (below, above) = (self.negative.len() as f64, self.millionths.len() as f64);
         let rank = percent / 100.0 * (below + above);
         if below == 0.0 {
-            self.millionths.value_at_percentile(percent) as f64 / 1e6
+            shortest(&self.millionths, self.millionths.value_at_percentile(percent))
         } else if rank <= below {
-            self.negative.value_at_percentile(100.0 * (1.0 - rank / below)) as f64 / -1e6
+            -shortest(&self.negative, self.negative.value_at_percentile(100.0 * (1.0 - rank / below)))
         } else {
-            self.millionths.value_at_percentile(100.0 * (rank - below) / above) as f64 / 1e6
+            shortest(&self.millionths, self.millionths.value_at_percentile(100.0 * (rank - below) / above))
         }
     }
 
     /// The largest.
     pub fn max(&self) -> f64 {
         match self.millionths.len() {
-            0 if self.negative.len() > 0 => self.negative.min() as f64 / -1e6,
-            _ => self.millionths.max() as f64 / 1e6,
+            0 if self.negative.len() > 0 => -shortest(&self.negative, self.negative.min()),
+            _ => shortest(&self.millionths, self.millionths.max()),
         }
     }
+}
+
+/// The number of fewest digits among those that a histogram counts together with this one: whole numbers stay whole.
+fn shortest(histogram: &Histogram<u64>, millionths: u64) -> f64 {
+    let (lowest, highest) =
+        (histogram.lowest_equivalent(millionths), histogram.highest_equivalent(millionths));
+    let mut steps = (0..20).rev().map(|digits| 10u64.pow(digits));
+    let rounded = |step: u64| lowest.div_ceil(step).checked_mul(step).filter(|value| *value <= highest);
+    steps.find_map(rounded).unwrap_or(millionths) as f64 / 1e6
 }
 
 #[cfg(test)]
@@ -323,7 +333,18 @@ mod tests {
         [f64::NAN, -1.0].into_iter().for_each(|value| b.add(value));
         a.merge(&b);
         assert_eq!(a.count(), 102);
-        assert!((a.percentile(50.0) - 49.0).abs() < 0.1, "{}", a.percentile(50.0));
-        assert!((a.max() - 100.0).abs() < 0.1);
+        assert_eq!((a.percentile(50.0), a.max()), (49.0, 100.0));
+    }
+
+    #[test]
+    fn whole_numbers_have_whole_percentiles() {
+        for value in [0.0, 1.0, 5.0, 999.0, 1234.0, 0.25, 4096.0] {
+            let mut distribution = Distribution::default();
+            distribution.add(value);
+            assert_eq!([distribution.percentile(50.0), distribution.max()], [value; 2]);
+        }
+        let mut distribution = Distribution::default();
+        distribution.add(1.0 / 3.0);
+        assert!((distribution.percentile(99.0) - 1.0 / 3.0).abs() < 4e-4);
     }
 }

@@ -30,6 +30,19 @@ pub struct Site {
 }
 
 impl Site {
+    /// One input by itself, outside of a run: paths start at the current folder, on one thread and without geometry.
+    pub fn alone(input: &Path) -> Site {
+        Site {
+            input: input.to_owned(),
+            stem: input.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            input_dir: ".".into(),
+            output_dir: ".".into(),
+            threads: 1,
+            simd: lockstep::Path::Portable,
+            geometry: Arc::default(),
+        }
+    }
+
     /// The file that an output pattern means in this run: `*` is the input's stem.
     pub fn output_path(&self, pattern: &str) -> PathBuf {
         self.output_dir.join(pattern.replace('*', &self.stem))

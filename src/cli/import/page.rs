@@ -82,7 +82,8 @@ fn default(option: &Opt) -> String {
     }
 }
 
-fn becomes(option: &Opt) -> String {
+/// What an option becomes, in Markdown.
+pub fn becomes(option: &Opt) -> String {
     let becomes = match option.becomes {
         Becomes::Key(section, key, _) => key_name(section, key),
         Becomes::End(section, key, end, _) => {

@@ -8,7 +8,7 @@ use super::line::{Given, Value};
 use super::options::{Becomes, Flag, Form, Opt, Part, Standard, Takes, Version};
 use super::paths::Paths;
 use super::problem::Problem;
-use crate::cli::convert::reader_of;
+use crate::registry::reader_of;
 use crate::stage::listed;
 
 /// What a translation must know besides the line.

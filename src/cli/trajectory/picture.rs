@@ -58,13 +58,15 @@ fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &Map) {
     let [x, y] = fitted(lines.iter().flatten());
     let axes = [Scale { from: x, to: [LEFT, RIGHT] }, Scale { from: y, to: [PLAN[1], PLAN[0]] }];
     let at = |place: &[f64; 2]| [axes[0].at(place[0]), axes[1].at(place[1])];
-    for value in axes[0].ticks(5.0).0 {
+    let (values, digits) = axes[0].ticks(5.0);
+    for value in values {
         svg.line("grid", [axes[0].at(value), PLAN[0]], [axes[0].at(value), PLAN[1]]);
-        svg.text("", [axes[0].at(value), PLAN[1] + 17.0], Anchor::Middle, &format!("{value:.0}"));
+        svg.text("", [axes[0].at(value), PLAN[1] + 17.0], Anchor::Middle, &format!("{value:.digits$}"));
     }
-    for value in axes[1].ticks(5.0).0 {
+    let (values, digits) = axes[1].ticks(5.0);
+    for value in values {
         svg.line("grid", [LEFT, axes[1].at(value)], [RIGHT, axes[1].at(value)]);
-        svg.text("", [LEFT - 7.0, axes[1].at(value) + 4.0], Anchor::End, &format!("{value:.0}"));
+        svg.text("", [LEFT - 7.0, axes[1].at(value) + 4.0], Anchor::End, &format!("{value:.digits$}"));
     }
     for line in &lines {
         svg.curve("fit", line.iter().map(at));

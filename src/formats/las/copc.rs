@@ -169,7 +169,10 @@ impl Extent {
 
 fn check(source: &Path, header: &Header) -> Result<()> {
     if header.point_format <= 5 {
-        let problem = format!("COPC takes point formats 6 to 8, and this is format {}", header.point_format);
+        let problem = format!(
+            "point formats 6 to 10 can be copied to COPC, and this is format {}",
+            header.point_format
+        );
         return Err(Error::unusable(source, problem, "write the points with `version = \"1.4\"`"));
     }
     if header.time_offset_megaseconds != 0 && header.time_offset_megaseconds != 1000 {

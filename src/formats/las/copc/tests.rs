@@ -254,8 +254,7 @@ fn what_has_no_place_in_copc_is_told() {
 
     let legacy = WriterOptions { version: Version::V1_2, ..options(WavePlace::None, IndexPlace::None) };
     write(&source, &points(3), &legacy);
-    let problem =
-        "COPC takes point formats 6 to 8, and this is format 1; write the points with `version = \"1.4\"`";
+    let problem = "point formats 6 to 10 can be copied to COPC, and this is format 1; write the points with `version = \"1.4\"`";
     assert_eq!(told(), expected(problem));
 
     write(&source, &[], &options(WavePlace::None, IndexPlace::None));

@@ -1,0 +1,83 @@
+//! Adds a stage of one's own to the stages of wavex, and runs a job with it.
+//!
+//!     cargo run --example own_stage -- out
+#![allow(clippy::print_stdout, reason = "an example prints what it finds")]
+
+use anyhow::{Context as _, Result};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use wavex::batch::{Batch, Content, Kind};
+use wavex::engine::{self, Options};
+use wavex::job::Job;
+use wavex::registry::STAGES;
+use wavex::stage::{self, Config, Context, Item, Map, MapConfig, Site, StageSpec};
+
+/// The stage's name in jobs, its role, and what lines it takes. It gives lines of the same kind.
+const DROP_WEAK: StageSpec = StageSpec::map::<DropWeak>("drop_weak", &[Kind::Returns], None);
+
+/// Drops weak returns: this comment is its page in `wavex stages`.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+struct DropWeak {
+    /// The smallest amplitude that is kept, digitiser steps.
+    least_amplitude_dn: f64,
+}
+
+impl Default for DropWeak {
+    fn default() -> DropWeak {
+        DropWeak { least_amplitude_dn: 20.0 }
+    }
+}
+
+impl Config for DropWeak {}
+
+impl MapConfig for DropWeak {
+    fn make(&self, _site: &Site) -> stage::Result<Box<dyn Map>> {
+        Ok(Box::new(self.clone()))
+    }
+}
+
+impl Map for DropWeak {
+    /// The engine runs several lines side by side: a map remembers nothing from line to line.
+    fn map(&mut self, mut line: Batch, cx: &mut Context) -> stage::Result<Batch> {
+        if let Content::Returns(returns) = &mut line.content {
+            let before = returns.len();
+            returns.retain(|found| found.amplitude_dn >= self.least_amplitude_dn);
+            // Whatever is dropped is counted with its reason: the engine compares both sides of each stage.
+            cx.reject(Item::Returns, "too weak", (before - returns.len()) as u64);
+        }
+        Ok(line)
+    }
+}
+
+const JOB: &str = "\
+[[stage]]
+type = 'simulate'
+lines = 4
+shots_per_line = 100
+
+[[stage]]
+type = 'calibrate'
+
+[[stage]]
+type = 'decompose'
+
+[[stage]]
+type = 'drop_weak'
+least_amplitude_dn = 30.0
+
+[[stage]]
+type = 'write_table'
+path = '*.csv'
+";
+
+fn main() -> Result<()> {
+    let folder = std::env::args().nth(1).context("give the folder to write to")?;
+    let stages: Vec<&'static StageSpec> = STAGES.iter().copied().chain([&DROP_WEAK]).collect();
+    let job = Job::parse_with(&stages, "the job of this example", JOB, &[], &[])?;
+    let report = engine::run(&job, &Options::of_job(&job, ".", &folder))?;
+    for stage in report.inputs.iter().flat_map(|input| &input.stages) {
+        println!("{}: {} returns out, dropped {:?}", stage.id, stage.items_out.returns, stage.rejected);
+    }
+    Ok(())
+}

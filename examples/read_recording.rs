@@ -1,0 +1,45 @@
+//! Reads a recording of any format line by line, and prints what is in it.
+//!
+//!     cargo run --example read_recording -- flight7.pls
+#![allow(clippy::print_stdout, reason = "an example prints what it finds")]
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use wavex::job::Job;
+use wavex::registry::reader_of;
+use wavex::stage::{Context, Plan, Site};
+
+fn main() -> Result<()> {
+    let file = std::env::args().nth(1).context("give a recording: .las, .laz, .pls, .sdf, .wfm or .arrow")?;
+    // A reader is a stage with keys, as in a job. The name of the file tells which.
+    let reader = reader_of(&file).map_err(|problem| anyhow!(problem))?;
+    let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(file.clone()));
+    let job = Job::parse("example", &text, &[])?;
+    let Plan::Source(source) = &job.stages.first().context("one stage")?.planned.plan else {
+        bail!("{reader} is a reader");
+    };
+    let mut source = source.make(&Site::alone(Path::new(&file)))?;
+    // What is dropped on the way is counted here.
+    let mut cx = Context::default();
+    let (mut lines, mut shots, mut samples) = (0, 0, 0);
+    while let Some(line) = source.next(&mut cx)? {
+        lines += 1;
+        shots += line.emissions.len();
+        let blocks = line.blocks().context("a reader delivers sample blocks")?;
+        for block in blocks.iter().filter(|block| block.channel.is_echo()) {
+            let shot = &line.emissions[block.emission as usize];
+            let echo = blocks.samples(block);
+            if samples == 0 {
+                println!("{}, group velocity {} m/s", line.input.format, line.input.group_velocity_mps);
+                println!("shot {} at {} s: {echo:?}", shot.shot, shot.gps_time_s);
+            }
+            samples += echo.len();
+        }
+    }
+    println!("{lines} scan lines, {shots} shots, {samples} samples of echoes");
+    for ((item, reason), n) in &cx.counters().rejected {
+        println!("dropped {n} {}: {reason}", item.name());
+    }
+    Ok(())
+}

@@ -1,0 +1,144 @@
+//! What kind of recording a file is, from its name and its first shots.
+
+use std::path::{Path, PathBuf};
+
+use super::{Failure, scan};
+use crate::batch::{Channel, Frame};
+use crate::registry::reader_of;
+use crate::survey::Survey;
+
+/// So many shots show what a recording is.
+const LOOKED_AT: u64 = 20_000;
+/// Large footprints are far apart: fewer pulses per second than this, Hz.
+const LARGE_FOOTPRINT_RATE_HZ: f64 = 5_000.0;
+/// Their waveforms hold whole crowns: at least as many samples.
+const LARGE_FOOTPRINT_SAMPLES: f64 = 256.0;
+/// Instruments of large footprints, by a word of their names.
+const LARGE_FOOTPRINTS: [&str; 3] = ["LVIS", "GEDI", "GLAS"];
+
+/// A recording, as far as a job must know it.
+pub(super) struct Recording {
+    /// The stage that reads it.
+    pub(super) reader: &'static str,
+    /// Which job it takes.
+    pub(super) kind: Kind,
+    /// What it was recognised by, in words.
+    pub(super) facts: String,
+}
+
+/// Kinds of recordings, each with a job of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// In the scanner's frame, as the instrument recorded it.
+    Raw,
+    /// LAS with waveforms.
+    Las,
+    /// PulseWaves.
+    PulseWaves,
+    /// A container whose beams are in a map.
+    Container,
+    /// Footprints of 10 m and more.
+    LargeFootprint,
+}
+
+impl Kind {
+    /// The job's file in the folder `jobs`.
+    pub(super) fn file(self) -> &'static str {
+        match self {
+            Kind::Raw => "sdf.toml",
+            Kind::Las => "las.toml",
+            Kind::PulseWaves => "pulsewaves.toml",
+            Kind::Container => "container.toml",
+            Kind::LargeFootprint => "large_footprint.toml",
+        }
+    }
+
+    /// The job.
+    pub(super) fn template(self) -> &'static str {
+        match self {
+            Kind::Raw => include_str!("../../jobs/sdf.toml"),
+            Kind::Las => include_str!("../../jobs/las.toml"),
+            Kind::PulseWaves => include_str!("../../jobs/pulsewaves.toml"),
+            Kind::Container => include_str!("../../jobs/container.toml"),
+            Kind::LargeFootprint => include_str!("../../jobs/large_footprint.toml"),
+        }
+    }
+}
+
+impl Recording {
+    /// Looks at a file. SDF and WFM are known by their names: reading them needs RIEGL's library.
+    ///
+    /// # Errors
+    /// A file that does not exist, of a kind that cannot be read, or without any shot that can be read.
+    pub(super) fn recognise(path: &Path) -> Result<Recording, Failure> {
+        let name = path.display().to_string();
+        let reader = reader_of(&name).map_err(Failure::Wrong)?;
+        if !path.is_file() {
+            return Err(Failure::Wrong(format!("{name}: no such file; check the path")));
+        }
+        if reader == "read_sdf" {
+            return Ok(Recording { reader, kind: Kind::Raw, facts: "RIEGL SDF or WFM, by its name".into() });
+        }
+        let (survey, _, ended) = scan::look_at(path, &[], true, LOOKED_AT)?;
+        if survey.shots.count == 0 {
+            let problem = ended.err().map_or(format!("{name}: it has no shots"), |error| error.to_string());
+            return Err(Failure::Run(problem));
+        }
+        let (kind, reason) = kind_of(reader, &survey);
+        Ok(Recording { reader, kind, facts: facts(&survey) + reason })
+    }
+}
+
+/// Which job a recording takes, and why, where its format alone does not say it.
+fn kind_of(reader: &str, survey: &Survey) -> (Kind, &'static str) {
+    let input = survey.input.as_deref();
+    if is_large_footprint(survey) {
+        return (Kind::LargeFootprint, ": a large footprint");
+    }
+    match (reader, input.map(|input| input.frame)) {
+        ("read_las", _) => (Kind::Las, ""),
+        ("read_pulsewaves", _) => (Kind::PulseWaves, ""),
+        (_, Some(Frame::Scanner | Frame::Body)) => (Kind::Raw, ", in the frame of the instrument"),
+        _ => (Kind::Container, ", with coordinates"),
+    }
+}
+
+fn is_large_footprint(survey: &Survey) -> bool {
+    let instrument = survey.input.as_deref().and_then(|input| input.instrument.as_deref());
+    let words = instrument.unwrap_or_default().split(|letter: char| !letter.is_alphanumeric());
+    let is_named = words.into_iter().any(|word| LARGE_FOOTPRINTS.contains(&word));
+    let is_slow = rate_hz(survey).is_some_and(|hz| hz < LARGE_FOOTPRINT_RATE_HZ);
+    is_named || (is_slow && samples(survey).is_some_and(|samples| samples >= LARGE_FOOTPRINT_SAMPLES))
+}
+
+/// Pulses per second.
+fn rate_hz(survey: &Survey) -> Option<f64> {
+    let [mean_ps, _] = survey.times.shots.usual_ps()?;
+    (mean_ps > 0.0).then(|| 1e12 / mean_ps)
+}
+
+/// Samples of a usual waveform.
+fn samples(survey: &Survey) -> Option<f64> {
+    survey.channel(Channel::LowPower).lengths.median()
+}
+
+fn facts(survey: &Survey) -> String {
+    let input = survey.input.as_deref();
+    let format = input.map_or(String::new(), |input| input.format.clone());
+    let instrument = input.and_then(|input| input.instrument.clone()).filter(|name| !name.is_empty());
+    let rate = rate_hz(survey).map(|hz| format!("{hz:.0} pulses per second"));
+    let samples = samples(survey).map(|samples| format!("waveforms of {samples:.0} samples"));
+    let facts = [Some(format), instrument, rate, samples];
+    // One line of a comment, whatever an instrument is called.
+    facts.into_iter().flatten().collect::<Vec<_>>().join(", ").replace(char::is_control, " ")
+}
+
+/// The file of the same name beside another one, with the first of these extensions, in any case.
+pub(super) fn beside(path: &Path, extensions: &[&str]) -> Option<PathBuf> {
+    let both = |extension: &&str| [extension.to_string(), extension.to_uppercase()];
+    extensions
+        .iter()
+        .flat_map(both)
+        .map(|extension| path.with_extension(extension))
+        .find(|path| path.is_file())
+}

@@ -1,0 +1,92 @@
+//! Examples of use, which stand at the end of each command's help.
+
+pub(super) const RUN: &str = "\
+Examples:
+  wavex run flight.toml
+  wavex run flight.toml --set decompose.detection_sigma=5 --threads 8
+  wavex run flight.toml --profile --archive archives/flight7";
+
+pub(super) const REPLAY: &str = "\
+Examples:
+  wavex replay archives/flight7
+  wavex replay flight7.tar.zst --inputs /data/2025";
+
+pub(super) const VERIFY: &str = "\
+Examples:
+  wavex verify archives/flight7
+  wavex verify flight7.tar.zst --seal SEAL    (SEAL as printed by `wavex run --archive`)";
+
+pub(super) const CHECK: &str = "\
+Examples:
+  wavex check flight.toml
+  wavex check flight.toml --set job.output_dir=/data/out";
+
+pub(super) const STAGES: &str = "\
+Examples:
+  wavex stages
+  wavex stages decompose";
+
+pub(super) const SCHEMA: &str = "\
+Example:
+  wavex schema > job.schema.json";
+
+pub(super) const INIT: &str = "\
+Examples:
+  wavex init --from flight7.pls flight7.toml    a job for this recording
+  wavex init flight7.toml                       every stage from LAS to points, with all keys
+  wavex init --from flight7.sdf                 to standard output";
+
+pub(super) const CONVERT: &str = "\
+Examples:
+  wavex convert flight7.pls flight7.arrow
+  wavex convert 'lines/*.las' 'out/*.arrow'";
+
+pub(super) const CALIBRATE: &str = "\
+Examples:
+  wavex calibrate flight7.pls
+  wavex calibrate level_ground.sdf --save-preset vq780i_1234.json
+  wavex calibrate flight7.las --set read_las.full_scale_dn=255 --save-preset model.json
+
+In a job, the model stands for the calibration: `load = \"model.json\"` in the stage `calibrate`.";
+
+pub(super) const COPC: &str = "\
+Examples:
+  wavex copc flight7.laz
+  wavex copc flight7.las --out web/flight7.copc.laz";
+
+pub(super) const FALSE_ALARMS: &str = "\
+Examples:
+  wavex false-alarms
+  wavex false-alarms --correlation 0.6 --sigma 4,4.5,5 --samples 80";
+
+pub(super) const EXPLAIN: &str = "\
+Examples:
+  wavex explain flight7.pls --shot 1234
+  wavex explain flight7.las --time 208801.25 --job flight7.toml --out shot.svg";
+
+pub(super) const SCAN: &str = "\
+Examples:
+  wavex scan flight7.pls
+  wavex scan flight7.sdf --fast --name out/flight7";
+
+pub(super) const REPORT: &str = "\
+Examples:
+  wavex report out/report.json
+  wavex report out --out flight7.html";
+
+pub(super) const TRAJECTORY: &str = "\
+Examples:
+  wavex trajectory flight7.sbet
+  wavex trajectory flight7.pof --crs EPSG:2154 --every 10 -o po.txt --svg po.svg
+  wavex trajectory positions.txt --columns txyzwpk --time day";
+
+pub(super) const IMPORT: &str = "\
+Examples:
+  wavex import -- -i data.sdf -po file.pof -fastest
+  wavex import -o job.toml -- -i waveform.las -o points.laz
+  wavex import --run -- -i waveform.las -o points.laz";
+
+pub(super) const COMPLETIONS: &str = "\
+Examples:
+  wavex completions bash > ~/.local/share/bash-completion/completions/wavex
+  wavex completions zsh > ~/.zfunc/_wavex";

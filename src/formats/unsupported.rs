@@ -1,0 +1,52 @@
+//! Recordings that wavex cannot read, by the extension of their names, and the way round.
+
+use std::path::Path;
+
+use super::Error;
+
+/// What to do about compressed PulseWaves.
+pub(crate) const UNCOMPRESS: &str =
+    "uncompress the pair with rapidlasso's pulsezip (pulsezip -i in.plz -o out.pls)";
+
+/// Extensions, the format, and what to do instead.
+const UNSUPPORTED: [(&[&str], &str, &str); 3] = [
+    (
+        &["rxp"],
+        "RIEGL RXP is not supported",
+        "export the waveforms with RIEGL's software as .sdf or .wfm, or as LAS 1.3 or 1.4 with waveforms, and read that",
+    ),
+    (
+        &["h5", "hdf5", "hdf", "he5", "f5"],
+        "HDF5 (F5) is not supported",
+        "copy its waveforms into the open waveform container (.arrow), for example with h5py and pyarrow: schemas/container.json \
+         lists the columns, examples/write_container.rs writes one",
+    ),
+    (&["plz", "wvz"], "compressed PulseWaves (.plz, .wvz) is not supported", UNCOMPRESS),
+];
+
+/// The error for a recording in a format that is known and cannot be read; `None` for all other names.
+pub fn unsupported(path: &Path) -> Option<Error> {
+    let extension = path.extension()?.to_string_lossy().to_lowercase();
+    let known = UNSUPPORTED.iter().find(|(extensions, ..)| extensions.contains(&extension.as_str()));
+    known.map(|(_, problem, remedy)| Error::unusable(path, *problem, *remedy))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn formats_that_cannot_be_read_have_a_way_round() {
+        for (name, begins) in [
+            ("a.rxp", "a.rxp: RIEGL RXP is not supported; export "),
+            ("a.H5", "a.H5: HDF5 (F5) is not supported; copy "),
+            ("a.f5", "a.f5: HDF5 (F5) is not supported; copy "),
+            ("a.plz", "a.plz: compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
+            ("a.wvz", "a.wvz: compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
+        ] {
+            let error = unsupported(Path::new(name)).unwrap().to_string();
+            assert!(error.starts_with(begins), "{error}");
+        }
+        assert!(["a.las", "rxp", "a"].iter().all(|name| unsupported(Path::new(name)).is_none()));
+    }
+}
