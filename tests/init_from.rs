@@ -186,14 +186,14 @@ fn a_failed_run_ends_its_log_with_its_exit_status() {
 
 #[test]
 fn a_warning_of_several_inputs_is_given_once_with_their_number() {
-    let las = Las::new(3);
-    let names = ["a", "b", "c"];
+    let recording = PulseWaves::new(3);
     let place = Place::new();
-    for name in names {
-        place.write(&format!("{name}.las"), &las.las());
-        place.write(&format!("{name}.wdp"), &las.packets);
+    for name in ["a", "b", "c"] {
+        place.write(&format!("{name}.pls"), &recording.pls());
+        place.write(&format!("{name}.wvs"), &recording.waves);
     }
-    let job = "[[stage]]\ntype = 'read_las'\npath = '*.las'\n[[stage]]\ntype = 'write_arrow'\n";
+    let job = "[[stage]]\ntype = 'read_pulsewaves'\npath = '*.pls'\n[[stage]]\ntype = 'calibrate'\npreset = 'riegl_lms_q680i'\n\
+               [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_las'\n";
     place.write("a.toml", job.as_bytes());
     let (code, _, err) = wavex(&place, &["run", "a.toml", "--progress", "never"]);
     assert_eq!(code, Some(0), "{err}");
