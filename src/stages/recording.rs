@@ -212,7 +212,7 @@ impl<S: Source> AsDeclared<S> {
             (None, None) => Times::as_said(from),
             _ => Times::new(scale, first_s, about),
         };
-        if self.declared.group_velocity_mps.is_some() && !from.beams_begin_at_sensor() {
+        if self.declared.group_velocity_mps.is_some() && !from.origin_is_sensor {
             return Err(StageError::failed(
                 "`refractive_index_ppm` needs ranges from the sensor, and those of this recording count from the first sample",
                 "leave it out",
