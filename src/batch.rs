@@ -15,7 +15,7 @@ mod line_stats;
 mod points;
 mod shots;
 
-pub use budget::{Budget, Ticket};
+pub use budget::{AtWork, Budget, NoRoom, Ticket};
 pub use input::{AmplitudeTable, EmissionReference, Frame, InputInfo, LinearAmplitude, TimeScale};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};

@@ -21,7 +21,7 @@ pub use output_file::{OutputFile, WholeFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, give_up_claims};
 pub use site::{Paths, Site, fixed_folder};
 pub use spec::{
-    Config, ConfigError, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
+    Config, ConfigError, Holds, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
     SourcePlan, StageSpec, TransformConfig,
 };
 pub use survey::Survey;
@@ -98,6 +98,7 @@ pub struct Output<'a> {
     pub cx: &'a mut Context,
     emit: &'a mut dyn FnMut(Batch) -> Result<()>,
     may_hold_bytes: usize,
+    foreseen_bytes: usize,
 }
 
 impl<'a> Output<'a> {
@@ -107,7 +108,7 @@ impl<'a> Output<'a> {
         may_hold_bytes: usize,
         emit: &'a mut dyn FnMut(Batch) -> Result<()>,
     ) -> Output<'a> {
-        Output { cx, emit, may_hold_bytes }
+        Output { cx, emit, may_hold_bytes, foreseen_bytes: 0 }
     }
 
     /// Gives a line on.
@@ -115,9 +116,21 @@ impl<'a> Output<'a> {
         (self.emit)(batch)
     }
 
-    /// How many bytes of lines the stage may hold back before it must give some on. It follows from the job alone, so
-    /// that a stage that heeds it does the same on every machine.
+    /// How many bytes of lines a stage may hold back that can do with fewer lines: it gives on what is beyond. It follows
+    /// from the job alone, so that a stage that heeds it does the same on every machine. A stage that needs its lines holds
+    /// as many as it needs, and says so by [`Output::foresee`].
     pub fn may_hold_bytes(&self) -> usize {
         self.may_hold_bytes
+    }
+
+    /// Says how many bytes the stage will hold back at most, as far as can be seen: where `memory_mb` has no room for the
+    /// next line, the run ends with what to set.
+    pub fn foresee(&mut self, bytes: usize) {
+        self.foreseen_bytes = bytes;
+    }
+
+    /// What was foreseen; 0 where nothing was.
+    pub fn foreseen_bytes(&self) -> usize {
+        self.foreseen_bytes
     }
 }

@@ -128,6 +128,7 @@ fn lines(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
     let line = |(number, recorded): (usize, &RecordedLine)| Line {
         emissions: (0..recorded.clocks_ps.len()).map(|index| emission(number, index, recorded)).collect(),
         echoes: recorded.echoes.iter().map(echo).collect(),
+        ..Line::default()
     };
     recorded.iter().enumerate().map(line).collect()
 }

@@ -16,6 +16,18 @@ pub struct Budget {
 struct State {
     used: usize,
     peak: usize,
+    /// Lines under way, and how many of them a transform holds.
+    lines: usize,
+    inside: usize,
+    /// Transforms that are dealing with a line.
+    busy: usize,
+}
+
+impl State {
+    /// Whether no line can leave before another one comes: all rest in transforms, which wait for more.
+    fn stands_still(&self) -> bool {
+        self.busy == 0 && self.inside == self.lines
+    }
 }
 
 /// A batch's share of a [`Budget`].
@@ -23,6 +35,22 @@ struct State {
 pub struct Ticket {
     budget: Arc<Budget>,
     bytes: usize,
+    /// Counted among the lines under way.
+    is_line: bool,
+    is_inside: bool,
+}
+
+/// While it lives, a transform is dealing with a line.
+#[derive(Debug)]
+pub struct AtWork<'a>(&'a Budget);
+
+/// Why there is no room.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoRoom {
+    /// The run is ending.
+    Cancelled,
+    /// Transforms hold back so many bytes, and none gives any on before it has seen another line.
+    Full(usize),
 }
 
 impl Budget {
@@ -41,12 +69,18 @@ impl Budget {
         self.lock().peak
     }
 
-    /// Waits until `bytes` fit, or until nothing else is under way; `None` once `cancelled` says so.
-    pub fn take(self: &Arc<Self>, bytes: usize, cancelled: impl Fn() -> bool) -> Option<Ticket> {
+    /// Waits until `bytes` fit, or until nothing else is under way.
+    ///
+    /// # Errors
+    /// Once `cancelled` says so, and where waiting is of no use.
+    pub fn take(self: &Arc<Self>, bytes: usize, cancelled: impl Fn() -> bool) -> Result<Ticket, NoRoom> {
         let mut state = self.lock();
         while state.used > 0 && state.used + bytes > self.limit {
             if cancelled() {
-                return None;
+                return Err(NoRoom::Cancelled);
+            }
+            if state.stands_still() {
+                return Err(NoRoom::Full(state.used));
             }
             // The wait ends by itself from time to time, so that a cancelled run is noticed.
             let waited = self.freed.wait_timeout(state, Duration::from_millis(50));
@@ -54,7 +88,14 @@ impl Budget {
         }
         state.used += bytes;
         state.peak = state.peak.max(state.used);
-        Some(Ticket { budget: Arc::clone(self), bytes })
+        state.lines += 1;
+        Ok(Ticket { budget: Arc::clone(self), bytes, is_line: true, is_inside: false })
+    }
+
+    /// Says that a transform is dealing with a line, for as long as the result lives.
+    pub fn at_work(&self) -> AtWork<'_> {
+        self.lock().busy += 1;
+        AtWork(self)
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -63,12 +104,29 @@ impl Budget {
     }
 }
 
+impl Drop for AtWork<'_> {
+    fn drop(&mut self) {
+        self.0.lock().busy -= 1;
+        self.0.freed.notify_all();
+    }
+}
+
 impl Ticket {
     /// A share of its own for `bytes` that stay as long as it does, whatever becomes of this one. Never waits.
     pub fn beside(&self, bytes: usize) -> Ticket {
-        let mut other = Ticket { budget: Arc::clone(&self.budget), bytes: 0 };
+        let budget = Arc::clone(&self.budget);
+        let mut other = Ticket { budget, bytes: 0, is_line: false, is_inside: false };
         other.resize(bytes);
         other
+    }
+
+    /// Says whether a transform has the line. It says so while it is [`Budget::at_work`].
+    pub fn set_inside(&mut self, is_inside: bool) {
+        if self.is_inside != is_inside {
+            let mut state = self.budget.lock();
+            state.inside = if is_inside { state.inside + 1 } else { state.inside - 1 };
+            self.is_inside = is_inside;
+        }
     }
 
     /// The batch takes `bytes` now. Never waits: a line that is under way must be able to leave.
@@ -87,7 +145,11 @@ impl Ticket {
 
 impl Drop for Ticket {
     fn drop(&mut self) {
-        self.budget.lock().used -= self.bytes;
+        let mut state = self.budget.lock();
+        state.used -= self.bytes;
+        state.lines -= usize::from(self.is_line);
+        state.inside -= usize::from(self.is_inside);
+        drop(state);
         self.budget.freed.notify_all();
     }
 }
@@ -100,7 +162,7 @@ mod tests {
     fn room_is_given_back_when_a_ticket_is_dropped() {
         let budget = Budget::new(100);
         let first = budget.take(60, || true).unwrap();
-        assert!(budget.take(60, || true).is_none(), "no room, and the run is cancelled");
+        assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled);
         drop(first);
         let mut second = budget.take(60, || true).unwrap();
         second.resize(10);
@@ -116,7 +178,11 @@ mod tests {
         let line = budget.take(60, || true).unwrap();
         let beside = line.beside(30);
         drop(line);
-        assert!(budget.take(71, || true).is_none());
+        assert_eq!(
+            budget.take(71, || false).unwrap_err(),
+            NoRoom::Full(30),
+            "nothing that could leave is under way"
+        );
         drop(beside);
         assert_eq!(budget.lock().used, 0);
         assert_eq!(budget.peak(), 90);
@@ -125,6 +191,24 @@ mod tests {
     #[test]
     fn a_line_larger_than_the_bound_goes_alone() {
         let budget = Budget::new(10);
-        assert!(budget.take(1000, || true).is_some());
+        assert!(budget.take(1000, || true).is_ok());
+    }
+
+    #[test]
+    fn lines_that_rest_in_transforms_make_no_room() {
+        let budget = Budget::new(100);
+        let mut held = budget.take(60, || false).unwrap();
+        let at_work = budget.at_work();
+        held.set_inside(true);
+        assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled, "it may still be given on");
+        drop(at_work);
+        assert_eq!(budget.take(60, || false).unwrap_err(), NoRoom::Full(60));
+        let passing = budget.take(40, || false).unwrap();
+        assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled, "a line is on its way");
+        drop(passing);
+        held.set_inside(false);
+        assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled);
+        drop(held);
+        assert!(budget.take(100, || true).is_ok());
     }
 }

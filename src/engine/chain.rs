@@ -16,7 +16,7 @@ use crate::batch::Budget;
 use crate::geometry::posed::Posed;
 use crate::job::{Job, JobStage};
 use crate::overview::Gallery;
-use crate::stage::{Context, Plan, Result, Site, StageError, WholeFile};
+use crate::stage::{Context, Holds, Plan, Result, Site, StageError, WholeFile};
 
 /// What a stage's workers leave behind: one entry each.
 type Leavings = Mutex<Vec<(Meter, Context)>>;
@@ -93,30 +93,38 @@ fn plan(job: &Job, options: &Options) -> Vec<Vec<(Option<Inlet>, Exit)>> {
     plan
 }
 
-/// How many bytes the lines of a job may take, and how many transforms share in holding them back; at least one.
+/// How many bytes the lines of a job may take, and how many transforms at most hold lines back at a time; at least one.
+///
+/// Of those that hold the first lines only one does at a time: as long as it holds any, none has come to those after it.
 fn memory(job: &Job) -> (usize, usize) {
     let limit =
         usize::try_from(job.settings.memory_mb).unwrap_or(usize::MAX / 1_000_000).saturating_mul(1_000_000);
-    let transforms =
-        job.stages.iter().filter(|stage| matches!(stage.planned.plan, Plan::Transform(_))).count();
-    (limit, transforms.max(1))
+    let transforms = job.stages.iter().filter_map(|stage| match &stage.planned.plan {
+        Plan::Transform(plan) => Some(plan.holds()),
+        _ => None,
+    });
+    let windows = transforms.clone().filter(|holds| *holds == Holds::Window).count();
+    let first = transforms.clone().any(|holds| holds == Holds::First);
+    (limit, (windows + usize::from(first)).max(1))
 }
 
-/// How many bytes of lines each transform of a job may hold back.
+/// How many bytes of lines each transform of a job may hold back that can do with fewer.
 pub(crate) fn may_hold_bytes(job: &Job) -> usize {
-    let (limit, transforms) = memory(job);
-    limit / (2 * transforms)
+    let (limit, holders) = memory(job);
+    limit / (2 * holders)
 }
 
 fn shared(job: &Job, options: &Options, cx: &Context) -> Shared {
-    let (limit, transforms) = memory(job);
-    // What all transforms hold back, each with one line over its share, stays below three quarters of the limit: there
-    // is always room for one more line, so a run cannot come to a standstill.
+    let (limit, holders) = memory(job);
     Shared {
         failure: Failure::new(options.cancel.clone()),
         budget: Budget::new(limit),
         may_hold_bytes: may_hold_bytes(job),
-        largest_line_bytes: limit / (4 * transforms),
+        holders,
+        // What transforms hold back that can do with less stays within the other half, so that there is always room for a
+        // line more. Only lines that a stage cannot do without may leave none (`Budget::take`).
+        largest_line_bytes: limit / 2,
+        foreseen: Mutex::default(),
         keeps_waveforms: job.stages.iter().any(|stage| stage.planned.plan.needs_waveforms()),
         gauge: Gauge::default(),
         overview: options.overview,
@@ -135,7 +143,8 @@ fn run_worker(
     profile: bool,
     leavings: &Leavings,
 ) {
-    let mut desk = Desk { shared, exit, meter: Meter::new(profile), cx: shared.cx.another() };
+    let mut desk =
+        Desk { stage: &stage.id, shared, exit, meter: Meter::new(profile), cx: shared.cx.another() };
     let result = guarded(|| work(stage, site, inlet, &mut desk));
     if let Err(cause) = result {
         shared.failure.fail(&stage.id, &site.input, cause);

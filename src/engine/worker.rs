@@ -8,7 +8,7 @@ use super::failure::Failure;
 use super::link::{Inlet, Outlet};
 use super::meter::Meter;
 use super::report::Totals;
-use crate::batch::{Batch, Blocks, Budget};
+use crate::batch::{Batch, Blocks, Budget, NoRoom};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 
 /// What the threads of one chain share.
@@ -16,7 +16,11 @@ pub(super) struct Shared {
     pub(super) failure: Failure,
     pub(super) budget: Arc<Budget>,
     pub(super) may_hold_bytes: usize,
+    /// How many transforms at most hold lines back at a time.
+    pub(super) holders: usize,
     pub(super) largest_line_bytes: usize,
+    /// The most that a stage foresees to hold back, bytes, and which.
+    pub(super) foreseen: Mutex<(usize, String)>,
     /// Lines keep their recorded blocks behind `decompose`.
     pub(super) keeps_waveforms: bool,
     pub(super) gauge: Gauge,
@@ -44,6 +48,8 @@ pub(super) enum Exit {
 
 /// A worker's own things.
 pub(super) struct Desk<'a> {
+    /// What the job calls the stage.
+    pub(super) stage: &'a str,
     pub(super) shared: &'a Shared,
     pub(super) exit: Exit,
     pub(super) meter: Meter,
@@ -72,6 +78,16 @@ impl Desk<'_> {
         self.shared.gauge.lines.fetch_add(1, Ordering::Relaxed);
         self.shared.gauge.shots.fetch_add(batch.emissions.len() as u64, Ordering::Relaxed);
         self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(batch);
+    }
+
+    /// The stage will hold back so much at most.
+    fn foresee(&self, bytes: usize) {
+        if bytes > 0 {
+            let mut foreseen = self.shared.foreseen.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+            if bytes > foreseen.0 {
+                *foreseen = (bytes, self.stage.to_owned());
+            }
+        }
     }
 
     fn end(&mut self) -> Result<()> {
@@ -111,9 +127,11 @@ pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut Desk) -> Result
             return Err(too_large(batch.line, bytes, desk.shared));
         }
         let failure = &desk.shared.failure;
-        batch.ticket = desk.shared.budget.take(bytes, || failure.stopping());
-        if batch.ticket.is_none() || failure.stopping() {
-            return Err(StageError::Stopped);
+        match desk.shared.budget.take(bytes, || failure.stopping()) {
+            Ok(_) | Err(NoRoom::Cancelled) if failure.stopping() => return Err(StageError::Stopped),
+            Ok(ticket) => batch.ticket = Some(ticket),
+            Err(NoRoom::Cancelled) => return Err(StageError::Stopped),
+            Err(NoRoom::Full(held)) => return Err(no_room(batch.line, bytes, held, desk.shared)),
         }
         desk.send(place, batch)?;
         place += 1;
@@ -127,6 +145,26 @@ fn too_large(line: u32, bytes: usize, shared: &Shared) -> StageError {
     StageError::failed(
         format!("scan line {line} takes {:.1} MB, too much for the job's memory_mb", bytes as f64 / 1e6),
         format!("set memory_mb to {needed_mb} or more"),
+    )
+}
+
+/// There is no room for a line, because stages need all the `held` bytes of lines that they hold back.
+fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError {
+    let (foreseen, stage) = &*shared.foreseen.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let needs = match stage.as_str() {
+        "" => String::new(),
+        stage => format!(", and `{stage}` needs up to {:.1} MB", *foreseen as f64 / 1e6),
+    };
+    // Beside it the others take up to their shares.
+    let holders = shared.holders as f64;
+    let needed = ((*foreseen).max(held) + 2 * bytes) as f64 * 2.0 * holders / (holders + 1.0);
+    StageError::failed(
+        format!(
+            "memory_mb has no room for scan line {line}, which takes {:.1} MB: stages hold back {:.1} MB{needs}",
+            bytes as f64 / 1e6,
+            held as f64 / 1e6
+        ),
+        format!("set memory_mb to {} or more", (1.05 * needed / 1e6).ceil()),
     )
 }
 
@@ -145,14 +183,18 @@ pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut Desk)
 pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
     let mut place = 0;
     loop {
-        let next = desk.take(inlet)?;
+        let mut next = desk.take(inlet)?;
         let ended = next.is_none();
+        let budget = Arc::clone(&desk.shared.budget);
+        let at_work = budget.at_work();
+        set_inside(next.as_mut().map(|(_, batch)| batch), true);
         // The stage borrows the counters while it gives lines on, so they leave the desk for that time.
         let mut cx = std::mem::take(&mut desk.cx);
         let may_hold_bytes = desk.shared.may_hold_bytes;
-        let mut emit = |batch: Batch| {
+        let mut emit = |mut batch: Batch| {
             desk.meter.worked();
             place += 1;
+            set_inside(Some(&mut batch), false);
             desk.send(place - 1, batch)
         };
         let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);
@@ -160,13 +202,23 @@ pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, de
             Some((_, batch)) => stage.process(batch, &mut out),
             None => stage.finish(&mut out),
         };
+        let foreseen_bytes = out.foreseen_bytes();
         desk.cx = cx;
+        desk.foresee(foreseen_bytes);
+        drop(at_work);
         desk.meter.worked();
         desk.meter.line_done();
         result?;
         if ended {
             return desk.end();
         }
+    }
+}
+
+/// Says whether a transform has a line.
+fn set_inside(batch: Option<&mut Batch>, is_inside: bool) {
+    if let Some(ticket) = batch.and_then(|batch| batch.ticket.as_mut()) {
+        ticket.set_inside(is_inside);
     }
 }
 

@@ -21,6 +21,8 @@ mod variance;
 
 use std::collections::VecDeque;
 
+pub use blocks::LOOK_AHEAD_BYTES;
+pub use cells::BAND_LINES;
 pub use summary::{Summary, Warning};
 
 use blocks::Blocks;
@@ -73,6 +75,9 @@ pub struct Line {
     pub emissions: Vec<Emission>,
     /// What was received in this line's records.
     pub echoes: Vec<Echo>,
+    /// What the caller keeps with the line until it is resolved, bytes: beyond [`LOOK_AHEAD_BYTES`] fewer lines are held
+    /// back. It must follow from the data alone, because results depend on it.
+    pub bytes: usize,
 }
 
 /// An emission that caused an echo.

@@ -93,8 +93,22 @@ pub trait TransformConfig: Config {
         Vec::new()
     }
 
+    /// Which lines it holds back.
+    fn holds(&self) -> Holds {
+        Holds::Window
+    }
+
     /// Makes the stage.
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>>;
+}
+
+/// Which lines a transform holds back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Holds {
+    /// The first lines of a recording, and none once it has given them on.
+    First,
+    /// Neighbouring lines, as long as the recording lasts.
+    Window,
 }
 
 /// The keys of a [`Sink`].
@@ -214,6 +228,8 @@ pub trait MakeMap: Send + Sync {
 pub trait MakeTransform: Send + Sync {
     /// See [`TransformConfig::outputs`].
     fn outputs(&self) -> Vec<&str>;
+    /// See [`TransformConfig::holds`].
+    fn holds(&self) -> Holds;
     /// See [`TransformConfig::make`].
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>>;
 }
@@ -255,6 +271,9 @@ impl<C: MapConfig> MakeMap for C {
 impl<C: TransformConfig> MakeTransform for C {
     fn outputs(&self) -> Vec<&str> {
         TransformConfig::outputs(self)
+    }
+    fn holds(&self) -> Holds {
+        TransformConfig::holds(self)
     }
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
         TransformConfig::make(self, site)

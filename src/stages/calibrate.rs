@@ -13,7 +13,7 @@ use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError,
 use crate::kernels::response_calibrate::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
 use crate::kernels::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use crate::stage::{
-    Config, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Survey, Transform,
+    Config, Holds, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Survey, Transform,
     TransformConfig,
 };
 pub use presets::Preset;
@@ -170,6 +170,10 @@ impl Config for Calibrate {
 impl TransformConfig for Calibrate {
     fn outputs(&self) -> Vec<&str> {
         self.save.as_deref().into_iter().collect()
+    }
+
+    fn holds(&self) -> Holds {
+        Holds::First
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {

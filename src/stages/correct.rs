@@ -10,7 +10,8 @@ use super::decompose::NumberOrFalse;
 use crate::batch::{Batch, Content, Kind};
 use crate::formats::lookup_tables::LookupTables;
 use crate::stage::{
-    Config, InvalidKey, Output, Result, Site, StageError, StageSpec, Survey, Transform, TransformConfig,
+    Config, Holds, InvalidKey, Output, Result, Site, StageError, StageSpec, Survey, Transform,
+    TransformConfig,
 };
 
 mod apply;
@@ -150,6 +151,10 @@ impl TableKey {
 }
 
 impl TransformConfig for Correct {
+    fn holds(&self) -> Holds {
+        Holds::First
+    }
+
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
         let open = |key: &TableKey| match key {
             TableKey::File(path) => LookupTables::open(&site.input_path(path)).map(Some),

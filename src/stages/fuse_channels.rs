@@ -8,7 +8,9 @@ use serde::{Deserialize, Serialize};
 use super::calibrate::AutoOrNumber;
 use crate::batch::{Batch, Block, Blocks, Channel, Content, Kind};
 use crate::kernels::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
-use crate::stage::{Config, InvalidKey, Output, Result, Site, StageSpec, Survey, Transform, TransformConfig};
+use crate::stage::{
+    Config, Holds, InvalidKey, Output, Result, Site, StageSpec, Survey, Transform, TransformConfig,
+};
 
 /// The stage's place in the registry.
 pub const STAGE: StageSpec = StageSpec::transform::<FuseChannels>("fuse_channels", &[Kind::Shots]);
@@ -78,6 +80,10 @@ impl FuseChannels {
 }
 
 impl TransformConfig for FuseChannels {
+    fn holds(&self) -> Holds {
+        Holds::First
+    }
+
     fn make(&self, _site: &Site) -> Result<Box<dyn Transform>> {
         let state = self.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion)));
         Ok(Box::new(Fuser { config: self.clone(), survey: Survey::new(self.waveforms), state }))

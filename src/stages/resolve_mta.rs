@@ -53,8 +53,9 @@ const USUAL_AGL_SD_M: f64 = 100.0;
 /// their shot. Blocks received within `blind_gap_ns` of an emission are counted and kept. The report says how many echoes
 /// each zone has, how much the intervals vary, how many zones are uncertain, and whether the evidence is thin.
 ///
-/// Lines whose zones are known already pass through as they are. Up to 160 lines are held back (`method = "blocks"`): where
-/// `memory_mb` does not hold them, the run fails and says so.
+/// Lines whose zones are known already pass through as they are. Up to 160 lines are held back (`method = "blocks"`), and
+/// fewer where they take more than 256 MB. Results do not depend on `memory_mb`. Where it does not hold these lines, the run
+/// ends with the value to set.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ResolveMta {

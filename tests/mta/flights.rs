@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use serde_json::Value;
 use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
@@ -209,4 +211,22 @@ impl Score {
 /// The path of a file, as a job has it.
 pub fn text(path: &Path) -> String {
     path.display().to_string()
+}
+
+/// Runs a command to its end, and the most memory that it ever takes, kB; 0 where the system does not say.
+pub fn peak_kb(command: &mut Command) -> (Outcome, u64) {
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut peak_kb = 0;
+    while child.try_wait().unwrap().is_none() {
+        // The peak only grows: what is read last counts, and a run's end takes less than its middle.
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let peak = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let peak = peak.and_then(|peak| peak.trim().strip_suffix(" kB")?.parse().ok());
+        peak_kb = peak.unwrap_or(peak_kb);
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let output = child.wait_with_output().unwrap();
+    let err = String::from_utf8_lossy(&output.stderr).into_owned();
+    (Outcome { code: output.status.code(), err }, peak_kb)
 }

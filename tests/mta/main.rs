@@ -15,6 +15,7 @@ mod support;
 mod circular;
 mod faults;
 mod flights;
+mod long_lines;
 mod memory;
 mod priors;
 mod ten_scenes;

@@ -1,9 +1,7 @@
 //! A longer file takes no more memory.
 #![cfg(target_os = "linux")]
 
-use std::time::Duration;
-
-use crate::flights::fly;
+use crate::flights::{self, fly};
 use crate::support::Place;
 
 /// The most memory that a run on this recording ever takes, kB.
@@ -12,21 +10,8 @@ fn peak_kb(recording: &[u8]) -> u64 {
     let stages = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'resolve_mta'\n\
                   [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\nresponse = 'gaussian'\n\
                   [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'write_lstat'\n";
-    let mut child = place.command(stages).args(["--set", "job.memory_mb=64"]).spawn().unwrap();
-    let status = format!("/proc/{}/status", child.id());
-    let mut peak_kb = 0;
-    let code = loop {
-        // The peak only grows: what is read last counts, and a run's end takes less than its middle.
-        let text = std::fs::read_to_string(&status).unwrap_or_default();
-        let peak = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-        let peak = peak.and_then(|peak| peak.trim().strip_suffix(" kB")?.parse().ok());
-        peak_kb = peak.unwrap_or(peak_kb);
-        if let Some(code) = child.try_wait().unwrap() {
-            break code;
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    };
-    assert!(code.success());
+    let (outcome, peak_kb) = flights::peak_kb(place.command(stages).args(["--set", "job.memory_mb=64"]));
+    assert_eq!(outcome.code, Some(0), "{}", outcome.err);
     assert!(place.text("out/a_lstat.txt").lines().count() > 400);
     peak_kb
 }

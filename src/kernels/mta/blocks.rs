@@ -12,8 +12,12 @@ use super::{MtaError, Prior, Resolved, Settings, grid};
 const CORE_BANDS: usize = 16;
 const AHEAD_BANDS: usize = 4;
 const PAST_BANDS: usize = 16;
+const FULL_BANDS: usize = CORE_BANDS + AHEAD_BANDS;
 /// So many lines are held back at most.
-pub(super) const LOOK_AHEAD_LINES: usize = (CORE_BANDS + AHEAD_BANDS) * BAND_LINES;
+pub(super) const LOOK_AHEAD_LINES: usize = FULL_BANDS * BAND_LINES;
+/// Where undecided lines take more than this with what the caller keeps of them ([`super::Line::bytes`]), those that have a
+/// band after them are decided at once.
+pub const LOOK_AHEAD_BYTES: usize = 256_000_000;
 /// An echo further from the surface than this part of the interval is uncertain.
 const FAR_PART: f32 = 0.45;
 /// So is one with less evidence, nats.
@@ -65,10 +69,16 @@ impl Blocks {
         if self.lines.len().is_multiple_of(BAND_LINES) {
             self.add_band();
         }
-        if self.bands.len() - self.decided == CORE_BANDS + AHEAD_BANDS {
-            self.decide(CORE_BANDS, summary, ready)?;
+        if !self.lines.len().is_multiple_of(BAND_LINES) {
+            return Ok(());
         }
-        Ok(())
+        let waiting = self.bands.len() - self.decided;
+        let is_much = self.lines.iter().map(|line| line.bytes).sum::<usize>() > LOOK_AHEAD_BYTES;
+        match waiting {
+            FULL_BANDS => self.decide(CORE_BANDS, summary, ready),
+            2.. if is_much => self.decide(waiting - AHEAD_BANDS.min(waiting / 2), summary, ready),
+            _ => Ok(()),
+        }
     }
 
     pub fn finish(&mut self, summary: &mut Summary, ready: &mut VecDeque<Resolved>) -> Result<(), MtaError> {

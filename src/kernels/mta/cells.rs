@@ -7,8 +7,8 @@
 use super::held::{Held, HeldEcho};
 use super::{Prior, Settings};
 
-/// Lines of a band.
-pub(super) const BAND_LINES: usize = 8;
+/// Lines of a band: so many are looked at as one.
+pub const BAND_LINES: usize = 8;
 /// Shots of a cell.
 pub(super) const CELL_SHOTS: i32 = 16;
 /// Bins of the interval in which the phase is looked for, and how many of them make the surface.

@@ -94,6 +94,8 @@ pub(super) struct Held {
     pub echoes: Vec<HeldEcho>,
     /// Columns of a revolution, the last of them beside the first; 0 where the beam sweeps.
     pub ring: i32,
+    /// [`Line::bytes`].
+    pub bytes: usize,
 }
 
 impl Held {
@@ -110,7 +112,7 @@ impl Held {
                 places.then(a.since_ns.total_cmp(&b.since_ns))
             });
         }
-        Held { number, pulses, echoes, ring: places.ring }
+        Held { number, pulses, echoes, ring: places.ring, bytes: line.bytes }
     }
 
     /// The column in which an echo was received.

@@ -130,6 +130,7 @@ impl Joined {
         }
         self.lines += 1;
         self.run.lines.push((start, line.echoes.len()));
+        self.waiting.bytes += line.bytes;
         self.waiting.emissions.extend_from_slice(&line.emissions);
         let joint = self.waiting.emissions.len().saturating_sub(line.emissions.len() + 1);
         self.turned_deg += turned_deg(&self.waiting.emissions[joint..]);

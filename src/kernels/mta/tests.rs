@@ -55,6 +55,7 @@ fn strip(
         Line {
             emissions: clocks.iter().enumerate().map(emission).collect(),
             echoes: echoes.iter().map(echo).collect(),
+            ..Line::default()
         }
     });
     (made.collect(), causes)
@@ -247,6 +248,7 @@ fn recorded(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
             .iter()
             .map(|echo| Echo { emission: echo.emission, time_ns: echo.time_ns })
             .collect(),
+        ..Line::default()
     };
     recorded.iter().enumerate().map(line).collect()
 }
@@ -327,6 +329,34 @@ fn what_is_held_back_is_bounded_and_popping_early_changes_nothing() {
 }
 
 #[test]
+fn lines_that_take_much_are_decided_sooner_and_as_well() {
+    let (mut lines, causes) = strip(80, 200, 17.0, slope);
+    let (full, _) = resolve(&settings(Method::Blocks), &lines);
+    for (share, most) in [(20, 24), (7, 16), (1, 16)] {
+        lines.iter_mut().for_each(|line| line.bytes = LOOK_AHEAD_BYTES / share);
+        let mut resolver = Resolver::new(&settings(Method::Blocks)).unwrap();
+        let (mut resolved, mut held) = (Vec::new(), 0);
+        for (pushed, line) in (1..).zip(&lines) {
+            resolver.push(line).unwrap();
+            held = held.max(pushed - resolved.len());
+            resolved.extend(std::iter::from_fn(|| resolver.pop()));
+        }
+        resolver.finish().unwrap();
+        resolved.extend(std::iter::from_fn(|| resolver.pop()));
+        assert_eq!(held, most, "a {share}th of the bytes");
+        let found = |of: &[Resolved]| -> Vec<_> {
+            of.iter().flat_map(|line| &line.echoes).map(|echo| (echo.cause, echo.zone)).collect()
+        };
+        assert_eq!(found(&resolved), found(&full));
+    }
+    let wrong = full.iter().zip(&causes).flat_map(|(line, causes)| line.echoes.iter().zip(causes));
+    assert_eq!(
+        wrong.filter(|(echo, cause)| echo.cause.map(|cause| cause.emission) != Some(**cause)).count(),
+        0
+    );
+}
+
+#[test]
 fn an_echo_takes_no_more_than_it_is_said_to() {
     let found = size_of::<(Option<usize>, f32)>() + size_of::<Assigned>();
     assert!(size_of::<held::HeldEcho>() + found <= BYTES_PER_ECHO);
@@ -340,6 +370,7 @@ fn the_order_of_echoes_within_a_line_is_that_of_the_caller() {
         .map(|line| Line {
             emissions: line.emissions.clone(),
             echoes: line.echoes.iter().rev().copied().collect(),
+            ..Line::default()
         })
         .collect();
     let (straight, _) = resolve(&settings(Method::Blocks), &lines);
@@ -416,6 +447,7 @@ fn nothing_and_next_to_nothing_are_taken_without_complaint() {
         let one = Line {
             emissions: vec![Emission { clock_ps: i64::MAX, ..Emission::default() }],
             echoes: vec![Echo { emission: 0, time_ns: -3.0 }, Echo { emission: 0, time_ns: 900.0 }],
+            ..Line::default()
         };
         let early = Line {
             emissions: vec![Emission { clock_ps: i64::MIN, ..Emission::default() }],
@@ -435,6 +467,7 @@ fn each_error_says_where_and_what() {
             .map(|(shot, &clock_ps)| Emission { clock_ps, shot, ..Emission::default() })
             .collect(),
         echoes: vec![echo],
+        ..Line::default()
     };
     let said = |line: &Line| {
         let mut resolver = Resolver::new(&Settings::default()).unwrap();
@@ -525,7 +558,8 @@ proptest! {
                 .collect();
             let count = emissions.len() as u32;
             let found = found.into_iter().filter(|echo| echo.0 < count);
-            let line = Line { emissions, echoes: found.map(|(emission, time_ns)| Echo { emission, time_ns }).collect() };
+            let echoes_of_line = found.map(|(emission, time_ns)| Echo { emission, time_ns }).collect();
+            let line = Line { emissions, echoes: echoes_of_line, bytes: 0 };
             echoes += line.echoes.len();
             resolver.push(&line).unwrap();
         }

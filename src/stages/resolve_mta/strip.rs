@@ -6,14 +6,19 @@ use super::echoes::{Group, Peak, Place, Received};
 use super::geometry::Geometry;
 use super::summary::Tally;
 use super::{ResolveMta, failed};
-use crate::batch::{Batch, Blocks, Channel, Content, OnlineReturn, Ticket};
+use crate::batch::{Batch, Block, Blocks, Channel, Content, OnlineReturn, Ticket};
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry as Placed;
-use crate::kernels::mta::{self, Assigned, BYTES_PER_ECHO, BYTES_PER_SHOT, Resolved, Resolver, Settings};
-use crate::stage::{Item, Output, Result, StageError};
+use crate::kernels::mta::{
+    self, Assigned, BAND_LINES, BYTES_PER_ECHO, BYTES_PER_SHOT, LOOK_AHEAD_BYTES, Resolved, Resolver, Settings,
+};
+use crate::stage::{Item, Output, Result};
 
 /// What the kernel's cells take at most for each shot of the lines at hand, bytes (docs/mta.md, Memory and order).
 const CELL_BYTES_PER_SHOT: usize = 48;
+/// What a shot, and a block or a return of the instrument's own, count in the kernel's window, bytes.
+const WINDOW_BYTES_PER_SHOT: usize = 256;
+const WINDOW_BYTES_PER_BLOCK: usize = 240;
 const NO_EMISSION: &str = "no emission at a distance within `range_m`";
 const NO_TIME: &str = "a block a second or more from its shot";
 const NO_SHOT: &str = "its emission is not in the line";
@@ -30,7 +35,10 @@ pub(super) struct Strip {
     first: u64,
     /// Lines below this number are complete.
     settled: u64,
-    held_bytes: usize,
+    pub(super) held_bytes: usize,
+    /// How many lines there were, and what they count in the kernel's window.
+    pushed: usize,
+    pushed_bytes: usize,
     /// What the terrain model takes, bytes.
     terrain_bytes: usize,
     /// Its share of the memory in flight, given back with the strip.
@@ -92,7 +100,6 @@ impl Strip {
         if let Some(terrain) = terrain {
             terrain_elsewhere(terrain, first, out);
             terrain_bytes = terrain.bytes();
-            fits(terrain_bytes, out.may_hold_bytes())?;
         }
         Ok(Strip {
             resolver,
@@ -103,6 +110,8 @@ impl Strip {
             first: 0,
             settled: 0,
             held_bytes: 0,
+            pushed: 0,
+            pushed_bytes: 0,
             terrain_bytes,
             _terrain_ticket: first.ticket.as_ref().map(|ticket| ticket.beside(terrain_bytes)),
             tally: Tally::new(settings.blind_gap_ns),
@@ -143,6 +152,8 @@ impl Strip {
             bytes: 0,
         };
         let line = held.for_kernel(&self.geometry, terrain);
+        self.pushed_bytes += line.bytes;
+        self.pushed += 1;
         if held.known.len() < held.batch.emissions.len() {
             out.cx.note("shots that share a clock with the one before them cannot be told from it: it gets their echoes");
         }
@@ -151,10 +162,7 @@ impl Strip {
         self.held.push_back(held);
         self.resolver.push(&line).map_err(|error| failed(&error))?;
         self.settle(out)?;
-        let for_lines = out.may_hold_bytes().saturating_sub(self.terrain_bytes);
-        if self.held_bytes > for_lines {
-            return Err(self.too_much(out.may_hold_bytes()));
-        }
+        out.foresee(self.foreseen_bytes());
         Ok(())
     }
 
@@ -286,31 +294,19 @@ impl Strip {
         Some((verdict, best.margin_nats))
     }
 
-    fn too_much(&self, may_hold_bytes: usize) -> StageError {
-        let ahead = self.resolver.look_ahead_lines();
-        let for_lines = self.held_bytes as f64 / self.held.len().max(1) as f64 * (ahead + 1) as f64;
-        let needed = for_lines + self.terrain_bytes as f64;
-        let beside = match self.terrain_bytes {
-            0 => String::new(),
-            bytes => format!(" beside the {:.1} MB of the terrain model", bytes as f64 / 1e6),
-        };
-        let times = (1.1 * needed / may_hold_bytes.max(1) as f64).max(1.1);
-        StageError::failed(
-            format!(
-                "resolving zones takes up to {ahead} lines, and {} of them take {:.1} MB{beside}, more than this stage's \
-                 share of memory_mb",
-                self.held.len(),
-                self.held_bytes as f64 / 1e6
-            ),
-            format!("set memory_mb {times:.1} times as high"),
-        )
+    /// What this stage will hold back at most, by the lines so far, bytes.
+    fn foreseen_bytes(&self) -> usize {
+        let lines_by_bytes =
+            (LOOK_AHEAD_BYTES / (self.pushed_bytes / self.pushed).max(1)).saturating_add(BAND_LINES);
+        let ahead = self.resolver.look_ahead_lines().min(lines_by_bytes.max(2 * BAND_LINES));
+        self.held_bytes / self.held.len().max(1) * (ahead + 1) + self.terrain_bytes
     }
 }
 
 impl HeldLine {
     /// The line as the kernel wants it: its clocks ascend.
     fn for_kernel(&mut self, geometry: &Geometry, terrain: Option<&Terrain>) -> mta::Line {
-        let mut line = mta::Line::default();
+        let mut line = mta::Line { bytes: self.window_bytes(), ..mta::Line::default() };
         // For each shot its place among those that the kernel knows.
         let mut places = Vec::with_capacity(self.batch.emissions.len());
         for (index, emission) in (0u32..).zip(&self.batch.emissions) {
@@ -329,6 +325,15 @@ impl HeldLine {
             }
         }
         line
+    }
+
+    /// What the line counts in the kernel's window: about what it takes, but by the data alone, whoever read it.
+    fn window_bytes(&self) -> usize {
+        let blocks = self.batch.blocks();
+        let samples: usize = blocks.map_or(0, |blocks| blocks.iter().map(Block::len).sum());
+        self.batch.emissions.len() * WINDOW_BYTES_PER_SHOT
+            + blocks.map_or(0, |blocks| blocks.len() + blocks.online.len()) * WINDOW_BYTES_PER_BLOCK
+            + samples * size_of::<u16>()
     }
 
     /// What the line takes while it is held back goes to the memory in flight.
@@ -435,22 +440,6 @@ impl HeldLine {
         }
         moves
     }
-}
-
-/// An error where a terrain model leaves no room for lines.
-fn fits(terrain_bytes: usize, may_hold_bytes: usize) -> Result<()> {
-    if terrain_bytes < may_hold_bytes {
-        return Ok(());
-    }
-    // As much again for the lines.
-    let times = 2.0 * terrain_bytes as f64 / may_hold_bytes.max(1) as f64;
-    Err(StageError::failed(
-        format!(
-            "the terrain model takes {:.1} MB, all of this stage's share of memory_mb or more",
-            terrain_bytes as f64 / 1e6
-        ),
-        format!("set memory_mb {times:.1} times as high, or give a coarser model"),
-    ))
 }
 
 /// Says so where a terrain model and a recording name different maps.

@@ -138,54 +138,36 @@ fn a_block_whose_zone_is_known_stays() {
 }
 
 #[test]
-fn a_share_of_memory_that_is_too_small_is_told() {
-    let line = |number: u32| {
-        let mut blocks = Blocks::default();
-        (0..50).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 700.0, 1.0, &PULSE));
-        Batch::of_shots(input(), number, shots(u64::from(number) * 50, 50), blocks)
-    };
-    let lines = || (0..30).map(line).collect::<Vec<_>>();
-    let config = ResolveMta { agl_m: Some(HeightKey::Usual(480.0)), ..ResolveMta::default() };
-    let (outcome, ..) = run(&config, lines(), 200_000);
-    let error = outcome.unwrap_err().to_string();
-    assert!(error.starts_with("resolving zones takes up to 160 lines, and "), "{error}");
-    assert!(error.contains(" MB, more than this stage's share of memory_mb; set memory_mb "), "{error}");
-    let times: f64 =
-        error.split("set memory_mb ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-    let (outcome, given, _) = run(&config, lines(), (200_000.0 * times) as usize);
-    outcome.unwrap();
-    assert_eq!(given.len(), 30);
-}
-
-#[test]
-fn a_terrain_model_counts_in_the_share_of_memory() {
+fn what_is_held_back_is_foreseen_with_the_terrain_model() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("dtm.asc");
     // 100 000 heights of 4 bytes.
     let rows = format!("{}\n", "5 ".repeat(500)).repeat(200);
     let head = "ncols 500\nnrows 200\nxllcorner 0\nyllcorner 0\ncellsize 10\n";
     std::fs::write(&path, format!("{head}{rows}")).unwrap();
+    let config = ResolveMta { terrain: Some(path), ..ResolveMta::default() };
     let line = |number: u32| {
         let mut blocks = Blocks::default();
         (0..50).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 700.0, 1.0, &PULSE));
         Batch::of_shots(input(), number, shots(u64::from(number) * 50, 50), blocks)
     };
-    let lines = || (0..30).map(line).collect::<Vec<_>>();
-    let config = ResolveMta { terrain: Some(path), ..ResolveMta::default() };
-    let told = |may_hold_bytes| run(&config, lines(), may_hold_bytes).0.unwrap_err().to_string();
-    assert_eq!(
-        told(400_000),
-        "the terrain model takes 0.4 MB, all of this stage's share of memory_mb or more; set memory_mb 2.0 times as high, \
-         or give a coarser model"
-    );
-    let error = told(600_000);
-    assert!(
-        error.contains(" MB beside the 0.4 MB of the terrain model, more than this stage's share"),
-        "{error}"
-    );
-    let times: f64 =
-        error.split("set memory_mb ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-    run(&config, lines(), (600_000.0 * times) as usize).0.unwrap();
+    let mut stage = Resolving {
+        terrain: Some(Terrain::open(config.terrain.as_deref().unwrap()).unwrap()),
+        config,
+        placed: Arc::default(),
+        strip: None,
+    };
+    let mut foreseen = Vec::new();
+    for number in 0..200 {
+        let (mut cx, mut emit) = (Context::default(), |_| Ok(()));
+        let mut out = Output::new(&mut cx, 0, &mut emit);
+        stage.process(line(number), &mut out).unwrap();
+        let held_bytes = stage.strip.as_ref().unwrap().held_bytes;
+        assert!(held_bytes + 400_000 <= out.foreseen_bytes(), "{held_bytes} after line {number}");
+        foreseen.push(out.foreseen_bytes());
+    }
+    let [least, most] = [foreseen.iter().min(), foreseen.iter().max()].map(|bytes| *bytes.unwrap() as f64);
+    assert!(most < 1.01 * least, "as well from the first line: {least} to {most}");
 }
 
 #[test]

@@ -8,7 +8,8 @@ pub fn cut(line: &Line, shots: usize) -> Vec<Line> {
         let first = (number * shots) as u32;
         let within = |echo: &&Echo| (first..first + shots as u32).contains(&echo.emission);
         let moved = |echo: &Echo| Echo { emission: echo.emission - first, ..*echo };
-        Line { emissions: emissions.to_vec(), echoes: line.echoes.iter().filter(within).map(moved).collect() }
+        let echoes = line.echoes.iter().filter(within).map(moved).collect();
+        Line { emissions: emissions.to_vec(), echoes, ..Line::default() }
     };
     line.emissions.chunks(shots).enumerate().map(piece).collect()
 }

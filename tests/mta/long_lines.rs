@@ -1,0 +1,201 @@
+//! Lines of any length are resolved at default settings, and the same by whatever memory suffices.
+//!
+//! `WAVEX_LONG_LINES=all cargo test --release --test mta long_lines -- --nocapture` prints the table of docs/mta.md.
+
+use serde_json::Value;
+use wavex::formats::container::{ContainerShot, channel};
+
+use crate::flights::{peak_kb, text};
+use crate::made::{NAME, Row, container, header, stand_in};
+use crate::support::{Outcome, Place, notes};
+
+const INTERVAL_PS: f64 = 2.5e6;
+/// What an interval departs from its mean at most; half of it each pulse.
+const MODULATION_PS: f64 = 15e3;
+const GROUP_VELOCITY_MPS: f64 = 299_707_502.0;
+const HALF_SWATH_DEG: f64 = 25.0;
+const DEFAULT_MB: u64 = 1024;
+
+/// A number in [0, 1), by mixing the bits of another.
+fn unit(of: u64) -> f64 {
+    let mixed = (of ^ (of >> 31)).wrapping_mul(0x7fb5_d329_728e_a185).rotate_left(29);
+    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x81da_def4_bc2d_d44d);
+    ((mixed ^ (mixed >> 33)) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// A flight over gentle hills with four or five pulses in the air, one echo to a shot.
+#[derive(Clone, Copy)]
+struct Flight {
+    shots_per_line: usize,
+    lines: usize,
+    /// Samples of a block.
+    samples: usize,
+    has_high_power: bool,
+}
+
+impl Flight {
+    fn angle_rad(&self, shot: usize) -> f64 {
+        let across = ((shot % self.shots_per_line) as f64 + 0.5) / self.shots_per_line as f64;
+        ((2.0 * across - 1.0) * HALF_SWATH_DEG).to_radians()
+    }
+
+    fn clock_ps(&self, shot: usize) -> i64 {
+        // A polygon's pause of half a line.
+        let line = (shot / self.shots_per_line) as f64;
+        let even = (shot as f64 + 0.5 * line * self.shots_per_line as f64) * INTERVAL_PS;
+        (even + (unit(shot as u64) - 0.5) * MODULATION_PS) as i64 + 5_000_000_000_000
+    }
+
+    fn range_m(&self, shot: usize) -> f64 {
+        let (line, angle_rad) = ((shot / self.shots_per_line) as f64, self.angle_rad(shot));
+        let ground_m = 40.0 * (3.0 * angle_rad).sin() + 0.2 * line;
+        (1700.0 - ground_m) / angle_rad.cos()
+    }
+
+    /// The recording, its blocks in the records in which they came back.
+    fn recording(&self) -> Vec<u8> {
+        let count = self.lines * self.shots_per_line;
+        let clocks: Vec<i64> = (0..count).map(|shot| self.clock_ps(shot)).collect();
+        let mut rows: Vec<Row> = (0..count).map(|shot| self.row(shot, clocks[shot])).collect();
+        for shot in 0..count {
+            let flight_ns = 2e9 * self.range_m(shot) / GROUP_VELOCITY_MPS;
+            let received_ps = clocks[shot] + (flight_ns * 1e3) as i64;
+            let record = clocks.partition_point(|&clock| clock <= received_ps) - 1;
+            let time_ns = flight_ns - (clocks[record] - clocks[shot]) as f64 * 1e-3;
+            self.add_echo(&mut rows[record], time_ns, 40.0 + 120.0 * unit(!(shot as u64)));
+        }
+        let lines: Vec<Vec<Row>> = rows.chunks(self.shots_per_line).map(<[Row]>::to_vec).collect();
+        container(&header(), &lines)
+    }
+
+    fn row(&self, shot: usize, clock_ps: i64) -> Row {
+        let angle_rad = self.angle_rad(shot);
+        let shot_of = ContainerShot {
+            shot: shot as u64,
+            line: (shot / self.shots_per_line) as u32,
+            gps_time_s: Some(208_800.0 + clock_ps as f64 * 1e-12),
+            clock_ps,
+            origin_m: [0.0; 3],
+            direction: [0.0, angle_rad.sin(), angle_rad.cos()],
+            facet: 0,
+            flags: 3,
+            mta_zone: None,
+            scan_angle_deg: None,
+            frame_scale: None,
+        };
+        Row { shot: shot_of, blocks: vec![(channel::REFERENCE, -10.0, pulse(20, 10.0, 90.0))] }
+    }
+
+    fn add_echo(&self, row: &mut Row, time_ns: f64, height_dn: f64) {
+        let start_ns = (time_ns - 12.0).floor();
+        let low = pulse(self.samples, time_ns - start_ns, height_dn);
+        row.blocks.push((channel::LOW_POWER, start_ns, low));
+        if self.has_high_power {
+            let high = pulse(self.samples, time_ns - start_ns, 0.2 * height_dn);
+            row.blocks.push((channel::HIGH_POWER, start_ns + 1.43, high));
+        }
+    }
+
+    /// The job by this reader. Calibration takes few waveforms, so that the first lines are not the ones that need most.
+    fn job(&self, reader: &str) -> String {
+        let source = match reader {
+            "read_sdf" => format!("type = 'read_sdf'\npath = '{NAME}'\nlibrary = '{}'", text(&stand_in())),
+            reader => format!("type = '{reader}'\npath = '{NAME}'"),
+        };
+        format!(
+            "[[stage]]\n{source}\n[[stage]]\ntype = 'resolve_mta'\n\
+             [[stage]]\ntype = 'fuse_channels'\nwaveforms = 1000\n\
+             [[stage]]\ntype = 'calibrate'\nwaveforms = 1000\nresponse = 'gaussian'\n\
+             [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'correct'\n\
+             [[stage]]\ntype = 'filter_outliers'\n[[stage]]\ntype = 'write_table'\npath = 'returns.csv'\n"
+        )
+    }
+
+    /// That each echo has the range of the shot that it stands with.
+    fn is_right(&self, returns: &str) {
+        let names: Vec<&str> = returns.lines().next().unwrap().split(',').collect();
+        let column = |name: &str| names.iter().position(|other| *other == name).unwrap();
+        let [shot, range] = ["shot", "range_m"].map(column);
+        let (mut count, mut wrong) = (0, 0);
+        for row in returns.lines().skip(1) {
+            let cells: Vec<&str> = row.split(',').collect();
+            let range_m: f64 = cells[range].parse().unwrap();
+            count += 1;
+            wrong += usize::from((range_m - self.range_m(cells[shot].parse().unwrap())).abs() > 0.5);
+        }
+        assert!(10 * count >= 9 * self.lines * self.shots_per_line, "{count} returns");
+        assert!(1000 * wrong <= count, "{wrong} of {count} returns have another shot's range");
+    }
+}
+
+/// A Gaussian pulse with its peak at a position, above a background.
+fn pulse(samples: usize, position: f64, height_dn: f64) -> Vec<u16> {
+    let sample = |k: usize| 3.0 + height_dn * (-0.5 * ((k as f64 - position) / 1.9).powi(2)).exp();
+    (0..samples).map(|k| sample(k).round() as u16).collect()
+}
+
+/// What a run with so much memory came to: the returns, or the memory that it asks for, MB.
+fn run(place: &Place, job: &str, memory_mb: u64) -> Result<String, u64> {
+    let mut command = place.command(job);
+    if memory_mb != DEFAULT_MB {
+        command.args(["--set", &format!("job.memory_mb={memory_mb}")]);
+    }
+    let (outcome, peak_kb) = peak_kb(&mut command);
+    if outcome.code == Some(1) {
+        let told = "memory_mb has no room for scan line ";
+        assert!(outcome.err.contains(told), "{}", outcome.err);
+        assert!(outcome.err.contains(", and `resolve_mta` needs up to "), "{}", outcome.err);
+        let needed = outcome.err.split("; set memory_mb to ").nth(1).unwrap().split(' ').next().unwrap();
+        println!("  {memory_mb} MB: refused, {needed} MB asked for");
+        return Err(needed.parse().unwrap());
+    }
+    assert_eq!(outcome, Outcome { code: Some(0), err: String::new() });
+    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let said = notes(&report["inputs"][0]);
+    assert!(!said.iter().any(|note| note.contains("memory_mb")), "{said:?}");
+    let in_flight_mb = report["inputs"][0]["peak_in_flight_bytes"].as_f64().unwrap() / 1e6;
+    println!("  {memory_mb} MB: {in_flight_mb:.0} MB of lines, {:.0} MB in all", peak_kb as f64 * 1.024e-3);
+    assert!(in_flight_mb <= 1.1 * memory_mb as f64, "{in_flight_mb} MB of {memory_mb}");
+    Ok(place.text("out/returns.csv"))
+}
+
+/// The flight by this reader with the default, and with other memories: the same, or told what it takes.
+fn resolves(flight: &Flight, reader: &str, memories_mb: &[u64]) {
+    let receivers = 1 + u32::from(flight.has_high_power);
+    println!("{} lines of {} shots, {receivers} receivers, {reader}:", flight.lines, flight.shots_per_line);
+    let (place, job) = (Place::with(&[(NAME, &flight.recording())]), flight.job(reader));
+    let expected = run(&place, &job, DEFAULT_MB).expect("the default suffices");
+    flight.is_right(&expected);
+    for &memory_mb in memories_mb {
+        let found = run(&place, &job, memory_mb)
+            .or_else(|needed_mb| run(&place, &job, needed_mb))
+            .expect("what it asks for suffices");
+        assert!(found == expected, "other returns with {memory_mb} MB");
+    }
+}
+
+#[test]
+fn long_lines_are_resolved_at_default_settings_and_alike_with_any_memory() {
+    let flight = |shots_per_line: usize, lines, samples, has_high_power| Flight {
+        shots_per_line,
+        lines,
+        samples,
+        has_high_power,
+    };
+    if std::env::var_os("WAVEX_LONG_LINES").is_some() {
+        for shots_per_line in [100, 300, 1000, 3000, 4000, 10_000] {
+            for has_high_power in [false, true] {
+                // More than a window of 160 lines, or than one of 256 MB.
+                let lines = 200.min(500_000 / shots_per_line);
+                let flight = flight(shots_per_line, lines, 60, has_high_power);
+                resolves(&flight, "read_sdf", &[64, 128, 256, 512, 4096]);
+            }
+        }
+        return;
+    }
+    // One receiver of short lines; then blocks so long that few shots take as much as many lines.
+    resolves(&flight(100, 90, 60, false), "read_arrow", &[64, 4096]);
+    resolves(&flight(1000, 24, 60, true), "read_sdf", &[64, 256]);
+    resolves(&flight(4000, 18, 700, true), "read_arrow", &[256]);
+    resolves(&flight(10_000, 8, 600, false), "read_sdf", &[64, 4096]);
+}
