@@ -18,6 +18,7 @@ mod packed;
 mod png;
 mod samples;
 mod view;
+mod zones;
 
 pub use gallery::{Gallery, ShownKind, ShownReturn, ShownShot};
 pub use histogram::Histogram;
@@ -26,6 +27,7 @@ pub use map::{MapPicture, ScanLine};
 pub use png::Picture;
 pub use samples::{PER_SAMPLE, Peak, Samples, ShownBlock};
 pub use view::MapAxes;
+pub use zones::{ZoneCloud, ZoneClouds, ZoneShare, Zones};
 
 use histogram::Bins;
 use lines::Groups;
@@ -40,6 +42,9 @@ pub struct Overview {
     pub lines: LineGroups,
     /// The points from above, where there are any.
     pub map: Option<MapPicture>,
+    /// Returns by multiple-time-around zone, where there is another than 0.
+    #[serde(default)]
+    pub zones: Option<Zones>,
     /// A few waveforms with their fits.
     pub waveforms: Vec<ShownShot>,
 }
@@ -50,6 +55,7 @@ pub struct Gathering {
     quantities: [Quantity; 5],
     lines: Groups,
     grid: Grid,
+    zones: zones::Counted,
 }
 
 /// A quantity of returns, and its histogram so far.
@@ -74,6 +80,7 @@ impl Default for Gathering {
             ],
             lines: Groups::default(),
             grid: Grid::default(),
+            zones: zones::Counted::default(),
         }
     }
 }
@@ -86,6 +93,7 @@ impl Gathering {
         for quantity in &mut self.quantities {
             returns.iter().for_each(|found| quantity.bins.add((quantity.of)(found)));
         }
+        self.zones.add(batch, returns);
         if let Some(points) = batch.points() {
             self.grid.add_line(batch.line, &batch.input, returns, points);
         }
@@ -98,6 +106,7 @@ impl Gathering {
             histograms: histograms.filter_map(|of| of.bins.finish(of.name, of.unit)).collect(),
             lines: self.lines.finish(),
             map: self.grid.finish(),
+            zones: self.zones.finish(),
             waveforms: gallery.map(Gallery::finish).unwrap_or_default(),
         }
     }

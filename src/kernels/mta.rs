@@ -240,6 +240,17 @@ pub enum MtaError {
         /// From when on zones can be told apart.
         least_ns: f64,
     },
+    /// The clock is read early and late, but pulses leave at even intervals, or zones are wrong throughout.
+    #[error(
+        "intervals between pulses vary by {rms_ns:.3} ns rms on the clock, but ranges contain {:.0} % of that: zones cannot be told          apart; give a prior (height above ground, terrain model, trajectory) or a fixed zone",
+        100.0 * following.max(0.0)
+    )]
+    JitteringClock {
+        /// How much intervals vary on the clock.
+        rms_ns: f64,
+        /// The part of it that echoes follow.
+        following: f64,
+    },
 }
 
 /// Finds the cause of each echo, line by line.

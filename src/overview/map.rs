@@ -39,6 +39,12 @@ pub struct MapPicture {
     pub intensities: Picture,
     /// The intensities that the first and the last colour stand for.
     pub intensity_range: [f64; 2],
+    /// Mean multiple-time-around zones of the cells as colours, where there is another than 0.
+    #[serde(default)]
+    pub zones: Option<Picture>,
+    /// The zones that the first and the last colour stand for.
+    #[serde(default)]
+    pub zone_range: [f64; 2],
     /// The density that one cell in two that has points exceeds, points per square of the unit.
     pub median_density: f64,
     /// Some scan lines, in their order.
@@ -94,6 +100,7 @@ struct Cell {
     points: u64,
     height_steps: i64,
     intensity_steps: i64,
+    zone_steps: i64,
 }
 
 impl Cell {
@@ -101,6 +108,7 @@ impl Cell {
         self.points += other.points;
         self.height_steps = self.height_steps.saturating_add(other.height_steps);
         self.intensity_steps = self.intensity_steps.saturating_add(other.intensity_steps);
+        self.zone_steps = self.zone_steps.saturating_add(other.zone_steps);
     }
 }
 
@@ -159,7 +167,7 @@ impl Grid {
                 continue;
             }
             let place = self.view.get_or_insert_with(|| View::of(input, *point)).place(*point);
-            self.add(&place, found.intensity);
+            self.add(&place, found.intensity, found.mta_zone);
             if is_kept {
                 places.push([place[0], place[1]]);
             }
@@ -167,7 +175,7 @@ impl Grid {
         self.keep(line, &places);
     }
 
-    fn add(&mut self, [x, y, z]: &[f64; 3], intensity: f64) {
+    fn add(&mut self, [x, y, z]: &[f64; 3], intensity: f64, zone: i16) {
         let cells_per_unit = edge_of(-self.size);
         let mut at = [(x * cells_per_unit).floor() as i64, (y * cells_per_unit).floor() as i64];
         let within = |span: [[i64; 2]; 2]| (0..2).all(|i| span[i][0] <= at[i] && at[i] <= span[i][1]);
@@ -176,7 +184,12 @@ impl Grid {
         }
         // A float converts to the nearest integer in range; what is no number counts as 0.
         let steps = |value: f64| (value.clamp(-HIGHEST, HIGHEST) * STEPS).round() as i64;
-        let cell = Cell { points: 1, height_steps: steps(*z), intensity_steps: steps(intensity) };
+        let cell = Cell {
+            points: 1,
+            height_steps: steps(*z),
+            intensity_steps: steps(intensity),
+            zone_steps: steps(f64::from(zone.max(0))),
+        };
         if let Some(at) = self.cells.get_mut(place(at)) {
             at.add(cell);
         }
@@ -253,6 +266,11 @@ impl Grid {
             Picture::of(&mean(|cell| cell.height_steps), columns as usize, &HEIGHTS);
         let (intensities, intensity_range) =
             Picture::of(&mean(|cell| cell.intensity_steps), columns as usize, &INTENSITIES);
+        let zones = cells
+            .iter()
+            .any(|cell| cell.zone_steps > 0)
+            .then(|| Picture::of(&mean(|cell| cell.zone_steps), columns as usize, &HEIGHTS));
+        let zone_range = zones.as_ref().map_or([0.0; 2], |(_, range)| *range);
         let inside: u64 = cells.iter().map(|cell| cell.points).sum();
         let all: u64 = self.cells.iter().map(|cell| cell.points).sum();
         let edge = edge_of(self.size);
@@ -275,6 +293,8 @@ impl Grid {
             height_range_m,
             intensities,
             intensity_range,
+            zones: zones.map(|(picture, _)| picture),
+            zone_range,
             median_density: self.median_points(bulk) as f64 / (edge * edge),
             lines: self.lines.into_iter().map(scan_line).collect(),
         })

@@ -40,7 +40,8 @@ const USUAL_AGL_SD_M: f64 = 100.0;
 /// over cells of neighbouring echoes and joined over the strip (`docs/mta.md`). Circular scanners are recognised by how
 /// their beams turn, and compared by azimuth. **Where the pulse rate is constant, nothing
 /// in the recording tells one shot from the next**: then a prior is needed (`agl_m` or `terrain`) or a fixed `zone`, and the
-/// run fails without one.
+/// run fails without one. Intervals are those of the outgoing pulses where these are recorded, else of the clock. Where the clock
+/// jitters and the pulses do not, ranges do not follow it, and the run fails without a prior, too.
 ///
 /// Lines come out in order, the blocks of a shot in order of time. The shot's zone is the number of emissions between it and
 /// the first sample of its first block, from 0; a block of another zone says its own. In LAS the zone is the point source
@@ -258,6 +259,14 @@ fn failed(error: &MtaError) -> StageError {
             format!(
                 "the pulse rate is constant: intervals of {interval_ns:.3} ns vary by {rms_ns:.3} ns rms, at least {least_ns} ns \
                  are needed to tell which pulse caused an echo"
+            ),
+            "give a prior (`agl_m`, `terrain`), or a fixed `zone`",
+        ),
+        MtaError::JitteringClock { rms_ns, following } => StageError::failed(
+            format!(
+                "the time stamps jitter, and not the pulses: intervals vary by {rms_ns:.3} ns rms on the clock, but neighbouring \
+                 ranges contain {:.0} % of that, so nothing says which pulse caused an echo",
+                100.0 * following.max(0.0)
             ),
             "give a prior (`agl_m`, `terrain`), or a fixed `zone`",
         ),

@@ -4,9 +4,13 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::OnceLock;
 
+use wavex::formats::container::{ContainerHeader, EmissionReference, channel};
+
 use crate::flights::{
-    FLIGHT, Flight, Table, chain, fly, in_scanner_frame, recorded, refused, resolve, resolve_in, score, stage,
+    FLIGHT, Flight, Table, chain, fly, in_scanner_frame, lines_of, recorded, refused, resolve, resolve_in,
+    score, stage,
 };
+use crate::made::{container, header};
 use crate::support::Place;
 
 /// The flight at a constant rate.
@@ -23,9 +27,71 @@ fn a_constant_rate_without_a_prior_is_refused() {
     refused(
         &constant().recording,
         "",
-        "the pulse rate is constant: intervals of 2500.000 ns vary by 0.190 ns rms, at least 0.5 ns are needed to tell \
+        "the pulse rate is constant: intervals of 2500.000 ns vary by 0.458 ns rms, at least 0.5 ns are needed to tell \
          which pulse caused an echo; give a prior (`agl_m`, `terrain`), or a fixed `zone`",
     );
+}
+
+/// The flight's clocks moved by up to so much, ns, and its blocks against them: the stamps jitter, and not the pulses.
+/// Without their outgoing pulses, or with them.
+fn with_jitter(flight: &Flight, jitter_ns: f64, keeps_outgoing: bool) -> Vec<u8> {
+    let mut lines = lines_of(&flight.recording);
+    for row in lines.iter_mut().flatten() {
+        let mixed = row
+            .shot
+            .shot
+            .wrapping_mul(0x9e37_79b9_7f4a_7c15)
+            .rotate_left(31)
+            .wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let early_ps = ((mixed >> 11) as f64 / (1u64 << 53) as f64 * 2.0 * jitter_ns * 1e3) as i64;
+        row.shot.clock_ps -= early_ps;
+        row.blocks.iter_mut().for_each(|block| block.1 += early_ps as f64 * 1e-3);
+        row.blocks.retain(|block| keeps_outgoing || block.0 != channel::REFERENCE);
+    }
+    let reference = if keeps_outgoing { EmissionReference::OutgoingPulse } else { EmissionReference::Clock };
+    container(&ContainerHeader { emission_reference: Some(reference), ..header() }, &lines)
+}
+
+#[test]
+fn stamps_that_jitter_are_no_modulation() {
+    // 1.2 ns from stamp to stamp, rms, and 2.9.
+    for jitter_ns in [1.47, 3.6] {
+        let recording = with_jitter(constant(), jitter_ns, true);
+        let place = Place::with(&[("a.arrow", &recording)]);
+        let outcome = place.read("read_arrow", "a.arrow", &chain(""));
+        assert_eq!(outcome.code, Some(1));
+        println!("{}", outcome.err);
+        let told =
+            "stage resolve_mta: ./a.arrow: the pulse rate is constant: intervals of 2500.000 ns vary by 0.";
+        assert!(outcome.err.contains(told), "outgoing pulses say when they left: {}", outcome.err);
+        let recording = with_jitter(constant(), jitter_ns, false);
+        let place = Place::with(&[("a.arrow", &recording)]);
+        let outcome = place.read("read_arrow", "a.arrow", &chain(""));
+        assert_eq!(outcome.code, Some(1));
+        println!("{}", outcome.err);
+        let told =
+            "stage resolve_mta: ./a.arrow: the time stamps jitter, and not the pulses: intervals vary by ";
+        assert!(outcome.err.contains(told), "ranges do not follow the stamps: {}", outcome.err);
+        assert!(
+            outcome.err.contains("give a prior (`agl_m`, `terrain`), or a fixed `zone`"),
+            "{}",
+            outcome.err
+        );
+        // With a prior both are resolved.
+        let score = score(&constant().truth, &resolve(&recording, "agl_m = 1450").returns);
+        assert!(score.part_right() >= 0.99, "{:?}", score.missed_shots);
+    }
+}
+
+#[test]
+fn pulses_that_vary_are_resolved_though_stamps_jitter_or_do_not_vary() {
+    for (modulation_ns, jitter_ns) in [(15, 0.0), (15, 5.0), (5, 3.0)] {
+        let flight = fly(&FLIGHT
+            .replace("modulation_ns = 15", &format!("modulation_ns = {modulation_ns}\nas_recorded = true")));
+        let score = score(&flight.truth, &resolve(&with_jitter(&flight, jitter_ns, true), "").returns);
+        println!("{modulation_ns} ns, stamps {jitter_ns} ns: {} of {}", score.right, score.true_returns);
+        assert!(score.part_right() >= 0.995, "{modulation_ns} ns, {jitter_ns} ns: {:?}", score.missed_shots);
+    }
 }
 
 #[test]

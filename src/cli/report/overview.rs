@@ -2,7 +2,7 @@
 
 use super::plot::{Plot, WIDTH, decades, label, short, ticks};
 use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::overview::{Histogram, LineGroups, MapAxes, MapPicture, Picture, ScanLine};
+use crate::overview::{Histogram, LineGroups, MapAxes, MapPicture, Picture, ScanLine, ZoneCloud, ZoneClouds};
 
 /// Waveforms, returns and points per scan line; `None` without lines.
 pub(super) fn along(groups: &LineGroups) -> Option<String> {
@@ -194,6 +194,56 @@ pub(super) fn intensities(map: &MapPicture, axes: &[String; 2], id: &str) -> Str
         map.intensity_range,
         "intensity",
     )
+}
+
+/// The points from above by multiple-time-around zone, where there is another than 0.
+pub(super) fn zones(map: &MapPicture, axes: &[String; 2], id: &str) -> Option<String> {
+    let (frame, colours) = (MapFrame::new(map, axes), MapPicture::height_colours());
+    let picture = map.zones.as_ref()?;
+    Some(coloured(&frame, id, picture, &colours, map.zone_range, "MTA zone"))
+}
+
+/// Room of one of the small pictures that show a cloud each.
+const CLOUD: [f64; 2] = [186.0, 132.0];
+/// Clouds in a row.
+const CLOUDS_ABREAST: usize = 3;
+
+/// The same shots computed with each zone in turn, as small pictures side by side.
+pub(super) fn clouds(clouds: &ZoneClouds) -> String {
+    let mut svg = Svg::new();
+    for (i, cloud) in clouds.clouds.iter().enumerate() {
+        let left = 44.0 + (i % CLOUDS_ABREAST) as f64 * CLOUD[0];
+        let top = 20.0 + (i / CLOUDS_ABREAST) as f64 * CLOUD[1];
+        one_cloud(&mut svg, cloud, [left, top], [left + CLOUD[0] - 52.0, top + CLOUD[1] - 44.0]);
+    }
+    let rows = clouds.clouds.len().div_ceil(CLOUDS_ABREAST) as f64;
+    svg.inline(WIDTH, 20.0 + rows * CLOUD[1], "Range against shot with each zone")
+}
+
+fn one_cloud(svg: &mut Svg, cloud: &ZoneCloud, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
+    let points = || cloud.points.chunks_exact(2).map(|pair| [pair[0], pair[1]]);
+    let ends = |of: fn([f64; 2]) -> f64| {
+        points()
+            .map(of)
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
+    };
+    let name = match cloud.roughness_m {
+        Some(roughness_m) => format!("zone {}: {} m", cloud.zone, short(roughness_m)),
+        None => format!("zone {}: no range", cloud.zone),
+    };
+    svg.text("", [0.5 * (left + right), top - 6.0], Anchor::Middle, &name);
+    let [x, y] = [ends(|point| point[0]), ends(|point| point[1])];
+    if points().next().is_some() {
+        let room = (0.05 * (y[1] - y[0])).max(0.5);
+        let plot = Plot {
+            x: Scale { from: [x[0], x[1].max(x[0] + 1.0)], to: [left, right] },
+            y: Scale { from: [y[0] - room, y[1] + room], to: [bottom, top] },
+        };
+        plot.grid_x(svg, ticks(&plot.x, 3.0));
+        plot.grid_y(svg, ticks(&plot.y, 3.0));
+        points().for_each(|point| svg.circle("dot", plot.at(point), 1.1));
+    }
+    svg.rect("frame", [left, top], [right, bottom]);
 }
 
 /// The most scan lines that are drawn.

@@ -70,6 +70,7 @@ fn of_input(page: &mut String, input: &Value, number: usize) -> Result<(), Strin
     if let Some(overview) = &overview {
         from_above(page, overview, input, number);
         of_returns(page, overview);
+        of_zones(page, overview);
         of_waveforms(page, overview);
     }
     of_run(page, input);
@@ -148,6 +149,8 @@ fn from_above(page: &mut String, overview: &Overview, input: &Value, number: usi
             "",
         ));
         figures.push(figure("Points by intensity", &overview::intensities(map, &axes, &name), ""));
+        let zones = overview::zones(map, &axes, &format!("zones-{number}"));
+        figures.extend(zones.map(|svg| figure("Points by MTA zone", &svg, "")));
         let words = "some scan lines, and the middle of the first (dot)";
         figures.extend(
             overview::swath(map, &axes, &name).map(|svg| figure("Swath on the grid of the map", &svg, words)),
@@ -169,6 +172,29 @@ fn of_returns(page: &mut String, overview: &Overview) {
         Some(figure(&capitalised(&histogram.quantity), &svg, &words))
     });
     group(page, "Returns", "", &drawn.collect::<Vec<String>>());
+}
+
+/// Multiple time around: what each zone has, and what the recording looks like in each.
+fn of_zones(page: &mut String, overview: &Overview) {
+    let Some(zones) = &overview.zones else { return };
+    let all: u64 = zones.shares.iter().map(|share| share.returns).sum();
+    let percent = |part: u64, of: u64| format!("{:.2}", 100.0 * part as f64 / of.max(1) as f64);
+    let rows = zones.shares.iter().map(|share| {
+        let zone = if share.zone < 0 { "unresolved".to_owned() } else { share.zone.to_string() };
+        let [returns, uncertain] = [share.returns, share.uncertain].map(|count| label(count as f64, 0));
+        vec![zone, returns, percent(share.returns, all), uncertain, percent(share.uncertain, share.returns)]
+    });
+    if let Some(clouds) = &zones.clouds {
+        let words = format!(
+            "range (m) against shot: the middle of scan line {}, all echoes with one zone; above each the median difference of \
+             neighbouring ranges. It is least in the zone that is right, where intervals between pulses vary",
+            clouds.line
+        );
+        let drawn = figure("Range with each MTA zone", &overview::clouds(clouds), &words);
+        group(page, "Multiple time around", "", &[drawn]);
+    }
+    let heads = ["zone", "returns", "% of all", "uncertain", "% of the zone"];
+    table(page, "Returns by MTA zone", &heads, rows);
 }
 
 fn of_waveforms(page: &mut String, overview: &Overview) {

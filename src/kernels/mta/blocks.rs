@@ -127,9 +127,11 @@ impl Blocks {
         self.refine(lines);
         for i in 0..lines {
             let (line, next) = (&self.lines[i], self.lines.get(i + 1));
-            let assigned = line.echoes.iter().map(|echo| {
+            let found: Vec<Nearest> = line.echoes.iter().map(|echo| self.nearest(line, echo)).collect();
+            let causes: Vec<Option<usize>> = found.iter().map(|found| found.cause).collect();
+            summary.add_differences(line, &causes, &self.settings);
+            let assigned = line.echoes.iter().zip(&found).map(|(echo, found)| {
                 let last = line.last_emission(echo, next);
-                let found = self.nearest(line, echo);
                 let uncertain = found.is_uncertain(line.pulses.interval_m);
                 (
                     echo.input,
@@ -138,6 +140,7 @@ impl Blocks {
             });
             ready.push_back(held::finish(line, assigned, next, &self.settings, summary));
         }
+        summary.check_clock(&self.settings)?;
         self.lines.drain(..lines);
         self.decided += count;
         while self.decided > PAST_BANDS {

@@ -12,6 +12,12 @@ const MARGINS: usize = 200;
 const LEAST_MODULATION_NS: f64 = 0.5;
 /// With less, ns rms, a prior is advisable.
 const WEAK_MODULATION_NS: f64 = 5.0;
+/// Neighbouring ranges that differ by more are of two surfaces, m.
+const NEIGHBOURS_M: f64 = 5.0;
+/// Where echoes follow less than this part of the clock's departures, by so many standard deviations from all of it, these are
+/// not the pulses'.
+const LEAST_FOLLOWING: f64 = 0.5;
+const FOLLOWING_SDS: f64 = 4.0;
 /// A median margin below this, nats, is no basis for trust.
 const WEAK_MARGIN_NATS: f64 = 10.0;
 
@@ -33,6 +39,11 @@ pub struct Summary {
     intervals: u64,
     interval_sum_ps: f64,
     deviation_sum_ps2: f64,
+    /// Of neighbouring echoes: products of how their emissions depart from even intervals and how their ranges differ, m²;
+    /// squares of the former, m²; squares of the products, m⁴.
+    products_m2: f64,
+    departures_m2: f64,
+    products_m4: f64,
 }
 
 impl Default for Summary {
@@ -47,6 +58,9 @@ impl Default for Summary {
             intervals: 0,
             interval_sum_ps: 0.0,
             deviation_sum_ps2: 0.0,
+            products_m2: 0.0,
+            departures_m2: 0.0,
+            products_m4: 0.0,
         }
     }
 }
@@ -98,6 +112,54 @@ impl Summary {
             self.interval_sum_ps += sum;
             self.deviation_sum_ps2 += regular().map(|interval| (interval - mean).powi(2)).sum::<f64>();
         }
+    }
+
+    /// Adds what neighbouring echoes of a line say of its clocks; `causes` are in the order of [`Held::echoes`].
+    pub(super) fn add_differences(&mut self, line: &Held, causes: &[Option<usize>], settings: &Settings) {
+        let pulses = &line.pulses;
+        let caused = line.echoes.iter().zip(causes).filter_map(|(echo, cause)| {
+            let place = (*cause)?;
+            Some((place, f64::from(pulses.offset_m[place]), f64::from(line.range_m(echo, place, settings))))
+        });
+        let caused: Vec<_> = caused.collect();
+        let differences = caused.windows(2).filter(|pair| pair[0].0 != pair[1].0);
+        let differences: Vec<(f64, f64)> = differences
+            .map(|pair| (pair[1].1 - pair[0].1, pair[1].2 - pair[0].2))
+            .filter(|(departure_m, range_m)| {
+                // Around a lost record and at edges they say nothing.
+                departure_m.abs() <= REGULAR_PART * f64::from(pulses.interval_m)
+                    && range_m.abs() <= NEIGHBOURS_M
+            })
+            .collect();
+        let count = differences.len().max(1) as f64;
+        let mean = |of: fn(&(f64, f64)) -> f64| differences.iter().map(of).sum::<f64>() / count;
+        let means_m = (mean(|pair| pair.0), mean(|pair| pair.1));
+        for (departure_m, range_m) in &differences {
+            let departure_m = departure_m - means_m.0;
+            let product_m2 = departure_m * (range_m - means_m.1);
+            self.products_m2 += product_m2;
+            self.departures_m2 += departure_m * departure_m;
+            self.products_m4 += product_m2 * product_m2;
+        }
+    }
+
+    /// How far echoes follow the departures of pulses from even intervals, and its standard deviation: 1 where pulses left when
+    /// the clock says and zones are right, 0 where the clock's departures are in no echo. NaN before there were neighbours.
+    pub fn following(&self) -> (f64, f64) {
+        (1.0 + self.products_m2 / self.departures_m2, self.products_m4.sqrt() / self.departures_m2)
+    }
+
+    /// That echoes follow the clock's departures from even intervals: what varies is when pulses leave, and not when the
+    /// clock is read.
+    pub(super) fn check_clock(&self, settings: &Settings) -> Result<(), MtaError> {
+        let (following, sd) = self.following();
+        if settings.prior == Prior::None
+            && following < LEAST_FOLLOWING
+            && 1.0 - following > FOLLOWING_SDS * sd
+        {
+            return Err(MtaError::JitteringClock { rms_ns: self.interval_rms_ns(), following });
+        }
+        Ok(())
     }
 
     pub(super) fn add(&mut self, echo: &Assigned, settings: &Settings) {

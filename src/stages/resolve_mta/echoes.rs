@@ -10,6 +10,8 @@ const MOST_ECHOES: usize = 4;
 const LEAST_HEIGHT_DN: f64 = 3.0;
 /// And from this part of the highest.
 const LEAST_PART: f64 = 0.3;
+/// An outgoing pulse below this height says nothing of when it left, digitiser steps.
+const LEAST_OUTGOING_DN: f64 = 10.0;
 /// What the instrument computed belongs to a block so near to it, ns.
 const ONLINE_REACH_NS: f64 = 2.0;
 /// Nothing comes back so late, ns.
@@ -57,6 +59,8 @@ pub(super) struct Received {
     pub blocks: Vec<Place>,
     /// One for each return that the instrument computed.
     pub online: Vec<Place>,
+    /// When each shot's outgoing pulse left after its clock, ns; NaN where none was recorded.
+    pub outgoing_ns: Vec<f64>,
 }
 
 impl Received {
@@ -64,6 +68,7 @@ impl Received {
         let mut received = Received {
             blocks: vec![Place::Stays; blocks.len()],
             online: vec![Place::Stays; blocks.online.len()],
+            outgoing_ns: vec![f64::NAN; emissions.len()],
             ..Received::default()
         };
         let (mut block, mut online) = (0, 0);
@@ -72,6 +77,9 @@ impl Received {
             members.clear();
             while let Some(next) = blocks.get(block).filter(|next| next.emission <= record) {
                 received.blocks[block] = place_of(next, emission);
+                if next.channel == Channel::Reference {
+                    received.outgoing_ns[record as usize] = outgoing_ns(next, blocks.samples(next));
+                }
                 if received.blocks[block] == Place::Group(0) {
                     members.push((block, *next));
                 }
@@ -196,6 +204,29 @@ fn peaks(block: &Block, samples: &[u16], echoes: &mut Vec<Peak>) {
         }
         from = until;
     }
+}
+
+/// The centroid of an outgoing pulse's upper part, ns after the clock of its shot; NaN where it is too low to say.
+///
+/// What lies above three tenths of the height counts, by how far it does: that is steadier than the vertex through three samples.
+fn outgoing_ns(block: &Block, samples: &[u16]) -> f64 {
+    let checked = |time_ns: f64| if has_time(time_ns) { time_ns } else { f64::NAN };
+    let Some(peak) = (0..samples.len()).max_by_key(|&k| (samples[k], std::cmp::Reverse(k))) else {
+        // A block without samples carries the time itself.
+        return checked(block.start_ns);
+    };
+    let background_dn = f64::from(background(samples));
+    let height_dn = f64::from(samples[peak]) - background_dn;
+    if height_dn < LEAST_OUTGOING_DN {
+        return f64::NAN;
+    }
+    let above_dn = |k: &usize| f64::from(samples[*k]) - background_dn - LEAST_PART * height_dn;
+    let before = (0..peak).rev().take_while(|k| above_dn(k) > 0.0);
+    let after = (peak..samples.len()).take_while(|k| above_dn(k) > 0.0);
+    let (sum, weighted) = before
+        .chain(after)
+        .fold((0.0, 0.0), |(sum, weighted), k| (sum + above_dn(&k), weighted + k as f64 * above_dn(&k)));
+    checked(block.time_ns(weighted / sum))
 }
 
 /// What a block holds beside its pulses: the lower of the medians of its first and its last four samples.

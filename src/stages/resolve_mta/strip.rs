@@ -6,7 +6,7 @@ use super::echoes::{Group, Peak, Place, Received};
 use super::geometry::Geometry;
 use super::summary::Tally;
 use super::{ResolveMta, failed};
-use crate::batch::{Batch, Block, Blocks, Channel, Content, OnlineReturn, Ticket};
+use crate::batch::{Batch, Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, Ticket};
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry as Placed;
 use crate::kernels::mta::{
@@ -36,6 +36,8 @@ pub(super) struct Strip {
     /// Lines below this number are complete.
     settled: u64,
     pub(super) held_bytes: usize,
+    /// When the last outgoing pulse left after its shot's clock, ps.
+    outgoing_ps: i64,
     /// How many lines there were, and what they count in the kernel's window.
     pushed: usize,
     pushed_bytes: usize,
@@ -110,6 +112,7 @@ impl Strip {
             first: 0,
             settled: 0,
             held_bytes: 0,
+            outgoing_ps: 0,
             pushed: 0,
             pushed_bytes: 0,
             terrain_bytes,
@@ -151,7 +154,7 @@ impl Strip {
             online: Vec::new(),
             bytes: 0,
         };
-        let line = held.for_kernel(&self.geometry, terrain);
+        let line = held.for_kernel(&self.geometry, terrain, &mut self.outgoing_ps);
         self.pushed_bytes += line.bytes;
         self.pushed += 1;
         if held.known.len() < held.batch.emissions.len() {
@@ -304,23 +307,42 @@ impl Strip {
 }
 
 impl HeldLine {
-    /// The line as the kernel wants it: its clocks ascend.
-    fn for_kernel(&mut self, geometry: &Geometry, terrain: Option<&Terrain>) -> mta::Line {
+    /// The line as the kernel wants it: its clocks ascend, and are the times at which pulses left. `outgoing_ps` is the last
+    /// outgoing pulse's time after its clock.
+    fn for_kernel(
+        &mut self,
+        geometry: &Geometry,
+        terrain: Option<&Terrain>,
+        outgoing_ps: &mut i64,
+    ) -> mta::Line {
         let mut line = mta::Line { bytes: self.window_bytes(), ..mta::Line::default() };
+        let has_outgoing = self.batch.input.emission_reference == EmissionReference::OutgoingPulse;
         // For each shot its place among those that the kernel knows.
         let mut places = Vec::with_capacity(self.batch.emissions.len());
-        for (index, emission) in (0u32..).zip(&self.batch.emissions) {
+        for ((index, emission), outgoing_ns) in
+            (0u32..).zip(&self.batch.emissions).zip(&self.received.outgoing_ns)
+        {
+            // Pulses leave when their peak says, not when the clock was read. Where one says nothing, the last one's counts.
+            if has_outgoing && outgoing_ns.is_finite() {
+                *outgoing_ps = (outgoing_ns * 1000.0).round() as i64;
+            }
+            let left_ps = emission.clock_ps.saturating_add(*outgoing_ps);
             let last = line.emissions.last().map(|last: &mta::Emission| last.clock_ps);
-            if last.is_none_or(|last| last < emission.clock_ps) {
-                line.emissions.push(geometry.emission(emission, terrain));
+            if last.is_none_or(|last| last < left_ps) {
+                line.emissions
+                    .push(mta::Emission { clock_ps: left_ps, ..geometry.emission(emission, terrain) });
                 self.known.push(index);
             }
             places.push(line.emissions.len() as u32 - 1);
         }
         for (number, group) in (0u32..).zip(&self.received.groups) {
-            let Some(&place) = places.get(group.record as usize) else { continue };
+            let record = self.batch.emissions.get(group.record as usize);
+            let (Some(&place), Some(record)) = (places.get(group.record as usize), record) else { continue };
+            let left = line.emissions.get(place as usize);
+            let after_ns =
+                left.map_or(0.0, |left| left.clock_ps.saturating_sub(record.clock_ps) as f64 / 1000.0);
             for peak in &self.received.echoes[group.echoes.start as usize..group.echoes.end as usize] {
-                line.echoes.push(mta::Echo { emission: place, time_ns: peak.time_ns });
+                line.echoes.push(mta::Echo { emission: place, time_ns: peak.time_ns - after_ns });
                 self.group_of_echo.push(number);
             }
         }
@@ -341,7 +363,7 @@ impl HeldLine {
         let shots = self.batch.emissions.len();
         let received = &self.received;
         self.bytes = self.batch.bytes()
-            + shots * (BYTES_PER_SHOT + CELL_BYTES_PER_SHOT + size_of::<u32>())
+            + shots * (BYTES_PER_SHOT + CELL_BYTES_PER_SHOT + size_of::<u32>() + size_of::<f64>())
             + received.echoes.len() * (BYTES_PER_ECHO + size_of::<Peak>() + size_of::<u32>())
             + received.groups.len() * (size_of::<Group>() + size_of::<Option<Verdict>>())
             + received.blocks.len() * (size_of::<Place>() + 2 * size_of::<Moved>())

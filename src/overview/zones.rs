@@ -1,0 +1,163 @@
+//! Multiple time around: returns by zone, and what a few shots look like in each zone.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::packed;
+use crate::batch::{Batch, Emission, Return, flags::ZONE_UNCERTAIN};
+
+/// Returns by multiple-time-around zone.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Zones {
+    /// The zones that have returns, in ascending order.
+    pub shares: Vec<ZoneShare>,
+    /// Some shots with their ranges in each zone, where clocks allow it.
+    pub clouds: Option<ZoneClouds>,
+}
+
+/// The returns of a zone.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct ZoneShare {
+    /// Emissions between the causing shot and the reception; -1 where unresolved.
+    pub zone: i16,
+    /// How many returns it has.
+    pub returns: u64,
+    /// How many of them were decided against little evidence.
+    pub uncertain: u64,
+}
+
+/// Consecutive shots of one scan line, computed with each zone in turn for all of them.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct ZoneClouds {
+    /// The scan line.
+    pub line: u32,
+    /// One for each candidate zone, in ascending order.
+    pub clouds: Vec<ZoneCloud>,
+}
+
+/// The last returns of these shots, all with one zone.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct ZoneCloud {
+    /// The zone.
+    pub zone: i16,
+    /// Number of the causing shot, from the first of these shots, and range, m, in turn, separated by blanks.
+    #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
+    #[schemars(with = "String")]
+    pub points: Vec<f64>,
+    /// Median difference of the ranges of neighbouring shots, m; least in the true zone, where intervals vary.
+    pub roughness_m: Option<f64>,
+}
+
+/// Shots of which clouds are shown.
+const SHOTS: usize = 400;
+/// Candidate zones.
+const CLOUDS: i16 = 6;
+/// Fewer returns make no cloud.
+const LEAST_RETURNS: usize = 20;
+
+/// Counts while lines leave.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Counted {
+    /// Returns, and uncertain ones, by zone.
+    shares: BTreeMap<i16, [u64; 2]>,
+    /// The line with most returns so far, and of equal ones the first: how many it has, and its last returns.
+    best: Option<(usize, Window)>,
+}
+
+/// The middle of a line.
+#[derive(Clone, Debug)]
+struct Window {
+    line: u32,
+    /// Clock and running number of the shots in it and of those beside it, ns from the first.
+    shots: Vec<(u64, f64)>,
+    /// Index in `shots`, zone and range of last returns.
+    returns: Vec<(usize, i16, f64)>,
+    m_per_ns: f64,
+}
+
+impl Counted {
+    pub(super) fn add(&mut self, batch: &Batch, returns: &[Return]) {
+        for found in returns {
+            let share = self.shares.entry(found.mta_zone).or_default();
+            share[0] += 1;
+            share[1] += u64::from(found.flags & ZONE_UNCERTAIN != 0);
+        }
+        let is_better = |(most, window): &(usize, Window)| {
+            returns.len() > *most || (returns.len() == *most && batch.line < window.line)
+        };
+        if self.best.as_ref().is_none_or(is_better) && returns.iter().any(|found| found.mta_zone > 0) {
+            self.best = Some((returns.len(), Window::of(batch, returns)));
+        }
+    }
+
+    /// The zones; `None` where all returns are of zone 0: there was nothing to resolve.
+    pub(super) fn finish(self) -> Option<Zones> {
+        self.shares.keys().any(|zone| *zone > 0).then(|| {
+            let share =
+                |(&zone, &[returns, uncertain]): (&i16, &[u64; 2])| ZoneShare { zone, returns, uncertain };
+            let most =
+                self.shares.iter().max_by_key(|(_, [returns, _])| *returns).map_or(0, |(zone, _)| *zone);
+            Zones {
+                shares: self.shares.iter().map(share).collect(),
+                clouds: self.best.and_then(|(_, window)| window.clouds(most)),
+            }
+        })
+    }
+}
+
+impl Window {
+    fn of(batch: &Batch, returns: &[Return]) -> Window {
+        let emissions = &batch.emissions;
+        let from = emissions.len().saturating_sub(SHOTS) / 2;
+        let until = (from + SHOTS).min(emissions.len());
+        let first_ps = emissions.get(from).map_or(0, |first| first.clock_ps);
+        let left = |emission: &Emission| {
+            let after_ns = emission.clock_ps.saturating_sub(first_ps) as f64 / 1000.0;
+            (emission.shot, after_ns + emission.emission_ns)
+        };
+        let is_last = |found: &&Return| {
+            found.return_number == found.number_of_returns && found.mta_zone >= 0 && !found.withheld
+        };
+        let within = returns.iter().filter(is_last).filter_map(|found| {
+            let shot = found.emission as usize;
+            (from..until).contains(&shot).then(|| (shot - from, found.mta_zone, found.range_m))
+        });
+        Window {
+            line: batch.line,
+            shots: emissions[from..until].iter().map(left).collect(),
+            returns: within.collect(),
+            m_per_ns: 0.5e-9 * batch.input.group_velocity_mps,
+        }
+    }
+
+    /// The window in the zones about that which most returns have.
+    fn clouds(&self, most: i16) -> Option<ZoneClouds> {
+        let first = (most - CLOUDS + 2).max(0);
+        let clouds: Vec<ZoneCloud> = (first..first + CLOUDS).map(|zone| self.cloud(zone)).collect();
+        let is_enough = clouds.iter().any(|cloud| cloud.points.len() >= 2 * LEAST_RETURNS);
+        is_enough.then_some(ZoneClouds { line: self.line, clouds })
+    }
+
+    /// What each return would be had the shot `zone` emissions before its reception caused it.
+    fn cloud(&self, zone: i16) -> ZoneCloud {
+        let place = |&(shot, of_return, range_m): &(usize, i16, f64)| {
+            let other = shot.checked_add_signed(isize::from(of_return) - isize::from(zone))?;
+            let ((number, left_ns), (cause, cause_ns)) = (*self.shots.get(shot)?, *self.shots.get(other)?);
+            let is_counted = cause.abs_diff(number) == u64::from(of_return.abs_diff(zone));
+            let range_m = range_m + (left_ns - cause_ns) * self.m_per_ns;
+            (is_counted && range_m > 0.0).then_some((other, range_m))
+        };
+        let mut places: Vec<(usize, f64)> = self.returns.iter().filter_map(place).collect();
+        places.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let neighbours = places.windows(2).filter(|pair| pair[1].0 == pair[0].0 + 1);
+        let mut apart_m: Vec<f64> = neighbours.map(|pair| (pair[1].1 - pair[0].1).abs()).collect();
+        apart_m.sort_by(f64::total_cmp);
+        ZoneCloud {
+            zone,
+            points: places.into_iter().flat_map(|(shot, range_m)| [shot as f64, range_m]).collect(),
+            roughness_m: apart_m.get(apart_m.len() / 2).copied(),
+        }
+    }
+}
