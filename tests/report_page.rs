@@ -214,6 +214,48 @@ fn what_is_gathered_adds_up() {
     assert_eq!(kinds, ["good", "overlapping", "saturated", "worst"]);
 }
 
+/// Several pulses in the air: shares, the swath by zone, and the clouds of six candidate zones.
+#[test]
+fn zones_are_shown_where_several_pulses_are_in_the_air() {
+    let job = "report_page = 'page.html'\n[[stage]]\ntype = 'simulate'\nlines = 4\nshots_per_line = 240\n\
+               pulse_rate_hz = 400000\nmodulation_ns = 40\nflying_height_m = 1450\n\
+               [[stage]]\ntype = 'calibrate'\nwaveforms = 600\nresponse = 'gaussian'\n\
+               [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'georeference'\n\
+               [[stage]]\ntype = 'write_table'\npath = 'points.csv'\n";
+    let place = Place::new();
+    assert_eq!(place.run(job), done());
+    let run: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let overview = &run["inputs"][0]["overview"];
+    let shares = overview["zones"]["shares"].as_array().unwrap();
+    let returns = |share: &Value| share["returns"].as_u64().unwrap();
+    let all: u64 = shares.iter().map(returns).sum();
+    assert_eq!(Some(all), run["inputs"][0]["totals"]["np"].as_u64());
+    let most = shares.iter().max_by_key(|share| returns(share)).unwrap()["zone"].as_i64().unwrap();
+    assert!((3..=4).contains(&most), "{shares:?}");
+    let clouds = overview["zones"]["clouds"]["clouds"].as_array().unwrap();
+    let zones: Vec<i64> = clouds.iter().map(|cloud| cloud["zone"].as_i64().unwrap()).collect();
+    assert_eq!(zones, [0, 1, 2, 3, 4, 5]);
+    let rough_m = |cloud: &Value| cloud["roughness_m"].as_f64().unwrap_or(f64::INFINITY);
+    let smooth = clouds.iter().min_by(|a, b| rough_m(a).total_cmp(&rough_m(b))).unwrap();
+    assert_eq!(smooth["zone"], most, "{clouds:?}");
+    let page = place.text("out/page.html");
+    elements(&page);
+    for told in
+        ["Returns by MTA zone", "Points by MTA zone", "Range with each MTA zone", "Multiple time around"]
+    {
+        assert!(page.contains(told), "{told}");
+    }
+    assert!(page.contains(&format!("zone {most}: ")));
+    // A page made from the report alone is the same.
+    assert_eq!(report_of(&place), page);
+}
+
+/// The page that `wavex report` makes of a run's report.
+fn report_of(place: &Place) -> String {
+    assert_eq!(report(place, &["out", "-o", "again.html"]), done());
+    place.text("again.html")
+}
+
 /// The waveforms that are shown have the returns that the run wrote, to the last digit.
 #[test]
 fn the_fits_shown_are_those_of_the_run() {

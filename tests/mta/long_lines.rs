@@ -220,6 +220,6 @@ fn long_lines_are_resolved_at_default_settings_and_alike_with_any_memory() {
     // The whole chain; then long lines with long blocks, so that few lines take as much as many.
     resolves(&flight(100, 90, 60, false), "read_arrow", &[64, 4096]);
     resolves(&flight(1000, 20, 60, true), "read_sdf", &[64]);
-    resolves(&flight(4000, 20, 400, true), "read_arrow", &[256]);
-    resolves(&flight(10_000, 8, 500, false), "read_sdf", &[64, 4096]);
+    resolves(&flight(4000, 14, 150, true), "read_arrow", &[64]);
+    resolves(&flight(10_000, 6, 100, false), "read_sdf", &[64]);
 }
