@@ -10,7 +10,8 @@ use crate::batch::{Batch, Block, Blocks, Channel, Content, EmissionReference, On
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry as Placed;
 use crate::kernels::mta::{
-    self, Assigned, BAND_LINES, BYTES_PER_ECHO, BYTES_PER_SHOT, LOOK_AHEAD_BYTES, Resolved, Resolver, Settings,
+    self, Assigned, BAND_LINES, BYTES_PER_ECHO, BYTES_PER_SHOT, LOOK_AHEAD_BYTES, Resolved, Resolver,
+    Settings,
 };
 use crate::stage::{Item, Output, Result};
 
