@@ -180,6 +180,27 @@ fn las_keeps_the_crs_and_ties_its_times_to_the_file() {
 }
 
 #[test]
+fn the_report_compares_riegls_returns_with_computed_ones() {
+    let Some(data) = data() else { return };
+    let out = tempfile::tempdir().unwrap();
+    let report = run_job("q680i_las.toml", &data, out.path(), &[]);
+    let decompose = report.stages.iter().find(|stage| stage.r#type == "decompose").unwrap();
+    let of = |name: &str| &decompose.observed[name];
+    let (online, computed) = (of("online_matched"), of("computed_matched"));
+    println!("RIEGL's {} of {}, computed {} of {}", online.mean, online.count, computed.mean, computed.count);
+    assert_eq!((online.count, report.totals["np"]), (667, computed.count));
+    assert!(online.mean > 0.99 && computed.mean > 0.94, "{} {}", online.mean, computed.mean);
+    let (signed, distance) = (of("online_minus_computed_ns"), of("online_computed_distance_ns"));
+    assert!(signed.p50.abs() < 0.01 && distance.p90 < 0.05, "{} {}", signed.p50, distance.p90);
+    assert!(
+        !decompose.observed.contains_key("online_over_computed_amplitude"),
+        "the file has no intensities"
+    );
+    let report = run_job("q680i_las.toml", &data, out.path(), &["decompose.online_points=only"]);
+    assert_eq!((report.totals["np"], report.totals["np_online"]), (667, 667));
+}
+
+#[test]
 fn a_recording_of_sixteen_thousand_pulses_comes_through_whole() {
     let Some(data) = data() else { return };
     let out = tempfile::tempdir().unwrap();

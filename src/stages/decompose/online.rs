@@ -90,7 +90,7 @@ fn return_of(online: &OnlineReturn, emission: &Emission, zone: i16, input: &Inpu
         width_ratio: f64::NAN,
         thickness_m: f64::NAN,
         deviation_ratio: f64::NAN,
-        intensity: f64::from(online.amplitude),
+        intensity: amplitude(online),
         ..Return::default()
     }
 }
@@ -133,13 +133,18 @@ pub(super) fn compare(
             matched += 1;
             cx.observe_signed("online_minus_computed_ns", time_ns - computed_ns[j]);
             cx.observe("online_computed_distance_ns", (time_ns - computed_ns[j]).abs());
-            let ratio = f64::from(online[i].amplitude) / computed[j].amplitude_dn;
+            let ratio = amplitude(&online[i]) / computed[j].amplitude_dn;
             if ratio.is_finite() {
                 cx.observe("online_over_computed_amplitude", ratio);
             }
         }
         (0..computed.len()).for_each(|i| cx.observe("computed_matched", f64::from(u8::from(i < matched))));
     }
+}
+
+/// The amplitude in the instrument's unit; `NaN` where there is none, which LAS says by 0.
+fn amplitude(online: &OnlineReturn) -> f64 {
+    if online.amplitude > 0.0 { f64::from(online.amplitude) } else { f64::NAN }
 }
 
 /// The place of the time nearest to this one.
