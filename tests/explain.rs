@@ -164,7 +164,7 @@ fn by_hand(timed: bool) -> Vec<u8> {
 #[test]
 fn what_cannot_be_explained_is_said() {
     let place =
-        Place::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.rxp", b"")]);
+        Place::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.dat", b"")]);
     let message = "a.arrow: there is no shot 99; its 260 shots have the numbers 100 to 359";
     refused(&place, &["-q", "a.arrow", "--shot", "99"], 2, message);
     let message = "--out a.arrow: the picture is SVG: give it a name that ends in .svg";
@@ -173,9 +173,9 @@ fn what_cannot_be_explained_is_said() {
     refused(&place, &["-q", "a.arrow", "--shot", "102"], 2, message);
     let message = "timeless.arrow: its shots have no times; choose one with --shot";
     refused(&place, &["-q", "timeless.arrow", "--time", "1"], 2, message);
-    let message = "a.rxp: the name does not say what kind of recording this is; \
+    let message = "a.dat: the name does not say what kind of recording this is; \
                    an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
-    refused(&place, &["a.rxp", "--shot", "1"], 2, message);
+    refused(&place, &["a.dat", "--shot", "1"], 2, message);
     place.write("short.toml", b"[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n");
     let message = "short.toml: the job has no stage `calibrate`; add one";
     refused(&place, &["a.arrow", "--shot", "1", "--job", "short.toml"], 2, message);

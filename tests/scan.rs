@@ -208,13 +208,13 @@ fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
 
 #[test]
 fn what_cannot_be_scanned_is_said() {
-    let place = Place::with(&[("x.rxp", b"")]);
+    let place = Place::with(&[("x.dat", b"")]);
     let refused = |arguments: &[&str], code: i32, message: &str| {
         let (found, out, err) = scan(&place, arguments);
         assert_eq!((found, out.as_str()), (Some(code), ""), "{err}");
         assert!(err.starts_with(&format!("error: {message}")), "{err}");
     };
-    refused(&["x.rxp"], 2, "x.rxp: the name does not say what kind of recording this is; an input ends in");
+    refused(&["x.dat"], 2, "x.dat: the name does not say what kind of recording this is; an input ends in");
     refused(&["gone.arrow"], 1, "gone.arrow: cannot open: ");
     refused(
         &["x.arrow", "--set", "read_arrow.odd_sample_shift=3"],
