@@ -15,10 +15,10 @@ use wavex::kernels::calibrate::Block;
 use wavex::kernels::decompose::{DecomposeSettings, Decomposer};
 use wavex::kernels::lockstep::{Candidate, Lockstep, Mode, Outcomes, Path, Tables};
 use wavex::kernels::noise::ArNoise;
-use wavex::kernels::sensor_model::ChannelModel;
+use wavex::kernels::sensor_model::{Background, ChannelModel};
 
 use clock::cpu_s;
-use scenes::{SAMPLES, Scene, Waveforms, model};
+use scenes::{Random, SAMPLES, Scene, Waveforms, model};
 
 const WAVEFORMS: usize = 20_000;
 /// So many come at a time, as `decompose` gets them from the engine; 300 to 4096 are usual.
@@ -30,6 +30,8 @@ const RUNS: usize = 7;
 /// down, and rarely for long.
 const ROUNDS: usize = 9;
 const GOAL: f64 = 0.6;
+/// Spread of the backgrounds that are each waveform's own.
+const LEVEL_SD_DN: f64 = 3.0;
 
 /// Blocks of a scene, and the places of their pulses.
 fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene) -> (Vec<u16>, Vec<Vec<f64>>) {
@@ -157,6 +159,62 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets, 
     rates
 }
 
+/// The mixed scene with a background of each waveform's own, in each mode: rates, and their ratio to those of a known
+/// background on the same waveforms without their levels.
+fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed: &(Vec<u16>, Vec<Vec<f64>>)) {
+    let own = ChannelModel {
+        background: Background::PerWaveform,
+        background_sd_dn: LEVEL_SD_DN,
+        autocorrelation: vec![0.65],
+        ..fixed.clone()
+    };
+    let of_own = Arc::new(Tables::new(&own).expect("tables"));
+    let (samples, truths) = mixed;
+    let mut random = Random::new(3);
+    let mut levelled = samples.clone();
+    for waveform in levelled.chunks_mut(SAMPLES) {
+        let level = (LEVEL_SD_DN * random.normal()).round().max(-15.0);
+        waveform.iter_mut().for_each(|sample| *sample = (f64::from(*sample) + level).clamp(0.0, 254.0) as u16);
+    }
+    let modes = [
+        ("fastest", Mode::Fastest, false),
+        ("fastest, refined when needed", Mode::Fastest, true),
+        ("fast_separated", Mode::FastSeparated, false),
+        ("refined", Mode::Refined, false),
+    ];
+    for (name, mode, refine) in modes {
+        let one = |model: &ChannelModel, tables: &Arc<Tables>, samples: &[u16]| {
+            let blocks = blocks(samples, ALIKE);
+            let settings = DecomposeSettings::default();
+            let kernels = Lockstep::new(model, Some(Arc::clone(tables)), &settings, mode, path);
+            let mut kernels = kernels.expect("a channel").refine_when_needed(refine);
+            let mut outcomes = Outcomes::default();
+            let rate = rate(|| {
+                for line in blocks.chunks(SCAN_LINE) {
+                    kernels.decompose(line, &mut outcomes);
+                }
+            });
+            let before = kernels.left_to_plain();
+            kernels.decompose(&blocks, &mut outcomes);
+            let left = (kernels.left_to_plain() - before) as f64 / blocks.len() as f64;
+            (rate, quality(&outcomes, truths), left)
+        };
+        let rounds: Vec<_> =
+            (0..3).map(|_| (one(fixed, tables, samples), one(&own, &of_own, &levelled))).collect();
+        let (ratio, range) = median(rounds.iter().map(|(a, b)| b.0.median / a.0.median).collect());
+        let best = |of: fn(&((Rate, (f64, f64), f64), (Rate, (f64, f64), f64))) -> f64| {
+            rounds.iter().map(of).fold(0.0, f64::max)
+        };
+        let (known, unknown) = (best(|(a, _)| a.0.best), best(|(_, b)| b.0.best));
+        let (z, right) = rounds[0].1.1;
+        println!(
+            "own background, {name}: {unknown:.2} M waveforms per core-second, {ratio:.2}{range} of a known one's {known:.2}; number of returns right in {:.2} %, z {z:.3}, left to the plain kernels {:.2} %",
+            100.0 * right,
+            100.0 * rounds[0].1.2
+        );
+    }
+}
+
 /// The lines of the yardstick that the kernels are held against: what both names contain.
 const LINES: [(&str, &[&str]); 4] = [
     ("detect, one return", &["detect, one return"]),
@@ -273,6 +331,9 @@ fn main() {
             rounds.push(measure(path, &model, &tables, &sets, round == 0));
         }
         has_yardstick = yards.len() == rounds.len();
+        if path == Path::best() {
+            own_background(path, &model, &tables, &sets[2]);
+        }
         report(&rounds, if has_yardstick { &yards } else { &[] });
     }
     println!(

@@ -379,13 +379,35 @@ fn pairs<'a>(a: &'a [Row], b: &'a [Row], shots: &[usize]) -> Vec<(&'a Row, &'a R
 
 #[test]
 fn modes_agree_where_returns_stand_alone_and_refine_on_request_where_they_overlap() {
+    modes_differ_as_their_names_say("", 0);
+}
+
+/// With a background of each waveform's own, too, and few waveforms are left to the plain kernels.
+#[test]
+fn modes_differ_where_each_waveform_has_a_background_of_its_own() {
+    let place = modes_differ_as_their_names_say("background = 'per_waveform'", 3);
+    for mode in ["fastest", "fast_separated", "refined"] {
+        run(&place, "", "background = 'per_waveform'", &format!("mode = '{mode}'"));
+        let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+        let stages = report["inputs"][0]["stages"].as_array().unwrap();
+        let observed = |stage: &serde_json::Value| stage["observed"]["left_to_plain_kernels"].clone();
+        let left = stages.iter().map(observed).find(|left| !left.is_null()).unwrap();
+        let left = left["mean"].as_f64().unwrap() * left["count"].as_f64().unwrap();
+        assert!(left < 0.05 * SHOTS as f64, "{mode}: {left}");
+    }
+}
+
+/// Runs all modes with this key of `calibrate`, on waveforms whose levels differ by up to `levels - 1` DN.
+fn modes_differ_as_their_names_say(calibrate: &str, levels: usize) -> Place {
     let place = recording(|number, shot| {
         if number % 5 == 3 {
             let apart = 7.0 + 0.05 * (number % 40) as f64;
             shot.blocks[1].2 = samples(number, &[(20.0, 120.0), (20.0 + apart, 70.0)]);
         }
+        let level = (number % levels.max(1)) as u16;
+        shot.blocks[1].2.iter_mut().for_each(|sample| *sample += level);
     });
-    let of_mode = |keys: &str| run(&place, "", "", keys);
+    let of_mode = |keys: &str| run(&place, "", calibrate, keys);
     let (refined, totals) = of_mode("");
     assert_eq!(totals["nw_refined1x"], SHOTS);
     assert!(refined.iter().all(|row| flags_of(row) & REFINED != 0));
@@ -434,4 +456,5 @@ fn modes_agree_where_returns_stand_alone_and_refine_on_request_where_they_overla
         let untouched = isolated.iter().flat_map(|&shot| of_shot(&rows, shot));
         assert!(untouched.filter(|row| flags_of(row) & REFINED == 0).count() * 10 > isolated.len() * 9);
     }
+    place
 }

@@ -5,9 +5,11 @@
 //! stands, and a waveform's result has the same bits alone, among others, and on every [`Path`].
 //!
 //! A batch goes through detection ([`Candidate`]), the fit of all clusters of up to three pulses, a search of what they
-//! leave, and the score test of widened pulses. What the fast kernels are not made for (saturation, a background that is
-//! the waveform's own, pulses wider than a row, large clusters, fits without an optimum, pulses that do not stand up) goes
-//! to the plain kernels, one waveform at a time: they decide, and are the oracle of the tests.
+//! leave, and the score test of widened pulses. A background that is the waveform's own is estimated before detection, and
+//! brought to the joint optimum with the pulses behind their fits (`level`). What the fast kernels are not made for
+//! (saturation, a background without enough free samples, pulses wider than a row, large clusters, fits without an optimum,
+//! pulses that do not stand up) goes to the plain kernels, one waveform at a time: they decide, and are the oracle of the
+//! tests.
 //!
 //! The first samples of a block, as many as the noise's order, carry no weight in a fit, and count in chi-square as long as
 //! no pulse reaches them. After its start a [`Lockstep`] allocates nothing but room for more returns or longer blocks, two
@@ -41,6 +43,7 @@ mod fit;
 mod fitted;
 mod gate;
 mod jobs;
+mod level;
 mod limits;
 mod outcome;
 mod rows;
@@ -117,6 +120,9 @@ impl Lockstep {
         mode: Mode,
         path: Path,
     ) -> Result<Lockstep, ModelError> {
+        let mut limits = Limits::new(model, settings)?;
+        let level = tables.as_ref().and_then(|tables| tables.level.as_ref());
+        limits.level_response = level.map_or(0.0, |level| level.response());
         Ok(Lockstep {
             model: model.clone(),
             settings: settings.clone(),
@@ -124,7 +130,7 @@ impl Lockstep {
             refine_when_needed: false,
             path,
             tables,
-            limits: Limits::new(model, settings)?,
+            limits,
             plain: Decomposer::new(model, settings, 0)?,
             work: Workspace::new(0),
             first_look: Vec::new(),
@@ -178,6 +184,7 @@ impl Lockstep {
 
     fn batch(&mut self, blocks: &[Block<'_>], outcomes: &mut Outcomes) {
         let Some(tables) = self.tables.clone() else {
+            self.left_to_plain += blocks.len() as u64;
             for block in blocks {
                 outcomes.push(&self.plain.decompose(block.samples, block.start_phase));
             }

@@ -12,14 +12,16 @@ const CHUNK: usize = 256;
 
 /// Decomposes blocks with a model and hands on each with what became of it, in order.
 ///
-/// What the fast kernels are not made for, a background that is each waveform's own among it, goes to the plain ones.
+/// The plain kernels decompose what the fast ones are not made for, and every waveform where the background is each
+/// waveform's own: the models of the first rounds know too little of noise and level for a robust estimate of it.
 pub(in crate::kernels) fn decompose_each<'a>(
     mut blocks: impl Iterator<Item = Block<'a>>,
     model: &ChannelModel,
     settings: &DecomposeSettings,
     mut take: impl FnMut(Block<'a>, &Decomposition<'_>),
 ) -> Result<(), ModelError> {
-    let tables = Tables::new(model).map(Arc::new);
+    let is_fixed = model.offset_precision().is_none();
+    let tables = if is_fixed { Tables::new(model).map(Arc::new) } else { None };
     let mut lockstep = Lockstep::new(model, tables, settings, Mode::Refined, Path::best())?;
     let (mut chunk, mut outcomes) = (Vec::with_capacity(CHUNK), Outcomes::default());
     loop {

@@ -8,6 +8,7 @@ use super::filter::HIGHEST;
 use super::fit::Job;
 use super::fitted::FittedPulse;
 use super::jobs::{Aim, Queues, Results, add, take_off};
+use super::level::{SetLevels, widen};
 use super::limits::Limits;
 use super::rows::{BATCH, EMPTY, FAST_BATCH, Rows};
 use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
@@ -106,6 +107,9 @@ pub(super) struct Decompose<'a> {
     pub(super) blocks: &'a [Block<'a>],
 }
 
+/// Steps of level and pulses, with fits between them where pulses had to move far.
+const LEVEL_ROUNDS: usize = 3;
+
 impl Decompose<'_> {
     /// Does the work.
     pub(super) fn run(mut self) {
@@ -136,6 +140,14 @@ impl Decompose<'_> {
                 self.fit_clusters(1);
             }
         }
+        if self.tables.level.is_some() {
+            self.set_levels();
+            self.search_residuals();
+            self.fit_unlevelled();
+            self.set_levels();
+            widen(&mut self.work.scenes);
+            return;
+        }
         let Workspace { scenes, which, .. } = &mut *self.work;
         // Without a branch that depends on the waveform.
         which.resize(scenes.len(), 0);
@@ -146,8 +158,39 @@ impl Decompose<'_> {
         }
         which.truncate(count);
         self.sum_squares();
-        if self.mode == Mode::Refined && self.settings.max_added > 0 {
-            self.search_residuals();
+        self.search_residuals();
+    }
+
+    /// Fits the clusters of waveforms again that a trial has changed: of trials it is not known how they go with the level.
+    fn fit_unlevelled(&mut self) {
+        let Workspace { due, scenes, .. } = &mut *self.work;
+        due.clear();
+        due.extend((0..scenes.len()).filter(|&row| !scenes[row].is_levelled));
+        self.keep_due(1);
+        self.fit_clusters(1);
+    }
+
+    /// Brings level and pulses to their joint optimum where they are not; in the refined mode with another fit where pulses
+    /// had to move far.
+    fn set_levels(&mut self) {
+        let Some(level) = &self.tables.level else { return };
+        let follows = self.mode == Mode::Refined;
+        for round in 0..LEVEL_ROUNDS {
+            let Workspace { rows, scenes, which, due: moved, .. } = &mut *self.work;
+            which.clear();
+            let is_due = |scene: &Scene| scene.way == Way::Fast && !scene.is_levelled;
+            which.extend((0..scenes.len()).filter(|&row| is_due(&scenes[row])));
+            moved.clear();
+            self.on.run(SetLevels { tables: self.tables, level, rows, scenes, which, follows, moved });
+            if moved.is_empty() || round + 1 == LEVEL_ROUNDS {
+                return;
+            }
+            self.keep_due(1);
+            self.fit_clusters(1);
+            for i in 0..self.work.due.len() {
+                let row = self.work.due[i];
+                self.work.scenes[row].is_levelled = false;
+            }
         }
     }
 

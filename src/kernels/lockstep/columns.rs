@@ -9,6 +9,8 @@ use super::rows::{CHUNK, Rows};
 use super::tables::{Aligned, FILTER_BEFORE, FILTER_LAGS, MAX_ORDER, TAPS, TAPS_BEFORE, Tables};
 use super::vector::{LANES, Simd, Sixteen};
 
+mod levels;
+
 /// Empty rows before the first sample: what the filter reads there.
 const BEFORE: usize = 16;
 /// Empty rows behind the last sample.
@@ -30,6 +32,9 @@ pub(super) struct Columns {
     statistic: Aligned,
     lengths: [usize; LANES],
     longest: usize,
+    /// What the background stands above the channel's, DN, and the variance of that; 0 where it is the channel's.
+    level_dn: Sixteen,
+    level_variance: Sixteen,
     /// Lanes with a local maximum, by position.
     masks: Vec<[u16; CHUNK]>,
 }
@@ -46,6 +51,8 @@ impl Columns {
             statistic: Aligned::zeros((capacity + 2) * LANES),
             lengths: [0; LANES],
             longest: 0,
+            level_dn: [0.0; LANES],
+            level_variance: [0.0; LANES],
             masks: vec![[0; CHUNK]; capacity / CHUNK],
         }
     }
@@ -148,8 +155,10 @@ impl Columns {
             *tap = s.splat(value);
         }
         let mut background = [s.splat(0.0); 4];
+        let levels = s.load(&self.level_dn);
+        let steady = s.splat(tables.level.as_ref().map_or(0.0, |level| level.steady));
         for (level, &whitened) in background.iter_mut().zip(&tables.whitened_background) {
-            *level = s.splat(-whitened);
+            *level = s.sub(s.splat(-whitened), s.mul(levels, steady));
         }
         for start in (0..self.longest).step_by(LANES) {
             let from = (BEFORE + start - MAX_ORDER) / 2;
@@ -172,6 +181,7 @@ impl Columns {
                     let mut value = s.splat(0.0);
                     for j in 0..=k {
                         let sample = s.sub(inputs[MAX_ORDER + j], s.splat(tables.background[j % 4]));
+                        let sample = s.sub(sample, levels);
                         value = s.add(value, s.mul(s.splat(tables.begin[k][j]), sample));
                     }
                     values[k] = value;

@@ -30,7 +30,7 @@ impl Kernel for Detect<'_> {
         let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
         for (group, (blocks, out)) in groups.enumerate() {
             fetch(s, self.blocks, group + 1);
-            let extremes = load(s, columns, blocks);
+            let extremes = load(s, tables, columns, blocks);
             detect(s, tables, columns, extremes, threshold, out);
         }
     }
@@ -44,14 +44,24 @@ fn fetch<S: Simd>(s: S, blocks: &[Block<'_>], group: usize) {
     }
 }
 
-/// Takes up to sixteen blocks, and gives the lowest and the highest sample of each.
+/// Takes up to sixteen blocks, and gives the lowest and the highest sample of each; with the level of each where the
+/// background is the waveform's own.
 #[inline(always)]
-fn load<S: Simd>(s: S, columns: &mut Columns, blocks: &[Block<'_>]) -> [[u16; 2]; LANES] {
+fn load<S: Simd>(
+    s: S,
+    tables: &Tables,
+    columns: &mut Columns,
+    blocks: &[Block<'_>],
+) -> [[u16; 2]; LANES] {
     let mut samples: [&[u16]; LANES] = [&[]; LANES];
     for (samples, block) in samples.iter_mut().zip(blocks) {
         *samples = block.samples;
     }
-    columns.load(s, &samples[..blocks.len()])
+    let extremes = columns.load(s, &samples[..blocks.len()]);
+    if let Some(level) = &tables.level {
+        columns.estimate_levels(s, tables, level);
+    }
+    extremes
 }
 
 /// The candidates of blocks that are loaded.
@@ -65,6 +75,9 @@ fn detect<S: Simd>(
     out: &mut [Candidates],
 ) {
     columns.filter_samples(s, tables);
+    if let Some(level) = &tables.level {
+        columns.take_levels_off_statistic(s, level);
+    }
     columns.mark_maxima(s, threshold);
     for (lane, (extremes, found)) in extremes.into_iter().zip(out).enumerate() {
         found.find(s, columns, lane, threshold);
@@ -138,12 +151,18 @@ impl Kernel for DetectAll<'_> {
             fetch(s, self.blocks, group + 1);
             let first = first + group * LANES;
             let found = &mut found[..blocks.len()];
-            let extremes = load(s, columns, blocks);
+            let extremes = load(s, tables, columns, blocks);
             columns.whiten(s, tables, rows, first, blocks.len());
             detect(s, tables, columns, extremes, threshold, found);
             let lanes = blocks.iter().zip(found).zip(scenes).enumerate();
             for (lane, ((block, found), scene)) in lanes {
                 begin.begin(block, rows.capacity(), found, scene);
+                if let Some(level) = &tables.level {
+                    match columns.level(lane).filter(|[level_dn, v]| level.is_likely(*level_dn, *v)) {
+                        Some([level_dn, _]) => scene.level_dn = level_dn,
+                        None => scene.give_up(),
+                    }
+                }
                 by_count.push(scene.pulses().len(), first + lane);
             }
         }

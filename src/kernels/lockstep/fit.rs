@@ -3,7 +3,7 @@
 use super::fitted::{Fitted, FittedLanes, FittedPulse, Values};
 use super::jobs::Aim;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
-use super::solve::factor;
+use super::solve::{Factors, factor};
 use super::tables::{ROW, Tables, U_MAX};
 use super::template::{Pulses, Site, Sites, leaves_block, tail, template, weights};
 use super::vector::{Kernel, LANES, Simd};
@@ -93,6 +93,8 @@ struct Group<'a, S: Simd, const P: usize, const N: usize, const C: usize, const 
     last: S::V,
     precision: f32,
     sums: &'a mut Sums<S::Half, D>,
+    /// Whether one of the fits is no trial.
+    is_whole: bool,
 }
 
 /// The products before their sums: per product half a vector of each row.
@@ -131,6 +133,7 @@ pub(super) fn fit<
         last: s.splat(0.0),
         precision,
         sums,
+        is_whole: jobs.iter().any(|job| job.aim.is_whole()),
     };
     let lengths: [f32; LANES] = std::array::from_fn(|w| rows.length(group.row[w]).saturating_sub(1) as f32);
     group.last = s.load(&lengths);
@@ -195,7 +198,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
                 break;
             }
         }
-        self.results(&pulses, &point, lanes & !active & inside, active & inside, out);
+        self.results::<STRONG>(&pulses, &point, lanes & !active & inside, active & inside, out);
         let (mut objectives, mut promises) = ([0.0; LANES], [0.0; LANES]);
         s.store(point.objective, &mut objectives);
         s.store(promised, &mut promises);
@@ -252,16 +255,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         while left != 0 {
             let w = left.trailing_zeros() as usize % LANES;
             left &= left - 1;
-            let mut of_pulse = [Site::default(); P];
-            for (site, sites) in of_pulse.iter_mut().zip(&sites) {
-                *site = sites.get::<STRONG>(self.tables, w);
-            }
-            let mut first = of_pulse[0].first;
-            let mut end = first;
-            for site in &of_pulse[1..] {
-                first = first.min(site.first);
-                end = end.max(site.first);
-            }
+            let (of_pulse, first, end) = self.sites_of::<STRONG>(&sites, w);
             if end - first > farthest(C) {
                 *inside &= !(1 << w);
             }
@@ -360,8 +354,8 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
     }
 
     #[inline(always)]
-    fn results(
-        &self,
+    fn results<const STRONG: bool>(
+        &mut self,
         pulses: &[Pulses<S::V>; P],
         point: &Point<S::V, N>,
         optimum: u16,
@@ -396,5 +390,76 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             fitted.may_go_on = active & (1 << w) != 0;
             fitted.beyond = beyonds[w];
         }
+        if let Some(level) = self.tables.level.as_ref().filter(|_| self.is_whole) {
+            self.tell_level::<STRONG>(pulses, &factors, level.steady, out);
+        }
+    }
+
+    /// What a constant background takes off each pulse's values, and the information on it that the pulses take up.
+    #[inline(always)]
+    fn tell_level<const STRONG: bool>(
+        &mut self,
+        pulses: &[Pulses<S::V>; P],
+        factors: &Factors<S::V, N>,
+        steady: f32,
+        out: &mut [Fitted<P>],
+    ) {
+        let s = self.s;
+        let zero = s.splat(0.0);
+        let mut sites = [Sites::NONE; P];
+        let mut scale = [s.splat(steady); N];
+        for (p, pulse) in pulses.iter().enumerate() {
+            sites[p].set(s, pulse);
+            scale[3 * p + 1] = s.mul(s.sub(zero, pulse.height), scale[3 * p + 1]);
+            scale[3 * p + 2] = s.mul(pulse.height, scale[3 * p + 2]);
+        }
+        for w in 0..out.len().min(LANES) {
+            let (of_pulse, first, _) = self.sites_of::<STRONG>(&sites, w);
+            let columns = self.columns::<STRONG>(&of_pulse, first, w);
+            unrolled!(i in [0 1 2 3 4 5 6 7 8] if N => {
+                let mut sum = columns[i][0];
+                unrolled!(c in [1 2 3] if C => {
+                    sum = s.add(sum, columns[i][c]);
+                });
+                self.sums[i][w] = s.halved(sum);
+            });
+        }
+        let mut side = [zero; N];
+        for i in 0..N {
+            side[i] = s.mul(s.sum_each(&self.sums[i]), scale[i]);
+        }
+        let mut by_level = side;
+        factors.solve(s, &mut by_level);
+        let mut information = zero;
+        for i in 0..N {
+            information = s.fma(side[i], by_level[i], information);
+        }
+        let (mut values, mut explained) = ([[0.0; LANES]; N], [0.0; LANES]);
+        for (values, by_level) in values.iter_mut().zip(by_level) {
+            s.store(by_level, values);
+        }
+        s.store(information, &mut explained);
+        for (w, fitted) in out.iter_mut().enumerate() {
+            for (p, pulse) in fitted.pulses.iter_mut().enumerate() {
+                pulse.by_level = std::array::from_fn(|i| values[3 * p + i][w]);
+                pulse.level_information = if p == 0 { explained[w] } else { 0.0 };
+            }
+        }
+    }
+
+    /// The sites of a lane's pulses, and the first and the last one's first sample.
+    #[inline(always)]
+    fn sites_of<const STRONG: bool>(&self, sites: &[Sites; P], w: usize) -> ([Site; P], i32, i32) {
+        let mut of_pulse = [Site::default(); P];
+        for (site, sites) in of_pulse.iter_mut().zip(sites) {
+            *site = sites.get::<STRONG>(self.tables, w);
+        }
+        let mut first = of_pulse[0].first;
+        let mut end = first;
+        for site in &of_pulse[1..] {
+            first = first.min(site.first);
+            end = end.max(site.first);
+        }
+        (of_pulse, first, end)
     }
 }

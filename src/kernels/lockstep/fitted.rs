@@ -14,10 +14,20 @@ pub(super) struct FittedPulse {
     /// Standard deviations of the values.
     pub(super) sds: Values,
     pub(super) width_ratio: f32,
+    /// What a background higher by 1 DN takes off the values, and the information on it that the pulse takes up, that of its
+    /// whole cluster with the first; 0 where the background is known.
+    pub(super) by_level: Values,
+    pub(super) level_information: f32,
 }
 
 impl FittedPulse {
-    pub(super) const NOTHING: FittedPulse = FittedPulse { values: [0.0; 3], sds: [0.0; 3], width_ratio: 0.0 };
+    pub(super) const NOTHING: FittedPulse = FittedPulse {
+        values: [0.0; 3],
+        sds: [0.0; 3],
+        width_ratio: 0.0,
+        by_level: [0.0; 3],
+        level_information: 0.0,
+    };
 
     /// Whether the width is inside the tables.
     pub(super) fn is_held(&self) -> bool {
@@ -72,6 +82,7 @@ impl FittedLanes {
             values: [values[0][lane], values[1][lane], values[2][lane]],
             sds: [sds[0][lane], sds[1][lane], sds[2][lane]],
             width_ratio: width_ratios[lane],
+            ..FittedPulse::NOTHING
         }
     }
 }

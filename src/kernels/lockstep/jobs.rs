@@ -109,6 +109,11 @@ impl Aim {
         Aim { enough, rivals: waveform }
     }
 
+    /// Whether what comes of the fit is told in full: a trial that is taken up is fitted once more.
+    pub(super) fn is_whole(&self) -> bool {
+        self.rivals == usize::MAX
+    }
+
     /// Whether a fit that has come to `objective` need not go on.
     fn is_out_of_reach(&self, objective: f32, promised: f32, race: &Race) -> bool {
         let reach = if promised < LITTLE { NEAR_REACH } else { REACH };

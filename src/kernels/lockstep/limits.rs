@@ -24,6 +24,8 @@ pub(super) struct Limits {
     pub(super) left_behind: LeftBehind,
     /// The statistic of a whole pulse of height 1.
     pub(super) per_dn: f32,
+    /// The statistic of a background higher by 1 DN; 0 where it is known.
+    pub(super) level_response: f32,
     pub(super) allowance: Allowance,
     detection_sigma: f64,
     detection_sigma_last: Option<f64>,
@@ -58,6 +60,7 @@ impl Limits {
         Ok(Limits {
             left_behind: LeftBehind::new(echo, model.fwhm_samples()),
             per_dn: detector.full_significance_per_dn() as f32,
+            level_response: 0.0,
             allowance: Allowance::new(model, settings.template_error, overdriven_dn),
             detection_sigma: settings.detection_sigma,
             detection_sigma_last: settings.detection_sigma_last,
@@ -107,7 +110,8 @@ impl Limits {
             chi_square: f64::from(scene.chi_square),
             expected_excess: scene.pulses().iter().map(of).sum(),
             samples: scene.samples,
-            parameters: 3 * scene.pulses().len(),
+            parameters: 3 * scene.pulses().len() + usize::from(self.level_response > 0.0),
+            background_offset_dn: scene.level_dn.into(),
             refined_once: scene.pulses().iter().any(|p| p.flags & flags::REFINED != 0),
             refined_twice: scene.refined_twice,
             ..Decomposition::default()
@@ -142,7 +146,7 @@ impl Limits {
         let [before, behind] = self.whole_from_ends;
         let is_whole = pulse.position() >= before && pulse.position() <= samples as f32 - 1.0 - behind;
         let per_dn =
-            if is_whole { f64::from(self.per_dn) } else { self.at_edge(pulse.position().into(), samples) };
+            if is_whole { f64::from(self.per_dn) * self.left_by_level(scene).sqrt() } else { self.at_edge(pulse.position().into(), samples) };
         let energy = f64::from(pulse.height() * pulse.width_ratio());
         let statistic = per_dn * energy;
         let sigma = self.sigma(scene, pulse.position());
@@ -155,6 +159,13 @@ impl Limits {
         };
         statistic >= sigma * most
             || (most > 1.0 && statistic >= sigma * self.raise(scene, pulse.position(), pulse.height()))
+    }
+
+    /// Part of a pulse's significance, squared, that the uncertainty of the level leaves.
+    #[inline(always)]
+    pub(super) fn left_by_level(&self, scene: &Scene) -> f64 {
+        let lost = self.level_response * self.level_response * scene.level_variance;
+        1.0 - f64::from(lost.min(0.9))
     }
 
     #[inline(never)]

@@ -2,6 +2,7 @@
 //!
 //! A row belongs to one waveform, and every operation on it looks at that row alone.
 
+use super::level::LevelTables;
 use super::tables::{Aligned, ROW, Tables};
 use super::template::{Site, VECTORS, leaves_block, tail, template, weights};
 use super::vector::{LANES, Simd, Sixteen};
@@ -198,6 +199,52 @@ impl Rows {
             first += LANES as i32;
             from += LANES as i32;
         }
+    }
+
+    /// Takes so much of a constant, whitened, off a residual.
+    #[inline(always)]
+    pub(super) fn take_level_off<S: Simd>(
+        &mut self,
+        s: S,
+        level: &LevelTables,
+        order: usize,
+        row: usize,
+        level_dn: f32,
+    ) {
+        let n = self.lengths[row];
+        let is_begun = self.counted[row] == n;
+        let to = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
+        if is_begun {
+            for (value, one) in to[FRONT..FRONT + order.min(n)].iter_mut().zip(level.begin()) {
+                *value -= level_dn * one;
+            }
+        }
+        let constant = s.splat(level_dn * level.steady);
+        for c in (0..n).step_by(LANES) {
+            let value = s.load(sixteen(to, FRONT + c));
+            put(s, s.fnma(constant, weights(s, c as i32, order, n), value), to, FRONT + c);
+        }
+    }
+
+    /// Sums of sixteen residuals, and of their squares.
+    #[inline(always)]
+    pub(super) fn sums_and_squares<S: Simd>(&self, s: S, rows: &[usize; LANES]) -> [Sixteen; 2] {
+        let none = s.halved(s.splat(0.0));
+        let (mut sums, mut squares) = ([none; LANES], [none; LANES]);
+        for (w, &row) in rows.iter().enumerate() {
+            let (mut sum, mut square) = (s.splat(0.0), s.splat(0.0));
+            let values = self.residual_row(row);
+            for c in (0..self.lengths[row]).step_by(LANES) {
+                let value = s.load(sixteen(values, FRONT + c));
+                sum = s.add(sum, value);
+                square = s.fma(value, value, square);
+            }
+            (sums[w], squares[w]) = (s.halved(sum), s.halved(square));
+        }
+        let mut out = [[0.0; LANES]; 2];
+        s.store(s.sum_each(&sums), &mut out[0]);
+        s.store(s.sum_each(&squares), &mut out[1]);
+        out
     }
 
     /// Sums of squares of sixteen residuals.

@@ -20,6 +20,9 @@ pub(super) struct Pulse {
     width_ratio: f32,
     pub(super) sds: Values,
     pub(super) flags: u16,
+    /// As [`FittedPulse`] has them.
+    pub(super) by_level: Values,
+    pub(super) level_information: f32,
 }
 
 impl Default for Pulse {
@@ -31,12 +34,13 @@ impl Default for Pulse {
 impl Pulse {
     /// A pulse that is not fitted.
     pub(super) fn new(values: Values) -> Pulse {
-        Pulse { values, width_ratio: values[2].exp(), sds: [0.0; 3], flags: 0 }
+        Pulse { values, width_ratio: values[2].exp(), ..Pulse::of_calibrated_width(0.0, 0.0) }
     }
 
     /// A pulse of the calibrated width that is not fitted.
     pub(super) fn of_calibrated_width(height: f32, position: f32) -> Pulse {
-        Pulse { values: [height, position, 0.0], width_ratio: 1.0, sds: [0.0; 3], flags: 0 }
+        let values = [height, position, 0.0];
+        Pulse { values, width_ratio: 1.0, sds: [0.0; 3], flags: 0, by_level: [0.0; 3], level_information: 0.0 }
     }
 
     /// The pulse with other flags.
@@ -56,6 +60,7 @@ impl Pulse {
     /// Takes what a fit came to, but for the standard deviations.
     pub(super) fn take(&mut self, fitted: &FittedPulse) {
         (self.values, self.width_ratio) = (fitted.values, fitted.width_ratio);
+        (self.by_level, self.level_information) = (fitted.by_level, fitted.level_information);
     }
 
     pub(super) fn height(&self) -> f32 {
@@ -105,6 +110,11 @@ pub(super) struct Scene {
     pub(super) counts: Counts,
     /// By how much chi-square promises to fall with pulses wider than the tables allow.
     pub(super) beyond: f32,
+    /// What the background stands above the channel's, DN, and the variance of that; 0 where it is the channel's.
+    pub(super) level_dn: f32,
+    pub(super) level_variance: f32,
+    /// Whether these are those of the present pulses.
+    pub(super) is_levelled: bool,
     /// Ends of the clusters that are fitted jointly, in order; 0 behind the last.
     ends: [u8; MAX_PULSES],
     pulses: [Pulse; MAX_PULSES],
@@ -134,11 +144,21 @@ impl Scene {
             counts,
             refined_twice,
             is_settled,
+            level_dn,
+            level_variance,
+            is_levelled,
             ..
         } = self;
         (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
         (*taken_off, *has_changed, *refined_twice, *is_settled) = (false, false, false, false);
         (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
+        (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
+    }
+
+    /// Takes a level of the background, DN, and its variance, as those of the present pulses.
+    #[inline(always)]
+    pub(super) fn set_level(&mut self, level_dn: f32, variance: f32) {
+        (self.level_dn, self.level_variance, self.is_levelled) = (level_dn, variance, true);
     }
 
     /// Leaves the waveform to the plain kernels.

@@ -129,7 +129,11 @@ impl Kernel for OneStep<'_> {
                     pulse.set_values([heights[w], positions[w], widths[w]]);
                     to_fit.push((row, number));
                 } else {
-                    let stepped = steps.fitted.get(w);
+                    let mut stepped = steps.fitted.get(w);
+                    if let Some(level) = &tables.level {
+                        (stepped.by_level, stepped.level_information) =
+                            level.of_whole(tables, stepped.values);
+                    }
                     pulse.take(&stepped);
                     pulse.sds = stepped.sds;
                     (scene.chi_square, scene.samples) = (steps.chi_square[w], steps.samples[w]);

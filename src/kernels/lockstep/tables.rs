@@ -1,6 +1,7 @@
 //! What the kernels look up: whitened templates over height, width and phase, inverse Fisher matrices, the filters.
 
 use super::filter::Filter;
+use super::level::LevelTables;
 use super::series::{Series, Widened};
 use super::vector::LANES;
 use crate::kernels::gauss_fit::FOUR_LN_2;
@@ -119,20 +120,23 @@ pub struct Tables {
     /// The background by sample number modulo 4, DN, and what whitening makes of it.
     pub(super) background: [f32; 4],
     pub(super) whitened_background: [f32; 4],
+    /// For a background of each waveform's own; `None` where it is the channel's.
+    pub(super) level: Option<LevelTables>,
     /// Full width at half maximum of a pulse of width ratio 1, samples.
     pub(super) fwhm_samples: f64,
 }
 
 impl Tables {
     /// Tables for a channel. `None` where the fast kernels are not made for it: a digitiser that shifts odd samples or leaves
-    /// a tail of its own, a background that is each waveform's own,
+    /// a tail of its own, a background that is each waveform's own where no sample was free of signal to measure the noise on,
     /// noise of an order above 4, a pulse narrower than 1.5 or wider than 6 samples, or a model that describes no channel.
     pub fn new(model: &ChannelModel) -> Option<Tables> {
         let fwhm = model.fwhm_samples();
         let noise = model.noise().ok()?;
         let is_plain = Digitiser::is_plain(&model.digitiser);
         let fits = is_plain && noise.order() <= MAX_ORDER && FWHM_RANGE.contains(&fwhm);
-        if !fits || model.offset_precision().is_some() || model.check().is_err() {
+        let is_levelled = model.offset_precision().is_none() || !model.autocorrelation.is_empty();
+        if !fits || !is_levelled || model.check().is_err() {
             return None;
         }
         let gaussian;
@@ -187,6 +191,7 @@ impl Tables {
                 taps.map(|(lag, &tap)| f64::from(tap) * model.background_dn[(k + 4 - lag) % 4]).sum::<f64>()
                     as f32
             }),
+            level: model.offset_precision().map(|precision| LevelTables::new(noise, precision)),
             fwhm_samples: model.fwhm_samples(),
         }
     }
@@ -277,9 +282,14 @@ impl Tables {
             for (phase, entry) in entries.chunks_exact_mut(ENTRY).enumerate() {
                 let fisher = fill_entry(entry, &widened, phase, filter);
                 if is_first {
-                    self.inverse_fisher.push(inverse(fisher));
+                    let inverse = inverse(fisher);
+                    self.inverse_fisher.push(inverse);
                     let row = |k: usize| &entry[LANES + k * ROW_STRIDE..][..ROW];
                     let [pulse, by_time, by_width] = [row(0), row(1), row(3)];
+                    if let Some(level) = &mut self.level {
+                        let [a, t, u] = [pulse, by_time, by_width].map(|row| row.iter().sum::<f32>());
+                        level.push(&inverse, [a, -t, u]);
+                    }
                     let of_pulse = holding(pulse, NEGLIGIBLE_ENERGY);
                     let of_values =
                         [pulse, by_time, by_width].map(|row| holding(row, NEGLIGIBLE_INFORMATION));
@@ -335,11 +345,15 @@ impl Tables {
             (signal, variance)
         };
         let whole = part(0..TAPS).0.powi(2);
-        self.filter = Filter::new(&taps, background_dn, |used| {
+        let gain = |used| {
             let (signal, variance) = part(used);
             let enough = signal > 0.0 && signal * signal >= LEAST_ENERGY * whole * variance;
             if enough { variance.sqrt().recip() as f32 } else { 0.0 }
-        });
+        };
+        self.filter = Filter::new(&taps, background_dn, gain);
+        if let Some(level) = &mut self.level {
+            level.filter = Filter::new(&taps, &[1.0; 4], gain);
+        }
         let scale = f64::from(self.filter.scale());
         self.matched = template.map(|value| (value * norm / scale) as f32);
     }

@@ -11,6 +11,8 @@ use crate::kernels::sensor_model::Background;
 use crate::kernels::shape::Shape;
 use crate::kernels::simulated::{self, Random, digitised, pulse};
 
+mod own_background;
+
 const SAMPLES: usize = 60;
 const FULL_SCALE: u16 = 255;
 
@@ -419,14 +421,18 @@ fn what_the_tables_cannot_hold_is_left_to_the_plain_kernels() {
     let model = model();
     assert!(Tables::new(&ChannelModel { ar: vec![0.1; 5], ..model.clone() }).is_none());
     assert!(Tables::new(&ChannelModel { pulse_fwhm_ns: 9.0, ..model.clone() }).is_none());
-    let drifting =
-        ChannelModel { background: Background::PerWaveform, background_sd_dn: 1.0, ..model.clone() };
-    assert!(Tables::new(&drifting).is_none());
+    // Noise that was measured on no free sample has no correlation either.
+    let everywhere = ChannelModel {
+        background: Background::PerWaveform,
+        autocorrelation: Vec::new(),
+        ..model.clone()
+    };
+    assert!(Tables::new(&everywhere).is_none());
     let waveforms = scenes(&model, 2, 20);
     let settings = DecomposeSettings::default();
     let mut kernels = Lockstep::new(&model, None, &settings, Mode::Refined, Path::best()).unwrap();
     let outcomes = decompose(&mut kernels, &waveforms);
-    assert_eq!((outcomes.len(), outcomes.is_empty()), (20, false));
+    assert_eq!((outcomes.len(), outcomes.is_empty(), kernels.left_to_plain()), (20, false, 20));
     let mut plain = Decomposer::new(&model, &settings, SAMPLES).unwrap();
     for (i, samples) in waveforms.iter().enumerate() {
         assert_eq!(outcomes.get(i), Some(plain.decompose(samples, 0)));

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use super::Mode;
 use super::batch::{ChiSquares, Decompose, Workspace};
 use super::candidates::{Candidate, Candidates};
 use super::detection::Search;
@@ -51,8 +52,11 @@ impl Trial {
 }
 
 impl Decompose<'_> {
-    /// Adds and divides pulses as long as one is worth its values.
+    /// Adds and divides pulses as long as one is worth its values, where waveforms are refined.
     pub(super) fn search_residuals(&mut self) {
+        if self.mode != Mode::Refined || self.settings.max_added == 0 {
+            return;
+        }
         let work = &mut *self.work;
         work.active.clear();
         for (scene, block) in work.scenes.iter_mut().zip(self.blocks) {
@@ -178,7 +182,8 @@ impl Decompose<'_> {
         let scene = self.work.scenes[row];
         let position = candidate.position_samples;
         let threshold = self.limits.threshold(&scene, position, f32::INFINITY);
-        let gain = (GAIN_PART * threshold * threshold) as f32;
+        // With the level held a pulse more lowers chi-square by less than with the level free.
+        let gain = (GAIN_PART * threshold * threshold * self.limits.left_by_level(&scene)) as f32;
         let whole = scene.cluster_around(position, self.fwhm());
         let old = part_of(&scene, whole.clone(), position);
         let is_part = old.len() < whole.len();
@@ -400,6 +405,7 @@ impl Decompose<'_> {
         scene.counts.n_added += 1;
         scene.refined_twice = true;
         scene.has_changed = true;
+        scene.is_levelled = false;
     }
 }
 

@@ -191,6 +191,11 @@ impl Receivers {
         }
     }
 
+    /// Waveforms of echoes that the plain kernels decomposed since the start.
+    pub(super) fn left_to_plain(&self) -> u64 {
+        [&self.low, &self.high].into_iter().flatten().map(|receiver| receiver.kernels.left_to_plain()).sum()
+    }
+
     /// The lot of a block of echoes, where nothing speaks against its receiver.
     fn echoes(&self, receiver: Option<&Receiver>, block: &Block, lot: impl FnOnce() -> Lot) -> Lot {
         match receiver {

@@ -220,7 +220,9 @@ impl ShotDecomposer {
         cx: &mut Context,
         watch: &mut impl Watch,
     ) -> Result<()> {
+        let before = self.receivers.left_to_plain();
         self.receivers.decompose(shots, self.both.as_ref());
+        cx.observe("left_to_plain_kernels", (self.receivers.left_to_plain() - before) as f64);
         let mut first_block = 0;
         for shot in shots {
             match line.emissions.get(shot.index as usize).copied() {

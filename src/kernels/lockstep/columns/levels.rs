@@ -1,0 +1,107 @@
+//! The level of each waveform's own background, before any pulse is known.
+
+use super::{BEFORE, Columns, rows_from_mut};
+use crate::kernels::lockstep::level::{LEAST_FREE, LevelTables};
+use crate::kernels::lockstep::tables::Tables;
+use crate::kernels::lockstep::vector::{LANES, Simd};
+
+/// Newton's steps of the robust mean: the first leaves some hundredths of the noise, the second nothing that matters.
+const STEPS: usize = 2;
+/// How much of a level's variance stands in that of the statistic at a maximum near the threshold: samples that noise raises
+/// so far hardly count for the level, so neither does it take them away, nor is it much worse for lacking them.
+const KEPT_VARIANCE: f32 = 0.5;
+
+impl Columns {
+    /// Estimates the level of each block above the channel's background, DN: the biweight mean of the samples around the
+    /// lowest mean of four, drawn to the prior. Pulses only raise samples, so the lowest ones are the background's.
+    #[inline(always)]
+    pub(in crate::kernels::lockstep) fn estimate_levels<S: Simd>(
+        &mut self,
+        s: S,
+        tables: &Tables,
+        level: &LevelTables,
+    ) {
+        let (lengths, shortest) = self.ends(s);
+        let (zero, one) = (s.splat(0.0), s.splat(1.0));
+        let pairs = self.pairs.as_slice().as_chunks::<LANES>().0.get(BEFORE / 2..).unwrap_or_default();
+        let mut lowest = s.splat(f32::MAX);
+        for (group, pairs) in pairs.as_chunks::<2>().0.iter().enumerate().take(self.longest / 4) {
+            let [a, b] = [s.load(&pairs[0]), s.load(&pairs[1])];
+            let mut sum = s.add(s.add(s.first(a), s.second(a)), s.add(s.first(b), s.second(b)));
+            if 4 * group + 4 > shortest {
+                let inside = s.gt(lengths, s.splat((4 * group + 3) as f32));
+                sum = s.select(inside, sum, s.splat(f32::MAX));
+            }
+            lowest = s.min(lowest, sum);
+        }
+        let above = level.above_lowest_dn - 0.25 * tables.background.iter().sum::<f32>();
+        let mut centre = s.fma(lowest, s.splat(0.25), s.splat(above));
+        let mut free = zero;
+        let scale = s.splat(level.reach_dn.recip());
+        for _ in 0..STEPS {
+            let mut base = [centre; 4];
+            for (base, &background) in base.iter_mut().zip(&tables.background) {
+                *base = s.add(s.splat(background), centre);
+            }
+            let (mut sums, mut weights) = ([zero; 4], [zero; 4]);
+            for (group, pairs) in pairs.as_chunks::<2>().0.iter().enumerate().take(self.longest.div_ceil(4)) {
+                let [a, b] = [s.load(&pairs[0]), s.load(&pairs[1])];
+                let samples = [s.first(a), s.second(a), s.first(b), s.second(b)];
+                unrolled!(k in [0 1 2 3] if 4 => {
+                    let distance = s.mul(s.sub(samples[k], base[k]), scale);
+                    let root = s.max(s.fnma(distance, distance, one), zero);
+                    let mut weight = s.mul(root, root);
+                    if 4 * group + k >= shortest {
+                        let inside = s.gt(lengths, s.splat((4 * group + k) as f32));
+                        weight = s.select(inside, weight, zero);
+                    }
+                    sums[k] = s.fma(weight, distance, sums[k]);
+                    weights[k] = s.add(weights[k], weight);
+                });
+            }
+            let sum = s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]));
+            let weight = s.add(s.add(weights[0], weights[1]), s.add(weights[2], weights[3]));
+            free = s.mul(weight, s.splat(level.mean_weight.recip()));
+            let step = s.div(sum, s.max(weight, s.splat(1e-3)));
+            centre = s.fma(step, s.splat(level.newton * level.reach_dn), centre);
+        }
+        let told = s.mul(free, s.splat(level.steady * level.steady));
+        let variance = s.div(one, s.add(told, s.splat(level.precision)));
+        let enough = s.ge(free, s.splat(LEAST_FREE));
+        let drawn = s.mul(s.mul(centre, told), variance);
+        s.store(s.select(enough, drawn, zero), &mut self.level_dn);
+        s.store(s.select(enough, variance, zero), &mut self.level_variance);
+    }
+
+    /// The level of a lane, DN, and its variance; `None` where too few samples are free of pulses.
+    #[inline(always)]
+    pub(in crate::kernels::lockstep) fn level(&self, lane: usize) -> Option<[f32; 2]> {
+        let [level_dn, variance] = [self.level_dn[lane], self.level_variance[lane]];
+        (variance > 0.0).then_some([level_dn, variance])
+    }
+
+    /// Takes the levels off the statistic, and scales it such that noise reaches thresholds as often as with a known level.
+    #[inline(always)]
+    pub(in crate::kernels::lockstep) fn take_levels_off_statistic<S: Simd>(
+        &mut self,
+        s: S,
+        level: &LevelTables,
+    ) {
+        let (lengths, shortest) = self.ends(s);
+        let levels = s.load(&self.level_dn);
+        let half = s.mul(s.load(&self.level_variance), s.splat(-0.5 * KEPT_VARIANCE));
+        let far = s.splat(-level.response());
+        let far = [s.mul(levels, far), s.fma(s.mul(far, far), half, s.splat(1.0))];
+        for at in 0..self.longest {
+            let mut of_position = far;
+            if at < LANES || at + LANES > shortest {
+                let [_, response] = level.filter.scales_and_levels(s, at, lengths, shortest);
+                of_position[0] = s.mul(levels, response);
+                of_position[1] = s.fma(s.mul(response, response), half, s.splat(1.0));
+            }
+            let [offset, gain] = of_position;
+            let Some([row]) = rows_from_mut::<1>(&mut self.statistic, 1 + at) else { return };
+            s.store(s.mul(s.add(s.load(row), offset), gain), row);
+        }
+    }
+}
