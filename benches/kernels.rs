@@ -174,7 +174,9 @@ fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed:
     let mut levelled = samples.clone();
     for waveform in levelled.chunks_mut(SAMPLES) {
         let level = (LEVEL_SD_DN * random.normal()).round().max(-15.0);
-        waveform.iter_mut().for_each(|sample| *sample = (f64::from(*sample) + level).clamp(0.0, 254.0) as u16);
+        waveform
+            .iter_mut()
+            .for_each(|sample| *sample = (f64::from(*sample) + level).clamp(0.0, 254.0) as u16);
     }
     let modes = [
         ("fastest", Mode::Fastest, false),

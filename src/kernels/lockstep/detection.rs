@@ -47,12 +47,7 @@ fn fetch<S: Simd>(s: S, blocks: &[Block<'_>], group: usize) {
 /// Takes up to sixteen blocks, and gives the lowest and the highest sample of each; with the level of each where the
 /// background is the waveform's own.
 #[inline(always)]
-fn load<S: Simd>(
-    s: S,
-    tables: &Tables,
-    columns: &mut Columns,
-    blocks: &[Block<'_>],
-) -> [[u16; 2]; LANES] {
+fn load<S: Simd>(s: S, tables: &Tables, columns: &mut Columns, blocks: &[Block<'_>]) -> [[u16; 2]; LANES] {
     let mut samples: [&[u16]; LANES] = [&[]; LANES];
     for (samples, block) in samples.iter_mut().zip(blocks) {
         *samples = block.samples;

@@ -145,8 +145,11 @@ impl Limits {
     fn is_significant(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
         let [before, behind] = self.whole_from_ends;
         let is_whole = pulse.position() >= before && pulse.position() <= samples as f32 - 1.0 - behind;
-        let per_dn =
-            if is_whole { f64::from(self.per_dn) * self.left_by_level(scene).sqrt() } else { self.at_edge(pulse.position().into(), samples) };
+        let per_dn = if is_whole {
+            f64::from(self.per_dn) * self.left_by_level(scene).sqrt()
+        } else {
+            self.at_edge(pulse.position().into(), samples)
+        };
         let energy = f64::from(pulse.height() * pulse.width_ratio());
         let statistic = per_dn * energy;
         let sigma = self.sigma(scene, pulse.position());

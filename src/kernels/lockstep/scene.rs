@@ -40,7 +40,14 @@ impl Pulse {
     /// A pulse of the calibrated width that is not fitted.
     pub(super) fn of_calibrated_width(height: f32, position: f32) -> Pulse {
         let values = [height, position, 0.0];
-        Pulse { values, width_ratio: 1.0, sds: [0.0; 3], flags: 0, by_level: [0.0; 3], level_information: 0.0 }
+        Pulse {
+            values,
+            width_ratio: 1.0,
+            sds: [0.0; 3],
+            flags: 0,
+            by_level: [0.0; 3],
+            level_information: 0.0,
+        }
     }
 
     /// The pulse with other flags.

@@ -422,11 +422,8 @@ fn what_the_tables_cannot_hold_is_left_to_the_plain_kernels() {
     assert!(Tables::new(&ChannelModel { ar: vec![0.1; 5], ..model.clone() }).is_none());
     assert!(Tables::new(&ChannelModel { pulse_fwhm_ns: 9.0, ..model.clone() }).is_none());
     // Noise that was measured on no free sample has no correlation either.
-    let everywhere = ChannelModel {
-        background: Background::PerWaveform,
-        autocorrelation: Vec::new(),
-        ..model.clone()
-    };
+    let everywhere =
+        ChannelModel { background: Background::PerWaveform, autocorrelation: Vec::new(), ..model.clone() };
     assert!(Tables::new(&everywhere).is_none());
     let waveforms = scenes(&model, 2, 20);
     let settings = DecomposeSettings::default();

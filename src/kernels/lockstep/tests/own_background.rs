@@ -114,8 +114,7 @@ fn noise_alone_is_detected_no_more_often() {
         let tables = Some(Arc::new(Tables::new(model).unwrap()));
         let settings = DecomposeSettings { detection_sigma: 3.5, ..DecomposeSettings::default() };
         let mut kernels = Lockstep::new(model, tables, &settings, Mode::Fastest, Path::best()).unwrap();
-        let blocks: Vec<Block<'_>> =
-            steady.iter().map(|samples| Block { samples, start_phase: 0 }).collect();
+        let blocks: Vec<Block<'_>> = steady.iter().map(|samples| Block { samples, start_phase: 0 }).collect();
         let mut found = Vec::new();
         kernels.detect(&blocks, &mut found);
         found.len() as f64
@@ -132,8 +131,7 @@ fn waveforms_without_free_samples_are_left_to_the_plain_kernels() {
     let shape = Shape::of(&model).unwrap();
     let mut random = Random::new(51);
     let full: Vec<Pulse> = (0..14).map(|i| pulse(60.0, 4.2 * f64::from(i), 1.0)).collect();
-    let waveforms: Vec<Vec<u16>> =
-        (0..20).map(|_| drifting(&model, &shape, &mut random, &full)).collect();
+    let waveforms: Vec<Vec<u16>> = (0..20).map(|_| drifting(&model, &shape, &mut random, &full)).collect();
     let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
     for mode in MODES {
         let mut kernels = fast(&model, mode, Path::best());
