@@ -254,7 +254,7 @@ impl Distribution {
     /// The largest.
     pub fn max(&self) -> f64 {
         match self.millionths.len() {
-            0 if self.negative.len() > 0 => -shortest(&self.negative, self.negative.min()),
+            0 if !self.negative.is_empty() => -shortest(&self.negative, self.negative.min()),
             _ => shortest(&self.millionths, self.millionths.max()),
         }
     }
