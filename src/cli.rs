@@ -135,6 +135,17 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
     }
 }
 
+/// Does everything, whatever fails: failures are printed, the last one is given.
+fn do_all(done: impl Iterator<Item = Result<(), Failure>>) -> Result<(), Failure> {
+    let mut last = Ok(());
+    for failure in done.filter_map(Result::err) {
+        if let Err(earlier) = std::mem::replace(&mut last, Err(failure)) {
+            terminal::print_error(&earlier.message(terminal::colour()));
+        }
+    }
+    last
+}
+
 impl JobArgs {
     /// The job with what is set on the command line, which `more` adds to.
     fn read(&self, more: impl IntoIterator<Item = Override>) -> Result<Job, Failure> {

@@ -29,6 +29,7 @@ mod worker;
 pub(crate) use chain::may_hold_bytes;
 pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
+pub(crate) use inputs::expand;
 pub use progress::{Progress, ProgressMode};
 pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals, TrajectoryReport};
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};

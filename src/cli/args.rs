@@ -257,8 +257,9 @@ pub(super) struct ExplainArgs {
 /// Which recording, and how closely it is looked at.
 #[derive(Args)]
 pub(super) struct ScanArgs {
-    /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow
-    pub(super) file: PathBuf,
+    /// The recordings: .las, .laz, .pls, .sdf, .wfm or .arrow; each may be a pattern, as 'lines/*.sdf'
+    #[arg(required = true, value_name = "FILE")]
+    pub(super) files: Vec<String>,
     /// Do not look at samples: nothing on noise, amplitudes and ranges
     ///
     /// Waveform packets of LAS and the .wvs file of PulseWaves stay unread, samples of containers are not looked at;
@@ -266,6 +267,8 @@ pub(super) struct ScanArgs {
     #[arg(long)]
     pub(super) fast: bool,
     /// What the files written are named after; may begin with a folder [default: STEM in the current folder]
+    ///
+    /// Those of several recordings are named after NAME and each recording's stem: NAME_STEM.
     #[arg(long, value_name = "NAME")]
     pub(super) name: Option<String>,
     /// Set a key of the reader, this time: as for `wavex run`; may be repeated

@@ -226,7 +226,7 @@ fn run_all(import: &Import, job: Option<Job>, folder: Option<&Path>, quiet: bool
         let machine = Machine { threads: None, profile: false, progress };
         run::run_job(&job, folder.unwrap_or(Path::new(".")), machine, quiet)?;
     }
-    import.commands.iter().try_for_each(|words| command(words, quiet))
+    super::do_all(import.commands.iter().map(|words| command(words, quiet)))
 }
 
 /// Does what a command line of `wavex` says.

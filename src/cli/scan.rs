@@ -4,10 +4,11 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Failure, ScanArgs, terminal};
+use crate::engine::{self, Input};
 use crate::formats::Error;
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
-use crate::stage::{Context, OutputFile, Plan, Site, StageError, WholeFile};
+use crate::stage::{Context, OutputFile, Paths, Plan, Site, StageError, WholeFile};
 use crate::survey::Survey;
 use summary::Summary;
 
@@ -16,20 +17,34 @@ mod histograms;
 pub(in crate::cli) mod page;
 mod summary;
 
-/// Looks a recording over, writes what was seen, and prints the summary.
+/// Looks recordings over, writes what was seen, and prints the summaries.
 ///
-/// A file that cannot be read to its end is an error as elsewhere, but what could be read is told and written before.
+/// A recording that cannot be read does not keep the others from being looked over.
 pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
-    let (survey, cx, ended) = look(args)?;
+    let inputs = engine::expand(Some(&Paths::Many(args.files.clone())), "", Path::new(""));
+    let inputs = inputs.map_err(|error| failed(&error))?;
+    let are_many = inputs.len() > 1;
+    let scans = inputs.into_iter().map(|Input { path, stem }| {
+        let name = match &args.name {
+            None => stem,
+            Some(name) if are_many => format!("{name}_{stem}"),
+            Some(name) => name.clone(),
+        };
+        scan_one(&path, &name, args, quiet)
+    });
+    super::do_all(scans)
+}
+
+/// A file that cannot be read to its end is an error as elsewhere, but what could be read is told and written before.
+fn scan_one(file: &Path, name: &str, args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
+    let (survey, cx, ended) = look_at(file, &args.set, !args.fast, u64::MAX)?;
     if let Err(error) = &ended
         && survey.shots.count == 0
     {
         return Err(failed(error));
     }
-    let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let name = args.name.clone().unwrap_or(stem);
     let cut = ended.as_ref().err().map(ToString::to_string);
-    let summary = Summary::of(&args.file, &survey, cx.counters(), cut.as_deref());
+    let summary = Summary::of(file, &survey, cx.counters(), cut.as_deref());
     let text = summary.text();
     let mut files = vec![(format!("{name}_scan.txt"), text.clone())];
     files.extend(
@@ -41,11 +56,6 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
         terminal::print(&format!("{text}\nwrote {}\n", written.join(", ")))?;
     }
     ended.map_err(|error| failed(&error))
-}
-
-/// Reads the recording from beginning to end, or to where it cannot be read any further.
-fn look(args: &ScanArgs) -> Result<(Survey, Context, Result<(), StageError>), Failure> {
-    look_at(&args.file, &args.set, !args.fast, u64::MAX)
 }
 
 /// Reads a recording until it has given so many shots, or to where it cannot be read any further.

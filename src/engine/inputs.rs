@@ -18,7 +18,7 @@ pub struct Input {
 }
 
 /// The inputs, in the order of the job; those of a pattern in the order of their names.
-pub(super) fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Result<Vec<Input>, RunError> {
+pub(crate) fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Result<Vec<Input>, RunError> {
     let Some(paths) = paths else {
         return Ok(vec![Input { path: PathBuf::new(), stem: stem.to_string() }]);
     };
@@ -67,7 +67,8 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     let fail = |problem: String, remedy: &str| RunError::of_job(StageError::failed(problem, remedy));
     // Only the job's own words are a pattern: a folder may have brackets in its name.
     let folder = glob::Pattern::escape(&input_dir.to_string_lossy());
-    let whole = if Path::new(pattern).is_absolute() { pattern.into() } else { format!("{folder}/{pattern}") };
+    let is_whole = folder.is_empty() || Path::new(pattern).is_absolute();
+    let whole = if is_whole { pattern.into() } else { format!("{folder}/{pattern}") };
     let found = glob::glob(&whole)
         .map_err(|e| fail(format!("`{pattern}` is no pattern: {e}"), "write it as in `lines/*.pls`"))?;
     let mut paths = Vec::new();
@@ -77,7 +78,7 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     if paths.is_empty() {
         return Err(fail(
             format!("no file matches `{}`", path.display()),
-            "check `path` of the reader and `input_dir` of the job",
+            "check the path, or `path` of the reader and `input_dir` of the job",
         ));
     }
     paths.sort();
@@ -139,7 +140,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let error = expand(Some(&Paths::One("*.sdf".into())), "", folder.path()).unwrap_err();
         let expected = format!(
-            "no file matches `{}`; check `path` of the reader and `input_dir` of the job",
+            "no file matches `{}`; check the path, or `path` of the reader and `input_dir` of the job",
             folder.path().join("*.sdf").display()
         );
         assert_eq!(error.to_string(), expected);

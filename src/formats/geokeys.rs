@@ -2,7 +2,16 @@
 
 mod of_wkt;
 
+use crate::geo::crs::{GeoKeys, geotiff_keys_of_wkt};
+
 pub use of_wkt::directory_of_wkt;
+
+/// The three records of GeoTIFF keys of a coordinate reference system given as WKT 1 or 2, with the units of lengths and
+/// heights; of a system that is not supported, such as one on another datum, only the codes that stand in its text.
+pub fn of_wkt(wkt: &str) -> Option<GeoKeys> {
+    let of_codes = |directory| GeoKeys { directory, doubles: Vec::new(), ascii: Vec::new() };
+    geotiff_keys_of_wkt(wkt).or_else(|| directory_of_wkt(wkt).map(of_codes))
+}
 
 /// Key of the model type: 1 projected, 2 geographic, 3 geocentric (GeoTIFF 1.0, section 6.3.1.1).
 const MODEL_TYPE: u16 = 1024;

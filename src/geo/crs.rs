@@ -9,6 +9,7 @@ mod definition;
 mod describe;
 mod error;
 mod geotiff;
+mod methods;
 mod named;
 #[cfg(feature = "proj")]
 mod proj;
@@ -24,7 +25,7 @@ use super::frames::Vector;
 use super::geoid::Geoid;
 use definition::{Definition, Method};
 pub use error::CrsError;
-pub use geotiff::GeoKeys;
+pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
 pub use named::{Named, utm_zone_at};
 use projection::Projection;
 pub use unit::Unit;
@@ -263,10 +264,12 @@ fn definition_of(named: &Named, first_place: Geodetic) -> Result<Definition, Crs
     }
 }
 
-/// What the pure part refuses, by PROJ, where this build has it.
+/// What the pure part refuses, by PROJ, where this build has it; but for parameters that are missing, which PROJ takes as
+/// zeros.
 #[cfg(feature = "proj")]
 fn by_proj(named: &Named, refused: CrsError) -> Result<Definition, CrsError> {
     let found = match named {
+        _ if matches!(refused, CrsError::Incomplete { .. }) => None,
         Named::Epsg(code) => definition::of_proj(&format!("EPSG:{code}")),
         Named::Wkt(text) => definition::of_proj(text),
         _ => None,

@@ -22,9 +22,12 @@ pub struct GeometryKeys {
     /// The unit of the trajectory's angles, where its format does not say it.
     pub trajectory_angles: Option<AnglesKey>,
     /// The columns of a trajectory in text, a letter each: `t` time, `x` longitude, `y` latitude, `z` height above the
-    /// ellipsoid, `w` roll, `p` pitch, `k` heading; any other letter passes a column over.
+    /// ellipsoid, `w` roll, `p` pitch, `k` heading; any other letter passes a column over. Without `w` the roll is 0, with a warning.
     #[schemars(extend("x-file" = "none"))]
     pub trajectory_columns: Option<String>,
+    /// What the trajectory's heights count from. When not given: the ellipsoid; but the job's geoid, where there is one, for
+    /// a TRJ, which does not say it.
+    pub trajectory_heights: Option<HeightsKey>,
     /// The file of the trajectory's standard deviations: RIEGL's POQ or Applanix' `smrmsg`; `*` is the input's stem. With it
     /// points have a total uncertainty.
     #[schemars(extend("x-file" = "input"))]
@@ -43,7 +46,7 @@ pub struct GeometryKeys {
     /// above the ellipsoid when not given.
     #[schemars(extend("x-file" = "geoid"))]
     pub geoid: Option<String>,
-    /// Where geoids lie; the folder of inputs when not given.
+    /// Where geoids lie; the folder of inputs when not given. Without `geoid` it has no effect.
     #[schemars(extend("x-file" = "geoid_folder"))]
     pub geoid_dir: Option<String>,
     /// The unit of all three coordinates; that of the coordinate reference system when not given.
@@ -60,6 +63,16 @@ pub enum TimeKey {
     Day,
     /// Seconds since 1980-01-06 minus 1e9.
     Adjusted,
+}
+
+/// What heights count from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum HeightsKey {
+    /// The geoid that the job names.
+    Geoid,
+    /// The ellipsoid of WGS 84.
+    Ellipsoid,
 }
 
 /// The unit of angles.
@@ -97,12 +110,18 @@ pub enum CalibrationKey {
 /// What a key is of no use without.
 type Companion = (&'static str, &'static str, fn(&GeometryKeys) -> bool, fn(&GeometryKeys) -> bool);
 
-const COMPANIONS: [Companion; 5] = [
+const COMPANIONS: [Companion; 6] = [
     ("geometry.trajectory_time", "trajectory", |keys| keys.trajectory_time.is_some(), has_trajectory),
     ("geometry.trajectory_angles", "trajectory", |keys| keys.trajectory_angles.is_some(), has_trajectory),
     ("geometry.trajectory_columns", "trajectory", |keys| keys.trajectory_columns.is_some(), has_trajectory),
     ("geometry.trajectory_accuracy", "trajectory", |keys| keys.trajectory_accuracy.is_some(), has_trajectory),
-    ("geometry.geoid_dir", "geoid", |keys| keys.geoid_dir.is_some(), |keys| keys.geoid.is_some()),
+    ("geometry.trajectory_heights", "trajectory", |keys| keys.trajectory_heights.is_some(), has_trajectory),
+    (
+        "geometry.trajectory_heights",
+        "geoid",
+        |keys| keys.trajectory_heights == Some(HeightsKey::Geoid),
+        |keys| keys.geoid.is_some(),
+    ),
 ];
 
 fn has_trajectory(keys: &GeometryKeys) -> bool {
@@ -125,10 +144,15 @@ impl GeometryKeys {
                 return Err(InvalidKey::new(key, format!("it is of no use without `{needs}`")));
             }
         }
+        let is_wrong = |columns: &str, letter: char| match columns.matches(letter).count() {
+            0 => letter != 'w',
+            count => count > 1,
+        };
         if let Some(columns) = &self.trajectory_columns
-            && let Some(missing) = "txyzwpk".chars().find(|&letter| columns.matches(letter).count() != 1)
+            && let Some(missing) = "txyzwpk".chars().find(|&letter| is_wrong(columns, letter))
         {
-            let problem = format!("`{missing}` must stand in it once: t, x, y, z, w, p and k are needed");
+            let problem =
+                format!("`{missing}` must stand in it once: t, x, y, z, p and k are needed, w is the roll");
             return Err(InvalidKey::new("geometry.trajectory_columns", problem));
         }
         if let Some(CalibrationKey::Inline(calibration)) = &self.calibration {
@@ -181,7 +205,11 @@ mod tests {
             assert_eq!(problem.problem, "it is of no use without `trajectory`", "{key}");
             assert_eq!(checked(&format!("trajectory = 'a.out'\n{key}")), Ok(()));
         }
-        assert_eq!(checked("geoid_dir = 'g'").unwrap_err().problem, "it is of no use without `geoid`");
+        let heights = checked("trajectory = 'a.trj'\ntrajectory_heights = 'geoid'").unwrap_err();
+        assert_eq!(heights.problem, "it is of no use without `geoid`");
+        assert_eq!(checked("trajectory = 'a.trj'\ntrajectory_heights = 'ellipsoid'"), Ok(()));
+        // What several jobs share may name the folder alone.
+        assert_eq!(checked("geoid_dir = 'g'"), Ok(()));
     }
 
     #[test]
@@ -189,7 +217,8 @@ mod tests {
         let of = |columns: &str| checked(&format!("trajectory = 'a.txt'\ntrajectory_columns = '{columns}'"));
         assert_eq!(of("txyzwpk"), Ok(()));
         assert_eq!(of("t#yx.zwpk"), Ok(()));
-        let problem = "`k` must stand in it once: t, x, y, z, w, p and k are needed";
+        assert_eq!(of("xyztpk"), Ok(()), "the roll may be missing");
+        let problem = "`k` must stand in it once: t, x, y, z, p and k are needed, w is the roll";
         assert_eq!(of("txyzwp"), Err(InvalidKey::new("geometry.trajectory_columns", problem)));
         assert!(of("ttxyzwpk").is_err());
     }

@@ -8,7 +8,7 @@ use crate::formats::{Error, geoid};
 use crate::geo::crs::{Crs, CrsError, Named, Unit};
 use crate::geo::ellipsoid::{Geodetic, WGS84};
 use crate::geo::frames::Vector;
-use crate::geo::geoid::Geoid;
+use crate::geo::geoid::{Geoid, GeoidError};
 use crate::stage::{Result, StageError};
 
 /// What the job asks for, as far as it does not depend on the place.
@@ -48,11 +48,12 @@ impl Default for Wanted {
 impl Wanted {
     /// What the keys say, with the files that they name; a system that is none is found here, and not after hours.
     pub(super) fn load(keys: &GeometryKeys, input_dir: &Path) -> Result<Wanted> {
+        let mut file = None;
         let named = match &keys.crs {
             None => Named::Utm,
             Some(word) => match Named::parse(word).map_err(|error| failed(&error))? {
                 Some(named) => named,
-                None => Named::Wkt(read_wkt(&input_dir.join(word))?),
+                None => Named::Wkt(read_wkt(file.insert(input_dir.join(word)))?),
             },
         };
         let geoid = match &keys.geoid {
@@ -69,13 +70,25 @@ impl Wanted {
             UnitKey::Ft => Unit::foot(),
         });
         let wanted = Wanted { named, geoid, unit };
-        wanted.crs(ANYWHERE).map_err(|error| failed(&error))?;
+        wanted.crs(ANYWHERE).map_err(|error| match &file {
+            Some(file) => failed(&format_args!("{}: {error}", file.display())),
+            None => failed(&error),
+        })?;
         Ok(wanted)
     }
 
     /// This system, and heights above the ellipsoid.
     pub(super) fn of(named: Named) -> Wanted {
         Wanted { named, ..Wanted::default() }
+    }
+
+    /// The height of the geoid above the ellipsoid, m; 0 where the job has none.
+    pub(super) fn undulation_m(
+        &self,
+        latitude_deg: f64,
+        longitude_deg: f64,
+    ) -> std::result::Result<f64, GeoidError> {
+        self.geoid.as_ref().map_or(Ok(0.0), |geoid| geoid.height_m(latitude_deg, longitude_deg))
     }
 
     fn crs(&self, first_place: Geodetic) -> std::result::Result<Crs, CrsError> {

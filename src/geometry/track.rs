@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use super::keys::{AnglesKey, GeometryKeys, TimeKey};
-use super::target::Wanted;
-use crate::formats::trajectory::{self, Angles, Options, Unproject};
+use super::keys::{AnglesKey, GeometryKeys, HeightsKey, TimeKey};
+use super::target::{Wanted, failed};
+use crate::formats::trajectory::{self, Angles, Options, Records, Unproject};
+use crate::geo::ellipsoid::Geodetic;
 use crate::geo::time_axis::{Clock, Times};
 use crate::geo::trajectory::{Gap, Trajectory};
 use crate::stage::Result;
@@ -44,12 +45,31 @@ impl Track {
         wanted: &Wanted,
     ) -> Result<Track> {
         let accuracy = accuracy.map(Path::to_path_buf);
-        let recorded = trajectory::read(file, &options(keys, accuracy.clone()))?;
+        let mut recorded = trajectory::read(file, &options(keys, accuracy.clone()))?;
         let (times, mut notes) = (recorded.times(), recorded.notes.clone());
         let knows_accuracy = !recorded.accuracies.is_empty();
         let map = wanted.fixed();
-        let unproject =
-            map.as_ref().map(|map| |place| map.to_geodetic(place).map_err(|error| error.to_string()));
+        match &mut recorded.records {
+            Records::Geodetic(samples) if keys.trajectory_heights == Some(HeightsKey::Geoid) => {
+                for sample in samples {
+                    let place = &mut sample.place;
+                    let [latitude, longitude] =
+                        [place.latitude_rad, place.longitude_rad].map(f64::to_degrees);
+                    place.height_m +=
+                        wanted.undulation_m(latitude, longitude).map_err(|error| failed(&error))?;
+                }
+            }
+            Records::Projected(_) if keys.trajectory_heights.is_none() => notes.push(heights_note(keys)),
+            _ => {}
+        }
+        let is_ellipsoidal = keys.trajectory_heights == Some(HeightsKey::Ellipsoid);
+        let unproject = map.as_ref().map(|map| {
+            move |place: [f64; 3]| {
+                let found = map.to_geodetic(place).map_err(|error| error.to_string())?;
+                let own_m = place[2] * map.height_unit().metres;
+                Ok(if is_ellipsoidal { Geodetic { height_m: own_m, ..found } } else { found })
+            }
+        });
         let trajectory =
             recorded.into_trajectory(unproject.as_ref().map(|unproject| unproject as &Unproject))?;
         notes.extend(gaps(file, &trajectory));
@@ -69,6 +89,18 @@ fn options(keys: &GeometryKeys, accuracy: Option<PathBuf>) -> Options {
         AnglesKey::Rad => Angles::Radians,
     });
     Options { time, angles, columns: keys.trajectory_columns.clone(), accuracy }
+}
+
+/// What heights of a TRJ are taken for, which does not say it.
+fn heights_note(keys: &GeometryKeys) -> String {
+    let (taken, otherwise) = match &keys.geoid {
+        Some(geoid) => (format!("the geoid {geoid}"), "`trajectory_heights = \"ellipsoid\"`"),
+        None => ("the ellipsoid".to_owned(), "`trajectory_heights = \"geoid\"` and the geoid"),
+    };
+    format!(
+        "a TRJ does not say what its heights count from: they are taken as above {taken}; where that is wrong, all points \
+         are off by the height of the geoid (tens of metres): give {otherwise} in `[job.geometry]`"
+    )
 }
 
 /// What there is to say of gaps.

@@ -355,9 +355,9 @@ impl LasSink {
                  trajectory, and the crs that points are to have",
             ),
             Some(wkt) if self.config.version != VersionKey::V1_4 => {
-                if geokeys::directory_of_wkt(wkt).is_none() {
+                if geokeys::of_wkt(wkt).is_none() {
                     cx.note(
-                        "the coordinate reference system has no EPSG code: it stands in the file as WKT, which belongs \
+                        "the coordinate reference system has no EPSG code, and GeoTIFF keys have no words for it: it stands in the file as WKT, which belongs \
                          to LAS 1.4",
                     );
                 }

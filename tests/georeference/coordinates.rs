@@ -1,5 +1,6 @@
 //! The same flight in every kind of coordinates.
 
+use wavex::formats::trajectory::sbet::RECORD_BYTES;
 use wavex::geo::crs::{Crs, Named};
 use wavex::geo::ellipsoid::{Geodetic, WGS84};
 use wavex::geo::transverse_mercator::{Parameters, TransverseMercator};
@@ -100,6 +101,93 @@ fn a_conic_in_feet_with_a_geoid() {
     assert!(worst("conic in US survey feet", &placed, expected) < 1e-3 * 3937.0 / 1200.0);
     let wkt = placed.wkt.unwrap();
     assert!(wkt.starts_with("COMPD_CS[") && wkt.contains("VERT_CS["), "{wkt}");
+}
+
+/// The trajectory as TRJ in UTM zone 10, on whose middle the flight begins, so that the grid's north is that of the earth
+/// within the length of a line.
+fn write_trj(flight: &Flight, name: &str, height_m: impl Fn(Geodetic) -> f64) {
+    let bytes = std::fs::read(flight.path("a.out")).unwrap();
+    let (records, _) = bytes.as_chunks::<RECORD_BYTES>();
+    let map = TransverseMercator::new(WGS84, Parameters::utm(10, true));
+    let mut trj = b"TSCANTRJ".to_vec();
+    for field in [20_010_715, 1376, records.len() as i32, 64] {
+        trj.extend(field.to_le_bytes());
+    }
+    trj.resize(1376, 0);
+    for bytes in records {
+        let value = |index: usize| f64::from_le_bytes(bytes[8 * index..8 * index + 8].try_into().unwrap());
+        let [time_s, latitude_rad, longitude_rad, above_m] = [0, 1, 2, 3].map(value);
+        let (x, y) = map.project(latitude_rad, longitude_rad);
+        let z = height_m(Geodetic { latitude_rad, longitude_rad, height_m: above_m });
+        let convergence_rad = (longitude_rad + 123f64.to_radians()) * latitude_rad.sin();
+        let [heading, roll, pitch] =
+            [value(9) - value(10) - convergence_rad, value(7), value(8)].map(f64::to_degrees);
+        for field in [time_s, x, y, z, heading, roll, pitch] {
+            trj.extend(field.to_le_bytes());
+        }
+        trj.extend([1, 2, 3, 4, 5, 0, 6, 0]);
+    }
+    std::fs::write(flight.path(name), trj).unwrap();
+}
+
+/// What heights of a trajectory count from is the job's to say: in a TRJ, which does not say it, and elsewhere.
+#[test]
+fn heights_of_a_trajectory_count_from_what_the_job_says() {
+    let flight = fly(&format!("{QUIET}start_deg = [-123.0, 41.0]\n"));
+    let plane = |latitude, longitude| 46.0 + 0.5 * (latitude - 41.0) - 0.25 * (longitude + 122.0);
+    write_geoid(&flight.path("plane.gtx"), [40.0, -124.0], plane);
+    let undulation_m =
+        |place: Geodetic| plane(place.latitude_rad.to_degrees(), place.longitude_rad.to_degrees());
+    write_trj(&flight, "ellipsoid.trj", |place| place.height_m);
+    write_trj(&flight, "geoid.trj", |place| place.height_m - undulation_m(place));
+    let map = TransverseMercator::new(WGS84, Parameters::utm(10, true));
+    let above_geoid: Vec<[f64; 3]> = flight
+        .truth
+        .iter()
+        .map(|truth| {
+            let [x, y, height_m] = truth.point_m;
+            let (latitude_rad, longitude_rad) = map.unproject(x, y);
+            [x, y, height_m - undulation_m(Geodetic { latitude_rad, longitude_rad, height_m })]
+        })
+        .collect();
+    let keys = "crs = 'utm:10N'\ngeoid = 'plane'\n";
+    let place = |geometry: String| flight.place(&geometry, |truth| truth.range_m).unwrap();
+    let notes = |placed: &Placed| format!("{:?}", placed.cx.counters().notes);
+    let silent = "a TRJ does not say what its heights count from: they are taken as above ";
+    for (file, said) in [
+        ("ellipsoid.trj", "trajectory_heights = 'ellipsoid'"),
+        ("geoid.trj", "trajectory_heights = 'geoid'"),
+        ("geoid.trj", ""),
+        ("a.out", "trajectory_heights = 'ellipsoid'"),
+    ] {
+        let placed = place(format!("trajectory = '{file}'\n{keys}{said}"));
+        // The TRJ's heading is that of the sphere's meridians: 0.1 mm at the edge of the swath.
+        let off = worst(&format!("{file} {said}"), &placed, above_geoid.iter().copied());
+        assert!(off < 5e-3, "{file} {said}: {off} m");
+        let is_said = notes(&placed).contains(&format!("{silent}the geoid plane; where that is wrong"));
+        assert_eq!(is_said, said.is_empty(), "{file} {said}: {}", notes(&placed));
+    }
+    // Another format's heights, above the geoid after all: the geoid's height more.
+    let higher = place(format!("trajectory = 'a.out'\n{keys}trajectory_heights = 'geoid'"));
+    let expected = flight.truth.iter().map(|truth| truth.point_m);
+    let off = worst("SBET above the geoid", &higher, expected);
+    assert!(off < 5e-3, "{off} m");
+    let without = place("trajectory = 'ellipsoid.trj'\ncrs = 'utm:10N'".to_owned());
+    assert!(
+        notes(&without).contains(&format!("{silent}the ellipsoid; where that is wrong")),
+        "{}",
+        notes(&without)
+    );
+}
+
+/// The file of a text that cannot be used is named.
+#[test]
+fn a_wkt_that_cannot_be_used_names_its_file() {
+    let flight = fly(QUIET);
+    std::fs::write(flight.path("site.prj"), "PROJCS[\"x\"").unwrap();
+    let error = flight.place("trajectory = '*.out'\ncrs = 'site.prj'", |truth| truth.range_m).err().unwrap();
+    let named = format!("{}: the WKT cannot be read: ", flight.path("site.prj").display());
+    assert!(error.starts_with(&named), "{error}");
 }
 
 #[test]

@@ -286,27 +286,35 @@ fn the_trajectory_tells_the_hemisphere_of_a_zone() {
     assert_eq!(crs("-i a.sdf -po u.pof -utm 33"), unknown);
 }
 
-/// One of the documents' examples leaves out the roll.
+/// Examples of the documents leave out the roll.
+#[test]
+fn columns_without_the_roll_are_enough() {
+    let import = here("-i a.sdf -po a.txt -po_parse xyztpk");
+    let line = "trajectory_columns = \"xyztpk\"  # -po_parse xyztpk: no roll (`w`), so that 0 is taken\n";
+    assert!(import.text.contains(line), "{}", import.text);
+    assert_eq!((import.obstacles.len(), import.missing.len()), (0, 0));
+}
+
 #[test]
 fn columns_of_a_trajectory_that_are_not_enough_are_told_and_not_run() {
-    let import = here("-i a.sdf -po a.txt -po_parse xyztpk");
-    let told = "-po_parse xyztpk: the roll (`w`) is missing, and no point has a place without it: give a trajectory \
+    let import = here("-i a.sdf -po a.txt -po_parse xyztwk");
+    let told = "-po_parse xyztwk: the pitch (`p`) is missing, and no point has a place without it: give a trajectory \
                 that has it, or add such a column to the text and its letter here";
-    let line = format!("#trajectory_columns = \"xyztpk\"  # {told}\n");
+    let line = format!("#trajectory_columns = \"xyztwk\"  # {told}\n");
     assert!(import.text.contains(&line), "{}", import.text);
     assert_eq!(import.obstacles, [told]);
     assert_eq!(import.missing, [] as [&str; 0]);
     let obstacles = |columns: &str| here(&format!("-i a.sdf -po a.txt -po_parse {columns}")).obstacles;
     assert_eq!(
-        obstacles("txyzk"),
+        obstacles("txywk"),
         [
-            "-po_parse txyzk: the roll (`w`) and the pitch (`p`) are missing, and no point has a place without them: give a \
+            "-po_parse txywk: the height (`z`) and the pitch (`p`) are missing, and no point has a place without them: give a \
           trajectory that has them, or add such columns to the text and their letters here"
         ]
     );
     assert_eq!(obstacles("txyzwpkz"), ["-po_parse txyzwpkz: the height (`z`) may stand in it only once"]);
     assert_eq!(obstacles("xyz#wtpk"), [] as [&str; 0]);
-    here("-i a.sdf -po a.txt -po_parse xyztwk");
+    assert_eq!(obstacles("xyztwpwk"), ["-po_parse xyztwpwk: the roll (`w`) may stand in it only once"]);
 }
 
 #[test]
@@ -319,7 +327,7 @@ fn statistics_of_the_recording_are_a_command() {
         import.text
     );
     let two = complete("-i a.sdf b.sdf -osdfstat -name s");
-    assert_eq!(two.commands, [words("wavex scan a.sdf --name s_a"), words("wavex scan b.sdf --name s_b")]);
+    assert_eq!(two.commands, [words("wavex scan a.sdf b.sdf --name s")]);
     let fast = complete("-sdfscanfast -i a.sdf -det 5");
     assert_eq!(fast.commands, [words("wavex scan a.sdf --name out --fast")]);
     assert_eq!(notes(&fast), ["-det 5: without effect: this line makes no points"]);

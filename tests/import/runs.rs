@@ -115,6 +115,46 @@ fn statistics_of_a_recording() {
     assert!(has_all, "{out}");
 }
 
+/// Recordings of a pattern are scanned one by one, and what the line asks for besides is done, too, even where one of them
+/// cannot be read.
+#[test]
+fn statistics_of_each_recording_of_a_pattern() {
+    let source = data_sdf();
+    let [recording, trajectory] =
+        ["data.sdf", "file.pof"].map(|name| std::fs::read(source.path(name)).unwrap());
+    let line = "wavex -i indir/*.sdf -O outdir -po file.pof -osdfstat -ostat -fastest -plot_po track.txt";
+    let files = |second: &'static str| {
+        [
+            "outdir/one.laz".to_owned(),
+            "outdir/out_one_scan.txt".to_owned(),
+            "outdir/out_one_ranges.txt".to_owned(),
+            format!("outdir/{second}"),
+            "outdir/track.txt".to_owned(),
+        ]
+    };
+    let place = Place::with(&[
+        ("indir/one.sdf", &recording[..]),
+        ("indir/two.sdf", &recording),
+        ("file.pof", &trajectory),
+    ]);
+    let wanted = files("out_two_scan.txt");
+    leaves(&place, line, &wanted.each_ref().map(String::as_str));
+    // A name of one's own, and a single recording.
+    leaves(&place, "wavex -sdfscanfast -i indir/*.sdf -name n", &["n_one_scan.txt", "n_two_scan.txt"]);
+    leaves(&place, "wavex -sdfscan -i indir/o*.sdf -name n", &["n_scan.txt"]);
+
+    place.write("indir/bad.sdf", b"no recording");
+    let ended = wavex(&place, "--run -- -sdfscan -i indir/*.sdf -name m -po file.pof -plot_po track_2.txt");
+    assert_eq!(ended.code, Some(1));
+    assert!(ended.err.contains("indir/bad.sdf"), "{}", ended.err);
+    for file in ["m_one_scan.txt", "m_two_scan.txt", "track_2.txt"] {
+        assert!(place.path(file).is_file(), "{file} is missing: {}", ended.err);
+    }
+    let none = wavex(&place, "--run -- -sdfscan -i nowhere/*.sdf");
+    let expected = "error: no file matches `nowhere/*.sdf`; check the path, or `path` of the reader and `input_dir` of the job\n";
+    assert_eq!((none.code, none.err.as_str()), (Some(1), expected));
+}
+
 #[test]
 fn a_line_that_asks_for_information_gets_it() {
     let place = Place::new();
@@ -172,9 +212,9 @@ fn a_value_that_a_key_cannot_take_is_told_with_its_place_in_the_job() {
 #[test]
 fn a_line_with_columns_that_are_not_enough_is_not_run() {
     let place = data_sdf();
-    let ended = wavex(&place, "--run -- -i data.sdf -po a.txt -po_parse xyztpk");
+    let ended = wavex(&place, "--run -- -i data.sdf -po a.txt -po_parse xyztwk");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    let expected = "error: the line is not run: -po_parse xyztpk: the roll (`w`) is missing, and no point has a place \
+    let expected = "error: the line is not run: -po_parse xyztwk: the pitch (`p`) is missing, and no point has a place \
                     without it: give a trajectory that has it, or add such a column to the text and its letter here\n";
     assert!(ended.err.ends_with(expected), "{}", ended.err);
 }

@@ -20,7 +20,7 @@ error: `geometry` of `[job]` has no key `trajectry`
   | ^^^^^^^^^
   |
   = help: did you mean `trajectory`?
-  = help: its keys: trajectory, trajectory_time, trajectory_angles, trajectory_columns, trajectory_accuracy, mount, calibration, crs, geoid, geoid_dir, unit
+  = help: its keys: trajectory, trajectory_time, trajectory_angles, trajectory_columns, trajectory_heights, trajectory_accuracy, mount, calibration, crs, geoid, geoid_dir, unit
 "#,
     );
 }

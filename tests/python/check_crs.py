@@ -38,6 +38,10 @@ SYSTEMS = {
     3448: (-79, 17, -76, 19),       # Jamaica, Lambert with one parallel
     3035: (-16, 33, 40, 84),        # Europe, equal area, by proj4rs
     3031: (-180, -90, 180, -60),    # Antarctica, stereographic, by proj4rs
+    5880: (-74, -35, -28, 7),       # Brazil, polyconic, by proj4rs
+    3078: (-91, 41, -82, 49),       # Michigan, oblique Mercator (variant A), by proj4rs
+    3832: (98, -60, 230, 66),       # Pacific, Mercator, by proj4rs
+    2953: (-70, 44, -63, 49),       # New Brunswick, oblique stereographic, by proj4rs
 }
 
 
@@ -121,7 +125,7 @@ def check_wkt(checks, program, name, system, points):
 
 def check_dialects(checks, program):
     """A system as a file of any dialect of WKT."""
-    for code in [32633, 2193, 2154, 6576, 2913, 3035, 5070]:
+    for code in [32633, 2193, 2154, 6576, 2913, 3035, 5070, 5880, 3078, 3832, 2953]:
         system = CRS.from_epsg(code)
         unit_m = system.axis_info[0].unit_conversion_factor
         area = system.area_of_use

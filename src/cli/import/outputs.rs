@@ -176,17 +176,11 @@ impl Translation<'_> {
 
     fn scan(&mut self, is_fast: bool) {
         let name = self.text(Part::ScanName).unwrap_or("out").to_owned();
-        let inputs = self.inputs();
-        for file in &inputs {
-            let stem = file.rsplit(['/', '\\']).next().unwrap_or_default();
-            let stem = stem.rsplit_once('.').map_or(stem, |(stem, _)| stem);
-            // Several recordings must not write the same files.
-            let name = if inputs.len() > 1 { format!("{name}_{stem}") } else { name.clone() };
-            let mut words =
-                vec!["scan".to_owned(), self.paths.here(file), "--name".to_owned(), self.paths.output(&name)];
-            words.extend(is_fast.then(|| "--fast".to_owned()));
-            self.command(words);
-        }
+        let mut words = vec!["scan".to_owned()];
+        words.extend(self.inputs().iter().map(|file| self.paths.here(file)));
+        words.extend(["--name".to_owned(), self.paths.output(&name)]);
+        words.extend(is_fast.then(|| "--fast".to_owned()));
+        self.command(words);
     }
 
     /// The trajectory, projected and thinned, beside the job.

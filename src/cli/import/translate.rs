@@ -50,7 +50,10 @@ pub(super) struct Translation<'a> {
     pub(super) reader: &'static str,
 }
 
-/// The columns of a trajectory with their letters: without one of them there is no pose.
+/// The column of a trajectory that may be missing.
+const ROLL: char = 'w';
+
+/// The columns of a trajectory with their letters: without one of them, but for the roll, there is no pose.
 const TRAJECTORY_COLUMNS: [(char, &str); 7] = [
     ('t', "time"),
     ('x', "longitude or easting"),
@@ -296,6 +299,8 @@ impl Translation<'_> {
             (Form::TrajectoryColumns, Value::Text(letters)) => {
                 if let Some(obstacle) = without_a_column(letters) {
                     self.draft.obstruct(section, key, obstacle);
+                } else if !letters.contains(ROLL) {
+                    self.draft.remark(section, key, "no roll (`w`), so that 0 is taken");
                 }
             }
             _ => {}
@@ -459,8 +464,9 @@ fn toml_of(form: Form, value: &Value, paths: &Paths) -> Option<String> {
 /// What keeps columns of a trajectory from being enough, and what can be done.
 fn without_a_column(letters: &str) -> Option<String> {
     let of = |is_wrong: fn(usize) -> bool| -> Vec<String> {
-        let wrong =
-            TRAJECTORY_COLUMNS.iter().filter(|(letter, _)| is_wrong(letters.matches(*letter).count()));
+        let count = |letter: char| letters.matches(letter).count();
+        let columns = TRAJECTORY_COLUMNS.iter().filter(|(letter, _)| *letter != ROLL || count(ROLL) > 0);
+        let wrong = columns.filter(|(letter, _)| is_wrong(count(*letter)));
         wrong.map(|(letter, name)| format!("the {name} (`{letter}`)")).collect()
     };
     let (absent, repeated) = (of(|count| count == 0), of(|count| count > 1));

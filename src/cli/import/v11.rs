@@ -111,7 +111,7 @@ const OPTIONS: &[Opt] = &[
     row(&["po_adj", "A"], OnOff, Words("by format"), Key("geometry", "trajectory_time", Switch("", "\"adjusted\"")), "`-A` in the examples of its document"),
     row(&["po_day"], OnOff, Same("0"), Key("geometry", "trajectory_time", Switch("", "\"day\"")), ""),
     row(&["po_rad"], OnOff, Same("0"), Key("geometry", "trajectory_angles", Switch("\"deg\"", "\"rad\"")), ""),
-    row(&["po_parse"], Text("a letter for each column"), Words("none"), Key("geometry", "trajectory_columns", TrajectoryColumns), "all of t, x, y, z, w, p and k are needed"),
+    row(&["po_parse"], Text("a letter for each column"), Words("none"), Key("geometry", "trajectory_columns", TrajectoryColumns), "t, x, y, z, p and k are needed; without the roll (w) 0 is taken, with a warning"),
     row(&["plot_po"], Text("a file"), Words("none"), Part(P::PlotTrajectory), "`wavex trajectory FILE --crs ... -o ...`, besides"),
     row(&["po_sub"], Whole(1, u64::MAX), Words("1"), Part(P::PlotEvery), "`--every` of `wavex trajectory`"),
     // Geometry.

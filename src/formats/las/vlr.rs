@@ -22,6 +22,10 @@ pub(super) const EXTRA_BYTES: u16 = 4;
 pub(super) const WAVEFORM_PACKETS: u16 = 65535;
 /// Record ID of the directory of GeoTIFF keys, under [`PROJECTION`].
 pub(super) const GEO_KEYS: u16 = 34735;
+/// Record with the numbers of GeoTIFF keys.
+pub(super) const GEO_DOUBLES: u16 = 34736;
+/// Record with the texts of GeoTIFF keys.
+pub(super) const GEO_ASCII: u16 = 34737;
 /// Record ID of a WKT coordinate system, under [`PROJECTION`].
 pub(super) const WKT: u16 = 2112;
 

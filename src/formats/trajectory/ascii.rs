@@ -24,6 +24,8 @@ const LETTERS: [(char, &str); 7] = [
     ('p', "pitch"),
     ('k', "heading"),
 ];
+/// Which of them may be missing.
+const ROLL: usize = 4;
 const REMEDY: &str = "check `trajectory_columns`";
 
 /// Whether a file that begins so is a text.
@@ -75,7 +77,14 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
         );
         return Err(Error::unusable(&path, problem, REMEDY));
     }
-    let notes = notes(&samples, is_radians);
+    let mut notes = notes(&samples, is_radians);
+    if columns.0[ROLL].is_none() {
+        notes.push(
+            "the trajectory's columns have no roll (`w`): 0 is taken, and each degree of true roll puts points off by \
+             1.7 % of their range; give a trajectory with roll"
+                .to_owned(),
+        );
+    }
     Ok(Raw {
         format: "text".to_owned(),
         stated: Stated::default(),
@@ -112,16 +121,17 @@ fn notes(samples: &[Sample], is_radians: bool) -> Vec<String> {
     Vec::new()
 }
 
-/// Where in a line each number stands, from 0, in the order of the letters.
-struct Columns([usize; 7]);
+/// Where in a line each number stands, from 0, in the order of the letters; the roll may stand nowhere.
+struct Columns([Option<usize>; 7]);
 
 impl Columns {
     fn new(letters: &str) -> std::result::Result<Columns, String> {
-        let mut places = [0; 7];
-        for (place, (letter, name)) in places.iter_mut().zip(LETTERS) {
+        let mut places = [None; 7];
+        for (number, (letter, name)) in LETTERS.into_iter().enumerate() {
             let mut found = letters.chars().enumerate().filter(|(_, other)| *other == letter);
             match (found.next(), found.next()) {
-                (Some((at, _)), None) => *place = at,
+                (Some((at, _)), None) => places[number] = Some(at),
+                (None, _) if number == ROLL => {}
                 (None, _) => {
                     return Err(format!("`trajectory_columns` is `{letters}`, without a {name} ({letter})"));
                 }
@@ -144,6 +154,7 @@ impl Columns {
         };
         let mut row = [0.0; 7];
         for ((value, at), (_, name)) in row.iter_mut().zip(self.0).zip(LETTERS) {
+            let Some(at) = at else { continue };
             let Some(cell) = cells.get(at) else {
                 return Err(format!(
                     "there are {} columns, and the {name} is number {}",

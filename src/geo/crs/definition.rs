@@ -4,7 +4,7 @@
 //! parameters in degrees and metres out of any dialect; names, datum and vertical part come from the text itself.
 
 use super::wkt::Node;
-use super::{CrsError, Unit};
+use super::{CrsError, Unit, methods};
 use crate::geo::ellipsoid::{Ellipsoid, GRS80, WGS84};
 use crate::geo::{lambert, transverse_mercator};
 
@@ -94,12 +94,13 @@ impl Definition {
         let is_own = given.is_some();
         let text = given.map_or_else(|| proj_string(&horizontal), Ok)?;
         let proj = ProjString { name: &name, pairs: pairs(&text), is_own };
-        proj.check_axes()?;
-        let method = proj.method(ellipsoid)?;
-        let unit = match method {
-            Method::Geodetic => Unit::metre(),
+        proj.check_axes(&horizontal)?;
+        let unit = match proj.text("proj") {
+            Some("longlat") => Unit::metre(),
             _ => proj.unit(&horizontal)?,
         };
+        methods::check(&proj, &horizontal)?;
+        let method = proj.method(ellipsoid)?;
         Ok(Definition { epsg: own, method, ellipsoid, unit, horizontal, vertical, name })
     }
 }
@@ -168,12 +169,12 @@ fn is_null_transformation(shift: &Node) -> bool {
 }
 
 /// The parameters of a PROJ string, in their order.
-struct ProjString<'a> {
+pub(super) struct ProjString<'a> {
     /// The system, for errors.
-    name: &'a str,
-    pairs: Vec<(&'a str, &'a str)>,
+    pub name: &'a str,
+    pub pairs: Vec<(&'a str, &'a str)>,
     /// The text holds it: what it leaves out has the value that PROJ gives it.
-    is_own: bool,
+    pub is_own: bool,
 }
 
 fn pairs(text: &str) -> Vec<(&str, &str)> {
@@ -182,12 +183,13 @@ fn pairs(text: &str) -> Vec<(&str, &str)> {
 }
 
 impl ProjString<'_> {
-    fn text(&self, key: &str) -> Option<&str> {
+    /// The value of a parameter as it was written.
+    pub fn text(&self, key: &str) -> Option<&str> {
         self.pairs.iter().find(|pair| pair.0 == key).map(|pair| pair.1)
     }
 
     /// A number, or what it is where it is not given.
-    fn number(&self, key: &str, otherwise: f64) -> Result<f64, CrsError> {
+    pub fn number(&self, key: &str, otherwise: f64) -> Result<f64, CrsError> {
         let Some(text) = self.text(key) else { return Ok(otherwise) };
         text.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| {
             self.unsupported(
@@ -201,24 +203,18 @@ impl ProjString<'_> {
         Ok(self.number(key, otherwise_deg)?.to_radians())
     }
 
-    fn unsupported(&self, problem: String, remedy: &'static str) -> CrsError {
+    pub fn unsupported(&self, problem: String, remedy: &'static str) -> CrsError {
         CrsError::Unsupported { name: self.name.into(), problem, remedy }
     }
 
-    /// The central meridian, which well-known text must say: on another one all points would lie far off.
-    fn central_meridian_rad(&self) -> Result<f64, CrsError> {
-        if self.is_own || self.text("lon_0").is_some() {
-            return self.radians("lon_0", 0.0);
-        }
-        let problem = "its projection has no central meridian".to_owned();
-        Err(self.unsupported(problem, "complete the parameters in its WKT, or give an EPSG code"))
-    }
-
     /// Axes other than east and north, and meridians other than Greenwich's, are not supported.
-    fn check_axes(&self) -> Result<(), CrsError> {
+    fn check_axes(&self, horizontal: &Node) -> Result<(), CrsError> {
         const REMEDY: &str = "choose a system with eastings and northings from Greenwich, or build wavex with the feature `proj`";
         if let Some(axes) = self.text("axis").filter(|axes| *axes != "enu") {
             return Err(self.unsupported(format!("its axes are `{axes}`"), REMEDY));
+        }
+        if !methods::has_plain_axes(horizontal) {
+            return Err(self.unsupported("its axes do not point east and north".into(), REMEDY));
         }
         match self.text("pm").filter(|meridian| !matches!(*meridian, "0" | "greenwich")) {
             Some(meridian) => Err(self.unsupported(format!("its prime meridian is `{meridian}`"), REMEDY)),
@@ -241,7 +237,7 @@ impl ProjString<'_> {
             )),
             "tmerc" => Method::TransverseMercator(transverse_mercator::Parameters {
                 latitude_of_origin_rad: self.radians("lat_0", 0.0)?,
-                central_meridian_rad: self.central_meridian_rad()?,
+                central_meridian_rad: self.radians("lon_0", 0.0)?,
                 scale,
                 false_easting_m,
                 false_northing_m,
@@ -254,7 +250,7 @@ impl ProjString<'_> {
                 Method::Lambert(lambert::Parameters {
                     standard_parallels_rad: [first_deg, second_deg].map(f64::to_radians),
                     latitude_of_origin_rad: self.radians("lat_0", origin_deg)?,
-                    central_meridian_rad: self.central_meridian_rad()?,
+                    central_meridian_rad: self.radians("lon_0", 0.0)?,
                     scale,
                     false_easting_m,
                     false_northing_m,

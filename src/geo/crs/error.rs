@@ -34,6 +34,16 @@ pub enum CrsError {
         /// Why it cannot be used.
         reason: String,
     },
+    /// A well-known text without parameters that its projection needs; they would count as zeros.
+    #[error(
+        "{name}: its projection has no {missing}; complete the parameters in its WKT, or give an EPSG code"
+    )]
+    Incomplete {
+        /// The system.
+        name: String,
+        /// What is missing, as WKT 1 names it.
+        missing: String,
+    },
     /// Something else that is not supported.
     #[error("{name}: {problem}; {remedy}")]
     Unsupported {

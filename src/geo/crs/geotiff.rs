@@ -1,7 +1,8 @@
 //! A coordinate reference system as GeoTIFF keys (GeoTIFF 1.0, sections 2.4 and 6), which LAS held before version 1.4.
 
-use super::definition::{GEODETIC, Method};
+use super::definition::{Definition, GEODETIC, Method};
 use super::describe::{lambert_parameters, transverse_mercator_parameters, vertical_epsg};
+use super::wkt::Node;
 use super::{Crs, Unit};
 use crate::geo::ellipsoid::WGS84;
 
@@ -37,38 +38,51 @@ const VERTICAL_UNIT: u16 = 4099;
 
 /// The system's keys; `None` where it has no code and is no projection that is said here.
 pub(super) fn keys(crs: &Crs) -> Option<GeoKeys> {
+    of_parts(&crs.definition, &crs.unit, &crs.height_unit, vertical_epsg(crs))
+}
+
+/// The keys of a system that is given as well-known text; `None` where it is not supported, or has neither a code nor a
+/// projection that is said here.
+pub fn geotiff_keys_of_wkt(text: &str) -> Option<GeoKeys> {
+    let definition = Definition::of_wkt(text).ok()?;
+    let height_unit = definition.vertical_unit().unwrap_or_else(|| definition.unit.clone());
+    let vertical = definition.vertical.as_ref().and_then(Node::epsg);
+    of_parts(&definition, &definition.unit, &height_unit, vertical)
+}
+
+fn of_parts(
+    definition: &Definition,
+    unit: &Unit,
+    height_unit: &Unit,
+    vertical: Option<u32>,
+) -> Option<GeoKeys> {
     let mut keys = Keys::default();
-    let own_unit = crs.unit.is_as_long_as(&crs.definition.unit);
-    let code = crs.definition.epsg.filter(|_| own_unit).and_then(|code| u16::try_from(code).ok());
-    let is_projected = !(crs.is_geodetic() || crs.is_ecef());
-    keys.short(
-        MODEL_TYPE,
-        if is_projected {
-            1
-        } else if crs.is_geodetic() {
-            2
-        } else {
-            3
-        },
-    );
+    let own_unit = unit.is_as_long_as(&definition.unit);
+    let code = definition.epsg.filter(|_| own_unit).and_then(|code| u16::try_from(code).ok());
+    let model = match definition.method {
+        Method::Geodetic => 2,
+        Method::Ecef => 3,
+        _ => 1,
+    };
+    keys.short(MODEL_TYPE, model);
     keys.short(RASTER_TYPE, 1);
-    keys.text(CITATION, crs.definition.horizontal.name().unwrap_or("unnamed"));
-    match (is_projected, code) {
-        (true, Some(code)) => keys.short(PROJECTED, code),
-        (true, None) => projection(&mut keys, crs)?,
-        (false, Some(code)) => keys.short(GEOGRAPHIC, code),
-        (false, None) => geographic(&mut keys, crs),
+    keys.text(CITATION, definition.horizontal.name().unwrap_or("unnamed"));
+    match (model, code) {
+        (1, Some(code)) => keys.short(PROJECTED, code),
+        (1, None) => projection(&mut keys, definition, unit)?,
+        (_, Some(code)) => keys.short(GEOGRAPHIC, code),
+        (_, None) => geographic(&mut keys, definition),
     }
-    if crs.is_geodetic() {
+    if model == 2 {
         keys.short(ANGULAR_UNIT, 9102);
     } else {
-        linear_unit(&mut keys, &crs.unit);
+        linear_unit(&mut keys, unit);
     }
-    if !crs.is_ecef() {
-        if let Some(code) = vertical_epsg(crs).and_then(|code| u16::try_from(code).ok()) {
+    if model != 3 {
+        if let Some(code) = vertical.and_then(|code| u16::try_from(code).ok()) {
             keys.short(VERTICAL, code);
         }
-        keys.short(VERTICAL_UNIT, crs.height_unit.epsg.unwrap_or(USER_DEFINED));
+        keys.short(VERTICAL_UNIT, height_unit.epsg.unwrap_or(USER_DEFINED));
     }
     Some(keys.records())
 }
@@ -81,11 +95,11 @@ fn linear_unit(keys: &mut Keys, unit: &Unit) {
 }
 
 /// The geodetic system below a projection, or an earth-centred or geodetic one without a code.
-fn geographic(keys: &mut Keys, crs: &Crs) {
-    let code = crs.definition.horizontal.find(&GEODETIC).and_then(|node| node.epsg());
+fn geographic(keys: &mut Keys, definition: &Definition) {
+    let code = definition.horizontal.find(&GEODETIC).and_then(|node| node.epsg());
     match code.and_then(|code| u16::try_from(code).ok()) {
         Some(code) => keys.short(GEOGRAPHIC, code),
-        None if crs.definition.ellipsoid == WGS84 => keys.short(GEOGRAPHIC, 4326),
+        None if definition.ellipsoid == WGS84 => keys.short(GEOGRAPHIC, 4326),
         None => {
             keys.short(GEOGRAPHIC, USER_DEFINED);
             keys.short(ELLIPSOID, 7019);
@@ -93,10 +107,10 @@ fn geographic(keys: &mut Keys, crs: &Crs) {
     }
 }
 
-fn projection(keys: &mut Keys, crs: &Crs) -> Option<()> {
-    let in_unit = |metres: f64| metres / crs.unit.metres;
+fn projection(keys: &mut Keys, definition: &Definition, unit: &Unit) -> Option<()> {
+    let in_unit = |metres: f64| metres / unit.metres;
     // Codes of methods: 1 transverse Mercator, 8 Lambert with two parallels, 9 with one (section 6.3.3.3).
-    let (method, parameters) = match &crs.definition.method {
+    let (method, parameters) = match &definition.method {
         Method::TransverseMercator(p) => (1, transverse_mercator_parameters(p, &in_unit).to_vec()),
         Method::Lambert(p) => match lambert_parameters(p, &in_unit)? {
             ("Lambert_Conformal_Conic_2SP", parameters) => (8, parameters),
@@ -104,7 +118,7 @@ fn projection(keys: &mut Keys, crs: &Crs) -> Option<()> {
         },
         _ => return None,
     };
-    geographic(keys, crs);
+    geographic(keys, definition);
     keys.short(PROJECTED, USER_DEFINED);
     keys.short(PROJECTION, USER_DEFINED);
     keys.short(METHOD, method);

@@ -150,6 +150,14 @@ fn a_systems_wkt_is_the_system() {
         .replace("Latitude of false origin\",29.6666666666667", "Latitude of natural origin\",29.6")
         .replace("ID[\"EPSG\",8821]", "ID[\"EPSG\",8801]")
         .replace("Longitude of false origin", "Longitude of natural origin")
+        .replace(
+            r#"PARAMETER["Latitude of 1st standard parallel",31.8833333333333,ANGLEUNIT["degree",0.0174532925199433]],"#,
+            r#"PARAMETER["Scale factor at natural origin",0.9999,SCALEUNIT["unity",1]],"#,
+        )
+        .replace(
+            r#"PARAMETER["Latitude of 2nd standard parallel",30.1166666666667,ANGLEUNIT["degree",0.0174532925199433]],"#,
+            "",
+        )
         .replace("Easting at false origin", "False easting")
         .replace("Northing at false origin", "False northing");
     let equal_area_2 = WKT_2.replace(
@@ -294,15 +302,183 @@ fn texts_that_cannot_be_used_say_why() {
     let nowhere = ESRI.replace("Central_Meridian", "Middle");
     assert!(
         error(&nowhere).ends_with(
-            ": its projection has no central meridian; complete the parameters in its WKT, or give an EPSG code"
+            ": its projection has no central_meridian; complete the parameters in its WKT, or give an EPSG code"
         ),
         "{}",
         error(&nowhere)
     );
     let no_parallel = ESRI.replace("Standard_Parallel_1", "One");
-    assert!(error(&no_parallel).contains(": its standard parallels make no cone"), "{}", error(&no_parallel));
+    assert!(
+        error(&no_parallel).contains(": its projection has no standard_parallel_1; complete"),
+        "{}",
+        error(&no_parallel)
+    );
     let no_unit = ESRI.replace("0.304800609601219]]", "0]]");
     assert!(error(&no_unit).contains(": its unit of length is not known; give the system as a WKT file"));
+}
+
+/// A system of WKT 1 on WGS 84 with these parameters.
+fn projected(projection: &str, parameters: &[(&str, f64)]) -> String {
+    let parameters: String =
+        parameters.iter().map(|(name, value)| format!(r#"PARAMETER["{name}",{value}],"#)).collect();
+    format!(
+        r#"PROJCS["own",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["{projection}"],{parameters}UNIT["metre",1]]"#
+    )
+}
+
+const NATURAL: [(&str, f64); 2] = [("latitude_of_origin", 49.5), ("central_meridian", 24.5)];
+const CENTRE: [(&str, f64); 2] = [("latitude_of_center", 49.5), ("longitude_of_center", 24.5)];
+const FALSE: [(&str, f64); 2] = [("false_easting", 500_000.0), ("false_northing", 200_000.0)];
+const SCALE: (&str, f64) = ("scale_factor", 0.9999);
+const PARALLEL: (&str, f64) = ("standard_parallel_1", 52.0);
+const SECOND: (&str, f64) = ("standard_parallel_2", 47.0);
+const AZIMUTH: (&str, f64) = ("azimuth", 30.288_139_722_222_2);
+const SKEW: (&str, f64) = ("rectified_grid_angle", 53.130_102_361_111_1);
+
+/// Methods of WKT 1 that are computed, with the parameters that they need.
+fn methods() -> Vec<(&'static str, Vec<(&'static str, f64)>)> {
+    let of = |parts: &[&[(&'static str, f64)]]| [parts.concat(), FALSE.to_vec()].concat();
+    vec![
+        ("Transverse_Mercator", of(&[&NATURAL, &[SCALE]])),
+        ("Lambert_Conformal_Conic_1SP", of(&[&NATURAL, &[SCALE]])),
+        ("Lambert_Conformal_Conic_2SP", of(&[&NATURAL, &[PARALLEL, SECOND]])),
+        ("Albers_Conic_Equal_Area", of(&[&CENTRE, &[PARALLEL, SECOND]])),
+        ("Equidistant_Conic", of(&[&CENTRE, &[PARALLEL, SECOND]])),
+        ("Lambert_Azimuthal_Equal_Area", of(&[&CENTRE])),
+        ("Azimuthal_Equidistant", of(&[&CENTRE])),
+        ("Mercator_1SP", of(&[&NATURAL[1..], &[SCALE]])),
+        ("Mercator_2SP", of(&[&NATURAL[1..], &[PARALLEL]])),
+        ("Oblique_Stereographic", of(&[&NATURAL, &[SCALE]])),
+        ("Stereographic", of(&[&NATURAL, &[SCALE]])),
+        ("Polyconic", of(&[&NATURAL])),
+        ("Cassini_Soldner", of(&[&NATURAL])),
+        ("Krovak", of(&[&CENTRE, &[AZIMUTH, SCALE]])),
+        ("Cylindrical_Equal_Area", of(&[&NATURAL[1..], &[PARALLEL]])),
+        ("Hotine_Oblique_Mercator", of(&[&CENTRE, &[AZIMUTH, SKEW, SCALE]])),
+        ("Hotine_Oblique_Mercator_Azimuth_Center", of(&[&CENTRE, &[AZIMUTH, SKEW, SCALE]])),
+    ]
+}
+
+/// A parameter that is missing would count as 0: each is missed by its name, whatever the projection.
+#[test]
+fn every_parameter_of_every_projection_is_needed() {
+    for (method, parameters) in methods() {
+        of_wkt(&projected(method, &parameters)).unwrap_or_else(|error| panic!("{method}: {error}"));
+        for (missing, _) in &parameters {
+            let rest: Vec<_> = parameters.iter().filter(|(name, _)| name != missing).copied().collect();
+            let found = of_wkt(&projected(method, &rest));
+            // Only this angle has a value of its own where it is not given, as in PROJ: the azimuth.
+            if *missing == "rectified_grid_angle" {
+                assert!(found.is_ok(), "{method}");
+                continue;
+            }
+            let error = found.map(|crs| crs.name().to_owned()).unwrap_err().to_string();
+            let name = match *missing {
+                "latitude_of_center" => "latitude_of_origin",
+                "longitude_of_center" if !method.starts_with("Hotine") => "central_meridian",
+                name => name,
+            };
+            assert!(
+                error.starts_with("own: its projection has no ") && error.contains(name),
+                "{method} without {missing}: {error}"
+            );
+        }
+        let error = of_wkt(&projected(method, &[])).map(|_| ()).unwrap_err().to_string();
+        assert!(
+            error.contains("false_easting, false_northing; complete the parameters in its WKT"),
+            "{error}"
+        );
+    }
+}
+
+/// What is not computed as PROJ does, and what is not understood, is refused and not left out.
+#[test]
+fn what_would_be_left_out_is_refused() {
+    let error = |text: &str| of_wkt(text).map(|_| ()).unwrap_err().to_string();
+    let miller = projected("Miller_Cylindrical", &[NATURAL[1], FALSE[0], FALSE[1]]);
+    assert_eq!(
+        error(&miller),
+        "own: its projection method, Miller_Cylindrical, is not one that is computed as PROJ does; choose another system, \
+         or build wavex with the feature `proj`"
+    );
+    let michigan = projected(
+        "Lambert_Conformal_Conic_2SP",
+        &[NATURAL[0], NATURAL[1], PARALLEL, SECOND, FALSE[0], FALSE[1], SCALE],
+    );
+    assert_eq!(
+        error(&michigan),
+        "own: its parameter `scale_factor` is not one of the projection's that are understood; correct its name, give an \
+         EPSG code, or build wavex with the feature `proj`"
+    );
+    let south = projected("Cassini_Soldner", &[NATURAL[0], NATURAL[1], FALSE[0], FALSE[1]])
+        .replace(r#"UNIT["metre",1]]"#, r#"UNIT["metre",1],AXIS["y",SOUTH],AXIS["x",WEST]]"#);
+    assert!(
+        error(&south).contains(": its axes do not point east and north; choose a system with"),
+        "{}",
+        error(&south)
+    );
+    let extended = |proj: &str| {
+        projected("custom", &[]).replace(
+            r#"UNIT["metre",1]]"#,
+            &format!(r#"UNIT["metre",1],EXTENSION["PROJ4","{proj} +units=m"]]"#),
+        )
+    };
+    assert!(of_wkt(&extended("+proj=laea +lat_0=52 +lon_0=10 +ellps=GRS80")).is_ok());
+    for (proj, problem) in [
+        ("+proj=ob_tran +o_proj=longlat", "its projection method, custom, is not one"),
+        (
+            "+proj=omerc +lonc=10 +alpha=5 +no_rot",
+            "its PROJ parameter `no_rot` is not one of those known for `omerc`",
+        ),
+        ("+proj=laea +lat_0=52 +towgs84=100,0,0", "its PROJ string shifts the datum against WGS 84"),
+        ("+proj=laea +lat_0=52 +nadgrids=x.gsb", "its PROJ string shifts the datum against WGS 84"),
+        ("+proj=laea +lat_0=52 +ellps=bessel", "its PROJ string has another figure of the earth"),
+        ("+proj=tmerc +lat_0=52 +R=6371000", "its PROJ string has another figure of the earth"),
+        ("+proj=utm +ellps=WGS84", "its PROJ string has no UTM zone from 1 to 60"),
+    ] {
+        assert!(error(&extended(proj)).contains(problem), "{proj}: {}", error(&extended(proj)));
+    }
+}
+
+/// No system of the table lacks parameters.
+#[test]
+fn systems_of_the_table_are_complete() {
+    for code in [
+        2154, 3035, 3031, 3857, 5041, 3408, 6966, 2193, 3765, 5514, 3067, 3794, 28992, 3844, 5880, 6372, 3347,
+    ] {
+        let error = Definition::of_epsg(code).map(|_| ()).err();
+        assert!(!matches!(error, Some(CrsError::Incomplete { .. })), "{code}: {error:?}");
+    }
+}
+
+/// Heights in feet are in the keys even where the system's code does not say it, and so is what has no code.
+#[test]
+fn keys_of_a_text_have_the_unit_of_heights() {
+    let value = |keys: &GeoKeys, key: u16| {
+        let words: Vec<u16> =
+            keys.directory.as_chunks().0.iter().map(|word| u16::from_le_bytes(*word)).collect();
+        words.chunks(4).skip(1).find(|entry| entry[0] == key).map(|entry| entry[3])
+    };
+    let of = |word: &str, geoid, unit| {
+        let crs = Crs::new(&named(word), NOWHERE, geoid, unit).unwrap();
+        let keys = geotiff_keys_of_wkt(&crs.wkt()).unwrap();
+        assert_eq!(
+            [3072, 3076, 4096, 4099].map(|key| value(&keys, key)),
+            [3072, 3076, 4096, 4099].map(|key| value(&crs.geotiff_keys().unwrap(), key))
+        );
+        keys
+    };
+    let california = of("EPSG:2225", None, None);
+    assert_eq!([3072, 3076, 4099].map(|key| value(&california, key)), [Some(2225), Some(9003), Some(9003)]);
+    let navd = of("EPSG:2225", geoid("g2018u0"), None);
+    assert_eq!([4096, 4099].map(|key| value(&navd, key)), [Some(6360), Some(9003)]);
+    let feet = of("utm:33N", None, Some(Unit::foot()));
+    assert_eq!(
+        [3072, 3075, 3076, 4099].map(|key| value(&feet, key)),
+        [Some(32767), Some(1), Some(9002), Some(9002)]
+    );
+    let ecef = of("ecef", None, None);
+    assert_eq!([1024, 2048, 3076].map(|key| value(&ecef, key)), [Some(3), Some(4978), Some(9001)]);
 }
 
 #[test]

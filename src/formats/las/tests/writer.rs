@@ -142,20 +142,24 @@ fn the_header_of_version_1_2_is_spelled_out() {
     let old = WriterOptions { version: Version::V1_2, wkt: Some(&utm_33), ..options(&[AMP]) };
     let las = write("a.las", &old, &points, &[7, 0]);
     assert_eq!((u16_at(&las, 6), las[24], las[25]), (1, 1, 2), "adjusted time, no bit for WKT");
-    let keys = 4 * 2 * 5;
-    let offset_to_points = 227 + (54 + keys) + (54 + 192);
+    // Model, raster, citation, system, unit, unit of heights; then the citation itself with a bar and a zero.
+    let keys = 4 * 2 * 7;
+    let citation = "WGS 84 / UTM zone 33N".len() + 2;
+    let offset_to_points = 227 + (54 + keys) + (54 + citation) + (54 + 192);
     assert_eq!((u16_at(&las, 94), u32_at(&las, 96)), (227, offset_to_points as u32));
-    assert_eq!((u32_at(&las, 100), las[104], u16_at(&las, 105)), (2, 1, 30));
+    assert_eq!((u32_at(&las, 100), las[104], u16_at(&las, 105)), (3, 1, 30));
     assert_eq!([107, 111, 115, 119, 123, 127].map(|at| u32_at(&las, at)), [6, 2, 0, 0, 0, 1]);
     assert_eq!([179, 187].map(|at| f64_at(&las, at)), [1001.0, 1001.0]);
     assert_eq!((u16_at(&las, 227 + 18), u16_at(&las, 227 + 20)), (34735, keys as u16));
-    assert_eq!(u16_at(&las, 227 + 54 + keys - 16), 3072, "key of the projected system");
-    assert_eq!(u16_at(&las, 227 + 54 + keys - 10), 32633);
+    assert_eq!(u16_at(&las, 227 + 54 + keys - 24), 3072, "key of the projected system");
+    assert_eq!(u16_at(&las, 227 + 54 + keys - 18), 32633);
+    assert_eq!([8, 2].map(|back| u16_at(&las, 227 + 54 + keys - back)), [4099, 9001], "heights are metres");
+    assert_eq!(u16_at(&las, 227 + 54 + keys + 18), 34737);
     assert_eq!(las.len(), offset_to_points + 6 * 30);
     assert_eq!(las[offset_to_points + 28..offset_to_points + 30], [7, 0]);
 
     let laz = write("a.laz", &old, &points, &[7, 0]);
-    assert_eq!((laz[104], u32_at(&laz, 100)), (0x81, 3));
+    assert_eq!((laz[104], u32_at(&laz, 100)), (0x81, 4));
     assert_eq!(laz[107..227], las[107..227]);
     let without_code = write("a.las", &WriterOptions { wkt: Some(WKT), ..old }, &points, &[7, 0]);
     assert_eq!((u16_at(&without_code, 6), u16_at(&without_code, 227 + 18)), (1, 2112));

@@ -10,7 +10,9 @@ use super::options::{WavePlace, WriterOptions};
 use crate::formats::las::descriptor::{DESCRIPTOR_BYTES, Descriptor, FIRST_DESCRIPTOR};
 use crate::formats::las::extra_bytes::ExtraAttribute;
 use crate::formats::las::packet_writer::MOST_KINDS;
-use crate::formats::las::vlr::{EVLR_HEADER, EXTRA_BYTES, GEO_KEYS, PROJECTION, SPEC, VLR_HEADER, WKT};
+use crate::formats::las::vlr::{
+    EVLR_HEADER, EXTRA_BYTES, GEO_ASCII, GEO_DOUBLES, GEO_KEYS, PROJECTION, SPEC, VLR_HEADER, WKT,
+};
 use crate::formats::{Error, Result, geokeys};
 
 /// How LASzip is to compress the points.
@@ -56,7 +58,9 @@ impl Records {
     pub(super) fn new(path: &Path, options: &WriterOptions, laz: Option<&LazVlr>) -> Result<Records> {
         let mut records = Records { bytes: Vec::new(), count: 0, descriptors_at: 0, special_evlrs_at: 0 };
         if let Some(wkt) = options.wkt {
-            records.add(coordinate_system(path, options, wkt)?);
+            for record in coordinate_system(path, options, wkt)? {
+                records.add(record);
+            }
         }
         if !options.extra_attributes.is_empty() {
             let data: Vec<u8> =
@@ -92,15 +96,26 @@ pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> 
     Ok(bytes)
 }
 
-fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<Vec<u8>> {
-    let keys = options.version.is_legacy().then(|| geokeys::directory_of_wkt(wkt)).flatten();
-    match keys {
-        Some(keys) => vlr(path, PROJECTION, GEO_KEYS, "GeoTIFF keys", &keys),
-        None => {
-            let data = [wkt.as_bytes(), &[0]].concat();
-            vlr(path, PROJECTION, WKT, "OGC coordinate system WKT", &data)
+/// The records of the coordinate reference system: before LAS 1.4 GeoTIFF keys, and WKT where no EPSG code says it all.
+fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<Vec<Vec<u8>>> {
+    let keys = options.version.is_legacy().then(|| geokeys::of_wkt(wkt)).flatten();
+    let has_code = keys.as_ref().is_some_and(|keys| geokeys::epsg(&keys.directory).is_some());
+    let mut records = Vec::new();
+    if let Some(keys) = keys {
+        let of_keys = [
+            (GEO_KEYS, "GeoTIFF keys", keys.directory),
+            (GEO_DOUBLES, "GeoTIFF double parameters", keys.doubles),
+            (GEO_ASCII, "GeoTIFF ASCII parameters", keys.ascii),
+        ];
+        for (id, description, data) in of_keys.into_iter().filter(|(_, _, data)| !data.is_empty()) {
+            records.push(vlr(path, PROJECTION, id, description, &data)?);
         }
     }
+    if !has_code {
+        let data = [wkt.as_bytes(), &[0]].concat();
+        records.push(vlr(path, PROJECTION, WKT, "OGC coordinate system WKT", &data)?);
+    }
+    Ok(records)
 }
 
 pub(in crate::formats::las) fn vlr(

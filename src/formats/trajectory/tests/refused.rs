@@ -66,7 +66,7 @@ fn texts_that_are_no_trajectory_are_refused() {
     let cases = [
         (
             told(rows, "txyz"),
-            "t.dat: `trajectory_columns` is `txyz`, without a roll (w); name time t, longitude x, latitude y, height z, roll \
+            "t.dat: `trajectory_columns` is `txyz`, without a pitch (p); name time t, longitude x, latitude y, height z, roll \
              w, pitch p and heading k",
         ),
         (
