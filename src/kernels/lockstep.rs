@@ -244,8 +244,12 @@ impl Lockstep {
     }
 
     fn needs_refinement(&self, scene: &Scene, samples: usize) -> bool {
-        if scene.way == Way::Plain || scene.pulses().is_empty() {
+        if scene.pulses().is_empty() {
             return false;
+        }
+        if scene.way == Way::Plain {
+            // One step on pulses that overlap leaves much of them to the level: what gave it up may do once it is refined.
+            return self.limits.level_response > 0.0;
         }
         let fwhm = self.model.fwhm_samples() as f32;
         let overlaps = (1..scene.pulses().len()).any(|i| scene.overlap(i - 1, i, fwhm));
