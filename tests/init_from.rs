@@ -199,7 +199,7 @@ fn a_warning_of_several_inputs_is_given_once_with_their_number() {
     assert_eq!(code, Some(0), "{err}");
     let warnings: Vec<&str> =
         err.lines().filter_map(|line| line.trim_start().strip_prefix("WARN ")).collect();
-    assert!(!warnings.is_empty() && warnings.len() % 2 == 0, "{err}");
+    assert!(!warnings.is_empty() && warnings.len().is_multiple_of(2), "{err}");
     let (first, repeated) = warnings.split_at(warnings.len() / 2);
     for warning in first {
         assert!(repeated.contains(&format!("3 of 3 inputs: {warning}").as_str()), "{err}");
