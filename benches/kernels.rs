@@ -204,7 +204,7 @@ fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed:
         let rounds: Vec<_> =
             (0..3).map(|_| (one(fixed, tables, samples), one(&own, &of_own, &levelled))).collect();
         let (ratio, range) = median(rounds.iter().map(|(a, b)| b.0.median / a.0.median).collect());
-        let best = |of: fn(&((Rate, (f64, f64), f64), (Rate, (f64, f64), f64))) -> f64| {
+        let best = |of: fn(&(ModeRun, ModeRun)) -> f64| {
             rounds.iter().map(of).fold(0.0, f64::max)
         };
         let (known, unknown) = (best(|(a, _)| a.0.best), best(|(_, b)| b.0.best));
@@ -216,6 +216,9 @@ fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed:
         );
     }
 }
+
+/// A mode measured: its rate, its quality (error over SD, share of right counts), and the share left to the plain kernels.
+type ModeRun = (Rate, (f64, f64), f64);
 
 /// The lines of the yardstick that the kernels are held against: what both names contain.
 const LINES: [(&str, &[&str]); 4] = [
