@@ -204,9 +204,7 @@ fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed:
         let rounds: Vec<_> =
             (0..3).map(|_| (one(fixed, tables, samples), one(&own, &of_own, &levelled))).collect();
         let (ratio, range) = median(rounds.iter().map(|(a, b)| b.0.median / a.0.median).collect());
-        let best = |of: fn(&(ModeRun, ModeRun)) -> f64| {
-            rounds.iter().map(of).fold(0.0, f64::max)
-        };
+        let best = |of: fn(&(ModeRun, ModeRun)) -> f64| rounds.iter().map(of).fold(0.0, f64::max);
         let (known, unknown) = (best(|(a, _)| a.0.best), best(|(_, b)| b.0.best));
         let (z, right) = rounds[0].1.1;
         println!(
