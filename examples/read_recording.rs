@@ -12,7 +12,7 @@ use wavex::stage::{Context, Plan, Site};
 
 fn main() -> Result<()> {
     let file = std::env::args().nth(1).context("give a recording: .las, .laz, .pls, .sdf, .wfm or .arrow")?;
-    // A reader is a stage with keys, as in a job. The name of the file tells which.
+    // A reader is a stage with keys, as in a job. The name of the file selects it.
     let reader = reader_of(&file).map_err(|problem| anyhow!(problem))?;
     let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(file.clone()));
     let job = Job::parse("example", &text, &[])?;

@@ -116,7 +116,7 @@ impl<'a> Output<'a> {
         (self.emit)(batch)
     }
 
-    /// How many bytes of lines a stage may hold back that can do with fewer lines: it gives on what is beyond. It follows
+    /// Most bytes of lines that a stage may hold back if it can work with fewer lines; it emits what exceeds them. It follows
     /// from the job alone, so that a stage that heeds it does the same on every machine. A stage that needs its lines holds
     /// as many as it needs, and says so by [`Output::foresee`].
     pub fn may_hold_bytes(&self) -> usize {

@@ -62,7 +62,7 @@ fn a_flight_is_made_and_georeferenced() {
     assert!(out.path().join("points/flight.laz").exists());
 }
 
-/// The library that stands in for RIEGL's, which cargo builds with the examples before the tests.
+/// The substitute for RIEGL's library, which cargo builds with the examples before the tests.
 fn stand_in() -> String {
     let test = std::env::current_exe().unwrap();
     let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);

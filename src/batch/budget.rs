@@ -49,7 +49,7 @@ pub struct AtWork<'a>(&'a Budget);
 pub enum NoRoom {
     /// The run is ending.
     Cancelled,
-    /// Transforms hold back so many bytes, and none gives any on before it has seen another line.
+    /// Transforms hold back this many bytes, and none of them emits a line before it receives another one.
     Full(usize),
 }
 

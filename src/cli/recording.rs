@@ -7,7 +7,7 @@ use crate::batch::{Channel, Frame};
 use crate::registry::reader_of;
 use crate::survey::Survey;
 
-/// So many shots show what a recording is.
+/// Number of shots that are read to recognise a recording.
 const LOOKED_AT: u64 = 20_000;
 /// Large footprints are far apart: fewer pulses per second than this, Hz.
 const LARGE_FOOTPRINT_RATE_HZ: f64 = 5_000.0;

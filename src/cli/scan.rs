@@ -35,7 +35,7 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     super::do_all(scans)
 }
 
-/// A file that cannot be read to its end is an error as elsewhere, but what could be read is told and written before.
+/// Scans one recording. If it cannot be read to its end, the readable part is printed and written before the error is returned.
 fn scan_one(file: &Path, name: &str, args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     let (survey, cx, ended) = look_at(file, &args.set, !args.fast, u64::MAX)?;
     if let Err(error) = &ended
@@ -58,7 +58,7 @@ fn scan_one(file: &Path, name: &str, args: &ScanArgs, quiet: bool) -> Result<(),
     ended.map_err(|error| failed(&error))
 }
 
-/// Reads a recording until it has given so many shots, or to where it cannot be read any further.
+/// Reads up to `shots` shots of a recording, or up to the first unreadable place.
 pub(super) fn look_at(
     file: &Path,
     set: &[String],

@@ -19,9 +19,9 @@ const DECIDED_RAD: f64 = FRAC_PI_3;
 const HALF_ANGLES_RAD: [f64; 2] = [0.035, 1.05];
 /// The least angle between beam and axis is at least this part of the greatest.
 const LEAST_ROUNDNESS: f64 = 0.4;
-/// The axis follows the last steps, about so many: a revolution or two.
+/// The axis follows about this many of the last steps: a revolution or two.
 const REMEMBERED_STEPS: f64 = 128.0;
-/// A curve that has not shown an axis after so many steps is looked at anew.
+/// The search for an axis restarts after this many steps without a result.
 const MOST_STEPS: usize = 512;
 
 /// Axis of the beams of a circular scanner.

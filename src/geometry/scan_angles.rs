@@ -1,8 +1,8 @@
 //! Scan angles and mirror directions of recordings that do not give them.
 //!
 //! The scan angle is that of LAS: off the vertical, across the flight, positive to the right, roll included. With a trajectory
-//! the heading tells what is right ([`super::poses::scan_angle_deg`]); else, in a map or on the earth, the course does, which
-//! the beams' own origins show. The mirror's direction is the sign of the angle's change.
+//! the heading defines right ([`super::poses::scan_angle_deg`]); else, in a map or on the earth, the course
+//! does, which follows from the origins of the beams. The mirror's direction is the sign of the angle's change.
 
 use std::collections::VecDeque;
 
@@ -12,7 +12,7 @@ use crate::geo::frames::Vector;
 use crate::geo::vertical::{down_at, main_axis};
 use crate::kernels::sensor_path::{Beam, Window};
 
-/// Steps of the angle before and after a shot: most of them tell its direction, so that a gap in a line turns none.
+/// Steps of the angle before and after a shot; their majority decides its direction, so a gap in a line changes none.
 const REACH: usize = 4;
 
 /// Whether a line's shots have no scan angles of their own.
@@ -75,7 +75,7 @@ fn set_angles(emissions: &mut [Emission], axes: impl Fn(&Emission) -> (Vector, V
     set_directions(emissions);
 }
 
-/// Lines that wait for the course are given on without scan angles beyond so many bytes, or lines.
+/// Most bytes and lines that wait for the course; beyond them, lines are emitted without scan angles.
 const MOST_HELD_BYTES: usize = 16 << 20;
 const MOST_HELD_LINES: usize = 256;
 
@@ -154,7 +154,7 @@ struct Course {
     window: Window,
 }
 
-/// The sensor must have moved by so much, and by so many steps of the grid of its positions.
+/// Least motion of the sensor, m, and in steps of the grid of its positions.
 const LEAST_WAY_M: f64 = 0.3;
 const LEAST_WAY_STEPS: f64 = 30.0;
 /// What moves slower or faster, or takes longer for its way, is another flight.
@@ -163,7 +163,7 @@ const LONGEST_WAY_S: f64 = 10.0;
 const LONGEST_WAY_M: f64 = 100.0;
 /// Beams of a sensor whose position is not known must span so long, s.
 const LEAST_WINDOW_S: f64 = 0.1;
-/// A horizontal grid so many times finer than the vertical one is one of degrees.
+/// A horizontal grid finer than the vertical one by this factor is in degrees.
 const DEGREES_FINER: f64 = 1000.0;
 
 impl Course {
@@ -191,7 +191,7 @@ impl Course {
                 continue;
             }
             let since_s = time_s - from_s;
-            // Some files have no times: their order stands in.
+            // Some files have no times: the order of the shots replaces them.
             let is_flight = match since_s == 0.0 {
                 true => length_m < LONGEST_WAY_M,
                 false => since_s.abs() < LONGEST_WAY_S && SPEED_MPS.contains(&(length_m / since_s.abs())),

@@ -242,7 +242,7 @@ pub enum MtaError {
     },
     /// The clock is read early and late, but pulses leave at even intervals, or zones are wrong throughout.
     #[error(
-        "intervals between pulses vary by {rms_ns:.3} ns rms on the clock, but ranges contain {:.0} % of that: zones cannot be told          apart; give a prior (height above ground, terrain model, trajectory) or a fixed zone",
+        "intervals between pulses vary by {rms_ns:.3} ns rms on the clock, but ranges contain {:.0} % of that: zones cannot be decided; give a prior (height above ground, terrain model, trajectory) or a fixed zone",
         100.0 * following.max(0.0)
     )]
     JitteringClock {

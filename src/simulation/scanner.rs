@@ -25,8 +25,8 @@ pub enum Mirror {
     /// A row of fixed fibres, one after the other: spots are evenly spaced on level ground, and each fibre's spots make a
     /// line along the flight. It never pauses.
     ParallelLines,
-    /// A mirror whose beam turns around straight down on a cone, clockwise seen from above. It never pauses, and lines are
-    /// nothing but so many shots.
+    /// A mirror whose beam turns around straight down on a cone, clockwise seen from above. It never pauses, and a
+    /// line is a fixed number of shots.
     Circular,
 }
 

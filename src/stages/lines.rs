@@ -59,7 +59,7 @@ pub(super) struct Lines {
     has_ends: bool,
     /// Whether the last shot of a line gets the edge-of-flight-line flag.
     marks_edges: bool,
-    /// Whether the line at hand is complete, and not only full.
+    /// Whether the current line is complete, and not only full.
     is_complete: bool,
 }
 
@@ -126,7 +126,7 @@ impl Lines {
                 .is_some_and(|cone| cone.azimuth_rad(last.direction) - cone.azimuth_rad(next.direction) > PI)
     }
 
-    /// Ends the line at hand where the file says so, otherwise than by its shots.
+    /// Ends the current line where a record of the file says so, not its shots.
     pub(super) fn end(&mut self) -> Option<Batch> {
         self.has_ends = true;
         self.take()

@@ -168,7 +168,7 @@ impl Declared {
     }
 }
 
-/// Gives on the lines of a reader with what the job says of the recording.
+/// Emits the lines of a reader with the declarations of the job applied.
 pub(super) struct AsDeclared<S> {
     source: S,
     declared: Declared,

@@ -13,7 +13,7 @@ const FLIGHT: &str = "seed = 3\nlandscape = 'country'\nscanner = 'circular'\nsca
                       rotation_hz = 366.667\npulse_rate_hz = 550000\nmodulation_ns = 15\nlines = 48\nshots_per_line = 700\n\
                       flying_height_m = 800\nrelief_m = 120\nwater_ratio = 0.02\nfalse_alarm_rate = 0.002\n\
                       blind_gap_ns = 15\nroll_deg = 6\npitch_deg = 3\nyaw_deg = 3\nmotion_period_s = 4\nas_recorded = true\n";
-/// Near is within so many shots of a change of zone.
+/// Near a change of zone: within this many shots.
 const NEAR_SHOTS: usize = 25;
 const CLEAR_DN: f64 = 25.0;
 

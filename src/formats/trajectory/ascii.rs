@@ -121,7 +121,7 @@ fn notes(samples: &[Sample], is_radians: bool) -> Vec<String> {
     Vec::new()
 }
 
-/// Where in a line each number stands, from 0, in the order of the letters; the roll may stand nowhere.
+/// Index of the column of each quantity, from 0, in the order of the letters; the roll may be missing.
 struct Columns([Option<usize>; 7]);
 
 impl Columns {

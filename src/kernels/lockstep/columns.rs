@@ -32,7 +32,7 @@ pub(super) struct Columns {
     statistic: Aligned,
     lengths: [usize; LANES],
     longest: usize,
-    /// What the background stands above the channel's, DN, and the variance of that; 0 where it is the channel's.
+    /// Background of the waveform minus that of the channel, DN, and its variance; both 0 for a fixed background.
     level_dn: Sixteen,
     level_variance: Sixteen,
     /// Lanes with a local maximum, by position.

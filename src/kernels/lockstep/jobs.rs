@@ -109,7 +109,7 @@ impl Aim {
         Aim { enough, rivals: waveform }
     }
 
-    /// Whether what comes of the fit is told in full: a trial that is taken up is fitted once more.
+    /// Whether the fit gives all results; a trial does not, because an accepted one is fitted once more.
     pub(super) fn is_whole(&self) -> bool {
         self.rivals == usize::MAX
     }

@@ -117,7 +117,7 @@ pub(super) struct Scene {
     pub(super) counts: Counts,
     /// By how much chi-square promises to fall with pulses wider than the tables allow.
     pub(super) beyond: f32,
-    /// What the background stands above the channel's, DN, and the variance of that; 0 where it is the channel's.
+    /// Background of the waveform minus that of the channel, DN, and its variance; both 0 for a fixed background.
     pub(super) level_dn: f32,
     pub(super) level_variance: f32,
     /// Whether these are those of the present pulses.

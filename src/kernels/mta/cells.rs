@@ -7,7 +7,7 @@
 use super::held::{Held, HeldEcho};
 use super::{Prior, Settings};
 
-/// Lines of a band: so many are looked at as one.
+/// Number of scan lines in a band.
 pub const BAND_LINES: usize = 8;
 /// Shots of a cell.
 pub(super) const CELL_SHOTS: i32 = 16;

@@ -117,7 +117,7 @@ impl Joined {
         next.clock_ps > last.clock_ps && !turns && shots_of_both <= most
     }
 
-    /// Whether the lines that wait are a revolution, as nearly as so many lines can be.
+    /// Whether the waiting lines make a revolution, to half a line.
     fn is_revolution(&self) -> bool {
         let share = 0.5 / self.run.lines.len().max(1) as f32;
         self.turned_deg * (1.0 + share) >= 360.0

@@ -14,8 +14,8 @@ const LEAST_MODULATION_NS: f64 = 0.5;
 const WEAK_MODULATION_NS: f64 = 5.0;
 /// Neighbouring ranges that differ by more are of two surfaces, m.
 const NEIGHBOURS_M: f64 = 5.0;
-/// Where echoes follow less than this part of the clock's departures, by so many standard deviations from all of it, these are
-/// not the pulses'.
+/// The clock's departures are not those of the pulses where ranges contain less than this part of them, and this many standard
+/// deviations less than all of them.
 const LEAST_FOLLOWING: f64 = 0.5;
 const FOLLOWING_SDS: f64 = 4.0;
 /// A median margin below this, nats, is no basis for trust.

@@ -142,7 +142,7 @@ pub(super) fn compare(
     }
 }
 
-/// The amplitude in the instrument's unit; `NaN` where there is none, which LAS says by 0.
+/// The amplitude in the instrument's unit; `NaN` where there is none (0 in LAS).
 fn amplitude(online: &OnlineReturn) -> f64 {
     if online.amplitude > 0.0 { f64::from(online.amplitude) } else { f64::NAN }
 }

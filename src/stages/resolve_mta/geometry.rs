@@ -15,7 +15,7 @@ use crate::stage::{Result, StageError};
 const LEAST_SWEEP: f64 = 1e-6;
 /// A beam of the earth's frame is taken to be as straight in the map as it is up to here, m.
 const REACH_M: f64 = 1000.0;
-/// Beams that have jumped or turned back so often, or so many beams, that have not turned around an axis, sweep.
+/// Beams sweep if they have not turned around an axis after this many restarts of the search, or this many beams.
 const MOST_RESTARTS: usize = 3;
 const MOST_BEAMS: usize = 4096;
 

@@ -7,8 +7,8 @@ use crate::kernels::lockstep::vector::{LANES, Simd};
 
 /// Newton's steps of the robust mean: the first leaves some hundredths of the noise, the second nothing that matters.
 const STEPS: usize = 2;
-/// How much of a level's variance stands in that of the statistic at a maximum near the threshold: samples that noise raises
-/// so far hardly count for the level, so neither does it take them away, nor is it much worse for lacking them.
+/// Part of a level's variance that counts in the variance of the detection statistic near the threshold. Samples that noise
+/// raises this far have little weight in the level, so the level's error and theirs are nearly independent.
 const KEPT_VARIANCE: f32 = 0.5;
 
 impl Columns {
@@ -65,10 +65,10 @@ impl Columns {
             let step = s.div(sum, s.max(weight, s.splat(1e-3)));
             centre = s.fma(step, s.splat(level.newton * level.reach_dn), centre);
         }
-        let told = s.mul(free, s.splat(level.steady * level.steady));
-        let variance = s.div(one, s.add(told, s.splat(level.precision)));
+        let information = s.mul(free, s.splat(level.steady * level.steady));
+        let variance = s.div(one, s.add(information, s.splat(level.precision)));
         let enough = s.ge(free, s.splat(LEAST_FREE));
-        let drawn = s.mul(s.mul(centre, told), variance);
+        let drawn = s.mul(s.mul(centre, information), variance);
         s.store(s.select(enough, drawn, zero), &mut self.level_dn);
         s.store(s.select(enough, variance, zero), &mut self.level_variance);
     }
