@@ -1,25 +1,38 @@
 //! Every example of both documents, run on simulated inputs with the documents' names.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::sync::OnceLock;
 
 use crate::examples::EXAMPLES;
-use crate::runs::{header, leaves, wavex};
+use crate::runs::{leaves, wavex};
 use crate::support::las::Las;
 use crate::support::{Outcome, Place};
+use crate::truth::{self, Truth, agrees_with_truth};
+use wavex::geo::crs::{Crs, Named};
+use wavex::geo::ellipsoid::Geodetic;
+use wavex::geo::frames::{Attitude, rotation_of_angles, then};
 
 /// How many pulses there are in each LAS file.
-const PULSES: u64 = 300;
+const PULSES: usize = 300;
 /// How many there are in each flight: few more than a calibration needs.
 const FLOWN: u64 = 2 * 120;
 /// Bytes of a record of an SBET, which begins with its time.
 const SBET_RECORD: usize = 136;
 
+/// Adjusted GPS time at the beginning of the flights' week, s.
+const WEEK_BEGINS_S: f64 = 2365.0 * 604_800.0 - 1e9;
+/// What the clock of UTC is behind GPS time: leap seconds, and an error of the clock.
+const LATE_S: f64 = 18.0 + 0.72;
+
 /// A flight, as recorded, with its trajectory in two formats.
+#[derive(Clone)]
 struct Flight {
     recording: Vec<u8>,
     sbet: Vec<u8>,
     pof: Vec<u8>,
+    /// The table of true returns.
+    truth: String,
 }
 
 impl Flight {
@@ -28,19 +41,20 @@ impl Flight {
         let place = Place::new();
         let job = format!(
             "[[stage]]\ntype = 'simulate'\nstem = 'data'\nlines = 2\nshots_per_line = 120\nas_recorded = true\n\
-             pulse_rate_hz = 300000\nmodulation_ns = 15.0\nflying_height_m = 1000.0\npof = '*.pof'\nsbet = '*.out'\n{keys}\n\
+             pulse_rate_hz = 300000\nmodulation_ns = 15.0\nflying_height_m = 1000.0\npof = '*.pof'\nsbet = '*.out'\ntruth = '*.csv'\n\
+             {keys}\n\
              [[stage]]\ntype = 'write_arrow'\n"
         );
         assert_eq!(place.run(&job), Outcome { code: Some(0), err: String::new() });
         let [recording, sbet, pof] = ["arrow", "out", "pof"]
             .map(|ending| std::fs::read(place.path(&format!("out/data.{ending}"))).unwrap());
-        Flight { recording, sbet, pof }
+        Flight { recording, sbet, pof, truth: place.text("out/data.csv") }
     }
 
     /// In Bavaria, on 6 May 2025 from 10 o'clock on.
     fn usual() -> &'static Flight {
         static FLIGHT: OnceLock<Flight> = OnceLock::new();
-        FLIGHT.get_or_init(|| Flight::new(""))
+        FLIGHT.get_or_init(|| Flight::new("pitch_deg = 2.0\nyaw_deg = 3.0"))
     }
 
     /// The trajectory with its times so much later.
@@ -55,13 +69,12 @@ impl Flight {
 
     /// The trajectory as text: longitude, latitude, height, adjusted time, pitch, heading.
     fn text(&self) -> String {
-        let week_begins = 2365.0 * 604_800.0 - 1e9;
         let row = |record: &[u8]| {
             let value =
                 |index: usize| f64::from_le_bytes(record[8 * index..8 * index + 8].try_into().unwrap());
             let [latitude, longitude, pitch] = [1, 2, 8].map(|index| value(index).to_degrees());
             let heading = (value(9) - value(10)).to_degrees();
-            let (time, height) = (week_begins + value(0), value(3));
+            let (time, height) = (WEEK_BEGINS_S + value(0), value(3));
             format!("{longitude:.10} {latitude:.10} {height:.4} {time:.6} {pitch:.7} {heading:.7}\n")
         };
         self.sbet.chunks_exact(SBET_RECORD).map(row).collect()
@@ -75,65 +88,119 @@ PROJECTION["Transverse_Mercator"],PARAMETER["latitude_of_origin",0],PARAMETER["c
 PARAMETER["scale_factor",0.9996],PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1]]"#;
 
 /// Lever arm, boresight, and e0 to e5.
-const CAL: &str = "0.1 -0.2 0.3\n0.01 0.02 -0.03\n0.05 0 0 0 0 0\n";
+const CAL: &str = "0.1 -0.2 0.3\n0.01 0.02 -0.03\n0 0 0 0 0 0\n";
+/// The same as keys of the simulation, of an aircraft that sways.
+const INSTALLED: &str = "roll_deg = 3.0\npitch_deg = 2.0\nyaw_deg = 3.0\n\
+                         lever_arm_m = [0.1, -0.2, 0.3]\nboresight_deg = [0.01, 0.02, -0.03]\n";
+/// Mounting angles, in front of which the boresight turns.
+const MOUNT_DEG: [f64; 3] = [0.5, -0.25, 0.0];
+const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
+/// The geoid above the ellipsoid.
+const GEOID_M: f64 = 46.0;
 
 /// A grid of NGS over the flight, 46 m above the ellipsoid.
 fn geoid() -> Vec<u8> {
     let mut bytes = Vec::new();
     [46.0f64, 11.0, 1.0, 1.0].iter().for_each(|value| bytes.extend(value.to_le_bytes()));
     [4i32, 4, 1].iter().for_each(|value| bytes.extend(value.to_le_bytes()));
-    (0..16).for_each(|_| bytes.extend(46.0f32.to_le_bytes()));
+    (0..16).for_each(|_| bytes.extend((GEOID_M as f32).to_le_bytes()));
     bytes
 }
 
-/// The inputs of a line, by its number.
-fn inputs(name: &str) -> Place {
-    let recording = Las::new(PULSES as usize);
-    let las = |path: &str| {
-        Place::with(&[
-            (path, &recording.las()),
-            (&format!("{}.wdp", &path[..path.len() - 4]), &recording.packets),
-        ])
-    };
-    let flight = Flight::usual();
-    let of = |files: &[(&str, &[u8])]| Place::with(files);
+/// The flight of a line of version 1.1.
+fn flight(name: &str) -> Cow<'static, Flight> {
     match name {
-        "1.0-01" | "1.0-02" => las("waveform.las"),
-        // The path of Windows is a name elsewhere.
-        "1.0-03" => las(r"F:\indir/waveform.las"),
-        "1.0-04" => las("titan_C3.las"),
-        "1.0-05" => las("LDR100301_120340_4.LAS"),
-        "1.1-01" | "1.1-02" | "1.1-03" => of(&[("data.sdf", &flight.recording), ("file.pof", &flight.pof)]),
-        "1.1-04" => of(&[("indir/data.sdf", &flight.recording), ("indir/file.pof", &flight.pof)]),
-        "1.1-05" => of(&[("indir/data.sdf", &flight.recording), ("podir/file.pof", &flight.pof)]),
-        "1.1-06" | "1.1-07" => of(&[
-            ("indir/data.sdf", &flight.recording),
-            ("sbet.out", &flight.sbet),
-            ("proj.txt", PROJ.as_bytes()),
-            ("cal.txt", CAL.as_bytes()),
-            ("G2012BU0.bin", &geoid()),
-        ]),
+        "1.1-07" => Cow::Owned(Flight::new(INSTALLED)),
         "1.1-08" => {
-            let flight = Flight::new("start_deg = [147.0, -35.0]");
-            of(&[
-                ("indir/data.sdf", &flight.recording),
-                ("sbet.out", &flight.sbet),
-                ("cal.txt", CAL.as_bytes()),
-                ("mnt.txt", b"0.5 -0.25 0\n"),
-            ])
+            let turned = |degrees: [f64; 3]| rotation_of_angles(degrees.map(f64::to_radians));
+            let both = Attitude::of(&then(&turned([0.01, 0.02, -0.03]), &turned(MOUNT_DEG)));
+            let [roll, pitch, yaw] = [both.roll_rad, both.pitch_rad, both.heading_rad].map(f64::to_degrees);
+            let (before, _) = INSTALLED.split_once("boresight").unwrap();
+            Cow::Owned(Flight::new(&format!(
+                "start_deg = [147.0, -35.0]\n{before}boresight_deg = [{roll}, {pitch}, {yaw}]"
+            )))
         }
-        "1.1-09" => {
-            // Sunday, 22:52:30 of a clock that counts UTC and is 0.72 s late.
-            let flight = Flight::new("start_time_s = 82350.0");
-            of(&[
-                ("indir/250504_225230.sdf", &flight.recording),
-                ("sbet.out", &flight.sbet_later(18.72)),
-                ("cal.txt", CAL.as_bytes()),
-            ])
+        "1.1-09" => Cow::Owned(Flight::new(&format!("start_time_s = 82350.0\n{INSTALLED}"))),
+        _ => Cow::Borrowed(Flight::usual()),
+    }
+}
+
+/// The inputs of a line, by its number, and the truth.
+fn inputs(name: &str) -> (Place, Vec<Truth>) {
+    if name.starts_with("1.0") {
+        return inputs_of_1_0(name);
+    }
+    let flight = flight(name);
+    let sdf = match name {
+        "1.1-09" => "indir/250504_225230.sdf",
+        "1.1-04" | "1.1-05" | "1.1-06" | "1.1-07" | "1.1-08" => "indir/data.sdf",
+        _ => "data.sdf",
+    };
+    let place = Place::with(&[(sdf, &flight.recording)]);
+    let write = |files: &[(&str, &[u8])]| files.iter().for_each(|(file, bytes)| place.write(file, bytes));
+    match name {
+        "1.1-01" | "1.1-02" | "1.1-03" => write(&[("file.pof", &flight.pof)]),
+        "1.1-04" => write(&[("indir/file.pof", &flight.pof)]),
+        "1.1-05" => write(&[("podir/file.pof", &flight.pof)]),
+        "1.1-06" => {
+            write(&[("sbet.out", &flight.sbet), ("proj.txt", PROJ.as_bytes()), ("G2012BU0.bin", &geoid())])
         }
-        "1.1-10" | "1.1-11" => of(&[("data.sdf", &flight.recording), ("file.txt", flight.text().as_bytes())]),
-        "1.1-12" | "1.1-13" | "1.1-14" | "1.1-15" => of(&[("data.sdf", &flight.recording)]),
-        _ => Place::new(),
+        "1.1-07" => {
+            write(&[("sbet.out", &flight.sbet), ("proj.txt", PROJ.as_bytes()), ("cal.txt", CAL.as_bytes())])
+        }
+        "1.1-08" => {
+            let [roll, pitch, yaw] = MOUNT_DEG;
+            let mount = format!("{roll} {pitch} {yaw}\n");
+            write(&[("sbet.out", &flight.sbet), ("cal.txt", CAL.as_bytes()), ("mnt.txt", mount.as_bytes())]);
+        }
+        // Sunday, 22:52:30 of a clock that counts UTC and is 0.72 s late.
+        "1.1-09" => write(&[("sbet.out", &flight.sbet_later(LATE_S)), ("cal.txt", CAL.as_bytes())]),
+        "1.1-10" | "1.1-11" => write(&[("file.txt", flight.text().as_bytes())]),
+        _ => (),
+    }
+    let in_scanner = matches!(name, "1.1-12" | "1.1-13");
+    let mut truth = truth::of_flight(&flight.truth, &flight.recording, in_scanner);
+    if name == "1.1-09" {
+        // The name tells the day, so that times are adjusted ones.
+        truth.iter_mut().for_each(|truth| truth.time_s += WEEK_BEGINS_S + LATE_S);
+    }
+    (place, truth)
+}
+
+/// The same for version 1.0. The first line's points tell where they lie in their waveforms, to which ranges are tied then.
+fn inputs_of_1_0(name: &str) -> (Place, Vec<Truth>) {
+    let (path, odd_sample_shift) = match name {
+        // The path of Windows is a name elsewhere.
+        "1.0-03" => (r"F:\indir/waveform.las", 0.0),
+        "1.0-04" => ("titan_C3.las", -0.25),
+        "1.0-05" => ("LDR100301_120340_4.LAS", 0.0),
+        _ => ("waveform.las", 0.0),
+    };
+    let has_locations = name == "1.0-01";
+    let mut recording = Las::with_odd_sample_shift(PULSES, odd_sample_shift);
+    if !has_locations {
+        recording = recording.without_locations();
+    }
+    let packets = format!("{}.wdp", &path[..path.len() - 4]);
+    let place = Place::with(&[(path, &recording.las()), (&packets, &recording.packets)]);
+    (place, truth::of_pulses(PULSES, has_locations))
+}
+
+/// From a line's coordinates to those of the truth, m.
+fn in_map(name: &str) -> Box<dyn Fn([f64; 3]) -> [f64; 3]> {
+    match name {
+        "1.1-06" => Box::new(|[x, y, z]| [x, y, z + GEOID_M]),
+        "1.1-08" => Box::new(|place| place.map(|feet| feet * US_SURVEY_FOOT_M)),
+        "1.1-11" => {
+            let named = Named::UtmZone { zone: 33, north: true };
+            let anywhere = Geodetic { longitude_rad: 0.22, latitude_rad: 0.83, height_m: 0.0 };
+            let crs = Crs::new(&named, anywhere, None, None).unwrap();
+            Box::new(move |[longitude, latitude, height_m]| {
+                let (longitude_rad, latitude_rad) = (longitude.to_radians(), latitude.to_radians());
+                crs.from_geodetic(Geodetic { longitude_rad, latitude_rad, height_m }).unwrap()
+            })
+        }
+        _ => Box::new(|place| place),
     }
 }
 
@@ -161,22 +228,21 @@ fn outputs(name: &str) -> &'static [&'static str] {
     }
 }
 
-/// Runs a line, which leaves its points and other files.
+/// Runs a line, which leaves its files, and points where the true returns are.
 #[track_caller]
-fn runs(name: &str) -> (Place, u64, f64) {
-    let place = inputs(name);
+fn runs(name: &str) -> Place {
+    let (place, truth) = inputs(name);
     let line = EXAMPLES.iter().find(|(example, _)| *example == name).unwrap().1;
     let files = outputs(name);
     leaves(&place, line, files);
-    let (_, points, easting) = header(&place, files[0]);
-    assert!(points >= FLOWN * 8 / 10, "{name}: {points} points");
-    (place, points, easting)
+    agrees_with_truth(name, &truth::points(&place, files[0]), &truth, in_map(name));
+    place
 }
 
 #[test]
 fn the_lines_of_version_1_0() {
     for name in ["1.0-01", "1.0-02", "1.0-04", "1.0-05"] {
-        assert_eq!(runs(name).1, PULSES, "{name}: an echo of each pulse");
+        runs(name);
     }
 }
 
@@ -189,77 +255,76 @@ fn the_line_of_version_1_0_with_folders_of_windows() {
 #[test]
 fn the_lines_of_version_1_1_with_a_pof() {
     for name in ["1.1-01", "1.1-02", "1.1-03", "1.1-04", "1.1-05"] {
-        let (_, _, easting) = runs(name);
-        assert!((319_000.0..321_000.0).contains(&easting), "{name}: {easting} is no easting of this flight");
+        runs(name);
     }
 }
 
 #[test]
 fn the_lines_of_version_1_1_with_an_sbet() {
-    let (place, _, easting) = runs("1.1-06");
-    assert!((319_000.0..321_000.0).contains(&easting), "{easting}");
-    let lowest = |place: &Place| {
-        let bytes = std::fs::read(place.path("outdir/data.laz")).unwrap();
-        f64::from_le_bytes(bytes[219..227].try_into().unwrap())
-    };
-    let (other, _, _) = runs("1.1-07");
-    let lower = lowest(&other) - lowest(&place);
-    assert!((45.0..47.0).contains(&lower), "the geoid lies 46 m above the ellipsoid: {lower}");
+    for name in ["1.1-06", "1.1-07"] {
+        runs(name);
+    }
 }
 
 #[test]
 fn the_line_with_a_zone_and_feet() {
-    // Zone 55 begins at 144 degrees east, its middle is 147.
-    let (_, _, easting_ft) = runs("1.1-08");
-    assert!((1_638_000.0..1_643_000.0).contains(&easting_ft), "{easting_ft} ft");
+    runs("1.1-08");
 }
 
 #[test]
 fn the_line_with_a_clock_of_utc() {
-    let (place, _, _) = runs("1.1-09");
-    let text = place.text("outdir/250504_225230_traj.txt");
+    let text = runs("1.1-09").text("outdir/250504_225230_traj.txt");
     let first: f64 = text.lines().nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-    let expected = 2365.0 * 604_800.0 - 1e9 + 82_350.0 + 18.72;
+    let expected = WEEK_BEGINS_S + 82_350.0 + LATE_S;
     assert!((first - expected).abs() < 1e-3, "{first} instead of {expected}");
 }
 
 /// Their columns, `xyztpk`, lack the roll: 0 is taken, and said.
 #[test]
 fn the_lines_with_a_trajectory_in_text() {
-    for (name, first) in [("1.1-10", 319_000.0..321_000.0), ("1.1-11", 12.5..12.7)] {
-        let place = inputs(name);
+    for name in ["1.1-10", "1.1-11"] {
+        let (place, truth) = inputs(name);
         let line = EXAMPLES.iter().find(|(example, _)| *example == name).unwrap().1;
         let ended = wavex(&place, &format!("--run -- {line}"));
         assert_eq!(ended.code, Some(0), "{}", ended.err);
         let what = "the trajectory's columns have no roll (`w`): 0 is taken, and each degree of true roll puts points off";
         assert!(ended.err.contains(what), "{}", ended.err);
-        let (_, points, least) = header(&place, "data.laz");
-        assert!(
-            points >= PULSES * 8 / 10 && first.contains(&least),
-            "{name}: {points} points from {least} on"
-        );
+        agrees_with_truth(name, &truth::points(&place, "data.laz"), &truth, in_map(name));
     }
 }
 
 #[test]
 fn the_lines_without_a_trajectory() {
     for name in ["1.1-12", "1.1-13"] {
-        let (_, _, least_x) = runs(name);
-        assert!(least_x.abs() < 1000.0, "{name}: the aircraft's own frame: {least_x}");
+        runs(name);
     }
 }
 
 #[test]
 fn the_line_that_writes_nothing() {
-    let place = inputs("1.1-14");
+    let (place, truth) = inputs("1.1-14");
     leaves(&place, "wavex -i data.sdf -fastest -oext 0 -nil", &["report.json"]);
     assert!(!place.path("data.laz").exists());
+    let report: serde_json::Value = serde_json::from_str(&place.text("report.json")).unwrap();
+    let total = |name: &str| report["inputs"][0]["totals"][name].as_u64().unwrap();
+    assert_eq!([total("nw"), total("n_georef")], [FLOWN, truth.len() as u64]);
 }
 
 #[test]
 fn the_line_that_scans() {
-    let place = inputs("1.1-15");
-    leaves(&place, "wavex -sdfscan -i data.sdf -name scan", &["scan_scan.txt", "scan_scan.html"]);
+    let (place, _) = inputs("1.1-15");
+    let out = leaves(&place, "wavex -sdfscan -i data.sdf -name scan", &["scan_scan.txt", "scan_scan.html"]);
+    let says = |name: &str, value: &str| {
+        out.lines().any(|line| {
+            line.trim().strip_prefix(name).is_some_and(|rest| rest.trim_start().starts_with(value))
+        })
+    };
+    for (name, value) in
+        [("shots", "240"), ("scan lines", "2"), ("shots of a line", "120"), ("blocks", "240")]
+    {
+        assert!(says(name, value), "{name} {value}: {out}");
+    }
+    assert!(says("pulse rate, measured", "299999.") || says("pulse rate, measured", "300000."), "{out}");
 }
 
 /// Every example is run by a test: those above, and in `runs` the three that ask for information.
@@ -276,10 +341,10 @@ fn no_example_is_forgotten() {
 #[test]
 fn the_example_of_a_file_of_options() {
     let options = b"mem=4096\ndet=5\nR=1000\n";
-    let place = inputs("1.0-01");
+    let (place, _) = inputs("1.0-01");
     place.write("wavex.opt", options);
     leaves(&place, "wavex -i waveform.las", &["out.laz"]);
-    let place = inputs("1.1-12");
+    let (place, _) = inputs("1.1-12");
     place.write("wavex.opt.txt", options);
     leaves(&place, "wavex -i data.sdf", &["data.laz"]);
 }

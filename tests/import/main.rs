@@ -9,6 +9,7 @@ mod runs;
 #[path = "../support/mod.rs"]
 mod support;
 mod table;
+mod truth;
 
 use wavex::cli::import::draft::Known;
 use wavex::cli::import::{Import, Place, import};

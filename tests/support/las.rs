@@ -2,7 +2,7 @@
 
 use std::io::{Cursor, Seek, SeekFrom};
 
-use super::shots::{METRES_PER_NS, SAMPLES, echo, peak, time_s};
+use super::shots::{METRES_PER_NS, SAMPLES, echo_with, peak, time_s};
 
 /// Length of the header, bytes.
 pub const HEADER: usize = 375;
@@ -21,8 +21,13 @@ pub struct Las {
 impl Las {
     /// So many pulses of one return each, every one with its own waveform.
     pub fn new(pulses: usize) -> Las {
+        Las::with_odd_sample_shift(pulses, 0.0)
+    }
+
+    /// The same, whose odd samples were taken so much later than their index says, in samples.
+    pub fn with_odd_sample_shift(pulses: usize, odd_sample_shift: f64) -> Las {
         let mut packets = record_header("LASF_Spec", 65535, (pulses * SAMPLES) as u64, true);
-        packets.extend((0..pulses).flat_map(echo));
+        packets.extend((0..pulses).flat_map(|pulse| echo_with(pulse, odd_sample_shift)));
         let vlrs = vec![vlr("LASF_Spec", 100, &descriptor(8, SAMPLES as u32, 1000))];
         Las { vlrs, points: (0..pulses).map(point).collect(), packets }
     }
@@ -36,6 +41,12 @@ impl Las {
     /// Replaces bytes of a point.
     pub fn change(mut self, point: usize, at: usize, bytes: &[u8]) -> Las {
         self.points[point][at..at + bytes.len()].copy_from_slice(bytes);
+        self
+    }
+
+    /// The same, whose points do not tell where they lie in their waveforms: they are where those begin.
+    pub fn without_locations(mut self) -> Las {
+        self.points.iter_mut().for_each(|point| point[43..47].fill(0));
         self
     }
 

@@ -9,6 +9,11 @@ pub const METRES_PER_NS: f64 = 0.149_853_751;
 /// Background of 3 digitiser steps, noise of about one step, and a Gaussian pulse of `amplitude_dn` and 4.5 ns full width
 /// at half maximum around sample `peak`.
 pub fn waveform(shot: usize, peak: f64, amplitude_dn: f64) -> Vec<u8> {
+    waveform_with(shot, peak, amplitude_dn, 0.0)
+}
+
+/// The same, whose odd samples were taken so much later than their index says, in samples.
+fn waveform_with(shot: usize, peak: f64, amplitude_dn: f64, odd_sample_shift: f64) -> Vec<u8> {
     let mut state = (shot as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let mut uniform = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -17,7 +22,8 @@ pub fn waveform(shot: usize, peak: f64, amplitude_dn: f64) -> Vec<u8> {
     let sample = |i: usize| {
         // The sum of 12 uniform numbers is close to normal, with a variance of 1.
         let noise: f64 = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
-        let x = (i as f64 - peak) / (4.5 / 2.354_82);
+        let taken = i as f64 + if i % 2 == 1 { odd_sample_shift } else { 0.0 };
+        let x = (taken - peak) / (4.5 / 2.354_82);
         (3.0 + noise + amplitude_dn * (-0.5 * x * x).exp()).round().clamp(0.0, 255.0) as u8
     };
     (0..SAMPLES).map(sample).collect()
@@ -25,7 +31,12 @@ pub fn waveform(shot: usize, peak: f64, amplitude_dn: f64) -> Vec<u8> {
 
 /// The echo of a shot.
 pub fn echo(shot: usize) -> Vec<u8> {
-    waveform(shot, peak(shot), 60.0)
+    echo_with(shot, 0.0)
+}
+
+/// The same, whose odd samples were taken so much later than their index says, in samples.
+pub fn echo_with(shot: usize, odd_sample_shift: f64) -> Vec<u8> {
+    waveform_with(shot, peak(shot), 60.0, odd_sample_shift)
 }
 
 /// Where the echo of a shot lies, in samples.
