@@ -54,7 +54,7 @@ impl Flight {
     /// In Bavaria, on 6 May 2025 from 10 o'clock on.
     fn usual() -> &'static Flight {
         static FLIGHT: OnceLock<Flight> = OnceLock::new();
-        FLIGHT.get_or_init(|| Flight::new("pitch_deg = 2.0\nyaw_deg = 3.0"))
+        FLIGHT.get_or_init(|| Flight::new("heading_deg = 110.0\npitch_deg = 2.0\nyaw_deg = 3.0"))
     }
 
     /// The trajectory with its times so much later.
@@ -89,8 +89,9 @@ PARAMETER["scale_factor",0.9996],PARAMETER["false_easting",500000],PARAMETER["fa
 
 /// Lever arm, boresight, and e0 to e5.
 const CAL: &str = "0.1 -0.2 0.3\n0.01 0.02 -0.03\n0 0 0 0 0 0\n";
-/// The same as keys of the simulation, of an aircraft that sways.
-const INSTALLED: &str = "roll_deg = 3.0\npitch_deg = 2.0\nyaw_deg = 3.0\n\
+/// The same as keys of the simulation, of an aircraft with a large roll, pitch and yaw.
+const INSTALLED: &str = "heading_deg = 110.0\nroll_deg = 15.0\npitch_deg = 15.0\nyaw_deg = 15.0\n\
+                         motion_period_s = 1.0\n\
                          lever_arm_m = [0.1, -0.2, 0.3]\nboresight_deg = [0.01, 0.02, -0.03]\n";
 /// Mounting angles, in front of which the boresight turns.
 const MOUNT_DEG: [f64; 3] = [0.5, -0.25, 0.0];
