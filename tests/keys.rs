@@ -112,8 +112,11 @@ fn crosstalk_is_flagged_and_dropped_on_request() {
     assert!(others.flat_map(flags).all(|flags| flags == 0));
     assert_eq!((&totals["np_xtalk"], &totals["np_xtalk_dropped"]), (&4.into(), &0.into()));
 
-    let unreliable = of_shot(&rows, 70)[0];
-    assert!((number(unreliable, "range_sd_m") - 0.255).abs() < 1e-12, "{unreliable:?}");
+    // The joint fit of pulse and echo tells when the shot left; alone, the pulse was 0.1 m late.
+    let mixed = of_shot(&rows, 70)[0];
+    let error_m = number(mixed, "range_m") - number(of_shot(&rows, 77)[0], "range_m");
+    let sd_m = number(mixed, "range_sd_m");
+    assert!(error_m.abs() < 3.0 * sd_m && (0.001..0.03).contains(&sd_m), "{error_m} {mixed:?}");
     assert!(rows.iter().all(|row| row["shot"] == "170" || number(row, "range_sd_m") < 0.02));
 
     let (kept, totals) = run(&place, "", "", "drop_emission_crosstalk = true");
@@ -126,6 +129,37 @@ fn crosstalk_is_flagged_and_dropped_on_request() {
         total("np") + total("np_filtered") + total("np_merged") + total("np_xtalk_dropped")
     );
     assert_eq!(total("nw"), total("nw_empty") + total("nw_deleted") + total("nw_with_points"));
+}
+
+/// Echoes 1.5 and 3.25 samples from the outgoing pulse, which widen it and leave no second maximum.
+#[test]
+fn echoes_that_merge_with_the_outgoing_pulse_are_flagged_and_their_ranges_hold() {
+    let height = |number: usize| if number % 20 == 0 { 75.0 } else { 15.0 };
+    let distance = |number: usize| if number % 40 < 20 { 1.5 } else { 3.25 };
+    let place = recording(|number, shot| {
+        if number % 10 == 5 || number % 20 == 0 {
+            let pulses = [(20.0, 150.0), (20.0 + distance(number), height(number))];
+            shot.blocks[0].2 = samples(1000 + number, &pulses);
+        }
+    });
+    let (rows, _) = run(&place, "", "", "");
+    let is_mixed = |row: &Row| {
+        let shot = number(row, "shot") as usize - 100;
+        shot % 10 == 5 || shot % 20 == 0
+    };
+    let error_ns = |row: &Row| {
+        let place = 0.1 * ((number(row, "shot") as usize - 100) % 7) as f64;
+        number(row, "time_of_flight_ns") - (1024.0 + place)
+    };
+    let (mixed, clean): (Vec<&Row>, Vec<&Row>) = rows.iter().partition(|row| is_mixed(row));
+    let flagged = |rows: &[&Row]| rows.iter().filter(|row| flags_of(row) & ECHO_ON_OUTGOING != 0).count();
+    assert_eq!((flagged(&mixed), flagged(&clean)), (mixed.len(), 0));
+    // Shots share a calibrated constant, which the others tell.
+    let constant = clean.iter().map(|row| error_ns(row)).sum::<f64>() / clean.len() as f64;
+    let scores = mixed.iter().map(|row| (error_ns(row) - constant) / number(row, "time_of_flight_sd_ns"));
+    let z = (scores.map(|score| score * score).sum::<f64>() / mixed.len() as f64).sqrt();
+    println!("{} mixed shots: z {z:.2}", mixed.len());
+    assert!(mixed.len() == 48 && z < 1.2, "{z}");
 }
 
 #[test]

@@ -235,8 +235,14 @@ fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Fai
         .and_then(|shots| shots.fusing(line.fusion.as_deref()))
         .map_err(|error| failed(&error))?;
     let of_line = Shot { index, blocks: &blocks, of_shot, input: &line.input };
+    // What is usual of the outgoing pulses follows from the whole line.
+    let shot_of = |(index, of_shot)| Shot { index, blocks: &blocks, of_shot, input: &line.input };
+    let all: Vec<Shot> = blocks.by_emission().map(shot_of).collect();
+    let (mut emissions, mut others) = (line.emissions.clone(), Returns::new());
+    let mut whole = Line { emissions: &mut emissions, returns: &mut others, stats: &mut line.stats.clone() };
+    shots.decompose(&all, &mut whole, &mut Context::default(), &mut ()).map_err(|error| failed(&error))?;
     let mut into = Line { emissions: &mut line.emissions, returns: &mut returns, stats: &mut line.stats };
-    shots.decompose(&[of_line], &mut into, &mut cx, &mut seen).map_err(|error| failed(&error))?;
+    shots.decompose_again(&of_line, &mut into, &mut cx, &mut seen).map_err(|error| failed(&error))?;
     let emission = line.emissions[index as usize];
     let file = chain.file().display().to_string();
     let (blocks, outgoing) = seen.finish(&emission, &returns);

@@ -4,6 +4,8 @@
 //! that happens to come in) does not pull it.
 
 mod batch;
+mod mixture;
+mod usual;
 
 use std::ops::Range;
 
@@ -12,6 +14,7 @@ use super::flags;
 use super::sensor_model::{ChannelModel, ModelError};
 
 pub use batch::{Outgoing, OutgoingBatch};
+pub use usual::{ReferenceBlock, Usual};
 
 /// Half of the window that is fitted, in widths of the pulse.
 const HALF_WINDOW_WIDTHS: f64 = 1.5;

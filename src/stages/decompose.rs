@@ -58,7 +58,8 @@ pub const STAGE: StageSpec =
 ///
 /// A block that was being recorded when another shot of the line left holds what leaked in from that emission, as a pulse
 /// like any other. Returns within three widths of that moment have flag bit 3, the block's other returns bit 4. Where an
-/// echo lies on a shot's outgoing pulse, all its returns have bit 5, and the standard deviation of their ranges is 0.255 m.
+/// echo lies on a shot's outgoing pulse, all its returns have bit 5. Their ranges count from a joint fit of pulse and echo, and
+/// the standard deviations include what it leaves unknown; they are at least 0.255 m where no such fit explains the samples.
 ///
 /// Counts `np np_xtalk np_xtalk_dropped np_filtered np_merged np_online nw_empty nw_saturated nw_refined1x nw_refined2x nw_truncated nw_deleted`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -260,8 +261,7 @@ impl Worker {
             let (mut emissions, mut returns) = (looked.emissions.to_vec(), Returns::new());
             let mut line =
                 Line { emissions: &mut emissions, returns: &mut returns, stats: &mut LineStats::default() };
-            let one = std::slice::from_ref(shot);
-            self.shots.decompose(one, &mut line, &mut Context::default(), &mut seen)?;
+            self.shots.decompose_again(shot, &mut line, &mut Context::default(), &mut seen)?;
             let Some(emission) = emissions.get(candidate.emission as usize) else { continue };
             let blocks = seen.finish(emission, &returns).0;
             let shown = ShownShot {

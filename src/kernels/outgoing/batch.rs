@@ -3,6 +3,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::mixture::Mixture;
+use super::usual::{ReferenceBlock, Usual};
 use super::{OutgoingFitter, one_pulse, window};
 use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::Return;
@@ -16,6 +18,9 @@ pub struct Outgoing {
     pub pulse: Return,
     /// The samples that it was fitted to.
     pub window: Range<usize>,
+    /// Whether the samples are as one pulse, or a pulse and an echo, would leave them; `false` before
+    /// [`OutgoingBatch::judge`], and where it does not judge.
+    pub is_explained: bool,
 }
 
 /// Fits outgoing pulses of one channel; keeps its memory from one batch to the next.
@@ -25,6 +30,7 @@ pub struct Outgoing {
 /// that are not for the fast kernels are left to it.
 pub struct OutgoingBatch {
     plain: OutgoingFitter,
+    mixture: Option<Mixture>,
     fast: Lockstep,
     /// Samples at the beginning of a block that only predict.
     order: usize,
@@ -44,6 +50,7 @@ impl OutgoingBatch {
     ) -> Result<OutgoingBatch, ModelError> {
         Ok(OutgoingBatch {
             plain: OutgoingFitter::new(model, 0)?,
+            mixture: Mixture::new(model)?,
             fast: Lockstep::new(model, tables, &one_pulse(), Mode::Refined, path)?,
             order: model.ar.len(),
             candidates: Vec::new(),
@@ -71,6 +78,7 @@ impl OutgoingBatch {
             let fitted = outcome.returns.first().map(|&pulse| Outgoing {
                 pulse: self.plain.finished(pulse, window.start, block.samples, 0),
                 window: window.clone(),
+                is_explained: false,
             });
             if let Some(place) = pulses.get_mut(*i as usize) {
                 *place = fitted;
@@ -79,8 +87,34 @@ impl OutgoingBatch {
         for ((block, strongest), pulse) in blocks.iter().zip(&self.strongest).zip(pulses) {
             if strongest.statistic == 0.0 {
                 let fitted = self.plain.fit(block.samples, block.start_phase);
-                *pulse = fitted.map(|pulse| Outgoing { pulse, window: self.plain.window.clone() });
+                *pulse = fitted.map(|pulse| {
+                    let window = self.plain.window.clone();
+                    Outgoing { pulse, window, is_explained: false }
+                });
             }
+        }
+    }
+
+    /// What the outgoing pulses of a scan line have in common, for [`OutgoingBatch::judge`].
+    ///
+    /// `None` where there are fewer than 30, or no calibrated response.
+    pub fn usual(&mut self, blocks: &[ReferenceBlock<'_>], pulses: &[Option<Outgoing>]) -> Option<Usual> {
+        self.mixture.as_mut()?.usual(blocks, pulses)
+    }
+
+    /// Looks for an echo on an outgoing pulse; with `is_expected` a recorded echo was received while it left.
+    ///
+    /// Sets [`ECHO_ON_OUTGOING`](crate::kernels::flags::ECHO_ON_OUTGOING) where one is more probable than not. Place and
+    /// standard deviation become those that remain with and without an echo, weighted by probability.
+    pub fn judge(
+        &mut self,
+        block: &ReferenceBlock<'_>,
+        outgoing: &mut Outgoing,
+        usual: &Usual,
+        is_expected: bool,
+    ) {
+        if let Some(mixture) = &mut self.mixture {
+            mixture.judge(block, outgoing, usual, is_expected);
         }
     }
 
@@ -157,7 +191,7 @@ mod tests {
         let mut plain = OutgoingFitter::new(&model, 40).unwrap();
         let (mut errors, mut scores, mut apart) = (vec![], vec![], vec![]);
         for ((truth, samples), found) in shots.iter().zip(&pulses) {
-            let Outgoing { pulse, window } = found.as_ref().unwrap();
+            let Outgoing { pulse, window, .. } = found.as_ref().unwrap();
             assert!(window.start.is_multiple_of(4) && window.end <= 40, "{window:?}");
             errors.push(pulse.position_samples - truth);
             scores.push(errors[errors.len() - 1] / pulse.position_sd_samples);

@@ -30,6 +30,17 @@ impl<'a> Departures<'a> {
 
     /// Times between two moments at which other shots left, all after the shot's clock, ns.
     fn within(&self, from_ns: f64, to_ns: f64) -> impl Iterator<Item = f64> + '_ {
+        self.others_within(from_ns, to_ns).map(|(_, emission)| {
+            emission.clock_ps.saturating_sub(self.clock_ps) as f64 / 1000.0 + self.delay_ns
+        })
+    }
+
+    /// The other shots that left between two moments after the shot's clock, ns, by their index in the line.
+    pub(super) fn others_within(
+        &self,
+        from_ns: f64,
+        to_ns: f64,
+    ) -> impl Iterator<Item = (usize, &'a Emission)> + '_ {
         let clock_at = |time_ns: f64| {
             // A float converts to the nearest integer in range.
             self.clock_ps.saturating_add(((time_ns - self.delay_ns) * 1000.0) as i64)
@@ -37,10 +48,9 @@ impl<'a> Departures<'a> {
         let (from_ps, to_ps) = (clock_at(from_ns), clock_at(to_ns));
         let first = partition_near(self.emissions, self.index, |emission| emission.clock_ps < from_ps);
         let end = partition_near(self.emissions, first, |emission| emission.clock_ps <= to_ps);
-        let others = self.emissions.get(first..end).unwrap_or_default().iter();
+        let others = (first..).zip(self.emissions.get(first..end).unwrap_or_default());
         // Shots that share a clock cannot be told apart: their times are too coarse.
-        let others = others.filter(|emission| emission.clock_ps != self.clock_ps);
-        others.map(|emission| emission.clock_ps.saturating_sub(self.clock_ps) as f64 / 1000.0 + self.delay_ns)
+        others.filter(|(_, emission)| emission.clock_ps != self.clock_ps)
     }
 
     /// Flags what was found in a block, `found[first..]`, where another shot left during it, and drops what overlaps its

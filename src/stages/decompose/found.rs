@@ -1,7 +1,7 @@
 //! A pulse of a block as a return of its shot.
 
 use super::shots::Departure;
-use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel, flags};
+use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel};
 use crate::kernels::decompose::Return as Pulse;
 use crate::kernels::radiometry::target_thickness_m;
 
@@ -40,12 +40,8 @@ impl Found {
         let half_speed_m_per_ns = input.group_velocity_mps * 0.5e-9;
         let fitted = self.fitted;
         let time_of_flight_ns = self.time_ns - departure.time_ns;
-        let known_sd_ns =
+        let time_of_flight_sd_ns =
             (self.time_sd_ns.powi(2) + departure.sd_ns.powi(2) + timing_error_ns.powi(2)).sqrt();
-        // Nothing tells by how much an echo on the outgoing pulse moves it.
-        let unreliable = departure.flags & flags::ECHO_ON_OUTGOING != 0;
-        let least_sd_ns = if unreliable { UNRELIABLE_RANGE_SD_M / half_speed_m_per_ns } else { 0.0 };
-        let time_of_flight_sd_ns = known_sd_ns.max(least_sd_ns);
         let (ratio, ratio_sd) = (fitted.width_ratio, fitted.width_ratio_sd);
         let (thickness_m, thickness_sd_m) =
             target_thickness_m(half_speed_m_per_ns, fitted.fwhm_ns / ratio, ratio, ratio_sd);

@@ -9,7 +9,7 @@ use crate::batch::{Block, Channel, ReturnChannel};
 use crate::kernels::calibrate::Block as Waveform;
 use crate::kernels::decompose::{DecomposeSettings, Decomposition};
 use crate::kernels::lockstep::{self, Lockstep, Outcomes, Path, Tables};
-use crate::kernels::outgoing::{Outgoing, OutgoingBatch};
+use crate::kernels::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
 use crate::kernels::sensor_model::{ChannelModel, ModelError, SensorModel};
 use crate::stage::{Result, StageError};
 
@@ -130,6 +130,8 @@ pub(super) struct Receivers {
     high: Option<Receiver>,
     reference: Option<OutgoingBatch>,
     outgoing: Vec<Option<Outgoing>>,
+    /// What the outgoing pulses of the line have in common.
+    usual: Option<Usual>,
     /// One for each block of the line's shots, in order.
     lots: Vec<Lot>,
 }
@@ -151,6 +153,7 @@ impl Receivers {
             high: make(&model.high_power, &tables.high)?,
             reference: reference.transpose().map_err(unusable)?,
             outgoing: Vec::new(),
+            usual: None,
             lots: Vec::new(),
         })
     }
@@ -194,6 +197,38 @@ impl Receivers {
     /// Waveforms of echoes that the plain kernels decomposed since the start.
     pub(super) fn left_to_plain(&self) -> u64 {
         [&self.low, &self.high].into_iter().flatten().map(|receiver| receiver.kernels.left_to_plain()).sum()
+    }
+
+    /// Looks for echoes on the outgoing pulses of the shots that were decomposed last.
+    ///
+    /// `is_line`: they are a whole line, and say what is usual; else the last line does. `is_expected` says whether an
+    /// echo was received while the emission of this index left.
+    pub(super) fn judge_outgoing(
+        &mut self,
+        shots: &[Shot],
+        is_line: bool,
+        is_expected: impl Fn(u32) -> bool,
+    ) {
+        let Some(reference) = &mut self.reference else { return };
+        let lots = self.lots.iter();
+        let all = shots.iter().flat_map(|shot| shot.of_shot.iter().map(move |block| (shot, block)));
+        let recorded = all.zip(lots).filter(|(_, lot)| matches!(lot, Lot::Outgoing(_)));
+        let (blocks, indices): (Vec<ReferenceBlock>, Vec<u32>) = recorded
+            .map(|((shot, block), _)| {
+                let start_samples = block.start_ns / block.interval_ns;
+                let start_samples = if start_samples.is_finite() { start_samples } else { 0.0 };
+                (ReferenceBlock { samples: shot.blocks.samples(block), start_samples }, shot.index)
+            })
+            .unzip();
+        if is_line {
+            self.usual = reference.usual(&blocks, &self.outgoing);
+        }
+        let Some(usual) = &self.usual else { return };
+        for ((block, index), outgoing) in blocks.iter().zip(indices).zip(&mut self.outgoing) {
+            if let Some(outgoing) = outgoing {
+                reference.judge(block, outgoing, usual, is_expected(index));
+            }
+        }
     }
 
     /// The lot of a block of echoes, where nothing speaks against its receiver.

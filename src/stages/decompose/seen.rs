@@ -114,7 +114,7 @@ impl<'a> Seen<'a> {
 
 impl Watch for Seen<'_> {
     fn outgoing(&mut self, block: &Block, outgoing: &Outgoing, model: &ChannelModel) {
-        let Outgoing { pulse, window } = outgoing.clone();
+        let Outgoing { pulse, window, .. } = outgoing.clone();
         let position_samples = pulse.position_samples - window.start as f64;
         let in_window = [Pulse { position_samples, ..pulse }];
         let found = Decomposition { returns: &in_window, ..Decomposition::default() };

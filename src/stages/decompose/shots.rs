@@ -3,7 +3,7 @@
 use super::Decompose;
 use super::both::BothReceivers;
 use super::crosstalk::Departures;
-use super::found::Found;
+use super::found::{Found, UNRELIABLE_RANGE_SD_M};
 use super::online::unresolved;
 use super::receivers::{Lot, Receivers, SensorTables};
 use crate::batch::{
@@ -16,6 +16,9 @@ use crate::kernels::lockstep::Path;
 use crate::kernels::outgoing::Outgoing;
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{Context, Item, Result};
+
+/// An echo that was received so many widths of the outgoing pulse from an emission may lie on it.
+const EXPECTED_WIDTHS: f64 = 3.0;
 
 /// When a shot left, after its clock.
 #[derive(Clone, Copy)]
@@ -154,6 +157,11 @@ impl Shot<'_> {
     }
 }
 
+/// Whether the mark of an emission is set.
+fn is_set(marks: &[bool], index: u32) -> bool {
+    marks.get(index as usize).copied().unwrap_or(false)
+}
+
 /// What becomes of a line while its shots are decomposed.
 pub(crate) struct Line<'a> {
     /// Each is told when it left.
@@ -182,6 +190,8 @@ pub(crate) struct ShotDecomposer {
     timing_error_ns: f64,
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
+    /// By the emission's index in its line: an echo was received while it left.
+    expected: Vec<bool>,
 }
 
 impl ShotDecomposer {
@@ -201,6 +211,7 @@ impl ShotDecomposer {
             timing_error_ns: config.timing_error_ns,
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
+            expected: Vec::new(),
         })
     }
 
@@ -223,6 +234,63 @@ impl ShotDecomposer {
         let before = self.receivers.left_to_plain();
         self.receivers.decompose(shots, self.both.as_ref());
         cx.observe("left_to_plain_kernels", (self.receivers.left_to_plain() - before) as f64);
+        self.expect_echoes_on_outgoing(shots, line.emissions);
+        self.receivers.judge_outgoing(shots, true, |index| is_set(&self.expected, index));
+        self.finish_shots(shots, line, cx, watch)
+    }
+
+    /// Decomposes one shot of the line that was decomposed last once more, with the same result.
+    pub(crate) fn decompose_again(
+        &mut self,
+        shot: &Shot,
+        line: &mut Line,
+        cx: &mut Context,
+        watch: &mut impl Watch,
+    ) -> Result<()> {
+        let shots = std::slice::from_ref(shot);
+        self.receivers.decompose(shots, self.both.as_ref());
+        self.receivers.judge_outgoing(shots, false, |index| is_set(&self.expected, index));
+        self.finish_shots(shots, line, cx, watch)
+    }
+
+    /// Finds the emissions of the line during which recorded echoes were received.
+    fn expect_echoes_on_outgoing(&mut self, shots: &[Shot], emissions: &[Emission]) {
+        self.expected.clear();
+        self.expected.resize(emissions.len(), false);
+        let Some(reference) = &self.model.reference else { return };
+        let reach_ns = EXPECTED_WIDTHS * reference.pulse_fwhm_ns;
+        let mut first_block = 0;
+        for shot in shots {
+            let lots = self.receivers.lots(first_block);
+            first_block += shot.of_shot.len();
+            let delay_ns = self.outgoing(shot, lots).map_or(0.0, |(time_ns, ..)| time_ns);
+            let others = Departures::of(emissions, shot, delay_ns);
+            for (block, &lot) in shot.of_shot.iter().zip(lots).filter(|(block, _)| block.channel.is_echo()) {
+                let end_ns = block.time_ns(block.len() as f64);
+                if others.others_within(block.start_ns - reach_ns, end_ns + reach_ns).next().is_none() {
+                    continue;
+                }
+                let Some((_, result, _)) = self.receivers.found(lot) else { continue };
+                for pulse in result.returns {
+                    let time_ns = block.time_ns(pulse.position_samples);
+                    for (index, _) in others.others_within(time_ns - reach_ns, time_ns + reach_ns) {
+                        if let Some(expected) = self.expected.get_mut(index) {
+                            *expected = true;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Turns what the receivers found into returns, shot by shot.
+    fn finish_shots(
+        &mut self,
+        shots: &[Shot],
+        line: &mut Line,
+        cx: &mut Context,
+        watch: &mut impl Watch,
+    ) -> Result<()> {
         let mut first_block = 0;
         for shot in shots {
             match line.emissions.get(shot.index as usize).copied() {
@@ -269,23 +337,41 @@ impl ShotDecomposer {
     /// When the shot left by its outgoing pulse, where it has one.
     fn departure(&self, turn: &Turn, cx: &mut Context, watch: &mut impl Watch) -> Option<Departure> {
         let shot = turn.shot;
-        let mut with_lots = shot.of_shot.iter().zip(self.receivers.lots(turn.first_block));
+        let (time_ns, block, outgoing) = self.outgoing(shot, self.receivers.lots(turn.first_block))?;
+        let Some((outgoing, model)) = outgoing else {
+            // A block without samples carries the fitted time itself (RIEGL's files made from RXP).
+            return Some(Departure { time_ns, sd_ns: 0.0, flags: 0 });
+        };
+        let flags = outgoing.pulse.flags & flags::ECHO_ON_OUTGOING;
+        let mut sd_ns = outgoing.pulse.position_sd_samples * block.interval_ns;
+        if flags != 0 && !outgoing.is_explained {
+            // Nothing tells by how much the echo has moved the pulse.
+            sd_ns = sd_ns.max(UNRELIABLE_RANGE_SD_M / (shot.input.group_velocity_mps * 0.5e-9));
+        }
+        cx.observe("emission_sd_ns", sd_ns);
+        watch.outgoing(block, outgoing, model);
+        Some(Departure { time_ns, sd_ns, flags })
+    }
+
+    /// When a shot left after its clock, ns, by its block of the outgoing pulse, and what was fitted where the block has
+    /// samples.
+    fn outgoing<'a>(
+        &'a self,
+        shot: &Shot<'a>,
+        lots: &[Lot],
+    ) -> Option<(f64, &'a Block, Option<(&'a Outgoing, &'a ChannelModel)>)> {
+        let mut with_lots = shot.of_shot.iter().zip(lots);
         let (block, &lot) = with_lots.find(|(block, _)| block.channel == Channel::Reference)?;
         if block.is_empty() {
-            // A block without samples carries the fitted time itself (RIEGL's files made from RXP).
-            return Some(Departure { time_ns: block.start_ns, sd_ns: 0.0, flags: 0 });
+            return Some((block.start_ns, block, None));
         }
-        let (outgoing, model) = self.receivers.outgoing(lot)?;
-        let pulse = &outgoing.pulse;
-        let sd_ns = pulse.position_sd_samples * block.interval_ns;
-        cx.observe("emission_sd_ns", sd_ns);
-        let position = pulse.position_samples;
+        let fitted = self.receivers.outgoing(lot)?;
+        let position = fitted.0.pulse.position_samples;
         let time_ns = match shot.input.emission_reference {
             EmissionReference::OutgoingPulseFraction => (position - position.round()) * block.interval_ns,
             _ => block.time_ns(position),
         };
-        watch.outgoing(block, outgoing, model);
-        Some(Departure { time_ns, sd_ns, flags: pulse.flags & flags::ECHO_ON_OUTGOING })
+        Some((time_ns, block, Some(fitted)))
     }
 
     /// Collects what was found in the echo blocks of a shot.
