@@ -9,8 +9,10 @@ const UNUSUAL: f64 = 12.0;
 const DOUBTFUL: f64 = 3.0;
 /// A pulse is unusual where its deviation ratio is this many spreads above the median.
 pub(super) const UNUSUAL_DEVIATION: f64 = 5.0;
-/// An unseen echo that raises the pulse by a part of its height moves it by at most that part of so many widths.
-const MOVE_WIDTHS: f64 = 0.35;
+/// An unseen echo that raises the pulse by a part of its height moves it by about that part of so many widths.
+const MOVE_BY_HEIGHT: f64 = 0.35;
+/// The same for a part of its width.
+const MOVE_BY_WIDTH: f64 = 0.6;
 /// Least spread of logarithms of heights and widths.
 const LEAST_SPREAD: f64 = 1e-3;
 /// Least standard deviation of the prior on the place, samples: emissions are uniform within a sample.
@@ -93,8 +95,9 @@ impl Usual {
     /// Standard deviation of the move by an echo too weak to be seen, samples.
     pub(super) fn unseen_move_sd(&self, pulse: &Return, fwhm_samples: f64) -> f64 {
         let doubt = ((self.squares(pulse) - DOUBTFUL) / (UNUSUAL - DOUBTFUL)).clamp(0.0, 1.0);
-        let excess = (pulse.amplitude_dn.ln() - self.ln_height.median).exp_m1().max(0.0);
-        doubt.sqrt() * excess * MOVE_WIDTHS * fwhm_samples
+        let height = (pulse.amplitude_dn.ln() - self.ln_height.median).max(0.0);
+        let width = (pulse.width_ratio.ln() - self.ln_width.median).max(0.0);
+        doubt.sqrt() * fwhm_samples * (MOVE_BY_HEIGHT * height + MOVE_BY_WIDTH * width)
     }
 
     pub(super) fn is_displaced(&self, place: f64) -> bool {
