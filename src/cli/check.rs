@@ -114,8 +114,7 @@ a.toml fits
                 "HERE/geoids: no geoid egm96 (.bin, .gtx)",
             ]
         );
-        let pattern =
-            "no file matches `HERE/lines/*.arrow`; check `path` of the reader and `input_dir` of the job";
+        let pattern = "no file matches `HERE/lines/*.arrow`; check the path, or `path` of the reader and `input_dir` of the job";
         assert_eq!(of("lines/*.arrow", ""), [pattern]);
         for name in ["flight.arrow", "model.json"] {
             fs::write(folder.path().join(name), "").unwrap();

@@ -22,7 +22,11 @@ mod summary;
 /// A recording that cannot be read does not keep the others from being looked over.
 pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     let inputs = engine::expand(Some(&Paths::Many(args.files.clone())), "", Path::new(""));
-    let inputs = inputs.map_err(|error| failed(&error))?;
+    let inputs = inputs.map_err(|error| {
+        // A format that is not supported is the better reason.
+        let unreadable = args.files.iter().find_map(|file| reader_of(file).err());
+        unreadable.map_or_else(|| failed(&error), Failure::Wrong)
+    })?;
     let are_many = inputs.len() > 1;
     let scans = inputs.into_iter().map(|Input { path, stem }| {
         let name = match &args.name {

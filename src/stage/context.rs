@@ -245,7 +245,9 @@ impl Distribution {
         if below == 0.0 {
             shortest(&self.millionths, self.millionths.value_at_percentile(percent))
         } else if rank <= below {
-            -shortest(&self.negative, self.negative.value_at_percentile(100.0 * (1.0 - rank / below)))
+            // The same place counted from the other end: sizes of negative values fall as the values rise.
+            let from_zero = below - rank.ceil().max(1.0) + 0.5;
+            -shortest(&self.negative, self.negative.value_at_percentile(100.0 * from_zero / below))
         } else {
             shortest(&self.millionths, self.millionths.value_at_percentile(100.0 * (rank - below) / above))
         }

@@ -357,8 +357,8 @@ impl LasSink {
             Some(wkt) if self.config.version != VersionKey::V1_4 => {
                 if geokeys::of_wkt(wkt).is_none() {
                     cx.note(
-                        "the coordinate reference system has no EPSG code, and GeoTIFF keys have no words for it: it stands in the file as WKT, which belongs \
-                         to LAS 1.4",
+                        "the coordinate reference system has neither an EPSG code nor GeoTIFF keys: the file holds it as \
+                         WKT, which belongs to LAS 1.4",
                     );
                 }
             }

@@ -79,8 +79,7 @@ fn a_file_of_another_format() {
 fn a_pattern_without_matches() {
     let place = Place::with(&[("lines/a.las", &Las::new(3).las())]);
     for reader in ["read_las", "read_pulsewaves", "read_arrow"] {
-        let message =
-            "no file matches `./lines/*.pls`; check `path` of the reader and `input_dir` of the job";
+        let message = "no file matches `./lines/*.pls`; check the path, or `path` of the reader and `input_dir` of the job";
         place.fails(reader, "lines/*.pls", message);
     }
 }

@@ -41,7 +41,10 @@ fn read(folder: &Path) -> Vec<Batch> {
     let mut source: Box<dyn Source> = config.make(&site(folder, "made.arrow")).unwrap();
     let mut cx = Context::default();
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
-    assert!(cx.counters().rejected.is_empty() && cx.counters().notes.is_empty(), "{:?}", cx.counters());
+    // Made-up times fit their scale by chance only.
+    let is_of_times = |note: &String| note.starts_with("the recording's times");
+    assert!(cx.counters().rejected.is_empty(), "{:?}", cx.counters());
+    assert!(cx.counters().notes.iter().all(is_of_times), "{:?}", cx.counters());
     batches
 }
 

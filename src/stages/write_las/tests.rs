@@ -146,7 +146,7 @@ fn version_1_2_clamps_what_its_fields_cannot_hold() {
     assert_eq!(
         notes,
         [
-            "the coordinate reference system has no EPSG code: it stands in the file as WKT, which belongs to LAS 1.4"
+            "the coordinate reference system has neither an EPSG code nor GeoTIFF keys: the file holds it as WKT, which belongs to LAS 1.4"
         ]
     );
     let reader = las::Reader::new(std::io::Cursor::new(bytes)).unwrap();
