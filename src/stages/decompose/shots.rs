@@ -17,6 +17,9 @@ use crate::kernels::outgoing::Outgoing;
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{Context, Item, Result};
 
+/// Time of emission after the shot's clock, ns, the block of the outgoing pulse, and its fit where the block has samples.
+type OutgoingBlock<'a> = (f64, &'a Block, Option<(&'a Outgoing, &'a ChannelModel)>);
+
 /// An echo that was received so many widths of the outgoing pulse from an emission may lie on it.
 const EXPECTED_WIDTHS: f64 = 3.0;
 
@@ -345,7 +348,7 @@ impl ShotDecomposer {
         let flags = outgoing.pulse.flags & flags::ECHO_ON_OUTGOING;
         let mut sd_ns = outgoing.pulse.position_sd_samples * block.interval_ns;
         if flags != 0 && !outgoing.is_explained {
-            // Nothing tells by how much the echo has moved the pulse.
+            // By how much the echo has moved the pulse is unknown.
             sd_ns = sd_ns.max(UNRELIABLE_RANGE_SD_M / (shot.input.group_velocity_mps * 0.5e-9));
         }
         cx.observe("emission_sd_ns", sd_ns);
@@ -355,11 +358,7 @@ impl ShotDecomposer {
 
     /// When a shot left after its clock, ns, by its block of the outgoing pulse, and what was fitted where the block has
     /// samples.
-    fn outgoing<'a>(
-        &'a self,
-        shot: &Shot<'a>,
-        lots: &[Lot],
-    ) -> Option<(f64, &'a Block, Option<(&'a Outgoing, &'a ChannelModel)>)> {
+    fn outgoing<'a>(&'a self, shot: &Shot<'a>, lots: &[Lot]) -> Option<OutgoingBlock<'a>> {
         let mut with_lots = shot.of_shot.iter().zip(lots);
         let (block, &lot) = with_lots.find(|(block, _)| block.channel == Channel::Reference)?;
         if block.is_empty() {

@@ -134,7 +134,7 @@ fn table(is_fast: bool, is_expected: bool, lines: usize, greatest_z: f64) {
     let mut clean = Cell::default();
     let (mut random, mut batch) = (Random::new(31), batch(is_fast));
     for _ in 0..lines {
-        let case = |i: usize| (i % 10 == 0).then_some(i / 10).filter(|case| *case < 2 * cases);
+        let case = |i: usize| i.is_multiple_of(10).then_some(i / 10).filter(|case| *case < 2 * cases);
         let echo = |i: usize| {
             case(i).map(|case| {
                 let distance = DISTANCES[case / 2 % DISTANCES.len()];
