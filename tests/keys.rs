@@ -134,10 +134,10 @@ fn crosstalk_is_flagged_and_dropped_on_request() {
 /// Echoes 1.5 and 3.25 samples from the outgoing pulse, which widen it and leave no second maximum.
 #[test]
 fn echoes_that_merge_with_the_outgoing_pulse_are_flagged_and_their_ranges_hold() {
-    let height = |number: usize| if number % 20 == 0 { 75.0 } else { 15.0 };
+    let height = |number: usize| if number.is_multiple_of(20) { 75.0 } else { 15.0 };
     let distance = |number: usize| if number % 40 < 20 { 1.5 } else { 3.25 };
     let place = recording(|number, shot| {
-        if number % 10 == 5 || number % 20 == 0 {
+        if number % 10 == 5 || number.is_multiple_of(20) {
             let pulses = [(20.0, 150.0), (20.0 + distance(number), height(number))];
             shot.blocks[0].2 = samples(1000 + number, &pulses);
         }
@@ -145,7 +145,7 @@ fn echoes_that_merge_with_the_outgoing_pulse_are_flagged_and_their_ranges_hold()
     let (rows, _) = run(&place, "", "", "");
     let is_mixed = |row: &Row| {
         let shot = number(row, "shot") as usize - 100;
-        shot % 10 == 5 || shot % 20 == 0
+        shot % 10 == 5 || shot.is_multiple_of(20)
     };
     let error_ns = |row: &Row| {
         let place = 0.1 * ((number(row, "shot") as usize - 100) % 7) as f64;
