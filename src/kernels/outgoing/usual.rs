@@ -59,7 +59,7 @@ pub struct Usual {
 impl Usual {
     pub(super) fn of(fitted: &[(&ReferenceBlock<'_>, &Outgoing)]) -> Usual {
         let lower = |value: &dyn Fn(&Return) -> (f64, f64)| {
-            // Echoes make pulses higher and wider: the lower half tells the spread of clean ones.
+            // Echoes make pulses higher and wider, so the spread of clean ones is that of the lower half.
             let [low, median, _] = percentiles(fitted.iter().map(|(_, o)| value(&o.pulse).0));
             let error = percentiles(fitted.iter().map(|(_, o)| value(&o.pulse).1))[1];
             let sd = (median - low).max(LEAST_SPREAD);

@@ -39,7 +39,7 @@ fn drifting_scenes(model: &ChannelModel, seed: u64, count: usize) -> Vec<Vec<u16
     waveforms
 }
 
-/// The same number of returns as the plain kernels tell in 98 % of the waveforms, and of those values within a fifth of a
+/// The same number of returns as the plain kernels find in 98 % of the waveforms, and of those values within a fifth of a
 /// standard deviation in 95 %; fewer than 3 % of the waveforms are left to the plain kernels.
 #[test]
 fn returns_are_those_of_the_plain_kernels_on_any_level() {
