@@ -34,7 +34,8 @@ with_time_keys! {
 /// Blocks stand with the shot whose range gate was open when they came back, not with the shot that caused them: their
 /// zone is unresolved. Origins and directions are in the scanner's own frame. Shots are numbered as they are read.
 ///
-/// A scan line ends with a record that says so, besides where facet, sweep or clock end it. The shot's time on the
+/// A scan line ends with a record that says so, besides where facet, sweep or clock end it; its last shot has the
+/// edge-of-flight-line flag, except at the end of the file or where a line is cut because it is too long. The shot's time on the
 /// instrument's clock becomes whole picoseconds; the double that the library gives resolves 0.5 ps below 4096 s,
 /// 58 ps (9 mm) at 409 397 s. Ranges within a record do not suffer: block times are read relative to their record, to a
 /// millionth of a nanosecond. A reference block without samples (`.wfm`) carries the time of emission: it becomes the
@@ -195,7 +196,7 @@ impl ReadSdf {
         }
         Ok(ReadSdf {
             reader,
-            lines: Lines::new(Arc::new(input)),
+            lines: Lines::new(Arc::new(input)).marking_edges(),
             window,
             axis: times.axis(),
             ahead,
