@@ -37,13 +37,13 @@ fn a_timing_error_widens_the_deviation_of_every_range() {
 fn a_background_per_waveform_keeps_its_level_out_of_the_amplitude() {
     const RAISED_DN: u16 = 2;
     let place = recording(|number, shot| {
-        if number % 8 == 0 {
+        if number.is_multiple_of(8) {
             shot.blocks[1].2.iter_mut().for_each(|sample| *sample += RAISED_DN);
         }
     });
     let raised_by_dn = |background: &str| {
         let (rows, _) = run(&place, "", &format!("background = '{background}'"), "");
-        let is_raised = |row: &&Row| (number(row, "shot") as usize - 100) % 8 == 0;
+        let is_raised = |row: &&Row| (number(row, "shot") as usize - 100).is_multiple_of(8);
         let mean = |rows: Vec<&Row>| {
             rows.iter().map(|row| number(row, "amplitude_dn")).sum::<f64>() / rows.len() as f64
         };
