@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use super::{FULL_SCALE_DN, INTERVAL_NS, Simulate};
 use crate::batch::{
-    AmplitudeTable, Batch, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, TimeScale,
-    emission_flags,
+    AmplitudeTable, Batch, Blocks, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo,
+    TimeScale, emission_flags,
 };
 use crate::simulation::detector::{Detector, Sensitivity};
 use crate::simulation::platform::Platform;
@@ -415,6 +415,7 @@ fn input(config: &Simulate) -> InputInfo {
         sampling_interval_ns: INTERVAL_NS,
         odd_sample_shift: 0.0,
         full_scale_dn: Some(FULL_SCALE_DN),
+        gain_control: GainControl::Off,
         group_velocity_mps: GROUP_VELOCITY_MPS,
         pulse_rate_hz: Some(config.pulse_rate_hz),
         time_scale: TimeScale::Week,
