@@ -7,6 +7,10 @@
 use super::noise::fit_by_bic;
 use super::sensor_model::{ChannelModel, ModelError};
 
+mod normalised;
+
+pub use normalised::{Recorded, calibrate_at_unit_gain};
+
 /// Variance of rounding to whole steps, DN².
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 /// Models are made for this many gains per octave: the noise's standard deviation is right to 2.2 %.
