@@ -435,7 +435,10 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
         instrument: Some(header.system_identifier.clone()).filter(|name| !name.is_empty()),
         sampling_interval_ns: interval_ns.unwrap_or(unknown.sampling_interval_ns),
         full_scale_dn: bits.map(|bits| (1 << bits) - 1),
-        gain_control: GainControl::Off,
+        gain_control: match reader.has_different_gains() {
+            true => GainControl::NotRecorded,
+            false => GainControl::Off,
+        },
         group_velocity_mps: geometry.group_velocity_mps,
         time_scale: match header.gps_time() {
             GpsTime::Standard { .. } => TimeScale::Adjusted,
