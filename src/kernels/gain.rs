@@ -135,7 +135,7 @@ mod tests {
     #[test]
     fn noise_is_that_of_amplified_and_rounded_samples() {
         let (background_dn, count) = (40.0, 200_000);
-        let analog = ArNoise::new(&[0.6], 0.6).unwrap();
+        let analog = ArNoise::new(&[0.6], 1.2).unwrap();
         let at_one = analog.sd().powi(2) + QUANTISATION_VARIANCE;
         let recorded: Vec<f64> = (0..=8)
             .map(|lag| {

@@ -165,7 +165,8 @@ fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
 }
 
 fn expect_rejected(line: LineBuilder, reason: &'static str, blocks: u64) {
-    let (batches, cx) = read(&bytes(&header(), vec![line]));
+    let with_gain = ContainerHeader { gain_control: Some(container::GainControl::Recorded), ..header() };
+    let (batches, cx) = read(&bytes(&with_gain, vec![line]));
     let kept: Vec<u64> = batches[0].emissions.iter().map(|emission| emission.shot).collect();
     assert_eq!(kept, [0, 2], "{reason}");
     assert_eq!(batches[0].blocks().unwrap().len(), 2, "{reason}");
