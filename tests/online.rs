@@ -50,7 +50,14 @@ fn recording(zone: Option<i16>) -> Place {
         } else {
             let samples: Vec<u16> = echo(shot).into_iter().map(u16::from).collect();
             let (start_ns, zone, interval_ns) = (START_NS, None, None);
-            line.block(&ContainerBlock { channel: 1, start_ns, zone, interval_ns, samples: &samples });
+            line.block(&ContainerBlock {
+                channel: 1,
+                start_ns,
+                zone,
+                interval_ns,
+                gain: None,
+                samples: &samples,
+            });
         }
         line.online(&ContainerOnline { time_ns, amplitude: 120.0 });
     }

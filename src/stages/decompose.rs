@@ -12,6 +12,7 @@ use crate::kernels::sensor_model::SensorModel;
 use crate::overview::{Gallery, ShownReturn, ShownShot};
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
 
+mod at_gains;
 mod both;
 mod crosstalk;
 mod found;

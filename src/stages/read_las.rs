@@ -13,8 +13,8 @@ use super::broken::BrokenRun;
 use super::lines::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, OnlineReturn, TimeScale,
-    emission_flags,
+    Batch, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn,
+    TimeScale, emission_flags,
 };
 use crate::formats::geokeys;
 use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
@@ -453,6 +453,10 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
         instrument: Some(header.system_identifier.clone()).filter(|name| !name.is_empty()),
         sampling_interval_ns: interval_ns.unwrap_or(unknown.sampling_interval_ns),
         full_scale_dn: bits.map(|bits| (1 << bits) - 1),
+        gain_control: match reader.has_different_gains() {
+            true => GainControl::NotRecorded,
+            false => GainControl::Off,
+        },
         group_velocity_mps: geometry.group_velocity_mps,
         time_scale: match header.gps_time() {
             GpsTime::Standard { .. } => TimeScale::Adjusted,

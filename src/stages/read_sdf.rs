@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 use super::lines::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
 use super::recording::{self, NO_TIME, with_time_keys};
-use crate::batch::{AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind};
+use crate::batch::{
+    AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
+};
 use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
@@ -333,6 +335,7 @@ fn describe(
         sampling_interval_ns: fine_ns(info.sampling_interval_s),
         odd_sample_shift: config.odd_sample_shift,
         full_scale_dn: Some(FULL_SCALE_DN),
+        gain_control: GainControl::Off,
         group_velocity_mps: match config.refractive_index_ppm {
             Some(ppm) => recording::group_velocity_mps(ppm),
             None => info.group_velocity_mps,

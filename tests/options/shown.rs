@@ -293,6 +293,11 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
         "`filter_outliers`",
         &["low_points_are_low_and_air_points_are_in_the_air"],
     ),
+    (
+        "automatic gain control",
+        "`blocks.gain` of containers, `gain_range` of `simulate`",
+        &["fast_kernels_are_right_at_every_gain", "noise_gives_as_many_false_returns_as_at_one_gain"],
+    ),
     ("export of waveforms", "`wave_packets` of `write_las`", &["decomposing_again_gives_the_same_returns"]),
     (
         "line statistics of both versions",

@@ -64,6 +64,7 @@ pub fn container(header: &ContainerHeader, lines: &[Vec<Row>]) -> Vec<u8> {
                     start_ns: *start_ns,
                     interval_ns: None,
                     zone: None,
+                    gain: None,
                     samples,
                 };
                 line.block(&block);

@@ -153,7 +153,7 @@ pub(super) fn compare(
             matched += 1;
             cx.observe_signed("online_minus_computed_ns", time_ns - computed_ns[j]);
             cx.observe("online_computed_distance_ns", (time_ns - computed_ns[j]).abs());
-            let ratio = amplitude(&online[i]) / computed[j].amplitude_dn;
+            let ratio = amplitude(&online[i]) / computed[j].amplitude_at_unit_gain_dn().0;
             if ratio.is_finite() {
                 cx.observe("online_over_computed_amplitude", ratio);
             }
