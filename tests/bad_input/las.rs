@@ -55,7 +55,7 @@ fn points_that_were_cut_off() {
         ),
         (HEADER, "byte 96: offset to point data: 455 lies behind the end of the file (375 bytes)"),
         (100, "byte 96: offset to point data: 455 lies behind the end of the file (100 bytes)"),
-        (94, "byte 94: header size: 2 bytes are needed and 0 are left"),
+        (94, "byte 94: header size: 2 bytes needed, 0 left"),
     ] {
         refused(&place(&las, |bytes| bytes.truncate(cut)), "a.las", &format!("a.las: {problem}; {CUT}"));
     }

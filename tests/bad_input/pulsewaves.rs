@@ -64,7 +64,7 @@ fn pulses_that_were_cut_off() {
                 "the pulses start at byte {start} and the file ends before; it is cut off: copy it again from its source"
             ),
         ),
-        (200, format!("byte 200: pulse size: 4 bytes are needed and 0 are left; {CUT}")),
+        (200, format!("byte 200: pulse size: 4 bytes needed, 0 left; {CUT}")),
     ] {
         refused(&place(&pulses[..cut], &whole.waves), &format!("a.pls: {problem}"));
     }
@@ -76,7 +76,7 @@ fn waves_that_were_cut_off() {
     let last = WAVES_HEADER + 2 * WAVES;
     for (cut, message) in [
         (0, "a.wvs: the file is empty; copy it again from its source".to_string()),
-        (59, format!("a.wvs: byte 20: reserved: 40 bytes are needed and 39 are left; {CUT}")),
+        (59, format!("a.wvs: byte 20: reserved: 40 bytes needed, 39 left; {CUT}")),
         (
             last,
             format!(
@@ -88,8 +88,8 @@ fn waves_that_were_cut_off() {
         (
             last + WAVES - 1,
             format!(
-                "a.wvs: byte {}: pulse 2: samples: 48 bytes are needed and 47 are left in the file; \
-                 leave the pulse out, or copy or export the pair of files again",
+                "a.wvs: byte {}: pulse 2: samples: 48 bytes needed, 47 left in the file; leave the \
+                 pulse out, or copy or export the pair of files again",
                 last + 56
             ),
         ),
@@ -140,8 +140,8 @@ fn sizes_that_lie() {
 fn a_descriptor_of_more_samples_than_a_waveform_has() {
     let mut whole = PulseWaves::new(3);
     whole.records[0].1 = descriptor(u32::MAX);
-    let message = "a.wvs: byte 64: pulse 0: samples: 4294967295 bytes are needed and 308 are left in the file; \
-                   leave the pulse out, or copy or export the pair of files again";
+    let message = "a.wvs: byte 64: pulse 0: samples: 4294967295 bytes needed, 308 left in the \
+                   file; leave the pulse out, or copy or export the pair of files again";
     refused(&place(&whole.pls(), &whole.waves), message);
 }
 

@@ -98,7 +98,7 @@ fn the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun
     let place =
         Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets), ("b.las", b"LASF"), ("c.las", b"")]);
     let outcome = place.read("read_las", "*.las", "[[stage]]\ntype = 'write_arrow'\n");
-    let message = "error: stage read_las: b.las: byte 4: file source ID: 2 bytes are needed and 0 are left; \
+    let message = "error: stage read_las: b.las: byte 4: file source ID: 2 bytes needed, 0 left; \
                    the file is cut off: copy it again from its source\n";
     assert_eq!(outcome, Outcome { code: Some(1), err: message.into() });
     assert_eq!(place.outputs(), ["a.arrow"]);

@@ -172,7 +172,7 @@ impl<R: Read + Seek> Walk<'_, R> {
         let at = self.at;
         let left = self.window.length().saturating_sub(at);
         if n as u64 > left {
-            return Err(self.bad(field, format!("{n} bytes are needed and {left} are left in the file")));
+            return Err(self.bad(field, format!("{n} bytes needed, {left} left in the file")));
         }
         if at + n as u64 - self.start > MOST_BYTES {
             return Err(self.bad(field, format!("the waves of the pulse take more than {MOST_BYTES} bytes")));

@@ -41,7 +41,7 @@ impl<R: Read + Seek> Window<R> {
     pub(super) fn bytes(&mut self, offset: u64, n: usize, field: &str) -> Result<(&Path, &[u8])> {
         let left = self.length.saturating_sub(offset);
         if n as u64 > left {
-            let problem = format!("{n} bytes are needed and {left} are left in the file");
+            let problem = format!("{n} bytes needed, {left} left in the file");
             return Err(Error::malformed(&self.file, offset, field, problem, CUT));
         }
         if self.at(offset, n).is_none() {
@@ -136,8 +136,8 @@ mod tests {
         assert!(window.bytes(0, usize::MAX, "x").is_err());
         assert_eq!(
             window.bytes(99, 2, "samples").unwrap_err().to_string(),
-            "f: byte 99: samples: 2 bytes are needed and 1 are left in the file; \
-             it is cut off or damaged: copy it again from its source"
+            "f: byte 99: samples: 2 bytes needed, 1 left in the file; it is cut off or damaged: \
+             copy it again from its source"
         );
     }
 

@@ -132,7 +132,8 @@ fn what_the_compression_says_of_itself_is_checked() {
     short.vlrs.push(vlr("laszip encoded", 22204, &[3]));
     assert_eq!(
         refusal(&short.las()),
-        "byte 509: compressor: 2 bytes are needed and 1 are left; the file is cut off: copy it again from its source"
+        "byte 509: compressor: 2 bytes needed, 1 left; the file is cut off: copy it again from its \
+         source"
     );
 }
 

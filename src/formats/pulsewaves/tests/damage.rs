@@ -48,8 +48,8 @@ fn a_file_of_another_kind_is_named() {
         ),
         (
             plain.pls()[..200].to_vec(),
-            "t.pls: byte 200: pulse size: 4 bytes are needed and 0 are left; \
-             the file is cut off: copy it again from its source"
+            "t.pls: byte 200: pulse size: 4 bytes needed, 0 left; the file is cut off: copy it \
+             again from its source"
                 .to_string(),
         ),
         (
@@ -120,8 +120,8 @@ fn a_record_that_cannot_be_is_named() {
         (
             644,
             &[105],
-            "t.pls: byte 644: sampling record: 105 bytes are needed and 104 are left; \
-             the file is cut off: copy it again from its source"
+            "t.pls: byte 644: sampling record: 105 bytes needed, 104 left; the file is cut off: \
+             copy it again from its source"
                 .to_string(),
         ),
         (352 + 16, &[5, 0, 0, 0], format!("t.pls: its pulses are compressed (PulseZIP); {PULSEZIP}")),
@@ -152,8 +152,8 @@ fn a_lookup_table_that_cannot_be_read_is_named() {
     );
     assert_eq!(
         table(&|b| b[88 - 4..88].fill(0xFF)),
-        "t.pls: byte 608: lookup table: entries: 17179869180 bytes are needed and 8 are left; \
-         the file is cut off: copy it again from its source"
+        "t.pls: byte 608: lookup table: entries: 17179869180 bytes needed, 8 left; the file is cut \
+         off: copy it again from its source"
     );
 }
 
@@ -201,8 +201,8 @@ fn a_waves_file_that_is_none_is_named() {
     );
     assert_eq!(
         with(&pair.waves[..59]),
-        "t.wvs: byte 20: reserved: 40 bytes are needed and 39 are left; \
-         the file is cut off: copy it again from its source"
+        "t.wvs: byte 20: reserved: 40 bytes needed, 39 left; the file is cut off: copy it again \
+         from its source"
     );
 }
 
@@ -244,8 +244,8 @@ fn a_bad_pulse_is_an_error_of_that_pulse_alone() {
     assert_eq!(with(65, 1), "");
     assert_eq!(
         with(72, 1),
-        "t.wvs: byte 75: pulse 1: samples: 2 bytes are needed and 0 are left in the file; \
-         leave the pulse out, or copy or export the pair of files again"
+        "t.wvs: byte 75: pulse 1: samples: 2 bytes needed, 0 left in the file; leave the pulse \
+         out, or copy or export the pair of files again"
     );
     assert_eq!(
         with(65, 9),
