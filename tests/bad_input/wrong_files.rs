@@ -48,7 +48,7 @@ fn a_file_of_another_format() {
     let pls = PulseWaves::new(3);
     let las = Las::new(3).las();
     let text = b"x,y,z\n1,2,3\n4,5,6\n7,8,9\n".to_vec();
-    let no_las = "byte 0: file signature: `LASF` is not there; give a LAS or LAZ file";
+    let no_las = "byte 0: file signature: expected `LASF`; give a LAS or LAZ file";
     let no_pls = |start: &str| {
         format!("this is not a PulseWaves pulse file: it starts with \"{start}\"; give a .pls file")
     };
