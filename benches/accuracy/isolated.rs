@@ -1,9 +1,11 @@
-//! What calibration finds, and isolated returns.
+//! Calibration results and isolated returns.
 
 use super::*;
 
-/// A10: what calibration finds, beside the truth. Returns the time by which its zero lies behind the truth's, samples:
-/// that of an outgoing pulse is subtracted from it, so it is no error.
+/// A10: compares the calibration with the truth.
+///
+/// Returns the delay of its time zero relative to the truth, samples. The delay is not an error: it
+/// also applies to the outgoing pulse, which is subtracted.
 pub fn calibration(bench: &mut Bench, model: &ChannelModel) -> f64 {
     let noise = 100.0 * (model.noise_sd_dn / noise_sd_dn() - 1.0);
     bench.goal("A10", "noise's standard deviation", format!("{noise:+.2} %"), "+- 1.5 %", noise.abs() <= 1.5);
@@ -51,7 +53,7 @@ pub fn calibration(bench: &mut Bench, model: &ChannelModel) -> f64 {
     shift
 }
 
-/// Root mean square deviation of a response from the truth of the nearest height, place and width; these two.
+/// Returns the RMS deviation of a response from the best-fitting truth, and its shift and width.
 fn shape_error(truth: &Response, values: &[f64], first_sample: i32) -> [f64; 3] {
     let times: Vec<f64> = (0..values.len()).map(|k| f64::from(first_sample) + k as f64 / 8.0).collect();
     let inside: Vec<usize> = (0..times.len()).filter(|&k| within(times[k], -9.0, 34.0)).collect();
@@ -66,7 +68,7 @@ fn shape_error(truth: &Response, values: &[f64], first_sample: i32) -> [f64; 3] 
         for i in 0..3 {
             for sign in [-1.0, 1.0] {
                 let mut trial = best;
-                // Widths of the truth come in steps of 0.002.
+                // Widths of the truth are quantised to 0.002.
                 trial[i] += sign * if i == 1 { f64::max(step[i], 0.002) } else { step[i] };
                 if rms(trial) < rms(best) {
                     (best, moved) = (trial, true);
@@ -77,7 +79,7 @@ fn shape_error(truth: &Response, values: &[f64], first_sample: i32) -> [f64; 3] 
             step = step.map(|s| 0.5 * s);
         }
     }
-    // The response is the truth so much later: what is fitted with it lies so much later, too.
+    // A delay of the response appears as the same delay of fitted positions.
     [rms(best), best[0], best[1]]
 }
 
@@ -171,7 +173,7 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
     );
 }
 
-/// A5: isolated returns in the mode `fastest`: one step from the width bank.
+/// A5: isolated returns in mode `fastest`: one step from the width bank.
 pub fn fastest(bench: &mut Bench, model: &ChannelModel, gauge: f64) {
     let settings = DecomposeSettings::default();
     for width in [1.0, 1.5, 2.0, 2.5] {

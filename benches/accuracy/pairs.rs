@@ -1,8 +1,8 @@
-//! Overlapping returns, and single ones that are taken for two.
+//! Overlapping returns, and false splits of single returns.
 
 use super::*;
 
-/// Both returns of a pair, when exactly two are found, each within 0.4 of the separation.
+/// Scores both returns of a pair if exactly two are found, each within 0.4 of the separation.
 fn pair_scores(found: &[Return], echoes: &[Echo; 2]) -> Option<[[Score; 3]; 2]> {
     let separation = echoes[1].place - echoes[0].place;
     let near = |r: &Return, e: &Echo| (r.position_samples - e.place).abs() < 0.4 * separation;
@@ -14,7 +14,7 @@ fn pair_scores(found: &[Return], echoes: &[Echo; 2]) -> Option<[[Score; 3]; 2]> 
     }
 }
 
-/// Pairs that were found, of a ratio, a separation in widths, and a part of the second in the first.
+/// Returns the pairs found; `kind` is SNR, separation in widths, and relative height of the second.
 fn pairs(bench: &Bench, model: &ChannelModel, evidence: f64, kind: [f64; 3]) -> Vec<[[Score; 3]; 2]> {
     let [snr, widths, part] = kind;
     let settings = settings(evidence);
@@ -30,7 +30,7 @@ fn pairs(bench: &Bench, model: &ChannelModel, evidence: f64, kind: [f64; 3]) -> 
     all.into_iter().flatten().collect()
 }
 
-/// A7 and A8: overlapping returns told apart; A3 and coverage for them.
+/// A7 and A8: detection of overlapping returns; their A3 and coverage.
 pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
     let goals = [
         ("A7", 20.0, 0.9, 1.0, 95.0),
@@ -77,7 +77,7 @@ pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
     );
 }
 
-/// A7: single returns that are divided.
+/// A7: false splits of single returns.
 pub fn false_splits(bench: &mut Bench, model: &ChannelModel) {
     for width in [1.0, 1.5, 2.0] {
         for snr in [20.0, 50.0, 100.0] {

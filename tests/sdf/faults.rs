@@ -13,7 +13,7 @@ const NEWER: &str = "the library may have a version that wavex does not support:
 const EXTENSION: &str = "`.sdf` needs the library sdfifc, `.wfm` needs wfmifc-mt: check `library`, \
                          the file's extension, and its content";
 const DAMAGED: &str = "the file may be damaged: copy it again, or try another version of the library";
-const TOLD: &str = "\"the stand-in was told to fail\"";
+const TOLD: &str = "\"injected failure\"";
 
 #[test]
 fn each_code_has_its_own_message() {
