@@ -5,7 +5,7 @@
 #![allow(
     clippy::print_stdout,
     clippy::expect_used,
-    reason = "a bench prints its figures, and ends where it fails"
+    reason = "a bench prints its figures and panics on failure"
 )]
 
 use std::hint::black_box;
@@ -34,7 +34,7 @@ fn main() {
         let crs = system(word, geoid);
         let rate = forward(&crs);
         let ratio = if word.starts_with("utm") {
-            format!("  {:.2} of what is needed", rate / NEEDED)
+            format!("  {:.2} of the required rate", rate / NEEDED)
         } else {
             String::new()
         };

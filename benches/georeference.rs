@@ -2,7 +2,7 @@
 //!
 //! `cargo bench --bench georeference` prints rates, and their ratio to the goal of 2 million points
 //! per second.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 #[path = "../tests/georeference/made.rs"]
 #[allow(dead_code, clippy::unwrap_used, reason = "written for tests, which use the rest")]

@@ -157,7 +157,8 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets, 
         let left = kernels.left_to_plain() - before;
         let (z, right) = quality(&outcomes, truths);
         println!(
-            "      {name}: number of returns right in {:.2} %, z of the position {z:.3}, left to the plain kernels {:.2} %",
+            "      {name}: correct number of returns {:.2} %, position z {z:.3}, left to plain \
+             kernels {:.2} %",
             100.0 * right,
             100.0 * left as f64 / blocks.len() as f64
         );
@@ -216,7 +217,9 @@ fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed:
         let (known, unknown) = (best(|(a, _)| a.0.best), best(|(_, b)| b.0.best));
         let (z, right) = rounds[0].1.1;
         println!(
-            "own background, {name}: {unknown:.2} M waveforms per core-second, {ratio:.2}{range} of a known one's {known:.2}; number of returns right in {:.2} %, z {z:.3}, left to the plain kernels {:.2} %",
+            "background per waveform, {name}: {unknown:.2} M waveforms per core-second, \
+             {ratio:.2}{range} of known background's {known:.2}; correct number of returns {:.2} \
+             %, z {z:.3}, left to plain kernels {:.2} %",
             100.0 * right,
             100.0 * rounds[0].1.2
         );
@@ -312,7 +315,10 @@ fn report(rounds: &[[Rate; 8]], yards: &[[Rate; 5]]) {
             let scaled = MIXED_REFERENCE * ratio(LINES.len() + i, LINES.len()).0;
             let best = MIXED_REFERENCE * best(LINES.len() + i, LINES.len());
             let verdict = verdict(scaled, *goal);
-            print!("  where the yardstick reads 28 {scaled:.2}, best runs {best:.2}, goal {goal} {verdict}");
+            print!(
+                "  scaled to a yardstick of 28: {scaled:.2}, best runs {best:.2}, goal {goal} \
+                    {verdict}"
+            );
         }
         println!();
     }
@@ -338,7 +344,7 @@ fn main() {
         {
             continue;
         }
-        println!("{path:?}{}", if path == Path::best() { ", the path in use" } else { "" });
+        println!("{path:?}{}", if path == Path::best() { ", the SIMD level in use" } else { "" });
         let (mut rounds, mut yards) = (Vec::new(), Vec::new());
         for round in 0..if path == Path::best() { ROUNDS } else { 3 } {
             yards.extend(yardstick());
@@ -356,7 +362,8 @@ fn main() {
     );
     if !has_yardstick {
         println!(
-            "\nNO YARDSTICK: set WAVEX_YARDSTICK to its run script. Without it these figures say little."
+            "\nNO YARDSTICK: set WAVEX_YARDSTICK to its run script. Absolute figures depend on the \
+             core."
         );
     }
 }

@@ -4,7 +4,7 @@
 //! second of `read_sdf -> write_lstat`, through the stand-in for RIEGL's library, and of
 //! `read_arrow -> write_lstat`. The goal is a ratio of at least 1/3. The stand-in reads the
 //! container and copies every record twice, which counts against `read_sdf`.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 use std::path::{Path, PathBuf};
 

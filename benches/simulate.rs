@@ -2,7 +2,7 @@
 //! complexity.
 //!
 //! `cargo bench --bench simulate` prints a table; the goal for the first row is 300 000.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 mod clock;
 #[path = "../tests/common/mod.rs"]
@@ -16,13 +16,13 @@ use wavex::stage::{Context, Plan, Site};
 
 /// Name and `simulate` keys of each case.
 const CASES: &[(&str, &str)] = &[
-    ("level ground, building and wood; one receiver", ""),
+    ("level ground, building and forest; one receiver", ""),
     ("level ground alone; one receiver", "building_height_m = 0.0\ncanopy_height_m = 0.0"),
     (
-        "the same in the scanner's frame, swaying",
+        "the same in the scanner frame, with attitude variation",
         "sbet = 'bench.sbet'\nroll_deg = 2.0\npitch_deg = 1.0\nyaw_deg = 1.0",
     ),
-    ("the same as recorded", "as_recorded = true"),
+    ("the same, in recorded order", "as_recorded = true"),
     ("country; one receiver", "landscape = 'country'"),
     (
         "country; two receivers, modulation, blind gap, as recorded",

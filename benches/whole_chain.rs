@@ -9,8 +9,8 @@
 //! the same records with the `laz` crate, and of georeferencing, divided by two cores without loss.
 //! Decomposition is measured by the yardstick in C (`WAVEX_YARDSTICK`), or by the kernels of the
 //! stage alone.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
-#![allow(clippy::unwrap_used, reason = "a bench ends where it fails")]
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
+#![allow(clippy::unwrap_used, reason = "a bench panics on failure")]
 
 #[allow(dead_code, reason = "each bench uses a part")]
 mod scenes;
@@ -271,8 +271,9 @@ fn main() {
     let tell = |by: &str, decompose_ns: f64| {
         let ceiling = THREADS as f64 * 1e3 / (decompose_ns + laz_ns + georeference_ns);
         println!(
-            "ceiling by {by:<13} {ceiling:6.3} M waveforms/s (decomposition {decompose_ns:.0} ns, LAZ {laz_ns:.0}, \
-             georeferencing {georeference_ns:.0}); reached {:.2} of it, goal {GOAL}",
+            "ceiling from {by:<13} {ceiling:6.3} M waveforms/s (decomposition {decompose_ns:.0} \
+             ns, LAZ {laz_ns:.0}, georeferencing {georeference_ns:.0}); reached {:.2} of it, goal \
+             {GOAL}",
             rate / ceiling
         );
     };

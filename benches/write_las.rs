@@ -3,7 +3,7 @@
 //! Writes points with all extra attributes to LAZ, on one thread and on two. `cargo bench --bench
 //! write_las` prints millions of points per second. Goals: on one thread at most 10 % slower than
 //! `laz` alone, on two at least 1.6 times as fast as on one.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 #[path = "../tests/common/mod.rs"]
 mod common;

@@ -30,10 +30,10 @@ pub fn calibration(bench: &mut Bench, model: &ChannelModel) -> f64 {
         if i == 0 {
             shift = lag;
         }
-        let what = format!("response for {:.0} DN, shape beside the widened truth", node.peak_dn);
+        let what = format!("response for {:.0} DN, shape against the widened truth", node.peak_dn);
         bench.goal("A10", &what, format!("{:.3} %", 100.0 * rms), "0.1 %", rms <= 1e-3);
         let gauge = format!("{:+.2} ps, {width:.4}", 1e3 * lag);
-        bench.beside("A10", "  ... its zero of time and width in the truth's", gauge);
+        bench.beside("A10", "  ... time zero and width relative to the truth", gauge);
     }
     let factor = model.pulse_error_factor;
     bench.goal(
@@ -124,7 +124,7 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
         let known = sd / (found.len() as f64).sqrt();
         bench.verdict(
             "A2",
-            &format!("{here}: bias of range, zero of time removed"),
+            &format!("{here}: range bias, time zero removed"),
             format!("{:+.2} ps (raw {:+.2}, +- {:.2})", 1e3 * bias, 1e3 * mean, 1e3 * known),
             &format!("{:.2} ps", 1e3 * asked),
             within_known(bias, -asked, asked, known),
@@ -146,7 +146,7 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
         let covered = 100.0 * coverage(&place);
         bench.verdict(
             "cov",
-            &format!("{here}: range within one standard deviation"),
+            &format!("{here}: range coverage within 1 SD"),
             format!("{covered:.1} %"),
             "66-70 %",
             within_known(covered, 66.0, 70.0, known_coverage(found.len())),
@@ -164,7 +164,7 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
     let missing = bench.count as usize - found.len();
     bench.beside(
         "",
-        &format!("{here}: bias of height, of width; not one return"),
+        &format!("{here}: bias of height, of width; count differs from 1"),
         format!(
             "{:+.2} %, {:+.2} %; {missing}",
             100.0 * moments(&heights).0,

@@ -4,7 +4,7 @@
 //! Arguments select parts of the table (`-- A6 A9`); `count=2000` reduces the waveforms per figure
 //! from 20 000. Seeds are fixed for parts of a cell, so the figures do not depend on the number of
 //! threads.
-#![allow(missing_docs, reason = "no one imports a bench")]
+#![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(
     clippy::print_stdout,
     clippy::expect_used,
@@ -82,7 +82,7 @@ impl Bench {
         self.goals += 1;
         let verdict = match reached {
             [true, _] => "reached",
-            [false, true] => "too near to tell",
+            [false, true] => "within 2 SD",
             _ => "MISSED",
         };
         self.missed += u32::from(verdict == "MISSED");

@@ -44,7 +44,7 @@ pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
         let [at_11, at_16] = [11.0, 16.0].map(|evidence| {
             100.0 * pairs(bench, model, evidence, [snr, widths, part]).len() as f64 / f64::from(bench.count)
         });
-        let what = format!("SNR {snr}, {widths} widths, second {part} x: both found at 11 (at 16)");
+        let what = format!("SNR {snr}, {widths} widths, second {part} x: both found at evidence 11 (16)");
         bench.goal(
             goal,
             &what,
@@ -70,7 +70,7 @@ pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
     let covered = 100.0 * coverage(&found.iter().flat_map(|p| [p[0][0], p[1][0]]).collect::<Vec<Score>>());
     bench.goal(
         "cov",
-        "pairs, SNR 50, 0.75 widths: range within one",
+        "pairs, SNR 50, 0.75 widths: range within one SD",
         format!("{covered:.1} %"),
         "62-76 %",
         within(covered, 62.0, 76.0),
@@ -93,7 +93,7 @@ pub fn false_splits(bench: &mut Bench, model: &ChannelModel) {
             });
             bench.goal(
                 "A7",
-                &format!("width {width}, SNR {snr}: single returns divided at 11 (at 16)"),
+                &format!("width {width}, SNR {snr}: false splits at evidence 11 (16)"),
                 format!("{at_11:.2} % ({at_16:.2} %)"),
                 "<= 0.5 %",
                 at_11 <= 0.5,

@@ -53,7 +53,7 @@ pub fn late_returns(bench: &mut Bench) {
     let kept = 100.0 * kept.iter().filter(|kept| **kept).count() as f64 / f64::from(bench.count);
     bench.goal(
         "A9",
-        "SNR 10 kept 2 to 4 widths behind SNR 100",
+        "SNR 10 kept 2 to 4 widths after SNR 100",
         format!("{kept:.2} %"),
         ">= 99 %",
         kept >= 99.0,

@@ -70,8 +70,8 @@ impl std::fmt::Display for Score {
         let points = [50, 99].map(|percent| 1e3 * quantile(&self.distances_m, percent));
         write!(
             f,
-            "{} of {} right, up to zone {}; ranges {middle:.1} mm off in the middle, {most:.1} mm at 99 %; \
-             points {:.1} and {:.1} mm",
+            "{} of {} right, up to zone {}; range error median {middle:.1} mm, 99 % {most:.1} mm; \
+             point error {:.1} and {:.1} mm",
             self.right, self.echoes, self.zone_most, points[0], points[1]
         )
     }

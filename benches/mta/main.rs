@@ -8,7 +8,7 @@
 //! `cargo build --release --example sdf_stand_in && cargo bench --bench mta -- chain` runs the
 //! scenes with waveforms through the whole chain instead, by `read_arrow` and by `read_sdf` with
 //! the stand-in, and compares ranges and points with the truth.
-#![allow(missing_docs, reason = "no one imports a bench")]
+#![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a bench prints its figures")]
 
 #[path = "../clock/mod.rs"]
@@ -242,9 +242,9 @@ fn through_the_chain(seed: u64) {
         let truth = waveforms::write(&scene, &scene.record(&how), folder.path());
         chain::run(folder.path(), &library, "");
         let (are_same, score) = chain::compare(folder.path(), &truth);
-        let same = if are_same { "same bytes by both doors" } else { "THE DOORS DIFFER" };
+        let same = if are_same { "identical bytes from both readers" } else { "THE READERS DIFFER" };
         println!(
-            "{}: {same}; {score}; points {:.4} mm beyond that",
+            "{}: {same}; {score}; point and range errors differ by at most {:.4} mm",
             spec.name,
             1e3 * score.worst_beyond_range_m
         );

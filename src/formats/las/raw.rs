@@ -230,6 +230,6 @@ mod tests {
         assert_eq!(value(0, Signed(4)), "-2");
         assert_eq!(value(4, F32), "1");
         assert_eq!(value(0, Unsigned(8)), "4575657225703391230");
-        assert_eq!(value(6, Signed(4)), "", "the record ends before");
+        assert_eq!(value(6, Signed(4)), "", "the record is too short");
     }
 }

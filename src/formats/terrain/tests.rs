@@ -26,7 +26,7 @@ fn an_ascii_grid_is_bilinear_between_the_middles_of_cells() {
     for (east, north) in [(99.0, 215.0), (131.0, 215.0), (115.0, 221.0), (115.0, 199.0), (f64::NAN, 205.0)] {
         assert!(terrain.height_m(east, north).is_nan(), "{east} {north}");
     }
-    assert!(terrain.height_m(120.0, 208.0).is_nan(), "beside a cell without a height");
+    assert!(terrain.height_m(120.0, 208.0).is_nan(), "next to a cell without a height");
     assert_eq!((terrain.heights_m(), terrain.epsg()), ([1.0, 5.0], None));
 }
 

@@ -392,7 +392,7 @@ fn accuracies_come_from_their_companions() {
     };
     let beside = folder.flown("a.pof", &Options::default());
     assert_eq!(at(&beside, 5.0).unwrap().position_sd_m, [1.0, 2.0, 3.0]);
-    assert_eq!(at(&beside, 19.25), None, "the POQ ends before");
+    assert_eq!(at(&beside, 19.25), None, "the POQ ends earlier");
     let given = Options { accuracy: Some(folder.path("smrmsg_c.out")), ..Options::default() };
     for name in ["b.sol", "c.sbet"] {
         assert_eq!(folder.flown(name, &Options::default()).pose(0.0), None);

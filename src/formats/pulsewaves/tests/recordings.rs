@@ -190,7 +190,7 @@ fn outgoing_segments_start_nowhere_in_2013_and_on_a_whole_sample_before_the_anch
     println!("2015: returning starts lie {mean:.4} off whole samples, sd {sd:.4}");
     assert!((mean + 0.0537).abs() < 0.0005 && sd < 0.0025, "{mean} {sd}");
     let (mean, sd) = moments(&peaks);
-    println!("2015: outgoing peaks lie {mean:.3} samples behind the anchor, sd {sd:.3}");
+    println!("2015: outgoing peaks lie {mean:.3} samples after the anchor, sd {sd:.3}");
     assert!(peaks.iter().all(|p| p.abs() < 0.55));
     assert!((sd - (1.0_f64 / 12.0).sqrt()).abs() < 0.02, "{sd}");
 }
