@@ -1,4 +1,6 @@
-//! Coordinate conversion speed on one core: points per second from the earth-centred frame.
+//! Coordinate conversion speed on one core.
+//!
+//! Points per second from the earth-centred frame.
 //!
 //!     cargo bench --bench crs
 
@@ -50,7 +52,9 @@ fn system(word: &str, with_geoid: bool) -> Crs {
     Crs::new(&named, nowhere, with_geoid.then(geoid), None).expect("a system")
 }
 
-/// Creates a geoid as large as a national model: steps of one arc-minute.
+/// Creates a geoid as large as a national model.
+///
+/// Steps of one arc-minute.
 fn geoid() -> Arc<Geoid> {
     let (rows, columns) = (601, 1201);
     let grid = Grid {

@@ -1,6 +1,7 @@
-//! Overhead of the engine: time per scan line and stage in chains of no-op stages.
+//! Overhead of the engine.
 //!
-//! `cargo bench --bench engine` prints a table; the goal is below 5 microseconds.
+//! Time per scan line and stage in chains of no-op stages. `cargo bench --bench engine` prints a
+//! table; the goal is below 5 microseconds.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 #[path = "../tests/common/mod.rs"]

@@ -1,7 +1,7 @@
-//! Georeferencing speed on one core: points per second, and poses of shots per second.
+//! Georeferencing speed on one core.
 //!
-//! `cargo bench --bench georeference` prints rates, and their ratio to the goal of 2 million points
-//! per second.
+//! Points per second, and poses of shots per second. `cargo bench --bench georeference` prints
+//! rates, and their ratio to the goal of 2 million points per second.
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 #[path = "../tests/georeference/made.rs"]

@@ -1,9 +1,10 @@
-//! Speed of the fast kernels: million waveforms per core-second, by thread CPU time, medians.
+//! Speed of the fast kernels.
 //!
-//! `cargo bench --bench kernels` prints a table. If `WAVEX_YARDSTICK` names the run script of the
-//! yardstick, it runs before each round, and ratios to it are printed: medians of the rounds, and
-//! ratios of the best runs. Absolute figures depend on the core, ratios much less. The name of a
-//! run as an argument (`-- "mixed, refined"`) measures only that run.
+//! Million waveforms per core-second, by thread CPU time, medians. `cargo bench --bench kernels`
+//! prints a table. If `WAVEX_YARDSTICK` names the run script of the yardstick, it runs before each
+//! round, and ratios to it are printed: medians of the rounds, and ratios of the best runs.
+//! Absolute figures depend on the core, ratios much less. The name of a run as an argument (`--
+//! "mixed, refined"`) measures only that run.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 mod clock;
@@ -22,7 +23,9 @@ use clock::cpu_s;
 use scenes::{Random, SAMPLES, Scene, Waveforms, model};
 
 const WAVEFORMS: usize = 20_000;
-/// Waveforms per call, as `decompose` gets them from the engine; 300 to 4096 are usual.
+/// Waveforms per call, as `decompose` gets them from the engine.
+///
+/// 300 to 4096 are usual.
 const SCAN_LINE: usize = 2000;
 /// Duration of a run, s.
 const RUN_S: f64 = 0.05;
@@ -226,8 +229,10 @@ fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed:
     }
 }
 
-/// Result of a mode: rate, quality (normalised error SD, fraction of right counts), and fraction
-/// left to the plain kernels.
+/// Result of a mode.
+///
+/// Rate, quality (normalised error SD, fraction of right counts), and fraction left to the plain
+/// kernels.
 type ModeRun = (Rate, (f64, f64), f64);
 
 /// Yardstick lines for comparison, identified by substrings.
@@ -245,7 +250,9 @@ const MIXED: [(&str, f64); 3] =
 const MIXED_LINE: &str = "detect, two returns";
 const MIXED_REFERENCE: f64 = 28.0;
 
-/// Runs the yardstick; returns the rate of each line, that of [`MIXED_LINE`] last.
+/// Runs the yardstick.
+///
+/// Returns the rate of each line, that of [`MIXED_LINE`] last.
 fn yardstick() -> Option<[Rate; 5]> {
     let script = std::env::var_os("WAVEX_YARDSTICK")?;
     let output = std::process::Command::new(script).output().ok()?;

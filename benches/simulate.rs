@@ -1,7 +1,7 @@
-//! Speed of the simulator: shots per second and core, for scenes and receivers of increasing
-//! complexity.
+//! Speed of the simulator.
 //!
-//! `cargo bench --bench simulate` prints a table; the goal for the first row is 300 000.
+//! Shots per second and core, for scenes and receivers of increasing complexity. `cargo bench
+//! --bench simulate` prints a table; the goal for the first row is 300 000.
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 mod clock;

@@ -41,7 +41,9 @@ const START_S: f64 = 200_000.0;
 const SPEED_MPS: f64 = 60.0;
 const THREADS: usize = 2;
 const GOAL: f64 = 0.7;
-/// Minimum time to georeference a point, ns: arithmetic of one rotation and one projection.
+/// Minimum time to georeference a point, ns.
+///
+/// Arithmetic of one rotation and one projection.
 const GEOREFERENCE_NS: f64 = 75.0;
 const CALIBRATE: &str = "[[stage]]\ntype = 'calibrate'\n";
 
@@ -81,7 +83,9 @@ fn header() -> ContainerHeader {
     }
 }
 
-/// Writes the recording: lines from -30 to 30 degrees, one block of the mixed scene per shot.
+/// Writes the recording.
+///
+/// Lines from -30 to 30 degrees, one block of the mixed scene per shot.
 fn write_recording(path: &Path, lines: usize) {
     let noise = noise();
     let mut waveforms = Waveforms::new(&model(&noise), &noise, Scene::Mixed, 9);

@@ -23,7 +23,9 @@ const SHOTS: usize = 2000;
 /// Two returns per shot.
 const POINTS: usize = 2 * LINES * SHOTS;
 const RUNS: usize = 7;
-/// Length of a record, bytes: point format 6 and the extra attributes.
+/// Length of a record, bytes.
+///
+/// Point format 6 and the extra attributes.
 const RECORD: usize = 30 + 10;
 const EXTRA: u16 = 10;
 
@@ -100,7 +102,9 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
     keys.make(&site).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// Writes all lines to a sink; the file exists until the context is dropped.
+/// Writes all lines to a sink.
+///
+/// The file exists until the context is dropped.
 fn write(mut sink: Box<dyn Sink>, lines: &[Batch]) -> Context {
     let mut cx = Context::default();
     for line in lines {

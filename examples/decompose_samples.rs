@@ -51,8 +51,9 @@ fn waveform(echoes: &[(f64, f64)], noise: &mut Noise) -> Vec<u16> {
     (0..SAMPLES).map(sample).collect()
 }
 
-/// Noise with an SD of about 1 DN: the sum of 12 uniform numbers of a linear congruential
-/// generator.
+/// Noise with an SD of about 1 DN.
+///
+/// The sum of 12 uniform numbers of a linear congruential generator.
 struct Noise(u64);
 
 impl Noise {

@@ -15,7 +15,9 @@ use wavex::stage::{self, Config, Context, Item, Map, MapConfig, Site, StageSpec}
 /// Name of the stage in jobs, role, and accepted kinds of line; the output has the same kind.
 const DROP_WEAK: StageSpec = StageSpec::map::<DropWeak>("drop_weak", &[Kind::Returns], None);
 
-/// Drops weak returns. This comment is the stage's page in `wavex stages`.
+/// Drops weak returns.
+///
+/// This comment is the stage's page in `wavex stages`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct DropWeak {
@@ -38,8 +40,9 @@ impl MapConfig for DropWeak {
 }
 
 impl Map for DropWeak {
-    /// Filters one line; the engine runs lines in parallel, so a map must keep no state between
-    /// them.
+    /// Filters one line.
+    ///
+    /// The engine runs lines in parallel, so a map must keep no state between them.
     fn map(&mut self, mut line: Batch, cx: &mut Context) -> stage::Result<Batch> {
         if let Content::Returns(returns) = &mut line.content {
             let before = returns.len();

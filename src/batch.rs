@@ -1,8 +1,9 @@
-//! Data that flows through a chain of stages: a [`Batch`] is one scan line.
+//! Data that flows through a chain of stages.
 //!
-//! A batch always holds the shots of its line. Its [`Kind`] determines its other content: recorded
-//! sample blocks, returns found in them, or points computed from them. The samples of a line share
-//! one buffer, so a line needs few allocations, whatever its number of shots.
+//! A [`Batch`] is one scan line. A batch always holds the shots of its line. Its [`Kind`]
+//! determines its other content: recorded sample blocks, returns found in them, or points computed
+//! from them. The samples of a line share one buffer, so a line needs few allocations, whatever its
+//! number of shots.
 
 use std::sync::Arc;
 
@@ -21,7 +22,9 @@ pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
 pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};
 
-/// Maximum length of a scan line, shots; readers end longer lines.
+/// Maximum length of a scan line, shots.
+///
+/// Readers end longer lines.
 pub const MAX_SHOTS_PER_LINE: usize = 4096;
 
 /// Scan line with its data.
@@ -31,12 +34,15 @@ pub struct Batch {
     pub input: Arc<InputInfo>,
     /// Number of the scan line, from 0 in each input.
     pub line: u32,
-    /// Counters of the line; each stage adds its own, and there is no other count.
+    /// Counters of the line.
+    ///
+    /// Each stage adds its own, and there is no other count.
     pub stats: LineStats,
     /// Sensor model, set by `calibrate`.
     pub model: Option<Arc<SensorModel>>,
-    /// Channel fusion, set by `fuse_channels`; times of high-power blocks are corrected from then
-    /// on.
+    /// Channel fusion, set by `fuse_channels`.
+    ///
+    /// Times of high-power blocks are corrected from then on.
     pub fusion: Option<Arc<ChannelFusion>>,
     /// Shots of the line, ordered by time.
     pub emissions: Vec<Emission>,
@@ -44,7 +50,9 @@ pub struct Batch {
     pub content: Content,
     /// Sample blocks kept after `decompose`, if a sink needs them.
     pub waveforms: Option<Blocks>,
-    /// Share of the memory budget; released when the batch is dropped.
+    /// Share of the memory budget.
+    ///
+    /// Released when the batch is dropped.
     pub(crate) ticket: Option<Ticket>,
 }
 
@@ -59,7 +67,9 @@ pub enum Content {
     Points(Returns, Vec<[f64; 3]>),
 }
 
-/// Kind of batch: the input and output type of a stage.
+/// Kind of batch.
+///
+/// The input and output type of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
     /// Shots and recorded sample blocks.
@@ -81,7 +91,9 @@ impl std::fmt::Display for Kind {
 }
 
 impl Batch {
-    /// Creates a line as delivered by a reader; sets `nw` and the line's time.
+    /// Creates a line as delivered by a reader.
+    ///
+    /// Sets `nw` and the line's time.
     pub fn of_shots(input: Arc<InputInfo>, line: u32, emissions: Vec<Emission>, blocks: Blocks) -> Batch {
         let stats = LineStats {
             gps_time_s: emissions.first().map_or(f64::NAN, |e| e.gps_time_s),

@@ -48,7 +48,9 @@ pub enum Error {
         /// Advice to the user.
         remedy: String,
     },
-    /// The whole file is unusable: wrong format, missing companion, unsupported version.
+    /// The whole file is unusable.
+    ///
+    /// Wrong format, missing companion, unsupported version.
     #[error("{}: {problem}; {remedy}", file.display())]
     Unusable {
         /// File concerned.

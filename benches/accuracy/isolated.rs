@@ -173,7 +173,9 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
     );
 }
 
-/// A5: isolated returns in mode `fastest`: one step from the width bank.
+/// A5: isolated returns in mode `fastest`.
+///
+/// One step from the width bank.
 pub fn fastest(bench: &mut Bench, model: &ChannelModel, gauge: f64) {
     let settings = DecomposeSettings::default();
     for width in [1.0, 1.5, 2.0, 2.5] {

@@ -189,7 +189,9 @@ fn within_known(value: f64, low: f64, high: f64, sd: f64) -> [bool; 2] {
     [within(value, low, high), within(value, low - 2.0 * sd, high + 2.0 * sd)]
 }
 
-/// Returns the SD of an estimated SD near 1; `known_coverage`: of a fraction near 0.68, %.
+/// Returns the SD of an estimated SD near 1.
+///
+/// `known_coverage`: of a fraction near 0.68, %.
 fn known_spread(count: usize) -> f64 {
     1.0 / (2.0 * count as f64).sqrt()
 }

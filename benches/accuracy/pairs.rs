@@ -14,7 +14,9 @@ fn pair_scores(found: &[Return], echoes: &[Echo; 2]) -> Option<[[Score; 3]; 2]> 
     }
 }
 
-/// Returns the pairs found; `kind` is SNR, separation in widths, and relative height of the second.
+/// Returns the pairs found.
+///
+/// `kind` is SNR, separation in widths, and relative height of the second.
 fn pairs(bench: &Bench, model: &ChannelModel, evidence: f64, kind: [f64; 3]) -> Vec<[[Score; 3]; 2]> {
     let [snr, widths, part] = kind;
     let settings = settings(evidence);
@@ -30,7 +32,9 @@ fn pairs(bench: &Bench, model: &ChannelModel, evidence: f64, kind: [f64; 3]) -> 
     all.into_iter().flatten().collect()
 }
 
-/// A7 and A8: detection of overlapping returns; their A3 and coverage.
+/// A7 and A8: detection of overlapping returns.
+///
+/// Their A3 and coverage.
 pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
     let goals = [
         ("A7", 20.0, 0.9, 1.0, 95.0),

@@ -44,8 +44,9 @@ struct Row {
     modulation_ns: f64,
     pulse_rate_hz: f64,
     known: Known,
-    /// Required percentage of correct echoes, away from and near transitions; `None` for comparison
-    /// only.
+    /// Required percentage of correct echoes, away from and near transitions.
+    ///
+    /// `None` for comparison only.
     goal: Option<f64>,
 }
 
@@ -70,7 +71,9 @@ const fn row(
     Row { name, modulation_ns, pulse_rate_hz, known, goal }
 }
 
-/// Numbers of echoes and of wrong ones: away from transitions, near them, then by class.
+/// Numbers of echoes and of wrong ones.
+///
+/// Away from transitions, near them, then by class.
 #[derive(Default)]
 struct Tally {
     groups: [(u64, u64); 6],
@@ -135,7 +138,9 @@ fn lines(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
     recorded.iter().enumerate().map(line).collect()
 }
 
-/// Resolves all lines and returns the CPU time; `None` if the resolver reports an error.
+/// Resolves all lines and returns the CPU time.
+///
+/// `None` if the resolver reports an error.
 fn resolve(settings: &Settings, lines: &[Line]) -> Option<(Vec<Resolved>, f64)> {
     let before = cpu_s();
     let mut resolver = Resolver::new(settings).expect("settings");

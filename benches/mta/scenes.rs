@@ -1,10 +1,13 @@
-//! Simulated airborne scenes: times of emissions and echoes, and the cause of each echo.
+//! Simulated airborne scenes.
 //!
-//! There are no waveforms: an echo is a time. The geometry of a scene is computed once; recording
-//! it with a pulse rate modulation adds the times. Random numbers are hashes of their location, so
-//! every run and every part of a scene has the same terrain.
+//! Times of emissions and echoes, and the cause of each echo. There are no waveforms: an echo is a
+//! time. The geometry of a scene is computed once; recording it with a pulse rate modulation adds
+//! the times. Random numbers are hashes of their location, so every run and every part of a scene
+//! has the same terrain.
 
-/// Half the speed of light in air: metres of range per nanosecond of two-way travel time.
+/// Half the speed of light in air.
+///
+/// Metres of range per nanosecond of two-way travel time.
 pub const METRES_PER_NS: f64 = 0.149_855_27;
 const LINE_SPACING_M: f64 = 0.65;
 const SHOT_SPACING_M: f64 = 0.6;
@@ -161,8 +164,9 @@ pub struct Scene {
 #[derive(Clone, Copy, Debug)]
 pub struct Recording {
     pub pulse_rate_hz: f64,
-    /// Largest deviation of a pulse interval from its mean, ns; each pulse is displaced uniformly
-    /// by up to half of it.
+    /// Largest deviation of a pulse interval from its mean, ns.
+    ///
+    /// Each pulse is displaced uniformly by up to half of it.
     pub modulation_ns: f64,
     /// Echoes this close to an emission are lost, ns.
     pub blind_ns: f64,
@@ -301,7 +305,9 @@ fn mark_transitions(line: &mut RecordedLine) {
     line.echoes.iter_mut().for_each(|echo| echo.near = near[echo.emission as usize]);
 }
 
-/// Removes random records with their echoes; echoes with a removed cause become false alarms.
+/// Removes random records with their echoes.
+///
+/// Echoes with a removed cause become false alarms.
 fn lose_records(lines: &mut [RecordedLine], part: f64, random: &mut Random) {
     let kept: Vec<Vec<bool>> =
         lines.iter().map(|line| line.clocks_ps.iter().map(|_| random.uniform() >= part).collect()).collect();

@@ -94,7 +94,9 @@ pub fn write(scene: &Scene, lines: &[RecordedLine], folder: &Path) -> Vec<Truth>
     truth(scene, lines)
 }
 
-/// Pulse at the receiver; its time is relative to the clock of its record.
+/// Pulse at the receiver.
+///
+/// Its time is relative to the clock of its record.
 struct Pulse {
     time_ns: f64,
     height_dn: f64,
@@ -110,7 +112,9 @@ fn leaves_ns(seed: u64, shot: u64) -> f64 {
     unit([seed, 21, shot, 0])
 }
 
-/// Returns the height of an echo, DN: lowest for wires; false alarms barely trigger a block.
+/// Returns the height of an echo, DN: lowest for wires.
+///
+/// False alarms barely trigger a block.
 fn height_dn([seed, shot, echo]: [u64; 3], class: Class) -> f64 {
     let (least, most) = match class {
         Class::Ground | Class::Building => (40.0, 160.0),
@@ -183,7 +187,9 @@ fn noise_dn(random: &mut [u64; 4]) -> f64 {
     NOISE_SD_DN * (f64::from(sum) - MEAN) / SD
 }
 
-/// Returns the latitude at a time: the aircraft flies north, level, at constant height.
+/// Returns the latitude at a time.
+///
+/// The aircraft flies north, level, at constant height.
 fn latitude_rad(time_s: f64) -> f64 {
     START_RAD[0] + SPEED_MPS * (time_s - START_S) / 6.4e6
 }
@@ -208,7 +214,9 @@ fn trajectory(lines: &[RecordedLine]) -> Vec<u8> {
     (0..((length_s + 2.0) / 0.005) as u32).flat_map(record).collect()
 }
 
-/// Returns the position of a target: the aircraft's position plus range along the beam.
+/// Returns the position of a target.
+///
+/// The aircraft's position plus range along the beam.
 fn ecef_m(clock_ps: i64, angle_rad: f64, range_m: f64) -> [f64; 3] {
     let (sin_lat, cos_lat) = latitude_rad(gps_time_s(clock_ps)).sin_cos();
     let (sin_lon, cos_lon) = START_RAD[1].sin_cos();

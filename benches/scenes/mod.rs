@@ -1,4 +1,6 @@
-//! Simulated waveforms for the benches: one channel, blocks with known pulse positions.
+//! Simulated waveforms for the benches.
+//!
+//! One channel, blocks with known pulse positions.
 
 use std::f64::consts::TAU;
 
@@ -98,7 +100,9 @@ pub fn noise() -> ArNoise {
     ArNoise::new(&[0.85, -0.3], 0.7).expect("stationary noise")
 }
 
-/// Generator of the blocks of a scene; pulse heights are 20 to 150 DN.
+/// Generator of the blocks of a scene.
+///
+/// Pulse heights are 20 to 150 DN.
 pub struct Waveforms {
     scene: Scene,
     random: Random,
@@ -118,7 +122,9 @@ impl Waveforms {
         }
     }
 
-    /// Appends the samples of a block; returns the positions of its pulses.
+    /// Appends the samples of a block.
+    ///
+    /// Returns the positions of its pulses.
     pub fn next(&mut self, samples: &mut Vec<u16>) -> Vec<f64> {
         let Waveforms { scene, random, shape, noise, noise_sd_dn } = self;
         let mut values = [BACKGROUND_DN; SAMPLES];

@@ -73,7 +73,9 @@ struct Call {
 }
 
 impl Call {
-    /// Begins a call and invalidates all earlier pointers; `None` during another call.
+    /// Begins a call and invalidates all earlier pointers.
+    ///
+    /// `None` during another call.
     fn begin() -> Option<Call> {
         if BUSY.swap(true, Ordering::AcqRel) {
             return None;
@@ -249,7 +251,9 @@ pub unsafe extern "C" fn fwifc_set_sosbl_relative(file: *mut c_void, value: i32)
     unsafe { on_file("fwifc_set_sosbl_relative", file, None, run) }
 }
 
-/// Returns the epoch in the interface's notation; adjusted seconds have a known epoch.
+/// Returns the epoch in the interface's notation.
+///
+/// Adjusted seconds have a known epoch.
 fn epoch(file: &File) -> String {
     let scale = match file.recording.header().time_scale {
         TimeScale::Week => "WEEKSEC",

@@ -1,4 +1,6 @@
-//! Faults injected into the stand-in, one per line in `NAME.sdf.txt`; records count from 1.
+//! Faults injected into the stand-in, one per line in `NAME.sdf.txt`.
+//!
+//! Records count from 1.
 //!
 //! | line | effect |
 //! |---|---|
@@ -81,7 +83,9 @@ impl Mischief {
         Some(())
     }
 
-    /// Returns the injected return code of a function; `at` is a record or a kind of table.
+    /// Returns the injected return code of a function.
+    ///
+    /// `at` is a record or a kind of table.
     pub(crate) fn code(&self, function: &str, at: Option<u32>) -> Option<i32> {
         let is_meant = |(name, _, place): &&(String, i32, Option<u32>)| {
             name == function && (place.is_none() || *place == at)
@@ -97,7 +101,9 @@ impl Mischief {
         self.null.contains(&record)
     }
 
-    /// Returns the false counts of a record: blocks, and samples per block.
+    /// Returns the false counts of a record.
+    ///
+    /// Blocks, and samples per block.
     pub(crate) fn claims(&self, record: u32) -> (Option<u32>, Option<u32>) {
         let of = |claims: &[(u32, u32)]| claims.iter().find(|claim| claim.0 == record).map(|claim| claim.1);
         (of(&self.blocks), of(&self.samples))

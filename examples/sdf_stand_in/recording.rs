@@ -1,5 +1,6 @@
-//! Serves a container as a sequence of records: its shots, and an end-of-line record after each
-//! line.
+//! Serves a container as a sequence of records.
+//!
+//! Its shots, and an end-of-line record after each line.
 
 use std::path::{Path, PathBuf};
 
@@ -26,7 +27,9 @@ pub(crate) struct Recording {
     path: PathBuf,
     reader: ContainerReader,
     line: Option<ContainerLine>,
-    /// Next row of the current line; the row after the last is the end-of-line record.
+    /// Next row of the current line.
+    ///
+    /// The row after the last is the end-of-line record.
     row: usize,
     /// Number of the next record, from 1.
     next: u32,
@@ -78,7 +81,9 @@ impl Recording {
         self.seek(last)
     }
 
-    /// Seeks to the first shot at or after a time; `time_of` returns the time of a shot.
+    /// Seeks to the first shot at or after a time.
+    ///
+    /// `time_of` returns the time of a shot.
     pub(crate) fn seek_time(&mut self, time_s: f64, time_of: impl Fn(&ContainerShot) -> f64) -> Result<bool> {
         self.find(|_, shot| shot.is_some_and(|shot| time_of(shot) >= time_s))
     }

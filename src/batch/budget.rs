@@ -26,8 +26,9 @@ struct State {
 }
 
 impl State {
-    /// Returns whether no line can leave before another arrives: all are held by waiting
-    /// transforms.
+    /// Returns whether no line can leave before another arrives.
+    ///
+    /// All are held by waiting transforms.
     fn stands_still(&self) -> bool {
         self.busy == 0 && self.inside == self.lines
     }
@@ -115,7 +116,9 @@ impl Drop for AtWork<'_> {
 }
 
 impl Ticket {
-    /// Creates an independent share of `bytes`, released with it; never waits.
+    /// Creates an independent share of `bytes`, released with it.
+    ///
+    /// Never waits.
     pub fn beside(&self, bytes: usize) -> Ticket {
         let budget = Arc::clone(&self.budget);
         let mut other = Ticket { budget, bytes: 0, is_line: false, is_inside: false };
@@ -132,7 +135,9 @@ impl Ticket {
         }
     }
 
-    /// Changes the share to `bytes`; never waits, because lines in flight must be able to leave.
+    /// Changes the share to `bytes`.
+    ///
+    /// Never waits, because lines in flight must be able to leave.
     pub fn resize(&mut self, bytes: usize) {
         if bytes == self.bytes {
             return;

@@ -19,7 +19,9 @@ pub struct InputInfo {
     pub sampling_interval_ns: f64,
     /// Delay of odd samples of a block relative to their nominal time, samples.
     pub odd_sample_shift: f64,
-    /// Largest value of the digitiser, if known; samples of this value are saturated.
+    /// Largest value of the digitiser, if known.
+    ///
+    /// Samples of this value are saturated.
     pub full_scale_dn: Option<u16>,
     /// Group velocity of the pulse in air, m/s.
     pub group_velocity_mps: f64,
@@ -125,7 +127,9 @@ pub enum EmissionReference {
     /// The shot's clock is the sample nearest to its peak. The fitted position is relative to that
     /// sample and within half a sample of it.
     OutgoingPulseFraction,
-    /// The return locations in the file: their mean difference to the fitted echoes.
+    /// The return locations in the file.
+    ///
+    /// Their mean difference to the fitted echoes.
     ReturnLocations,
     /// Only the clock of the shot.
     Clock,

@@ -26,9 +26,9 @@ pub struct Return {
     pub range_m: f64,
     /// Standard deviation of `range_m`, m.
     pub range_sd_m: f64,
-    /// Total standard deviation of the position: square root of the trace of its covariance, m.
+    /// Total standard deviation of the position.
     ///
-    /// NaN if unknown, as before `georeference`.
+    /// Square root of the trace of its covariance, m. NaN if unknown, as before `georeference`.
     pub total_sd_m: f64,
     /// Height of the fitted pulse's peak above the background, digitiser steps.
     pub amplitude_dn: f64,
@@ -40,9 +40,13 @@ pub struct Return {
     pub peak_dn: f64,
     /// Standard deviation of `peak_dn`, digitiser steps.
     pub peak_sd_dn: f64,
-    /// Amplitude above the detection limit by the instrument's table, dB; NaN without table.
+    /// Amplitude above the detection limit by the instrument's table, dB.
+    ///
+    /// NaN without table.
     pub amplitude_db: f64,
-    /// Full width at half maximum relative to the system response; 1 for a flat target.
+    /// Full width at half maximum relative to the system response.
+    ///
+    /// 1 for a flat target.
     pub width_ratio: f64,
     /// Standard deviation of `width_ratio`.
     pub width_ratio_sd: f64,
@@ -52,13 +56,17 @@ pub struct Return {
     pub thickness_m: f64,
     /// Standard deviation of `thickness_m`, m.
     pub thickness_sd_m: f64,
-    /// Deviation ratio of the fit: (chi-square - degrees of freedom) / sqrt(2 degrees of freedom).
+    /// Deviation ratio of the fit.
+    ///
+    /// (chi-square - degrees of freedom) / sqrt(2 degrees of freedom).
     pub deviation_ratio: f64,
     /// Amplitude after all corrections.
     pub intensity: f64,
     /// Standard deviation of `intensity`.
     pub intensity_sd: f64,
-    /// Whether the return is marked as an outlier; it is kept.
+    /// Whether the return is marked as an outlier.
+    ///
+    /// It is kept.
     pub withheld: bool,
     /// LAS class: 0, or 20 for outliers.
     pub class: u8,
@@ -123,7 +131,9 @@ impl ReturnChannel {
     }
 }
 
-/// Bits of [`Return::flags`]; the low byte is the LAS user data of BayesWavEx 1.1, section 3.
+/// Bits of [`Return::flags`].
+///
+/// The low byte is the LAS user data of BayesWavEx 1.1, section 3.
 pub mod flags {
     pub use crate::kernels::flags::*;
 }

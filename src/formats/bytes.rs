@@ -1,4 +1,6 @@
-//! Cursor over the fields of a binary record; errors name the field.
+//! Cursor over the fields of a binary record.
+//!
+//! Errors name the field.
 
 use std::path::Path;
 

@@ -9,7 +9,9 @@ use std::path::{Path, PathBuf};
 use super::{Error, Result};
 use crate::geo::geoid::{Geoid, Grid};
 
-/// Largest accepted number of grid values; EGM2008 at 1 arc-minute has 233 million.
+/// Largest accepted number of grid values.
+///
+/// EGM2008 at 1 arc-minute has 233 million.
 const MOST_VALUES: u64 = 1 << 28;
 /// Maximum number of file names listed in a message.
 const NAMES_SHOWN: usize = 20;

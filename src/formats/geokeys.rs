@@ -15,15 +15,21 @@ pub fn of_wkt(wkt: &str) -> Option<GeoKeys> {
     geotiff_keys_of_wkt(wkt).or_else(|| directory_of_wkt(wkt).map(of_codes))
 }
 
-/// Key of the model type: 1 projected, 2 geographic, 3 geocentric (GeoTIFF 1.0, section 6.3.1.1).
+/// Key of the model type.
+///
+/// 1 projected, 2 geographic, 3 geocentric (GeoTIFF 1.0, section 6.3.1.1).
 const MODEL_TYPE: u16 = 1024;
 /// Key of the geographic coordinate reference system (GeoTIFF 1.0, section 6.3.2.1).
 const GEOGRAPHIC: u16 = 2048;
 /// Key of the projected coordinate reference system (GeoTIFF 1.0, section 6.3.3.1).
 const PROJECTED: u16 = 3072;
-/// Key of the raster type: 1 cells are areas, 2 cells are points (GeoTIFF 1.0, section 6.3.1.2).
+/// Key of the raster type.
+///
+/// 1 cells are areas, 2 cells are points (GeoTIFF 1.0, section 6.3.1.2).
 const RASTER_TYPE: u16 = 1025;
-/// First code that is not an EPSG code: 32767 means "user-defined".
+/// First code that is not an EPSG code.
+///
+/// 32767 means "user-defined".
 const USER_DEFINED: u16 = 32767;
 
 /// Returns the EPSG code in a GeoTIFF key directory (record 34735).

@@ -13,7 +13,9 @@ use serde::Deserialize;
 
 use super::{Error, Result};
 
-/// Largest accepted file, bytes; real tables have a few hundred rows.
+/// Largest accepted file, bytes.
+///
+/// Real tables have a few hundred rows.
 const MAX_BYTES: u64 = 1 << 24;
 const REMEDY: &str = "give columns of digitiser steps and values, or JSON with \"low\" and \"high\"";
 
@@ -28,7 +30,9 @@ pub struct Row {
     pub weight: f64,
 }
 
-/// Lookup tables of a file; a receiver without a table has no rows.
+/// Lookup tables of a file.
+///
+/// A receiver without a table has no rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LookupTables {
     /// Table of the low-power receiver.

@@ -106,7 +106,9 @@ impl Reader {
         &self.records.crs
     }
 
-    /// Returns the number of readable pulses: those declared, if present in the file.
+    /// Returns the number of readable pulses.
+    ///
+    /// Those declared, if present in the file.
     pub fn pulse_count(&self) -> u64 {
         self.pulse_count
     }
@@ -226,7 +228,9 @@ fn open(path: &Path) -> Result<Window<File>> {
     Ok(Window::new(file, path, about.len()))
 }
 
-/// Returns the waves file of a pulse file: same name, extension `wvs` in lower or upper case.
+/// Returns the waves file of a pulse file.
+///
+/// Same name, extension `wvs` in lower or upper case.
 fn waves_path(path: &Path) -> Result<PathBuf> {
     let upper = path.extension().is_some_and(|e| e.to_string_lossy().starts_with('P'));
     let endings = if upper { ["WVS", "wvs"] } else { ["wvs", "WVS"] };

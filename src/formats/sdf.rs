@@ -25,11 +25,15 @@ pub use reader::{CalibrationTables, SdfReader};
 
 /// Maximum number of blocks of a record.
 pub const MAX_BLOCKS: u32 = 1 << 12;
-/// Maximum number of samples of a block: 65 µs at 1 ns.
+/// Maximum number of samples of a block.
+///
+/// 65 µs at 1 ns.
 pub const MAX_SAMPLES: u32 = 1 << 16;
 /// Maximum number of samples of a record.
 pub const MAX_RECORD_SAMPLES: usize = 1 << 20;
-/// Maximum number of entries of a calibration table; 8-bit digitisers have 256.
+/// Maximum number of entries of a calibration table.
+///
+/// 8-bit digitisers have 256.
 pub const MAX_TABLE: u32 = 1 << 16;
 
 /// Metadata of a recording (`fwifc_get_info`).
@@ -39,9 +43,13 @@ pub struct SdfInfo {
     pub instrument: String,
     /// Serial number; may be empty.
     pub serial: String,
-    /// Epoch of external times: date and time (ISO 8601), `DAYSEC`, `WEEKSEC` or `UNKNOWN`.
+    /// Epoch of external times.
+    ///
+    /// Date and time (ISO 8601), `DAYSEC`, `WEEKSEC` or `UNKNOWN`.
     pub epoch: String,
-    /// Group velocity of the pulse in air, m/s; above 0, at most the vacuum speed of light.
+    /// Group velocity of the pulse in air, m/s.
+    ///
+    /// Above 0, at most the vacuum speed of light.
     pub group_velocity_mps: f64,
     /// Sampling interval, s; above 0, at most 1 µs.
     pub sampling_interval_s: f64,
@@ -66,7 +74,9 @@ pub mod record_flags {
     pub const SYNCHRONISED_WITHIN_LAST_SECOND: u16 = 1 << 1;
     /// Housekeeping record of the instrument.
     pub const HOUSEKEEPING: u16 = 1 << 2;
-    /// End of a scan line: set on its last shot, and on the following record without blocks.
+    /// End of a scan line.
+    ///
+    /// Set on its last shot, and on the following record without blocks.
     pub const END_OF_LINE: u16 = 1 << 3;
 }
 
@@ -87,13 +97,17 @@ pub mod channel {
 /// All values are as returned by the library; only sizes are checked.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SdfRecord {
-    /// Time on the instrument's clock, s: the start of the range gate, which identifies the shot.
+    /// Time on the instrument's clock, s.
+    ///
+    /// The start of the range gate, which identifies the shot.
     pub time_s: f64,
     /// The same instant in external time, s.
     pub time_external_s: f64,
     /// Origin of the beam in the scanner frame, m.
     pub origin_m: [f64; 3],
-    /// Direction of the outgoing beam in the scanner frame; a unit vector for shots.
+    /// Direction of the outgoing beam in the scanner frame.
+    ///
+    /// A unit vector for shots.
     pub direction: [f64; 3],
     /// Bits of [`record_flags`].
     pub flags: u16,

@@ -27,7 +27,9 @@ pub struct Terrain {
     rows: usize,
     /// Easting and northing of the centre of the north-western cell, m.
     first_m: [f64; 2],
-    /// Cell size to the east and to the south, m; above 0.
+    /// Cell size to the east and to the south, m.
+    ///
+    /// Above 0.
     step_m: [f64; 2],
     /// Row by row from the north, m; NaN if missing.
     heights_m: Vec<f32>,
@@ -170,7 +172,9 @@ fn crossing(mut above_m: f64, mut below_m: f64, height_above_m: impl Fn(f64) -> 
     0.5 * (above_m + below_m)
 }
 
-/// Checks the size of a raster; `held` is the largest number of cells in a file of this length.
+/// Checks the size of a raster.
+///
+/// `held` is the largest number of cells in a file of this length.
 fn checked_size(path: &Path, columns: u64, rows: u64, held: u64) -> Result<(usize, usize)> {
     let cells = columns.checked_mul(rows).filter(|&cells| cells > 0 && cells <= MOST_CELLS);
     let size = cells.and_then(|_| Some((usize::try_from(columns).ok()?, usize::try_from(rows).ok()?)));

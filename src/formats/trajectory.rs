@@ -41,7 +41,9 @@ pub struct Options {
     /// `t` time, `x` longitude, `y` latitude, `z` height, `w` roll, `p` pitch, `k` heading; any
     /// other letter skips a column.
     pub columns: Option<String>,
-    /// Accuracy file, POQ or smrmsg; default: the POQ next to a POF, if any.
+    /// Accuracy file, POQ or smrmsg.
+    ///
+    /// Default: the POQ next to a POF, if any.
     pub accuracy: Option<PathBuf>,
 }
 
@@ -61,7 +63,9 @@ pub struct Recorded {
     pub file: PathBuf,
     /// Format, such as `POF 1.1`.
     pub format: String,
-    /// Description of the file's clock: `seconds of the week, GPS, week of 2025-05-06`.
+    /// Description of the file's clock.
+    ///
+    /// For example `seconds of the week, GPS, 2025-05-06`.
     pub counts: String,
     /// Clock of the records.
     ///
@@ -70,7 +74,9 @@ pub struct Recorded {
     pub clock: Clock,
     /// Records in the order of the file.
     pub records: Records,
-    /// Accuracies on the time axis of the records; empty if no file provides them.
+    /// Accuracies on the time axis of the records.
+    ///
+    /// Empty if no file provides them.
     pub accuracies: Vec<AccuracySample>,
     /// Notes for the user.
     pub notes: Vec<String>,
@@ -289,7 +295,9 @@ fn wrapped_rad(angle_rad: f64) -> f64 {
     if (PI..=TAU).contains(&angle_rad.abs()) { angle_rad - TAU.copysign(angle_rad) } else { angle_rad }
 }
 
-/// Rejects invalid samples; the error gives the offset of the record.
+/// Rejects invalid samples.
+///
+/// The error gives the offset of the record.
 fn check(path: &Path, offset: u64, record: u64, sample: &Sample) -> Result<()> {
     use core::f64::consts::{FRAC_PI_2, TAU};
     let Sample { time_s, place, attitude } = sample;

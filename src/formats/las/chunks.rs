@@ -23,9 +23,13 @@ type Decoder = Box<dyn RecordDecompressor<Cursor<Vec<u8>>> + Send + Sync>;
 
 /// LASzip compressor type: points in chunks, field by field.
 const CHUNKED: u16 = 2;
-/// LASzip compressor type: points in chunks, one layer per field; formats 6 to 10.
+/// LASzip compressor type: points in chunks, one layer per field.
+///
+/// Formats 6 to 10.
 const LAYERED: u16 = 3;
-/// Maximum number of extra bytes per compressed point; the decoder needs 10 kB for each.
+/// Maximum number of extra bytes per compressed point.
+///
+/// The decoder needs 10 kB for each.
 const EXTRA_BYTES_LIMIT: u16 = 4096;
 const CUT: &str = "the file is cut off or damaged: copy it again from its source";
 
@@ -35,7 +39,9 @@ pub(super) struct Chunks {
     path: PathBuf,
     laz: LazVlr,
     record_length: usize,
-    /// Number of layers per chunk; `None` if points are not layered.
+    /// Number of layers per chunk.
+    ///
+    /// `None` if points are not layered.
     layers: Option<usize>,
     /// Chunks after the current one.
     table: std::vec::IntoIter<Chunk>,
@@ -137,7 +143,9 @@ impl Chunks {
         Ok(())
     }
 
-    /// Checks a layered chunk: first point, number of points, size of each layer, layers.
+    /// Checks a layered chunk.
+    ///
+    /// First point, number of points, size of each layer, layers.
     fn check_layers(&self, bytes: &[u8], layers: usize) -> Result<()> {
         let mut fields = Fields::new(&self.path, self.at, bytes);
         fields.skip(self.record_length, "first point of a chunk")?;

@@ -1,9 +1,10 @@
-//! Cloud-optimised point clouds (COPC): LAZ with one chunk per octree node.
+//! Cloud-optimised point clouds (COPC).
 //!
-//! Viewers fetch only the parts they show. The specification is COPC 1.0 (<https://copc.io>): LAS
-//! 1.4 in point format 6, 7 or 8, LASzip chunks of variable size, the record `copc`/1 first, and
-//! the octree as extended record `copc`/1000. Points are copied as records, bit by bit. Records
-//! with waveforms (formats 9 and 10) lose the reference to their packet, which COPC cannot store.
+//! LAZ with one chunk per octree node. Viewers fetch only the parts they show. The specification is
+//! COPC 1.0 (<https://copc.io>): LAS 1.4 in point format 6, 7 or 8, LASzip chunks of variable size,
+//! the record `copc`/1 first, and the octree as extended record `copc`/1000. Points are copied as
+//! records, bit by bit. Records with waveforms (formats 9 and 10) lose the reference to their
+//! packet, which COPC cannot store.
 //!
 //! The source is read twice: for the bounding cube, and for the points. Memory is bounded: points
 //! are sorted in runs that the caller stores, and nodes are written as soon as they are complete.
@@ -154,14 +155,18 @@ impl Extent {
         Ok(extent)
     }
 
-    /// Returns the bounding box in units of the coordinate system; scales may be negative.
+    /// Returns the bounding box in units of the coordinate system.
+    ///
+    /// Scales may be negative.
     fn bounds(&self, header: &Header) -> [[f64; 3]; 2] {
         let (one, other) = (place(header, self.min), place(header, self.max));
         let of = |choose: fn(f64, f64) -> f64| std::array::from_fn(|axis| choose(one[axis], other[axis]));
         [of(f64::min), of(f64::max)]
     }
 
-    /// Returns the octree's cube; its edge is at least one coordinate step.
+    /// Returns the octree's cube.
+    ///
+    /// Its edge is at least one coordinate step.
     fn cube(&self, header: &Header) -> Cube {
         let [min, max] = self.bounds(header);
         Cube::around(min, max, header.scale.into_iter().map(f64::abs).fold(0.0, f64::max))

@@ -1,5 +1,6 @@
-//! Waveform packet descriptors and sample packing: LAS 1.4 R15, section "Waveform Packet
-//! Descriptor".
+//! Waveform packet descriptors and sample packing.
+//!
+//! LAS 1.4 R15, section "Waveform Packet Descriptor".
 
 use std::path::Path;
 
@@ -7,7 +8,9 @@ use super::vlr::{SPEC, Vlr};
 use crate::formats::Result;
 use crate::formats::bytes::Fields;
 
-/// Largest accepted number of samples per packet: over 600 km of range at 1 ns.
+/// Largest accepted number of samples per packet.
+///
+/// Over 600 km of range at 1 ns.
 const MOST_SAMPLES: u32 = 1 << 22;
 
 /// Length of a descriptor's data, bytes.
@@ -32,7 +35,9 @@ pub struct Descriptor {
     pub offset: f64,
 }
 
-/// Descriptors of a file by their index in the points: record ID minus 99, from 1 to 255.
+/// Descriptors of a file by their index in the points.
+///
+/// Record ID minus 99, from 1 to 255.
 #[derive(Debug, Default)]
 pub(super) struct Descriptors(Vec<Option<Descriptor>>);
 
@@ -72,7 +77,9 @@ fn parse(fields: &mut Fields) -> Result<Descriptor> {
 }
 
 impl Descriptor {
-    /// Returns the length of a packet, bytes; samples are packed without padding.
+    /// Returns the length of a packet, bytes.
+    ///
+    /// Samples are packed without padding.
     pub fn packet_bytes(&self) -> u64 {
         (u64::from(self.samples) * u64::from(self.bits)).div_ceil(8)
     }

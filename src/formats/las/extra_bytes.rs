@@ -1,4 +1,6 @@
-//! Extra attributes after the standard fields of a point: LAS 1.4 R15, section "Extra Bytes".
+//! Extra attributes after the standard fields of a point.
+//!
+//! LAS 1.4 R15, section "Extra Bytes".
 
 use std::path::Path;
 
@@ -55,7 +57,9 @@ impl DataType {
     }
 }
 
-/// Extra attribute for output: value = stored integer * scale + offset.
+/// Extra attribute for output.
+///
+/// Value = stored integer * scale + offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExtraAttribute {
     /// Unique name, at most 32 bytes.
@@ -66,7 +70,9 @@ pub struct ExtraAttribute {
     pub data_type: DataType,
     /// Step size; `None` means 1, not declared in the file.
     pub scale: Option<f64>,
-    /// Value of a stored 0; `None` means 0, not declared in the file.
+    /// Value of a stored 0.
+    ///
+    /// `None` means 0, not declared in the file.
     pub offset: Option<f64>,
     /// Stored integer for NaN, within the range of the type.
     pub nan: i64,
@@ -138,7 +144,9 @@ pub struct ExtraBytes {
     pub name: String,
     /// Free text.
     pub description: String,
-    /// Type code: 1 to 10 are `u8`, `i8`, `u16`, ... `i64`, `f32`, `f64`; 0 is undocumented bytes.
+    /// Type code.
+    ///
+    /// 1 to 10 are `u8`, `i8`, `u16`, ... `i64`, `f32`, `f64`; 0 is undocumented bytes.
     pub data_type: u8,
     /// Offset of the value in the extra bytes of a point.
     pub start: usize,
@@ -148,7 +156,9 @@ pub struct ExtraBytes {
     pub scale: Option<f64>,
     /// Value of a stored 0.
     pub offset: Option<f64>,
-    /// Stored no-data value: 8 bytes, an integer or an `f64` according to the type.
+    /// Stored no-data value.
+    ///
+    /// 8 bytes, an integer or an `f64` according to the type.
     pub no_data: Option<[u8; 8]>,
 }
 
@@ -191,7 +201,9 @@ fn parse_one(fields: &mut Fields, start: usize) -> Result<Option<ExtraBytes>> {
     }))
 }
 
-/// Returns the length of a type; deprecated types 11 to 30 are pairs and triples of 1 to 10.
+/// Returns the length of a type.
+///
+/// Deprecated types 11 to 30 are pairs and triples of 1 to 10.
 fn length(data_type: u8, options: u8) -> Option<usize> {
     const SIZES: [usize; 10] = [1, 1, 2, 2, 4, 4, 8, 8, 4, 8];
     match data_type {
@@ -231,7 +243,9 @@ pub const TARGET_THICK: ExtraAttribute =
 /// Linear amplitude of the target.
 pub const AMP: ExtraAttribute =
     attribute("Amp", "Target amplitude", DataType::U16, Some(1.0), Some(0.0), UNKNOWN);
-/// Deviation ratio: residuals beyond the noise, in SDs of chi-square; negative values clamp at 0.
+/// Deviation ratio: residuals beyond the noise, in SDs of chi-square.
+///
+/// Negative values clamp at 0.
 pub const DEV_RATIO: ExtraAttribute =
     attribute("DevRatio", "Residual against noise (sigma)", DataType::U8, Some(0.1), Some(0.0), UNKNOWN);
 /// Standard deviation of the range, m.
@@ -246,7 +260,9 @@ pub const WIDE_ERR: ExtraAttribute =
 /// Standard deviation of the target thickness, m.
 pub const THICK_ERR: ExtraAttribute =
     attribute("ThickErr", "Target thickness std. dev. (m)", DataType::U8, Some(0.001), Some(0.0), UNRELIABLE);
-/// Channel that gave the intensity: 0 low power, 1 high power.
+/// Channel that gave the intensity.
+///
+/// 0 low power, 1 high power.
 pub const CHANNEL: ExtraAttribute =
     attribute("Channel", "Power channel (0 low, 1 high)", DataType::U8, None, None, UNKNOWN);
 /// Height of the fitted pulse, digitiser steps (BayesWavEx 1.0, section 2).

@@ -1,6 +1,6 @@
-//! Public header block: LAS 1.4 R15, section "Public Header Block", and LAS 1.5.
+//! Public header block.
 //!
-//! LAS 1.5 appends three fields.
+//! LAS 1.4 R15, section "Public Header Block", and LAS 1.5. LAS 1.5 appends three fields.
 
 use std::path::Path;
 
@@ -10,7 +10,9 @@ use crate::formats::{Error, Result};
 
 /// Length of the header of LAS 1.4, bytes.
 pub(super) const HEADER_1_4: u16 = 375;
-/// Length of the header of LAS 1.5, bytes; the longest of all versions.
+/// Length of the header of LAS 1.5, bytes.
+///
+/// The longest of all versions.
 pub(super) const HEADER_1_5: u16 = 393;
 
 /// Bits of the field "global encoding".
@@ -25,7 +27,9 @@ pub(super) mod encoding {
     pub(crate) const SYNTHETIC_RETURNS: u16 = 1 << 3;
     /// The coordinate system is given as WKT.
     pub(crate) const WKT: u16 = 1 << 4;
-    /// With [`ADJUSTED_TIME`], from LAS 1.5 on: the header gives the offset of GPS time.
+    /// With [`ADJUSTED_TIME`], from LAS 1.5 on.
+    ///
+    /// The header gives the offset of GPS time.
     pub(crate) const TIME_OFFSET: u16 = 1 << 6;
 }
 
@@ -72,11 +76,15 @@ pub struct Header {
     pub point_format: u8,
     /// Whether the points are compressed (LAZ).
     pub compressed: bool,
-    /// Length of an uncompressed point, bytes; beyond the format's fields are extra bytes.
+    /// Length of an uncompressed point, bytes.
+    ///
+    /// Beyond the format's fields are extra bytes.
     pub record_length: u16,
     /// Number of points.
     pub n_points: u64,
-    /// Number of points by return number, from 1; five counts before LAS 1.4.
+    /// Number of points by return number, from 1.
+    ///
+    /// Five counts before LAS 1.4.
     pub n_points_by_return: [u64; 15],
     /// Scale factors of x, y, z.
     pub scale: [f64; 3],
@@ -86,9 +94,13 @@ pub struct Header {
     pub min: [f64; 3],
     /// Largest x, y, z according to the header.
     pub max: [f64; 3],
-    /// Offset of the waveform packet record; 0 if there is none or the version lacks the field.
+    /// Offset of the waveform packet record.
+    ///
+    /// 0 if there is none or the version lacks the field.
     pub start_of_waveforms: u64,
-    /// Offset of the first extended variable length record (EVLR); 0 before LAS 1.4.
+    /// Offset of the first extended variable length record (EVLR).
+    ///
+    /// 0 before LAS 1.4.
     pub start_of_evlrs: u64,
     /// Number of extended variable length records; 0 before LAS 1.4.
     pub n_evlrs: u32,
@@ -280,7 +292,9 @@ fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> 
     Ok(offset)
 }
 
-/// Reads point format and compression; LASzip marks compressed points with bit 7.
+/// Reads point format and compression.
+///
+/// LASzip marks compressed points with bit 7.
 fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
     let start = fields.clone();
     let byte = fields.u8("point data record format")?;

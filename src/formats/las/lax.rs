@@ -19,7 +19,9 @@ use std::path::{Path, PathBuf};
 
 /// Largest gap between intervals that is read instead of skipped, points; as in LAStools.
 const GAP: u32 = 1000;
-/// Maximum number of intervals; beyond it, the cell length is doubled.
+/// Maximum number of intervals.
+///
+/// Beyond it, the cell length is doubled.
 const MOST_INTERVALS: usize = 1 << 17;
 /// Maximum depth of the quadtree: 4096 cells along each axis.
 const MOST_LEVELS: u32 = 12;
@@ -131,7 +133,9 @@ impl Lax {
         self.cells = coarse;
     }
 
-    /// Encodes the index; `None` for more points than 32 bits can count.
+    /// Encodes the index.
+    ///
+    /// `None` for more points than 32 bits can count.
     pub(super) fn finish(mut self) -> Option<Vec<u8>> {
         if self.n_points > u64::from(u32::MAX) {
             return None;
@@ -319,7 +323,9 @@ mod tests {
     }
 
     impl Read {
-        /// Finds the cell of a position as LASzip does: by bisection in `f32`.
+        /// Finds the cell of a position as LASzip does.
+        ///
+        /// By bisection in `f32`.
         fn cell_of(&self, x: f64, y: f64) -> u32 {
             let [mut x0, mut x1, mut y0, mut y1] = self.root;
             assert!(f64::from(x0) <= x && x < f64::from(x1) && f64::from(y0) <= y && y < f64::from(y1));

@@ -1,5 +1,6 @@
-//! Waveform packet writer: LAS 1.4 R15, sections "Waveform Data Packets" and "Waveform Packet
-//! Descriptor".
+//! Waveform packet writer.
+//!
+//! LAS 1.4 R15, sections "Waveform Data Packets" and "Waveform Packet Descriptor".
 
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -34,7 +35,9 @@ pub struct Packet {
 }
 
 impl<W: Write + Seek> PacketWriter<W> {
-    /// Starts the record in a sink at its first byte; `path` names it in errors.
+    /// Starts the record in a sink at its first byte.
+    ///
+    /// `path` names it in errors.
     ///
     /// # Errors
     /// Writing fails.
@@ -86,7 +89,9 @@ impl<W: Write + Seek> PacketWriter<W> {
         })
     }
 
-    /// Writes the length of the record; returns the flushed sink and the packet kinds.
+    /// Writes the length of the record.
+    ///
+    /// Returns the flushed sink and the packet kinds.
     ///
     /// # Errors
     /// Writing fails.

@@ -23,7 +23,9 @@ const LARGE: usize = 256 << 10;
 pub(super) struct Packets {
     file: File,
     path: PathBuf,
-    /// Offset of the record header in `file`; offsets in points are relative to it.
+    /// Offset of the record header in `file`.
+    ///
+    /// Offsets in points are relative to it.
     start: u64,
     /// Offset of the end of the packets in `file`.
     end: u64,
@@ -34,7 +36,9 @@ pub(super) struct Packets {
     span: usize,
 }
 
-/// Finds the packets of the file `path`; `None` if there are none.
+/// Finds the packets of the file `path`.
+///
+/// `None` if there are none.
 ///
 /// # Errors
 /// The record is cut off, the separate file is not a waveform file, or both locations have packets
@@ -131,8 +135,9 @@ impl Packets {
         Ok(Packets::new(file, path, record.offset - EVLR_HEADER, end))
     }
 
-    /// Opens a `.wdp` file; a declared length that is too short is ignored, as nothing else can
-    /// follow.
+    /// Opens a `.wdp` file.
+    ///
+    /// A declared length that is too short is ignored, as nothing else can follow.
     fn beside(path: &Path) -> Result<Packets> {
         let mut file = File::open(path).map_err(Error::io(path, "open"))?;
         let length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
@@ -183,7 +188,9 @@ impl Packets {
         Ok(&self.window[from..from + length])
     }
 
-    /// Moves the window to byte `at`: small after a jump, growing with sequential access.
+    /// Moves the window to byte `at`.
+    ///
+    /// Small after a jump, growing with sequential access.
     fn load(&mut self, at: u64, least: usize) -> Result<()> {
         let reach = self.window_at + (self.window.len() + self.span) as u64;
         let is_ahead = (self.window_at..=reach).contains(&at);

@@ -1,4 +1,6 @@
-//! Point data records: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
+//! Point data records.
+//!
+//! LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
 
 /// Degrees per step of the scan angle in formats 6 to 10.
 pub(super) const SCAN_ANGLE_STEP_DEG: f64 = 0.006;
@@ -16,7 +18,9 @@ pub struct Point {
     pub z: f64,
     /// Intensity of the return; the scale depends on the file.
     pub intensity: u16,
-    /// Return number, from 1; at most 7 in formats 0 to 5, 15 in the others.
+    /// Return number, from 1.
+    ///
+    /// At most 7 in formats 0 to 5, 15 in the others.
     pub return_number: u8,
     /// Number of returns of the shot.
     pub number_of_returns: u8,
@@ -32,7 +36,9 @@ pub struct Point {
     pub key_point: bool,
     /// Whether the point should be treated as deleted.
     pub withheld: bool,
-    /// Whether the point lies in the overlap of flight lines; formats 6 to 10 only.
+    /// Whether the point lies in the overlap of flight lines.
+    ///
+    /// Formats 6 to 10 only.
     pub overlap: bool,
     /// Scanner channel, 0 to 3; formats 6 to 10 only.
     pub scanner_channel: u8,
@@ -42,10 +48,13 @@ pub struct Point {
     pub scan_angle_deg: f32,
     /// User data.
     pub user_data: u8,
-    /// Point source ID: the file or flight line of the point.
+    /// Point source ID.
+    ///
+    /// The file or flight line of the point.
     pub point_source_id: u16,
-    /// Time in the system of [`Header::gps_time`](super::Header::gps_time), s; 0 in formats without
-    /// time.
+    /// Time in the system of [`Header::gps_time`](super::Header::gps_time), s.
+    ///
+    /// 0 in formats without time.
     pub gps_time: f64,
     /// Waveform that contains the return.
     pub wave: Wave,
@@ -54,7 +63,9 @@ pub struct Point {
 /// Location of a point's waveform in the file and its direction in space.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Wave {
-    /// Index of the waveform descriptor, 1 to 255; 0 without waveform.
+    /// Index of the waveform descriptor, 1 to 255.
+    ///
+    /// 0 without waveform.
     pub descriptor: u8,
     /// Offset of the packet from the beginning of the waveform packet record, header included,
     /// bytes.
@@ -70,12 +81,13 @@ pub struct Wave {
 }
 
 impl Wave {
-    /// Returns the position of a sample: `P + (location - sample * spacing) * direction`.
+    /// Returns the position of a sample.
     ///
-    /// `point` is the position `P` of the point; `sample` counts from 0 and may be fractional. The
-    /// specification's anchor is the first sample, `P + location * direction`. Its further formula,
-    /// which adds time times direction to the anchor, would not lead back to the point. Files of
-    /// RIEGL and Leica instruments follow the sign used here.
+    /// `P + (location - sample * spacing) * direction`. `point` is the position `P` of the point;
+    /// `sample` counts from 0 and may be fractional. The specification's anchor is the first
+    /// sample, `P + location * direction`. Its further formula, which adds time times direction to
+    /// the anchor, would not lead back to the point. Files of RIEGL and Leica instruments follow
+    /// the sign used here.
     pub fn sample_position(&self, point: [f64; 3], sample: f64, spacing_ps: f64) -> [f64; 3] {
         let time_ps = f64::from(self.location_ps) - sample * spacing_ps;
         std::array::from_fn(|axis| point[axis] + time_ps * f64::from(self.direction_per_ps[axis]))

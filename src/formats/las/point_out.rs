@@ -4,7 +4,9 @@
 use super::point::{SCAN_ANGLE_STEP_DEG, Wave};
 use crate::kernels::steps::Steps;
 
-/// Largest scan angle of formats 6 to 10, steps: 180 degrees.
+/// Largest scan angle of formats 6 to 10, steps.
+///
+/// 180 degrees.
 const SCAN_ANGLE_MAX: i32 = 30_000;
 /// Largest scan angle of formats 0 to 5, degrees.
 const SCAN_ANGLE_RANK_MAX: i32 = 90;
@@ -15,7 +17,9 @@ pub(super) const RETURNS: u8 = 15;
 /// Largest class of formats 0 to 5.
 const LEGACY_CLASSES: u8 = 31;
 
-/// Point for output; values out of range are clamped, never wrapped.
+/// Point for output.
+///
+/// Values out of range are clamped, never wrapped.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PointOut {
     /// Coordinate in the file's coordinate system.
@@ -26,9 +30,13 @@ pub struct PointOut {
     pub z: f64,
     /// Intensity of the return.
     pub intensity: u16,
-    /// Return number, from 1: at most 15, in formats 0 to 5 at most 7.
+    /// Return number, from 1.
+    ///
+    /// At most 15, in formats 0 to 5 at most 7.
     pub return_number: u8,
-    /// Number of returns of the shot: at most 15, in formats 0 to 5 at most 7.
+    /// Number of returns of the shot.
+    ///
+    /// At most 15, in formats 0 to 5 at most 7.
     pub number_of_returns: u8,
     /// Whether the mirror moved from the left to the right side of the track.
     pub scan_direction: bool,
@@ -38,7 +46,9 @@ pub struct PointOut {
     pub classification: u8,
     /// Whether the point should be treated as deleted.
     pub withheld: bool,
-    /// Scanner channel, 0 to 3; not in formats 0 to 5.
+    /// Scanner channel, 0 to 3.
+    ///
+    /// Not in formats 0 to 5.
     pub scanner_channel: u8,
     /// Scan angle, degrees; NaN becomes 0.
     ///
@@ -46,7 +56,9 @@ pub struct PointOut {
     pub scan_angle_deg: f32,
     /// User data.
     pub user_data: u8,
-    /// Point source ID: the file or flight line of the point.
+    /// Point source ID.
+    ///
+    /// The file or flight line of the point.
     pub point_source_id: u16,
     /// Time in the system of the writer's options, s.
     pub gps_time: f64,

@@ -77,7 +77,9 @@ impl RawPoints {
         &self.vlrs
     }
 
-    /// Returns the fields of a point record; undocumented bytes are omitted.
+    /// Returns the fields of a point record.
+    ///
+    /// Undocumented bytes are omitted.
     pub fn fields(&self) -> &[RawField] {
         &self.fields
     }
@@ -96,7 +98,9 @@ impl RawField {
         RawField { name: name.into(), start, kind }
     }
 
-    /// Formats the stored value of the field; empty if the record is too short.
+    /// Formats the stored value of the field.
+    ///
+    /// Empty if the record is too short.
     pub fn value(&self, record: &[u8]) -> String {
         let length = match self.kind {
             Unsigned(length) | Signed(length) => length,
@@ -117,8 +121,9 @@ impl RawField {
     }
 }
 
-/// Returns the fields of a point format: LAS 1.4 R15, tables of "Point Data Record Format 0" to
-/// "10".
+/// Returns the fields of a point format.
+///
+/// LAS 1.4 R15, tables of "Point Data Record Format 0" to "10".
 fn standard(format: u8) -> Vec<RawField> {
     let field = RawField::new;
     let mut fields = vec![

@@ -72,7 +72,9 @@ impl Reader {
         &self.vlrs
     }
 
-    /// Returns the EVLRs after the points; waveform packets without their data.
+    /// Returns the EVLRs after the points.
+    ///
+    /// Waveform packets without their data.
     pub fn evlrs(&self) -> &[Vlr] {
         &self.evlrs
     }
@@ -94,7 +96,9 @@ impl Reader {
         &self.extra_bytes
     }
 
-    /// Reads the next point; `false` at the end, with `point` unchanged.
+    /// Reads the next point.
+    ///
+    /// `false` at the end, with `point` unchanged.
     ///
     /// # Errors
     /// The file cannot be read or its compressed points are damaged. No point follows after an
@@ -107,7 +111,9 @@ impl Reader {
         Ok(found)
     }
 
-    /// Returns the extra bytes of the last point: all bytes after the format's fields.
+    /// Returns the extra bytes of the last point.
+    ///
+    /// All bytes after the format's fields.
     pub fn extra_bytes(&self) -> &[u8] {
         self.records.record().get(self.layout.length..).unwrap_or_default()
     }

@@ -46,7 +46,9 @@ impl Records {
         Ok(Records { source, record_length, left: header.n_points, slab: Vec::new(), at: 0 })
     }
 
-    /// Advances to the next record; `false` at the end or after an error.
+    /// Advances to the next record.
+    ///
+    /// `false` at the end or after an error.
     ///
     /// # Errors
     /// The file cannot be read, or its compressed points are damaged. Iteration then ends, because
@@ -73,7 +75,9 @@ impl Records {
         filled.map(|()| count > 0)
     }
 
-    /// Returns the current record; empty before the first and after the last.
+    /// Returns the current record.
+    ///
+    /// Empty before the first and after the last.
     pub(super) fn record(&self) -> &[u8] {
         self.slab.get(self.at..self.at + self.record_length).unwrap_or_default()
     }

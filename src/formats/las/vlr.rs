@@ -1,5 +1,7 @@
-//! Variable length records: LAS 1.4 R15, sections "Variable Length Records (VLRs)" and "Extended
-//! Variable Length Records (EVLRs)".
+//! Variable length records.
+//!
+//! LAS 1.4 R15, sections "Variable Length Records (VLRs)" and "Extended Variable Length Records
+//! (EVLRs)".
 
 use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -29,7 +31,9 @@ pub(super) const GEO_ASCII: u16 = 34737;
 /// Record ID of a WKT coordinate system, under [`PROJECTION`].
 pub(super) const WKT: u16 = 2112;
 
-/// Longest extended record whose data are read, bytes; no record used by wavex is longer.
+/// Longest extended record whose data are read, bytes.
+///
+/// No record used by wavex is longer.
 const EVLR_DATA_LIMIT: u64 = 16 << 20;
 
 /// Variable length record, extended or not.
@@ -126,7 +130,9 @@ pub(super) fn read_evlr(
     Ok(evlr)
 }
 
-/// Returns the waveform packet record at byte `at`; `None` if it is another record.
+/// Returns the waveform packet record at byte `at`.
+///
+/// `None` if it is another record.
 ///
 /// # Errors
 /// The record is longer than the file.
@@ -180,7 +186,9 @@ fn parse_header(fields: &mut Fields, extended: bool) -> Result<Vlr> {
     Ok(Vlr { user_id, record_id, description, offset: fields.offset(), length, data: Vec::new() })
 }
 
-/// Reads `length` bytes; the caller has checked `length` against the file.
+/// Reads `length` bytes.
+///
+/// The caller has checked `length` against the file.
 fn read_data(input: &mut impl Read, file: &Path, length: u64) -> Result<Vec<u8>> {
     let mut data = Vec::new();
     input.take(length).read_to_end(&mut data).map_err(Error::io(file, "read the variable length records"))?;

@@ -237,8 +237,9 @@ impl<W: Write + Seek> Writer<W> {
         self.index.take()?.finish()
     }
 
-    /// Writes remaining points, chunk table, appended index and final header; returns the flushed
-    /// sink.
+    /// Writes remaining points, chunk table, appended index and final header.
+    ///
+    /// Returns the flushed sink.
     ///
     /// # Errors
     /// Writing fails.
@@ -316,7 +317,9 @@ impl<W: Write + Seek> Writer<W> {
         Err(Error::unusable(&self.path, problem, "choose an offset near the points, or a larger scale"))
     }
 
-    /// Creates the error for `left` missing extra bytes; negative for too many.
+    /// Creates the error for `left` missing extra bytes.
+    ///
+    /// Negative for too many.
     fn wrong_extra_bytes(&self, left: i64) -> Error {
         let need = (self.record_length - self.standard_length) as i64;
         let problem = format!(

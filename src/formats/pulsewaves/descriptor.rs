@@ -36,7 +36,9 @@ pub struct Descriptor {
     pub optical_center_to_anchor: Option<i32>,
     /// Bytes before the waves of each pulse, skipped.
     pub extra_wave_bytes: u16,
-    /// Sampling unit, ns: a thousandth of the time from anchor to target.
+    /// Sampling unit, ns.
+    ///
+    /// A thousandth of the time from anchor to target.
     pub sample_units_ns: f64,
     /// Index of the scanner ([`super::Reader::scanners`]); 0 if unspecified.
     pub scanner_index: u32,
@@ -48,24 +50,33 @@ pub struct Descriptor {
     pub samplings: Vec<Sampling>,
 }
 
-/// Sampling of a pulse (specification 0.3, "Sampling Records"): one or more segments of a detector.
+/// Sampling of a pulse (specification 0.3, "Sampling Records").
 ///
-/// Version 0.3 declares neither gain nor offset of the digitiser.
+/// One or more segments of a detector. Version 0.3 declares neither gain nor offset of the
+/// digitiser.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sampling {
     /// Outgoing or returning.
     pub kind: Kind,
-    /// Channel, from 0; in RIEGL's files 0 high power, 1 low power, 2 saturation, 3 reference.
+    /// Channel, from 0.
+    ///
+    /// In RIEGL's files 0 high power, 1 low power, 2 saturation, 3 reference.
     pub channel: u8,
-    /// Bits of the stored duration, a signed integer: 0, 8, 16 or 32.
+    /// Bits of the stored duration, a signed integer.
+    ///
+    /// 0, 8, 16 or 32.
     pub duration_bits: u8,
     /// Sampling units per step of the stored duration.
     pub duration_scale: f64,
     /// Sampling units added to the scaled duration.
     pub duration_offset: f64,
-    /// Bits of the stored number of segments: 0, 8 or 16.
+    /// Bits of the stored number of segments.
+    ///
+    /// 0, 8 or 16.
     pub segment_count_bits: u8,
-    /// Bits of the stored number of samples: 0, 8 or 16.
+    /// Bits of the stored number of samples.
+    ///
+    /// 0, 8 or 16.
     pub sample_count_bits: u8,
     /// Number of segments of every pulse, if not stored.
     pub segment_count: u16,
@@ -73,7 +84,9 @@ pub struct Sampling {
     pub sample_count: u32,
     /// Bits per sample: 8 or 16.
     pub bits_per_sample: u16,
-    /// Index of the lookup table of the samples ([`super::Reader::tables`]); 0 for none.
+    /// Index of the lookup table of the samples ([`super::Reader::tables`]).
+    ///
+    /// 0 for none.
     pub lookup_table_index: u16,
     /// Sample spacing, ns.
     pub sample_units_ns: f64,
@@ -110,7 +123,9 @@ impl Descriptor {
         })
     }
 
-    /// Returns the sampling units per sample: 1, unless the descriptor mixes resolutions.
+    /// Returns the sampling units per sample.
+    ///
+    /// 1, unless the descriptor mixes resolutions.
     pub fn units_per_sample(&self, sampling: &Sampling) -> f64 {
         sampling.sample_units_ns / self.sample_units_ns
     }

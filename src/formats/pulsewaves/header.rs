@@ -40,7 +40,9 @@ pub struct Header {
     pub system_identifier: String,
     /// Software that wrote the file.
     pub generating_software: String,
-    /// Day of the year of file creation, from 1; 0 if not set.
+    /// Day of the year of file creation, from 1.
+    ///
+    /// 0 if not set.
     pub creation_day: u16,
     /// Year of file creation; 0 if not set.
     pub creation_year: u16,
@@ -54,7 +56,9 @@ pub struct Header {
     pub pulse_count: u64,
     /// Format of the pulse records: 0.
     pub pulse_format: u32,
-    /// Bit mask of attributes after each record: 1 a 16-bit source ID, 2 a 32-bit one.
+    /// Bit mask of attributes after each record.
+    ///
+    /// 1 a 16-bit source ID, 2 a 32-bit one.
     pub pulse_attributes: u32,
     /// Size of a pulse record with attributes and extra bytes, bytes; at least 48.
     pub pulse_size: u32,
@@ -90,7 +94,9 @@ pub struct Header {
 pub enum TimeAxis {
     /// Seconds of the GPS week.
     WeekSeconds,
-    /// Standard GPS time: seconds since 1980-01-06. LAS adjusted standard time is this minus 1e9 s.
+    /// Standard GPS time: seconds since 1980-01-06.
+    ///
+    /// LAS adjusted standard time is this minus 1e9 s.
     Standard,
     /// Undecided, for example T below one week with an offset of 1e9 s.
     ///
@@ -160,10 +166,10 @@ impl Header {
         })
     }
 
-    /// Converts a raw `t` to GPS time, s: `t * scale + offset`; see [`Header::time_axis`] for the
-    /// epoch.
+    /// Converts a raw `t` to GPS time, s.
     ///
-    /// With an offset of 1e9 s a double resolves 0.12 µs: compare and order pulses by raw T.
+    /// `t * scale + offset`; see [`Header::time_axis`] for the epoch. With an offset of 1e9 s a
+    /// double resolves 0.12 µs: compare and order pulses by raw T.
     pub fn gps_time_s(&self, t: i64) -> f64 {
         t as f64 * self.t_scale_s + self.t_offset_s
     }
@@ -228,7 +234,9 @@ fn check_signature(file: &Path, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Reads the version; only 0.3 and its forward-compatible successors have this layout.
+/// Reads the version.
+///
+/// Only 0.3 and its forward-compatible successors have this layout.
 fn version(file: &Path, f: &mut Fields<'_>) -> Result<(u8, u8)> {
     let (major, minor) = (f.u8("version major")?, f.u8("version minor")?);
     if major != 0 || minor < 3 {
@@ -261,7 +269,9 @@ fn sizes(f: &mut Fields<'_>) -> Result<(u16, u64, u64)> {
     Ok((header_size, offset, count))
 }
 
-/// Reads format, attributes and size of the pulse records; rejects compressed ones.
+/// Reads format, attributes and size of the pulse records.
+///
+/// Rejects compressed ones.
 fn record_layout(file: &Path, f: &mut Fields<'_>) -> Result<(u32, u32, u32)> {
     let format = f.u32("pulse format")?;
     if format != 0 {

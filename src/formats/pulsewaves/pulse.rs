@@ -16,7 +16,9 @@ pub struct Pulse {
     pub index: u64,
     /// GPS time as stored; exact, defines the order of pulses.
     pub t: i64,
-    /// GPS time, s: [`Header::gps_time_s`] of `t`; see [`Header::time_axis`] for the epoch.
+    /// GPS time, s: [`Header::gps_time_s`] of `t`.
+    ///
+    /// See [`Header::time_axis`] for the epoch.
     pub gps_time_s: f64,
     /// Offset of the waves from the start of the waves file, bytes.
     pub wave_offset: i64,
@@ -28,24 +30,29 @@ pub struct Pulse {
     ///
     /// It is the optical centre if the descriptor's `optical_center_to_anchor` is 0.
     pub anchor: [f64; 3],
-    /// Target x, y, z: the point of the beam 1000 sampling units beyond the anchor.
+    /// Target x, y, z.
     ///
-    /// Both are rounded, so their distance is not exact.
+    /// The point of the beam 1000 sampling units beyond the anchor. Both are rounded, so their
+    /// distance is not exact.
     pub target: [f64; 3],
-    /// Displacement per sampling unit: a thousandth of target minus anchor, from the stored
-    /// integers.
+    /// Displacement per sampling unit.
+    ///
+    /// A thousandth of target minus anchor, from the stored integers.
     pub step: [f64; 3],
     /// Sampling units from the anchor to the first returning sample, rounded; segments hold the
     /// fraction.
     pub first_returning_sample: i16,
-    /// Sampling units from the anchor to the last returning sample; one more in files of several
-    /// writers.
+    /// Sampling units from the anchor to the last returning sample.
+    ///
+    /// One more in files of several writers.
     pub last_returning_sample: i16,
     /// Index of the descriptor of the waves.
     pub descriptor: u8,
     /// Whether the pulse is the last of a scan line.
     pub edge_of_scan_line: bool,
-    /// Direction of the mirror; the assignment of directions is not defined.
+    /// Direction of the mirror.
+    ///
+    /// The assignment of directions is not defined.
     pub scan_direction: bool,
     /// Facet of the mirror, 0 to 3.
     pub mirror_facet: u8,

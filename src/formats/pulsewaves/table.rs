@@ -12,7 +12,9 @@ const SET_BYTES: u32 = 76;
 ///
 /// 84 with the compression field of later revisions.
 const TABLE_BYTES: u32 = 80;
-/// Data type of the entries: 32-bit float, the only one defined.
+/// Data type of the entries.
+///
+/// 32-bit float, the only one defined.
 const FLOAT: u8 = 8;
 
 /// Lookup tables of a record (`PulseWaves_Spec` 300001 to 300255).

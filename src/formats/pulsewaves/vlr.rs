@@ -16,7 +16,9 @@ use crate::formats::{Error, Result};
 const HEADER_BYTES: usize = 96;
 /// User ID of the records defined by the specification.
 const SPEC: &str = "PulseWaves_Spec";
-/// User IDs of the coordinate reference system; the second is that of LAS.
+/// User IDs of the coordinate reference system.
+///
+/// The second is that of LAS.
 const PROJECTION: [&str; 2] = ["PulseWaves_Proj", "LASF_Projection"];
 /// Record ID of the marker of compressed pulses.
 const COMPRESSED: u32 = 5;
@@ -118,7 +120,9 @@ pub(super) struct Records {
 }
 
 impl Records {
-    /// Reads all records of the pulse file; an appended record replaces one of the same ID.
+    /// Reads all records of the pulse file.
+    ///
+    /// An appended record replaces one of the same ID.
     pub(super) fn read<R: Read + Seek>(window: &mut Window<R>, header: &Header) -> Result<Records> {
         let mut records = Records::default();
         let mut at = u64::from(header.header_size);
@@ -210,7 +214,9 @@ fn index(record_id: u32, base: u32) -> Option<u8> {
     record_id.checked_sub(base).and_then(|i| u8::try_from(i).ok()).filter(|&i| i > 0)
 }
 
-/// Parses a record's header or footer: user ID, record ID, payload length, description.
+/// Parses a record's header or footer.
+///
+/// User ID, record ID, payload length, description.
 fn parse(file: &Path, base: u64, bytes: &[u8]) -> Result<(String, u32, i64, String)> {
     let mut f = Fields::new(file, base, bytes);
     let user_id = f.text(16, "user ID")?;
@@ -220,7 +226,9 @@ fn parse(file: &Path, base: u64, bytes: &[u8]) -> Result<(String, u32, i64, Stri
     Ok((user_id, record_id, length, f.text(DESCRIPTION_BYTES, "description")?))
 }
 
-/// Reads the record header at byte `at`; the record must end before the pulses.
+/// Reads the record header at byte `at`.
+///
+/// The record must end before the pulses.
 fn read_header<R: Read + Seek>(
     window: &mut Window<R>,
     header: &Header,
@@ -273,7 +281,9 @@ fn find_appended<R: Read + Seek>(
     Ok((None, Vec::new()))
 }
 
-/// Reads the payload of a record; also returns the file name.
+/// Reads the payload of a record.
+///
+/// Also returns the file name.
 fn payload<'w, R: Read + Seek>(window: &'w mut Window<R>, record: &Record) -> Result<(&'w Path, &'w [u8])> {
     let field = format!("record {} of {}", record.record_id, record.user_id);
     if record.length > MOST_PAYLOAD {

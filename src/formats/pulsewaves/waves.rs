@@ -7,7 +7,9 @@ use super::descriptor::{Descriptor, Kind, Sampling};
 use super::window::Window;
 use crate::formats::{Error, Result};
 
-/// Largest size of the waves of a pulse, bytes: over 600 km of range at one byte per ns.
+/// Largest size of the waves of a pulse, bytes.
+///
+/// Over 600 km of range at one byte per ns.
 const MOST_BYTES: u64 = 1 << 22;
 /// Maximum number of segments of a pulse.
 const MOST_SEGMENTS: usize = 1 << 16;

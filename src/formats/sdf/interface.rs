@@ -190,7 +190,9 @@ unsafe fn function<T: Copy>(library: &Library, name: &CStr) -> Result<T, libload
 /// Longest text read from the library, bytes.
 const MAX_TEXT: usize = 1 << 12;
 
-/// Copies a text of the library; empty for a null pointer.
+/// Copies a text of the library.
+///
+/// Empty for a null pointer.
 ///
 /// # Safety
 /// `from` is null or points to a C string, and no other thread calls the library meanwhile.
@@ -221,7 +223,9 @@ impl Drop for Handle {
 }
 
 impl Handle {
-    /// Rebuilds the index next to the data; reads the whole file.
+    /// Rebuilds the index next to the data.
+    ///
+    /// Reads the whole file.
     pub(super) fn reindex(&mut self) -> Answer<()> {
         let alone = alone();
         // SAFETY: the file is open.
@@ -264,8 +268,9 @@ impl Handle {
         Ok(SdfInfo { instrument, serial, epoch, group_velocity_mps, sampling_interval_s, flags, facets })
     }
 
-    /// Returns a calibration table: amplitude of channels 0 and 1 (kinds 0, 1), range of channels 0
-    /// and 1 (kinds 2, 3).
+    /// Returns a calibration table.
+    ///
+    /// Amplitude of channels 0 and 1 (kinds 0, 1), range of channels 0 and 1 (kinds 2, 3).
     pub(super) fn table(&mut self, kind: u16) -> Answer<Vec<(f64, f64)>> {
         const NAME: &str = "fwifc_get_calib";
         let alone = alone();
@@ -380,7 +385,9 @@ fn check_array(count: u32, stride: u32, blocks: *const RawBlock) -> Result<(), S
     }
 }
 
-/// Checks a block; `before` is the number of samples already in the record.
+/// Checks a block.
+///
+/// `before` is the number of samples already in the record.
 fn check_block(block: &RawBlock, before: usize) -> Result<(), String> {
     if block.sample_count > MAX_SAMPLES {
         Err(format!("a block of {} samples", block.sample_count))

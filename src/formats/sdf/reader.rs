@@ -35,7 +35,9 @@ pub struct SdfReader {
     reindexed: bool,
 }
 
-/// Speed of light in vacuum, m/s: the upper limit of the group velocity.
+/// Speed of light in vacuum, m/s.
+///
+/// The upper limit of the group velocity.
 const LIGHT_MPS: f64 = 299_792_458.0;
 
 impl SdfReader {
@@ -99,7 +101,9 @@ impl SdfReader {
         (tables, remarks)
     }
 
-    /// Reads the next record; `false` at the end of the file.
+    /// Reads the next record.
+    ///
+    /// `false` at the end of the file.
     ///
     /// # Errors
     /// The library reports an error or returns invalid counts.
@@ -119,17 +123,23 @@ impl SdfReader {
         }
     }
 
-    /// Seeks to a record, from 1; `u32::MAX` is the last. `false` if it does not exist.
+    /// Seeks to a record, from 1; `u32::MAX` is the last.
+    ///
+    /// `false` if it does not exist.
     pub fn seek(&mut self, record: u32) -> Result<bool> {
         self.navigate(|handle| handle.seek(record))
     }
 
-    /// Seeks to a time of the instrument's clock, s; `false` if all records are earlier.
+    /// Seeks to a time of the instrument's clock, s.
+    ///
+    /// `false` if all records are earlier.
     pub fn seek_time(&mut self, time_s: f64) -> Result<bool> {
         self.navigate(|handle| handle.seek_time(time_s))
     }
 
-    /// Seeks to an external time, s; `false` if all records are earlier.
+    /// Seeks to an external time, s.
+    ///
+    /// `false` if all records are earlier.
     pub fn seek_time_external(&mut self, time_s: f64) -> Result<bool> {
         self.navigate(|handle| handle.seek_time_external(time_s))
     }

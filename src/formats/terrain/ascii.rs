@@ -1,4 +1,6 @@
-//! ESRI ASCII grids: a header of keywords and numbers, then heights row by row from the north.
+//! ESRI ASCII grids.
+//!
+//! A header of keywords and numbers, then heights row by row from the north.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -52,7 +54,9 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
 struct Header(BTreeMap<String, f64>);
 
 impl Header {
-    /// Reads keywords and numbers; leaves the first height as the current word.
+    /// Reads keywords and numbers.
+    ///
+    /// Leaves the first height as the current word.
     fn read(words: &mut Words) -> Result<Header> {
         let mut header = BTreeMap::new();
         while words.next()? {
@@ -124,7 +128,9 @@ struct Words<'a> {
 }
 
 impl Words<'_> {
-    /// Reads the next word; `false` at the end of the file.
+    /// Reads the next word.
+    ///
+    /// `false` at the end of the file.
     fn next(&mut self) -> Result<bool> {
         self.word.clear();
         loop {

@@ -66,7 +66,9 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     Ok(Raster { columns, rows, first_m, step_m, heights_m, epsg: geokeys::epsg(&keys) })
 }
 
-/// Converts heights of any sample type to `f32`; NaN if missing.
+/// Converts heights of any sample type to `f32`.
+///
+/// NaN if missing.
 fn heights(image: DecodingResult, nodata: Option<f64>) -> Option<Vec<f32>> {
     fn all<T: Copy + Into<f64>>(values: &[T], nodata: Option<f64>) -> Vec<f32> {
         let height = |&value: &T| {

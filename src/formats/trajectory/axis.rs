@@ -73,7 +73,9 @@ pub(super) fn may_be(clock: Clock, [least_s, most_s]: [f64; 2]) -> bool {
     range_s(clock)[0] <= least_s && most_s <= range_s(clock)[1]
 }
 
-/// Chooses the clock: the user's, else the file's, else one that fits the times.
+/// Chooses the clock.
+///
+/// The user's, else the file's, else one that fits the times.
 fn clock_of(
     path: &Path,
     stated: &Stated,
@@ -111,7 +113,9 @@ fn clock_of(
     Err(Error::unusable(path, problem, remedy))
 }
 
-/// Returns the offset from a clock to adjusted time, s; `None` without a date.
+/// Returns the offset from a clock to adjusted time, s.
+///
+/// `None` without a date.
 fn anchor_s(clock: Clock, first_s: f64, date: Option<[u16; 3]>) -> Option<f64> {
     if clock == Clock::Adjusted {
         return Some(0.0);

@@ -1,4 +1,6 @@
-//! Sequential reader of fixed-size records and lines; allocates nothing by sizes from the file.
+//! Sequential reader of fixed-size records and lines.
+//!
+//! Allocates nothing by sizes from the file.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};

@@ -1,8 +1,8 @@
-//! POF, RIEGL's position and orientation file, versions 1.0 and 1.1; written as 1.1.
+//! POF, RIEGL's position and orientation file, versions 1.0 and 1.1.
 //!
-//! The layout is taken from public readers; it is not verified with an original RIEGL file. All
-//! fields are little-endian and packed: a header of [`HEADER_BYTES`], then records of
-//! [`RECORD_BYTES`]. Records of version 1.0 lack the distance.
+//! Written as 1.1. The layout is taken from public readers; it is not verified with an original
+//! RIEGL file. All fields are little-endian and packed: a header of [`HEADER_BYTES`], then records
+//! of [`RECORD_BYTES`]. Records of version 1.0 lack the distance.
 
 use super::super::bytes::Fields;
 use super::axis::Stated;
@@ -14,7 +14,9 @@ use crate::geo::time_axis::Clock;
 /// First bytes of a POF file.
 pub const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION\0";
 
-/// Size of the header that [`PofHeader::encode`] writes; the records follow it.
+/// Size of the header that [`PofHeader::encode`] writes.
+///
+/// The records follow it.
 pub const HEADER_BYTES: usize = 315;
 
 /// Size of a record of version 1.1, bytes.
@@ -63,7 +65,9 @@ pub struct PofRecord {
 }
 
 impl PofHeader {
-    /// Encodes the header; texts (zone, location, device, project, company) are empty.
+    /// Encodes the header.
+    ///
+    /// Texts (zone, location, device, project, company) are empty.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(HEADER_BYTES);
         bytes.extend(MAGIC);
@@ -102,7 +106,9 @@ impl PofRecord {
     }
 }
 
-/// Size of the header before its texts, bytes; records cannot begin earlier.
+/// Size of the header before its texts, bytes.
+///
+/// Records cannot begin earlier.
 const NEEDED_BYTES: u32 = 123;
 /// Size of a record of version 1.0, bytes.
 const RECORD_BYTES_1_0: usize = 56;
@@ -178,7 +184,9 @@ fn stated(header: &PofHeader, notes: &mut Vec<String>) -> Stated {
     Stated { clock, is_utc: header.time_info == 1, date: Some(header.date) }
 }
 
-/// Returns the number of records to read: the header's count, or all if it gives none.
+/// Returns the number of records to read.
+///
+/// The header's count, or all if it gives none.
 fn counted(header: &PofHeader, input: &Input, size: usize, notes: &mut Vec<String>) -> Option<u64> {
     let bytes = input.length.saturating_sub(input.offset);
     match u64::try_from(header.records) {

@@ -10,7 +10,9 @@ use super::Result;
 use super::input::Input;
 use crate::geo::trajectory::{Accuracy, AccuracySample};
 
-/// First bytes of a POQ file; a POF has a zero byte instead of the last blank.
+/// First bytes of a POQ file.
+///
+/// A POF has a zero byte instead of the last blank.
 pub const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION ";
 
 /// Size of the title at the beginning of the header, bytes.

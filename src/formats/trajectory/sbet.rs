@@ -1,6 +1,7 @@
-//! SBET, smoothed best estimate of trajectory: records of 17 little-endian doubles, no header.
+//! SBET, smoothed best estimate of trajectory.
 //!
-//! Source: Applanix, "POSPac MMS User Guide", appendix on output file formats.
+//! Records of 17 little-endian doubles, no header. Source: Applanix, "POSPac MMS User Guide",
+//! appendix on output file formats.
 
 use super::axis::Stated;
 use super::input::Input;

@@ -1,6 +1,7 @@
-//! smrmsg, the accuracies of an SBET: records of ten little-endian doubles, no header.
+//! smrmsg, the accuracies of an SBET.
 //!
-//! Source: Applanix, "POSPac MMS User Guide", appendix on output file formats.
+//! Records of ten little-endian doubles, no header. Source: Applanix, "POSPac MMS User Guide",
+//! appendix on output file formats.
 
 use super::Result;
 use super::input::Input;
@@ -9,7 +10,9 @@ use crate::geo::trajectory::{Accuracy, AccuracySample};
 /// Size of a record, bytes.
 pub const RECORD_BYTES: usize = 80;
 
-/// Returns whether a file of this length may be smrmsg: whole records, plausible first record.
+/// Returns whether a file of this length may be smrmsg.
+///
+/// It needs whole records and a plausible first record.
 pub(super) fn is_one(head: &[u8], length: u64) -> bool {
     let numbers: Vec<f64> = head
         .chunks_exact(8)

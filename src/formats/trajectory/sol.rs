@@ -1,6 +1,7 @@
-//! SOL, the solution of Leica IPAS: packed little-endian records of 184 bytes, no header.
+//! SOL, the solution of Leica IPAS.
 //!
-//! The layout is taken from one public reader; it is not verified with an original file.
+//! Packed little-endian records of 184 bytes, no header. The layout is taken from one public
+//! reader; it is not verified with an original file.
 
 use super::super::Error;
 use super::axis::Stated;
@@ -18,7 +19,9 @@ pub const RECORD_BYTES: usize = 184;
 /// Offset of the check byte, which is the XOR of the bytes before it.
 const CHECK_BYTE: usize = 34;
 
-/// Returns whether a file may be SOL: the check byte is valid, the first record plausible.
+/// Returns whether a file may be SOL.
+///
+/// It needs a valid check byte and a plausible first record.
 pub(super) fn is_one(head: &[u8]) -> bool {
     use core::f64::consts::{FRAC_PI_2, TAU};
     let Some(record) = head.get(..RECORD_BYTES) else { return false };
@@ -37,7 +40,9 @@ fn holds(record: &[u8]) -> bool {
     from.first() == Some(&before.iter().fold(0, |check, byte| check ^ byte))
 }
 
-/// Decodes GPS week and sample; the time is in adjusted seconds.
+/// Decodes GPS week and sample.
+///
+/// The time is in adjusted seconds.
 fn decode(mut fields: Fields) -> Result<(u16, Sample)> {
     fields.skip(16, "header of the record")?;
     let week = fields.u16("GPS week")?;

@@ -250,7 +250,9 @@ fn every_format_tells_the_same_flight() {
     }
 }
 
-/// TRJ headings are relative to grid north: 2.2 degrees of convergence at 12 E in zone 33.
+/// TRJ headings are relative to grid north.
+///
+/// 2.2 degrees of convergence at 12 E in zone 33.
 #[test]
 fn the_grids_north_is_not_true_north() {
     let samples = flight(100.0, 2);

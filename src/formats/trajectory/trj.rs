@@ -1,8 +1,8 @@
-//! TRJ, TerraScan's trajectory: little-endian header of 1376 bytes, then 64-byte records.
+//! TRJ, TerraScan's trajectory.
 //!
-//! Source: Terrasolid, "TerraScan User's Guide", section on trajectory file formats. Positions are
-//! projected, but the file does not name the projection. Headings are assumed to be relative to
-//! grid north; the guide does not say so.
+//! Little-endian header of 1376 bytes, then 64-byte records. Source: Terrasolid, "TerraScan User's
+//! Guide", section on trajectory file formats. Positions are projected, but the file does not name
+//! the projection. Headings are assumed to be relative to grid north; the guide does not say so.
 
 use super::super::Error;
 use super::super::bytes::Fields;
@@ -64,7 +64,9 @@ fn decode(fields: &mut Fields) -> Result<MapSample> {
     Ok(MapSample { time_s, place, attitude: Attitude { roll_rad, pitch_rad, heading_rad } })
 }
 
-/// Rejects invalid samples; the error gives the offset of the record.
+/// Rejects invalid samples.
+///
+/// The error gives the offset of the record.
 fn check(path: &std::path::Path, offset: u64, record: u64, sample: &MapSample) -> Result<()> {
     let MapSample { time_s, place: [x, y, z], attitude } = *sample;
     let fields = [

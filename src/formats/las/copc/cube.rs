@@ -1,10 +1,12 @@
-//! Bounding cube of all points and its octree division: keys of points and nodes.
+//! Bounding cube of all points and its octree division.
 //!
-//! A key interleaves the bits of the three cell numbers of the finest division, x lowest (Morton
-//! order). Points of the same node, or of the same cell of a node, are therefore consecutive in key
-//! order.
+//! Keys of points and nodes. A key interleaves the bits of the three cell numbers of the finest
+//! division, x lowest (Morton order). Points of the same node, or of the same cell of a node, are
+//! therefore consecutive in key order.
 
-/// Bisections of the cube in a key: 2^21 cells along an axis.
+/// Bisections of the cube in a key.
+///
+/// 2^21 cells along an axis.
 pub(super) const KEY_LEVELS: u32 = 21;
 /// A node holds one point in each of its 2^7 = 128 cells along an axis.
 pub(super) const CELL_LEVELS: u32 = 7;

@@ -41,7 +41,9 @@ impl Octree {
         Octree { leaf_points, open: Vec::new() }
     }
 
-    /// Adds the next point; complete nodes go to `done`. Keys must not decrease.
+    /// Adds the next point; complete nodes go to `done`.
+    ///
+    /// Keys must not decrease.
     ///
     /// # Errors
     /// Those of `done`.

@@ -50,7 +50,9 @@ impl<'a> Sorter<'a> {
         Ok(())
     }
 
-    /// Passes each record with its key to `take`, in order. `path` names the output in errors.
+    /// Passes each record with its key to `take`, in order.
+    ///
+    /// `path` names the output in errors.
     ///
     /// # Errors
     /// Those of `take`, or a run cannot be read.
@@ -103,7 +105,9 @@ impl Run {
         Run { input: BufReader::with_capacity(1 << 18, input), entry: vec![0; entry] }
     }
 
-    /// Advances to the next record and returns its key; `None` at the end.
+    /// Advances to the next record and returns its key.
+    ///
+    /// `None` at the end.
     fn next(&mut self) -> io::Result<Option<u64>> {
         use io::BufRead;
         if self.input.fill_buf()?.is_empty() {

@@ -17,7 +17,9 @@ const INFO_BYTES: usize = 160;
 const INFO: u16 = 1;
 const HIERARCHY: u16 = 1000;
 
-/// Octree node as stored in the file: COPC 1.0, "hierarchy VLR".
+/// Octree node as stored in the file.
+///
+/// COPC 1.0, "hierarchy VLR".
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Entry {
     pub(super) level: u32,
@@ -35,7 +37,9 @@ pub(super) struct Hierarchy {
     bytes: u64,
 }
 
-/// Encodes the octree as an extended record at byte `at`; all nodes are on one page.
+/// Encodes the octree as an extended record at byte `at`.
+///
+/// All nodes are on one page.
 pub(super) fn hierarchy(at: u64, entries: &[Entry]) -> Hierarchy {
     let mut data = Vec::with_capacity(entries.len() * 32);
     for entry in entries {
@@ -114,7 +118,9 @@ impl Start {
         Ok(start)
     }
 
-    /// Encodes header and VLRs; fields known only at the end are zero without `end`.
+    /// Encodes header and VLRs.
+    ///
+    /// Fields known only at the end are zero without `end`.
     ///
     /// # Errors
     /// A record is too long.

@@ -194,8 +194,9 @@ fn returns_of_one_pulse_have_one_anchor() {
     assert!(worst_ours < 0.005, "{worst_ours}");
 }
 
-/// Returns the peak position in samples: the vertex of the parabola through the strongest sample
-/// and its neighbours.
+/// Returns the peak position in samples.
+///
+/// The vertex of the parabola through the strongest sample and its neighbours.
 fn peak(samples: &[u16]) -> f64 {
     let (mut at, mut strongest) = (0, 0);
     for (i, &sample) in samples.iter().enumerate() {
@@ -244,7 +245,9 @@ fn packets_hold_the_samples_of_the_pulsewaves_twin() {
     assert!(mean_ps.abs() < 50.0, "{mean_ps} ps");
 }
 
-/// Opens a file and reads all points and packets; ignores errors of single packets.
+/// Opens a file and reads all points and packets.
+///
+/// Ignores errors of single packets.
 fn read_through(path: &Path) -> crate::formats::Result<usize> {
     let mut reader = Reader::open(path)?;
     let (mut point, mut samples, mut n) = (Point::default(), Vec::new(), 0);

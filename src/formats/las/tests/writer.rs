@@ -45,7 +45,9 @@ fn write(name: &str, options: &WriterOptions, points: &[PointOut], extra: &[u8])
     sink.into_inner()
 }
 
-/// Creates points on a spiral: neighbours are similar, as in a real cloud.
+/// Creates points on a spiral.
+///
+/// Neighbours are similar, as in a real cloud.
 pub(super) fn cloud(n: usize) -> Vec<PointOut> {
     (0..n)
         .map(|i| {
@@ -175,7 +177,9 @@ fn without_crs_and_in_week_time_the_bits_are_clear() {
     assert_eq!(las[179..227], [0; 48], "no points, no bounding box");
 }
 
-/// Returns header and uncompressed records of a file; LAZ is decoded by the `laz` crate.
+/// Returns header and uncompressed records of a file.
+///
+/// LAZ is decoded by the `laz` crate.
 fn records(bytes: &[u8]) -> (Header, Vec<u8>) {
     let header = Header::parse(Path::new("a"), &bytes[..375.min(bytes.len())], bytes.len() as u64).unwrap();
     let start = header.offset_to_points as usize;

@@ -1,10 +1,10 @@
-//! Extra bytes of compressed points: LASzip item `Byte14`, version 3, one layer per byte.
+//! Extra bytes of compressed points.
 //!
-//! A layer holds the difference of each byte to the previous one, by adaptive arithmetic coding
-//! with 32-bit intervals (A. Said, "Introduction to Arithmetic Coding: Theory and Practice",
-//! HPL-2004-76). The output is identical to that of the `laz` crate's compressor. Here one layer is
-//! encoded at a time: each symbol depends on the interval left by the previous one, which thus
-//! stays in registers.
+//! LASzip item `Byte14`, version 3, one layer per byte. A layer holds the difference of each byte
+//! to the previous one, by adaptive arithmetic coding with 32-bit intervals (A. Said, "Introduction
+//! to Arithmetic Coding: Theory and Practice", HPL-2004-76). The output is identical to that of the
+//! `laz` crate's compressor. Here one layer is encoded at a time: each symbol depends on the
+//! interval left by the previous one, which thus stays in registers.
 
 /// Scanner channels, each with its own frequencies.
 const CHANNELS: usize = 4;
@@ -96,7 +96,9 @@ impl ByteLayers {
         Step { channel, from: before, to: if is_new { channel } else { before } }
     }
 
-    /// Returns the bytes of each layer; a layer of constant bytes is empty.
+    /// Returns the bytes of each layer.
+    ///
+    /// A layer of constant bytes is empty.
     pub(super) fn finish(self) -> impl Iterator<Item = Vec<u8>> {
         self.layers
             .into_iter()
@@ -204,8 +206,9 @@ impl Encoder {
         (self.lower, self.length, self.n_bytes) = (lower, length, at);
     }
 
-    /// Finishes the encoding: enough bytes to identify the interval, and zeros for decoder
-    /// read-ahead.
+    /// Finishes the encoding.
+    ///
+    /// Enough bytes to identify the interval, and zeros for decoder read-ahead.
     fn finish(mut self) -> Vec<u8> {
         let is_long = self.length > 2 * SHORTEST;
         let (step, settled, zeros) = if is_long { (SHORTEST, 1, 3) } else { (SHORTEST / 2, 2, 2) };

@@ -102,7 +102,9 @@ struct Beside {
     jobs: Option<Sender<Job>>,
     /// Chunks not yet written, in order.
     waiting: VecDeque<Receiver<(Chunk, Vec<u8>)>>,
-    /// Maximum number of chunks in flight: two per thread, including the one being gathered.
+    /// Maximum number of chunks in flight.
+    ///
+    /// Two per thread, including the one being gathered.
     most: usize,
     threads: Vec<JoinHandle<()>>,
     /// Record buffers for reuse.
@@ -141,7 +143,9 @@ impl Beside {
         !self.waiting.is_empty()
     }
 
-    /// Queues records and replaces them with an empty buffer; `false` without threads.
+    /// Queues records and replaces them with an empty buffer.
+    ///
+    /// `false` without threads.
     fn send(&mut self, records: &mut Vec<u8>) -> bool {
         let Some(jobs) = &self.jobs else { return false };
         let next = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(records.capacity()));
@@ -153,7 +157,9 @@ impl Beside {
         true
     }
 
-    /// Waits for the oldest queued chunk; `None` if there is none.
+    /// Waits for the oldest queued chunk.
+    ///
+    /// `None` if there is none.
     fn next(&mut self) -> Option<Chunk> {
         let received = self.waiting.pop_front()?.recv();
         let Ok((chunk, records)) = received else { return Some(Err(has_ended())) };

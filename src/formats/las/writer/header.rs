@@ -91,7 +91,9 @@ impl Totals {
         }
     }
 
-    /// Stores the summary fields; the bounding box is that of the quantised coordinates.
+    /// Stores the summary fields.
+    ///
+    /// The bounding box is that of the quantised coordinates.
     pub(super) fn patch(&self, header: &mut [u8], options: (Version, [f64; 3], [f64; 3])) {
         let (version, scale, offset) = options;
         let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);

@@ -6,7 +6,9 @@ use crate::formats::las::ExtraAttribute;
 use crate::formats::las::header::HEADER_1_4;
 use crate::formats::{Error, Result};
 
-/// LAS versions for output; points have a time and no colours.
+/// LAS versions for output.
+///
+/// Points have a time and no colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Version {
     /// LAS 1.2: point format 1.
@@ -71,7 +73,9 @@ pub struct WriterOptions<'a> {
     pub version: Version,
     /// Coordinate steps of x, y, z, in units of the coordinate system, above 0.
     pub scale: [f64; 3],
-    /// Offsets of x, y, z; coordinates are stored as 32-bit multiples of the step from here.
+    /// Offsets of x, y, z.
+    ///
+    /// Coordinates are stored as 32-bit multiples of the step from here.
     pub offset: [f64; 3],
     /// Coordinate system as OGC WKT 1.
     ///
@@ -86,7 +90,9 @@ pub struct WriterOptions<'a> {
     pub creation_day: u16,
     /// Year of creation.
     pub creation_year: u16,
-    /// System that created the data; at most 32 bytes are kept.
+    /// System that created the data.
+    ///
+    /// At most 32 bytes are kept.
     pub system_identifier: &'a str,
     /// Software; at most 32 bytes are kept.
     pub generating_software: &'a str,
@@ -96,9 +102,10 @@ pub struct WriterOptions<'a> {
     pub waveforms: WavePlace,
     /// Location of the spatial index.
     pub index: IndexPlace,
-    /// Number of compression threads; does not affect the bytes of the file.
+    /// Number of compression threads.
     ///
-    /// Each thread needs memory for at most 100 000 points and their compressed form.
+    /// Does not affect the bytes of the file. Each thread needs memory for at most 100 000 points
+    /// and their compressed form.
     pub threads: usize,
 }
 

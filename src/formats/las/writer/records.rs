@@ -99,9 +99,10 @@ pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> 
     Ok(bytes)
 }
 
-/// Encodes the coordinate system: WKT, or GeoTIFF keys before LAS 1.4.
+/// Encodes the coordinate system.
 ///
-/// WKT is also written before LAS 1.4 if no EPSG code defines the whole system.
+/// WKT, or GeoTIFF keys before LAS 1.4. WKT is also written before LAS 1.4 if no EPSG code defines
+/// the whole system.
 fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<Vec<Vec<u8>>> {
     let keys = options.version.is_legacy().then(|| geokeys::of_wkt(wkt)).flatten();
     let has_code = keys.as_ref().is_some_and(|keys| geokeys::epsg(&keys.directory).is_some());

@@ -92,9 +92,9 @@ impl Tile {
         &self.raw[axis][..self.n]
     }
 
-    /// Quantises all coordinates; returns the smallest and largest of each axis.
+    /// Quantises all coordinates.
     ///
-    /// `None` if a coordinate may exceed 32 bits.
+    /// Returns the smallest and largest of each axis. `None` if a coordinate may exceed 32 bits.
     pub(super) fn count_steps(&mut self, scale: [f64; 3], offset: [f64; 3]) -> Option<[(i32, i32); 3]> {
         let mut ends = [(i32::MAX, i32::MIN); 3];
         for axis in 0..3 {
@@ -185,7 +185,9 @@ impl<'a> ExtraColumns<'a> {
         ExtraColumns { records, record_length, at: standard_length }
     }
 
-    /// Returns the number of unset bytes; negative if too many were set.
+    /// Returns the number of unset bytes.
+    ///
+    /// Negative if too many were set.
     pub(super) fn left(&self) -> i64 {
         self.record_length as i64 - self.at as i64
     }

@@ -38,8 +38,9 @@ impl Bytes {
     }
 }
 
-/// Encodes a pulse record: T, offset to waves, anchor, target, first and last sample, descriptor,
-/// flags, intensity, class.
+/// Encodes a pulse record.
+///
+/// T, offset to waves, anchor, target, first and last sample, descriptor, flags, intensity, class.
 pub(super) fn pulse(t: i64, offset: i64, descriptor: u8, flags: u8) -> Vec<u8> {
     let b = Bytes::default().i64(t).i64(offset);
     let b = [100, -200, 3000, 101, -202, 2850].into_iter().fold(b, Bytes::i32);

@@ -342,7 +342,9 @@ fn a_promise_of_too_many_pulses_is_checked_against_the_file() {
     assert_eq!(error, "t.pls: byte 844: pulse 2: the file has 2 pulses; request one of them");
 }
 
-/// Counts readable pulses, and pulses with readable waves; all others must give an error.
+/// Counts readable pulses, and pulses with readable waves.
+///
+/// All others must give an error.
 fn read_all(path: &Path) -> (u64, u64) {
     let Ok(mut reader) = Reader::open(path) else { return (0, 0) };
     let (mut waves, mut with_waves) = (Waves::new(), 0);
@@ -356,8 +358,9 @@ fn read_all(path: &Path) -> (u64, u64) {
     (reader.pulse_count(), with_waves)
 }
 
-/// Returns cut positions for a file of `n` bytes: 40 in its first kilobytes and 40 over the whole,
-/// in order.
+/// Returns cut positions for a file of `n` bytes.
+///
+/// 40 in its first kilobytes and 40 over the whole, in order.
 fn cuts(n: usize) -> Vec<usize> {
     let places = (0..40).flat_map(|i| [i * n.min(4000) / 40 + i % 7, i * n / 40 + i % 5]);
     let mut places: Vec<usize> = places.filter(|&cut| cut < n).collect();

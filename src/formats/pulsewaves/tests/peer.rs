@@ -1,4 +1,6 @@
-//! Compares real files with dumps of the PulseWaves C++ library: every field, segment and sample.
+//! Compares real files with dumps of the PulseWaves C++ library.
+//!
+//! Every field, segment and sample.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -89,7 +91,9 @@ fn check_position(words: &[&str], segment: &Segment, pulse: &Pulse, reader: &Rea
     }
 }
 
-/// Compares a file with its dump; returns the number of pulses, segments and samples compared.
+/// Compares a file with its dump.
+///
+/// Returns the number of pulses, segments and samples compared.
 fn compare(folder: &Path, name: &str) -> (u64, usize, usize) {
     let mut reader = Reader::open(&folder.join(format!("{name}.pls"))).unwrap();
     reader.check_complete().unwrap();

@@ -195,8 +195,9 @@ fn outgoing_segments_start_nowhere_in_2013_and_on_a_whole_sample_before_the_anch
     assert!((sd - (1.0_f64 / 12.0).sqrt()).abs() < 0.02, "{sd}");
 }
 
-/// Returns the peak position in samples: a parabola through the logarithms of the three highest
-/// samples.
+/// Returns the peak position in samples.
+///
+/// A parabola through the logarithms of the three highest samples.
 fn peak(samples: &[u16]) -> f64 {
     let k = (0..samples.len()).max_by_key(|&k| samples[k]).unwrap();
     let [a, b, c] = [k - 1, k, k + 1].map(|i| f64::from(samples[i]).ln());

@@ -1,4 +1,6 @@
-//! Waves of a pulse: every kind of sampling, handmade and as round trips.
+//! Waves of a pulse.
+//!
+//! Every kind of sampling, handmade and as round trips.
 
 use proptest::prelude::*;
 

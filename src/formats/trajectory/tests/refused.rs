@@ -228,7 +228,9 @@ fn files_may_be_cut_off_anywhere() {
     }
 }
 
-/// False counts and sizes allocate no memory: allocations follow from the bytes present.
+/// False counts and sizes allocate no memory.
+///
+/// Allocations follow from the bytes present.
 #[test]
 fn counts_are_not_believed() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 4);
