@@ -30,9 +30,10 @@ const SCAN_LINE: usize = 2000;
 /// Duration of a run, s.
 const RUN_S: f64 = 0.05;
 const RUNS: usize = 7;
-/// Number of rounds for the SIMD level in use, each after a run of the yardstick.
+/// Number of rounds for the SIMD level in use.
 ///
-/// Other load on the machine slows down either, but rarely for long.
+/// Each follows a run of the yardstick. Other load on the machine slows down either, but rarely for
+/// long.
 const ROUNDS: usize = 9;
 const GOAL: f64 = 0.6;
 /// SD of the backgrounds that vary per waveform, DN.
@@ -73,10 +74,10 @@ fn rate(mut work: impl FnMut()) -> Rate {
     Rate { median: rates[RUNS / 2], best: rates[RUNS - 1] }
 }
 
-/// Returns the robust SD of the normalised position error, and the fraction of waveforms with the
-/// right number of returns.
+/// Returns normalised error SD and fraction of right counts.
 ///
-/// Only the latter enter the SD.
+/// The first is the robust SD of the normalised position error, the second the fraction of
+/// waveforms with the right number of returns. Only the latter enter the SD.
 fn quality(outcomes: &Outcomes, truths: &[Vec<f64>]) -> (f64, f64) {
     let (mut scores, mut right) = (Vec::new(), 0.0);
     for (outcome, truth) in outcomes.iter().zip(truths) {
@@ -293,8 +294,9 @@ fn verdict(figure: f64, goal: f64) -> &'static str {
     if figure >= goal { "reached" } else { "MISSED" }
 }
 
-/// Prints the measured rates and, if the yardstick ran before each round, the medians of the
-/// ratios.
+/// Prints the measured rates and ratios.
+///
+/// Ratios are medians, if the yardstick ran before each round.
 fn report(rounds: &[[Rate; 8]], yards: &[[Rate; 5]]) {
     let rate = |i: usize| median(rounds.iter().map(|rates| rates[i].median).collect()).0;
     let ratio = |i: usize, yard: usize| {

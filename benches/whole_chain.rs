@@ -1,9 +1,9 @@
-//! Speed and memory of the whole chain, from a container to LAZ with all attributes.
+//! Speed and memory of the whole chain.
 //!
-//! `cargo bench --bench whole_chain` creates the mixed scene (`scenes`) with a trajectory. It runs
-//! `wavex run` on a tenth of it and on all of it, on two threads, and prints waveforms per second,
-//! the peak memory of each run, and the table of stages. `-- 10000000` sets the number of waveforms
-//! (default three million).
+//! From a container to LAZ with all attributes. `cargo bench --bench whole_chain` creates the mixed
+//! scene (`scenes`) with a trajectory. It runs `wavex run` on a tenth of it and on all of it, on
+//! two threads, and prints waveforms per second, the peak memory of each run, and the table of
+//! stages. `-- 10000000` sets the number of waveforms (default three million).
 //!
 //! The result is compared with two ceilings. Each adds up the time of decomposition, of compressing
 //! the same records with the `laz` crate, and of georeferencing, divided by two cores without loss.

@@ -1,4 +1,4 @@
-//! Decomposes an array of samples without a file, job or scan line.
+//! Decomposes an array of samples without a file or job.
 //!
 //! Calibrates from waveforms in memory, then fits one.
 //!

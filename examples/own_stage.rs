@@ -12,7 +12,9 @@ use wavex::job::Job;
 use wavex::registry::STAGES;
 use wavex::stage::{self, Config, Context, Item, Map, MapConfig, Site, StageSpec};
 
-/// Name of the stage in jobs, role, and accepted kinds of line; the output has the same kind.
+/// Name, role and accepted kinds of line of the stage.
+///
+/// The output has the same kind.
 const DROP_WEAK: StageSpec = StageSpec::map::<DropWeak>("drop_weak", &[Kind::Returns], None);
 
 /// Drops weak returns.

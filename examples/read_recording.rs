@@ -1,4 +1,6 @@
-//! Reads a recording of any format line by line and prints a summary.
+//! Reads a recording line by line and prints a summary.
+//!
+//! All formats are supported.
 //!
 //!     cargo run --example read_recording -- flight7.pls
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]

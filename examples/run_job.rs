@@ -1,4 +1,6 @@
-//! Runs a job from Rust, like `wavex run`, and returns the report as a value.
+//! Runs a job from Rust, like `wavex run`.
+//!
+//! Returns the report as a value.
 //!
 //!     cargo run --example run_job -- out
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]

@@ -63,7 +63,9 @@ pub enum Content {
     Shots(Blocks),
     /// Returns, ordered by shot, then by time.
     Returns(Returns),
-    /// Returns and their coordinates in the output frame (same order and length).
+    /// Returns and their coordinates in the output frame.
+    ///
+    /// Both have the same order and length.
     Points(Returns, Vec<[f64; 3]>),
 }
 
@@ -152,7 +154,9 @@ impl Batch {
         self.returns().map_or(0, |returns| returns.len())
     }
 
-    /// Returns the memory used by the batch, bytes, as limited by `memory_mb`.
+    /// Returns the memory used by the batch, bytes.
+    ///
+    /// It is limited by `memory_mb`.
     pub fn bytes(&self) -> usize {
         let content = match &self.content {
             Content::Shots(blocks) => blocks.bytes(),
@@ -165,7 +169,7 @@ impl Batch {
         size_of::<Batch>() + self.emissions.capacity() * size_of::<Emission>() + content + waveforms
     }
 
-    /// Updates the batch's share of the budget after a stage has changed it.
+    /// Updates the share of the budget after a change.
     pub(crate) fn recount(&mut self) {
         let bytes = self.bytes();
         if let Some(ticket) = &mut self.ticket {

@@ -99,8 +99,9 @@ impl Error {
     }
 }
 
-/// Returns advice for an I/O error, as the end of a message; empty if the system's message
-/// suffices.
+/// Returns advice for an I/O error, to end a message.
+///
+/// Empty if the system's message suffices.
 fn remedy_of(kind: io::ErrorKind) -> &'static str {
     use io::ErrorKind::{
         AlreadyExists, FileTooLarge, IsADirectory, NotADirectory, NotFound, PermissionDenied, QuotaExceeded,

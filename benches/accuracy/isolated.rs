@@ -53,7 +53,9 @@ pub fn calibration(bench: &mut Bench, model: &ChannelModel) -> f64 {
     shift
 }
 
-/// Returns the RMS deviation of a response from the best-fitting truth, and its shift and width.
+/// Returns the RMS deviation from the best-fitting truth.
+///
+/// Also the shift and width of that fit.
 fn shape_error(truth: &Response, values: &[f64], first_sample: i32) -> [f64; 3] {
     let times: Vec<f64> = (0..values.len()).map(|k| f64::from(first_sample) + k as f64 / 8.0).collect();
     let inside: Vec<usize> = (0..times.len()).filter(|&k| within(times[k], -9.0, 34.0)).collect();

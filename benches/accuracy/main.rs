@@ -141,8 +141,9 @@ fn calibrated(response: &Arc<Response>, seed: u64, full_scale_dn: f64, ringing_s
     calibrate_response(blocks(), &gaussian, &settings).expect("a response").model
 }
 
-/// Changes the full scale, so that a model calibrated with eight bits fits unsaturated strong
-/// echoes.
+/// Changes the full scale of a model.
+///
+/// A model calibrated with eight bits then fits unsaturated strong echoes.
 fn of_scale(model: &ChannelModel, full_scale_dn: f64) -> ChannelModel {
     ChannelModel { full_scale_dn, ..model.clone() }
 }
@@ -184,7 +185,9 @@ fn within(value: f64, low: f64, high: f64) -> bool {
     (low..=high).contains(&value)
 }
 
-/// Checks whether a figure is within limits, and within limits widened by two of its SDs.
+/// Checks whether a figure is within limits.
+///
+/// Also within limits widened by two of its SDs.
 fn within_known(value: f64, low: f64, high: f64, sd: f64) -> [bool; 2] {
     [within(value, low, high), within(value, low - 2.0 * sd, high + 2.0 * sd)]
 }

@@ -1,4 +1,6 @@
-//! False alarms from noise in the matched filter output and in the whole chain.
+//! False alarms from noise.
+//!
+//! In the matched filter output and in the whole chain.
 
 use super::*;
 

@@ -2,7 +2,9 @@
 
 use super::*;
 
-/// Scores both returns of a pair if exactly two are found, each within 0.4 of the separation.
+/// Scores both returns of a pair.
+///
+/// `None` unless exactly two are found, each within 0.4 of the separation.
 fn pair_scores(found: &[Return], echoes: &[Echo; 2]) -> Option<[[Score; 3]; 2]> {
     let separation = echoes[1].place - echoes[0].place;
     let near = |r: &Return, e: &Echo| (r.position_samples - e.place).abs() < 0.4 * separation;

@@ -2,7 +2,9 @@
 
 use super::*;
 
-/// A9: false returns after strong returns with variable ringing, and detection of weak ones there.
+/// A9: false returns after strong returns with variable ringing.
+///
+/// And detection of weak returns there.
 pub fn late_returns(bench: &mut Bench) {
     let model = calibrated(&bench.response, 9, TWELVE_BITS, 0.25);
     let error =

@@ -1,4 +1,6 @@
-//! Runs a scene through the whole chain, with both readers, and compares the result with the truth.
+//! Runs a scene through the whole chain with both readers.
+//!
+//! Compares the result with the truth.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,9 +1,9 @@
-//! Accuracy and speed of MTA resolution on ten simulated scenes, with goals.
+//! Accuracy and speed of MTA resolution on simulated scenes.
 //!
-//! `cargo bench --bench mta` prints the table of docs/mta.md. Arguments select rows (`-- 17ns
-//! terrain`); `seed=300` selects other scenes of the same kind. The scenes of a row have about five
-//! million echoes. Times are CPU times of the thread, from the first line pushed to the last one
-//! popped.
+//! There are ten scenes, with goals. `cargo bench --bench mta` prints the table of docs/mta.md.
+//! Arguments select rows (`-- 17ns terrain`); `seed=300` selects other scenes of the same kind. The
+//! scenes of a row have about five million echoes. Times are CPU times of the thread, from the
+//! first line pushed to the last one popped.
 //!
 //! `cargo build --release --example sdf_stand_in && cargo bench --bench mta -- chain` runs the
 //! scenes with waveforms through the whole chain instead, by `read_arrow` and by `read_sdf` with

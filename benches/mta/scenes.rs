@@ -403,8 +403,9 @@ impl World {
         if squared < 1.0 { (10.0 + 22.0 * key(0)) * (0.5 + 0.5 * (1.0 - squared).sqrt()) } else { 0.0 }
     }
 
-    /// Returns the height above ground of a wire hit by the beam, m; spans between masts every 250
-    /// m.
+    /// Returns the height of a wire hit by the beam, m.
+    ///
+    /// Above ground; spans between masts every 250 m.
     fn wire(&self, x: f64, y: f64) -> f64 {
         let hit = (0..3).any(|n| {
             let across = x + 0.4 * y + f64::from(n) * 6.0 - 0.3 * self.half_m;

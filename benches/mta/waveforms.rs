@@ -150,7 +150,9 @@ fn direction(angle_rad: f64) -> [f64; 3] {
     [0.0, angle_rad.sin(), angle_rad.cos()]
 }
 
-/// Writes the outgoing pulse, and one block for each group of echoes with overlapping margins.
+/// Writes the outgoing pulse and the echo blocks.
+///
+/// Echoes with overlapping margins share a block.
 fn blocks(rows: &mut LineBuilder, [seed, shot]: [u64; 2], pulses: &[Pulse]) {
     let mut random = [seed, 23, shot, 0];
     let outgoing = Pulse { time_ns: leaves_ns(seed, shot), height_dn: OUTGOING_DN };
@@ -194,8 +196,9 @@ fn latitude_rad(time_s: f64) -> f64 {
     START_RAD[0] + SPEED_MPS * (time_s - START_S) / 6.4e6
 }
 
-/// Encodes the trajectory from a second before the first line to a second after the last, every 5
-/// ms.
+/// Encodes the trajectory, every 5 ms.
+///
+/// From a second before the first line to a second after the last.
 fn trajectory(lines: &[RecordedLine]) -> Vec<u8> {
     let last = lines.iter().rev().find_map(|line| line.clocks_ps.last());
     let length_s = last.map_or(0.0, |&clock_ps| clock_ps as f64 * 1e-12);

@@ -62,8 +62,9 @@ fn main() {
     }
 }
 
-/// Returns the filtered lines, and the speed of the fastest of five runs, million returns per
-/// second.
+/// Returns the filtered lines and the speed.
+///
+/// The speed is that of the fastest of five runs, million returns per second.
 fn fastest(flight: &Flight) -> (Vec<wavex::batch::Batch>, f64) {
     let n: usize = flight.truth.iter().map(Vec::len).sum();
     let mut best = f64::INFINITY;

@@ -18,7 +18,9 @@ pub struct Budget {
 struct State {
     used: usize,
     peak: usize,
-    /// Number of lines in flight, and how many of them are held by a transform.
+    /// Number of lines in flight.
+    ///
+    /// `inside` is the number held by transforms.
     lines: usize,
     inside: usize,
     /// Number of transforms that are processing a line.
@@ -53,7 +55,9 @@ pub struct AtWork<'a>(&'a Budget);
 pub enum NoRoom {
     /// The run is ending.
     Cancelled,
-    /// Transforms hold this many bytes, and none will emit a line before it receives another.
+    /// Transforms hold this many bytes and wait for lines.
+    ///
+    /// None will emit a line before it receives another.
     Full(usize),
 }
 

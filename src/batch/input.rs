@@ -17,7 +17,7 @@ pub struct InputInfo {
     pub serial: Option<String>,
     /// Default sampling interval, ns; each block has its own.
     pub sampling_interval_ns: f64,
-    /// Delay of odd samples of a block relative to their nominal time, samples.
+    /// Delay of odd samples relative to nominal time, samples.
     pub odd_sample_shift: f64,
     /// Largest value of the digitiser, if known.
     ///
@@ -41,15 +41,17 @@ pub struct InputInfo {
     ///
     /// Of the frame, if that is projected; after `georeference`, of the points.
     pub crs_wkt: Option<String>,
-    /// Scale and offset of stored coordinates, of the input or required by `georeference`.
+    /// Scale and offset of stored coordinates.
     ///
-    /// Outputs use the same offset, and also the scale if it is in degrees.
+    /// Of the input, or required by `georeference`. Outputs use the same offset, and also the scale
+    /// if it is in degrees.
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
     /// Source of the emission time.
     pub emission_reference: EmissionReference,
-    /// Whether shot origins are sensor positions and therefore the origin of ranges.
+    /// Whether shot origins are sensor positions.
     ///
-    /// Otherwise they are points on the beams near the waveforms, and ranges count from there.
+    /// They are then the origin of ranges. Otherwise they are points on the beams near the
+    /// waveforms, and ranges count from there.
     pub origin_is_sensor: bool,
     /// Amplitude table of the low-power channel: digitiser steps to dB.
     pub amplitude_low: Option<AmplitudeTable>,
@@ -122,7 +124,7 @@ pub enum Frame {
 pub enum EmissionReference {
     /// The outgoing pulse of each shot was recorded and is fitted.
     OutgoingPulse,
-    /// The outgoing pulse was recorded without the time of its first sample.
+    /// Outgoing pulse, without the time of its first sample.
     ///
     /// The shot's clock is the sample nearest to its peak. The fitted position is relative to that
     /// sample and within half a sample of it.
@@ -172,13 +174,16 @@ impl AmplitudeTable {
         y0 + (y1 - y0) * (dn - x0) / (x1 - x0)
     }
 
-    /// Returns the change of the value per digitiser step at `dn`: a central difference over two
-    /// steps.
+    /// Returns the change of the value per digitiser step.
+    ///
+    /// A central difference over two steps at `dn`.
     pub fn slope(&self, dn: f64) -> f64 {
         (self.at(dn + 1.0) - self.at(dn - 1.0)) / 2.0
     }
 
-    /// Returns the amplitude of a peak at `peak_dn` digitiser steps by a dB table, with its SD.
+    /// Returns the amplitude of a peak by a dB table.
+    ///
+    /// The peak is at `peak_dn` digitiser steps, with an SD of `peak_sd_dn`.
     pub fn amplitude(&self, peak_dn: f64, peak_sd_dn: f64) -> LinearAmplitude {
         let linear = |dn: f64| 7.0 * 10f64.powf(self.at(dn) / 10.0);
         let slope = (linear(peak_dn + 1.0) - linear(peak_dn - 1.0)) / 2.0;
@@ -191,7 +196,9 @@ impl AmplitudeTable {
 pub struct LinearAmplitude {
     /// Amplitude above the detection limit, dB.
     pub db: f64,
-    /// `7 · 10^(dB / 10)`: proportional to received power, in digitiser steps of weak echoes.
+    /// Linear amplitude `7 · 10^(dB / 10)`.
+    ///
+    /// Proportional to received power, in digitiser steps of weak echoes.
     pub linear: f64,
     /// Standard deviation of `linear`.
     pub linear_sd: f64,

@@ -6,7 +6,9 @@
 /// np_merged + np_xtalk_dropped` and `nw = nw_empty + nw_deleted + nw_with_points`.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct LineStats {
-    /// Time of the line's first shot in the input's time scale, s; NaN if unknown.
+    /// Time of the first shot, s; NaN if unknown.
+    ///
+    /// In the time scale of the input.
     pub gps_time_s: f64,
     /// Waveforms: shots with at least one echo block.
     pub nw: u64,

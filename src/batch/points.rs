@@ -16,9 +16,13 @@ pub struct Return {
     pub channel: ReturnChannel,
     /// Bits of [`flags`].
     pub flags: u16,
-    /// MTA zone: number of emissions between the causing shot and the reception; -1 if unresolved.
+    /// MTA zone; -1 if unresolved.
+    ///
+    /// The number of emissions between the causing shot and the reception.
     pub mta_zone: i16,
-    /// Time from the outgoing pulse to the echo, between peaks of the response, ns.
+    /// Time from outgoing pulse to echo, ns.
+    ///
+    /// Between the peaks of the response.
     pub time_of_flight_ns: f64,
     /// Standard deviation of `time_of_flight_ns`, ns.
     pub time_of_flight_sd_ns: f64,
@@ -34,9 +38,9 @@ pub struct Return {
     pub amplitude_dn: f64,
     /// Standard deviation of `amplitude_dn`, digitiser steps.
     pub amplitude_sd_dn: f64,
-    /// Background plus peak height in the channel that gives the intensity, digitiser steps.
+    /// Background plus peak height, digitiser steps.
     ///
-    /// Index into the instrument's tables.
+    /// In the channel that gives the intensity. Index into the instrument's tables.
     pub peak_dn: f64,
     /// Standard deviation of `peak_dn`, digitiser steps.
     pub peak_sd_dn: f64,
@@ -52,7 +56,7 @@ pub struct Return {
     pub width_ratio_sd: f64,
     /// Full width at half maximum, ns.
     pub fwhm_ns: f64,
-    /// Full width at half maximum of the target along the beam, m.
+    /// Target FWHM along the beam, m.
     pub thickness_m: f64,
     /// Standard deviation of `thickness_m`, m.
     pub thickness_sd_m: f64,
@@ -73,7 +77,7 @@ pub struct Return {
 }
 
 impl Default for Return {
-    /// First and only return of the low-power channel, with all quantities unknown.
+    /// First and only low-power return, with unknown quantities.
     fn default() -> Return {
         Return {
             emission: 0,

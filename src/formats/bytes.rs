@@ -6,7 +6,9 @@ use std::path::Path;
 
 use super::{Error, Result};
 
-/// Cursor over the little-endian fields of a record at byte `base` of `file`.
+/// Cursor over the little-endian fields of a record.
+///
+/// The record is at byte `base` of `file`.
 #[derive(Clone)]
 pub struct Fields<'a> {
     file: &'a Path,
@@ -25,12 +27,14 @@ macro_rules! number {
 }
 
 impl<'a> Fields<'a> {
-    /// Starts at the first byte of `bytes`, which begin at byte `base` of `file`.
+    /// Starts at the first byte of `bytes`.
+    ///
+    /// They begin at byte `base` of `file`.
     pub fn new(file: &'a Path, base: u64, bytes: &'a [u8]) -> Fields<'a> {
         Fields { file, base, bytes, at: 0 }
     }
 
-    /// Returns the offset of the next field from the beginning of the file.
+    /// Returns the file offset of the next field.
     pub fn offset(&self) -> u64 {
         self.base + self.at as u64
     }

@@ -127,7 +127,9 @@ struct Header {
 }
 
 impl Header {
-    /// Builds the grid from the values after a header of `header_length` bytes.
+    /// Builds the grid from the values after the header.
+    ///
+    /// The header has `header_length` bytes.
     ///
     /// # Errors
     /// Invalid counts or steps, or a number of bytes that does not match them.

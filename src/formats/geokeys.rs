@@ -1,4 +1,4 @@
-//! GeoTIFF keys: the coordinate reference system of older LAS and of PulseWaves files.
+//! GeoTIFF keys: the CRS of older LAS and PulseWaves files.
 
 mod of_wkt;
 
@@ -6,10 +6,10 @@ use crate::geo::crs::{GeoKeys, geotiff_keys_of_wkt};
 
 pub use of_wkt::directory_of_wkt;
 
-/// Converts WKT 1 or 2 to the three GeoTIFF key records, with units.
+/// Converts WKT 1 or 2 to GeoTIFF keys with units.
 ///
-/// For an unsupported system, such as one on another datum, only the EPSG codes in the text are
-/// converted.
+/// Returns all three records. For an unsupported system, such as one on another datum, only the
+/// EPSG codes in the text are converted.
 pub fn of_wkt(wkt: &str) -> Option<GeoKeys> {
     let of_codes = |directory| GeoKeys { directory, doubles: Vec::new(), ascii: Vec::new() };
     geotiff_keys_of_wkt(wkt).or_else(|| directory_of_wkt(wkt).map(of_codes))
@@ -50,7 +50,9 @@ pub fn is_geocentric(directory: &[u8]) -> bool {
     value(directory, MODEL_TYPE) == Some(3) || epsg(directory) == Some(4978)
 }
 
-/// Returns whether raster tie points are cell centres instead of cell corners.
+/// Returns whether raster tie points are cell centres.
+///
+/// Otherwise they are cell corners.
 pub fn is_point_raster(directory: &[u8]) -> bool {
     value(directory, RASTER_TYPE) == Some(2)
 }
@@ -65,12 +67,12 @@ fn value(directory: &[u8], key: u16) -> Option<u16> {
     entries.find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3])
 }
 
-/// Returns the coordinate reference system of an EPSG code as WKT 1.
+/// Returns the CRS of an EPSG code as WKT 1.
 pub fn wkt_of_epsg(code: u16) -> Option<String> {
     crs_definitions::from_code(code).map(|definition| definition.wkt.to_string())
 }
 
-/// Returns the coordinate reference system of a GeoTIFF key directory as WKT 1.
+/// Returns the CRS of a GeoTIFF key directory as WKT 1.
 pub fn wkt(directory: &[u8]) -> Option<String> {
     wkt_of_epsg(epsg(directory)?)
 }

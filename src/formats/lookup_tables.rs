@@ -1,8 +1,9 @@
-//! Lookup tables of the low- and high-power receivers, as text columns or JSON.
+//! Lookup tables of the low- and high-power receivers.
 //!
-//! Tables are indexed by digitiser steps. Columns are separated by commas, semicolons or blanks:
-//! digitiser steps, value of the low-power receiver, and optionally value of the high-power
-//! receiver. A first line of names and lines that begin with `#` are skipped.
+//! Files are text columns or JSON. Tables are indexed by digitiser steps. Columns are separated by
+//! commas, semicolons or blanks: digitiser steps, value of the low-power receiver, and optionally
+//! value of the high-power receiver. A first line of names and lines that begin with `#` are
+//! skipped.
 //!
 //! JSON has an object `{"low": [[steps, value], ...], "high": [...]}`, of which one part may be
 //! missing. A pair may have a third number, the weight of the value in a fit.

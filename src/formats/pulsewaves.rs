@@ -48,8 +48,9 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Opens the pulse file `path` and the waves file of the same name, and reads header and
-    /// records.
+    /// Opens the pulse file `path` and its waves file.
+    ///
+    /// Reads header and records.
     ///
     /// # Errors
     /// A file cannot be opened, is empty, compressed, of another format or version, or cut off
@@ -124,9 +125,9 @@ impl Reader {
         }
     }
 
-    /// Returns the number of bytes after the last pulse that belong to no record.
+    /// Returns the number of stray bytes after the pulses.
     ///
-    /// They are remains of appended records in a truncated file.
+    /// They belong to no record. They are remains of appended records in a truncated file.
     pub fn stray_bytes(&self) -> u64 {
         let end = self.records.appended_at.unwrap_or(self.pulses.length());
         end.saturating_sub(self.header.record_at(self.header.pulse_count))
@@ -206,7 +207,9 @@ fn descriptor<'r>(
     }
 }
 
-/// Returns the offset of the waves of a pulse, checked against the waves file of `length` bytes.
+/// Returns the checked offset of the waves of a pulse.
+///
+/// It must be within the waves file of `length` bytes.
 fn wave_offset(file: &Path, header: &Header, length: u64, pulse: &Pulse) -> Result<u64> {
     let range = header::WAVES_HEADER_BYTES as u64..length;
     u64::try_from(pulse.wave_offset).ok().filter(|offset| range.contains(offset)).ok_or_else(|| {

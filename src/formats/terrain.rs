@@ -1,4 +1,4 @@
-//! Terrain models: heights on a raster, from GeoTIFF or ESRI ASCII grids.
+//! Terrain models from GeoTIFF or ESRI ASCII grids.
 
 use std::fs::File;
 use std::io::Read;
@@ -13,11 +13,13 @@ mod tests;
 
 /// Largest accepted number of cells (400 MB).
 const MOST_CELLS: u64 = 100_000_000;
-/// Smallest descent per metre of range for which a beam is traced to the ground.
+/// Smallest descent per metre of a traced beam.
 const LEAST_FALL: f64 = 0.05;
 /// Resolution of a range, m.
 const FINE_M: f64 = 0.1;
-/// Maximum number of samples along a beam between the highest and the lowest terrain.
+/// Maximum number of samples along a beam.
+///
+/// Between the highest and the lowest terrain.
 const MOST_STEPS: f64 = 10_000.0;
 
 /// Terrain heights on a north-up raster.
@@ -86,7 +88,7 @@ impl Terrain {
         is_whole.then_some(Terrain { columns, rows, first_m, step_m, heights_m, lowest_m, highest_m, epsg })
     }
 
-    /// Returns the EPSG code of the horizontal system, if the file names it.
+    /// Returns the EPSG code of the horizontal system, if known.
     pub fn epsg(&self) -> Option<u16> {
         self.epsg
     }
@@ -120,7 +122,7 @@ impl Terrain {
         between(upper, lower, down)
     }
 
-    /// Returns the range at which a beam first hits the terrain, m.
+    /// Returns the range where a beam hits the terrain, m.
     ///
     /// NaN if the beam leaves the model, does not descend, or hits nothing within `range_m`. `beam`
     /// is the change of easting, northing and height per metre of range.
@@ -158,7 +160,9 @@ impl Terrain {
     }
 }
 
-/// Interpolates linearly; with a weight of 0 the second value may be NaN.
+/// Interpolates linearly.
+///
+/// With a weight of 0, the second value may be NaN.
 fn between(from: f64, to: f64, part: f64) -> f64 {
     if part == 0.0 { from } else { from + part * (to - from) }
 }

@@ -102,7 +102,9 @@ pub struct MapSample {
     pub attitude: Attitude,
 }
 
-/// Converts easting, northing and height to a geodetic position, or describes why it cannot.
+/// Converts projected to geodetic coordinates, or describes the problem.
+///
+/// The argument is easting, northing and height.
 pub type Unproject<'a> = dyn Fn([f64; 3]) -> std::result::Result<Geodetic, String> + 'a;
 
 /// Output of a decoder.
@@ -256,7 +258,7 @@ impl Records {
     }
 }
 
-/// Half the baseline for determining grid north, in units of the projection.
+/// Half baseline for grid north, in units of the projection.
 const NORTH_STEP: f64 = 10.0;
 
 impl MapSample {
@@ -277,7 +279,9 @@ impl MapSample {
     }
 }
 
-/// Creates a sample from degrees, with the longitude between -180 and 180.
+/// Creates a sample from degrees.
+///
+/// The longitude is wrapped to -180 to 180.
 fn sample_of_degrees(time_s: f64, [longitude, latitude, height_m]: [f64; 3], attitude: Attitude) -> Sample {
     let place = Geodetic {
         latitude_rad: latitude.to_radians(),

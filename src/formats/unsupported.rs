@@ -24,7 +24,7 @@ const UNSUPPORTED: [(&[&str], &str, &str); 3] = [
     (&["plz", "wvz"], "compressed PulseWaves (.plz, .wvz) is not supported", UNCOMPRESS),
 ];
 
-/// Returns the error for a recording in a known but unsupported format.
+/// Returns the error for a known but unsupported format.
 ///
 /// `None` for all other extensions.
 pub fn unsupported(path: &Path) -> Option<Error> {

@@ -1,9 +1,10 @@
-//! The `.bin` grid of the US National Geodetic Survey (NGS, "GEOID12B readme").
+//! The `.bin` geoid grid of the US NGS.
 //!
-//! The header holds f64 latitude of the southernmost row, f64 longitude of the westernmost column
-//! (0 to 360 to the east), f64 steps to the north and to the east, all in degrees; i32 rows,
-//! columns and kind (1: f32 values). Then follow f32 rows from south to north. Files exist in both
-//! byte orders; the order is the one in which the kind is 1.
+//! Format of the National Geodetic Survey, "GEOID12B readme". The header holds f64 latitude of the
+//! southernmost row, f64 longitude of the westernmost column (0 to 360 to the east), f64 steps to
+//! the north and to the east, all in degrees; i32 rows, columns and kind (1: f32 values). Then
+//! follow f32 rows from south to north. Files exist in both byte orders; the order is the one in
+//! which the kind is 1.
 
 use std::path::Path;
 

@@ -40,7 +40,9 @@ pub fn directory_of_wkt(wkt: &str) -> Option<Vec<u8>> {
     entries.iter().any(|(key, _)| *key == MODEL_TYPE).then(|| directory(entries))
 }
 
-/// Encodes keys in ascending order, each with its value in the entry itself.
+/// Encodes keys in ascending order.
+///
+/// Each entry contains its value.
 fn directory(mut entries: Vec<(u16, u16)>) -> Vec<u8> {
     entries.sort_unstable();
     let head = [1, 1, 0, entries.len() as u16];
@@ -84,7 +86,7 @@ impl<'a> Node<'a> {
     }
 }
 
-/// Returns the first node of a text and the text after it.
+/// Returns the first node and the text after it.
 ///
 /// `None` if there is no node or it is not closed.
 fn node(text: &str) -> Option<(Node<'_>, &str)> {

@@ -178,7 +178,7 @@ impl Chunks {
     }
 }
 
-/// Runs a decoder of the `laz` crate and converts its error or panic to text.
+/// Runs a decoder; converts its error or panic to text.
 fn guarded<T>(decode: impl FnOnce() -> io::Result<T>) -> std::result::Result<T, String> {
     match catch_unwind(AssertUnwindSafe(decode)) {
         Ok(result) => result.map_err(|error| format!("they cannot be decoded ({error})")),

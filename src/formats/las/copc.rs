@@ -50,7 +50,7 @@ pub struct CopcSummary {
     pub n_nodes: usize,
     /// Number of octree levels.
     pub n_levels: u32,
-    /// Whether points of formats 9 and 10 were written without their waveforms.
+    /// Whether waveforms of formats 9 and 10 were dropped.
     pub is_without_waveforms: bool,
 }
 
@@ -61,7 +61,7 @@ struct Limits {
     sort_bytes: usize,
 }
 
-/// Copies the points of the LAS or LAZ file `source` as COPC.
+/// Copies the points of a LAS or LAZ file as COPC.
 ///
 /// `sink` starts at the first byte of the file; `path` names it in errors. `keep` stores sorted
 /// runs that exceed the memory limit. Needs about 512 MiB plus the nodes on the path to a point,
@@ -286,7 +286,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         })
     }
 
-    /// Compresses the points of a node, sorted by time, as one chunk.
+    /// Compresses a node as one chunk, sorted by time.
     fn write_node(&mut self, node: &Node) -> Result<()> {
         let length = self.laz.items_size() as usize;
         let mut records: Vec<&[u8]> = node.records.chunks_exact(length).collect();
@@ -310,7 +310,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         self.entries.iter().map(|entry| entry.level + 1).max().unwrap_or(0)
     }
 
-    /// Writes the chunk table and EVLRs, and rewrites the header and VLRs.
+    /// Writes chunk table and EVLRs; rewrites header and VLRs.
     fn finish(mut self, cube: &Cube) -> Result<()> {
         self.entries.sort_by_key(|entry| (entry.level, entry.prefix));
         let failed = Error::io(self.path, "write");

@@ -95,7 +95,7 @@ impl Descriptor {
         out
     }
 
-    /// Returns the problem and remedy if packets of this descriptor cannot be read.
+    /// Returns problem and remedy if packets cannot be read.
     pub(super) fn obstacle(&self) -> Option<(String, &'static str)> {
         const EXPORT: &str = "export the waveforms again, uncompressed and with 8 or 16 bits";
         if self.samples == 0 || self.spacing_ps == 0 {

@@ -80,9 +80,9 @@ pub struct ExtraAttribute {
     pub nan_is_no_data: bool,
 }
 
-/// Quantises a value to the nearest step, clamped to the range of the type.
+/// Quantises a value to the nearest step.
 ///
-/// NaN becomes [`ExtraAttribute::nan`].
+/// Clamped to the range of the type. NaN becomes [`ExtraAttribute::nan`].
 pub fn quantise(value: f64, attribute: &ExtraAttribute) -> i64 {
     let (least, largest) = attribute.data_type.range();
     if value.is_nan() {
@@ -162,7 +162,9 @@ pub struct ExtraBytes {
     pub no_data: Option<[u8; 8]>,
 }
 
-/// Parses the attributes of record `vlr`, up to the first of unknown length.
+/// Parses the attributes of record `vlr`.
+///
+/// Stops at the first of unknown length.
 pub(super) fn parse(file: &Path, vlr: &Vlr) -> Result<Vec<ExtraBytes>> {
     let mut attributes = Vec::new();
     let mut start = 0;
@@ -227,9 +229,11 @@ const fn attribute(
     ExtraAttribute { name, description, data_type, scale, offset, nan, nan_is_no_data: false }
 }
 
-/// NaN of a measured quantity is written as the smallest value.
+/// Stored NaN of a measured quantity: the smallest value.
 const UNKNOWN: i64 = 0;
-/// NaN of a standard deviation is written as the largest value, which marks an unreliable quantity.
+/// Stored NaN of a standard deviation.
+///
+/// The largest value marks an unreliable quantity.
 const UNRELIABLE: i64 = u8::MAX as i64;
 
 /// Width of the return relative to the system response.

@@ -68,9 +68,9 @@ pub struct Header {
     pub creation_year: u16,
     /// Length of the header, bytes.
     pub header_size: u16,
-    /// Offset of the first point (or of the LAZ data) from the beginning of the file, bytes.
+    /// File offset of the first point or the LAZ data, bytes.
     pub offset_to_points: u32,
-    /// Number of variable length records (VLRs) between the header and the points.
+    /// Number of variable length records (VLRs) before the points.
     pub n_vlrs: u32,
     /// Point data record format, 0 to 10.
     pub point_format: u8,
@@ -215,8 +215,9 @@ impl Header {
         ))
     }
 
-    /// Returns the time system of the points (LAS 1.4 R15, "Global Encoding", bit 0; LAS 1.5, bit
-    /// 6).
+    /// Returns the time system of the points.
+    ///
+    /// LAS 1.4 R15, "Global Encoding", bit 0; LAS 1.5, bit 6.
     pub fn gps_time(&self) -> GpsTime {
         let has = |bit| self.global_encoding & bit != 0;
         match (has(encoding::ADJUSTED_TIME), has(encoding::TIME_OFFSET) && self.version.1 >= 5) {
@@ -350,7 +351,9 @@ fn three(fields: &mut Fields, name: &str) -> Result<[f64; 3]> {
     Err(start.bad(name, problem, "the header is damaged: export the file again"))
 }
 
-/// Reads the bounding box, stored as max x, min x, max y, min y, max z, min z.
+/// Reads the bounding box.
+///
+/// Stored as max x, min x, max y, min y, max z, min z.
 fn bounds(fields: &mut Fields) -> Result<([f64; 3], [f64; 3])> {
     let (mut min, mut max) = ([0.0; 3], [0.0; 3]);
     for axis in 0..3 {

@@ -17,7 +17,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Largest gap between intervals that is read instead of skipped, points; as in LAStools.
+/// Largest gap that is read instead of skipped, points.
+///
+/// As in LAStools.
 const GAP: u32 = 1000;
 /// Maximum number of intervals.
 ///
@@ -25,7 +27,9 @@ const GAP: u32 = 1000;
 const MOST_INTERVALS: usize = 1 << 17;
 /// Maximum depth of the quadtree: 4096 cells along each axis.
 const MOST_LEVELS: u32 = 12;
-/// Initial cell length, coordinate steps, rounded down to a power of two: 16 m at 1 mm.
+/// Initial cell length, coordinate steps: 16 m at 1 mm.
+///
+/// It is rounded down to a power of two.
 const FIRST_CELL_STEPS: f64 = 16_384.0;
 /// Largest cell number; `f32` represents integers exactly up to here.
 const MOST_CELLS_FROM_ZERO: i64 = 1 << 24;
@@ -173,7 +177,9 @@ impl Lax {
         Some(out)
     }
 
-    /// Returns whether the depth is within the limit and `f32` represents all cell borders.
+    /// Returns whether a quadtree can represent the cells.
+    ///
+    /// The depth is within the limit, and `f32` represents all cell borders.
     fn fits_a_tree(&self) -> bool {
         let (low, high) = self.corners();
         let most = 1i64 << MOST_LEVELS;
@@ -198,7 +204,7 @@ fn place(x: f64, y: f64, cell_length: f64) -> Place {
 }
 
 impl Cell {
-    /// Sorts the intervals of merged cells and joins those separated by small gaps.
+    /// Sorts the intervals and joins those with small gaps.
     ///
     /// Intervals of different cells may overlap, because gaps that are read may hold points of
     /// other cells.

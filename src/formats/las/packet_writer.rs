@@ -13,7 +13,9 @@ use crate::formats::{Error, Result};
 /// Maximum number of packet kinds: the number of descriptor indexes.
 pub(super) const MOST_KINDS: usize = 255;
 
-/// Writer of the packet record `LASF_Spec`/65535, for a `.wdp` or LAS file.
+/// Writer of the packet record `LASF_Spec`/65535.
+///
+/// The record is a `.wdp` file or part of a LAS file.
 pub struct PacketWriter<W> {
     sink: W,
     path: PathBuf,
@@ -28,7 +30,7 @@ pub struct PacketWriter<W> {
 pub struct Packet {
     /// Descriptor index of the packet kind, from 1.
     pub descriptor: u8,
-    /// Offset of the packet from the beginning of the record header, bytes.
+    /// Offset of the packet from the record header, bytes.
     pub offset: u64,
     /// Length, bytes.
     pub size: u32,
@@ -48,10 +50,11 @@ impl<W: Write + Seek> PacketWriter<W> {
         Ok(PacketWriter { sink, path, end: EVLR_HEADER, kinds: Vec::new(), packet: Vec::new() })
     }
 
-    /// Writes the samples of a waveform, with 8 bits each if they fit, else 16.
+    /// Writes the samples of a waveform as a packet.
     ///
-    /// Returns `None` and writes nothing if there are no samples or they would need a 256th kind.
-    /// Packets of a kind share the number of samples, spacing and bits.
+    /// Samples have 8 bits each if they fit, else 16. Returns `None` and writes nothing if there
+    /// are no samples or they would need a 256th kind. Packets of a kind share the number of
+    /// samples, spacing and bits.
     ///
     /// # Errors
     /// Writing fails.

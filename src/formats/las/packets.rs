@@ -32,7 +32,7 @@ pub(super) struct Packets {
     /// Part of `file` read last, from byte `window_at`.
     window: Vec<u8>,
     window_at: u64,
-    /// Number of bytes to read if the next packet is outside the window but near it.
+    /// Number of bytes to read next, if access is sequential.
     span: usize,
 }
 
@@ -101,7 +101,9 @@ fn inside(
     vlr::waveform_record(input, path, end, file_length)
 }
 
-/// Returns the file of the same name with the extension `wdp` in any case.
+/// Returns the `.wdp` file of the same name.
+///
+/// The extension may have any case.
 fn beside(path: &Path) -> Option<PathBuf> {
     let usual = path.with_extension("wdp");
     if usual.is_file() {

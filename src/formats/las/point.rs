@@ -5,7 +5,7 @@
 /// Degrees per step of the scan angle in formats 6 to 10.
 pub(super) const SCAN_ANGLE_STEP_DEG: f64 = 0.006;
 
-/// Point as read, with coordinates and scan angle also in physical units.
+/// Point as read, also in physical units.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Point {
     /// Stored coordinates.
@@ -24,9 +24,9 @@ pub struct Point {
     pub return_number: u8,
     /// Number of returns of the shot.
     pub number_of_returns: u8,
-    /// Whether the mirror moved from the left to the right side of the track.
+    /// Whether the mirror moved from left to right.
     pub scan_direction: bool,
-    /// Whether the point is the last one before the scan direction changes.
+    /// Whether the point is the last before the scan turns.
     pub edge_of_flight_line: bool,
     /// ASPRS class; at most 31 in formats 0 to 5.
     pub classification: u8,
@@ -60,23 +60,25 @@ pub struct Point {
     pub wave: Wave,
 }
 
-/// Location of a point's waveform in the file and its direction in space.
+/// Location of a point's waveform in file and space.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Wave {
     /// Index of the waveform descriptor, 1 to 255.
     ///
     /// 0 without waveform.
     pub descriptor: u8,
-    /// Offset of the packet from the beginning of the waveform packet record, header included,
-    /// bytes.
+    /// Offset of the packet in the waveform packet record, bytes.
+    ///
+    /// It counts from the record header.
     pub offset: u64,
     /// Length of the packet, bytes.
     pub size: u32,
     /// Time from the first sample to the return, ps.
     pub location_ps: f32,
-    /// Change of position per picosecond backwards in time, in units of the coordinate system.
+    /// Change of position per picosecond backwards in time.
     ///
-    /// Points from the target to the sensor (see [`Wave::sample_position`]).
+    /// In units of the coordinate system. Points from the target to the sensor (see
+    /// [`Wave::sample_position`]).
     pub direction_per_ps: [f32; 3],
 }
 
@@ -102,7 +104,9 @@ pub(super) struct Layout {
     /// Whether the format is 0 to 5.
     legacy: bool,
     gps_time: Option<usize>,
-    /// Offset of the 29 waveform bytes in formats 4, 5, 9 and 10.
+    /// Offset of the 29 waveform bytes, if any.
+    ///
+    /// Formats 4, 5, 9 and 10 have them.
     pub(super) wave: Option<usize>,
 }
 

@@ -1,5 +1,6 @@
-//! Point encoding: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format
-//! 10".
+//! Point encoding.
+//!
+//! LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
 
 use super::point::{SCAN_ANGLE_STEP_DEG, Wave};
 use crate::kernels::steps::Steps;
@@ -38,9 +39,9 @@ pub struct PointOut {
     ///
     /// At most 15, in formats 0 to 5 at most 7.
     pub number_of_returns: u8,
-    /// Whether the mirror moved from the left to the right side of the track.
+    /// Whether the mirror moved from left to right.
     pub scan_direction: bool,
-    /// Whether the point is the last one before the scan direction changes.
+    /// Whether the point is the last before the scan turns.
     pub edge_of_flight_line: bool,
     /// ASPRS class: at most 31 in formats 0 to 5.
     pub classification: u8,
@@ -100,7 +101,7 @@ impl PointOut {
         [returns, flags, self.classification, self.user_data, 0, 0, source_low, source_high]
     }
 
-    /// Returns the scan angle as quantised by formats 6 to 10, degrees.
+    /// Returns the quantised scan angle of formats 6 to 10, degrees.
     pub fn stored_scan_angle_deg(&self) -> f64 {
         let mut steps = [0];
         scan_angle_steps(6).count(&[f64::from(self.scan_angle_deg)], &mut steps);

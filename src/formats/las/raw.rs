@@ -1,4 +1,6 @@
-//! Raw records of any LAS or LAZ file, with the names of their fields.
+//! Raw records of any LAS or LAZ file.
+//!
+//! Their fields have names.
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -11,7 +13,7 @@ use super::records::Records;
 use super::vlr::{self, SPEC, Vlr};
 use crate::formats::{Error, Result};
 
-/// Reader of the raw records of a file, and its header and VLRs.
+/// Reader of header, VLRs and raw records of a file.
 pub struct RawPoints {
     header: Header,
     vlrs: Vec<Vlr>,
@@ -22,7 +24,7 @@ pub struct RawPoints {
 /// Field of a point record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawField {
-    /// Name in the specification, or in the file for an extra attribute.
+    /// Name in the specification, or of the extra attribute.
     pub name: String,
     /// Offset in the record, bytes.
     start: usize,
@@ -185,7 +187,9 @@ fn standard(format: u8) -> Vec<RawField> {
     fields
 }
 
-/// Returns the extra attributes declared by a file, after `length` bytes of standard fields.
+/// Returns the extra attributes declared by a file.
+///
+/// They follow `length` bytes of standard fields.
 fn extra(path: &Path, record: &Vlr, length: usize) -> Result<Vec<RawField>> {
     let attributes = extra_bytes::parse(path, record)?;
     let field = |attribute: &extra_bytes::ExtraBytes| {

@@ -144,7 +144,7 @@ impl Reader {
         }
     }
 
-    /// Reads the samples of a point's waveform into `samples`, replacing its content.
+    /// Reads the waveform of a point, replacing `samples`.
     ///
     /// A packet may be longer than its samples (padding), never shorter. Consecutive packets are
     /// read from a window, not one by one.

@@ -49,7 +49,9 @@ pub struct Vlr {
     pub offset: u64,
     /// Declared length of the data, bytes.
     pub length: u64,
-    /// Data; empty for waveform packets and for extended records longer than 16 MiB.
+    /// Data of the record.
+    ///
+    /// Empty for waveform packets and for extended records longer than 16 MiB.
     pub data: Vec<u8>,
 }
 
@@ -109,9 +111,9 @@ pub(super) fn read_evlrs(
     Ok(evlrs)
 }
 
-/// Reads the extended record at byte `at`, the position of the input.
+/// Reads the extended record at byte `at`.
 ///
-/// Long data are not read.
+/// `at` is the position of the input. Long data are not read.
 pub(super) fn read_evlr(
     input: &mut impl Read,
     file: &Path,

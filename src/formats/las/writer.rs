@@ -130,7 +130,7 @@ impl<W: Write + Seek> Writer<W> {
         refused.map_or(Ok(()), Err)
     }
 
-    /// Writes points 0 to `n - 1`, faster than one by one.
+    /// Writes points 0 to `n - 1`, faster than individually.
     ///
     /// `extra` adds the extra attributes in the order of the options, for up to [`TOGETHER`] points
     /// at a time. It is called again for single points if one of them is skipped. `refused` gets
@@ -177,7 +177,9 @@ impl<W: Write + Seek> Writer<W> {
         Ok(())
     }
 
-    /// Returns the number of points to encode before the slab may be full, at least one.
+    /// Returns the number of points to encode at once.
+    ///
+    /// The slab may be full after them; at least one.
     fn room(&self) -> usize {
         (self.slab_bytes.saturating_sub(self.slab.len()) / self.record_length).clamp(1, TOGETHER)
     }
@@ -229,10 +231,10 @@ impl<W: Write + Seek> Writer<W> {
         if self.slab.len() >= self.slab_bytes { self.flush_slab() } else { Ok(()) }
     }
 
-    /// Returns the spatial index of the points written so far, for a separate file.
+    /// Returns the spatial index of the points written.
     ///
-    /// The index is then not appended. `None` if the options request none, or for more than 2^32 -
-    /// 1 points.
+    /// It is for a separate file. The index is then not appended. `None` if the options request
+    /// none, or for more than 2^32 - 1 points.
     pub fn take_index(&mut self) -> Option<Vec<u8>> {
         self.index.take()?.finish()
     }

@@ -1,4 +1,4 @@
-//! Pulse descriptors: layout of the waves of a pulse in the waves file.
+//! Pulse descriptors: layout of waves in the waves file.
 
 use std::path::Path;
 
@@ -32,7 +32,9 @@ pub enum Kind {
 /// follows the files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Descriptor {
-    /// Sampling units from the optical centre to the anchor, if constant; 0 if they coincide.
+    /// Sampling units from the optical centre to the anchor.
+    ///
+    /// `None` if not constant; 0 if they coincide.
     pub optical_center_to_anchor: Option<i32>,
     /// Bytes before the waves of each pulse, skipped.
     pub extra_wave_bytes: u16,
@@ -130,7 +132,9 @@ impl Descriptor {
         sampling.sample_units_ns / self.sample_units_ns
     }
 
-    /// Returns the field that prevents reading the waves and its problem, if any.
+    /// Returns the field that prevents reading the waves, if any.
+    ///
+    /// Field name and problem.
     pub(super) fn problem(&self) -> Option<(String, String)> {
         let of = |field: &str, problem: String| Some((field.to_string(), problem));
         if self.compression != 0 {
@@ -175,7 +179,9 @@ impl Sampling {
         })
     }
 
-    /// Returns the field that prevents reading the segments and its problem, if any.
+    /// Returns the field that prevents reading the segments, if any.
+    ///
+    /// Field name and problem.
     fn problem(&self) -> Option<(&'static str, String)> {
         if !matches!(self.bits_per_sample, 8 | 16) {
             let problem = format!("{} bits are not supported, only 8 and 16", self.bits_per_sample);
@@ -213,7 +219,7 @@ fn positive(value: f64) -> bool {
     value.is_finite() && value > 0.0
 }
 
-/// Reads a record that starts with its size and ends with its description.
+/// Reads a record with a size and a description.
 ///
 /// Returns the fields, from the size field to the description, and the description. `least` is the
 /// size in version 0.3; later versions insert fields before the description.

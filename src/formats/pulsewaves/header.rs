@@ -20,7 +20,9 @@ pub(super) const PULSE_BYTES: u32 = 48;
 const SOURCE_ID_16: u32 = 1;
 /// Bit of `pulse_attributes`: a 32-bit source ID follows the record.
 const SOURCE_ID_32: u32 = 2;
-/// Maximum number of records, far above the 255 each of scanners, descriptors and tables.
+/// Maximum number of records.
+///
+/// Far above the 255 each of scanners, descriptors and tables.
 const MOST_RECORDS: u32 = 1 << 16;
 /// Seconds per week.
 const WEEK_S: f64 = 604_800.0;
@@ -50,7 +52,7 @@ pub struct Header {
     pub version: (u8, u8),
     /// Size of this header, bytes; at least 352.
     pub header_size: u16,
-    /// Offset of the first pulse record from the start of the file, bytes.
+    /// File offset of the first pulse record, bytes.
     pub offset_to_pulses: u64,
     /// Declared number of pulses; [`super::Reader::pulse_count`] is the actual number.
     pub pulse_count: u64,
@@ -60,7 +62,9 @@ pub struct Header {
     ///
     /// 1 a 16-bit source ID, 2 a 32-bit one.
     pub pulse_attributes: u32,
-    /// Size of a pulse record with attributes and extra bytes, bytes; at least 48.
+    /// Size of a pulse record, bytes; at least 48.
+    ///
+    /// It includes attributes and extra bytes.
     pub pulse_size: u32,
     /// Number of variable length records before the pulses.
     pub vlr_count: u32,
@@ -78,11 +82,17 @@ pub struct Header {
     pub max_t: i64,
     /// Coordinate steps of x, y, z, above 0, in units of the coordinate system.
     pub scale: [f64; 3],
-    /// Coordinate offsets of x, y, z, in units of the coordinate system.
+    /// Coordinate offsets of x, y, z.
+    ///
+    /// In units of the coordinate system.
     pub offset: [f64; 3],
-    /// Smallest x, y, z of the sampled parts of the returning waveforms, according to the writer.
+    /// Smallest x, y, z of the returning waveforms.
+    ///
+    /// Of their sampled parts, according to the writer.
     pub min: [f64; 3],
-    /// Largest x, y, z of the sampled parts of the returning waveforms, according to the writer.
+    /// Largest x, y, z of the returning waveforms.
+    ///
+    /// Of their sampled parts, according to the writer.
     pub max: [f64; 3],
 }
 
@@ -98,15 +108,18 @@ pub enum TimeAxis {
     ///
     /// LAS adjusted standard time is this minus 1e9 s.
     Standard,
-    /// Undecided, for example T below one week with an offset of 1e9 s.
+    /// Undecided.
     ///
-    /// The reference library presets that offset, so week or day seconds of a careless export look
-    /// like standard times of September 2011.
+    /// For example, T is below one week with an offset of 1e9 s. The reference library presets that
+    /// offset, so week or day seconds of a careless export look like standard times of September
+    /// 2011.
     Undecided,
 }
 
 impl Header {
-    /// Parses the header from the first [`HEADER_BYTES`] bytes of `file`, or from a shorter file.
+    /// Parses the header of `file`.
+    ///
+    /// `bytes` are its first [`HEADER_BYTES`], or all of a shorter file.
     pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Header> {
         check_signature(file, bytes)?;
         let mut f = Fields::new(file, 0, bytes);
@@ -174,7 +187,7 @@ impl Header {
         t as f64 * self.t_scale_s + self.t_offset_s
     }
 
-    /// Infers the epoch from the offset and the smallest and largest T.
+    /// Infers the epoch from offset, smallest and largest T.
     ///
     /// Offset 0 and times within one week are week seconds, as the specification advises. Times
     /// above 1e9 s are standard GPS time, unless they are less than a week above the offset 1e9.

@@ -39,8 +39,9 @@ pub struct Pulse {
     ///
     /// A thousandth of target minus anchor, from the stored integers.
     pub step: [f64; 3],
-    /// Sampling units from the anchor to the first returning sample, rounded; segments hold the
-    /// fraction.
+    /// Sampling units from the anchor to the first returning sample.
+    ///
+    /// Rounded; segments hold the fraction.
     pub first_returning_sample: i16,
     /// Sampling units from the anchor to the last returning sample.
     ///
@@ -60,7 +61,7 @@ pub struct Pulse {
     pub intensity: u8,
     /// Classification; no classes are defined.
     pub classification: u8,
-    /// Flight line or scan of the pulse, if the file has this attribute.
+    /// Flight line or scan of the pulse, if stored.
     pub source_id: Option<u32>,
 }
 
@@ -109,7 +110,7 @@ impl Pulse {
         })
     }
 
-    /// Returns the point of the beam `duration` sampling units beyond the anchor.
+    /// Returns the point `duration` sampling units beyond the anchor.
     ///
     /// The result is in the file's coordinate system. By the specification, durations of *outgoing*
     /// samplings count from the optical centre; it coincides with the anchor in every known file

@@ -12,7 +12,9 @@ use super::window::Window;
 use crate::formats::bytes::Fields;
 use crate::formats::{Error, Result};
 
-/// Size of a record's header, and of an appended record's footer, bytes.
+/// Size of a record header or footer, bytes.
+///
+/// Appended records have a footer.
 const HEADER_BYTES: usize = 96;
 /// User ID of the records defined by the specification.
 const SPEC: &str = "PulseWaves_Spec";
@@ -22,9 +24,11 @@ const SPEC: &str = "PulseWaves_Spec";
 const PROJECTION: [&str; 2] = ["PulseWaves_Proj", "LASF_Projection"];
 /// Record ID of the marker of compressed pulses.
 const COMPRESSED: u32 = 5;
-/// Record ID of the empty record between the pulses and the appended records.
+/// Record ID of the empty record before the appended ones.
 const FIRST_APPENDED: u32 = u32::MAX;
-/// Largest payload that is read, bytes, far above any table or descriptor.
+/// Largest payload that is read, bytes.
+///
+/// Far above any table or descriptor.
 const MOST_PAYLOAD: u64 = 1 << 24;
 /// Maximum number of appended records.
 const MOST_APPENDED: usize = 1024;
@@ -42,7 +46,7 @@ pub struct Record {
     pub record_id: u32,
     /// Description of the record.
     pub description: String,
-    /// Offset of the payload from the start of the pulse file, bytes.
+    /// Offset of the payload in the pulse file, bytes.
     pub offset: u64,
     /// Size of the payload, bytes.
     pub length: u64,
@@ -61,8 +65,9 @@ pub struct Scanner {
     pub serial: String,
     /// Wavelength of the laser, nm.
     pub wave_length_nm: f64,
-    /// Full width at half maximum of the outgoing pulse, ns ("nanometer" in the specification is an
-    /// error).
+    /// Full width at half maximum of the outgoing pulse, ns.
+    ///
+    /// "nanometer" in the specification is an error.
     pub outgoing_pulse_width_ns: f64,
     /// Scan pattern: 0 undefined, 1 oscillating, 2 line, 3 conic.
     pub scan_pattern: u32,
@@ -209,7 +214,9 @@ impl Scanner {
     }
 }
 
-/// Returns the index, 1 to 255, of a record whose ID counts from `base`.
+/// Returns the index, 1 to 255, of a record ID.
+///
+/// The ID counts from `base`.
 fn index(record_id: u32, base: u32) -> Option<u8> {
     record_id.checked_sub(base).and_then(|i| u8::try_from(i).ok()).filter(|&i| i > 0)
 }
@@ -253,10 +260,11 @@ fn read_header<R: Read + Seek>(
     Ok(Record { user_id, record_id, description, offset, length, appended: false })
 }
 
-/// Follows the appended records from the end of the file to the marker after the pulses.
+/// Finds the appended records.
 ///
-/// Returns their start and all of them except the marker, the last in the file first. A chain that
-/// does not reach the marker is ignored.
+/// Follows them from the end of the file to the marker after the pulses. Returns their start and
+/// all of them except the marker, the last in the file first. A chain that does not reach the
+/// marker is ignored.
 fn find_appended<R: Read + Seek>(
     window: &mut Window<R>,
     offset_to_pulses: u64,
@@ -293,7 +301,7 @@ fn payload<'w, R: Read + Seek>(window: &'w mut Window<R>, record: &Record) -> Re
     window.bytes(record.offset, record.length as usize, &field)
 }
 
-/// Reads the payload of a record as text up to its first zero byte.
+/// Reads a payload as text up to its first zero.
 fn text<R: Read + Seek>(window: &mut Window<R>, record: &Record) -> Result<String> {
     let (file, bytes) = payload(window, record)?;
     Fields::new(file, record.offset, bytes).text(bytes.len(), "WKT")

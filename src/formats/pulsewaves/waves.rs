@@ -38,12 +38,11 @@ pub struct Segment {
     pub bits: u8,
     /// Stored duration; 0 if not stored.
     pub quantized_duration: i32,
-    /// Time from the anchor to the first sample in sampling units, `scale * quantized_duration +
-    /// offset`.
+    /// Time from the anchor to the first sample, sampling units.
     ///
-    /// Negative if the segment starts before the anchor. `None` if the sampling stores no
-    /// durations. By the specification the segment then starts at the anchor, but writers also omit
-    /// durations that they do not know.
+    /// `scale * quantized_duration + offset`. Negative if the segment starts before the anchor.
+    /// `None` if the sampling stores no durations. By the specification the segment then starts at
+    /// the anchor, but writers also omit durations that they do not know.
     pub duration: Option<f64>,
     /// Sampling units per sample.
     pub units_per_sample: f64,
@@ -58,9 +57,9 @@ impl Segment {
         self.range.len()
     }
 
-    /// Returns the sampling units from the anchor to sample `k`, which may be fractional.
+    /// Returns the sampling units from the anchor to sample `k`.
     ///
-    /// For use with [`super::Pulse::position`].
+    /// `k` may be fractional. For use with [`super::Pulse::position`].
     pub fn duration_of(&self, k: f64) -> f64 {
         self.duration.unwrap_or(0.0) + k * self.units_per_sample
     }
@@ -77,8 +76,9 @@ impl Waves {
         &self.segments
     }
 
-    /// Returns the samples of `segment`, one of [`Waves::segments`] of these waves, digitiser
-    /// steps.
+    /// Returns the samples of `segment`, digitiser steps.
+    ///
+    /// It must be one of [`Waves::segments`] of these waves.
     pub fn samples(&self, segment: &Segment) -> &[u16] {
         self.samples.get(segment.range.clone()).unwrap_or(&[])
     }
@@ -89,10 +89,9 @@ impl Waves {
         self.samples.clear();
     }
 
-    /// Reads the segments of pulse `pulse` at byte `offset` of the waves file, replacing the old
-    /// ones.
+    /// Reads the segments of a pulse, replacing the old ones.
     ///
-    /// Empty after an error.
+    /// They are at byte `offset` of the waves file. Empty after an error.
     pub(super) fn read<R: Read + Seek>(
         &mut self,
         window: &mut Window<R>,

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use crate::formats::{Error, Result};
 
-/// Read-ahead, bytes: over a thousand pulse records, or the waves of some hundred pulses.
+/// Read-ahead, bytes.
+///
+/// Over a thousand pulse records, or the waves of some hundred pulses.
 const READ_AHEAD: usize = 1 << 16;
 
 const CUT: &str = "it is cut off or damaged: copy it again from its source";
@@ -53,16 +55,18 @@ impl<R: Read + Seek> Window<R> {
         Ok((&self.file, held.unwrap_or(&[])))
     }
 
-    /// Returns the position of the `n` bytes at `offset` in the buffer, if it contains all of them.
+    /// Returns the position of bytes in the buffer.
+    ///
+    /// `None` unless it contains all `n` bytes at `offset`.
     fn at(&self, offset: u64, n: usize) -> Option<usize> {
         let from = usize::try_from(offset.checked_sub(self.start)?).ok()?;
         (from.checked_add(n)? <= self.buffer.len()).then_some(from)
     }
 
-    /// Moves the window to contain the `n` bytes at `offset`, which must be within the file.
+    /// Moves the window to the `n` bytes at `offset`.
     ///
-    /// A step backwards also loads bytes before it, so files with records in reverse order are read
-    /// ahead as well.
+    /// They must be within the file. A step backwards also loads bytes before it, so files with
+    /// records in reverse order are read ahead as well.
     fn fill(&mut self, offset: u64, n: usize) -> Result<()> {
         let back = if offset < self.start { offset.min(READ_AHEAD as u64 / 2) } else { 0 };
         let start = offset - back;

@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 
 use crate::formats::{Error, Result};
 
-/// Returns the link to `data` in its folder below `folder`, creating it if necessary.
+/// Returns the link to `data`, creating it if necessary.
+///
+/// It is in its own folder below `folder`.
 pub(super) fn link(data: &Path, folder: &Path) -> Result<PathBuf> {
     let whole = fs::canonicalize(data).map_err(Error::io(data, "open"))?;
     let size = fs::metadata(&whole).map_err(Error::io(data, "open"))?.len();
@@ -29,8 +31,9 @@ pub(super) fn link(data: &Path, folder: &Path) -> Result<PathBuf> {
     }
 }
 
-/// Returns the 64-bit FNV-1a hash of path and size, identical on every machine and in every
-/// version.
+/// Returns the 64-bit FNV-1a hash of path and size.
+///
+/// It is identical on every machine and in every version.
 fn fingerprint(path: &Path, size: u64) -> u64 {
     let text = path.to_string_lossy();
     let bytes = text.bytes().chain(size.to_le_bytes());

@@ -25,7 +25,9 @@ struct RawBlock {
     time_sosbl_s: f64,
     channel: u32,
     sample_count: u32,
-    /// Unused: the size of `*sample`, in a unit on which descriptions differ.
+    /// Unused.
+    ///
+    /// The size of `*sample`, in a unit on which descriptions differ.
     _sample_size: u32,
     sample: *const u16,
 }
@@ -62,7 +64,9 @@ type Seek = unsafe extern "C" fn(RawFile, u32) -> i32;
 type Tell = unsafe extern "C" fn(RawFile, *mut u32) -> i32;
 type SeekTime = unsafe extern "C" fn(RawFile, f64) -> i32;
 
-/// The thirteen functions of a library that stays loaded until the process ends.
+/// The thirteen functions of a library.
+///
+/// The library stays loaded until the process ends.
 #[derive(Clone, Copy)]
 pub(super) struct Functions {
     get_library_version: GetLibraryVersion,

@@ -30,9 +30,9 @@ enum Said {
     ByVariable,
 }
 
-/// Returns the possible file names of the library for a data file, the usual one first.
+/// Returns the library's file names for a data file.
 ///
-/// As in the library, the extension of the file decides.
+/// The usual one is first. As in the library, the extension of the file decides.
 fn names(data: &Path) -> [String; 2] {
     let is_wfm = data.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
     let stem = if is_wfm { "wfmifc-mt" } else { "sdfifc" };
@@ -41,7 +41,7 @@ fn names(data: &Path) -> [String; 2] {
     [format!("{before}{stem}{after}"), format!("{before}{stem}{suffix}{after}")]
 }
 
-/// Finds and loads the library for a file, and checks its version.
+/// Finds, loads and checks the library for a file.
 ///
 /// `key` is the library or its folder, as given by the job.
 pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, Version)> {
@@ -137,7 +137,9 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Returns the loader's error message, with that of the system if present.
+/// Returns the loader's error message.
+///
+/// It includes that of the system, if present.
 fn reason(error: &libloading::Error) -> String {
     match std::error::Error::source(error) {
         Some(source) => format!("{error}: {source}"),

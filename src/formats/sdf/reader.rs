@@ -10,7 +10,9 @@ use super::interface::{Handle, Version};
 use super::{SdfInfo, SdfRecord, index_dir, library};
 use crate::formats::{Error, Result};
 
-/// The four calibration tables, as pairs of digitiser steps and value; empty if missing.
+/// The four calibration tables.
+///
+/// Pairs of digitiser steps and value; empty if missing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CalibrationTables {
     /// Amplitude in dB, low-power channel.
@@ -83,7 +85,7 @@ impl SdfReader {
         self.next_record
     }
 
-    /// Returns the calibration tables, and a remark for each one that is unavailable.
+    /// Returns the calibration tables and remarks on unavailable ones.
     pub fn tables(&mut self) -> (CalibrationTables, Vec<String>) {
         let mut remarks = Vec::new();
         let mut table = |kind: u16, consequence: &str| {
@@ -159,7 +161,7 @@ impl SdfReader {
         }
     }
 
-    /// Returns whether a call failed because of a missing index, after building it.
+    /// Builds a missing index; returns whether to repeat the call.
     fn needs_index<T>(&mut self, answer: &Answer<T>) -> Result<bool> {
         let missing = answer.as_ref().err().and_then(Fault::code) == Some(code::MISSING_INDEX);
         if !missing || self.reindexed {

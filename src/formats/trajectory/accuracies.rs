@@ -9,7 +9,7 @@ use super::{Options, Recorded, poq, smrmsg};
 use crate::geo::time_axis::{Clock, Times, Unwrap, align};
 use crate::geo::trajectory::AccuracySample;
 
-/// Finds the accuracies of a trajectory and puts them on its time axis.
+/// Reads the accuracies of a trajectory, on its time axis.
 ///
 /// They come from the file given by the user, else from the POQ next to a POF.
 pub(super) fn find(recorded: &Recorded, options: &Options, placed: Placed) -> Result<Vec<AccuracySample>> {

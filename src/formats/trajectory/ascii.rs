@@ -1,7 +1,8 @@
-//! Text trajectories: one record per line, separated by blanks, tabs, commas or semicolons.
+//! Text trajectories with one record per line.
 //!
-//! Lines before the first record are the header. Empty lines and lines that begin with `#` or `%`
-//! are skipped. Longitude and latitude are in degrees, heights in metres.
+//! Columns are separated by blanks, tabs, commas or semicolons. Lines before the first record are
+//! the header. Empty lines and lines that begin with `#` or `%` are skipped. Longitude and latitude
+//! are in degrees, heights in metres.
 
 use std::path::Path;
 
@@ -93,7 +94,9 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
     })
 }
 
-/// Converts a row, with fields in the order of the letters, to a sample.
+/// Converts a row to a sample.
+///
+/// Its fields are in the order of the letters.
 fn sample(path: &Path, offset: u64, line: u64, row: [f64; 7], is_radians: bool) -> Result<Sample> {
     let [time_s, longitude, latitude, height_m, angles @ ..] = row;
     for (field, value, most) in [("latitude", latitude, 90.0), ("longitude", longitude, 360.0)] {
@@ -121,7 +124,9 @@ fn notes(samples: &[Sample], is_radians: bool) -> Vec<String> {
     Vec::new()
 }
 
-/// Column index of each quantity, from 0, in the order of the letters; roll may be missing.
+/// Column index of each quantity, from 0.
+///
+/// In the order of the letters; roll may be missing.
 struct Columns([Option<usize>; 7]);
 
 impl Columns {
@@ -147,7 +152,7 @@ impl Columns {
         Ok(Columns(places))
     }
 
-    /// Returns the numbers of a line, or a description of the problem.
+    /// Parses the numbers of a line, or describes the problem.
     fn row(&self, line: &str) -> std::result::Result<[f64; 7], String> {
         let cells: Vec<&str> = if line.contains([',', ';']) {
             line.split([',', ';']).map(str::trim).collect()

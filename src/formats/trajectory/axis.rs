@@ -1,4 +1,6 @@
-//! Converts file times to one continuous axis of GPS time, adjusted if the date is known.
+//! Converts file times to one continuous axis.
+//!
+//! The axis is GPS time, adjusted if the date is known.
 
 use std::path::Path;
 
@@ -59,7 +61,9 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options) -> Result<Recorde
     Ok(recorded)
 }
 
-/// Returns the valid range of a clock, s, with a margin for times that continue across its end.
+/// Returns the valid range of a clock, s.
+///
+/// It has a margin for times that continue across the end of the week or day.
 fn range_s(clock: Clock) -> [f64; 2] {
     match clock {
         Clock::Adjusted => [-ADJUSTMENT_S, ADJUSTMENT_S],

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use super::super::bytes::Fields;
 use super::super::{Error, Result};
 
-/// Maximum number of bytes read from the beginning of a file to recognise it.
+/// Number of bytes read to recognise a file, at most.
 const HEAD_BYTES: usize = 4096;
 /// Largest accepted record, bytes.
 pub(super) const LONGEST_RECORD: usize = 4096;
@@ -117,7 +117,7 @@ impl Input {
         Ok(Some(String::from_utf8_lossy(&bytes).trim().to_owned()))
     }
 
-    /// Fills the buffer, or as much of it as there are bytes left.
+    /// Fills the buffer as far as possible; returns the count.
     fn fill(&mut self, buffer: &mut [u8]) -> Result<usize> {
         let mut filled = 0;
         while filled < buffer.len() {

@@ -119,7 +119,7 @@ impl SbetRecord {
     }
 }
 
-/// Returns whether the first record of a file is a plausible SBET record.
+/// Returns whether a file begins with a plausible SBET record.
 pub(super) fn is_one(head: &[u8]) -> bool {
     use core::f64::consts::{FRAC_PI_2, TAU};
     let Some(record) = head.first_chunk().map(SbetRecord::decode) else { return false };

@@ -16,7 +16,9 @@ use crate::geo::trajectory::Sample;
 
 /// Size of a record, bytes.
 pub const RECORD_BYTES: usize = 184;
-/// Offset of the check byte, which is the XOR of the bytes before it.
+/// Offset of the check byte.
+///
+/// It is the XOR of the bytes before it.
 const CHECK_BYTE: usize = 34;
 
 /// Returns whether a file may be SOL.

@@ -8,9 +8,13 @@
 ///
 /// 2^21 cells along an axis.
 pub(super) const KEY_LEVELS: u32 = 21;
+/// Bisections of a node into cells.
+///
 /// A node holds one point in each of its 2^7 = 128 cells along an axis.
 pub(super) const CELL_LEVELS: u32 = 7;
-/// Level of the smallest nodes, whose cells are those of the keys.
+/// Level of the smallest nodes.
+///
+/// Their cells are those of the keys.
 pub(super) const DEEPEST: u32 = KEY_LEVELS - CELL_LEVELS;
 
 /// Axis-aligned cube, in units of the coordinate system.
@@ -22,7 +26,7 @@ pub(super) struct Cube {
 }
 
 impl Cube {
-    /// Returns the smallest cube around the centre of `min` and `max` that contains both.
+    /// Returns the smallest centred cube that contains `min` and `max`.
     ///
     /// Its edge is at least `least`.
     pub(super) fn around(min: [f64; 3], max: [f64; 3], least: f64) -> Cube {
@@ -31,7 +35,7 @@ impl Cube {
         Cube { centre, half: half.fold(least / 2.0, f64::max) }
     }
 
-    /// Returns the key of the cell of a position, clamped to the cube.
+    /// Returns the cell key of a position, clamped to the cube.
     pub(super) fn key(&self, place: [f64; 3]) -> u64 {
         let cells = f64::from(1u32 << KEY_LEVELS);
         let cell = |axis: usize| {
@@ -42,14 +46,14 @@ impl Cube {
     }
 }
 
-/// Returns the common leading key bits of a node or cell of this level.
+/// Returns the leading key bits of a node or cell.
 ///
 /// Level 0 is the whole cube.
 pub(super) fn prefix(key: u64, level: u32) -> u64 {
     key >> (3 * (KEY_LEVELS - level.min(KEY_LEVELS)))
 }
 
-/// Returns the x, y, z numbers of a node in its level from its prefix.
+/// Returns the x, y, z numbers of a node in its level.
 pub(super) fn numbers(prefix: u64) -> [i32; 3] {
     [0, 1, 2].map(|axis| gather(prefix >> axis) as i32)
 }

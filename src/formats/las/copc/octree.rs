@@ -18,7 +18,7 @@ pub(super) struct Node {
 
 /// Octree builder.
 pub(super) struct Octree {
-    /// Maximum number of points of a leaf, including all points below it.
+    /// Maximum number of points of a leaf and its descendants.
     leaf_points: u64,
     /// Nodes that contain the last point, from the root down.
     open: Vec<Open>,
@@ -32,7 +32,9 @@ struct Open {
     records: Vec<u8>,
     /// Number of points received, including those passed to deeper nodes.
     points: u64,
-    /// Leaves below, merged into this node if it becomes a leaf itself.
+    /// Leaves below.
+    ///
+    /// They are merged into this node if it becomes a leaf itself.
     leaves: Vec<Node>,
 }
 
@@ -105,7 +107,9 @@ impl Open {
         Open { prefix, cell: None, records: Vec::new(), points: 0, leaves: Vec::new() }
     }
 
-    /// Returns the node of this level and the leaves below it; a leaf absorbs them.
+    /// Returns the node and the leaves below it.
+    ///
+    /// A leaf absorbs them.
     fn into_nodes(self, level: u32, is_leaf: bool) -> (Node, Vec<Node>) {
         let Open { prefix, mut records, mut leaves, .. } = self;
         if is_leaf {

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use crate::formats::{Error, Result};
 
-/// Stores a run and returns a reader of it from its start.
+/// Stores a run and returns a reader of it.
 pub type Keep<'a> = &'a mut dyn FnMut(&[u8]) -> Result<Box<dyn Read>>;
 
 /// Length of the key before each record, bytes.
@@ -27,7 +27,9 @@ pub(super) struct Sorter<'a> {
 }
 
 impl<'a> Sorter<'a> {
-    /// Creates a sorter for records of this length, within about this much memory.
+    /// Creates a sorter for records of this length.
+    ///
+    /// It uses about `memory_bytes`.
     pub(super) fn new(record_length: usize, memory_bytes: usize, keep: Keep<'a>) -> Sorter<'a> {
         // A sorted run is in memory next to its records until it is stored.
         let most = (memory_bytes / (2 * record_length + BESIDE)).clamp(1, u32::MAX as usize);

@@ -53,7 +53,7 @@ pub(super) fn hierarchy(at: u64, entries: &[Entry]) -> Hierarchy {
     Hierarchy { record, at: at + EVLR_HEADER, bytes: data.len() as u64 }
 }
 
-/// Header and records that depend only on the source and its points.
+/// Header and records known from the source alone.
 pub(super) struct Start {
     /// Header, without fields that are known only at the end.
     header: Vec<u8>,
@@ -66,7 +66,7 @@ pub(super) struct Start {
 }
 
 impl Start {
-    /// Copies the source's header and records where they are valid for COPC.
+    /// Copies header and records that are valid for COPC.
     ///
     /// # Errors
     /// A record cannot be copied, or there are too many.
@@ -153,7 +153,9 @@ fn laz_record(source: &Path, reshape: &Reshape) -> Result<Vec<u8>> {
     vlr(source, LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, &data)
 }
 
-/// Encodes the public header block of LAS 1.4, keeping valid fields of the source.
+/// Encodes the public header block of LAS 1.4.
+///
+/// Valid fields of the source are kept.
 fn public_header(source: &Header, extent: &Extent, reshape: &Reshape, has_wkt: bool) -> Vec<u8> {
     let kept = encoding::ADJUSTED_TIME | encoding::SYNTHETIC_RETURNS | encoding::WKT;
     let encoding = source.global_encoding & kept | if has_wkt { encoding::WKT } else { 0 };

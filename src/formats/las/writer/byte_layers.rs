@@ -40,7 +40,9 @@ struct Layer {
 }
 
 impl ByteLayers {
-    /// Starts a chunk with the extra bytes, not part of the layers, and channel of its first point.
+    /// Starts a chunk with its first point.
+    ///
+    /// The extra bytes of that point are not part of the layers.
     pub(super) fn new(first: &[u8], channel: u8) -> ByteLayers {
         let layer = |byte: &u8| Layer {
             encoder: Encoder::new(),

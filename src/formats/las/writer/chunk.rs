@@ -79,7 +79,7 @@ impl Fields {
         }
     }
 
-    /// Starts with the first point and sets `channel` to its scanner channel.
+    /// Starts with the first point; sets `channel` from it.
     fn begin(&mut self, record: &[u8], chunk: &mut Vec<u8>, channel: &mut usize) -> io::Result<()> {
         self.point.init_first_point(chunk, &record[..POINT], channel)?;
         match &mut self.wave {

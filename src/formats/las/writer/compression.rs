@@ -38,7 +38,9 @@ impl Compression {
         Compression { laz, table: ChunkTable::default(), table_offset_at, special_evlrs_at, beside }
     }
 
-    /// Compresses the records of a chunk, or queues them, and leaves an empty buffer.
+    /// Compresses or queues the records of a chunk.
+    ///
+    /// Leaves an empty buffer.
     pub(super) fn put(&mut self, records: &mut Vec<u8>, sink: &mut impl Write) -> io::Result<()> {
         if self.beside.is_full() {
             self.write_next(sink)?;
@@ -66,8 +68,9 @@ impl Compression {
         sink.write_all(&bytes)
     }
 
-    /// Writes pending chunks and the chunk table, and stores the table's offset before the first
-    /// chunk.
+    /// Writes pending chunks and the chunk table.
+    ///
+    /// Stores the offset of the table before the first chunk.
     pub(super) fn end(&mut self, sink: &mut (impl Write + Seek)) -> io::Result<()> {
         while self.beside.is_busy() {
             self.write_next(sink)?;
@@ -78,7 +81,7 @@ impl Compression {
         sink.write_all(&table_at.to_le_bytes())
     }
 
-    /// Appends the index to the file and registers it in the LASzip record.
+    /// Appends the index and registers it in the LASzip record.
     pub(super) fn append(&self, sink: &mut (impl Write + Seek), index: &[u8]) -> io::Result<()> {
         let at = sink.seek(SeekFrom::End(0))?;
         sink.write_all(&records::evlr(
@@ -93,7 +96,9 @@ impl Compression {
     }
 }
 
-/// Records of a chunk, and the channel that returns the chunk and the buffer.
+/// Records of a chunk, and the channel for the result.
+///
+/// The result is the chunk and the buffer for reuse.
 type Job = (Vec<u8>, Sender<(Chunk, Vec<u8>)>);
 
 /// Worker threads that compress chunks.

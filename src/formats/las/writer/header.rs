@@ -16,7 +16,7 @@ pub(super) struct Shape {
     pub(super) compressed: bool,
 }
 
-/// Encodes the header, with zeros for fields that depend on the points.
+/// Encodes the header; fields that depend on points are zero.
 pub(super) fn header(options: &WriterOptions, shape: &Shape) -> Vec<u8> {
     let version = options.version;
     let bit = |set: bool, bit: u16| if set { bit } else { 0 };
@@ -49,7 +49,9 @@ pub(super) fn header(options: &WriterOptions, shape: &Shape) -> Vec<u8> {
     header
 }
 
-/// Stores the number of VLRs and the offset of packets inside the file.
+/// Stores the number of VLRs and the packet offset.
+///
+/// The offset is that of packets inside the file.
 pub(super) fn patch_waveforms(header: &mut [u8], version: Version, n_vlrs: usize, packets_at: Option<u64>) {
     let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
     put(N_VLRS, &(n_vlrs as u32).to_le_bytes());
@@ -74,7 +76,9 @@ impl Totals {
         Totals { points: 0, by_return: [0; 15], min: [i32::MAX; 3], max: [i32::MIN; 3] }
     }
 
-    /// Counts points: smallest and largest stored coordinate of each axis, and return numbers.
+    /// Counts points by return number and extends the bounds.
+    ///
+    /// `ends` are the smallest and largest stored coordinates of each axis.
     pub(super) fn add(&mut self, version: Version, ends: [(i32, i32); 3], return_numbers: &[u8]) {
         self.points += return_numbers.len() as u64;
         let most = if version.is_legacy() { LEGACY_RETURNS } else { RETURNS };

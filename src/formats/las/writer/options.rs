@@ -38,7 +38,9 @@ impl Version {
         }
     }
 
-    /// Returns whether points are counted in 32 bits and the CRS is stored as GeoTIFF keys.
+    /// Returns whether the version is older than LAS 1.4.
+    ///
+    /// Points are then counted in 32 bits, and the CRS is stored as GeoTIFF keys.
     pub(super) fn is_legacy(self) -> bool {
         self != Version::V1_4
     }
@@ -71,7 +73,9 @@ pub enum IndexPlace {
 pub struct WriterOptions<'a> {
     /// LAS version; determines the point format.
     pub version: Version,
-    /// Coordinate steps of x, y, z, in units of the coordinate system, above 0.
+    /// Coordinate steps of x, y, z, above 0.
+    ///
+    /// In units of the coordinate system.
     pub scale: [f64; 3],
     /// Offsets of x, y, z.
     ///
@@ -84,7 +88,9 @@ pub struct WriterOptions<'a> {
     pub wkt: Option<&'a str>,
     /// Extra attributes of each point, in this order.
     pub extra_attributes: &'a [ExtraAttribute],
-    /// Whether times are adjusted standard GPS time; otherwise seconds of the GPS week.
+    /// Whether times are adjusted standard GPS time.
+    ///
+    /// Otherwise they are seconds of the GPS week.
     pub adjusted_gps_time: bool,
     /// Day of the year of creation, from 1.
     pub creation_day: u16,

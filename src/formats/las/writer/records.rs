@@ -50,7 +50,7 @@ pub(super) struct Records {
     pub(super) count: usize,
     /// Offset of the space for waveform descriptors.
     pub(super) descriptors_at: usize,
-    /// Offset of the number and location of special EVLRs in the LASzip record.
+    /// Offset of the special EVLR fields in the LASzip record.
     pub(super) special_evlrs_at: usize,
 }
 
