@@ -1,11 +1,13 @@
-//! How many points a second get their coordinates on one core: from the earth-centred frame to each kind of system.
+//! Coordinate conversion speed on one core.
+//!
+//! Points per second from the earth-centred frame.
 //!
 //!     cargo bench --bench crs
 
 #![allow(
     clippy::print_stdout,
     clippy::expect_used,
-    reason = "a bench prints its figures, and ends where it fails"
+    reason = "a bench prints its figures and panics on failure"
 )]
 
 use std::hint::black_box;
@@ -18,7 +20,7 @@ use wavex::geo::geoid::{Geoid, Grid};
 
 const POINTS: usize = 100_000;
 const ROUNDS: usize = 15;
-/// What georeferencing needs of UTM with a geoid, points per second and core.
+/// Required speed of UTM with a geoid, points per second and core.
 const NEEDED: f64 = 3e6;
 
 fn main() {
@@ -34,7 +36,7 @@ fn main() {
         let crs = system(word, geoid);
         let rate = forward(&crs);
         let ratio = if word.starts_with("utm") {
-            format!("  {:.2} of what is needed", rate / NEEDED)
+            format!("  {:.2} of the required rate", rate / NEEDED)
         } else {
             String::new()
         };
@@ -50,7 +52,9 @@ fn system(word: &str, with_geoid: bool) -> Crs {
     Crs::new(&named, nowhere, with_geoid.then(geoid), None).expect("a system")
 }
 
-/// As large as a national model: steps of a minute of arc.
+/// Creates a geoid as large as a national model.
+///
+/// Steps of one arc-minute.
 fn geoid() -> Arc<Geoid> {
     let (rows, columns) = (601, 1201);
     let grid = Grid {
@@ -65,7 +69,7 @@ fn geoid() -> Arc<Geoid> {
     Arc::new(Geoid::new("made up", grid).expect("a grid"))
 }
 
-/// Points as along a scan line of a flight to the north.
+/// Creates points as along scan lines of a flight to the north.
 fn points() -> Vec<[f64; 3]> {
     let point = |number: usize| {
         let (line, place) = ((number / 500) as f64, (number % 500) as f64);
@@ -92,7 +96,7 @@ fn backward(crs: &Crs) -> f64 {
     })
 }
 
-/// Points per second, the median of the rounds.
+/// Returns the median of the rounds, points per second.
 fn rate(round: impl Fn() -> f64) -> f64 {
     let mut seconds: Vec<f64> = (0..ROUNDS)
         .map(|_| {

@@ -1,6 +1,7 @@
-//! What the engine itself costs: chains of stages that do nothing, and the time per scan line and stage.
+//! Overhead of the engine.
 //!
-//! `cargo bench --bench engine` prints a table; the goal is below 5 microseconds.
+//! Time per scan line and stage in chains of no-op stages. `cargo bench --bench engine` prints a
+//! table; the goal is below 5 microseconds.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 #[path = "../tests/common/mod.rs"]
@@ -14,7 +15,7 @@ use wavex::stage::StageSpec;
 
 const LINES: usize = 100_000;
 
-/// The median of five runs, microseconds per line and stage.
+/// Returns the median of five runs, microseconds per line and stage.
 fn cost_us(maps: usize, threads: usize) -> f64 {
     let folder = std::env::temp_dir();
     let count = format!("lines = {LINES}\nshots = 1");

@@ -1,7 +1,8 @@
-//! How many points per second one core gives coordinates, and how many shots their poses.
+//! Georeferencing speed on one core.
 //!
-//! `cargo bench --bench georeference` prints rates, and their ratio to the goal of 2 million points per second.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+//! Points per second, and poses of shots per second. `cargo bench --bench georeference` prints
+//! rates, and their ratio to the goal of 2 million points per second.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 #[path = "../tests/georeference/made.rs"]
 #[allow(dead_code, clippy::unwrap_used, reason = "written for tests, which use the rest")]
@@ -18,7 +19,7 @@ use wavex::stage::{Context, Site, Source};
 const GOAL_PER_S: f64 = 2e6;
 const RUNS: usize = 9;
 
-/// A line's shots, with two returns each.
+/// Shots of a line, with two returns each.
 struct Line {
     batch: Batch,
     returns: Vec<Return>,
@@ -39,7 +40,7 @@ fn lines(site: &Site) -> Vec<Line> {
     lines
 }
 
-/// The median rate of the stage, points per second.
+/// Returns the median rate of the stage, points per second.
 fn points_per_s(site: &Site) -> f64 {
     let lines = lines(site);
     let mut stage = georeference(site, "");
@@ -67,7 +68,7 @@ fn fresh(line: &Line) -> Batch {
     fresh
 }
 
-/// Lines that were read before.
+/// Source of lines that were read before.
 struct Read(std::vec::IntoIter<Batch>);
 
 impl Source for Read {
@@ -76,7 +77,7 @@ impl Source for Read {
     }
 }
 
-/// The median rate at which shots get their poses, shots per second.
+/// Returns the median rate of attaching poses, shots per second.
 fn shots_per_s(flight: &Flight) -> f64 {
     let lines = lines(&site(flight, "").unwrap_or_else(|error| panic!("{error}")));
     let shots: usize = lines.iter().map(|line| line.batch.emissions.len()).sum();

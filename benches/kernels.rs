@@ -1,8 +1,10 @@
-//! What the fast kernels reach: million waveforms per core-second, by thread CPU time, medians.
+//! Speed of the fast kernels.
 //!
-//! `cargo bench --bench kernels` prints a table. With `WAVEX_YARDSTICK` naming the yardstick's run script it also runs
-//! that before each round, and prints the ratios to it, medians of the rounds, and how the best of all runs stand to each
-//! other: absolute figures depend on the core, ratios much less. The name of a run as argument (`-- "mixed, refined"`) does that one alone.
+//! Million waveforms per core-second, by thread CPU time, medians. `cargo bench --bench kernels`
+//! prints a table. If `WAVEX_YARDSTICK` names the run script of the yardstick, it runs before each
+//! round, and ratios to it are printed: medians of the rounds, and ratios of the best runs.
+//! Absolute figures depend on the core, ratios much less. The name of a run as an argument (`--
+//! "mixed, refined"`) measures only that run.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
 mod clock;
@@ -21,19 +23,23 @@ use clock::cpu_s;
 use scenes::{Random, SAMPLES, Scene, Waveforms, model};
 
 const WAVEFORMS: usize = 20_000;
-/// So many come at a time, as `decompose` gets them from the engine; 300 to 4096 are usual.
+/// Waveforms per call, as `decompose` gets them from the engine.
+///
+/// 300 to 4096 are usual.
 const SCAN_LINE: usize = 2000;
-/// A run is this long.
+/// Duration of a run, s.
 const RUN_S: f64 = 0.05;
 const RUNS: usize = 7;
-/// The path in use is measured so often, each time behind a run of the yardstick: a neighbour on the machine slows either
-/// down, and rarely for long.
+/// Number of rounds for the SIMD level in use.
+///
+/// Each follows a run of the yardstick. Other load on the machine slows down either, but rarely for
+/// long.
 const ROUNDS: usize = 9;
 const GOAL: f64 = 0.6;
-/// Spread of the backgrounds that are each waveform's own.
+/// SD of the backgrounds that vary per waveform, DN.
 const LEVEL_SD_DN: f64 = 3.0;
 
-/// Blocks of a scene, and the places of their pulses.
+/// Returns the blocks of a scene and the positions of their pulses.
 fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene) -> (Vec<u16>, Vec<Vec<f64>>) {
     let mut made = Waveforms::new(model, noise, scene, 7 + scene as u64);
     let mut samples = Vec::with_capacity(WAVEFORMS * SAMPLES);
@@ -68,8 +74,10 @@ fn rate(mut work: impl FnMut()) -> Rate {
     Rate { median: rates[RUNS / 2], best: rates[RUNS - 1] }
 }
 
-/// Robust standard deviation of error over sigma, where as many returns were found as there are pulses, and the part of the
-/// waveforms where that is so.
+/// Returns normalised error SD and fraction of right counts.
+///
+/// The first is the robust SD of the normalised position error, the second the fraction of
+/// waveforms with the right number of returns. Only the latter enter the SD.
 fn quality(outcomes: &Outcomes, truths: &[Vec<f64>]) -> (f64, f64) {
     let (mut scores, mut right) = (Vec::new(), 0.0);
     for (outcome, truth) in outcomes.iter().zip(truths) {
@@ -85,7 +93,7 @@ fn quality(outcomes: &Outcomes, truths: &[Vec<f64>]) -> (f64, f64) {
     (scores[scores.len() / 2] / 0.674_49, right / truths.len() as f64)
 }
 
-/// Lengths of blocks, one after the other.
+/// Lengths of consecutive blocks.
 const ALIKE: &[usize] = &[SAMPLES];
 const OF_MANY_LENGTHS: &[usize] = &[SAMPLES, SAMPLES - 4, SAMPLES - 7, SAMPLES - 2, SAMPLES - 5];
 
@@ -94,10 +102,10 @@ fn blocks<'a>(samples: &'a [u16], lengths: &[usize]) -> Vec<Block<'a>> {
     samples.chunks(SAMPLES).zip(lengths).map(|(s, &n)| Block { samples: &s[..n], start_phase: 0 }).collect()
 }
 
-/// The sets of waveforms: samples and truth.
+/// Sets of waveforms: samples and truth.
 type Sets = [(Vec<u16>, Vec<Vec<f64>>); 3];
 
-/// The rate of detection alone.
+/// Measures detection alone.
 fn detection(blocks: &[Block<'_>], mut detector: Lockstep, shows: bool) -> Rate {
     let mut candidates: Vec<(u32, Candidate)> = Vec::with_capacity(2 * WAVEFORMS);
     let rate = rate(|| detector.detect(blocks, &mut candidates));
@@ -107,9 +115,11 @@ fn detection(blocks: &[Block<'_>], mut detector: Lockstep, shows: bool) -> Rate 
     rate
 }
 
-/// Rates of detection, one return fitted whole, one return in the fastest mode, two returns jointly, of the mixed scene
-/// in the modes refined, fast-separated and fastest, and of one return in the fastest mode where blocks are of many lengths.
-/// With `shows`, what they come to is printed.
+/// Measures detection, single returns, pairs, the mixed scene, and blocks of varying length.
+///
+/// In order: detection; one return in modes `refined` and `fastest`; two returns fitted jointly;
+/// the mixed scene in modes `refined`, `fast_separated` and `fastest`; one return in mode `fastest`
+/// with blocks of varying length. With `shows`, prints the results of the fits.
 fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets, shows: bool) -> [Rate; 8] {
     let settings = DecomposeSettings::default();
     let plain_settings = DecomposeSettings { max_added: 0, ..settings.clone() };
@@ -151,7 +161,8 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets, 
         let left = kernels.left_to_plain() - before;
         let (z, right) = quality(&outcomes, truths);
         println!(
-            "      {name}: number of returns right in {:.2} %, z of the position {z:.3}, left to the plain kernels {:.2} %",
+            "      {name}: correct number of returns {:.2} %, position z {z:.3}, left to plain \
+             kernels {:.2} %",
             100.0 * right,
             100.0 * left as f64 / blocks.len() as f64
         );
@@ -159,8 +170,10 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets, 
     rates
 }
 
-/// The mixed scene with a background of each waveform's own, in each mode: rates, and their ratio to those of a known
-/// background on the same waveforms without their levels.
+/// Measures the mixed scene with a background per waveform, in each mode.
+///
+/// Prints rates, and their ratio to those with a known background on the same waveforms without the
+/// varying level.
 fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed: &(Vec<u16>, Vec<Vec<f64>>)) {
     let own = ChannelModel {
         background: Background::PerWaveform,
@@ -208,17 +221,22 @@ fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed:
         let (known, unknown) = (best(|(a, _)| a.0.best), best(|(_, b)| b.0.best));
         let (z, right) = rounds[0].1.1;
         println!(
-            "own background, {name}: {unknown:.2} M waveforms per core-second, {ratio:.2}{range} of a known one's {known:.2}; number of returns right in {:.2} %, z {z:.3}, left to the plain kernels {:.2} %",
+            "background per waveform, {name}: {unknown:.2} M waveforms per core-second, \
+             {ratio:.2}{range} of known background's {known:.2}; correct number of returns {:.2} \
+             %, z {z:.3}, left to plain kernels {:.2} %",
             100.0 * right,
             100.0 * rounds[0].1.2
         );
     }
 }
 
-/// A mode measured: its rate, its quality (error over SD, share of right counts), and the share left to the plain kernels.
+/// Result of a mode.
+///
+/// Rate, quality (normalised error SD, fraction of right counts), and fraction left to the plain
+/// kernels.
 type ModeRun = (Rate, (f64, f64), f64);
 
-/// The lines of the yardstick that the kernels are held against: what both names contain.
+/// Yardstick lines for comparison, identified by substrings.
 const LINES: [(&str, &[&str]); 4] = [
     ("detect, one return", &["detect, one return"]),
     ("one return: detect, bank, whiten, 4 iterations", &["whole single:", "GN full 4 it"]),
@@ -226,14 +244,16 @@ const LINES: [(&str, &[&str]); 4] = [
     ("two returns jointly, 4 iterations", &["2-peak", " 4 it"]),
 ];
 
-/// The mixed scene: goals in million waveforms per core-second on a machine where this line of the yardstick reads so many.
+/// Mixed scene: goals in million waveforms per core-second, for the reference yardstick reading.
 const MIXED: [(&str, f64); 3] =
     [("mixed scene, refined", 0.6), ("mixed scene, fast_separated", 1.2), ("mixed scene, fastest", 5.0)];
-/// The line of the yardstick that these go by, and what it read where they were set.
+/// Yardstick line that these goals scale with, and its reading when they were set.
 const MIXED_LINE: &str = "detect, two returns";
 const MIXED_REFERENCE: f64 = 28.0;
 
-/// The yardstick's runs of each line, those of [`MIXED_LINE`] last.
+/// Runs the yardstick.
+///
+/// Returns the rate of each line, that of [`MIXED_LINE`] last.
 fn yardstick() -> Option<[Rate; 5]> {
     let script = std::env::var_os("WAVEX_YARDSTICK")?;
     let output = std::process::Command::new(script).output().ok()?;
@@ -248,7 +268,7 @@ fn yardstick() -> Option<[Rate; 5]> {
     Some(rates)
 }
 
-/// The mixed scene by the plain kernels, thousand waveforms per core-second.
+/// Measures the plain kernels on the mixed scene, thousand waveforms per core-second.
 fn plain(model: &ChannelModel, samples: &[u16]) -> f64 {
     let mut decomposer = Decomposer::new(model, &DecomposeSettings::default(), SAMPLES).expect("a channel");
     let before = cpu_s();
@@ -259,7 +279,7 @@ fn plain(model: &ChannelModel, samples: &[u16]) -> f64 {
     2.0 / spent
 }
 
-/// Median of an odd number of values, and their range.
+/// Returns the median of an odd number of values, and their range.
 fn median(mut values: Vec<f64>) -> (f64, String) {
     values.sort_by(f64::total_cmp);
     let range = match values[..] {
@@ -269,12 +289,14 @@ fn median(mut values: Vec<f64>) -> (f64, String) {
     (values[values.len() / 2], range)
 }
 
-/// How a figure stands to its goal.
+/// Compares a figure with its goal.
 fn verdict(figure: f64, goal: f64) -> &'static str {
     if figure >= goal { "reached" } else { "MISSED" }
 }
 
-/// Prints the rates of what was run, and where the yardstick ran before each of them, medians of the ratios.
+/// Prints the measured rates and ratios.
+///
+/// Ratios are medians, if the yardstick ran before each round.
 fn report(rounds: &[[Rate; 8]], yards: &[[Rate; 5]]) {
     let rate = |i: usize| median(rounds.iter().map(|rates| rates[i].median).collect()).0;
     let ratio = |i: usize, yard: usize| {
@@ -302,7 +324,10 @@ fn report(rounds: &[[Rate; 8]], yards: &[[Rate; 5]]) {
             let scaled = MIXED_REFERENCE * ratio(LINES.len() + i, LINES.len()).0;
             let best = MIXED_REFERENCE * best(LINES.len() + i, LINES.len());
             let verdict = verdict(scaled, *goal);
-            print!("  where the yardstick reads 28 {scaled:.2}, best runs {best:.2}, goal {goal} {verdict}");
+            print!(
+                "  scaled to a yardstick of 28: {scaled:.2}, best runs {best:.2}, goal {goal} \
+                    {verdict}"
+            );
         }
         println!();
     }
@@ -320,14 +345,15 @@ fn main() {
     let sets = [Scene::One, Scene::Two, Scene::Mixed].map(|scene| waveforms(&model, &noise, scene));
     let mut has_yardstick = true;
     for path in [Path::Avx512, Path::Avx2, Path::Portable].into_iter().filter(|path| path.is_available()) {
-        // Without FMA instructions the portable path is exact, not fast: a figure would only cost time.
+        // Without FMA instructions the portable level is exact but slow; measuring it would only
+        // cost time.
         if path == Path::Portable
             && path != Path::best()
             && std::env::var_os("WAVEX_BENCH_PORTABLE").is_none()
         {
             continue;
         }
-        println!("{path:?}{}", if path == Path::best() { ", the path in use" } else { "" });
+        println!("{path:?}{}", if path == Path::best() { ", the SIMD level in use" } else { "" });
         let (mut rounds, mut yards) = (Vec::new(), Vec::new());
         for round in 0..if path == Path::best() { ROUNDS } else { 3 } {
             yards.extend(yardstick());
@@ -345,7 +371,8 @@ fn main() {
     );
     if !has_yardstick {
         println!(
-            "\nNO YARDSTICK: set WAVEX_YARDSTICK to its run script. Without it these figures say little."
+            "\nNO YARDSTICK: set WAVEX_YARDSTICK to its run script. Absolute figures depend on the \
+             core."
         );
     }
 }

@@ -1,10 +1,10 @@
-//! The door to SDF against the door to the container: the same recording through both, into line statistics.
+//! Compares `read_sdf` with `read_arrow` on the same recording, into line statistics.
 //!
-//! `cargo build --release --example sdf_stand_in && cargo bench --bench sdf` prints shots per second of
-//! `read_sdf -> write_lstat`, read through the stand-in for RIEGL's library, and of `read_arrow -> write_lstat`. The goal
-//! is a ratio of at least 1/3. The stand-in itself reads the container and copies every record twice, which counts
-//! against `read_sdf`.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+//! `cargo build --release --example sdf_stand_in && cargo bench --bench sdf` prints shots per
+//! second of `read_sdf -> write_lstat`, through the stand-in for RIEGL's library, and of
+//! `read_arrow -> write_lstat`. The goal is a ratio of at least 1/3. The stand-in reads the
+//! container and copies every record twice, which counts against `read_sdf`.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ const LINES: u32 = 200;
 const SHOTS_PER_LINE: u32 = 1000;
 const RUNS: usize = 7;
 
-/// The stand-in beside this bench's program.
+/// Returns the path of the stand-in, in the build folder of this bench.
 fn stand_in() -> PathBuf {
     let program = std::env::current_exe().unwrap_or_default();
     let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
@@ -23,7 +23,7 @@ fn stand_in() -> PathBuf {
     folder.join(format!("{before}sdf_stand_in{after}"))
 }
 
-/// Runs a job and gives its seconds.
+/// Runs a job and returns its duration, s.
 fn run(text: &str, folder: &Path) -> f64 {
     let job = Job::parse("bench", text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
     let options = Options { threads: 1, ..Options::of_job(&job, folder, folder) };
@@ -52,7 +52,7 @@ fn main() {
         ),
         &folder,
     );
-    // The stand-in serves any container, whatever its name.
+    // The stand-in accepts any container, whatever its name.
     let copied = std::fs::copy(folder.join("flight.arrow"), folder.join("250506_100000.sdf"));
     copied.unwrap_or_else(|error| panic!("{error}"));
     let arrow = format!("[[stage]]\ntype = 'read_arrow'\npath = 'flight.arrow'\n{}", sink("arrow"));
@@ -71,6 +71,6 @@ fn main() {
     println!("read_arrow -> write_lstat: {:>10.0} shots/s", shots / by_arrow);
     println!("read_sdf   -> write_lstat: {:>10.0} shots/s", shots / by_sdf);
     println!("ratio: {:.2}   goal: at least 0.33", by_arrow / by_sdf);
-    // What a bench leaves in the folder of temporary files is nobody's loss if it cannot be removed.
+    // A failure to remove the temporary folder is harmless.
     let _ = std::fs::remove_dir_all(&folder);
 }

@@ -1,7 +1,8 @@
-//! What the simulator costs: shots per second of one core, for scenes and receivers of growing effort.
+//! Speed of the simulator.
 //!
-//! `cargo bench --bench simulate` prints a table; the goal for the first row is 300 000.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+//! Shots per second and core, for scenes and receivers of increasing complexity. `cargo bench
+//! --bench simulate` prints a table; the goal for the first row is 300 000.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 mod clock;
 #[path = "../tests/common/mod.rs"]
@@ -13,15 +14,15 @@ use wavex::kernels::lockstep;
 use wavex::registry;
 use wavex::stage::{Context, Plan, Site};
 
-/// What is measured: a name, and the keys of `simulate`.
+/// Name and `simulate` keys of each case.
 const CASES: &[(&str, &str)] = &[
-    ("level ground, building and wood; one receiver", ""),
+    ("level ground, building and forest; one receiver", ""),
     ("level ground alone; one receiver", "building_height_m = 0.0\ncanopy_height_m = 0.0"),
     (
-        "the same in the scanner's frame, swaying",
+        "the same in the scanner frame, with attitude variation",
         "sbet = 'bench.sbet'\nroll_deg = 2.0\npitch_deg = 1.0\nyaw_deg = 1.0",
     ),
-    ("the same as recorded", "as_recorded = true"),
+    ("the same, in recorded order", "as_recorded = true"),
     ("country; one receiver", "landscape = 'country'"),
     (
         "country; two receivers, modulation, blind gap, as recorded",
@@ -30,7 +31,7 @@ const CASES: &[(&str, &str)] = &[
     ),
 ];
 
-/// Shots per second, the median of five flights.
+/// Returns the median of five flights, shots per second.
 fn shots_per_second(keys: &str) -> f64 {
     let spec = registry::find("simulate").unwrap_or_else(|| panic!("there is a simulator"));
     let job = job(&[(spec, keys)]);

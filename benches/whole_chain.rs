@@ -1,12 +1,16 @@
-//! The whole chain, from a container to LAZ with all attributes: how fast, in how much memory, and beside what ceiling.
+//! Speed and memory of the whole chain.
 //!
-//! `cargo bench --bench whole_chain` makes the mixed scene (`scenes`) with a trajectory, runs `wavex run` on a tenth of it and
-//! on all of it, on two threads, and prints waveforms per second, the most memory that each run took, and the table of
-//! stages. `-- 10000000` makes so many waveforms instead of three million. Two ceilings: what decomposition takes by the
-//! yardstick in C (`WAVEX_YARDSTICK`), or by the kernels of the stage alone, compressing the same records by the `laz` crate
-//! alone, and georeferencing, added up and shared out to two cores without loss.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
-#![allow(clippy::unwrap_used, reason = "a bench ends where it fails")]
+//! From a container to LAZ with all attributes. `cargo bench --bench whole_chain` creates the mixed
+//! scene (`scenes`) with a trajectory. It runs `wavex run` on a tenth of it and on all of it, on
+//! two threads, and prints waveforms per second, the peak memory of each run, and the table of
+//! stages. `-- 10000000` sets the number of waveforms (default three million).
+//!
+//! The result is compared with two ceilings. Each adds up the time of decomposition, of compressing
+//! the same records with the `laz` crate, and of georeferencing, divided by two cores without loss.
+//! Decomposition is measured by the yardstick in C (`WAVEX_YARDSTICK`), or by the kernels of the
+//! stage alone.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
+#![allow(clippy::unwrap_used, reason = "a bench panics on failure")]
 
 #[allow(dead_code, reason = "each bench uses a part")]
 mod scenes;
@@ -32,16 +36,18 @@ use wavex::kernels::lockstep::{self, Lockstep, Mode, Outcomes, Tables};
 const WAVEFORMS: usize = 3_000_000;
 const SHOTS_PER_LINE: usize = 2000;
 const PULSE_RATE_HZ: f64 = 400e3;
-/// Second of the week of the first shot.
+/// Time of the first shot, seconds of the week.
 const START_S: f64 = 200_000.0;
 const SPEED_MPS: f64 = 60.0;
 const THREADS: usize = 2;
 const GOAL: f64 = 0.7;
-/// What georeferencing a point takes at best: sums and products of one rotation and one projection.
+/// Minimum time to georeference a point, ns.
+///
+/// Arithmetic of one rotation and one projection.
 const GEOREFERENCE_NS: f64 = 75.0;
 const CALIBRATE: &str = "[[stage]]\ntype = 'calibrate'\n";
 
-/// A straight flight northwards, level, 700 m up.
+/// Writes a straight, level flight northwards at 700 m above ground.
 fn write_trajectory(path: &Path, duration_s: f64) {
     let mut to = BufWriter::new(File::create(path).unwrap());
     for k in 0..=((duration_s + 2.0) * 200.0) as usize {
@@ -77,7 +83,9 @@ fn header() -> ContainerHeader {
     }
 }
 
-/// The recording: lines from -30 to 30 degrees, a block of the mixed scene for each shot.
+/// Writes the recording.
+///
+/// Lines from -30 to 30 degrees, one block of the mixed scene per shot.
 fn write_recording(path: &Path, lines: usize) {
     let noise = noise();
     let mut waveforms = Waveforms::new(&model(&noise), &noise, Scene::Mixed, 9);
@@ -130,7 +138,7 @@ fn job(calibrate: &str) -> String {
     )
 }
 
-/// What a run took.
+/// Measurements of a run.
 struct Ran {
     seconds: f64,
     peak_mb: f64,
@@ -161,7 +169,8 @@ fn run(folder: &Path, job: &str) -> Ran {
     Ran { seconds, peak_mb: peak_kb / 1024.0, said: String::from_utf8_lossy(&output.stdout).into_owned() }
 }
 
-/// The records of a LAZ file and how they are compressed (LAS 1.4 specification, public header block).
+/// Returns the records of a LAZ file and their LASzip record (LAS 1.4 specification, public header
+/// block).
 fn records(path: &Path) -> (Vec<u8>, LazVlr) {
     let bytes = fs::read(path).unwrap();
     let u16_at = |at: usize| usize::from(u16::from_le_bytes([bytes[at], bytes[at + 1]]));
@@ -182,7 +191,7 @@ fn records(path: &Path) -> (Vec<u8>, LazVlr) {
     (records, vlr)
 }
 
-/// Seconds that compressing records alone takes.
+/// Returns the duration of compressing the records, s.
 fn compress(records: &[u8], vlr: &LazVlr) -> f64 {
     let out = Cursor::new(Vec::with_capacity(records.len()));
     let mut compressor = LasZipCompressor::new(out, vlr.clone()).unwrap();
@@ -192,9 +201,10 @@ fn compress(records: &[u8], vlr: &LazVlr) -> f64 {
     started.elapsed().as_secs_f64()
 }
 
-/// What the yardstick takes for the work of `refined` on a waveform of the mixed scene, ns: detection everywhere, a single
-/// return whole, two and three jointly in eight iterations from two starts, a search of what the pulses leave, and seven
-/// in a hundred tried as two.
+/// Returns the yardstick's time for mode `refined` on a waveform of the mixed scene, ns.
+///
+/// It adds up detection for all waveforms, complete single returns, joint fits of two and three
+/// returns with eight iterations from two starts, a residual search, and split tests for 7 %.
 fn yardstick_ns() -> Option<f64> {
     let script = std::env::var_os("WAVEX_YARDSTICK")?;
     let text = String::from_utf8(Command::new(script).output().ok()?.stdout).ok()?;
@@ -210,8 +220,9 @@ fn yardstick_ns() -> Option<f64> {
     Some(fits + 0.85 * detect + 0.07 * two)
 }
 
-/// What the kernels of `decompose` alone take for a waveform of the mixed scene, ns: the least of several runs, on one
-/// thread and with the true model.
+/// Returns the time of the kernels of `decompose` for a waveform of the mixed scene, ns.
+///
+/// The minimum of several runs on one thread, with the true model.
 fn kernels_ns() -> f64 {
     let noise = noise();
     let model = model(&noise);
@@ -265,8 +276,9 @@ fn main() {
     let tell = |by: &str, decompose_ns: f64| {
         let ceiling = THREADS as f64 * 1e3 / (decompose_ns + laz_ns + georeference_ns);
         println!(
-            "ceiling by {by:<13} {ceiling:6.3} M waveforms/s (decomposition {decompose_ns:.0} ns, LAZ {laz_ns:.0}, \
-             georeferencing {georeference_ns:.0}); reached {:.2} of it, goal {GOAL}",
+            "ceiling from {by:<13} {ceiling:6.3} M waveforms/s (decomposition {decompose_ns:.0} \
+             ns, LAZ {laz_ns:.0}, georeferencing {georeference_ns:.0}); reached {:.2} of it, goal \
+             {GOAL}",
             rate / ceiling
         );
     };
@@ -275,7 +287,7 @@ fn main() {
         Some(decompose_ns) => tell("the yardstick", decompose_ns),
         None => println!("NO YARDSTICK: set WAVEX_YARDSTICK to its run script."),
     }
-    // What a bench leaves in the folder of temporary files is nobody's loss if it cannot be removed.
+    // A failure to remove the temporary folder is harmless.
     if std::env::var_os("WAVEX_BENCH_KEEP").is_none() {
         let _ = fs::remove_dir_all(&folder);
     }

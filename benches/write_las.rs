@@ -1,9 +1,9 @@
-//! What `write_las` adds to compressing: points with every extra attribute to LAZ, on one thread and on two, beside the
-//! `laz` crate alone on the same records.
+//! Speed of `write_las` compared with the `laz` crate alone.
 //!
-//! `cargo bench --bench write_las` prints millions of points per second. Goals: on one thread at most 10 % slower than
-//! `laz` alone, on two at least 1.6 times as fast as on one.
-#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures, and ends where it fails")]
+//! Both compress the same records. Writes points with all extra attributes to LAZ, on one thread
+//! and on two. `cargo bench --bench write_las` prints millions of points per second. Goals: on one
+//! thread at most 10 % slower than `laz` alone, on two at least 1.6 times as fast as on one.
+#![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 #[path = "../tests/common/mod.rs"]
 mod common;
@@ -20,18 +20,20 @@ use wavex::stage::{Context, Plan, Sink, Site};
 
 const LINES: usize = 250;
 const SHOTS: usize = 2000;
-/// Two returns of each shot.
+/// Two returns per shot.
 const POINTS: usize = 2 * LINES * SHOTS;
 const RUNS: usize = 7;
-/// Bytes of a record: point format 6 and the extra attributes.
+/// Length of a record, bytes.
+///
+/// Point format 6 and the extra attributes.
 const RECORD: usize = 30 + 10;
 const EXTRA: u16 = 10;
 
-/// Numbers as noisy as those of real returns.
+/// Random numbers as noisy as real returns.
 struct Noise(u64);
 
 impl Noise {
-    /// Between 0 and 1.
+    /// Returns a number between 0 and 1.
     fn next(&mut self) -> f64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 40) as f64 / (1u64 << 24) as f64
@@ -100,7 +102,9 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
     keys.make(&site).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// Gives all lines to a sink, to the file's end, which is kept until its context is dropped.
+/// Writes all lines to a sink.
+///
+/// The file exists until the context is dropped.
 fn write(mut sink: Box<dyn Sink>, lines: &[Batch]) -> Context {
     let mut cx = Context::default();
     for line in lines {
@@ -110,7 +114,7 @@ fn write(mut sink: Box<dyn Sink>, lines: &[Batch]) -> Context {
     cx
 }
 
-/// The seconds that the stage takes.
+/// Returns the duration of the stage, s.
 fn write_laz(folder: &Path, threads: usize, lines: &[Batch]) -> f64 {
     let sink = sink(folder, "points.laz", threads);
     let started = Instant::now();
@@ -120,17 +124,17 @@ fn write_laz(folder: &Path, threads: usize, lines: &[Batch]) -> f64 {
     seconds
 }
 
-/// The records that the stage makes of the lines.
+/// Returns the records that the stage writes for the lines.
 fn records(folder: &Path, lines: &[Batch]) -> Vec<u8> {
     let _cx = write(sink(folder, "points.las", 1), lines);
-    // Only a run gives a file its final name: here it lies under its temporary one.
+    // Only a complete run renames the file: here it has its temporary name.
     let mut files = std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{error}"));
     let Some(Ok(file)) = files.next() else { panic!("no file was written") };
     let las = std::fs::read(file.path()).unwrap_or_else(|error| panic!("{error}"));
     las[las.len() - POINTS * RECORD..].to_vec()
 }
 
-/// Seconds that the `laz` crate takes for the same records.
+/// Returns the duration of compressing the same records with the `laz` crate, s.
 fn compress(records: &[u8], laz: &LazVlr) -> f64 {
     let out = Cursor::new(Vec::with_capacity(records.len()));
     let mut compressor = LasZipCompressor::new(out, laz.clone()).unwrap_or_else(|error| panic!("{error}"));
@@ -146,7 +150,7 @@ fn main() {
     let records = records(&folder, &lines);
     let laz = LazVlrBuilder::default().with_point_format(6, EXTRA).unwrap_or_else(|error| panic!("{error}"));
     let laz = laz.with_fixed_chunk_size(50_000).build();
-    // In turns, so that what else the machine does meets all of them.
+    // Alternate the variants so that other load on the machine affects all of them.
     let mut seconds = [Vec::new(), Vec::new(), Vec::new()];
     for _ in 0..RUNS {
         seconds[0].push(compress(&records, &laz));
@@ -161,6 +165,6 @@ fn main() {
     println!("laz alone, one thread   {alone:>6.2}");
     println!("write_las, one thread   {one:>6.2}   {:.2} of laz alone (goal: at least 0.9)", one / alone);
     println!("write_las, two threads  {two:>6.2}   {:.2} of one thread (goal: at least 1.6)", two / one);
-    // What a bench leaves in the folder of temporary files is nobody's loss if it cannot be removed.
+    // A failure to remove the temporary folder is harmless.
     let _ = std::fs::remove_dir_all(&folder);
 }

@@ -1,4 +1,6 @@
-//! Decomposes an array of samples, without a file, a job or a scan line: calibrate from waveforms in memory, then fit one.
+//! Decomposes an array of samples without a file or job.
+//!
+//! Calibrates from waveforms in memory, then fits one.
 //!
 //!     cargo run --example decompose_samples
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
@@ -7,9 +9,9 @@ use anyhow::{Context, Result};
 use wavex::kernels::calibrate::{Block, CalibrationSettings, calibrate};
 use wavex::kernels::decompose::{DecomposeSettings, Decomposer};
 
-/// Samples of a waveform, a nanosecond apart.
+/// Samples per waveform, at 1 ns.
 const SAMPLES: usize = 60;
-/// The largest value of the digitiser.
+/// Largest value of the digitiser.
 const FULL_SCALE_DN: f64 = 255.0;
 
 fn main() -> Result<()> {
@@ -22,7 +24,7 @@ fn main() -> Result<()> {
         .collect();
     let blocks = recorded.iter().map(|samples| Block { samples, start_phase: 0 });
     let model = calibrate(blocks, &CalibrationSettings::echoes(1.0, FULL_SCALE_DN))?;
-    println!("noise {:.2} DN, pulse {:.2} ns wide", model.noise_sd_dn, model.pulse_fwhm_ns);
+    println!("noise SD {:.2} DN, pulse FWHM {:.2} ns", model.noise_sd_dn, model.pulse_fwhm_ns);
 
     // Two echoes 6 ns apart, 80 and 40 DN high.
     let samples = waveform(&[(25.3, 80.0), (31.3, 40.0)], &mut noise);
@@ -30,7 +32,7 @@ fn main() -> Result<()> {
     let result = decomposer.decompose(&samples, 0);
     for found in result.returns {
         println!(
-            "echo at {:.2} +- {:.2} samples, {:.1} +- {:.1} DN high",
+            "echo at {:.2} +- {:.2} samples, amplitude {:.1} +- {:.1} DN",
             found.position_samples, found.position_sd_samples, found.amplitude_dn, found.amplitude_sd_dn
         );
     }
@@ -38,7 +40,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Echoes (position in samples, height in DN) with noise, as a digitiser gives them.
+/// Simulates digitised echoes (position in samples, height in DN) with noise.
 fn waveform(echoes: &[(f64, f64)], noise: &mut Noise) -> Vec<u16> {
     let sample = |k: usize| {
         let pulse =
@@ -49,7 +51,9 @@ fn waveform(echoes: &[(f64, f64)], noise: &mut Noise) -> Vec<u16> {
     (0..SAMPLES).map(sample).collect()
 }
 
-/// Noise of about 1 DN: the sum of 12 uniform numbers of a linear congruential generator.
+/// Noise with an SD of about 1 DN.
+///
+/// The sum of 12 uniform numbers of a linear congruential generator.
 struct Noise(u64);
 
 impl Noise {

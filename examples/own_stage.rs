@@ -1,4 +1,4 @@
-//! Adds a stage of one's own to the stages of wavex, and runs a job with it.
+//! Adds a custom stage to wavex and runs a job with it.
 //!
 //!     cargo run --example own_stage -- out
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
@@ -12,14 +12,18 @@ use wavex::job::Job;
 use wavex::registry::STAGES;
 use wavex::stage::{self, Config, Context, Item, Map, MapConfig, Site, StageSpec};
 
-/// The stage's name in jobs, its role, and what lines it takes. It gives lines of the same kind.
+/// Name, role and accepted kinds of line of the stage.
+///
+/// The output has the same kind.
 const DROP_WEAK: StageSpec = StageSpec::map::<DropWeak>("drop_weak", &[Kind::Returns], None);
 
-/// Drops weak returns: this comment is its page in `wavex stages`.
+/// Drops weak returns.
+///
+/// This comment is the stage's page in `wavex stages`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct DropWeak {
-    /// The smallest amplitude that is kept, digitiser steps.
+    /// Smallest amplitude to keep, digitiser steps.
     least_amplitude_dn: f64,
 }
 
@@ -38,12 +42,15 @@ impl MapConfig for DropWeak {
 }
 
 impl Map for DropWeak {
-    /// The engine runs several lines side by side: a map remembers nothing from line to line.
+    /// Filters one line.
+    ///
+    /// The engine runs lines in parallel, so a map must keep no state between them.
     fn map(&mut self, mut line: Batch, cx: &mut Context) -> stage::Result<Batch> {
         if let Content::Returns(returns) = &mut line.content {
             let before = returns.len();
             returns.retain(|found| found.amplitude_dn >= self.least_amplitude_dn);
-            // Whatever is dropped is counted with its reason: the engine compares both sides of each stage.
+            // Rejected items are counted with a reason: the engine compares input and output of
+            // each stage.
             cx.reject(Item::Returns, "too weak", (before - returns.len()) as u64);
         }
         Ok(line)
@@ -72,7 +79,7 @@ path = '*.csv'
 ";
 
 fn main() -> Result<()> {
-    let folder = std::env::args().nth(1).context("give the folder to write to")?;
+    let folder = std::env::args().nth(1).context("missing argument: output folder")?;
     let stages: Vec<&'static StageSpec> = STAGES.iter().copied().chain([&DROP_WEAK]).collect();
     let job = Job::parse_with(&stages, "the job of this example", JOB, &[], &[])?;
     let report = engine::run(&job, &Options::of_job(&job, ".", &folder))?;

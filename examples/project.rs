@@ -1,6 +1,9 @@
-//! Projects places: reads lines `longitude latitude height` (degrees, degrees, m on the system's ellipsoid) and prints their
-//! coordinates in a coordinate reference system; `inverse` reads coordinates and prints places; `ecef` reads earth-centred
-//! coordinates, m. Other programs check the figures (`tests/python/check_crs.py`).
+//! Converts between geodetic, projected and earth-centred coordinates.
+//!
+//! `forward` reads lines `longitude latitude height` (degrees, degrees, m on the system's
+//! ellipsoid) and prints coordinates in a coordinate reference system. `inverse` reads such
+//! coordinates and prints geodetic ones. `ecef` reads earth-centred coordinates, m.
+//! `tests/python/check_crs.py` compares the results with other programs.
 //!
 //!     cargo run --example project -- EPSG:2154 forward < places.txt
 //!     cargo run --example project -- site.wkt inverse geoid=egm96 geoid_dir=geoids unit=us_ft < coordinates.txt

@@ -1,4 +1,6 @@
-//! Reads a recording of any format line by line, and prints what is in it.
+//! Reads a recording line by line and prints a summary.
+//!
+//! All formats are supported.
 //!
 //!     cargo run --example read_recording -- flight7.pls
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
@@ -11,8 +13,10 @@ use wavex::registry::reader_of;
 use wavex::stage::{Context, Plan, Site};
 
 fn main() -> Result<()> {
-    let file = std::env::args().nth(1).context("give a recording: .las, .laz, .pls, .sdf, .wfm or .arrow")?;
-    // A reader is a stage with keys, as in a job. The name of the file selects it.
+    let file = std::env::args()
+        .nth(1)
+        .context("missing argument: recording (.las, .laz, .pls, .sdf, .wfm or .arrow)")?;
+    // A reader is a stage with keys, as in a job; the file extension selects it.
     let reader = reader_of(&file).map_err(|problem| anyhow!(problem))?;
     let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(file.clone()));
     let job = Job::parse("example", &text, &[])?;
@@ -20,7 +24,7 @@ fn main() -> Result<()> {
         bail!("{reader} is a reader");
     };
     let mut source = source.make(&Site::alone(Path::new(&file)))?;
-    // What is dropped on the way is counted here.
+    // The context counts rejected items.
     let mut cx = Context::default();
     let (mut lines, mut shots, mut samples) = (0, 0, 0);
     while let Some(line) = source.next(&mut cx)? {

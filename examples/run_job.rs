@@ -1,4 +1,6 @@
-//! Runs a job from Rust: the same as `wavex run`, with the report as a value.
+//! Runs a job from Rust, like `wavex run`.
+//!
+//! Returns the report as a value.
 //!
 //!     cargo run --example run_job -- out
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
@@ -28,11 +30,11 @@ type = 'write_las'
 ";
 
 fn main() -> Result<()> {
-    let folder = std::env::args().nth(1).context("give the folder to write to")?;
-    // As `--set` of the command line: a key of a stage for this run.
+    let folder = std::env::args().nth(1).context("missing argument: output folder")?;
+    // Like `--set` on the command line: overrides a key of a stage for this run.
     let overrides = [Override::new("simulate.lines=4")];
     let job = Job::parse("the job of this example", JOB, &overrides)?;
-    // Where relative paths of inputs and of outputs start.
+    // The two paths are the base of relative input and output paths.
     let report = engine::run(&job, &Options::of_job(&job, ".", &folder))?;
     for input in &report.inputs {
         println!("{}: {} waveforms, {} returns", input.stem, input.totals["nw"], input.totals["np"]);

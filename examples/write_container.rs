@@ -1,5 +1,7 @@
-//! Writes a tiny container in each form and a table of returns in each format, with numbers that follow from the
-//! shot's number alone. `tests/python/read_container.py` opens them with pyarrow and DuckDB and must agree:
+//! Writes small containers and tables of returns in every format.
+//!
+//! All values follow from the shot number alone. `tests/python/read_container.py` reads the files
+//! with pyarrow and DuckDB and compares the values:
 //!
 //! ```sh
 //! cargo run --example write_container -- out
@@ -22,7 +24,7 @@ const LINES: u64 = 3;
 const SHOTS_PER_LINE: u64 = 4;
 
 fn main() -> Result<()> {
-    let folder = std::env::args().nth(1).context("give the folder to write to")?;
+    let folder = std::env::args().nth(1).context("missing argument: output folder")?;
     let folder = Path::new(&folder);
     std::fs::create_dir_all(folder)?;
     for (name, compression) in [

@@ -1,8 +1,9 @@
-//! What flows down a chain: one [`Batch`] is one scan line.
+//! Data that flows through a chain of stages.
 //!
-//! A batch always holds its line's emissions; what else it holds is its [`Kind`]: the recorded sample blocks, the
-//! returns found in them, or the points they became. Samples lie in one arena per line, so that a line costs a handful
-//! of allocations however many pulses it has.
+//! A [`Batch`] is one scan line. A batch always holds the shots of its line. Its [`Kind`]
+//! determines its other content: recorded sample blocks, returns found in them, or points computed
+//! from them. The samples of a line share one buffer, so a line needs few allocations, whatever its
+//! number of shots.
 
 use std::sync::Arc;
 
@@ -23,49 +24,61 @@ pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
 pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};
 
-/// The longest a scan line may be before a reader ends it, in shots.
+/// Maximum length of a scan line, shots.
+///
+/// Readers end longer lines.
 pub const MAX_SHOTS_PER_LINE: usize = 4096;
 
-/// One scan line on its way down the chain.
+/// Scan line with its data.
 #[derive(Debug)]
 pub struct Batch {
-    /// What is known of the recording as a whole.
+    /// Metadata of the recording.
     pub input: Arc<InputInfo>,
-    /// Scan line, from 0 in each input.
+    /// Number of the scan line, from 0 in each input.
     pub line: u32,
-    /// The line's counters: each stage adds its own, and nobody keeps a second count.
+    /// Counters of the line.
+    ///
+    /// Each stage adds its own, and there is no other count.
     pub stats: LineStats,
-    /// What `calibrate` found, once it has.
+    /// Sensor model, set by `calibrate`.
     pub model: Option<Arc<SensorModel>>,
-    /// What `fuse_channels` found, once it has: the times of the high power blocks then count as the others do.
+    /// Channel fusion, set by `fuse_channels`.
+    ///
+    /// Times of high-power blocks are corrected from then on.
     pub fusion: Option<Arc<ChannelFusion>>,
-    /// The line's emissions in order of time.
+    /// Shots of the line, ordered by time.
     pub emissions: Vec<Emission>,
-    /// What was recorded, found or computed for them.
+    /// Sample blocks, returns or points of the shots.
     pub content: Content,
-    /// Where a sink of the job wants the recorded blocks together with their returns: they stay here behind `decompose`.
+    /// Sample blocks kept after `decompose`, if a sink needs them.
     pub waveforms: Option<Blocks>,
-    /// The batch's share of the memory in flight; given back when the batch is dropped.
+    /// Share of the memory budget.
+    ///
+    /// Released when the batch is dropped.
     pub(crate) ticket: Option<Ticket>,
 }
 
-/// What a batch holds besides its emissions.
+/// Content of a batch besides its shots.
 #[derive(Debug)]
 pub enum Content {
-    /// The recorded sample blocks.
+    /// Recorded sample blocks.
     Shots(Blocks),
-    /// The returns found in them, ordered by emission, then by time.
+    /// Returns, ordered by shot, then by time.
     Returns(Returns),
-    /// The returns, and where each lies in the output frame (same order and length).
+    /// Returns and their coordinates in the output frame.
+    ///
+    /// Both have the same order and length.
     Points(Returns, Vec<[f64; 3]>),
 }
 
-/// The kinds of batch: what a stage accepts and makes.
+/// Kind of batch.
+///
+/// The input and output type of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    /// Emissions and recorded sample blocks.
+    /// Shots and recorded sample blocks.
     Shots,
-    /// Emissions and the returns found.
+    /// Shots and returns.
     Returns,
     /// Returns with coordinates in the output frame.
     Points,
@@ -82,7 +95,9 @@ impl std::fmt::Display for Kind {
 }
 
 impl Batch {
-    /// A line as a reader delivers it. `nw` and the line's time are set from its emissions and blocks.
+    /// Creates a line as delivered by a reader.
+    ///
+    /// Sets `nw` and the line's time.
     pub fn of_shots(input: Arc<InputInfo>, line: u32, emissions: Vec<Emission>, blocks: Blocks) -> Batch {
         let stats = LineStats {
             gps_time_s: emissions.first().map_or(f64::NAN, |e| e.gps_time_s),
@@ -103,7 +118,7 @@ impl Batch {
         }
     }
 
-    /// What the batch holds.
+    /// Returns the kind of content.
     pub fn kind(&self) -> Kind {
         match self.content {
             Content::Shots(_) => Kind::Shots,
@@ -112,7 +127,7 @@ impl Batch {
         }
     }
 
-    /// The recorded blocks, while they are there.
+    /// Returns the recorded blocks, before `decompose`.
     pub fn blocks(&self) -> Option<&Blocks> {
         match &self.content {
             Content::Shots(blocks) => Some(blocks),
@@ -120,7 +135,7 @@ impl Batch {
         }
     }
 
-    /// The returns, once there are some.
+    /// Returns the returns, after `decompose`.
     pub fn returns(&self) -> Option<&Returns> {
         match &self.content {
             Content::Returns(returns) | Content::Points(returns, _) => Some(returns),
@@ -128,7 +143,7 @@ impl Batch {
         }
     }
 
-    /// The coordinates in the output frame, once there are some.
+    /// Returns the coordinates in the output frame, after `georeference`.
     pub fn points(&self) -> Option<&[[f64; 3]]> {
         match &self.content {
             Content::Points(_, points) => Some(points),
@@ -136,12 +151,14 @@ impl Batch {
         }
     }
 
-    /// How many returns there are; 0 before `decompose`.
+    /// Returns the number of returns; 0 before `decompose`.
     pub fn n_returns(&self) -> usize {
         self.returns().map_or(0, |returns| returns.len())
     }
 
-    /// The memory the batch takes, in bytes: what `memory_mb` bounds.
+    /// Returns the memory used by the batch, bytes.
+    ///
+    /// It is limited by `memory_mb`.
     pub fn bytes(&self) -> usize {
         let content = match &self.content {
             Content::Shots(blocks) => blocks.bytes(),
@@ -154,7 +171,7 @@ impl Batch {
         size_of::<Batch>() + self.emissions.capacity() * size_of::<Emission>() + content + waveforms
     }
 
-    /// Tells the budget what the batch takes now, after a stage has changed it.
+    /// Updates the share of the budget after a change.
     pub(crate) fn recount(&mut self) {
         let bytes = self.bytes();
         if let Some(ticket) = &mut self.ticket {

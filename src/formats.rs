@@ -1,7 +1,8 @@
-//! Bytes to structs and back, one file per format: no batch, no stage, no configuration, no thread.
+//! Readers and writers of file formats, one file per format.
 //!
-//! Whatever a file says of its own sizes passes a limit before anything is allocated, and every error names the file,
-//! the byte and the field.
+//! This layer knows no scan lines, stages, configuration or threads. Every size read from a file is
+//! checked against a limit before anything is allocated. Every error names the file, the byte and
+//! the field.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -20,57 +21,60 @@ mod unsupported;
 
 pub use unsupported::unsupported;
 
-/// What can be wrong with a file.
+/// Error of a file that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{}: cannot {action}: {source}{}", file.display(), remedy_of(source.kind()))]
     Io {
-        /// The file concerned.
+        /// File concerned.
         file: PathBuf,
-        /// What was tried, as a verb: "open", "read the header".
+        /// Attempted action as a verb: "open", "read the header".
         action: &'static str,
-        /// The system's own words.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// The bytes are not what the format says.
+    /// The bytes violate the format.
     #[error("{}: byte {offset}: {field}: {problem}; {remedy}", file.display())]
     Malformed {
-        /// The file concerned.
+        /// File concerned.
         file: PathBuf,
-        /// Where the field starts, from the beginning of the file.
+        /// Offset of the field from the beginning of the file, bytes.
         offset: u64,
-        /// The field's name in the specification.
+        /// Name of the field in the specification.
         field: String,
-        /// What is wrong with it.
+        /// Description of the problem.
         problem: String,
-        /// What the user can do.
+        /// Advice to the user.
         remedy: String,
     },
-    /// The file as a whole cannot be used: another format, a missing companion, an unsupported version.
+    /// The whole file is unusable.
+    ///
+    /// Wrong format, missing companion, unsupported version.
     #[error("{}: {problem}; {remedy}", file.display())]
     Unusable {
-        /// The file concerned.
+        /// File concerned.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the problem.
         problem: String,
-        /// What the user can do.
+        /// Advice to the user.
         remedy: String,
     },
 }
 
 impl Error {
-    /// An input or output error, for `map_err`: `File::open(path).map_err(Error::io(path, "open"))`.
+    /// Returns an I/O error constructor for `map_err`: `File::open(path).map_err(Error::io(path,
+    /// "open"))`.
     pub fn io<'a>(file: &'a Path, action: &'static str) -> impl Fn(io::Error) -> Error + 'a {
         move |source| Error::Io { file: file.to_path_buf(), action, source }
     }
 
-    /// The file as a whole cannot be used.
+    /// Creates an error about the whole file.
     pub fn unusable(file: &Path, problem: impl Into<String>, remedy: impl Into<String>) -> Error {
         Error::Unusable { file: file.to_path_buf(), problem: problem.into(), remedy: remedy.into() }
     }
 
-    /// A field that is not what the format says.
+    /// Creates an error about one field.
     pub fn malformed(
         file: &Path,
         offset: u64,
@@ -87,7 +91,7 @@ impl Error {
         }
     }
 
-    /// The file concerned.
+    /// Returns the file concerned.
     pub fn file(&self) -> &Path {
         match self {
             Error::Io { file, .. } | Error::Malformed { file, .. } | Error::Unusable { file, .. } => file,
@@ -95,7 +99,9 @@ impl Error {
     }
 }
 
-/// What the user can do where the system refuses, as the end of a message; empty where its own words must do.
+/// Returns advice for an I/O error, to end a message.
+///
+/// Empty if the system's message suffices.
 fn remedy_of(kind: io::ErrorKind) -> &'static str {
     use io::ErrorKind::{
         AlreadyExists, FileTooLarge, IsADirectory, NotADirectory, NotFound, PermissionDenied, QuotaExceeded,
@@ -106,12 +112,14 @@ fn remedy_of(kind: io::ErrorKind) -> &'static str {
         IsADirectory => "; give a file",
         AlreadyExists | NotADirectory => "; choose another folder: a file is in the way",
         PermissionDenied | ReadOnlyFilesystem => "; check the permissions, or choose another folder",
-        StorageFull | QuotaExceeded | FileTooLarge => "; make room, or write to another disk",
+        StorageFull | QuotaExceeded | FileTooLarge => "; free some space, or write to another disk",
         _ => "",
     }
 }
 
-/// The files beside a recording that belong to it: a `.wdp` beside LAS, a `.wvs` beside PulseWaves, whatever their case.
+/// Returns the companion files of a recording in the same folder.
+///
+/// These are `.wdp` for LAS and LAZ, and `.wvs` for PulseWaves. Extensions match in any case.
 pub fn companions(path: &Path) -> Vec<PathBuf> {
     let extension = |path: &Path| path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let wanted = match extension(path).as_str() {
@@ -125,5 +133,5 @@ pub fn companions(path: &Path) -> Vec<PathBuf> {
     entries.map(|entry| folder.join(entry.file_name())).filter(belongs).collect()
 }
 
-/// Shorthand for results of this module.
+/// Result of this module.
 pub type Result<T> = std::result::Result<T, Error>;

@@ -85,7 +85,8 @@ fn what_cannot_be_converted_is_told_and_leaves_nothing() {
     refused(
         &["a_old.las"],
         1,
-        "a_old.las: point formats 6 to 10 can be copied to COPC, and this is format 1; write the points with `version = \"1.4\"`",
+        "a_old.las: COPC needs point format 6 to 10, but this is format 1; write the points with \
+         `version = \"1.4\"`",
     );
     refused(&["a.laz", "-o", "a.laz"], 2, "a.laz: this is the input: give another name by --out");
     refused(&["a.laz", "-o", "b.las"], 2, "b.las: COPC is LAZ: give a name that ends in .copc.laz");

@@ -160,7 +160,7 @@ fn a_full_disk_leaves_whole_files_only() {
         } else {
             failed += 1;
             assert_eq!(output.status.code(), Some(1), "{err}");
-            assert!(err.contains("make room, or write to another disk"), "{err}");
+            assert!(err.contains("free some space, or write to another disk"), "{err}");
             assert!(!place.path(&format!("archives/{blocks}")).exists());
             assert!(
                 names(&place.path("out")).iter().all(|name| !name.ends_with(".partial")),

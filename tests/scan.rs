@@ -197,7 +197,7 @@ fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
     let (code, out, err) = scan(&place, &["b.pls"]);
     let offset = waves.offset_of(200);
     let message = format!(
-        "b.pls: byte {offset}: pulse 200: the header promises 300 pulses and the file holds 200; \
+        "b.pls: byte {offset}: pulse 200: the header declares 300 pulses, but the file has 200; \
          the file is cut off: copy it again from its source"
     );
     assert_eq!((code, err), (Some(1), format!("error: {message}\n")));

@@ -136,10 +136,7 @@ fn what_is_no_trajectory_is_refused() {
         (code, err)
     };
     let (code, err) = refused(&["a.las", "-o", "a.txt"]);
-    assert!(
-        code == Some(1) && err.starts_with("error: a.las: it is no trajectory that wavex knows: "),
-        "{err}"
-    );
+    assert!(code == Some(1) && err.starts_with("error: a.las: unknown trajectory format: "), "{err}");
     let options = ["t.txt", "--columns", "txyzwpk"];
     assert_eq!(
         refused(&options),

@@ -124,7 +124,7 @@ fn laz_beside_a_file_of_no_waveforms() {
     fs::copy(data.join("las_wavepackets/fullwave.laz"), folder.path().join("fullwave.laz")).unwrap();
     fs::write(folder.path().join("fullwave.wdp"), &support::las::Las::new(0).packets).unwrap();
     let problem = cut_everywhere(&read_las::STAGE, folder.path(), "fullwave", &["laz", "wdp"]).unwrap_err();
-    assert!(problem.contains("do not lie among the packets (60 to 60)"), "{problem}");
+    assert!(problem.contains("are outside the packets (60 to 60)"), "{problem}");
 }
 
 #[test]

@@ -1,9 +1,11 @@
-//! What calibration finds, and isolated returns.
+//! Calibration results and isolated returns.
 
 use super::*;
 
-/// A10: what calibration finds, beside the truth. Returns the time by which its zero lies behind the truth's, samples:
-/// that of an outgoing pulse is subtracted from it, so it is no error.
+/// A10: compares the calibration with the truth.
+///
+/// Returns the delay of its time zero relative to the truth, samples. The delay is not an error: it
+/// also applies to the outgoing pulse, which is subtracted.
 pub fn calibration(bench: &mut Bench, model: &ChannelModel) -> f64 {
     let noise = 100.0 * (model.noise_sd_dn / noise_sd_dn() - 1.0);
     bench.goal("A10", "noise's standard deviation", format!("{noise:+.2} %"), "+- 1.5 %", noise.abs() <= 1.5);
@@ -28,10 +30,10 @@ pub fn calibration(bench: &mut Bench, model: &ChannelModel) -> f64 {
         if i == 0 {
             shift = lag;
         }
-        let what = format!("response for {:.0} DN, shape beside the widened truth", node.peak_dn);
+        let what = format!("response for {:.0} DN, shape against the widened truth", node.peak_dn);
         bench.goal("A10", &what, format!("{:.3} %", 100.0 * rms), "0.1 %", rms <= 1e-3);
         let gauge = format!("{:+.2} ps, {width:.4}", 1e3 * lag);
-        bench.beside("A10", "  ... its zero of time and width in the truth's", gauge);
+        bench.beside("A10", "  ... time zero and width relative to the truth", gauge);
     }
     let factor = model.pulse_error_factor;
     bench.goal(
@@ -51,7 +53,9 @@ pub fn calibration(bench: &mut Bench, model: &ChannelModel) -> f64 {
     shift
 }
 
-/// Root mean square deviation of a response from the truth of the nearest height, place and width; these two.
+/// Returns the RMS deviation from the best-fitting truth.
+///
+/// Also the shift and width of that fit.
 fn shape_error(truth: &Response, values: &[f64], first_sample: i32) -> [f64; 3] {
     let times: Vec<f64> = (0..values.len()).map(|k| f64::from(first_sample) + k as f64 / 8.0).collect();
     let inside: Vec<usize> = (0..times.len()).filter(|&k| within(times[k], -9.0, 34.0)).collect();
@@ -66,7 +70,7 @@ fn shape_error(truth: &Response, values: &[f64], first_sample: i32) -> [f64; 3] 
         for i in 0..3 {
             for sign in [-1.0, 1.0] {
                 let mut trial = best;
-                // Widths of the truth come in steps of 0.002.
+                // Widths of the truth are quantised to 0.002.
                 trial[i] += sign * if i == 1 { f64::max(step[i], 0.002) } else { step[i] };
                 if rms(trial) < rms(best) {
                     (best, moved) = (trial, true);
@@ -77,7 +81,7 @@ fn shape_error(truth: &Response, values: &[f64], first_sample: i32) -> [f64; 3] 
             step = step.map(|s| 0.5 * s);
         }
     }
-    // The response is the truth so much later: what is fitted with it lies so much later, too.
+    // A delay of the response appears as the same delay of fitted positions.
     [rms(best), best[0], best[1]]
 }
 
@@ -122,7 +126,7 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
         let known = sd / (found.len() as f64).sqrt();
         bench.verdict(
             "A2",
-            &format!("{here}: bias of range, zero of time removed"),
+            &format!("{here}: range bias, time zero removed"),
             format!("{:+.2} ps (raw {:+.2}, +- {:.2})", 1e3 * bias, 1e3 * mean, 1e3 * known),
             &format!("{:.2} ps", 1e3 * asked),
             within_known(bias, -asked, asked, known),
@@ -144,7 +148,7 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
         let covered = 100.0 * coverage(&place);
         bench.verdict(
             "cov",
-            &format!("{here}: range within one standard deviation"),
+            &format!("{here}: range coverage within 1 SD"),
             format!("{covered:.1} %"),
             "66-70 %",
             within_known(covered, 66.0, 70.0, known_coverage(found.len())),
@@ -162,7 +166,7 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
     let missing = bench.count as usize - found.len();
     bench.beside(
         "",
-        &format!("{here}: bias of height, of width; not one return"),
+        &format!("{here}: bias of height, of width; count differs from 1"),
         format!(
             "{:+.2} %, {:+.2} %; {missing}",
             100.0 * moments(&heights).0,
@@ -171,7 +175,9 @@ fn isolated_cell(bench: &mut Bench, snr: f64, width: f64, gauge: f64, found: &[(
     );
 }
 
-/// A5: isolated returns in the mode `fastest`: one step from the width bank.
+/// A5: isolated returns in mode `fastest`.
+///
+/// One step from the width bank.
 pub fn fastest(bench: &mut Bench, model: &ChannelModel, gauge: f64) {
     let settings = DecomposeSettings::default();
     for width in [1.0, 1.5, 2.0, 2.5] {

@@ -1,10 +1,10 @@
-//! How accurate decomposition is, on simulated waveforms and with the automatic calibration: every goal of
-//! docs/accuracy.md beside its figure.
+//! Accuracy of decomposition on simulated waveforms with automatic calibration.
 //!
-//! `cargo bench --bench accuracy` prints the table; words behind it choose parts of it (`-- A6 A9`), and `count=2000`
-//! takes fewer waveforms than 20 000 for each figure. Seeds are fixed and belong to parts of a cell, so that the figures
-//! do not depend on the number of threads.
-#![allow(missing_docs, reason = "no one imports a bench")]
+//! `cargo bench --bench accuracy` prints every figure with its goal from docs/accuracy.md.
+//! Arguments select parts of the table (`-- A6 A9`); `count=2000` reduces the waveforms per figure
+//! from 20 000. Seeds are fixed for parts of a cell, so the figures do not depend on the number of
+//! threads.
+#![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(
     clippy::print_stdout,
     clippy::expect_used,
@@ -44,21 +44,21 @@ use instrument::{
 };
 
 const THREADS: u32 = 2;
-/// Waveforms of one seed.
+/// Waveforms per seed.
 const PART: u32 = 500;
 const CALIBRATION: u32 = 20_000;
 const NOISE_BLOCKS: u32 = 1_000_000;
 
-/// What all parts of the table share.
+/// State shared by all parts of the table.
 struct Bench {
     response: Arc<Response>,
-    /// Waveforms for each figure.
+    /// Number of waveforms per figure.
     count: u32,
     missed: u32,
     goals: u32,
 }
 
-/// One kind of waveforms and how they are decomposed.
+/// Kind of waveforms and their decomposition.
 struct Cell<'a> {
     seed: u64,
     count: u32,
@@ -69,25 +69,27 @@ struct Cell<'a> {
 }
 
 impl Bench {
-    /// Prints a figure beside its goal.
+    /// Prints a figure with its goal.
     fn goal(&mut self, goal: &str, what: &str, figure: String, asked: &str, reached: bool) {
         self.verdict(goal, what, figure, asked, [reached, reached]);
     }
 
-    /// Prints a figure beside its goal, which is reached as it stands, or with two standard deviations of the figure
-    /// itself in its favour.
+    /// Prints a figure with its goal and result.
+    ///
+    /// `reached` is for the figure itself, and for the figure with a margin of two of its standard
+    /// deviations.
     fn verdict(&mut self, goal: &str, what: &str, figure: String, asked: &str, reached: [bool; 2]) {
         self.goals += 1;
         let verdict = match reached {
             [true, _] => "reached",
-            [false, true] => "too near to tell",
+            [false, true] => "within 2 SD",
             _ => "MISSED",
         };
         self.missed += u32::from(verdict == "MISSED");
         println!("{goal:4} {what:62} {figure:>28}   {asked:28} {verdict}");
     }
 
-    /// Prints a figure that has no goal.
+    /// Prints a figure without a goal.
     fn beside(&self, goal: &str, what: &str, figure: String) {
         println!("{goal:4} {what:62} {figure:>28}   -");
     }
@@ -96,7 +98,7 @@ impl Bench {
         Cell { seed, count: self.count, model, settings, mode: Mode::Refined, ringing_sd: 0.0 }
     }
 
-    /// Observes a cell's waveforms in order.
+    /// Evaluates the waveforms of a cell, in order.
     fn observe<T: Send>(
         &self,
         cell: &Cell<'_>,
@@ -128,7 +130,7 @@ impl Bench {
     }
 }
 
-/// The channel's model from waveforms of many kinds.
+/// Calibrates the channel model from waveforms of many kinds.
 fn calibrated(response: &Arc<Response>, seed: u64, full_scale_dn: f64, ringing_sd: f64) -> ChannelModel {
     let mut instrument = Instrument::new(response, seed, 0);
     instrument.ringing_sd = ringing_sd;
@@ -139,7 +141,9 @@ fn calibrated(response: &Arc<Response>, seed: u64, full_scale_dn: f64, ringing_s
     calibrate_response(blocks(), &gaussian, &settings).expect("a response").model
 }
 
-/// With another end of the scale: what was calibrated with eight bits decomposes strong echoes that are not cut off.
+/// Changes the full scale of a model.
+///
+/// A model calibrated with eight bits then fits unsaturated strong echoes.
 fn of_scale(model: &ChannelModel, full_scale_dn: f64) -> ChannelModel {
     ChannelModel { full_scale_dn, ..model.clone() }
 }
@@ -148,7 +152,7 @@ fn settings(split_evidence: f64) -> DecomposeSettings {
     DecomposeSettings { split_evidence: Some(split_evidence), ..DecomposeSettings::default() }
 }
 
-/// An error and what was said of it.
+/// Error and its predicted standard deviation.
 #[derive(Clone, Copy)]
 struct Score {
     error: f64,
@@ -169,7 +173,7 @@ fn coverage(scores: &[Score]) -> f64 {
     scores.iter().filter(|s| s.z().abs() < 1.0).count() as f64 / scores.len() as f64
 }
 
-/// Place, height, width and deviation ratio of a return against its echo.
+/// Compares position, height, width and deviation ratio of a return with its echo.
 fn scores(r: &Return, echo: &Echo) -> ([Score; 3], f64) {
     let place = Score { error: r.position_samples - echo.place, sd: r.position_sd_samples };
     let height = Score { error: r.amplitude_dn - NOISE_SD_DN * echo.snr, sd: r.amplitude_sd_dn };
@@ -181,12 +185,16 @@ fn within(value: f64, low: f64, high: f64) -> bool {
     (low..=high).contains(&value)
 }
 
-/// Whether a figure is within limits, as it stands and with two of its standard deviations.
+/// Checks whether a figure is within limits.
+///
+/// Also within limits widened by two of its SDs.
 fn within_known(value: f64, low: f64, high: f64, sd: f64) -> [bool; 2] {
     [within(value, low, high), within(value, low - 2.0 * sd, high + 2.0 * sd)]
 }
 
-/// The standard deviation of a standard deviation near 1, and of a share near 0.68.
+/// Returns the SD of an estimated SD near 1.
+///
+/// `known_coverage`: of a fraction near 0.68, %.
 fn known_spread(count: usize) -> f64 {
     1.0 / (2.0 * count as f64).sqrt()
 }
@@ -195,7 +203,7 @@ fn known_coverage(count: usize) -> f64 {
     100.0 * (0.68 * 0.32 / count as f64).sqrt()
 }
 
-/// What the engine takes for one waveform with one return.
+/// Measures the time to decompose a waveform with one return.
 fn speed(bench: &Bench, model: &ChannelModel) {
     for (name, settings) in [
         ("as by default", DecomposeSettings::default()),

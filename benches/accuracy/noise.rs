@@ -1,8 +1,10 @@
-//! What noise alone makes of the matched filter's output and of the whole chain.
+//! False alarms from noise.
+//!
+//! In the matched filter output and in the whole chain.
 
 use super::*;
 
-/// Rises through a threshold at the samples, and interpolated maxima above it.
+/// Upward threshold crossings at the samples, interpolated maxima above the threshold, and returns.
 #[derive(Clone, Copy, Default)]
 struct Crossings {
     rises: f64,
@@ -10,7 +12,7 @@ struct Crossings {
     kept: f64,
 }
 
-/// A6: what noise alone makes, with the calibrated and with the true standard deviation.
+/// A6: false alarms, with the calibrated and with the true standard deviation.
 pub fn false_alarms(bench: &mut Bench, model: &ChannelModel) {
     let mut truth = model.clone();
     let part = noise_sd_dn() / model.noise_sd_dn;
@@ -20,7 +22,7 @@ pub fn false_alarms(bench: &mut Bench, model: &ChannelModel) {
         for sigma in [3.5, 4.0, 4.5] {
             let theory = Theory::of(model, sigma);
             let settings = DecomposeSettings { detection_sigma: sigma, ..DecomposeSettings::default() };
-            // So many that the discrete formula is checked to 2 % and less.
+            // Enough blocks to check the discrete formula to 2 % or better.
             let blocks = match sigma {
                 3.5 => blocks / 2,
                 4.0 => 2 * blocks,
@@ -71,7 +73,7 @@ pub fn false_alarms(bench: &mut Bench, model: &ChannelModel) {
     }
 }
 
-/// What theory says of the matched filter's output, and a look at that output.
+/// Theoretical false alarm rates of the matched filter, and the filter itself.
 struct Theory {
     detector: Detector,
     whitener: Whitener,
@@ -104,7 +106,8 @@ impl Theory {
         let template = filter(0.0);
         let energy = dot(&template, &template);
         let correlation = dot(&template, &filter(1.0)) / energy;
-        // Of the output's correlation in band-limited form: its second derivative from whole lags.
+        // The second derivative of the band-limited autocorrelation of the output, from integer
+        // lags.
         let lag = |k: i32| dot(&template, &filter(f64::from(k))) / energy;
         let sinc: f64 =
             (1..60).map(|k| 4.0 * lag(k) * if k % 2 == 0 { 1.0 } else { -1.0 } / f64::from(k * k)).sum();
@@ -147,8 +150,9 @@ impl Theory {
     }
 }
 
-/// Probability that two standard normal numbers of this correlation are both above `x` (Simpson's rule on the integral
-/// over the angle).
+/// Returns the probability that two correlated standard normal numbers both exceed `x`.
+///
+/// Simpson's rule on the integral over the angle.
 fn both_above(x: f64, correlation: f64) -> f64 {
     let (steps, end) = (400, correlation.asin());
     let value = |i: i32| (-x * x / (1.0 + (end * f64::from(i) / f64::from(steps)).sin())).exp();

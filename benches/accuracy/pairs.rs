@@ -1,8 +1,10 @@
-//! Overlapping returns, and single ones that are taken for two.
+//! Overlapping returns, and false splits of single returns.
 
 use super::*;
 
-/// Both returns of a pair, when exactly two are found, each within 0.4 of the separation.
+/// Scores both returns of a pair.
+///
+/// `None` unless exactly two are found, each within 0.4 of the separation.
 fn pair_scores(found: &[Return], echoes: &[Echo; 2]) -> Option<[[Score; 3]; 2]> {
     let separation = echoes[1].place - echoes[0].place;
     let near = |r: &Return, e: &Echo| (r.position_samples - e.place).abs() < 0.4 * separation;
@@ -14,7 +16,9 @@ fn pair_scores(found: &[Return], echoes: &[Echo; 2]) -> Option<[[Score; 3]; 2]> 
     }
 }
 
-/// Pairs that were found, of a ratio, a separation in widths, and a part of the second in the first.
+/// Returns the pairs found.
+///
+/// `kind` is SNR, separation in widths, and relative height of the second.
 fn pairs(bench: &Bench, model: &ChannelModel, evidence: f64, kind: [f64; 3]) -> Vec<[[Score; 3]; 2]> {
     let [snr, widths, part] = kind;
     let settings = settings(evidence);
@@ -30,7 +34,9 @@ fn pairs(bench: &Bench, model: &ChannelModel, evidence: f64, kind: [f64; 3]) -> 
     all.into_iter().flatten().collect()
 }
 
-/// A7 and A8: overlapping returns told apart; A3 and coverage for them.
+/// A7 and A8: detection of overlapping returns.
+///
+/// Their A3 and coverage.
 pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
     let goals = [
         ("A7", 20.0, 0.9, 1.0, 95.0),
@@ -44,7 +50,7 @@ pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
         let [at_11, at_16] = [11.0, 16.0].map(|evidence| {
             100.0 * pairs(bench, model, evidence, [snr, widths, part]).len() as f64 / f64::from(bench.count)
         });
-        let what = format!("SNR {snr}, {widths} widths, second {part} x: both found at 11 (at 16)");
+        let what = format!("SNR {snr}, {widths} widths, second {part} x: both found at evidence 11 (16)");
         bench.goal(
             goal,
             &what,
@@ -70,14 +76,14 @@ pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
     let covered = 100.0 * coverage(&found.iter().flat_map(|p| [p[0][0], p[1][0]]).collect::<Vec<Score>>());
     bench.goal(
         "cov",
-        "pairs, SNR 50, 0.75 widths: range within one",
+        "pairs, SNR 50, 0.75 widths: range within one SD",
         format!("{covered:.1} %"),
         "62-76 %",
         within(covered, 62.0, 76.0),
     );
 }
 
-/// A7: single returns that are divided.
+/// A7: false splits of single returns.
 pub fn false_splits(bench: &mut Bench, model: &ChannelModel) {
     for width in [1.0, 1.5, 2.0] {
         for snr in [20.0, 50.0, 100.0] {
@@ -93,7 +99,7 @@ pub fn false_splits(bench: &mut Bench, model: &ChannelModel) {
             });
             bench.goal(
                 "A7",
-                &format!("width {width}, SNR {snr}: single returns divided at 11 (at 16)"),
+                &format!("width {width}, SNR {snr}: false splits at evidence 11 (16)"),
                 format!("{at_11:.2} % ({at_16:.2} %)"),
                 "<= 0.5 %",
                 at_11 <= 0.5,

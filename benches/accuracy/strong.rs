@@ -1,8 +1,10 @@
-//! Strong returns: ringing that varies, and peaks cut off.
+//! Strong returns: variable ringing and saturated peaks.
 
 use super::*;
 
-/// A9: nothing false behind strong returns whose ringing varies, and weak ones there kept.
+/// A9: false returns after strong returns with variable ringing.
+///
+/// And detection of weak returns there.
 pub fn late_returns(bench: &mut Bench) {
     let model = calibrated(&bench.response, 9, TWELVE_BITS, 0.25);
     let error =
@@ -53,14 +55,14 @@ pub fn late_returns(bench: &mut Bench) {
     let kept = 100.0 * kept.iter().filter(|kept| **kept).count() as f64 / f64::from(bench.count);
     bench.goal(
         "A9",
-        "SNR 10 kept 2 to 4 widths behind SNR 100",
+        "SNR 10 kept 2 to 4 widths after SNR 100",
         format!("{kept:.2} %"),
         ">= 99 %",
         kept >= 99.0,
     );
 }
 
-/// A11: peaks cut off by the digitiser, beside the bound of the samples that are left.
+/// A11: saturated peaks, compared with the bound of the unsaturated samples.
 pub fn saturated(bench: &mut Bench, model: &ChannelModel) {
     let settings = DecomposeSettings::default();
     for snr in [150.0, 200.0, 300.0, 400.0, 600.0, 800.0] {
@@ -73,7 +75,7 @@ pub fn saturated(bench: &mut Bench, model: &ChannelModel) {
             let near =
                 engine.decompose(&samples).0.iter().find(|r| (r.position_samples - echo.place).abs() < 0.5);
             let score = near.map(|r| scores(r, &echo).0[0]);
-            // The bound is the same for all but a few: a tenth of the waveforms tells it.
+            // The bound is almost constant: a tenth of the waveforms suffices.
             let told = instrument.uniform(0.0, 1.0) < 0.1;
             (score, told.then(|| bound(&response, echo, &unsaturated(&samples))[1]))
         });
@@ -107,7 +109,7 @@ pub fn saturated(bench: &mut Bench, model: &ChannelModel) {
     }
 }
 
-/// Samples within the scale, but for the one behind a saturated one.
+/// Marks unsaturated samples, except the one after a saturated sample.
 fn unsaturated(samples: &[u16]) -> Vec<bool> {
     let at_end = |k: usize| f64::from(samples[k]) >= EIGHT_BITS;
     (0..samples.len()).map(|k| samples[k] > 0 && !(at_end(k) || k > 0 && at_end(k - 1))).collect()

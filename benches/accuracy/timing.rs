@@ -1,4 +1,4 @@
-//! What the calibration of one waveform takes, on one thread.
+//! Calibration time per waveform, on one thread.
 
 use super::*;
 
@@ -6,7 +6,7 @@ use super::*;
 #[allow(dead_code, reason = "the tests use more of it")]
 mod recordings;
 
-/// Calibrates from simulated waveforms, and from recorded ones where they are.
+/// Calibrates from simulated waveforms, and from recorded ones if available.
 pub fn calibration(bench: &Bench) {
     let mut instrument = Instrument::new(&bench.response, 1, 0);
     let waveforms: Vec<Vec<u16>> = (0..CALIBRATION).map(|_| instrument.record_any(EIGHT_BITS)).collect();

@@ -1,7 +1,8 @@
-//! What time a bench counts.
+//! Clock of the benches.
 
-/// Seconds of CPU time of this thread since some moment; of wall-clock time where the system does not tell. On a busy
-/// machine a thread waits the rest of the time.
+/// Returns the CPU time of this thread, s, with an arbitrary origin.
+///
+/// Wall-clock time if the system has no thread clock. CPU time excludes waiting on a busy machine.
 pub fn cpu_s() -> f64 {
     #[cfg(unix)]
     {

@@ -1,4 +1,6 @@
-//! A scene's recording through the whole chain, by both doors, and what comes out against the truth.
+//! Runs a scene through the whole chain with both readers.
+//!
+//! Compares the result with the truth.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,11 +10,12 @@ use wavex::job::Job;
 
 use super::waveforms::{NAME, Truth};
 
-/// A return this near to a true one is the same.
+/// Tolerance for matching a return to a true one, m.
 const NEAR_M: f64 = 0.15;
 
-/// Runs the recording in `folder` through the container's door and that of SDF, the latter with this library, into folders
-/// named after the readers. `calibrate` has these keys.
+/// Runs the recording in `folder` with `read_arrow`, and with `read_sdf` and this library.
+///
+/// Outputs go to folders named after the readers. `calibrate` is a list of keys.
 pub fn run(folder: &Path, library: &Path, calibrate: &str) {
     let library = format!("library = '{}'\n", library.display());
     for (reader, library) in [("read_arrow", ""), ("read_sdf", &library)] {
@@ -33,30 +36,30 @@ fn job(reader: &str, library: &str, calibrate: &str) -> String {
     )
 }
 
-/// Whether both doors led to the same table, to the byte, and how its points compare with the truth.
+/// Returns whether both tables are identical, and compares their points with the truth.
 pub fn compare(folder: &Path, truth: &[Truth]) -> (bool, Score) {
     let [arrow, sdf] = ["read_arrow", "read_sdf"]
         .map(|door| std::fs::read_to_string(folder.join(door).join("points.csv")).expect("a table"));
     (arrow == sdf, Score::of(truth, &arrow))
 }
 
-/// How the true echoes were found.
+/// Detection statistics of the true echoes.
 #[derive(Debug, Default)]
 pub struct Score {
     pub echoes: usize,
-    /// Found with their shot, zone and range.
+    /// Echoes found with correct shot, zone and range.
     pub right: usize,
-    /// How far ranges are from the truth, m, in ascending order.
+    /// Absolute range errors, m, ascending.
     pub range_errors_m: Vec<f64>,
-    /// How far points are from theirs, m, in ascending order.
+    /// Distances of points from the truth, m, ascending.
     pub distances_m: Vec<f64>,
-    /// The most by which a point is further off than its range.
+    /// Largest difference between the distance of a point and its range error, m.
     pub worst_beyond_range_m: f64,
-    /// The most pulses that are in the air.
+    /// Largest number of pulses in the air.
     pub zone_most: u64,
 }
 
-/// A point of the table.
+/// Point of the table.
 struct Point {
     zone: u64,
     range_m: f64,
@@ -69,8 +72,8 @@ impl std::fmt::Display for Score {
         let points = [50, 99].map(|percent| 1e3 * quantile(&self.distances_m, percent));
         write!(
             f,
-            "{} of {} right, up to zone {}; ranges {middle:.1} mm off in the middle, {most:.1} mm at 99 %; \
-             points {:.1} and {:.1} mm",
+            "{} of {} right, up to zone {}; range error median {middle:.1} mm, 99 % {most:.1} mm; \
+             point error {:.1} and {:.1} mm",
             self.right, self.echoes, self.zone_most, points[0], points[1]
         )
     }
@@ -115,7 +118,7 @@ fn points(table: &str) -> BTreeMap<u64, Vec<Point>> {
     points
 }
 
-/// The value that so many percent do not exceed, of values in ascending order.
+/// Returns a percentile of ascending values.
 pub fn quantile(values: &[f64], percent: usize) -> f64 {
     values.get(values.len() * percent / 100).or(values.last()).copied().unwrap_or(f64::NAN)
 }

@@ -1,13 +1,14 @@
-//! How many echoes get the emission that caused them, on ten simulated scenes, and what that costs: every goal beside its
-//! figure.
+//! Accuracy and speed of MTA resolution on simulated scenes.
 //!
-//! `cargo bench --bench mta` prints the table of docs/mta.md; words behind it choose rows (`-- 17ns terrain`), and `seed=300`
-//! takes other scenes of the same kind. A row's scenes hold about five million echoes. Times are CPU time of the thread, from the
+//! There are ten scenes, with goals. `cargo bench --bench mta` prints the table of docs/mta.md.
+//! Arguments select rows (`-- 17ns terrain`); `seed=300` selects other scenes of the same kind. The
+//! scenes of a row have about five million echoes. Times are CPU times of the thread, from the
 //! first line pushed to the last one popped.
 //!
-//! `cargo build --release --example sdf_stand_in && cargo bench --bench mta -- chain` takes the scenes through the whole chain
-//! instead, waveforms and all, by `read_arrow` and by `read_sdf` with the stand-in, and compares ranges and points with the truth.
-#![allow(missing_docs, reason = "no one imports a bench")]
+//! `cargo build --release --example sdf_stand_in && cargo bench --bench mta -- chain` runs the
+//! scenes with waveforms through the whole chain instead, by `read_arrow` and by `read_sdf` with
+//! the stand-in, and compares ranges and points with the truth.
+#![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a bench prints its figures")]
 
 #[path = "../clock/mod.rs"]
@@ -25,11 +26,11 @@ use scenes::{Class, RecordedLine, Recording, SCENES, Scene};
 const LINES: u32 = 120;
 const SEED: u64 = 100;
 const GOAL_US: f64 = 0.5;
-/// How wrong the terrain model is at most, and the height above ground.
+/// Largest errors of the terrain model and of the height above ground, m.
 const TERRAIN_ERROR_M: f64 = 20.0;
 const HEIGHT_ERROR_M: f64 = 40.0;
 
-/// What is known beforehand in a row.
+/// Prior knowledge in a row.
 #[derive(Clone, Copy, PartialEq)]
 enum Known {
     Nothing,
@@ -37,13 +38,15 @@ enum Known {
     Height,
 }
 
-/// A row of the table.
+/// Row of the table.
 struct Row {
     name: &'static str,
     modulation_ns: f64,
     pulse_rate_hz: f64,
     known: Known,
-    /// Percent of the echoes that must be right, away from and near to transitions; none is a figure for comparison.
+    /// Required percentage of correct echoes, away from and near transitions.
+    ///
+    /// `None` for comparison only.
     goal: Option<f64>,
 }
 
@@ -68,7 +71,9 @@ const fn row(
     Row { name, modulation_ns, pulse_rate_hz, known, goal }
 }
 
-/// Echoes and how many of them are wrong: away from transitions, near to them, then by class.
+/// Numbers of echoes and of wrong ones.
+///
+/// Away from transitions, near them, then by class.
 #[derive(Default)]
 struct Tally {
     groups: [(u64, u64); 6],
@@ -133,7 +138,9 @@ fn lines(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
     recorded.iter().enumerate().map(line).collect()
 }
 
-/// All lines through a resolver, and the CPU time that took; `None` where it refuses.
+/// Resolves all lines and returns the CPU time.
+///
+/// `None` if the resolver reports an error.
 fn resolve(settings: &Settings, lines: &[Line]) -> Option<(Vec<Resolved>, f64)> {
     let before = cpu_s();
     let mut resolver = Resolver::new(settings).expect("settings");
@@ -159,7 +166,7 @@ fn settings(row: &Row, scene: &Scene, method: Method) -> Settings {
     Settings { method, prior, ..Settings::default() }
 }
 
-/// One row: by blocks, and by the variance in a buffer.
+/// Measures one row, with the block method and with the variance method.
 fn measure(row: &Row, scenes: &[Scene]) -> [Tally; 2] {
     let mut tallies = [Tally::default(), Tally::default()];
     for scene in scenes {
@@ -218,7 +225,7 @@ fn print(row: &Row, [blocks, variance]: &[Tally; 2]) {
     );
 }
 
-/// The stand-in beside this bench's program.
+/// Returns the path of the stand-in, in the build folder of this bench.
 fn stand_in() -> Option<std::path::PathBuf> {
     let program = std::env::current_exe().ok()?;
     let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
@@ -226,7 +233,7 @@ fn stand_in() -> Option<std::path::PathBuf> {
     library.is_file().then_some(library)
 }
 
-/// The scenes at +-17 ns through the whole chain by both doors.
+/// Runs the scenes with a modulation of ±17 ns through the whole chain with both readers.
 fn through_the_chain(seed: u64) {
     let Some(library) = stand_in() else {
         println!("NOTHING WAS MEASURED: build the stand-in: cargo build --release --example sdf_stand_in");
@@ -240,9 +247,9 @@ fn through_the_chain(seed: u64) {
         let truth = waveforms::write(&scene, &scene.record(&how), folder.path());
         chain::run(folder.path(), &library, "");
         let (are_same, score) = chain::compare(folder.path(), &truth);
-        let same = if are_same { "same bytes by both doors" } else { "THE DOORS DIFFER" };
+        let same = if are_same { "identical bytes from both readers" } else { "THE READERS DIFFER" };
         println!(
-            "{}: {same}; {score}; points {:.4} mm beyond that",
+            "{}: {same}; {score}; point and range errors differ by at most {:.4} mm",
             spec.name,
             1e3 * score.worst_beyond_range_m
         );
@@ -268,7 +275,7 @@ fn main() {
         let scenes: Vec<Scene> = (0u64..)
             .zip(SCENES)
             .map(|(i, mut spec)| {
-                // Pulses of 1 MHz are flown lower: 1200 to 2000 m, over half the relief.
+                // At 1 MHz the flying height is 1200 to 2000 m, with half the relief.
                 if fast {
                     (spec.agl_m, spec.relief_m) = (1200.0 + 800.0 / 9.0 * i as f64, 0.5 * spec.relief_m);
                 }

@@ -1,49 +1,53 @@
-//! Airborne scenes as a receiver sees them: times of emissions and echoes, with the emission that caused each echo.
+//! Simulated airborne scenes.
 //!
-//! No waveforms: an echo is a time. A scene's geometry is made once; recording it under a modulation of the pulse rate adds
-//! the times. Numbers come from a hash of their place, so that every run and every part of a scene sees the same world.
+//! Times of emissions and echoes, and the cause of each echo. There are no waveforms: an echo is a
+//! time. The geometry of a scene is computed once; recording it with a pulse rate modulation adds
+//! the times. Random numbers are hashes of their location, so every run and every part of a scene
+//! has the same terrain.
 
-/// Half the speed of light in air, metres per nanosecond of the way there and back.
+/// Half the speed of light in air.
+///
+/// Metres of range per nanosecond of two-way travel time.
 pub const METRES_PER_NS: f64 = 0.149_855_27;
 const LINE_SPACING_M: f64 = 0.65;
 const SHOT_SPACING_M: f64 = 0.6;
 const HALF_SWATH_DEG: f64 = 30.0;
-/// Raster of a line's terrain profile.
+/// Spacing of a line's terrain profile, m.
 const PROFILE_M: f64 = 1.0;
-/// Step along a beam.
+/// Step along a beam, m.
 const STEP_M: f64 = 3.0;
 const NEAR_SHOTS: u32 = 25;
 
-/// What an echo came from.
+/// Cause of an echo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
     Ground,
     Vegetation,
     Building,
     Wire,
-    /// Noise, or the echo of an emission whose record is lost: nothing caused it.
+    /// Noise, or the echo of an emission whose record is lost.
     FalseAlarm,
 }
 
-/// What a scene is made of.
+/// Specification of a scene.
 #[derive(Clone, Copy, Debug)]
 pub struct Spec {
     pub name: &'static str,
     pub agl_m: f64,
-    /// Standard deviation of the terrain's height within the swath.
+    /// Standard deviation of the terrain height within the swath, m.
     pub relief_m: f64,
-    /// Part of the area under forest.
+    /// Fraction of the area with forest.
     pub forest: f64,
-    /// Part of the 80 m squares with a building.
+    /// Fraction of the 80 m squares with a building.
     pub buildings: f64,
     pub wires: bool,
-    /// Part of the area under water.
+    /// Fraction of the area with water.
     pub lakes: f64,
-    /// Part of the shots without any return.
+    /// Fraction of shots without a return.
     pub dropouts: f64,
     /// False alarms per shot.
     pub false_alarms: f64,
-    /// Pause between two lines, in parts of a line.
+    /// Pause between two lines, as a fraction of a line.
     pub pause: f64,
 }
 
@@ -73,7 +77,7 @@ const fn spec(
     Spec { name, agl_m, relief_m, forest, buildings, wires, lakes, dropouts, false_alarms, pause }
 }
 
-/// 64 bits that depend on every bit of the key: rounds of SplitMix64.
+/// Hashes a key to 64 bits that depend on every bit: rounds of SplitMix64.
 pub fn hash(key: [u64; 4]) -> u64 {
     key.into_iter().fold(0, |hash, word| {
         let z = (hash ^ word).wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -87,7 +91,7 @@ fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// A stream of random numbers.
+/// Random number generator.
 struct Random([u64; 4]);
 
 impl Random {
@@ -105,7 +109,7 @@ impl Random {
     }
 }
 
-/// Smooth noise in [0, 1] of the given wavelength.
+/// Returns smooth noise in [0, 1] of the given wavelength.
 fn noise(seed: u64, x: f64, y: f64, wavelength: f64) -> f64 {
     let (u, v) = (x / wavelength + 1000.0, y / wavelength + 1000.0);
     let (i, j) = (u.floor(), v.floor());
@@ -117,7 +121,10 @@ fn noise(seed: u64, x: f64, y: f64, wavelength: f64) -> f64 {
     low * (1.0 - q) + high * q
 }
 
-/// Octaves from `wavelength` down to 10 m, each half as long and 0.36 times as high: slopes as steep as real ones.
+/// Sums octaves from `wavelength` down to 10 m.
+///
+/// Each has half the wavelength and 0.36 times the amplitude of the previous one, which gives
+/// realistic slopes.
 fn terrain(seed: u64, x: f64, y: f64, wavelength: f64) -> f64 {
     let (mut sum, mut height, mut length) = (0.0, 1.0, wavelength);
     while length > 10.0 {
@@ -128,7 +135,7 @@ fn terrain(seed: u64, x: f64, y: f64, wavelength: f64) -> f64 {
     sum
 }
 
-/// A return of a shot.
+/// Target of a shot.
 #[derive(Clone, Copy)]
 struct Target {
     shot: u32,
@@ -136,60 +143,62 @@ struct Target {
     class: Class,
 }
 
-/// One scan line's geometry.
+/// Geometry of a scan line.
 struct Sweep {
     targets: Vec<Target>,
-    /// Range to the ground for each shot.
+    /// Range to the ground for each shot, m.
     ground_m: Vec<f32>,
 }
 
-/// A scene's geometry: what each shot meets.
+/// Geometry of a scene: the targets of each shot.
 pub struct Scene {
     pub spec: Spec,
     pub seed: u64,
     sweeps: Vec<Sweep>,
-    /// Angle of each shot from straight down, positive to the right.
+    /// Angle of each shot from nadir, rad, positive to the right.
     pub angles_rad: Vec<f64>,
     cosines: Vec<f32>,
 }
 
-/// How a scene is recorded.
+/// Parameters of a recording.
 #[derive(Clone, Copy, Debug)]
 pub struct Recording {
     pub pulse_rate_hz: f64,
-    /// Largest deviation of an interval between pulses from its mean; pulses are uniformly displaced by half of it.
+    /// Largest deviation of a pulse interval from its mean, ns.
+    ///
+    /// Each pulse is displaced uniformly by up to half of it.
     pub modulation_ns: f64,
-    /// Echoes so near to an emission are lost.
+    /// Echoes this close to an emission are lost, ns.
     pub blind_ns: f64,
-    /// Part of the emissions whose record is lost, with the echoes in it.
+    /// Fraction of emissions whose record is lost, with its echoes.
     pub lost_records: f64,
 }
 
-/// An echo as recorded.
+/// Recorded echo.
 #[derive(Clone, Copy, Debug)]
 pub struct RecordedEcho {
-    /// The emission in whose record it lies.
+    /// Emission whose record contains the echo.
     pub emission: u32,
     pub time_ns: f64,
-    /// Line and emission that caused it.
+    /// Line and emission that caused the echo.
     pub cause: (u32, u32),
     pub class: Class,
-    /// Within 25 shots of a change of zone.
+    /// Whether the echo is within 25 shots of a zone change.
     pub near: bool,
 }
 
-/// A line as recorded.
+/// Recorded line.
 pub struct RecordedLine {
     pub clocks_ps: Vec<i64>,
     /// Cosine of the angle between beam and vertical, by emission.
     pub cosines: Vec<f32>,
-    /// Range to the ground, by emission.
+    /// Range to the ground, by emission, m.
     pub ground_m: Vec<f32>,
     pub echoes: Vec<RecordedEcho>,
 }
 
 impl Scene {
-    /// The scene of a specification, `lines` long; `part` of the swath's width.
+    /// Creates the scene of a specification, with `lines` lines and `part` of the swath width.
     pub fn new(spec: Spec, seed: u64, lines: u32, part: f64) -> Scene {
         let half_m = spec.agl_m * HALF_SWATH_DEG.to_radians().tan();
         let shots = (2.0 * half_m / SHOT_SPACING_M * part) as u32;
@@ -204,19 +213,19 @@ impl Scene {
         Scene { spec, seed, sweeps, angles_rad, cosines }
     }
 
-    /// A terrain model that is wrong by up to `error_m`, smoothly.
+    /// Returns the range predicted by a terrain model with smooth errors of up to `error_m`.
     pub fn prior_m(&self, line: usize, shot: usize, ground_m: f32, error_m: f64) -> f32 {
         let (x, y) = (shot as f64 * SHOT_SPACING_M, line as f64 * LINE_SPACING_M);
         ground_m + ((2.0 * noise(self.seed ^ 77, x, y, 300.0) - 1.0) * error_m) as f32
     }
 
-    /// What a receiver records of the scene.
+    /// Simulates a recording of the scene.
     pub fn record(&self, how: &Recording) -> Vec<RecordedLine> {
         let interval_ps = 1e12 / how.pulse_rate_hz;
         let shots = self.cosines.len();
         let line_ps = interval_ps * shots as f64 * (1.0 + self.spec.pause);
         let mut random = Random([self.seed, 11, 0, 0]);
-        // A pause is no multiple of the interval; without one, the pulses go on evenly.
+        // A pause is not a multiple of the interval; without a pause, pulses continue evenly.
         let clock = |line: usize, shot: usize, random: &mut Random| {
             let even = line as f64 * line_ps + shot as f64 * interval_ps;
             (even + (random.uniform() - 0.5) * how.modulation_ns * 1e3).round() as i64 + 1_000_000_000
@@ -282,7 +291,7 @@ impl Scene {
     }
 }
 
-/// Marks the echoes near to a change of zone.
+/// Marks the echoes near a zone change.
 fn mark_transitions(line: &mut RecordedLine) {
     let zone = |echo: &RecordedEcho| i64::from(echo.emission) - i64::from(echo.cause.1);
     let real: Vec<&RecordedEcho> =
@@ -296,7 +305,9 @@ fn mark_transitions(line: &mut RecordedLine) {
     line.echoes.iter_mut().for_each(|echo| echo.near = near[echo.emission as usize]);
 }
 
-/// Takes records out: their emissions and the echoes in them. Echoes whose cause is gone are nobody's.
+/// Removes random records with their echoes.
+///
+/// Echoes with a removed cause become false alarms.
 fn lose_records(lines: &mut [RecordedLine], part: f64, random: &mut Random) {
     let kept: Vec<Vec<bool>> =
         lines.iter().map(|line| line.clocks_ps.iter().map(|_| random.uniform() >= part).collect()).collect();
@@ -323,7 +334,7 @@ fn lose_records(lines: &mut [RecordedLine], part: f64, random: &mut Random) {
     }
 }
 
-/// Terrain and what stands on it.
+/// Terrain and objects on it.
 struct World {
     spec: Spec,
     seed: u64,
@@ -370,7 +381,7 @@ impl World {
         (terrain(self.seed, x, y, self.wavelength_m) - self.offset) * self.scale
     }
 
-    /// Height of a roof above the ground.
+    /// Returns the height of a roof above ground, m.
     fn roof(&self, x: f64, y: f64) -> f64 {
         let (i, j) = ((x / 80.0).floor(), (y / 80.0).floor());
         let key = |n| unit(hash([self.seed ^ 3, i as i64 as u64, j as i64 as u64, n]));
@@ -380,7 +391,7 @@ impl World {
         if inside { 6.0 + 54.0 * key(3).powi(2) } else { 0.0 }
     }
 
-    /// Height of the crown of the nearest tree.
+    /// Returns the height of the crown of the nearest tree, m.
     fn crown(&self, x: f64, y: f64) -> f64 {
         if noise(self.seed ^ 1, x, y, 120.0) < self.forest_limit {
             return 0.0;
@@ -392,7 +403,9 @@ impl World {
         if squared < 1.0 { (10.0 + 22.0 * key(0)) * (0.5 + 0.5 * (1.0 - squared).sqrt()) } else { 0.0 }
     }
 
-    /// Height of a wire above the ground, where the beam meets one: spans between masts every 250 m.
+    /// Returns the height of a wire hit by the beam, m.
+    ///
+    /// Above ground; spans between masts every 250 m.
     fn wire(&self, x: f64, y: f64) -> f64 {
         let hit = (0..3).any(|n| {
             let across = x + 0.4 * y + f64::from(n) * 6.0 - 0.3 * self.half_m;
@@ -419,7 +432,7 @@ impl World {
             let (sin, cos) = angle(shot).sin_cos();
             let is_above = |range_m: f64| self.spec.agl_m - range_m * cos > height(range_m * sin);
             let (mut low, most) = ((self.spec.agl_m - top_m) / cos - 1.0, 1.6 * self.spec.agl_m);
-            // The first crossing: what lies behind a ridge is in its shadow.
+            // The first crossing: terrain beyond a ridge is in its shadow.
             while low < most && is_above(low + STEP_M) {
                 low += STEP_M;
             }
@@ -437,7 +450,7 @@ impl World {
         sweep
     }
 
-    /// What a shot meets on its way to the ground at `range_m`, in order of range.
+    /// Adds the targets of a shot whose ground is at `range_m`, in order of range.
     fn meet(&self, range_m: f64, x: f64, y: f64, shot: u32, random: &mut Random, into: &mut Vec<Target>) {
         let mut add = |above_m: f64, class| {
             into.push(Target { shot, range_m: (range_m - above_m) as f32, class });

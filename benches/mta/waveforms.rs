@@ -1,5 +1,7 @@
-//! A scene as files: a container with the waveforms of an instrument that knows no zones, in the frame of a level scanner; the
-//! trajectory of the aircraft; and the truth of every echo that stands alone.
+//! Writes a scene as files: recording, trajectory and truth.
+//!
+//! The recording is a container with the waveforms of an instrument without zone resolution, in the
+//! frame of a level scanner. The truth contains every isolated echo.
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -13,39 +15,40 @@ use wavex::formats::trajectory::sbet::SbetRecord;
 
 use super::scenes::{Class, METRES_PER_NS, RecordedEcho, RecordedLine, Scene, hash};
 
-/// The name of a recording that began on 6 May 2025, a Tuesday, two hours into its tenth hour.
+/// Name of a recording that began on 6 May 2025, a Tuesday, at 10:00:00.
 pub const NAME: &str = "250506_100000.sdf";
-/// When the clock began, seconds of GPS week 2365.
+/// Start of the clock, seconds of GPS week 2365.
 const START_S: f64 = 208_800.0;
 const SPEED_MPS: f64 = 90.0;
 const START_RAD: [f64; 2] = [0.83, 0.22];
 const HEIGHT_M: f64 = 3400.0;
-/// WGS 84: the greater semi-axis, and the square of the eccentricity.
+/// WGS 84: semi-major axis, and the square of the eccentricity.
 const SEMI_MAJOR_M: f64 = 6_378_137.0;
 const ECCENTRICITY_SQUARED: f64 = 6.694_379_990_141_317e-3;
-/// Gaussian pulses of 4.5 ns full width at half maximum.
+/// SD of Gaussian pulses of 4.5 ns full width at half maximum.
 const PULSE_SD_NS: f64 = 4.5 / 2.354_820_045;
 const BACKGROUND_DN: f64 = 2.3;
 const NOISE_SD_DN: f64 = 0.8;
 const OUTGOING_DN: f64 = 180.0;
-/// A block begins so long before its first echo and ends so long after its last.
+/// Margins of a block before its first and after its last echo.
 const BEFORE_NS: f64 = 10.0;
 const AFTER_NS: f64 = 20.0;
-/// Nothing else is received so long before and after an echo that stands alone: what both look like together is no question of
-/// zones.
+/// Minimum distance of an isolated echo from other echoes.
+///
+/// Overlapping echoes are not a test of zone resolution.
 const ALONE_NS: f64 = 15.0;
 
-/// An echo that stands alone, as a perfect evaluation would find it.
+/// Isolated echo with its ideal evaluation.
 pub struct Truth {
-    /// Running number of the emission that caused it.
+    /// Number of the emission that caused it.
     pub shot: u64,
-    /// Emissions between cause and reception.
+    /// Number of emissions between cause and reception.
     pub zone: u64,
     pub range_m: f64,
     pub ecef_m: [f64; 3],
 }
 
-/// What a recording says of itself, and SDF can say, too.
+/// Creates metadata that SDF can also represent.
 fn header() -> ContainerHeader {
     ContainerHeader {
         instrument: Some("LMS-Q680i".into()),
@@ -60,8 +63,9 @@ fn header() -> ContainerHeader {
     }
 }
 
-/// Writes the scene's recording into `folder` as [`NAME`] and its trajectory as `flight.sbet`, and gives the truth in order of
-/// reception.
+/// Writes the recording as [`NAME`] and the trajectory as `flight.sbet` into `folder`.
+///
+/// Returns the truth in order of reception.
 pub fn write(scene: &Scene, lines: &[RecordedLine], folder: &Path) -> Vec<Truth> {
     let path = folder.join(NAME);
     let file = BufWriter::new(std::fs::File::create(&path).expect("a new file"));
@@ -90,23 +94,27 @@ pub fn write(scene: &Scene, lines: &[RecordedLine], folder: &Path) -> Vec<Truth>
     truth(scene, lines)
 }
 
-/// A pulse as the receiver sees it, after the clock of the record it lies in.
+/// Pulse at the receiver.
+///
+/// Its time is relative to the clock of its record.
 struct Pulse {
     time_ns: f64,
     height_dn: f64,
 }
 
-/// A number in [0, 1).
+/// Returns a number in [0, 1).
 fn unit(key: [u64; 4]) -> f64 {
     (hash(key) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// When a shot's pulse leaves, after its clock.
+/// Returns the emission time of a shot relative to its clock, ns.
 fn leaves_ns(seed: u64, shot: u64) -> f64 {
     unit([seed, 21, shot, 0])
 }
 
-/// The height of an echo: weakest from wires, and as weak as what just opens a block where there is nothing.
+/// Returns the height of an echo, DN: lowest for wires.
+///
+/// False alarms barely trigger a block.
 fn height_dn([seed, shot, echo]: [u64; 3], class: Class) -> f64 {
     let (least, most) = match class {
         Class::Ground | Class::Building => (40.0, 160.0),
@@ -142,7 +150,9 @@ fn direction(angle_rad: f64) -> [f64; 3] {
     [0.0, angle_rad.sin(), angle_rad.cos()]
 }
 
-/// The outgoing pulse, and a block for all echoes whose surroundings touch.
+/// Writes the outgoing pulse and the echo blocks.
+///
+/// Echoes with overlapping margins share a block.
 fn blocks(rows: &mut LineBuilder, [seed, shot]: [u64; 2], pulses: &[Pulse]) {
     let mut random = [seed, 23, shot, 0];
     let outgoing = Pulse { time_ns: leaves_ns(seed, shot), height_dn: OUTGOING_DN };
@@ -177,7 +187,7 @@ fn block(rows: &mut LineBuilder, channel: u8, pulses: &[Pulse], random: &mut [u6
     });
 }
 
-/// The eight bytes of a random number, added: normal enough.
+/// Approximates normal noise by the sum of the eight bytes of a random number.
 fn noise_dn(random: &mut [u64; 4]) -> f64 {
     const MEAN: f64 = 8.0 * 127.5;
     const SD: f64 = 209.023;
@@ -186,12 +196,16 @@ fn noise_dn(random: &mut [u64; 4]) -> f64 {
     NOISE_SD_DN * (f64::from(sum) - MEAN) / SD
 }
 
-/// Latitude at a time: the aircraft flies north, level and at one height.
+/// Returns the latitude at a time.
+///
+/// The aircraft flies north, level, at constant height.
 fn latitude_rad(time_s: f64) -> f64 {
     START_RAD[0] + SPEED_MPS * (time_s - START_S) / 6.4e6
 }
 
-/// From a second before the first line to a second after the last, a record each 5 ms.
+/// Encodes the trajectory, every 5 ms.
+///
+/// From a second before the first line to a second after the last.
 fn trajectory(lines: &[RecordedLine]) -> Vec<u8> {
     let last = lines.iter().rev().find_map(|line| line.clocks_ps.last());
     let length_s = last.map_or(0.0, |&clock_ps| clock_ps as f64 * 1e-12);
@@ -210,7 +224,9 @@ fn trajectory(lines: &[RecordedLine]) -> Vec<u8> {
     (0..((length_s + 2.0) / 0.005) as u32).flat_map(record).collect()
 }
 
-/// The place of a target: the point of the ellipsoid's normal where the aircraft is, and from there along the beam.
+/// Returns the position of a target.
+///
+/// The aircraft's position plus range along the beam.
 fn ecef_m(clock_ps: i64, angle_rad: f64, range_m: f64) -> [f64; 3] {
     let (sin_lat, cos_lat) = latitude_rad(gps_time_s(clock_ps)).sin_cos();
     let (sin_lon, cos_lon) = START_RAD[1].sin_cos();
@@ -225,7 +241,7 @@ fn ecef_m(clock_ps: i64, angle_rad: f64, range_m: f64) -> [f64; 3] {
     ]
 }
 
-/// What stands alone of the echoes, in order of reception.
+/// Returns the isolated echoes, in order of reception.
 fn truth(scene: &Scene, lines: &[RecordedLine]) -> Vec<Truth> {
     let shots = scene.angles_rad.len() as u64;
     let mut found = Vec::new();

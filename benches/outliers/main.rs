@@ -1,8 +1,8 @@
-//! How many false returns `filter_outliers` tells and how many true ones it takes for them, on eight simulated scenes, and
-//! how fast: the table of docs/outliers.md.
+//! Detection rate, loss and speed of `filter_outliers` on eight simulated scenes.
 //!
-//! `cargo bench --bench outliers` prints it; `seed=300` behind it takes other scenes of the same kind.
-#![allow(missing_docs, reason = "no one imports a bench")]
+//! `cargo bench --bench outliers` prints the table of docs/outliers.md; `seed=300` selects other
+//! scenes of the same kind.
+#![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(clippy::print_stdout, clippy::expect_used, clippy::panic, reason = "a bench prints its figures")]
 #![allow(dead_code, reason = "the tests use the rest of the scenes' module")]
 
@@ -15,19 +15,19 @@ use false_returns::{Flight, SCENES, Score, copy, filtered, fly, score, score_of_
 
 const GOAL_TOLD: f64 = 95.0;
 const GOAL_LOST: f64 = 0.1;
-/// Returns per second of one core, millions.
+/// Speed goal, million returns per second and core.
 const GOAL_SPEED: f64 = 2.0;
 
 fn main() {
     let seed = std::env::args().find_map(|arg| arg.strip_prefix("seed=")?.parse().ok()).unwrap_or(1);
     println!(
-        "goals: at least {GOAL_TOLD} % told, at most {GOAL_LOST} % of the true returns, {GOAL_SPEED} M returns/s\n\
+        "goals: at least {GOAL_TOLD} % of outliers found, at most {GOAL_LOST} % of true returns lost, {GOAL_SPEED} M returns/s\n\
          {:<16} {:>8} {:>7} {:>7} | {:>7} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} | {:>7} {:>7} {:>7}",
         "scene",
         "returns",
         "false",
         "among",
-        "told",
+        "found",
         "true",
         "wires",
         "roofs",
@@ -62,7 +62,9 @@ fn main() {
     }
 }
 
-/// The lines behind the stage, and its speed in the fastest of five runs, million returns per second.
+/// Returns the filtered lines and the speed.
+///
+/// The speed is that of the fastest of five runs, million returns per second.
 fn fastest(flight: &Flight) -> (Vec<wavex::batch::Batch>, f64) {
     let n: usize = flight.truth.iter().map(Vec::len).sum();
     let mut best = f64::INFINITY;
@@ -75,9 +77,11 @@ fn fastest(flight: &Flight) -> (Vec<wavex::batch::Batch>, f64) {
     (lines, n as f64 / best / 1e6)
 }
 
-/// The plain rule, for comparison: a point is an outlier where no other lies within 4 m among three waveforms before and
-/// behind it in the line and in the lines beside, or where it lies more than 50 m off the points next to it in the line on
-/// one side.
+/// Evaluates a simple reference rule.
+///
+/// A point is an outlier if no other lies within 4 m among three waveforms before and after it in
+/// its line and in the adjacent lines, or if it lies more than 50 m above or below both its
+/// neighbours in the line.
 fn plain_rule(flight: &Flight, margin_m: f64) -> Score {
     let mut out = HashSet::new();
     for (line, rows) in flight.truth.iter().enumerate() {

@@ -1,4 +1,6 @@
-//! Waveforms of the benches: one channel, and blocks of it with pulses whose places are known.
+//! Simulated waveforms for the benches.
+//!
+//! One channel, blocks with known pulse positions.
 
 use std::f64::consts::TAU;
 
@@ -8,11 +10,11 @@ use wavex::kernels::response::{ResponseNode, SystemResponse};
 use wavex::kernels::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
 use wavex::kernels::shape::Shape;
 
-/// Samples of each block.
+/// Samples per block.
 pub const SAMPLES: usize = 60;
 const BACKGROUND_DN: f64 = 20.3;
 
-/// SplitMix64 and Box-Muller: the same waveforms in every run.
+/// SplitMix64 and Box-Muller: identical waveforms in every run.
 pub struct Random(u64);
 
 impl Random {
@@ -33,8 +35,10 @@ impl Random {
     }
 }
 
-/// An 8-bit channel at 1 GHz: a pulse of a Gaussian of 1.65 ns behind a decay of 0.9 ns, with an after-pulse of 4 % and a tail
-/// of 1.5 % that falls off over 30 ns, in noise of second order.
+/// Creates an 8-bit channel at 1 GHz.
+///
+/// The response is a Gaussian of 1.65 ns convolved with a decay of 0.9 ns, with an after-pulse of 4
+/// % and a tail of 1.5 % that decays over 30 ns. The noise is autoregressive of order 2.
 pub fn model(noise: &ArNoise) -> ChannelModel {
     let narrow = |t: f64| (-0.5 * (t / 1.65).powi(2)).exp();
     let main =
@@ -77,23 +81,28 @@ pub fn model(noise: &ArNoise) -> ChannelModel {
     }
 }
 
-/// What the waveforms of a set hold.
+/// Content of a set of waveforms.
 #[derive(Clone, Copy)]
 pub enum Scene {
     /// One pulse.
     One,
-    /// Two pulses that detection tells apart and a joint fit must: 7 to 13 samples.
+    /// Two pulses 7 to 13 samples apart, which both detection and a joint fit resolve.
     Two,
-    /// 15 % nothing, 55 % one pulse, 20 % two, 10 % three, 3 to 20 samples apart; 40 % of the pulses widened by up to 40 %.
+    /// Mixed waveforms, with pulses 3 to 20 samples apart.
+    ///
+    /// 15 % have no pulse, 55 % one, 20 % two, 10 % three; 40 % of the pulses are widened by up to
+    /// 40 %.
     Mixed,
 }
 
-/// The noise of the channel.
+/// Returns the noise of the channel.
 pub fn noise() -> ArNoise {
     ArNoise::new(&[0.85, -0.3], 0.7).expect("stationary noise")
 }
 
-/// Makes the blocks of a scene, one after the other; pulses have heights of 20 to 150 DN.
+/// Generator of the blocks of a scene.
+///
+/// Pulse heights are 20 to 150 DN.
 pub struct Waveforms {
     scene: Scene,
     random: Random,
@@ -113,7 +122,9 @@ impl Waveforms {
         }
     }
 
-    /// Appends a block's samples; the places of its pulses.
+    /// Appends the samples of a block.
+    ///
+    /// Returns the positions of its pulses.
     pub fn next(&mut self, samples: &mut Vec<u16>) -> Vec<f64> {
         let Waveforms { scene, random, shape, noise, noise_sd_dn } = self;
         let mut values = [BACKGROUND_DN; SAMPLES];

@@ -1,12 +1,16 @@
-//! A stand-in for RIEGL's Waveform Extraction Library: the thirteen functions of its interface, over any waveform
-//! container (`.arrow`) that was given a name in `.sdf`. `read_sdf` is tested with it; it reads no SDF.
+//! Stand-in for RIEGL's Waveform Extraction Library, for testing `read_sdf`.
 //!
-//! It is as unkind as the interface allows: what it pointed to is overwritten at the next call, whatever that is, and a
-//! call from a second thread at the same time fails. A file `NAME.sdf.txt` beside the data tells it to misbehave, a line
-//! each (see `mischief.rs`); the environment variable `SDF_STAND_IN_MAJOR` gives it another version.
+//! It implements the thirteen functions of the interface on any waveform container (`.arrow`)
+//! renamed to `.sdf`. It cannot read SDF.
 //!
-//! What the interface has no place for is not served: a nominal pulse rate, zones, scan angles, the direction of the
-//! scan, returns of the instrument itself, the frame and its scale, sampling intervals of single blocks.
+//! It is as strict as the interface allows: the memory behind its pointers is overwritten at the
+//! next call, and a concurrent call from a second thread fails. A file `NAME.sdf.txt` next to the
+//! data injects faults, one per line (see `mischief.rs`). The environment variable
+//! `SDF_STAND_IN_MAJOR` changes its version.
+//!
+//! Data without a counterpart in the interface are not served: nominal pulse rate, zones, scan
+//! angles, scan direction, returns of the instrument itself, the frame and its scale, and sampling
+//! intervals of single blocks.
 #![allow(clippy::missing_safety_doc, reason = "the contract of each function is that of RIEGL's interface")]
 #![allow(clippy::too_many_arguments, reason = "RIEGL's interface has so many")]
 
@@ -41,7 +45,7 @@ struct Block {
     sample: *const u16,
 }
 
-/// An open file: what a handle points to.
+/// Open file, the target of a handle.
 struct File {
     path: PathBuf,
     recording: Recording,
@@ -49,7 +53,7 @@ struct File {
     is_relative: bool,
 }
 
-/// What the pointers given out point to.
+/// Memory behind the pointers returned to the caller.
 #[derive(Default)]
 struct Shared {
     error: CString,
@@ -63,13 +67,15 @@ struct Shared {
 static SHARED: LazyLock<Mutex<Shared>> = LazyLock::new(Mutex::default);
 static BUSY: AtomicBool = AtomicBool::new(false);
 
-/// A call that is under way.
+/// Guard of a running call.
 struct Call {
     shared: MutexGuard<'static, Shared>,
 }
 
 impl Call {
-    /// Begins a call, which makes all pointers worthless; `None` where another is under way.
+    /// Begins a call and invalidates all earlier pointers.
+    ///
+    /// `None` during another call.
     fn begin() -> Option<Call> {
         if BUSY.swap(true, Ordering::AcqRel) {
             return None;
@@ -87,7 +93,7 @@ impl Call {
         code
     }
 
-    /// Keeps a text and gives where it stands.
+    /// Stores a text and returns a pointer to it.
     fn keep(&mut self, place: usize, text: &str) -> *const c_char {
         self.shared.texts[place] = CString::new(text).unwrap_or_default();
         self.shared.texts[place].as_ptr()
@@ -100,7 +106,9 @@ impl Drop for Call {
     }
 }
 
-/// Runs a function on an open file, unless it is told to fail. `at`: a kind of table; else the next record is meant.
+/// Runs a function on an open file, unless it should fail.
+///
+/// `at` is a kind of table; otherwise the next record is meant.
 unsafe fn on_file(
     name: &str,
     file: *mut c_void,
@@ -108,13 +116,13 @@ unsafe fn on_file(
     run: impl FnOnce(&mut File, &mut Call) -> i32,
 ) -> i32 {
     let Some(mut call) = Call::begin() else { return RUNTIME };
-    // SAFETY: a handle is a pointer that `fwifc_open` made, and `BUSY` keeps others away from it.
+    // SAFETY: a handle is a pointer created by `fwifc_open`, and `BUSY` prevents concurrent access.
     let Some(file) = (unsafe { file.cast::<File>().as_mut() }) else {
         return call.fail(BAD_ARGUMENT, "no file");
     };
     std::thread::sleep(Duration::from_micros(file.mischief.slow_us));
     match file.mischief.code(name, Some(at.unwrap_or(file.recording.tell()))) {
-        Some(code) => call.fail(code, "the stand-in was told to fail"),
+        Some(code) => call.fail(code, "injected failure"),
         None => run(file, &mut call),
     }
 }
@@ -139,7 +147,7 @@ unsafe fn navigate(
 ) -> i32 {
     let run = |file: &mut File, call: &mut Call| {
         if file.lacks_index() {
-            return call.fail(MISSING_INDEX, "there is no index");
+            return call.fail(MISSING_INDEX, "the index is missing");
         }
         match go(&mut file.recording) {
             Ok(true) => DONE,
@@ -147,7 +155,7 @@ unsafe fn navigate(
             Err(error) => call.fail(RUNTIME, &error.to_string()),
         }
     };
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { on_file(name, file, None, run) }
 }
 
@@ -161,7 +169,7 @@ pub unsafe extern "C" fn fwifc_get_library_version(
 ) -> i32 {
     let Some(mut call) = Call::begin() else { return RUNTIME };
     let said = std::env::var("SDF_STAND_IN_MAJOR").ok().and_then(|major| major.parse().ok());
-    // SAFETY: the interface wants four places to write to.
+    // SAFETY: the interface requires four valid output pointers.
     unsafe {
         major.write(said.unwrap_or(1));
         minor.write(7);
@@ -175,7 +183,7 @@ pub unsafe extern "C" fn fwifc_get_library_version(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fwifc_get_last_error(message: *mut *const c_char) -> i32 {
     let Some(call) = Call::begin() else { return RUNTIME };
-    // SAFETY: the interface wants a place to write to.
+    // SAFETY: the interface requires a valid output pointer.
     unsafe { message.write(call.shared.error.as_ptr()) };
     DONE
 }
@@ -184,20 +192,20 @@ pub unsafe extern "C" fn fwifc_get_last_error(message: *mut *const c_char) -> i3
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fwifc_open(path: *const c_char, file: *mut *mut c_void) -> i32 {
     let Some(mut call) = Call::begin() else { return RUNTIME };
-    // SAFETY: the interface wants a string that ends in 0.
+    // SAFETY: the interface requires a C string.
     let Ok(path) = (unsafe { CStr::from_ptr(path) }).to_str().map(PathBuf::from) else {
         return call.fail(BAD_ARGUMENT, "the path is not UTF-8");
     };
     let Some(mischief) = Mischief::beside(&path) else {
-        return call.fail(BAD_ARGUMENT, "the stand-in does not know this mischief");
+        return call.fail(BAD_ARGUMENT, "unknown fault in the .txt file");
     };
     if let Some(code) = mischief.code("fwifc_open", None) {
-        return call.fail(code, "the stand-in was told to fail");
+        return call.fail(code, "injected failure");
     }
     match Recording::open(&path) {
         Ok(recording) => {
             let opened = Box::new(File { path, recording, mischief, is_relative: false });
-            // SAFETY: the interface wants a place to write to.
+            // SAFETY: the interface requires a valid output pointer.
             unsafe { file.write(Box::into_raw(opened).cast()) };
             DONE
         }
@@ -210,7 +218,7 @@ pub unsafe extern "C" fn fwifc_open(path: *const c_char, file: *mut *mut c_void)
 pub unsafe extern "C" fn fwifc_close(file: *mut c_void) -> i32 {
     let Some(_call) = Call::begin() else { return RUNTIME };
     if !file.is_null() {
-        // SAFETY: a handle is a pointer that `fwifc_open` made, and is closed once.
+        // SAFETY: a handle is a pointer created by `fwifc_open`, and is closed once.
         drop(unsafe { Box::from_raw(file.cast::<File>()) });
     }
     DONE
@@ -228,7 +236,7 @@ pub unsafe extern "C" fn fwifc_reindex(file: *mut c_void) -> i32 {
             Err(error) => call.fail(RUNTIME, &error.to_string()),
         }
     };
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { on_file("fwifc_reindex", file, None, run) }
 }
 
@@ -239,11 +247,13 @@ pub unsafe extern "C" fn fwifc_set_sosbl_relative(file: *mut c_void, value: i32)
         file.is_relative = value == 1;
         DONE
     };
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { on_file("fwifc_set_sosbl_relative", file, None, run) }
 }
 
-/// What times count from, as the interface says it: a container's adjusted seconds count from a known moment.
+/// Returns the epoch in the interface's notation.
+///
+/// Adjusted seconds have a known epoch.
 fn epoch(file: &File) -> String {
     let scale = match file.recording.header().time_scale {
         TimeScale::Week => "WEEKSEC",
@@ -269,7 +279,7 @@ pub unsafe extern "C" fn fwifc_get_info(
     let run = |file: &mut File, call: &mut Call| {
         let header = file.recording.header();
         let text = |text: &Option<String>| text.clone().unwrap_or_default();
-        // SAFETY: the interface wants seven places to write to.
+        // SAFETY: the interface requires seven valid output pointers.
         unsafe {
             instrument.write(call.keep(0, &text(&header.instrument)));
             serial.write(call.keep(1, &text(&header.serial)));
@@ -281,7 +291,7 @@ pub unsafe extern "C" fn fwifc_get_info(
         }
         DONE
     };
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { on_file("fwifc_get_info", file, None, run) }
 }
 
@@ -306,7 +316,7 @@ pub unsafe extern "C" fn fwifc_get_calib(
         let (x, y) = table.iter().flatten().copied().unzip();
         (call.shared.abscissa, call.shared.ordinate) = (x, y);
         let true_count = call.shared.abscissa.len() as u32;
-        // SAFETY: the interface wants three places to write to.
+        // SAFETY: the interface requires three valid output pointers.
         unsafe {
             count.write(file.mischief.table.unwrap_or(true_count));
             abscissa.write(call.shared.abscissa.as_ptr());
@@ -314,7 +324,7 @@ pub unsafe extern "C" fn fwifc_get_calib(
         }
         DONE
     };
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { on_file("fwifc_get_calib", file, Some(u32::from(kind)), run) }
 }
 
@@ -335,7 +345,7 @@ pub unsafe extern "C" fn fwifc_read(
     let run = |file: &mut File, call: &mut Call| {
         let number = file.recording.tell();
         if file.mischief.needs_index && file.lacks_index() {
-            return call.fail(MISSING_INDEX, "there is no index");
+            return call.fail(MISSING_INDEX, "the index is missing");
         }
         if file.mischief.end_after.is_some_and(|last| number > last) {
             return END_OF_FILE;
@@ -350,7 +360,7 @@ pub unsafe extern "C" fn fwifc_read(
         }
         let stride = serve(&record, number, file, &mut call.shared);
         let (claimed, _) = file.mischief.claims(number);
-        // SAFETY: the interface wants nine places to write to, two of them of three numbers.
+        // SAFETY: the interface requires nine valid output pointers, two of them to three numbers.
         unsafe {
             time_sorg.write(record.time_sorg);
             time_external.write(record.time_external);
@@ -364,11 +374,11 @@ pub unsafe extern "C" fn fwifc_read(
         }
         DONE
     };
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { on_file("fwifc_read", file, None, run) }
 }
 
-/// Puts the blocks of a record where pointers may point to them, and gives their distance in bytes.
+/// Copies the blocks of a record to shared memory and returns their stride, bytes.
 fn serve(record: &Record, number: u32, file: &File, shared: &mut Shared) -> usize {
     let stride = file.mischief.stride.unwrap_or(size_of::<Block>());
     let (_, claimed) = file.mischief.claims(number);
@@ -391,7 +401,7 @@ fn serve(record: &Record, number: u32, file: &File, shared: &mut Shared) -> usiz
             sample,
         };
         first += samples.len();
-        // SAFETY: `blocks` has room for as many blocks, `stride` bytes apart.
+        // SAFETY: `blocks` has room for all blocks, `stride` bytes apart.
         unsafe {
             shared.blocks.as_mut_ptr().add(index * stride).cast::<Block>().write_unaligned(block);
         }
@@ -406,7 +416,7 @@ pub unsafe extern "C" fn fwifc_seek(file: *mut c_void, record: u32) -> i32 {
         u32::MAX => recording.seek_last(),
         record => recording.seek(record),
     };
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { navigate("fwifc_seek", file, go) }
 }
 
@@ -414,18 +424,18 @@ pub unsafe extern "C" fn fwifc_seek(file: *mut c_void, record: u32) -> i32 {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fwifc_tell(file: *mut c_void, record: *mut u32) -> i32 {
     let run = |file: &mut File, _: &mut Call| {
-        // SAFETY: the interface wants a place to write to.
+        // SAFETY: the interface requires a valid output pointer.
         unsafe { record.write(file.recording.tell()) };
         DONE
     };
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { on_file("fwifc_tell", file, None, run) }
 }
 
 /// `fwifc_seek_time`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fwifc_seek_time(file: *mut c_void, time: f64) -> i32 {
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { navigate("fwifc_seek_time", file, |recording| recording.seek_time(time, recording::seconds)) }
 }
 
@@ -433,6 +443,6 @@ pub unsafe extern "C" fn fwifc_seek_time(file: *mut c_void, time: f64) -> i32 {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fwifc_seek_time_external(file: *mut c_void, time: f64) -> i32 {
     let go = |recording: &mut Recording| recording.seek_time(time, recording::external);
-    // SAFETY: the caller's handle.
+    // SAFETY: the handle comes from the caller.
     unsafe { navigate("fwifc_seek_time_external", file, go) }
 }

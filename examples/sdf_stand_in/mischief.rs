@@ -1,17 +1,19 @@
-//! What the stand-in is told to do wrong, one line each in `NAME.sdf.txt`; records count from 1.
+//! Faults injected into the stand-in, one per line in `NAME.sdf.txt`.
 //!
-//! | line | what happens |
+//! Records count from 1.
+//!
+//! | line | effect |
 //! |---|---|
-//! | `fail FUNCTION CODE [N]` | the function fails; with `N`: only at that record, or for that kind of table |
-//! | `end_after N` | the file ends behind record `N` |
+//! | `fail FUNCTION CODE [N]` | the function fails; with `N`, only at that record or for that kind of table |
+//! | `end_after N` | the file ends after record `N` |
 //! | `nan N` | record `N` has vectors of NaN |
-//! | `stride BYTES` | blocks lie so far apart |
-//! | `samples N COUNT`, `blocks N COUNT`, `table COUNT` | a count that lies |
-//! | `null N` | the samples of record `N` are nowhere |
-//! | `index hidden` | seeking fails with 3 until the index is made; `index needed`: so does reading |
-//! | `read_only FOLDER` | no index can be written there |
-//! | `slow_us TIME` | every call takes so long |
-//! | `epoch TEXT`, `v_group MPS`, `sampling_time S`, `unsynchronised` | the file says something else of itself |
+//! | `stride BYTES` | distance between blocks |
+//! | `samples N COUNT`, `blocks N COUNT`, `table COUNT` | a false count |
+//! | `null N` | the sample pointers of record `N` are null |
+//! | `index hidden` | seeking fails with 3 until the index is built; with `index needed`, so does reading |
+//! | `read_only FOLDER` | no index can be written to the folder |
+//! | `slow_us TIME` | duration of every call |
+//! | `epoch TEXT`, `v_group MPS`, `sampling_time S`, `unsynchronised` | different metadata |
 
 use std::path::{Path, PathBuf};
 
@@ -36,7 +38,9 @@ pub(crate) struct Mischief {
 }
 
 impl Mischief {
-    /// What stands beside the data, or beside what a link leads to; `None` where a line has no meaning.
+    /// Reads the faults from the file next to the data or to the target of a link.
+    ///
+    /// `None` if a line is invalid.
     pub(crate) fn beside(data: &Path) -> Option<Mischief> {
         let target = data.canonicalize().unwrap_or_else(|_| data.to_path_buf());
         let mut file = target.into_os_string();
@@ -79,7 +83,9 @@ impl Mischief {
         Some(())
     }
 
-    /// The code with which a function is to fail, `at` a record or a kind of table.
+    /// Returns the injected return code of a function.
+    ///
+    /// `at` is a record or a kind of table.
     pub(crate) fn code(&self, function: &str, at: Option<u32>) -> Option<i32> {
         let is_meant = |(name, _, place): &&(String, i32, Option<u32>)| {
             name == function && (place.is_none() || *place == at)
@@ -95,7 +101,9 @@ impl Mischief {
         self.null.contains(&record)
     }
 
-    /// What a record claims to have instead: blocks, and samples in each.
+    /// Returns the false counts of a record.
+    ///
+    /// Blocks, and samples per block.
     pub(crate) fn claims(&self, record: u32) -> (Option<u32>, Option<u32>) {
         let of = |claims: &[(u32, u32)]| claims.iter().find(|claim| claim.0 == record).map(|claim| claim.1);
         (of(&self.blocks), of(&self.samples))

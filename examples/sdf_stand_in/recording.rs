@@ -1,4 +1,6 @@
-//! A container as a row of records: its shots, and behind each line a record that ends it.
+//! Serves a container as a sequence of records.
+//!
+//! Its shots, and an end-of-line record after each line.
 
 use std::path::{Path, PathBuf};
 
@@ -6,10 +8,10 @@ use wavex::formats::Result;
 use wavex::formats::container::{ContainerHeader, ContainerLine, ContainerReader, ContainerShot};
 use wavex::formats::sdf::record_flags::END_OF_LINE;
 
-/// The container's bit for the last shot of a line.
+/// Container flag of the last shot of a line.
 const EDGE: u16 = wavex::batch::emission_flags::EDGE_OF_FLIGHT_LINE;
 
-/// A record as the interface gives it.
+/// Record as returned by the interface.
 pub(crate) struct Record {
     pub(crate) time_sorg: f64,
     pub(crate) time_external: f64,
@@ -17,7 +19,7 @@ pub(crate) struct Record {
     pub(crate) direction: [f64; 3],
     pub(crate) flags: u16,
     pub(crate) facet: u16,
-    /// Channel, time of the first sample after `time_sorg` in seconds, samples.
+    /// Channel, time of the first sample relative to `time_sorg` (s), and samples of each block.
     pub(crate) blocks: Vec<(u32, f64, Vec<u16>)>,
 }
 
@@ -25,9 +27,11 @@ pub(crate) struct Recording {
     path: PathBuf,
     reader: ContainerReader,
     line: Option<ContainerLine>,
-    /// The next row of the line at hand; one past its end: the record that ends it.
+    /// Next row of the current line.
+    ///
+    /// The row after the last is the end-of-line record.
     row: usize,
-    /// The number of the next record, from 1.
+    /// Number of the next record, from 1.
     next: u32,
 }
 
@@ -42,7 +46,7 @@ impl Recording {
         self.reader.header()
     }
 
-    /// The number of the next record, from 1.
+    /// Returns the number of the next record, from 1.
     pub(crate) fn tell(&self) -> u32 {
         self.next
     }
@@ -62,12 +66,12 @@ impl Recording {
         Ok(Some(record))
     }
 
-    /// Makes a record the next one; `false` where there is none.
+    /// Seeks to a record; `false` if it does not exist.
     pub(crate) fn seek(&mut self, record: u32) -> Result<bool> {
         self.find(|next, _| next == record)
     }
 
-    /// Makes the last record the next one.
+    /// Seeks to the last record.
     pub(crate) fn seek_last(&mut self) -> Result<bool> {
         let mut last = 0;
         self.find(|next, _| {
@@ -77,12 +81,14 @@ impl Recording {
         self.seek(last)
     }
 
-    /// Makes the first shot at or behind a time the next one; `time_of` says a shot's.
+    /// Seeks to the first shot at or after a time.
+    ///
+    /// `time_of` returns the time of a shot.
     pub(crate) fn seek_time(&mut self, time_s: f64, time_of: impl Fn(&ContainerShot) -> f64) -> Result<bool> {
         self.find(|_, shot| shot.is_some_and(|shot| time_of(shot) >= time_s))
     }
 
-    /// Goes to the first record that is wanted, by its number and its shot.
+    /// Seeks to the first record that `wanted` accepts, by number and shot.
     fn find(&mut self, mut wanted: impl FnMut(u32, Option<&ContainerShot>) -> bool) -> Result<bool> {
         *self = Recording::open(&self.path)?;
         while let Some(line) = &self.line {
@@ -112,7 +118,7 @@ fn record_of(line: &ContainerLine, row: usize) -> Record {
     }
 }
 
-/// What stands behind a line: no blocks, and no direction.
+/// Creates the end-of-line record: no blocks and no direction.
 fn end_of(line: &ContainerLine) -> Record {
     let last = line.rows().checked_sub(1).map(|row| line.shot(row));
     Record {
@@ -126,12 +132,12 @@ fn end_of(line: &ContainerLine) -> Record {
     }
 }
 
-/// A shot's time on the instrument's clock.
+/// Returns the shot's time on the instrument's clock, s.
 pub(crate) fn seconds(shot: &ContainerShot) -> f64 {
     shot.clock_ps as f64 / 1e12
 }
 
-/// A shot's external time.
+/// Returns the shot's external time, s.
 pub(crate) fn external(shot: &ContainerShot) -> f64 {
     shot.gps_time_s.unwrap_or(f64::NAN)
 }

@@ -1,10 +1,12 @@
-//! The memory that batches may take while they are under way.
+//! Memory budget for batches in flight.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
-/// A bound on the bytes in flight. A source waits for room before its line enters the chain; the line gives its room
-/// back when it is dropped, wherever that happens.
+/// Limit on the bytes of lines in flight.
+///
+/// A source waits for room before its line enters the chain. The line releases its share when it is
+/// dropped.
 #[derive(Debug)]
 pub struct Budget {
     limit: usize,
@@ -16,63 +18,69 @@ pub struct Budget {
 struct State {
     used: usize,
     peak: usize,
-    /// Lines under way, and how many of them a transform holds.
+    /// Number of lines in flight.
+    ///
+    /// `inside` is the number held by transforms.
     lines: usize,
     inside: usize,
-    /// Transforms that are dealing with a line.
+    /// Number of transforms that are processing a line.
     busy: usize,
 }
 
 impl State {
-    /// Whether no line can leave before another one comes: all rest in transforms, which wait for more.
+    /// Returns whether no line can leave before another arrives.
+    ///
+    /// All are held by waiting transforms.
     fn stands_still(&self) -> bool {
         self.busy == 0 && self.inside == self.lines
     }
 }
 
-/// A batch's share of a [`Budget`].
+/// Share of a [`Budget`] held by a batch.
 #[derive(Debug)]
 pub struct Ticket {
     budget: Arc<Budget>,
     bytes: usize,
-    /// Counted among the lines under way.
+    /// Whether it counts as a line in flight.
     is_line: bool,
     is_inside: bool,
 }
 
-/// While it lives, a transform is dealing with a line.
+/// Guard that marks a transform as processing a line.
 #[derive(Debug)]
 pub struct AtWork<'a>(&'a Budget);
 
-/// Why there is no room.
+/// Reason why memory cannot be granted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoRoom {
     /// The run is ending.
     Cancelled,
-    /// Transforms hold back this many bytes, and none of them emits a line before it receives another one.
+    /// Transforms hold this many bytes and wait for lines.
+    ///
+    /// None will emit a line before it receives another.
     Full(usize),
 }
 
 impl Budget {
-    /// A bound of `limit` bytes.
+    /// Creates a budget of `limit` bytes.
     pub fn new(limit: usize) -> Arc<Budget> {
         Arc::new(Budget { limit, state: Mutex::default(), freed: Condvar::new() })
     }
 
-    /// The bound, bytes.
+    /// Returns the limit, bytes.
     pub fn limit(&self) -> usize {
         self.limit
     }
 
-    /// The most that was ever taken at once, bytes.
+    /// Returns the peak use, bytes.
     pub fn peak(&self) -> usize {
         self.lock().peak
     }
 
-    /// Waits until `bytes` fit, or until nothing else is under way.
+    /// Waits until `bytes` fit, or until nothing else is in flight.
     ///
     /// # Errors
-    /// Once `cancelled` says so, and where waiting is of no use.
+    /// `cancelled` returns true, or waiting cannot succeed.
     pub fn take(self: &Arc<Self>, bytes: usize, cancelled: impl Fn() -> bool) -> Result<Ticket, NoRoom> {
         let mut state = self.lock();
         while state.used > 0 && state.used + bytes > self.limit {
@@ -82,7 +90,7 @@ impl Budget {
             if state.stands_still() {
                 return Err(NoRoom::Full(state.used));
             }
-            // The wait ends by itself from time to time, so that a cancelled run is noticed.
+            // The wait times out regularly so that cancellation is noticed.
             let waited = self.freed.wait_timeout(state, Duration::from_millis(50));
             state = waited.unwrap_or_else(|poisoned| poisoned.into_inner()).0;
         }
@@ -92,14 +100,14 @@ impl Budget {
         Ok(Ticket { budget: Arc::clone(self), bytes, is_line: true, is_inside: false })
     }
 
-    /// Says that a transform is dealing with a line, for as long as the result lives.
+    /// Marks a transform as processing a line until the guard is dropped.
     pub fn at_work(&self) -> AtWork<'_> {
         self.lock().busy += 1;
         AtWork(self)
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // Each change of the state is one addition: a panic elsewhere cannot leave it half done.
+        // Every state change is a single addition, so a panic cannot leave it inconsistent.
         self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 }
@@ -112,7 +120,9 @@ impl Drop for AtWork<'_> {
 }
 
 impl Ticket {
-    /// A share of its own for `bytes` that stay as long as it does, whatever becomes of this one. Never waits.
+    /// Creates an independent share of `bytes`, released with it.
+    ///
+    /// Never waits.
     pub fn beside(&self, bytes: usize) -> Ticket {
         let budget = Arc::clone(&self.budget);
         let mut other = Ticket { budget, bytes: 0, is_line: false, is_inside: false };
@@ -120,7 +130,7 @@ impl Ticket {
         other
     }
 
-    /// Says whether a transform has the line. It says so while it is [`Budget::at_work`].
+    /// Sets whether a transform holds the line; call during [`Budget::at_work`].
     pub fn set_inside(&mut self, is_inside: bool) {
         if self.is_inside != is_inside {
             let mut state = self.budget.lock();
@@ -129,7 +139,9 @@ impl Ticket {
         }
     }
 
-    /// The batch takes `bytes` now. Never waits: a line that is under way must be able to leave.
+    /// Changes the share to `bytes`.
+    ///
+    /// Never waits, because lines in flight must be able to leave.
     pub fn resize(&mut self, bytes: usize) {
         if bytes == self.bytes {
             return;
@@ -181,7 +193,7 @@ mod tests {
         assert_eq!(
             budget.take(71, || false).unwrap_err(),
             NoRoom::Full(30),
-            "nothing that could leave is under way"
+            "no line that could leave is in flight"
         );
         drop(beside);
         assert_eq!(budget.lock().used, 0);
@@ -200,11 +212,11 @@ mod tests {
         let mut held = budget.take(60, || false).unwrap();
         let at_work = budget.at_work();
         held.set_inside(true);
-        assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled, "it may still be given on");
+        assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled, "the line may still be emitted");
         drop(at_work);
         assert_eq!(budget.take(60, || false).unwrap_err(), NoRoom::Full(60));
         let passing = budget.take(40, || false).unwrap();
-        assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled, "a line is on its way");
+        assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled, "a line is in flight");
         drop(passing);
         held.set_inside(false);
         assert_eq!(budget.take(60, || true).unwrap_err(), NoRoom::Cancelled);

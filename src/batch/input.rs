@@ -1,62 +1,72 @@
-//! What is known of a recording as a whole.
+//! Metadata of a recording.
 
 use std::path::PathBuf;
 
-/// Facts about one input that every stage of a run may need.
+/// Metadata of an input, shared by all stages of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputInfo {
-    /// The file; empty for a simulated one.
+    /// Path of the file; empty if simulated.
     pub path: PathBuf,
-    /// What outputs are named after: the file's name without its extension.
+    /// Base name of outputs: the file name without its extension.
     pub stem: String,
-    /// The format in words: `PulseWaves 0.3`.
+    /// Description of the format, such as `PulseWaves 0.3`.
     pub format: String,
-    /// The instrument's name.
+    /// Name of the instrument.
     pub instrument: Option<String>,
-    /// The instrument's serial number.
+    /// Serial number of the instrument.
     pub serial: Option<String>,
-    /// The usual time between samples, ns; a block says its own.
+    /// Default sampling interval, ns; each block has its own.
     pub sampling_interval_ns: f64,
-    /// Odd samples of a block were taken so much later than their index says, samples.
+    /// Delay of odd samples relative to nominal time, samples.
     pub odd_sample_shift: f64,
-    /// The largest value that the digitiser can give, where known: a sample there is saturated.
+    /// Largest value of the digitiser, if known.
+    ///
+    /// Samples of this value are saturated.
     pub full_scale_dn: Option<u16>,
-    /// What is known of automatic gain control.
+    /// Automatic gain control of the recording.
     pub gain_control: GainControl,
-    /// Speed of the pulse in air, m/s.
+    /// Group velocity of the pulse in air, m/s.
     pub group_velocity_mps: f64,
-    /// The nominal pulse rate, Hz.
+    /// Nominal pulse repetition rate, Hz.
     pub pulse_rate_hz: Option<f64>,
-    /// What `gps_time_s` counts.
+    /// Time scale of `gps_time_s`.
     pub time_scale: TimeScale,
-    /// The GPS week of the first shot.
+    /// GPS week of the first shot.
     pub gps_week: Option<u32>,
-    /// When it was recorded, as (day of year from 1, year): dates outputs, so that they repeat to the bit.
+    /// Date of the recording as (day of year from 1, year).
+    ///
+    /// Outputs are dated with it, so they are identical in every run.
     pub recorded: Option<(u16, u16)>,
-    /// The frame of origins and directions.
+    /// Frame of origins and directions.
     pub frame: Frame,
-    /// The coordinate reference system, as WKT: of the frame, where that is a map; behind `georeference` of the points.
+    /// Coordinate reference system as WKT.
+    ///
+    /// Of the frame, if that is projected; after `georeference`, of the points.
     pub crs_wkt: Option<String>,
-    /// Scale and offset with which the input stores coordinates, where it does, or which those of `georeference` need:
-    /// outputs take the same offset, and the scale where it is one of degrees.
+    /// Scale and offset of stored coordinates.
+    ///
+    /// Of the input, or required by `georeference`. Outputs use the same offset, and also the scale
+    /// if it is in degrees.
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
-    /// How the moment of emission is known.
+    /// Source of the emission time.
     pub emission_reference: EmissionReference,
-    /// Whether the origins of shots are where the sensor was, so that ranges count from it. Else they are points on the
-    /// beams near the waveforms, and ranges count from there.
+    /// Whether shot origins are sensor positions.
+    ///
+    /// They are then the origin of ranges. Otherwise they are points on the beams near the
+    /// waveforms, and ranges count from there.
     pub origin_is_sensor: bool,
-    /// Amplitude tables of the low and of the high power channel.
+    /// Amplitude table of the low-power channel: digitiser steps to dB.
     pub amplitude_low: Option<AmplitudeTable>,
-    /// See `amplitude_low`.
+    /// Amplitude table of the high-power channel: digitiser steps to dB.
     pub amplitude_high: Option<AmplitudeTable>,
-    /// Range tables: digitiser steps to seconds.
+    /// Range table of the low-power channel: digitiser steps to seconds.
     pub range_low: Option<AmplitudeTable>,
-    /// See `range_low`.
+    /// Range table of the high-power channel: digitiser steps to seconds.
     pub range_high: Option<AmplitudeTable>,
 }
 
 impl Default for InputInfo {
-    /// A recording of which nothing is known but that it was sampled every nanosecond in vacuum.
+    /// Unknown recording, sampled every nanosecond, in vacuum.
     fn default() -> InputInfo {
         InputInfo {
             path: PathBuf::new(),
@@ -86,19 +96,19 @@ impl Default for InputInfo {
     }
 }
 
-/// What a recording says of automatic gain control.
+/// Automatic gain control of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GainControl {
-    /// Nothing: the receivers have one gain.
+    /// None: each receiver has one gain.
     #[default]
     Off,
-    /// Each sample block says its gain.
+    /// Each sample block has its gain.
     Recorded,
-    /// The gain changes, and blocks do not say it: intensities are not comparable.
+    /// The gain varies but is not recorded: intensities are not comparable.
     NotRecorded,
 }
 
-/// What GPS times count.
+/// Time scale of GPS times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeScale {
     /// Seconds of the GPS week.
@@ -107,45 +117,51 @@ pub enum TimeScale {
     Day,
     /// Seconds since 1980-01-06 minus 1e9.
     Adjusted,
-    /// Not said by the file.
+    /// Not specified by the file.
     Unknown,
 }
 
-/// The frame of a geometry.
+/// Coordinate frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Frame {
-    /// The scanner's own.
+    /// Scanner frame.
     Scanner,
-    /// The aircraft's: forward, right, down.
+    /// Body frame of the aircraft: forward, right, down.
     Body,
-    /// A map's: already georeferenced, in the coordinate reference system that the input names.
+    /// Projected coordinates in the coordinate reference system of the input.
     Map,
-    /// The earth's: geocentric (ECEF) metres. Shots come there with a trajectory.
+    /// Geocentric (ECEF) metres; used for shots with a trajectory.
     Earth,
 }
 
-/// How the moment of emission is known.
+/// Source of the emission time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EmissionReference {
-    /// The outgoing pulse was recorded with each shot and is fitted.
+    /// The outgoing pulse of each shot was recorded and is fitted.
     OutgoingPulse,
-    /// The outgoing pulse was recorded without the time of its first sample: the shot's clock is the sample nearest to
-    /// its peak, so that its fitted position counts from there and lies within half a sample.
+    /// Outgoing pulse, without the time of its first sample.
+    ///
+    /// The shot's clock is the sample nearest to its peak. The fitted position is relative to that
+    /// sample and within half a sample of it.
     OutgoingPulseFraction,
-    /// The file's own return locations carry it: their mean difference to the fitted echoes.
+    /// The return locations in the file.
+    ///
+    /// Their mean difference to the fitted echoes.
     ReturnLocations,
-    /// Only the shot's clock is known.
+    /// Only the clock of the shot.
     Clock,
 }
 
-/// Pairs of digitiser steps and what they mean, in ascending order of the steps.
+/// Table of digitiser steps and values, ascending in steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AmplitudeTable {
     pairs: Vec<(f64, f64)>,
 }
 
 impl AmplitudeTable {
-    /// A table of at least two defined pairs; entries that are not finite or beyond ±1e30 are undefined and left out.
+    /// Creates a table of at least two defined pairs.
+    ///
+    /// Entries that are not finite or beyond ±1e30 are undefined and omitted.
     pub fn new(pairs: impl IntoIterator<Item = (f64, f64)>) -> Option<AmplitudeTable> {
         let defined = |&(x, y): &(f64, f64)| x.is_finite() && y.is_finite() && y.abs() < 1e30;
         let mut pairs: Vec<(f64, f64)> = pairs.into_iter().filter(defined).collect();
@@ -154,12 +170,14 @@ impl AmplitudeTable {
         (pairs.len() >= 2).then_some(AmplitudeTable { pairs })
     }
 
-    /// The defined pairs.
+    /// Returns the defined pairs.
     pub fn pairs(&self) -> &[(f64, f64)] {
         &self.pairs
     }
 
-    /// The value at `dn` digitiser steps (background + amplitude), linear between entries, clamped to the defined part.
+    /// Interpolates the value at `dn` digitiser steps (background + amplitude) linearly.
+    ///
+    /// Clamped to the defined part.
     pub fn at(&self, dn: f64) -> f64 {
         let after = self.pairs.partition_point(|pair| pair.0 <= dn);
         let Some(&(x1, y1)) = self.pairs.get(after) else {
@@ -171,12 +189,16 @@ impl AmplitudeTable {
         y0 + (y1 - y0) * (dn - x0) / (x1 - x0)
     }
 
-    /// How much the value changes per digitiser step around `dn`: the central difference over two steps.
+    /// Returns the change of the value per digitiser step.
+    ///
+    /// A central difference over two steps at `dn`.
     pub fn slope(&self, dn: f64) -> f64 {
         (self.at(dn + 1.0) - self.at(dn - 1.0)) / 2.0
     }
 
-    /// What a table of decibels says of a peak at `peak_dn` digitiser steps with its standard deviation.
+    /// Returns the amplitude of a peak by a dB table.
+    ///
+    /// The peak is at `peak_dn` digitiser steps, with an SD of `peak_sd_dn`.
     pub fn amplitude(&self, peak_dn: f64, peak_sd_dn: f64) -> LinearAmplitude {
         let linear = |dn: f64| 7.0 * 10f64.powf(self.at(dn) / 10.0);
         let slope = (linear(peak_dn + 1.0) - linear(peak_dn - 1.0)) / 2.0;
@@ -184,12 +206,14 @@ impl AmplitudeTable {
     }
 }
 
-/// An amplitude by the instrument's table.
+/// Amplitude according to the instrument's table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinearAmplitude {
-    /// Above the detection limit, dB.
+    /// Amplitude above the detection limit, dB.
     pub db: f64,
-    /// `7 · 10^(dB / 10)`: in proportion to the light, digitiser steps of weak echoes.
+    /// Linear amplitude `7 · 10^(dB / 10)`.
+    ///
+    /// Proportional to received power, in digitiser steps of weak echoes.
     pub linear: f64,
     /// Standard deviation of `linear`.
     pub linear_sd: f64,

@@ -1,19 +1,20 @@
-//! The counters of a scan line.
+//! Counters of a scan line.
 
-/// What happened on one scan line; `np...` count returns, `nw...` waveforms.
+/// Counters of a scan line; `np...` count returns, `nw...` waveforms.
 ///
-/// Two laws hold after `decompose`:
-/// `n_candidates + n_added + np_online = np + np_filtered + np_merged + np_xtalk_dropped` and
-/// `nw = nw_empty + nw_deleted + nw_with_points`.
+/// Two invariants hold after `decompose`: `n_candidates + n_added + np_online = np + np_filtered +
+/// np_merged + np_xtalk_dropped` and `nw = nw_empty + nw_deleted + nw_with_points`.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct LineStats {
-    /// Time of the line's first shot, s, on the input's scale; NaN where unknown.
+    /// Time of the first shot, s; NaN if unknown.
+    ///
+    /// In the time scale of the input.
     pub gps_time_s: f64,
     /// Waveforms: shots with at least one echo block.
     pub nw: u64,
     /// Returns kept, withheld ones included.
     pub np: u64,
-    /// Returns kept that have one of the flags of cross-talk, bits 3 to 5.
+    /// Returns kept that have a cross-talk flag, bits 3 to 5.
     pub np_xtalk: u64,
     /// Candidates rejected by a threshold.
     pub np_filtered: u64,
@@ -27,7 +28,7 @@ pub struct LineStats {
     pub np_range: u64,
     /// Returns whose intensity was corrected for the atmosphere.
     pub np_atm: u64,
-    /// Returns whose range was corrected by amplitude.
+    /// Returns whose range was corrected for amplitude.
     pub np_ibrc: u64,
     /// Returns whose amplitude was corrected by the instrument's table.
     pub np_ibic: u64,
@@ -37,30 +38,30 @@ pub struct LineStats {
     pub nw_saturated: u64,
     /// Waveforms that needed iterative refinement.
     pub nw_refined1x: u64,
-    /// Waveforms that needed a second one.
+    /// Waveforms that needed a second iterative refinement.
     pub nw_refined2x: u64,
-    /// Waveforms that could not be used.
+    /// Unusable waveforms.
     pub nw_deleted: u64,
-    /// Waveforms with a return cut off by the block's edge.
+    /// Waveforms with a return truncated by the edge of its block.
     pub nw_truncated: u64,
     /// Points with coordinates.
     pub n_georef: u64,
-    /// Height above the line's own ground, m, where known.
+    /// Height above ground of the line, m, if known.
     pub agl_m: Option<f64>,
-    /// Candidates found by the first detection.
+    /// Candidates found by the first detection pass.
     pub n_candidates: u64,
     /// Candidates added by later passes.
     pub n_added: u64,
     /// Waveforms with at least one return.
     pub nw_with_points: u64,
-    /// Returns dropped because they overlap what leaks in from an emission.
+    /// Returns dropped because they overlap cross-talk from an emission.
     pub np_xtalk_dropped: u64,
-    /// Returns that the instrument itself computed.
+    /// Returns computed by the instrument itself.
     pub np_online: u64,
 }
 
 impl LineStats {
-    /// Every counter with its name, in the order of the fields.
+    /// Returns every counter with its name, in field order.
     pub fn counts(&self) -> [(&'static str, u64); 23] {
         [
             ("nw", self.nw),
@@ -89,7 +90,7 @@ impl LineStats {
         ]
     }
 
-    /// Whether the two laws hold.
+    /// Returns whether both invariants hold.
     pub fn laws_hold(&self) -> bool {
         self.n_candidates + self.n_added + self.np_online
             == self.np + self.np_filtered + self.np_merged + self.np_xtalk_dropped

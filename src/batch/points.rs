@@ -1,78 +1,96 @@
-//! The returns found in waveforms.
+//! Returns found in waveforms.
 
-/// The returns of a line, ordered by emission, then by time.
+/// Returns of a line, ordered by shot, then by time.
 pub type Returns = Vec<Return>;
 
-/// One return: an echo of one emission.
+/// Return: an echo of a shot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Return {
-    /// Index of the emission, in the batch, that caused it.
+    /// Index of the causing shot in the batch.
     pub emission: u32,
-    /// 1 for the first return of its emission.
+    /// Return number, from 1.
     pub return_number: u8,
-    /// How many returns the emission has, withheld ones included.
+    /// Number of returns of the shot, withheld ones included.
     pub number_of_returns: u8,
-    /// The receiver that gave the intensity.
+    /// Channel that gave the intensity.
     pub channel: ReturnChannel,
     /// Bits of [`flags`].
     pub flags: u16,
-    /// Emissions between the causing shot and the reception; -1 where unresolved.
+    /// MTA zone; -1 if unresolved.
+    ///
+    /// The number of emissions between the causing shot and the reception.
     pub mta_zone: i16,
-    /// Echo minus outgoing pulse, both at the peak of the response, ns.
+    /// Time from outgoing pulse to echo, ns.
+    ///
+    /// Between the peaks of the response.
     pub time_of_flight_ns: f64,
     /// Standard deviation of `time_of_flight_ns`, ns.
     pub time_of_flight_sd_ns: f64,
-    /// Range along the beam from the emission's origin, m.
+    /// Range along the beam from the shot's origin, m.
     pub range_m: f64,
     /// Standard deviation of `range_m`, m.
     pub range_sd_m: f64,
-    /// Standard deviation of the point's place: the square root of the trace of its covariance, m; NaN where unknown, as
-    /// before `georeference`.
+    /// Total standard deviation of the position.
+    ///
+    /// Square root of the trace of its covariance, m. NaN if unknown, as before `georeference`.
     pub total_sd_m: f64,
-    /// Height of the fitted pulse's peak above the background as recorded, digitiser steps.
+    /// Recorded height of the fitted peak above the background, digitiser steps.
     pub amplitude_dn: f64,
     /// Standard deviation of `amplitude_dn`, digitiser steps.
     pub amplitude_sd_dn: f64,
-    /// Gain with which `amplitude_dn` was recorded over the reference gain; 1 without automatic gain control.
+    /// Gain of `amplitude_dn` relative to the reference gain.
+    ///
+    /// 1 without automatic gain control.
     pub gain: f64,
-    /// Background and height of the peak at gain 1 in the receiver that gives the intensity, digitiser steps: where the
-    /// instrument's tables are read.
+    /// Background plus peak height at gain 1, digitiser steps.
+    ///
+    /// In the channel that gives the intensity. Index into the instrument's tables.
     pub peak_dn: f64,
     /// Standard deviation of `peak_dn`, digitiser steps.
     pub peak_sd_dn: f64,
-    /// Amplitude above the detection limit by the instrument's table, dB; NaN where there is none.
+    /// Amplitude above the detection limit by the instrument's table, dB.
+    ///
+    /// NaN without table.
     pub amplitude_db: f64,
-    /// Full width at half maximum over that of the system response; 1 for a flat target.
+    /// Full width at half maximum relative to the system response.
+    ///
+    /// 1 for a flat target.
     pub width_ratio: f64,
     /// Standard deviation of `width_ratio`.
     pub width_ratio_sd: f64,
     /// Full width at half maximum, ns.
     pub fwhm_ns: f64,
-    /// Full width at half maximum of the target along the beam, m.
+    /// Target FWHM along the beam, m.
     pub thickness_m: f64,
     /// Standard deviation of `thickness_m`, m.
     pub thickness_sd_m: f64,
-    /// (chi-square - degrees of freedom) / sqrt(2 degrees of freedom) of the waveform's fit.
+    /// Deviation ratio of the fit.
+    ///
+    /// (chi-square - degrees of freedom) / sqrt(2 degrees of freedom).
     pub deviation_ratio: f64,
     /// Amplitude after all corrections.
     pub intensity: f64,
     /// Standard deviation of `intensity`.
     pub intensity_sd: f64,
-    /// Marked as an outlier: kept, and said to be one.
+    /// Whether the return is marked as an outlier.
+    ///
+    /// It is kept.
     pub withheld: bool,
     /// LAS class: 0, or 20 for outliers.
     pub class: u8,
 }
 
 impl Return {
-    /// `amplitude_dn` and its standard deviation at gain 1: what can be compared between shots.
+    /// Returns `amplitude_dn` and its standard deviation at gain 1.
+    ///
+    /// Comparable between shots, digitiser steps.
     pub fn amplitude_at_unit_gain_dn(&self) -> (f64, f64) {
         (self.amplitude_dn / self.gain, self.amplitude_sd_dn / self.gain)
     }
 }
 
 impl Default for Return {
-    /// A first and only return of the sensitive receiver, of which nothing is known.
+    /// First and only low-power return, with unknown quantities.
     fn default() -> Return {
         Return {
             emission: 0,
@@ -106,20 +124,22 @@ impl Default for Return {
     }
 }
 
-/// The receiver that gave a return its intensity.
+/// Channel that gave a return its intensity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReturnChannel {
-    /// The sensitive receiver.
+    /// Low-power channel.
     Low,
-    /// The receiver for strong echoes.
+    /// High-power channel.
     High,
-    /// Fitted in both: heights are those of the sensitive receiver, as if its scale had no end, and the receiver for strong
-    /// echoes gives the intensity.
+    /// Fitted in both channels.
+    ///
+    /// Heights are on the unlimited scale of the low-power channel; the high-power channel gives
+    /// the intensity.
     Joint,
 }
 
 impl ReturnChannel {
-    /// As tables write it.
+    /// Returns the name used in tables.
     pub fn name(self) -> &'static str {
         match self {
             ReturnChannel::Low => "low",
@@ -129,7 +149,9 @@ impl ReturnChannel {
     }
 }
 
-/// Bits of [`Return::flags`]: the low byte is the LAS user data of BayesWavEx 1.1, section 3.
+/// Bits of [`Return::flags`].
+///
+/// The low byte is the LAS user data of BayesWavEx 1.1, section 3.
 pub mod flags {
     pub use crate::kernels::flags::*;
 }

@@ -1,10 +1,14 @@
-//! A walk over the fields of a binary record: each field is read by its name, so that an error can say which one.
+//! Cursor over the fields of a binary record.
+//!
+//! Errors name the field.
 
 use std::path::Path;
 
 use super::{Error, Result};
 
-/// A cursor over the little-endian fields of one record that was read from `file` at byte `base`.
+/// Cursor over the little-endian fields of a record.
+///
+/// The record is at byte `base` of `file`.
 #[derive(Clone)]
 pub struct Fields<'a> {
     file: &'a Path,
@@ -15,7 +19,7 @@ pub struct Fields<'a> {
 
 macro_rules! number {
     ($name:ident, $kind:ty) => {
-        #[doc = concat!("The next field as a little-endian `", stringify!($kind), "`.")]
+        #[doc = concat!("Reads the next field as a little-endian `", stringify!($kind), "`.")]
         pub fn $name(&mut self, field: &str) -> Result<$kind> {
             Ok(<$kind>::from_le_bytes(self.array(field)?))
         }
@@ -23,22 +27,24 @@ macro_rules! number {
 }
 
 impl<'a> Fields<'a> {
-    /// Starts at the first byte of `bytes`, which stood at byte `base` of `file`.
+    /// Starts at the first byte of `bytes`.
+    ///
+    /// They begin at byte `base` of `file`.
     pub fn new(file: &'a Path, base: u64, bytes: &'a [u8]) -> Fields<'a> {
         Fields { file, base, bytes, at: 0 }
     }
 
-    /// Where the next field starts, from the beginning of the file.
+    /// Returns the file offset of the next field.
     pub fn offset(&self) -> u64 {
         self.base + self.at as u64
     }
 
-    /// How many bytes are left.
+    /// Returns the number of bytes left.
     pub fn left(&self) -> usize {
         self.bytes.len() - self.at
     }
 
-    /// The next `n` bytes.
+    /// Reads `n` bytes.
     pub fn take(&mut self, n: usize, field: &str) -> Result<&'a [u8]> {
         match self.bytes.get(self.at..).and_then(|rest| rest.get(..n)) {
             Some(bytes) => {
@@ -47,18 +53,18 @@ impl<'a> Fields<'a> {
             }
             None => Err(self.bad(
                 field,
-                format!("{n} bytes are needed and {} are left", self.left()),
+                format!("{n} bytes needed, {} left", self.left()),
                 "the file is cut off: copy it again from its source",
             )),
         }
     }
 
-    /// Passes over `n` bytes.
+    /// Skips `n` bytes.
     pub fn skip(&mut self, n: usize, field: &str) -> Result<()> {
         self.take(n, field).map(|_| ())
     }
 
-    /// The next `N` bytes as an array.
+    /// Reads `N` bytes as an array.
     pub fn array<const N: usize>(&mut self, field: &str) -> Result<[u8; N]> {
         let mut out = [0; N];
         out.copy_from_slice(self.take(N, field)?);
@@ -76,14 +82,16 @@ impl<'a> Fields<'a> {
     number!(f32, f32);
     number!(f64, f64);
 
-    /// The next `n` bytes as text that ends at the first zero byte; what is not UTF-8 is replaced.
+    /// Reads `n` bytes as text up to the first zero byte.
+    ///
+    /// Invalid UTF-8 is replaced.
     pub fn text(&mut self, n: usize, field: &str) -> Result<String> {
         let bytes = self.take(n, field)?;
         let end = bytes.iter().position(|&b| b == 0).unwrap_or(n);
         Ok(String::from_utf8_lossy(&bytes[..end]).into_owned())
     }
 
-    /// An error at the next field.
+    /// Creates an error at the next field.
     pub fn bad(&self, field: &str, problem: impl Into<String>, remedy: impl Into<String>) -> Error {
         Error::malformed(self.file, self.offset(), field, problem, remedy)
     }
@@ -111,8 +119,8 @@ mod tests {
         let error = fields.u32("offset to point data").unwrap_err().to_string();
         assert_eq!(
             error,
-            "short.las: byte 96: offset to point data: 4 bytes are needed and 1 are left; \
-             the file is cut off: copy it again from its source"
+            "short.las: byte 96: offset to point data: 4 bytes needed, 1 left; the file is cut \
+             off: copy it again from its source"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! Grids of geoid heights: the `.bin` of the American NGS and the `.gtx` of NOAA's VDatum.
+//! Geoid grids: `.bin` of NGS (USA) and `.gtx` of NOAA's VDatum.
 
 pub mod gtx;
 pub mod ngs_bin;
@@ -9,16 +9,20 @@ use std::path::{Path, PathBuf};
 use super::{Error, Result};
 use crate::geo::geoid::{Geoid, Grid};
 
-/// No grid in use has more values: EGM2008 by minutes of arc has 233 millions.
+/// Largest accepted number of grid values.
+///
+/// EGM2008 at 1 arc-minute has 233 million.
 const MOST_VALUES: u64 = 1 << 28;
-/// So many names of a folder stand in a message.
+/// Maximum number of file names listed in a message.
 const NAMES_SHOWN: usize = 20;
 
-/// The geoid `name` of a folder: its file is `name`, `name.bin` or `name.gtx`, in any case.
+/// Finds and reads the geoid `name` of a folder.
+///
+/// The file is `name`, `name.bin` or `name.gtx`, in any case.
 ///
 /// # Errors
-/// The folder cannot be read, no file or more than one has that name (the error says which grids there are), or the file
-/// is damaged.
+/// The folder cannot be read, the file is damaged, or the name matches no file or more than one.
+/// The error lists the available grids.
 pub fn find(folder: &Path, name: &str) -> Result<Geoid> {
     let grids = grids_in(folder)?;
     let wanted = name.to_lowercase();
@@ -38,13 +42,17 @@ pub fn find(folder: &Path, name: &str) -> Result<Geoid> {
         }
         several => {
             let names: Vec<String> = several.iter().map(|path| file_name(path)).collect();
-            let problem = format!("the geoid `{name}` is more than one file: {}", names.join(", "));
-            Err(Error::unusable(folder, problem, "give the name with its extension, or leave one of them"))
+            let problem = format!("the geoid `{name}` matches more than one file: {}", names.join(", "));
+            Err(Error::unusable(
+                folder,
+                problem,
+                "give the name with its extension, or keep only one of them",
+            ))
         }
     }
 }
 
-/// Reads a grid of either format, told by its extension.
+/// Reads a grid in the format given by its extension.
 ///
 /// # Errors
 /// The file cannot be read, its extension is neither `bin` nor `gtx`, or it is damaged.
@@ -54,24 +62,24 @@ pub fn read(path: &Path) -> Result<Geoid> {
         "bin" => ngs_bin::parse,
         "gtx" => gtx::parse,
         _ => {
-            let problem = format!("the extension `{extension}` is not that of a geoid");
+            let problem = format!("the extension `{extension}` is not a geoid format");
             return Err(Error::unusable(path, problem, "give a .bin file of NGS or a .gtx file"));
         }
     };
     let length = fs::metadata(path).map_err(Error::io(path, "open"))?.len();
     if length > 4 * MOST_VALUES + 64 {
         let problem = format!("it has {length} bytes, more than any geoid in use");
-        return Err(Error::unusable(path, problem, "give the file of a geoid"));
+        return Err(Error::unusable(path, problem, "give a geoid file"));
     }
     let bytes = fs::read(path).map_err(Error::io(path, "read"))?;
     let grid = parse(path, &bytes)?;
     Geoid::new(&stem(path), grid).ok_or_else(|| {
-        let problem = "its rows, columns or steps make no grid";
+        let problem = "its rows, columns or steps are invalid";
         Error::unusable(path, problem, "copy the file again from its source")
     })
 }
 
-/// The grids of a folder, by name.
+/// Lists the grids of a folder, sorted by name.
 fn grids_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let io = Error::io(folder, "list the geoids of");
     let mut grids = Vec::new();
@@ -108,7 +116,7 @@ fn extension(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
-/// What both headers say.
+/// Header fields that both formats share.
 struct Header {
     south_deg: f64,
     west_deg: f64,
@@ -119,10 +127,12 @@ struct Header {
 }
 
 impl Header {
-    /// The grid, with the values that follow a header of `header_length` bytes.
+    /// Builds the grid from the values after the header.
+    ///
+    /// The header has `header_length` bytes.
     ///
     /// # Errors
-    /// Counts or steps that are none, or another number of bytes than they need.
+    /// Invalid counts or steps, or a number of bytes that does not match them.
     fn grid(
         &self,
         path: &Path,
@@ -140,8 +150,8 @@ impl Header {
             && places.iter().all(|place| place.abs() <= 720.0);
         if rows < 2 || columns < 2 || !sound {
             return Err(bad(format!(
-                "its header says {} rows and {} columns from latitude {}, longitude {} in steps of {} and {} degrees, which \
-                 is no grid",
+                "its header says {} rows and {} columns from latitude {}, longitude {} in steps of \
+                 {} and {} degrees, which is not a valid grid",
                 self.rows,
                 self.columns,
                 self.south_deg,
@@ -153,7 +163,7 @@ impl Header {
         let values = bytes.get(header_length..).unwrap_or_default();
         if rows as u64 * columns as u64 * 4 != values.len() as u64 {
             return Err(bad(format!(
-                "its header says {rows} rows of {columns} values, {} bytes, and {} bytes follow it",
+                "its header says {rows} rows of {columns} values, {} bytes, but {} bytes follow it",
                 rows as u64 * columns as u64 * 4,
                 values.len()
             )));

@@ -1,4 +1,4 @@
-//! The coordinate reference system of older LAS and of PulseWaves files: GeoTIFF keys.
+//! GeoTIFF keys: the CRS of older LAS and PulseWaves files.
 
 mod of_wkt;
 
@@ -6,26 +6,35 @@ use crate::geo::crs::{GeoKeys, geotiff_keys_of_wkt};
 
 pub use of_wkt::directory_of_wkt;
 
-/// The three records of GeoTIFF keys of a coordinate reference system given as WKT 1 or 2, with the units of lengths and
-/// heights; of a system that is not supported, such as one on another datum, only the codes that stand in its text.
+/// Converts WKT 1 or 2 to GeoTIFF keys with units.
+///
+/// Returns all three records. For an unsupported system, such as one on another datum, only the
+/// EPSG codes in the text are converted.
 pub fn of_wkt(wkt: &str) -> Option<GeoKeys> {
     let of_codes = |directory| GeoKeys { directory, doubles: Vec::new(), ascii: Vec::new() };
     geotiff_keys_of_wkt(wkt).or_else(|| directory_of_wkt(wkt).map(of_codes))
 }
 
-/// Key of the model type: 1 projected, 2 geographic, 3 geocentric (GeoTIFF 1.0, section 6.3.1.1).
+/// Key of the model type.
+///
+/// 1 projected, 2 geographic, 3 geocentric (GeoTIFF 1.0, section 6.3.1.1).
 const MODEL_TYPE: u16 = 1024;
 /// Key of the geographic coordinate reference system (GeoTIFF 1.0, section 6.3.2.1).
 const GEOGRAPHIC: u16 = 2048;
 /// Key of the projected coordinate reference system (GeoTIFF 1.0, section 6.3.3.1).
 const PROJECTED: u16 = 3072;
-/// Key of the raster type: 1 cells are areas, 2 cells are points (GeoTIFF 1.0, section 6.3.1.2).
+/// Key of the raster type.
+///
+/// 1 cells are areas, 2 cells are points (GeoTIFF 1.0, section 6.3.1.2).
 const RASTER_TYPE: u16 = 1025;
-/// Codes from here on are no EPSG codes: 32767 is "user-defined".
+/// First code that is not an EPSG code.
+///
+/// 32767 means "user-defined".
 const USER_DEFINED: u16 = 32767;
 
-/// The EPSG code that a directory of GeoTIFF keys (record 34735) names; `None` where it defines a system of its own, or
-/// is damaged.
+/// Returns the EPSG code in a GeoTIFF key directory (record 34735).
+///
+/// `None` if the directory defines a custom system or is damaged.
 pub fn epsg(directory: &[u8]) -> Option<u16> {
     let code = match value(directory, MODEL_TYPE)? {
         1 => value(directory, PROJECTED)?,
@@ -34,32 +43,36 @@ pub fn epsg(directory: &[u8]) -> Option<u16> {
     (code > 1023 && code < USER_DEFINED).then_some(code)
 }
 
-/// Whether coordinates are geocentric (ECEF): the model type says so, or the system's code is that of WGS 84, geocentric.
+/// Returns whether coordinates are geocentric (ECEF).
+///
+/// Either the model type or the code (EPSG:4978) says so.
 pub fn is_geocentric(directory: &[u8]) -> bool {
     value(directory, MODEL_TYPE) == Some(3) || epsg(directory) == Some(4978)
 }
 
-/// Whether the tie points of a raster are the middles of its cells, instead of their corners.
+/// Returns whether raster tie points are cell centres.
+///
+/// Otherwise they are cell corners.
 pub fn is_point_raster(directory: &[u8]) -> bool {
     value(directory, RASTER_TYPE) == Some(2)
 }
 
-/// The value of a key that stands in the directory itself.
+/// Returns the value of a key stored in the directory itself.
 fn value(directory: &[u8], key: u16) -> Option<u16> {
     let words: Vec<u16> =
         directory.chunks_exact(2).map(|word| u16::from_le_bytes([word[0], word[1]])).collect();
     let (head, entries) = words.split_at_checked(4)?;
-    // An entry is: key, where its value stands (0: in the entry itself), count, value.
+    // Entry: key, location of the value (0: in the entry itself), count, value.
     let mut entries = entries.chunks_exact(4).take(usize::from(head[3]));
     entries.find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3])
 }
 
-/// The coordinate reference system of an EPSG code as WKT 1.
+/// Returns the CRS of an EPSG code as WKT 1.
 pub fn wkt_of_epsg(code: u16) -> Option<String> {
     crs_definitions::from_code(code).map(|definition| definition.wkt.to_string())
 }
 
-/// The coordinate reference system that a directory of GeoTIFF keys names, as WKT 1.
+/// Returns the CRS of a GeoTIFF key directory as WKT 1.
 pub fn wkt(directory: &[u8]) -> Option<String> {
     wkt_of_epsg(epsg(directory)?)
 }

@@ -1,11 +1,13 @@
-//! LAS and LAZ: full-waveform input (point formats 4, 5, 9 and 10) and output of points
-//! (formats 1 and 6), with their waveforms on request (formats 4 and 9); and cloud-optimised copies of points (COPC).
+//! LAS and LAZ: full-waveform input, point and waveform output, COPC copies.
 //!
-//! The specification is ASPRS LAS 1.4 R15; older versions differ in the length of the header only, and LAS 1.5 adds
-//! three fields to its end. Compression is LASzip's, through the `laz` crate.
+//! Input has point formats 4, 5, 9 and 10. Output has formats 1 and 6, or 4 and 9 with waveforms.
 //!
-//! [`Reader`] gives points one by one and, on request, the waveform packet of a point; [`Writer`] takes points, best
-//! many at once, and compresses them in parallel slabs. Neither allocates per point.
+//! The specification is ASPRS LAS 1.4 R15. Older versions differ only in the length of the header;
+//! LAS 1.5 appends three fields to it. Compression is LASzip, through the `laz` crate.
+//!
+//! [`Reader`] yields points one by one and, on request, the waveform packet of a point. [`Writer`]
+//! takes points, preferably many at once, and compresses them in parallel slabs. Neither allocates
+//! per point.
 
 mod chunks;
 mod copc;

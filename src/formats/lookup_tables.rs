@@ -1,9 +1,12 @@
-//! Tables of an instrument's two receivers, by digitiser steps: columns of numbers, or JSON.
+//! Lookup tables of the low- and high-power receivers.
 //!
-//! Columns stand apart by commas, semicolons or blanks: digitiser steps, the sensitive receiver's value and, where there is a
-//! third, the value of the receiver for strong echoes. A first line of names and lines that begin with `#` are passed over.
-//! JSON has an object `{"low": [[steps, value], ...], "high": [...]}` of which one part may be missing; a pair may have a third
-//! number, the weight of the value in a fit.
+//! Files are text columns or JSON. Tables are indexed by digitiser steps. Columns are separated by
+//! commas, semicolons or blanks: digitiser steps, value of the low-power receiver, and optionally
+//! value of the high-power receiver. A first line of names and lines that begin with `#` are
+//! skipped.
+//!
+//! JSON has an object `{"low": [[steps, value], ...], "high": [...]}`, of which one part may be
+//! missing. A pair may have a third number, the weight of the value in a fit.
 
 use std::path::Path;
 
@@ -11,31 +14,35 @@ use serde::Deserialize;
 
 use super::{Error, Result};
 
-/// A table has a few hundred rows: what is larger is none.
+/// Largest accepted file, bytes.
+///
+/// Real tables have a few hundred rows.
 const MAX_BYTES: u64 = 1 << 24;
 const REMEDY: &str = "give columns of digitiser steps and values, or JSON with \"low\" and \"high\"";
 
 /// One row of a table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// Background and height of a peak, digitiser steps.
+    /// Background plus amplitude of a peak, digitiser steps.
     pub steps_dn: f64,
-    /// What it means, in the table's own unit.
+    /// Value of the table, in its own unit.
     pub value: f64,
-    /// How much the value counts in a fit.
+    /// Weight of the value in a fit, above 0.
     pub weight: f64,
 }
 
-/// The tables of a file; a receiver without one has no rows.
+/// Lookup tables of a file.
+///
+/// A receiver without a table has no rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LookupTables {
-    /// The sensitive receiver's.
+    /// Table of the low-power receiver.
     pub low: Vec<Row>,
-    /// That of the receiver for strong echoes.
+    /// Table of the high-power receiver.
     pub high: Vec<Row>,
 }
 
-/// The tables as JSON has them.
+/// JSON form of the tables.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Json {
@@ -46,10 +53,10 @@ struct Json {
 }
 
 impl LookupTables {
-    /// Reads a file.
+    /// Reads a table file.
     ///
     /// # Errors
-    /// Where it cannot be read, is larger than 16 MiB, or is no such table.
+    /// The file cannot be read, is larger than 16 MiB, or is not a valid table.
     pub fn open(path: &Path) -> Result<LookupTables> {
         let bytes = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
         if bytes > MAX_BYTES {
@@ -60,11 +67,11 @@ impl LookupTables {
             if text.trim_start().starts_with('{') { of_json(path, &text) } else { of_columns(path, &text) }?;
         for rows in [&tables.low, &tables.high] {
             if rows.len() == 1 {
-                return Err(Error::unusable(path, "a table of one row tells no course", REMEDY));
+                return Err(Error::unusable(path, "a table needs at least two rows", REMEDY));
             }
         }
         match tables.low.is_empty() && tables.high.is_empty() {
-            true => Err(Error::unusable(path, "there is no row of numbers in it", REMEDY)),
+            true => Err(Error::unusable(path, "it has no row of numbers", REMEDY)),
             false => Ok(tables),
         }
     }
@@ -72,15 +79,19 @@ impl LookupTables {
 
 fn of_json(path: &Path, text: &str) -> Result<LookupTables> {
     let json: Json = serde_json::from_str(text)
-        .map_err(|error| Error::unusable(path, format!("no tables: {error}"), REMEDY))?;
+        .map_err(|error| Error::unusable(path, format!("invalid tables: {error}"), REMEDY))?;
     let rows = |name: &str, pairs: Vec<Vec<f64>>| {
         let row = |pair: Vec<f64>| match pair[..] {
             [steps_dn, value] => Ok(Row { steps_dn, value, weight: 1.0 }),
             [steps_dn, value, weight] if weight > 0.0 => Ok(Row { steps_dn, value, weight }),
             [_, _, weight] => {
-                Err(Error::unusable(path, format!("{name}: {weight} is no weight"), "give one above 0"))
+                Err(Error::unusable(path, format!("{name}: invalid weight {weight}"), "give one above 0"))
             }
-            _ => Err(Error::unusable(path, format!("{name}: a row of {} numbers", pair.len()), REMEDY)),
+            _ => Err(Error::unusable(
+                path,
+                format!("{name}: expected 2 or 3 numbers per row, found {}", pair.len()),
+                REMEDY,
+            )),
         };
         pairs.into_iter().map(row).collect::<Result<Vec<Row>>>()
     };
@@ -110,7 +121,7 @@ fn of_columns(path: &Path, text: &str) -> Result<LookupTables> {
                 tables.high.push(row(steps_dn, high));
             }
             Ok(other) => {
-                let problem = format!("{} numbers stand in it, and 2 or 3 belong there", other.len());
+                let problem = format!("expected 2 or 3 numbers, found {}", other.len());
                 return Err(Error::malformed(path, at, "row", problem, REMEDY));
             }
             Err(_) if may_be_names => {}
@@ -161,21 +172,21 @@ mod tests {
     fn what_is_no_table_says_why() {
         let remedy = "; give columns of digitiser steps and values, or JSON with \"low\" and \"high\"";
         let cases = [
-            ("", format!("table.txt: there is no row of numbers in it{remedy}")),
-            ("1 2", format!("table.txt: a table of one row tells no course{remedy}")),
-            (
-                "1 2\n3",
-                format!("table.txt: byte 4: row: 1 numbers stand in it, and 2 or 3 belong there{remedy}"),
-            ),
+            ("", format!("table.txt: it has no row of numbers{remedy}")),
+            ("1 2", format!("table.txt: a table needs at least two rows{remedy}")),
+            ("1 2\n3", format!("table.txt: byte 4: row: expected 2 or 3 numbers, found 1{remedy}")),
             ("1 2\na b", format!("table.txt: byte 4: row: not all of its columns are numbers{remedy}")),
-            (r#"{"low": [[1]]}"#, format!("table.txt: low: a row of 1 numbers{remedy}")),
-            (r#"{"low": [[1, 2, 0]]}"#, "table.txt: low: 0 is no weight; give one above 0".to_owned()),
+            (
+                r#"{"low": [[1]]}"#,
+                format!("table.txt: low: expected 2 or 3 numbers per row, found 1{remedy}"),
+            ),
+            (r#"{"low": [[1, 2, 0]]}"#, "table.txt: low: invalid weight 0; give one above 0".to_owned()),
         ];
         for (text, expected) in cases {
             assert_eq!(read(text), Err(expected), "{text:?}");
         }
         let error = read(r#"{"mid": []}"#).unwrap_err();
-        assert!(error.starts_with("table.txt: no tables: unknown field `mid`"), "{error}");
+        assert!(error.starts_with("table.txt: invalid tables: unknown field `mid`"), "{error}");
     }
 
     #[test]

@@ -1,13 +1,13 @@
-//! PulseWaves 0.3: pulses (`.pls`) and their waves (`.wvs`), raw.
+//! PulseWaves 0.3: raw pulses (`.pls`) and their waves (`.wvs`).
 //!
-//! The layout is that of the open specification (rapidlasso, "PulseWaves - Full Waveform LiDAR Specification",
-//! version 0.3 revision 6), with what its reference library of revisions 7 to 11 does beyond it: lookup tables, signed
-//! durations, the order of two fields of a descriptor. All numbers are little-endian. The compressed twin
-//! (`.plz`, `.wvz`) is refused with a remedy.
+//! The layout is that of the open specification (rapidlasso, "PulseWaves - Full Waveform LiDAR
+//! Specification", version 0.3 revision 6). It includes extensions of the reference library,
+//! revisions 7 to 11: lookup tables, signed durations, and the order of two fields of a descriptor.
+//! All numbers are little-endian. Compressed files (`.plz`, `.wvz`) are rejected with a remedy.
 //!
-//! A pulse is an anchor, a target 1000 sampling units further along the beam, and an offset to its waves; its
-//! descriptor says how these are laid out. What is wrong with the header or a record is an error of the file; what is
-//! wrong with one pulse is an error of that pulse, and the next can be read.
+//! A pulse record has an anchor, a target 1000 sampling units further along the beam, and an offset
+//! to its waves; its descriptor defines their layout. A faulty header or VLR is an error of the
+//! file. A fault in one pulse is an error of that pulse only; the next can be read.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -37,7 +37,7 @@ use window::Window;
 
 pub(crate) use super::unsupported::UNCOMPRESS;
 
-/// A pair of pulse and waves file, open for reading.
+/// Reader of a pulse file and its waves file.
 #[derive(Debug)]
 pub struct Reader {
     pulses: Window<File>,
@@ -48,19 +48,22 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Opens the pulse file `path` and the waves file of the same name beside it, and reads header and records.
+    /// Opens the pulse file `path` and its waves file.
+    ///
+    /// Reads header and records.
     ///
     /// # Errors
-    /// A file that cannot be opened, is empty, of another format or version, compressed, or cut off before its first
-    /// pulse; a waves file that is missing; a header or record that is not what the specification says. A file that
-    /// holds fewer pulses than it promises opens: see [`Reader::check_complete`].
+    /// A file cannot be opened, is empty, compressed, of another format or version, or cut off
+    /// before its first pulse; the waves file is missing; or the header or a record violates the
+    /// specification. A file with fewer pulses than its header declares can be opened, see
+    /// [`Reader::check_complete`].
     pub fn open(path: &Path) -> Result<Reader> {
         let mut pulses = open(path)?;
         let length = pulses.length().min(header::HEADER_BYTES as u64) as usize;
         let header = Header::parse(path, pulses.bytes(0, length, "header")?.1)?;
         if header.offset_to_pulses > pulses.length() {
             let problem =
-                format!("the pulses start at byte {} and the file ends before", header.offset_to_pulses);
+                format!("the pulses start at byte {}, but the file ends earlier", header.offset_to_pulses);
             return Err(Error::unusable(path, problem, "it is cut off: copy it again from its source"));
         }
         let records = Records::read(&mut pulses, &header)?;
@@ -74,45 +77,47 @@ impl Reader {
         Ok(Reader { pulses, waves, header, records, pulse_count })
     }
 
-    /// The header.
+    /// Returns the header.
     pub fn header(&self) -> &Header {
         &self.header
     }
 
-    /// All records in front of the pulses and behind them, in the order of the file.
+    /// Returns all records before and after the pulses, in file order.
     pub fn records(&self) -> &[Record] {
         &self.records.list
     }
 
-    /// The scanners by their index, 1 to 255.
+    /// Returns the scanners by index, 1 to 255.
     pub fn scanners(&self) -> &BTreeMap<u8, Scanner> {
         &self.records.scanners
     }
 
-    /// The pulse descriptors by their index, 1 to 255.
+    /// Returns the pulse descriptors by index, 1 to 255.
     pub fn descriptors(&self) -> &BTreeMap<u8, Descriptor> {
         &self.records.descriptors
     }
 
-    /// The lookup tables by their index, 1 to 255, which [`Sampling::lookup_table_index`] names.
+    /// Returns the lookup tables by index, 1 to 255, as in [`Sampling::lookup_table_index`].
     pub fn tables(&self) -> &BTreeMap<u8, LookupTables> {
         &self.records.tables
     }
 
-    /// The coordinate reference system as the file has it.
+    /// Returns the coordinate reference system as stored.
     pub fn crs(&self) -> &Crs {
         &self.records.crs
     }
 
-    /// How many pulses can be read: those that the header promises, if the file holds them.
+    /// Returns the number of readable pulses.
+    ///
+    /// Those declared, if present in the file.
     pub fn pulse_count(&self) -> u64 {
         self.pulse_count
     }
 
-    /// Whether the file holds all pulses that its header promises.
+    /// Checks that the file has all pulses that its header declares.
     ///
     /// # Errors
-    /// The number of pulses promised and held, where it does not.
+    /// Pulses are missing; the error gives the declared and the actual number.
     pub fn check_complete(&self) -> Result<()> {
         match self.pulse_count < self.header.pulse_count {
             true => Err(self.missing(self.pulse_count)),
@@ -120,16 +125,18 @@ impl Reader {
         }
     }
 
-    /// How many bytes stand behind the last pulse and belong to no record: what a cut leaves of the appended records.
+    /// Returns the number of stray bytes after the pulses.
+    ///
+    /// They belong to no record. They are remains of appended records in a truncated file.
     pub fn stray_bytes(&self) -> u64 {
         let end = self.records.appended_at.unwrap_or(self.pulses.length());
         end.saturating_sub(self.header.record_at(self.header.pulse_count))
     }
 
-    /// Pulse `index`, from 0. Reads in order are buffered.
+    /// Reads pulse `index`, from 0; sequential reads are buffered.
     ///
     /// # Errors
-    /// There is no such pulse, or the file cannot be read.
+    /// The pulse does not exist, or the file cannot be read.
     pub fn pulse(&mut self, index: u64) -> Result<Pulse> {
         if index >= self.pulse_count {
             return Err(self.missing(index));
@@ -140,11 +147,14 @@ impl Reader {
         Pulse::parse(file, at, bytes, index, &self.header)
     }
 
-    /// Replaces the content of `waves` by the segments of `pulse`. Reads in the order of the file are buffered.
+    /// Reads the segments of `pulse` into `waves`, replacing its content.
+    ///
+    /// Reads in file order are buffered.
     ///
     /// # Errors
-    /// The pulse names a descriptor that is missing or asks for what is not supported (among others samples of more
-    /// than 16 bits), or its waves do not lie within the waves file. `waves` is empty then, and the reader can read on.
+    /// The descriptor of the pulse is missing or unsupported (such as samples of more than 16
+    /// bits), or its waves are outside the waves file. `waves` is then empty, and the reader can
+    /// continue.
     pub fn waves(&mut self, pulse: &Pulse, waves: &mut Waves) -> Result<()> {
         waves.clear();
         let file = self.pulses.file();
@@ -153,17 +163,17 @@ impl Reader {
         waves.read(&mut self.waves, offset, pulse.index, descriptor)
     }
 
-    /// Pulse `index` is not there.
+    /// Creates the error for a missing pulse.
     fn missing(&self, index: u64) -> Error {
         let promised = self.header.pulse_count;
         let (problem, remedy) = if index < promised {
             let held = self.pulse_count;
             (
-                format!("the header promises {promised} pulses and the file holds {held}"),
+                format!("the header declares {promised} pulses, but the file has {held}"),
                 "the file is cut off: copy it again from its source",
             )
         } else {
-            (format!("there are {promised} pulses"), "ask for one of them")
+            (format!("the file has {promised} pulses"), "request one of them")
         };
         Error::malformed(
             self.pulses.file(),
@@ -175,7 +185,7 @@ impl Reader {
     }
 }
 
-/// The descriptor of the pulse, if its waves can be read by it.
+/// Returns the descriptor of the pulse, if its waves can be read.
 fn descriptor<'r>(
     file: &Path,
     header: &Header,
@@ -197,21 +207,21 @@ fn descriptor<'r>(
     }
 }
 
-/// Where the waves of the pulse start, if that is behind the header of the waves file of `length` bytes and within it.
+/// Returns the checked offset of the waves of a pulse.
+///
+/// It must be within the waves file of `length` bytes.
 fn wave_offset(file: &Path, header: &Header, length: u64, pulse: &Pulse) -> Result<u64> {
     let range = header::WAVES_HEADER_BYTES as u64..length;
     u64::try_from(pulse.wave_offset).ok().filter(|offset| range.contains(offset)).ok_or_else(|| {
         let field = format!("pulse {}: offset to waves", pulse.index);
-        let problem = format!(
-            "{} lies outside of the waves file's bytes {} to {length}",
-            pulse.wave_offset, range.start
-        );
+        let problem =
+            format!("{} is outside the waves file's bytes {} to {length}", pulse.wave_offset, range.start);
         let remedy = "leave the pulse out, or copy both files again: the waves file may be cut off";
         Error::malformed(file, header.record_at(pulse.index).saturating_add(8), field, problem, remedy)
     })
 }
 
-/// A window over the file.
+/// Opens a buffered window over a file.
 fn open(path: &Path) -> Result<Window<File>> {
     let file = File::open(path).map_err(Error::io(path, "open"))?;
     let about = file.metadata().map_err(Error::io(path, "open"))?;
@@ -221,7 +231,9 @@ fn open(path: &Path) -> Result<Window<File>> {
     Ok(Window::new(file, path, about.len()))
 }
 
-/// The waves file of the pulse file `path`: the same name ending in `wvs`, lower or upper case.
+/// Returns the waves file of a pulse file.
+///
+/// Same name, extension `wvs` in lower or upper case.
 fn waves_path(path: &Path) -> Result<PathBuf> {
     let upper = path.extension().is_some_and(|e| e.to_string_lossy().starts_with('P'));
     let endings = if upper { ["WVS", "wvs"] } else { ["wvs", "WVS"] };
@@ -232,6 +244,6 @@ fn waves_path(path: &Path) -> Result<PathBuf> {
         }
         let wanted = path.with_extension("wvs");
         let problem = format!("its waves file {} is missing", wanted.display());
-        Error::unusable(path, problem, "put it beside the pulse file")
+        Error::unusable(path, problem, "put it into the folder of the pulse file")
     })
 }

@@ -1,4 +1,4 @@
-//! Terrain models: heights on a raster, from GeoTIFF or ESRI ASCII grids.
+//! Terrain models from GeoTIFF or ESRI ASCII grids.
 
 use std::fs::File;
 use std::io::Read;
@@ -11,32 +11,36 @@ mod geotiff;
 #[cfg(test)]
 mod tests;
 
-/// More heights than this are refused: 400 MB.
+/// Largest accepted number of cells (400 MB).
 const MOST_CELLS: u64 = 100_000_000;
-/// Beams flatter than this are not followed to the ground.
+/// Smallest descent per metre of a traced beam.
 const LEAST_FALL: f64 = 0.05;
-/// A range is found to this, m.
+/// Resolution of a range, m.
 const FINE_M: f64 = 0.1;
-/// So many steps of a raster are looked at on a beam's way between the highest and the lowest terrain, at most.
+/// Maximum number of samples along a beam.
+///
+/// Between the highest and the lowest terrain.
 const MOST_STEPS: f64 = 10_000.0;
 
-/// Heights on a raster whose rows run east and whose columns run north.
+/// Terrain heights on a north-up raster.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Terrain {
     columns: usize,
     rows: usize,
-    /// Easting and northing of the middle of the north-western cell, m.
+    /// Easting and northing of the centre of the north-western cell, m.
     first_m: [f64; 2],
-    /// From one cell to the next eastwards, and southwards, m; above 0.
+    /// Cell size to the east and to the south, m.
+    ///
+    /// Above 0.
     step_m: [f64; 2],
-    /// Row by row from the north, m; NaN where there is none.
+    /// Row by row from the north, m; NaN if missing.
     heights_m: Vec<f32>,
     lowest_m: f32,
     highest_m: f32,
     epsg: Option<u16>,
 }
 
-/// What a file says of its raster, and its heights.
+/// Raster geometry and heights of a file.
 struct Raster {
     columns: usize,
     rows: usize,
@@ -47,10 +51,11 @@ struct Raster {
 }
 
 impl Terrain {
-    /// Reads a terrain model; the content tells which format it is.
+    /// Reads a terrain model; the content determines the format.
     ///
     /// # Errors
-    /// The file is no raster of heights, is turned against north, has over 100 million cells, or holds no height.
+    /// The file is not a height raster, is not north up, has over 100 million cells, or has no
+    /// heights.
     pub fn open(path: &Path) -> Result<Terrain> {
         let mut file = File::open(path).map_err(Error::io(path, "open"))?;
         let mut magic = [0; 4];
@@ -59,11 +64,11 @@ impl Terrain {
         let raster = if is_tiff { geotiff::read(path)? } else { ascii::read(path)? };
         Terrain::new(raster).ok_or_else(|| {
             let remedy = "give the terrain model of this area";
-            Error::unusable(path, "the terrain model holds no height", remedy)
+            Error::unusable(path, "the terrain model has no heights", remedy)
         })
     }
 
-    /// What the heights take, bytes.
+    /// Returns the memory used by the heights, bytes.
     pub fn bytes(&self) -> usize {
         self.heights_m.len() * size_of::<f32>()
     }
@@ -72,33 +77,35 @@ impl Terrain {
         let Raster { columns, rows, first_m, step_m, mut heights_m, epsg } = raster;
         let (mut lowest_m, mut highest_m) = (f32::INFINITY, f32::NEG_INFINITY);
         for height in &mut heights_m {
-            // No place on earth is farther from any height's origin.
+            // No terrain is farther from any vertical datum, m.
             if height.abs() > 20_000.0 {
                 *height = f32::NAN;
             }
-            // NaN changes neither.
+            // `min` and `max` ignore NaN.
             (lowest_m, highest_m) = (lowest_m.min(*height), highest_m.max(*height));
         }
         let is_whole = columns > 0 && heights_m.len() == columns * rows && lowest_m <= highest_m;
         is_whole.then_some(Terrain { columns, rows, first_m, step_m, heights_m, lowest_m, highest_m, epsg })
     }
 
-    /// The EPSG code of the map, where the file names it.
+    /// Returns the EPSG code of the horizontal system, if known.
     pub fn epsg(&self) -> Option<u16> {
         self.epsg
     }
 
-    /// Least and greatest height, m.
+    /// Returns the smallest and largest height, m.
     pub fn heights_m(&self) -> [f32; 2] {
         [self.lowest_m, self.highest_m]
     }
 
-    /// The height at a place, m: bilinear between the middles of cells, NaN outside and beside cells without a height.
+    /// Interpolates the height at a position bilinearly between cell centres, m.
+    ///
+    /// NaN outside the raster and next to cells without a height.
     pub fn height_m(&self, easting_m: f64, northing_m: f64) -> f64 {
         let column = (easting_m - self.first_m[0]) / self.step_m[0];
         let row = (self.first_m[1] - northing_m) / self.step_m[1];
         let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
-        // The outer half of the outermost cells has the height of their middles.
+        // The outer half of an edge cell has the height of its centre.
         let is_inside =
             (-0.5..=last_column + 0.5).contains(&column) && (-0.5..=last_row + 0.5).contains(&row);
         if !is_inside {
@@ -115,10 +122,10 @@ impl Terrain {
         between(upper, lower, down)
     }
 
-    /// The range at which a beam first meets the terrain, m; NaN where it leaves the model, does not fall, or meets nothing
-    /// within `range_m`.
+    /// Returns the range where a beam hits the terrain, m.
     ///
-    /// `beam` is what a metre of range is in the map: easting, northing, height.
+    /// NaN if the beam leaves the model, does not descend, or hits nothing within `range_m`. `beam`
+    /// is the change of easting, northing and height per metre of range.
     pub fn range_m(&self, origin_m: [f64; 3], beam: [f64; 3], range_m: [f64; 2]) -> f64 {
         if beam[2].is_nan() || beam[2] > -LEAST_FALL {
             return f64::NAN;
@@ -131,7 +138,7 @@ impl Terrain {
                 std::array::from_fn(|axis| origin_m[axis] + range_m * beam[axis]);
             up - self.height_m(east, north)
         };
-        // Four looks in each cell that the beam passes over: a ridge is at least a cell wide.
+        // Four samples per crossed cell: a ridge is at least one cell wide.
         let cells = (beam[0] / self.step_m[0]).abs().max((beam[1] / self.step_m[1]).abs()) * (to_m - from_m);
         let looks = (4.0 * cells).ceil().clamp(1.0, MOST_STEPS);
         if to_m < from_m || above_m(from_m) < 0.0 {
@@ -153,12 +160,14 @@ impl Terrain {
     }
 }
 
-/// A part of the way from one height to another; one that has no weight need not be known.
+/// Interpolates linearly.
+///
+/// With a weight of 0, the second value may be NaN.
 fn between(from: f64, to: f64, part: f64) -> f64 {
     if part == 0.0 { from } else { from + part * (to - from) }
 }
 
-/// Where a beam passes from above the ground to below it, by halving.
+/// Finds by bisection where a beam passes below the ground.
 fn crossing(mut above_m: f64, mut below_m: f64, height_above_m: impl Fn(f64) -> f64) -> f64 {
     while below_m - above_m > FINE_M {
         let middle_m = 0.5 * (above_m + below_m);
@@ -167,15 +176,20 @@ fn crossing(mut above_m: f64, mut below_m: f64, height_above_m: impl Fn(f64) -> 
     0.5 * (above_m + below_m)
 }
 
-/// A raster's size, where it is one that is read; `held` is the most cells that a file of this length can hold.
+/// Checks the size of a raster.
+///
+/// `held` is the largest number of cells in a file of this length.
 fn checked_size(path: &Path, columns: u64, rows: u64, held: u64) -> Result<(usize, usize)> {
     let cells = columns.checked_mul(rows).filter(|&cells| cells > 0 && cells <= MOST_CELLS);
     let size = cells.and_then(|_| Some((usize::try_from(columns).ok()?, usize::try_from(rows).ok()?)));
     let Some(size) = size else {
         return Err(Error::unusable(
             path,
-            format!("a terrain model of {columns} by {rows} cells, and from 1 to {MOST_CELLS} are possible"),
-            "cut it to the area of the recording, or make it coarser",
+            format!(
+                "the terrain model has {columns} by {rows} cells, but only 1 to {MOST_CELLS} \
+                     are supported"
+            ),
+            "crop it to the area of the recording, or resample it to a coarser grid",
         ));
     };
     if cells.is_some_and(|cells| cells > held) {

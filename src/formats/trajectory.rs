@@ -1,7 +1,8 @@
-//! Files that say where an instrument was, and how it was turned, at each moment.
+//! Trajectory files: position and attitude of the instrument over time.
 //!
-//! [`read`] tells the format by its content. What the formats have in common comes out of it: times on one continuous axis,
-//! in GPS time; places on the ellipsoid, or in a map; roll, pitch and the heading from north.
+//! [`read`] recognises the format by its content. All formats yield the same result: times on one
+//! continuous axis in GPS time, geodetic or projected positions, and roll, pitch and heading from
+//! north.
 
 use std::path::{Path, PathBuf};
 
@@ -25,78 +26,93 @@ pub mod sol;
 mod tests;
 pub mod trj;
 
-/// What the user says of a trajectory, where its format leaves it open.
+/// User settings for what a trajectory format leaves open.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Options {
-    /// What times count; not given: as the format says, else seconds of the week, or adjusted where they are too large.
+    /// Clock of the times.
+    ///
+    /// Default: as the format says, else seconds of the week, or adjusted seconds if they are too
+    /// large.
     pub time: Option<Clock>,
-    /// Unit of roll, pitch and heading in text; not given: degrees.
+    /// Unit of roll, pitch and heading in text; default degrees.
     pub angles: Option<Angles>,
-    /// What the columns of a text are, a letter each: `t` time, `x` longitude, `y` latitude, `z` height, `w` roll, `p` pitch,
-    /// `k` heading; any other letter passes over its column.
+    /// Columns of a text, one letter each.
+    ///
+    /// `t` time, `x` longitude, `y` latitude, `z` height, `w` roll, `p` pitch, `k` heading; any
+    /// other letter skips a column.
     pub columns: Option<String>,
-    /// A file of accuracies, POQ or smrmsg; not given: the POQ beside a POF, where there is one.
+    /// Accuracy file, POQ or smrmsg.
+    ///
+    /// Default: the POQ next to a POF, if any.
     pub accuracy: Option<PathBuf>,
 }
 
-/// A unit of angles.
+/// Unit of angles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Angles {
-    /// 360 to the turn.
+    /// 360 per turn.
     Degrees,
-    /// 2π to the turn.
+    /// 2π per turn.
     Radians,
 }
 
-/// A trajectory as it was recorded.
+/// Trajectory as recorded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recorded {
-    /// The file.
+    /// Source file.
     pub file: PathBuf,
-    /// Its format: `POF 1.1`.
+    /// Format, such as `POF 1.1`.
     pub format: String,
-    /// What its times count, in words: `seconds of the week, GPS, week of 2025-05-06`.
+    /// Description of the file's clock.
+    ///
+    /// For example `seconds of the week, GPS, 2025-05-06`.
     pub counts: String,
-    /// What the records' times count. They are adjusted where the file tells its week or day; they run on across the end of
-    /// weeks and days, and are GPS's.
+    /// Clock of the records.
+    ///
+    /// Adjusted GPS seconds if the file names its week or day. Times continue across the end of
+    /// weeks and days, and are GPS time.
     pub clock: Clock,
-    /// In the order of the file.
+    /// Records in the order of the file.
     pub records: Records,
-    /// On the axis of the records; empty where no file tells them.
+    /// Accuracies on the time axis of the records.
+    ///
+    /// Empty if no file provides them.
     pub accuracies: Vec<AccuracySample>,
-    /// What the user should know.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
-/// Records, as their format has them.
+/// Records with geodetic or projected positions.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Records {
-    /// Places on the ellipsoid of WGS 84.
+    /// Geodetic positions on WGS 84.
     Geodetic(Vec<Sample>),
-    /// Places in a map, of which the file does not say which.
+    /// Projected positions; the file does not name the projection.
     Projected(Vec<MapSample>),
 }
 
-/// A place in a map.
+/// Sample with a projected position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapSample {
-    /// On one continuous axis, s.
+    /// Time on the continuous axis, s.
     pub time_s: f64,
-    /// Easting, northing and height, in the map's unit.
+    /// Easting, northing and height, in the unit of the projection.
     pub place: [f64; 3],
-    /// The heading counts from the grid's north.
+    /// Attitude; the heading is relative to grid north.
     pub attitude: Attitude,
 }
 
-/// From easting, northing and height of a map to a place; what is wrong with them otherwise.
+/// Converts projected to geodetic coordinates, or describes the problem.
+///
+/// The argument is easting, northing and height.
 pub type Unproject<'a> = dyn Fn([f64; 3]) -> std::result::Result<Geodetic, String> + 'a;
 
-/// What a decoder makes of a file.
+/// Output of a decoder.
 struct Raw {
     format: String,
-    /// What the file says of its times.
+    /// Declarations of the file about its times.
     stated: axis::Stated,
-    /// Times as in the file.
+    /// Records with times as in the file.
     records: Records,
     notes: Vec<String>,
 }
@@ -104,7 +120,8 @@ struct Raw {
 /// Reads a trajectory: POF, TRJ, SOL, SBET or text.
 ///
 /// # Errors
-/// The file is none of these, is damaged, has times that are not what they are said to be, or its accuracies cannot be read.
+/// The file has another format, is damaged, has times that contradict their declared clock, or its
+/// accuracies cannot be read.
 pub fn read(path: &Path, options: &Options) -> Result<Recorded> {
     let mut input = Input::open(path)?;
     let head = input.head()?;
@@ -115,15 +132,15 @@ pub fn read(path: &Path, options: &Options) -> Result<Recorded> {
         Some(Format::Sbet) => sbet::read(&mut input)?,
         Some(Format::Text) => ascii::read(&mut input, options)?,
         Some(Format::Poq) => {
-            let remedy = "give the POF beside it; the POQ is found there";
-            return Err(Error::unusable(path, "it is a POQ, which holds only accuracies", remedy));
+            let remedy = "give the POF file; its POQ is found automatically";
+            return Err(Error::unusable(path, "it is a POQ file, which has only accuracies", remedy));
         }
         None => return Err(unknown(path, input.length)),
     };
     axis::settle(path, raw, options)
 }
 
-/// The formats.
+/// Trajectory formats, and POQ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
     Pof,
@@ -135,7 +152,7 @@ enum Format {
 }
 
 impl Format {
-    /// The format of a file that begins with these bytes.
+    /// Recognises the format from the first bytes of a file.
     fn of(head: &[u8]) -> Option<Format> {
         if head.starts_with(pof::MAGIC) {
             Some(Format::Pof)
@@ -155,9 +172,10 @@ impl Format {
 
 fn unknown(path: &Path, length: u64) -> Error {
     let problem = format!(
-        "it is no trajectory that wavex knows: its {length} bytes do not begin with `RIEGL POSITION&ORIENTATION` (POF) or \
-         `TSCANTRJ` (TRJ), byte 34 is not the exclusive or of those before (SOL), bytes 8 to 23 are no latitude and longitude \
-         in radians (SBET), and it is no text"
+        "unknown trajectory format: its {length} bytes do not begin with `RIEGL \
+         POSITION&ORIENTATION` (POF) or `TSCANTRJ` (TRJ), byte 34 is not the XOR of the bytes \
+         before it (SOL), bytes 8 to 23 are not a latitude and longitude in radians (SBET), and it \
+         is not text"
     );
     Error::unusable(
         path,
@@ -167,30 +185,33 @@ fn unknown(path: &Path, length: u64) -> Error {
 }
 
 impl Recorded {
-    /// From when to when it lasts.
+    /// Returns the time span.
     pub fn times(&self) -> Times {
         let mut times = self.records.times_s();
         let first_s = times.next().unwrap_or(f64::NAN);
         Times { clock: self.clock, first_s, last_s: times.last().unwrap_or(first_s) }
     }
 
-    /// The trajectory, with its accuracies where there are any. Places in a map go through `unproject`.
+    /// Converts to a trajectory, with accuracies if present.
+    ///
+    /// Projected positions are converted by `unproject`.
     ///
     /// # Errors
-    /// Times in disorder or twice, values that cannot be; places in a map, and nothing says which.
+    /// Times out of order or duplicated, invalid values, or projected positions without
+    /// `unproject`.
     pub fn into_trajectory(self, unproject: Option<&Unproject>) -> Result<Trajectory> {
         let file = &self.file;
         let samples = match self.records {
             Records::Geodetic(samples) => samples,
             Records::Projected(samples) => {
                 let Some(unproject) = unproject else {
-                    let problem = "its places are those of a map, and it does not say which";
-                    return Err(Error::unusable(file, problem, "say which with `crs`"));
+                    let problem = "its positions are projected, but it does not name their CRS";
+                    return Err(Error::unusable(file, problem, "set `crs`"));
                 };
                 let place = |(k, sample): (usize, &MapSample)| {
                     sample.on_earth(unproject).map_err(|problem| {
                         let problem = format!("record {}: {problem}", k + 1);
-                        Error::unusable(file, problem, "check that `crs` is the trajectory's map")
+                        Error::unusable(file, problem, "check that `crs` is the CRS of the trajectory")
                     })
                 };
                 samples.iter().enumerate().map(place).collect::<Result<_>>()?
@@ -208,7 +229,7 @@ impl Recorded {
 }
 
 impl Records {
-    /// How many there are.
+    /// Returns the number of records.
     pub fn len(&self) -> usize {
         match self {
             Records::Geodetic(samples) => samples.len(),
@@ -216,12 +237,12 @@ impl Records {
         }
     }
 
-    /// Whether there is none.
+    /// Returns whether there are no records.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Their times, s.
+    /// Iterates over the times, s.
     pub fn times_s(&self) -> Box<dyn Iterator<Item = f64> + '_> {
         match self {
             Records::Geodetic(samples) => Box::new(samples.iter().map(|sample| sample.time_s)),
@@ -237,11 +258,13 @@ impl Records {
     }
 }
 
-/// Half the length over which the grid's north is looked for, in units of the map.
+/// Half baseline for grid north, in units of the projection.
 const NORTH_STEP: f64 = 10.0;
 
 impl MapSample {
-    /// The sample on the earth. Where the grid's north points to follows from places north and south of it on the ellipsoid.
+    /// Converts the sample to geodetic coordinates.
+    ///
+    /// The direction of grid north follows from positions north and south of it on the ellipsoid.
     fn on_earth(&self, unproject: &Unproject) -> std::result::Result<Sample, String> {
         let [x, y, z] = self.place;
         let place = unproject(self.place)?;
@@ -256,7 +279,9 @@ impl MapSample {
     }
 }
 
-/// A sample of degrees, with its longitude between -180 and 180.
+/// Creates a sample from degrees.
+///
+/// The longitude is wrapped to -180 to 180.
 fn sample_of_degrees(time_s: f64, [longitude, latitude, height_m]: [f64; 3], attitude: Attitude) -> Sample {
     let place = Geodetic {
         latitude_rad: latitude.to_radians(),
@@ -266,18 +291,22 @@ fn sample_of_degrees(time_s: f64, [longitude, latitude, height_m]: [f64; 3], att
     Sample { time_s, place, attitude }
 }
 
-/// An angle of up to one turn, between -π and π; what lies there already keeps its bits, what is none stays.
+/// Wraps an angle of up to one turn to -π..π.
+///
+/// Angles already in the interval keep their bits; NaN is unchanged.
 fn wrapped_rad(angle_rad: f64) -> f64 {
     use core::f64::consts::{PI, TAU};
     if (PI..=TAU).contains(&angle_rad.abs()) { angle_rad - TAU.copysign(angle_rad) } else { angle_rad }
 }
 
-/// Refuses what cannot be a sample; the error stands where the record begins.
+/// Rejects invalid samples.
+///
+/// The error gives the offset of the record.
 fn check(path: &Path, offset: u64, record: u64, sample: &Sample) -> Result<()> {
     use core::f64::consts::{FRAC_PI_2, TAU};
     let Sample { time_s, place, attitude } = sample;
     let bad = |field: &str, value: f64| {
-        let problem = format!("{value:.6} is none");
+        let problem = format!("invalid value {value:.6}");
         let remedy = "the file is damaged, or its positions are not geodetic: export it again";
         Err(Error::malformed(path, offset, format!("{field} of record {record}"), problem, remedy))
     };
@@ -302,7 +331,7 @@ fn check(path: &Path, offset: u64, record: u64, sample: &Sample) -> Result<()> {
     }
 }
 
-/// No instrument flies higher, m.
+/// Largest height of an instrument, m.
 const HIGHEST_M: f64 = 1e6;
-/// Headings may count some turns on; beyond this an angle is no angle, rad.
+/// Largest valid angle, rad; headings may include several turns.
 const LARGEST_ANGLE_RAD: f64 = 1e3;

@@ -1,14 +1,14 @@
-//! Recordings that wavex cannot read, by the extension of their names, and the way round.
+//! Recording formats that wavex cannot read, recognised by extension, with workarounds.
 
 use std::path::Path;
 
 use super::Error;
 
-/// What to do about compressed PulseWaves.
+/// Remedy for compressed PulseWaves.
 pub(crate) const UNCOMPRESS: &str =
     "uncompress the pair with rapidlasso's pulsezip (pulsezip -i in.plz -o out.pls)";
 
-/// Extensions, the format, and what to do instead.
+/// Extensions, problem and remedy of each format.
 const UNSUPPORTED: [(&[&str], &str, &str); 3] = [
     (
         &["rxp"],
@@ -24,7 +24,9 @@ const UNSUPPORTED: [(&[&str], &str, &str); 3] = [
     (&["plz", "wvz"], "compressed PulseWaves (.plz, .wvz) is not supported", UNCOMPRESS),
 ];
 
-/// The error for a recording in a format that is known and cannot be read; `None` for all other names.
+/// Returns the error for a known but unsupported format.
+///
+/// `None` for all other extensions.
 pub fn unsupported(path: &Path) -> Option<Error> {
     let extension = path.extension()?.to_string_lossy().to_lowercase();
     let known = UNSUPPORTED.iter().find(|(extensions, ..)| extensions.contains(&extension.as_str()));

@@ -10,7 +10,7 @@ use crate::support::{Place, TO_TABLE, notes, outcome, rejected};
 const WRITTEN_POINT: usize = 30 + 10;
 
 const CUT: &str = "the file is cut off: copy it again from its source";
-const LIES: &str = "the header lies or the file is cut off: copy it again from its source";
+const LIES: &str = "the header is wrong or the file is cut off: copy it again from its source";
 const DAMAGED: &str = "the file is cut off or damaged: copy it again from its source";
 
 /// A folder with a recording, its points changed.
@@ -36,8 +36,9 @@ fn refused_with(at: usize, bytes: &[u8], message: &str) {
 #[test]
 fn missing_waveforms() {
     let place = Place::with(&[("a.las", &Las::new(3).las())]);
-    let message = "a.las: its waveforms are missing: neither inside the file nor in `a.wdp` beside \
-                   it; copy `a.wdp` into the same folder, or export the file with its waveforms inside";
+    let message = "a.las: its waveforms are missing: neither inside the file nor in `a.wdp` next \
+                   to it; copy `a.wdp` into the same folder, or export the file with its waveforms \
+                   inside";
     refused(&place, "a.las", message);
 }
 
@@ -47,15 +48,17 @@ fn points_that_were_cut_off() {
     for (cut, problem) in [
         (
             las.offset_of(3) - 1,
-            "byte 247: number of point records: 3 points of 59 bytes are announced and 2 fit into the file",
+            "byte 247: number of point records: the header declares 3 points of 59 bytes, but only \
+             2 fit into the file",
         ),
         (
             las.offset_of(0),
-            "byte 247: number of point records: 3 points of 59 bytes are announced and 0 fit into the file",
+            "byte 247: number of point records: the header declares 3 points of 59 bytes, but only \
+             0 fit into the file",
         ),
-        (HEADER, "byte 96: offset to point data: 455 lies behind the end of the file (375 bytes)"),
-        (100, "byte 96: offset to point data: 455 lies behind the end of the file (100 bytes)"),
-        (94, "byte 94: header size: 2 bytes are needed and 0 are left"),
+        (HEADER, "byte 96: offset to point data: 455 is beyond the end of the file (375 bytes)"),
+        (100, "byte 96: offset to point data: 455 is beyond the end of the file (100 bytes)"),
+        (94, "byte 94: header size: 2 bytes needed, 0 left"),
     ] {
         refused(&place(&las, |bytes| bytes.truncate(cut)), "a.las", &format!("a.las: {problem}; {CUT}"));
     }
@@ -69,20 +72,22 @@ fn waveforms_that_were_cut_off() {
         (0, "the file is empty; copy it again from its source".to_string()),
         (
             59,
-            "byte 0: header: this is no file of waveform packets (LASF_Spec/65535); \
-             give the `.wdp` file that was exported together with the points"
+            "byte 0: header: this is not a waveform packet file (LASF_Spec/65535); give the `.wdp` \
+             file that was exported together with the points"
                 .to_string(),
         ),
         (
             60,
             format!(
-                "byte 20: record length after header: LASF_Spec/65535 claims 144 bytes and 0 are left; {LIES}"
+                "byte 20: record length after header: LASF_Spec/65535 declares 144 bytes, 0 left; \
+                 {LIES}"
             ),
         ),
         (
             end - 1,
             format!(
-                "byte 20: record length after header: LASF_Spec/65535 claims 144 bytes and 143 are left; {LIES}"
+                "byte 20: record length after header: LASF_Spec/65535 declares 144 bytes, 143 \
+                 left; {LIES}"
             ),
         ),
     ] {
@@ -98,8 +103,9 @@ fn waveforms_that_were_cut_off_where_their_header_does_not_say_how_many_there_ar
     las.packets[20..28].fill(0);
     let cut = las.packets.len() - 2 * SAMPLES;
     let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets[..cut])]);
-    let message = "a.wdp: byte 108: waveform packet: 48 bytes from 108 on do not lie among the packets (60 to 108); \
-                   the point is damaged or the waveforms are of another file: export both again";
+    let message = "a.wdp: byte 108: waveform packet: 48 bytes at offset 108 are outside the \
+                   packets (60 to 108); the point is damaged or the waveforms belong to another \
+                   file: export both again";
     refused(&place, "a.las", message);
 }
 
@@ -116,8 +122,8 @@ fn compressed_points_that_were_cut_off() {
         (
             2000,
             format!(
-                "byte {points}: offset to the chunk table: 2912 does not lie between the points and the end of the file \
-                 (2000 bytes)"
+                "byte {points}: offset to the chunk table: 2912 is not between the points and the \
+                 end of the file (2000 bytes)"
             ),
         ),
         (560, format!("byte {points}: offset to the chunk table: the file ends before it")),
@@ -133,32 +139,34 @@ fn sizes_that_lie() {
         96,
         &u32::MAX.to_le_bytes(),
         &format!(
-            "byte 96: offset to point data: 4294967295 lies behind the end of the file (632 bytes); {CUT}"
+            "byte 96: offset to point data: 4294967295 is beyond the end of the file (632 bytes); \
+             {CUT}"
         ),
     );
     refused_with(
         100,
         &u32::MAX.to_le_bytes(),
-        &format!("byte 455: variable length record: record 2 needs 54 bytes and 0 are left; {LIES}"),
+        &format!("byte 455: variable length record: record 2 needs 54 bytes, 0 left; {LIES}"),
     );
     refused_with(
         105,
         &u16::MAX.to_le_bytes(),
         &format!(
-            "byte 247: number of point records: 3 points of 65535 bytes are announced and 0 fit into the file; {CUT}"
+            "byte 247: number of point records: the header declares 3 points of 65535 bytes, but \
+             only 0 fit into the file; {CUT}"
         ),
     );
     refused_with(
         247,
         &u64::MAX.to_le_bytes(),
         &format!(
-            "byte 247: number of point records: 18446744073709551615 points of 59 bytes are announced and 3 fit into \
-             the file; {CUT}"
+            "byte 247: number of point records: the header declares 18446744073709551615 points of \
+             59 bytes, but only 3 fit into the file; {CUT}"
         ),
     );
     let evlrs = |start: u64, n: u32| [&start.to_le_bytes()[..], &n.to_le_bytes()].concat();
     let left = |start: u64, left: u64| {
-        format!("byte {start}: variable length record: record 1 needs 60 bytes and {left} are left; {LIES}")
+        format!("byte {start}: variable length record: record 1 needs 60 bytes, {left} left; {LIES}")
     };
     refused_with(235, &evlrs(600, u32::MAX), &left(600, 32));
     refused_with(235, &evlrs(u64::MAX, u32::MAX), &left(u64::MAX, 0));
@@ -166,7 +174,8 @@ fn sizes_that_lie() {
         HEADER + 20,
         &u16::MAX.to_le_bytes(),
         &format!(
-            "byte 395: record length after header: LASF_Spec/100 claims 65535 bytes and 26 are left; {LIES}"
+            "byte 395: record length after header: LASF_Spec/100 declares 65535 bytes, 26 left; \
+             {LIES}"
         ),
     );
 }
@@ -176,7 +185,10 @@ fn a_count_of_compressed_points_that_lies() {
     let las = Las::new(300);
     let cut = "byte 563: compressed points: they cannot be decoded (failed to fill whole buffer)";
     let most = |n: u64| {
-        format!("byte 2912: chunk table: {n} points are announced and the chunks hold 50000 at most")
+        format!(
+            "byte 2912: chunk table: the header declares {n} points, but the chunks hold at \
+                 most 50000"
+        )
     };
     for (count, problem) in [
         (301, cut.to_string()),
@@ -198,8 +210,8 @@ fn a_descriptor_of_more_samples_than_a_waveform_has() {
     refused(
         &place(&las, |_| {}),
         "a.las",
-        "a.las: waveform descriptor 1 (LASF_Spec/100): 4294967295 samples are more than the 4194304 that are read; \
-         the descriptor is damaged: export the file again",
+        "a.las: waveform descriptor 1 (LASF_Spec/100): 4294967295 samples exceed the limit of \
+         4194304; the descriptor is damaged: export the file again",
     );
 }
 
@@ -241,8 +253,8 @@ fn a_point_of_a_descriptor_that_is_missing_is_counted_and_passed_over() {
     loses_one_pulse(
         &Las::new(250).change(100, 30, &[77]),
         "blocks: a point's waveform that cannot be read",
-        "a.las: a point refers to waveform descriptor 77, and LASF_Spec/176 is missing; \
-         the point or the header is damaged: export the file again",
+        "a.las: a point refers to waveform descriptor 77, but LASF_Spec/176 is missing; the point \
+         or the header is damaged: export the file again",
     );
 }
 
@@ -253,8 +265,9 @@ fn a_point_whose_waveform_lies_outside_of_the_file_is_counted_and_passed_over() 
             &Las::new(250).change(100, 31, &offset.to_le_bytes()),
             "blocks: a point's waveform that cannot be read",
             &format!(
-                "a.wdp: byte {offset}: waveform packet: 48 bytes from {offset} on do not lie among the packets (60 to \
-                 12060); the point is damaged or the waveforms are of another file: export both again"
+                "a.wdp: byte {offset}: waveform packet: 48 bytes at offset {offset} are outside \
+                 the packets (60 to 12060); the point is damaged or the waveforms belong to \
+                 another file: export both again"
             ),
         );
     }
@@ -265,7 +278,7 @@ fn a_point_whose_waveform_is_too_short_is_counted_and_passed_over() {
     loses_one_pulse(
         &Las::new(250).change(100, 39, &[47]),
         "blocks: a point's waveform that cannot be read",
-        "a.las: the waveform packet at byte 4860 has 47 bytes, and 48 samples of 8 bits need 48; \
+        "a.las: the waveform packet at byte 4860 has 47 bytes, but 48 samples of 8 bits need 48; \
          the point or its descriptor is damaged: export the file again",
     );
 }

@@ -132,7 +132,8 @@ fn on_a_small_disk(command: &Command) -> Command {
 #[cfg(unix)]
 #[test]
 fn a_full_disk() {
-    let full = "cannot write: File too large (os error 27); make room, or write to another disk";
+    let full = "cannot write: File too large (os error 27); free some space, or write to another \
+                disk";
     let place = place(1000);
     let points = TO_TABLE.split("[[stage]]\ntype = 'write_table'").next().unwrap();
     let sink = |stage: &str, path: &str| format!("[[stage]]\ntype = '{stage}'\npath = '{path}'\n");
@@ -174,8 +175,8 @@ fn a_standard_output_that_is_full() {
     let full = OpenOptions::new().write(true).open("/dev/full").unwrap();
     let mut command = place.command(&format!("{READ}{COPY}path = '-'\n"));
     let output = command.stdout(full).stderr(Stdio::piped()).output().unwrap();
-    let message = "error: stage write_arrow: -: cannot write: No space left on device (os error 28); \
-                   make room, or write to another disk\n";
+    let message = "error: stage write_arrow: -: cannot write: No space left on device (os error \
+                   28); free some space, or write to another disk\n";
     assert_eq!(
         (output.status.code(), String::from_utf8(output.stderr).unwrap()),
         (Some(1), message.to_owned())

@@ -30,7 +30,11 @@ fn refused_with(at: usize, bytes: &[u8], message: &str) {
 #[test]
 fn missing_waves() {
     let place = Place::with(&[("a.pls", &PulseWaves::new(3).pls())]);
-    refused(&place, "a.pls: its waves file ./a.wvs is missing; put it beside the pulse file");
+    refused(
+        &place,
+        "a.pls: its waves file ./a.wvs is missing; put it into the folder of the pulse \
+                     file",
+    );
 }
 
 #[test]
@@ -49,22 +53,24 @@ fn pulses_that_were_cut_off() {
     for (cut, problem) in [
         (
             pulses.len() - 1,
-            format!("byte {}: pulse 2: the header promises 3 pulses and the file holds 2; {CUT}", start + 96),
+            format!("byte {}: pulse 2: the header declares 3 pulses, but the file has 2; {CUT}", start + 96),
         ),
-        (start, format!("byte {start}: pulse 0: the header promises 3 pulses and the file holds 0; {CUT}")),
+        (start, format!("byte {start}: pulse 0: the header declares 3 pulses, but the file has 0; {CUT}")),
         (
             start - 1,
             format!(
-                "the pulses start at byte {start} and the file ends before; it is cut off: copy it again from its source"
+                "the pulses start at byte {start}, but the file ends earlier; it is cut off: copy \
+                 it again from its source"
             ),
         ),
         (
             HEADER,
             format!(
-                "the pulses start at byte {start} and the file ends before; it is cut off: copy it again from its source"
+                "the pulses start at byte {start}, but the file ends earlier; it is cut off: copy \
+                 it again from its source"
             ),
         ),
-        (200, format!("byte 200: pulse size: 4 bytes are needed and 0 are left; {CUT}")),
+        (200, format!("byte 200: pulse size: 4 bytes needed, 0 left; {CUT}")),
     ] {
         refused(&place(&pulses[..cut], &whole.waves), &format!("a.pls: {problem}"));
     }
@@ -76,20 +82,20 @@ fn waves_that_were_cut_off() {
     let last = WAVES_HEADER + 2 * WAVES;
     for (cut, message) in [
         (0, "a.wvs: the file is empty; copy it again from its source".to_string()),
-        (59, format!("a.wvs: byte 20: reserved: 40 bytes are needed and 39 are left; {CUT}")),
+        (59, format!("a.wvs: byte 20: reserved: 40 bytes needed, 39 left; {CUT}")),
         (
             last,
             format!(
-                "a.pls: byte {}: pulse 2: offset to waves: {last} lies outside of the waves file's bytes 60 to {last}; \
-                 {LEAVE_OUT}",
+                "a.pls: byte {}: pulse 2: offset to waves: {last} is outside the waves file's \
+                 bytes 60 to {last}; {LEAVE_OUT}",
                 whole.offset_of(2) + 8
             ),
         ),
         (
             last + WAVES - 1,
             format!(
-                "a.wvs: byte {}: pulse 2: samples: 48 bytes are needed and 47 are left in the file; \
-                 leave the pulse out, or copy or export the pair of files again",
+                "a.wvs: byte {}: pulse 2: samples: 48 bytes needed, 47 left in the file; leave the \
+                 pulse out, or copy or export the pair of files again",
                 last + 56
             ),
         ),
@@ -105,21 +111,22 @@ fn sizes_that_lie() {
     refused_with(
         176,
         &i64::MAX.to_le_bytes(),
-        "the pulses start at byte 9223372036854775807 and the file ends before; it is cut off: copy it again from its \
-         source",
+        "the pulses start at byte 9223372036854775807, but the file ends earlier; it is cut off: \
+         copy it again from its source",
     );
     refused_with(
         184,
         &i64::MAX.to_le_bytes(),
         &format!(
-            "byte {}: pulse 3: the header promises 9223372036854775807 pulses and the file holds 3; {CUT}",
+            "byte {}: pulse 3: the header declares 9223372036854775807 pulses, but the file has 3; \
+             {CUT}",
             start + 144
         ),
     );
     refused_with(
         200,
         &u32::MAX.to_le_bytes(),
-        &format!("byte {start}: pulse 0: the header promises 3 pulses and the file holds 0; {CUT}"),
+        &format!("byte {start}: pulse 0: the header declares 3 pulses, but the file has 0; {CUT}"),
     );
     refused_with(
         216,
@@ -140,8 +147,8 @@ fn sizes_that_lie() {
 fn a_descriptor_of_more_samples_than_a_waveform_has() {
     let mut whole = PulseWaves::new(3);
     whole.records[0].1 = descriptor(u32::MAX);
-    let message = "a.wvs: byte 64: pulse 0: samples: 4294967295 bytes are needed and 308 are left in the file; \
-                   leave the pulse out, or copy or export the pair of files again";
+    let message = "a.wvs: byte 64: pulse 0: samples: 4294967295 bytes needed, 308 left in the \
+                   file; leave the pulse out, or copy or export the pair of files again";
     refused(&place(&whole.pls(), &whole.waves), message);
 }
 
@@ -195,8 +202,8 @@ fn a_pulse_whose_waves_lie_outside_of_the_file_is_counted_and_passed_over() {
     for offset in [0, 1 << 30, -1, i64::MAX, i64::MIN] {
         let bad = PulseWaves::new(250).change(100, 8, &offset.to_le_bytes());
         let note = format!(
-            "a.pls: byte {}: pulse 100: offset to waves: {offset} lies outside of the waves file's bytes 60 to 26060; \
-             {LEAVE_OUT}",
+            "a.pls: byte {}: pulse 100: offset to waves: {offset} is outside the waves file's \
+             bytes 60 to 26060; {LEAVE_OUT}",
             bad.offset_of(100) + 8
         );
         loses_one_pulse(&bad, "shots: a pulse whose waves cannot be read", Some(&note));

@@ -62,8 +62,9 @@ fn loses_one_shot(place: &Place, reader: &str, name: &str, damage: (usize, &[u8]
 #[test]
 fn a_recording_without_its_waveforms() {
     let Some(data) = data() else { return };
-    let message = "stage read_las: ./a.laz: its waveforms are missing: neither inside the file nor in `a.wdp` beside \
-                   it; copy `a.wdp` into the same folder, or export the file with its waveforms inside";
+    let message = "stage read_las: ./a.laz: its waveforms are missing: neither inside the file nor \
+                   in `a.wdp` next to it; copy `a.wdp` into the same folder, or export the file \
+                   with its waveforms inside";
     copy(&data, "las_wavepackets/fullwave", &["laz"]).fails("read_las", "a.laz", message);
 }
 

@@ -48,7 +48,7 @@ fn a_file_of_another_format() {
     let pls = PulseWaves::new(3);
     let las = Las::new(3).las();
     let text = b"x,y,z\n1,2,3\n4,5,6\n7,8,9\n".to_vec();
-    let no_las = "byte 0: file signature: `LASF` is not there; give a LAS or LAZ file";
+    let no_las = "byte 0: file signature: expected `LASF`; give a LAS or LAZ file";
     let no_pls = |start: &str| {
         format!("this is not a PulseWaves pulse file: it starts with \"{start}\"; give a .pls file")
     };
@@ -98,7 +98,7 @@ fn the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun
     let place =
         Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets), ("b.las", b"LASF"), ("c.las", b"")]);
     let outcome = place.read("read_las", "*.las", "[[stage]]\ntype = 'write_arrow'\n");
-    let message = "error: stage read_las: b.las: byte 4: file source ID: 2 bytes are needed and 0 are left; \
+    let message = "error: stage read_las: b.las: byte 4: file source ID: 2 bytes needed, 0 left; \
                    the file is cut off: copy it again from its source\n";
     assert_eq!(outcome, Outcome { code: Some(1), err: message.into() });
     assert_eq!(place.outputs(), ["a.arrow", "a_stat.log", "b_stat.log"]);

@@ -207,8 +207,7 @@ fn what_the_table_names_must_be_there() {
     };
     assert!(refused("trajectory = 'b.out'").starts_with("b.out: cannot open: "));
     assert!(
-        refused("trajectory = 'a.csv'")
-            .starts_with("a.csv: it is a text, and nothing says what its columns are")
+        refused("trajectory = 'a.csv'").starts_with("a.csv: it is text, but its columns are not defined")
     );
     assert_eq!(
         refused("crs = 'EPSG:99999'"),

@@ -288,7 +288,8 @@ fn the_lines_with_a_trajectory_in_text() {
         let line = EXAMPLES.iter().find(|(example, _)| *example == name).unwrap().1;
         let ended = wavex(&place, &format!("--run -- {line}"));
         assert_eq!(ended.code, Some(0), "{}", ended.err);
-        let what = "the trajectory's columns have no roll (`w`): 0 is taken, and each degree of true roll puts points off";
+        let what = "the trajectory's columns have no roll (`w`): assuming 0; each degree of true \
+                    roll displaces points";
         assert!(ended.err.contains(what), "{}", ended.err);
         agrees_with_truth(name, &truth::points(&place, "data.laz"), &truth, in_map(name));
     }

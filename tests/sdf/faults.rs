@@ -8,11 +8,12 @@ fn recording() -> Vec<u8> {
     container(&header(), &[plain_line(0..5, 0), plain_line(5..10, 1)])
 }
 
-const NEWER: &str =
-    "the library may be of another version than wavex knows: use a newer one, or tell the makers of wavex";
-const EXTENSION: &str = "`.sdf` wants the library sdfifc, `.wfm` wfmifc-mt: check `library`, the file's extension, and its content";
+const NEWER: &str = "the library may have a version that wavex does not support: use a newer one, or report this \
+     to the wavex developers";
+const EXTENSION: &str = "`.sdf` needs the library sdfifc, `.wfm` needs wfmifc-mt: check `library`, \
+                         the file's extension, and its content";
 const DAMAGED: &str = "the file may be damaged: copy it again, or try another version of the library";
-const TOLD: &str = "\"the stand-in was told to fail\"";
+const TOLD: &str = "\"injected failure\"";
 
 #[test]
 fn each_code_has_its_own_message() {
@@ -25,12 +26,14 @@ fn each_code_has_its_own_message() {
         (7, "not licensed", "ask RIEGL for a licence that covers it"),
         (
             8,
-            "a code that is not known",
-            "use a library of the version that wavex knows, or tell the makers of wavex",
+            "an unknown code",
+            "use a supported version of the library, or report this to the wavex developers",
         ),
     ] {
-        let message =
-            format!("record 9: fwifc_read of RIEGL's library fails with {code}, {meaning}: {TOLD}; {remedy}");
+        let message = format!(
+            "record 9: fwifc_read of RIEGL's library failed with {code}, {meaning}: \
+                     {TOLD}; {remedy}"
+        );
         fails(&recording(), &format!("fail fwifc_read {code} 9"), "", &message);
     }
 }
@@ -38,8 +41,8 @@ fn each_code_has_its_own_message() {
 #[test]
 fn an_index_that_does_not_help_is_an_error() {
     let message = format!(
-        "record 9: fwifc_seek of RIEGL's library fails with 3, a missing index: {TOLD}; \
-         remove the `.idx` file beside the data, so that it is made anew"
+        "record 9: fwifc_seek of RIEGL's library failed with 3, a missing index: {TOLD}; remove \
+         the `.idx` file next to the data so that it is rebuilt"
     );
     fails(&recording(), "fail fwifc_read 3 9\nfail fwifc_seek 3", "", &message);
 }
@@ -54,21 +57,22 @@ fn each_function_may_fail() {
         ("fwifc_tell", "time_s = [208800.2, 208800.6]"),
     ] {
         let message = format!(
-            "{function} of RIEGL's library fails with 6, a runtime error: {TOLD}; check the file, its folder and the disk"
+            "{function} of RIEGL's library failed with 6, a runtime error: {TOLD}; check the file, \
+             its folder and the disk"
         );
         fails(&recording(), &format!("fail {function} 6"), keys, &message);
     }
     let unsynchronised = "unsynchronised\nfail fwifc_seek_time 4";
     let message = format!(
-        "fwifc_seek_time of RIEGL's library fails with 4, an unknown exception: {TOLD}; \
-         the file may be damaged: copy it again, or try a newer library"
+        "fwifc_seek_time of RIEGL's library failed with 4, an unknown exception: {TOLD}; the file \
+         may be damaged: copy it again, or try a newer library"
     );
     fails(&recording(), unsynchronised, "time_s = [5.0, 6.0]", &message);
 }
 
 #[test]
 fn a_file_that_is_none_is_told_in_the_librarys_words() {
-    let message = "fwifc_open of RIEGL's library fails with 2, an unsupported format: ";
+    let message = "fwifc_open of RIEGL's library failed with 2, an unsupported format: ";
     let place = place(b"no recording", "");
     let outcome = place.run(&crate::made::copy(""));
     assert!(
@@ -84,7 +88,7 @@ fn tables_without_a_licence_are_remarks() {
         place(&recording(), "fail fwifc_get_calib 7 2\nfail fwifc_get_calib 7 3\nfail fwifc_get_calib 5 0");
     let (report, lines) = read(&place, "");
     assert_eq!(lengths(&lines), [(0, 5), (1, 5)]);
-    let fails = |code: &str| format!("fwifc_get_calib of RIEGL's library fails with {code}: {TOLD}");
+    let fails = |code: &str| format!("fwifc_get_calib of RIEGL's library failed with {code}: {TOLD}");
     let expected = [
         format!("{}; the high power channel has no amplitudes in dB", fails("5, not implemented")),
         format!("{}; the range correction of the low power channel is off", fails("7, not licensed")),
@@ -98,18 +102,20 @@ fn sizes_that_cannot_be_are_errors_before_anything_is_allocated() {
     for (mischief, problem) in [
         ("samples 2 4294967295", "a block of 4294967295 samples"),
         ("samples 2 65537", "a block of 65537 samples"),
-        ("null 2", "samples that are nowhere"),
+        ("null 2", "a null pointer to samples"),
         ("blocks 2 4294967295", "a record of 4294967295 blocks"),
         ("blocks 2 4097", "a record of 4097 blocks"),
     ] {
-        let message =
-            format!("record 2: fwifc_read of RIEGL's library gives what cannot be: {problem}; {DAMAGED}");
+        let message = format!(
+            "record 2: fwifc_read of RIEGL's library returned invalid data: {problem}; \
+                     {DAMAGED}"
+        );
         fails(&recording(), mischief, "", &message);
     }
     for stride in [0, 8, 31, 4097] {
         let message = format!(
-            "record 1: fwifc_read of RIEGL's library gives what cannot be: blocks of {stride} bytes each, \
-             where 32 to 4096 can be; {DAMAGED}"
+            "record 1: fwifc_read of RIEGL's library returned invalid data: blocks of {stride} \
+             bytes each, but 32 to 4096 are valid; {DAMAGED}"
         );
         fails(&recording(), &format!("stride {stride}"), "", &message);
     }
@@ -118,8 +124,8 @@ fn sizes_that_cannot_be_are_errors_before_anything_is_allocated() {
 #[test]
 fn a_table_that_cannot_be_is_a_remark() {
     let place = place(&recording(), "table 65537");
-    let expected = "fwifc_get_calib of RIEGL's library gives what cannot be: a table of 65537 entries; \
-                    the low power channel has no amplitudes in dB";
+    let expected = "fwifc_get_calib of RIEGL's library returned invalid data: a table of 65537 \
+                    entries; the low power channel has no amplitudes in dB";
     assert_eq!(notes(&read(&place, "").0)[0], expected);
 }
 
@@ -129,10 +135,11 @@ fn facts_that_cannot_be_are_errors() {
         ("v_group 0", "a group velocity of 0 m/s"),
         ("v_group NaN", "a group velocity of NaN m/s"),
         ("v_group 299792459", "a group velocity of 299792459 m/s"),
-        ("sampling_time -1e-9", "a sampling time of -0.000000001 s"),
-        ("sampling_time 1", "a sampling time of 1 s"),
+        ("sampling_time -1e-9", "a sampling interval of -0.000000001 s"),
+        ("sampling_time 1", "a sampling interval of 1 s"),
     ] {
-        let message = format!("fwifc_get_info of RIEGL's library gives what cannot be: {problem}; {DAMAGED}");
+        let message =
+            format!("fwifc_get_info of RIEGL's library returned invalid data: {problem}; {DAMAGED}");
         fails(&recording(), mischief, "", &message);
     }
 }

@@ -26,9 +26,10 @@ fn a_file_without_an_index_is_read_from_its_beginning_without_one() {
 
 #[test]
 fn where_no_index_can_be_written_the_remedy_is_told() {
-    let message = "the file has no index, and none can be made: fwifc_reindex of RIEGL's library fails with 6, a runtime \
-                   error: \"the index cannot be written\"; the library writes it beside the data: make that folder \
-                   writable, copy or link the file into one that is, or name such a folder with the key `index_dir`";
+    let message = "the file has no index, and it cannot be built: fwifc_reindex of RIEGL's library \
+                   failed with 6, a runtime error: \"the index cannot be written\"; the library \
+                   writes it next to the data: make that folder writable, copy or link the file to \
+                   a writable folder, or set one with the key `index_dir`";
     fails(&recording(), "index needed\nread_only .", "", message);
     fails(&recording(), "index hidden\nread_only .", WINDOW, message);
 }
@@ -58,5 +59,5 @@ fn an_index_folder_that_is_a_file_is_an_error() {
     place.write("index", b"");
     let outcome = place.run(&copy("index_dir = 'index'"));
     assert_eq!(outcome.code, Some(1));
-    assert!(outcome.err.contains("cannot make the folder for the index: "), "{}", outcome.err);
+    assert!(outcome.err.contains("cannot create the folder for the index: "), "{}", outcome.err);
 }

@@ -19,8 +19,8 @@ fn library_file(stem: &str) -> String {
     format!("{}{stem}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX)
 }
 
-const REMEDY: &str = "name RIEGL's Waveform Extraction Library (sdfifc for `.sdf`, wfmifc-mt for `.wfm`), built for this \
-                      system, or its folder";
+const REMEDY: &str = "give the path of RIEGL's Waveform Extraction Library (sdfifc for `.sdf`, \
+                      wfmifc-mt for `.wfm`), built for this system, or its folder";
 
 /// Runs without a library in the job, with this in the environment.
 fn with_variable(place: &Place, value: Option<&Path>) -> Outcome {
@@ -38,13 +38,13 @@ fn without_a_library_the_message_says_what_it_is_who_has_it_and_how_to_point_to_
     let outcome = with_variable(&place, None);
     assert_eq!(outcome.code, Some(1));
     let begins = format!(
-        "error: stage read_sdf: ./{NAME}: such files are read through RIEGL's Waveform Extraction Library (RiWAVELib), and \
-         {} was found neither where the system looks for libraries nor in ",
+        "error: stage read_sdf: ./{NAME}: this format needs RIEGL's Waveform Extraction Library \
+         (RiWAVELib), but {} was found neither where the system looks for libraries nor in ",
         library_file("sdfifc")
     );
-    let ends = "; its licence forbids shipping it, but owners of a RIEGL instrument get it from RIEGL's download pages: \
-                then name the library or its folder with the key `library` or in the environment variable \
-                WAVEX_RIWAVELIB\n";
+    let ends = "; its licence forbids shipping it, but owners of a RIEGL instrument can download \
+                it from RIEGL: then set the library or its folder with the key `library` or in the \
+                environment variable WAVEX_RIWAVELIB\n";
     assert!(outcome.err.starts_with(&begins) && outcome.err.ends_with(ends), "{}", outcome.err);
 }
 
@@ -78,7 +78,8 @@ fn a_folder_without_the_library_is_told() {
     std::fs::create_dir(place.path("empty")).unwrap();
     let job = copy("").replace(&stand_in().display().to_string(), "empty");
     let message = format!(
-        "stage read_sdf: ./{NAME}: the key `library` names the folder ./empty, without a {}; {REMEDY}",
+        "stage read_sdf: ./{NAME}: the key `library` names the folder ./empty, which has no {}; \
+         {REMEDY}",
         library_file("sdfifc")
     );
     place.left_nothing(place.run(&job), &message);
@@ -95,7 +96,7 @@ fn a_folder_without_the_library_is_told() {
 fn cannot_be_used(place: &Place, library: &str, words: &str) {
     let outcome = place.run(&copy("").replace(&stand_in().display().to_string(), library));
     assert_eq!(outcome.code, Some(1));
-    assert!(outcome.err.contains(", which the key `library` names, cannot be used: "), "{}", outcome.err);
+    assert!(outcome.err.contains(", which the key `library` names, cannot be loaded: "), "{}", outcome.err);
     assert!(
         outcome.err.contains(words) && outcome.err.ends_with(&format!("; {REMEDY}\n")),
         "{}",
@@ -122,8 +123,8 @@ fn another_major_version_is_refused() {
     let place = place(&recording(), "");
     let outcome = outcome(place.command(&copy("")).env("SDF_STAND_IN_MAJOR", "2"));
     let message = format!(
-        "stage read_sdf: ./{NAME}: RIEGL's library is of version 2.7, where 1.x is known; \
-         point to one of version 1 with the key `library`, or use a newer wavex"
+        "stage read_sdf: ./{NAME}: RIEGL's library has version 2.7, but wavex supports 1.x; set a \
+         library of version 1 with the key `library`, or use a newer wavex"
     );
     place.left_nothing(outcome, &message);
 }

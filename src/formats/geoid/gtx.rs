@@ -1,7 +1,8 @@
-//! The `.gtx` grid of NOAA's VDatum (VDatum's manual, "GTX format").
+//! The `.gtx` grid of NOAA's VDatum (VDatum manual, "GTX format").
 //!
-//! All is big-endian: f64 latitude and longitude of the south-western corner, f64 steps to the north and to the east, degrees;
-//! i32 rows, columns; then f32 rows from south to north. -88.8888 stands for no value.
+//! All values are big-endian: f64 latitude and longitude of the south-west corner, f64 steps to the
+//! north and to the east, all in degrees; i32 rows and columns; then f32 rows from south to north.
+//! -88.8888 marks a missing value.
 
 use std::path::Path;
 
@@ -13,10 +14,10 @@ use crate::geo::geoid::Grid;
 const HEADER: usize = 40;
 const NO_VALUE: f32 = -88.8888;
 
-/// The grid of a file's bytes.
+/// Parses the bytes of a file.
 ///
 /// # Errors
-/// The header is cut off or no grid, or another number of values follows it.
+/// The header is truncated or invalid, or the number of values does not match it.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Grid> {
     let mut fields = Fields::new(path, 0, bytes);
     let mut number = |field: &str| fields.array(field).map(f64::from_be_bytes);

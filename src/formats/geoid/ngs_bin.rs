@@ -1,8 +1,10 @@
-//! The `.bin` grid of the American National Geodetic Survey (NGS, "GEOID12B readme", format of the binary files).
+//! The `.bin` geoid grid of the US NGS.
 //!
-//! f64 latitude of the southernmost row, f64 longitude of the westernmost column (0 to 360 to the east), f64 steps to the north
-//! and to the east, degrees; i32 rows, columns, kind (1: f32 values); then f32 rows from south to north. Files of both
-//! byte orders are about: the order is the one in which the kind is 1.
+//! Format of the National Geodetic Survey, "GEOID12B readme". The header holds f64 latitude of the
+//! southernmost row, f64 longitude of the westernmost column (0 to 360 to the east), f64 steps to
+//! the north and to the east, all in degrees; i32 rows, columns and kind (1: f32 values). Then
+//! follow f32 rows from south to north. Files exist in both byte orders; the order is the one in
+//! which the kind is 1.
 
 use std::path::Path;
 
@@ -12,13 +14,16 @@ use crate::formats::{Error, Result};
 use crate::geo::geoid::Grid;
 
 const HEADER: usize = 44;
-/// Values beyond this are marks of missing ones: the geoid lies within 110 m of the ellipsoid.
+/// Largest geoid height, m; larger values mark missing data.
+///
+/// The geoid lies within 110 m of the ellipsoid.
 const HIGHEST_M: f32 = 200.0;
 
-/// The grid of a file's bytes.
+/// Parses the bytes of a file.
 ///
 /// # Errors
-/// The header is cut off or no grid, its kind is 1 in neither byte order, or another number of values follows it.
+/// The header is truncated or invalid, its kind is 1 in neither byte order, or the number of values
+/// does not match it.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Grid> {
     let mut fields = Fields::new(path, 0, bytes);
     let mut number = |field: &str| fields.array::<8>(field);

@@ -2,7 +2,7 @@ use std::fs;
 
 use super::*;
 
-/// Two rows of three values from latitude 40, longitude 260 in steps of 1 and 0.5 degrees.
+/// Two rows of three values from latitude 40, longitude 260, in steps of 1 and 0.5 degrees.
 const HEADER_BE: [u8; 40] = [
     0x40, 0x44, 0, 0, 0, 0, 0, 0, // south 40
     0x40, 0x70, 0x40, 0, 0, 0, 0, 0, // west 260
@@ -39,7 +39,7 @@ fn folder_of(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
     folder
 }
 
-/// The error of reading one file with these bytes, without its folder.
+/// Returns the error of reading a file with these bytes, without its folder.
 fn error_of(name: &str, bytes: Vec<u8>) -> String {
     let folder = folder_of(&[(name, bytes)]);
     let error = read(&folder.path().join(name)).unwrap_err().to_string();
@@ -106,7 +106,8 @@ fn a_name_of_two_files_is_an_error() {
     assert_eq!(
         find(folder.path(), "A").unwrap_err().to_string(),
         format!(
-            "{}: the geoid `A` is more than one file: a.bin, a.gtx; give the name with its extension, or leave one of them",
+            "{}: the geoid `A` matches more than one file: a.bin, a.gtx; give the name with its \
+             extension, or keep only one of them",
             folder.path().display()
         )
     );
@@ -120,15 +121,18 @@ fn damaged_files_say_what_is_wrong() {
     longer.push(0);
     assert_eq!(
         error_of("a.gtx", longer),
-        format!("a.gtx: its header says 2 rows of 3 values, 24 bytes, and 25 bytes follow it; {remedy}")
+        format!(
+            "a.gtx: its header says 2 rows of 3 values, 24 bytes, but 25 bytes follow it; \
+                 {remedy}"
+        )
     );
     let mut rowless = gtx();
     rowless[35] = 1;
     assert_eq!(
         error_of("a.gtx", rowless),
         format!(
-            "a.gtx: its header says 1 rows and 3 columns from latitude 40, longitude 260 in steps of 1 and 0.5 degrees, \
-             which is no grid; {remedy}"
+            "a.gtx: its header says 1 rows and 3 columns from latitude 40, longitude 260 in steps \
+             of 1 and 0.5 degrees, which is not a valid grid; {remedy}"
         )
     );
     let mut kindless = bin_le();
@@ -140,10 +144,10 @@ fn damaged_files_say_what_is_wrong() {
     );
     assert_eq!(
         error_of("a.txt", vec![]),
-        "a.txt: the extension `txt` is not that of a geoid; give a .bin file of NGS or a .gtx file"
+        "a.txt: the extension `txt` is not a geoid format; give a .bin file of NGS or a .gtx file"
     );
     let huge = [&HEADER_BE[..32], &[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff, 0, 0, 0, 1]].concat();
-    assert!(error_of("a.bin", huge).contains("18446744056529682436 bytes, and 0 bytes follow it"));
+    assert!(error_of("a.bin", huge).contains("18446744056529682436 bytes, but 0 bytes follow it"));
     for length in 0..bin_le().len() {
         assert!(error_of("a.bin", bin_le()[..length].to_vec()).starts_with("a.bin: "), "{length}");
         assert!(
@@ -153,7 +157,7 @@ fn damaged_files_say_what_is_wrong() {
     }
 }
 
-/// Real grids, with PROJ's values at 120 points.
+/// Compares real grids with PROJ's values at 120 points.
 #[test]
 fn real_grids_agree_with_proj() {
     let Some(data) = std::env::var_os("WAVEX_DATA") else {

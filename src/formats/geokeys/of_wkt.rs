@@ -1,4 +1,4 @@
-//! GeoTIFF keys of a coordinate reference system that is known as WKT: the codes that stand in it, and nothing else.
+//! Extracts GeoTIFF keys from the EPSG codes in a WKT.
 
 use super::{GEOGRAPHIC, MODEL_TYPE, PROJECTED, RASTER_TYPE};
 
@@ -11,8 +11,10 @@ const VERTICAL: u16 = 4096;
 /// Key of the unit of heights (GeoTIFF 1.0, section 6.3.4).
 const VERTICAL_UNIT: u16 = 4099;
 
-/// The directory of GeoTIFF keys (record 34735) with the EPSG codes of a coordinate reference system given as WKT 1 or 2:
-/// model, system, unit, and the vertical system with its unit. `None` where the horizontal system has no code.
+/// Builds a GeoTIFF key directory (record 34735) from WKT 1 or 2.
+///
+/// It holds the EPSG codes of the model, system and unit, and of the vertical system and its unit.
+/// `None` if the horizontal system has no code.
 pub fn directory_of_wkt(wkt: &str) -> Option<Vec<u8>> {
     let (root, _) = node(wkt)?;
     let parts = if matches!(root.keyword, "COMPD_CS" | "COMPOUNDCRS") { root.children() } else { vec![root] };
@@ -25,7 +27,7 @@ pub fn directory_of_wkt(wkt: &str) -> Option<Vec<u8>> {
             _ => continue,
         };
         let Some(code) = part.code() else {
-            // A vertical system without a code leaves the horizontal one as it is.
+            // A vertical system without a code does not invalidate the horizontal one.
             model.map_or(Some(()), |_| None)?;
             continue;
         };
@@ -38,7 +40,9 @@ pub fn directory_of_wkt(wkt: &str) -> Option<Vec<u8>> {
     entries.iter().any(|(key, _)| *key == MODEL_TYPE).then(|| directory(entries))
 }
 
-/// Keys stand in ascending order, each with its value in the entry itself.
+/// Encodes keys in ascending order.
+///
+/// Each entry contains its value.
 fn directory(mut entries: Vec<(u16, u16)>) -> Vec<u8> {
     entries.sort_unstable();
     let head = [1, 1, 0, entries.len() as u16];
@@ -46,7 +50,7 @@ fn directory(mut entries: Vec<(u16, u16)>) -> Vec<u8> {
     head.into_iter().chain(words).flat_map(u16::to_le_bytes).collect()
 }
 
-/// A node of a WKT: `KEYWORD[...]`.
+/// WKT node: `KEYWORD[...]`.
 #[derive(Clone, Copy)]
 struct Node<'a> {
     keyword: &'a str,
@@ -54,7 +58,7 @@ struct Node<'a> {
 }
 
 impl<'a> Node<'a> {
-    /// The nodes that stand directly inside of this one.
+    /// Returns the direct child nodes.
     fn children(self) -> Vec<Node<'a>> {
         let mut children = Vec::new();
         let mut rest = self.inside;
@@ -65,7 +69,7 @@ impl<'a> Node<'a> {
         children
     }
 
-    /// The EPSG code that the node itself has.
+    /// Returns the EPSG code of the node itself.
     fn code(self) -> Option<u16> {
         let of = |child: &Node| {
             let (authority, code) = child.inside.split_once(',')?;
@@ -75,14 +79,16 @@ impl<'a> Node<'a> {
         self.children().iter().filter(|child| matches!(child.keyword, "AUTHORITY" | "ID")).find_map(of)
     }
 
-    /// The EPSG code of the unit of the node's coordinates, where it stands in it.
+    /// Returns the EPSG code of the unit of the node's coordinates.
     fn unit_code(self) -> Option<u16> {
         let is_unit = |child: &Node| matches!(child.keyword, "UNIT" | "LENGTHUNIT" | "ANGLEUNIT");
         self.children().into_iter().find(is_unit)?.code()
     }
 }
 
-/// The first node of a text, and what follows it; `None` where there is none, or it does not end.
+/// Returns the first node and the text after it.
+///
+/// `None` if there is no node or it is not closed.
 fn node(text: &str) -> Option<(Node<'_>, &str)> {
     let mut open = None;
     let (mut depth, mut quoted) = (0usize, false);

@@ -1,7 +1,8 @@
-//! Compressed points: LASzip's chunks, decoded by the `laz` crate.
+//! Compressed points: LASzip chunks, decoded by the `laz` crate.
 //!
-//! The crate trusts the sizes in a file and panics on some damaged streams. So the chunk table and the sizes of the
-//! layers are compared with the file before the crate sees them, and a panic of its decoder becomes an error.
+//! The crate trusts the sizes in a file and panics on some damaged streams. The chunk table and
+//! layer sizes are therefore checked against the file first, and a panic of the decoder becomes an
+//! error.
 
 use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
@@ -20,29 +21,35 @@ use crate::formats::{Error, Result};
 
 type Decoder = Box<dyn RecordDecompressor<Cursor<Vec<u8>>> + Send + Sync>;
 
-/// LASzip's "compressor": points in chunks, field by field.
+/// LASzip compressor type: points in chunks, field by field.
 const CHUNKED: u16 = 2;
-/// LASzip's "compressor": points in chunks, each field in a layer of its own; formats 6 to 10.
+/// LASzip compressor type: points in chunks, one layer per field.
+///
+/// Formats 6 to 10.
 const LAYERED: u16 = 3;
-/// Extra bytes of a compressed point: the decoder needs 10 kB for each of them.
+/// Maximum number of extra bytes per compressed point.
+///
+/// The decoder needs 10 kB for each.
 const EXTRA_BYTES_LIMIT: u16 = 4096;
 const CUT: &str = "the file is cut off or damaged: copy it again from its source";
 
-/// The compressed points of a file.
+/// Compressed points of a file.
 pub(super) struct Chunks {
     file: File,
     path: PathBuf,
     laz: LazVlr,
     record_length: usize,
-    /// Number of layers of a chunk; `None`: the points are not layered.
+    /// Number of layers per chunk.
+    ///
+    /// `None` if points are not layered.
     layers: Option<usize>,
-    /// Chunks that follow the present one.
+    /// Chunks after the current one.
     table: std::vec::IntoIter<Chunk>,
-    /// Where the present chunk starts in the file.
+    /// Offset of the current chunk in the file.
     at: u64,
-    /// Where the next chunk starts in the file.
+    /// Offset of the next chunk in the file.
     next_at: u64,
-    /// Points of the present chunk that were not decoded yet.
+    /// Number of points of the current chunk not yet decoded.
     left: u64,
     decoder: Option<Decoder>,
 }
@@ -56,7 +63,8 @@ impl Chunks {
     /// Starts at the first chunk.
     ///
     /// # Errors
-    /// The LASzip record is missing or describes other points than the header, or the chunk table contradicts the file.
+    /// The LASzip record is missing or does not match the header, or the chunk table contradicts
+    /// the file.
     pub(super) fn open(
         file: File,
         path: &Path,
@@ -65,7 +73,7 @@ impl Chunks {
         file_length: u64,
     ) -> Result<Chunks> {
         let Some(vlr) = vlrs.iter().find(|vlr| vlr.is(LazVlr::USER_ID, LazVlr::RECORD_ID)) else {
-            let problem = "the points are marked as compressed and the LASzip record is missing";
+            let problem = "the points are marked as compressed, but the LASzip record is missing";
             return Err(Error::malformed(path, 104, "point data record format", problem, CUT));
         };
         let laz = parse_vlr(path, header, vlr)?;
@@ -91,7 +99,7 @@ impl Chunks {
         })
     }
 
-    /// Decodes as many records as `out` holds.
+    /// Decodes records until `out` is full.
     pub(super) fn fill(&mut self, mut out: &mut [u8]) -> Result<()> {
         while !out.is_empty() {
             if self.left == 0 {
@@ -109,7 +117,7 @@ impl Chunks {
 
     fn start_chunk(&mut self) -> Result<()> {
         let Some(chunk) = self.table.next() else {
-            return Err(self.damaged("there are fewer chunks than points"));
+            return Err(self.damaged("the chunks hold fewer points than the header declares"));
         };
         self.at = self.next_at;
         self.next_at += chunk.bytes;
@@ -117,7 +125,7 @@ impl Chunks {
         if chunk.points == 0 {
             return Ok(());
         }
-        // The buffer serves all chunks; the table's sizes add up to less than the file's.
+        // One buffer serves all chunks; the sizes in the table add up to less than the file.
         let mut bytes = self.decoder.take().map(|old| old.box_into_inner().into_inner()).unwrap_or_default();
         bytes.resize(chunk.bytes as usize, 0);
         let read = self.file.seek(SeekFrom::Start(self.at)).and_then(|_| self.file.read_exact(&mut bytes));
@@ -135,7 +143,9 @@ impl Chunks {
         Ok(())
     }
 
-    /// A layered chunk: the first point, the number of points, the size of each layer, the layers.
+    /// Checks a layered chunk.
+    ///
+    /// First point, number of points, size of each layer, layers.
     fn check_layers(&self, bytes: &[u8], layers: usize) -> Result<()> {
         let mut fields = Fields::new(&self.path, self.at, bytes);
         fields.skip(self.record_length, "first point of a chunk")?;
@@ -145,7 +155,7 @@ impl Chunks {
             sum += u64::from(fields.u32("size of a layer")?);
         }
         if sum > fields.left() as u64 {
-            let problem = format!("{sum} bytes are announced and the chunk has {}", fields.left());
+            let problem = format!("{sum} bytes are declared, but the chunk has {}", fields.left());
             return Err(fields.bad("layers of a chunk", problem, CUT));
         }
         Ok(())
@@ -153,11 +163,11 @@ impl Chunks {
 
     fn decode(&mut self, out: &mut [u8]) -> Result<()> {
         let Some(decoder) = &mut self.decoder else {
-            return Err(self.damaged("there are fewer chunks than points"));
+            return Err(self.damaged("the chunks hold fewer points than the header declares"));
         };
         let decoded = guarded(|| decoder.decompress_many(out));
         if decoded.is_err() {
-            // A decoder that failed in the middle of a point must not be asked again.
+            // A decoder that failed within a point must not be used again.
             self.decoder = None;
         }
         decoded.map_err(|problem| self.damaged(&problem))
@@ -168,7 +178,7 @@ impl Chunks {
     }
 }
 
-/// Runs a decoder of the `laz` crate; its error or panic becomes the problem's text.
+/// Runs a decoder; converts its error or panic to text.
 fn guarded<T>(decode: impl FnOnce() -> io::Result<T>) -> std::result::Result<T, String> {
     match catch_unwind(AssertUnwindSafe(decode)) {
         Ok(result) => result.map_err(|error| format!("they cannot be decoded ({error})")),
@@ -176,18 +186,18 @@ fn guarded<T>(decode: impl FnOnce() -> io::Result<T>) -> std::result::Result<T, 
     }
 }
 
-/// The LASzip record, if it describes the points that the header announces.
+/// Parses the LASzip record and checks that it matches the header.
 fn parse_vlr(path: &Path, header: &Header, vlr: &Vlr) -> Result<LazVlr> {
     let bad = |problem: String, remedy| Error::malformed(path, vlr.offset, "LASzip record", problem, remedy);
     let compressor = Fields::new(path, vlr.offset, &vlr.data).u16("compressor")?;
     if !(CHUNKED..=LAYERED).contains(&compressor) {
-        let problem = format!("compressor {compressor} is not read, only 2 and 3 (chunks)");
+        let problem = format!("compressor {compressor} is not supported, only 2 and 3 (chunked)");
         return Err(bad(problem, "compress the file again with a LASzip of version 2 or later"));
     }
     let laz = LazVlr::from_buffer(&vlr.data).map_err(|error| bad(error.to_string(), CUT))?;
     let extra = header.record_length.saturating_sub(Layout::of(header.point_format).length as u16);
     if extra > EXTRA_BYTES_LIMIT {
-        let problem = format!("{extra} extra bytes per point, and at most {EXTRA_BYTES_LIMIT} are read");
+        let problem = format!("{extra} extra bytes per point, but at most {EXTRA_BYTES_LIMIT} are supported");
         return Err(bad(problem, "remove extra attributes from the file"));
     }
     let expected = LazItemRecordBuilder::default_for_point_format_id(header.point_format, extra)
@@ -196,7 +206,7 @@ fn parse_vlr(path: &Path, header: &Header, vlr: &Vlr) -> Result<LazVlr> {
         |items: &[laz::LazItem]| items.iter().map(|item| (item.item_type(), item.size())).collect::<Vec<_>>();
     if fields(laz.items()) != fields(&expected) {
         let problem =
-            format!("it describes other fields than format {} with {extra} extra bytes", header.point_format);
+            format!("its fields do not match format {} with {extra} extra bytes", header.point_format);
         return Err(bad(problem, CUT));
     }
     Ok(laz)
@@ -211,8 +221,10 @@ fn n_layers(item: LazItemType) -> usize {
     }
 }
 
-/// Sizes of the chunks, checked against the file: they fit between the points' start and the table, and hold as many
-/// points as the header announces.
+/// Reads the chunk sizes and checks them against the file.
+///
+/// The chunks must fit between the start of the points and the table, and hold as many points as
+/// the header declares.
 fn read_table(
     file: &File,
     path: &Path,
@@ -245,18 +257,20 @@ fn read_table(
         chunks.push(Chunk { bytes: entry.byte_count, points: n });
     }
     if bytes > room {
-        return Err(bad(format!("the chunks have {bytes} bytes by the table and {room} by their place")));
+        return Err(bad(format!("the table declares {bytes} bytes of chunks, but {room} bytes precede it")));
     }
     if points < header.n_points {
         let problem =
-            format!("{} points are announced and the chunks hold {points} at most", header.n_points);
+            format!("the header declares {} points, but the chunks hold at most {points}", header.n_points);
         return Err(bad(problem));
     }
     Ok(chunks)
 }
 
-/// Where the chunk table is: at the place named before the first chunk, or, by writers that could not go back, in the
-/// last 8 bytes of the file.
+/// Finds the chunk table.
+///
+/// Its offset precedes the first chunk; writers that cannot seek back put it in the last 8 bytes of
+/// the file.
 fn find_table(input: &mut (impl Read + Seek), path: &Path, header: &Header, file_length: u64) -> Result<u64> {
     let start = u64::from(header.offset_to_points);
     let first = start + ChunkTable::OFFSET_SIZE as u64;
@@ -266,7 +280,8 @@ fn find_table(input: &mut (impl Read + Seek), path: &Path, header: &Header, file
         return Err(Error::malformed(path, start, "offset to the chunk table", problem, CUT));
     }
     let named = u64::from_le_bytes(read_8(input, path, start)?);
-    // Signed in the file: such writers leave -1, or the place itself.
+    // The field is signed: writers that cannot seek back leave -1, or the offset of the field
+    // itself.
     let at = if named > start && named <= i64::MAX as u64 {
         named
     } else {
@@ -275,8 +290,7 @@ fn find_table(input: &mut (impl Read + Seek), path: &Path, header: &Header, file
     if fits(&at) {
         return Ok(at);
     }
-    let problem =
-        format!("{at} does not lie between the points and the end of the file ({file_length} bytes)");
+    let problem = format!("{at} is not between the points and the end of the file ({file_length} bytes)");
     Err(Error::malformed(path, start, "offset to the chunk table", problem, CUT))
 }
 

@@ -1,12 +1,13 @@
-//! Cloud-optimised point clouds: LAZ whose chunks are the nodes of an octree, so that viewers fetch the parts they show.
+//! Cloud-optimised point clouds (COPC).
 //!
-//! The specification is COPC 1.0 (<https://copc.io>): LAS 1.4 in point format 6, 7 or 8, LASzip's chunks of variable size, a
-//! record `copc`/1 first, and the octree as extended record `copc`/1000. Points are moved as records, so that each comes out
-//! as it was to the bit; a record of waveforms (formats 9 and 10) loses the reference to its packet, for which COPC has no
-//! place.
+//! LAZ with one chunk per octree node. Viewers fetch only the parts they show. The specification is
+//! COPC 1.0 (<https://copc.io>): LAS 1.4 in point format 6, 7 or 8, LASzip chunks of variable size,
+//! the record `copc`/1 first, and the octree as extended record `copc`/1000. Points are copied as
+//! records, bit by bit. Records with waveforms (formats 9 and 10) lose the reference to their
+//! packet, which COPC cannot store.
 //!
-//! The source is read twice: for the cube around all points, and for the points. Memory stays bounded: points are sorted in
-//! runs that the caller keeps, and nodes are written as soon as they are complete.
+//! The source is read twice: for the bounding cube, and for the points. Memory is bounded: points
+//! are sorted in runs that the caller stores, and nodes are written as soon as they are complete.
 
 mod cube;
 mod octree;
@@ -33,42 +34,43 @@ use start::{Entry, Start};
 
 pub use sort::Keep;
 
-/// User ID of the records that the specification of COPC defines.
+/// User ID of the records defined by COPC.
 const COPC: &str = "copc";
-/// Points of a leaf of the octree, at most.
+/// Maximum number of points of an octree leaf.
 const LEAF_POINTS: u64 = 50_000;
-/// Memory for the sorting of points, bytes.
+/// Memory for sorting points, bytes.
 const SORT_BYTES: usize = 512 << 20;
 
-/// What was written.
+/// Summary of a written COPC file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CopcSummary {
-    /// Number of points, as many as in the source.
+    /// Number of points, as in the source.
     pub n_points: u64,
-    /// Number of nodes of the octree, each a chunk.
+    /// Number of octree nodes; each is a chunk.
     pub n_nodes: usize,
-    /// Levels of the octree.
+    /// Number of octree levels.
     pub n_levels: u32,
-    /// Points of formats 9 and 10 were written without their waveforms.
+    /// Whether waveforms of formats 9 and 10 were dropped.
     pub is_without_waveforms: bool,
 }
 
-/// How much is held at once.
+/// Memory limits.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
     leaf_points: u64,
     sort_bytes: usize,
 }
 
-/// Writes the points of the LAS or LAZ file `source` as COPC into `sink`, which starts at the file's first byte; `path` names it
-/// in errors. `keep` holds what does not fit into memory.
+/// Copies the points of a LAS or LAZ file as COPC.
 ///
-/// Needs about 512 MiB and the nodes on the way to a point, of 50 000 points or so each. More points than that within
-/// 1 / 2^14 of the cube's edge are one node and take their memory.
+/// `sink` starts at the first byte of the file; `path` names it in errors. `keep` stores sorted
+/// runs that exceed the memory limit. Needs about 512 MiB plus the nodes on the path to a point,
+/// about 50 000 points each. More points than that within 1 / 2^14 of the cube's edge form one
+/// node, which is held in memory.
 ///
 /// # Errors
-/// The source is not LAS, is damaged, has no points, or is what COPC cannot hold: point formats 0 to 5, times of LAS 1.5 on
-/// another offset. Or `sink` or `keep` refuses.
+/// The source is not LAS, is damaged, has no points, or has content that COPC cannot store: point
+/// formats 0 to 5, or LAS 1.5 times with another offset. Or writing or `keep` fails.
 pub fn write_copc(source: &Path, sink: impl Write + Seek, path: &Path, keep: Keep) -> Result<CopcSummary> {
     write_within(source, sink, path, keep, Limits { leaf_points: LEAF_POINTS, sort_bytes: SORT_BYTES })
 }
@@ -104,19 +106,19 @@ fn write_within(
     Ok(CopcSummary { n_points: extent.n_points, n_nodes, n_levels, is_without_waveforms })
 }
 
-/// What the header and the `copc` record say of all points together.
+/// Sums over all points, for the header and the `copc` record.
 #[derive(Debug)]
 struct Extent {
     n_points: u64,
     by_return: [u64; 15],
     min: [i32; 3],
     max: [i32; 3],
-    /// Least and greatest of the finite times; both 0 where there is none.
+    /// Smallest and largest finite time; both 0 without any.
     times: [f64; 2],
 }
 
 impl Extent {
-    /// Goes through all points of a file.
+    /// Reads all points of a file.
     fn of(source: &Path) -> Result<Extent> {
         let mut points = RawPoints::open(source)?;
         check(source, points.header())?;
@@ -134,7 +136,7 @@ impl Extent {
                 extent.min[axis] = extent.min[axis].min(value);
                 extent.max[axis] = extent.max[axis].max(value);
             }
-            // Return numbers stand in the lowest four bits; 0 belongs to no column.
+            // The return number is in the lowest four bits; 0 has no count.
             let column = usize::from(record.get(14).map_or(0, |byte| byte & 15)).checked_sub(1);
             if let Some(count) = column.and_then(|column| extent.by_return.get_mut(column)) {
                 *count += 1;
@@ -153,14 +155,18 @@ impl Extent {
         Ok(extent)
     }
 
-    /// The bounding box in units of the coordinate system: least and greatest x, y, z. A scale may be negative.
+    /// Returns the bounding box in units of the coordinate system.
+    ///
+    /// Scales may be negative.
     fn bounds(&self, header: &Header) -> [[f64; 3]; 2] {
         let (one, other) = (place(header, self.min), place(header, self.max));
         let of = |choose: fn(f64, f64) -> f64| std::array::from_fn(|axis| choose(one[axis], other[axis]));
         [of(f64::min), of(f64::max)]
     }
 
-    /// The cube of the octree: not smaller than the steps of the coordinates.
+    /// Returns the octree's cube.
+    ///
+    /// Its edge is at least one coordinate step.
     fn cube(&self, header: &Header) -> Cube {
         let [min, max] = self.bounds(header);
         Cube::around(min, max, header.scale.into_iter().map(f64::abs).fold(0.0, f64::max))
@@ -169,15 +175,12 @@ impl Extent {
 
 fn check(source: &Path, header: &Header) -> Result<()> {
     if header.point_format <= 5 {
-        let problem = format!(
-            "point formats 6 to 10 can be copied to COPC, and this is format {}",
-            header.point_format
-        );
+        let problem = format!("COPC needs point format 6 to 10, but this is format {}", header.point_format);
         return Err(Error::unusable(source, problem, "write the points with `version = \"1.4\"`"));
     }
     if header.time_offset_megaseconds != 0 && header.time_offset_megaseconds != 1000 {
         let problem = format!(
-            "its times are on an offset of {} million seconds, which LAS 1.4 cannot tell",
+            "its times have an offset of {} million seconds, which LAS 1.4 cannot store",
             header.time_offset_megaseconds
         );
         return Err(Error::unusable(source, problem, "convert the file to LAS 1.4"));
@@ -185,7 +188,7 @@ fn check(source: &Path, header: &Header) -> Result<()> {
     Ok(())
 }
 
-/// The coordinates of a record as stored.
+/// Returns the stored coordinates of a record.
 fn raw(record: &[u8]) -> [i32; 3] {
     std::array::from_fn(|axis| {
         record
@@ -195,7 +198,7 @@ fn raw(record: &[u8]) -> [i32; 3] {
     })
 }
 
-/// The time of a record of formats 6 to 10.
+/// Returns the GPS time of a record of formats 6 to 10.
 fn gps_time(record: &[u8]) -> f64 {
     record.get(22..).and_then(|rest| rest.first_chunk()).map_or(0.0, |bytes| f64::from_le_bytes(*bytes))
 }
@@ -204,13 +207,13 @@ fn place(header: &Header, raw: [i32; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| f64::from(raw[axis]) * header.scale[axis] + header.offset[axis])
 }
 
-/// How a record of the source becomes one of COPC: bytes on a waveform are left out.
+/// Conversion of source records to COPC records, without waveform bytes.
 #[derive(Debug)]
 struct Reshape {
     format: u8,
-    /// Bytes before those on the waveform.
+    /// Number of bytes before the waveform bytes.
     head: usize,
-    /// Where the bytes behind the format's own start.
+    /// Offset of the extra bytes in the source.
     extra: usize,
     extra_length: u16,
 }
@@ -231,7 +234,7 @@ impl Reshape {
         Ok(Reshape { format, head: Layout::of(format).length, extra, extra_length })
     }
 
-    /// Bytes of a record of COPC.
+    /// Returns the length of a COPC record, bytes.
     fn length(&self) -> usize {
         self.head + usize::from(self.extra_length)
     }
@@ -248,7 +251,7 @@ impl Reshape {
     }
 }
 
-/// A file in the making.
+/// COPC file being written.
 struct Writer<'a, W> {
     sink: W,
     path: &'a Path,
@@ -256,9 +259,9 @@ struct Writer<'a, W> {
     laz: LazVlr,
     table: ChunkTable,
     entries: Vec<Entry>,
-    /// Where the place of the chunk table is to be noted.
+    /// Offset of the field for the offset of the chunk table.
     table_offset_at: u64,
-    /// Where the next chunk starts.
+    /// Offset of the next chunk.
     at: u64,
 }
 
@@ -266,7 +269,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     fn new(mut sink: W, path: &'a Path, records: &Reshape, start: Start) -> Result<Writer<'a, W>> {
         let laz = records.laz().map_err(into_io).map_err(Error::io(path, "prepare the compression"))?;
         let before = start.before_points(path, None)?;
-        // LASzip's data begin with the place of the chunk table: -1 until it is known.
+        // LASzip data begin with the offset of the chunk table: -1 until it is known.
         let written = sink.write_all(&before).and_then(|()| sink.write_all(&(-1i64).to_le_bytes()));
         written.map_err(Error::io(path, "write"))?;
         let table_offset_at = before.len() as u64;
@@ -283,14 +286,14 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         })
     }
 
-    /// Compresses a node's points, in the order of their times, as one chunk.
+    /// Compresses a node as one chunk, sorted by time.
     fn write_node(&mut self, node: &Node) -> Result<()> {
         let length = self.laz.items_size() as usize;
         let mut records: Vec<&[u8]> = node.records.chunks_exact(length).collect();
         records.sort_by(|one, other| gps_time(one).total_cmp(&gps_time(other)));
         let chunk = compress(&self.laz, &records.concat()).map_err(Error::io(self.path, "compress"))?;
         let too_many = || {
-            let problem = format!("{} points lie in one place", records.len());
+            let problem = format!("{} points share one position", records.len());
             Error::unusable(self.path, problem, "thin the points first")
         };
         let points = i32::try_from(records.len()).map_err(|_| too_many())?;
@@ -307,7 +310,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         self.entries.iter().map(|entry| entry.level + 1).max().unwrap_or(0)
     }
 
-    /// Writes the chunk table, the extended records, and what stands before the points anew.
+    /// Writes chunk table and EVLRs; rewrites header and VLRs.
     fn finish(mut self, cube: &Cube) -> Result<()> {
         self.entries.sort_by_key(|entry| (entry.level, entry.prefix));
         let failed = Error::io(self.path, "write");
@@ -329,7 +332,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     }
 }
 
-/// One chunk of LASzip's layered compression.
+/// Compresses records as one chunk of LASzip's layered compression.
 fn compress(laz: &LazVlr, records: &[u8]) -> io::Result<Vec<u8>> {
     let mut chunk = Cursor::new(Vec::new());
     let mut compressor = LayeredPointRecordCompressor::new(&mut chunk);
@@ -347,7 +350,7 @@ fn into_io(error: LasZipError) -> io::Error {
     }
 }
 
-/// The record has no meaning for the points in their new order, without their waveforms.
+/// Returns whether a record is invalid for reordered points without waveforms.
 fn is_left_out(vlr: &Vlr) -> bool {
     let descriptors = FIRST_DESCRIPTOR..FIRST_DESCRIPTOR + 255;
     vlr.user_id == COPC

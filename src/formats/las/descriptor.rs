@@ -1,4 +1,6 @@
-//! Waveform packet descriptors and the packing of samples: LAS 1.4 R15, section "Waveform Packet Descriptor".
+//! Waveform packet descriptors and sample packing.
+//!
+//! LAS 1.4 R15, section "Waveform Packet Descriptor".
 
 use std::path::Path;
 
@@ -6,7 +8,9 @@ use super::vlr::{SPEC, Vlr};
 use crate::formats::Result;
 use crate::formats::bytes::Fields;
 
-/// The most samples that a packet may have: at one per ns more than 600 km of range.
+/// Largest accepted number of samples per packet.
+///
+/// Over 600 km of range at 1 ns.
 const MOST_SAMPLES: u32 = 1 << 22;
 
 /// Length of a descriptor's data, bytes.
@@ -14,30 +18,33 @@ pub(super) const DESCRIPTOR_BYTES: usize = 26;
 /// Record ID of the first descriptor.
 pub(super) const FIRST_DESCRIPTOR: u16 = 100;
 
-/// How the samples of a waveform packet are stored and spaced.
+/// Storage and spacing of the samples of a waveform packet.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Descriptor {
-    /// Bits of a sample, 2 to 32 by the specification.
+    /// Bits per sample; 2 to 32 by the specification.
     pub bits: u8,
-    /// 0: none, the only kind that is defined.
+    /// Compression type; only 0 (none) is defined.
     pub compression: u8,
-    /// Number of samples of a packet.
+    /// Number of samples per packet.
     pub samples: u32,
-    /// Time between two samples, ps.
+    /// Sample spacing, ps.
     pub spacing_ps: u32,
-    /// Volts = `offset` + `gain` * sample.
+    /// Gain: volts = `offset` + `gain` * sample.
     pub gain: f64,
-    /// Volts = `offset` + `gain` * sample.
+    /// Offset, V.
     pub offset: f64,
 }
 
-/// The descriptors of a file by their index in the points: record ID minus 99, from 1 to 255.
+/// Descriptors of a file by their index in the points.
+///
+/// Record ID minus 99, from 1 to 255.
 #[derive(Debug, Default)]
 pub(super) struct Descriptors(Vec<Option<Descriptor>>);
 
 impl Descriptors {
-    /// Collects the descriptors among `records`; a record too short for one counts as missing, so that only the points
-    /// that refer to it are lost.
+    /// Collects the descriptors among `records`.
+    ///
+    /// A record that is too short counts as missing, so only points that refer to it are lost.
     pub(super) fn collect<'a>(file: &Path, records: impl Iterator<Item = &'a Vlr>) -> Descriptors {
         let mut all = vec![None; 256];
         for vlr in records.filter(|vlr| vlr.user_id == SPEC && (100..=354).contains(&vlr.record_id)) {
@@ -52,14 +59,14 @@ impl Descriptors {
         self.0.get(usize::from(index)).and_then(Option::as_ref)
     }
 
-    /// Whether descriptors that are not empty have different digitizer gains.
+    /// Returns whether the digitizer gains of non-empty descriptors differ.
     pub(super) fn have_different_gains(&self) -> bool {
         let mut gains = self.0.iter().flatten().filter(|of| of.samples > 0).map(|of| of.gain.to_bits());
         let first = gains.next();
         gains.any(|gain| Some(gain) != first)
     }
 
-    /// The file has a descriptor that is not empty.
+    /// Returns whether the file has a non-empty descriptor.
     pub(super) fn describe_anything(&self) -> bool {
         self.0.iter().flatten().any(|descriptor| descriptor.samples > 0)
     }
@@ -77,12 +84,14 @@ fn parse(fields: &mut Fields) -> Result<Descriptor> {
 }
 
 impl Descriptor {
-    /// Length of a packet, bytes: the samples stand bit by bit behind each other.
+    /// Returns the length of a packet, bytes.
+    ///
+    /// Samples are packed without padding.
     pub fn packet_bytes(&self) -> u64 {
         (u64::from(self.samples) * u64::from(self.bits)).div_ceil(8)
     }
 
-    /// The data of the descriptor's record.
+    /// Encodes the data of the descriptor's record.
     pub(super) fn encode(&self) -> [u8; DESCRIPTOR_BYTES] {
         let mut out = [0; DESCRIPTOR_BYTES];
         (out[0], out[1]) = (self.bits, self.compression);
@@ -93,7 +102,7 @@ impl Descriptor {
         out
     }
 
-    /// What keeps packets of this descriptor from being read, as problem and remedy; `None`: nothing.
+    /// Returns problem and remedy if packets cannot be read.
     pub(super) fn obstacle(&self) -> Option<(String, &'static str)> {
         const EXPORT: &str = "export the waveforms again, uncompressed and with 8 or 16 bits";
         if self.samples == 0 || self.spacing_ps == 0 {
@@ -101,22 +110,23 @@ impl Descriptor {
             return Some((problem, "the point has no waveform: leave it out"));
         }
         if self.samples > MOST_SAMPLES {
-            let problem = format!("{} samples are more than the {MOST_SAMPLES} that are read", self.samples);
+            let problem = format!("{} samples exceed the limit of {MOST_SAMPLES}", self.samples);
             return Some((problem, "the descriptor is damaged: export the file again"));
         }
         if self.compression != 0 {
             return Some((format!("compression {} is not defined", self.compression), EXPORT));
         }
         if !(2..=16).contains(&self.bits) {
-            return Some((format!("samples of {} bits are not read, only of 2 to 16", self.bits), EXPORT));
+            return Some((format!("{} bits per sample are not supported, only 2 to 16", self.bits), EXPORT));
         }
         None
     }
 
-    /// Unpacks the samples of a packet, replacing what `samples` held.
+    /// Unpacks the samples of a packet into `samples`, replacing its content.
     ///
-    /// The specification defines the order for whole bytes only, as little-endian. Samples of other widths are taken in
-    /// the order that continues it: each begins at the lowest bit that the one before left free.
+    /// The specification defines the order only for whole bytes, as little-endian. Other widths are
+    /// read in the order that extends it: each sample begins at the lowest bit not used by the
+    /// previous one.
     pub(super) fn unpack(&self, packet: &[u8], samples: &mut Vec<u16>) {
         samples.clear();
         match self.bits {
@@ -128,7 +138,7 @@ impl Descriptor {
     }
 }
 
-/// Samples of up to 16 bits, lowest bit first.
+/// Unpacks samples of up to 16 bits, lowest bit first.
 fn unpack_bits(bits: u32, packet: &[u8], samples: &mut Vec<u16>) {
     let mask = (1u32 << bits) - 1;
     let (mut store, mut held) = (0u32, 0);
@@ -195,7 +205,7 @@ mod tests {
         assert_eq!(said(descriptor(8, MOST_SAMPLES)), None);
         assert_eq!(
             said(descriptor(8, MOST_SAMPLES + 1)).as_deref(),
-            Some("4194305 samples are more than the 4194304 that are read")
+            Some("4194305 samples exceed the limit of 4194304")
         );
         assert_eq!(
             said(Descriptor { compression: 1, ..descriptor(8, 60) }).as_deref(),
@@ -203,11 +213,11 @@ mod tests {
         );
         assert_eq!(
             said(descriptor(17, 60)).as_deref(),
-            Some("samples of 17 bits are not read, only of 2 to 16")
+            Some("17 bits per sample are not supported, only 2 to 16")
         );
         assert_eq!(
             said(descriptor(1, 60)).as_deref(),
-            Some("samples of 1 bits are not read, only of 2 to 16")
+            Some("1 bits per sample are not supported, only 2 to 16")
         );
     }
 

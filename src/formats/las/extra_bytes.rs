@@ -1,4 +1,6 @@
-//! Extra attributes behind the standard fields of a point: LAS 1.4 R15, section "Extra Bytes".
+//! Extra attributes after the standard fields of a point.
+//!
+//! LAS 1.4 R15, section "Extra Bytes".
 
 use std::path::Path;
 
@@ -14,7 +16,7 @@ const HAS_NO_DATA: u8 = 1;
 const HAS_SCALE: u8 = 1 << 3;
 const HAS_OFFSET: u8 = 1 << 4;
 
-/// The integer types that written attributes may have, with their codes in the specification.
+/// Integer types of written attributes, with their codes in the specification.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum DataType {
@@ -33,7 +35,7 @@ pub enum DataType {
 }
 
 impl DataType {
-    /// Length of a value, bytes.
+    /// Returns the length of a value, bytes.
     pub const fn bytes(self) -> usize {
         match self {
             DataType::U8 | DataType::I8 => 1,
@@ -42,7 +44,7 @@ impl DataType {
         }
     }
 
-    /// Smallest and largest value.
+    /// Returns the smallest and largest value.
     const fn range(self) -> (i64, i64) {
         match self {
             DataType::U8 => (0, u8::MAX as i64),
@@ -55,27 +57,32 @@ impl DataType {
     }
 }
 
-/// An extra attribute to be written: value = stored integer * scale + offset.
+/// Extra attribute for output.
+///
+/// Value = stored integer * scale + offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExtraAttribute {
     /// Unique name, at most 32 bytes.
     pub name: &'static str,
-    /// What it is and in which unit, at most 32 bytes.
+    /// Quantity and unit, at most 32 bytes.
     pub description: &'static str,
     /// Type of the stored integer.
     pub data_type: DataType,
-    /// Value of a step; `None`: 1, and the file does not mention it.
+    /// Step size; `None` means 1, not declared in the file.
     pub scale: Option<f64>,
-    /// Value of a stored 0; `None`: 0, and the file does not mention it.
+    /// Value of a stored 0.
+    ///
+    /// `None` means 0, not declared in the file.
     pub offset: Option<f64>,
-    /// The stored integer for NaN, within the type's range.
+    /// Stored integer for NaN, within the range of the type.
     pub nan: i64,
-    /// The file declares [`ExtraAttribute::nan`] as its no-data value.
+    /// Whether the file declares [`ExtraAttribute::nan`] as its no-data value.
     pub nan_is_no_data: bool,
 }
 
-/// The stored integer for `value`: rounded to the nearest step, clamped to the type's range, never wrapped. NaN becomes
-/// [`ExtraAttribute::nan`].
+/// Quantises a value to the nearest step.
+///
+/// Clamped to the range of the type. NaN becomes [`ExtraAttribute::nan`].
 pub fn quantise(value: f64, attribute: &ExtraAttribute) -> i64 {
     let (least, largest) = attribute.data_type.range();
     if value.is_nan() {
@@ -92,8 +99,9 @@ impl ExtraAttribute {
         extra.extend_from_slice(&bytes[..self.data_type.bytes()]);
     }
 
-    /// The stored integers for a column of values, as [`quantise`] has them, as far as both slices reach; of those of
-    /// [`DataType::U32`] the bits.
+    /// Quantises a column of values like [`quantise`].
+    ///
+    /// Stops at the end of the shorter slice. Values of [`DataType::U32`] are stored as their bits.
     pub(super) fn quantise_column(&self, values: &[f64], stored: &mut [i32]) {
         let (least, largest) = self.data_type.range();
         let (Ok(least), Ok(largest)) = (i32::try_from(least), i32::try_from(largest)) else {
@@ -102,13 +110,13 @@ impl ExtraAttribute {
             }
             return;
         };
-        // Within the range of the type, which is one of 32 bits.
+        // The cast is lossless: the range of this type fits 32 bits.
         let nan = quantise(f64::NAN, self) as i32;
         let (offset, scale) = (self.offset.unwrap_or(0.0), self.scale.unwrap_or(1.0));
         Steps { offset, scale, least, largest, nan }.count(values, stored);
     }
 
-    /// The attribute's descriptor in the Extra Bytes record.
+    /// Encodes the attribute's descriptor for the Extra Bytes record.
     pub(super) fn descriptor(&self) -> [u8; DESCRIPTOR] {
         let mut out = [0; DESCRIPTOR];
         let mut put = |at: usize, bytes: &[u8]| out[at..at + bytes.len()].copy_from_slice(bytes);
@@ -129,28 +137,34 @@ impl ExtraAttribute {
     }
 }
 
-/// An attribute that a file declares, as read.
+/// Attribute declared by a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExtraBytes {
     /// Unique name.
     pub name: String,
     /// Free text.
     pub description: String,
-    /// Code of the type: 1 to 10 are `u8`, `i8`, `u16`, ... `i64`, `f32`, `f64`; 0 are bytes without meaning.
+    /// Type code.
+    ///
+    /// 1 to 10 are `u8`, `i8`, `u16`, ... `i64`, `f32`, `f64`; 0 is undocumented bytes.
     pub data_type: u8,
-    /// Where the value stands among a point's extra bytes.
+    /// Offset of the value in the extra bytes of a point.
     pub start: usize,
     /// Length of the value, bytes.
     pub bytes: usize,
-    /// Value of a step.
+    /// Step size.
     pub scale: Option<f64>,
     /// Value of a stored 0.
     pub offset: Option<f64>,
-    /// The stored value that says "no value": 8 bytes, an integer or an `f64` after the type.
+    /// Stored no-data value.
+    ///
+    /// 8 bytes, an integer or an `f64` according to the type.
     pub no_data: Option<[u8; 8]>,
 }
 
-/// The attributes of the record `vlr`; what follows a descriptor of unknown length is left out.
+/// Parses the attributes of record `vlr`.
+///
+/// Stops at the first of unknown length.
 pub(super) fn parse(file: &Path, vlr: &Vlr) -> Result<Vec<ExtraBytes>> {
     let mut attributes = Vec::new();
     let mut start = 0;
@@ -189,7 +203,9 @@ fn parse_one(fields: &mut Fields, start: usize) -> Result<Option<ExtraBytes>> {
     }))
 }
 
-/// Length of a type's value: types 11 to 30, deprecated, are pairs and triples of types 1 to 10.
+/// Returns the length of a type.
+///
+/// Deprecated types 11 to 30 are pairs and triples of 1 to 10.
 fn length(data_type: u8, options: u8) -> Option<usize> {
     const SIZES: [usize; 10] = [1, 1, 2, 2, 4, 4, 8, 8, 4, 8];
     match data_type {
@@ -213,12 +229,16 @@ const fn attribute(
     ExtraAttribute { name, description, data_type, scale, offset, nan, nan_is_no_data: false }
 }
 
-/// NaN of a measured quantity is written as the smallest value.
+/// Stored NaN of a measured quantity: the smallest value.
 const UNKNOWN: i64 = 0;
-/// NaN of a standard deviation is written as the largest: the quantity is not reliable.
+/// Stored NaN of a standard deviation.
+///
+/// The largest value marks an unreliable quantity.
 const UNRELIABLE: i64 = u8::MAX as i64;
 
-/// Width of the return relative to the system's response. (BayesWavEx 1.1, section 3, as the attributes that follow.)
+/// Width of the return relative to the system response.
+///
+/// Source of this and the following attributes: BayesWavEx 1.1, section 3.
 pub const WIDE_RATIO: ExtraAttribute =
     attribute("WideRatio", "Pulse widening ratio", DataType::U8, Some(0.025), Some(0.5), UNKNOWN);
 /// Extent of the target along the beam, m.
@@ -227,7 +247,9 @@ pub const TARGET_THICK: ExtraAttribute =
 /// Linear amplitude of the target.
 pub const AMP: ExtraAttribute =
     attribute("Amp", "Target amplitude", DataType::U16, Some(1.0), Some(0.0), UNKNOWN);
-/// Residuals beyond the noise, in standard deviations of chi-square; negative ones clamp at 0.
+/// Deviation ratio: residuals beyond the noise, in SDs of chi-square.
+///
+/// Negative values clamp at 0.
 pub const DEV_RATIO: ExtraAttribute =
     attribute("DevRatio", "Residual against noise (sigma)", DataType::U8, Some(0.1), Some(0.0), UNKNOWN);
 /// Standard deviation of the range, m.
@@ -239,22 +261,25 @@ pub const INT_ERR: ExtraAttribute =
 /// Standard deviation of the widening ratio.
 pub const WIDE_ERR: ExtraAttribute =
     attribute("WideErr", "Pulse widening std. dev.", DataType::U8, Some(0.002), Some(0.0), UNRELIABLE);
-/// Standard deviation of the target's thickness, m.
+/// Standard deviation of the target thickness, m.
 pub const THICK_ERR: ExtraAttribute =
     attribute("ThickErr", "Target thickness std. dev. (m)", DataType::U8, Some(0.001), Some(0.0), UNRELIABLE);
-/// Power channel that gave the intensity: 0 low, 1 high.
+/// Channel that gave the intensity.
+///
+/// 0 low power, 1 high power.
 pub const CHANNEL: ExtraAttribute =
     attribute("Channel", "Power channel (0 low, 1 high)", DataType::U8, None, None, UNKNOWN);
-/// Height of the fitted pulse, digitiser steps. (BayesWavEx 1.0, section 2.)
+/// Height of the fitted pulse, digitiser steps (BayesWavEx 1.0, section 2).
 pub const RAW_AMP: ExtraAttribute =
     attribute("RawAmp", "Raw pulse amplitude", DataType::U16, Some(1.0), Some(0.0), UNKNOWN);
 
-/// The attributes of layout 1.1 in their order (BayesWavEx 1.1, section 3).
+/// Attributes of layout 1.1, in order (BayesWavEx 1.1, section 3).
 pub const ATTRIBUTES_1_1: [ExtraAttribute; 9] =
     [WIDE_RATIO, TARGET_THICK, AMP, DEV_RATIO, RANGE_ERR, INT_ERR, WIDE_ERR, THICK_ERR, CHANNEL];
 
-/// The attributes of layout 1.0 in their order (BayesWavEx 1.0, section 2): other names, and other steps for the
-/// widening and the deviation ratio.
+/// Attributes of layout 1.0, in order (BayesWavEx 1.0, section 2).
+///
+/// Names differ from layout 1.1, and so do the steps of widening and deviation ratio.
 pub const ATTRIBUTES_1_0: [ExtraAttribute; 9] = [
     ExtraAttribute { name: "Widening", scale: Some(0.02), offset: Some(1.0), ..WIDE_RATIO },
     ExtraAttribute { name: "Target Thickness", ..TARGET_THICK },

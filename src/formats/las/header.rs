@@ -1,4 +1,6 @@
-//! The public header block: LAS 1.4 R15, section "Public Header Block"; LAS 1.5 adds three fields to its end.
+//! Public header block.
+//!
+//! LAS 1.4 R15, section "Public Header Block", and LAS 1.5. LAS 1.5 appends three fields.
 
 use std::path::Path;
 
@@ -8,97 +10,113 @@ use crate::formats::{Error, Result};
 
 /// Length of the header of LAS 1.4, bytes.
 pub(super) const HEADER_1_4: u16 = 375;
-/// Length of the header of LAS 1.5, bytes: the longest there is.
+/// Length of the header of LAS 1.5, bytes.
+///
+/// The longest of all versions.
 pub(super) const HEADER_1_5: u16 = 393;
 
 /// Bits of the field "global encoding".
 pub(super) mod encoding {
-    /// GPS time is adjusted standard time, not seconds of the week.
+    /// GPS time is adjusted standard GPS time, not seconds of the week.
     pub(crate) const ADJUSTED_TIME: u16 = 1;
     /// Waveform packets are inside the file.
     pub(crate) const WAVES_INSIDE: u16 = 1 << 1;
-    /// Waveform packets are in a file beside this one.
+    /// Waveform packets are in a separate file.
     pub(crate) const WAVES_BESIDE: u16 = 1 << 2;
-    /// Return numbers were made up.
+    /// Return numbers are synthetic.
     pub(crate) const SYNTHETIC_RETURNS: u16 = 1 << 3;
-    /// The coordinate system is WKT.
+    /// The coordinate system is given as WKT.
     pub(crate) const WKT: u16 = 1 << 4;
-    /// With [`ADJUSTED_TIME`], from LAS 1.5 on: the header says which offset GPS time has.
+    /// With [`ADJUSTED_TIME`], from LAS 1.5 on.
+    ///
+    /// The header gives the offset of GPS time.
     pub(crate) const TIME_OFFSET: u16 = 1 << 6;
 }
 
-/// The meaning of the points' GPS time.
+/// Time system of the points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum GpsTime {
-    /// Seconds since the beginning of the GPS week.
+    /// Seconds of the GPS week.
     Week,
-    /// Standard GPS time minus this offset, seconds: 1e9 is adjusted standard time, other offsets exist from LAS 1.5 on.
+    /// Standard GPS time minus an offset, s.
+    ///
+    /// The offset is 1e9 for adjusted standard GPS time; other offsets exist from LAS 1.5 on.
     Standard {
-        /// What was subtracted from standard GPS time, s.
+        /// Offset subtracted from standard GPS time, s.
         offset_s: f64,
     },
 }
 
-/// The public header block.
+/// Public header block.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Header {
-    /// Identifies the flight line, 0 if unassigned.
+    /// File source ID (flight line), 0 if unassigned.
     pub file_source_id: u16,
-    /// The bits of the field "global encoding" as stored.
+    /// Field "global encoding" as stored.
     pub global_encoding: u16,
     /// Project GUID as stored.
     pub guid: [u8; 16],
     /// Major and minor version: (1, 0) to (1, 5).
     pub version: (u8, u8),
-    /// What made the data.
+    /// System that created the data.
     pub system_identifier: String,
-    /// The software that wrote the file.
+    /// Software that wrote the file.
     pub generating_software: String,
-    /// Day of the year of the file's creation, from 1.
+    /// Day of the year of file creation, from 1.
     pub creation_day: u16,
-    /// Year of the file's creation.
+    /// Year of file creation.
     pub creation_year: u16,
-    /// Length of this block, bytes.
+    /// Length of the header, bytes.
     pub header_size: u16,
-    /// Where the first point (or the LAZ data) starts, bytes from the beginning of the file.
+    /// File offset of the first point or the LAZ data, bytes.
     pub offset_to_points: u32,
-    /// Number of variable length records between this block and the points.
+    /// Number of variable length records (VLRs) before the points.
     pub n_vlrs: u32,
     /// Point data record format, 0 to 10.
     pub point_format: u8,
-    /// The points are compressed (LAZ).
+    /// Whether the points are compressed (LAZ).
     pub compressed: bool,
-    /// Length of an uncompressed point, bytes: at least what the format needs, the rest are extra bytes.
+    /// Length of an uncompressed point, bytes.
+    ///
+    /// Beyond the format's fields are extra bytes.
     pub record_length: u16,
     /// Number of points.
     pub n_points: u64,
-    /// Number of points of each return number, from 1; five in use before LAS 1.4.
+    /// Number of points by return number, from 1.
+    ///
+    /// Five counts before LAS 1.4.
     pub n_points_by_return: [u64; 15],
-    /// Factors of x, y, z.
+    /// Scale factors of x, y, z.
     pub scale: [f64; 3],
     /// Offsets of x, y, z, in units of the coordinate system.
     pub offset: [f64; 3],
-    /// Smallest x, y, z as the header claims.
+    /// Smallest x, y, z according to the header.
     pub min: [f64; 3],
-    /// Largest x, y, z as the header claims.
+    /// Largest x, y, z according to the header.
     pub max: [f64; 3],
-    /// Where the record of waveform packets starts, 0 if there is none or the version has no such field.
+    /// Offset of the waveform packet record.
+    ///
+    /// 0 if there is none or the version lacks the field.
     pub start_of_waveforms: u64,
-    /// Where the first extended variable length record starts, 0 before LAS 1.4.
+    /// Offset of the first extended variable length record (EVLR).
+    ///
+    /// 0 before LAS 1.4.
     pub start_of_evlrs: u64,
-    /// Number of extended variable length records, 0 before LAS 1.4.
+    /// Number of extended variable length records; 0 before LAS 1.4.
     pub n_evlrs: u32,
-    /// LAS 1.5: the offset of GPS time in millions of seconds, else 0.
+    /// LAS 1.5: offset of GPS time, millions of seconds; else 0.
     pub time_offset_megaseconds: u16,
 }
 
 impl Header {
-    /// Reads the header from the first bytes of `file`, of which there are `file_length` in all.
+    /// Parses the header of `file`, which has `file_length` bytes.
     ///
-    /// `bytes` holds the file's first 393 bytes (the longest header there is), or all of them if there are fewer.
+    /// `bytes` holds the first 393 bytes of the file (the longest header), or all of a shorter
+    /// file.
     ///
     /// # Errors
-    /// The file is empty, not LAS, of an unknown version or point format, or its sizes contradict each other.
+    /// The file is empty, is not LAS, has an unknown version or point format, or contradictory
+    /// sizes.
     pub fn parse(file: &Path, bytes: &[u8], file_length: u64) -> Result<Header> {
         let mut fields = Fields::new(file, 0, bytes);
         check_signature(file, bytes)?;
@@ -151,7 +169,7 @@ impl Header {
         Ok(header)
     }
 
-    /// The fields that LAS 1.3, 1.4 and 1.5 appended.
+    /// Reads the fields appended by LAS 1.3, 1.4 and 1.5.
     fn later_fields(&mut self, fields: &mut Fields) -> Result<()> {
         let minor = self.version.1;
         if minor >= 3 {
@@ -165,7 +183,8 @@ impl Header {
             for count in &mut by_return {
                 *count = fields.u64("number of points by return")?;
             }
-            // Files of LAS 1.4 with old formats sometimes fill the old counts only; LAS 1.5 has none.
+            // LAS 1.4 files with old point formats sometimes fill only the legacy counts, which LAS
+            // 1.5 lacks.
             if n_points > 0 || minor >= 5 {
                 (self.n_points, self.n_points_by_return) = (n_points, by_return);
             }
@@ -184,7 +203,7 @@ impl Header {
         }
         let at = if self.version.1 >= 4 { 247 } else { 107 };
         let problem = format!(
-            "{} points of {} bytes are announced and {room} fit into the file",
+            "the header declares {} points of {} bytes, but only {room} fit into the file",
             self.n_points, self.record_length
         );
         Err(Error::malformed(
@@ -196,7 +215,9 @@ impl Header {
         ))
     }
 
-    /// The meaning of the points' GPS time (LAS 1.4 R15, "Global Encoding", bit 0; LAS 1.5, bit 6).
+    /// Returns the time system of the points.
+    ///
+    /// LAS 1.4 R15, "Global Encoding", bit 0; LAS 1.5, bit 6.
     pub fn gps_time(&self) -> GpsTime {
         let has = |bit| self.global_encoding & bit != 0;
         match (has(encoding::ADJUSTED_TIME), has(encoding::TIME_OFFSET) && self.version.1 >= 5) {
@@ -206,8 +227,9 @@ impl Header {
         }
     }
 
-    /// The header says that the coordinate system is WKT. Files of formats 6 and above exist that do not say it although
-    /// the specification asks for it.
+    /// Returns whether the header declares a WKT coordinate system.
+    ///
+    /// Some files of formats 6 and above do not, although the specification requires it.
     pub fn says_wkt(&self) -> bool {
         self.global_encoding & encoding::WKT != 0
     }
@@ -220,7 +242,7 @@ fn check_signature(file: &Path, bytes: &[u8]) -> Result<()> {
     if bytes.starts_with(b"LASF") {
         return Ok(());
     }
-    Err(Error::malformed(file, 0, "file signature", "`LASF` is not there", "give a LAS or LAZ file"))
+    Err(Error::malformed(file, 0, "file signature", "expected `LASF`", "give a LAS or LAZ file"))
 }
 
 fn version(fields: &mut Fields) -> Result<(u8, u8)> {
@@ -229,7 +251,7 @@ fn version(fields: &mut Fields) -> Result<(u8, u8)> {
     if version.0 == 1 && version.1 <= 5 {
         return Ok(version);
     }
-    let problem = format!("LAS {}.{} is unknown", version.0, version.1);
+    let problem = format!("LAS {}.{} is not supported", version.0, version.1);
     Err(start.bad("version", problem, "convert the file to LAS 1.4"))
 }
 
@@ -245,7 +267,7 @@ fn header_size(fields: &mut Fields, version: (u8, u8)) -> Result<u16> {
     if size >= least {
         return Ok(size);
     }
-    let problem = format!("{size} bytes, and LAS {}.{} needs {least}", version.0, version.1);
+    let problem = format!("{size} bytes, but LAS {}.{} needs {least}", version.0, version.1);
     Err(start.bad("header size", problem, "the header is damaged: export the file again"))
 }
 
@@ -261,7 +283,7 @@ fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> 
         ));
     }
     if u64::from(offset) > file_length {
-        let problem = format!("{offset} lies behind the end of the file ({file_length} bytes)");
+        let problem = format!("{offset} is beyond the end of the file ({file_length} bytes)");
         return Err(start.bad(
             "offset to point data",
             problem,
@@ -271,7 +293,9 @@ fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> 
     Ok(offset)
 }
 
-/// LASzip marks compressed points with bit 7 of the format.
+/// Reads point format and compression.
+///
+/// LASzip marks compressed points with bit 7.
 fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
     let start = fields.clone();
     let byte = fields.u8("point data record format")?;
@@ -294,7 +318,7 @@ fn record_length(fields: &mut Fields, format: u8) -> Result<u16> {
     if usize::from(length) >= least {
         return Ok(length);
     }
-    let problem = format!("{length} bytes, and format {format} needs {least}");
+    let problem = format!("{length} bytes, but format {format} needs {least}");
     Err(start.bad("point data record length", problem, "the header is damaged: export the file again"))
 }
 
@@ -316,7 +340,7 @@ fn scale(fields: &mut Fields) -> Result<[f64; 3]> {
     Ok(scale)
 }
 
-/// Three finite numbers.
+/// Reads three finite numbers.
 fn three(fields: &mut Fields, name: &str) -> Result<[f64; 3]> {
     let start = fields.clone();
     let values = [fields.f64(name)?, fields.f64(name)?, fields.f64(name)?];
@@ -327,7 +351,9 @@ fn three(fields: &mut Fields, name: &str) -> Result<[f64; 3]> {
     Err(start.bad(name, problem, "the header is damaged: export the file again"))
 }
 
-/// The bounding box, stored as max x, min x, max y, min y, max z, min z.
+/// Reads the bounding box.
+///
+/// Stored as max x, min x, max y, min y, max z, min z.
 fn bounds(fields: &mut Fields) -> Result<([f64; 3], [f64; 3])> {
     let (mut min, mut max) = ([0.0; 3], [0.0; 3]);
     for axis in 0..3 {

@@ -1,67 +1,75 @@
-//! The spatial index of LASzip: which points lie in which cell of a quadtree, as LAStools write it in a `.lax` file beside
-//! the points or behind them.
+//! LASzip's spatial index (LAX): the points of each quadtree cell.
 //!
-//! All numbers are little-endian. `LASX`, a version, and three parts, each with its version (0):
+//! LAStools write it to a `.lax` file next to the points, or append it to them. All numbers are
+//! little-endian. The file has `LASX`, a version, and three parts, each with its version (0):
 //!
 //! | part | content |
 //! |---|---|
 //! | `LASS` | kind of the index: 0, a quadtree |
 //! | `LASQ` | levels, two unused numbers, then as `f32` smallest and largest x, smallest and largest y of the root |
-//! | `LASV` | number of cells; of each its index, its number of intervals, its number of points, and the intervals: first and last point |
+//! | `LASV` | number of cells; of each its index, number of intervals, number of points, and the intervals: first and last point |
 //!
-//! A cell's index counts the cells of all coarser levels, then those of its own in the order of the quadtree: two bits per
-//! level from the root on, bit 0 the right half, bit 1 the upper half. Halves are told apart in `f32`; a cell here is as
-//! long as a power of two and begins at a multiple of it, so that `f32` holds every border exactly.
+//! The index of a cell is the number of cells of all coarser levels plus its position in its level
+//! in quadtree order: two bits per level from the root on, bit 0 for the right half, bit 1 for the
+//! upper half. LASzip bisects in `f32`. Cell lengths are therefore powers of two and cells begin at
+//! multiples of their length, so `f32` represents every border exactly.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Points between two intervals that are read along rather than skipped, as LAStools do.
+/// Largest gap that is read instead of skipped, points.
+///
+/// As in LAStools.
 const GAP: u32 = 1000;
-/// More intervals than these and cells are doubled in length.
+/// Maximum number of intervals.
+///
+/// Beyond it, the cell length is doubled.
 const MOST_INTERVALS: usize = 1 << 17;
-/// A quadtree is at most so deep: 4096 cells along each axis.
+/// Maximum depth of the quadtree: 4096 cells along each axis.
 const MOST_LEVELS: u32 = 12;
-/// Cells begin this many steps of the coordinates wide, or a little less: 16 m at a millimetre.
+/// Initial cell length, coordinate steps: 16 m at 1 mm.
+///
+/// It is rounded down to a power of two.
 const FIRST_CELL_STEPS: f64 = 16_384.0;
-/// `f32` tells whole numbers up to here apart.
+/// Largest cell number; `f32` represents integers exactly up to here.
 const MOST_CELLS_FROM_ZERO: i64 = 1 << 24;
 
-/// User of the record in which an index stands behind the points.
+/// User ID of the record of an appended index.
 pub(super) const USER_ID: &str = "LAStools";
-/// The record in which an index stands behind the points.
+/// Record ID of an appended index.
 pub(super) const RECORD_ID: u16 = 30;
 
-/// Where LASzip looks for the index of a file of points, whatever stands there (`LASindex::read`): it takes the case of the
-/// file's own extension.
+/// Returns the paths where LASzip looks for an index (`LASindex::read`).
+///
+/// LASzip follows the case of the point file's own extension; the file may not exist.
 pub fn beside(points: &Path) -> [PathBuf; 2] {
     ["lax", "LAX"].map(|extension| points.with_extension(extension))
 }
 
-/// An index in the making. Its memory is bounded: where there are many cells, they become larger.
+/// Index builder; bounds memory by enlarging cells.
 #[derive(Debug)]
 pub(super) struct Lax {
-    /// Length of a cell: a power of two, in units of the coordinates.
+    /// Cell length: a power of two, in units of the coordinates.
     cell_length: f64,
     cells: BTreeMap<Place, Cell>,
     n_intervals: usize,
     most_intervals: usize,
-    /// The cell of the last points, which follow each other.
+    /// Current run of consecutive points in one cell.
     run: Option<Run>,
     n_points: u64,
 }
 
-/// Column and row of a cell, counted from zero coordinates.
+/// Column and row of a cell, relative to zero coordinates.
 type Place = (i64, i64);
 
 #[derive(Debug, Default, PartialEq)]
 struct Cell {
     points: u32,
-    /// First and last point, in order.
+    /// First and last point of each interval, in order.
     intervals: Vec<(u32, u32)>,
 }
 
-/// Points that follow each other in one cell.
+/// Consecutive points in one cell.
 #[derive(Debug, Clone, Copy)]
 struct Run {
     place: Place,
@@ -70,7 +78,7 @@ struct Run {
 }
 
 impl Lax {
-    /// An index of points whose coordinates have this step.
+    /// Creates an index for points with this coordinate step.
     pub(super) fn new(coordinate_step: f64) -> Lax {
         let cell_length = (coordinate_step * FIRST_CELL_STEPS).log2().floor().exp2();
         Lax {
@@ -91,14 +99,14 @@ impl Lax {
         match &mut self.run {
             Some(run) if run.place == place(x, y, self.cell_length) => run.last = point,
             _ => {
-                // This may change the length of cells.
+                // `end_run` may change the cell length.
                 self.end_run();
                 self.run = Some(Run { place: place(x, y, self.cell_length), first: point, last: point });
             }
         }
     }
 
-    /// Puts the run at hand into its cell.
+    /// Adds the current run to its cell.
     fn end_run(&mut self) {
         let Some(run) = self.run.take() else { return };
         let cell = self.cells.entry(run.place).or_default();
@@ -115,7 +123,7 @@ impl Lax {
         }
     }
 
-    /// Makes cells twice as long.
+    /// Doubles the cell length.
     fn coarsen(&mut self) {
         self.cell_length *= 2.0;
         let mut coarse: BTreeMap<Place, Cell> = BTreeMap::new();
@@ -129,7 +137,9 @@ impl Lax {
         self.cells = coarse;
     }
 
-    /// The index as a file; `None` where there are more points than its 32 bits can name.
+    /// Encodes the index.
+    ///
+    /// `None` for more points than 32 bits can count.
     pub(super) fn finish(mut self) -> Option<Vec<u8>> {
         if self.n_points > u64::from(u32::MAX) {
             return None;
@@ -167,7 +177,9 @@ impl Lax {
         Some(out)
     }
 
-    /// Whether the tree is not too deep, and `f32` holds the borders of its cells.
+    /// Returns whether a quadtree can represent the cells.
+    ///
+    /// The depth is within the limit, and `f32` represents all cell borders.
     fn fits_a_tree(&self) -> bool {
         let (low, high) = self.corners();
         let most = 1i64 << MOST_LEVELS;
@@ -176,7 +188,7 @@ impl Lax {
         is_small && [low.0, low.1, high.0, high.1].iter().all(|place| place.saturating_abs() <= reach)
     }
 
-    /// The lowest and the highest column and row in use.
+    /// Returns the smallest and largest column and row in use.
     fn corners(&self) -> (Place, Place) {
         let mut places = self.cells.keys().copied();
         let Some(first) = places.next() else { return ((0, 0), (0, 0)) };
@@ -187,13 +199,15 @@ impl Lax {
 }
 
 fn place(x: f64, y: f64, cell_length: f64) -> Place {
-    // A cast to an integer clamps.
+    // Float-to-integer casts clamp.
     ((x / cell_length).floor() as i64, (y / cell_length).floor() as i64)
 }
 
 impl Cell {
-    /// Puts intervals of several cells in order, and together those between which little lies. They may overlap: what lies
-    /// between the points of one cell, and is read along, may be another's.
+    /// Sorts the intervals and joins those with small gaps.
+    ///
+    /// Intervals of different cells may overlap, because gaps that are read may hold points of
+    /// other cells.
     fn join(&mut self) {
         self.intervals.sort_unstable();
         self.intervals.dedup_by(|next, before| {
@@ -206,7 +220,7 @@ impl Cell {
     }
 }
 
-/// Index of a cell of the finest level.
+/// Returns the index of a cell of the finest level.
 fn index(levels: u32, column: i64, row: i64) -> u32 {
     // 4^0 + 4^1 + ... + 4^(levels - 1).
     let coarser = ((1u32 << (2 * levels)) - 1) / 3;
@@ -237,7 +251,8 @@ mod tests {
         let borders = [500_000f32, 500_064.0, 4_999_984.0, 5_000_048.0];
         borders.iter().for_each(|border| expected.extend(border.to_le_bytes()));
         expected.extend(b"LASV\0\0\0\0");
-        // Five cells are coarser: of the next level (column 1, row 0) is the lower right of the lower left, and so on.
+        // Five cells are coarser. In the next level (column 1, row 0) is the lower right of the
+        // lower left, and so on.
         let cells = [vec![5 + 1, 1, 1, 3, 3], vec![5 + 2, 1, 4, 0, 4], vec![5 + 6, 1, 1, 5, 5]];
         expected.extend((cells.len() as u32).to_le_bytes());
         cells.iter().flatten().for_each(|number: &u32| expected.extend(number.to_le_bytes()));
@@ -287,7 +302,7 @@ mod tests {
         assert_eq!(points, 200_000);
     }
 
-    /// An index, read back.
+    /// Decoded index.
     struct Read {
         levels: u32,
         root: [f32; 4],
@@ -314,7 +329,9 @@ mod tests {
     }
 
     impl Read {
-        /// The cell of a place, as LASzip finds it: by halves in `f32`.
+        /// Finds the cell of a position as LASzip does.
+        ///
+        /// By bisection in `f32`.
         fn cell_of(&self, x: f64, y: f64) -> u32 {
             let [mut x0, mut x1, mut y0, mut y1] = self.root;
             assert!(f64::from(x0) <= x && x < f64::from(x1) && f64::from(y0) <= y && y < f64::from(y1));

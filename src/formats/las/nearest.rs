@@ -1,10 +1,10 @@
-//! Rounding without a call.
+//! Rounding without a function call.
 
-/// The nearest integer, halves away from zero, as [`f64::round`] gives it; NaN is 0, and what lies beyond the type's range is
-/// the nearest end of it.
+/// Rounds to the nearest integer, halves away from zero, like [`f64::round`].
 ///
-/// On processors of which nothing is known but that they are x86-64 `round` is a call, and a point has fifteen of them. The
-/// number added is the greatest below a half: so what is just below a half does not become one.
+/// NaN becomes 0; values beyond the type's range are clamped. On baseline x86-64 `round` is a
+/// function call, and a point needs fifteen of them. The addend is the largest number below 0.5, so
+/// values just below a half are not rounded up.
 #[inline]
 pub(crate) fn nearest(value: f64) -> i64 {
     const BELOW_HALF: f64 = 0.5 - f64::EPSILON / 4.0;

@@ -1,4 +1,6 @@
-//! Writing waveform packets: LAS 1.4 R15, sections "Waveform Data Packets" and "Waveform Packet Descriptor".
+//! Waveform packet writer.
+//!
+//! LAS 1.4 R15, sections "Waveform Data Packets" and "Waveform Packet Descriptor".
 
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -8,35 +10,39 @@ use super::vlr::{EVLR_HEADER, SPEC, WAVEFORM_PACKETS};
 use super::writer::evlr;
 use crate::formats::{Error, Result};
 
-/// As many kinds of packet can be told apart.
+/// Maximum number of packet kinds: the number of descriptor indexes.
 pub(super) const MOST_KINDS: usize = 255;
 
-/// A writer of packets: the record `LASF_Spec`/65535 with its header, which is a `.wdp` file, or a part of a LAS file.
+/// Writer of the packet record `LASF_Spec`/65535.
+///
+/// The record is a `.wdp` file or part of a LAS file.
 pub struct PacketWriter<W> {
     sink: W,
     path: PathBuf,
-    /// Bytes written, the record's header included.
+    /// Number of bytes written, record header included.
     end: u64,
     kinds: Vec<Descriptor>,
     packet: Vec<u8>,
 }
 
-/// A packet that was written: what its points say of it.
+/// Reference to a written packet, for its points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Packet {
-    /// Index of its kind, from 1.
+    /// Descriptor index of the packet kind, from 1.
     pub descriptor: u8,
-    /// Start of the packet, bytes from the beginning of the record's header.
+    /// Offset of the packet from the record header, bytes.
     pub offset: u64,
     /// Length, bytes.
     pub size: u32,
 }
 
 impl<W: Write + Seek> PacketWriter<W> {
-    /// Begins the record in a sink that stands at its first byte; `path` names it in errors.
+    /// Starts the record in a sink at its first byte.
+    ///
+    /// `path` names it in errors.
     ///
     /// # Errors
-    /// The sink refuses.
+    /// Writing fails.
     pub fn new(mut sink: W, path: &Path) -> Result<PacketWriter<W>> {
         let header = evlr(SPEC, WAVEFORM_PACKETS, "Waveform data packets", &[]);
         sink.write_all(&header).map_err(Error::io(path, "write"))?;
@@ -44,11 +50,14 @@ impl<W: Write + Seek> PacketWriter<W> {
         Ok(PacketWriter { sink, path, end: EVLR_HEADER, kinds: Vec::new(), packet: Vec::new() })
     }
 
-    /// Writes the samples of a waveform, with 8 bits each where they fit, else with 16. `None`, and nothing written, where
-    /// there are no samples or they make a 256th kind: packets of a kind have the same number of samples, spacing and bits.
+    /// Writes the samples of a waveform as a packet.
+    ///
+    /// Samples have 8 bits each if they fit, else 16. Returns `None` and writes nothing if there
+    /// are no samples or they would need a 256th kind. Packets of a kind share the number of
+    /// samples, spacing and bits.
     ///
     /// # Errors
-    /// The sink refuses.
+    /// Writing fails.
     pub fn add(&mut self, samples: &[u16], spacing_ps: u32) -> Result<Option<Packet>> {
         let is_narrow = samples.iter().all(|&sample| sample <= u16::from(u8::MAX));
         let kind = Descriptor {
@@ -83,10 +92,12 @@ impl<W: Write + Seek> PacketWriter<W> {
         })
     }
 
-    /// Writes the record's length, and gives the sink back, flushed, with the kinds of packets.
+    /// Writes the length of the record.
+    ///
+    /// Returns the flushed sink and the packet kinds.
     ///
     /// # Errors
-    /// The sink refuses.
+    /// Writing fails.
     pub fn finish(self) -> Result<(W, Vec<Descriptor>)> {
         let PacketWriter { mut sink, path, end, kinds, .. } = self;
         let mut patch = || {

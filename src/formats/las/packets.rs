@@ -1,8 +1,9 @@
 //! Waveform packets: LAS 1.4 R15, section "Waveform Data Packets".
 //!
-//! They stand in an extended record inside the file or, with the same 60 bytes of header, in a `.wdp` file beside it. The
-//! header's two bits say which. Where nothing is at the place they name (or they name none or both) and packets are found
-//! at the other place only, these are taken; with packets at both places and no single bit that decides, nothing is.
+//! Packets are in an extended record inside the file or, after the same 60-byte header, in a `.wdp`
+//! file next to it. Two bits of the LAS header select the location. If the selected location has no
+//! packets, or the bits select none or both, packets at the only other location are used. Packets
+//! at both locations without a single deciding bit are an error.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -12,31 +13,36 @@ use super::header::{Header, encoding};
 use super::vlr::{self, EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
 use crate::formats::{Error, Result};
 
-/// Bytes read at a jump.
+/// Bytes read after a jump.
 const SMALL: usize = 4 << 10;
-/// Bytes read at most while the packets follow each other.
+/// Maximum number of bytes read at once while packets are consecutive.
 const LARGE: usize = 256 << 10;
 
-/// The packets of a file.
+/// Waveform packets of a file.
 #[derive(Debug)]
 pub(super) struct Packets {
     file: File,
     path: PathBuf,
-    /// Where the record's header starts in `file`: the points' offsets count from here.
+    /// Offset of the record header in `file`.
+    ///
+    /// Offsets in points are relative to it.
     start: u64,
-    /// Where the packets end in `file`.
+    /// Offset of the end of the packets in `file`.
     end: u64,
-    /// The part of `file` from byte `window_at` on that was read last.
+    /// Part of `file` read last, from byte `window_at`.
     window: Vec<u8>,
     window_at: u64,
-    /// How much to read when the next packet is outside of the window but near it.
+    /// Number of bytes to read next, if access is sequential.
     span: usize,
 }
 
-/// Finds the packets of the file `path`; `None`: there are none.
+/// Finds the packets of the file `path`.
+///
+/// `None` if there are none.
 ///
 /// # Errors
-/// The record is cut off, the file beside is no waveform file, or both exist and the header does not decide.
+/// The record is cut off, the separate file is not a waveform file, or both locations have packets
+/// and the header does not decide.
 pub(super) fn find(
     path: &Path,
     header: &Header,
@@ -59,16 +65,19 @@ pub(super) fn find(
             6,
             "global encoding",
             format!(
-                "waveforms are inside and in `{}`, and the header does not say which count",
+                "waveforms are both inside the file and in `{}`, and the header does not say which \
+                 to use",
                 beside.display()
             ),
-            "move the file that does not belong to these points away",
+            "move away the waveform file that does not belong to these points",
         )),
     }
 }
 
-/// The record inside the file: where the header says; else among the extended records; else, without compression, behind
-/// the last point.
+/// Finds the packet record inside the file.
+///
+/// It is at the offset in the header; else among the extended records; else, without compression,
+/// after the last point.
 fn inside(
     path: &Path,
     header: &Header,
@@ -87,12 +96,14 @@ fn inside(
     if header.compressed {
         return Ok(None);
     }
-    // The header has been checked against the file's length, so this does not overflow.
+    // The header was checked against the file length, so this does not overflow.
     let end = u64::from(header.offset_to_points) + header.n_points * u64::from(header.record_length);
     vlr::waveform_record(input, path, end, file_length)
 }
 
-/// The file of the same name with the extension `wdp` in any case.
+/// Returns the `.wdp` file of the same name.
+///
+/// The extension may have any case.
 fn beside(path: &Path) -> Option<PathBuf> {
     let usual = path.with_extension("wdp");
     if usual.is_file() {
@@ -106,13 +117,13 @@ fn beside(path: &Path) -> Option<PathBuf> {
     folder.read_dir().ok()?.flatten().map(|entry| entry.path()).filter(|other| is_it(other)).min()
 }
 
-/// The error for a file whose points refer to packets that are nowhere.
+/// Creates the error for points that refer to missing packets.
 pub(super) fn missing(path: &Path) -> Error {
     let name = path.with_extension("wdp");
     let name = name.file_name().unwrap_or_default().display();
     Error::unusable(
         path,
-        format!("its waveforms are missing: neither inside the file nor in `{name}` beside it"),
+        format!("its waveforms are missing: neither inside the file nor in `{name}` next to it"),
         format!("copy `{name}` into the same folder, or export the file with its waveforms inside"),
     )
 }
@@ -121,12 +132,14 @@ impl Packets {
     fn inside(path: &Path, record: &Vlr) -> Result<Packets> {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
-        // Writers that do not go back leave the length 0.
+        // Writers that cannot seek back leave the length 0.
         let end = if record.length == 0 { length } else { record.offset + record.length };
         Ok(Packets::new(file, path, record.offset - EVLR_HEADER, end))
     }
 
-    /// The record's length may lie here on the short side: nothing else can be in the file.
+    /// Opens a `.wdp` file.
+    ///
+    /// A declared length that is too short is ignored, as nothing else can follow.
     fn beside(path: &Path) -> Result<Packets> {
         let mut file = File::open(path).map_err(Error::io(path, "open"))?;
         let length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
@@ -138,7 +151,7 @@ impl Packets {
                 path,
                 0,
                 "header",
-                "this is no file of waveform packets (LASF_Spec/65535)",
+                "this is not a waveform packet file (LASF_Spec/65535)",
                 "give the `.wdp` file that was exported together with the points",
             ));
         }
@@ -149,25 +162,26 @@ impl Packets {
         Packets { file, path: path.to_path_buf(), start, end, window: Vec::new(), window_at: 0, span: SMALL }
     }
 
-    /// The `length` bytes from `offset` on, counted from the record's header.
+    /// Returns `length` bytes from `offset`, relative to the record header.
     ///
     /// # Errors
-    /// They are not all among the packets.
+    /// The range is not within the packets.
     pub(super) fn bytes(&mut self, offset: u64, length: u64) -> Result<&[u8]> {
         let packets = EVLR_HEADER..=self.end - self.start;
         let end = offset.saturating_add(length);
         if !packets.contains(&offset) || !packets.contains(&end) {
             let problem = format!(
-                "{length} bytes from {offset} on do not lie among the packets ({} to {})",
+                "{length} bytes at offset {offset} are outside the packets ({} to {})",
                 packets.start(),
                 packets.end()
             );
             let at = self.start.saturating_add(offset);
-            let remedy = "the point is damaged or the waveforms are of another file: export both again";
+            let remedy = "the point is damaged or the waveforms belong to another file: export both again";
             return Err(Error::malformed(&self.path, at, "waveform packet", problem, remedy));
         }
         let at = self.start + offset;
-        // Both lengths are below the file's, which an address space holds where the window is loaded.
+        // Both lengths are below the file length, which fits the address space once the window is
+        // loaded.
         let length = length as usize;
         if at < self.window_at || at + length as u64 > self.window_at + self.window.len() as u64 {
             self.load(at, length)?;
@@ -176,7 +190,9 @@ impl Packets {
         Ok(&self.window[from..from + length])
     }
 
-    /// Moves the window to byte `at` of the file: small after a jump, larger with each step ahead.
+    /// Moves the window to byte `at`.
+    ///
+    /// Small after a jump, growing with sequential access.
     fn load(&mut self, at: u64, least: usize) -> Result<()> {
         let reach = self.window_at + (self.window.len() + self.span) as u64;
         let is_ahead = (self.window_at..=reach).contains(&at);

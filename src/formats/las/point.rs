@@ -1,12 +1,14 @@
-//! Point data records: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
+//! Point data records.
+//!
+//! LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
 
 /// Degrees per step of the scan angle in formats 6 to 10.
 pub(super) const SCAN_ANGLE_STEP_DEG: f64 = 0.006;
 
-/// A point as read: what the file holds, with coordinates and angle also in their units.
+/// Point as read, also in physical units.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Point {
-    /// Coordinates as stored.
+    /// Stored coordinates.
     pub raw: [i32; 3],
     /// Coordinate in the file's coordinate system, `raw * scale + offset`.
     pub x: f64,
@@ -14,82 +16,102 @@ pub struct Point {
     pub y: f64,
     /// Coordinate in the file's coordinate system.
     pub z: f64,
-    /// Strength of the return, of no common scale.
+    /// Intensity of the return; the scale depends on the file.
     pub intensity: u16,
-    /// Which return of the pulse, from 1; at most 7 in formats 0 to 5, 15 in the others.
+    /// Return number, from 1.
+    ///
+    /// At most 7 in formats 0 to 5, 15 in the others.
     pub return_number: u8,
-    /// How many returns the pulse has.
+    /// Number of returns of the shot.
     pub number_of_returns: u8,
-    /// The mirror moved from the left side of the track to the right.
+    /// Whether the mirror moved from left to right.
     pub scan_direction: bool,
-    /// The last point before the scan turned.
+    /// Whether the point is the last before the scan turns.
     pub edge_of_flight_line: bool,
-    /// Class of the ASPRS list; at most 31 in formats 0 to 5.
+    /// ASPRS class; at most 31 in formats 0 to 5.
     pub classification: u8,
-    /// Made by other means than lidar.
+    /// Whether the point was created by other means than lidar.
     pub synthetic: bool,
-    /// A model key point.
+    /// Whether the point is a model key point.
     pub key_point: bool,
-    /// To be treated as deleted.
+    /// Whether the point should be treated as deleted.
     pub withheld: bool,
-    /// In the overlap of flight lines; formats 6 to 10 only.
+    /// Whether the point lies in the overlap of flight lines.
+    ///
+    /// Formats 6 to 10 only.
     pub overlap: bool,
-    /// Channel (scanner head) 0 to 3; formats 6 to 10 only.
+    /// Scanner channel, 0 to 3; formats 6 to 10 only.
     pub scanner_channel: u8,
-    /// Scan angle, degrees, positive to the right: whole degrees in formats 0 to 5, steps of 0.006 in the others.
+    /// Scan angle, degrees, positive to the right.
+    ///
+    /// Whole degrees in formats 0 to 5, steps of 0.006 degrees in the others.
     pub scan_angle_deg: f32,
-    /// For the user.
+    /// User data.
     pub user_data: u8,
-    /// The file or flight line that the point comes from.
+    /// Point source ID.
+    ///
+    /// The file or flight line of the point.
     pub point_source_id: u16,
-    /// Time of the point on the scale of [`Header::gps_time`](super::Header::gps_time), s; 0 in formats without it.
+    /// Time in the system of [`Header::gps_time`](super::Header::gps_time), s.
+    ///
+    /// 0 in formats without time.
     pub gps_time: f64,
-    /// The waveform the point was found in.
+    /// Waveform that contains the return.
     pub wave: Wave,
 }
 
-/// Where the waveform of a point is and how it lies in space.
+/// Location of a point's waveform in file and space.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Wave {
-    /// Index of the waveform's descriptor, 1 to 255; 0: the point has no waveform.
+    /// Index of the waveform descriptor, 1 to 255.
+    ///
+    /// 0 without waveform.
     pub descriptor: u8,
-    /// Start of the packet, bytes from the beginning of the record of waveform packets, its header included.
+    /// Offset of the packet in the waveform packet record, bytes.
+    ///
+    /// It counts from the record header.
     pub offset: u64,
     /// Length of the packet, bytes.
     pub size: u32,
-    /// Time from the first sample to the point, ps.
+    /// Time from the first sample to the return, ps.
     pub location_ps: f32,
-    /// Change of position per picosecond backwards in time, in units of the coordinate system: it points from the target
-    /// to the sensor (see [`Wave::sample_position`]).
+    /// Change of position per picosecond backwards in time.
+    ///
+    /// In units of the coordinate system. Points from the target to the sensor (see
+    /// [`Wave::sample_position`]).
     pub direction_per_ps: [f32; 3],
 }
 
 impl Wave {
-    /// Position of a sample: `P + (location - sample * spacing) * direction`.
+    /// Returns the position of a sample.
     ///
-    /// `point` is the point's position, `sample` counts from 0 and may be fractional. The specification's anchor is the
-    /// first sample, `P + location * direction`; its further formula, which adds time times direction to the anchor,
-    /// would not lead back to the point. Files of RIEGL and Leica instruments follow the sign used here.
+    /// `P + (location - sample * spacing) * direction`. `point` is the position `P` of the point;
+    /// `sample` counts from 0 and may be fractional. The specification's anchor is the first
+    /// sample, `P + location * direction`. Its further formula, which adds time times direction to
+    /// the anchor, would not lead back to the point. Files of RIEGL and Leica instruments follow
+    /// the sign used here.
     pub fn sample_position(&self, point: [f64; 3], sample: f64, spacing_ps: f64) -> [f64; 3] {
         let time_ps = f64::from(self.location_ps) - sample * spacing_ps;
         std::array::from_fn(|axis| point[axis] + time_ps * f64::from(self.direction_per_ps[axis]))
     }
 }
 
-/// Where the fields of a point format stand.
+/// Field layout of a point format.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Layout {
-    /// Bytes that the format needs; what a record has beyond them are extra bytes.
+    /// Length of the format's fields, bytes; extra bytes follow.
     pub(super) length: usize,
-    /// Formats 0 to 5.
+    /// Whether the format is 0 to 5.
     legacy: bool,
     gps_time: Option<usize>,
-    /// Start of the 29 bytes on the waveform, formats 4, 5, 9 and 10.
+    /// Offset of the 29 waveform bytes, if any.
+    ///
+    /// Formats 4, 5, 9 and 10 have them.
     pub(super) wave: Option<usize>,
 }
 
 impl Layout {
-    /// Layout of `format`, which is at most 10.
+    /// Returns the layout of `format`, at most 10.
     pub(super) fn of(format: u8) -> Layout {
         let (length, wave) = match format {
             0 => (20, None),
@@ -112,7 +134,7 @@ impl Layout {
         Layout { length, legacy: format <= 5, gps_time, wave }
     }
 
-    /// Reads one record of at least [`Layout::length`] bytes.
+    /// Decodes a record of at least [`Layout::length`] bytes.
     pub(super) fn decode(&self, record: &[u8], scale: &[f64; 3], offset: &[f64; 3], point: &mut Point) {
         point.raw = std::array::from_fn(|axis| i32::from_le_bytes(at(record, 4 * axis)));
         [point.x, point.y, point.z] =
@@ -128,7 +150,7 @@ impl Layout {
     }
 }
 
-/// Bytes 14 to 19 of formats 0 to 5.
+/// Decodes bytes 14 to 19 of formats 0 to 5.
 fn legacy_flags(record: &[u8], point: &mut Point) {
     let (returns, class) = (record[14], record[15]);
     point.return_number = returns & 7;
@@ -146,7 +168,7 @@ fn legacy_flags(record: &[u8], point: &mut Point) {
     point.point_source_id = u16::from_le_bytes(at(record, 18));
 }
 
-/// Bytes 14 to 21 of formats 6 to 10.
+/// Decodes bytes 14 to 21 of formats 6 to 10.
 fn flags(record: &[u8], point: &mut Point) {
     let (returns, bits) = (record[14], record[15]);
     point.return_number = returns & 15;
@@ -176,7 +198,7 @@ fn wave(bytes: &[u8]) -> Wave {
     }
 }
 
-/// The `N` bytes from `start` on.
+/// Returns the `N` bytes from `start`.
 fn at<const N: usize>(bytes: &[u8], start: usize) -> [u8; N] {
     let mut out = [0; N];
     out.copy_from_slice(&bytes[start..start + N]);
@@ -195,7 +217,7 @@ mod tests {
         point
     }
 
-    /// The 29 bytes on a waveform.
+    /// Returns the 29 waveform bytes of the test point.
     fn wave_bytes() -> Vec<u8> {
         let mut bytes = vec![2];
         bytes.extend(180u64.to_le_bytes());

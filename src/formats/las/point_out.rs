@@ -1,20 +1,26 @@
-//! Points to be written: LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
+//! Point encoding.
+//!
+//! LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
 
 use super::point::{SCAN_ANGLE_STEP_DEG, Wave};
 use crate::kernels::steps::Steps;
 
-/// Largest scan angle of formats 6 to 10 in their steps: 180 degrees.
+/// Largest scan angle of formats 6 to 10, steps.
+///
+/// 180 degrees.
 const SCAN_ANGLE_MAX: i32 = 30_000;
 /// Largest scan angle of formats 0 to 5, degrees.
 const SCAN_ANGLE_RANK_MAX: i32 = 90;
-/// Largest number of a return, and of returns, in formats 0 to 5.
+/// Largest return number and number of returns in formats 0 to 5.
 pub(super) const LEGACY_RETURNS: u8 = 7;
-/// Largest number of a return, and of returns, in formats 6 to 10.
+/// Largest return number and number of returns in formats 6 to 10.
 pub(super) const RETURNS: u8 = 15;
 /// Largest class of formats 0 to 5.
 const LEGACY_CLASSES: u8 = 31;
 
-/// A point to be written. What does not fit its field is clamped, never wrapped.
+/// Point for output.
+///
+/// Values out of range are clamped, never wrapped.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PointOut {
     /// Coordinate in the file's coordinate system.
@@ -23,43 +29,55 @@ pub struct PointOut {
     pub y: f64,
     /// Coordinate in the file's coordinate system.
     pub z: f64,
-    /// Strength of the return.
+    /// Intensity of the return.
     pub intensity: u16,
-    /// Which return of the pulse, from 1: at most 15, in formats 0 to 5 at most 7.
+    /// Return number, from 1.
+    ///
+    /// At most 15, in formats 0 to 5 at most 7.
     pub return_number: u8,
-    /// How many returns the pulse has: at most 15, in formats 0 to 5 at most 7.
+    /// Number of returns of the shot.
+    ///
+    /// At most 15, in formats 0 to 5 at most 7.
     pub number_of_returns: u8,
-    /// The mirror moved from the left side of the track to the right.
+    /// Whether the mirror moved from left to right.
     pub scan_direction: bool,
-    /// The last point before the scan turned.
+    /// Whether the point is the last before the scan turns.
     pub edge_of_flight_line: bool,
-    /// Class of the ASPRS list: at most 31 in formats 0 to 5.
+    /// ASPRS class: at most 31 in formats 0 to 5.
     pub classification: u8,
-    /// To be treated as deleted.
+    /// Whether the point should be treated as deleted.
     pub withheld: bool,
-    /// Channel, 0 to 3; formats 0 to 5 have none.
+    /// Scanner channel, 0 to 3.
+    ///
+    /// Not in formats 0 to 5.
     pub scanner_channel: u8,
-    /// Scan angle, degrees, within -180 to 180, in formats 0 to 5 whole ones within -90 to 90; NaN becomes 0.
+    /// Scan angle, degrees; NaN becomes 0.
+    ///
+    /// Within -180 to 180; in formats 0 to 5 whole degrees within -90 to 90.
     pub scan_angle_deg: f32,
-    /// For the user.
+    /// User data.
     pub user_data: u8,
-    /// The file or flight line that the point comes from.
+    /// Point source ID.
+    ///
+    /// The file or flight line of the point.
     pub point_source_id: u16,
-    /// Time of the point on the scale that the writer was told, s.
+    /// Time in the system of the writer's options, s.
     pub gps_time: f64,
-    /// The waveform the point was found in; formats without waveforms leave it out.
+    /// Waveform that contains the return; ignored by formats without waveforms.
     pub wave: Wave,
 }
 
 impl PointOut {
-    /// The bytes between intensity and time, from the lowest: 8, in formats 0 to 5 only 6. Those of the scan angle are 0.
+    /// Encodes the bytes between intensity and time, from the lowest.
+    ///
+    /// There are 8 bytes, or 6 in formats 0 to 5. Those of the scan angle are 0.
     #[inline]
     pub(super) fn fields(&self, format: u8) -> u64 {
         let bytes = if format <= 5 { self.legacy_fields() } else { self.new_fields() };
         u64::from_le_bytes(bytes)
     }
 
-    /// Bytes 14 to 19 of formats 0 to 5.
+    /// Encodes bytes 14 to 19 of formats 0 to 5.
     #[inline]
     fn legacy_fields(&self) -> [u8; 8] {
         let returns = self.return_number.min(LEGACY_RETURNS)
@@ -71,7 +89,7 @@ impl PointOut {
         [returns, class, 0, self.user_data, source_low, source_high, 0, 0]
     }
 
-    /// Bytes 14 to 21 of formats 6 to 10.
+    /// Encodes bytes 14 to 21 of formats 6 to 10.
     #[inline]
     fn new_fields(&self) -> [u8; 8] {
         let returns = self.return_number.min(RETURNS) | self.number_of_returns.min(RETURNS) << 4;
@@ -83,7 +101,7 @@ impl PointOut {
         [returns, flags, self.classification, self.user_data, 0, 0, source_low, source_high]
     }
 
-    /// The scan angle, degrees, as its field in formats 6 to 10 holds it.
+    /// Returns the quantised scan angle of formats 6 to 10, degrees.
     pub fn stored_scan_angle_deg(&self) -> f64 {
         let mut steps = [0];
         scan_angle_steps(6).count(&[f64::from(self.scan_angle_deg)], &mut steps);
@@ -91,7 +109,7 @@ impl PointOut {
     }
 }
 
-/// How a format stores degrees of scan angle.
+/// Returns the quantisation of scan angles in a format.
 pub(super) fn scan_angle_steps(format: u8) -> Steps {
     let (scale, largest) =
         if format <= 5 { (1.0, SCAN_ANGLE_RANK_MAX) } else { (SCAN_ANGLE_STEP_DEG, SCAN_ANGLE_MAX) };
@@ -106,7 +124,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The record of a point, read back.
+    /// Encodes and decodes a point.
     fn back(format: u8, point: &PointOut, raw: [i32; 3]) -> Point {
         let record = record(format, point, raw);
         assert_eq!(record.len(), Layout::of(format).length);
@@ -189,7 +207,7 @@ mod tests {
         }
     }
 
-    /// What was read, as a point to be written at the place of another.
+    /// Converts a decoded point to output form, at the position of the original.
     fn again(point: &PointOut, read: &Point) -> PointOut {
         PointOut {
             intensity: read.intensity,

@@ -1,4 +1,6 @@
-//! The points of any LAS or LAZ file as they are stored: record by record, with the names of their fields.
+//! Raw records of any LAS or LAZ file.
+//!
+//! Their fields have names.
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -11,7 +13,7 @@ use super::records::Records;
 use super::vlr::{self, SPEC, Vlr};
 use crate::formats::{Error, Result};
 
-/// The points of a file, one after the other, and all that stands before them.
+/// Reader of header, VLRs and raw records of a file.
 pub struct RawPoints {
     header: Header,
     vlrs: Vec<Vlr>,
@@ -19,23 +21,23 @@ pub struct RawPoints {
     records: Records,
 }
 
-/// A field of a point's record.
+/// Field of a point record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawField {
-    /// Its name in the specification, or in the file where it is an extra attribute.
+    /// Name in the specification, or of the extra attribute.
     pub name: String,
-    /// Where it starts in the record, bytes.
+    /// Offset in the record, bytes.
     start: usize,
-    /// What it holds.
+    /// Data type.
     kind: Kind,
 }
 
-/// What a field holds, little-endian.
+/// Data type of a field, little-endian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Kind {
-    /// A whole number of so many bytes.
+    /// Unsigned integer of this many bytes.
     Unsigned(usize),
-    /// The same with a sign.
+    /// Signed integer of this many bytes.
     Signed(usize),
     F32,
     F64,
@@ -47,7 +49,7 @@ impl RawPoints {
     /// Opens a file of any point format from 0 to 10.
     ///
     /// # Errors
-    /// The file is not LAS, is cut off, or its sizes contradict each other.
+    /// The file is not LAS, is cut off, or has contradictory sizes.
     pub fn open(path: &Path) -> Result<RawPoints> {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
@@ -67,22 +69,24 @@ impl RawPoints {
         Ok(RawPoints { header, vlrs, fields, records })
     }
 
-    /// The public header block.
+    /// Returns the public header block.
     pub fn header(&self) -> &Header {
         &self.header
     }
 
-    /// The records before and behind the points.
+    /// Returns the VLRs and EVLRs.
     pub fn vlrs(&self) -> &[Vlr] {
         &self.vlrs
     }
 
-    /// What a point's record consists of; bytes that the file does not describe are left out.
+    /// Returns the fields of a point record.
+    ///
+    /// Undocumented bytes are omitted.
     pub fn fields(&self) -> &[RawField] {
         &self.fields
     }
 
-    /// The next point's record; `None` behind the last.
+    /// Returns the next point record; `None` after the last.
     ///
     /// # Errors
     /// The file cannot be read, or its compressed points are damaged.
@@ -96,7 +100,9 @@ impl RawField {
         RawField { name: name.into(), start, kind }
     }
 
-    /// Its value in a record, as stored; empty where the record ends before it.
+    /// Formats the stored value of the field.
+    ///
+    /// Empty if the record is too short.
     pub fn value(&self, record: &[u8]) -> String {
         let length = match self.kind {
             Unsigned(length) | Signed(length) => length,
@@ -109,7 +115,7 @@ impl RawField {
         let number = u64::from_le_bytes(wide);
         match self.kind {
             Unsigned(_) => number.to_string(),
-            // The sign of the bytes that there are becomes that of all eight.
+            // Sign-extends the value to eight bytes.
             Signed(length) => ((number as i64) << (64 - 8 * length) >> (64 - 8 * length)).to_string(),
             F32 => f32::from_bits(number as u32).to_string(),
             F64 => f64::from_bits(number).to_string(),
@@ -117,7 +123,9 @@ impl RawField {
     }
 }
 
-/// The fields of a point format: LAS 1.4 R15, tables of "Point Data Record Format 0" to "10".
+/// Returns the fields of a point format.
+///
+/// LAS 1.4 R15, tables of "Point Data Record Format 0" to "10".
 fn standard(format: u8) -> Vec<RawField> {
     let field = RawField::new;
     let mut fields = vec![
@@ -179,7 +187,9 @@ fn standard(format: u8) -> Vec<RawField> {
     fields
 }
 
-/// The extra attributes that a file declares, behind `length` bytes of the format's own.
+/// Returns the extra attributes declared by a file.
+///
+/// They follow `length` bytes of standard fields.
 fn extra(path: &Path, record: &Vlr, length: usize) -> Result<Vec<RawField>> {
     let attributes = extra_bytes::parse(path, record)?;
     let field = |attribute: &extra_bytes::ExtraBytes| {
@@ -188,7 +198,7 @@ fn extra(path: &Path, record: &Vlr, length: usize) -> Result<Vec<RawField>> {
             2 | 4 | 6 | 8 => Some(Signed(attribute.bytes)),
             9 => Some(F32),
             10 => Some(F64),
-            // Bytes without meaning, as a number where they are few enough.
+            // Undocumented bytes are shown as a number if at most eight.
             _ if (1..=8).contains(&attribute.bytes) => Some(Unsigned(attribute.bytes)),
             _ => None,
         };
@@ -229,6 +239,6 @@ mod tests {
         assert_eq!(value(0, Signed(4)), "-2");
         assert_eq!(value(4, F32), "1");
         assert_eq!(value(0, Unsigned(8)), "4575657225703391230");
-        assert_eq!(value(6, Signed(4)), "", "the record ends before");
+        assert_eq!(value(6, Signed(4)), "", "the record is too short");
     }
 }

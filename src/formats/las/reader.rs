@@ -1,4 +1,4 @@
-//! Reading full-waveform LAS and LAZ files point by point.
+//! Point-by-point reader of full-waveform LAS and LAZ files.
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -13,9 +13,10 @@ use super::records::Records;
 use super::vlr::{self, PROJECTION, SPEC, Vlr};
 use crate::formats::{Error, Result};
 
-/// A full-waveform LAS or LAZ file.
+/// Full-waveform LAS or LAZ file.
 ///
-/// Versions 1.0 to 1.5; point formats 4, 5, 9 and 10. Of LAS 1.5 only the header is new to these formats.
+/// Supports versions 1.0 to 1.5 and point formats 4, 5, 9 and 10. For these formats LAS 1.5 changes
+/// only the header.
 pub struct Reader {
     path: PathBuf,
     header: Header,
@@ -29,11 +30,11 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Opens a file and reads all but its points and waveforms.
+    /// Opens a file and reads everything but its points and waveforms.
     ///
     /// # Errors
-    /// The file is not LAS, has points without waveforms, is cut off, or its sizes contradict each other; its waveforms
-    /// are announced and neither inside nor beside it.
+    /// The file is not LAS, has points without waveforms, is cut off, or has contradictory sizes;
+    /// or declared waveforms are neither inside nor next to it.
     pub fn open(path: &Path) -> Result<Reader> {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
@@ -61,46 +62,52 @@ impl Reader {
         Ok(Reader { path, header, vlrs, evlrs, descriptors, extra_bytes, layout, records, packets })
     }
 
-    /// The public header block.
+    /// Returns the public header block.
     pub fn header(&self) -> &Header {
         &self.header
     }
 
-    /// The records between the header and the points.
+    /// Returns the VLRs between the header and the points.
     pub fn vlrs(&self) -> &[Vlr] {
         &self.vlrs
     }
 
-    /// The records behind the points; those of waveform packets without their data.
+    /// Returns the EVLRs after the points.
+    ///
+    /// Waveform packets without their data.
     pub fn evlrs(&self) -> &[Vlr] {
         &self.evlrs
     }
 
-    /// The coordinate system as WKT, where the file has one.
+    /// Returns the coordinate system as WKT, if present.
     pub fn wkt(&self) -> Option<String> {
         self.projection(vlr::WKT).map(Vlr::text)
     }
 
-    /// A record of `LASF_Projection`: 2112 is WKT; 34735, 34736 and 34737 are the GeoTIFF keys, their numbers and their
-    /// texts.
+    /// Returns a record of `LASF_Projection`.
+    ///
+    /// 2112 is WKT; 34735, 34736 and 34737 are the GeoTIFF keys, their numbers and their texts.
     pub fn projection(&self, record_id: u16) -> Option<&Vlr> {
         self.vlrs.iter().chain(&self.evlrs).find(|vlr| vlr.is(PROJECTION, record_id))
     }
 
-    /// Whether waveform packet descriptors have different digitizer gains.
+    /// Returns whether the gains of waveform packet descriptors differ.
     pub fn has_different_gains(&self) -> bool {
         self.descriptors.have_different_gains()
     }
 
-    /// What the extra bytes of the points mean.
+    /// Returns the descriptors of the extra bytes.
     pub fn extra_bytes_descriptors(&self) -> &[ExtraBytes] {
         &self.extra_bytes
     }
 
-    /// Reads the next point; `false`: there is none, and `point` is unchanged.
+    /// Reads the next point.
+    ///
+    /// `false` at the end, with `point` unchanged.
     ///
     /// # Errors
-    /// The file cannot be read or its compressed points are damaged. No point follows after an error.
+    /// The file cannot be read or its compressed points are damaged. No point follows after an
+    /// error.
     pub fn next_point(&mut self, point: &mut Point) -> Result<bool> {
         let found = self.records.advance()?;
         if found {
@@ -109,26 +116,29 @@ impl Reader {
         Ok(found)
     }
 
-    /// The extra bytes of the point read last, as many as the record has beyond its format.
+    /// Returns the extra bytes of the last point.
+    ///
+    /// All bytes after the format's fields.
     pub fn extra_bytes(&self) -> &[u8] {
         self.records.record().get(self.layout.length..).unwrap_or_default()
     }
 
-    /// How the waveform of a point is stored.
+    /// Returns the storage descriptor of a point's waveform.
     ///
     /// # Errors
-    /// The point has no waveform, or the file does not describe it in a way that can be read. Other points may be fine.
+    /// The point has no waveform, or its descriptor is missing or unsupported. Other points may be
+    /// valid.
     pub fn descriptor(&self, wave: &Wave) -> Result<&Descriptor> {
         let index = wave.descriptor;
         let bad = |problem: String, remedy| Error::unusable(&self.path, problem, remedy);
         if index == 0 {
-            let problem = "a point without waveform (descriptor 0) was asked for one";
+            let problem = "a point has no waveform (descriptor 0)";
             return Err(bad(problem.into(), "leave the point out"));
         }
         let id = 99 + u16::from(index);
         let Some(descriptor) = self.descriptors.get(index) else {
             let problem =
-                format!("a point refers to waveform descriptor {index}, and LASF_Spec/{id} is missing");
+                format!("a point refers to waveform descriptor {index}, but LASF_Spec/{id} is missing");
             return Err(bad(problem, "the point or the header is damaged: export the file again"));
         };
         match descriptor.obstacle() {
@@ -139,20 +149,22 @@ impl Reader {
         }
     }
 
-    /// Reads the samples of a point's waveform into `samples`, replacing what it held.
+    /// Reads the waveform of a point, replacing `samples`.
     ///
-    /// A packet may be longer than its samples (padding), never shorter. Consecutive packets are read from a window, not
-    /// one by one.
+    /// A packet may be longer than its samples (padding), never shorter. Consecutive packets are
+    /// read from a window, not one by one.
     ///
     /// # Errors
-    /// As [`Reader::descriptor`]; the packet is too short or lies outside of the waveform data. Other points may be fine.
+    /// As [`Reader::descriptor`]; or the packet is too short or outside the waveform data. Other
+    /// points may be valid.
     pub fn packet(&mut self, wave: &Wave, samples: &mut Vec<u16>) -> Result<Descriptor> {
         samples.clear();
         let descriptor = *self.descriptor(wave)?;
         let length = descriptor.packet_bytes();
         if length > u64::from(wave.size) {
             let problem = format!(
-                "the waveform packet at byte {} has {} bytes, and {} samples of {} bits need {length}",
+                "the waveform packet at byte {} has {} bytes, but {} samples of {} bits need \
+                 {length}",
                 wave.offset, wave.size, descriptor.samples, descriptor.bits
             );
             let remedy = "the point or its descriptor is damaged: export the file again";

@@ -1,4 +1,4 @@
-//! The points' records in slabs: straight from the file (LAS) or decompressed (LAZ).
+//! Point records in slabs, read directly (LAS) or decompressed (LAZ).
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -9,17 +9,17 @@ use super::header::Header;
 use super::vlr::Vlr;
 use crate::formats::{Error, Result};
 
-/// Records of a slab.
+/// Records per slab.
 const SLAB: u64 = 1024;
 
-/// A walk over the records of a file.
+/// Iterator over the records of a file.
 pub(super) struct Records {
     source: Source,
     record_length: usize,
-    /// Records that are not in a slab yet.
+    /// Number of records not yet in a slab.
     left: u64,
     slab: Vec<u8>,
-    /// Where the next record starts in the slab.
+    /// Offset of the current record in the slab.
     at: usize,
 }
 
@@ -32,7 +32,7 @@ impl Records {
     /// Starts at the first point of the file `path`.
     ///
     /// # Errors
-    /// What LASzip says of itself in the file is missing or contradicts the header.
+    /// The LASzip record is missing or contradicts the header.
     pub(super) fn open(path: &Path, header: &Header, vlrs: &[Vlr], file_length: u64) -> Result<Records> {
         let mut file = File::open(path).map_err(Error::io(path, "open"))?;
         let source = if header.compressed {
@@ -46,11 +46,13 @@ impl Records {
         Ok(Records { source, record_length, left: header.n_points, slab: Vec::new(), at: 0 })
     }
 
-    /// Goes to the next record; `false`: there is none, or an error came before.
+    /// Advances to the next record.
+    ///
+    /// `false` at the end or after an error.
     ///
     /// # Errors
-    /// The file cannot be read, or its compressed points are damaged. The walk is over then: what follows in a compressed
-    /// file depends on what came before.
+    /// The file cannot be read, or its compressed points are damaged. Iteration then ends, because
+    /// later compressed data depend on earlier data.
     pub(super) fn advance(&mut self) -> Result<bool> {
         self.at += self.record_length;
         if self.at < self.slab.len() {
@@ -73,7 +75,9 @@ impl Records {
         filled.map(|()| count > 0)
     }
 
-    /// The record gone to last; empty before the first and after the last.
+    /// Returns the current record.
+    ///
+    /// Empty before the first and after the last.
     pub(super) fn record(&self) -> &[u8] {
         self.slab.get(self.at..self.at + self.record_length).unwrap_or_default()
     }

@@ -1,4 +1,4 @@
-//! Tests that need more than one part: files made by hand, written files, real files.
+//! Tests across several modules: handmade files, written files, real files.
 
 mod chunks;
 pub(super) mod made;

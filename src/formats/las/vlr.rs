@@ -1,5 +1,7 @@
-//! Variable length records and their extended twins: LAS 1.4 R15, sections "Variable Length Records (VLRs)" and
-//! "Extended Variable Length Records (EVLRs)".
+//! Variable length records.
+//!
+//! LAS 1.4 R15, sections "Variable Length Records (VLRs)" and "Extended Variable Length Records
+//! (EVLRs)".
 
 use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -8,61 +10,65 @@ use super::header::Header;
 use crate::formats::bytes::Fields;
 use crate::formats::{Error, Result};
 
-/// Length of a VLR's header, bytes.
+/// Length of a VLR header, bytes.
 pub(super) const VLR_HEADER: u64 = 54;
-/// Length of an EVLR's header, bytes.
+/// Length of an EVLR header, bytes.
 pub(super) const EVLR_HEADER: u64 = 60;
-/// User ID of the records that the specification defines.
+/// User ID of the records defined by the specification.
 pub(super) const SPEC: &str = "LASF_Spec";
-/// User ID of the records on the coordinate system.
+/// User ID of the coordinate system records.
 pub(super) const PROJECTION: &str = "LASF_Projection";
-/// Record ID of the extra bytes' descriptors, under [`SPEC`].
+/// Record ID of the extra bytes descriptors, under [`SPEC`].
 pub(super) const EXTRA_BYTES: u16 = 4;
 /// Record ID of the waveform packets, under [`SPEC`].
 pub(super) const WAVEFORM_PACKETS: u16 = 65535;
-/// Record ID of the directory of GeoTIFF keys, under [`PROJECTION`].
+/// Record ID of the GeoTIFF key directory, under [`PROJECTION`].
 pub(super) const GEO_KEYS: u16 = 34735;
-/// Record with the numbers of GeoTIFF keys.
+/// Record ID of the numbers of GeoTIFF keys.
 pub(super) const GEO_DOUBLES: u16 = 34736;
-/// Record with the texts of GeoTIFF keys.
+/// Record ID of the texts of GeoTIFF keys.
 pub(super) const GEO_ASCII: u16 = 34737;
 /// Record ID of a WKT coordinate system, under [`PROJECTION`].
 pub(super) const WKT: u16 = 2112;
 
-/// The data of longer extended records stay in the file: nothing that this project uses is longer.
+/// Longest extended record whose data are read, bytes.
+///
+/// No record used by wavex is longer.
 const EVLR_DATA_LIMIT: u64 = 16 << 20;
 
-/// A variable length record, extended or not.
+/// Variable length record, extended or not.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Vlr {
-    /// Who defined the record.
+    /// User ID: the organisation that defined the record.
     pub user_id: String,
-    /// Which of the user's records this is.
+    /// Record ID within the user ID.
     pub record_id: u16,
     /// Free text.
     pub description: String,
-    /// Where the data start, bytes from the beginning of the file.
+    /// Offset of the data from the beginning of the file, bytes.
     pub offset: u64,
-    /// Length of the data as the record says it, bytes.
+    /// Declared length of the data, bytes.
     pub length: u64,
-    /// The data; empty for waveform packets and for extended records longer than 16 MiB.
+    /// Data of the record.
+    ///
+    /// Empty for waveform packets and for extended records longer than 16 MiB.
     pub data: Vec<u8>,
 }
 
 impl Vlr {
-    /// The record is `record_id` of `user_id`.
+    /// Returns whether the record is `record_id` of `user_id`.
     pub fn is(&self, user_id: &str, record_id: u16) -> bool {
         self.user_id == user_id && self.record_id == record_id
     }
 
-    /// The data as text up to the first zero byte.
+    /// Returns the data as text up to the first zero byte.
     pub fn text(&self) -> String {
         let end = self.data.iter().position(|&byte| byte == 0).unwrap_or(self.data.len());
         String::from_utf8_lossy(&self.data[..end]).into_owned()
     }
 }
 
-/// The records between the header and the points.
+/// Reads the VLRs between the header and the points.
 ///
 /// # Errors
 /// A record does not fit between the header and the points.
@@ -83,7 +89,7 @@ pub(super) fn read_vlrs(input: &mut (impl BufRead + Seek), file: &Path, header: 
     Ok(vlrs)
 }
 
-/// The extended records behind the points.
+/// Reads the EVLRs after the points.
 ///
 /// # Errors
 /// A record does not fit into the file.
@@ -96,7 +102,7 @@ pub(super) fn read_evlrs(
     let mut at = header.start_of_evlrs;
     let mut evlrs = Vec::new();
     for number in 1..=header.n_evlrs {
-        // What lies behind the end of the file is told by the reading.
+        // Offsets beyond the end of the file are reported when the record is read.
         seek(input, file, at.min(file_length))?;
         let evlr = read_evlr(input, file, at, file_length, number)?;
         at = evlr.offset + evlr.length;
@@ -105,7 +111,9 @@ pub(super) fn read_evlrs(
     Ok(evlrs)
 }
 
-/// The extended record at byte `at`, where the input stands, with its data unless they are long.
+/// Reads the extended record at byte `at`.
+///
+/// `at` is the position of the input. Long data are not read.
 pub(super) fn read_evlr(
     input: &mut impl Read,
     file: &Path,
@@ -124,10 +132,12 @@ pub(super) fn read_evlr(
     Ok(evlr)
 }
 
-/// The record of waveform packets whose header starts at byte `at`; `None`: there is something else.
+/// Returns the waveform packet record at byte `at`.
+///
+/// `None` if it is another record.
 ///
 /// # Errors
-/// The record is there and longer than the file.
+/// The record is longer than the file.
 pub(super) fn waveform_record(
     input: &mut (impl Read + Seek),
     file: &Path,
@@ -157,7 +167,7 @@ fn read_header<const N: usize>(
     number: u32,
 ) -> Result<[u8; N]> {
     if end.saturating_sub(at) < N as u64 {
-        let problem = format!("record {number} needs {N} bytes and {} are left", end.saturating_sub(at));
+        let problem = format!("record {number} needs {N} bytes, {} left", end.saturating_sub(at));
         return Err(Error::malformed(file, at, "variable length record", problem, CUT));
     }
     let mut bytes = [0; N];
@@ -178,7 +188,9 @@ fn parse_header(fields: &mut Fields, extended: bool) -> Result<Vlr> {
     Ok(Vlr { user_id, record_id, description, offset: fields.offset(), length, data: Vec::new() })
 }
 
-/// `length` bytes; the caller has compared it with what the file holds.
+/// Reads `length` bytes.
+///
+/// The caller has checked `length` against the file.
 fn read_data(input: &mut impl Read, file: &Path, length: u64) -> Result<Vec<u8>> {
     let mut data = Vec::new();
     input.take(length).read_to_end(&mut data).map_err(Error::io(file, "read the variable length records"))?;
@@ -189,15 +201,10 @@ fn seek(input: &mut impl Seek, file: &Path, at: u64) -> Result<()> {
     input.seek(SeekFrom::Start(at)).map(drop).map_err(Error::io(file, "seek to the variable length records"))
 }
 
-const CUT: &str = "the header lies or the file is cut off: copy it again from its source";
+const CUT: &str = "the header is wrong or the file is cut off: copy it again from its source";
 
 fn too_long(file: &Path, at: u64, vlr: &Vlr, end: u64) -> Error {
-    let problem = format!(
-        "{}/{} claims {} bytes and {} are left",
-        vlr.user_id,
-        vlr.record_id,
-        vlr.length,
-        end - vlr.offset
-    );
+    let problem =
+        format!("{}/{} declares {} bytes, {} left", vlr.user_id, vlr.record_id, vlr.length, end - vlr.offset);
     Error::malformed(file, at, "record length after header", problem, CUT)
 }

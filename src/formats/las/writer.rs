@@ -1,5 +1,6 @@
-//! Writing LAS and LAZ with extra attributes and waveforms: LAS 1.4 R15 with point formats 6 and 9, LAS 1.2 and 1.3 with
-//! point formats 1 and 4.
+//! LAS and LAZ writer with extra attributes and waveforms.
+//!
+//! LAS 1.4 R15 with point formats 6 and 9; LAS 1.2 and 1.3 with point formats 1 and 4.
 
 mod byte_layers;
 mod chunk;
@@ -29,15 +30,15 @@ use tile::Tile;
 pub(super) use tile::record;
 pub use tile::{ExtraColumns, TOGETHER};
 
-/// Points of a LAZ chunk, as other writers have it.
+/// Points per LAZ chunk, as in other writers.
 const CHUNK: usize = 50_000;
-/// Points gathered before they are written to an uncompressed file.
+/// Points buffered before they are written to an uncompressed file.
 const PLAIN_SLAB: usize = 4096;
 
-/// A writer of points.
+/// LAS or LAZ point writer.
 ///
-/// The sink starts at the file's first byte and is the caller's: its name until the file is complete, and the renaming.
-/// Without [`Writer::finish`] the file says that it has no points.
+/// The sink starts at the first byte of the file. The caller owns the sink and the temporary name
+/// of the file until it is complete. Without [`Writer::finish`] the header declares no points.
 pub struct Writer<W> {
     sink: W,
     path: PathBuf,
@@ -47,29 +48,30 @@ pub struct Writer<W> {
     header: Vec<u8>,
     /// Length of a record, bytes.
     record_length: usize,
-    /// Of these the fields of the format.
+    /// Length of the standard fields of a record, bytes.
     standard_length: usize,
-    /// The points that are being made into records.
+    /// Points being encoded.
     tile: Box<Tile>,
-    /// Records that are not written yet.
+    /// Records not yet written.
     slab: Vec<u8>,
-    /// Bytes at which the slab is written.
+    /// Size at which the slab is written, bytes.
     slab_bytes: usize,
     compression: Option<Compression>,
     index: Option<Lax>,
     totals: Totals,
-    /// Records before the points.
+    /// Number of VLRs.
     n_vlrs: usize,
-    /// Where the descriptors of waveforms are to be noted.
+    /// Offset reserved for the waveform descriptors.
     descriptors_at: u64,
 }
 
 impl<W: Write + Seek> Writer<W> {
-    /// Writes all that stands before the points. `path` names the file in errors, and its extension decides between LAS
-    /// and LAZ.
+    /// Writes the header and VLRs.
+    ///
+    /// `path` names the file in errors; its extension selects LAS or LAZ.
     ///
     /// # Errors
-    /// The extension is neither, an option is out of its bounds, or the sink refuses.
+    /// The extension is neither, an option is out of bounds, or writing fails.
     pub fn new(mut sink: W, path: &Path, options: &WriterOptions) -> Result<Writer<W>> {
         let compressed = options::is_laz(path)?;
         options.check(path)?;
@@ -84,7 +86,7 @@ impl<W: Write + Seek> Writer<W> {
         let write = |sink: &mut W| {
             sink.write_all(&header)?;
             sink.write_all(&records.bytes)?;
-            // LASzip's data begin with the place of the chunk table: -1 until it is known.
+            // LASzip data begin with the offset of the chunk table: -1 until it is known.
             if compressed { sink.write_all(&(-1i64).to_le_bytes()) } else { Ok(()) }
         };
         write(&mut sink).map_err(Error::io(path, "write"))?;
@@ -112,13 +114,15 @@ impl<W: Write + Seek> Writer<W> {
         })
     }
 
-    /// Writes one point with its extra attributes, as [`ExtraAttribute::push`](super::ExtraAttribute::push) made them, in
-    /// the order of the options.
+    /// Writes one point with its extra attributes.
+    ///
+    /// `extra` holds the attributes as encoded by
+    /// [`ExtraAttribute::push`](super::ExtraAttribute::push), in the order of the options.
     ///
     /// # Errors
-    /// A coordinate does not fit 32 bits at this scale and offset (or is not finite), the extra bytes are not as many as
-    /// the options say, or the version cannot count as many points: the point is left out then. Or the sink refuses: the
-    /// file cannot be completed then.
+    /// A coordinate is not finite or exceeds 32 bits at this scale and offset, the number of extra
+    /// bytes is wrong, or the version cannot count more points; the point is then skipped. Or
+    /// writing fails; the file cannot be completed then.
     pub fn write_point(&mut self, point: &PointOut, extra: &[u8]) -> Result<()> {
         let mut refused = None;
         let put = |_, columns: &mut ExtraColumns| columns.put_all(extra);
@@ -126,14 +130,15 @@ impl<W: Write + Seek> Writer<W> {
         refused.map_or(Ok(()), Err)
     }
 
-    /// Writes points number 0 to `n - 1`: the same as one by one, and faster. `extra` is asked for the extra attributes of up to
-    /// [`TOGETHER`] points at a time, and once more one by one where a point of them is left out: it puts them in the order of
-    /// the options. `refused` takes what is wrong with each point
-    /// that is left out, as [`Writer::write_point`] has it; the others are written.
+    /// Writes points 0 to `n - 1`, faster than individually.
+    ///
+    /// `extra` adds the extra attributes in the order of the options, for up to [`TOGETHER`] points
+    /// at a time. It is called again for single points if one of them is skipped. `refused` gets
+    /// the error of each skipped point, as in [`Writer::write_point`]; the others are written.
     ///
     /// # Errors
-    /// The extra attributes put are not as many bytes as the options say: the points asked for are left out. Or the sink
-    /// refuses: the file cannot be completed then.
+    /// The number of extra bytes is wrong; the requested points are then skipped. Or writing fails;
+    /// the file cannot be completed then.
     pub fn write_points(
         &mut self,
         n: usize,
@@ -145,7 +150,8 @@ impl<W: Write + Seek> Writer<W> {
         while next < n {
             let points = next..n.min(next + self.room());
             next = points.end;
-            // The extra attributes come first: their loops are short, so that the processor fetches many points at a time.
+            // Extra attributes come first: in their short loops the processor prefetches many
+            // points.
             let start = self.slab.len();
             self.put_extra(points.len(), |columns| extra(points.clone(), columns))?;
             self.tile.fill(points.clone().map(&point));
@@ -171,17 +177,19 @@ impl<W: Write + Seek> Writer<W> {
         Ok(())
     }
 
-    /// Points that are made into records before the slab may be full: at least one.
+    /// Returns the number of points to encode at once.
+    ///
+    /// The slab may be full after them; at least one.
     fn room(&self) -> usize {
         (self.slab_bytes.saturating_sub(self.slab.len()) / self.record_length).clamp(1, TOGETHER)
     }
 
-    /// Whether the version can count as many more points.
+    /// Returns whether the version can count this many more points.
     fn may_count(&self, n: usize) -> bool {
         !self.version.is_legacy() || self.totals.points + n as u64 <= u64::from(u32::MAX)
     }
 
-    /// How the only point of the tile is stored.
+    /// Quantises the single point of the tile.
     fn check_one(&mut self) -> Result<[i32; 3]> {
         if !self.may_count(1) {
             let problem = format!("LAS 1.{} holds at most {} points", self.version.minor(), u32::MAX);
@@ -193,7 +201,7 @@ impl<W: Write + Seek> Writer<W> {
         Ok(raw)
     }
 
-    /// Begins `n` records in the slab with their extra attributes.
+    /// Starts `n` records in the slab with their extra attributes.
     fn put_extra(&mut self, n: usize, extra: impl FnOnce(&mut ExtraColumns)) -> Result<()> {
         let start = self.slab.len();
         self.slab.resize(start + n * self.record_length, 0);
@@ -208,8 +216,9 @@ impl<W: Write + Seek> Writer<W> {
         Err(self.wrong_extra_bytes(left))
     }
 
-    /// Completes the records of the tile, which begin at `start` in the slab, and whose coordinates as stored lie between these
-    /// ends.
+    /// Completes the records of the tile, from `start` in the slab.
+    ///
+    /// `ends` are the smallest and largest stored coordinates.
     fn put(&mut self, start: usize, ends: [(i32, i32); 3]) -> Result<()> {
         self.tile.encode(&mut self.slab[start..], self.record_length);
         self.totals.add(self.version, ends, self.tile.return_numbers());
@@ -222,27 +231,32 @@ impl<W: Write + Seek> Writer<W> {
         if self.slab.len() >= self.slab_bytes { self.flush_slab() } else { Ok(()) }
     }
 
-    /// The spatial index of the points written so far, for a file beside them: then it is not appended. `None` where the
-    /// options ask for none, or there are more points than it can name (2^32 - 1).
+    /// Returns the spatial index of the points written.
+    ///
+    /// It is for a separate file. The index is then not appended. `None` if the options request
+    /// none, or for more than 2^32 - 1 points.
     pub fn take_index(&mut self) -> Option<Vec<u8>> {
         self.index.take()?.finish()
     }
 
-    /// Writes what is left, the chunk table, the index if it is to be appended, and the header's sums, and gives the sink
-    /// back, flushed.
+    /// Writes remaining points, chunk table, appended index and final header.
+    ///
+    /// Returns the flushed sink.
     ///
     /// # Errors
-    /// The sink refuses.
+    /// Writing fails.
     pub fn finish(self) -> Result<W> {
         self.finish_with_waveforms(&[], None)
     }
 
-    /// The same for points with waveforms: notes the kinds of their packets, as
-    /// [`PacketWriter::finish`](super::PacketWriter::finish) gives them, and takes in the packets, with their record's
-    /// header, where they are to be inside of the file.
+    /// Finishes a file with waveforms, like [`Writer::finish`].
+    ///
+    /// Writes the descriptors of the packet `kinds`, as returned by
+    /// [`PacketWriter::finish`](super::PacketWriter::finish). `inside` is the packet record with
+    /// its header, if packets go inside the file.
     ///
     /// # Errors
-    /// The sink refuses, or the packets cannot be read.
+    /// Writing fails, or the packets cannot be read.
     pub fn finish_with_waveforms(mut self, kinds: &[Descriptor], inside: Option<&mut dyn Read>) -> Result<W> {
         self.flush_slab()?;
         let index = self.take_index();
@@ -252,7 +266,7 @@ impl<W: Write + Seek> Writer<W> {
         Ok(self.sink)
     }
 
-    /// Writes all that is known only when the points are over.
+    /// Writes everything that is known only after the last point.
     fn end(
         &mut self,
         descriptors: &[u8],
@@ -282,7 +296,7 @@ impl<W: Write + Seek> Writer<W> {
         sink.flush()
     }
 
-    /// Number of points written so far.
+    /// Returns the number of points written so far.
     pub fn n_points(&self) -> u64 {
         self.totals.points
     }
@@ -305,18 +319,20 @@ impl<W: Write + Seek> Writer<W> {
         Err(Error::unusable(&self.path, problem, "choose an offset near the points, or a larger scale"))
     }
 
-    /// `left` of the extra bytes were not put, or were too many.
+    /// Creates the error for `left` missing extra bytes.
+    ///
+    /// Negative for too many.
     fn wrong_extra_bytes(&self, left: i64) -> Error {
         let need = (self.record_length - self.standard_length) as i64;
         let problem = format!(
-            "point {} has {} extra bytes, and the attributes need {need}",
+            "point {} has {} extra bytes, but the attributes need {need}",
             self.totals.points,
             need - left
         );
         Error::unusable(&self.path, problem, "give each attribute of the options once, in order")
     }
 
-    /// Writes the slab, which is a chunk where points are compressed.
+    /// Writes the slab; with compression, it is one chunk.
     fn flush_slab(&mut self) -> Result<()> {
         if self.slab.is_empty() {
             return Ok(());

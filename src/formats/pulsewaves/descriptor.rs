@@ -1,89 +1,105 @@
-//! Pulse descriptors: how the waves of a pulse are laid out in the waves file.
+//! Pulse descriptors: layout of waves in the waves file.
 
 use std::path::Path;
 
 use crate::formats::Result;
 use crate::formats::bytes::Fields;
 
-/// Size of every description, in bytes.
+/// Size of every description, bytes.
 pub(super) const DESCRIPTION_BYTES: usize = 64;
-/// Fields of the composition record that version 0.3 defines, description included, in bytes.
+/// Size of the composition record in version 0.3, description included, bytes.
 const COMPOSITION_BYTES: u32 = 92;
-/// Fields of a sampling record that version 0.3 defines, description included, in bytes.
+/// Size of a sampling record in version 0.3, description included, bytes.
 const SAMPLING_BYTES: u32 = 104;
-/// The value of "optical center to anchor point" where there is no constant one.
+/// Value of "optical center to anchor point" if it is not constant.
 const NO_CONSTANT: u32 = 0x8FFF_FFFF;
 
-/// What a sampling shows.
+/// Kind of a sampling.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// The pulse as it left the scanner.
+    /// Outgoing pulse.
     Outgoing,
-    /// What came back.
+    /// Returning waveform.
     Returning,
-    /// A type that the specification does not define.
+    /// Type not defined by the specification.
     Other(u8),
 }
 
-/// A pulse descriptor (`PulseWaves_Spec` 200001 to 200255): a composition record and its samplings.
+/// Pulse descriptor (`PulseWaves_Spec` 200001 to 200255): composition record and samplings.
 ///
-/// Layout: specification 0.3, "Composition Record". In the files of the peer library the compression field stands in
-/// front of the scanner index, the other way round than in the specification's table; the files are followed.
+/// Layout: specification 0.3, "Composition Record". Files of the reference library have the
+/// compression field before the scanner index, in reverse of the specification's table; this reader
+/// follows the files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Descriptor {
-    /// Sampling units from the optical centre to the anchor, where that is constant; 0 where the two coincide.
+    /// Sampling units from the optical centre to the anchor.
+    ///
+    /// `None` if not constant; 0 if they coincide.
     pub optical_center_to_anchor: Option<i32>,
-    /// Bytes in front of each pulse's waves, passed over.
+    /// Bytes before the waves of each pulse, skipped.
     pub extra_wave_bytes: u16,
-    /// The sampling unit: the time that anchor and target are a thousand units of apart, in ns.
+    /// Sampling unit, ns.
+    ///
+    /// A thousandth of the time from anchor to target.
     pub sample_units_ns: f64,
-    /// Which scanner made the pulse ([`super::Reader::scanners`]); 0 for none in particular.
+    /// Index of the scanner ([`super::Reader::scanners`]); 0 if unspecified.
     pub scanner_index: u32,
-    /// Compression of the waves; 0, as nothing else is defined.
+    /// Compression of the waves; only 0 is defined.
     pub compression: u32,
-    /// The writer's words on the descriptor.
+    /// Description of the descriptor.
     pub description: String,
-    /// The samplings, in the order in which their segments stand in the waves file.
+    /// Samplings, in the order of their segments in the waves file.
     pub samplings: Vec<Sampling>,
 }
 
-/// One sampling of a pulse (specification 0.3, "Sampling Records"): one or more segments from one detector.
+/// Sampling of a pulse (specification 0.3, "Sampling Records").
 ///
-/// Version 0.3 declares neither gain nor offset of the digitiser.
+/// One or more segments of a detector. Version 0.3 declares neither gain nor offset of the
+/// digitiser.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sampling {
     /// Outgoing or returning.
     pub kind: Kind,
-    /// The detector, from 0. RIEGL's files count 0 high power, 1 low power, 2 saturation, 3 reference.
+    /// Channel, from 0.
+    ///
+    /// In RIEGL's files 0 high power, 1 low power, 2 saturation, 3 reference.
     pub channel: u8,
-    /// Bits of the stored duration, a signed integer: 0, 8, 16 or 32.
+    /// Bits of the stored duration, a signed integer.
+    ///
+    /// 0, 8, 16 or 32.
     pub duration_bits: u8,
     /// Sampling units per step of the stored duration.
     pub duration_scale: f64,
     /// Sampling units added to the scaled duration.
     pub duration_offset: f64,
-    /// Bits of the stored number of segments: 0, 8 or 16.
+    /// Bits of the stored number of segments.
+    ///
+    /// 0, 8 or 16.
     pub segment_count_bits: u8,
-    /// Bits of the stored number of samples: 0, 8 or 16.
+    /// Bits of the stored number of samples.
+    ///
+    /// 0, 8 or 16.
     pub sample_count_bits: u8,
-    /// Segments of every pulse, where no number of segments is stored.
+    /// Number of segments of every pulse, if not stored.
     pub segment_count: u16,
-    /// Samples of every segment, where no number of samples is stored.
+    /// Number of samples of every segment, if not stored.
     pub sample_count: u32,
-    /// Bits of a sample: 8 or 16.
+    /// Bits per sample: 8 or 16.
     pub bits_per_sample: u16,
-    /// Which table says what the samples stand for ([`super::Reader::tables`]); 0 for none.
+    /// Index of the lookup table of the samples ([`super::Reader::tables`]).
+    ///
+    /// 0 for none.
     pub lookup_table_index: u16,
-    /// Time between two samples, in ns.
+    /// Sample spacing, ns.
     pub sample_units_ns: f64,
-    /// Compression of the samples; 0, as nothing else is defined.
+    /// Compression of the samples; only 0 is defined.
     pub compression: u32,
-    /// The writer's words on the sampling.
+    /// Description of the sampling.
     pub description: String,
 }
 
 impl Descriptor {
-    /// Reads the payload of a descriptor record, which stood at byte `base` of `file`.
+    /// Parses the payload of a descriptor record at byte `base` of `file`.
     pub(super) fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<Descriptor> {
         let mut f = Fields::new(file, base, payload);
         let (mut head, description) = record(file, &mut f, "composition record", COMPOSITION_BYTES)?;
@@ -109,12 +125,16 @@ impl Descriptor {
         })
     }
 
-    /// Sampling units between two samples of `sampling`: 1, unless the descriptor mixes resolutions.
+    /// Returns the sampling units per sample.
+    ///
+    /// 1, unless the descriptor mixes resolutions.
     pub fn units_per_sample(&self, sampling: &Sampling) -> f64 {
         sampling.sample_units_ns / self.sample_units_ns
     }
 
-    /// The field that keeps the waves from being read and what is wrong with it, if any.
+    /// Returns the field that prevents reading the waves, if any.
+    ///
+    /// Field name and problem.
     pub(super) fn problem(&self) -> Option<(String, String)> {
         let of = |field: &str, problem: String| Some((field.to_string(), problem));
         if self.compression != 0 {
@@ -159,7 +179,9 @@ impl Sampling {
         })
     }
 
-    /// The field that keeps the segments from being read and what is wrong with it, if any.
+    /// Returns the field that prevents reading the segments, if any.
+    ///
+    /// Field name and problem.
     fn problem(&self) -> Option<(&'static str, String)> {
         if !matches!(self.bits_per_sample, 8 | 16) {
             let problem = format!("{} bits are not supported, only 8 and 16", self.bits_per_sample);
@@ -170,7 +192,8 @@ impl Sampling {
             return Some(("bits for duration from anchor", problem));
         }
         if !(positive(self.duration_scale) && self.duration_offset.is_finite()) {
-            let problem = format!("{} and {} make no time", self.duration_scale, self.duration_offset);
+            let problem =
+                format!("{} and {} are not a valid time", self.duration_scale, self.duration_offset);
             return Some(("scale and offset for duration from anchor", problem));
         }
         let counts = [
@@ -196,8 +219,10 @@ fn positive(value: f64) -> bool {
     value.is_finite() && value > 0.0
 }
 
-/// Takes a record that starts with its own size and ends with its description: the fields (from the size field on,
-/// description included) and the description. `least` is what version 0.3 defines; later versions put fields between.
+/// Reads a record with a size and a description.
+///
+/// Returns the fields, from the size field to the description, and the description. `least` is the
+/// size in version 0.3; later versions insert fields before the description.
 pub(super) fn record<'a>(
     file: &'a Path,
     f: &mut Fields<'a>,

@@ -1,4 +1,4 @@
-//! The header of the pulse file.
+//! Header of the pulse file.
 
 use std::path::Path;
 
@@ -6,60 +6,71 @@ use super::UNCOMPRESS;
 use crate::formats::bytes::Fields;
 use crate::formats::{Error, Result};
 
-/// The signature of a pulse file, without its closing zero.
+/// Signature of a pulse file, without its terminating zero.
 const SIGNATURE: &[u8] = b"PulseWavesPulse";
-/// The signature of a waves file, without its closing zero.
+/// Signature of a waves file, without its terminating zero.
 const WAVES_SIGNATURE: &[u8] = b"PulseWavesWaves";
-/// Size of the header in version 0.3, in bytes.
+/// Size of the header in version 0.3, bytes.
 pub(super) const HEADER_BYTES: usize = 352;
-/// Size of the header of the waves file, in bytes.
+/// Size of the header of the waves file, bytes.
 pub(super) const WAVES_HEADER_BYTES: usize = 60;
-/// Size of pulse record type 0 without attributes, in bytes.
+/// Size of pulse record type 0 without attributes, bytes.
 pub(super) const PULSE_BYTES: u32 = 48;
 /// Bit of `pulse_attributes`: a 16-bit source ID follows the record.
 const SOURCE_ID_16: u32 = 1;
 /// Bit of `pulse_attributes`: a 32-bit source ID follows the record.
 const SOURCE_ID_32: u32 = 2;
-/// The most records that are read: far above the 255 each of scanners, descriptors and tables.
+/// Maximum number of records.
+///
+/// Far above the 255 each of scanners, descriptors and tables.
 const MOST_RECORDS: u32 = 1 << 16;
-/// Seconds of a week.
+/// Seconds per week.
 const WEEK_S: f64 = 604_800.0;
 
 const EXPORT: &str = "export the file again from its source";
 
-/// The pulse header (PulseWaves specification 0.3, "The Pulse Header", 352 bytes). The project's GUID is passed over.
+/// Pulse header (PulseWaves specification 0.3, "The Pulse Header", 352 bytes).
+///
+/// The project GUID is not read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Header {
-    /// Bit field of global properties; no bit is defined in 0.3.
+    /// Bit field of global properties; version 0.3 defines none.
     pub global_parameters: u32,
-    /// Flight line or scan; 0 after a merge of several.
+    /// Flight line or scan; 0 after merging several.
     pub source_id: u32,
-    /// Sensor or process that made the pulses.
+    /// Sensor or process that created the pulses.
     pub system_identifier: String,
-    /// Software that made the file.
+    /// Software that wrote the file.
     pub generating_software: String,
-    /// Day of the year of the file's creation, from 1; 0 where it was not set.
+    /// Day of the year of file creation, from 1.
+    ///
+    /// 0 if not set.
     pub creation_day: u16,
-    /// Year of the file's creation; 0 where it was not set.
+    /// Year of file creation; 0 if not set.
     pub creation_year: u16,
     /// Major and minor version.
     pub version: (u8, u8),
-    /// Size of this header, at least 352 bytes.
+    /// Size of this header, bytes; at least 352.
     pub header_size: u16,
-    /// Where the first pulse record starts, in bytes from the start of the file.
+    /// File offset of the first pulse record, bytes.
     pub offset_to_pulses: u64,
-    /// Pulses that the header promises; [`super::Reader::pulse_count`] says how many the file holds.
+    /// Declared number of pulses; [`super::Reader::pulse_count`] is the actual number.
     pub pulse_count: u64,
     /// Format of the pulse records: 0.
     pub pulse_format: u32,
-    /// Bit mask of the attributes that follow each record: 1 a 16-bit source ID, 2 a 32-bit one.
+    /// Bit mask of attributes after each record.
+    ///
+    /// 1 a 16-bit source ID, 2 a 32-bit one.
     pub pulse_attributes: u32,
-    /// Size of a pulse record with attributes and extra bytes, at least 48 bytes.
+    /// Size of a pulse record, bytes; at least 48.
+    ///
+    /// It includes attributes and extra bytes.
     pub pulse_size: u32,
-    /// Variable length records in front of the pulses.
+    /// Number of variable length records before the pulses.
     pub vlr_count: u32,
-    /// Appended records behind the pulses; -1 where unknown. Writers leave it at 0 although there is one: it is not
-    /// relied on.
+    /// Number of appended records after the pulses; -1 if unknown.
+    ///
+    /// Not relied on: writers leave it at 0 although there is one.
     pub avlr_count: i32,
     /// Seconds per step of T, above 0.
     pub t_scale_s: f64,
@@ -69,32 +80,46 @@ pub struct Header {
     pub min_t: i64,
     /// Largest raw T of all pulses.
     pub max_t: i64,
-    /// Step of the coordinates x, y, z, above 0, in units of the coordinate system.
+    /// Coordinate steps of x, y, z, above 0, in units of the coordinate system.
     pub scale: [f64; 3],
-    /// Offset of the coordinates x, y, z, in units of the coordinate system.
+    /// Coordinate offsets of x, y, z.
+    ///
+    /// In units of the coordinate system.
     pub offset: [f64; 3],
-    /// Smallest x, y, z of the sampled parts of the returning waveforms, as the writer gave them.
+    /// Smallest x, y, z of the returning waveforms.
+    ///
+    /// Of their sampled parts, according to the writer.
     pub min: [f64; 3],
-    /// Largest x, y, z of the sampled parts of the returning waveforms, as the writer gave them.
+    /// Largest x, y, z of the returning waveforms.
+    ///
+    /// Of their sampled parts, according to the writer.
     pub max: [f64; 3],
 }
 
-/// What the seconds of [`Header::gps_time_s`] count from.
+/// Epoch of [`Header::gps_time_s`].
 ///
-/// The format has no flag for it (specification 0.3, "T Offset", "GPS timestamp T"): offset and values have to tell.
+/// The format has no flag for it (specification 0.3, "T Offset", "GPS timestamp T"); it is inferred
+/// from offset and values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TimeAxis {
     /// Seconds of the GPS week.
     WeekSeconds,
-    /// Standard GPS time: seconds since 1980-01-06. LAS' adjusted standard time is this minus 1e9 s.
+    /// Standard GPS time: seconds since 1980-01-06.
+    ///
+    /// LAS adjusted standard time is this minus 1e9 s.
     Standard,
-    /// Not decided: among others a T below one week over an offset of 1e9 s. The peer's writer presets that offset,
-    /// so that week or day seconds of a careless export look like standard times of September 2011.
+    /// Undecided.
+    ///
+    /// For example, T is below one week with an offset of 1e9 s. The reference library presets that
+    /// offset, so week or day seconds of a careless export look like standard times of September
+    /// 2011.
     Undecided,
 }
 
 impl Header {
-    /// Reads the header from the first [`HEADER_BYTES`] bytes of `file`, or fewer where the file is shorter.
+    /// Parses the header of `file`.
+    ///
+    /// `bytes` are its first [`HEADER_BYTES`], or all of a shorter file.
     pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Header> {
         check_signature(file, bytes)?;
         let mut f = Fields::new(file, 0, bytes);
@@ -154,17 +179,18 @@ impl Header {
         })
     }
 
-    /// The GPS time of a raw `t` in seconds: `t * scale + offset`; [`Header::time_axis`] says from when.
+    /// Converts a raw `t` to GPS time, s.
     ///
-    /// Over an offset of 1e9 s a double resolves 0.12 microseconds: compare and order pulses by their raw T.
+    /// `t * scale + offset`; see [`Header::time_axis`] for the epoch. With an offset of 1e9 s a
+    /// double resolves 0.12 µs: compare and order pulses by raw T.
     pub fn gps_time_s(&self, t: i64) -> f64 {
         t as f64 * self.t_scale_s + self.t_offset_s
     }
 
-    /// What the seconds count from, as far as the offset and the smallest and largest T tell.
+    /// Infers the epoch from offset, smallest and largest T.
     ///
-    /// Offset 0 and times within one week are week seconds, as the specification advises. Times above 1e9 s are
-    /// standard GPS time, unless they are less than a week above the offset 1e9.
+    /// Offset 0 and times within one week are week seconds, as the specification advises. Times
+    /// above 1e9 s are standard GPS time, unless they are less than a week above the offset 1e9.
     pub fn time_axis(&self) -> TimeAxis {
         let within_week = |s: f64| (0.0..WEEK_S).contains(&s);
         let (first, last) = (self.min_t as f64 * self.t_scale_s, self.max_t as f64 * self.t_scale_s);
@@ -180,30 +206,30 @@ impl Header {
         }
     }
 
-    /// Bytes of a pulse record that this reader understands: type 0 and its source ID.
+    /// Returns the size of the supported part of a pulse record, bytes: type 0 and its source ID.
     pub(super) fn known_pulse_bytes(&self) -> usize {
         known_pulse_bytes(self.pulse_attributes) as usize
     }
 
-    /// Where record `index` starts, in bytes from the start of the file.
+    /// Returns the offset of record `index` from the start of the file, bytes.
     pub(super) fn record_at(&self, index: u64) -> u64 {
         self.offset_to_pulses.saturating_add(index.saturating_mul(u64::from(self.pulse_size)))
     }
 
-    /// Whether a 16-bit source ID and a 32-bit one follow each pulse.
+    /// Returns whether a 16-bit source ID and a 32-bit one follow each pulse.
     pub(super) fn source_ids(&self) -> (bool, bool) {
         (self.pulse_attributes & SOURCE_ID_16 != 0, self.pulse_attributes & SOURCE_ID_32 != 0)
     }
 }
 
-/// Size of record type 0 with its known attributes.
+/// Returns the size of record type 0 with its known attributes, bytes.
 fn known_pulse_bytes(attributes: u32) -> u32 {
     let short = if attributes & SOURCE_ID_16 != 0 { 2 } else { 0 };
     let long = if attributes & SOURCE_ID_32 != 0 { 4 } else { 0 };
     PULSE_BYTES + short + long
 }
 
-/// Tells an empty file, a waves file and another format from a pulse file.
+/// Rejects empty files, waves files and other formats.
 fn check_signature(file: &Path, bytes: &[u8]) -> Result<()> {
     if bytes.is_empty() {
         return Err(Error::unusable(file, "the file is empty", "copy it again from its source"));
@@ -221,7 +247,9 @@ fn check_signature(file: &Path, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// The version, of which only 0.3 and its forward compatible successors have this layout.
+/// Reads the version.
+///
+/// Only 0.3 and its forward-compatible successors have this layout.
 fn version(file: &Path, f: &mut Fields<'_>) -> Result<(u8, u8)> {
     let (major, minor) = (f.u8("version major")?, f.u8("version minor")?);
     if major != 0 || minor < 3 {
@@ -231,7 +259,7 @@ fn version(file: &Path, f: &mut Fields<'_>) -> Result<(u8, u8)> {
     Ok((major, minor))
 }
 
-/// Header size, offset to the pulses and their number.
+/// Reads header size, offset to the pulses and number of pulses.
 fn sizes(f: &mut Fields<'_>) -> Result<(u16, u64, u64)> {
     let at = f.clone();
     let header_size = f.u16("header size")?;
@@ -254,7 +282,9 @@ fn sizes(f: &mut Fields<'_>) -> Result<(u16, u64, u64)> {
     Ok((header_size, offset, count))
 }
 
-/// Format, attributes and size of the pulse records; refuses compressed ones.
+/// Reads format, attributes and size of the pulse records.
+///
+/// Rejects compressed ones.
 fn record_layout(file: &Path, f: &mut Fields<'_>) -> Result<(u32, u32, u32)> {
     let format = f.u32("pulse format")?;
     if format != 0 {
@@ -276,21 +306,21 @@ fn record_layout(file: &Path, f: &mut Fields<'_>) -> Result<(u32, u32, u32)> {
     Ok((format, attributes, size))
 }
 
-/// One finite number.
+/// Reads a finite number.
 fn finite(f: &mut Fields<'_>, field: &str) -> Result<f64> {
     let at = f.clone();
     let value = f.f64(field)?;
     if value.is_finite() { Ok(value) } else { Err(at.bad(field, format!("{value} is not a number"), EXPORT)) }
 }
 
-/// One finite number above zero.
+/// Reads a finite number above zero.
 fn scale(f: &mut Fields<'_>, field: &str) -> Result<f64> {
     let at = f.clone();
     let value = finite(f, field)?;
     if value > 0.0 { Ok(value) } else { Err(at.bad(field, format!("{value} is not above zero"), EXPORT)) }
 }
 
-/// Three numbers, each by its name.
+/// Reads three numbers, each with its name.
 fn three<'a>(
     f: &mut Fields<'a>,
     names: [&str; 3],
@@ -299,16 +329,17 @@ fn three<'a>(
     Ok([one(f, names[0])?, one(f, names[1])?, one(f, names[2])?])
 }
 
-/// Checks the 60 bytes at the start of the waves file (specification 0.3, "The Waves Header"): signature, then the
-/// compression scheme, then zeros.
+/// Checks the 60-byte header of the waves file (specification 0.3, "The Waves Header").
+///
+/// It holds the signature, the compression scheme, and zeros.
 pub(super) fn check_waves_header(file: &Path, bytes: &[u8]) -> Result<()> {
     if bytes.is_empty() {
         return Err(Error::unusable(file, "the file is empty", "copy it again from its source"));
     }
     let mut f = Fields::new(file, 0, bytes);
     if !f.take(16, "file signature")?.starts_with(WAVES_SIGNATURE) {
-        let problem = "this is not a PulseWaves waves file: its signature is another";
-        return Err(Error::unusable(file, problem, "put the .wvs file of the same export beside the .pls"));
+        let problem = "this is not a PulseWaves waves file: its signature differs";
+        return Err(Error::unusable(file, problem, "put the .wvs file of the same export next to the .pls"));
     }
     let compression = f.u32("compression")?;
     if compression != 0 {

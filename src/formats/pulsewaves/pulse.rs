@@ -6,54 +6,67 @@ use super::header::Header;
 use crate::formats::Result;
 use crate::formats::bytes::Fields;
 
-/// A pulse (specification 0.3, "Pulse Record Type 0", 48 bytes).
+/// Pulse record (specification 0.3, "Pulse Record Type 0", 48 bytes).
 ///
-/// Sample `k` of a segment lies at `anchor + (duration + k * units_per_sample) * step`, where `step` is
-/// `(target - anchor) / 1000`: see [`Pulse::position`] and [`super::Segment::duration_of`].
+/// Sample `k` of a segment is at `anchor + (duration + k * units_per_sample) * step`, where `step`
+/// is `(target - anchor) / 1000`: see [`Pulse::position`] and [`super::Segment::duration_of`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pulse {
     /// Number of the pulse in the file, from 0.
     pub index: u64,
-    /// GPS time as stored; exact, and what orders pulses.
+    /// GPS time as stored; exact, defines the order of pulses.
     pub t: i64,
-    /// GPS time in s, [`Header::gps_time_s`] of `t`; [`Header::time_axis`] says from when.
+    /// GPS time, s: [`Header::gps_time_s`] of `t`.
+    ///
+    /// See [`Header::time_axis`] for the epoch.
     pub gps_time_s: f64,
-    /// Where the waves of the pulse start, in bytes from the start of the waves file.
+    /// Offset of the waves from the start of the waves file, bytes.
     pub wave_offset: i64,
     /// Anchor as stored.
     pub anchor_raw: [i32; 3],
     /// Target as stored.
     pub target_raw: [i32; 3],
-    /// Anchor x, y, z in the file's coordinate system: where durations count from. It is the optical centre where
-    /// the descriptor's `optical_center_to_anchor` is 0.
+    /// Anchor x, y, z in the file's coordinate system, the origin of durations.
+    ///
+    /// It is the optical centre if the descriptor's `optical_center_to_anchor` is 0.
     pub anchor: [f64; 3],
-    /// Target x, y, z: a point of the beam 1000 sampling units behind the anchor. Rounded as the anchor is, so that
-    /// its distance from it is not exact.
+    /// Target x, y, z.
+    ///
+    /// The point of the beam 1000 sampling units beyond the anchor. Both are rounded, so their
+    /// distance is not exact.
     pub target: [f64; 3],
-    /// Displacement per sampling unit, a thousandth of target minus anchor, formed from the stored integers.
+    /// Displacement per sampling unit.
+    ///
+    /// A thousandth of target minus anchor, from the stored integers.
     pub step: [f64; 3],
-    /// Sampling units from the anchor to the first returning sample, rounded; the segments hold the fraction.
+    /// Sampling units from the anchor to the first returning sample.
+    ///
+    /// Rounded; segments hold the fraction.
     pub first_returning_sample: i16,
-    /// Sampling units from the anchor to the last returning sample; one more in the files of several writers.
+    /// Sampling units from the anchor to the last returning sample.
+    ///
+    /// One more in files of several writers.
     pub last_returning_sample: i16,
-    /// Which descriptor tells how the waves are laid out.
+    /// Index of the descriptor of the waves.
     pub descriptor: u8,
-    /// The last pulse of a scan line.
+    /// Whether the pulse is the last of a scan line.
     pub edge_of_scan_line: bool,
-    /// Flips with the mirror's direction; which is which is not defined.
+    /// Direction of the mirror.
+    ///
+    /// The assignment of directions is not defined.
     pub scan_direction: bool,
     /// Facet of the mirror, 0 to 3.
     pub mirror_facet: u8,
-    /// Intensity for display, without physical meaning.
+    /// Intensity for display only.
     pub intensity: u8,
     /// Classification; no classes are defined.
     pub classification: u8,
-    /// Flight line or scan of the pulse, where the file has that attribute.
+    /// Flight line or scan of the pulse, if stored.
     pub source_id: Option<u32>,
 }
 
 impl Pulse {
-    /// Reads record `index` from its bytes, which stood at byte `base` of `file`.
+    /// Parses record `index` from its bytes, at byte `base` of `file`.
     pub(super) fn parse(file: &Path, base: u64, bytes: &[u8], index: u64, header: &Header) -> Result<Pulse> {
         let mut f = Fields::new(file, base, bytes);
         let t = f.i64("GPS timestamp T")?;
@@ -97,10 +110,11 @@ impl Pulse {
         })
     }
 
-    /// The point of the beam `duration` sampling units behind the anchor, in the file's coordinate system.
+    /// Returns the point `duration` sampling units beyond the anchor.
     ///
-    /// The specification lets durations of *outgoing* samplings count from the optical centre, which is the anchor
-    /// in every file known where it is given at all.
+    /// The result is in the file's coordinate system. By the specification, durations of *outgoing*
+    /// samplings count from the optical centre; it coincides with the anchor in every known file
+    /// that gives it.
     pub fn position(&self, duration: f64) -> [f64; 3] {
         std::array::from_fn(|axis| self.anchor[axis] + duration * self.step[axis])
     }

@@ -1,4 +1,4 @@
-//! Lookup tables: what a sample's digitiser step stands for.
+//! Lookup tables: physical values of digitiser steps.
 
 use std::path::Path;
 
@@ -6,41 +6,47 @@ use super::descriptor::{DESCRIPTION_BYTES, record};
 use crate::formats::Result;
 use crate::formats::bytes::Fields;
 
-/// Fixed fields of the record that heads the tables, description included, in bytes.
+/// Size of the record before the tables, description included, bytes.
 const SET_BYTES: u32 = 76;
-/// Fixed fields of one table, description included, in bytes; 84 with the compression field of later revisions.
+/// Size of the fixed fields of a table, description included, bytes.
+///
+/// 84 with the compression field of later revisions.
 const TABLE_BYTES: u32 = 80;
-/// The data type of the entries: 32-bit float. No other is defined.
+/// Data type of the entries.
+///
+/// 32-bit float, the only one defined.
 const FLOAT: u8 = 8;
 
-/// The lookup tables of one record (`PulseWaves_Spec` 300001 to 300255; revision 7 and later of the peer library, the
-/// text of specification 0.3 names them without a layout).
+/// Lookup tables of a record (`PulseWaves_Spec` 300001 to 300255).
+///
+/// The layout is that of the reference library from revision 7 on; the text of specification 0.3
+/// only names them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LookupTables {
-    /// The writer's words on the record.
+    /// Description of the record.
     pub description: String,
-    /// The tables, in the order of the file.
+    /// Tables, in file order.
     pub tables: Vec<LookupTable>,
 }
 
-/// One lookup table: `entries[n]` is what digitiser step `n` stands for.
+/// Lookup table: `entries[n]` is the value of digitiser step `n`.
 ///
-/// In files of RIEGL instruments these are decibels above the detection limit, by the height of the *fitted* pulse
-/// over the zero of the digitiser, and steps below the limit hold about -2e37.
+/// In files of RIEGL instruments, values are decibels above the detection limit, indexed by the
+/// height of the *fitted* pulse above the digitiser's zero. Steps below the limit hold about -2e37.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LookupTable {
-    /// Code of the unit. No list of them is published; RIEGL's decibels carry 1.
+    /// Unit code; no list is published; RIEGL's decibels have 1.
     pub unit_of_measurement: u16,
-    /// Options; no bit is published.
+    /// Option bits; none is published.
     pub options: u8,
-    /// The writer's words on the table.
+    /// Description of the table.
     pub description: String,
-    /// One value per digitiser step, from step 0 on.
+    /// One value per digitiser step, from step 0.
     pub entries: Vec<f32>,
 }
 
 impl LookupTables {
-    /// Reads the payload of a lookup table record, which stood at byte `base` of `file`.
+    /// Parses the payload of a lookup table record at byte `base` of `file`.
     pub(super) fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<LookupTables> {
         let mut f = Fields::new(file, base, payload);
         let (mut head, description) = record(file, &mut f, "lookup tables", SET_BYTES)?;

@@ -1,4 +1,5 @@
-//! Tests of the reader: files spelled out, files damaged, and recordings against the peer's dumps.
+//! Reader tests: handmade files, damaged files, and recordings compared with dumps of the reference
+//! library.
 
 mod build;
 mod damage;

@@ -1,4 +1,4 @@
-//! Variable length records, in front of the pulses and appended behind them.
+//! Variable length records, before the pulses and appended after them.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -12,58 +12,70 @@ use super::window::Window;
 use crate::formats::bytes::Fields;
 use crate::formats::{Error, Result};
 
-/// Size of a record's header, and of an appended record's footer, in bytes.
+/// Size of a record header or footer, bytes.
+///
+/// Appended records have a footer.
 const HEADER_BYTES: usize = 96;
-/// User ID of the records that the specification defines.
+/// User ID of the records defined by the specification.
 const SPEC: &str = "PulseWaves_Spec";
-/// User IDs of the coordinate reference system; the second is that of LAS.
+/// User IDs of the coordinate reference system.
+///
+/// The second is that of LAS.
 const PROJECTION: [&str; 2] = ["PulseWaves_Proj", "LASF_Projection"];
 /// Record ID of the marker of compressed pulses.
 const COMPRESSED: u32 = 5;
-/// Record ID of the empty record between the pulses and the appended records.
+/// Record ID of the empty record before the appended ones.
 const FIRST_APPENDED: u32 = u32::MAX;
-/// The most bytes of a payload that is read: far above any table or descriptor.
+/// Largest payload that is read, bytes.
+///
+/// Far above any table or descriptor.
 const MOST_PAYLOAD: u64 = 1 << 24;
-/// The most appended records that are looked for.
+/// Maximum number of appended records.
 const MOST_APPENDED: usize = 1024;
-/// Fields of a scanner record, description included, in bytes.
+/// Size of a scanner record, description included, bytes.
 const SCANNER_BYTES: u32 = 248;
 
 const CUT: &str = "the file is damaged: copy or export it again";
 
-/// Where a variable length record stands (specification 0.3, "Variable Length Records").
+/// Location of a variable length record (specification 0.3, "Variable Length Records").
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Record {
-    /// Who defined the record.
+    /// User ID: the organisation that defined the record.
     pub user_id: String,
-    /// Which record of that user.
+    /// Record ID within the user ID.
     pub record_id: u32,
-    /// The writer's words on it.
+    /// Description of the record.
     pub description: String,
-    /// Where the payload starts, in bytes from the start of the pulse file.
+    /// Offset of the payload in the pulse file, bytes.
     pub offset: u64,
-    /// Size of the payload, in bytes.
+    /// Size of the payload, bytes.
     pub length: u64,
-    /// Whether it stands behind the pulses.
+    /// Whether the record follows the pulses.
     pub appended: bool,
 }
 
-/// A scanner (`PulseWaves_Spec` 100001 to 100255; specification 0.3, "Scanner"). 0 where the writer left a number out.
+/// Scanner (`PulseWaves_Spec` 100001 to 100255; specification 0.3, "Scanner").
+///
+/// Numbers are 0 if not set by the writer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scanner {
-    /// Model.
+    /// Model name.
     pub instrument: String,
     /// Serial number.
     pub serial: String,
     /// Wavelength of the laser, nm.
     pub wave_length_nm: f64,
-    /// Full width at half maximum of the outgoing pulse, ns (the specification's "nanometer" is a slip).
+    /// Full width at half maximum of the outgoing pulse, ns.
+    ///
+    /// "nanometer" in the specification is an error.
     pub outgoing_pulse_width_ns: f64,
-    /// 0 undefined, 1 oscillating, 2 line, 3 conic.
+    /// Scan pattern: 0 undefined, 1 oscillating, 2 line, 3 conic.
     pub scan_pattern: u32,
-    /// Facets of the mirror.
+    /// Number of mirror facets.
     pub mirror_facets: u32,
-    /// Scan frequency, Hz. Of two RIEGL files one holds its lines per second (160) and one ten times them (966.7).
+    /// Scan frequency, Hz.
+    ///
+    /// Of two RIEGL files, one holds lines per second (160) and one ten times that (966.7).
     pub scan_frequency_hz: f64,
     /// Smallest scan angle, degrees.
     pub scan_angle_min_deg: f64,
@@ -79,12 +91,13 @@ pub struct Scanner {
     pub range_min_m: f64,
     /// Largest range, m.
     pub range_max_m: f64,
-    /// The writer's words on it.
+    /// Description of the scanner.
     pub description: String,
 }
 
-/// The coordinate reference system as the file has it (`PulseWaves_Proj` or `LASF_Projection`; keys of GeoTIFF as in
-/// LAS 1.4 R11). The payloads are raw.
+/// Coordinate reference system as stored, with raw payloads.
+///
+/// Records of `PulseWaves_Proj` or `LASF_Projection`; GeoTIFF keys as in LAS 1.4 R11.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Crs {
     /// GeoKeyDirectory (34735): little-endian u16, four for the directory and four per key.
@@ -99,7 +112,7 @@ pub struct Crs {
     pub wkt: Option<String>,
 }
 
-/// Everything that the records of a file say.
+/// Content of all records of a file.
 #[derive(Debug, Default)]
 pub(super) struct Records {
     pub(super) list: Vec<Record>,
@@ -107,12 +120,14 @@ pub(super) struct Records {
     pub(super) descriptors: BTreeMap<u8, Descriptor>,
     pub(super) tables: BTreeMap<u8, LookupTables>,
     pub(super) crs: Crs,
-    /// Where the appended records start, if there are any.
+    /// Offset of the appended records, if any.
     pub(super) appended_at: Option<u64>,
 }
 
 impl Records {
-    /// Reads all records of the pulse file. An appended one replaces one of the same ID in front of the pulses.
+    /// Reads all records of the pulse file.
+    ///
+    /// An appended record replaces one of the same ID.
     pub(super) fn read<R: Read + Seek>(window: &mut Window<R>, header: &Header) -> Result<Records> {
         let mut records = Records::default();
         let mut at = u64::from(header.header_size);
@@ -129,7 +144,7 @@ impl Records {
         Ok(records)
     }
 
-    /// Notes the record and, where the specification defines it, what it says.
+    /// Stores the record and, if it is known, its content.
     fn keep<R: Read + Seek>(&mut self, window: &mut Window<R>, record: Record) -> Result<()> {
         if record.user_id == SPEC {
             self.keep_defined(window, &record)?;
@@ -173,7 +188,7 @@ impl Records {
 }
 
 impl Scanner {
-    /// Reads the payload of a scanner record, which stood at byte `base` of `file`.
+    /// Parses the payload of a scanner record at byte `base` of `file`.
     fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<Scanner> {
         let mut f = Fields::new(file, base, payload);
         let (mut f, description) = record(file, &mut f, "scanner", SCANNER_BYTES)?;
@@ -199,12 +214,16 @@ impl Scanner {
     }
 }
 
-/// The index 1 to 255 of a record whose ID counts from `base`.
+/// Returns the index, 1 to 255, of a record ID.
+///
+/// The ID counts from `base`.
 fn index(record_id: u32, base: u32) -> Option<u8> {
     record_id.checked_sub(base).and_then(|i| u8::try_from(i).ok()).filter(|&i| i > 0)
 }
 
-/// The fields of a record's header or footer: user ID, record ID, length of the payload, description.
+/// Parses a record's header or footer.
+///
+/// User ID, record ID, payload length, description.
 fn parse(file: &Path, base: u64, bytes: &[u8]) -> Result<(String, u32, i64, String)> {
     let mut f = Fields::new(file, base, bytes);
     let user_id = f.text(16, "user ID")?;
@@ -214,7 +233,9 @@ fn parse(file: &Path, base: u64, bytes: &[u8]) -> Result<(String, u32, i64, Stri
     Ok((user_id, record_id, length, f.text(DESCRIPTION_BYTES, "description")?))
 }
 
-/// The record that starts at byte `at`; it must end before the pulses.
+/// Reads the record header at byte `at`.
+///
+/// The record must end before the pulses.
 fn read_header<R: Read + Seek>(
     window: &mut Window<R>,
     header: &Header,
@@ -227,7 +248,7 @@ fn read_header<R: Read + Seek>(
         Error::malformed(&file, at, format!("variable length record {number}: {field}"), problem, CUT)
     };
     if end.saturating_sub(at) < HEADER_BYTES as u64 {
-        let problem = format!("{HEADER_BYTES} bytes are needed and the pulses start at byte {end}");
+        let problem = format!("{HEADER_BYTES} bytes needed, but the pulses start at byte {end}");
         return Err(bad(at, "header", problem));
     }
     let (_, bytes) = window.bytes(at, HEADER_BYTES, "variable length record")?;
@@ -239,8 +260,11 @@ fn read_header<R: Read + Seek>(
     Ok(Record { user_id, record_id, description, offset, length, appended: false })
 }
 
-/// Follows the appended records from the end of the file to the marker behind the pulses: where they start, and all
-/// of them but the marker, the last in the file first. What does not end at the marker is no chain of records.
+/// Finds the appended records.
+///
+/// Follows them from the end of the file to the marker after the pulses. Returns their start and
+/// all of them except the marker, the last in the file first. A chain that does not reach the
+/// marker is ignored.
 fn find_appended<R: Read + Seek>(
     window: &mut Window<R>,
     offset_to_pulses: u64,
@@ -265,17 +289,19 @@ fn find_appended<R: Read + Seek>(
     Ok((None, Vec::new()))
 }
 
-/// The payload of a record and the file's name.
+/// Reads the payload of a record.
+///
+/// Also returns the file name.
 fn payload<'w, R: Read + Seek>(window: &'w mut Window<R>, record: &Record) -> Result<(&'w Path, &'w [u8])> {
     let field = format!("record {} of {}", record.record_id, record.user_id);
     if record.length > MOST_PAYLOAD {
-        let problem = format!("its {} bytes are more than the {MOST_PAYLOAD} that are read", record.length);
+        let problem = format!("its {} bytes exceed the limit of {MOST_PAYLOAD}", record.length);
         return Err(Error::malformed(window.file(), record.offset, field, problem, CUT));
     }
     window.bytes(record.offset, record.length as usize, &field)
 }
 
-/// The payload of a record as text up to its first zero byte.
+/// Reads a payload as text up to its first zero.
 fn text<R: Read + Seek>(window: &mut Window<R>, record: &Record) -> Result<String> {
     let (file, bytes) = payload(window, record)?;
     Fields::new(file, record.offset, bytes).text(bytes.len(), "WKT")

@@ -1,4 +1,4 @@
-//! The waves of a pulse: segments of samples.
+//! Waves of a pulse: segments of samples.
 
 use std::io::{Read, Seek};
 use std::ops::Range;
@@ -7,83 +7,91 @@ use super::descriptor::{Descriptor, Kind, Sampling};
 use super::window::Window;
 use crate::formats::{Error, Result};
 
-/// The most bytes that the waves of one pulse may take: at one sample per ns and byte more than 600 km of range.
+/// Largest size of the waves of a pulse, bytes.
+///
+/// Over 600 km of range at one byte per ns.
 const MOST_BYTES: u64 = 1 << 22;
-/// The most segments that one pulse may have.
+/// Maximum number of segments of a pulse.
 const MOST_SEGMENTS: usize = 1 << 16;
 
 const DAMAGED: &str = "leave the pulse out, or copy or export the pair of files again";
 
-/// The segments of one pulse. Reused from pulse to pulse it allocates nothing once it has seen the largest.
+/// Segments of a pulse; reuse avoids allocations.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Waves {
     segments: Vec<Segment>,
     samples: Vec<u16>,
 }
 
-/// A run of samples at equal distances in time.
+/// Run of equally spaced samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Segment {
-    /// Which sampling of the descriptor, from 0.
+    /// Index of the sampling in the descriptor, from 0.
     pub sampling: u16,
-    /// Which segment of that sampling, from 0.
+    /// Number of the segment in its sampling, from 0.
     pub number: u16,
     /// Outgoing or returning.
     pub kind: Kind,
-    /// The detector.
+    /// Channel (detector).
     pub channel: u8,
-    /// Bits of a sample: 8 or 16.
+    /// Bits per sample: 8 or 16.
     pub bits: u8,
-    /// The stored duration, 0 where none is stored.
+    /// Stored duration; 0 if not stored.
     pub quantized_duration: i32,
-    /// Time from the anchor to the first sample in sampling units, `scale * quantized_duration + offset`; negative
-    /// where the segment starts before the anchor. `None` where the sampling stores no durations: for a reader that
-    /// follows the specification the segment then starts at the anchor, yet writers leave the duration out where
-    /// they do not know it as well.
+    /// Time from the anchor to the first sample, sampling units.
+    ///
+    /// `scale * quantized_duration + offset`. Negative if the segment starts before the anchor.
+    /// `None` if the sampling stores no durations. By the specification the segment then starts at
+    /// the anchor, but writers also omit durations that they do not know.
     pub duration: Option<f64>,
-    /// Sampling units from one sample to the next.
+    /// Sampling units per sample.
     pub units_per_sample: f64,
-    /// Time from one sample to the next, ns.
+    /// Sample spacing, ns.
     pub sample_units_ns: f64,
     range: Range<usize>,
 }
 
 impl Segment {
-    /// How many samples there are.
+    /// Returns the number of samples.
     pub fn sample_count(&self) -> usize {
         self.range.len()
     }
 
-    /// Sampling units from the anchor to sample `k`, fractions included; for [`super::Pulse::position`].
+    /// Returns the sampling units from the anchor to sample `k`.
+    ///
+    /// `k` may be fractional. For use with [`super::Pulse::position`].
     pub fn duration_of(&self, k: f64) -> f64 {
         self.duration.unwrap_or(0.0) + k * self.units_per_sample
     }
 }
 
 impl Waves {
-    /// No segments yet.
+    /// Creates empty waves.
     pub fn new() -> Waves {
         Waves::default()
     }
 
-    /// The segments in the order of the file: sampling by sampling.
+    /// Returns the segments in file order: sampling by sampling.
     pub fn segments(&self) -> &[Segment] {
         &self.segments
     }
 
-    /// The samples of `segment`, in digitiser steps; it must be one of [`Waves::segments`] of these waves.
+    /// Returns the samples of `segment`, digitiser steps.
+    ///
+    /// It must be one of [`Waves::segments`] of these waves.
     pub fn samples(&self, segment: &Segment) -> &[u16] {
         self.samples.get(segment.range.clone()).unwrap_or(&[])
     }
 
-    /// Forgets the segments and keeps the memory.
+    /// Removes all segments but keeps the memory.
     pub(super) fn clear(&mut self) {
         self.segments.clear();
         self.samples.clear();
     }
 
-    /// Replaces the segments by those of pulse `pulse`, which stand at byte `offset` of the waves file. After an error
-    /// there are none.
+    /// Reads the segments of a pulse, replacing the old ones.
+    ///
+    /// They are at byte `offset` of the waves file. Empty after an error.
     pub(super) fn read<R: Read + Seek>(
         &mut self,
         window: &mut Window<R>,
@@ -158,7 +166,7 @@ impl Waves {
     }
 }
 
-/// A walk over the waves of one pulse.
+/// Cursor over the waves of a pulse.
 struct Walk<'a, R> {
     window: &'a mut Window<R>,
     pulse: u64,
@@ -167,12 +175,12 @@ struct Walk<'a, R> {
 }
 
 impl<R: Read + Seek> Walk<'_, R> {
-    /// The next `n` bytes.
+    /// Reads `n` bytes.
     fn take(&mut self, n: usize, field: &str) -> Result<&[u8]> {
         let at = self.at;
         let left = self.window.length().saturating_sub(at);
         if n as u64 > left {
-            return Err(self.bad(field, format!("{n} bytes are needed and {left} are left in the file")));
+            return Err(self.bad(field, format!("{n} bytes needed, {left} left in the file")));
         }
         if at + n as u64 - self.start > MOST_BYTES {
             return Err(self.bad(field, format!("the waves of the pulse take more than {MOST_BYTES} bytes")));
@@ -181,19 +189,19 @@ impl<R: Read + Seek> Walk<'_, R> {
         Ok(self.window.bytes(at, n, field)?.1)
     }
 
-    /// The next number of `bits` bits: 8 or 16.
+    /// Reads an unsigned number of 8 or 16 bits.
     fn unsigned(&mut self, bits: u8, field: &str) -> Result<u32> {
         let bytes = self.take(usize::from(bits / 8), field)?;
         Ok(bytes.iter().rev().fold(0, |number, &byte| (number << 8) | u32::from(byte)))
     }
 
-    /// The next signed number of `bits` bits: 8, 16 or 32.
+    /// Reads a signed number of 8, 16 or 32 bits.
     fn signed(&mut self, bits: u8, field: &str) -> Result<i32> {
         let unused = 32 - u32::from(bits);
         Ok(((self.unsigned(bits, field)? << unused) as i32) >> unused)
     }
 
-    /// An error at the next field.
+    /// Creates an error at the next field.
     fn bad(&self, field: &str, problem: String) -> Error {
         let field = format!("pulse {}: {field}", self.pulse);
         Error::malformed(self.window.file(), self.at, field, problem, DAMAGED)

@@ -1,16 +1,18 @@
-//! A buffered view of a file: reads that follow one another cost no system call of their own.
+//! Buffered window over a file; consecutive reads share system calls.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use crate::formats::{Error, Result};
 
-/// How much is read ahead, in bytes: more than a thousand pulse records, or the waves of some hundred pulses.
+/// Read-ahead, bytes.
+///
+/// Over a thousand pulse records, or the waves of some hundred pulses.
 const READ_AHEAD: usize = 1 << 16;
 
 const CUT: &str = "it is cut off or damaged: copy it again from its source";
 
-/// A window of bytes that moves over `source`.
+/// Window of bytes that moves over `source`.
 #[derive(Debug)]
 pub(super) struct Window<R> {
     source: R,
@@ -21,27 +23,29 @@ pub(super) struct Window<R> {
 }
 
 impl<R: Read + Seek> Window<R> {
-    /// A window over `source`, which is the file named `file` and `length` bytes long.
+    /// Creates a window over `source`, the file `file` of `length` bytes.
     pub(super) fn new(source: R, file: &Path, length: u64) -> Window<R> {
         Window { source, file: file.to_path_buf(), length, start: 0, buffer: Vec::new() }
     }
 
-    /// The file's name, for errors.
+    /// Returns the file name, for errors.
     pub(super) fn file(&self) -> &Path {
         &self.file
     }
 
-    /// The file's size in bytes.
+    /// Returns the size of the file, bytes.
     pub(super) fn length(&self) -> u64 {
         self.length
     }
 
-    /// The `n` bytes at `offset` and the file's name, or an error about `field` where the file ends before them. The
-    /// buffer never holds more than `n` bytes and the read-ahead, nor more than the file.
+    /// Reads `n` bytes at `offset`; also returns the file name.
+    ///
+    /// The error names `field` if the file ends earlier. The buffer never exceeds `n` bytes plus
+    /// the read-ahead, nor the file size.
     pub(super) fn bytes(&mut self, offset: u64, n: usize, field: &str) -> Result<(&Path, &[u8])> {
         let left = self.length.saturating_sub(offset);
         if n as u64 > left {
-            let problem = format!("{n} bytes are needed and {left} are left in the file");
+            let problem = format!("{n} bytes needed, {left} left in the file");
             return Err(Error::malformed(&self.file, offset, field, problem, CUT));
         }
         if self.at(offset, n).is_none() {
@@ -51,15 +55,18 @@ impl<R: Read + Seek> Window<R> {
         Ok((&self.file, held.unwrap_or(&[])))
     }
 
-    /// Where in the buffer the `n` bytes at `offset` stand, if all of them do.
+    /// Returns the position of bytes in the buffer.
+    ///
+    /// `None` unless it contains all `n` bytes at `offset`.
     fn at(&self, offset: u64, n: usize) -> Option<usize> {
         let from = usize::try_from(offset.checked_sub(self.start)?).ok()?;
         (from.checked_add(n)? <= self.buffer.len()).then_some(from)
     }
 
-    /// Moves the window so that it holds the `n` bytes at `offset`, which lie within the file.
+    /// Moves the window to the `n` bytes at `offset`.
     ///
-    /// A step backwards leaves room before it, so that a file whose records stand in reverse is read ahead as well.
+    /// They must be within the file. A step backwards also loads bytes before it, so files with
+    /// records in reverse order are read ahead as well.
     fn fill(&mut self, offset: u64, n: usize) -> Result<()> {
         let back = if offset < self.start { offset.min(READ_AHEAD as u64 / 2) } else { 0 };
         let start = offset - back;
@@ -136,8 +143,8 @@ mod tests {
         assert!(window.bytes(0, usize::MAX, "x").is_err());
         assert_eq!(
             window.bytes(99, 2, "samples").unwrap_err().to_string(),
-            "f: byte 99: samples: 2 bytes are needed and 1 are left in the file; \
-             it is cut off or damaged: copy it again from its source"
+            "f: byte 99: samples: 2 bytes needed, 1 left in the file; it is cut off or damaged: \
+             copy it again from its source"
         );
     }
 

@@ -1,4 +1,4 @@
-//! What can be wrong with a call of the library, and what the user can do about it.
+//! Failures of library calls, with messages and remedies.
 
 use std::path::Path;
 
@@ -17,28 +17,28 @@ pub(super) mod code {
     pub const NOT_LICENSED: i32 = 7;
 }
 
-/// A call that gave nothing that can be used.
+/// Failed call, or call with unusable results.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Fault {
-    /// The library refused.
+    /// The library returned an error.
     Refused {
-        /// The function called.
+        /// Function called.
         function: &'static str,
-        /// Its return code, not 0.
+        /// Return code, not 0.
         code: i32,
-        /// The library's own words; may be empty.
+        /// Error message of the library; may be empty.
         words: String,
     },
-    /// The library succeeded, but what it gave cannot be.
+    /// The library reported success but returned invalid data.
     Nonsense {
-        /// The function called.
+        /// Function called.
         function: &'static str,
-        /// What is wrong with what it gave.
+        /// Description of the invalid data.
         problem: String,
     },
 }
 
-/// What a call gives.
+/// Result of a call.
 pub(super) type Answer<T> = std::result::Result<T, Fault>;
 
 impl Fault {
@@ -46,7 +46,7 @@ impl Fault {
         Fault::Nonsense { function, problem: problem.into() }
     }
 
-    /// The return code; `None` where the call itself succeeded.
+    /// Returns the return code; `None` if the call itself succeeded.
     pub(super) fn code(&self) -> Option<i32> {
         match self {
             Fault::Refused { code, .. } => Some(*code),
@@ -54,20 +54,20 @@ impl Fault {
         }
     }
 
-    /// What is wrong, in words.
+    /// Describes the problem.
     pub(super) fn problem(&self) -> String {
         match self {
             Fault::Refused { function, code, words } => {
                 let own = if words.is_empty() { String::new() } else { format!(": \"{words}\"") };
-                format!("{function} of RIEGL's library fails with {code}, {}{own}", meaning(*code))
+                format!("{function} of RIEGL's library failed with {code}, {}{own}", meaning(*code))
             }
             Fault::Nonsense { function, problem } => {
-                format!("{function} of RIEGL's library gives what cannot be: {problem}")
+                format!("{function} of RIEGL's library returned invalid data: {problem}")
             }
         }
     }
 
-    /// The error of a file.
+    /// Converts the fault to an error of a file.
     pub(super) fn of_file(&self, file: &Path) -> Error {
         Error::unusable(file, self.problem(), self.remedy())
     }
@@ -76,23 +76,25 @@ impl Fault {
         match self.code() {
             Some(code::END_OF_FILE) => "the file may be cut off: copy it again",
             Some(code::BAD_ARGUMENT) => {
-                "the library may be of another version than wavex knows: use a newer one, or tell the makers of wavex"
+                "the library may have a version that wavex does not support: use a newer one, or \
+                 report this to the wavex developers"
             }
             Some(code::UNSUPPORTED_FORMAT) => {
-                "`.sdf` wants the library sdfifc, `.wfm` wfmifc-mt: check `library`, the file's extension, and its content"
+                "`.sdf` needs the library sdfifc, `.wfm` needs wfmifc-mt: check `library`, the \
+                 file's extension, and its content"
             }
-            Some(code::MISSING_INDEX) => "remove the `.idx` file beside the data, so that it is made anew",
+            Some(code::MISSING_INDEX) => "remove the `.idx` file next to the data so that it is rebuilt",
             Some(code::UNKNOWN_EXCEPTION) => "the file may be damaged: copy it again, or try a newer library",
             Some(code::NOT_IMPLEMENTED) => "use a newer version of the library",
             Some(code::RUNTIME) => "check the file, its folder and the disk",
             Some(code::NOT_LICENSED) => "ask RIEGL for a licence that covers it",
-            Some(_) => "use a library of the version that wavex knows, or tell the makers of wavex",
+            Some(_) => "use a supported version of the library, or report this to the wavex developers",
             None => "the file may be damaged: copy it again, or try another version of the library",
         }
     }
 }
 
-/// What a return code means.
+/// Describes a return code.
 fn meaning(code: i32) -> &'static str {
     match code {
         code::END_OF_FILE => "end of file",
@@ -104,6 +106,6 @@ fn meaning(code: i32) -> &'static str {
         code::NOT_IMPLEMENTED => "not implemented",
         code::RUNTIME => "a runtime error",
         code::NOT_LICENSED => "not licensed",
-        _ => "a code that is not known",
+        _ => "an unknown code",
     }
 }

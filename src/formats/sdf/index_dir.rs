@@ -1,8 +1,9 @@
-//! An index in another folder than the data's.
+//! Puts the library's index into another folder than the data.
 //!
-//! The library writes its index beside the path that it was given, and the interface has no argument for another place.
-//! A symbolic link to the data in a folder that can be written to gives it one. Each file gets a folder of its own, so
-//! that no index is taken for that of another file of the same name; it stays there for the next run.
+//! The library writes its index next to the path it is given, and the interface has no argument for
+//! another location. A symbolic link to the data in a writable folder provides one. Each file gets
+//! its own folder, so an index is never taken for that of another file of the same name. The folder
+//! stays for later runs.
 
 use std::fs;
 use std::io;
@@ -10,25 +11,29 @@ use std::path::{Path, PathBuf};
 
 use crate::formats::{Error, Result};
 
-/// The link to `data` below `folder`, made where there is none.
+/// Returns the link to `data`, creating it if necessary.
+///
+/// It is in its own folder below `folder`.
 pub(super) fn link(data: &Path, folder: &Path) -> Result<PathBuf> {
     let whole = fs::canonicalize(data).map_err(Error::io(data, "open"))?;
     let size = fs::metadata(&whole).map_err(Error::io(data, "open"))?.len();
     let name = data.file_name().unwrap_or_default();
     let own = folder.join(format!("{}-{:016x}", name.to_string_lossy(), fingerprint(&whole, size)));
-    fs::create_dir_all(&own).map_err(Error::io(&own, "make the folder for the index"))?;
+    fs::create_dir_all(&own).map_err(Error::io(&own, "create the folder for the index"))?;
     let link = own.join(name);
     match symlink(&whole, &link) {
         Ok(()) => Ok(link),
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => match fs::read_link(&link) {
             Ok(to) if to == whole => Ok(link),
-            _ => Err(Error::unusable(&link, "it is in the way of a link to the data", "remove it")),
+            _ => Err(Error::unusable(&link, "it blocks the link to the data", "remove it")),
         },
         Err(error) => Err(Error::io(&link, "link to the data")(error)),
     }
 }
 
-/// FNV-1a, 64 bits, of the path and the size: the same on every machine and in every version.
+/// Returns the 64-bit FNV-1a hash of path and size.
+///
+/// It is identical on every machine and in every version.
 fn fingerprint(path: &Path, size: u64) -> u64 {
     let text = path.to_string_lossy();
     let bytes = text.bytes().chain(size.to_le_bytes());
@@ -74,7 +79,7 @@ mod tests {
         fs::remove_file(&link_path).unwrap();
         fs::write(&link_path, "mine").unwrap();
         let error = link(&data, folder.path()).unwrap_err().to_string();
-        let expected = format!("{}: it is in the way of a link to the data; remove it", link_path.display());
+        let expected = format!("{}: it blocks the link to the data; remove it", link_path.display());
         assert_eq!(error, expected);
         assert_eq!(fs::read_to_string(link_path).unwrap(), "mine");
     }

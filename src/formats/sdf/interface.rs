@@ -1,7 +1,7 @@
-//! The interface `fwifc` of RIEGL's Waveform Extraction Library, declared anew: everything that is `unsafe` about it.
+//! Declarations of RIEGL's `fwifc` interface, with all its `unsafe` code.
 //!
-//! Types and order of arguments follow RIEGL's public interface description; names are our own where they do not matter
-//! to the linker.
+//! Types and argument order follow RIEGL's public interface description. Names that the linker does
+//! not need are our own.
 
 use std::ffi::{CStr, c_char, c_void};
 use std::mem::{ManuallyDrop, MaybeUninit};
@@ -13,19 +13,21 @@ use libloading::Library;
 use super::fault::{Answer, Fault, code};
 use super::{MAX_BLOCKS, MAX_RECORD_SAMPLES, MAX_SAMPLES, MAX_TABLE, SdfInfo, SdfRecord};
 
-/// `fwifc_file`: only the library looks behind it.
+/// `fwifc_file`, an opaque handle.
 type RawFile = *mut c_void;
 /// `fwifc_csz`.
 type RawText = *const c_char;
 
-/// `fwifc_sbl_t`, the part of it that every version has.
+/// `fwifc_sbl_t`: the fields common to all versions.
 #[repr(C)]
 #[derive(Clone, Copy)]
 struct RawBlock {
     time_sosbl_s: f64,
     channel: u32,
     sample_count: u32,
-    /// Not used: it repeats the size of `*sample`, in a unit on which descriptions differ.
+    /// Unused.
+    ///
+    /// The size of `*sample`, in a unit on which descriptions differ.
     _sample_size: u32,
     sample: *const u16,
 }
@@ -62,7 +64,9 @@ type Seek = unsafe extern "C" fn(RawFile, u32) -> i32;
 type Tell = unsafe extern "C" fn(RawFile, *mut u32) -> i32;
 type SeekTime = unsafe extern "C" fn(RawFile, f64) -> i32;
 
-/// The thirteen functions of a library that stays loaded to the end of the process.
+/// The thirteen functions of a library.
+///
+/// The library stays loaded until the process ends.
 #[derive(Clone, Copy)]
 pub(super) struct Functions {
     get_library_version: GetLibraryVersion,
@@ -80,36 +84,38 @@ pub(super) struct Functions {
     seek_time_external: SeekTime,
 }
 
-/// The version of a library (`fwifc_get_library_version`).
+/// Version of a library (`fwifc_get_library_version`).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Version {
-    /// Another major is another interface.
+    /// Major version; a different one is a different interface.
     pub major: u16,
-    /// Newer minors only add to the interface.
+    /// Minor version; newer ones only extend the interface.
     pub minor: u16,
-    /// The library's own name of the build.
+    /// Build name given by the library.
     pub build: String,
 }
 
-/// Held from a call until all that it gave is copied out. There is one for all libraries: `dlopen` of the same file gives
-/// the same variables, whoever opens it.
+/// Lock held from a call until its results are copied.
+///
+/// One lock serves all libraries: repeated `dlopen` of the same file yields the same variables.
 static ONE_CALLER: Mutex<()> = Mutex::new(());
 
 fn alone() -> MutexGuard<'static, ()> {
-    // The lock guards the library, not a value of ours that a panic could leave half changed.
+    // A panic cannot leave inconsistent data: the lock guards the library, not a Rust value.
     ONE_CALLER.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
 impl Functions {
-    /// Loads a library; a bare name is looked for where the system looks.
+    /// Loads a library; the system searches for a bare name.
     pub(super) fn load(path: &Path) -> Result<Functions, libloading::Error> {
         let _alone = alone();
-        // SAFETY: loading runs the library's own initialisation. That it does no harm is the user's trust in what they
-        // name, as with any program they install.
+        // SAFETY: loading runs the library's initialisers. The user vouches for the library they
+        // name, as for any program they install.
         let library = unsafe { Library::new(path) }?;
-        // Never unloaded: its threads and exit handlers may be at work, and the pointers below must stay good.
+        // Never unloaded: its threads and exit handlers may still run, and the function pointers
+        // must stay valid.
         let library = ManuallyDrop::new(library);
-        // SAFETY: each type is the interface's for that name, and the library stays loaded.
+        // SAFETY: each type is the interface's type for that name, and the library stays loaded.
         unsafe {
             Ok(Functions {
                 get_library_version: function(&library, c"fwifc_get_library_version")?,
@@ -129,16 +135,16 @@ impl Functions {
         }
     }
 
-    /// The library's version; needs no file.
+    /// Returns the version of the library; needs no file.
     pub(super) fn version(&self) -> Answer<Version> {
         const NAME: &str = "fwifc_get_library_version";
         let alone = alone();
         let (mut major, mut minor) = (0, 0);
         let (mut build, mut tag): (RawText, RawText) = (std::ptr::null(), std::ptr::null());
-        // SAFETY: four places to write to.
+        // SAFETY: all four output pointers are valid.
         let code = unsafe { (self.get_library_version)(&mut major, &mut minor, &mut build, &mut tag) };
         self.check(NAME, code, &alone)?;
-        // SAFETY: the library has set both, the lock is held, and no other call was made.
+        // SAFETY: the library has set both texts, the lock is held, and no other call was made.
         let build = unsafe { [text(build), text(tag)] };
         Ok(Version { major, minor, build: build.join(" ").trim().to_owned() })
     }
@@ -148,22 +154,24 @@ impl Functions {
         const NAME: &str = "fwifc_open";
         let alone = alone();
         let mut file = std::ptr::null_mut();
-        // SAFETY: a string that ends in 0, and a place to write to.
+        // SAFETY: the path is a C string and the output pointer is valid.
         let code = unsafe { (self.open)(path.as_ptr(), &mut file) };
         self.check(NAME, code, &alone)?;
         match file.is_null() {
             false => Ok(Handle { functions: *self, file }),
-            true => Err(Fault::nonsense(NAME, "no file, and no error")),
+            true => Err(Fault::nonsense(NAME, "neither a file nor an error")),
         }
     }
 
-    /// An error unless a call returned 0. The lock is still the one of the call: the words belong to it.
+    /// Returns an error unless `code` is 0.
+    ///
+    /// The lock is still that of the call, because the library's error message belongs to it.
     fn check(&self, function: &'static str, code: i32, _alone: &MutexGuard<'static, ()>) -> Answer<()> {
         if code == code::DONE {
             return Ok(());
         }
         let mut words: RawText = std::ptr::null();
-        // SAFETY: a place to write to; what stands there is read before the next call.
+        // SAFETY: the output pointer is valid; the text is copied before the next call.
         let words = unsafe {
             match (self.get_last_error)(&mut words) {
                 code::DONE => text(words),
@@ -174,34 +182,36 @@ impl Functions {
     }
 }
 
-/// A function of the library.
+/// Looks up a function of the library.
 ///
 /// # Safety
-/// `T` must be the function's type, and the library must stay loaded as long as it is called.
+/// `T` must be the type of the function, and the library must stay loaded while it is called.
 unsafe fn function<T: Copy>(library: &Library, name: &CStr) -> Result<T, libloading::Error> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe { library.get::<T>(name.to_bytes_with_nul()).map(|symbol| *symbol) }
 }
 
-/// The longest text that is taken from the library, in bytes.
+/// Longest text read from the library, bytes.
 const MAX_TEXT: usize = 1 << 12;
 
-/// A copy of a text of the library; empty where there is none.
+/// Copies a text of the library.
+///
+/// Empty for a null pointer.
 ///
 /// # Safety
-/// `from` is null or points to bytes that end in 0, and nobody calls the library meanwhile.
+/// `from` is null or points to a C string, and no other thread calls the library meanwhile.
 unsafe fn text(from: RawText) -> String {
     if from.is_null() {
         return String::new();
     }
     let from = from.cast::<u8>();
-    // SAFETY: bytes are read one after the other, none behind the 0.
+    // SAFETY: bytes are read one by one, none beyond the terminating 0.
     let bytes = (0..MAX_TEXT).map(|at| unsafe { from.add(at).read() });
     let bytes: Vec<u8> = bytes.take_while(|byte| *byte != 0).collect();
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// An open file; closed when dropped.
+/// Open file; closed when dropped.
 pub(super) struct Handle {
     functions: Functions,
     file: RawFile,
@@ -210,13 +220,16 @@ pub(super) struct Handle {
 impl Drop for Handle {
     fn drop(&mut self) {
         let _alone = alone();
-        // SAFETY: the file was opened by this library and is closed once. Nothing can be done about a failure.
+        // SAFETY: the file was opened by this library and is closed once. A failure cannot be
+        // handled here.
         unsafe { (self.functions.close)(self.file) };
     }
 }
 
 impl Handle {
-    /// Makes the index beside the data anew; reads the whole file.
+    /// Rebuilds the index next to the data.
+    ///
+    /// Reads the whole file.
     pub(super) fn reindex(&mut self) -> Answer<()> {
         let alone = alone();
         // SAFETY: the file is open.
@@ -224,7 +237,7 @@ impl Handle {
         self.functions.check("fwifc_reindex", code, &alone)
     }
 
-    /// Makes block times count from their record's time.
+    /// Makes block times relative to the time of their record.
     pub(super) fn set_relative(&mut self) -> Answer<()> {
         let alone = alone();
         // SAFETY: the file is open.
@@ -232,14 +245,14 @@ impl Handle {
         self.functions.check("fwifc_set_sosbl_relative", code, &alone)
     }
 
-    /// What the file says of itself.
+    /// Returns the metadata of the file.
     pub(super) fn info(&mut self) -> Answer<SdfInfo> {
         let alone = alone();
         let (mut instrument, mut serial, mut epoch): (RawText, RawText, RawText) =
             (std::ptr::null(), std::ptr::null(), std::ptr::null());
         let (mut group_velocity_mps, mut sampling_interval_s) = (f64::NAN, f64::NAN);
         let (mut flags, mut facets) = (0, 0);
-        // SAFETY: the file is open, and there are seven places to write to.
+        // SAFETY: the file is open, and all seven output pointers are valid.
         let code = unsafe {
             (self.functions.get_info)(
                 self.file,
@@ -253,18 +266,21 @@ impl Handle {
             )
         };
         self.functions.check("fwifc_get_info", code, &alone)?;
-        // SAFETY: the library has set all three, the lock is held, and no other call was made.
+        // SAFETY: the library has set all three texts, the lock is held, and no other call was
+        // made.
         let (instrument, serial, epoch) = unsafe { (text(instrument), text(serial), text(epoch)) };
         Ok(SdfInfo { instrument, serial, epoch, group_velocity_mps, sampling_interval_s, flags, facets })
     }
 
-    /// A calibration table: amplitude of channel 0 and 1 (kinds 0, 1), range of channel 0 and 1 (kinds 2, 3).
+    /// Returns a calibration table.
+    ///
+    /// Amplitude of channels 0 and 1 (kinds 0, 1), range of channels 0 and 1 (kinds 2, 3).
     pub(super) fn table(&mut self, kind: u16) -> Answer<Vec<(f64, f64)>> {
         const NAME: &str = "fwifc_get_calib";
         let alone = alone();
         let mut count = 0;
         let (mut abscissa, mut ordinate): (*const f64, *const f64) = (std::ptr::null(), std::ptr::null());
-        // SAFETY: the file is open, and there are three places to write to.
+        // SAFETY: the file is open, and all three output pointers are valid.
         let code =
             unsafe { (self.functions.get_calib)(self.file, kind, &mut count, &mut abscissa, &mut ordinate) };
         self.functions.check(NAME, code, &alone)?;
@@ -272,22 +288,24 @@ impl Handle {
             return Err(Fault::nonsense(NAME, format!("a table of {count} entries")));
         }
         if count > 0 && (abscissa.is_null() || ordinate.is_null()) {
-            return Err(Fault::nonsense(NAME, "a table that is nowhere"));
+            return Err(Fault::nonsense(NAME, "a null pointer to a table"));
         }
-        // SAFETY: the library says that `count` numbers stand at both, and the lock is held. They may be unaligned.
+        // SAFETY: the library states that both arrays have `count` numbers, and the lock is held.
+        // They may be unaligned.
         let pair =
             |at: usize| unsafe { (abscissa.add(at).read_unaligned(), ordinate.add(at).read_unaligned()) };
         Ok((0..count as usize).map(pair).collect())
     }
 
-    /// Copies the next record out; fails with [`code::END_OF_FILE`] behind the last.
+    /// Copies the next record; fails with [`code::END_OF_FILE`] after the last.
     pub(super) fn read(&mut self, record: &mut SdfRecord) -> Answer<()> {
         const NAME: &str = "fwifc_read";
         record.clear();
         let alone = alone();
         let (mut count, mut stride) = (0, 0);
         let mut blocks: *const RawBlock = std::ptr::null();
-        // SAFETY: the file is open, and there are nine places to write to, two of them of three numbers.
+        // SAFETY: the file is open, and all nine output pointers are valid, two of them for three
+        // numbers.
         let code = unsafe {
             (self.functions.read)(
                 self.file,
@@ -305,20 +323,20 @@ impl Handle {
         self.functions.check(NAME, code, &alone)?;
         check_array(count, stride, blocks).map_err(|problem| Fault::nonsense(NAME, problem))?;
         for index in 0..count as usize {
-            // SAFETY: the library says that `count` blocks stand there, `stride` bytes apart, each at least of our size.
-            // They may be unaligned.
+            // SAFETY: the library states that there are `count` blocks, `stride` bytes apart, each
+            // at least as large as `RawBlock`. They may be unaligned.
             let block = unsafe {
                 blocks.cast::<u8>().add(index * stride as usize).cast::<RawBlock>().read_unaligned()
             };
             check_block(&block, record.n_samples()).map_err(|problem| Fault::nonsense(NAME, problem))?;
-            // SAFETY: the pointer is not null and the count within the limit, which `check_block` says, and the lock
-            // is still held.
+            // SAFETY: `check_block` ensures that the pointer is not null and the count within the
+            // limit, and the lock is still held.
             unsafe { copy_block(&block, record) };
         }
         Ok(())
     }
 
-    /// Makes a record the next one; they count from 1.
+    /// Seeks to a record; records count from 1.
     pub(super) fn seek(&mut self, record: u32) -> Answer<()> {
         let alone = alone();
         // SAFETY: the file is open.
@@ -326,17 +344,17 @@ impl Handle {
         self.functions.check("fwifc_seek", code, &alone)
     }
 
-    /// The number of the next record; they count from 1.
+    /// Returns the number of the next record, from 1.
     pub(super) fn tell(&mut self) -> Answer<u32> {
         let alone = alone();
         let mut record = 0;
-        // SAFETY: the file is open, and there is a place to write to.
+        // SAFETY: the file is open, and the output pointer is valid.
         let code = unsafe { (self.functions.tell)(self.file, &mut record) };
         self.functions.check("fwifc_tell", code, &alone)?;
         Ok(record)
     }
 
-    /// Seeks by the instrument's clock, s.
+    /// Seeks to a time of the instrument's clock, s.
     pub(super) fn seek_time(&mut self, time_s: f64) -> Answer<()> {
         let alone = alone();
         // SAFETY: the file is open.
@@ -344,7 +362,7 @@ impl Handle {
         self.functions.check("fwifc_seek_time", code, &alone)
     }
 
-    /// Seeks by external time, s.
+    /// Seeks to an external time, s.
     pub(super) fn seek_time_external(&mut self, time_s: f64) -> Answer<()> {
         let alone = alone();
         // SAFETY: the file is open.
@@ -353,7 +371,7 @@ impl Handle {
     }
 }
 
-/// Longer blocks than this are no array of blocks.
+/// Largest plausible size of a block, bytes.
 const MAX_STRIDE: u32 = 1 << 12;
 
 fn check_array(count: u32, stride: u32, blocks: *const RawBlock) -> Result<(), String> {
@@ -363,39 +381,42 @@ fn check_array(count: u32, stride: u32, blocks: *const RawBlock) -> Result<(), S
     } else if count > MAX_BLOCKS {
         Err(format!("a record of {count} blocks"))
     } else if (stride as usize) < least || stride > MAX_STRIDE {
-        Err(format!("blocks of {stride} bytes each, where {least} to {MAX_STRIDE} can be"))
+        Err(format!("blocks of {stride} bytes each, but {least} to {MAX_STRIDE} are valid"))
     } else if blocks.is_null() {
-        Err("blocks that are nowhere".to_owned())
+        Err("a null pointer to blocks".to_owned())
     } else {
         Ok(())
     }
 }
 
-/// `before`: how many samples the record has already.
+/// Checks a block.
+///
+/// `before` is the number of samples already in the record.
 fn check_block(block: &RawBlock, before: usize) -> Result<(), String> {
     if block.sample_count > MAX_SAMPLES {
         Err(format!("a block of {} samples", block.sample_count))
     } else if before + block.sample_count as usize > MAX_RECORD_SAMPLES {
         Err(format!("a record of more than {MAX_RECORD_SAMPLES} samples"))
     } else if block.sample_count > 0 && block.sample.is_null() {
-        Err("samples that are nowhere".to_owned())
+        Err("a null pointer to samples".to_owned())
     } else {
         Ok(())
     }
 }
 
-/// Adds a block to a record.
+/// Appends a block to a record.
 ///
 /// # Safety
-/// `check_block` holds, as many samples as the block says stand where it says, and nobody calls the library meanwhile.
+/// `check_block` succeeded, the stated number of samples is readable at the pointer, and no other
+/// thread calls the library meanwhile.
 unsafe fn copy_block(block: &RawBlock, record: &mut SdfRecord) {
     let count = block.sample_count as usize;
     let first = record.samples.len();
     record.samples.reserve(count);
     if count > 0 {
         let to: &mut [MaybeUninit<u16>] = record.samples.spare_capacity_mut();
-        // SAFETY: the caller's promise for the source; `reserve` for the target. Bytes are copied, because the samples
-        // may be unaligned, and any bytes are samples.
+        // SAFETY: the caller guarantees the source, `reserve` the target. Bytes are copied, because
+        // the samples may be unaligned and any bytes are valid samples.
         unsafe {
             std::ptr::copy_nonoverlapping(
                 block.sample.cast::<u8>(),
@@ -439,8 +460,8 @@ mod tests {
         assert_eq!(check_array(0, 0, std::ptr::null()), Ok(()), "no blocks need no place");
         assert_eq!(check_array(4096, 4096, somewhere), Ok(()));
         assert_eq!(wrong(4097, 32, somewhere), "a record of 4097 blocks");
-        assert_eq!(wrong(1, 8, somewhere), "blocks of 8 bytes each, where 32 to 4096 can be");
-        assert_eq!(wrong(1, 32, std::ptr::null()), "blocks that are nowhere");
+        assert_eq!(wrong(1, 8, somewhere), "blocks of 8 bytes each, but 32 to 4096 are valid");
+        assert_eq!(wrong(1, 32, std::ptr::null()), "a null pointer to blocks");
     }
 
     #[test]
@@ -458,7 +479,7 @@ mod tests {
             check_block(&block(65_537, std::ptr::dangling()), 0).unwrap_err(),
             "a block of 65537 samples"
         );
-        assert_eq!(check_block(&block(1, std::ptr::null()), 0).unwrap_err(), "samples that are nowhere");
+        assert_eq!(check_block(&block(1, std::ptr::null()), 0).unwrap_err(), "a null pointer to samples");
         let full = check_block(&block(1, std::ptr::dangling()), 1 << 20).unwrap_err();
         assert_eq!(full, "a record of more than 1048576 samples");
     }
@@ -470,7 +491,7 @@ mod tests {
         record.push(3, 0.0, &[7]);
         let sample = bytes[1..].as_ptr().cast::<c_void>().cast::<u16>();
         let block = RawBlock { time_sosbl_s: 1e-6, channel: 1, sample_count: 2, _sample_size: 2, sample };
-        // SAFETY: four bytes stand there, and no library is called.
+        // SAFETY: four bytes are readable, and no library is called.
         unsafe { copy_block(&block, &mut record) };
         let expected = [u16::from_ne_bytes([1, 2]), u16::from_ne_bytes([3, 4])];
         assert_eq!(record.samples(&record.blocks[1]), expected);
@@ -480,7 +501,7 @@ mod tests {
     #[test]
     fn texts_end_in_a_zero_and_may_be_missing_or_endless() {
         let endless = vec![b'x'; 2 * MAX_TEXT];
-        // SAFETY: each is null, ends in 0, or is longer than what is read.
+        // SAFETY: each text is null, ends in 0, or is longer than the limit.
         let read =
             unsafe { [text(std::ptr::null()), text(c"\xe4b".as_ptr()), text(endless.as_ptr().cast())] };
         assert_eq!(read[..2], ["", "\u{fffd}b"]);

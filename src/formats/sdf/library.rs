@@ -1,7 +1,7 @@
-//! Where the library is.
+//! Locates RIEGL's library.
 //!
-//! What the job says comes first, then the environment variable [`VARIABLE`], then the usual places: beside the program,
-//! where the system looks for libraries, and a few folders.
+//! The job's key comes first, then the environment variable [`VARIABLE`], then the usual places:
+//! the folder of the program, the system's search path, and a few common folders.
 
 use std::path::{Path, PathBuf};
 
@@ -9,28 +9,30 @@ use super::fault::Fault;
 use super::interface::{Functions, Version};
 use crate::formats::{Error, Result};
 
-/// The environment variable that may name the library, or the folder it lies in.
+/// Environment variable that may name the library or its folder.
 pub const VARIABLE: &str = "WAVEX_RIWAVELIB";
 
-/// The major version of the interface that is declared here; another one may have other functions.
+/// Major version of the declared interface.
 pub const MAJOR: u16 = 1;
 
-/// Folders that the library is often put into, after those where the system looks.
+/// Common folders of the library, searched after the program's folder.
 #[cfg(not(windows))]
 const FOLDERS: &[&str] =
     &["/usr/local/lib", "/opt/riwavelib/lib", "/opt/riegl/lib", "/opt/riegl/riwavelib/lib"];
-/// See above.
+/// Common folders of the library, searched after the program's folder.
 #[cfg(windows)]
 const FOLDERS: &[&str] = &["C:\\Program Files\\RIEGL\\RiWAVELib\\lib", "C:\\riwavelib\\lib"];
 
-/// Whose words lead to the library.
+/// Source of a library path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Said {
     ByKey,
     ByVariable,
 }
 
-/// Names of the library that reads a file, the usual one first: by the file's extension, as the library does it.
+/// Returns the library's file names for a data file.
+///
+/// The usual one is first. As in the library, the extension of the file decides.
 fn names(data: &Path) -> [String; 2] {
     let is_wfm = data.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
     let stem = if is_wfm { "wfmifc-mt" } else { "sdfifc" };
@@ -39,8 +41,9 @@ fn names(data: &Path) -> [String; 2] {
     [format!("{before}{stem}{after}"), format!("{before}{stem}{suffix}{after}")]
 }
 
-/// Finds and loads the library for a file, and checks its version. `key`: where a job says that it is, a library or its
-/// folder.
+/// Finds, loads and checks the library for a file.
+///
+/// `key` is the library or its folder, as given by the job.
 pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, Version)> {
     let functions = match (key, std::env::var_os(VARIABLE)) {
         (Some(key), _) => named(data, key, Said::ByKey)?,
@@ -54,13 +57,13 @@ pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, Versio
         MAJOR => Ok((functions, version)),
         other => Err(Error::unusable(
             data,
-            format!("RIEGL's library is of version {other}.{}, where {MAJOR}.x is known", version.minor),
-            format!("point to one of version {MAJOR} with the key `library`, or use a newer wavex"),
+            format!("RIEGL's library has version {other}.{}, but wavex supports {MAJOR}.x", version.minor),
+            format!("set a library of version {MAJOR} with the key `library`, or use a newer wavex"),
         )),
     }
 }
 
-/// The library that somebody has named.
+/// Loads the library named by the user.
 fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
     let whose = match said {
         Said::ByKey => "the key `library`".to_owned(),
@@ -74,7 +77,7 @@ fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
                 Some(file) => file.clone(),
                 None => {
                     let problem = format!(
-                        "{whose} names the folder {}, without a {}",
+                        "{whose} names the folder {}, which has no {}",
                         path.display(),
                         file_name(&usual)
                     );
@@ -85,7 +88,7 @@ fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
     };
     Functions::load(&file).map_err(|error| {
         let problem = format!(
-            "the library {}, which {whose} names, cannot be used: {}",
+            "the library {}, which {whose} names, cannot be loaded: {}",
             file.display(),
             reason(&error)
         );
@@ -100,7 +103,7 @@ fn in_usual_places(data: &Path) -> Result<Functions> {
     for file in folders().flat_map(|folder| names.clone().map(|name| folder.join(name))) {
         if file.is_file() {
             return Functions::load(&file).map_err(|error| {
-                let problem = format!("the library {} cannot be used: {}", file.display(), reason(&error));
+                let problem = format!("the library {} cannot be loaded: {}", file.display(), reason(&error));
                 Error::unusable(data, problem, WHOSE)
             });
         }
@@ -114,26 +117,29 @@ fn in_usual_places(data: &Path) -> Result<Functions> {
     Err(Error::unusable(
         data,
         format!(
-            "such files are read through RIEGL's Waveform Extraction Library (RiWAVELib), and {} was found neither where \
-             the system looks for libraries nor in {}",
+            "this format needs RIEGL's Waveform Extraction Library (RiWAVELib), but {} was found \
+             neither where the system looks for libraries nor in {}",
             names[0],
             looked.join(", ")
         ),
         format!(
-            "its licence forbids shipping it, but owners of a RIEGL instrument get it from RIEGL's download pages: then \
-             name the library or its folder with the key `library` or in the environment variable {VARIABLE}"
+            "its licence forbids shipping it, but owners of a RIEGL instrument can download it \
+             from RIEGL: then set the library or its folder with the key `library` or in the \
+             environment variable {VARIABLE}"
         ),
     ))
 }
 
-const WHOSE: &str = "name RIEGL's Waveform Extraction Library (sdfifc for `.sdf`, wfmifc-mt for `.wfm`), built for this \
-                     system, or its folder";
+const WHOSE: &str = "give the path of RIEGL's Waveform Extraction Library (sdfifc for `.sdf`, \
+                     wfmifc-mt for `.wfm`), built for this system, or its folder";
 
 fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The loader's own words, which are those of the system where it gave any.
+/// Returns the loader's error message.
+///
+/// It includes that of the system, if present.
 fn reason(error: &libloading::Error) -> String {
     match std::error::Error::source(error) {
         Some(source) => format!("{error}: {source}"),

@@ -1,4 +1,4 @@
-//! A file that is being read.
+//! Reader of SDF and WFM files.
 
 use std::ffi::CString;
 use std::fs;
@@ -10,40 +10,47 @@ use super::interface::{Handle, Version};
 use super::{SdfInfo, SdfRecord, index_dir, library};
 use crate::formats::{Error, Result};
 
-/// The four calibration tables, in pairs of digitiser steps and what they mean; empty where there is none.
+/// The four calibration tables.
+///
+/// Pairs of digitiser steps and value; empty if missing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CalibrationTables {
-    /// To dB, low power.
+    /// Amplitude in dB, low-power channel.
     pub amplitude_low: Vec<(f64, f64)>,
-    /// To dB, high power.
+    /// Amplitude in dB, high-power channel.
     pub amplitude_high: Vec<(f64, f64)>,
-    /// To seconds, low power.
+    /// Range in seconds, low-power channel.
     pub range_low: Vec<(f64, f64)>,
-    /// To seconds, high power.
+    /// Range in seconds, high-power channel.
     pub range_high: Vec<(f64, f64)>,
 }
 
-/// A file that is being read, one record after the other.
+/// Sequential reader of the records of a file.
 pub struct SdfReader {
     file: PathBuf,
     handle: Handle,
     version: Version,
     info: SdfInfo,
-    /// The number of the next record; they count from 1.
+    /// Number of the next record, from 1.
     next_record: u32,
-    /// Whether the index was made anew: once is enough.
+    /// Whether the index was already rebuilt.
     reindexed: bool,
 }
 
-/// Speed of light in vacuum, m/s: no pulse is faster.
+/// Speed of light in vacuum, m/s.
+///
+/// The upper limit of the group velocity.
 const LIGHT_MPS: f64 = 299_792_458.0;
 
 impl SdfReader {
-    /// Opens a file. `library`: RIEGL's library or its folder, where the job names it; `index_dir`: where an index may be
-    /// written, if not beside the data.
+    /// Opens a file.
+    ///
+    /// `library` is RIEGL's library or its folder, if the job names it. `index_dir` is a folder for
+    /// the index, if not that of the data.
     ///
     /// # Errors
-    /// The file or the library is missing or cannot be used; each return code of the library has its own message.
+    /// The file or the library is missing or unusable; each return code of the library has its own
+    /// message.
     pub fn open(file: &Path, library: Option<&Path>, index_dir: Option<&Path>) -> Result<SdfReader> {
         let metadata = fs::metadata(file).map_err(Error::io(file, "open"))?;
         if metadata.is_dir() {
@@ -55,7 +62,7 @@ impl SdfReader {
             None => file.to_path_buf(),
         };
         let path = CString::new(path.as_os_str().as_encoded_bytes())
-            .map_err(|_| Error::unusable(file, "the path holds a zero byte", "rename the file"))?;
+            .map_err(|_| Error::unusable(file, "the path contains a zero byte", "rename the file"))?;
         let of_file = |fault: Fault| fault.of_file(file);
         let mut handle = functions.open(&path).map_err(of_file)?;
         handle.set_relative().map_err(of_file)?;
@@ -63,22 +70,22 @@ impl SdfReader {
         Ok(SdfReader { file: file.to_path_buf(), handle, version, info, next_record: 1, reindexed: false })
     }
 
-    /// The library's version.
+    /// Returns the version of the library.
     pub fn version(&self) -> &Version {
         &self.version
     }
 
-    /// What the file says of the recording as a whole.
+    /// Returns the metadata of the recording.
     pub fn info(&self) -> &SdfInfo {
         &self.info
     }
 
-    /// The number of the next record; they count from 1.
+    /// Returns the number of the next record, from 1.
     pub fn next_record(&self) -> u32 {
         self.next_record
     }
 
-    /// The calibration tables. One that cannot be had is empty and leaves a remark: what is missing, and what follows.
+    /// Returns the calibration tables and remarks on unavailable ones.
     pub fn tables(&mut self) -> (CalibrationTables, Vec<String>) {
         let mut remarks = Vec::new();
         let mut table = |kind: u16, consequence: &str| {
@@ -96,10 +103,12 @@ impl SdfReader {
         (tables, remarks)
     }
 
-    /// Copies the next record out; `false` at the end of the file.
+    /// Reads the next record.
+    ///
+    /// `false` at the end of the file.
     ///
     /// # Errors
-    /// The library refuses, or gives counts that cannot be.
+    /// The library reports an error or returns invalid counts.
     pub fn next(&mut self, record: &mut SdfRecord) -> Result<bool> {
         let mut read = self.handle.read(record);
         if self.needs_index(&read)? {
@@ -116,17 +125,23 @@ impl SdfReader {
         }
     }
 
-    /// Makes a record the next one; they count from 1, and `u32::MAX` is the last. `false` where there is none.
+    /// Seeks to a record, from 1; `u32::MAX` is the last.
+    ///
+    /// `false` if it does not exist.
     pub fn seek(&mut self, record: u32) -> Result<bool> {
         self.navigate(|handle| handle.seek(record))
     }
 
-    /// Makes the record at a time of the instrument's clock (s) the next one; `false` where all are earlier.
+    /// Seeks to a time of the instrument's clock, s.
+    ///
+    /// `false` if all records are earlier.
     pub fn seek_time(&mut self, time_s: f64) -> Result<bool> {
         self.navigate(|handle| handle.seek_time(time_s))
     }
 
-    /// Makes the record at an external time (s) the next one; `false` where all are earlier.
+    /// Seeks to an external time, s.
+    ///
+    /// `false` if all records are earlier.
     pub fn seek_time_external(&mut self, time_s: f64) -> Result<bool> {
         self.navigate(|handle| handle.seek_time_external(time_s))
     }
@@ -146,27 +161,27 @@ impl SdfReader {
         }
     }
 
-    /// Whether a call failed for want of an index that is there now.
+    /// Builds a missing index; returns whether to repeat the call.
     fn needs_index<T>(&mut self, answer: &Answer<T>) -> Result<bool> {
         let missing = answer.as_ref().err().and_then(Fault::code) == Some(code::MISSING_INDEX);
         if !missing || self.reindexed {
             return Ok(false);
         }
         self.reindexed = true;
-        tracing::info!("{}: makes the index of the file, which reads it all", self.file.display());
+        tracing::info!("{}: building the index, which reads the whole file", self.file.display());
         self.handle.reindex().map_err(|fault| {
             Error::unusable(
                 &self.file,
-                format!("the file has no index, and none can be made: {}", fault.problem()),
-                "the library writes it beside the data: make that folder writable, copy or link the file into one that \
-                 is, or name such a folder with the key `index_dir`",
+                format!("the file has no index, and it cannot be built: {}", fault.problem()),
+                "the library writes it next to the data: make that folder writable, copy or link \
+                 the file to a writable folder, or set one with the key `index_dir`",
             )
         })?;
         Ok(true)
     }
 }
 
-/// The facts, if they can be.
+/// Checks the metadata for plausibility.
 fn checked(info: SdfInfo) -> Answer<SdfInfo> {
     const NAME: &str = "fwifc_get_info";
     if !(info.group_velocity_mps > 0.0 && info.group_velocity_mps <= LIGHT_MPS) {
@@ -174,13 +189,13 @@ fn checked(info: SdfInfo) -> Answer<SdfInfo> {
         return Err(Fault::nonsense(NAME, problem));
     }
     if !(info.sampling_interval_s > 0.0 && info.sampling_interval_s <= 1e-6) {
-        let problem = format!("a sampling time of {} s", info.sampling_interval_s);
+        let problem = format!("a sampling interval of {} s", info.sampling_interval_s);
         return Err(Fault::nonsense(NAME, problem));
     }
     Ok(info)
 }
 
-/// The same error, which says the record.
+/// Adds the record number to an error.
 fn at_record(error: Error, record: u32) -> Error {
     match error {
         Error::Unusable { file, problem, remedy } => {

@@ -1,4 +1,6 @@
-//! ESRI ASCII grids: a header of names and numbers, then heights row by row from the north.
+//! ESRI ASCII grids.
+//!
+//! A header of keywords and numbers, then heights row by row from the north.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -8,7 +10,7 @@ use std::path::Path;
 use super::super::{Error, Result};
 use super::{Raster, checked_size};
 
-/// A word of a grid is never longer, bytes.
+/// Longest accepted word, bytes.
 const LONGEST_WORD: usize = 64;
 const REMEDY: &str = "give a GeoTIFF or an ESRI ASCII grid";
 
@@ -19,7 +21,7 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     let mut words = Words { path, reader: BufReader::new(file), offset: 0, word: String::new() };
     let header = Header::read(&mut words)?;
     let (columns, rows) = (header.whole("ncols", path)?, header.whole("nrows", path)?);
-    // A height takes at least a digit and a space.
+    // A height needs at least a digit and a space.
     let (columns, rows) = checked_size(path, columns, rows, length / 2 + 1)?;
     let step_m = header.steps(path)?;
     let corner = |axis: usize, corner: &str, center: &str| match header.0.get(center) {
@@ -31,7 +33,7 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     let nodata = header.0.get("nodata_value").copied();
     let mut heights_m = Vec::with_capacity(columns * rows);
     for index in 0..columns * rows {
-        // The header ends at the first word that is a number.
+        // The header ends at the first height, which is already read.
         if index > 0 && !words.next()? {
             return Err(Error::malformed(
                 path,
@@ -48,11 +50,13 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     Ok(Raster { columns, rows, first_m, step_m, heights_m, epsg: None })
 }
 
-/// Names in lower case, and their numbers.
+/// Header values by lower-case keyword.
 struct Header(BTreeMap<String, f64>);
 
 impl Header {
-    /// Reads names and numbers; the first height is at hand then.
+    /// Reads keywords and numbers.
+    ///
+    /// Leaves the first height as the current word.
     fn read(words: &mut Words) -> Result<Header> {
         let mut header = BTreeMap::new();
         while words.next()? {
@@ -73,7 +77,7 @@ impl Header {
                 "nodata_value",
             ];
             if !known.contains(&name.as_str()) {
-                let problem = format!("`{}` is no name of an ASCII grid's header", words.word);
+                let problem = format!("`{}` is not a header keyword of an ASCII grid", words.word);
                 return Err(Error::malformed(words.path, words.start(), "header", problem, REMEDY));
             }
             if !words.next()? {
@@ -103,28 +107,30 @@ impl Header {
         Ok(if number.fract() == 0.0 && number > 0.0 { number as u64 } else { 0 })
     }
 
-    /// Distances between cells, from `cellsize`, or `dx` and `dy`.
+    /// Returns the cell sizes, from `cellsize`, or `dx` and `dy`.
     fn steps(&self, path: &Path) -> Result<[f64; 2]> {
         let step = |name: &str| self.0.get(name).copied().map_or_else(|| self.number("cellsize", path), Ok);
         let steps = [step("dx")?, step("dy")?];
         if steps.iter().all(|&step| step > 0.0 && step.is_finite()) {
             return Ok(steps);
         }
-        Err(Error::unusable(path, format!("cells of {} by {} m", steps[0], steps[1]), REMEDY))
+        Err(Error::unusable(path, format!("invalid cell size {} by {} m", steps[0], steps[1]), REMEDY))
     }
 }
 
-/// The words of a file, one after the other.
+/// Iterator over the words of a file.
 struct Words<'a> {
     path: &'a Path,
     reader: BufReader<File>,
-    /// Behind the word at hand.
+    /// Offset of the first byte after the current word.
     offset: u64,
     word: String,
 }
 
 impl Words<'_> {
-    /// Makes the next word the one at hand; `false` at the end.
+    /// Reads the next word.
+    ///
+    /// `false` at the end of the file.
     fn next(&mut self) -> Result<bool> {
         self.word.clear();
         loop {
@@ -144,7 +150,7 @@ impl Words<'_> {
             self.reader.consume(used);
             self.offset += used as u64;
             if self.word.len() > LONGEST_WORD {
-                let problem = format!("a word of over {LONGEST_WORD} bytes");
+                let problem = format!("a word longer than {LONGEST_WORD} bytes");
                 return Err(Error::malformed(self.path, self.start(), "text", problem, REMEDY));
             }
             if ended {
@@ -153,7 +159,7 @@ impl Words<'_> {
         }
     }
 
-    /// About where the word at hand begins.
+    /// Returns the approximate offset of the current word.
     fn start(&self) -> u64 {
         self.offset.saturating_sub(self.word.len() as u64 + 1)
     }
@@ -161,7 +167,7 @@ impl Words<'_> {
     fn number(&self, field: &str) -> Result<f64> {
         let number = self.word.parse::<f64>().ok();
         number.filter(|number| number.is_finite()).ok_or_else(|| {
-            let problem = format!("`{}` is no number", self.word);
+            let problem = format!("`{}` is not a number", self.word);
             Error::malformed(self.path, self.start(), field, problem, REMEDY)
         })
     }

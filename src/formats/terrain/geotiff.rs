@@ -1,4 +1,4 @@
-//! GeoTIFF rasters of heights: one band, lying north up.
+//! GeoTIFF height rasters: one band, north up.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -12,16 +12,15 @@ use super::super::geokeys;
 use super::super::{Error, Result};
 use super::{MOST_CELLS, Raster, checked_size};
 
-/// Compression packs at most so many bytes into one (LZW; deflate less).
+/// Largest compression ratio (LZW; deflate is lower).
 const DENSEST: u64 = 4096;
-const REMEDY: &str = "convert it to a GeoTIFF of one band of heights that lies north up";
+const REMEDY: &str = "convert it to a north-up GeoTIFF with one band of heights";
 
 /// Reads a raster.
 pub(super) fn read(path: &Path) -> Result<Raster> {
     let file = File::open(path).map_err(Error::io(path, "open"))?;
     let length = file.metadata().map_err(Error::io(path, "open"))?.len();
-    let bad =
-        |error: TiffError| Error::unusable(path, format!("no GeoTIFF that can be read: {error}"), REMEDY);
+    let bad = |error: TiffError| Error::unusable(path, format!("cannot read the GeoTIFF: {error}"), REMEDY);
     let mut limits = Limits::default();
     limits.decoding_buffer_size = 8 * MOST_CELLS as usize;
     let mut tiff = Decoder::new(BufReader::new(file)).map_err(bad)?.with_limits(limits);
@@ -44,26 +43,32 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     let nodata = tiff.find_tag(Tag::GdalNodata).map_err(bad)?.and_then(|value| value.into_string().ok());
     let nodata = nodata.and_then(|text| text.trim_matches(['\0', ' ']).parse::<f64>().ok());
     let &[east_step_m, south_step_m, ..] = scale.as_slice() else {
-        return Err(Error::unusable(path, "the GeoTIFF does not say how large its cells are", REMEDY));
+        return Err(Error::unusable(path, "the GeoTIFF has no cell size (ModelPixelScale)", REMEDY));
     };
     let &[column, row, _, east_m, north_m, ..] = tie.as_slice() else {
-        return Err(Error::unusable(path, "the GeoTIFF does not say where it lies", REMEDY));
+        return Err(Error::unusable(path, "the GeoTIFF has no tie point (ModelTiepoint)", REMEDY));
     };
     let is_sound = |step: f64| step > 0.0 && step.is_finite();
     if !(is_sound(east_step_m) && is_sound(south_step_m) && east_m.is_finite() && north_m.is_finite()) {
-        return Err(Error::unusable(path, format!("cells of {east_step_m} by {south_step_m} m"), REMEDY));
+        return Err(Error::unusable(
+            path,
+            format!("invalid cell size {east_step_m} by {south_step_m} m"),
+            REMEDY,
+        ));
     }
-    // The tie point is a corner of its cell, or its middle.
+    // The tie point is the corner or the centre of its cell.
     let half = if geokeys::is_point_raster(&keys) { 0.0 } else { 0.5 };
     let first_m = [east_m + (half - column) * east_step_m, north_m - (half - row) * south_step_m];
     let heights_m = heights(tiff.read_image().map_err(bad)?, nodata).ok_or_else(|| {
-        Error::unusable(path, "the GeoTIFF's heights are of a type that heights never have", REMEDY)
+        Error::unusable(path, "the sample type of the GeoTIFF is not supported for heights", REMEDY)
     })?;
     let step_m = [east_step_m, south_step_m];
     Ok(Raster { columns, rows, first_m, step_m, heights_m, epsg: geokeys::epsg(&keys) })
 }
 
-/// Heights of whatever type as `f32`; NaN where there is none.
+/// Converts heights of any sample type to `f32`.
+///
+/// NaN if missing.
 fn heights(image: DecodingResult, nodata: Option<f64>) -> Option<Vec<f32>> {
     fn all<T: Copy + Into<f64>>(values: &[T], nodata: Option<f64>) -> Vec<f32> {
         let height = |&value: &T| {
@@ -72,7 +77,7 @@ fn heights(image: DecodingResult, nodata: Option<f64>) -> Option<Vec<f32>> {
         };
         values.iter().map(height).collect()
     }
-    // A marker such as -3.4028235e38 is written with as many digits as an `f32` has.
+    // A marker such as -3.4028235e38 has only the digits of an `f32`.
     let nodata_f32 = nodata.map(|nodata| f64::from(nodata as f32));
     Some(match image {
         DecodingResult::U8(values) => all(&values, nodata),

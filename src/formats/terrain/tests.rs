@@ -18,7 +18,7 @@ const GRID: &str = "ncols 3\nNROWS 2\nxllcorner 100\nyllcorner 200.0\ncellsize 1
 #[test]
 fn an_ascii_grid_is_bilinear_between_the_middles_of_cells() {
     let terrain = open(GRID.as_bytes()).unwrap();
-    // Middles: eastings 105, 115, 125; northings 215 above, 205 below.
+    // Cell centres: eastings 105, 115, 125; northings 215 (upper row), 205 (lower row).
     assert_eq!(terrain.height_m(105.0, 215.0), 1.0);
     assert_eq!(terrain.height_m(115.0, 205.0), 5.0);
     assert_eq!(terrain.height_m(110.0, 210.0), 3.0);
@@ -26,7 +26,7 @@ fn an_ascii_grid_is_bilinear_between_the_middles_of_cells() {
     for (east, north) in [(99.0, 215.0), (131.0, 215.0), (115.0, 221.0), (115.0, 199.0), (f64::NAN, 205.0)] {
         assert!(terrain.height_m(east, north).is_nan(), "{east} {north}");
     }
-    assert!(terrain.height_m(120.0, 208.0).is_nan(), "beside a cell without a height");
+    assert!(terrain.height_m(120.0, 208.0).is_nan(), "next to a cell without a height");
     assert_eq!((terrain.heights_m(), terrain.epsg()), ([1.0, 5.0], None));
 }
 
@@ -41,28 +41,32 @@ fn a_grid_may_say_the_middle_of_its_corner_cell_and_two_steps() {
 fn each_fault_of_a_grid_has_its_message() {
     let form = "give a GeoTIFF or an ESRI ASCII grid";
     let cut = "the file is cut off: copy it again from its source";
-    let area = "cut it to the area of the recording, or make it coarser";
+    let area = "crop it to the area of the recording, or resample it to a coarser grid";
     let long = "9".repeat(70);
     for (text, message) in [
         ("".to_owned(), format!("dtm: byte 0: header: the file ends before the first height; {form}")),
         (
             "hello 1".to_owned(),
-            format!("dtm: byte 0: header: `hello` is no name of an ASCII grid's header; {form}"),
+            format!("dtm: byte 0: header: `hello` is not a header keyword of an ASCII grid; {form}"),
         ),
-        ("ncols x".to_owned(), format!("dtm: byte 5: ncols: `x` is no number; {form}")),
+        ("ncols x".to_owned(), format!("dtm: byte 5: ncols: `x` is not a number; {form}")),
         (
             GRID.replace("cellsize 10\n", ""),
             format!("dtm: the header of the ASCII grid has no `cellsize`; {form}"),
         ),
-        (GRID.replace("cellsize 10", "cellsize 0"), format!("dtm: cells of 0 by 0 m; {form}")),
+        (GRID.replace("cellsize 10", "cellsize 0"), format!("dtm: invalid cell size 0 by 0 m; {form}")),
         (
             GRID.replace("ncols 3", "ncols 2.5"),
-            format!("dtm: a terrain model of 0 by 2 cells, and from 1 to 100000000 are possible; {area}"),
+            format!(
+                "dtm: the terrain model has 0 by 2 cells, but only 1 to 100000000 are \
+                     supported; {area}"
+            ),
         ),
         (
             GRID.replace("ncols 3", "ncols 4000000000"),
             format!(
-                "dtm: a terrain model of 4000000000 by 2 cells, and from 1 to 100000000 are possible; {area}"
+                "dtm: the terrain model has 4000000000 by 2 cells, but only 1 to 100000000 are \
+                 supported; {area}"
             ),
         ),
         (
@@ -73,21 +77,21 @@ fn each_fault_of_a_grid_has_its_message() {
             GRID.replace("4 5 -9999\n", "4 5"),
             format!("dtm: byte 86: heights: the file ends after 5 of 6 heights; {cut}"),
         ),
-        (GRID.replace("2 3", "2 three"), format!("dtm: byte 81: heights: `three` is no number; {form}")),
+        (GRID.replace("2 3", "2 three"), format!("dtm: byte 81: heights: `three` is not a number; {form}")),
         (
             GRID.replace("2 3", &format!("2 {long}")),
-            format!("dtm: byte 80: text: a word of over 64 bytes; {form}"),
+            format!("dtm: byte 80: text: a word longer than 64 bytes; {form}"),
         ),
         (
             "ncols 1 nrows 1 xllcorner 0 yllcorner 0 cellsize 5 NODATA_value 1 1".to_owned(),
-            "dtm: the terrain model holds no height; give the terrain model of this area".to_owned(),
+            "dtm: the terrain model has no heights; give the terrain model of this area".to_owned(),
         ),
     ] {
         assert_eq!(open(text.as_bytes()).unwrap_err(), message, "{text}");
     }
 }
 
-/// What a GeoTIFF says of its place.
+/// Georeferencing tags of a GeoTIFF.
 struct Tags {
     scale: Vec<f64>,
     tie: Vec<f64>,
@@ -149,30 +153,30 @@ fn a_geotiff_is_the_same_as_the_grid() {
 
 #[test]
 fn each_fault_of_a_geotiff_has_its_message() {
-    let remedy = "convert it to a GeoTIFF of one band of heights that lies north up";
+    let remedy = "convert it to a north-up GeoTIFF with one band of heights";
     let gray = |tags: &Tags| open(&tiff_of::<colortype::Gray32Float, _>(&HEIGHTS, 3, tags)).unwrap_err();
     let no_scale = Tags { scale: Vec::new(), ..Tags::default() };
-    assert_eq!(gray(&no_scale), format!("dtm: the GeoTIFF does not say how large its cells are; {remedy}"));
+    assert_eq!(gray(&no_scale), format!("dtm: the GeoTIFF has no cell size (ModelPixelScale); {remedy}"));
     let no_tie = Tags { tie: Vec::new(), ..Tags::default() };
-    assert_eq!(gray(&no_tie), format!("dtm: the GeoTIFF does not say where it lies; {remedy}"));
+    assert_eq!(gray(&no_tie), format!("dtm: the GeoTIFF has no tie point (ModelTiepoint); {remedy}"));
     let flat = Tags { scale: vec![10.0, -10.0, 0.0], ..Tags::default() };
-    assert_eq!(gray(&flat), format!("dtm: cells of 10 by -10 m; {remedy}"));
+    assert_eq!(gray(&flat), format!("dtm: invalid cell size 10 by -10 m; {remedy}"));
     let rgb = tiff_of::<colortype::RGB8, u8>(&[7; 18], 3, &Tags::default());
     assert_eq!(open(&rgb).unwrap_err(), format!("dtm: the GeoTIFF has more than one band; {remedy}"));
     let long = tiff_of::<colortype::Gray64, u64>(&[7; 6], 3, &Tags::default());
     assert_eq!(
         open(&long).unwrap_err(),
-        format!("dtm: the GeoTIFF's heights are of a type that heights never have; {remedy}")
+        format!("dtm: the sample type of the GeoTIFF is not supported for heights; {remedy}")
     );
     let error = open(b"II*\0\x08\0").unwrap_err();
-    assert!(error.starts_with("dtm: no GeoTIFF that can be read: ") && error.ends_with(remedy), "{error}");
+    assert!(error.starts_with("dtm: cannot read the GeoTIFF: ") && error.ends_with(remedy), "{error}");
 }
 
 #[test]
 fn a_cut_geotiff_is_an_error_at_every_length() {
     let whole = tiff_of::<colortype::Gray32Float, _>(&HEIGHTS, 3, &Tags::default());
     for length in 0..whole.len() {
-        // The image's bytes may stand anywhere: what is missing is never made up.
+        // The image may be anywhere in the file: missing data must never be invented.
         if let Ok(terrain) = open(&whole[..length]) {
             assert_eq!(terrain, open(&whole).unwrap(), "{length}");
         }
@@ -189,7 +193,7 @@ fn a_beam_meets_the_first_slope_it_comes_to() {
     assert!((range(5.0, down) - 100.0).abs() < 0.1);
     assert!((range(30.0, down) - 50.0).abs() < 0.1);
     assert!((range(25.0, down) - 75.0).abs() < 0.1);
-    // From the wall's far side at a slant: the crest, not the ground behind it.
+    // A slanted beam from beyond the wall hits the crest, not the ground on its far side.
     let slant = [-0.6, 0.0, -0.8];
     let met = range(76.0, slant);
     let (east, up) = (76.0 - 0.6 * met, 100.0 - 0.8 * met);

@@ -1,4 +1,4 @@
-//! The file of accuracies that goes with a trajectory: POQ, or smrmsg.
+//! Accuracy files of a trajectory: POQ or smrmsg.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,9 @@ use super::{Options, Recorded, poq, smrmsg};
 use crate::geo::time_axis::{Clock, Times, Unwrap, align};
 use crate::geo::trajectory::AccuracySample;
 
-/// The accuracies of a trajectory, on its axis: from the file that the user names, else from the POQ beside a POF.
+/// Reads the accuracies of a trajectory, on its time axis.
+///
+/// They come from the file given by the user, else from the POQ next to a POF.
 pub(super) fn find(recorded: &Recorded, options: &Options, placed: Placed) -> Result<Vec<AccuracySample>> {
     let beside = || recorded.format.starts_with("POF").then(|| beside(&recorded.file)).flatten();
     let Some(path) = options.accuracy.clone().or_else(beside) else { return Ok(Vec::new()) };
@@ -21,7 +23,7 @@ pub(super) fn find(recorded: &Recorded, options: &Options, placed: Placed) -> Re
     Ok(samples)
 }
 
-/// The POQ of a POF.
+/// Returns the POQ next to a POF.
 fn beside(pof: &Path) -> Option<PathBuf> {
     ["poq", "POQ"].map(|extension| pof.with_extension(extension)).into_iter().find(|path| path.is_file())
 }
@@ -36,10 +38,13 @@ fn read(path: &Path) -> Result<Vec<AccuracySample>> {
         return smrmsg::read(&mut input);
     }
     let problem = "it holds no accuracies: it is neither a POQ nor records of ten numbers (smrmsg)";
-    Err(Error::unusable(path, problem, "give the .poq beside the POF, or the smrmsg_*.out beside the SBET"))
+    Err(Error::unusable(path, problem, "give the .poq of the POF, or the smrmsg_*.out of the SBET"))
 }
 
-/// Times of accuracies count as those of the trajectory do, but for weeks where that is adjusted and these are not.
+/// Puts accuracies on the time axis of the trajectory.
+///
+/// They use its clock, unless the trajectory has adjusted times and the accuracies fit seconds of
+/// the week.
 fn place(path: &Path, samples: &mut [AccuracySample], trajectory: Times, placed: Placed) -> Result<()> {
     let times_s = samples.iter().map(|sample| sample.time_s);
     let limits_s = times_s.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| [a.min(t), b.max(t)]);
@@ -53,7 +58,7 @@ fn place(path: &Path, samples: &mut [AccuracySample], trajectory: Times, placed:
         [samples.first(), samples.last()].map(|sample| sample.map_or(f64::NAN, |sample| sample.time_s));
     let own = Times { clock, first_s: ends_s[0], last_s: ends_s[1] };
     let alignment = align(own, trajectory).map_err(|_| {
-        let problem = format!("its accuracies last from {own}, the trajectory from {trajectory}");
+        let problem = format!("its accuracies cover {own}, but the trajectory covers {trajectory}");
         Error::unusable(path, problem, "give the accuracies of this trajectory")
     })?;
     let shift_s = alignment.on_trajectory(own.first_s) - own.first_s;

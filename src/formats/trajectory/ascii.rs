@@ -1,7 +1,8 @@
-//! A trajectory as a text: a record per line, numbers with blanks, tabs, commas or semicolons between them.
+//! Text trajectories with one record per line.
 //!
-//! Lines before the first record are its header. Empty lines and those that begin with `#` or `%` are passed over.
-//! Longitude and latitude are degrees, the height metres.
+//! Columns are separated by blanks, tabs, commas or semicolons. Lines before the first record are
+//! the header. Empty lines and lines that begin with `#` or `%` are skipped. Longitude and latitude
+//! are in degrees, heights in metres.
 
 use std::path::Path;
 
@@ -12,9 +13,9 @@ use super::{Angles, Options, Raw, Records, check, sample_of_degrees};
 use crate::geo::frames::Attitude;
 use crate::geo::trajectory::Sample;
 
-/// No line is longer, bytes.
+/// Longest accepted line, bytes.
 const LONGEST_LINE: u64 = 1 << 16;
-/// Letters of the columns that are read, and what they mean.
+/// Column letters and their quantities.
 const LETTERS: [(char, &str); 7] = [
     ('t', "time"),
     ('x', "longitude"),
@@ -24,11 +25,11 @@ const LETTERS: [(char, &str); 7] = [
     ('p', "pitch"),
     ('k', "heading"),
 ];
-/// Which of them may be missing.
+/// Index of the only optional column.
 const ROLL: usize = 4;
 const REMEDY: &str = "check `trajectory_columns`";
 
-/// Whether a file that begins so is a text.
+/// Returns whether a file with these first bytes is text.
 pub(super) fn is_text(head: &[u8]) -> bool {
     let is_control = |byte: &&u8| **byte < 0x20 && !b"\t\r\n\x0c\x1a".contains(byte) || **byte == 0x7f;
     let foreign = head.iter().filter(|byte| **byte >= 0x80).count();
@@ -41,17 +42,17 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
     let Some(letters) = &options.columns else {
         let first = input.line(LONGEST_LINE)?.unwrap_or_default();
         let first: String = first.chars().take(80).collect();
-        let problem =
-            format!("it is a text, and nothing says what its columns are; it begins with `{first}`");
-        let remedy = "say it with `trajectory_columns`, such as `txyzwpk`: time, longitude, latitude, height, roll, pitch, heading; \
-                      any other letter passes over a column";
+        let problem = format!("it is text, but its columns are not defined; it begins with `{first}`");
+        let remedy = "set `trajectory_columns`, such as `txyzwpk`: time, longitude, latitude, \
+                      height, roll, pitch, heading; any other letter skips a column";
         return Err(Error::unusable(&path, problem, remedy));
     };
     let columns = Columns::new(letters).map_err(|problem| {
         Error::unusable(
             &path,
             problem,
-            "name time t, longitude x, latitude y, height z, roll w, pitch p and heading k",
+            "use t for time, x for longitude, y for latitude, z for height, w for roll, p for \
+             pitch and k for heading",
         )
     })?;
     let is_radians = options.angles == Some(Angles::Radians);
@@ -80,8 +81,8 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
     let mut notes = notes(&samples, is_radians);
     if columns.0[ROLL].is_none() {
         notes.push(
-            "the trajectory's columns have no roll (`w`): 0 is taken, and each degree of true roll puts points off by \
-             1.7 % of their range; give a trajectory with roll"
+            "the trajectory's columns have no roll (`w`): assuming 0; each degree of true roll \
+             displaces points by 1.7 % of their range; give a trajectory with roll"
                 .to_owned(),
         );
     }
@@ -93,12 +94,14 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
     })
 }
 
-/// The sample of a row, whose fields stand in the order of the letters.
+/// Converts a row to a sample.
+///
+/// Its fields are in the order of the letters.
 fn sample(path: &Path, offset: u64, line: u64, row: [f64; 7], is_radians: bool) -> Result<Sample> {
     let [time_s, longitude, latitude, height_m, angles @ ..] = row;
     for (field, value, most) in [("latitude", latitude, 90.0), ("longitude", longitude, 360.0)] {
         if value.abs() > most {
-            let problem = format!("{value} is none in degrees");
+            let problem = format!("{value} degrees is out of range");
             let remedy = "give geodetic positions, and check `trajectory_columns`";
             return Err(Error::malformed(path, offset, format!("{field} of line {line}"), problem, remedy));
         }
@@ -116,12 +119,14 @@ fn notes(samples: &[Sample], is_radians: bool) -> Vec<String> {
             && sample.place.longitude_rad.to_degrees().abs() < 3.2
     };
     if is_radians && !samples.is_empty() && samples.iter().all(is_small) {
-        return vec!["longitude and latitude are read as degrees; are they radians, too?".to_owned()];
+        return vec!["longitude and latitude are read as degrees, but they may be radians".to_owned()];
     }
     Vec::new()
 }
 
-/// Index of the column of each quantity, from 0, in the order of the letters; the roll may be missing.
+/// Column index of each quantity, from 0.
+///
+/// In the order of the letters; roll may be missing.
 struct Columns([Option<usize>; 7]);
 
 impl Columns {
@@ -133,11 +138,13 @@ impl Columns {
                 (Some((at, _)), None) => places[number] = Some(at),
                 (None, _) if number == ROLL => {}
                 (None, _) => {
-                    return Err(format!("`trajectory_columns` is `{letters}`, without a {name} ({letter})"));
+                    return Err(format!(
+                        "`trajectory_columns` is `{letters}`, which lacks the {name} ({letter})"
+                    ));
                 }
                 _ => {
                     return Err(format!(
-                        "`trajectory_columns` is `{letters}`, with two of {name} ({letter})"
+                        "`trajectory_columns` is `{letters}`, which has two columns for {name} ({letter})"
                     ));
                 }
             }
@@ -145,7 +152,7 @@ impl Columns {
         Ok(Columns(places))
     }
 
-    /// The numbers of a line, or what is wrong with it.
+    /// Parses the numbers of a line, or describes the problem.
     fn row(&self, line: &str) -> std::result::Result<[f64; 7], String> {
         let cells: Vec<&str> = if line.contains([',', ';']) {
             line.split([',', ';']).map(str::trim).collect()
@@ -156,11 +163,7 @@ impl Columns {
         for ((value, at), (_, name)) in row.iter_mut().zip(self.0).zip(LETTERS) {
             let Some(at) = at else { continue };
             let Some(cell) = cells.get(at) else {
-                return Err(format!(
-                    "there are {} columns, and the {name} is number {}",
-                    cells.len(),
-                    at + 1
-                ));
+                return Err(format!("there are {} columns, but {name} is column {}", cells.len(), at + 1));
             };
             match cell.parse::<f64>() {
                 Ok(number) if number.is_finite() => *value = number,

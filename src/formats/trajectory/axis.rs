@@ -1,4 +1,6 @@
-//! Times of a file onto one continuous axis: on across midnights, to GPS time, and to adjusted time where the date is known.
+//! Converts file times to one continuous axis.
+//!
+//! The axis is GPS time, adjusted if the date is known.
 
 use std::path::Path;
 
@@ -7,27 +9,27 @@ use super::{Options, Raw, Recorded, accuracies};
 use crate::geo::time::{ADJUSTMENT_S, WEEK_S, gps_week};
 use crate::geo::time_axis::{Clock, DAY_S, Unwrap, adjusted_of_date, leap_seconds};
 
-/// What a file says of its times.
+/// Declarations of a file about its times.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Stated {
-    /// What they count.
+    /// Clock of the times.
     pub(super) clock: Option<Clock>,
-    /// Whether they are UTC's; GPS's otherwise.
+    /// Whether times are UTC; otherwise GPS time.
     pub(super) is_utc: bool,
     /// Year, month and day of the recording.
     pub(super) date: Option<[u16; 3]>,
 }
 
-/// How times of a file became those of the axis.
+/// Conversion applied to the file's times.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Placed {
-    /// What they counted.
+    /// Clock of the file's times.
     pub(super) clock: Clock,
-    /// GPS time less theirs, s.
+    /// GPS time minus the file's time, s.
     pub(super) leap_s: f64,
 }
 
-/// Puts what a decoder gave on one axis, and adds the accuracies.
+/// Puts the decoded records on one time axis and adds the accuracies.
 pub(super) fn settle(path: &Path, raw: Raw, options: &Options) -> Result<Recorded> {
     let Raw { format, stated, mut records, mut notes } = raw;
     let clock = clock_of(path, &stated, options, records.times_s(), &mut notes)?;
@@ -40,16 +42,16 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options) -> Result<Recorde
         _ if !stated.is_utc => 0.0,
         Some(anchor_s) => leap_seconds(first_s + anchor_s),
         None => {
-            let problem = "its times are UTC, and without a date the leap seconds are not known";
+            let problem = "its times are UTC, but it has no date to determine leap seconds";
             return Err(Error::unusable(path, problem, "export it with its date, or in GPS time"));
         }
     };
-    // Whole seconds: what is added to the times is exact.
+    // Whole seconds, so the sum is exact.
     let shift_s = anchor_s.unwrap_or(0.0) + leap_s;
     records.times_mut().for_each(|time_s| *time_s += shift_s);
     let counts = counts(clock, &stated, midnight_s.is_some(), leap_s);
     if stated.date.is_some() && midnight_s.is_none() {
-        notes.push("the header's date is none: week and day are not known".to_owned());
+        notes.push("the header has an invalid date: week and day are unknown".to_owned());
     }
     let on_axis = if anchor_s.is_some() { Clock::Adjusted } else { clock };
     let accuracies = Vec::new();
@@ -59,7 +61,9 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options) -> Result<Recorde
     Ok(recorded)
 }
 
-/// Where times of a clock lie that are what it says, s: with some room for those that run on across an end.
+/// Returns the valid range of a clock, s.
+///
+/// It has a margin for times that continue across the end of the week or day.
 fn range_s(clock: Clock) -> [f64; 2] {
     match clock {
         Clock::Adjusted => [-ADJUSTMENT_S, ADJUSTMENT_S],
@@ -68,12 +72,14 @@ fn range_s(clock: Clock) -> [f64; 2] {
     }
 }
 
-/// Whether times between these may be a clock's.
+/// Returns whether times in this range are valid for a clock.
 pub(super) fn may_be(clock: Clock, [least_s, most_s]: [f64; 2]) -> bool {
     range_s(clock)[0] <= least_s && most_s <= range_s(clock)[1]
 }
 
-/// The clock that the user says, or the file, or that fits.
+/// Chooses the clock.
+///
+/// The user's, else the file's, else one that fits the times.
 fn clock_of(
     path: &Path,
     stated: &Stated,
@@ -106,12 +112,14 @@ fn clock_of(
         return Ok(clock);
     }
     let problem =
-        format!("its times, from {:.3} to {:.3} s, are no {}", limits_s[0], limits_s[1], clock.name());
-    let remedy = "say with `trajectory_time` what they count: week, day or adjusted";
+        format!("its times, from {:.3} to {:.3} s, are not {}", limits_s[0], limits_s[1], clock.name());
+    let remedy = "set `trajectory_time` to week, day or adjusted";
     Err(Error::unusable(path, problem, remedy))
 }
 
-/// What to add to times of a clock for adjusted time; `None` without a date.
+/// Returns the offset from a clock to adjusted time, s.
+///
+/// `None` without a date.
 fn anchor_s(clock: Clock, first_s: f64, date: Option<[u16; 3]>) -> Option<f64> {
     if clock == Clock::Adjusted {
         return Some(0.0);
@@ -123,12 +131,13 @@ fn anchor_s(clock: Clock, first_s: f64, date: Option<[u16; 3]>) -> Option<f64> {
     let [year, month, day] = date?;
     let (week, _) = gps_week(year.into(), month.into(), day.into())?;
     let week_s = f64::from(week) * WEEK_S - ADJUSTMENT_S;
-    // At the end of a week the date may be that of either: the first record lies nearest to it.
+    // At the end of a week the date may belong to either week: choose the one nearest to the first
+    // record.
     let weeks = ((midnight_s + 0.5 * DAY_S - (week_s + first_s)) / WEEK_S).round();
     Some(week_s + WEEK_S * weeks)
 }
 
-/// What times of the file count, in words.
+/// Describes the clock of the file's times.
 fn counts(clock: Clock, stated: &Stated, has_date: bool, leap_s: f64) -> String {
     let whose = if stated.is_utc { format!("UTC ({leap_s} s less than GPS)") } else { "GPS".to_owned() };
     match stated.date {

@@ -1,4 +1,6 @@
-//! Records of a file, one after the other; nothing is allocated by what the file says.
+//! Sequential reader of fixed-size records and lines.
+//!
+//! Allocates nothing by sizes from the file.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
@@ -7,17 +9,17 @@ use std::path::{Path, PathBuf};
 use super::super::bytes::Fields;
 use super::super::{Error, Result};
 
-/// What a look at the beginning of a file shows at most, bytes.
+/// Number of bytes read to recognise a file, at most.
 const HEAD_BYTES: usize = 4096;
-/// Records are never longer, bytes.
+/// Largest accepted record, bytes.
 pub(super) const LONGEST_RECORD: usize = 4096;
 
-/// A file that is read from its beginning to its end.
+/// Sequential reader of a file.
 pub(super) struct Input {
     pub(super) path: PathBuf,
-    /// The length of the file, bytes.
+    /// Length of the file, bytes.
     pub(super) length: u64,
-    /// Where the next byte stands.
+    /// Offset of the next byte.
     pub(super) offset: u64,
     reader: BufReader<File>,
 }
@@ -34,14 +36,14 @@ impl Input {
         })
     }
 
-    /// The first bytes, a few thousand at most; the next byte is the first one still.
+    /// Returns the first bytes, at most [`HEAD_BYTES`], without advancing.
     pub(super) fn head(&mut self) -> Result<Vec<u8>> {
         let head = self.header(HEAD_BYTES)?;
         self.go_to(0)?;
         Ok(head)
     }
 
-    /// So many bytes, or as many as are left.
+    /// Reads this many bytes, or as many as are left.
     pub(super) fn header(&mut self, bytes: usize) -> Result<Vec<u8>> {
         let mut header = vec![0; bytes.min(HEAD_BYTES)];
         let read = self.fill(&mut header)?;
@@ -49,15 +51,17 @@ impl Input {
         Ok(header)
     }
 
-    /// Goes on at this byte.
+    /// Seeks to this offset.
     pub(super) fn go_to(&mut self, offset: u64) -> Result<()> {
         self.reader.seek(SeekFrom::Start(offset)).map_err(Error::io(&self.path, "read"))?;
         self.offset = offset;
         Ok(())
     }
 
-    /// Reads records of `size` bytes, at most [`LONGEST_RECORD`], up to the end of the file, or `count` of them, where that
-    /// is known; `each` gets the record's number, from 1, and its fields.
+    /// Reads records of `size` bytes, at most [`LONGEST_RECORD`].
+    ///
+    /// Stops after `count` records, or at the end of the file if `count` is `None`. `each` gets the
+    /// number of the record, from 1, and its fields.
     pub(super) fn each(
         &mut self,
         size: usize,
@@ -74,7 +78,7 @@ impl Input {
                 break;
             }
             if read < bytes.len() {
-                let problem = format!("{size} bytes are needed and {read} are left");
+                let problem = format!("{size} bytes needed, {read} left");
                 let remedy = "the file is cut off: copy it again from its source";
                 return Err(Error::malformed(
                     &self.path,
@@ -89,8 +93,9 @@ impl Input {
         Ok(())
     }
 
-    /// The next line without its end, at most `longest` bytes; `None` at the end of the file. Bytes that are no text are
-    /// replaced.
+    /// Reads a line of at most `longest` bytes, without its end.
+    ///
+    /// `None` at the end of the file. Invalid UTF-8 is replaced.
     pub(super) fn line(&mut self, longest: u64) -> Result<Option<String>> {
         let mut bytes = Vec::new();
         let read = self.reader.by_ref().take(longest + 1).read_until(b'\n', &mut bytes);
@@ -105,14 +110,14 @@ impl Input {
                 self.offset,
                 "line",
                 problem,
-                "give a table with a line per record",
+                "give a table with one line per record",
             ));
         }
         self.offset += read;
         Ok(Some(String::from_utf8_lossy(&bytes).trim().to_owned()))
     }
 
-    /// Fills a buffer, or as much of it as there are bytes left.
+    /// Fills the buffer as far as possible; returns the count.
     fn fill(&mut self, buffer: &mut [u8]) -> Result<usize> {
         let mut filled = 0;
         while filled < buffer.len() {

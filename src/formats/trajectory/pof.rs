@@ -1,7 +1,8 @@
-//! POF, RIEGL's file of positions and orientations, versions 1.0 and 1.1; written as 1.1.
+//! POF, RIEGL's position and orientation file, versions 1.0 and 1.1.
 //!
-//! The layout is gathered from public readers; no file of RIEGL's own could be had to check it. Little-endian and
-//! packed: a header of [`HEADER_BYTES`], then records of [`RECORD_BYTES`]; those of version 1.0 lack the distance.
+//! Written as 1.1. The layout is taken from public readers; it is not verified with an original
+//! RIEGL file. All fields are little-endian and packed: a header of [`HEADER_BYTES`], then records
+//! of [`RECORD_BYTES`]. Records of version 1.0 lack the distance.
 
 use super::super::bytes::Fields;
 use super::axis::Stated;
@@ -10,21 +11,23 @@ use super::{Raw, Records, Result, check, sample_of_degrees};
 use crate::geo::frames::Attitude;
 use crate::geo::time_axis::Clock;
 
-/// What a POF file begins with.
+/// First bytes of a POF file.
 pub const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION\0";
 
-/// Bytes of the header that [`PofHeader::encode`] makes: where the records begin.
+/// Size of the header that [`PofHeader::encode`] writes.
+///
+/// The records follow it.
 pub const HEADER_BYTES: usize = 315;
 
-/// Bytes of a record of version 1.1.
+/// Size of a record of version 1.1, bytes.
 pub const RECORD_BYTES: usize = 64;
 
-/// What the header says.
+/// POF header.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PofHeader {
     /// Year, month and day of the recording.
     pub date: [u16; 3],
-    /// How many records there are.
+    /// Number of records.
     pub records: i64,
     /// Smallest and largest longitude, degrees.
     pub longitude_deg: [f64; 2],
@@ -32,37 +35,39 @@ pub struct PofHeader {
     pub latitude_deg: [f64; 2],
     /// Smallest and largest height above the ellipsoid, m.
     pub altitude_m: [f64; 2],
-    /// Mean, largest and standard deviation of the time between records, s.
+    /// Mean, maximum and standard deviation of the time between records, s.
     pub time_step_s: [f64; 3],
-    /// What times count: 1 seconds of the day, 2 seconds of the week.
+    /// Clock: 1 seconds of the day, 2 seconds of the week.
     pub time_unit: u8,
-    /// Whose time it is: 0 GPS, 1 UTC, 2 unknown.
+    /// Time system: 0 GPS, 1 UTC, 2 unknown.
     pub time_info: u8,
 }
 
-/// A record.
+/// POF record.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PofRecord {
-    /// As the header's `time_unit` says, s.
+    /// Time in the header's `time_unit`, s.
     pub time_s: f64,
-    /// Degrees, positive to the east.
+    /// Longitude, degrees, positive to the east.
     pub longitude_deg: f64,
-    /// Degrees, positive to the north.
+    /// Latitude, degrees, positive to the north.
     pub latitude_deg: f64,
-    /// Above the ellipsoid, m.
+    /// Height above the ellipsoid, m.
     pub altitude_m: f64,
-    /// Right wing down: positive, degrees.
+    /// Roll, degrees; positive with the right wing down.
     pub roll_deg: f64,
-    /// Nose up: positive, degrees.
+    /// Pitch, degrees; positive with the nose up.
     pub pitch_deg: f64,
-    /// Clockwise from north, degrees.
+    /// Heading clockwise from north, degrees.
     pub yaw_deg: f64,
-    /// Length of the path up to here, m.
+    /// Path length from the first record, m.
     pub distance_m: f64,
 }
 
 impl PofHeader {
-    /// The header's bytes; the texts (zone, location, device, project, company) are left empty.
+    /// Encodes the header.
+    ///
+    /// Texts (zone, location, device, project, company) are empty.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(HEADER_BYTES);
         bytes.extend(MAGIC);
@@ -81,7 +86,7 @@ impl PofHeader {
 }
 
 impl PofRecord {
-    /// The record's bytes.
+    /// Encodes the record.
     pub fn encode(&self) -> [u8; RECORD_BYTES] {
         let fields = [
             self.time_s,
@@ -101,17 +106,19 @@ impl PofRecord {
     }
 }
 
-/// Bytes of the header up to the texts, which are not needed: no record begins before.
+/// Size of the header before its texts, bytes.
+///
+/// Records cannot begin earlier.
 const NEEDED_BYTES: u32 = 123;
-/// Bytes of a record of version 1.0.
+/// Size of a record of version 1.0, bytes.
 const RECORD_BYTES_1_0: usize = 56;
 
-/// A header, its version, and where the records begin.
+/// Decodes header, version and offset of the records.
 fn decode_header(mut fields: Fields) -> Result<(PofHeader, [u16; 2], u32)> {
     fields.skip(MAGIC.len(), "magic")?;
     let version = [fields.u16("major version")?, fields.u16("minor version")?];
     if version[0] != 1 {
-        let problem = format!("version {}.{} is not known", version[0], version[1]);
+        let problem = format!("version {}.{} is not supported", version[0], version[1]);
         return Err(fields.bad("version", problem, "export the trajectory as POF 1.1 or as SBET"));
     }
     let begin = fields.clone();
@@ -164,7 +171,7 @@ pub(super) fn read(input: &mut Input) -> Result<Raw> {
     Ok(Raw { format, stated, records: Records::Geodetic(samples), notes })
 }
 
-/// What the header says of times.
+/// Returns the header's declarations about times.
 fn stated(header: &PofHeader, notes: &mut Vec<String>) -> Stated {
     let clock = match header.time_unit {
         1 => Some(Clock::Day),
@@ -172,25 +179,27 @@ fn stated(header: &PofHeader, notes: &mut Vec<String>) -> Stated {
         _ => None,
     };
     if header.time_info > 1 {
-        notes.push("the header does not say whether times are GPS or UTC: they are taken as GPS".to_owned());
+        notes.push("the header does not say whether times are GPS or UTC: assuming GPS".to_owned());
     }
     Stated { clock, is_utc: header.time_info == 1, date: Some(header.date) }
 }
 
-/// How many records are read: as many as the header says, or all, where it says none.
+/// Returns the number of records to read.
+///
+/// The header's count, or all if it gives none.
 fn counted(header: &PofHeader, input: &Input, size: usize, notes: &mut Vec<String>) -> Option<u64> {
     let bytes = input.length.saturating_sub(input.offset);
     match u64::try_from(header.records) {
         Ok(count) if count > 0 => {
             let more = (bytes / size as u64).saturating_sub(count);
             if more > 0 {
-                notes.push(format!("{more} records behind the {count} that the header counts are not read"));
+                notes.push(format!("records beyond the header's count of {count} are not read: {more}"));
             }
             Some(count)
         }
         _ => {
             notes.push(format!(
-                "the header counts {} records: all are read to the end of the file",
+                "the header declares {} records: reading all to the end of the file",
                 header.records
             ));
             None

@@ -1,7 +1,8 @@
-//! POQ, the accuracies beside a POF.
+//! POQ, the accuracies of a POF.
 //!
-//! The layout is that of public readers: little-endian and packed, a header of 67 bytes, then records of the time, six
-//! standard deviations, the dilution of precision, and counts of satellites: two from version 1.1 on, one before.
+//! The layout is taken from public readers. All fields are little-endian and packed: a header of 67
+//! bytes, then records of the time, six standard deviations, the dilution of precision, and the
+//! number of satellites (two counts from version 1.1 on, one before).
 
 use super::super::Error;
 use super::super::bytes::Fields;
@@ -9,15 +10,17 @@ use super::Result;
 use super::input::Input;
 use crate::geo::trajectory::{Accuracy, AccuracySample};
 
-/// What a POQ begins with; a POF has a zero byte where this has a blank.
+/// First bytes of a POQ file.
+///
+/// A POF has a zero byte instead of the last blank.
 pub const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION ";
 
-/// Bytes of the text that the header begins with.
+/// Size of the title at the beginning of the header, bytes.
 const TITLE_BYTES: usize = 35;
-/// Bytes of the header.
+/// Size of the header, bytes.
 const HEADER_BYTES: usize = 67;
 
-/// Reads all accuracies; times as in the file.
+/// Reads all accuracies, with times as in the file.
 pub(super) fn read(input: &mut Input) -> Result<Vec<AccuracySample>> {
     let path = input.path.clone();
     let header = input.header(HEADER_BYTES)?;
@@ -26,7 +29,7 @@ pub(super) fn read(input: &mut Input) -> Result<Vec<AccuracySample>> {
     let [major, minor] = [fields.u16("major version")?, fields.u16("minor version")?];
     if major != 1 {
         let remedy = "export it as POQ 1.1, or leave it out";
-        return Err(fields.bad("version", format!("version {major}.{minor} is not known"), remedy));
+        return Err(fields.bad("version", format!("version {major}.{minor} is not supported"), remedy));
     }
     let begin = fields.clone();
     let data_offset = fields.u32("data offset")?;
@@ -61,7 +64,7 @@ fn decode(mut fields: Fields) -> Result<AccuracySample> {
 pub(super) mod tests {
     use super::*;
 
-    /// A POQ 1.1 of these times, with sigmas of 1 to 6.
+    /// Builds a POQ 1.1 file of these times, with standard deviations of 1 to 6.
     pub(in super::super) fn made(times_s: &[f64]) -> Vec<u8> {
         let mut bytes = b"RIEGL POSITION&ORIENTATION QUALITY\0".to_vec();
         bytes.extend([1, 0, 1, 0]);
@@ -106,7 +109,8 @@ pub(super) mod tests {
         bytes[35] = 2;
         assert_eq!(
             read_bytes(&bytes).unwrap_err(),
-            "a.poq: byte 39: version: version 2.1 is not known; export it as POQ 1.1, or leave it out"
+            "a.poq: byte 39: version: version 2.1 is not supported; export it as POQ 1.1, or leave \
+             it out"
         );
         let mut bytes = made(&[10.0]);
         bytes[39] = 40;
@@ -117,7 +121,8 @@ pub(super) mod tests {
         let cut = &made(&[10.0])[..100];
         assert_eq!(
             read_bytes(cut).unwrap_err(),
-            "a.poq: byte 67: record 1: 68 bytes are needed and 33 are left; the file is cut off: copy it again from its source"
+            "a.poq: byte 67: record 1: 68 bytes needed, 33 left; the file is cut off: copy it \
+             again from its source"
         );
     }
 }

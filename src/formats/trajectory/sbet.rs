@@ -1,6 +1,7 @@
-//! SBET, the smoothed best estimate of a trajectory: records of 17 doubles, and nothing else.
+//! SBET, smoothed best estimate of trajectory.
 //!
-//! Applanix, "POSPac MMS User Guide", appendix on output file formats: little-endian, no header.
+//! Records of 17 little-endian doubles, no header. Source: Applanix, "POSPac MMS User Guide",
+//! appendix on output file formats.
 
 use super::axis::Stated;
 use super::input::Input;
@@ -9,13 +10,13 @@ use crate::geo::ellipsoid::Geodetic;
 use crate::geo::frames::Attitude;
 use crate::geo::trajectory::Sample;
 
-/// Bytes of a record.
+/// Size of a record, bytes.
 pub const RECORD_BYTES: usize = 136;
 
-/// A record, in the order of its fields.
+/// SBET record, in the order of its fields.
 ///
-/// The wander frame is level; its x axis lies at the azimuth `-wander_angle_rad`. The heading from north is
-/// `platform_heading_rad - wander_angle_rad`.
+/// The wander frame is level; its x axis has the azimuth `-wander_angle_rad`. The heading from
+/// north is `platform_heading_rad - wander_angle_rad`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SbetRecord {
     /// GPS time, s of the week.
@@ -28,22 +29,22 @@ pub struct SbetRecord {
     pub height_m: f64,
     /// Velocity along the axes of the wander frame (x, y, down), m/s.
     pub velocity_mps: [f64; 3],
-    /// Right wing down: positive, rad.
+    /// Roll, rad; positive with the right wing down.
     pub roll_rad: f64,
-    /// Nose up: positive, rad.
+    /// Pitch, rad; positive with the nose up.
     pub pitch_rad: f64,
-    /// Clockwise from the wander frame's x axis, rad.
+    /// Heading clockwise from the x axis of the wander frame, rad.
     pub platform_heading_rad: f64,
-    /// From north to the wander frame, rad.
+    /// Angle from north to the wander frame, rad.
     pub wander_angle_rad: f64,
-    /// Acceleration along the body's axes, m/s^2.
+    /// Acceleration along the body axes, m/s^2.
     pub acceleration_mps2: [f64; 3],
-    /// Angular rate about the body's axes, rad/s.
+    /// Angular rate about the body axes, rad/s.
     pub angular_rate_rad_per_s: [f64; 3],
 }
 
 impl SbetRecord {
-    /// The record's bytes.
+    /// Encodes the record.
     pub fn encode(&self) -> [u8; RECORD_BYTES] {
         let [vx, vy, vz] = self.velocity_mps;
         let [ax, ay, az] = self.acceleration_mps2;
@@ -74,7 +75,7 @@ impl SbetRecord {
         bytes
     }
 
-    /// What every trajectory has: the heading counts from north.
+    /// Converts to a sample with the heading from north.
     fn sample(&self) -> Sample {
         Sample {
             time_s: self.time_s,
@@ -91,7 +92,7 @@ impl SbetRecord {
         }
     }
 
-    /// The record of these bytes.
+    /// Decodes a record.
     pub fn decode(bytes: &[u8; RECORD_BYTES]) -> SbetRecord {
         let mut fields = [0.0; 17];
         for (field, place) in fields.iter_mut().zip(bytes.chunks_exact(8)) {
@@ -118,11 +119,11 @@ impl SbetRecord {
     }
 }
 
-/// Whether a file that begins so may be an SBET: its first record is one of a real flight.
+/// Returns whether a file begins with a plausible SBET record.
 pub(super) fn is_one(head: &[u8]) -> bool {
     use core::f64::consts::{FRAC_PI_2, TAU};
     let Some(record) = head.first_chunk().map(SbetRecord::decode) else { return false };
-    // Texts, and other bytes at random, make numbers that are next to nothing.
+    // Text and random bytes decode to numbers close to zero.
     let is_within = |value: f64, most: f64| value == 0.0 || (1e-30..=most).contains(&value.abs());
     let angles = [record.longitude_rad, record.roll_rad, record.pitch_rad];
     let headings = [record.platform_heading_rad, record.wander_angle_rad];
@@ -160,7 +161,7 @@ pub(super) fn read(input: &mut Input) -> Result<Raw> {
 mod tests {
     use super::*;
 
-    /// Field k holds the number k.
+    /// Builds a record whose field `k` holds the number `k`.
     fn counted() -> SbetRecord {
         SbetRecord {
             time_s: 0.0,
@@ -181,7 +182,8 @@ mod tests {
     fn a_record_spelled_out() {
         let bytes = counted().encode();
         assert_eq!(bytes.len(), 136);
-        // 1, 2, 3, 7, 10 and 16 as little-endian doubles: sign and exponent in the last two bytes.
+        // 1, 2, 3, 7, 10 and 16 as little-endian doubles: sign and exponent are in the last two
+        // bytes.
         let upper = |field: usize| [bytes[8 * field + 6], bytes[8 * field + 7]];
         assert_eq!([1, 2, 3, 7].map(upper), [[0xf0, 0x3f], [0, 0x40], [8, 0x40], [0x1c, 0x40]]);
         assert_eq!([10, 16].map(upper), [[0x24, 0x40], [0x30, 0x40]]);

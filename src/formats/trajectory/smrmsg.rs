@@ -1,15 +1,18 @@
-//! smrmsg, the accuracies beside an SBET: records of ten doubles, and nothing else.
+//! smrmsg, the accuracies of an SBET.
 //!
-//! Applanix, "POSPac MMS User Guide", appendix on output file formats: little-endian, no header.
+//! Records of ten little-endian doubles, no header. Source: Applanix, "POSPac MMS User Guide",
+//! appendix on output file formats.
 
 use super::Result;
 use super::input::Input;
 use crate::geo::trajectory::{Accuracy, AccuracySample};
 
-/// Bytes of a record.
+/// Size of a record, bytes.
 pub const RECORD_BYTES: usize = 80;
 
-/// Whether a file of this length that begins so may be one: whole records, and a first one of a real flight.
+/// Returns whether a file of this length may be smrmsg.
+///
+/// It needs whole records and a plausible first record.
 pub(super) fn is_one(head: &[u8], length: u64) -> bool {
     let numbers: Vec<f64> = head
         .chunks_exact(8)
@@ -24,7 +27,7 @@ pub(super) fn is_one(head: &[u8], length: u64) -> bool {
         && numbers[1..4].iter().all(|position| *position > 1e-9)
 }
 
-/// Reads all accuracies; times as in the file.
+/// Reads all accuracies, with times as in the file.
 pub(super) fn read(input: &mut Input) -> Result<Vec<AccuracySample>> {
     let mut samples = Vec::new();
     input.each(RECORD_BYTES, None, |_, mut fields| {
@@ -47,7 +50,7 @@ pub(super) fn read(input: &mut Input) -> Result<Vec<AccuracySample>> {
 pub(super) mod tests {
     use super::*;
 
-    /// An smrmsg of these times, with 0.01 m or arc-minutes for field 1, 0.02 for field 2, and so on.
+    /// Builds an smrmsg file of these times, with field `k` = 0.01 `k` m or arc-minutes.
     pub(in super::super) fn made(times_s: &[f64]) -> Vec<u8> {
         let record =
             |time_s: &f64| [*time_s, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.6, 1.2, 6.0].map(f64::to_le_bytes);

@@ -1,6 +1,7 @@
-//! SOL, Leica IPAS's solution: records of 184 bytes, little-endian and packed, without a header.
+//! SOL, the solution of Leica IPAS.
 //!
-//! Known from one public reader; no file could be had to check it.
+//! Packed little-endian records of 184 bytes, no header. The layout is taken from one public
+//! reader; it is not verified with an original file.
 
 use super::super::Error;
 use super::axis::Stated;
@@ -13,12 +14,16 @@ use crate::geo::time::{ADJUSTMENT_S, WEEK_S};
 use crate::geo::time_axis::Clock;
 use crate::geo::trajectory::Sample;
 
-/// Bytes of a record.
+/// Size of a record, bytes.
 pub const RECORD_BYTES: usize = 184;
-/// The byte that is the exclusive or of those before.
+/// Offset of the check byte.
+///
+/// It is the XOR of the bytes before it.
 const CHECK_BYTE: usize = 34;
 
-/// Whether a file that begins so may be a SOL: the check byte holds, and the first record is one of a real flight.
+/// Returns whether a file may be SOL.
+///
+/// It needs a valid check byte and a plausible first record.
 pub(super) fn is_one(head: &[u8]) -> bool {
     use core::f64::consts::{FRAC_PI_2, TAU};
     let Some(record) = head.get(..RECORD_BYTES) else { return false };
@@ -37,7 +42,9 @@ fn holds(record: &[u8]) -> bool {
     from.first() == Some(&before.iter().fold(0, |check, byte| check ^ byte))
 }
 
-/// Week and sample; the time is adjusted.
+/// Decodes GPS week and sample.
+///
+/// The time is in adjusted seconds.
 fn decode(mut fields: Fields) -> Result<(u16, Sample)> {
     fields.skip(16, "header of the record")?;
     let week = fields.u16("GPS week")?;
@@ -64,7 +71,7 @@ pub(super) fn read(input: &mut Input) -> Result<Raw> {
         let offset = fields.offset();
         if !holds(fields.clone().take(RECORD_BYTES, "record")?) {
             let (field, problem) =
-                (format!("check byte of record {number}"), "it is not the exclusive or of those before");
+                (format!("check byte of record {number}"), "it is not the XOR of the bytes before it");
             let remedy = "the file is damaged: copy it again from its source";
             return Err(Error::malformed(&path, offset + CHECK_BYTE as u64, field, problem, remedy));
         }
@@ -85,7 +92,7 @@ pub(super) fn read(input: &mut Input) -> Result<Raw> {
 pub(super) mod tests {
     use super::*;
 
-    /// A record of this week and time.
+    /// Builds a record of this week and time.
     pub(in super::super) fn made(week: u16, time_s: f64, sample: &Sample) -> Vec<u8> {
         let mut bytes = vec![0xa5; RECORD_BYTES];
         bytes[16..18].copy_from_slice(&week.to_le_bytes());
@@ -110,7 +117,8 @@ pub(super) mod tests {
     fn a_record_spelled_out() {
         let mut bytes = vec![0; RECORD_BYTES];
         bytes[16..18].copy_from_slice(&[0x3d, 0x09]);
-        // 1, 2, -2, 4, 0.5, 0.25 and 8 as little-endian doubles: sign and exponent in the last two bytes.
+        // 1, 2, -2, 4, 0.5, 0.25 and 8 as little-endian doubles: sign and exponent are in the last
+        // two bytes.
         for (at, upper) in [
             (18, [0xf0, 0x3f]),
             (42, [0xf0, 0x3f]),

@@ -10,11 +10,11 @@ use crate::geo::transverse_mercator::{Parameters, TransverseMercator};
 
 mod refused;
 
-/// The date of the flights, a Tuesday, and its midnight.
+/// Date of the flights, a Tuesday, and its midnight.
 const DATE: [u16; 3] = [2025, 5, 6];
 const MIDNIGHT_S: f64 = 2365.0 * WEEK_S + 2.0 * DAY_S - 1e9;
 
-/// A flight with records every 0.5 s from this time on.
+/// Creates a flight with records every 0.5 s from this time on.
 fn flight(first_s: f64, records: u32) -> Vec<Sample> {
     let sample = |k: u32| {
         let since_s = 0.5 * f64::from(k);
@@ -88,7 +88,7 @@ fn unproject(place: [f64; 3]) -> std::result::Result<Geodetic, String> {
     Ok(Geodetic { latitude_rad, longitude_rad, height_m: place[2] })
 }
 
-/// The angle from the grid's north to true north is that of a meridian's way through the map.
+/// Grid convergence follows from the direction of a meridian in the projection.
 fn trj(samples: &[Sample], clock: impl Fn(f64) -> f64) -> Vec<u8> {
     let map = utm33();
     let sample = |sample: &Sample| {
@@ -116,7 +116,7 @@ fn text(samples: &[Sample], clock: impl Fn(f64) -> f64) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// Files in a folder of their own, whose name is left out of messages.
+/// Temporary folder of files; messages omit its path.
 struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -138,7 +138,7 @@ impl Folder {
         error.to_string().replace(&format!("{}/", self.0.path().display()), "")
     }
 
-    /// The trajectory of a file, which must be one.
+    /// Returns the trajectory of a valid file.
     fn flown(&self, name: &str, options: &Options) -> Trajectory {
         self.read(name, options).unwrap().into_trajectory(Some(&unproject)).unwrap()
     }
@@ -160,7 +160,8 @@ fn day(time_s: f64) -> f64 {
     (time_s + 1e9).rem_euclid(DAY_S)
 }
 
-/// Largest differences of place, m, and of attitude, rad, at the records of a flight.
+/// Returns the largest differences of position, m, and of attitude, rad, at the records of a
+/// flight.
 fn apart(trajectory: &Trajectory, flight: &[Sample], shift_s: f64) -> [f64; 2] {
     let mut worst = [0.0f64; 2];
     for sample in flight {
@@ -186,7 +187,8 @@ fn the_two_records_of_pdal() {
     assert_eq!((recorded.format.as_str(), recorded.clock), ("SBET", Clock::Week));
     assert_eq!(recorded.counts, "seconds of the week, GPS");
     let Records::Geodetic(samples) = &recorded.records else { panic!("{recorded:?}") };
-    // Time, latitude, longitude, height, roll and pitch as PDAL's reader of SBET gives them; heading less wander angle.
+    // Time, latitude, longitude, height, roll and pitch as in PDAL's SBET reader; heading minus
+    // wander angle.
     let told = samples.iter().map(|sample| {
         let Sample { time_s, place, attitude } = sample;
         let place = [place.latitude_rad, place.longitude_rad, place.height_m];
@@ -210,7 +212,7 @@ fn the_two_records_of_pdal() {
         3.047_131_105_236_810_6 + 0.021_984_160_079_321_084,
     ];
     assert_eq!([samples[0].attitude.heading_rad, samples[1].attitude.heading_rad], headings);
-    // It flew south at 2.4 m/s, as its velocities say.
+    // It flew south at 2.4 m/s, according to its velocities.
     let trajectory = recorded.into_trajectory(None).unwrap();
     let [a, b] = trajectory
         .span_s()
@@ -220,7 +222,7 @@ fn the_two_records_of_pdal() {
     assert!((south_mps - 2.33).abs() < 0.05, "{south_mps}");
 }
 
-/// The same flight in all formats, told by content alone.
+/// Every format, recognised by content alone, yields the same flight.
 #[test]
 fn every_format_tells_the_same_flight() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 40);
@@ -248,7 +250,9 @@ fn every_format_tells_the_same_flight() {
     }
 }
 
-/// The heading of a TRJ counts from the grid's north: 2.2 degrees of convergence at 12 E in zone 33.
+/// TRJ headings are relative to grid north.
+///
+/// 2.2 degrees of convergence at 12 E in zone 33.
 #[test]
 fn the_grids_north_is_not_true_north() {
     let samples = flight(100.0, 2);
@@ -300,16 +304,13 @@ fn a_pof_in_utc_becomes_gps() {
         assert_eq!(recorded.counts, format!("seconds of the {unit}, UTC (18 s less than GPS), 2025-05-06"));
     }
     let unknown = read_bytes(&pof(&samples, 2, 2, week), &Options::default()).unwrap();
-    assert_eq!(
-        unknown.notes,
-        ["the header does not say whether times are GPS or UTC: they are taken as GPS"]
-    );
+    assert_eq!(unknown.notes, ["the header does not say whether times are GPS or UTC: assuming GPS"]);
 }
 
 #[test]
 fn a_pof_says_less_than_it_should() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 4);
-    // No date, and a count of nothing.
+    // No date, and a count of 0.
     let mut bytes = pof(&samples, 2, 0, week);
     bytes[35..49].fill(0);
     let recorded = read_bytes(&bytes, &Options::default()).unwrap();
@@ -320,22 +321,23 @@ fn a_pof_says_less_than_it_should() {
     assert_eq!(
         recorded.notes,
         [
-            "the header counts 0 records: all are read to the end of the file",
-            "the header's date is none: week and day are not known"
+            "the header declares 0 records: reading all to the end of the file",
+            "the header has an invalid date: week and day are unknown"
         ]
     );
     // UTC without a date.
     bytes[122] = 1;
     assert_eq!(
         read_bytes(&bytes, &Options::default()).unwrap_err(),
-        "t.dat: its times are UTC, and without a date the leap seconds are not known; export it with its date, or in GPS time"
+        "t.dat: its times are UTC, but it has no date to determine leap seconds; export it with \
+         its date, or in GPS time"
     );
-    // A unit that is none, which the user tells; a count of fewer than there are.
+    // Invalid time unit, overridden by the user; count below the number of records.
     let mut bytes = pof(&samples, 9, 0, day);
     bytes[41] = 3;
     let recorded = read_bytes(&bytes, &Options { time: Some(Clock::Day), ..Options::default() }).unwrap();
     assert_eq!((recorded.times().first_s, recorded.records.len()), (MIDNIGHT_S + 36_000.0, 3));
-    assert_eq!(recorded.notes, ["1 records behind the 3 that the header counts are not read"]);
+    assert_eq!(recorded.notes, ["records beyond the header's count of 3 are not read: 1"]);
     // Version 1.0 has no distance.
     let mut bytes = pof(&samples, 2, 0, week);
     bytes[29] = 0;
@@ -365,13 +367,13 @@ fn what_the_user_says_of_times_wins() {
         |bytes: Vec<u8>, time| read_bytes(&bytes, &Options { time, ..Options::default() }).unwrap_err();
     assert_eq!(
         told(sbet(&samples, week), Some(Clock::Day)),
-        "t.dat: its times, from 208800.000 to 208801.500 s, are no seconds of the day; say with `trajectory_time` what \
-         they count: week, day or adjusted"
+        "t.dat: its times, from 208800.000 to 208801.500 s, are not seconds of the day; set \
+         `trajectory_time` to week, day or adjusted"
     );
     assert_eq!(
         told(sbet(&samples, |t| t + 1e9), None),
-        "t.dat: its times, from 1430560800.000 to 1430560801.500 s, are no adjusted seconds; say with `trajectory_time` \
-         what they count: week, day or adjusted"
+        "t.dat: its times, from 1430560800.000 to 1430560801.500 s, are not adjusted seconds; set \
+         `trajectory_time` to week, day or adjusted"
     );
 }
 
@@ -392,7 +394,7 @@ fn accuracies_come_from_their_companions() {
     };
     let beside = folder.flown("a.pof", &Options::default());
     assert_eq!(at(&beside, 5.0).unwrap().position_sd_m, [1.0, 2.0, 3.0]);
-    assert_eq!(at(&beside, 19.25), None, "the POQ ends before");
+    assert_eq!(at(&beside, 19.25), None, "the POQ ends earlier");
     let given = Options { accuracy: Some(folder.path("smrmsg_c.out")), ..Options::default() };
     for name in ["b.sol", "c.sbet"] {
         assert_eq!(folder.flown(name, &Options::default()).pose(0.0), None);
@@ -409,7 +411,7 @@ fn angles_of_a_text_may_be_radians() {
     let attitude = Attitude { roll_rad: 0.1, pitch_rad: 0.2, heading_rad: -0.3 };
     assert_eq!(samples[1].attitude, attitude);
     assert_eq!(samples[1].place.longitude_rad, 2f64.to_radians());
-    assert_eq!(recorded.notes, ["longitude and latitude are read as degrees; are they radians, too?"]);
+    assert_eq!(recorded.notes, ["longitude and latitude are read as degrees, but they may be radians"]);
 }
 
 #[test]

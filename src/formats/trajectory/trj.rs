@@ -1,7 +1,8 @@
-//! TRJ, TerraScan's trajectory: little-endian, a header of 1376 bytes, then records of 64.
+//! TRJ, TerraScan's trajectory.
 //!
-//! Terrasolid, "TerraScan User's Guide", section on trajectory file formats. Its places are those of a map, of which it does
-//! not say which. That its headings count from the map's north is an inference.
+//! Little-endian header of 1376 bytes, then 64-byte records. Source: Terrasolid, "TerraScan User's
+//! Guide", section on trajectory file formats. Positions are projected, but the file does not name
+//! the projection. Headings are assumed to be relative to grid north; the guide does not say so.
 
 use super::super::Error;
 use super::super::bytes::Fields;
@@ -10,13 +11,13 @@ use super::input::{Input, LONGEST_RECORD};
 use super::{LARGEST_ANGLE_RAD, MapSample, Raw, Records, Result};
 use crate::geo::frames::Attitude;
 
-/// What a TRJ begins with.
+/// First bytes of a TRJ file.
 pub const MAGIC: &[u8; 8] = b"TSCANTRJ";
-/// The only version.
+/// The only known version.
 const VERSION: i32 = 20_010_715;
-/// Bytes of the fields of the header that are read.
+/// Size of the header fields that are read, bytes.
 const NEEDED_BYTES: i32 = 24;
-/// Bytes of the fields of a record that are read.
+/// Size of the record fields that are read, bytes.
 const LEAST_RECORD: i32 = 56;
 
 /// Reads header and records.
@@ -63,7 +64,9 @@ fn decode(fields: &mut Fields) -> Result<MapSample> {
     Ok(MapSample { time_s, place, attitude: Attitude { roll_rad, pitch_rad, heading_rad } })
 }
 
-/// Refuses what cannot be a sample; the error stands where the record begins.
+/// Rejects invalid samples.
+///
+/// The error gives the offset of the record.
 fn check(path: &std::path::Path, offset: u64, record: u64, sample: &MapSample) -> Result<()> {
     let MapSample { time_s, place: [x, y, z], attitude } = *sample;
     let fields = [
@@ -77,7 +80,7 @@ fn check(path: &std::path::Path, offset: u64, record: u64, sample: &MapSample) -
     ];
     match fields.into_iter().find(|(_, value, most)| !matches!(value.abs(), size if size <= *most)) {
         Some((field, value, _)) => {
-            let (field, problem) = (format!("{field} of record {record}"), format!("{value} is none"));
+            let (field, problem) = (format!("{field} of record {record}"), format!("invalid value {value}"));
             Err(Error::malformed(path, offset, field, problem, "the file is damaged: export it again"))
         }
         None => Ok(()),
@@ -88,7 +91,7 @@ fn check(path: &std::path::Path, offset: u64, record: u64, sample: &MapSample) -
 pub(super) mod tests {
     use super::*;
 
-    /// A TRJ of these samples.
+    /// Builds a TRJ file of these samples.
     pub(in super::super) fn made(samples: &[MapSample]) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         for field in [VERSION, 1376, samples.len() as i32, 64] {
@@ -115,7 +118,7 @@ pub(super) mod tests {
             bytes.extend([0, 0, 0, 0, 0, 0]);
             bytes.extend(upper);
         }
-        bytes[37] = 0x80; // 0x4056.. is 88, and this bit 2 more
+        bytes[37] = 0x80; // 0x4056.. is 88, and this bit adds 2
         let sample = decode(&mut Fields::new(std::path::Path::new("f"), 0, &bytes)).unwrap();
         assert_eq!((sample.time_s, sample.place), (1.0, [2.0, 3.0, 4.0]));
         let Attitude { roll_rad, pitch_rad, heading_rad } = sample.attitude;

@@ -1,32 +1,41 @@
-//! The cube around all points and its division by halves: keys of points and of nodes.
+//! Bounding cube of all points and its octree division.
 //!
-//! A key interleaves the bits of the three cell numbers of the finest division, x lowest ("Morton order"). So the points of
-//! each node of each level are neighbours in the order of their keys, and so are those of each cell that a node is seen by.
+//! Keys of points and nodes. A key interleaves the bits of the three cell numbers of the finest
+//! division, x lowest (Morton order). Points of the same node, or of the same cell of a node, are
+//! therefore consecutive in key order.
 
-/// Divisions of the cube by halves that a key tells apart: 2^21 cells along an axis.
+/// Bisections of the cube in a key.
+///
+/// 2^21 cells along an axis.
 pub(super) const KEY_LEVELS: u32 = 21;
-/// A node shows one point in each of its 2^7 = 128 cells along an axis.
+/// Bisections of a node into cells.
+///
+/// A node holds one point in each of its 2^7 = 128 cells along an axis.
 pub(super) const CELL_LEVELS: u32 = 7;
-/// The level of the smallest nodes, whose cells are those of the keys.
+/// Level of the smallest nodes.
+///
+/// Their cells are those of the keys.
 pub(super) const DEEPEST: u32 = KEY_LEVELS - CELL_LEVELS;
 
-/// A cube along the axes, in units of the coordinate system.
+/// Axis-aligned cube, in units of the coordinate system.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Cube {
     pub(super) centre: [f64; 3],
-    /// Half of an edge; above 0.
+    /// Half of the edge length; above 0.
     pub(super) half: f64,
 }
 
 impl Cube {
-    /// The smallest cube with a centre amid `min` and `max` that holds both; its edge is at least `least`.
+    /// Returns the smallest centred cube that contains `min` and `max`.
+    ///
+    /// Its edge is at least `least`.
     pub(super) fn around(min: [f64; 3], max: [f64; 3], least: f64) -> Cube {
         let centre = std::array::from_fn(|axis| min[axis] / 2.0 + max[axis] / 2.0);
         let half = (0..3).map(|axis| (max[axis] - centre[axis]).max(centre[axis] - min[axis]));
         Cube { centre, half: half.fold(least / 2.0, f64::max) }
     }
 
-    /// The key of the cell that a place lies in; of the nearest one where it lies outside of the cube.
+    /// Returns the cell key of a position, clamped to the cube.
     pub(super) fn key(&self, place: [f64; 3]) -> u64 {
         let cells = f64::from(1u32 << KEY_LEVELS);
         let cell = |axis: usize| {
@@ -37,22 +46,24 @@ impl Cube {
     }
 }
 
-/// What the keys of a node or cell of this level, 0 for the whole cube, have in common: their first bits.
+/// Returns the leading key bits of a node or cell.
+///
+/// Level 0 is the whole cube.
 pub(super) fn prefix(key: u64, level: u32) -> u64 {
     key >> (3 * (KEY_LEVELS - level.min(KEY_LEVELS)))
 }
 
-/// The numbers of a node among those of its level, from its prefix.
+/// Returns the x, y, z numbers of a node in its level.
 pub(super) fn numbers(prefix: u64) -> [i32; 3] {
     [0, 1, 2].map(|axis| gather(prefix >> axis) as i32)
 }
 
-/// Two zeros behind each of the lowest 21 bits.
+/// Inserts two zeros above each of the lowest 21 bits.
 fn spread(number: u64) -> u64 {
     (0..KEY_LEVELS).fold(0, |key, bit| key | (number >> bit & 1) << (3 * bit))
 }
 
-/// Every third bit, from the lowest on.
+/// Gathers every third bit, from the lowest.
 fn gather(key: u64) -> u64 {
     (0..KEY_LEVELS).fold(0, |number, bit| number | (key >> (3 * bit) & 1) << bit)
 }

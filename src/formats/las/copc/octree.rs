@@ -1,38 +1,40 @@
-//! Which node each point belongs to, told from a stream of points in the order of their keys.
+//! Assigns points to octree nodes from a stream in key order.
 //!
-//! A node takes the first point of each of its cells that no coarser node took; what is left goes down. Where a node and all
-//! below it hold few points, it takes them all. Both follow from the points in the order of their keys alone: open are only
-//! the nodes that the present point lies in, one of each level.
+//! A node takes the first point of each of its cells that no coarser node took; the others go to
+//! deeper nodes. A node that holds few points, including those below it, takes them all. Key order
+//! makes this possible with only one open node per level: those that contain the current point.
 
 use super::cube::{self, CELL_LEVELS, DEEPEST};
 
-/// A node that has all of its points.
+/// Complete node.
 #[derive(Debug, PartialEq)]
 pub(super) struct Node {
     pub(super) level: u32,
-    /// What the keys of its points begin with.
+    /// Common leading key bits of its points.
     pub(super) prefix: u64,
-    /// The records of its points.
+    /// Records of its points.
     pub(super) records: Vec<u8>,
 }
 
-/// The nodes in the making.
+/// Octree builder.
 pub(super) struct Octree {
-    /// Nodes that hold at most as many points, with all below them, are leaves.
+    /// Maximum number of points of a leaf and its descendants.
     leaf_points: u64,
-    /// The nodes that the last point lies in, from the whole cube down.
+    /// Nodes that contain the last point, from the root down.
     open: Vec<Open>,
 }
 
-/// A node to which points may come.
+/// Node that can still receive points.
 struct Open {
     prefix: u64,
-    /// The cell of the point taken last.
+    /// Cell of the last point taken.
     cell: Option<u64>,
     records: Vec<u8>,
-    /// Points that came, those that went down included.
+    /// Number of points received, including those passed to deeper nodes.
     points: u64,
-    /// Leaves below that become part of this node where it turns out to be one itself.
+    /// Leaves below.
+    ///
+    /// They are merged into this node if it becomes a leaf itself.
     leaves: Vec<Node>,
 }
 
@@ -41,7 +43,9 @@ impl Octree {
         Octree { leaf_points, open: Vec::new() }
     }
 
-    /// Takes the next point; nodes that are complete go to `done`. Keys never become smaller.
+    /// Adds the next point; complete nodes go to `done`.
+    ///
+    /// Keys must not decrease.
     ///
     /// # Errors
     /// Those of `done`.
@@ -103,7 +107,9 @@ impl Open {
         Open { prefix, cell: None, records: Vec::new(), points: 0, leaves: Vec::new() }
     }
 
-    /// The node of this level, and the leaves below it, which a leaf takes in.
+    /// Returns the node and the leaves below it.
+    ///
+    /// A leaf absorbs them.
     fn into_nodes(self, level: u32, is_leaf: bool) -> (Node, Vec<Node>) {
         let Open { prefix, mut records, mut leaves, .. } = self;
         if is_leaf {
@@ -123,7 +129,7 @@ mod tests {
     use super::super::cube::KEY_LEVELS;
     use super::*;
 
-    /// The nodes of points that are their keys.
+    /// Returns the nodes of points whose records are their keys.
     fn nodes(keys: &[u64], leaf_points: u64) -> Vec<Node> {
         let mut nodes = Vec::new();
         let mut done = |node| {
@@ -151,7 +157,7 @@ mod tests {
 
     #[test]
     fn the_first_of_a_cell_stays_and_the_others_go_down() {
-        // Three in the first cell of the cube, one in its last: more than a leaf holds.
+        // Three points in the first cell of the cube, one in its last: more than a leaf holds.
         let cell = 1u64 << (3 * (KEY_LEVELS - CELL_LEVELS));
         let found = nodes(&[0, 1, 2, 127 * cell], 2);
         let by_level: BTreeMap<u32, Vec<u64>> = found.iter().map(|node| (node.level, keys(node))).collect();
@@ -173,7 +179,7 @@ mod tests {
         fn each_point_is_in_one_node_that_it_lies_in_below_others(
             mut points in prop::collection::vec(0u64..1 << 63, 0..400), shift in 0u32..50, leaf_points in 1u64..40
         ) {
-            // Shifted keys crowd in a corner.
+            // Shifted keys cluster in a corner.
             points.iter_mut().for_each(|key| *key >>= shift);
             points.sort();
             let found = nodes(&points, leaf_points);

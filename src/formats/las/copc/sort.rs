@@ -1,4 +1,4 @@
-//! Records in the order of their keys, however many: runs sorted in memory, kept elsewhere, and merged.
+//! External merge sort of records by key.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -7,18 +7,18 @@ use std::path::Path;
 
 use crate::formats::{Error, Result};
 
-/// Keeps a run, and gives it back for reading from its start.
+/// Stores a run and returns a reader of it.
 pub type Keep<'a> = &'a mut dyn FnMut(&[u8]) -> Result<Box<dyn Read>>;
 
-/// Bytes of a key in front of its record.
+/// Length of the key before each record, bytes.
 const KEY: usize = 8;
-/// Bytes of memory that a record takes besides its own.
+/// Memory overhead per record, bytes.
 const BESIDE: usize = 2 * size_of::<(u64, u32)>() + KEY;
 
-/// Gathers records and gives them back in the order of their keys; those of one key as they came.
+/// Sorts records by key; the sort is stable.
 pub(super) struct Sorter<'a> {
     record_length: usize,
-    /// Records that are held at most before they become a run.
+    /// Maximum number of records in memory before they become a run.
     most: usize,
     keys: Vec<u64>,
     records: Vec<u8>,
@@ -27,17 +27,19 @@ pub(super) struct Sorter<'a> {
 }
 
 impl<'a> Sorter<'a> {
-    /// For records of this length, in about so many bytes of memory.
+    /// Creates a sorter for records of this length.
+    ///
+    /// It uses about `memory_bytes`.
     pub(super) fn new(record_length: usize, memory_bytes: usize, keep: Keep<'a>) -> Sorter<'a> {
-        // A sorted run lies beside its records until it is kept.
+        // A sorted run is in memory next to its records until it is stored.
         let most = (memory_bytes / (2 * record_length + BESIDE)).clamp(1, u32::MAX as usize);
         Sorter { record_length, most, keys: Vec::new(), records: Vec::new(), runs: Vec::new(), keep }
     }
 
-    /// Takes a record.
+    /// Adds a record.
     ///
     /// # Errors
-    /// A run cannot be kept.
+    /// A run cannot be stored.
     pub(super) fn push(&mut self, key: u64, record: &[u8]) -> Result<()> {
         if self.keys.len() >= self.most {
             let run = self.sorted();
@@ -50,7 +52,9 @@ impl<'a> Sorter<'a> {
         Ok(())
     }
 
-    /// Gives each record with its key to `take`. `path` names what is written in errors.
+    /// Passes each record with its key to `take`, in order.
+    ///
+    /// `path` names the output in errors.
     ///
     /// # Errors
     /// Those of `take`, or a run cannot be read.
@@ -77,7 +81,7 @@ impl<'a> Sorter<'a> {
         Ok(())
     }
 
-    /// What is held, in order: each record behind its key.
+    /// Returns the buffered records in order, each after its key.
     fn sorted(&self) -> Vec<u8> {
         let mut order: Vec<(u64, u32)> = self.keys.iter().copied().zip(0..).collect();
         order.sort_unstable();
@@ -91,10 +95,10 @@ impl<'a> Sorter<'a> {
     }
 }
 
-/// A run being read.
+/// Reader of a stored run.
 struct Run {
     input: BufReader<Box<dyn Read>>,
-    /// The key and record read last.
+    /// Key and record read last.
     entry: Vec<u8>,
 }
 
@@ -103,7 +107,9 @@ impl Run {
         Run { input: BufReader::with_capacity(1 << 18, input), entry: vec![0; entry] }
     }
 
-    /// Goes to the next record; its key, `None` behind the last.
+    /// Advances to the next record and returns its key.
+    ///
+    /// `None` at the end.
     fn next(&mut self) -> io::Result<Option<u64>> {
         use io::BufRead;
         if self.input.fill_buf()?.is_empty() {

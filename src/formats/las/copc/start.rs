@@ -1,4 +1,4 @@
-//! What stands before and behind the points of a COPC file.
+//! COPC header, VLRs and EVLRs.
 
 use std::path::Path;
 
@@ -11,31 +11,35 @@ use crate::formats::las::vlr::{EVLR_HEADER, PROJECTION, VLR_HEADER, Vlr, WKT};
 use crate::formats::las::writer::{evlr, text, vlr};
 use crate::formats::{Error, Result};
 
-/// Bytes of the record `copc`/1: COPC 1.0, "info VLR".
+/// Length of the record `copc`/1, bytes: COPC 1.0, "info VLR".
 const INFO_BYTES: usize = 160;
-/// The record IDs of the info and of the octree.
+/// Record IDs of the info and of the octree.
 const INFO: u16 = 1;
 const HIERARCHY: u16 = 1000;
 
-/// A node of the octree as the file tells it: COPC 1.0, "hierarchy VLR".
+/// Octree node as stored in the file.
+///
+/// COPC 1.0, "hierarchy VLR".
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Entry {
     pub(super) level: u32,
     pub(super) prefix: u64,
-    /// Where its chunk starts in the file.
+    /// Offset of its chunk in the file.
     pub(super) at: u64,
     pub(super) bytes: i32,
     pub(super) points: i32,
 }
 
-/// The octree's record, and where its entries are in the file.
+/// Encoded octree record, and offset of its entries in the file.
 pub(super) struct Hierarchy {
     pub(super) record: Vec<u8>,
     at: u64,
     bytes: u64,
 }
 
-/// The octree as an extended record that starts at byte `at` of the file. All nodes are on one page.
+/// Encodes the octree as an extended record at byte `at`.
+///
+/// All nodes are on one page.
 pub(super) fn hierarchy(at: u64, entries: &[Entry]) -> Hierarchy {
     let mut data = Vec::with_capacity(entries.len() * 32);
     for entry in entries {
@@ -49,23 +53,23 @@ pub(super) fn hierarchy(at: u64, entries: &[Entry]) -> Hierarchy {
     Hierarchy { record, at: at + EVLR_HEADER, bytes: data.len() as u64 }
 }
 
-/// What the source and its points decide of the header and of the records.
+/// Header and records known from the source alone.
 pub(super) struct Start {
-    /// The header, without what only the end knows.
+    /// Header, without fields that are known only at the end.
     header: Vec<u8>,
-    /// The records behind that of COPC.
+    /// VLRs after the COPC record.
     vlrs: Vec<u8>,
-    /// The extended records behind the octree.
+    /// EVLRs after the octree.
     pub(super) evlrs: Vec<u8>,
     n_evlrs: u32,
     times: [f64; 2],
 }
 
 impl Start {
-    /// Carries over what the source's header and records say and the points do not contradict.
+    /// Copies header and records that are valid for COPC.
     ///
     /// # Errors
-    /// A record cannot be carried over, or there are too many.
+    /// A record cannot be copied, or there are too many.
     pub(super) fn new(
         source: &Path,
         header: &Header,
@@ -114,7 +118,9 @@ impl Start {
         Ok(start)
     }
 
-    /// Header and records; with zeros for what only the end knows, unless it is given.
+    /// Encodes header and VLRs.
+    ///
+    /// Fields known only at the end are zero without `end`.
     ///
     /// # Errors
     /// A record is too long.
@@ -147,7 +153,9 @@ fn laz_record(source: &Path, reshape: &Reshape) -> Result<Vec<u8>> {
     vlr(source, LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, &data)
 }
 
-/// The public header block of LAS 1.4, as the source has it where it may stay.
+/// Encodes the public header block of LAS 1.4.
+///
+/// Valid fields of the source are kept.
 fn public_header(source: &Header, extent: &Extent, reshape: &Reshape, has_wkt: bool) -> Vec<u8> {
     let kept = encoding::ADJUSTED_TIME | encoding::SYNTHETIC_RETURNS | encoding::WKT;
     let encoding = source.global_encoding & kept | if has_wkt { encoding::WKT } else { 0 };
@@ -162,7 +170,7 @@ fn public_header(source: &Header, extent: &Extent, reshape: &Reshape, has_wkt: b
     header.extend(source.creation_day.to_le_bytes());
     header.extend(source.creation_year.to_le_bytes());
     header.extend(HEADER_1_4.to_le_bytes());
-    header.extend([0; 8]); // offset to the points, number of records
+    header.extend([0; 8]); // offset to point data, number of VLRs
     header.push(reshape.format | 0x80);
     header.extend((reshape.length() as u16).to_le_bytes());
     header.extend([0; 24]); // legacy counts
@@ -172,13 +180,13 @@ fn public_header(source: &Header, extent: &Extent, reshape: &Reshape, has_wkt: b
         header.extend(max[axis].to_le_bytes());
         header.extend(min[axis].to_le_bytes());
     }
-    header.extend([0; 20]); // waveforms, extended records
+    header.extend([0; 20]); // waveforms, EVLRs
     header.extend(extent.n_points.to_le_bytes());
     extent.by_return.iter().for_each(|count| header.extend(count.to_le_bytes()));
     header
 }
 
-/// Replaces bytes; what would lie behind the end is left.
+/// Replaces bytes; ignores bytes beyond the end.
 fn put(bytes: &mut [u8], at: usize, value: &[u8]) {
     bytes.iter_mut().skip(at).zip(value).for_each(|(to, from)| *to = *from);
 }

@@ -8,7 +8,7 @@ use crate::formats::las::{AMP, IndexPlace, PointOut, Version, WavePlace, WriterO
 const WKT_TEXT: &str = "LOCAL_CS[\"a place\"]";
 const STEP: f64 = 0.01;
 
-/// Points on a wavy sheet of 300 m by 200 m, shot after shot.
+/// Points on a wavy surface of 300 m by 200 m, shot after shot.
 fn points(n: usize) -> Vec<PointOut> {
     let point = |i: usize| {
         let (x, y) = ((i * 37 % 30_011) as f64 * STEP, (i * 91 % 20_011) as f64 * STEP);
@@ -70,7 +70,7 @@ fn convert(source: &Path, out: &Path, limits: Limits) -> Result<CopcSummary> {
     write_within(source, fs::File::create(out).unwrap(), out, &mut keep, limits)
 }
 
-/// All records of a file, in an order of their own.
+/// Returns all records of a file, sorted.
 fn records(path: &Path) -> Vec<Vec<u8>> {
     let mut points = RawPoints::open(path).unwrap();
     let mut records = Vec::new();
@@ -254,13 +254,15 @@ fn what_has_no_place_in_copc_is_told() {
 
     let legacy = WriterOptions { version: Version::V1_2, ..options(WavePlace::None, IndexPlace::None) };
     write(&source, &points(3), &legacy);
-    let problem = "point formats 6 to 10 can be copied to COPC, and this is format 1; write the points with `version = \"1.4\"`";
+    let problem = "COPC needs point format 6 to 10, but this is format 1; write the points with \
+                   `version = \"1.4\"`";
     assert_eq!(told(), expected(problem));
 
     write(&source, &[], &options(WavePlace::None, IndexPlace::None));
     assert_eq!(told(), expected("it has no points; give a file with points"));
 
-    // LAS 1.5 with an offset of its own: a header 18 bytes longer, in front of records that move by as much.
+    // LAS 1.5 with a custom time offset: a header 18 bytes longer, with records shifted
+    // accordingly.
     write(&source, &points(3), &options(WavePlace::None, IndexPlace::None));
     let mut bytes = fs::read(&source).unwrap();
     let offset = i32_at(&bytes, 96) + 18;
@@ -269,7 +271,7 @@ fn what_has_no_place_in_copc_is_told() {
     bytes[94..96].copy_from_slice(&393u16.to_le_bytes());
     bytes[96..100].copy_from_slice(&offset.to_le_bytes());
     fs::write(&source, bytes).unwrap();
-    let problem = "its times are on an offset of 1244 million seconds, which LAS 1.4 cannot tell; \
+    let problem = "its times have an offset of 1244 million seconds, which LAS 1.4 cannot store; \
                    convert the file to LAS 1.4";
     assert_eq!(told(), expected(problem));
 }

@@ -1,4 +1,4 @@
-//! Compressed files made by hand, read; each error once.
+//! Reads handmade compressed files; covers each error once.
 
 use std::fs;
 
@@ -6,7 +6,7 @@ use super::made::{Made, vlr};
 use crate::formats::Result;
 use crate::formats::las::{Point, Reader};
 
-/// The points of a file of these bytes, which is called `a.laz`.
+/// Reads the points of a file `a.laz` of these bytes.
 fn read(bytes: &[u8]) -> Result<Vec<Point>> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.laz");
@@ -19,7 +19,7 @@ fn read(bytes: &[u8]) -> Result<Vec<Point>> {
             Ok(true) => points.push(point.clone()),
             Ok(false) => return Ok(points),
             Err(error) => {
-                // Nothing follows an error.
+                // No point follows an error.
                 assert!(!reader.next_point(&mut point).unwrap());
                 return Err(error);
             }
@@ -27,13 +27,13 @@ fn read(bytes: &[u8]) -> Result<Vec<Point>> {
     }
 }
 
-/// Why a file of these bytes is refused, behind its path.
+/// Returns the error of a file of these bytes, without its path.
 fn refusal(bytes: &[u8]) -> String {
     let error = read(bytes).unwrap_err();
     error.to_string().strip_prefix(&format!("{}: ", error.file().display())).unwrap().to_string()
 }
 
-/// A file of 3000 points that differ, in chunks of 1000.
+/// Creates a file of 3000 different points, in chunks of 1000.
 fn many(minor: u8, format: u8) -> Made {
     let mut made = Made::new(minor, format);
     let record = made.records[0].clone();
@@ -51,7 +51,8 @@ fn many(minor: u8, format: u8) -> Made {
 
 const CUT: &str = "the file is cut off or damaged: copy it again from its source";
 
-/// Where the compressed points of `made` start: behind one more record, on the compression, of 40 bytes and `items`.
+/// Returns the start of the compressed points of `made`, after an additional LASzip record of 40
+/// bytes and `items`.
 fn start(made: &Made, items: usize) -> usize {
     made.offset_to_points() + 54 + 34 + 6 * items
 }
@@ -98,14 +99,14 @@ fn what_the_compression_says_of_itself_is_checked() {
     assert_eq!(
         refusal(&Made { format: 0x89, ..made.clone() }.las()),
         format!(
-            "byte 104: point data record format: the points are marked as compressed and the LASzip record is missing; \
-             {CUT}"
+            "byte 104: point data record format: the points are marked as compressed, but the \
+             LASzip record is missing; {CUT}"
         )
     );
     assert_eq!(
         refusal_with(record, &[1, 0]),
-        "byte 509: LASzip record: compressor 1 is not read, only 2 and 3 (chunks); \
-         compress the file again with a LASzip of version 2 or later"
+        "byte 509: LASzip record: compressor 1 is not supported, only 2 and 3 (chunked); compress \
+         the file again with a LASzip of version 2 or later"
     );
     assert_eq!(
         refusal_with(record + 34, &[99, 0]),
@@ -113,11 +114,14 @@ fn what_the_compression_says_of_itself_is_checked() {
     );
     assert_eq!(
         refusal_with(105, &61u16.to_le_bytes()),
-        format!("byte 509: LASzip record: it describes other fields than format 9 with 2 extra bytes; {CUT}")
+        format!(
+            "byte 509: LASzip record: its fields do not match format 9 with 2 extra bytes; \
+                 {CUT}"
+        )
     );
     assert_eq!(
         refusal_with(105, &5000u16.to_le_bytes()),
-        "byte 509: LASzip record: 4941 extra bytes per point, and at most 4096 are read; \
+        "byte 509: LASzip record: 4941 extra bytes per point, but at most 4096 are supported; \
          remove extra attributes from the file"
     );
     assert_eq!(
@@ -132,7 +136,8 @@ fn what_the_compression_says_of_itself_is_checked() {
     short.vlrs.push(vlr("laszip encoded", 22204, &[3]));
     assert_eq!(
         refusal(&short.las()),
-        "byte 509: compressor: 2 bytes are needed and 1 are left; the file is cut off: copy it again from its source"
+        "byte 509: compressor: 2 bytes needed, 1 left; the file is cut off: copy it again from its \
+         source"
     );
 }
 
@@ -154,8 +159,8 @@ fn the_chunk_table_is_checked() {
     assert_eq!(
         refusal(&bytes[..table_at]),
         format!(
-            "byte {at}: offset to the chunk table: {table_at} does not lie between the points and the end of the file \
-             ({table_at} bytes); {CUT}"
+            "byte {at}: offset to the chunk table: {table_at} is not between the points and the \
+             end of the file ({table_at} bytes); {CUT}"
         )
     );
     let room = table_at - at - 8;
@@ -166,7 +171,8 @@ fn the_chunk_table_is_checked() {
     assert_eq!(
         refusal_with(table_at + 4, &2u32.to_le_bytes()),
         format!(
-            "byte {table_at}: chunk table: 3000 points are announced and the chunks hold 2000 at most; {CUT}"
+            "byte {table_at}: chunk table: the header declares 3000 points, but the chunks hold at \
+             most 2000; {CUT}"
         )
     );
     let truncated = refusal(&bytes[..table_at + 10]);
@@ -181,7 +187,8 @@ fn the_chunk_table_is_checked() {
     assert_eq!(
         refusal(&longer),
         format!(
-            "byte {table_at}: chunk table: the chunks have {} bytes by the table and {room} by their place; {CUT}",
+            "byte {table_at}: chunk table: the table declares {} bytes of chunks, but {room} bytes \
+             precede it; {CUT}",
             3 * room
         )
     );
@@ -192,12 +199,12 @@ fn damaged_points_are_an_error_at_their_chunk() {
     let made = many(4, 9);
     let bytes = made.laz(1000);
     let first = start(&made, 2) + 8;
-    // Behind the first point and the number of points stand the sizes of the ten layers.
+    // The sizes of the ten layers follow the first point and the number of points.
     let mut lying = bytes.clone();
     lying[first + 63..first + 67].fill(0xff);
     let error = refusal(&lying);
     assert!(error.starts_with(&format!("byte {}: layers of a chunk: 429496", first + 103)), "{error}");
-    // Layers whose sizes are moved from one to the other run dry.
+    // Layers whose sizes were shifted among them run out of data.
     let mut dry = bytes.clone();
     let size = u32::from_le_bytes(dry[first + 63..first + 67].try_into().unwrap());
     dry[first + 63..first + 67].copy_from_slice(&(size / 2).to_le_bytes());

@@ -1,4 +1,4 @@
-//! Files made by hand, byte by byte.
+//! Handmade files, byte by byte.
 
 use std::io::{Cursor, Seek, SeekFrom};
 
@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use crate::formats::las::{PointOut, Wave};
 
-/// Points whose fields fit their places exactly.
+/// Generates points whose fields are in range.
 pub(crate) fn any_point() -> impl Strategy<Value = PointOut> {
     let place = (-1e6..1e6f64, -1e6..1e6f64, -1e4..1e4f64);
     let returns = (any::<u16>(), 0u8..16, 0u8..16, any::<(bool, bool, bool)>());
@@ -42,7 +42,7 @@ fn any_wave() -> impl Strategy<Value = Wave> {
     })
 }
 
-/// A file of full waveforms in the making: header, records, points, extended records.
+/// Builder of a full-waveform file: header, VLRs, points, EVLRs.
 #[derive(Clone)]
 pub(crate) struct Made {
     pub(crate) minor: u8,
@@ -52,13 +52,14 @@ pub(crate) struct Made {
     pub(crate) vlrs: Vec<Vec<u8>>,
     pub(crate) records: Vec<Vec<u8>>,
     pub(crate) start_of_waveforms: u64,
-    /// Behind the points.
+    /// Bytes after the points.
     pub(crate) tail: Vec<u8>,
     pub(crate) n_evlrs: u32,
 }
 
 impl Made {
-    /// Two points of `format` that share one packet of four 16-bit samples, 1 ns apart, at offset 60.
+    /// Creates two points of `format` that share one packet of four 16-bit samples, 1 ns apart, at
+    /// offset 60.
     pub(crate) fn new(minor: u8, format: u8) -> Made {
         let (length, wave_at) = match format {
             4 => (57, 28),
@@ -94,12 +95,12 @@ impl Made {
         }
     }
 
-    /// Where the points start.
+    /// Returns the offset of the points.
     pub(crate) fn offset_to_points(&self) -> usize {
         self.header_size() + self.vlrs.iter().map(Vec::len).sum::<usize>()
     }
 
-    /// Where the tail of an uncompressed file starts.
+    /// Returns the offset of the tail of an uncompressed file.
     pub(crate) fn offset_to_tail(&self) -> usize {
         self.offset_to_points() + self.records.iter().map(Vec::len).sum::<usize>()
     }
@@ -131,12 +132,12 @@ impl Made {
         bytes
     }
 
-    /// The uncompressed file.
+    /// Encodes the uncompressed file.
     pub(crate) fn las(&self) -> Vec<u8> {
         [self.start(), self.records.concat(), self.tail.clone()].concat()
     }
 
-    /// The compressed file, in chunks of `chunk` points, without the tail.
+    /// Encodes the compressed file, in chunks of `chunk` points, without the tail.
     pub(crate) fn laz(&self, chunk: u32) -> Vec<u8> {
         let laz = self.compression().with_fixed_chunk_size(chunk).build();
         let mut compressor = laz::ParLasZipCompressor::new(self.before_points(&laz), laz).unwrap();
@@ -145,7 +146,7 @@ impl Made {
         compressor.into_inner().into_inner()
     }
 
-    /// The compressed file, in two chunks, the first of `first` points, without the tail.
+    /// Encodes the compressed file without the tail, in two chunks, the first of `first` points.
     pub(crate) fn laz_in_two(&self, first: usize) -> Vec<u8> {
         let laz = self.compression().with_variable_chunk_size().build();
         let mut compressor = laz::ParLasZipCompressor::new(self.before_points(&laz), laz).unwrap();
@@ -160,7 +161,7 @@ impl Made {
         laz::LazVlrBuilder::default().with_point_format(self.format, extra).unwrap()
     }
 
-    /// What stands before compressed points.
+    /// Encodes everything before the compressed points.
     fn before_points(&self, laz: &laz::LazVlr) -> Cursor<Vec<u8>> {
         let mut data = Vec::new();
         laz.write_to(&mut data).unwrap();
@@ -172,7 +173,7 @@ impl Made {
     }
 }
 
-/// A variable length record with its header.
+/// Encodes a VLR with its header.
 pub(crate) fn vlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
     let mut bytes = vec![0u8; 54];
     bytes[2..2 + user_id.len()].copy_from_slice(user_id.as_bytes());
@@ -182,7 +183,7 @@ pub(crate) fn vlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// An extended variable length record with its header.
+/// Encodes an EVLR with its header.
 pub(crate) fn evlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
     let mut bytes = vec![0u8; 60];
     bytes[2..2 + user_id.len()].copy_from_slice(user_id.as_bytes());
@@ -192,7 +193,7 @@ pub(crate) fn evlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The data of a waveform descriptor.
+/// Encodes the data of a waveform descriptor.
 pub(crate) fn descriptor(bits: u8, compression: u8, samples: u32, spacing_ps: u32) -> Vec<u8> {
     let mut bytes = vec![bits, compression];
     bytes.extend(samples.to_le_bytes());
@@ -202,7 +203,7 @@ pub(crate) fn descriptor(bits: u8, compression: u8, samples: u32, spacing_ps: u3
     bytes
 }
 
-/// The record of waveform packets with the four samples 1, 2, 3, 258.
+/// Encodes the waveform packet record with the four samples 1, 2, 3, 258.
 pub(crate) fn packets() -> Vec<u8> {
     evlr("LASF_Spec", 65535, &[1, 0, 2, 0, 3, 0, 2, 1])
 }

@@ -1,4 +1,4 @@
-//! Files made by hand, read; each error once.
+//! Reads handmade files; covers each error once.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::made::{Made, descriptor, evlr, packets, vlr};
 use crate::formats::las::{GpsTime, Header, Point, Reader, Wave};
 
-/// A folder with `a.las` of these bytes.
+/// Creates a folder with `a.las` of these bytes.
 fn folder(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.las");
@@ -14,19 +14,19 @@ fn folder(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
     (folder, path)
 }
 
-/// The words of an error behind the path of its file.
+/// Returns an error message without the path of its file.
 fn words(error: crate::formats::Error) -> String {
     let text = error.to_string();
     text.strip_prefix(&format!("{}: ", error.file().display())).unwrap().to_string()
 }
 
-/// Why a file of these bytes cannot be opened.
+/// Returns the error of opening a file of these bytes.
 fn refusal(bytes: &[u8]) -> String {
     let (_folder, path) = folder(bytes);
     words(Reader::open(&path).err().unwrap())
 }
 
-/// Why `made` cannot be opened once the bytes from `at` on are replaced.
+/// Returns the error of opening `made` with the bytes from `at` replaced.
 fn refusal_with(made: &Made, at: usize, bytes: &[u8]) -> String {
     let mut file = made.las();
     file[at..at + bytes.len()].copy_from_slice(bytes);
@@ -47,15 +47,16 @@ fn headers_that_contradict_themselves_are_refused() {
     assert_eq!(refusal(&[]), "the file is empty; copy it again from its source");
     assert_eq!(
         refusal_with(&made, 0, b"FSAL"),
-        "byte 0: file signature: `LASF` is not there; give a LAS or LAZ file"
+        "byte 0: file signature: expected `LASF`; give a LAS or LAZ file"
     );
     assert_eq!(
         refusal_with(&made, 24, &[2, 0]),
-        "byte 24: version: LAS 2.0 is unknown; convert the file to LAS 1.4"
+        "byte 24: version: LAS 2.0 is not supported; convert the file to LAS 1.4"
     );
     assert_eq!(
         refusal_with(&made, 94, &227u16.to_le_bytes()),
-        "byte 94: header size: 227 bytes, and LAS 1.3 needs 235; the header is damaged: export the file again"
+        "byte 94: header size: 227 bytes, but LAS 1.3 needs 235; the header is damaged: export the \
+         file again"
     );
     assert_eq!(
         refusal_with(&made, 96, &234u32.to_le_bytes()),
@@ -64,8 +65,8 @@ fn headers_that_contradict_themselves_are_refused() {
     );
     assert_eq!(
         refusal_with(&made, 96, &9999u32.to_le_bytes()),
-        "byte 96: offset to point data: 9999 lies behind the end of the file (497 bytes); \
-         the file is cut off: copy it again from its source"
+        "byte 96: offset to point data: 9999 is beyond the end of the file (497 bytes); the file \
+         is cut off: copy it again from its source"
     );
     assert_eq!(
         refusal_with(&made, 104, &[11]),
@@ -78,13 +79,13 @@ fn headers_that_contradict_themselves_are_refused() {
     );
     assert_eq!(
         refusal_with(&made, 105, &56u16.to_le_bytes()),
-        "byte 105: point data record length: 56 bytes, and format 4 needs 57; \
-         the header is damaged: export the file again"
+        "byte 105: point data record length: 56 bytes, but format 4 needs 57; the header is \
+         damaged: export the file again"
     );
     assert_eq!(
         refusal_with(&made, 107, &4u32.to_le_bytes()),
-        "byte 107: number of point records: 4 points of 57 bytes are announced and 3 fit into the file; \
-         the file is cut off: copy it again from its source"
+        "byte 107: number of point records: the header declares 4 points of 57 bytes, but only 3 \
+         fit into the file; the file is cut off: copy it again from its source"
     );
     assert_eq!(
         refusal_with(&made, 139, &0f64.to_le_bytes()),
@@ -97,28 +98,34 @@ fn headers_that_contradict_themselves_are_refused() {
     );
     assert_eq!(
         refusal(&made.las()[..230]),
-        "byte 96: offset to point data: 315 lies behind the end of the file (230 bytes); \
-         the file is cut off: copy it again from its source"
+        "byte 96: offset to point data: 315 is beyond the end of the file (230 bytes); the file is \
+         cut off: copy it again from its source"
     );
 }
 
 #[test]
 fn records_that_do_not_fit_are_refused() {
     let made = Made { tail: packets(), ..Made::new(3, 4) };
-    let cut = "the header lies or the file is cut off: copy it again from its source";
+    let cut = "the header is wrong or the file is cut off: copy it again from its source";
     assert_eq!(
         refusal_with(&made, 100, &2u32.to_le_bytes()),
-        format!("byte 315: variable length record: record 2 needs 54 bytes and 0 are left; {cut}")
+        format!("byte 315: variable length record: record 2 needs 54 bytes, 0 left; {cut}")
     );
     assert_eq!(
         refusal_with(&made, 235 + 20, &27u16.to_le_bytes()),
-        format!("byte 255: record length after header: LASF_Spec/100 claims 27 bytes and 26 are left; {cut}")
+        format!(
+            "byte 255: record length after header: LASF_Spec/100 declares 27 bytes, 26 left; \
+                 {cut}"
+        )
     );
     let mut made = Made { tail: packets(), n_evlrs: 1, ..Made::new(4, 9) };
     made.tail[20] = 9;
     assert_eq!(
         refusal(&made.las()),
-        format!("byte 593: record length after header: LASF_Spec/65535 claims 9 bytes and 8 are left; {cut}")
+        format!(
+            "byte 593: record length after header: LASF_Spec/65535 declares 9 bytes, 8 left; \
+                 {cut}"
+        )
     );
 }
 
@@ -180,7 +187,8 @@ fn every_field_of_the_header_is_read() {
 fn packets_are_found_wherever_they_can_only_be() {
     let samples = [1, 2, 3, 258];
     for start_of_waveforms in [429, 0, 100, 5000] {
-        // Named rightly, not named, named wrongly: behind the points is the only place left.
+        // Correct, missing or wrong location in the header: the bytes after the points are the only
+        // one left.
         let made = Made { tail: packets(), start_of_waveforms, encoding: 2, ..Made::new(3, 4) };
         assert_eq!(made.offset_to_tail(), 429);
         let (_folder, path) = folder(&made.las());
@@ -191,7 +199,7 @@ fn packets_are_found_wherever_they_can_only_be() {
     let (_folder, path) = folder(&made.las());
     assert_eq!(first_samples(&path), samples);
     for name in ["a.wdp", "a.WDP", "a.Wdp"] {
-        // The header says "inside", where nothing is.
+        // The header says "inside", where there are none.
         let (folder, path) = folder(&Made { encoding: 2, ..Made::new(4, 9) }.las());
         fs::write(folder.path().join(name), packets()).unwrap();
         assert_eq!(first_samples(&path), samples, "{name}");
@@ -213,8 +221,9 @@ fn with_packets_inside_and_beside_the_header_decides() {
     assert_eq!(
         words(Reader::open(&path).err().unwrap()),
         format!(
-            "byte 6: global encoding: waveforms are inside and in `{}`, and the header does not say which count; \
-             move the file that does not belong to these points away",
+            "byte 6: global encoding: waveforms are both inside the file and in `{}`, and the \
+             header does not say which to use; move away the waveform file that does not belong to \
+             these points",
             wdp.display()
         )
     );
@@ -224,8 +233,8 @@ fn with_packets_inside_and_beside_the_header_decides() {
 fn waveform_files_that_are_missing_or_no_such_are_refused() {
     assert_eq!(
         refusal(&Made { encoding: 4, ..Made::new(3, 4) }.las()),
-        "its waveforms are missing: neither inside the file nor in `a.wdp` beside it; \
-         copy `a.wdp` into the same folder, or export the file with its waveforms inside"
+        "its waveforms are missing: neither inside the file nor in `a.wdp` next to it; copy \
+         `a.wdp` into the same folder, or export the file with its waveforms inside"
     );
     let (folder, path) = folder(&Made::new(3, 4).las());
     let wdp = folder.path().join("a.wdp");
@@ -238,13 +247,13 @@ fn waveform_files_that_are_missing_or_no_such_are_refused() {
     assert_eq!(refusal(&[]), "the file is empty; copy it again from its source");
     assert_eq!(
         refusal(&[0; 100]),
-        "byte 0: header: this is no file of waveform packets (LASF_Spec/65535); \
-         give the `.wdp` file that was exported together with the points"
+        "byte 0: header: this is not a waveform packet file (LASF_Spec/65535); give the `.wdp` \
+         file that was exported together with the points"
     );
     assert_eq!(
         refusal(&packets()[..67]),
-        "byte 20: record length after header: LASF_Spec/65535 claims 8 bytes and 7 are left; \
-         the header lies or the file is cut off: copy it again from its source"
+        "byte 20: record length after header: LASF_Spec/65535 declares 8 bytes, 7 left; the header \
+         is wrong or the file is cut off: copy it again from its source"
     );
 }
 
@@ -273,14 +282,11 @@ fn a_bad_packet_is_lost_alone() {
         assert_eq!(samples, [1, 2, 3, 258]);
         words
     };
-    assert_eq!(
-        problem(Wave::default()),
-        "a point without waveform (descriptor 0) was asked for one; leave the point out"
-    );
+    assert_eq!(problem(Wave::default()), "a point has no waveform (descriptor 0); leave the point out");
     assert_eq!(
         problem(Wave { descriptor: 2, ..good }),
-        "a point refers to waveform descriptor 2, and LASF_Spec/101 is missing; \
-         the point or the header is damaged: export the file again"
+        "a point refers to waveform descriptor 2, but LASF_Spec/101 is missing; the point or the \
+         header is damaged: export the file again"
     );
     assert_eq!(
         problem(Wave { descriptor: 3, ..good }),
@@ -294,21 +300,22 @@ fn a_bad_packet_is_lost_alone() {
     );
     assert_eq!(
         problem(Wave { descriptor: 5, size: 16, ..good }),
-        "waveform descriptor 5 (LASF_Spec/104): samples of 32 bits are not read, only of 2 to 16; \
-         export the waveforms again, uncompressed and with 8 or 16 bits"
+        "waveform descriptor 5 (LASF_Spec/104): 32 bits per sample are not supported, only 2 to \
+         16; export the waveforms again, uncompressed and with 8 or 16 bits"
     );
     assert_eq!(
         problem(Wave { size: 7, ..good }),
-        "the waveform packet at byte 60 has 7 bytes, and 4 samples of 16 bits need 8; \
-         the point or its descriptor is damaged: export the file again"
+        "the waveform packet at byte 60 has 7 bytes, but 4 samples of 16 bits need 8; the point or \
+         its descriptor is damaged: export the file again"
     );
     let start = made.offset_to_tail() as u64;
     for offset in [0, 59, 61, u64::MAX] {
         assert_eq!(
             problem(Wave { offset, ..good }),
             format!(
-                "byte {}: waveform packet: 8 bytes from {offset} on do not lie among the packets (60 to 68); \
-                 the point is damaged or the waveforms are of another file: export both again",
+                "byte {}: waveform packet: 8 bytes at offset {offset} are outside the packets (60 \
+                 to 68); the point is damaged or the waveforms belong to another file: export both \
+                 again",
                 start.saturating_add(offset)
             )
         );

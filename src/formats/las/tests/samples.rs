@@ -1,4 +1,4 @@
-//! Real files, found through `WAVEX_DATA`.
+//! Reads real files, located by `WAVEX_DATA`.
 
 use std::fs;
 use std::io::Cursor;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::formats::las::{GpsTime, Point, Reader, Wave};
 
-/// The folder of real files, if there is one.
+/// Returns the folder of real files, if set.
 fn data() -> Option<PathBuf> {
     let folder = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
     if folder.is_none() {
@@ -15,7 +15,7 @@ fn data() -> Option<PathBuf> {
     folder
 }
 
-/// All points of a file with their extra bytes.
+/// Reads all points of a file with their extra bytes.
 fn read_all(path: &Path) -> Vec<(Point, Vec<u8>)> {
     let mut reader = Reader::open(path).unwrap();
     let (mut points, mut point) = (Vec::new(), Point::default());
@@ -25,7 +25,7 @@ fn read_all(path: &Path) -> Vec<(Point, Vec<u8>)> {
     points
 }
 
-/// All points of an uncompressed file as the `las` crate reads them.
+/// Reads all points of an uncompressed file with the `las` crate.
 fn oracle(path: &Path) -> Vec<las::raw::Point> {
     let bytes = fs::read(path).unwrap();
     let header = las::raw::Header::read_from(Cursor::new(&bytes)).unwrap();
@@ -65,7 +65,7 @@ fn assert_same(ours: &(Point, Vec<u8>), theirs: &las::raw::Point) {
     assert_eq!(point.scan_angle_deg, angle_deg);
     assert_eq!(point.user_data, theirs.user_data);
     assert_eq!(point.point_source_id, theirs.point_source_id);
-    // These files have any bits, NaN among them.
+    // These files contain arbitrary bits, including NaN.
     assert_eq!(Some(point.gps_time.to_bits()), theirs.gps_time.map(f64::to_bits));
     let (wave, their_wave) = (point.wave, theirs.waveform.unwrap());
     assert_eq!(wave.descriptor, their_wave.wave_packet_descriptor_index);
@@ -112,7 +112,8 @@ fn a_file_whose_waveforms_are_missing_says_so() {
     let Some(data) = data() else { return };
     let path = data.join("las_wavepackets").join("fullwave.laz");
     let error = Reader::open(&path).err().unwrap();
-    let expected = "its waveforms are missing: neither inside the file nor in `fullwave.wdp` beside it";
+    let expected = "its waveforms are missing: neither inside the file nor in `fullwave.wdp` next \
+                    to it";
     assert!(error.to_string().contains(expected), "{error}");
 }
 
@@ -130,7 +131,7 @@ fn a_recording_says_what_it_is() {
     let descriptor = |index| reader.descriptor(&Wave { descriptor: index, ..Default::default() });
     let lengths = (1..=255u8).filter_map(|index| descriptor(index).ok()).map(|found| found.samples);
     assert_eq!(lengths.collect::<Vec<_>>(), [60, 120], "98 more are empty");
-    // The file has a WKT although its header does not say it.
+    // The file has a WKT, although its header does not declare it.
     assert!(!header.says_wkt() && reader.wkt().unwrap().starts_with("PROJCS[\"UTM_North zone 33\""));
     assert_eq!(reader.projection(34735).unwrap().data.len(), 208);
     let extra: Vec<_> =
@@ -138,7 +139,7 @@ fn a_recording_says_what_it_is() {
     assert_eq!(extra, [("Amplitude", 0, 2), ("Pulse width", 2, 2)]);
 }
 
-/// A column of a table with a line of names.
+/// Reads a column of a CSV table by name.
 fn column(table: &str, name: &str) -> Vec<f64> {
     let mut lines = table.lines();
     let index = lines.next().unwrap().split(',').position(|other| other == name).unwrap();
@@ -193,7 +194,9 @@ fn returns_of_one_pulse_have_one_anchor() {
     assert!(worst_ours < 0.005, "{worst_ours}");
 }
 
-/// Where a waveform is strongest, in samples: the top of the parabola through the strongest sample and its neighbours.
+/// Returns the peak position in samples.
+///
+/// The vertex of the parabola through the strongest sample and its neighbours.
 fn peak(samples: &[u16]) -> f64 {
     let (mut at, mut strongest) = (0, 0);
     for (i, &sample) in samples.iter().enumerate() {
@@ -217,7 +220,7 @@ fn packets_hold_the_samples_of_the_pulsewaves_twin() {
         let descriptor = reader.packet(&point.wave, &mut samples).unwrap();
         assert_eq!((descriptor.bits, descriptor.spacing_ps), (16, 1000));
         assert_eq!(samples.len(), point.wave.size as usize / 2);
-        // The twin has the same samples in bytes, in the order of the pulses.
+        // The twin has the same samples as bytes, in the order of the shots.
         let bytes: Vec<u8> = samples.iter().map(|&sample| u8::try_from(sample).unwrap()).collect();
         if point.wave.offset != last_offset {
             let at = waves[from..].windows(bytes.len()).position(|window| window == bytes);
@@ -235,13 +238,16 @@ fn packets_hold_the_samples_of_the_pulsewaves_twin() {
         n += 1;
     }
     assert_eq!((n, singles), (667, 549));
-    // Locations count from the first sample. The vendor subtracts the outgoing pulse's position from them, which is any
-    // fraction of a sample up to half of one: single gaps say no more, but they average out.
+    // Locations count from the first sample. The vendor subtracts the position of the outgoing
+    // pulse, a fraction of up to half a sample. Single gaps are therefore inconclusive, but they
+    // average out.
     let mean_ps = sum_ps / f64::from(singles);
     assert!(mean_ps.abs() < 50.0, "{mean_ps} ps");
 }
 
-/// Opens a file and reads all points and packets; what is wrong with single packets does not count.
+/// Opens a file and reads all points and packets.
+///
+/// Ignores errors of single packets.
 fn read_through(path: &Path) -> crate::formats::Result<usize> {
     let mut reader = Reader::open(path)?;
     let (mut point, mut samples, mut n) = (Point::default(), Vec::new(), 0);
@@ -263,7 +269,7 @@ fn sample_files(data: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The path of a copy of `source` in `folder`, with the waveforms already beside it.
+/// Returns the path for a copy of `source` in `folder`, with the waveform file already copied.
 fn place_for(source: &Path, folder: &Path) -> PathBuf {
     let copy = folder.join(source.file_name().unwrap());
     let wdp = source.with_extension("wdp");
@@ -301,7 +307,8 @@ fn a_damaged_file_never_panics() {
         let mut refused = 0;
         for step in 0..50 {
             let mut damaged = bytes.clone();
-            // The header, the records behind it, the points and the end, all with bits that make numbers large.
+            // Damage the header, the records after it, the points and the end, with bits that
+            // produce large numbers.
             let at = if step % 2 == 0 { step * 40 } else { step * bytes.len() / 50 };
             damaged.iter_mut().skip(at).take(4).for_each(|byte| *byte ^= 0xa5);
             fs::write(&copy, &damaged).unwrap();

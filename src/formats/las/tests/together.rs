@@ -65,7 +65,7 @@ fn extra_attributes_that_are_missing_leave_points_out() {
     {
         let found = found.unwrap_err().to_string();
         assert!(
-            found.starts_with("a.las: point 0 has 0 extra bytes, and the attributes need 2; "),
+            found.starts_with("a.las: point 0 has 0 extra bytes, but the attributes need 2; "),
             "{found}"
         );
     }

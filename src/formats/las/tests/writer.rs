@@ -1,4 +1,4 @@
-//! Written files, read by others and by this reader.
+//! Written files, read by other programs and by this reader.
 
 use std::io::{Cursor, Seek};
 use std::path::Path;
@@ -35,7 +35,7 @@ pub(super) fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> 
     }
 }
 
-/// A file of these points, which all have the same extra bytes.
+/// Writes a file of these points, all with the same extra bytes.
 fn write(name: &str, options: &WriterOptions, points: &[PointOut], extra: &[u8]) -> Vec<u8> {
     let mut writer = Writer::new(Cursor::new(Vec::new()), Path::new(name), options).unwrap();
     points.iter().for_each(|point| writer.write_point(point, extra).unwrap());
@@ -45,7 +45,9 @@ fn write(name: &str, options: &WriterOptions, points: &[PointOut], extra: &[u8])
     sink.into_inner()
 }
 
-/// Points on a spiral: neighbours are alike, as in a real cloud.
+/// Creates points on a spiral.
+///
+/// Neighbours are similar, as in a real cloud.
 pub(super) fn cloud(n: usize) -> Vec<PointOut> {
     (0..n)
         .map(|i| {
@@ -129,7 +131,7 @@ fn the_header_is_spelled_out() {
     assert_eq!(laz[107..375], las[107..375]);
 }
 
-/// A system with a code, which becomes GeoTIFF keys.
+/// Returns a system with an EPSG code, which becomes GeoTIFF keys.
 fn utm_33() -> String {
     crate::formats::geokeys::wkt_of_epsg(32633).unwrap()
 }
@@ -142,7 +144,8 @@ fn the_header_of_version_1_2_is_spelled_out() {
     let old = WriterOptions { version: Version::V1_2, wkt: Some(&utm_33), ..options(&[AMP]) };
     let las = write("a.las", &old, &points, &[7, 0]);
     assert_eq!((u16_at(&las, 6), las[24], las[25]), (1, 1, 2), "adjusted time, no bit for WKT");
-    // Model, raster, citation, system, unit, unit of heights; then the citation itself with a bar and a zero.
+    // Model, raster, citation, system, unit, unit of heights; then the citation itself with a bar
+    // and a zero.
     let keys = 4 * 2 * 7;
     let citation = "WGS 84 / UTM zone 33N".len() + 2;
     let offset_to_points = 227 + (54 + keys) + (54 + citation) + (54 + 192);
@@ -174,7 +177,9 @@ fn without_crs_and_in_week_time_the_bits_are_clear() {
     assert_eq!(las[179..227], [0; 48], "no points, no bounding box");
 }
 
-/// The header and the uncompressed records of a file; those of LAZ as the `laz` crate reads them.
+/// Returns header and uncompressed records of a file.
+///
+/// LAZ is decoded by the `laz` crate.
 fn records(bytes: &[u8]) -> (Header, Vec<u8>) {
     let header = Header::parse(Path::new("a"), &bytes[..375.min(bytes.len())], bytes.len() as u64).unwrap();
     let start = header.offset_to_points as usize;
@@ -286,7 +291,7 @@ fn assert_read_by_las(version: Version, bytes: Vec<u8>, points: &[PointOut], ext
             (to_right, read.is_edge_of_flight_line),
             (written.scan_direction, written.edge_of_flight_line)
         );
-        // The crate takes class 12, which is reserved, for the overlap of formats 0 to 5.
+        // The crate reads class 12, which is reserved, as the overlap of formats 0 to 5.
         let class = if written.classification == 12 { 1 } else { written.classification };
         assert_eq!((u8::from(read.classification), read.is_withheld), (class, written.withheld));
         assert_eq!((read.scanner_channel, read.user_data), (written.scanner_channel, written.user_data));
@@ -342,11 +347,12 @@ fn what_cannot_be_written_is_said() {
     );
     assert_eq!(
         new("a.las", &options(&[AMP, CHANNEL, AMP])),
-        "a.las: the extra attribute Amp stands twice in the list; give it once"
+        "a.las: the extra attribute Amp is listed twice; give it once"
     );
     assert_eq!(
         new("a.las", &WriterOptions { index: IndexPlace::Appended, ..good.clone() }),
-        "a.las: an index can only be appended to compressed points; write LAZ, or the index as a file of its own"
+        "a.las: an index can be appended only to compressed points; write LAZ, or a separate index \
+         file"
     );
     assert_eq!(
         new("a.las", &WriterOptions { wkt: Some(&"x".repeat(65_535)), ..good }),
@@ -364,8 +370,8 @@ fn a_point_that_does_not_fit_is_named_and_left_out() {
     assert_eq!(write(&good, &[1]), Ok(()));
     assert_eq!(
         write(&good, &[1, 2]),
-        Err("a.las: point 1 has 2 extra bytes, and the attributes need 1; \
-             give each attribute of the options once, in order"
+        Err("a.las: point 1 has 2 extra bytes, but the attributes need 1; give each attribute of \
+             the options once, in order"
             .into())
     );
     assert_eq!(
@@ -433,7 +439,8 @@ proptest! {
         points in prop::collection::vec(any_point(), 1..40),
         extra in any::<[u8; 3]>(),
     ) {
-        // The `laz` crate subtracts the bits of successive times, which debug builds refuse where signs differ.
+        // The `laz` crate subtracts the bits of successive times, which panics in debug builds for
+        // different signs.
         let fits = |point: PointOut| PointOut {
             gps_time: point.gps_time.abs(),
             return_number: point.return_number.min(7),

@@ -1,18 +1,19 @@
-//! The extra bytes of compressed points: LASzip's item `Byte14`, version 3, in which each byte is a layer of its own.
+//! Extra bytes of compressed points.
 //!
-//! A layer holds the differences of each byte to the one before, by adaptive arithmetic coding with 32-bit intervals
-//! (A. Said, "Introduction to Arithmetic Coding: Theory and Practice", HPL-2004-76). What is written is what the `laz` crate's
-//! compressor writes. Here it is made a layer at a time: each symbol waits for the interval that the one before has left,
-//! which so stays in registers.
+//! LASzip item `Byte14`, version 3, one layer per byte. A layer holds the difference of each byte
+//! to the previous one, by adaptive arithmetic coding with 32-bit intervals (A. Said, "Introduction
+//! to Arithmetic Coding: Theory and Practice", HPL-2004-76). The output is identical to that of the
+//! `laz` crate's compressor. Here one layer is encoded at a time: each symbol depends on the
+//! interval left by the previous one, which thus stays in registers.
 
-/// Scanner channels, each with frequencies of its own.
+/// Scanner channels, each with its own frequencies.
 const CHANNELS: usize = 4;
 /// Values of a byte.
 const SYMBOLS: usize = 256;
-/// Points that are added at a time.
+/// Maximum number of points added at once.
 pub(super) const TOGETHER: usize = 512;
 
-/// The layers of a chunk.
+/// Layers of a chunk.
 pub(super) struct ByteLayers {
     layers: Vec<Layer>,
     is_used: [bool; CHANNELS],
@@ -20,14 +21,14 @@ pub(super) struct ByteLayers {
     steps: Vec<Step>,
 }
 
-/// What a point's bytes have to do with those of points before.
+/// Dependence of a point's bytes on previous points.
 #[derive(Clone, Copy)]
 struct Step {
-    /// Its scanner channel, which chooses the frequencies.
+    /// Scanner channel, which selects the frequencies.
     channel: u8,
-    /// The channel whose last byte a byte is compared with.
+    /// Channel whose last byte is subtracted.
     from: u8,
-    /// The channel whose last byte it becomes.
+    /// Channel whose last byte is updated.
     to: u8,
 }
 
@@ -39,7 +40,9 @@ struct Layer {
 }
 
 impl ByteLayers {
-    /// For a chunk whose first point has these extra bytes, which are not in the layers, and this scanner channel.
+    /// Starts a chunk with its first point.
+    ///
+    /// The extra bytes of that point are not part of the layers.
     pub(super) fn new(first: &[u8], channel: u8) -> ByteLayers {
         let layer = |byte: &u8| Layer {
             encoder: Encoder::new(),
@@ -51,7 +54,9 @@ impl ByteLayers {
         ByteLayers { layers: first.iter().map(layer).collect(), is_used, channel, steps: Vec::new() }
     }
 
-    /// Adds up to [`TOGETHER`] points: records of this length, which end with the extra bytes, and their channels, below 4.
+    /// Adds up to [`TOGETHER`] points.
+    ///
+    /// `records` have this length and end with the extra bytes; channels are below 4.
     pub(super) fn add(&mut self, records: &[u8], record_length: usize, channels: &[u8]) {
         let is_constant = channels.iter().all(|channel| *channel == self.channel);
         self.steps.clear();
@@ -83,15 +88,19 @@ impl ByteLayers {
         }
     }
 
-    /// The next point is of this channel. The first byte after a change to a channel that was there before is still
-    /// compared with that of the other channel: so does version 3 of LASzip.
+    /// Advances to a point of this channel.
+    ///
+    /// As in LASzip version 3, the first byte after a change to an already used channel is still
+    /// compared with the previous channel.
     fn step(&mut self, channel: u8) -> Step {
         let before = std::mem::replace(&mut self.channel, channel);
         let is_new = !std::mem::replace(&mut self.is_used[usize::from(channel) % CHANNELS], true);
         Step { channel, from: before, to: if is_new { channel } else { before } }
     }
 
-    /// The bytes of each layer; a layer in which all bytes are the same has none.
+    /// Returns the bytes of each layer.
+    ///
+    /// A layer of constant bytes is empty.
     pub(super) fn finish(self) -> impl Iterator<Item = Vec<u8>> {
         self.layers
             .into_iter()
@@ -99,17 +108,17 @@ impl ByteLayers {
     }
 }
 
-/// How frequent the symbols were so far.
+/// Adaptive symbol frequencies.
 struct Model {
-    /// The share of all symbols below each one, in 2^-15.
+    /// Cumulative frequency below each symbol, in 2^-15.
     below: [u16; SYMBOLS],
-    /// How often each symbol came, all halved now and then.
+    /// Count of each symbol; all are halved occasionally.
     counts: [u16; SYMBOLS],
-    /// The sum of the counts at the last update.
+    /// Sum of the counts at the last update.
     total: u32,
-    /// Symbols between updates.
+    /// Number of symbols between updates.
     cycle: u32,
-    /// Symbols until the next update.
+    /// Number of symbols until the next update.
     left: u32,
 }
 
@@ -123,7 +132,7 @@ impl Model {
         model
     }
 
-    /// Takes the counts over, from time to time and ever more seldom.
+    /// Updates the frequencies from the counts; updates become less frequent.
     fn update(&mut self) {
         self.total += self.cycle;
         if self.total > 1 << 15 {
@@ -141,7 +150,7 @@ impl Model {
     }
 }
 
-/// An interval of numbers, and the leading bytes of its lower end that are settled.
+/// Arithmetic encoder: interval, and finished leading bytes of its lower end.
 struct Encoder {
     lower: u32,
     length: u32,
@@ -149,7 +158,7 @@ struct Encoder {
     n_bytes: usize,
 }
 
-/// An interval is widened while it is shorter.
+/// Minimum interval length; shorter intervals are widened.
 const SHORTEST: u32 = 1 << 24;
 
 impl Encoder {
@@ -157,13 +166,14 @@ impl Encoder {
         Encoder { lower: 0, length: u32::MAX, bytes: Vec::new(), n_bytes: 0 }
     }
 
-    /// Adds symbols, each by the frequencies of its point's channel.
+    /// Encodes symbols with the frequencies of their channels.
     fn encode<'a>(
         &mut self,
         models: &mut [Model; CHANNELS],
         symbols: impl ExactSizeIterator<Item = (&'a Step, &'a u8)>,
     ) {
-        // A symbol settles three bytes at most; four are written each time, of which those not settled are overwritten.
+        // A symbol finishes at most three bytes. Four are written each time; unfinished ones are
+        // overwritten.
         let most = self.n_bytes + 3 * symbols.len() + 4;
         if self.bytes.len() < most {
             self.bytes.resize(2 * most, 0);
@@ -174,7 +184,7 @@ impl Encoder {
             let symbol = usize::from(*symbol);
             let unit = length >> 15;
             let start = u32::from(model.below[symbol]) * unit;
-            // The last symbol takes what rounding leaves, too.
+            // The last symbol includes the rounding remainder.
             let next = u32::from(model.below[(symbol + 1) % SYMBOLS]) * unit;
             let end = if symbol + 1 == SYMBOLS { length } else { next };
             let (sum, overflows) = lower.overflowing_add(start);
@@ -198,7 +208,9 @@ impl Encoder {
         (self.lower, self.length, self.n_bytes) = (lower, length, at);
     }
 
-    /// All bytes: at the end enough to tell the interval from others, and zeros that decoders read ahead.
+    /// Finishes the encoding.
+    ///
+    /// Enough bytes to identify the interval, and zeros for decoder read-ahead.
     fn finish(mut self) -> Vec<u8> {
         let is_long = self.length > 2 * SHORTEST;
         let (step, settled, zeros) = if is_long { (SHORTEST, 1, 3) } else { (SHORTEST / 2, 2, 2) };
@@ -213,7 +225,7 @@ impl Encoder {
     }
 }
 
-/// Adds 1 to the number that the first `n` bytes are.
+/// Adds 1 to the big-endian number in the first `n` bytes.
 #[cold]
 fn carry(bytes: &mut [u8], n: usize) {
     for byte in bytes.iter_mut().take(n).rev() {

@@ -1,4 +1,4 @@
-//! Compressing a chunk of points.
+//! Compresses a chunk of points.
 
 use std::io;
 
@@ -9,19 +9,19 @@ use laz::{LazItemType, LazVlr};
 use super::byte_layers::{ByteLayers, TOGETHER};
 use super::compression::into_io;
 
-/// Bytes of a point of format 6.
+/// Length of a point of format 6, bytes.
 const POINT: usize = 30;
 
-/// A chunk that was compressed.
+/// Compressed chunk.
 pub(super) type Chunk = io::Result<Vec<u8>>;
 
-/// The bytes of a chunk of records.
+/// Compresses the records of a chunk.
 pub(super) fn compress(records: &[u8], laz: &LazVlr) -> Chunk {
     let is_layered = laz.items().iter().any(|item| item.item_type() == LazItemType::Point14);
     if is_layered { layered(records, laz) } else { sequential(records, laz) }
 }
 
-/// Formats 1 and 4.
+/// Compresses formats 1 and 4.
 fn sequential(records: &[u8], laz: &LazVlr) -> Chunk {
     let mut compressor = SequentialPointRecordCompressor::new(Vec::new());
     compressor.set_fields_from(laz.items()).map_err(into_io)?;
@@ -30,7 +30,9 @@ fn sequential(records: &[u8], laz: &LazVlr) -> Chunk {
     Ok(compressor.into_inner())
 }
 
-/// Formats 6 and 9: the first point as it is, the number of points, the lengths of all layers, and the layers.
+/// Compresses formats 6 and 9.
+///
+/// Layout: uncompressed first point, number of points, lengths of all layers, layers.
 fn layered(records: &[u8], laz: &LazVlr) -> Chunk {
     let length = laz.items_size() as usize;
     let mut chunk = Vec::new();
@@ -59,7 +61,7 @@ fn layered(records: &[u8], laz: &LazVlr) -> Chunk {
     Ok(chunk)
 }
 
-/// The compressors of the standard fields.
+/// Compressors of the standard fields.
 struct Fields {
     point: LasPoint6Compressor,
     wave: Option<LasWavepacketCompressor>,
@@ -77,7 +79,7 @@ impl Fields {
         }
     }
 
-    /// The first point, whose scanner channel becomes known.
+    /// Starts with the first point; sets `channel` from it.
     fn begin(&mut self, record: &[u8], chunk: &mut Vec<u8>, channel: &mut usize) -> io::Result<()> {
         self.point.init_first_point(chunk, &record[..POINT], channel)?;
         match &mut self.wave {
@@ -86,10 +88,10 @@ impl Fields {
         }
     }
 
-    /// A further point; its scanner channel.
+    /// Adds a point and returns its scanner channel.
     fn add(&mut self, record: &[u8]) -> io::Result<u8> {
         let mut channel = 0;
-        // The functions belong to compressors with an output, which they do not use.
+        // The trait functions are generic over an output that they do not use.
         LayeredFieldCompressor::<Vec<u8>>::compress_field_with(
             &mut self.point,
             &record[..POINT],
@@ -120,7 +122,7 @@ mod tests {
     use laz::laszip::parallel::par_compress;
     use proptest::prelude::*;
 
-    /// What the `laz` crate makes of a chunk of records, and what this does.
+    /// Returns the chunk as encoded by the `laz` crate and by this module.
     fn both(records: &[u8], format: u8, extra: u16) -> [Vec<u8>; 2] {
         let laz = LazVlrBuilder::default().with_point_format(format, extra).unwrap();
         let laz = laz.with_fixed_chunk_size(100_000).build();
@@ -130,7 +132,7 @@ mod tests {
         [theirs, compress(records, &laz).unwrap()]
     }
 
-    /// Records of points whose fields, extra bytes and channels change more or less often.
+    /// Creates records with random changes of fields, extra bytes and channels.
     fn records(n: usize, length: usize, seed: u64, channel_every: u64) -> Vec<u8> {
         let mut state = seed;
         let mut next = |below: u64| {
@@ -148,7 +150,7 @@ mod tests {
             }
             record[15] = channel << 4;
             for (k, byte) in record.iter_mut().enumerate().skip(30) {
-                // Layers of noise, of rare changes, and of none.
+                // Layers of noise, of rare changes, and of constant bytes.
                 *byte = match k % 4 {
                     0 => next(256) as u8,
                     1 => next(9) as u8,
@@ -176,7 +178,7 @@ mod tests {
             prop_assert_eq!(theirs, ours);
         }
 
-        /// A chunk has one point at least.
+        /// A chunk has at least one point.
         #[test]
         fn old_chunks_are_those_of_laz(n in 1..1200usize, extra in 0..4u16, seed in any::<u64>()) {
             let records = records(n, 28 + usize::from(extra), seed, u64::MAX);
@@ -187,7 +189,7 @@ mod tests {
 
     #[test]
     fn a_long_chunk_is_that_of_laz() {
-        // Frequencies are halved after 32 768 symbols.
+        // Counts are halved after 32 768 symbols.
         let [theirs, ours] = both(&records(70_000, 36, 1, 100), 6, 6);
         assert_eq!(theirs, ours);
     }

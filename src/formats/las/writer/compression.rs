@@ -1,4 +1,4 @@
-//! Compressing while further points are gathered.
+//! Compresses chunks on worker threads while further points are gathered.
 
 use std::collections::VecDeque;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -12,21 +12,22 @@ use super::chunk::{self, Chunk};
 use super::records;
 use crate::formats::las::lax;
 
-/// State of a LAZ file: its chunks so far.
+/// Compression state of a LAZ file.
 pub(super) struct Compression {
     pub(super) laz: LazVlr,
     table: ChunkTable,
-    /// Where the place of the chunk table is to be noted.
+    /// Offset of the field for the offset of the chunk table.
     table_offset_at: u64,
-    /// Where the place of the index is to be noted.
+    /// Offset of the field for the location of the index.
     special_evlrs_at: u64,
-    /// The threads that compress; without any the thread that writes does it.
+    /// Worker threads; without any, the writing thread compresses.
     beside: Beside,
 }
 
 impl Compression {
-    /// For a file whose points begin at `table_offset_at`. With more than one thread chunks are compressed while further ones
-    /// are gathered.
+    /// Creates the state for a file whose points begin at `table_offset_at`.
+    ///
+    /// With more than one thread, chunks are compressed in the background.
     pub(super) fn new(
         laz: LazVlr,
         table_offset_at: u64,
@@ -37,7 +38,9 @@ impl Compression {
         Compression { laz, table: ChunkTable::default(), table_offset_at, special_evlrs_at, beside }
     }
 
-    /// Compresses the records of a chunk, or has them compressed, and leaves room for those of the next one.
+    /// Compresses or queues the records of a chunk.
+    ///
+    /// Leaves an empty buffer.
     pub(super) fn put(&mut self, records: &mut Vec<u8>, sink: &mut impl Write) -> io::Result<()> {
         if self.beside.is_full() {
             self.write_next(sink)?;
@@ -50,7 +53,7 @@ impl Compression {
         self.write(chunk, sink)
     }
 
-    /// Waits for the chunk that was given away first, and writes it.
+    /// Waits for the oldest queued chunk and writes it.
     fn write_next(&mut self, sink: &mut impl Write) -> io::Result<()> {
         match self.beside.next() {
             Some(chunk) => self.write(chunk, sink),
@@ -65,7 +68,9 @@ impl Compression {
         sink.write_all(&bytes)
     }
 
-    /// Writes what is still being compressed and the chunk table, and notes before the first chunk where it is.
+    /// Writes pending chunks and the chunk table.
+    ///
+    /// Stores the offset of the table before the first chunk.
     pub(super) fn end(&mut self, sink: &mut (impl Write + Seek)) -> io::Result<()> {
         while self.beside.is_busy() {
             self.write_next(sink)?;
@@ -76,7 +81,7 @@ impl Compression {
         sink.write_all(&table_at.to_le_bytes())
     }
 
-    /// Writes the index behind all else, and notes in the LASzip record that it is there.
+    /// Appends the index and registers it in the LASzip record.
     pub(super) fn append(&self, sink: &mut (impl Write + Seek), index: &[u8]) -> io::Result<()> {
         let at = sink.seek(SeekFrom::End(0))?;
         sink.write_all(&records::evlr(
@@ -91,24 +96,28 @@ impl Compression {
     }
 }
 
-/// The records of a chunk, and where the thread that compresses them sends it, and the records' memory for further use.
+/// Records of a chunk, and the channel for the result.
+///
+/// The result is the chunk and the buffer for reuse.
 type Job = (Vec<u8>, Sender<(Chunk, Vec<u8>)>);
 
-/// Threads that compress chunks.
+/// Worker threads that compress chunks.
 struct Beside {
-    /// `None`: there is no thread.
+    /// Job queue; `None` without threads.
     jobs: Option<Sender<Job>>,
-    /// Chunks that are not written yet, in order.
+    /// Chunks not yet written, in order.
     waiting: VecDeque<Receiver<(Chunk, Vec<u8>)>>,
-    /// Chunks there may be: one for each thread, and as many more, of which one is being gathered.
+    /// Maximum number of chunks in flight.
+    ///
+    /// Two per thread, including the one being gathered.
     most: usize,
     threads: Vec<JoinHandle<()>>,
-    /// Memory for records.
+    /// Record buffers for reuse.
     spare: Vec<Vec<u8>>,
 }
 
 impl Beside {
-    /// Without threads where one has to do.
+    /// Starts the threads; none if one thread has to suffice.
     fn start(laz: &LazVlr, n_threads: usize) -> Beside {
         let n_threads = if n_threads > 1 { n_threads } else { 0 };
         let (jobs, to_do) = bounded::<Job>(2 * n_threads);
@@ -118,13 +127,13 @@ impl Beside {
                 for (mut records, done) in to_do {
                     let chunk = chunk::compress(&records, &laz);
                     records.clear();
-                    // Where nobody waits any more, writing has failed.
+                    // Sending fails only if the receiver was dropped after a write error.
                     let _ = done.send((chunk, records));
                 }
             };
             thread::Builder::new().name("compress".into()).spawn(work).ok()
         };
-        // With fewer threads it works, only slower.
+        // Starting fewer threads than requested only reduces speed.
         let threads: Vec<JoinHandle<()>> = (0..n_threads).filter_map(start).collect();
         let jobs = (!threads.is_empty()).then_some(jobs);
         let most = 2 * threads.len();
@@ -139,19 +148,23 @@ impl Beside {
         !self.waiting.is_empty()
     }
 
-    /// Gives records away and leaves empty memory; `false`: there is no thread to take them.
+    /// Queues records and replaces them with an empty buffer.
+    ///
+    /// `false` without threads.
     fn send(&mut self, records: &mut Vec<u8>) -> bool {
         let Some(jobs) = &self.jobs else { return false };
         let next = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(records.capacity()));
         let full = std::mem::replace(records, next);
         let (done, chunk) = bounded(1);
-        // If all threads have died, nothing is sent to where the chunk is waited for, and that is told there.
+        // If all threads have died, the error is reported when the chunk is received.
         let _ = jobs.send((full, done));
         self.waiting.push_back(chunk);
         true
     }
 
-    /// Waits for the chunk that was given away first; `None`: no one is waited for.
+    /// Waits for the oldest queued chunk.
+    ///
+    /// `None` if there is none.
     fn next(&mut self) -> Option<Chunk> {
         let received = self.waiting.pop_front()?.recv();
         let Ok((chunk, records)) = received else { return Some(Err(has_ended())) };
@@ -164,14 +177,14 @@ impl Drop for Beside {
     fn drop(&mut self) {
         self.jobs = None;
         for thread in self.threads.drain(..) {
-            // What it died of has been told where its chunk was waited for.
+            // A panic was already reported when its chunk was received.
             let _ = thread.join();
         }
     }
 }
 
 fn has_ended() -> io::Error {
-    io::Error::other("a thread that compresses has ended")
+    io::Error::other("a compression thread has ended")
 }
 
 pub(super) fn into_io(error: LasZipError) -> io::Error {

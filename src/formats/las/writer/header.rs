@@ -1,14 +1,14 @@
-//! The public header block of a written file, and the sums that it holds.
+//! Public header block of a written file, and its summary fields.
 
 use super::options::{Version, WavePlace, WriterOptions};
 use super::records::text;
 use crate::formats::las::header::encoding;
 use crate::formats::las::point_out::{LEGACY_RETURNS, RETURNS};
 
-/// Where a header counts the records before the points.
+/// Offset of the number of VLRs in the header.
 const N_VLRS: usize = 100;
 
-/// What a header says of the file beside the options.
+/// Header fields that do not come from the options.
 pub(super) struct Shape {
     pub(super) record_length: usize,
     pub(super) n_vlrs: usize,
@@ -16,7 +16,7 @@ pub(super) struct Shape {
     pub(super) compressed: bool,
 }
 
-/// The header with zeros for what only the points know.
+/// Encodes the header; fields that depend on points are zero.
 pub(super) fn header(options: &WriterOptions, shape: &Shape) -> Vec<u8> {
     let version = options.version;
     let bit = |set: bool, bit: u16| if set { bit } else { 0 };
@@ -43,13 +43,15 @@ pub(super) fn header(options: &WriterOptions, shape: &Shape) -> Vec<u8> {
     header.extend((shape.n_vlrs as u32).to_le_bytes());
     header.push(options.point_format() | if shape.compressed { 0x80 } else { 0 });
     header.extend((shape.record_length as u16).to_le_bytes());
-    header.extend([0; 24]); // legacy counts: they stay 0 for formats 6 and above
+    header.extend([0; 24]); // legacy counts: 0 for formats 6 and above
     options.scale.iter().chain(&options.offset).for_each(|value| header.extend(value.to_le_bytes()));
     header.resize(version.header_bytes().into(), 0);
     header
 }
 
-/// Says in the header how many records precede the points, and where packets inside of the file are.
+/// Stores the number of VLRs and the packet offset.
+///
+/// The offset is that of packets inside the file.
 pub(super) fn patch_waveforms(header: &mut [u8], version: Version, n_vlrs: usize, packets_at: Option<u64>) {
     let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
     put(N_VLRS, &(n_vlrs as u32).to_le_bytes());
@@ -61,7 +63,7 @@ pub(super) fn patch_waveforms(header: &mut [u8], version: Version, n_vlrs: usize
     }
 }
 
-/// What the header says of all points together.
+/// Header fields that summarise all points.
 pub(super) struct Totals {
     pub(super) points: u64,
     by_return: [u64; 15],
@@ -74,12 +76,14 @@ impl Totals {
         Totals { points: 0, by_return: [0; 15], min: [i32::MAX; 3], max: [i32::MIN; 3] }
     }
 
-    /// Counts points: the smallest and largest coordinate of each axis, and the return numbers as they are written.
+    /// Counts points by return number and extends the bounds.
+    ///
+    /// `ends` are the smallest and largest stored coordinates of each axis.
     pub(super) fn add(&mut self, version: Version, ends: [(i32, i32); 3], return_numbers: &[u8]) {
         self.points += return_numbers.len() as u64;
         let most = if version.is_legacy() { LEGACY_RETURNS } else { RETURNS };
         for return_number in return_numbers {
-            // A return number of 0 belongs to no column.
+            // Return number 0 has no count.
             let column = usize::from((*return_number).min(most)).checked_sub(1);
             if let Some(count) = column.and_then(|column| self.by_return.get_mut(column)) {
                 *count += 1;
@@ -91,12 +95,14 @@ impl Totals {
         }
     }
 
-    /// Puts the sums into the header. The bounding box is that of the coordinates as stored.
+    /// Stores the summary fields.
+    ///
+    /// The bounding box is that of the quantised coordinates.
     pub(super) fn patch(&self, header: &mut [u8], options: (Version, [f64; 3], [f64; 3])) {
         let (version, scale, offset) = options;
         let mut put = |at: usize, bytes: &[u8]| header[at..at + bytes.len()].copy_from_slice(bytes);
         if version.is_legacy() {
-            // The writer takes no more points than 32 bits count. Return numbers above 5 have no column.
+            // The writer limits points to 32 bits. Return numbers above 5 have no count.
             put(107, &(self.points as u32).to_le_bytes());
             for (column, count) in self.by_return.iter().take(5).enumerate() {
                 put(111 + 4 * column, &(*count as u32).to_le_bytes());

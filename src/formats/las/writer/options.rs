@@ -1,4 +1,4 @@
-//! What is the same for all points of a written file.
+//! Options of a written file.
 
 use std::path::Path;
 
@@ -6,19 +6,21 @@ use crate::formats::las::ExtraAttribute;
 use crate::formats::las::header::HEADER_1_4;
 use crate::formats::{Error, Result};
 
-/// The versions that are written. Points have a time and no colours.
+/// LAS versions for output.
+///
+/// Points have a time and no colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Version {
     /// LAS 1.2: point format 1.
     V1_2,
-    /// LAS 1.3: point format 1, with waveforms 4.
+    /// LAS 1.3: point format 1, or 4 with waveforms.
     V1_3,
-    /// LAS 1.4: point format 6, with waveforms 9.
+    /// LAS 1.4: point format 6, or 9 with waveforms.
     V1_4,
 }
 
 impl Version {
-    /// The version's second number.
+    /// Returns the minor version.
     pub(super) fn minor(self) -> u8 {
         match self {
             Version::V1_2 => 2,
@@ -27,7 +29,7 @@ impl Version {
         }
     }
 
-    /// Length of the header, bytes.
+    /// Returns the length of the header, bytes.
     pub(super) fn header_bytes(self) -> u16 {
         match self {
             Version::V1_2 => 227,
@@ -36,71 +38,85 @@ impl Version {
         }
     }
 
-    /// Points are counted in 32 bits, coordinate systems are GeoTIFF keys.
+    /// Returns whether the version is older than LAS 1.4.
+    ///
+    /// Points are then counted in 32 bits, and the CRS is stored as GeoTIFF keys.
     pub(super) fn is_legacy(self) -> bool {
         self != Version::V1_4
     }
 }
 
-/// Where the waveforms of the points are.
+/// Location of the waveforms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WavePlace {
-    /// Nowhere.
+    /// No waveforms.
     None,
-    /// In the file itself, behind the points.
+    /// In the file itself, after the points.
     Inside,
     /// In a `.wdp` file of the same name.
     Beside,
 }
 
-/// Where the spatial index of LASzip (LAX) goes.
+/// Location of LASzip's spatial index (LAX).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum IndexPlace {
-    /// None is made.
+    /// No index.
     None,
-    /// The writer makes it, for a file beside the points.
+    /// Built by the writer, for a separate file.
     Beside,
-    /// Behind compressed points, where their LASzip record says.
+    /// Appended to compressed points and registered in their LASzip record.
     Appended,
 }
 
-/// What is the same for all points of a file.
+/// Options shared by all points of a file.
 #[derive(Debug, Clone)]
 pub struct WriterOptions<'a> {
-    /// The version, which decides about the point format.
+    /// LAS version; determines the point format.
     pub version: Version,
-    /// Steps of x, y, z, in units of the coordinate system, above 0.
+    /// Coordinate steps of x, y, z, above 0.
+    ///
+    /// In units of the coordinate system.
     pub scale: [f64; 3],
-    /// Offsets of x, y, z: coordinates are stored as 32-bit numbers of steps from here.
+    /// Offsets of x, y, z.
+    ///
+    /// Coordinates are stored as 32-bit multiples of the step from here.
     pub offset: [f64; 3],
-    /// Coordinate system as OGC WKT 1. Before LAS 1.4 its codes become GeoTIFF keys; a system without a code stands there
-    /// as WKT all the same, which many programs understand.
+    /// Coordinate system as OGC WKT 1.
+    ///
+    /// Before LAS 1.4 its EPSG codes become GeoTIFF keys. A system without a code is then stored as
+    /// WKT as well, which many programs understand.
     pub wkt: Option<&'a str>,
-    /// What each point has behind its standard fields, in this order.
+    /// Extra attributes of each point, in this order.
     pub extra_attributes: &'a [ExtraAttribute],
-    /// The points' times are adjusted standard GPS time; `false`: seconds of the GPS week.
+    /// Whether times are adjusted standard GPS time.
+    ///
+    /// Otherwise they are seconds of the GPS week.
     pub adjusted_gps_time: bool,
-    /// Day of the year of the creation, from 1.
+    /// Day of the year of creation, from 1.
     pub creation_day: u16,
-    /// Year of the creation.
+    /// Year of creation.
     pub creation_year: u16,
-    /// What made the data; at most 32 bytes are kept.
+    /// System that created the data.
+    ///
+    /// At most 32 bytes are kept.
     pub system_identifier: &'a str,
-    /// The software; at most 32 bytes are kept.
+    /// Software; at most 32 bytes are kept.
     pub generating_software: &'a str,
-    /// The flight line, 0 if unassigned.
+    /// File source ID (flight line), 0 if unassigned.
     pub file_source_id: u16,
-    /// Where the waveforms are, which decides about the point format, too.
+    /// Location of the waveforms; also determines the point format.
     pub waveforms: WavePlace,
-    /// Where the spatial index goes.
+    /// Location of the spatial index.
     pub index: IndexPlace,
-    /// Chunks of points that are compressed at a time; the bytes of the file do not depend on it. Memory is at most 100 000
-    /// points per thread and their compressed form.
+    /// Number of compression threads.
+    ///
+    /// Does not affect the bytes of the file. Each thread needs memory for at most 100 000 points
+    /// and their compressed form.
     pub threads: usize,
 }
 
 impl WriterOptions<'_> {
-    /// The point format: with a time, without colours.
+    /// Returns the point format: with time, without colours.
     pub(super) fn point_format(&self) -> u8 {
         match (self.version.is_legacy(), self.waveforms) {
             (true, WavePlace::None) => 1,
@@ -110,20 +126,20 @@ impl WriterOptions<'_> {
         }
     }
 
-    /// Bytes of a point behind its format's fields.
+    /// Returns the number of extra bytes per point.
     pub(super) fn extra_bytes(&self) -> usize {
         self.extra_attributes.iter().map(|attribute| attribute.data_type.bytes()).sum()
     }
 
-    /// What keeps a file from being begun with these options.
+    /// Checks whether a file can be written with these options.
     pub(super) fn check(&self, path: &Path) -> Result<()> {
         let bad = |problem: String, remedy| Err(Error::unusable(path, problem, remedy));
         if self.version == Version::V1_2 && self.waveforms != WavePlace::None {
             return bad("LAS 1.2 has no waveforms".into(), "write LAS 1.3 or 1.4");
         }
         if self.index == IndexPlace::Appended && !is_laz(path)? {
-            let problem = "an index can only be appended to compressed points";
-            return bad(problem.into(), "write LAZ, or the index as a file of its own");
+            let problem = "an index can be appended only to compressed points";
+            return bad(problem.into(), "write LAZ, or a separate index file");
         }
         if !self.scale.iter().all(|scale| scale.is_finite() && *scale > 0.0) {
             return bad(format!("the scale {:?} is not positive", self.scale), "give a scale like 0.001");
@@ -137,17 +153,17 @@ impl WriterOptions<'_> {
         for (number, attribute) in self.extra_attributes.iter().enumerate() {
             let name = attribute.name;
             if self.extra_attributes[..number].iter().any(|other| other.name == name) {
-                return bad(format!("the extra attribute {name} stands twice in the list"), "give it once");
+                return bad(format!("the extra attribute {name} is listed twice"), "give it once");
             }
         }
         Ok(())
     }
 }
 
-/// Whether a file's extension says that its points are compressed.
+/// Returns whether the extension denotes compressed points.
 ///
 /// # Errors
-/// It is neither `las` nor `laz`.
+/// The extension is neither `las` nor `laz`.
 pub(super) fn is_laz(path: &Path) -> Result<bool> {
     let extension = path.extension().unwrap_or_default();
     match (extension.eq_ignore_ascii_case("las"), extension.eq_ignore_ascii_case("laz")) {

@@ -1,4 +1,4 @@
-//! The records between the header and the points.
+//! VLRs of a written file.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use crate::formats::las::vlr::{
 };
 use crate::formats::{Error, Result, geokeys};
 
-/// How LASzip is to compress the points.
+/// Creates the LASzip record for the options.
 pub(super) fn laz_vlr(path: &Path, options: &WriterOptions) -> Result<LazVlr> {
     let extra = u16::try_from(options.extra_bytes()).map_err(|_| too_much(path, "the extra attributes"))?;
     let builder = LazVlrBuilder::default().with_point_format(options.point_format(), extra);
@@ -24,8 +24,11 @@ pub(super) fn laz_vlr(path: &Path, options: &WriterOptions) -> Result<LazVlr> {
     laz.map_err(into_io).map_err(Error::io(path, "prepare the compression"))
 }
 
-/// LASzip knows the waveforms of the old formats as the first version of their item only, and the `laz` crate calls what it
-/// writes the second. The other items are of the second version: the crate's first one of extra bytes is not LASzip's.
+/// Corrects the item versions of legacy waveform formats for LASzip.
+///
+/// LASzip knows only version 1 of the waveform item of legacy formats, but the `laz` crate labels
+/// its identical output version 2. The other items must be version 2, because the crate's version 1
+/// of extra bytes differs from LASzip's.
 fn as_laszip_has_it(laz: LazVlr) -> laz::Result<LazVlr> {
     let Some(waves) = laz.items().iter().position(|item| item.item_type() == LazItemType::WavePacket13)
     else {
@@ -33,25 +36,25 @@ fn as_laszip_has_it(laz: LazVlr) -> laz::Result<LazVlr> {
     };
     let mut data = Vec::new();
     laz.write_to(&mut data)?;
-    // The items stand at the end, 6 bytes each, of which the last two are the version.
+    // Items are at the end, 6 bytes each; the last two are the version.
     let version_at = data.len() - 6 * (laz.items().len() - waves) + 4;
     data[version_at..version_at + 2].copy_from_slice(&1u16.to_le_bytes());
     LazVlr::from_buffer(&data)
 }
 
-/// The records before the points, and where in them something is to be noted later.
+/// Encoded VLRs, and offsets in them that are patched later.
 pub(super) struct Records {
-    /// The records, each with its header; at their end room for the descriptors of waveforms.
+    /// VLRs with their headers, then space for the waveform descriptors.
     pub(super) bytes: Vec<u8>,
-    /// Records that are there already.
+    /// Number of VLRs so far.
     pub(super) count: usize,
-    /// Where descriptors of waveforms go.
+    /// Offset of the space for waveform descriptors.
     pub(super) descriptors_at: usize,
-    /// Where the LASzip record says how many special extended records follow, and where the first is.
+    /// Offset of the special EVLR fields in the LASzip record.
     pub(super) special_evlrs_at: usize,
 }
 
-/// The data of the LASzip record in front of what it says of special extended records, bytes.
+/// Length of the LASzip record before its special EVLR fields, bytes.
 const BEFORE_SPECIAL_EVLRS: usize = 16;
 
 impl Records {
@@ -87,7 +90,7 @@ impl Records {
     }
 }
 
-/// The records of the kinds of waveform packets.
+/// Encodes the descriptor records of the packet kinds.
 pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     for (id, kind) in (FIRST_DESCRIPTOR..).zip(kinds.iter().take(MOST_KINDS)) {
@@ -96,7 +99,10 @@ pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> 
     Ok(bytes)
 }
 
-/// The records of the coordinate reference system: before LAS 1.4 GeoTIFF keys, and WKT where no EPSG code says it all.
+/// Encodes the coordinate system.
+///
+/// WKT, or GeoTIFF keys before LAS 1.4. WKT is also written before LAS 1.4 if no EPSG code defines
+/// the whole system.
 fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<Vec<Vec<u8>>> {
     let keys = options.version.is_legacy().then(|| geokeys::of_wkt(wkt)).flatten();
     let has_code = keys.as_ref().is_some_and(|keys| geokeys::epsg(&keys.directory).is_some());
@@ -141,7 +147,7 @@ fn too_much(path: &Path, what: &str) -> Error {
     Error::unusable(path, problem, "give a shorter WKT, or fewer extra attributes")
 }
 
-/// An extended record with its header.
+/// Encodes an extended record with its header.
 pub(in crate::formats::las) fn evlr(
     user_id: &str,
     record_id: u16,
@@ -158,7 +164,7 @@ pub(in crate::formats::las) fn evlr(
     bytes
 }
 
-/// Text of a fixed length, cut or filled with zeros.
+/// Encodes text of a fixed length, truncated or padded with zeros.
 pub(in crate::formats::las) fn text<const N: usize>(text: &str) -> [u8; N] {
     let mut bytes = [0; N];
     bytes.iter_mut().zip(text.bytes()).for_each(|(place, byte)| *place = byte);

@@ -1,11 +1,11 @@
-//! Points on their way into records: what is scaled stands in columns, so that it is scaled many values at a time.
+//! Columnar buffer of points for vectorised quantisation.
 
 use crate::formats::las::extra_bytes::ExtraAttribute;
 use crate::formats::las::point::{Layout, Wave};
 use crate::formats::las::point_out::{PointOut, scan_angle_steps};
 use crate::kernels::steps::Steps;
 
-/// Points that are made into records together: their columns stay in the processor's nearest memory.
+/// Points encoded at once; their columns fit the L1 cache.
 pub const TOGETHER: usize = 128;
 
 /// Columns of up to [`TOGETHER`] points.
@@ -21,13 +21,13 @@ pub(super) struct Tile {
     fields: [u64; TOGETHER],
     return_numbers: [u8; TOGETHER],
     waves: [Wave; TOGETHER],
-    /// The coordinates as stored.
+    /// Stored coordinates.
     raw: [[i32; TOGETHER]; 3],
     scan_angles: [i32; TOGETHER],
 }
 
 impl Tile {
-    /// No points, for records of this format.
+    /// Creates an empty tile for records of this format.
     pub(super) fn new(format: u8) -> Tile {
         Tile {
             format,
@@ -44,7 +44,7 @@ impl Tile {
         }
     }
 
-    /// Takes these points in the place of those that it has; what is more than [`TOGETHER`] is left out.
+    /// Replaces the points; ignores points beyond [`TOGETHER`].
     #[inline]
     pub(super) fn fill(&mut self, points: impl Iterator<Item = PointOut>) {
         let has_waves = Layout::of(self.format).wave.is_some();
@@ -67,7 +67,7 @@ impl Tile {
         scan_angle_steps(self.format).count(&self.scan_angles_deg[..n], &mut self.scan_angles[..n]);
     }
 
-    /// Takes one point of another tile in the place of those that this one has.
+    /// Replaces the points by one point of another tile.
     pub(super) fn take_one(&mut self, from: &Tile, number: usize) {
         let point = number % TOGETHER;
         for (column, from) in self.coordinates.iter_mut().zip(&from.coordinates) {
@@ -82,18 +82,19 @@ impl Tile {
         self.n = 1;
     }
 
-    /// The return numbers, in the points' order.
+    /// Returns the return numbers, in point order.
     pub(super) fn return_numbers(&self) -> &[u8] {
         &self.return_numbers[..self.n]
     }
 
-    /// The coordinates of an axis as stored, in the points' order.
+    /// Returns the stored coordinates of an axis, in point order.
     pub(super) fn raw(&self, axis: usize) -> &[i32] {
         &self.raw[axis][..self.n]
     }
 
-    /// Counts the steps of all coordinates. `None`: one of them may be none that 32 bits hold; else the smallest and the largest
-    /// of each axis.
+    /// Quantises all coordinates.
+    ///
+    /// Returns the smallest and largest of each axis. `None` if a coordinate may exceed 32 bits.
     pub(super) fn count_steps(&mut self, scale: [f64; 3], offset: [f64; 3]) -> Option<[(i32, i32); 3]> {
         let mut ends = [(i32::MAX, i32::MIN); 3];
         for axis in 0..3 {
@@ -105,24 +106,24 @@ impl Tile {
                 ends[axis] = (ends[axis].0.min(*value), ends[axis].1.max(*value));
             }
         }
-        // What does not fit, NaN included, has become one of these.
+        // Values that do not fit, including NaN, were clamped to one of these.
         let fits = ends.iter().all(|(least, largest)| *least > i32::MIN && *largest < i32::MAX);
         fits.then_some(ends)
     }
 
-    /// The coordinates of the only point.
+    /// Returns the coordinates of the single point.
     pub(super) fn first(&self) -> [f64; 3] {
         self.coordinates.map(|column| column[0])
     }
 
-    /// Says how the only point is stored.
+    /// Sets the stored coordinates of the single point.
     pub(super) fn set_raw(&mut self, raw: [i32; 3]) {
         for (column, raw) in self.raw.iter_mut().zip(raw) {
             column[0] = raw;
         }
     }
 
-    /// Makes the records, as many as there are points, but for their extra bytes.
+    /// Encodes one record per point, without extra bytes.
     pub(super) fn encode(&self, records: &mut [u8], record_length: usize) {
         if self.format <= 5 {
             self.encode_at::<20>(records, record_length);
@@ -136,7 +137,7 @@ impl Tile {
         }
     }
 
-    /// For formats with the time at `TIME_AT`.
+    /// Encodes formats with the time at offset `TIME_AT`.
     fn encode_at<const TIME_AT: usize>(&self, records: &mut [u8], record_length: usize) {
         for (i, record) in (0..self.n.min(TOGETHER)).zip(records.chunks_exact_mut(record_length)) {
             let record = &mut record[..TIME_AT + 8];
@@ -153,7 +154,7 @@ impl Tile {
     }
 }
 
-/// Bytes on a waveform.
+/// Length of the waveform fields, bytes.
 const WAVE_BYTES: usize = 29;
 
 fn encode_wave(wave: &Wave, bytes: &mut [u8]) {
@@ -166,16 +167,16 @@ fn encode_wave(wave: &Wave, bytes: &mut [u8]) {
     }
 }
 
-/// The extra bytes of points that are written together, to be filled an attribute at a time.
+/// Extra bytes of points written together, filled attribute by attribute.
 pub struct ExtraColumns<'a> {
     records: &'a mut [u8],
     record_length: usize,
-    /// Where in each record the next attribute stands.
+    /// Offset of the next attribute in each record.
     at: usize,
 }
 
 impl<'a> ExtraColumns<'a> {
-    /// Of records whose standard fields have this length.
+    /// Creates columns for records with standard fields of this length.
     pub(super) fn new(
         records: &'a mut [u8],
         record_length: usize,
@@ -184,12 +185,16 @@ impl<'a> ExtraColumns<'a> {
         ExtraColumns { records, record_length, at: standard_length }
     }
 
-    /// Bytes that have no value yet; below 0 where there were too many.
+    /// Returns the number of unset bytes.
+    ///
+    /// Negative if too many were set.
     pub(super) fn left(&self) -> i64 {
         self.record_length as i64 - self.at as i64
     }
 
-    /// Puts the values of the next attribute, one for each point, at most 128; nothing where there are fewer than points.
+    /// Sets the next attribute, one value per point, at most 128.
+    ///
+    /// Does nothing if there are fewer values than points.
     pub fn put(&mut self, attribute: &ExtraAttribute, values: &[f64]) {
         let mut stored = [0; TOGETHER];
         attribute.quantise_column(values, &mut stored);
@@ -201,7 +206,7 @@ impl<'a> ExtraColumns<'a> {
         }
     }
 
-    /// Puts the lowest bytes of each number.
+    /// Stores the lowest bytes of each number.
     fn put_bytes<const N: usize>(&mut self, stored: &[i32]) {
         if stored.len() < self.records.len() / self.record_length {
             return;
@@ -216,7 +221,7 @@ impl<'a> ExtraColumns<'a> {
         self.at += N;
     }
 
-    /// Puts bytes into every record.
+    /// Stores the same bytes in every record.
     pub(super) fn put_all(&mut self, bytes: &[u8]) {
         let end = self.at + bytes.len();
         for record in self.records.chunks_exact_mut(self.record_length) {
@@ -228,7 +233,7 @@ impl<'a> ExtraColumns<'a> {
     }
 }
 
-/// The record of one point, without extra bytes, whose coordinates are these numbers of steps.
+/// Encodes one point without extra bytes, with these stored coordinates.
 #[cfg(test)]
 pub(in crate::formats::las) fn record(format: u8, point: &PointOut, raw: [i32; 3]) -> Vec<u8> {
     let mut tile = Tile::new(format);

@@ -1,10 +1,10 @@
-//! Writes small pairs of files, field by field.
+//! Writes small file pairs, field by field.
 
 use std::path::{Path, PathBuf};
 
 use crate::formats::pulsewaves::{Descriptor, Kind, Reader, Sampling};
 
-/// Little-endian bytes, one field after the other.
+/// Little-endian encoder.
 #[derive(Clone, Default)]
 pub(super) struct Bytes(pub(super) Vec<u8>);
 
@@ -38,14 +38,16 @@ impl Bytes {
     }
 }
 
-/// A pulse record: T, offset to waves, anchor, target, first and last sample, descriptor, flags, intensity, class.
+/// Encodes a pulse record.
+///
+/// T, offset to waves, anchor, target, first and last sample, descriptor, flags, intensity, class.
 pub(super) fn pulse(t: i64, offset: i64, descriptor: u8, flags: u8) -> Vec<u8> {
     let b = Bytes::default().i64(t).i64(offset);
     let b = [100, -200, 3000, 101, -202, 2850].into_iter().fold(b, Bytes::i32);
     b.i16(-5).i16(700).u8(descriptor).u8(flags).u8(77).u8(9).0
 }
 
-/// A sampling of 8-bit samples: fixed counts, no durations.
+/// Creates a sampling of 8-bit samples with fixed counts and no durations.
 pub(super) fn sampling(kind: Kind, segments: u16, samples: u32) -> Sampling {
     Sampling {
         kind,
@@ -65,7 +67,7 @@ pub(super) fn sampling(kind: Kind, segments: u16, samples: u32) -> Sampling {
     }
 }
 
-/// A descriptor of these samplings in units of 1 ns.
+/// Creates a descriptor of these samplings in units of 1 ns.
 pub(super) fn descriptor(samplings: Vec<Sampling>) -> Descriptor {
     Descriptor {
         optical_center_to_anchor: Some(0),
@@ -78,7 +80,8 @@ pub(super) fn descriptor(samplings: Vec<Sampling>) -> Descriptor {
     }
 }
 
-/// The payload of a descriptor record; `more` bytes of later versions stand in front of each description.
+/// Encodes a descriptor record's payload, with `more` bytes of later versions before each
+/// description.
 pub(super) fn encode(d: &Descriptor, more: usize) -> Vec<u8> {
     let center = d.optical_center_to_anchor.map_or(0x8FFF_FFFF, |c| c as u32);
     let b = Bytes::default().u32(92 + more as u32).u32(0).u32(center).u16(d.extra_wave_bytes);
@@ -102,7 +105,7 @@ pub(super) fn encode(d: &Descriptor, more: usize) -> Vec<u8> {
         .0
 }
 
-/// A pair of files in the making.
+/// Builder of a file pair.
 #[derive(Clone)]
 pub(super) struct Pair {
     pub(super) attributes: u32,
@@ -115,7 +118,7 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    /// No pulse yet; the descriptor has index 1.
+    /// Creates a pair without pulses; the descriptor has index 1.
     pub(super) fn new(descriptor: &Descriptor) -> Pair {
         Pair {
             attributes: 0,
@@ -128,7 +131,8 @@ impl Pair {
         }
     }
 
-    /// One outgoing segment of three samples and one returning one of two: pulses of 5 bytes of waves each.
+    /// Creates one outgoing segment of three samples and one returning one of two: 5 bytes of waves
+    /// per pulse.
     pub(super) fn plain(pulses: usize) -> Pair {
         let samplings = vec![sampling(Kind::Outgoing, 1, 3), sampling(Kind::Returning, 1, 2)];
         let mut pair = Pair::new(&descriptor(samplings));
@@ -145,7 +149,7 @@ impl Pair {
         self.waves.extend(waves);
     }
 
-    /// The bytes of the pulse file.
+    /// Encodes the pulse file.
     pub(super) fn pls(&self) -> Vec<u8> {
         let header_size = 352 + self.more_header;
         let mut records = Bytes::default();
@@ -181,7 +185,7 @@ impl Pair {
     }
 }
 
-/// Writes `t.pls` and `t.wvs` and returns the path of the former.
+/// Writes `t.pls` and `t.wvs`; returns the path of the former.
 pub(super) fn write(dir: &Path, pls: &[u8], wvs: &[u8]) -> PathBuf {
     std::fs::write(dir.join("t.wvs"), wvs).unwrap();
     let path = dir.join("t.pls");

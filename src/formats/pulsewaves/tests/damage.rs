@@ -1,4 +1,4 @@
-//! Files that are not what they should be: each message, and no panic whatever the bytes.
+//! Invalid files: every message, and no panic for any bytes.
 
 use std::path::Path;
 
@@ -8,19 +8,19 @@ use super::build::{Pair, descriptor, encode, pulse, sampling, write};
 use super::peer::data;
 use crate::formats::pulsewaves::{Descriptor, Kind, Reader, Sampling, Waves};
 
-/// The message with the folder left out.
+/// Returns the message without the folder.
 fn message(dir: &Path, error: &crate::formats::Error) -> String {
     error.to_string().replace(&format!("{}/", dir.display()), "")
 }
 
-/// The message of opening these bytes as a pair.
+/// Returns the message of opening these bytes as a pair.
 fn opening(pls: &[u8], wvs: &[u8]) -> String {
     let dir = tempfile::tempdir().unwrap();
     let path = write(dir.path(), pls, wvs);
     message(dir.path(), &Reader::open(&path).unwrap_err())
 }
 
-/// The message of opening a plain pair with bytes replaced at `at` of the pulse file.
+/// Returns the message of opening a plain pair with bytes of the pulse file replaced at `at`.
 fn opening_with(at: usize, bytes: &[u8]) -> String {
     let pair = Pair::plain(2);
     let mut pls = pair.pls();
@@ -48,14 +48,14 @@ fn a_file_of_another_kind_is_named() {
         ),
         (
             plain.pls()[..200].to_vec(),
-            "t.pls: byte 200: pulse size: 4 bytes are needed and 0 are left; \
-             the file is cut off: copy it again from its source"
+            "t.pls: byte 200: pulse size: 4 bytes needed, 0 left; the file is cut off: copy it \
+             again from its source"
                 .to_string(),
         ),
         (
             plain.pls()[..500].to_vec(),
-            "t.pls: the pulses start at byte 748 and the file ends before; \
-             it is cut off: copy it again from its source"
+            "t.pls: the pulses start at byte 748, but the file ends earlier; it is cut off: copy \
+             it again from its source"
                 .to_string(),
         ),
     ];
@@ -103,8 +103,8 @@ fn a_record_that_cannot_be_is_named() {
             216,
             &[2],
             format!(
-                "t.pls: byte 748: variable length record 1: header: \
-                 96 bytes are needed and the pulses start at byte 748; {damaged}"
+                "t.pls: byte 748: variable length record 1: header: 96 bytes needed, but the \
+                 pulses start at byte 748; {damaged}"
             ),
         ),
         (
@@ -120,8 +120,8 @@ fn a_record_that_cannot_be_is_named() {
         (
             644,
             &[105],
-            "t.pls: byte 644: sampling record: 105 bytes are needed and 104 are left; \
-             the file is cut off: copy it again from its source"
+            "t.pls: byte 644: sampling record: 105 bytes needed, 104 left; the file is cut off: \
+             copy it again from its source"
                 .to_string(),
         ),
         (352 + 16, &[5, 0, 0, 0], format!("t.pls: its pulses are compressed (PulseZIP); {PULSEZIP}")),
@@ -152,8 +152,8 @@ fn a_lookup_table_that_cannot_be_read_is_named() {
     );
     assert_eq!(
         table(&|b| b[88 - 4..88].fill(0xFF)),
-        "t.pls: byte 608: lookup table: entries: 17179869180 bytes are needed and 8 are left; \
-         the file is cut off: copy it again from its source"
+        "t.pls: byte 608: lookup table: entries: 17179869180 bytes needed, 8 left; the file is cut \
+         off: copy it again from its source"
     );
 }
 
@@ -163,8 +163,8 @@ fn a_record_of_many_megabytes_is_not_read() {
     pair.records[0].2.resize((1 << 24) + 1, 0);
     assert_eq!(
         opening(&pair.pls(), &pair.waves),
-        "t.pls: byte 448: record 200001 of PulseWaves_Spec: its 16777217 bytes are more than the 16777216 that are \
-         read; the file is damaged: copy or export it again"
+        "t.pls: byte 448: record 200001 of PulseWaves_Spec: its 16777217 bytes exceed the limit of \
+         16777216; the file is damaged: copy or export it again"
     );
 }
 
@@ -179,7 +179,10 @@ fn the_waves_file_is_found_or_named() {
     let opened = |path: &Path| message(dir.path(), &Reader::open(path).unwrap_err());
     assert_eq!(opened(&path), format!("t.pls: its waves are compressed (.wvz); {PULSEZIP}"));
     std::fs::remove_file(dir.path().join("t.wvz")).unwrap();
-    assert_eq!(opened(&path), "t.pls: its waves file t.wvs is missing; put it beside the pulse file");
+    assert_eq!(
+        opened(&path),
+        "t.pls: its waves file t.wvs is missing; put it into the folder of the pulse file"
+    );
     let absent = opened(&dir.path().join("absent.pls"));
     assert!(absent.starts_with("absent.pls: cannot open: "), "{absent}");
     let folder = Reader::open(dir.path()).unwrap_err().to_string();
@@ -196,17 +199,17 @@ fn a_waves_file_that_is_none_is_named() {
     assert_eq!(with(&[]), "t.wvs: the file is empty; copy it again from its source");
     assert_eq!(
         with(&[7; 100]),
-        "t.wvs: this is not a PulseWaves waves file: its signature is another; \
-         put the .wvs file of the same export beside the .pls"
+        "t.wvs: this is not a PulseWaves waves file: its signature differs; put the .wvs file of \
+         the same export next to the .pls"
     );
     assert_eq!(
         with(&pair.waves[..59]),
-        "t.wvs: byte 20: reserved: 40 bytes are needed and 39 are left; \
-         the file is cut off: copy it again from its source"
+        "t.wvs: byte 20: reserved: 40 bytes needed, 39 left; the file is cut off: copy it again \
+         from its source"
     );
 }
 
-/// The message of reading the waves of pulse 1 of three; the pulses beside it can be read.
+/// Returns the message of reading the waves of pulse 1 of three; the other pulses can be read.
 fn waves_of(pair: &Pair) -> String {
     let (mut reader, dir) = pair.open();
     let mut waves = Waves::new();
@@ -234,8 +237,9 @@ fn a_bad_pulse_is_an_error_of_that_pulse_alone() {
     };
     let offset = |offset: i64| {
         format!(
-            "t.pls: byte 804: pulse 1: offset to waves: {offset} lies outside of the waves file's bytes 60 to 75; \
-             leave the pulse out, or copy both files again: the waves file may be cut off"
+            "t.pls: byte 804: pulse 1: offset to waves: {offset} is outside the waves file's bytes \
+             60 to 75; leave the pulse out, or copy both files again: the waves file may be cut \
+             off"
         )
     };
     assert_eq!(with(-1, 1), offset(-1));
@@ -244,8 +248,8 @@ fn a_bad_pulse_is_an_error_of_that_pulse_alone() {
     assert_eq!(with(65, 1), "");
     assert_eq!(
         with(72, 1),
-        "t.wvs: byte 75: pulse 1: samples: 2 bytes are needed and 0 are left in the file; \
-         leave the pulse out, or copy or export the pair of files again"
+        "t.wvs: byte 75: pulse 1: samples: 2 bytes needed, 0 left in the file; leave the pulse \
+         out, or copy or export the pair of files again"
     );
     assert_eq!(
         with(65, 9),
@@ -278,7 +282,7 @@ fn a_descriptor_that_is_not_supported_spoils_its_pulses_alone() {
         ),
         (
             first(|s| s.duration_scale = 0.0),
-            "scale and offset for duration from anchor: 0 and 0 make no time",
+            "scale and offset for duration from anchor: 0 and 0 are not a valid time",
         ),
         (
             first(|s| s.segment_count_bits = 32),
@@ -326,7 +330,7 @@ fn a_promise_of_too_many_pulses_is_checked_against_the_file() {
     let dir = tempfile::tempdir().unwrap();
     let mut reader = Reader::open(&write(dir.path(), &pls, &pair.waves)).unwrap();
     assert_eq!(reader.pulse_count(), 2);
-    let missing = "pulse 2: the header promises 9223372036854775807 pulses and the file holds 2";
+    let missing = "pulse 2: the header declares 9223372036854775807 pulses, but the file has 2";
     let expected = format!("t.pls: byte 844: {missing}; the file is cut off: copy it again from its source");
     assert_eq!(message(dir.path(), &reader.check_complete().unwrap_err()), expected);
     assert_eq!(message(dir.path(), &reader.pulse(2).unwrap_err()), expected);
@@ -335,10 +339,12 @@ fn a_promise_of_too_many_pulses_is_checked_against_the_file() {
     let (mut reader, dir) = pair.open();
     assert!(reader.check_complete().is_ok());
     let error = message(dir.path(), &reader.pulse(2).unwrap_err());
-    assert_eq!(error, "t.pls: byte 844: pulse 2: there are 2 pulses; ask for one of them");
+    assert_eq!(error, "t.pls: byte 844: pulse 2: the file has 2 pulses; request one of them");
 }
 
-/// Reads all that can be read: pulses, and pulses with waves. Every pulse but these gives an error.
+/// Counts readable pulses, and pulses with readable waves.
+///
+/// All others must give an error.
 fn read_all(path: &Path) -> (u64, u64) {
     let Ok(mut reader) = Reader::open(path) else { return (0, 0) };
     let (mut waves, mut with_waves) = (Waves::new(), 0);
@@ -352,7 +358,9 @@ fn read_all(path: &Path) -> (u64, u64) {
     (reader.pulse_count(), with_waves)
 }
 
-/// Where to cut a file of `n` bytes: at 40 places over its first kilobytes and 40 over the whole, in order.
+/// Returns cut positions for a file of `n` bytes.
+///
+/// 40 in its first kilobytes and 40 over the whole, in order.
 fn cuts(n: usize) -> Vec<usize> {
     let places = (0..40).flat_map(|i| [i * n.min(4000) / 40 + i % 7, i * n / 40 + i % 5]);
     let mut places: Vec<usize> = places.filter(|&cut| cut < n).collect();
@@ -410,7 +418,7 @@ proptest! {
         }
         let dir = tempfile::tempdir().unwrap();
         let (pulses, with_waves) = read_all(&write(dir.path(), &pls, &wvs));
-        // Damage to both the count and the marker behind the pulses makes records of what stands there.
+        // Damage to both the count and the marker after the pulses may turn pulses into records.
         prop_assert!(352 + 48 * pulses <= pls.len() as u64 && with_waves <= pulses);
     }
 }

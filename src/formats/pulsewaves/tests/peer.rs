@@ -1,4 +1,6 @@
-//! Real files against the dumps that the PulseWaves C++ library made of them: every field, segment and sample.
+//! Compares real files with dumps of the PulseWaves C++ library.
+//!
+//! Every field, segment and sample.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -8,7 +10,7 @@ use flate2::read::GzDecoder;
 
 use crate::formats::pulsewaves::{Kind, Pulse, Reader, Segment, Waves};
 
-/// The folder of recordings, unless the environment names none.
+/// Returns the folder of recordings, if set.
 pub(super) fn data() -> Option<PathBuf> {
     let folder = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
     if folder.is_none() {
@@ -17,7 +19,7 @@ pub(super) fn data() -> Option<PathBuf> {
     folder
 }
 
-/// The numbers of a line of the dump.
+/// Parses the numbers of a line of the dump.
 fn numbers<T: std::str::FromStr>(words: &[&str]) -> Vec<T>
 where
     T::Err: std::fmt::Debug,
@@ -35,8 +37,10 @@ fn check_pulse(words: &[&str], p: &Pulse) {
     assert_eq!(numbers::<i64>(words), expected);
 }
 
-/// Compares a segment. The peer holds durations as 32-bit floats: formed that way they agree in every printed digit,
-/// and the 64-bit one lies within the float's rounding.
+/// Compares a segment.
+///
+/// The reference library stores durations as 32-bit floats. Computed that way they agree in every
+/// printed digit; the 64-bit duration is within the rounding of the float.
 fn check_segment(words: &[&str], segment: &Segment, samples: &[u16], pulse: &Pulse, reader: &Reader) {
     let kind = match segment.kind {
         Kind::Outgoing => 1,
@@ -61,7 +65,7 @@ fn check_segment(words: &[&str], segment: &Segment, samples: &[u16], pulse: &Pul
     assert_eq!(numbers::<u16>(&words[9..]), samples, "pulse {}", pulse.index);
 }
 
-/// The duration in the peer's arithmetic.
+/// Returns the duration in the arithmetic of the reference library.
 fn float_duration(segment: &Segment, reader: &Reader, pulse: &Pulse) -> f32 {
     let sampling = &reader.descriptors()[&pulse.descriptor].samplings[usize::from(segment.sampling)];
     if segment.duration.is_none() {
@@ -70,8 +74,10 @@ fn float_duration(segment: &Segment, reader: &Reader, pulse: &Pulse) -> f32 {
     sampling.duration_scale as f32 * segment.quantized_duration as f32 + sampling.duration_offset as f32
 }
 
-/// Compares the position of the first sample: to every printed digit in the peer's arithmetic (direction, duration and
-/// their product are 32-bit floats), and within three roundings of such floats in ours.
+/// Compares the position of the first sample.
+///
+/// It agrees to every printed digit in the arithmetic of the reference library (direction, duration
+/// and their product are 32-bit floats), and within three roundings of such floats in ours.
 fn check_position(words: &[&str], segment: &Segment, pulse: &Pulse, reader: &Reader) {
     let ours = pulse.position(segment.duration_of(0.0));
     for axis in 0..3 {
@@ -85,7 +91,9 @@ fn check_position(words: &[&str], segment: &Segment, pulse: &Pulse, reader: &Rea
     }
 }
 
-/// Compares a file with its dump; returns pulses, segments and samples compared.
+/// Compares a file with its dump.
+///
+/// Returns the number of pulses, segments and samples compared.
 fn compare(folder: &Path, name: &str) -> (u64, usize, usize) {
     let mut reader = Reader::open(&folder.join(format!("{name}.pls"))).unwrap();
     reader.check_complete().unwrap();

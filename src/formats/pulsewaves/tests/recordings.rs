@@ -1,4 +1,4 @@
-//! What the recordings hold: the facts that the stages build on.
+//! Properties of the recordings that the stages rely on.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -19,20 +19,20 @@ fn for_each(reader: &mut Reader, mut each: impl FnMut(&Pulse, &Waves)) {
     }
 }
 
-/// The lines of a CSV file below its heading, in words.
+/// Returns the cells of a CSV file without its heading.
 fn csv(path: &Path) -> Vec<Vec<String>> {
     let text = std::fs::read_to_string(path).unwrap();
     text.lines().skip(1).map(|line| line.split(',').map(str::to_string).collect()).collect()
 }
 
-/// Mean and standard deviation.
+/// Returns mean and standard deviation.
 fn moments(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     (mean, (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
 }
 
-/// The distance of a number from the next whole one.
+/// Returns the distance of a number from the nearest integer.
 fn off_whole(value: f64) -> f64 {
     value - value.round()
 }
@@ -127,8 +127,9 @@ fn the_vendors_returns_lie_on_the_beams() {
     }
 }
 
-/// Lengths of anchor to target in m, and the spread that the rounding of both predicts: uniform errors of one step,
-/// projected on the beam.
+/// Returns lengths from anchor to target, m, and the SD predicted from their rounding.
+///
+/// Both have uniform errors of one step, projected on the beam.
 fn lengths(reader: &mut Reader) -> (Vec<f64>, f64) {
     let scale = reader.header().scale;
     let (mut lengths, mut variance) = (Vec::new(), 0.0);
@@ -153,7 +154,8 @@ fn anchor_and_target_are_a_constant_apart_but_for_their_rounding() {
         println!("{name}: mean {mean:.6} m, sd {sd:.6} m, predicted {predicted:.6} m");
         assert!((mean - expected_m).abs() < 3.0 * of_mean, "{mean}");
         assert!((0.85..1.05).contains(&(sd / predicted)), "{sd} {predicted}");
-        // The scale of the durations is a round distance over the same length, to the precision of a 32-bit float.
+        // The scale of the durations is a round distance divided by the same length, to the
+        // precision of a 32-bit float.
         let scale = reader.descriptors()[&2].samplings[1].duration_scale;
         assert!((1000.0 * step_m / scale - expected_m).abs() < 1e-5, "{}", 1000.0 * step_m / scale);
     }
@@ -188,12 +190,14 @@ fn outgoing_segments_start_nowhere_in_2013_and_on_a_whole_sample_before_the_anch
     println!("2015: returning starts lie {mean:.4} off whole samples, sd {sd:.4}");
     assert!((mean + 0.0537).abs() < 0.0005 && sd < 0.0025, "{mean} {sd}");
     let (mean, sd) = moments(&peaks);
-    println!("2015: outgoing peaks lie {mean:.3} samples behind the anchor, sd {sd:.3}");
+    println!("2015: outgoing peaks lie {mean:.3} samples after the anchor, sd {sd:.3}");
     assert!(peaks.iter().all(|p| p.abs() < 0.55));
     assert!((sd - (1.0_f64 / 12.0).sqrt()).abs() < 0.02, "{sd}");
 }
 
-/// The peak of a pulse by a parabola through the logarithms of its three highest samples, in samples.
+/// Returns the peak position in samples.
+///
+/// A parabola through the logarithms of the three highest samples.
 fn peak(samples: &[u16]) -> f64 {
     let k = (0..samples.len()).max_by_key(|&k| samples[k]).unwrap();
     let [a, b, c] = [k - 1, k, k + 1].map(|i| f64::from(samples[i]).ln());

@@ -1,11 +1,14 @@
-//! The waves of a pulse: every kind of sampling, spelled out and round.
+//! Waves of a pulse.
+//!
+//! Every kind of sampling, handmade and as round trips.
 
 use proptest::prelude::*;
 
 use super::build::{Bytes, Pair, descriptor, sampling};
 use crate::formats::pulsewaves::{Kind, Reader, Sampling, Waves};
 
-/// The segments of pulse `index` as (sampling, number, quantised duration, duration, samples).
+/// Returns the segments of pulse `index` as (sampling, number, quantised duration, duration,
+/// samples).
 type Flat = Vec<(u16, u16, i32, Option<f64>, Vec<u16>)>;
 
 fn flat(reader: &mut Reader, index: u64) -> Flat {
@@ -86,10 +89,10 @@ fn warm_waves_keep_their_memory() {
     }
 }
 
-/// The segments of one pulse in one sampling, as (quantised duration, samples).
+/// Segments of one pulse in one sampling, as (quantised duration, samples).
 type Run = Vec<(i32, Vec<u16>)>;
 
-/// A sampling and the segments of each pulse.
+/// Generates a sampling and the segments of each pulse.
 fn any_sampling() -> impl Strategy<Value = (Sampling, Vec<Run>)> {
     let bits = || prop::sample::select(vec![0_u8, 8, 16]);
     let layout =
@@ -113,7 +116,7 @@ fn any_sampling() -> impl Strategy<Value = (Sampling, Vec<Run>)> {
     })
 }
 
-/// The low `bits` bits of a number.
+/// Returns the low `bits` bits of a number.
 fn low(value: i64, bits: u8) -> Vec<u8> {
     value.to_le_bytes()[..usize::from(bits / 8)].to_vec()
 }

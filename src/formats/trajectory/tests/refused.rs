@@ -1,4 +1,4 @@
-//! What is no trajectory, and how that is said.
+//! Files that are not valid trajectories, and their messages.
 
 use super::*;
 
@@ -15,15 +15,15 @@ fn companions_of_something_else_are_refused() {
     ]);
     assert_eq!(
         folder.read("a.pof", &Options::default()).unwrap_err(),
-        "a.poq: its accuracies last from Sunday 00:00:01.0 to 00:00:02.0 GPS (1.0 to 2.0 s of the week), the trajectory from \
-         2025-05-06 10:00:00.0 to 10:00:01.5 GPS (430560800.0 to 430560801.5 s, adjusted); give the accuracies of this \
-         trajectory"
+        "a.poq: its accuracies cover Sunday 00:00:01.0 to 00:00:02.0 GPS (1.0 to 2.0 s of the \
+         week), but the trajectory covers 2025-05-06 10:00:00.0 to 10:00:01.5 GPS (430560800.0 to \
+         430560801.5 s, adjusted); give the accuracies of this trajectory"
     );
     let with = |name: &str| Options { accuracy: Some(folder.path(name)), ..Options::default() };
     assert_eq!(
         folder.read("b.sbet", &with("b.sbet")).unwrap_err(),
-        "b.sbet: it holds no accuracies: it is neither a POQ nor records of ten numbers (smrmsg); give the .poq beside the \
-         POF, or the smrmsg_*.out beside the SBET"
+        "b.sbet: it holds no accuracies: it is neither a POQ nor records of ten numbers (smrmsg); \
+         give the .poq of the POF, or the smrmsg_*.out of the SBET"
     );
     let error = folder.read("b.sbet", &with("twice.out")).unwrap().into_trajectory(None).unwrap_err();
     assert_eq!(
@@ -37,20 +37,22 @@ fn files_of_other_formats_are_refused() {
     let nothing = Options::default();
     assert_eq!(
         read_bytes(b"LASF\0\0\0\0 and so on", &nothing).unwrap_err(),
-        "t.dat: it is no trajectory that wavex knows: its 18 bytes do not begin with `RIEGL POSITION&ORIENTATION` (POF) or \
-         `TSCANTRJ` (TRJ), byte 34 is not the exclusive or of those before (SOL), bytes 8 to 23 are no latitude and longitude \
-         in radians (SBET), and it is no text; export the trajectory as one of these, with positions in degrees or radians and \
-         attitude"
+        "t.dat: unknown trajectory format: its 18 bytes do not begin with `RIEGL \
+         POSITION&ORIENTATION` (POF) or `TSCANTRJ` (TRJ), byte 34 is not the XOR of the bytes \
+         before it (SOL), bytes 8 to 23 are not a latitude and longitude in radians (SBET), and it \
+         is not text; export the trajectory as one of these, with positions in degrees or radians \
+         and attitude"
     );
     assert_eq!(
         read_bytes(&poq::tests::made(&[1.0]), &nothing).unwrap_err(),
-        "t.dat: it is a POQ, which holds only accuracies; give the POF beside it; the POQ is found there"
+        "t.dat: it is a POQ file, which has only accuracies; give the POF file; its POQ is found \
+         automatically"
     );
     assert_eq!(
         read_bytes(b"GPSTime,Lat,Lon\n1,2,3\n", &nothing).unwrap_err(),
-        "t.dat: it is a text, and nothing says what its columns are; it begins with `GPSTime,Lat,Lon`; say it with \
-         `trajectory_columns`, such as `txyzwpk`: time, longitude, latitude, height, roll, pitch, heading; any other letter \
-         passes over a column"
+        "t.dat: it is text, but its columns are not defined; it begins with `GPSTime,Lat,Lon`; set \
+         `trajectory_columns`, such as `txyzwpk`: time, longitude, latitude, height, roll, pitch, \
+         heading; any other letter skips a column"
     );
     let folder = Folder::with(&[]);
     assert_eq!(
@@ -66,13 +68,15 @@ fn texts_that_are_no_trajectory_are_refused() {
     let cases = [
         (
             told(rows, "txyz"),
-            "t.dat: `trajectory_columns` is `txyz`, without a pitch (p); name time t, longitude x, latitude y, height z, roll \
-             w, pitch p and heading k",
+            "t.dat: `trajectory_columns` is `txyz`, which lacks the pitch (p); use t for time, x \
+             for longitude, y for latitude, z for height, w for roll, p for pitch and k for \
+             heading",
         ),
         (
             told(rows, "txyzwpkx"),
-            "t.dat: `trajectory_columns` is `txyzwpkx`, with two of longitude (x); name time t, longitude x, latitude y, \
-             height z, roll w, pitch p and heading k",
+            "t.dat: `trajectory_columns` is `txyzwpkx`, which has two columns for longitude (x); \
+             use t for time, x for longitude, y for latitude, z for height, w for roll, p for \
+             pitch and k for heading",
         ),
         (
             told(&format!("{rows}2 11 48 500 0 x 90\n"), "txyzwpk"),
@@ -80,7 +84,8 @@ fn texts_that_are_no_trajectory_are_refused() {
         ),
         (
             told(&format!("{rows}2 11 48 500\n"), "txyzwpk"),
-            "t.dat: byte 24: line 3: there are 4 columns, and the roll is number 5; check `trajectory_columns`",
+            "t.dat: byte 24: line 3: there are 4 columns, but roll is column 5; check \
+             `trajectory_columns`",
         ),
         (
             told("a\nb c\n", "txyzwpk"),
@@ -89,17 +94,18 @@ fn texts_that_are_no_trajectory_are_refused() {
         ),
         (
             told("1 320000 5300000 500 0 0 90\n", "txyzwpk"),
-            "t.dat: byte 0: latitude of line 1: 5300000 is none in degrees; give geodetic positions, and check \
-             `trajectory_columns`",
+            "t.dat: byte 0: latitude of line 1: 5300000 degrees is out of range; give geodetic \
+             positions, and check `trajectory_columns`",
         ),
         (
             told(&format!("1 {}\n", "9".repeat(70_000)), "txyzwpk"),
-            "t.dat: byte 0: line: it is longer than 65536 bytes; give a table with a line per record",
+            "t.dat: byte 0: line: it is longer than 65536 bytes; give a table with one line per \
+             record",
         ),
         (
             told("1 11 48 5e7 0 0 90\n", "txyzwpk"),
-            "t.dat: byte 0: height of record 1: 50000000.000000 is none; the file is damaged, or its positions are not \
-             geodetic: export it again",
+            "t.dat: byte 0: height of record 1: invalid value 50000000.000000; the file is \
+             damaged, or its positions are not geodetic: export it again",
         ),
     ];
     for (told, expected) in cases {
@@ -119,36 +125,37 @@ fn damaged_records_are_refused_where_they_stand() {
     let cut_off = "the file is cut off: copy it again from its source";
     let nan = f64::NAN.to_le_bytes();
     let cases = [
-        (cut(sbet(&samples, week), 300), format!("t.dat: byte 272: record 3: 136 bytes are needed and 28 are left; {cut_off}")),
-        (changed(sbet(&samples, week), 136 + 8, &nan), format!("t.dat: byte 136: latitude of record 2: NaN is none; {damaged}")),
-        (changed(sbet(&samples, week), 272, &nan), format!("t.dat: byte 272: time of record 3: NaN is none; {damaged}")),
+        (cut(sbet(&samples, week), 300), format!("t.dat: byte 272: record 3: 136 bytes needed, 28 left; {cut_off}")),
+        (changed(sbet(&samples, week), 136 + 8, &nan), format!("t.dat: byte 136: latitude of record 2: invalid value NaN; {damaged}")),
+        (changed(sbet(&samples, week), 272, &nan), format!("t.dat: byte 272: time of record 3: invalid value NaN; {damaged}")),
         (
             changed(sbet(&samples, week), 136 + 16, &7f64.to_le_bytes()),
-            format!("t.dat: byte 136: longitude of record 2: 401.070457 is none; {damaged}"),
+            format!("t.dat: byte 136: longitude of record 2: invalid value 401.070457; {damaged}"),
         ),
         (
             changed(sbet(&samples, week), 136 + 56, &1e9f64.to_le_bytes()),
-            format!("t.dat: byte 136: roll of record 2: 57295779513.082321 is none; {damaged}"),
+            format!("t.dat: byte 136: roll of record 2: invalid value 57295779513.082321; {damaged}"),
         ),
-        (cut(sol(&samples), 200), format!("t.dat: byte 184: record 2: 184 bytes are needed and 16 are left; {cut_off}")),
+        (cut(sol(&samples), 200), format!("t.dat: byte 184: record 2: 184 bytes needed, 16 left; {cut_off}")),
         (
             changed(sol(&samples), 184 + 20, &[0x55]),
-            "t.dat: byte 218: check byte of record 2: it is not the exclusive or of those before; the file is damaged: copy \
-             it again from its source"
+            "t.dat: byte 218: check byte of record 2: it is not the XOR of the bytes before it; \
+             the file is damaged: copy it again from its source"
                 .to_owned(),
         ),
-        (cut(pof(&samples, 2, 0, week), 400), format!("t.dat: byte 379: record 2: 64 bytes are needed and 21 are left; {cut_off}")),
-        (cut(pof(&samples, 2, 0, week), 100), format!("t.dat: byte 97: time step: 8 bytes are needed and 3 are left; {cut_off}")),
+        (cut(pof(&samples, 2, 0, week), 400), format!("t.dat: byte 379: record 2: 64 bytes needed, 21 left; {cut_off}")),
+        (cut(pof(&samples, 2, 0, week), 100), format!("t.dat: byte 97: time step: 8 bytes needed, 3 left; {cut_off}")),
         (
             changed(pof(&samples, 2, 0, week), 27, &[2]),
-            "t.dat: byte 31: version: version 2.1 is not known; export the trajectory as POF 1.1 or as SBET".to_owned(),
+            "t.dat: byte 31: version: version 2.1 is not supported; export the trajectory as POF \
+             1.1 or as SBET".to_owned(),
         ),
         (
             changed(pof(&samples, 2, 0, week), 31, &[9, 0]),
             "t.dat: byte 31: data offset: records at byte 9 would lie in the header; the file is damaged: export it again"
                 .to_owned(),
         ),
-        (cut(trj(&samples, week), 1400), format!("t.dat: byte 1376: record 1: 64 bytes are needed and 24 are left; {cut_off}")),
+        (cut(trj(&samples, week), 1400), format!("t.dat: byte 1376: record 1: 64 bytes needed, 24 left; {cut_off}")),
         (
             changed(trj(&samples, week), 8, &[0]),
             "t.dat: byte 8: version: 20010496 is not between 20010715 and 20010715; the file is damaged: export it again"
@@ -161,7 +168,8 @@ fn damaged_records_are_refused_where_they_stand() {
         ),
         (
             changed(trj(&samples, week), 1376 + 64 + 8, &nan),
-            "t.dat: byte 1440: x of record 2: NaN is none; the file is damaged: export it again".to_owned(),
+            "t.dat: byte 1440: x of record 2: invalid value NaN; the file is damaged: export it \
+             again".to_owned(),
         ),
     ];
     for (told, expected) in cases {
@@ -184,15 +192,15 @@ fn disorder_names_the_file_and_the_records() {
     );
     assert_eq!(
         told("t.trj", None),
-        "t.trj: its places are those of a map, and it does not say which; say which with `crs`"
+        "t.trj: its positions are projected, but it does not name their CRS; set `crs`"
     );
     assert_eq!(
         told("t.trj", Some(&|_| Err("outside of the map".to_owned()))),
-        "t.trj: record 1: outside of the map; check that `crs` is the trajectory's map"
+        "t.trj: record 1: outside of the map; check that `crs` is the CRS of the trajectory"
     );
 }
 
-/// Whatever is left of a file: a trajectory of fewer records, or an error; never a panic.
+/// A truncated file is a trajectory of fewer records or an error, never a panic.
 #[test]
 fn files_may_be_cut_off_anywhere() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 2);
@@ -220,16 +228,18 @@ fn files_may_be_cut_off_anywhere() {
     }
 }
 
-/// Counts and sizes that lie take no memory: what is allocated follows from what is there.
+/// False counts and sizes allocate no memory.
+///
+/// Allocations follow from the bytes present.
 #[test]
 fn counts_are_not_believed() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 4);
     let mut bytes = pof(&samples, 2, 0, week);
     bytes[41..49].copy_from_slice(&i64::MAX.to_le_bytes());
     let told = read_bytes(&bytes, &Options::default()).unwrap_err();
-    assert!(told.contains("record 5: 64 bytes are needed and 0 are left"), "{told}");
+    assert!(told.contains("record 5: 64 bytes needed, 0 left"), "{told}");
     let mut bytes = trj(&samples, week);
     bytes[16..20].copy_from_slice(&i32::MAX.to_le_bytes());
     let told = read_bytes(&bytes, &Options::default()).unwrap_err();
-    assert!(told.contains("record 5: 64 bytes are needed and 0 are left"), "{told}");
+    assert!(told.contains("record 5: 64 bytes needed, 0 left"), "{told}");
 }
