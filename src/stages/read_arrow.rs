@@ -259,7 +259,7 @@ fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
     } else if !length.is_finite() {
         Some("the direction is not finite")
     } else if (length - 1.0).abs() > UNIT_TOLERANCE {
-        Some("the direction is no unit vector")
+        Some("the direction is not a unit vector")
     } else if shot.gps_time_s.is_some_and(f64::is_infinite) {
         Some("the time is infinite")
     } else if shot.frame_scale.is_some_and(not_positive) {

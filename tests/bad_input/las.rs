@@ -230,7 +230,7 @@ fn loses_one_pulse(las: &Las, what: &str, note: &str) {
     let place = place(las, |_| {});
     let input = place.succeeds("read_las", "a.las", TO_TABLE);
     assert_eq!(json!(rejected(&input)), json!({ what: 1 }));
-    let said = format!("{what} was left out, and so is every further one: ./{note}");
+    let said = format!("{what} was rejected; further ones are only counted: ./{note}");
     assert_eq!(notes(&input), [said.split_once(": ").unwrap().1]);
     let expected: Vec<String> = (0..250).filter(|i| *i != 100).map(|i| format!("{:?}", time_s(i))).collect();
     assert_eq!(place.times("out/a.csv"), expected);

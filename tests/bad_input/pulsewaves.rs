@@ -171,7 +171,7 @@ fn loses_one_pulse(bad: &PulseWaves, what: &str, note: Option<&str>) {
     let input = place.succeeds("read_pulsewaves", "a.pls", TO_TABLE);
     assert_eq!(json!(rejected(&input)), json!({ what: 1 }));
     let reason = what.split_once(": ").unwrap().1;
-    let said = note.map(|note| format!("{reason} was left out, and so is every further one: ./{note}"));
+    let said = note.map(|note| format!("{reason} was rejected; further ones are only counted: ./{note}"));
     assert_eq!(notes(&input), Vec::from_iter(said));
     let mut expected = whole.times("out/a.csv");
     assert_eq!(expected.len(), 250);
