@@ -1,4 +1,4 @@
-//! Windows, labels that do not fit, and maps. What whole jobs make of the keys stands in `tests/declared.rs`.
+//! Time windows, implausible time scales, and CRSs. `tests/declared.rs` covers whole jobs.
 
 use super::*;
 use crate::batch::{Blocks, Channel, TimeScale};
