@@ -119,8 +119,8 @@ fn the_header_of_las_says_what_its_times_count() {
     assert_eq!(notes.len(), 1, "only the missing map: {notes:?}");
     let (notes, says, _) = written(&place, "recording_time = 'day'\ntime_offset_s = -172800.0");
     assert_eq!(says, GpsTime::Week);
-    let of_day = "the times of the points are seconds of the day, and the header of the LAS file can only say seconds of the \
-                  GPS week; give the day with the reader's key `gps_date`";
+    let of_day = "the times of the points are seconds of the day, but the LAS header can only declare \
+                  seconds of the GPS week; set the day with the reader's key `gps_date`";
     assert!(notes.contains(&of_day.to_owned()), "{notes:?}");
 }
 
@@ -152,8 +152,8 @@ fn a_recording_without_a_time_scale_is_noted_in_las() {
     place.write("a.pls", &pls);
     place.write("a.wvs", &PulseWaves::new(320).waves);
     let to_las = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'\npath = '*_out.las'");
-    let said = "the recording does not say what its times count, and the header of the LAS file says seconds of the GPS week; \
-                say it with the reader's key `recording_time`";
+    let said = "the time scale of the recording is unknown, and the LAS header declares seconds of the GPS \
+                week; set it with the reader's key `recording_time`";
     let report = place.succeeds("read_pulsewaves", "a.pls", &to_las);
     assert!(notes(&report).contains(&said.to_owned()), "{:?}", notes(&report));
     let report =

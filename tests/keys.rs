@@ -392,9 +392,8 @@ fn an_unknown_full_scale_is_said_and_can_be_given() {
         bytes[at..at + ours.len()].copy_from_slice(theirs);
     }
     place.write("a.arrow", &bytes);
-    let notes = || {
-        place.text("out/report.json").matches("set the reader's key `full_scale_dn` (255 for 8 bits)").count()
-    };
+    let notes =
+        || place.text("out/report.json").matches("the reader's key `full_scale_dn` (255 for 8 bits)").count();
     run(&place, "", "", "");
     let unknown = notes();
     run(&place, "full_scale_dn = 255", "save = 'model.json'", "");

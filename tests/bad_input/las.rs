@@ -324,8 +324,8 @@ fn what_a_recording_does_not_tell_is_noted() {
     let expected = [
         "the input has neither outgoing pulses nor return locations: nothing tells which part of a sample the emissions \
          miss their raster by, and the standard deviations of ranges include it",
-        "the input names no coordinate reference system by WKT or EPSG code: the file has none; \
-         name it with the reader's key `crs_of_input`",
+        "the input has no coordinate reference system (WKT or EPSG code), so the file has none; set it \
+         with the reader's key `crs_of_input`",
     ];
     assert_eq!(notes(&input), expected);
     let input = place(&Las::new(250).with_crs("LOCAL_CS[\"made up\"]"), |_| {})

@@ -216,7 +216,7 @@ fn a_coordinate_system_that_is_missing_is_noted() {
     let stages = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'");
     let input = place(&whole.pls(), &whole.waves).succeeds("read_pulsewaves", "a.pls", &stages);
     let expected =
-        ["the input names no coordinate reference system by WKT or EPSG code: the file has none; \
-         name it with the reader's key `crs_of_input`"];
+        ["the input has no coordinate reference system (WKT or EPSG code), so the file has none; set it \
+          with the reader's key `crs_of_input`"];
     assert_eq!(notes(&input), expected);
 }

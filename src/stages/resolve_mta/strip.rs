@@ -23,7 +23,7 @@ const WINDOW_BYTES_PER_SHOT: usize = 256;
 const WINDOW_BYTES_PER_BLOCK: usize = 240;
 const NO_EMISSION: &str = "no emission at a distance within `range_m`";
 const NO_TIME: &str = "a block a second or more from its shot";
-const NO_SHOT: &str = "its emission is not in the line";
+const NO_SHOT: &str = "its shot is not in the line";
 
 /// Lines whose zones are being resolved.
 pub(super) struct Strip {
