@@ -217,9 +217,9 @@ fn coordinates_may_be_asked_for_in_the_map_that_is_declared() {
             "[job.geometry]\ncrs = 'utm:33N'\n[[stage]]\ntype = 'read_las'\npath = 'a.las'\n{key}\n{TO_TABLE}"
         )
     };
-    let unnamed = "stage georeference: ./a.las: the beams of this recording are in a map that the recording does not name already, and \
-                   `[job.geometry]` asks for other coordinates; name it with the reader's key `crs_of_input`, or leave \
-                   `crs`, `geoid` and `unit` out";
+    let unnamed = "stage georeference: ./a.las: the beams of this recording are already in an unnamed CRS, \
+                   but `[job.geometry]` requests other coordinates; set it with the reader's key \
+                   `crs_of_input`, or remove `crs`, `geoid` and `unit`";
     place.left_nothing(place.run(&job("")), unnamed);
     assert_eq!(place.run(&job("crs_of_input = 'utm:33N'")).err, "");
 }

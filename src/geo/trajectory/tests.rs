@@ -249,14 +249,14 @@ fn records_that_are_no_trajectory_are_refused() {
         (problem.record(), problem.to_string())
     };
     let cases: [(Change, Option<usize>, &str); 6] = [
-        (|samples| samples.truncate(1), None, "1 record(s): a pose takes two at least"),
+        (|samples| samples.truncate(1), None, "1 record(s): at least two are needed"),
         (|samples| samples[2].place.height_m = f64::NAN, Some(2), "record 3: its height is NaN"),
         (|samples| samples[0].place.latitude_rad = -2.0, Some(0), "record 1: its latitude is -2"),
-        (|samples| samples.swap(1, 2), Some(2), "record 3: its time 0.5 s lies before the 1 s of record 2"),
+        (|samples| samples.swap(1, 2), Some(2), "record 3: its time 0.5 s is before the 1 s of record 2"),
         (
             |samples| samples.reverse(),
             Some(1),
-            "record 2: its time 2 s lies before the 2.5 s of record 1 (and 4 more like this)",
+            "record 2: its time 2 s is before the 2.5 s of record 1 (and 4 more like this)",
         ),
         (|samples| samples[4].time_s = 1.5, Some(4), "records 4 and 5 have the same time 1.5 s"),
     ];
@@ -265,7 +265,7 @@ fn records_that_are_no_trajectory_are_refused() {
     }
     assert_eq!(
         Problem::TooMany { count: 5_000_000_000 }.to_string(),
-        "5000000000 records: there is room for 4294967295 at most"
+        "5000000000 records: at most 4294967295 are supported"
     );
 }
 
