@@ -198,8 +198,8 @@ fn a_point_outside_the_geoid_is_named() {
     assert!(
         error.starts_with("geoid plane: the point at latitude 41.0")
             && error.ends_with(
-                " degrees lies outside its area, latitude 40 to 42, longitude -123 to -121; give a geoid that covers the \
-                 survey, or leave it out for heights above the ellipsoid"
+                " degrees lies outside its area, latitude 40 to 42, longitude -123 to -121; use a geoid \
+                 that covers the survey, or remove it for ellipsoidal heights"
             ),
         "{error}"
     );

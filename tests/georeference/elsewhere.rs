@@ -172,7 +172,7 @@ fn what_the_table_names_must_be_there() {
     );
     assert_eq!(
         refused("crs = 'EPSG:99999'"),
-        "EPSG:99999 is not in the table of systems; check the code, or give the system as a WKT file"
+        "EPSG:99999 is not in the table of coordinate reference systems; check the code, or use a WKT file"
     );
     assert!(refused("crs = 'site.prj'").starts_with("site.prj: cannot open the WKT of `crs`: "));
     std::fs::write(flight.path("huge.prj"), " ".repeat(1_000_001)).unwrap();
