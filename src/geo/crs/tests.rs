@@ -287,7 +287,7 @@ fn texts_that_cannot_be_used_say_why() {
     );
     assert!(
         error(r#"VERT_CS["x",UNIT["metre",1]]"#)
-            .contains("VERT_CS is no projected, geodetic or earth-centred system")
+            .contains("VERT_CS is not a projected, geodetic or earth-centred system")
     );
     let unknown = ESRI.replace("Lambert_Conformal_Conic", "Origami");
     assert!(error(&unknown).starts_with("the WKT cannot be read: WKT error: No projection mapping found"));
