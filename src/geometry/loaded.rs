@@ -104,7 +104,7 @@ impl Loader {
     }
 }
 
-/// Poses at shot times; fastest if the times ascend.
+/// Poses at shot times; fastest for nearby consecutive times.
 pub(super) struct ShotPoses<'a> {
     poses: Poses<'a>,
     alignment: &'a Alignment,

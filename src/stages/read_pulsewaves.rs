@@ -204,7 +204,7 @@ impl PulseWavesSource {
         let index = self.lines.add(emission);
         for segment in self.waves.segments() {
             let Some(channel) = self.receivers.of(segment) else {
-                cx.reject(Item::Blocks, "a channel of no known meaning", 1);
+                cx.reject(Item::Blocks, "a block of an unknown channel", 1);
                 continue;
             };
             let start_ns = segment.duration_of(0.0) * unit_ns;

@@ -242,7 +242,7 @@ impl Transform for Resolving {
         }
         let strip = match &mut self.strip {
             Some(strip) => strip,
-            // A line without shots is held back only behind other lines.
+            // A line without shots is held back only if earlier lines are.
             None if !is_unresolved => return out.emit(batch),
             None => {
                 self.strip.insert(Strip::new(&self.config, &batch, self.terrain.as_ref(), &self.placed, out)?)

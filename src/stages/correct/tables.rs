@@ -44,7 +44,7 @@ impl Source {
         }
     }
 
-    /// Table rows for a recording with these tables of its own.
+    /// Table rows; `own` are the tables of the recording.
     fn rows(&self, own: [&Option<AmplitudeTable>; 2]) -> [Vec<Row>; 2] {
         let of_table = |table: &Option<AmplitudeTable>| {
             let pairs = table.as_ref().map(AmplitudeTable::pairs).unwrap_or_default();
