@@ -229,7 +229,7 @@ impl Survey {
         &self.channels[channel as usize]
     }
 
-    /// Whether ranges count from a point near the waveform, for lack of a sensor position.
+    /// Whether ranges count from near the waveform, for lack of a sensor position.
     pub fn ranges_from_first_sample(&self) -> bool {
         self.input.as_ref().is_some_and(|input| !input.origin_is_sensor)
     }

@@ -14,7 +14,7 @@ pub struct BeamLength {
     rounding_m_per_ns: f64,
 }
 
-/// Square of the length as a linear function of the squared vertical direction cosine.
+/// Squared length as a linear function of the squared vertical cosine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Line {
     horizontal: f64,

@@ -80,7 +80,7 @@ impl Normal {
         (libm::atan2(self.latitude[0], self.latitude[1]), libm::atan2(self.longitude[0], self.longitude[1]))
     }
 
-    /// Sine and cosine of the longitude relative to a meridian, given by its sine and cosine.
+    /// Sine and cosine of the longitude relative to a meridian, given likewise.
     pub fn longitude_from(&self, [sine_0, cosine_0]: [f64; 2]) -> [f64; 2] {
         let [sine, cosine] = self.longitude;
         [sine * cosine_0 - cosine * sine_0, cosine * cosine_0 + sine * sine_0]
@@ -93,8 +93,9 @@ impl From<Geodetic> for Normal {
     }
 }
 
-/// Sines and cosines of several angles, or multiples of them, stored in columns for vectorised
-/// loops.
+/// Sines and cosines of several angles, in columns.
+///
+/// May be scaled; the layout allows vectorised loops.
 struct Angles<const N: usize> {
     sines: [f64; N],
     cosines: [f64; N],

@@ -170,7 +170,7 @@ impl Crs {
         Ok(self.definition.ellipsoid.ecef_of(self.to_geodetic(coordinates)?))
     }
 
-    /// Converts coordinates to a position on the CRS's ellipsoid, with longitude from -π to π.
+    /// Converts coordinates to geodetic ones, with longitude from -π to π.
     ///
     /// # Errors As [`Crs::to_ecef`].
     pub fn to_geodetic(&self, coordinates: Vector) -> Result<Geodetic, CrsError> {
@@ -268,7 +268,7 @@ fn definition_of(named: &Named, first_place: Geodetic) -> Result<Definition, Crs
     }
 }
 
-/// Falls back to PROJ, if built in, for a CRS that the built-in code rejects.
+/// Falls back to PROJ, if built in, for a rejected CRS.
 ///
 /// Not for missing parameters, which PROJ would take as zeros.
 #[cfg(feature = "proj")]

@@ -27,7 +27,7 @@ pub fn gps_week(year: i32, month: u32, day: u32) -> Option<(u32, u32)> {
     Some((days / 7, days % 7))
 }
 
-/// Gregorian date (year, day of the year from 1) of an adjusted GPS time, without leap seconds.
+/// Gregorian date of an adjusted GPS time, without leap seconds: (year, day of the year from 1).
 pub fn day_of_year(adjusted_s: f64) -> Option<(u16, u16)> {
     let days = ((adjusted_s + ADJUSTMENT_S) / 86_400.0).floor();
     if !(0.0..1e6).contains(&days) {

@@ -64,8 +64,8 @@ const OUT_OF_ORDER_S: f64 = 60.0;
 /// Unwraps a sequence of times across the ends of weeks or days.
 ///
 /// A backward step by over half a period is a wrap-around. For times out of order around it, a
-/// forward step to less than a minute before the last time plus a period undoes it. Other steps are
-/// kept. A NaN stays NaN and has no effect on other times.
+/// forward step by more than a period minus one minute undoes it. Other steps are kept. A NaN stays
+/// NaN and has no effect on other times.
 #[derive(Clone, Copy, Debug)]
 pub struct Unwrap {
     period_s: Option<f64>,

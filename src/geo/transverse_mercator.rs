@@ -21,7 +21,7 @@ pub struct TransverseMercator {
     eccentricity: f64,
     forward: [f64; 6],
     inverse: [f64; 6],
-    /// Northing of the latitude of origin on the central meridian minus the false northing, m.
+    /// Projected northing of the latitude of origin minus the false northing, m.
     origin_m: f64,
 }
 

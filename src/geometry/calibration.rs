@@ -15,8 +15,7 @@ use crate::formats::{Error, Result};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Calibration {
-    /// Lever arm from the origin of the trajectory to the centre of the scanner, m, in body axes:
-    /// forward, right, down.
+    /// Lever arm from trajectory to scanner origin, m, in body axes: forward, right, down.
     pub lever_arm_m: [f64; 3],
     /// Boresight rotation, applied before the mount, degrees: roll, pitch and yaw, `Rz(yaw)
     /// Ry(pitch) Rx(roll)`.
@@ -148,7 +147,7 @@ impl Calibration {
     }
 }
 
-/// Whether the time of a return is on the scale of the low-power receiver.
+/// Whether a return is on the time scale of the low-power receiver.
 ///
 /// That holds for its own returns, and for all others once the receivers are fused, because fusion
 /// shifts the times of the high-power receiver to its scale.

@@ -227,7 +227,7 @@ impl Coverage {
         }
     }
 
-    /// Fails once the recording has passed the end of the trajectory without a covered shot.
+    /// Fails if the trajectory has ended without covering any shot.
     fn check(&self, geometry: &Geometry) -> Result<()> {
         match self.span_s {
             Some(span_s) if self.covered == 0 && geometry.has_ended_before(span_s[0]) => {

@@ -13,8 +13,9 @@ use crate::geo::frames::Vector;
 use crate::geo::vertical::{down_at, main_axis};
 use crate::kernels::sensor_path::{Beam, Window};
 
-/// Number of angle steps on each side of a shot whose majority decides its direction; bridges gaps
-/// in a line.
+/// Number of angle steps on each side that decide a direction.
+///
+/// Their majority decides, which bridges gaps in a line.
 const REACH: usize = 4;
 
 /// Whether any shot of a line lacks a scan angle.

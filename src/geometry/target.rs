@@ -100,7 +100,7 @@ impl Wanted {
         if self.named == Named::Utm { None } else { self.crs(ANYWHERE).ok() }
     }
 
-    /// The CRS of an EPSG code, in its own unit, with the same height reference.
+    /// The CRS of an EPSG code, with the same height reference.
     pub(super) fn in_map(&self, code: u16) -> Wanted {
         Wanted { named: Named::Epsg(code.into()), geoid: self.geoid.clone(), unit: None }
     }
@@ -112,7 +112,7 @@ impl Wanted {
         Ok(Target { wkt: crs.wkt(), crs, first_place })
     }
 
-    /// Whether a point has the same coordinates in this CRS and in that of a recording.
+    /// Whether this CRS is equivalent to that of a recording, judged by one point.
     pub(super) fn is_map(&self, wkt: &str, point: Vector) -> bool {
         let same = || {
             let map = Crs::new(&Named::Wkt(wkt.to_owned()), ANYWHERE, None, None)?;
@@ -152,7 +152,7 @@ impl Target {
         self.crs.replace_ecef(ecef_m).map_err(|error| failed(&error))
     }
 
-    /// WKT 1 for outputs, with a vertical part if heights refer to a geoid.
+    /// WKT 1 for outputs, with a vertical part for heights above a geoid.
     pub fn wkt(&self) -> &str {
         &self.wkt
     }

@@ -1,4 +1,4 @@
-//! Selects a few shots during a run, independent of the order in which workers see them.
+//! Selection of a few shots, independent of the order of lines.
 
 use std::collections::BTreeMap;
 
@@ -97,7 +97,7 @@ impl Merit {
     }
 }
 
-/// A shot of a line that is better than the current one of its kind.
+/// A shot that improves on the current one of its kind.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Candidate {
     pub(crate) kind: ShownKind,

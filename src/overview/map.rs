@@ -39,7 +39,7 @@ pub struct MapPicture {
     pub intensities: Picture,
     /// Intensities of the first and last colour.
     pub intensity_range: [f64; 2],
-    /// Mean MTA zones of the cells as colours, if there is a zone other than 0.
+    /// Mean MTA zones of the cells as colours; absent if all are 0.
     #[serde(default)]
     pub zones: Option<Picture>,
     /// Zones of the first and last colour.
@@ -56,7 +56,7 @@ pub struct MapPicture {
 pub struct ScanLine {
     /// Scan line number.
     pub line: u32,
-    /// Points along it as pairs of cells east of `west` and north of `south`, separated by spaces.
+    /// Points along it, in cells east of `west` and north of `south`, as space-separated pairs.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub places: Vec<f64>,

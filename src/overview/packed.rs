@@ -1,4 +1,6 @@
-//! Long lists of numbers as one space-separated text each, to keep indented reports short.
+//! Long lists of numbers as one space-separated text each.
+//!
+//! Keeps indented reports short.
 
 use serde::{Deserialize, Deserializer, Serializer, de::Error};
 

@@ -1,9 +1,9 @@
-//! PNG images (W3C Portable Network Graphics, third edition) in base 64 (RFC 4648, section 4).
+//! PNG images in base 64 (W3C Portable Network Graphics, third edition; RFC 4648, section 4).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A PNG image in base 64 with 256 colours, the first of which is transparent.
+/// PNG image in base 64, with 256 colours: the first is transparent.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
 #[schemars(with = "String")]
@@ -106,7 +106,7 @@ fn png(levels: &[u8], columns: usize, ramp: &Ramp) -> Vec<u8> {
     file
 }
 
-/// Wraps bytes in a zlib stream (RFC 1950) of stored blocks (RFC 1951, section 3.2.4).
+/// Wraps bytes in a zlib stream of stored blocks (RFC 1950; RFC 1951, section 3.2.4).
 fn stored(bytes: &[u8]) -> Vec<u8> {
     let mut stream = vec![0x78, 0x01];
     let mut blocks = bytes.chunks(MOST_STORED).peekable();

@@ -142,7 +142,7 @@ impl Window {
         is_enough.then_some(ZoneClouds { line: self.line, clouds })
     }
 
-    /// Ranges if each return had been caused by the shot `zone` emissions before its reception.
+    /// Ranges as if all shots had this zone.
     fn cloud(&self, zone: i16) -> ZoneCloud {
         let place = |&(shot, of_return, range_m): &(usize, i16, f64)| {
             let other = shot.checked_add_signed(isize::from(of_return) - isize::from(zone))?;

@@ -61,9 +61,8 @@ pub struct Calibrate {
     /// Pulse shape: the system response estimated from single echoes (`auto`), or a Gaussian of the
     /// measured width (`gaussian`).
     pub response: ResponseKey,
-    /// Area of the exponential tail that the receiver adds to an echo, relative to the area of the
-    /// echo: above -0.9 and below 0.9. With `"auto"` the tail is part of the response, which
-    /// extends to the end of the block.
+    /// Area of the exponential tail of an echo relative to the echo: above -0.9 and below 0.9. With
+    /// `"auto"` the tail is part of the response, which extends to the end of the block.
     pub decay_amplitude: AutoOrNumber,
     /// Time constant of that tail, ns; `"auto"` as for `decay_amplitude`. Give both or neither.
     pub decay_time_ns: AutoOrNumber,

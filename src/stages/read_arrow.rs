@@ -239,7 +239,7 @@ fn emission_of(shot: &ContainerShot) -> Emission {
     }
 }
 
-/// The reason to reject a row after the last emission of its line, if any.
+/// The reason to reject a row, if any; `last` is the previous emission of its line.
 fn wrong_row(
     line: &ContainerLine,
     row: usize,

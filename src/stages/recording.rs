@@ -39,9 +39,9 @@ macro_rules! with_time_keys {
             /// Added to the times of the recording, s. `time_s` refers to the sums.
             #[serde(default)]
             pub time_offset_s: f64,
-            /// Day on which the recording began, such as 2013-06-21, if neither its times nor, for
-            /// SDF, the file name give it. Seconds of the day or week then have a date, and LAS
-            /// outputs hold adjusted GPS times.
+            /// Day on which the recording began, such as 2013-06-21. Needed if neither its times
+            /// nor, for SDF, the file name give it. Seconds of the day or week then have a date,
+            /// and LAS outputs hold adjusted GPS times.
             #[serde(default)]
             pub gps_date: Option<String>,
         }

@@ -326,7 +326,7 @@ struct LasSink {
     refused: Option<Error>,
 }
 
-/// Rejection reason of a point at an impossible position, which must not affect the others.
+/// Rejection reason of a point with an impossible position; the others are kept.
 const TOO_FAR: &str = "a point too far away for the coordinates of the file";
 
 /// The header needs the input's metadata: it is written with the first line.

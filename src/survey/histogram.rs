@@ -3,7 +3,7 @@
 /// Values are clamped to this distance from zero.
 const FARTHEST: f64 = 1e15;
 
-/// Counts of values in bins of equal width, on a grid with an edge at 0.
+/// Counts in bins of equal width, on a grid with an edge at 0.
 ///
 /// Bins are merged in pairs whenever the values would need more than `most_bins`. The result
 /// depends only on the values, not on their order.

@@ -108,7 +108,7 @@ impl Definition {
     }
 }
 
-/// The projected CRS that PROJ reads from a definition such as `EPSG:27700` or WKT.
+/// The projected CRS of a definition read by PROJ: `EPSG:27700`, or WKT.
 #[cfg(feature = "proj")]
 pub(super) fn of_proj(words: &str) -> Option<Definition> {
     let tree = Node::parse(&super::proj::Foreign::new(words)?.wkt()?).ok()?;
@@ -123,7 +123,9 @@ pub(super) fn of_proj(words: &str) -> Option<Definition> {
     Some(Definition { name, epsg, method, ellipsoid: WGS84, unit, horizontal, vertical })
 }
 
-/// The PROJ string embedded in the text, as GDAL adds it if WKT 1 cannot express a projection.
+/// The embedded PROJ string, if any.
+///
+/// GDAL adds it if WKT 1 cannot express a projection.
 fn own_proj_string(horizontal: &Node) -> Option<String> {
     let own = horizontal.child(&["EXTENSION"]).filter(|extension| extension.name() == Some("PROJ4"));
     own.and_then(|extension| extension.text(1)).map(str::to_owned)

@@ -6,7 +6,7 @@ use super::{Crs, Unit};
 use crate::geo::ellipsoid::{Ellipsoid, WGS84};
 use crate::geo::{lambert, transverse_mercator};
 
-/// The whole CRS, compound if heights refer to a geoid or are not in metres.
+/// The whole CRS; compound for heights above a geoid or not in metres.
 pub(super) fn wkt(crs: &Crs) -> String {
     let horizontal = horizontal(&crs.definition, &crs.unit);
     match vertical(crs) {

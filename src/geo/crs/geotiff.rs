@@ -96,8 +96,7 @@ fn linear_unit(keys: &mut Keys, unit: &Unit) {
     }
 }
 
-/// Keys of the geodetic CRS below a projection, or of an earth-centred or geodetic CRS without a
-/// code.
+/// Adds the keys of the base CRS of a projection, or of an unprojected CRS without a code.
 fn geographic(keys: &mut Keys, definition: &Definition) {
     let code = definition.horizontal.find(&GEODETIC).and_then(|node| node.epsg());
     match code.and_then(|code| u16::try_from(code).ok()) {

@@ -47,7 +47,7 @@ const METHODS: [(&str, &str, &str); 24] = [
 const EVERYWHERE: &str = "proj type datum ellps a b rf R R_A towgs84 nadgrids geoidgrids units to_meter vunits vto_meter \
                           no_defs wktext axis pm";
 
-/// Checks that a PROJ string has the meaning of the horizontal part it was made from.
+/// Checks that a PROJ string represents its horizontal part.
 pub(super) fn check(proj: &ProjString, horizontal: &Node) -> Result<(), CrsError> {
     let method = proj.text("proj").unwrap_or_default();
     let row = METHODS.iter().find(|row| row.0 == method).filter(|_| !differs(proj, horizontal));
@@ -87,7 +87,7 @@ pub(super) fn check(proj: &ProjString, horizontal: &Node) -> Result<(), CrsError
     }
 }
 
-/// Checks that a PROJ string embedded in the text has no other figure of the earth or datum.
+/// Rejects an embedded PROJ string with another figure or datum.
 fn check_own(proj: &ProjString, method: &str) -> Result<(), CrsError> {
     let is_shift = |text: &str| text.split(',').any(|number| number.parse() != Ok(0.0));
     let other = |key: &str, known: &[&str]| proj.text(key).is_some_and(|value| !known.contains(&value));
@@ -157,7 +157,7 @@ fn for_each_parameter(node: &mut Node, act: &mut impl FnMut(&mut Node)) {
     }
 }
 
-/// Whether the axes in the text point east and north, or both to or from a pole.
+/// Whether axes point east and north, or to or from a pole.
 pub(super) fn has_plain_axes(horizontal: &Node) -> bool {
     let axes = horizontal.nodes().filter(|node| node.keyword == "AXIS");
     let directions: Vec<String> = axes

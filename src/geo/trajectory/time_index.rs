@@ -39,8 +39,9 @@ impl TimeIndex {
         [self.times_s[0], self.times_s[self.times_s.len() - 1]]
     }
 
-    /// Index of the last time not later than this one, excluding the last of all; `None` outside
-    /// the span.
+    /// Index of the last time not later than this one.
+    ///
+    /// Never that of the last time of all; `None` outside the span.
     pub(super) fn before(&self, time_s: f64) -> Option<usize> {
         let [first_s, last_s] = self.span_s();
         if !(first_s..=last_s).contains(&time_s) {

@@ -197,7 +197,7 @@ fn take_amplitude(r: &mut Return, amplitudes: &Both, stats: &mut LineStats) {
     }
 }
 
-/// Sorts the returns of a shot by time again, as the range table may change their order.
+/// Sorts the returns of a shot by corrected time.
 fn put_in_order(returns: &mut [Return]) {
     for of_shot in returns.chunk_by_mut(|a, b| a.emission == b.emission) {
         if of_shot.is_sorted_by(|a, b| a.time_of_flight_ns <= b.time_of_flight_ns) {

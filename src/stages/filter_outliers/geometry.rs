@@ -80,7 +80,9 @@ fn turn(emissions: &[Emission], shot: usize) -> f64 {
     between(shot, shot + 1).or_else(|| between(shot.checked_sub(1)?, shot)).unwrap_or(0.0)
 }
 
-/// Distance of a point from the beam of the next shot (of the previous one for the last), m.
+/// Distance of a point from the next shot's beam, m.
+///
+/// For the last shot, from that of the previous one.
 fn to_next_beam_m(emissions: &[Emission], shot: usize, position_m: [f64; 3]) -> f64 {
     let next = emissions.get(shot + 1).or_else(|| emissions.get(shot.checked_sub(1)?));
     next.map_or(0.0, |next| {

@@ -136,8 +136,9 @@ pub(super) fn clock_ps(time_s: f64) -> i64 {
 /// Largest offset of a block from its shot, s; beyond it the time is invalid.
 const FARTHEST_S: f64 = 1.0;
 
-/// Rounds a relative time to 1e-6 ns, which restores decimal nanoseconds that were converted to
-/// seconds.
+/// Rounds a relative time to 1e-6 ns.
+///
+/// This restores decimal nanoseconds that were converted to seconds.
 pub(super) fn fine_ns(time_s: f64) -> f64 {
     (time_s * 1e15).round() / 1e6
 }

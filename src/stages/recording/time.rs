@@ -1,4 +1,6 @@
-//! Time scale and GPS week of a recording, from its file, the job, and the time of its first shot.
+//! Time scale and GPS week of a recording.
+//!
+//! Both follow from its file, the job, and the time of its first shot.
 
 use std::path::Path;
 
@@ -255,8 +257,9 @@ impl Times {
         }
     }
 
-    /// Seconds of the week count from the start of this week, even if the first shot lies after its
-    /// end.
+    /// Sets the week in which seconds of the week begin.
+    ///
+    /// The first shot may lie after the end of that week.
     fn of_week(self, week_begins: SinceEpoch) -> Times {
         let week = week_begins / WEEK_S;
         Times { gps_week: (0.0..1e5).contains(&week).then_some(week as u32), ..self }
@@ -285,7 +288,7 @@ pub(in crate::stages) fn noon(date: &str) -> Option<SinceEpoch> {
     Some(day(date)? + 0.5 * DAY_S)
 }
 
-/// Parses an ISO 8601 date and time, such as `2010-11-16T00:00:00`, with optional fraction and `Z`.
+/// Parses an ISO 8601 date and time, with optional fraction and `Z`.
 fn date_and_time(text: &str) -> Option<SinceEpoch> {
     let (date, time) = text.split_once(['T', ' '])?;
     let mut parts = time.trim_end_matches('Z').splitn(3, ':');

@@ -119,7 +119,7 @@ impl Received {
         }
     }
 
-    /// Adds an online return to the group that contains it, from `first` on, or to a new one.
+    /// Assigns an online return to a group: one from `first` on that contains it, or a new one.
     fn add_online(&mut self, first: usize, index: usize, record: u32, blocks: &Blocks) {
         let time_ns = blocks.online[index].time_ns;
         if !has_time(time_ns) {
@@ -245,7 +245,7 @@ fn background(samples: &[u16]) -> u16 {
     median(&samples[..part]).min(median(&samples[samples.len() - part..]))
 }
 
-/// Vertex of the parabola through three samples, relative to the middle one, which is the highest.
+/// Vertex of a parabola through three samples, relative to the highest, in the middle.
 fn vertex(before: u16, middle: u16, after: u16) -> f64 {
     let [before, middle, after] = [before, middle, after].map(f64::from);
     0.5 * (before - after) / (before - 2.0 * middle + after)

@@ -269,7 +269,7 @@ impl Strip {
         }
     }
 
-    /// The cause with the largest total height of supporting echoes in a group, and its margin.
+    /// The cause with the largest total echo height in a group, and its margin.
     fn verdict(&self, line: &HeldLine, group: &Group, echoes: &[Assigned]) -> Option<(Verdict, f32)> {
         let peaks = line.received.echoes.get(group.echoes.start as usize..group.echoes.end as usize)?;
         let votes = || echoes.iter().zip(peaks).filter(|(echo, _)| echo.cause.is_some());
@@ -300,7 +300,7 @@ impl Strip {
         Some((verdict, best.margin_nats))
     }
 
-    /// Upper bound of the memory that this stage will hold, from the lines so far, bytes.
+    /// Upper bound of the memory that this stage will hold, bytes.
     fn foreseen_bytes(&self) -> usize {
         let lines_by_bytes =
             (LOOK_AHEAD_BYTES / (self.pushed_bytes / self.pushed).max(1)).saturating_add(BAND_LINES);
