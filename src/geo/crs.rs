@@ -55,8 +55,9 @@ impl Crs {
     /// coordinates are in the unit of the CRS, and heights in that of its vertical part, or in the
     /// same unit without one.
     ///
-    /// # Errors An unknown code, unreadable text, a datum that needs a shift, an unsupported
-    /// projection, heights that need a geoid without one, or earth-centred coordinates with one.
+    /// # Errors
+    /// An unknown code, unreadable text, a datum that needs a shift, an unsupported projection,
+    /// heights that need a geoid without one, or earth-centred coordinates with one.
     pub fn new(
         named: &Named,
         first_place: Geodetic,
@@ -118,7 +119,8 @@ impl Crs {
     /// The result is easting, northing, height; or longitude and latitude in degrees and height; or
     /// earth-centred coordinates.
     ///
-    /// # Errors The position cannot be projected, or the geoid has no height there.
+    /// # Errors
+    /// The position cannot be projected, or the geoid has no height there.
     pub fn from_ecef(&self, ecef_m: Vector) -> Result<Vector, CrsError> {
         let [coordinates] = self.of_ecef(&[ecef_m])?;
         Ok(coordinates)
@@ -128,8 +130,9 @@ impl Crs {
     ///
     /// Equal to [`Crs::from_ecef`] for each position, and twice as fast.
     ///
-    /// # Errors As [`Crs::from_ecef`], for the first failing position; some positions may already
-    /// be converted.
+    /// # Errors
+    /// As [`Crs::from_ecef`], for the first failing position; some positions may already be
+    /// converted.
     pub fn replace_ecef(&self, places: &mut [Vector]) -> Result<(), CrsError> {
         let (groups, rest) = places.as_chunks_mut::<TOGETHER>();
         for group in groups {
@@ -151,7 +154,8 @@ impl Crs {
 
     /// Converts a position on the CRS's ellipsoid to coordinates.
     ///
-    /// # Errors As [`Crs::from_ecef`].
+    /// # Errors
+    /// As [`Crs::from_ecef`].
     pub fn from_geodetic(&self, place: Geodetic) -> Result<Vector, CrsError> {
         if self.is_ecef() {
             return self.from_ecef(self.definition.ellipsoid.ecef_of(place));
@@ -162,7 +166,8 @@ impl Crs {
 
     /// Converts coordinates to an earth-centred position, m.
     ///
-    /// # Errors Coordinates outside the projection, or the geoid has no height there.
+    /// # Errors
+    /// Coordinates outside the projection, or the geoid has no height there.
     pub fn to_ecef(&self, coordinates: Vector) -> Result<Vector, CrsError> {
         if self.is_ecef() {
             return Ok(coordinates.map(|value| value * self.unit.metres));
@@ -172,7 +177,8 @@ impl Crs {
 
     /// Converts coordinates to geodetic ones, with longitude from -π to π.
     ///
-    /// # Errors As [`Crs::to_ecef`].
+    /// # Errors
+    /// As [`Crs::to_ecef`].
     pub fn to_geodetic(&self, coordinates: Vector) -> Result<Geodetic, CrsError> {
         if self.is_ecef() {
             return Ok(self.definition.ellipsoid.geodetic_of(self.to_ecef(coordinates)?));

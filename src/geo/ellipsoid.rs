@@ -15,8 +15,9 @@ pub struct Ellipsoid {
 /// Ellipsoid of WGS 84 (NGA.STND.0036, table 3.1).
 pub const WGS84: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, flattening: 1.0 / 298.257_223_563 };
 
-/// Geodetic Reference System 1980 (Moritz 2000, J. Geod. 74:128), the ellipsoid of ETRS89 and NAD
-/// 83.
+/// Geodetic Reference System 1980 (Moritz 2000, J. Geod. 74:128).
+///
+/// The ellipsoid of ETRS89 and NAD 83.
 pub const GRS80: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, flattening: 1.0 / 298.257_222_101 };
 
 /// Geodetic coordinates of a position.

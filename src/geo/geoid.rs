@@ -78,7 +78,8 @@ impl Geoid {
     /// Bilinear interpolation between the four surrounding values. The height above the geoid is
     /// the ellipsoidal height minus this.
     ///
-    /// # Errors The point lies outside the grid, or one of the four values is missing.
+    /// # Errors
+    /// The point lies outside the grid, or one of the four values is missing.
     pub fn height_m(&self, latitude_deg: f64, longitude_deg: f64) -> Result<f64, GeoidError> {
         let grid = &self.grid;
         let rows = (latitude_deg - grid.south_deg) / grid.latitude_step_deg;

@@ -218,7 +218,8 @@ pub struct Alignment {
 impl Alignment {
     /// As [`align`], without requiring an overlap, for recordings of which only the start is known.
     ///
-    /// # Errors A time of the recording may match more than one moment of the trajectory.
+    /// # Errors
+    /// A time of the recording may match more than one moment of the trajectory.
     pub fn between(recording: Times, trajectory: Times) -> Result<Alignment, Misaligned> {
         let shared = match (recording.clock, trajectory.clock) {
             (Clock::Adjusted, Clock::Adjusted) => Clock::Adjusted,
@@ -286,7 +287,8 @@ pub enum Misaligned {
 ///
 /// If the clock of the recording wraps around, its last time may precede its first.
 ///
-/// # Errors No such week or day, or more than one.
+/// # Errors
+/// No such week or day, or more than one.
 pub fn align(recording: Times, trajectory: Times) -> Result<Alignment, Misaligned> {
     let alignment = Alignment::between(recording, trajectory)?;
     let [first_s, last_s] = [recording.first_s, recording.last_s].map(|t| alignment.on_trajectory(t));

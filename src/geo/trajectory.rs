@@ -4,9 +4,8 @@
 //! outer neighbours (Lagrange's formula, also for uneven steps). Positions are interpolated in the
 //! earth-centred frame, attitudes as rotations relative to the previous record, in modified
 //! Rodrigues parameters. Therefore the 180-degree meridian, the 360-degree heading and the poles
-//! need no special treatment. Times are on one continuous axis (see [`super::time_axis`]). Only `+
-//! - * /`, square roots and the crate `libm` are used, so results are bit-identical on every
-//! machine.
+//! need no special treatment. Times are on one continuous axis (see [`super::time_axis`]). Results
+//! are bit-identical on every machine: only `+ - * /`, square roots and the crate `libm` are used.
 //!
 //! A step of over twice the median is a [`Gap`]. Short gaps are interpolated, up to
 //! [`LONGEST_BRIDGED_S`] or five median steps, whichever is longer. Inside longer gaps, and outside
@@ -203,8 +202,9 @@ struct Node {
 impl Trajectory {
     /// Creates a trajectory from samples in order of time.
     ///
-    /// # Errors Fewer than two samples, values that are not finite, latitudes beyond the poles,
-    /// unordered or duplicate times.
+    /// # Errors
+    /// Fewer than two samples, values that are not finite, latitudes beyond the poles, unordered or
+    /// duplicate times.
     pub fn new(samples: Vec<Sample>) -> Result<Trajectory, Problem> {
         for (record, sample) in samples.iter().enumerate() {
             check_sample(record, sample)?;
@@ -221,7 +221,8 @@ impl Trajectory {
     ///
     /// They are interpolated linearly; outside their time span there are none.
     ///
-    /// # Errors As for [`Trajectory::new`]; record numbers refer to the accuracies.
+    /// # Errors
+    /// As for [`Trajectory::new`]; record numbers refer to the accuracies.
     pub fn with_accuracies(mut self, samples: Vec<AccuracySample>) -> Result<Trajectory, Problem> {
         self.accuracies = Some(Accuracies::new(&samples)?);
         Ok(self)

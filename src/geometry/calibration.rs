@@ -51,7 +51,8 @@ impl Calibration {
     /// `-calib_corr` (lever arm, boresight, e0 to e7), separated by spaces, commas or line ends;
     /// `#` starts a comment, and words are skipped.
     ///
-    /// # Errors A file that cannot be read, or is neither.
+    /// # Errors
+    /// A file that cannot be read, or is neither.
     pub fn read(path: &Path) -> Result<Calibration> {
         let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the calibration"))?.len();
         if bytes > MOST_BYTES {

@@ -12,7 +12,8 @@ const MUST_BE: &str = "it must name a projected CRS: `utm:33N`, `EPSG:2154`, or 
 
 /// Checks the value of `crs_of_input`.
 ///
-/// # Errors A name that is not a CRS, or whose CRS depends on the position.
+/// # Errors
+/// A name that is not a CRS, or whose CRS depends on the position.
 pub fn check(word: &str) -> std::result::Result<(), String> {
     match Named::parse(word) {
         Ok(Some(Named::Utm | Named::Geodetic | Named::Ecef)) => Err(MUST_BE.to_owned()),
@@ -29,7 +30,8 @@ pub fn is_file(word: &str) -> bool {
 
 /// WKT of the named CRS; that of a file is returned unchanged.
 ///
-/// # Errors An unknown code, a file that cannot be read, or text that is not WKT.
+/// # Errors
+/// An unknown code, a file that cannot be read, or text that is not WKT.
 pub fn wkt(word: &str, input_dir: &Path) -> Result<String> {
     let (named, of_file) = match Named::parse(word).map_err(|error| failed(&error))? {
         Some(named) => (named, None),

@@ -141,7 +141,8 @@ impl GeometryKeys {
 
     /// Checks what the types alone cannot.
     ///
-    /// # Errors A key with an invalid value, or without another key that it requires.
+    /// # Errors
+    /// A key with an invalid value, or without another key that it requires.
     pub fn check(&self) -> Result<(), InvalidKey> {
         for (key, needs, is_given, has_companion) in COMPANIONS {
             if is_given(self) && !has_companion(self) {

@@ -63,8 +63,8 @@ impl Default for Geometry {
 impl Loader {
     /// Reads the files that do not depend on the input.
     ///
-    /// # Errors A calibration or geoid that cannot be read, or an unknown coordinate reference
-    /// system.
+    /// # Errors
+    /// A calibration or geoid that cannot be read, or an unknown coordinate reference system.
     pub fn new(keys: &GeometryKeys, input_dir: &Path) -> Result<Loader> {
         let calibration = match &keys.calibration {
             Some(CalibrationKey::File(file)) => Calibration::read(&input_dir.join(file))?,
@@ -82,7 +82,8 @@ impl Loader {
 
     /// Returns the context for the input with this stem.
     ///
-    /// # Errors A trajectory that cannot be read.
+    /// # Errors
+    /// A trajectory that cannot be read.
     pub fn load(&mut self, stem: &str) -> Result<Geometry> {
         let track = match &self.keys.trajectory {
             Some(pattern) => Some(self.track(&self.input_dir.join(pattern.replace('*', stem)), stem)?),
@@ -168,8 +169,8 @@ impl Geometry {
 
     /// Aligns the times of a recording with those of the trajectory, once.
     ///
-    /// # Errors The time scale of the recording is unknown, or its times are ambiguous on the
-    /// trajectory.
+    /// # Errors
+    /// The time scale of the recording is unknown, or its times are ambiguous on the trajectory.
     pub(super) fn align(&self, input: &InputInfo, first_s: f64) -> Result<()> {
         let (Some(track), None) = (&self.track, self.alignment.get()) else { return Ok(()) };
         let Some(clock) = Clock::of(input.time_scale) else {
@@ -238,7 +239,8 @@ impl Geometry {
     /// The output CRS, with the zone of the first shot; `None` before the first shot in the
     /// earth-centred frame.
     ///
-    /// # Errors A CRS that is not usable there.
+    /// # Errors
+    /// A CRS that is not usable there.
     pub fn target(&self) -> Result<Option<Arc<Target>>> {
         let Some(first_m) = self.first_place_m(Frame::Earth) else { return Ok(None) };
         let make = || self.wanted.at(first_m).map(Arc::new).map_err(|error| error.to_string());
@@ -249,7 +251,8 @@ impl Geometry {
     ///
     /// `None` before the first shot in the earth-centred frame.
     ///
-    /// # Errors A CRS that cannot be used.
+    /// # Errors
+    /// A CRS that cannot be used.
     pub fn map_of(&self, epsg: Option<u16>) -> Result<Option<Arc<Target>>> {
         match (epsg, self.first_place_m(Frame::Earth)) {
             (Some(code), Some(first_m)) => self.wanted.in_map(code).at(first_m).map(Arc::new).map(Some),
@@ -259,7 +262,8 @@ impl Geometry {
 
     /// Checks that a recording in a projected CRS may stay there.
     ///
-    /// # Errors The job requests other coordinates.
+    /// # Errors
+    /// The job requests other coordinates.
     pub fn keep_map(&self, crs_wkt: Option<&str>) -> Result<()> {
         let Some(point) = self.first_place_m(Frame::Map).filter(|_| self.keys.wants_coordinates()) else {
             return Ok(());
@@ -285,7 +289,8 @@ impl Geometry {
 
     /// Checks that a recording without georeferencing may stay so.
     ///
-    /// # Errors The job requests coordinates.
+    /// # Errors
+    /// The job requests coordinates.
     pub fn keep_frame(&self) -> Result<()> {
         if !self.keys.wants_coordinates() {
             return Ok(());

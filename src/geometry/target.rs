@@ -140,14 +140,16 @@ pub(super) fn read_wkt(path: &Path) -> Result<String> {
 impl Target {
     /// Coordinates of an earth-centred position, m.
     ///
-    /// # Errors A point that cannot be projected, or outside the geoid; the message names it.
+    /// # Errors
+    /// A point that cannot be projected, or outside the geoid; the message names it.
     pub fn coordinates(&self, ecef_m: Vector) -> Result<Vector> {
         self.crs.from_ecef(ecef_m).map_err(|error| failed(&error))
     }
 
     /// Converts earth-centred positions, m, to coordinates in place.
     ///
-    /// # Errors As [`Target::coordinates`].
+    /// # Errors
+    /// As [`Target::coordinates`].
     pub fn replace(&self, ecef_m: &mut [Vector]) -> Result<()> {
         self.crs.replace_ecef(ecef_m).map_err(|error| failed(&error))
     }

@@ -36,7 +36,8 @@ impl Track {
 
     /// Reads a trajectory and its accuracies; projected positions are in the requested CRS.
     ///
-    /// # Errors See [`trajectory::read`] and [`trajectory::Recorded::into_trajectory`].
+    /// # Errors
+    /// See [`trajectory::read`] and [`trajectory::Recorded::into_trajectory`].
     pub(super) fn read(
         file: &Path,
         accuracy: Option<&Path>,

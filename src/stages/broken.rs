@@ -14,7 +14,8 @@ pub(super) struct BrokenRun {
 impl BrokenRun {
     /// Returns whether an item is usable; rejects a malformed one, with one note per file.
     ///
-    /// # Errors I/O errors, which affect more than one item.
+    /// # Errors
+    /// I/O errors, which affect more than one item.
     pub(super) fn accepts<T>(
         &mut self,
         read: Result<T>,

@@ -157,7 +157,8 @@ pub(super) struct Declared {
 impl Declared {
     /// Builds the declarations from the keys of a reader.
     ///
-    /// # Errors A coordinate reference system that cannot be read.
+    /// # Errors
+    /// A coordinate reference system that cannot be read.
     pub(super) fn new(
         times: TimeKeys,
         crs_of_input: Option<&str>,

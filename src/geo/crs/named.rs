@@ -27,7 +27,8 @@ pub enum Named {
 impl Named {
     /// Parses a name, case-insensitive; `None` for anything else, which is the path of a WKT file.
     ///
-    /// # Errors An invalid UTM zone or EPSG code.
+    /// # Errors
+    /// An invalid UTM zone or EPSG code.
     pub fn parse(word: &str) -> Result<Option<Named>, CrsError> {
         let error = |problem| CrsError::Word { word: word.into(), problem };
         let lower = word.trim().to_lowercase();

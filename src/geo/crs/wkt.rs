@@ -29,7 +29,8 @@ const DEEPEST: usize = 32;
 impl Node {
     /// Parses text that is one keyword with its values.
     ///
-    /// # Errors The problem and the character position, as the end of a sentence.
+    /// # Errors
+    /// The problem and the character position, as the end of a sentence.
     pub fn parse(text: &str) -> Result<Node, String> {
         let mut reader = Reader { text: text.trim_start_matches('\u{feff}'), at: 0 };
         let node = reader.node(0)?;

@@ -209,7 +209,8 @@ impl Times {
 
     /// GPS time minus UTC, s, for a recording in UTC that begins at external time `first_s`.
     ///
-    /// # Errors The day is not known.
+    /// # Errors
+    /// The day is not known.
     pub(in crate::stages) fn leap_s(&self, file: &Path, first_s: Option<f64>) -> Result<f64> {
         let begins_s = self.scale_begins_s().and_then(|begins_s| Some(begins_s + first_s? + self.offset_s));
         let Some(begins_s) = begins_s else {
@@ -221,7 +222,8 @@ impl Times {
 
     /// Offset from times of this scale to times of the recording, s.
     ///
-    /// # Errors The time scale or the GPS week of the recording is unknown.
+    /// # Errors
+    /// The time scale or the GPS week of the recording is unknown.
     pub(in crate::stages) fn shift_s(&self, scale: ScaleKey, file: &Path) -> Result<f64> {
         let week_s = || self.gps_week.map(|week| f64::from(week) * WEEK_S - ADJUSTMENT_S);
         let shift_s = match (scale, self.scale) {

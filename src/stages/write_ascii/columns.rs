@@ -97,7 +97,8 @@ const fn attribute(letter: char, number: usize) -> Column {
 
 /// Returns the columns named by letters.
 ///
-/// # Errors No letters, or an unknown letter: names it, its position and the valid letters.
+/// # Errors
+/// No letters, or an unknown letter: names it, its position and the valid letters.
 pub(super) fn columns(letters: &str) -> Result<Vec<&'static Column>, String> {
     if letters.is_empty() {
         return Err(format!("no columns are given; {}", choices()));

@@ -175,8 +175,9 @@ pub(super) fn power_channel(r: &Return) -> u8 {
     u8::from(r.channel != ReturnChannel::Low)
 }
 
-/// User data byte. Layout 1.0 counts iterations, which a return does not keep: refined returns get
-/// 1.
+/// User data byte.
+///
+/// Layout 1.0 counts iterations, which a return does not keep; it is 1 for refined returns.
 pub(super) fn user_data(layout: AttributeLayout, r: &Return) -> u8 {
     let bit = |flag: u16, bit: u8| u8::from(r.flags & flag != 0) << bit;
     match layout {
