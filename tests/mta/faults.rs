@@ -163,7 +163,7 @@ fn a_group_velocity_that_is_none_is_told() {
     refused(
         &recording,
         "",
-        "group_velocity_mps: a speed of light is needed, m/s; correct the metadata of the recording, or \
+        "group_velocity_mps: must be between 1e8 and 3e8 m/s; correct the metadata of the recording, or \
          the keys of the stage",
     );
 }
