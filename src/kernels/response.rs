@@ -52,10 +52,10 @@ impl SystemResponse {
     pub fn check(&self) -> Result<(), ModelError> {
         let fail = |problem: String| Err(ModelError { field: "response", problem });
         let peak = -i64::from(self.first_sample) * STEPS_PER_SAMPLE as i64;
-        let Some(first) = self.nodes.first() else { return fail("there is none".into()) };
+        let Some(first) = self.nodes.first() else { return fail("it has no nodes".into()) };
         let length = first.values.len();
         if length > MAX_SAMPLES * STEPS_PER_SAMPLE {
-            return fail(format!("{length} values are more than {}", MAX_SAMPLES * STEPS_PER_SAMPLE));
+            return fail(format!("{length} values exceed the maximum of {}", MAX_SAMPLES * STEPS_PER_SAMPLE));
         }
         if peak <= 0 || peak >= length as i64 {
             return fail(format!("first_sample {} puts the peak outside the values", self.first_sample));
@@ -63,7 +63,7 @@ impl SystemResponse {
         let mut last_dn = 0.0;
         for node in &self.nodes {
             if !(node.peak_dn > last_dn && node.peak_dn.is_finite()) {
-                return fail(format!("peak_dn {} does not rise", node.peak_dn));
+                return fail(format!("peak_dn {} is not above 0 and the previous peak_dn", node.peak_dn));
             }
             last_dn = node.peak_dn;
             if node.values.len() != length {
@@ -71,7 +71,7 @@ impl SystemResponse {
             }
             let bad = node.values.iter().find(|value| value.is_nan() || value.abs() > 1.01);
             if let Some(value) = bad {
-                return fail(format!("value {value} is not a part of the peak"));
+                return fail(format!("value {value} is not between -1.01 and 1.01"));
             }
             if (node.values[peak as usize] - 1.0).abs() > 1e-3 {
                 return fail("the value at the peak is not 1".into());
@@ -226,16 +226,16 @@ mod tests {
             let mut response = response();
             change(&mut response);
             let found = response.check().unwrap_err().to_string();
-            let remedy = "; calibrate anew, or correct the saved model";
+            let remedy = "; recalibrate, or correct the saved model";
             assert_eq!(found, format!("sensor model: response: {expected}{remedy}"));
         };
-        check(|r| r.nodes.clear(), "there is none");
+        check(|r| r.nodes.clear(), "it has no nodes");
         check(|r| r.first_sample = 3, "first_sample 3 puts the peak outside the values");
         check(|r| r.first_sample = i32::MIN, "first_sample -2147483648 puts the peak outside the values");
         check(|r| r.first_sample = -11, "the value at the peak is not 1");
-        check(|r| r.nodes[0].peak_dn = -1.0, "peak_dn -1 does not rise");
-        check(|r| r.nodes[0].values[7] = f64::NAN, "value NaN is not a part of the peak");
-        check(|r| r.nodes[0].values.resize(70_000, 0.0), "70000 values are more than 65536");
+        check(|r| r.nodes[0].peak_dn = -1.0, "peak_dn -1 is not above 0 and the previous peak_dn");
+        check(|r| r.nodes[0].values[7] = f64::NAN, "value NaN is not between -1.01 and 1.01");
+        check(|r| r.nodes[0].values.resize(70_000, 0.0), "70000 values exceed the maximum of 65536");
         check(|r| r.nodes.push(ResponseNode { peak_dn: 171.0, values: vec![] }), "0 values instead of 401");
     }
 }

@@ -114,7 +114,7 @@ impl Digitiser {
     fn check(&self) -> Result<(), ModelError> {
         let shift = self.odd_sample_shift;
         if shift.is_nan() || shift.abs() >= 1.0 {
-            let problem = format!("{shift} does not lie between -1 and 1");
+            let problem = format!("{shift} is not between -1 and 1");
             return Err(ModelError { field: "odd_sample_shift", problem });
         }
         match self.decay {
@@ -122,7 +122,7 @@ impl Digitiser {
                 if !(amplitude.abs() < 1.0 && time_samples > 0.0 && time_samples.is_finite()) =>
             {
                 let problem =
-                    format!("no tail has the amplitude {amplitude} and lasts {time_samples} samples");
+                    format!("amplitude {amplitude} must be within ±1, and time_samples {time_samples} positive");
                 Err(ModelError { field: "decay", problem })
             }
             _ => Ok(()),
@@ -161,7 +161,7 @@ fn one() -> f64 {
 
 /// A model that describes no channel.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("sensor model: {field}: {problem}; calibrate anew, or correct the saved model")]
+#[error("sensor model: {field}: {problem}; recalibrate, or correct the saved model")]
 pub struct ModelError {
     /// The field's name.
     pub field: &'static str,
@@ -198,7 +198,7 @@ impl ChannelModel {
         }
         ArNoise::new(&self.ar, self.innovation_sd_dn).ok_or_else(|| ModelError {
             field: "ar",
-            problem: format!("{:?} is no stationary process of at most {MAX_ORDER} coefficients", self.ar),
+            problem: format!("{:?} is not a stationary process of at most {MAX_ORDER} coefficients", self.ar),
         })
     }
 
@@ -334,36 +334,36 @@ mod tests {
         check(
             |m| m.innovation_sd_dn = 0.0,
             "sensor model: innovation_sd_dn: 0 is not a positive number; \
-             calibrate anew, or correct the saved model",
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.background_dn[2] = f64::NAN,
-            "sensor model: background_dn: NaN is not a number; calibrate anew, or correct the saved model",
+            "sensor model: background_dn: NaN is not a number; recalibrate, or correct the saved model",
         );
         check(
             |m| m.background_sd_dn = -1.0,
             "sensor model: background_sd_dn: -1 is not a standard deviation; \
-             calibrate anew, or correct the saved model",
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.digitiser.odd_sample_shift = 1.0,
-            "sensor model: odd_sample_shift: 1 does not lie between -1 and 1; \
-             calibrate anew, or correct the saved model",
+            "sensor model: odd_sample_shift: 1 is not between -1 and 1; \
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.pulse_shape_error = f64::NAN,
             "sensor model: pulse_shape_error: NaN is not a standard deviation; \
-             calibrate anew, or correct the saved model",
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.digitiser.decay = Some(Decay { amplitude: 0.1, time_samples: 0.0 }),
-            "sensor model: decay: no tail has the amplitude 0.1 and lasts 0 samples; \
-             calibrate anew, or correct the saved model",
+            "sensor model: decay: amplitude 0.1 must be within ±1, and time_samples 0 positive; \
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.ar = vec![1.5],
-            "sensor model: ar: [1.5] is no stationary process of at most 8 coefficients; \
-             calibrate anew, or correct the saved model",
+            "sensor model: ar: [1.5] is not a stationary process of at most 8 coefficients; \
+             recalibrate, or correct the saved model",
         );
     }
 }

@@ -260,6 +260,6 @@ fn settings_that_describe_no_channel_are_named() {
     assert_eq!(
         error.to_string(),
         "sensor model: sampling_interval_ns: 0 is not a positive number; \
-         calibrate anew, or correct the saved model"
+         recalibrate, or correct the saved model"
     );
 }
