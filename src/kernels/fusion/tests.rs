@@ -5,7 +5,8 @@ use crate::kernels::simulated::{Random, analogue, channel, digitised, moments, p
 
 const FULL_SCALE_DN: f64 = 255.0;
 
-/// Pairs of echoes of 100 to 200 DN in the sensitive receiver, the other's noise upon them.
+/// Pairs of echoes of 100 to 250 DN in the low-power receiver, with the noise of the high-power
+/// receiver.
 fn pairs(random: &mut Random, count: usize, gain: f64, delay_ns: impl Fn(f64) -> f64) -> Vec<Pair> {
     let span = |random: &mut Random| 100.0 + 150.0 * random.uniform();
     let pair = |low_power_dn: f64, random: &mut Random| Pair {
@@ -145,8 +146,10 @@ fn between_models_of_one_shape_plain_peaks_need_no_correction() {
     );
 }
 
-/// In white noise the place of a Gaussian of height `a` and width `W` sampled densely has the variance
-/// `σ² / (a² Σ s'²)` with `Σ s'² = √(π/2) √(4 ln 2) / W`, and is told independently of height and width.
+/// Uncertainty of the position of a Gaussian in white noise.
+///
+/// For height `a` and width `W` and dense sampling its variance is `σ² / (a² Σ s'²)` with `Σ s'² =
+/// √(π/2) √(4 ln 2) / W`, independent of height and width.
 #[test]
 fn the_fit_alone_has_the_closed_forms_uncertainty() {
     let process = ArNoise::new(&[], 1.0).unwrap();
@@ -162,7 +165,8 @@ fn the_fit_alone_has_the_closed_forms_uncertainty() {
     assert!((found.value[1] - 25.3).abs() < 5.0 * exact, "{found:?}");
 }
 
-/// Two measures of one quantity: the joint fit is their mean by inverse variances, and its variance theirs in parallel.
+/// Two measurements of one quantity: the joint fit is their inverse-variance mean, with the
+/// corresponding variance.
 #[test]
 fn what_is_expected_of_a_place_is_averaged_with_what_is_seen() {
     let process = ArNoise::new(&[], 1.0).unwrap();
