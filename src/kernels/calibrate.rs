@@ -39,12 +39,13 @@ const MIN_PULSES: usize = 10;
 /// The first model only serves to make the second. The first round decides whether free samples
 /// exist and whether the level drifts.
 const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
-/// Fraction of unsaturated blocks with samples well before their pulses from which free samples
-/// determine the noise.
+/// Fraction of blocks with free samples needed to use these.
+///
+/// Only unsaturated blocks with samples well before their pulses count.
 const FREE_PART: f64 = 0.3;
 /// Number of consecutive groups of a recording whose scatter gives the uncertainties: to 15 %.
 pub(super) const GROUPS: usize = 25;
-/// Largest number of pulses added to the detected ones if the background is unknown.
+/// Largest number of pulses added if the background is unknown.
 const MAX_OVERLOOKED: u32 = 4;
 /// Variance of the background between blocks, over that of the noise, above which each waveform
 /// gets its own.
@@ -54,7 +55,7 @@ const LEAST_DRIFT_SD: f64 = 0.1;
 /// Factor on the observed spread for the prior on a waveform's background, if levels are only
 /// estimated.
 const WIDE: f64 = 3.0;
-/// Residual over the white part of the noise above which pulses are not Gaussian.
+/// Residual over white noise above which pulses are not Gaussian.
 const MISSHAPEN: f64 = 2.0;
 /// Variance of rounding to whole steps: the lower limit of the noise.
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
@@ -298,7 +299,7 @@ fn better_model(
     model
 }
 
-/// Estimates background and noise from samples before the first pulse of each block.
+/// Estimates background and noise from samples before the first pulse.
 fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &CalibrationSettings) {
     let drift_sd = survey.free.variance_and_drift().1.sqrt();
     let Told { background_dn, mut autocovariance } = survey.free.told();

@@ -1,6 +1,8 @@
 //! Cholesky factorisation in place, for small square matrices stored by rows.
 
-/// Replaces the lower triangle of a symmetric `n` by `n` matrix by its factor `L`, `L Lᵀ = A`.
+/// Replaces the lower triangle of a matrix by its Cholesky factor.
+///
+/// The matrix is symmetric, `n` by `n`, and `L Lᵀ = A`.
 ///
 /// The upper triangle is neither read nor written. Returns `false` if the matrix is not positive
 /// definite; its contents are then undefined.

@@ -41,7 +41,7 @@ pub struct Detector {
     offset_precision: Option<f64>,
     template: Vec<f64>,
     full_energy: f64,
-    /// Filter statistic by whole sample of time after a pulse of height 1 and calibrated width.
+    /// Filter statistic by whole sample after a pulse of height 1 and calibrated width.
     echo: Vec<f64>,
     /// By lag: `g_tᵀ Σ⁻¹ g_t`, reduced for an unknown background.
     energy: Vec<f64>,

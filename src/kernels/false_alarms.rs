@@ -45,7 +45,7 @@ impl FilteredNoise {
         }
     }
 
-    /// Number of false maxima above `sigma` standard deviations per waveform of `samples` samples.
+    /// Expected false maxima above `sigma` standard deviations in a waveform.
     ///
     /// It is the sum of the maxima of waveforms that start above the threshold and of Rice's rate of
     /// upward crossings.
@@ -155,7 +155,9 @@ mod tests {
                     filtered.per_sampled_waveform(sigma, samples as f64),
                 );
                 let (peaks_part, rises_part) = (peaks as f64 / rice, rises as f64 / sampled);
-                println!("{phi:?} {sigma}: {peaks} maxima, {peaks_part:.3} of Rice's; rises {rises_part:.3}");
+                println!(
+                    "{phi:?} {sigma}: {peaks} maxima, {peaks_part:.3} of Rice's rate; crossings {rises_part:.3} of theory"
+                );
                 // Two maxima may share one upward crossing: there are a few per cent fewer maxima
                 // than crossings.
                 let chance = 3.0 / rice.sqrt();

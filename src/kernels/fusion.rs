@@ -23,7 +23,7 @@ mod tests;
 pub const MIN_PAIRS: usize = 20;
 /// Smallest SNR of echoes in the high-power receiver.
 const LEAST_SNR: f64 = 8.0;
-/// Largest number of heights at which the delay of the overdriven receiver is tabulated.
+/// Largest number of delay nodes for the overdriven receiver.
 const WALK_NODES: usize = 4;
 /// Significance threshold of a change of delay with height, or of gain between weaker and stronger
 /// echoes, in standard deviations.
@@ -31,9 +31,9 @@ const SIGNIFICANT_SD: f64 = 4.0;
 /// If the gain changes with height, its standard deviation is this many times the change, because
 /// stronger echoes are extrapolated.
 const EXTRAPOLATION: f64 = 3.0;
-/// Uncertainty of the peak distance of two models if only one response is known, in pulse widths.
+/// Peak offset uncertainty, in pulse widths, if only one response is known.
 const UNKNOWN_RESPONSE_WIDTHS: f64 = 0.02;
-/// Number of phases of the sample raster over which a model's plain peak is averaged.
+/// Number of sample phases averaged for a model's plain peak.
 const PHASES: u32 = 16;
 /// Length of the block for a model's plain peak, and position of its pulse, samples.
 const MODEL_SAMPLES: usize = 64;
@@ -56,7 +56,7 @@ pub struct Pair {
 pub struct ChannelFusion {
     /// Number of echoes used; 0 if all values were given.
     pub pairs: u64,
-    /// Height of an echo in the low-power receiver over that in the high-power receiver.
+    /// Height of an echo in the low-power receiver over the high-power one.
     pub gain_ratio: f64,
     /// Standard deviation of `gain_ratio`, including its change with the height of the echo.
     pub gain_ratio_sd: f64,
@@ -64,8 +64,9 @@ pub struct ChannelFusion {
     pub delay_ns: f64,
     /// Standard deviation of `delay_ns`, ns.
     pub delay_sd_ns: f64,
-    /// Delay by ascending height in the range where the low-power receiver is overdriven; empty if
-    /// it does not change.
+    /// Delay by ascending height where the low-power receiver is overdriven.
+    ///
+    /// Empty if it does not change.
     pub walk: Vec<WalkNode>,
 }
 
@@ -81,7 +82,9 @@ pub struct WalkNode {
     pub delay_sd_ns: f64,
 }
 
-/// Estimates gain and delay from echoes in both receivers by robust weighted means.
+/// Estimates gain and delay of two receivers from common echoes.
+///
+/// Both are robust weighted means.
 ///
 /// The delay is from echoes that do not overdrive the low-power receiver, whose range ends at
 /// `full_scale_dn`. The ratio of heights has the weights of a regression through the origin.

@@ -1,4 +1,4 @@
-//! Joint least-squares fit of pulses to a block of samples in the whitened domain.
+//! Joint least-squares fit of pulses in the whitened domain.
 //!
 //! The model of sample `k` is `b + Σ a_i s(k - t_i, u_i)`. The shape `s` has height 1; it is a
 //! Gaussian `exp(-4 ln 2 (k - t)² / (W e^u)²)` or the calibrated response. Parameters are heights
@@ -19,8 +19,9 @@ mod tests;
 
 /// `4 ln 2`: a Gaussian of full width `W` at half maximum is `exp(-4 ln 2 (x/W)²)`.
 pub const FOUR_LN_2: f64 = 2.772_588_722_239_781;
-/// Distance in widths beyond which a pulse is zero in double precision (`exp(-4 ln 2 · 3.65²) =
-/// 1e-16`).
+/// Half extent of a pulse, in widths.
+///
+/// Beyond it a pulse is zero in double precision (`exp(-4 ln 2 · 3.65²) = 1e-16`).
 const SUPPORT_WIDTHS: f64 = 3.65;
 /// Bounds of the log width ratio; a fit outside them is not meaningful.
 pub(super) const LN_WIDTH_BOUNDS: [f64; 2] = [-1.5, 3.2];
@@ -34,7 +35,7 @@ const MIN_HEIGHT_PART: f64 = 0.2;
 const MIN_HEIGHT_SD: f64 = 1e-3;
 /// Damping below which the predicted decrease indicates the optimum.
 const NEAR_NEWTON: f64 = 1e-2;
-/// Assumed ratio of the achievable decrease to the predicted one of the next step.
+/// Assumed ratio of the achievable to the predicted decrease.
 const REACH: f64 = 8.0;
 
 /// One pulse.
@@ -94,7 +95,7 @@ impl Pulse {
     }
 }
 
-/// Range `first..end` of a block of `samples` in which a pulse is not zero.
+/// Range `first..end` of samples in which a pulse is not zero.
 fn support(position: f64, width: f64, samples: usize) -> (usize, usize) {
     let reach = SUPPORT_WIDTHS * width;
     let first = (position - reach).ceil().max(0.0) as usize;
@@ -135,11 +136,14 @@ impl Termination {
 pub struct Limits {
     /// Largest number of iterations.
     pub iterations: usize,
-    /// Converged if the predicted decrease of chi-square by the next step is below this. It is the
-    /// square of the remaining distance, in standard deviations of the parameters.
+    /// Converged if the next step is predicted to lower chi-square by less.
+    ///
+    /// It is the square of the remaining distance, in standard deviations of the parameters.
     pub decrease: f64,
-    /// The fit is abandoned if even eight times the predicted decrease leaves chi-square plus the
-    /// prior part above this.
+    /// Abandons a fit that cannot come below this objective.
+    ///
+    /// The criterion: even eight times the predicted decrease leaves chi-square plus the prior part
+    /// above it.
     pub enough: f64,
 }
 

@@ -49,7 +49,7 @@ pub struct Emission {
 }
 
 impl Default for Emission {
-    /// An emission without any known value.
+    /// An emission with all values unknown.
     fn default() -> Emission {
         Emission {
             clock_ps: 0,
@@ -198,7 +198,7 @@ pub enum MtaError {
     /// An echo refers to an emission that the line does not have.
     #[error("line {line}: echo {echo} refers to emission {emission}, but the line has {emissions} emissions")]
     NoSuchEmission {
-        /// The line's number.
+        /// Number of the line.
         line: u64,
         /// Index of the echo.
         echo: usize,
@@ -207,10 +207,10 @@ pub enum MtaError {
         /// Number of emissions in the line.
         emissions: usize,
     },
-    /// The time of an echo is NaN or more than 1 s from its emission.
+    /// The time of an echo is NaN or over 1 s.
     #[error("line {line}: echo {echo} has an invalid time: {time_ns} ns after its emission")]
     EchoTime {
-        /// The line's number.
+        /// Number of the line.
         line: u64,
         /// Index of the echo.
         echo: usize,
@@ -222,7 +222,7 @@ pub enum MtaError {
         "line {line}: the clock does not increase at shot {shot}: {clock_ps} ps after {before_ps} ps; start a new line there"
     )]
     ClockOrder {
-        /// The line's number.
+        /// Number of the line.
         line: u64,
         /// Shot number.
         shot: u64,

@@ -36,8 +36,9 @@ pub struct OutgoingFitter {
 }
 
 impl OutgoingFitter {
-    /// Creates a fitter for blocks of up to `max_samples` samples of the reference channel; longer
-    /// blocks allocate.
+    /// Creates a fitter for a reference channel.
+    ///
+    /// Blocks longer than `max_samples` allocate.
     pub fn new(model: &ChannelModel, max_samples: usize) -> Result<OutgoingFitter, ModelError> {
         let finder = Decomposer::new(model, &one_pulse(), max_samples)?;
         let settings = DecomposeSettings { max_returns: 2, max_added: 1, ..DecomposeSettings::default() };
@@ -68,7 +69,7 @@ impl OutgoingFitter {
         Some(pulse)
     }
 
-    /// Converts a pulse of a window to block coordinates and flags a second pulse.
+    /// Converts a pulse to block coordinates; flags a second pulse.
     fn finished(&mut self, mut pulse: Return, first: usize, window: &[u16], phase: u8) -> Return {
         if pulse.deviation_ratio > SUSPICIOUS
             && let Some(two) = &mut self.two

@@ -67,7 +67,7 @@ pub struct Search {
 }
 
 impl Search {
-    /// Whether at least `others` points can be reached in steps of `step_m` within these lines.
+    /// Whether `others` points can be reached in steps of `step_m`.
     ///
     /// `others` is limited to [`MOST_OTHERS`]. False for a point that does not exist.
     pub fn is_supported(
@@ -115,7 +115,7 @@ impl Search {
     }
 }
 
-/// Whether enough of the points recorded just before and after are within one step.
+/// Whether enough points recorded just before and after are near.
 fn near_in_time(line: &Line, point: usize, step_m: f64, others: usize) -> bool {
     let Some(place) = line.points.get(point) else { return false };
     let from = point.saturating_sub(NEAR_IN_TIME);
@@ -206,8 +206,8 @@ mod tests {
         let with_wire = |y: f64| line(y, &[&ground[..30], &[(29.5, 20.0)], &ground[30..]].concat());
         let lines: Vec<Line> = (0..5).map(|k| with_wire(3.0 * f64::from(k))).collect();
         assert!(supported(&lines, (2, 30), 4.0, 3));
-        assert!(supported(&lines, (0, 30), 4.0, 3), "from its end, too");
-        assert!(!supported(&lines[1..4], (1, 30), 4.0, 3), "two others are all there are");
+        assert!(supported(&lines, (0, 30), 4.0, 3), "from its end");
+        assert!(!supported(&lines[1..4], (1, 30), 4.0, 3), "only two others exist");
         assert!(!supported(&lines, (2, 30), 2.9, 1));
         assert!(supported(&lines, (2, 10), 1.0, 2), "the ground");
     }
@@ -222,7 +222,7 @@ mod tests {
         assert!(!supported(&lines, (0, 40), 2.1, 5));
         assert!(
             !supported(&lines, (0, 100), 2.1, 0) && !supported(&lines, (1, 0), 2.1, 0),
-            "there is no such point"
+            "the point does not exist"
         );
     }
 
@@ -276,7 +276,7 @@ mod tests {
             None,
             "one of its returns is on the ground"
         );
-        assert_eq!(of(wave(0.5, 80.0, 80.0), wave(1.0, 81.0, 0.0)), None, "a neighbour is as high");
+        assert_eq!(of(wave(0.5, 80.0, 80.0), wave(1.0, 81.0, 0.0)), None, "a neighbour is equally high");
         assert_eq!(of(wave(0.5, 51.9, 51.9), wave(1.0, 1.0, 0.0)), None, "not high enough");
         assert_eq!(of(wave(5.0, 80.0, 80.0), wave(10.0, 1.0, 0.0)), None, "not sharp");
         assert_eq!(of(wave(0.5, 80.0, 80.0), wave(1.0, -90.0, -90.0)), Some(Side::Air));

@@ -115,7 +115,9 @@ fn riegl_singles_agree_with_the_vendor() {
         widths.push(found.fwhm_ns - row[13]);
     }
     let (n, position, width) = (positions.len(), robust(&mut positions), robust(&mut widths));
-    println!("{n} singles: position less the vendor's {position:.3?} ns, width {width:.3?} ns");
+    println!(
+        "{n} single returns: position minus vendor's {position:.3?} ns, width minus vendor's {width:.3?} ns"
+    );
     assert!((0.90..0.96).contains(&model.noise_sd_dn) && (0.58..0.66).contains(&model.autocorrelation[0]));
     // Even and odd samples of this digitiser have different levels.
     for (phase, level) in [2.18, 2.41, 2.18, 2.41].iter().enumerate() {

@@ -48,8 +48,9 @@ const MOST_SCORED: usize = 6_000;
 const STRONG_SD: f64 = 30.0;
 /// Heights with their own response, relative to full scale (155, 171, 182 and 200 of 255 DN).
 const NODE_PARTS: [f64; 4] = [155.0 / 255.0, 171.0 / 255.0, 182.0 / 255.0, 200.0 / 255.0];
-/// Number of echoes in the window below which its smallest width is doubled: noise then matters
-/// more than blur.
+/// Number of echoes in the window below which it is doubled.
+///
+/// Noise then matters more than blur.
 const ENOUGH_NARROW: usize = 300;
 /// Smallest extent of the response after the peak, in pulse widths (62 ns for 4.4 ns).
 const LEAST_REACH_WIDTHS: f64 = 14.0;
@@ -85,8 +86,9 @@ pub struct Calibrated {
     pub usable_echoes: usize,
 }
 
-/// Adds the system response to a model that [`super::calibrate::calibrate`] made from the same
-/// blocks.
+/// Adds the system response to a calibrated model.
+///
+/// The model must be from [`super::calibrate::calibrate`] with the same blocks.
 pub fn calibrate_response<'a>(
     blocks: impl Iterator<Item = Block<'a>> + Clone,
     model: &ChannelModel,
@@ -133,7 +135,7 @@ fn chosen_evenly<'a>(blocks: impl Iterator<Item = Block<'a>> + Clone) -> Vec<Blo
     blocks.enumerate().filter(|(i, _)| is_chosen(*i)).map(|(_, block)| block).collect()
 }
 
-/// Copies the response of another receiver of the same laser pulses to a channel.
+/// Copies another receiver's response to a channel.
 ///
 /// For channels whose own echoes do not determine a response. The response for weak echoes and the
 /// error factor are copied; its echo count is 0. `None` if the other receiver has no response, or

@@ -12,7 +12,7 @@ pub(super) const ECHO_SAMPLES: usize = 256;
 pub(super) const TOLD_WIDTHS: f64 = 1.5;
 /// Start of a pulse before its peak, in its widths (8 ns for 4.25).
 pub(super) const BEGINS_WIDTHS: f64 = 1.9;
-/// Distance in widths below which pulses are fitted jointly and affect each other.
+/// Distance in widths below which pulses are fitted jointly.
 pub(super) const CLUSTER_WIDTHS: f64 = 3.0;
 /// Minimum separation of two pulses, in calibrated widths; at least one sample.
 pub(super) const LEAST_SEPARATION_WIDTHS: f64 = 0.25;
@@ -22,7 +22,7 @@ pub(super) const GAIN_PART: f64 = 0.8;
 pub(super) const TRIAL_PART: f64 = 0.75;
 /// Width ratio above which a pulse may hide two.
 pub(super) const HIDING_WIDTH_RATIO: f64 = 1.04;
-/// Initial energy fractions of the first of two pulses when a widened one is split.
+/// Initial energy fractions of the first half of a split pulse.
 pub(super) const DIVIDED_PARTS: [f64; 3] = [0.5, 0.8, 0.2];
 /// Background above which samples of 0 are excluded, in standard deviations of the noise: they are
 /// caused by the undershoot of a strong pulse.

@@ -69,7 +69,7 @@ pub struct ChannelModel {
     /// residual of a pulse.
     #[serde(default)]
     pub pulse_shape_error: f64,
-    /// Ratio of actual errors on a pulse to those expected from the noise.
+    /// Ratio of actual errors to those expected from the noise.
     ///
     /// Standard deviations are multiplied by it. 1 if not measured or not significant.
     #[serde(default = "one")]
@@ -233,8 +233,9 @@ impl ChannelModel {
         self.pulse_fwhm_ns / self.sampling_interval_ns
     }
 
-    /// Background at sample `index` of a block whose first sample has index `start_phase` modulo 4,
-    /// DN.
+    /// Background of sample `index`, DN.
+    ///
+    /// `start_phase` is the index of the block's first sample modulo 4.
     pub fn background_at(&self, start_phase: u8, index: usize) -> f64 {
         self.background_dn[(usize::from(start_phase) + index) % 4]
     }

@@ -100,7 +100,7 @@ impl Shape {
         }
     }
 
-    /// Full width at half maximum of a pulse of width ratio 1 and this height, samples.
+    /// FWHM of a pulse of this height and width ratio 1, samples.
     ///
     /// A receiver that compresses strong echoes makes them wider.
     #[inline(always)]
@@ -205,7 +205,7 @@ impl ResponseShape {
         }
     }
 
-    /// Adds the derivative of the shape by height to the derivative of the pulse by height.
+    /// Adds the change of shape with height to the height derivative.
     fn add_change_with_height(&self, pulse: &Pulse, lane: Lane, by_height: &mut [f64]) {
         let (low, high, _) = self.around(pulse.height_dn);
         if low == high {

@@ -32,8 +32,9 @@ struct Count<'a> {
     numbers: &'a mut [i32],
 }
 
-/// Adding this to a number that is small in comparison rounds it to an integer, halves to even, in
-/// the lowest bits.
+/// Adding this to a small number rounds it to an integer.
+///
+/// Halves go to even; the integer is in the lowest bits.
 pub(crate) const ROUNDING: f64 = 1.5 / f64::EPSILON;
 
 impl Kernel for Count<'_> {

@@ -249,7 +249,7 @@ fn knot(series: &[Complex], steps: usize, v0: f64, u: f64, extent: (i64, usize))
     Knot { first, length, rows }
 }
 
-/// Puts term `j` of a real series and of its time derivative into one complex series.
+/// Adds term `j` of a real series and of its time derivative to one complex series.
 ///
 /// After the transform the real part is the series, the imaginary part its derivative.
 fn put(target: &mut [Complex], j: usize, c: Complex, omega: f64) {

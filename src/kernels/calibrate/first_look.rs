@@ -10,7 +10,7 @@ const STRONG_SD: f64 = 10.0;
 const NARROW_PART: f64 = 0.3;
 /// `√70`: standard deviation of fourth differences of white noise, over that of the noise.
 const FOURTH_DIFFERENCE_GAIN: f64 = 8.366_600_265_340_756;
-/// Standard deviation of a normal distribution over the median of its absolute value.
+/// SD of a normal distribution over its median absolute value.
 const SD_OF_MEDIAN: f64 = 1.482_602_218_505_602;
 
 /// Initial levels, spreads and width.

@@ -2,10 +2,10 @@
 
 /// Number of lags, 0 included.
 const LAGS: usize = 6;
-/// Samples needed to determine the level of a phase to a twentieth of the noise.
+/// Samples that determine the level of a phase to a twentieth of the noise.
 const MIN_PHASE_SAMPLES: u64 = 400;
 
-/// Sums over pairs of samples at one lag whose earlier sample has one phase.
+/// Sums over sample pairs at one lag and phase of the earlier.
 #[derive(Debug, Clone, Copy, Default)]
 struct Pairs {
     count: u64,
@@ -16,7 +16,7 @@ struct Pairs {
 }
 
 impl Pairs {
-    /// Sum of products about the means `a` of the earlier and `b` of the later sample.
+    /// Sum of products about the means `a` (earlier sample) and `b` (later).
     fn product_about(&self, a: f64, b: f64) -> f64 {
         self.product - b * self.earlier - a * self.later + a * b * self.count as f64
     }
@@ -39,7 +39,7 @@ pub struct NoiseStatistics {
     pairs: [[Pairs; 4]; LAGS],
     /// Level subtracted before summation, DN; by default the first sample.
     origin_dn: Option<f64>,
-    /// Half the squared differences of all pairs of a stretch at larger lags than those kept.
+    /// Half the squared differences of all pairs at larger lags.
     distant: f64,
     distant_pairs: f64,
 }
@@ -146,7 +146,7 @@ impl NoiseStatistics {
         Some(self.means(Pairs::half_difference_about).iter().map(|half| variance - half).collect())
     }
 
-    /// Mean over the pairs of each lag of a sum about the phase means.
+    /// Mean over pairs, by lag, of a sum about the phase means.
     fn means(&self, sum_about: fn(&Pairs, f64, f64) -> f64) -> Vec<f64> {
         let means = self.background_dn().map(|level| level - self.origin_dn());
         self.pairs

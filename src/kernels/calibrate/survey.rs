@@ -92,7 +92,7 @@ impl Survey {
         0.5 * (at(0.841_345) - at(0.158_655))
     }
 
-    /// Median of the residual SD over the height of the block's highest pulse, per DN.
+    /// Median of the residual SD over the highest pulse, per DN.
     pub(super) fn residual_part(&self) -> f64 {
         median(&self.residual_parts, 0.0)
     }

@@ -18,8 +18,9 @@ use crate::kernels::whitening::Whitener;
 
 /// Parameters per pulse.
 const PARTS: usize = 3;
-/// Number of samples excluded after a saturated one if the fit shows that the receiver needs them
-/// to recover.
+/// Number of samples excluded after a saturated one during recovery.
+///
+/// Used only if the fit shows that the receiver needs to recover.
 const RECOVERY_SAMPLES: usize = 1;
 const ITERATIONS: usize = 40;
 /// Convergence: predicted decrease of the objective by the next step.
@@ -136,7 +137,7 @@ impl JointFit {
         &self.model
     }
 
-    /// Full width at half maximum of a pulse of this height and width ratio 1, samples.
+    /// FWHM of a pulse of this height and width ratio 1, samples.
     pub fn fwhm_samples_at(&self, height_dn: f64) -> f64 {
         self.shape.fwhm_samples_at(height_dn)
     }
@@ -250,8 +251,9 @@ impl JointFit {
         rows.map(|(x, row)| x * row.iter().zip(&off).map(|(p, y)| p * y).sum::<f64>()).sum()
     }
 
-    /// Computes the normal matrix and the descent direction (half the negative gradient) at the
-    /// last residual.
+    /// Computes the normal matrix and descent direction at the last residual.
+    ///
+    /// The direction is half the negative gradient of the objective.
     fn linearise(&mut self, weight: f64) {
         let (n, m) = (self.values.len(), self.target_dn.len());
         self.columns.clear();
@@ -343,8 +345,9 @@ impl JointFit {
         converged.then_some(Outcome { chi_square, degrees_of_freedom })
     }
 
-    /// Limits each component of a step to the validity of the linear model, and to widths with
-    /// templates.
+    /// Limits the components of a step.
+    ///
+    /// They must stay within the validity of the linear model, and widths within the templates.
     fn limit(&self, step: &mut [f64]) {
         let longest = [LONGEST[0], LONGEST[1] * self.shape.fwhm_samples(), LONGEST[2]];
         let [least, most] = self.shape.ln_width_bounds();

@@ -1,6 +1,6 @@
 //! Peak of a block by a parabola.
 
-/// Number of samples at the start of a block used for its background: one per background phase.
+/// Number of initial samples for the background: one per phase.
 const LEAD_SAMPLES: usize = 4;
 /// Smallest distance of the peak from these samples, in half widths at half maximum.
 const CLEAR_HALF_WIDTHS: f64 = 3.0;
@@ -14,7 +14,7 @@ pub struct PlainPeak {
     pub height_dn: f64,
 }
 
-/// Finds the strongest peak of a block above the mean of its first samples.
+/// Finds the strongest peak above the mean of the first samples.
 ///
 /// `None` if a sample reaches full scale, or the peak is at the edge of the block.
 pub fn plain_peak(samples: &[u16], full_scale_dn: f64) -> Option<PlainPeak> {

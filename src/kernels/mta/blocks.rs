@@ -154,7 +154,7 @@ impl Blocks {
         Ok(())
     }
 
-    /// Refits the surfaces to the echoes caused by the emissions of each cell.
+    /// Refits the surfaces to the echoes assigned to each cell.
     fn refine(&mut self, lines: usize) {
         let mut slopes: Vec<Vec<Slope>> =
             self.bands.iter().map(|band| vec![Slope::default(); band.cells.len()]).collect();
@@ -221,7 +221,9 @@ impl Blocks {
         found
     }
 
-    /// Accepts the emission at `place` without a search if the echo is at its cell's surface.
+    /// Accepts the emission at `place` if the echo is at its surface.
+    ///
+    /// No other emission is then considered.
     fn at_surface(&self, band: &Band, line: &Held, echo: &HeldEcho, place: usize) -> Option<Nearest> {
         let [least_m, most_m] = self.settings.range_m.map(|range_m| range_m as f32);
         let (range_m, column) = (line.range_m(echo, place, &self.settings), line.pulses.column[place]);

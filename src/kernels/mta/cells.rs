@@ -28,11 +28,11 @@ const CAP_M: f32 = 5.0;
 const PAIR_PART: f32 = 0.25;
 /// Weight of a second difference relative to a first difference.
 const CURVATURE_PART: f32 = 1.0;
-/// Most neighbours of an echo in its own line and in the next.
+/// Most neighbours of an echo in its line and the next.
 const NEIGHBOURS: [usize; 2] = [4, 5];
 /// Largest distance of neighbours in the own line and in the next, columns.
 const REACH: [i32; 2] = [2, 1];
-/// Number of cells without a phase of their own over which a slope is extrapolated.
+/// Number of cells without phase over which a slope is extrapolated.
 const EXTENDED_CELLS: f32 = 3.0;
 /// Largest distance from the phase of echoes that determine the slope, in intervals.
 const SLOPE_PART: f32 = 0.25;
@@ -56,9 +56,9 @@ const INFEASIBLE_NATS_PER_M: f32 = 0.5;
 pub(super) struct Cell {
     /// Number of echoes used.
     pub count: u16,
-    /// Whether the phase comes from the cell's own echoes and not only from neighbours.
+    /// Whether the cell's own echoes determine the phase.
     pub known: bool,
-    /// Range of the surface in zone 0 at the middle of the cell, m.
+    /// Range of the surface in zone 0, mid-cell, m.
     pub phase_m: f32,
     /// Slope of the surface's range, m per column.
     pub slope_m: f32,
@@ -173,7 +173,7 @@ impl Band {
         (cell_of(column) - self.first).clamp(0, self.cells.len() as i32 - 1) as usize
     }
 
-    /// Distance of a range at a column from the surface of a cell, m.
+    /// Distance of a range from the surface of a cell, m.
     pub fn apart_m(&self, index: usize, column: i32, range_m: f32) -> f32 {
         let cell = &self.cells[index];
         (range_m - cell.surface_m - cell.slope_m * self.off_middle(index, column)).abs()
@@ -451,7 +451,7 @@ fn find_phase(cell: &mut Cell, bins: &[(u16, f32); BINS], interval_m: f32) {
     cell.known = surface >= LEAST_PART * f32::from(count);
 }
 
-/// Gives cells without a phase that of the nearest cell in the band, cyclically for a ring.
+/// Fills cells without a phase from the nearest cell; cyclic for a ring.
 fn fill(cells: &mut [Cell], is_ring: bool) {
     let count = cells.len() as i32;
     let mut known: Vec<i32> = (0..count).filter(|&i| cells[i as usize].known).collect();

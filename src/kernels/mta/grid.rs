@@ -37,7 +37,7 @@ struct Grid<'a> {
     messages: [Vec<f32>; 4],
 }
 
-/// Decides the zone and the surface range of every cell of the bands.
+/// Decides the zone and surface range of every cell.
 pub(super) fn decide(bands: &mut VecDeque<Band>, settings: &Settings) {
     fill_bands(bands);
     let mut grid = Grid::new(bands, settings);
@@ -125,7 +125,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// Sends messages from the cells of one band to those of another at the same columns.
+    /// Sends messages between cells of two bands at the same columns.
     fn send_row(&mut self, from: usize, to: usize, side: usize, held: &mut [f32]) {
         let shift = self.bands[from].first - self.bands[to].first;
         for cell in 0..self.bands[from].cells.len() {

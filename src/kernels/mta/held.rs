@@ -70,7 +70,7 @@ pub(super) struct HeldEcho {
     /// Index of the emission of zone 0: `last`, shifted so that neighbouring echoes of one surface
     /// have the same zone. May lie beyond the end of the line.
     pub base: i32,
-    /// Range if caused by `base` and if emissions were at even intervals from the line's first, m.
+    /// Range if caused by `base`, for even intervals from the line's first emission, m.
     pub even_m: f32,
     /// Range in zone 0, counted from `base`, m; emissions after `last` are assumed at even
     /// intervals.

@@ -11,7 +11,7 @@ use super::{Cause, Emission, Line, Resolved};
 
 /// Lines with fewer emissions are merged with the following ones.
 const SHORT_SHOTS: usize = CELL_SHOTS as usize;
-/// Length of a merged line if the angles do not show the end of a sweep, shots.
+/// Length of a merged line without known end of sweep, shots.
 const SWEEP_SHOTS: usize = 256;
 /// Largest length of a merged line, shots.
 const MOST_SHOTS: usize = 4096;
@@ -102,7 +102,7 @@ impl Joined {
         Some(std::mem::take(&mut self.waiting))
     }
 
-    /// Whether a line continues the pending ones in time and across the line.
+    /// Whether a line continues the pending ones in time and angle.
     fn goes_on(&self, line: &Line) -> bool {
         let shots = &self.waiting.emissions;
         let (Some(last), Some(next)) = (shots.last(), line.emissions.first()) else { return true };

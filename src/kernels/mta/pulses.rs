@@ -6,7 +6,7 @@ use super::{Cause, Emission, Prior, Settings};
 
 /// Largest number of emissions considered before a line.
 const MOST_BEFORE: usize = 126;
-/// Smallest cosine of the nadir angle at which a beam reaches flat ground.
+/// Smallest nadir cosine at which a beam reaches flat ground.
 const LEAST_COSINE: f32 = 0.05;
 /// Interval assumed for a recording with one emission, ps.
 const UNKNOWN_INTERVAL_PS: f64 = 2.5e6;

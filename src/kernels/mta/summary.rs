@@ -14,8 +14,9 @@ const LEAST_MODULATION_NS: f64 = 0.5;
 const WEAK_MODULATION_NS: f64 = 5.0;
 /// Range difference above which neighbouring echoes are on different surfaces, m.
 const NEIGHBOURS_M: f64 = 5.0;
-/// Clock jitter is reported if ranges contain less than this fraction of the recorded variation,
-/// and this many standard deviations less than all of it.
+/// Fraction of the recorded variation below which clock jitter is reported.
+///
+/// The deficit must also exceed this many standard deviations.
 const LEAST_FOLLOWING: f64 = 0.5;
 const FOLLOWING_SDS: f64 = 4.0;
 /// Median margin below which the zones are unreliable, nats.
@@ -206,7 +207,7 @@ impl Summary {
         bin.map(|bin| bin as f64)
     }
 
-    /// Checks that zones can be distinguished by the pulse rate or a prior.
+    /// Checks that zones are distinguishable by pulse rate or prior.
     pub(super) fn check_rate(&self, settings: &Settings) -> Result<(), MtaError> {
         let rms_ns = self.interval_rms_ns();
         if settings.prior == Prior::None && rms_ns < LEAST_MODULATION_NS {

@@ -32,7 +32,7 @@ pub struct OutgoingBatch {
     plain: OutgoingFitter,
     mixture: Option<Mixture>,
     fast: Lockstep,
-    /// Number of samples at the start of a block used only for noise prediction.
+    /// Number of initial samples used only for noise prediction.
     order: usize,
     candidates: Vec<(u32, Candidate)>,
     strongest: Vec<Candidate>,
@@ -206,7 +206,9 @@ mod tests {
             apart.push((pulse.position_samples - expected.position_samples) / expected.position_sd_samples);
         }
         let ((bias, sd), (_, z), (_, apart)) = (moments(&errors), moments(&scores), moments(&apart));
-        println!("outgoing, in lock-step: bias {bias:.5} sd {sd:.5} samples, z {z:.3}, apart {apart:.3}");
+        println!(
+            "outgoing, SIMD: bias {bias:.5} sd {sd:.5} samples, z {z:.3}, difference to scalar {apart:.3}"
+        );
         assert!(bias.abs() < 4.0 * sd / 3000f64.sqrt(), "{bias} {sd}");
         assert!((0.95..1.05).contains(&z), "{z}");
         assert!(apart < 0.25, "{apart}");

@@ -9,7 +9,7 @@ const UNUSUAL: f64 = 12.0;
 /// Threshold above which the pulse may contain an undetected echo; exceeded by 10 % of clean
 /// pulses.
 const DOUBTFUL: f64 = 3.0;
-/// A pulse is unusual if its deviation ratio exceeds the median by this many spreads.
+/// Spreads above the median deviation ratio that make a pulse unusual.
 pub(super) const UNUSUAL_DEVIATION: f64 = 5.0;
 /// Displacement by an undetected echo, in widths, per relative increase of the height.
 const MOVE_BY_HEIGHT: f64 = 0.35;
@@ -107,7 +107,7 @@ impl Usual {
         (place - self.place.median).abs() > (5.0 * self.place.sd).max(1.5)
     }
 
-    /// Whether the pulse position in the block is known to one sample in advance.
+    /// Whether the position in the block is predictable to one sample.
     pub(super) fn knows_place(&self) -> bool {
         self.place.sd < 1.0
     }

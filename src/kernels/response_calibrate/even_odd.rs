@@ -5,7 +5,7 @@ use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
-/// Fits one pulse separately to the even and to the odd samples of its block.
+/// Fits one pulse separately to even and odd samples.
 ///
 /// Both estimate the same position, so their difference contains only the recorded noise: neither a
 /// truth nor another program is needed (docs/method.md, Calibration). To first order the positions

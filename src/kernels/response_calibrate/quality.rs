@@ -95,7 +95,7 @@ impl<'a> Quality<'a> {
     }
 }
 
-/// SD of half the difference of the two percentiles of `n` normal values: `√(0.925/n)`.
+/// SD of the spread of `n` normal values: `√(0.925/n)`.
 fn factor_sd(factor: f64, scores: usize) -> f64 {
     0.962 * factor / (scores.max(1) as f64).sqrt()
 }

@@ -1,4 +1,4 @@
-//! Cubic B-splines on knots that are dense in the main lobe and sparse in the tail.
+//! Cubic B-splines on knots dense in the main lobe, sparse in the tail.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ pub(super) struct Basis {
 }
 
 impl Basis {
-    /// Creates the basis from 2.5 widths before the peak to `end_samples` after it.
+    /// Creates the basis from 2.5 widths before the peak to `end_samples`.
     pub(super) fn new(fwhm_samples: f64, end_samples: f64) -> Basis {
         let mut knots = Vec::new();
         let mut at = -LEAD_WIDTHS * fwhm_samples;
@@ -43,7 +43,7 @@ impl Basis {
         self.knots[0]..self.knots[self.knots.len() - 1]
     }
 
-    /// Indices and values of the splines that differ from zero at a time (de Boor 1972).
+    /// Indices and values of the non-zero splines at a time (de Boor 1972).
     pub(super) fn at(&self, time: f64) -> impl Iterator<Item = (usize, f64)> {
         let t = &self.knots;
         let interval = t.partition_point(|&knot| knot <= time);
