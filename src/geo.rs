@@ -1,4 +1,4 @@
-//! Time and geometry: numbers to numbers.
+//! Time scales and geodesy, as pure computations.
 
 pub mod beam_length;
 pub mod cone;

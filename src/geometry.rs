@@ -1,8 +1,9 @@
-//! The table `[job.geometry]`: a run's trajectory, how the scanner is mounted, and the coordinates that points get.
+//! Georeferencing: the table `[job.geometry]` with trajectory, mounting and output coordinates.
 //!
-//! With a trajectory each shot gets its pose as soon as the source has delivered it ([`posed`]): its beam then starts and
-//! points in the earth's own frame (ECEF), so that no later stage needs more than the emission. `georeference` turns what
-//! it finds there into coordinates ([`target`]). `docs/georeferencing.md` gives the formulas.
+//! With a trajectory, each shot gets its pose as soon as the source delivers it ([`posed`]). Its
+//! beam is then given in the earth-centred frame (ECEF), so later stages need only the emission.
+//! `georeference` converts the result to output coordinates ([`target`]). `docs/georeferencing.md`
+//! gives the formulas.
 
 pub mod calibration;
 pub mod declared;

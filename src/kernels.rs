@@ -1,14 +1,21 @@
-//! Numbers to numbers: slices in, values out. No file, no clock, no batch, no stage.
+//! Numerical kernels: slices in, values out, without files, clocks, batches or stages.
 //!
-//! A sensor model is found by [`calibrate`] and [`response_calibrate`]. [`decompose`] finds the pulses of one waveform in
-//! correlated noise, in `f64`: widened copies of the system response ([`response`], [`templates`]), or Gaussians
-//! ([`shape`]). Its parts are [`detect`] (matched filter), [`gauss_fit`] (joint least squares), [`whitening`] and [`noise`].
-//! [`lockstep`] does the same for whole batches, in `f32` and many times faster, and hands to it what it is not made for.
-//! [`mta`] finds the emission that caused an echo, where several pulses are in the air.
-//! [`radiometry`], [`penalised_spline`] and [`width_by_amplitude`] serve the corrections of returns, and [`outliers`]
-//! finds points that stand alone; [`sensor_path`] finds the sensor where beams meet.
-//! docs/method.md describes the method. Positions are in samples from the block's first, heights in digitiser steps
-//! (DN), and a pulse stands where its peak stands.
+//! - [`calibrate`] and [`response_calibrate`] estimate a [`sensor_model`].
+//! - [`decompose`] finds the pulses of one waveform in correlated noise, in `f64`. Pulses are
+//!   widened copies of the system response ([`response`], [`templates`]) or Gaussians ([`shape`]).
+//!   It uses [`detect`] (matched filter), [`gauss_fit`] (joint least squares), [`whitening`] and
+//!   [`noise`].
+//! - [`lockstep`] does the same for whole batches, in `f32` and many times faster, and leaves
+//!   unsuitable waveforms to [`decompose`].
+//! - [`fusion`] combines two receivers of the same echoes; [`outgoing`] fits the outgoing pulses.
+//! - [`mta`] assigns echoes to emissions if several pulses are in the air.
+//! - [`radiometry`], [`penalised_spline`] and [`width_by_amplitude`] serve the corrections of
+//!   returns.
+//! - [`outliers`] finds isolated points; [`sensor_path`] estimates the sensor position from its
+//!   beams.
+//!
+//! docs/method.md describes the method. Positions are in samples from the block's first, heights in
+//! digitiser steps (DN). The position of a pulse is that of its peak.
 
 mod allowance;
 pub mod calibrate;

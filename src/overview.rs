@@ -1,9 +1,9 @@
-//! What a run made of one input, to be looked at: histograms, a picture from above, counts along the flight, and a few
+//! Overview of a run over one input: histograms, a map, counts along the flight, and a few
 //! waveforms with their fits.
 //!
-//! All of it is gathered while lines leave the chain, in memory that does not grow, and depends on the lines alone, not
-//! on their order: sums are of whole numbers, bins and cells double on a fixed grid, and of several shots that would do,
-//! the one that stands first is shown.
+//! It is collected while lines leave the chain, in constant memory, and depends only on the lines,
+//! not on their order: sums are of integers, bins and cells double on a fixed grid, and of several
+//! equally suitable shots the first is shown.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -33,23 +33,23 @@ use histogram::Bins;
 use lines::Groups;
 use map::Grid;
 
-/// What a run made of one input, to be looked at.
+/// Overview of a run over one input.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Overview {
-    /// How often each value of a return's quantities occurs; quantities of which nothing is known are left out.
+    /// Histograms of the quantities of returns; quantities without known values are omitted.
     pub histograms: Vec<Histogram>,
     /// Waveforms, returns and points along the flight.
     pub lines: LineGroups,
-    /// The points from above, where there are any.
+    /// Map of the points, if there are any.
     pub map: Option<MapPicture>,
-    /// Returns by multiple-time-around zone, where there is another than 0.
+    /// Returns by MTA zone, if there is a zone other than 0.
     #[serde(default)]
     pub zones: Option<Zones>,
-    /// A few waveforms with their fits.
+    /// Selected waveforms with their fits.
     pub waveforms: Vec<ShownShot>,
 }
 
-/// Collects an [`Overview`], line by line.
+/// Collects an [`Overview`] line by line.
 #[derive(Clone, Debug)]
 pub struct Gathering {
     quantities: [Quantity; 5],
@@ -58,7 +58,7 @@ pub struct Gathering {
     zones: zones::Counted,
 }
 
-/// A quantity of returns, and its histogram so far.
+/// A quantity of returns with its histogram.
 #[derive(Clone, Debug)]
 struct Quantity {
     name: &'static str,
@@ -99,7 +99,7 @@ impl Gathering {
         }
     }
 
-    /// What was gathered, with the waveforms that were kept beside.
+    /// Returns the overview, with the selected waveforms.
     pub fn finish(self, gallery: Option<Gallery>) -> Overview {
         let histograms = self.quantities.into_iter();
         Overview {

@@ -1,4 +1,4 @@
-//! The stages, one file each; `registry.rs` lists them.
+//! Pipeline stages, one file each; `registry.rs` lists them.
 
 mod broken;
 pub mod calibrate;

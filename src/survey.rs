@@ -1,7 +1,8 @@
-//! A recording at a glance: what its shots, lines, blocks and samples are like, in one pass and bounded memory.
+//! Inspection of a recording: statistics of its shots, lines, blocks and samples.
 //!
-//! [`Survey`] is given the lines of a reader one after the other. Everything it keeps has a fixed size: counts,
-//! histograms whose bins double their width, and a few shots to look at. What it tells depends on the lines alone.
+//! [`Survey`] receives the lines of a reader in a single pass. Everything it keeps has a fixed
+//! size: counts, histograms whose bins double their width, and a few shots. The result depends only
+//! on the lines.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -23,82 +24,82 @@ pub use intervals::{Intervals, LongInterval};
 pub use samples::{Peak, Samples, peak_of};
 pub use thinned::Thinned;
 
-/// Bins of a histogram, at most.
+/// Maximum number of bins of a histogram.
 const BINS: usize = 400;
-/// Shots whose angles are kept, and whose waveforms are, at most.
+/// Maximum number of shots whose angles, and whose waveforms, are kept.
 const ANGLES: usize = 4000;
 const WAVEFORMS: usize = 8;
-/// Samples of a block that are kept with its waveform, at most.
+/// Maximum number of samples kept per block.
 const SHOWN_SAMPLES: usize = 1000;
-/// A mean of a geocentric frame's coordinates is farther from zero than this, m.
+/// Minimum distance from the origin that indicates geocentric coordinates, m.
 const NO_MAP_M: f64 = 5e6;
 
-/// What was seen of a recording.
+/// Statistics of a recording.
 #[derive(Debug)]
 pub struct Survey {
-    /// What is known of the recording; `None` until a line has come.
+    /// Metadata of the recording; `None` before the first line.
     pub input: Option<Arc<InputInfo>>,
-    /// Whether samples were looked at.
+    /// Whether samples are inspected.
     pub with_samples: bool,
-    /// Shots.
+    /// Shot counts.
     pub shots: Shots,
-    /// When they were fired.
+    /// Times of the shots.
     pub times: Times,
     /// Scan lines.
     pub lines: Lines,
-    /// The channels, as [`Channel`] orders them.
+    /// Channels, in the order of [`Channel`].
     pub channels: [ChannelSurvey; 4],
-    /// Echo blocks of a shot.
+    /// Echo blocks per shot.
     pub blocks_per_shot: Histogram,
-    /// Echo blocks by zone; `None`: unresolved.
+    /// Echo blocks by zone; `None` means unresolved.
     pub zones: BTreeMap<Option<i16>, u64>,
-    /// Angles of the beams, degrees.
+    /// Beam angles, degrees.
     pub angles_deg: Histogram,
-    /// What these angles are; `None` without any.
+    /// Definition of these angles; `None` without any.
     pub angle: Option<Angle>,
-    /// Time since the first shot (s) and angle (degrees) of some shots.
+    /// Time since the first shot (s) and angle (degrees) of selected shots.
     pub angles_over_time: Thinned<[f64; 2]>,
-    /// Time since the first shot at which shots with echo blocks, and echo blocks, were recorded, s.
+    /// Times of echo blocks since the first shot, s.
     pub blocks_over_time_s: Histogram,
     /// Ranges of the highest peak of each echo block, m.
     pub ranges_m: Histogram,
-    /// Some shots with their blocks.
+    /// Selected shots with their blocks.
     pub waveforms: Thinned<Waveform>,
 }
 
-/// Counts of shots.
+/// Shot counts.
 #[derive(Debug, Default)]
 pub struct Shots {
-    /// All of them.
+    /// All shots.
     pub count: u64,
-    /// With at least one echo block.
+    /// Shots with at least one echo block.
     pub with_echoes: u64,
-    /// Fired while the mirror moved in the positive direction.
+    /// Shots fired while the mirror moved in the positive direction.
     pub positive_direction: u64,
-    /// Synchronised with GPS.
+    /// Shots synchronised with GPS.
     pub synchronised: u64,
-    /// Synchronised within the last second.
+    /// Shots synchronised within the last second.
     pub synchronised_within_last_second: u64,
-    /// By mirror facet.
+    /// Shots by mirror facet.
     pub by_facet: BTreeMap<u16, u64>,
-    /// Returns that the instrument computed, and shots with any.
+    /// Number of online returns, and of shots with any.
     pub online: [u64; 2],
 }
 
-/// When shots were fired.
+/// Times of shots.
 #[derive(Debug, Default)]
 pub struct Times {
-    /// GPS times of the first and of the last shot that have one, s.
+    /// GPS times of the first and last shot that have one, s.
     pub first_last_s: Option<[f64; 2]>,
-    /// The earliest and the latest of them, s.
+    /// The earliest and latest of them, s.
     pub range_s: Option<[f64; 2]>,
-    /// Shots without a time.
+    /// Number of shots without a time.
     pub without: u64,
-    /// How often the clock runs backwards from one shot to the next, and the first shot behind such a step.
+    /// Number of backward steps of the clock, and the first shot after one.
     pub backwards: (u64, Option<u64>),
-    /// From shot to shot within a line.
+    /// Intervals between shots within a line.
     pub shots: Intervals,
-    /// From the first shot of a line to that of the next.
+    /// Intervals between the first shots of consecutive lines.
     pub lines: Intervals,
     last: Option<(i64, u64)>,
     line_start_ps: Option<i64>,
@@ -108,52 +109,52 @@ pub struct Times {
 /// Scan lines.
 #[derive(Debug)]
 pub struct Lines {
-    /// How many there are.
+    /// Number of lines.
     pub count: u64,
-    /// Shots of a line.
+    /// Shots per line.
     pub shots: Histogram,
-    /// Number of the line at hand, and its shots.
+    /// Number of the current line, and its shots so far.
     at: Option<(u32, u64)>,
 }
 
-/// What one channel recorded.
+/// Statistics of one channel.
 #[derive(Debug)]
 pub struct ChannelSurvey {
-    /// Sample blocks.
+    /// Number of sample blocks.
     pub blocks: u64,
-    /// Samples in them.
+    /// Number of samples.
     pub samples: u64,
-    /// Samples of a block.
+    /// Samples per block.
     pub lengths: Histogram,
     /// Time of a block's first sample after the shot's clock, ns.
     pub starts_ns: Histogram,
-    /// The least and the greatest gain of a block.
+    /// Smallest and largest gain of a block.
     pub gains: [f64; 2],
-    /// What the samples tell, where they were looked at.
+    /// Sample statistics, if samples are inspected.
     pub values: Option<Samples>,
 }
 
-/// What an angle of a beam is.
+/// Definition of a beam angle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Angle {
-    /// The recording's own scan angle, positive to the right.
+    /// The recorded scan angle, positive to the right.
     Scan,
     /// From straight down; never negative.
     FromNadir,
-    /// From the frame's third axis, either way; never negative.
+    /// From the third axis of the frame, in either direction; never negative.
     FromAxis,
 }
 
-/// A shot to look at.
+/// A selected shot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Waveform {
-    /// Its number.
+    /// Shot number.
     pub shot: u64,
     /// Its echo blocks.
     pub blocks: Vec<ShownBlock>,
 }
 
-/// A block of a shot to look at.
+/// A block of a selected shot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShownBlock {
     /// The receiver.
@@ -167,7 +168,7 @@ pub struct ShownBlock {
 }
 
 impl Survey {
-    /// Nothing seen yet; samples are looked at if `with_samples`.
+    /// Creates empty statistics; samples are inspected if `with_samples`.
     pub fn new(with_samples: bool) -> Survey {
         let channel = || ChannelSurvey {
             blocks: 0,
@@ -195,7 +196,7 @@ impl Survey {
         }
     }
 
-    /// Looks at a line.
+    /// Adds a line.
     pub fn add(&mut self, batch: &Batch) {
         if self.input.is_none() {
             let full_scale_dn = batch.input.full_scale_dn;
@@ -218,7 +219,7 @@ impl Survey {
         }
     }
 
-    /// Says that no line follows.
+    /// Ends the input.
     pub fn finish(&mut self) {
         self.lines.end();
         self.times.shots.finish();
@@ -226,12 +227,12 @@ impl Survey {
         self.channels.iter_mut().filter_map(|channel| channel.values.as_mut()).for_each(Samples::finish);
     }
 
-    /// What was recorded of a channel.
+    /// Statistics of a channel.
     pub fn channel(&self, channel: Channel) -> &ChannelSurvey {
         &self.channels[channel as usize]
     }
 
-    /// Whether ranges count from a point near the waveform, because the recording does not give the sensor's position.
+    /// Whether ranges count from near the waveform, for lack of a sensor position.
     pub fn ranges_from_first_sample(&self) -> bool {
         self.input.as_ref().is_some_and(|input| !input.origin_is_sensor)
     }
@@ -330,7 +331,7 @@ impl Times {
         self.last = Some((clock_ps, emission.shot));
     }
 
-    /// Time since the first shot, s: by GPS where there are times, else by the instrument's clock.
+    /// Time since the first shot, s: GPS time if available, else the instrument clock.
     fn since_first_s(&self, emission: &Emission) -> f64 {
         match self.first_last_s {
             Some([first_s, _]) => emission.gps_time_s - first_s,
@@ -371,7 +372,7 @@ impl Waveform {
     }
 }
 
-/// When a shot left, after its clock, ns, by the peak of its outgoing pulse.
+/// Emission time after the shot's clock, ns, from the peak of the outgoing pulse.
 fn emission_ns_of(block: &Block, samples: &[u16], input: &InputInfo) -> f64 {
     let Some(peak) = peak_of(samples) else { return 0.0 };
     match input.emission_reference {
@@ -383,7 +384,7 @@ fn emission_ns_of(block: &Block, samples: &[u16], input: &InputInfo) -> f64 {
     }
 }
 
-/// The angle of a beam, degrees, and what it is.
+/// Angle of a beam, degrees, and its definition.
 fn angle_of(emission: &Emission, frame: Frame) -> (Angle, f64) {
     if emission.scan_angle_deg.is_finite() {
         return (Angle::Scan, f64::from(emission.scan_angle_deg));

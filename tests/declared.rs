@@ -97,8 +97,8 @@ fn a_day_a_scale_and_utc_are_those_of_every_reader() {
         let (_, header, _) = copied(&place, reader, input, "recording_time = 'adjusted'");
         assert_eq!(header.time_scale, TimeScale::Adjusted, "{reader}");
         let error = format!(
-            "stage {reader}: ./{input}: its times are UTC, and without a day the leap seconds are not known; say the day \
-             with the key `gps_date`, or leave the key out"
+            "stage {reader}: ./{input}: its times are UTC, but the day is unknown, and with it the number \
+             of leap seconds; set the day with the key `gps_date`, or remove the key"
         );
         let place = self::place(&Las::new(20));
         place.left_nothing(place.read(reader, input, &format!("utc = true\n{COPY}")), &error);
@@ -119,17 +119,16 @@ fn the_header_of_las_says_what_its_times_count() {
     assert_eq!(notes.len(), 1, "only the missing map: {notes:?}");
     let (notes, says, _) = written(&place, "recording_time = 'day'\ntime_offset_s = -172800.0");
     assert_eq!(says, GpsTime::Week);
-    let of_day = "the times of the points are seconds of the day, and the header of the LAS file can only say seconds of the \
-                  GPS week; give the day with the reader's key `gps_date`";
+    let of_day = "the times of the points are seconds of the day, but the LAS header can only declare \
+                  seconds of the GPS week; set the day with the reader's key `gps_date`";
     assert!(notes.contains(&of_day.to_owned()), "{notes:?}");
 }
 
 #[test]
 fn times_that_do_not_fit_their_label_are_named_by_runs_and_by_scan() {
     let place = place(&las_at(20, |pulse| 1_000_061_758.0 + time_s(pulse)));
-    let said = "do not fit what they are said to be, seconds of the GPS week (as adjusted GPS times they would be of \
-                2043-05-23, as standard GPS times they would be of 2011-09-14); say what they count with the reader's key \
-                `recording_time`";
+    let said = "are not plausible as seconds of the GPS week (as adjusted GPS time: 2043-05-23, as \
+                standard GPS time: 2011-09-14); set the time scale with the reader's key `recording_time`";
     let (notes, _, _) = copied(&place, "read_las", "a.las", "");
     assert!(notes.len() == 1 && notes[0].ends_with(said), "{notes:?}");
     assert_eq!(copied(&place, "read_las", "a.las", "recording_time = 'standard'").0, Vec::<String>::new());
@@ -153,8 +152,8 @@ fn a_recording_without_a_time_scale_is_noted_in_las() {
     place.write("a.pls", &pls);
     place.write("a.wvs", &PulseWaves::new(320).waves);
     let to_las = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'\npath = '*_out.las'");
-    let said = "the recording does not say what its times count, and the header of the LAS file says seconds of the GPS week; \
-                say it with the reader's key `recording_time`";
+    let said = "the time scale of the recording is unknown, and the LAS header declares seconds of the GPS \
+                week; set it with the reader's key `recording_time`";
     let report = place.succeeds("read_pulsewaves", "a.pls", &to_las);
     assert!(notes(&report).contains(&said.to_owned()), "{:?}", notes(&report));
     let report =
@@ -181,8 +180,8 @@ fn the_map_of_a_recording_can_be_declared() {
 
     let wrong = self::place(&Las::new(20).with_crs(&zone));
     let (notes, header, _) = copied(&wrong, "read_las", "a.las", "crs_of_input = 'EPSG:2154'");
-    let overrides = "the file says that its coordinates are in WGS 84 / UTM zone 33N; `crs_of_input` overrides it: they are \
-                     taken as RGF93 / Lambert-93";
+    let overrides = "the file gives WGS 84 / UTM zone 33N as its CRS; `crs_of_input` overrides it with \
+                     RGF93 / Lambert-93";
     assert_eq!((notes, header.crs_wkt), (vec![overrides.to_owned()], Some(lambert.clone())));
     assert_eq!(copied(&wrong, "read_las", "a.las", "crs_of_input = 'utm:33N'").0, Vec::<String>::new());
     let broken = self::place(&Las::new(20).with_crs("PROJCS[\"cut"));
@@ -201,7 +200,7 @@ fn a_declared_map_that_cannot_be_used_is_refused() {
             "read_arrow",
             "a.arrow",
             "EPSG:2154",
-            "`crs_of_input` names a map, and this recording is in the scanner's own frame",
+            "`crs_of_input` names a projected CRS, but this recording is in the scanner frame",
         ),
     ] {
         let outcome = place.read(reader, input, &format!("crs_of_input = '{word}'\n{COPY}"));
@@ -218,9 +217,9 @@ fn coordinates_may_be_asked_for_in_the_map_that_is_declared() {
             "[job.geometry]\ncrs = 'utm:33N'\n[[stage]]\ntype = 'read_las'\npath = 'a.las'\n{key}\n{TO_TABLE}"
         )
     };
-    let unnamed = "stage georeference: ./a.las: the beams of this recording are in a map that the recording does not name already, and \
-                   `[job.geometry]` asks for other coordinates; name it with the reader's key `crs_of_input`, or leave \
-                   `crs`, `geoid` and `unit` out";
+    let unnamed = "stage georeference: ./a.las: the beams of this recording are already in an unnamed CRS, \
+                   but `[job.geometry]` requests other coordinates; set it with the reader's key \
+                   `crs_of_input`, or remove `crs`, `geoid` and `unit`";
     place.left_nothing(place.run(&job("")), unnamed);
     assert_eq!(place.run(&job("crs_of_input = 'utm:33N'")).err, "");
 }
@@ -235,6 +234,7 @@ fn the_air_may_be_another_than_the_recording_says() {
     copied(&place, "read_las", "a.las", "");
     let copy = "out/a_copy.arrow";
     let outcome = place.read("read_arrow", copy, &format!("refractive_index_ppm = 280.0\n{COPY}"));
-    let said = "`refractive_index_ppm` needs ranges from the sensor, and those of this recording count from the first sample";
+    let said = "`refractive_index_ppm` needs ranges from the sensor, but the ranges of this recording \
+                count from the first sample";
     assert!(outcome.code == Some(1) && outcome.err.contains(said), "{outcome:?}");
 }

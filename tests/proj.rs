@@ -73,6 +73,9 @@ fn each_thread_has_its_own() {
 #[test]
 fn what_proj_does_not_know_is_refused_as_before() {
     let refused = |named| Crs::new(&named, place(0.0, 0.0, 0.0), None, None).unwrap_err().to_string();
-    assert!(refused(Named::Epsg(99999)).starts_with("EPSG:99999 is not in the table of systems;"));
+    assert!(refused(Named::Epsg(99999)).starts_with(
+        "EPSG:99999 is not in the table of coordinate \
+                                                     reference systems;"
+    ));
     assert!(refused(Named::Wkt("nothing".into())).starts_with("the WKT cannot be read: "));
 }

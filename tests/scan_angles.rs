@@ -32,8 +32,8 @@ path = 'points.txt'
 columns = 'txyzade'
 ";
 
-const UNKNOWN: &str = "scan angles are not known, and are 0 in outputs: the recording has none, and its beams do not show \
-                       the direction of flight";
+const UNKNOWN: &str = "scan angles are unknown, and are 0 in outputs: the recording has none, and its \
+                       beams do not define the direction of flight";
 
 /// A point as text has it.
 #[derive(Clone, Copy, Debug, PartialEq)]

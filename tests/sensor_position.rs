@@ -19,9 +19,10 @@ use wavex::formats::container::{
 };
 
 /// What is said instead of a wrong intensity.
-const NOT_CORRECTED: &str = "intensities are not corrected for range and attenuation: the recording does not give the \
-                             position of the sensor, and ranges count from a point near the waveform; read the \
-                             instrument's own recording, or set `reference_range_m` and `attenuation_db_per_km` to false";
+const NOT_CORRECTED: &str = "intensities are not corrected for range and attenuation: the recording does \
+                             not contain the sensor position, and ranges count from a point near the \
+                             waveform; read the original recording of the instrument, or set \
+                             `reference_range_m` and `attenuation_db_per_km` to false";
 
 /// The stages from samples to points; `keys` are those of `correct`, which is left out without any.
 fn chain(keys: Option<&str>) -> String {
@@ -181,8 +182,8 @@ fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() 
     let recording = place.path("recording.arrow");
     std::fs::copy(place.path("out/a.arrow"), &recording).unwrap();
     std::fs::copy(place.path("out/a.pof"), place.path("a.pof")).unwrap();
-    let said = "ranges are not corrected by `e1`: the recording does not give the position of the sensor, and ranges \
-                count from a point near the waveform; leave `e1` out of the calibration";
+    let said = "ranges are not corrected by `e1`: the recording does not contain the sensor position, and \
+                ranges count from a point near the waveform; remove `e1` from the calibration";
     let mut ranges = Vec::new();
     for (origin, e1, is_said) in
         [(None, 0.01, false), (Some(Origin::Waveform), 0.01, true), (Some(Origin::Waveform), 0.0, false)]

@@ -142,7 +142,7 @@ fn what_is_no_trajectory_is_refused() {
         refused(&options),
         (
             Some(1),
-            "error: t.txt: 1 record(s): a pose takes two at least; export it again from its source\n"
+            "error: t.txt: 1 record(s): at least two are needed; export it again from its source\n"
                 .to_owned()
         )
     );

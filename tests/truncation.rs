@@ -80,7 +80,7 @@ fn cut_everywhere(
                     assert_eq!(Ok(found), whole, "{what}");
                     assert!(cut >= end_of_records(extension, &bytes), "{what}");
                     assert!(
-                        notes.iter().any(|note| note.contains("the file may be cut off")),
+                        notes.iter().any(|note| note.contains("the file may be truncated")),
                         "{what}: {notes:?}"
                     );
                 }

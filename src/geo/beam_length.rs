@@ -1,11 +1,12 @@
-//! How long a nanosecond is along a beam, in the frame of a file that stores its beams as rounded vectors.
+//! Beam length per nanosecond in files that store beams as rounded vectors.
 
 /// Length per nanosecond along a beam, m, as a function of its direction.
 ///
-/// A file that gives a beam by two rounded points makes every beam a little too long or too short: with a grid of 1 cm and
-/// points 150 m apart, by 4 mm, which is 14 mm at a range of 500 m. The true length is the same for all beams of a
-/// Cartesian frame; in a map projection, where only horizontal distances are stretched, its square is linear in the
-/// square of the beam's vertical part. So that line is fitted, and used where what remains is no more than the rounding.
+/// A file that stores a beam as two rounded points makes every beam slightly too long or too short:
+/// with a grid of 1 cm and points 150 m apart by 4 mm, which is 14 mm at a range of 500 m. The true
+/// length is the same for all beams in a Cartesian frame. In a projected CRS, which scales only
+/// horizontal distances, its square is linear in the square of the vertical direction cosine. This
+/// line is fitted, and used if the residual does not exceed the rounding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeamLength {
     model: Option<Line>,
@@ -13,33 +14,34 @@ pub struct BeamLength {
     rounding_m_per_ns: f64,
 }
 
-/// Square of the length against the square of the vertical direction cosine.
+/// Squared length as a linear function of the squared vertical cosine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Line {
     horizontal: f64,
     slope: f64,
 }
 
-/// What remains may be larger than the rounding explains by this factor.
+/// Largest accepted ratio of the residual to the rounding error.
 const TOLERANCE: f64 = 1.5;
-/// A beam whose length differs from the usual one by more than this part is a damaged record: projections stretch by a
+/// Relative deviation from the median length that marks a damaged record; projections scale by a
 /// tenth of it.
 const STRAY_PART: f64 = 0.01;
-/// With more than one damaged record in so many, none of the others is trusted either.
+/// With more than one damaged record per this many beams, no model is used.
 const BEAMS_PER_STRAY: usize = 20;
-/// Fewer beams than this show nothing.
+/// Minimum number of beams for a model.
 const FEWEST_BEAMS: usize = 30;
-/// A slope of fewer of its standard deviations is rounding: carried on to the vertical, it would make ranges wrong by
-/// more than a stretch that small does.
+/// Significance of the slope, in standard deviations. Below it the slope is attributed to rounding:
+/// extrapolated to the vertical, it would cause larger range errors than a scale that small.
 const SIGNIFICANT_SLOPE_SD: f64 = 4.0;
 
 impl BeamLength {
-    /// Learns from `beams`, displacements per nanosecond, m, each the difference of two points that were rounded to
-    /// `grid_m` and lie `baseline_ns` apart. A few that are damaged do not matter.
+    /// Fits the model to `beams`, in m per ns.
     ///
-    /// `projected` tells whether the frame may be a map, which stretches horizontal distances.
+    /// Each is the difference of two points rounded to `grid_m` and `baseline_ns` apart. A few
+    /// damaged beams are tolerated. `projected`: the frame may be a projected CRS, which scales
+    /// horizontal distances.
     pub fn learn(beams: &[[f64; 3]], grid_m: [f64; 3], baseline_ns: f64, projected: bool) -> BeamLength {
-        // Each coordinate of the difference carries two rounding errors, each uniform over a grid step.
+        // Each coordinate difference has two rounding errors, uniform over a grid step.
         let rounding_m_per_ns =
             grid_m.iter().fold(0.0, |most: f64, step| most.max(*step)) / 6f64.sqrt() / baseline_ns;
         let sound = sound(beams);
@@ -51,7 +53,7 @@ impl BeamLength {
         BeamLength { model: fitted.filter(|_| explained), rms_m_per_ns, rounding_m_per_ns }
     }
 
-    /// The length per nanosecond of a beam, m: by the model where there is one, else its own.
+    /// Length per nanosecond of a beam, m: from the model if there is one, else its own.
     pub fn of(&self, beam: [f64; 3]) -> f64 {
         let square = dot(beam, beam);
         match self.model {
@@ -60,12 +62,13 @@ impl BeamLength {
         }
     }
 
-    /// Length per nanosecond of a vertical beam, which no map projection stretches, m; `None` without a model.
+    /// Length per nanosecond of a vertical beam, which projections do not scale, m; `None` without
+    /// a model.
     pub fn vertical(&self) -> Option<f64> {
         self.model.map(|line| line.square(1.0).sqrt())
     }
 
-    /// What remains against the model, and what the rounding explains, m per ns.
+    /// Residual of the model and expected rounding error, m per ns.
     pub fn residual_and_rounding(&self) -> (f64, f64) {
         (self.rms_m_per_ns, self.rounding_m_per_ns)
     }
@@ -85,7 +88,7 @@ impl Line {
     }
 }
 
-/// The beams about as long as most are.
+/// Selects the beams close to the median length.
 fn sound(beams: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let mut lengths: Vec<f64> = beams.iter().map(|beam| dot(*beam, *beam).sqrt()).collect();
     lengths.sort_by(f64::total_cmp);
@@ -94,8 +97,10 @@ fn sound(beams: &[[f64; 3]]) -> Vec<[f64; 3]> {
     beams.iter().filter(is_sound).copied().collect()
 }
 
-/// The line through (vertical part)^2 and length^2 by least squares; flat where the slope does not stand out of what is
-/// left: with beams that are all alike, or in a Cartesian frame. No beam has the length 0.
+/// Least-squares line of length² over (vertical part)².
+///
+/// It is flat if the slope is not significant: for similar beams, or in a Cartesian frame. No beam
+/// has length 0.
 fn fit(beams: &[[f64; 3]], projected: bool) -> Option<Line> {
     let pair = |beam: &[f64; 3]| (beam[2] * beam[2] / dot(*beam, *beam), dot(*beam, *beam));
     let pairs: Vec<(f64, f64)> = beams.iter().map(pair).collect();
@@ -108,7 +113,7 @@ fn fit(beams: &[[f64; 3]], projected: bool) -> Option<Line> {
         let dx = pair.0 - x;
         (xx + dx * dx / n, xy + dx * (pair.1 - y) / n)
     });
-    // Below a spread of 2 degrees or so there is no slope to be seen.
+    // Below a spread of about 2 degrees the slope is undetermined.
     let slope = if xx > 1e-6 { xy / xx } else { 0.0 };
     let left = pairs.iter().map(|pair| (pair.1 - y - slope * (pair.0 - x)).powi(2)).sum::<f64>() / n;
     let slope_sd = (left / (n * xx.max(1e-6))).sqrt();
@@ -127,7 +132,7 @@ mod tests {
 
     const SPEED: f64 = 0.149_853_751;
 
-    /// Beams across a swath, stretched horizontally by `scale` and rounded to `grid_m` over 1000 ns.
+    /// Beams across a swath, scaled horizontally by `scale` and rounded to `grid_m` over 1000 ns.
     fn beams(scale: f64, grid_m: f64) -> Vec<[f64; 3]> {
         let beam = |i: i32| {
             let (sin, cos) = (f64::from(i) * 0.0005).sin_cos();
@@ -150,13 +155,15 @@ mod tests {
                 let vertical = beam[2] / length.of(beam);
                 let true_length =
                     SPEED / (vertical.powi(2) + (1.0 - vertical.powi(2)) / scale.powi(2)).sqrt();
-                // 500 m of range are right to 2 mm, where each beam's own length is wrong by up to 40.
+                // 500 m of range are accurate to 2 mm; with each beam's own length the error is up
+                // to 40 mm.
                 assert!((length.of(beam) / true_length - 1.0).abs() < 4e-6, "{scale} {beam:?}");
             }
         }
     }
 
-    /// Oblique beams only, as in a geocentric frame: the vertical is far outside what was seen.
+    /// Oblique beams only, as in a geocentric frame: the vertical is far outside the sampled
+    /// directions.
     #[test]
     fn a_slope_that_rounding_explains_is_none() {
         let oblique: Vec<[f64; 3]> = beams(1.0, 0.01)

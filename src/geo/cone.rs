@@ -1,34 +1,35 @@
-//! Beams that turn around an axis, as those of circular scanners do.
+//! Detects beams that rotate about an axis, as those of circular scanners.
 //!
-//! Consecutive steps of the beam turn about the axis of its cone wherever on the cone they are: their cross products sum to the
-//! axis. The beam's azimuth about it grows with time, and two revolutions are compared by it.
+//! Consecutive steps of the beam rotate about the axis of its cone: their cross products add up to
+//! the axis. The azimuth of the beam about it increases with time and serves to compare
+//! revolutions.
 
 use std::f64::consts::{FRAC_PI_3, PI, TAU};
 
 use super::frames::Vector;
 
-/// Beams are compared from this distance of their unit vectors on.
+/// Smallest distance of unit vectors between compared beams.
 const LEAST_STEP: f64 = 0.02;
-/// A longer step is a jump.
+/// Longest step; longer ones are jumps.
 const MOST_STEP: f64 = 0.3;
-/// A turn by more from one step to the next is a reversal.
+/// Largest turn between steps; larger ones are reversals.
 const MOST_TURN_RAD: f64 = FRAC_PI_3;
-/// A curve that has turned so far shows its axis.
+/// Total turn after which the axis is determined.
 const DECIDED_RAD: f64 = FRAC_PI_3;
-/// Least and greatest angle between beam and axis: a plane sweep has 90 degrees.
+/// Smallest and largest angle between beam and axis; it is 90 degrees for a plane sweep.
 const HALF_ANGLES_RAD: [f64; 2] = [0.035, 1.05];
-/// The least angle between beam and axis is at least this part of the greatest.
+/// Smallest ratio of the least to the greatest angle between beam and axis.
 const LEAST_ROUNDNESS: f64 = 0.4;
-/// The axis follows about this many of the last steps: a revolution or two.
+/// Number of recent steps that determine the axis: one or two revolutions.
 const REMEMBERED_STEPS: f64 = 128.0;
-/// The search for an axis restarts after this many steps without a result.
+/// Number of steps without a result after which the search restarts.
 const MOST_STEPS: usize = 512;
 
 /// Axis of the beams of a circular scanner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cone {
     axis: Vector,
-    /// Across the axis: azimuths count from the first to the second.
+    /// Reference directions across the axis; azimuths count from the first towards the second.
     across: [Vector; 2],
 }
 
@@ -45,28 +46,28 @@ impl Cone {
         }
     }
 
-    /// Azimuths about a unit vector that count from a direction.
+    /// Azimuths about a unit vector, counted from a direction.
     fn about(axis: Vector, from: Vector) -> Option<Cone> {
         let along = dot(axis, from);
         let first = unit(std::array::from_fn(|k| from[k] - along * axis[k]))?;
         Some(Cone { axis, across: [first, cross(axis, first)] })
     }
 
-    /// Azimuth of a beam about the axis, rad: from 0 to 2π, growing with time.
+    /// Azimuth of a beam about the axis, rad: 0 to 2π, increasing with time.
     pub fn azimuth_rad(&self, beam: Vector) -> f64 {
         let [x, y] = self.across.map(|across| dot(across, beam));
         let azimuth_rad = libm::atan2(y, x);
         if azimuth_rad < 0.0 { azimuth_rad + TAU } else { azimuth_rad }
     }
 
-    /// How far a beam has turned since another, rad: from -π to π.
+    /// Rotation from one beam to another, rad: -π to π.
     pub fn turned_rad(&self, from: Vector, to: Vector) -> f64 {
         let turned_rad = self.azimuth_rad(to) - self.azimuth_rad(from);
         turned_rad - TAU * (turned_rad / TAU).round()
     }
 }
 
-/// Follows beams in order of time, and finds the axis that they turn around.
+/// Tracks beams in time order and finds their axis of rotation.
 #[derive(Clone, Debug, Default)]
 pub struct Turning {
     beams: Vec<Vector>,
@@ -78,7 +79,7 @@ pub struct Turning {
 }
 
 impl Turning {
-    /// Takes the next beam, a unit vector; one that is not finite is left out.
+    /// Adds the next beam, a unit vector; ignores one that is not finite.
     pub fn add(&mut self, beam: Vector) {
         let Some(&last) = self.beams.last() else {
             if beam.iter().all(|part| part.is_finite()) {
@@ -123,7 +124,7 @@ impl Turning {
         }
     }
 
-    /// Whether a step turns from the one before it without a reversal.
+    /// Whether a step continues the previous one without a reversal.
     fn turns(&self, before: Vector, step: Vector) -> bool {
         dot(before, step) > libm::cos(MOST_TURN_RAD)
     }
@@ -138,12 +139,12 @@ impl Turning {
         }
     }
 
-    /// The cone that the beams lie on; `None` while they have not turned around an axis.
+    /// The cone of the beams; `None` until a rotation is found.
     pub fn cone(&self) -> Option<&Cone> {
         self.cone.as_ref()
     }
 
-    /// How often the beams jumped, turned back, or swept in a plane.
+    /// Number of jumps, reversals and plane sweeps so far.
     pub fn restarts(&self) -> usize {
         self.restarts
     }
@@ -166,7 +167,8 @@ fn cross(a: Vector, b: Vector) -> Vector {
 mod tests {
     use super::*;
 
-    /// Beams at these half angles along and across, 500 in a revolution, `sense` 1 or -1, about an axis that is tilted.
+    /// Beams with these half angles along and across, 500 per revolution, `sense` 1 or -1, about a
+    /// tilted axis.
     fn circle(beams: usize, half_deg: [f64; 2], sense: f64, tilt_deg: f64) -> Vec<Vector> {
         let (sin_tilt, cos_tilt) = tilt_deg.to_radians().sin_cos();
         (0..beams)
@@ -205,7 +207,7 @@ mod tests {
         assert!((turned_rad - TAU * 103.0 / 500.0).abs() < 1e-3, "{turned_rad}");
     }
 
-    /// The axis follows an aircraft that rolls farther than the cone is wide.
+    /// The axis follows an aircraft whose roll exceeds the width of the cone.
     #[test]
     fn the_axis_follows_the_aircraft() {
         let beams: Vec<Vector> =
@@ -225,7 +227,7 @@ mod tests {
             let (sin, cos) = across_deg.to_radians().sin_cos();
             [along, sin, cos]
         };
-        // Lines of a polygon, with some sway; a mirror that swings; a scanner that looks all around.
+        // Lines of a polygon mirror with some sway; an oscillating mirror; a panoramic scanner.
         let lines: Vec<Vector> = (0..4000)
             .map(|k| at(f64::from(k % 200) * 0.3 - 30.0, 0.02 * (f64::from(k) * 1e-3).sin()))
             .collect();
@@ -249,7 +251,7 @@ mod tests {
         beams.drain(600..800);
         let turning = turning(&beams);
         let turned_rad = turning.cone().unwrap().turned_rad(beams[0], beams[750]);
-        // Beam 750 is the 950th, 450 of 500 into its revolution.
+        // Beam 750 is the 950th, at 450 of 500 in its revolution.
         assert!((turned_rad + TAU * 0.1).abs() < 1e-2, "{turned_rad}");
     }
 }

@@ -1,12 +1,14 @@
-//! The conformal latitude, which the conformal projections share, and places by their sines and cosines.
+//! Conformal latitude, shared by the conformal projections, and positions as sines and cosines.
 //!
-//! Everything is made of `+ - * /`, square roots and the crate `libm`: the same bits on every machine.
+//! Only `+ - * /`, square roots and the crate `libm` are used, so results are bit-identical on
+//! every machine.
 
 use super::ellipsoid::{Ellipsoid, Geodetic};
 use super::frames::Vector;
 
-/// The direction of the ellipsoid's normal at a place by the sines and cosines of its angles: what projections need of
-/// it, without the arcs between.
+/// Direction of the ellipsoid normal as sines and cosines of its angles.
+///
+/// Projections need these and not the angles themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Normal {
     /// Sine and cosine of the geodetic latitude; the cosine is not negative.
@@ -16,22 +18,24 @@ pub struct Normal {
 }
 
 impl Normal {
-    /// The normal at a latitude and a longitude, rad.
+    /// Normal at a latitude and longitude, rad.
     pub fn new(latitude_rad: f64, longitude_rad: f64) -> Normal {
         Normal { latitude: libm::sincos(latitude_rad).into(), longitude: libm::sincos(longitude_rad).into() }
     }
 
-    /// The normal through a place in the earth-centred frame, m, and its height, m, for heights from -1000 km up to
-    /// 10 000 km. On the axis the longitude is 0.
+    /// Normal through an earth-centred position, m, and its height, m.
+    ///
+    /// Valid for heights from -1000 km to 10 000 km. On the axis the longitude is 0.
     pub fn through(ellipsoid: Ellipsoid, ecef_m: Vector) -> (Normal, f64) {
         let ([normal], [height_m]) = Normal::through_each(ellipsoid, &[ecef_m]);
         (normal, height_m)
     }
 
-    /// [`Normal::through`] each of some places: the same bits, and faster, as each step is taken for all places at once.
+    /// [`Normal::through`] for several positions: bit-identical and faster, as each step handles
+    /// all positions.
     ///
-    /// Bowring 1976, as [`Ellipsoid::geodetic_of`], with tangents in place of angles; three steps change nothing more
-    /// within a double.
+    /// Bowring 1976, as in [`Ellipsoid::geodetic_of`], with tangents instead of angles; after three
+    /// steps the result is exact to double precision.
     pub fn through_each<const N: usize>(
         ellipsoid: Ellipsoid,
         ecef_m: &[Vector; N],
@@ -65,18 +69,18 @@ impl Normal {
         (std::array::from_fn(normal), height_m)
     }
 
-    /// The tangent of the latitude; large but finite at the poles.
+    /// Tangent of the latitude; large but finite at the poles.
     pub fn tangent(&self) -> f64 {
         let [sine, cosine] = self.latitude;
         sine / cosine.max(1e-20)
     }
 
-    /// Latitude and longitude, rad; the longitude between -π and π.
+    /// Latitude and longitude, rad; the longitude from -π to π.
     pub fn angles_rad(&self) -> (f64, f64) {
         (libm::atan2(self.latitude[0], self.latitude[1]), libm::atan2(self.longitude[0], self.longitude[1]))
     }
 
-    /// Sine and cosine of the longitude counted from a meridian, given by its own.
+    /// Sine and cosine of the longitude relative to a meridian, given likewise.
     pub fn longitude_from(&self, [sine_0, cosine_0]: [f64; 2]) -> [f64; 2] {
         let [sine, cosine] = self.longitude;
         [sine * cosine_0 - cosine * sine_0, cosine * cosine_0 + sine * sine_0]
@@ -89,8 +93,9 @@ impl From<Geodetic> for Normal {
     }
 }
 
-/// Sines and cosines of some angles, or what has their ratio: in columns, so that loops over them become instructions on
-/// whole vectors.
+/// Sines and cosines of several angles, in columns.
+///
+/// May be scaled; the layout allows vectorised loops.
 struct Angles<const N: usize> {
     sines: [f64; N],
     cosines: [f64; N],
@@ -111,21 +116,23 @@ impl<const N: usize> Angles<N> {
     }
 }
 
-/// Sine and cosine of the angle of a vector; those of 0 where it has no length.
+/// Sine and cosine of the angle of a vector; those of angle 0 for the null vector.
 #[inline(always)]
 fn unit(sine: f64, cosine: f64) -> [f64; 2] {
     let length = (sine * sine + cosine * cosine).sqrt();
     if length == 0.0 { [0.0, 1.0] } else { [sine / length, cosine / length] }
 }
 
-/// The tangent of the conformal latitude from that of the geographic one, on an ellipsoid of this (first) eccentricity
-/// (Karney 2011, J. Geod. 85:475, equations 7 to 9).
+/// Tangent of the conformal latitude from that of the geographic latitude.
+///
+/// `eccentricity` is the first eccentricity of the ellipsoid (Karney 2011, J. Geod. 85:475,
+/// equations 7 to 9).
 pub fn conformal_tangent(eccentricity: f64, tangent: f64) -> f64 {
     let [conformal] = conformal_tangents(eccentricity, &[tangent]);
     conformal
 }
 
-/// [`conformal_tangent`] of each of some latitudes.
+/// [`conformal_tangent`] for several latitudes.
 pub fn conformal_tangents<const N: usize>(eccentricity: f64, tangents: &[f64; N]) -> [f64; N] {
     let secants = tangents.map(|tangent| (1.0 + tangent * tangent).sqrt());
     let mut sigmas: [f64; N] = std::array::from_fn(|i| eccentricity * tangents[i] / secants[i]);
@@ -136,8 +143,8 @@ pub fn conformal_tangents<const N: usize>(eccentricity: f64, tangents: &[f64; N]
     std::array::from_fn(conformal)
 }
 
-/// The inverse of [`conformal_tangent`] by Newton's method, which has converged after three steps (Karney 2011, equations
-/// 19 to 21).
+/// Inverse of [`conformal_tangent`] by Newton's method; converges in three steps (Karney 2011,
+/// equations 19 to 21).
 pub fn geographic_tangent(eccentricity: f64, conformal: f64) -> f64 {
     let e2 = eccentricity * eccentricity;
     let mut tangent = conformal / (1.0 - e2);

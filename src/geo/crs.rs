@@ -1,9 +1,10 @@
-//! Coordinate reference systems: from the earth-centred frame to a user's coordinates and back.
+//! Coordinate reference systems: conversion between earth-centred and user coordinates.
 //!
-//! The earth-centred frames of WGS 84, ITRF, ETRS89, NAD83, GDA and their kind are taken as one: no datum shift is applied,
-//! and a system whose datum needs one is refused. Geodetic coordinates are those on the system's own ellipsoid, WGS 84 or
-//! GRS 80, which differ by at most 0.1 mm. Transverse Mercator, Lambert's conformal conic, geodetic and earth-centred
-//! coordinates have the same bits on every machine; other projections follow the system's mathematical library.
+//! The earth-centred frames of WGS 84, ITRF, ETRS89, NAD83, GDA and similar are treated as one: no
+//! datum shift is applied, and a CRS whose datum needs one is rejected. Geodetic coordinates refer
+//! to the CRS's own ellipsoid, WGS 84 or GRS 80, which differ by at most 0.1 mm. Transverse
+//! Mercator, Lambert conformal conic, geodetic and earth-centred coordinates are bit-identical on
+//! every machine; other projections depend on the system's mathematical library.
 
 mod definition;
 mod describe;
@@ -30,31 +31,33 @@ pub use named::{Named, utm_zone_at};
 use projection::Projection;
 pub use unit::Unit;
 
-/// Places that are worked on at a time: as many as let the processor's registers and nearest memory hold all steps.
+/// Number of positions processed together: their intermediate values fit into registers and the
+/// first-level cache.
 const TOGETHER: usize = 16;
 
-/// A coordinate reference system, with its heights and its unit.
+/// Coordinate reference system with its height reference and units.
 #[derive(Debug)]
 pub struct Crs {
     definition: Definition,
     projection: Projection,
     geoid: Option<Arc<Geoid>>,
-    /// Of eastings and northings, or of earth-centred coordinates.
+    /// Unit of eastings and northings, or of earth-centred coordinates.
     unit: Unit,
-    /// Of heights.
+    /// Unit of heights.
     height_unit: Unit,
 }
 
 impl Crs {
-    /// The system that `named` names.
+    /// Creates the CRS that `named` names.
     ///
-    /// `first_place` decides the zone of [`Named::Utm`] and nothing else. With a geoid, heights are above it, else above
-    /// the ellipsoid. Coordinates and heights are in `unit`, where given; else coordinates in that of the system, and
-    /// heights in that of its vertical part, or the same where it has none.
+    /// `first_place` determines only the zone of [`Named::Utm`]. With a geoid, heights are above
+    /// it, otherwise above the ellipsoid. Coordinates and heights are in `unit` if given. Otherwise
+    /// coordinates are in the unit of the CRS, and heights in that of its vertical part, or in the
+    /// same unit without one.
     ///
     /// # Errors
-    /// An unknown code, a text that cannot be read, a datum that needs a shift, a projection that is not supported,
-    /// heights over a geoid without one, or earth-centred coordinates with one.
+    /// An unknown code, unreadable text, a datum that needs a shift, an unsupported projection,
+    /// heights that need a geoid without one, or earth-centred coordinates with one.
     pub fn new(
         named: &Named,
         first_place: Geodetic,
@@ -70,61 +73,66 @@ impl Crs {
         Ok(Crs { definition, projection, geoid, unit, height_unit })
     }
 
-    /// For people: `EPSG:32633 (WGS 84 / UTM zone 33N)`.
+    /// Display name, such as `EPSG:32633 (WGS 84 / UTM zone 33N)`.
     pub fn name(&self) -> &str {
         &self.definition.name
     }
 
-    /// The code of EPSG for the horizontal part, where it has one.
+    /// EPSG code of the horizontal part, if it has one.
     pub fn epsg(&self) -> Option<u32> {
         self.definition.epsg
     }
 
-    /// The unit of x and y, or of all three earth-centred coordinates. Geodetic ones are in degrees, whatever this says.
+    /// Unit of x and y, or of all earth-centred coordinates. Geodetic coordinates are always in
+    /// degrees.
     pub fn unit(&self) -> &Unit {
         &self.unit
     }
 
-    /// The unit of heights.
+    /// Unit of heights.
     pub fn height_unit(&self) -> &Unit {
         &self.height_unit
     }
 
-    /// The geoid from which heights count, else they count from the ellipsoid.
+    /// Geoid to which heights refer; `None` for ellipsoidal heights.
     pub fn geoid(&self) -> Option<&Geoid> {
         self.geoid.as_deref()
     }
 
-    /// The ellipsoid of geodetic coordinates.
+    /// Ellipsoid of geodetic coordinates.
     pub fn ellipsoid(&self) -> Ellipsoid {
         self.definition.ellipsoid
     }
 
-    /// Coordinates are longitude and latitude, degrees.
+    /// Whether coordinates are longitude and latitude, degrees.
     pub fn is_geodetic(&self) -> bool {
         matches!(self.projection, Projection::Geodetic)
     }
 
-    /// Coordinates are earth-centred.
+    /// Whether coordinates are earth-centred.
     pub fn is_ecef(&self) -> bool {
         matches!(self.projection, Projection::Ecef)
     }
 
-    /// The coordinates of a place in the earth-centred frame, m: easting, northing, height; or longitude and latitude in
-    /// degrees and height; or earth-centred ones.
+    /// Converts an earth-centred position, m, to coordinates.
+    ///
+    /// The result is easting, northing, height; or longitude and latitude in degrees and height; or
+    /// earth-centred coordinates.
     ///
     /// # Errors
-    /// The place cannot be projected, or the geoid has no height there.
+    /// The position cannot be projected, or the geoid has no height there.
     pub fn from_ecef(&self, ecef_m: Vector) -> Result<Vector, CrsError> {
         let [coordinates] = self.of_ecef(&[ecef_m])?;
         Ok(coordinates)
     }
 
-    /// Puts the coordinates of places in the earth-centred frame, m, where the places stood: the same as one by one, and
-    /// twice as fast.
+    /// Converts earth-centred positions, m, to coordinates in place.
+    ///
+    /// Equal to [`Crs::from_ecef`] for each position, and twice as fast.
     ///
     /// # Errors
-    /// As [`Crs::from_ecef`], of the first place that has one; then some places may have coordinates already.
+    /// As [`Crs::from_ecef`], for the first failing position; some positions may already be
+    /// converted.
     pub fn replace_ecef(&self, places: &mut [Vector]) -> Result<(), CrsError> {
         let (groups, rest) = places.as_chunks_mut::<TOGETHER>();
         for group in groups {
@@ -144,7 +152,7 @@ impl Crs {
         self.of_normals(&normals, &heights_m)
     }
 
-    /// The coordinates of a place given on the system's ellipsoid.
+    /// Converts a position on the CRS's ellipsoid to coordinates.
     ///
     /// # Errors
     /// As [`Crs::from_ecef`].
@@ -156,10 +164,10 @@ impl Crs {
         Ok(coordinates)
     }
 
-    /// The place in the earth-centred frame, m, of coordinates.
+    /// Converts coordinates to an earth-centred position, m.
     ///
     /// # Errors
-    /// There is no such point on the map, or the geoid has no height there.
+    /// Coordinates outside the projection, or the geoid has no height there.
     pub fn to_ecef(&self, coordinates: Vector) -> Result<Vector, CrsError> {
         if self.is_ecef() {
             return Ok(coordinates.map(|value| value * self.unit.metres));
@@ -167,7 +175,7 @@ impl Crs {
         Ok(self.definition.ellipsoid.ecef_of(self.to_geodetic(coordinates)?))
     }
 
-    /// The place on the system's ellipsoid of coordinates, its longitude between -π and π.
+    /// Converts coordinates to geodetic ones, with longitude from -π to π.
     ///
     /// # Errors
     /// As [`Crs::to_ecef`].
@@ -188,13 +196,14 @@ impl Crs {
         Ok(Geodetic { latitude_rad, longitude_rad, height_m })
     }
 
-    /// The system as WKT 1 (OGC 01-009), as LAS files hold it; with its vertical part where heights count from a geoid or
-    /// are not in metres.
+    /// The CRS as WKT 1 (OGC 01-009), as stored in LAS files.
+    ///
+    /// Has a vertical part if heights refer to a geoid or are not in metres.
     pub fn wkt(&self) -> String {
         describe::wkt(self)
     }
 
-    /// The system as GeoTIFF keys, as LAS files before version 1.4 hold it; `None` where they have no words for it.
+    /// The CRS as GeoTIFF keys, for LAS before 1.4; `None` if they cannot express it.
     pub fn geotiff_keys(&self) -> Option<GeoKeys> {
         geotiff::keys(self)
     }
@@ -212,7 +221,7 @@ impl Crs {
         Ok(coordinates)
     }
 
-    /// Coordinates of a place and what the projection says of it.
+    /// Coordinates from a position and its projection.
     fn of_point(&self, on_map: Option<[f64; 2]>, normal: &Normal, height_m: f64) -> Result<Vector, CrsError> {
         let undulation_m = match &self.geoid {
             None => 0.0,
@@ -240,7 +249,8 @@ impl Crs {
         }
     }
 
-    /// What the projection gives per unit of x and y: metres or degrees, or the own unit of a system of PROJ.
+    /// Size of the projection's unit in units of x and y: metres or degrees, or the CRS's own unit
+    /// with PROJ.
     fn horizontal_scale(&self) -> f64 {
         match self.projection {
             Projection::Geodetic => 1.0,
@@ -264,8 +274,9 @@ fn definition_of(named: &Named, first_place: Geodetic) -> Result<Definition, Crs
     }
 }
 
-/// What the pure part refuses, by PROJ, where this build has it; but for parameters that are missing, which PROJ takes as
-/// zeros.
+/// Falls back to PROJ, if built in, for a rejected CRS.
+///
+/// Not for missing parameters, which PROJ would take as zeros.
 #[cfg(feature = "proj")]
 fn by_proj(named: &Named, refused: CrsError) -> Result<Definition, CrsError> {
     let found = match named {
@@ -282,23 +293,24 @@ fn by_proj(_: &Named, refused: CrsError) -> Result<Definition, CrsError> {
     Err(refused)
 }
 
-/// Heights over a geoid need one, and earth-centred coordinates have no heights.
+/// Checks that geoid and vertical part match: heights above a geoid need one, earth-centred
+/// coordinates have no heights.
 fn check_heights(definition: &Definition, geoid: Option<&Geoid>) -> Result<(), CrsError> {
     match (geoid, definition.vertical_name()) {
         (Some(geoid), _) if definition.method == Method::Ecef => Err(CrsError::Unsupported {
             name: definition.name.clone(),
             problem: format!(
-                "earth-centred coordinates have no height that the geoid {} could change",
+                "earth-centred coordinates have no height to which the geoid {} could apply",
                 geoid.name()
             ),
-            remedy: "leave the geoid out, or choose a projected or geodetic system",
+            remedy: "remove the geoid, or choose a projected or geodetic system",
         }),
         (None, Some(vertical)) => Err(CrsError::NoGeoid { name: definition.name.clone(), vertical }),
         _ => Ok(()),
     }
 }
 
-/// An angle of which every turn is the same, between -π and π.
+/// Reduces an angle to the range -π to π.
 fn within_turn(angle_rad: f64) -> f64 {
     const TURN_RAD: f64 = 2.0 * core::f64::consts::PI;
     if angle_rad.abs() <= core::f64::consts::PI {

@@ -1,40 +1,44 @@
 //! Geodetic and earth-centred coordinates.
 //!
-//! Everything here is made of `+ - * /`, square roots and the crate `libm`: the same bits on every machine.
+//! Only `+ - * /`, square roots and the crate `libm` are used, so results are bit-identical on
+//! every machine.
 
 /// An ellipsoid of revolution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipsoid {
-    /// Half the equatorial diameter, m.
+    /// Semi-major axis, m.
     pub semi_major_m: f64,
-    /// `(a - b) / a` with the half axes `a` and `b`.
+    /// `(a - b) / a` with semi-axes `a` and `b`.
     pub flattening: f64,
 }
 
-/// The ellipsoid of WGS 84 (NGA.STND.0036, table 3.1).
+/// Ellipsoid of WGS 84 (NGA.STND.0036, table 3.1).
 pub const WGS84: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, flattening: 1.0 / 298.257_223_563 };
 
-/// The Geodetic Reference System 1980 (Moritz 2000, J. Geod. 74:128), the ellipsoid of ETRS89 and NAD 83.
+/// Geodetic Reference System 1980 (Moritz 2000, J. Geod. 74:128).
+///
+/// The ellipsoid of ETRS89 and NAD 83.
 pub const GRS80: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, flattening: 1.0 / 298.257_222_101 };
 
-/// A place by its angles and its height on an ellipsoid.
+/// Geodetic coordinates of a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geodetic {
-    /// Between -π/2 and π/2, positive to the north.
+    /// Latitude, -π/2 to π/2, positive to the north.
     pub latitude_rad: f64,
-    /// Between -π and π where computed, positive to the east.
+    /// Longitude, -π to π where computed, positive to the east.
     pub longitude_rad: f64,
-    /// Above the ellipsoid along its normal, m.
+    /// Height above the ellipsoid along its normal, m.
     pub height_m: f64,
 }
 
 impl Ellipsoid {
-    /// The square of the first eccentricity.
+    /// Square of the first eccentricity.
     pub fn eccentricity_squared(&self) -> f64 {
         self.flattening * (2.0 - self.flattening)
     }
 
-    /// A place in the earth-centred, earth-fixed frame, m: x to Greenwich on the equator, z to the north pole.
+    /// Earth-centred, earth-fixed coordinates, m: x towards Greenwich on the equator, z towards the
+    /// north pole.
     pub fn ecef_of(&self, place: Geodetic) -> [f64; 3] {
         let Geodetic { latitude_rad, longitude_rad, height_m } = place;
         let (sine, cosine) = libm::sincos(latitude_rad);
@@ -49,11 +53,14 @@ impl Ellipsoid {
         ]
     }
 
-    /// The geodetic coordinates of a place in the earth-centred frame, m, for heights from -1000 km up to 10 000 km. The
-    /// place comes back within 5e-9 m: five times the step of a double at the earth's radius.
+    /// Geodetic coordinates of an earth-centred position, m, for heights from -1000 km to 10 000
+    /// km.
     ///
-    /// Bowring 1976, "Transformation from spatial to geographical coordinates", Survey Review 23(181): the parametric
-    /// latitude is iterated until nothing changes in a double.
+    /// The position is recovered within 5e-9 m: five times the resolution of a double at the
+    /// earth's radius.
+    ///
+    /// Bowring 1976, "Transformation from spatial to geographical coordinates", Survey Review
+    /// 23(181): the parametric latitude is iterated to double precision.
     pub fn geodetic_of(&self, ecef_m: [f64; 3]) -> Geodetic {
         let [x, y, z] = ecef_m;
         let (a, f, e2) = (self.semi_major_m, self.flattening, self.eccentricity_squared());
@@ -90,7 +97,7 @@ mod tests {
         a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
     }
 
-    /// The closed form in 40 digits; half a unit in the last place of an angle is 0.4 nm, of a coordinate as much.
+    /// Closed form in 40 digits; half a unit in the last place of an angle or coordinate is 0.4 nm.
     #[test]
     fn places_have_their_earth_centred_coordinates() {
         let cases = [
@@ -118,7 +125,7 @@ mod tests {
         }
     }
 
-    /// Half axes b of both (Moritz 2000; NGA.STND.0036): they differ by a tenth of a millimetre.
+    /// Semi-minor axes b (Moritz 2000; NGA.STND.0036): they differ by 0.1 mm.
     #[test]
     fn the_two_ellipsoids_have_their_polar_axes() {
         let polar = |e: Ellipsoid| e.semi_major_m * (1.0 - e.flattening);

@@ -1,34 +1,37 @@
-//! Rotations between the earth, the local horizon and an aircraft's body.
+//! Rotations between the earth, the local horizon and the body frame.
 //!
-//! A rotation `b_from_a` turns the components of a vector in frame `a` into those in frame `b`. Frames: ECEF (see
-//! [`super::ellipsoid`]); NED, ENU: north, east, down or east, north, up at a place, along the ellipsoid's normal; body:
-//! forward, right, down. Everything is made of `+ - * /`, square roots and the crate `libm`.
+//! A rotation `b_from_a` converts the components of a vector from frame `a` to frame `b`. Frames:
+//! ECEF (see [`super::ellipsoid`]); NED, ENU: north, east, down or east, north, up at a position,
+//! along the ellipsoid's normal; body: forward, right, down. Only `+ - * /`, square roots and the
+//! crate `libm` are used.
 
 use super::ellipsoid::{Ellipsoid, Geodetic};
 
-/// A vector's components.
+/// Components of a vector.
 pub type Vector = [f64; 3];
 
-/// A rotation: its rows.
+/// Rotation matrix by rows.
 pub type Rotation = [[f64; 3]; 3];
 
-/// The rotation that changes nothing.
+/// The identity rotation.
 pub const IDENTITY: Rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-/// How a body is turned against north, east, down, as an SBET says it (heading: its platform heading less its wander
-/// angle): `ned_from_body = Rz(heading) Ry(pitch) Rx(roll)`.
+/// Attitude of a body relative to north, east, down, as in an SBET.
+///
+/// `ned_from_body = Rz(heading) Ry(pitch) Rx(roll)`. The heading of an SBET is its platform heading
+/// minus its wander angle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Attitude {
-    /// Right wing down: positive.
+    /// Positive with the right wing down.
     pub roll_rad: f64,
-    /// Nose up: positive; between -π/2 and π/2.
+    /// Positive with the nose up, -π/2 to π/2.
     pub pitch_rad: f64,
-    /// Clockwise from north, seen from above.
+    /// Clockwise from north as seen from above.
     pub heading_rad: f64,
 }
 
 impl Attitude {
-    /// The rotation from the body (forward, right, down) to north, east, down.
+    /// Rotation from the body (forward, right, down) to north, east, down.
     pub fn ned_from_body(&self) -> Rotation {
         let (sr, cr) = libm::sincos(self.roll_rad);
         let (sp, cp) = libm::sincos(self.pitch_rad);
@@ -40,8 +43,9 @@ impl Attitude {
         ]
     }
 
-    /// The angles of such a rotation: roll and heading between -π and π. Where the nose points straight up or down, only
-    /// their sum is determined, and the roll is 0.
+    /// Angles of such a rotation, with roll and heading from -π to π.
+    ///
+    /// If the nose points straight up or down, only their sum is determined, and the roll is 0.
     pub fn of(ned_from_body: &Rotation) -> Attitude {
         let [[xx, xy, _], [yx, yy, _], [zx, zy, zz]] = *ned_from_body;
         let level = (zy * zy + zz * zz).sqrt();
@@ -53,40 +57,40 @@ impl Attitude {
     }
 }
 
-/// `Rz(yaw) Ry(pitch) Rx(roll)` of three angles, rad: how boresights and mounts are given.
+/// `Rz(yaw) Ry(pitch) Rx(roll)` of three angles, rad: the convention of boresight and mount.
 pub fn rotation_of_angles([roll_rad, pitch_rad, yaw_rad]: Vector) -> Rotation {
     Attitude { roll_rad, pitch_rad, heading_rad: yaw_rad }.ned_from_body()
 }
 
-/// The rotation from north, east, down at a place to the earth-centred frame.
+/// Rotation from north, east, down at a position to the earth-centred frame.
 pub fn ecef_from_ned(latitude_rad: f64, longitude_rad: f64) -> Rotation {
     let (sb, cb) = libm::sincos(latitude_rad);
     let (sl, cl) = libm::sincos(longitude_rad);
     [[-sb * cl, -sl, -cb * cl], [-sb * sl, cl, -cb * sl], [cb, 0.0, -sb]]
 }
 
-/// The rotation from east, north, up at a place to the earth-centred frame.
+/// Rotation from east, north, up at a position to the earth-centred frame.
 pub fn ecef_from_enu(latitude_rad: f64, longitude_rad: f64) -> Rotation {
     ecef_from_ned(latitude_rad, longitude_rad).map(|[north, east, down]| [east, north, -down])
 }
 
-/// `rotation` applied to a vector.
+/// Applies `rotation` to a vector.
 pub fn rotate(rotation: &Rotation, v: Vector) -> Vector {
     rotation.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
 }
 
-/// The rotation `first`, then `second`.
+/// The rotation `first` followed by `second`.
 pub fn then(first: &Rotation, second: &Rotation) -> Rotation {
     let columns = inverse(first).map(|column| rotate(second, column));
     inverse(&columns)
 }
 
-/// The rotation back: rows and columns exchanged.
+/// The inverse rotation: the transpose.
 pub fn inverse(rotation: &Rotation) -> Rotation {
     core::array::from_fn(|row| core::array::from_fn(|column| rotation[column][row]))
 }
 
-/// East, north, up of a place, as a frame of coordinates: a Cartesian frame that touches the ellipsoid's horizon there.
+/// Local Cartesian frame: east, north, up, tangential to the ellipsoid's horizon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalFrame {
     ellipsoid: Ellipsoid,
@@ -95,7 +99,7 @@ pub struct LocalFrame {
 }
 
 impl LocalFrame {
-    /// The frame whose origin is this place.
+    /// The frame with its origin at this position.
     pub fn at(ellipsoid: Ellipsoid, origin: Geodetic) -> LocalFrame {
         LocalFrame {
             ellipsoid,
@@ -104,18 +108,18 @@ impl LocalFrame {
         }
     }
 
-    /// The rotation from east, north, up at the origin to the earth-centred frame.
+    /// Rotation from east, north, up at the origin to the earth-centred frame.
     pub fn ecef_from_local(&self) -> &Rotation {
         &self.ecef_from_local
     }
 
-    /// The geodetic coordinates of a point, east, north, up of the origin, m.
+    /// Geodetic coordinates of a point given east, north, up of the origin, m.
     pub fn geodetic_of(&self, local_m: Vector) -> Geodetic {
         let offset = rotate(&self.ecef_from_local, local_m);
         self.ellipsoid.geodetic_of(core::array::from_fn(|axis| self.origin_ecef_m[axis] + offset[axis]))
     }
 
-    /// East, north, up of the origin, m, of a place.
+    /// Local coordinates, east, north, up of the origin, m.
     pub fn local_of(&self, place: Geodetic) -> Vector {
         let ecef_m = self.ellipsoid.ecef_of(place);
         let offset = core::array::from_fn(|axis| ecef_m[axis] - self.origin_ecef_m[axis]);
@@ -134,7 +138,7 @@ mod tests {
         a.iter().zip(b).all(|(a, b)| (a - b).abs() < bound)
     }
 
-    /// Forward, right and down of an aircraft, spelled out for each angle alone.
+    /// Forward, right and down of an aircraft for each angle alone.
     #[test]
     fn angles_turn_as_pilots_say() {
         let body = |roll_rad, pitch_rad, heading_rad| {
@@ -158,7 +162,7 @@ mod tests {
         assert!(near([found.roll_rad, found.pitch_rad, found.heading_rad], [0.0, FRAC_PI_2, 0.7], 1e-9));
     }
 
-    /// At 0 N 0 E north is z, east is y and down points to the centre.
+    /// At 0 N 0 E, north is z, east is y, and down points to the centre.
     #[test]
     fn horizons_of_known_places() {
         let rotation = ecef_from_ned(0.0, 0.0);
@@ -173,7 +177,8 @@ mod tests {
         let frame = LocalFrame::at(WGS84, origin);
         let above = frame.geodetic_of([0.0, 0.0, 1000.0]);
         assert!((above.latitude_rad - 0.83).abs() < 1e-15 && (above.height_m - 1012.0).abs() < 3e-9);
-        // A tangent leaves the ellipsoid by half the square of its length over the radius of curvature.
+        // A tangent departs from the ellipsoid by half the square of its length over the radius of
+        // curvature.
         let aside = frame.geodetic_of([1000.0, 0.0, 0.0]);
         let normal_m = 6_378_137.0 / (1.0 - WGS84.eccentricity_squared() * 0.83f64.sin().powi(2)).sqrt();
         assert!((aside.height_m - 12.0 - 0.5e6 / normal_m).abs() < 1e-6, "{aside:?}");

@@ -1,4 +1,4 @@
-//! The height of the geoid above the ellipsoid, from a grid.
+//! Geoid heights above the ellipsoid, from a grid.
 
 /// A grid of geoid heights.
 #[derive(Clone, Debug, PartialEq)]
@@ -7,48 +7,50 @@ pub struct Geoid {
     grid: Grid,
 }
 
-/// Where the values of a grid lie, and the values.
+/// Layout and values of a grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
-    /// The southernmost row, degrees.
+    /// Latitude of the southernmost row, degrees.
     pub south_deg: f64,
-    /// The westernmost column, degrees to the east of Greenwich; any multiple of 360 more is the same.
+    /// Longitude of the westernmost column, degrees east of Greenwich, modulo 360.
     pub west_deg: f64,
-    /// Between rows, to the north, degrees, positive.
+    /// Row spacing to the north, degrees, positive.
     pub latitude_step_deg: f64,
-    /// Between columns, to the east, degrees, positive.
+    /// Column spacing to the east, degrees, positive.
     pub longitude_step_deg: f64,
-    /// At least 2.
+    /// Number of rows, at least 2.
     pub rows: usize,
-    /// At least 2.
+    /// Number of columns, at least 2.
     pub columns: usize,
-    /// Heights of the geoid above the ellipsoid, m, `rows * columns` of them, from south to north, each row from west to
-    /// east; NaN where there is none.
+    /// Geoid heights above the ellipsoid, m: `rows * columns` values from south to north, each row
+    /// from west to east; NaN if missing.
     pub heights_m: Vec<f32>,
 }
 
-/// The geoid says nothing of a point.
+/// The geoid has no height at a point.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "geoid {geoid}: the point at latitude {latitude_deg:.6}, longitude {longitude_deg:.6} degrees {problem}; \
-     give a geoid that covers the survey, or leave it out for heights above the ellipsoid"
+     use a geoid that covers the survey, or remove it for ellipsoidal heights"
 )]
 pub struct GeoidError {
-    /// The geoid's name.
+    /// Name of the geoid.
     pub geoid: String,
-    /// The point's latitude.
+    /// Latitude of the point.
     pub latitude_deg: f64,
-    /// The point's longitude.
+    /// Longitude of the point.
     pub longitude_deg: f64,
-    /// What is wrong with the point.
+    /// Description of the problem.
     pub problem: String,
 }
 
-/// A point may lie outside by this much of a step: angles are rounded.
+/// Distance by which a point may lie outside, in steps: angles are rounded.
 const SLACK_STEPS: f64 = 1e-9;
 
 impl Geoid {
-    /// A geoid of this name; `None` where the grid is none: fewer than two rows or columns, steps that are not positive,
+    /// A geoid of this name; `None` for an invalid grid.
+    ///
+    /// A grid is invalid with fewer than two rows or columns, steps that are not positive, or
     /// another number of heights.
     pub fn new(name: &str, grid: Grid) -> Option<Geoid> {
         let steps = [grid.latitude_step_deg, grid.longitude_step_deg];
@@ -61,7 +63,7 @@ impl Geoid {
         sound.then(|| Geoid { name: name.into(), grid })
     }
 
-    /// The name under which it was asked for, or the file's.
+    /// The requested name, or that of the file.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -71,8 +73,10 @@ impl Geoid {
         &self.grid
     }
 
-    /// The height of the geoid above the ellipsoid, m, at a latitude and a longitude, degrees: bilinear between the four
-    /// values around the point. The height above the geoid is the one above the ellipsoid less this.
+    /// Geoid height above the ellipsoid, m, at latitude and longitude in degrees.
+    ///
+    /// Bilinear interpolation between the four surrounding values. The height above the geoid is
+    /// the ellipsoidal height minus this.
     ///
     /// # Errors
     /// The point lies outside the grid, or one of the four values is missing.
@@ -95,7 +99,7 @@ impl Geoid {
         Ok(height_m)
     }
 
-    /// The columns around a point; those of a grid around the whole earth are closed.
+    /// The columns around a point; a grid around the whole earth wraps around.
     fn column_span(&self, columns: f64) -> Option<Span> {
         let grid = &self.grid;
         let around = 360.0 / grid.longitude_step_deg;
@@ -104,7 +108,7 @@ impl Geoid {
             let part = columns - first as f64;
             return Some(Span { first: first % grid.columns, next: (first + 1) % grid.columns, part });
         }
-        // A point a rounding error to the west of the grid has gone once around.
+        // A point west of the grid by a rounding error has wrapped around.
         let columns = if around - columns <= SLACK_STEPS { 0.0 } else { columns };
         Span::rows(grid.columns, columns)
     }
@@ -124,17 +128,17 @@ impl Geoid {
     }
 }
 
-/// Two neighbours and the place between them.
+/// Two neighbouring indices, and the position between them.
 #[derive(Clone, Copy)]
 struct Span {
     first: usize,
     next: usize,
-    /// 0 at the first, 1 at the next.
+    /// Fraction: 0 at `first`, 1 at `next`.
     part: f64,
 }
 
 impl Span {
-    /// Around a place counted in steps, among `count` values, at least two; `None` outside.
+    /// The indices around a position in steps among `count` values, at least two; `None` outside.
     fn rows(count: usize, steps: f64) -> Option<Span> {
         let last = (count - 1) as f64;
         if !(steps >= -SLACK_STEPS && steps <= last + SLACK_STEPS) {
@@ -145,7 +149,7 @@ impl Span {
     }
 }
 
-/// Between two values; a missing one that has no weight does not matter.
+/// Linear interpolation; a missing value of weight 0 has no effect.
 fn blend(first: f64, next: f64, part: f64) -> f64 {
     if part == 0.0 {
         first
@@ -178,7 +182,7 @@ mod tests {
         Geoid::new("g", grid).unwrap()
     }
 
-    /// Heights grow by 1 to the east and by 3 to the north of the first value.
+    /// Heights increase by 1 per step to the east and by 3 to the north.
     #[test]
     fn heights_are_bilinear() {
         let geoid = geoid(grid(40.0, 10.0, 0.5, 3, 3));
@@ -196,7 +200,7 @@ mod tests {
             for longitude in [-59.25, 300.75] {
                 assert_eq!(geoid.height_m(14.0, longitude).unwrap(), 1.5, "{west_deg} {longitude}");
             }
-            // A rounding error outside is not outside.
+            // A point outside by a rounding error is accepted.
             assert_eq!(geoid.height_m(14.0 - 1e-13, -60.0 - 1e-13).unwrap(), 0.0);
             assert_eq!(geoid.height_m(15.0 + 1e-13, -59.0 + 1e-13).unwrap(), 8.0);
         }
@@ -207,7 +211,7 @@ mod tests {
         let open = geoid(grid(-90.0, 0.0, 90.0, 3, 4));
         assert_eq!(open.height_m(-90.0, -45.0).unwrap(), 1.5);
         assert_eq!(open.height_m(90.0, 359.999_999).unwrap().round(), 8.0);
-        // The last column may be the first once more.
+        // The last column may repeat the first.
         let mut twice = grid(-90.0, -180.0, 90.0, 3, 5);
         (0..3).for_each(|row| twice.heights_m[row * 5 + 4] = twice.heights_m[row * 5]);
         let twice = geoid(twice);
@@ -220,7 +224,7 @@ mod tests {
         let mut holed = grid(40.0, 10.0, 0.5, 3, 3);
         holed.heights_m[4] = f32::NAN;
         let geoid = geoid(holed);
-        let remedy = "give a geoid that covers the survey, or leave it out for heights above the ellipsoid";
+        let remedy = "use a geoid that covers the survey, or remove it for ellipsoidal heights";
         for (latitude, longitude, problem) in [
             (39.9, 10.5, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
             (41.1, 10.5, "lies outside its area, latitude 40 to 41, longitude 10 to 11"),
@@ -236,7 +240,7 @@ mod tests {
             );
         }
         assert!(geoid.height_m(f64::NAN, 10.5).is_err() && geoid.height_m(40.5, f64::NAN).is_err());
-        // On the line between two values, what lies beside it does not matter.
+        // On the line between two values, the values to its sides have no effect.
         assert_eq!(geoid.height_m(40.0, 10.5).unwrap(), 1.0);
     }
 

@@ -1,13 +1,14 @@
-//! Lambert's conformal conic projection with one or two standard parallels, that of most state planes.
+//! Lambert conformal conic projection with one or two standard parallels.
 //!
-//! Snyder 1987, "Map projections: a working manual", USGS Professional Paper 1395, equations 15-1 to 15-11, with the
-//! isometric latitude in place of its exponential. Everything is made of `+ - * /`, square roots and the crate `libm`: the
-//! same bits on every machine.
+//! Snyder 1987, "Map projections: a working manual", USGS Professional Paper 1395, equations 15-1
+//! to 15-11, with the isometric latitude instead of its exponential. Used by most state planes.
+//! Only `+ - * /`, square roots and the crate `libm` are used, so results are bit-identical on
+//! every machine.
 
 use super::conformal::{Normal, conformal_tangent, geographic_tangent};
 use super::ellipsoid::Ellipsoid;
 
-/// Lambert's conformal conic projection of an ellipsoid.
+/// Lambert conformal conic projection of an ellipsoid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LambertConformal {
     central_meridian_rad: f64,
@@ -16,26 +17,27 @@ pub struct LambertConformal {
     false_easting_m: f64,
     false_northing_m: f64,
     eccentricity: f64,
-    /// The cone's constant: angles on the map over differences of longitude. Negative where the cone opens to the north.
+    /// Cone constant: polar angle in projection over longitude difference; negative if the cone
+    /// opens to the north.
     cone: f64,
-    /// The isometric latitude of the first standard parallel.
+    /// Isometric latitude of the first standard parallel.
     psi_1: f64,
-    /// The first standard parallel's radius on the map, m, with the sign of the cone.
+    /// Projected radius of the first standard parallel, m, with the sign of the cone.
     radius_1_m: f64,
-    /// The radius of the latitude of origin, m.
+    /// Projected radius of the latitude of origin, m.
     origin_m: f64,
 }
 
-/// What defines a Lambert conformal conic projection (EPSG methods 9801 and 9802).
+/// Parameters of a Lambert conformal conic projection (EPSG methods 9801 and 9802).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters {
-    /// The standard parallels, rad, where the scale is even; twice the same for one.
+    /// Standard parallels, rad, along which the scale is constant; equal for one parallel.
     pub standard_parallels_rad: [f64; 2],
-    /// The latitude where the northing is the false northing, rad.
+    /// Latitude of the false northing, rad.
     pub latitude_of_origin_rad: f64,
-    /// The meridian that is straight to the north on the map, rad.
+    /// Meridian that runs straight north in the projection, rad.
     pub central_meridian_rad: f64,
-    /// Scale on the standard parallels.
+    /// Scale factor on the standard parallels.
     pub scale: f64,
     /// Easting on the central meridian, m.
     pub false_easting_m: f64,
@@ -44,14 +46,16 @@ pub struct Parameters {
 }
 
 impl LambertConformal {
-    /// The projection of an ellipsoid with these parameters; `None` where they make no cone: standard parallels on
-    /// both sides of the equator at the same distance, or at a pole.
+    /// Creates the projection; `None` for parameters that define no cone.
+    ///
+    /// These are standard parallels at the same distance on both sides of the equator, or at a
+    /// pole.
     pub fn new(ellipsoid: Ellipsoid, parameters: Parameters) -> Option<LambertConformal> {
         let e2 = ellipsoid.eccentricity_squared();
         let eccentricity = e2.sqrt();
         let [first_rad, second_rad] = parameters.standard_parallels_rad;
         let psi = |latitude_rad: f64| isometric(eccentricity, libm::tan(latitude_rad));
-        // A parallel's radius over the half axis (Snyder 1987, equation 14-15).
+        // Radius of a parallel over the semi-major axis (Snyder 1987, equation 14-15).
         let parallel = |latitude_rad: f64| {
             let (sine, cosine) = libm::sincos(latitude_rad);
             cosine / (1.0 - e2 * sine * sine).sqrt()
@@ -84,12 +88,12 @@ impl LambertConformal {
         projection.origin_m.is_finite().then_some(projection)
     }
 
-    /// Easting and northing, m, of a latitude and a longitude, rad.
+    /// Easting and northing, m, of a latitude and longitude, rad.
     pub fn project(&self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
         self.project_normal(&Normal::new(latitude_rad, longitude_rad))
     }
 
-    /// Easting and northing, m, of a place; not finite at the pole where the cone is open.
+    /// Easting and northing, m, of a position; not finite at the pole on the open side of the cone.
     pub fn project_normal(&self, normal: &Normal) -> (f64, f64) {
         let radius_m = self.radius_m(normal.tangent());
         let [sine, cosine] = normal.longitude_from(self.central_meridian);
@@ -97,7 +101,8 @@ impl LambertConformal {
         (self.false_easting_m + radius_m * sine, self.false_northing_m + self.origin_m - radius_m * cosine)
     }
 
-    /// Latitude and longitude, rad, of an easting and a northing, m; the longitude counts on from the central meridian.
+    /// Latitude and longitude, rad, of easting and northing, m; the longitude is continuous from
+    /// the central meridian.
     pub fn unproject(&self, easting_m: f64, northing_m: f64) -> (f64, f64) {
         let east = easting_m - self.false_easting_m;
         let south = self.origin_m - (northing_m - self.false_northing_m);
@@ -108,14 +113,15 @@ impl LambertConformal {
         (libm::atan(geographic_tangent(self.eccentricity, libm::sinh(psi))), longitude_rad)
     }
 
-    /// The radius on the map of the parallel whose latitude has this tangent, m, with the sign of the cone.
+    /// Projected radius, m, of the parallel with this latitude tangent, with the sign of the cone.
     fn radius_m(&self, tangent: f64) -> f64 {
         let psi = isometric(self.eccentricity, tangent);
         self.radius_1_m * libm::exp(-self.cone * (psi - self.psi_1))
     }
 }
 
-/// The isometric latitude, from the tangent of the geographic one (Karney 2011, J. Geod. 85:475, equation 3).
+/// Isometric latitude from the tangent of the geographic latitude (Karney 2011, J. Geod. 85:475,
+/// equation 3).
 fn isometric(eccentricity: f64, tangent: f64) -> f64 {
     libm::asinh(conformal_tangent(eccentricity, tangent))
 }

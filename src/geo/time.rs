@@ -4,30 +4,30 @@ use std::time::{Duration, SystemTime};
 
 use crate::batch::{InputInfo, TimeScale};
 
-/// Seconds of a GPS week.
+/// Seconds per GPS week.
 pub const WEEK_S: f64 = 604_800.0;
 
-/// What "adjusted" GPS time leaves out, s (ASPRS LAS 1.4 R15, section 2.4, global encoding).
+/// Offset subtracted in "adjusted" GPS time, s (ASPRS LAS 1.4 R15, section 2.4, global encoding).
 pub const ADJUSTMENT_S: f64 = 1e9;
 
-/// Adjusted GPS time of a time on the input's scale; `None` where the input does not tell enough.
+/// Converts an input time to adjusted GPS time; `None` if the week is unknown.
 pub fn adjusted_gps_time(input: &InputInfo, gps_time_s: f64) -> Option<f64> {
     match (input.time_scale, input.gps_week) {
         (TimeScale::Adjusted, _) => Some(gps_time_s),
-        // The difference is a whole number below 2^53: the fraction of a second keeps its bits.
+        // The difference is a whole number below 2^53, so the fraction of a second is exact.
         (TimeScale::Week, Some(week)) => Some(f64::from(week) * WEEK_S - ADJUSTMENT_S + gps_time_s),
         _ => None,
     }
 }
 
-/// The GPS week that a Gregorian date lies in, and the day of that week from Sunday; `None` before 1980-01-06.
+/// GPS week of a Gregorian date, and day of the week from Sunday; `None` before 1980-01-06.
 pub fn gps_week(year: i32, month: u32, day: u32) -> Option<(u32, u32)> {
     let days = days_since_epoch(year, month, day) - days_since_epoch(1980, 1, 6);
     let days = u32::try_from(days).ok()?;
     Some((days / 7, days % 7))
 }
 
-/// The Gregorian date (year, day of the year from 1) of an adjusted GPS time, leap seconds left out.
+/// Gregorian date of an adjusted GPS time, without leap seconds: (year, day of the year from 1).
 pub fn day_of_year(adjusted_s: f64) -> Option<(u16, u16)> {
     let days = ((adjusted_s + ADJUSTMENT_S) / 86_400.0).floor();
     if !(0.0..1e6).contains(&days) {
@@ -41,7 +41,7 @@ pub fn day_of_year(adjusted_s: f64) -> Option<(u16, u16)> {
     Some((year as u16, (day - days_since_epoch(year, 1, 1) + 1) as u16))
 }
 
-/// Days from 0000-03-01 in the Gregorian calendar, counted with years that begin in March.
+/// Days since 0000-03-01 in the Gregorian calendar, with years starting in March.
 fn days_since_epoch(year: i32, month: u32, day: u32) -> i64 {
     let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     let year = i64::from(year);
@@ -52,7 +52,7 @@ fn days_since_epoch(year: i32, month: u32, day: u32) -> i64 {
         - 1
 }
 
-/// A time as ISO 8601, UTC, to a second.
+/// Formats a time as ISO 8601, UTC, to a second.
 pub fn utc(time: SystemTime) -> String {
     let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
     let (days, second) = (since / 86_400, since % 86_400);
@@ -75,7 +75,7 @@ pub fn utc(time: SystemTime) -> String {
     format!("{year:04}-{month:02}-{:02}T{hour:02}:{minute:02}:{:02}Z", day + 1, second % 60)
 }
 
-/// The days of a Gregorian year.
+/// Number of days of a Gregorian year.
 fn days_of(year: u64) -> u64 {
     let is_leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
     if is_leap { 366 } else { 365 }

@@ -1,8 +1,8 @@
-//! One continuous axis of time for a recording and its trajectory.
+//! Common time axis of a recording and its trajectory.
 //!
-//! Both count GPS seconds, but from different days: since 1980 ("adjusted", less 1e9), since Sunday's midnight, or since
-//! any midnight. [`Unwrap`] carries seconds across the end of the week or day; [`align`] finds the week or day in which both
-//! overlap.
+//! Both count GPS seconds, but from different origins: 1980-01-06 ("adjusted", minus 1e9), Sunday's
+//! midnight, or any midnight. [`Unwrap`] continues seconds across the end of the week or day;
+//! [`align`] finds the week or day in which both overlap.
 
 use core::fmt;
 
@@ -12,19 +12,19 @@ use crate::batch::TimeScale;
 /// Seconds of a day.
 pub const DAY_S: f64 = 86_400.0;
 
-/// What seconds count from.
+/// Origin of a time scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Clock {
-    /// From 1980-01-06, less 1e9 s.
+    /// 1980-01-06, minus 1e9 s.
     Adjusted,
-    /// From the midnight before a Sunday.
+    /// The midnight before Sunday.
     Week,
-    /// From any midnight.
+    /// Any midnight.
     Day,
 }
 
 impl Clock {
-    /// The clock of a recording; `None` where it does not say.
+    /// The clock of a recording; `None` if its time scale is unknown.
     pub fn of(scale: TimeScale) -> Option<Clock> {
         match scale {
             TimeScale::Adjusted => Some(Clock::Adjusted),
@@ -34,7 +34,7 @@ impl Clock {
         }
     }
 
-    /// After so many seconds it begins anew; `None`: never.
+    /// Period after which the clock wraps around, s; `None` if it does not.
     pub fn period_s(self) -> Option<f64> {
         match self {
             Clock::Adjusted => None,
@@ -43,7 +43,7 @@ impl Clock {
         }
     }
 
-    /// In words.
+    /// Name in messages.
     pub fn name(self) -> &'static str {
         match self {
             Clock::Adjusted => "adjusted seconds",
@@ -52,33 +52,35 @@ impl Clock {
         }
     }
 
-    /// What adjusted time is more than this clock's, but for whole periods, s.
+    /// Offset from this clock to adjusted time, s, up to whole periods.
     fn base_s(self) -> f64 {
         if self == Clock::Adjusted { 0.0 } else { -ADJUSTMENT_S }
     }
 }
 
-/// Times that are out of order are so by less than this, s.
+/// Largest disorder of times, s.
 const OUT_OF_ORDER_S: f64 = 60.0;
 
-/// Carries times, in their order, across the ends of weeks or days: a step back by over half a period is one. Where times are
-/// out of order about such an end, a step ahead to less than a minute before the last time, a period less, is one back across
-/// it. Any other step stays. A time that is no number stays none, and changes no other.
+/// Unwraps a sequence of times across the ends of weeks or days.
+///
+/// A backward step by over half a period is a wrap-around. For times out of order around it, a
+/// forward step by more than a period minus one minute undoes it. Other steps are kept. A NaN stays
+/// NaN and has no effect on other times.
 #[derive(Clone, Copy, Debug)]
 pub struct Unwrap {
     period_s: Option<f64>,
-    /// NaN before there was a time.
+    /// NaN before the first time.
     last_s: f64,
     periods: f64,
 }
 
 impl Unwrap {
-    /// Begins; the first time stays as it is.
+    /// Starts; the first time is unchanged.
     pub fn new(clock: Clock) -> Unwrap {
         Unwrap { period_s: clock.period_s(), last_s: f64::NAN, periods: 0.0 }
     }
 
-    /// The next time, s, on the axis of the first.
+    /// Converts the next time, s, to the axis of the first.
     pub fn next(&mut self, time_s: f64) -> f64 {
         let Some(period_s) = self.period_s else { return time_s };
         if !time_s.is_finite() {
@@ -95,10 +97,10 @@ impl Unwrap {
     }
 }
 
-/// From when to when something lasted. Its last time may lie beyond the end of the clock's week or day.
+/// Time span; its last time may lie after the end of the clock's week or day.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Times {
-    /// What the seconds count from.
+    /// Origin of the times.
     pub clock: Clock,
     /// The first time, s.
     pub first_s: f64,
@@ -106,7 +108,8 @@ pub struct Times {
     pub last_s: f64,
 }
 
-/// As people say it, and in seconds: `2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430560800.0 to 430562612.5 s, adjusted)`.
+/// Formats as dates and seconds: `2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430560800.0 to
+/// 430562612.5 s, adjusted)`.
 impl fmt::Display for Times {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Times { clock, first_s, last_s } = *self;
@@ -126,7 +129,7 @@ impl fmt::Display for Times {
     }
 }
 
-/// Day, where the clock knows one, and time of day.
+/// Day, if the clock defines it, and time of day.
 fn moment(clock: Clock, time_s: f64) -> (String, String) {
     const DAYS: [&str; 7] = ["Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday"];
     let tenths = (10.0 * (time_s + ADJUSTMENT_S + clock.base_s())).round();
@@ -137,14 +140,15 @@ fn moment(clock: Clock, time_s: f64) -> (String, String) {
     let day = match clock {
         Clock::Adjusted => date(tenths / 10.0 - ADJUSTMENT_S)
             .map_or_else(|| "no date".to_owned(), |[year, month, day]| format!("{year}-{month:02}-{day:02}")),
-        // A float converts to the nearest integer in range.
+        // The cast saturates.
         Clock::Week => DAYS[((tenths / (10.0 * DAY_S)).floor().rem_euclid(7.0) as usize).min(6)].to_owned(),
         Clock::Day => String::new(),
     };
     (day, time)
 }
 
-/// Year, month and day of an adjusted GPS time; `None` before 1980-01-06 and after some 2700 years.
+/// Year, month and day of an adjusted GPS time; `None` before 1980-01-06 and after about 2700
+/// years.
 pub fn date(adjusted_s: f64) -> Option<[u16; 3]> {
     let (year, mut day) = day_of_year(adjusted_s)?;
     let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
@@ -158,7 +162,7 @@ pub fn date(adjusted_s: f64) -> Option<[u16; 3]> {
     None
 }
 
-/// Adjusted GPS time at the midnight a date begins with; `None` for what is no date since 1980-01-06.
+/// Adjusted GPS time at midnight of a date; `None` for invalid dates and before 1980-01-06.
 pub fn adjusted_of_date([year, month, day]: [u16; 3]) -> Option<f64> {
     if !(1..=12).contains(&month) || !(1..=31).contains(&day) {
         return None;
@@ -168,8 +172,9 @@ pub fn adjusted_of_date([year, month, day]: [u16; 3]) -> Option<f64> {
     (date(adjusted_s) == Some([year, month, day])).then_some(adjusted_s)
 }
 
-/// Days, as year and month, with whose first second UTC was one second more behind GPS time (IERS Bulletin C). None has been
-/// announced since.
+/// Start of the months with a new leap second, as year and month (IERS Bulletin C).
+///
+/// From each one on, UTC is one second further behind GPS time. None has been announced since.
 const LEAPS: [(u16, u16); 18] = [
     (1981, 7),
     (1982, 7),
@@ -191,7 +196,7 @@ const LEAPS: [(u16, u16); 18] = [
     (2017, 1),
 ];
 
-/// GPS time less UTC, s, at a moment of UTC, given as adjusted seconds that count UTC's days.
+/// GPS time minus UTC, s, at a UTC moment given as adjusted seconds of UTC days.
 pub fn leap_seconds(adjusted_utc_s: f64) -> f64 {
     let begun = |&&(year, month): &&(u16, u16)| {
         adjusted_of_date([year, month, 1]).is_some_and(|begin_s| begin_s <= adjusted_utc_s)
@@ -199,22 +204,22 @@ pub fn leap_seconds(adjusted_utc_s: f64) -> f64 {
     LEAPS.iter().filter(begun).count() as f64
 }
 
-/// How times of a recording come onto the axis of a trajectory.
+/// Conversion of recording times to the axis of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
-    /// From when to when the recording lasts, on its own clock.
+    /// Time span of the recording on its own clock.
     pub recording: Times,
-    /// From when to when the trajectory lasts.
+    /// Time span of the trajectory.
     pub trajectory: Times,
     base_s: f64,
     period_s: Option<f64>,
 }
 
 impl Alignment {
-    /// The same as [`align`], whether there is an overlap or not: for a recording of which only the beginning is known.
+    /// As [`align`], without requiring an overlap, for recordings of which only the start is known.
     ///
     /// # Errors
-    /// A time of the recording may be more than one moment of the trajectory.
+    /// A time of the recording may match more than one moment of the trajectory.
     pub fn between(recording: Times, trajectory: Times) -> Result<Alignment, Misaligned> {
         let shared = match (recording.clock, trajectory.clock) {
             (Clock::Adjusted, Clock::Adjusted) => Clock::Adjusted,
@@ -229,14 +234,16 @@ impl Alignment {
         Ok(Alignment { recording, trajectory, base_s, period_s })
     }
 
-    /// A time of the recording, s, on the axis of the trajectory: within half a week, or half a day, of its middle, so that
-    /// it does not matter whether the recording's clock has begun anew in between.
+    /// Converts a recording time, s, to the axis of the trajectory.
+    ///
+    /// The result is within half a period of the middle of the trajectory, so wrap-arounds of the
+    /// recording's clock do not matter.
     pub fn on_trajectory(&self, time_s: f64) -> f64 {
         let middle_s = 0.5 * (self.trajectory.first_s + self.trajectory.last_s);
         let periods_s = self
             .period_s
             .map_or(0.0, |period_s| period_s * ((middle_s - (time_s + self.base_s)) / period_s).round());
-        // Both are whole numbers: what is added to the time is exact.
+        // Both are whole numbers, so the sum added to the time is exact.
         time_s + (self.base_s + periods_s)
     }
 
@@ -247,40 +254,41 @@ impl Alignment {
     }
 }
 
-/// Why a recording and a trajectory do not belong together.
+/// Reason why a recording and a trajectory do not match.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Misaligned {
-    /// At no time is there both.
+    /// They have no time in common.
     #[error(
         "the recording and the trajectory have no time in common: the recording lasts from {recording}, the trajectory \
-         from {trajectory}; give the trajectory of this flight, or say what its times count with `trajectory_time`"
+         from {trajectory}; use the trajectory of this flight, or set its time scale with `trajectory_time`"
     )]
     NoOverlap {
-        /// When the recording is.
+        /// Time span of the recording.
         recording: Times,
-        /// When the trajectory is.
+        /// Time span of the trajectory.
         trajectory: Times,
     },
-    /// The trajectory is there more than once for the same time of a week or day.
+    /// The trajectory is longer than the period of the clock, so times are ambiguous.
     #[error(
-        "the trajectory lasts from {trajectory}, so that {} of the recording, which lasts from {recording}, may be more than \
-         one moment of it; cut the trajectory to the flight", shared.name()
+        "the trajectory lasts from {trajectory}, longer than the period of the clock: {} of the recording, which lasts from \
+         {recording}, are ambiguous; cut the trajectory to the flight", shared.name()
     )]
     Ambiguous {
-        /// When the recording is.
+        /// Time span of the recording.
         recording: Times,
-        /// When the trajectory is.
+        /// Time span of the trajectory.
         trajectory: Times,
-        /// What both clocks have in common.
+        /// The clock with the shorter period.
         shared: Clock,
     },
 }
 
-/// Puts a recording's times onto the axis of a trajectory, by the whole weeks or days that make them overlap. A recording
-/// whose clock begins anew may have its last time before its first.
+/// Aligns a recording with a trajectory by whole weeks or days, so that they overlap.
+///
+/// If the clock of the recording wraps around, its last time may precede its first.
 ///
 /// # Errors
-/// There is no such week or day, or more than one.
+/// No such week or day, or more than one.
 pub fn align(recording: Times, trajectory: Times) -> Result<Alignment, Misaligned> {
     let alignment = Alignment::between(recording, trajectory)?;
     let [first_s, last_s] = [recording.first_s, recording.last_s].map(|t| alignment.on_trajectory(t));
@@ -301,7 +309,7 @@ mod tests {
         Times { clock, first_s, last_s }
     }
 
-    /// 2025-05-06 was a Tuesday of week 2365.
+    /// 2025-05-06: Tuesday of GPS week 2365.
     const MIDNIGHT_S: f64 = 2365.0 * WEEK_S + 2.0 * DAY_S - 1e9;
 
     #[test]
@@ -345,7 +353,7 @@ mod tests {
         assert_eq!(
             run_on(Clock::Week, [604_799.5, 0.5, 302_000.0, 1.0]),
             [604_799.5, 604_800.5, 906_800.0, 604_801.0],
-            "a step back by less than half a week stays one"
+            "a step back by less than half a week is kept"
         );
         assert_eq!(
             run_on(Clock::Day, [86_399.0, 1.0, 86_000.0, 2.0]),
@@ -366,10 +374,10 @@ mod tests {
                     "{off_s}: {found_s}"
                 );
             }
-            // The first time is the one behind midnight.
+            // The first time is the one after midnight.
             let mut unwrap = Unwrap::new(clock);
             assert_eq!([0.5, period_s - 0.5, 1.0].map(|time_s| unwrap.next(time_s)), [0.5, -0.5, 1.0]);
-            // A missing time hides no midnight.
+            // A NaN does not hide a midnight.
             let mut unwrap = Unwrap::new(clock);
             unwrap.next(period_s - 1.0);
             unwrap.next(f64::NAN);
@@ -413,7 +421,7 @@ mod tests {
             assert_eq!(alignment.on_trajectory(recording.first_s), MIDNIGHT_S + 36_500.0, "{recording:?}");
             assert!(alignment.is_whole());
         }
-        // The other way round, and a clock that says less than the recording's.
+        // Vice versa, and with a trajectory clock of shorter period than that of the recording.
         for trajectory in [times(Clock::Week, 208_800.0, 212_800.0), times(Clock::Day, 36_000.0, 40_000.0)] {
             for recording in [day, week, adjusted] {
                 let time_s = align(recording, trajectory).unwrap().on_trajectory(recording.last_s);
@@ -452,20 +460,20 @@ mod tests {
             told(times(Clock::Day, 100.0, 200.0), times(Clock::Week, 36_000.0, 37_000.0)),
             "the recording and the trajectory have no time in common: the recording lasts from 00:01:40.0 to 00:03:20.0 GPS \
              (100.0 to 200.0 s of the day), the trajectory from Sunday 10:00:00.0 to 10:16:40.0 GPS (36000.0 to 37000.0 s \
-             of the week); give the trajectory of this flight, or say what its times count with `trajectory_time`"
+             of the week); use the trajectory of this flight, or set its time scale with `trajectory_time`"
         );
         assert_eq!(
             told(times(Clock::Day, 100.0, 200.0), times(Clock::Week, 0.0, 90_000.0)),
-            "the trajectory lasts from Sunday 00:00:00.0 to Monday 01:00:00.0 GPS (0.0 to 90000.0 s of the week), so that \
-             seconds of the day of the recording, which lasts from 00:01:40.0 to 00:03:20.0 GPS (100.0 to 200.0 s of the \
-             day), may be more than one moment of it; cut the trajectory to the flight"
+            "the trajectory lasts from Sunday 00:00:00.0 to Monday 01:00:00.0 GPS (0.0 to 90000.0 s of the week), longer than \
+             the period of the clock: seconds of the day of the recording, which lasts from 00:01:40.0 to 00:03:20.0 GPS \
+             (100.0 to 200.0 s of the day), are ambiguous; cut the trajectory to the flight"
         );
         let week = times(Clock::Adjusted, MIDNIGHT_S, MIDNIGHT_S + WEEK_S);
         assert!(align(week, week).is_ok(), "dates are never ambiguous");
     }
 
     proptest! {
-        /// A time of the flight is found again from whatever is left of it by the recording's clock.
+        /// A flight time is recovered from its value on the recording's clock.
         #[test]
         fn moments_are_found_again(start in 0.0..2e9f64, flight in 1.0..80_000.0f64, part in 0.0..=1.0f64, clocks in 0..9usize) {
             let all = [Clock::Adjusted, Clock::Week, Clock::Day];

@@ -1,14 +1,15 @@
-//! Where a body was, and how it was turned, at any moment between the records of its trajectory.
+//! Interpolation of positions and attitudes between the records of a trajectory.
 //!
-//! Between two records, position and attitude are the cubic through them and their outer neighbours (Lagrange's formula,
-//! for uneven steps as well): the position in the earth-centred frame, the attitude as the rotation from the record
-//! before, in modified Rodrigues parameters. So neither a meridian of 180 degrees nor a heading of 360 nor a pole is
-//! anything special. Times stand on one continuous axis (see [`super::time_axis`]). Everything is made of `+ - * /`, square
-//! roots and the crate `libm`: the same bits on every machine.
+//! Between two records, position and attitude are interpolated by the cubic through them and their
+//! outer neighbours (Lagrange's formula, also for uneven steps). Positions are interpolated in the
+//! earth-centred frame, attitudes as rotations relative to the previous record, in modified
+//! Rodrigues parameters. Therefore the 180-degree meridian, the 360-degree heading and the poles
+//! need no special treatment. Times are on one continuous axis (see [`super::time_axis`]). Results
+//! are bit-identical on every machine: only `+ - * /`, square roots and the crate `libm` are used.
 //!
-//! A step of over twice the median is a [`Gap`]. Interpolation goes on across the short ones, up to
-//! [`LONGEST_BRIDGED_S`] or five median steps, whichever is longer; inside a longer one, as outside of the records, there
-//! is no pose.
+//! A step of over twice the median is a [`Gap`]. Short gaps are interpolated, up to
+//! [`LONGEST_BRIDGED_S`] or five median steps, whichever is longer. Inside longer gaps, and outside
+//! the records, there is no pose.
 
 use core::ops::Range;
 
@@ -22,25 +23,29 @@ mod quaternion;
 mod tests;
 mod time_index;
 
-/// Interpolation goes on across gaps up to this, s. The cubic across a gap `T` misses a sway of amplitude `A` and angular
-/// frequency `w` by up to `A (w T)^4 / 384`: 3 degrees at 0.5 Hz by 0.0012 degrees at 0.2 s, which is 3 cm at 1500 m,
-/// and sixteen times as much at twice the gap.
+/// Longest gap that is interpolated, s.
+///
+/// The error of the cubic across a gap `T`, for a sway of amplitude `A` and angular frequency `w`,
+/// is up to `A (w T)^4 / 384`. For 3 degrees at 0.5 Hz this is 0.0012 degrees at 0.2 s, or 3 cm at
+/// 1500 m, and sixteen times as much for twice the gap.
 pub const LONGEST_BRIDGED_S: f64 = 0.2;
-/// Gaps up to so many median steps are bridged, too: a trajectory of 1 Hz has no shorter ones.
+/// Gaps of up to this many median steps are also interpolated; a trajectory of 1 Hz has no shorter
+/// ones.
 const LONGEST_BRIDGED_STEPS: f64 = 5.0;
-/// A step over so many medians is a gap: over twice, and the thousandth keeps the rounding of times out.
+/// Steps of more than this many medians are gaps: twice, plus a thousandth for the rounding of
+/// times.
 const GAP_STEPS: f64 = 2.001;
-/// A neighbour closer to its record than this share of the step that is bridged says nothing but its own noise.
+/// A neighbour closer than this fraction of the interpolated step is ignored: it adds only noise.
 const CLOSEST: f64 = 1e-3;
 
-/// A record: a place on the ellipsoid of WGS 84, and an attitude.
+/// A record: position on the WGS 84 ellipsoid, and attitude.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// On one continuous axis, s.
+    /// Time on one continuous axis, s.
     pub time_s: f64,
-    /// Of the body's origin.
+    /// Position of the body's origin.
     pub place: Geodetic,
-    /// Of the body against north, east, down at the place.
+    /// Attitude of the body relative to north, east, down at the position.
     pub attitude: Attitude,
 }
 
@@ -53,103 +58,104 @@ pub struct Accuracy {
     pub attitude_sd_rad: [f64; 3],
 }
 
-/// The accuracy at a time; often there are fewer of these than of samples.
+/// Accuracy at a time; usually sparser than the samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AccuracySample {
-    /// On the axis of the trajectory, s.
+    /// Time on the axis of the trajectory, s.
     pub time_s: f64,
-    /// The accuracy then.
+    /// Accuracy at that time.
     pub accuracy: Accuracy,
 }
 
-/// Where the body is, and how it is turned.
+/// Position and orientation of the body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// The body's origin in the earth-centred frame of WGS 84, m.
+    /// Origin of the body in the earth-centred frame of WGS 84, m.
     pub origin_in_ecef_m: Vector,
-    /// From the body (forward, right, down) to the earth-centred frame.
+    /// Rotation from the body (forward, right, down) to the earth-centred frame.
     pub ecef_from_body: Rotation,
-    /// How surely; `None` where nothing says it for this time.
+    /// Accuracy; `None` if unknown at this time.
     pub accuracy: Option<Accuracy>,
 }
 
-/// Two records between which others are missing.
+/// A gap between two records.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gap {
-    /// The record before it, from 0.
+    /// Index of the record before the gap.
     pub record: usize,
-    /// Time of the records before and behind it, s.
+    /// Times of the records before and after it, s.
     pub between_s: [f64; 2],
-    /// Whether there are poses inside.
+    /// Whether poses are interpolated inside.
     pub is_bridged: bool,
 }
 
 impl Gap {
-    /// How long it is, s.
+    /// Length, s.
     pub fn length_s(&self) -> f64 {
         self.between_s[1] - self.between_s[0]
     }
 }
 
-/// Why records are no trajectory. Records are counted from 1 in the messages, from 0 in the fields.
+/// Reason why records are not a valid trajectory. Records count from 1 in messages, from 0 in
+/// fields.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Problem {
-    /// Nothing lies between the records.
-    #[error("{count} record(s): a pose takes two at least")]
+    /// Too few records to interpolate.
+    #[error("{count} record(s): at least two are needed")]
     TooFew {
-        /// How many there are.
+        /// Number of records.
         count: usize,
     },
-    /// More records than are counted.
-    #[error("{count} records: there is room for {} at most", u32::MAX)]
+    /// Too many records to index.
+    #[error("{count} records: at most {} are supported", u32::MAX)]
     TooMany {
-        /// How many there are.
+        /// Number of records.
         count: usize,
     },
-    /// Not a number, infinite, or a latitude beyond the poles.
+    /// NaN, infinite, or a latitude beyond the poles.
     #[error("record {}: its {field} is {value}", record + 1)]
     Implausible {
-        /// Which record.
+        /// Index of the record.
         record: usize,
-        /// Which of its fields.
+        /// Name of the field.
         field: &'static str,
-        /// What stands there.
+        /// Value of the field.
         value: f64,
     },
-    /// Times that run backwards.
+    /// Times run backwards.
     #[error(
-        "record {}: its time {time_s} s lies before the {before_s} s of record {record}{}",
+        "record {}: its time {time_s} s is before the {before_s} s of record {record}{}",
         record + 1,
         and_more(*more)
     )]
     Disorder {
-        /// The record that comes too late.
+        /// Index of the record that is out of order.
         record: usize,
-        /// The time of the record before it, s.
+        /// Time of the previous record, s.
         before_s: f64,
-        /// Its own, s.
+        /// Time of the record, s.
         time_s: f64,
-        /// Later records of this kind.
+        /// Number of further such records.
         more: usize,
     },
-    /// Two records of one time.
+    /// Two records have the same time.
     #[error(
         "records {record} and {} have the same time {time_s} s{}",
         record + 1,
         and_more(*more)
     )]
     Duplicate {
-        /// The second of both.
+        /// Index of the second record.
         record: usize,
-        /// The time of both, s.
+        /// Time of both, s.
         time_s: f64,
-        /// Later records of this kind.
+        /// Number of further such records.
         more: usize,
     },
 }
 
 impl Problem {
-    /// The record at fault, from 0, where it is one.
+    /// Index of the faulty record, if there is one.
     pub fn record(&self) -> Option<usize> {
         match *self {
             Problem::TooFew { .. } | Problem::TooMany { .. } => None,
@@ -159,7 +165,7 @@ impl Problem {
         }
     }
 
-    /// What the user can do.
+    /// Remedy for the user.
     pub fn remedy(&self) -> &'static str {
         match self {
             Problem::TooFew { .. } | Problem::Implausible { .. } => "export it again from its source",
@@ -174,7 +180,7 @@ fn and_more(more: usize) -> String {
     if more == 0 { String::new() } else { format!(" (and {more} more like this)") }
 }
 
-/// A trajectory: see the [module](self). It takes 124 bytes of memory per record.
+/// A trajectory: see the [module](self). Takes 124 bytes of memory per record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     samples: Vec<Sample>,
@@ -194,10 +200,11 @@ struct Node {
 }
 
 impl Trajectory {
-    /// The trajectory through these samples, in order of time.
+    /// Creates a trajectory from samples in order of time.
     ///
     /// # Errors
-    /// Fewer than two samples, numbers that are none, latitudes beyond the poles, times in disorder or twice.
+    /// Fewer than two samples, values that are not finite, latitudes beyond the poles, unordered or
+    /// duplicate times.
     pub fn new(samples: Vec<Sample>) -> Result<Trajectory, Problem> {
         for (record, sample) in samples.iter().enumerate() {
             check_sample(record, sample)?;
@@ -210,32 +217,33 @@ impl Trajectory {
         Ok(Trajectory { samples, nodes, index, median_step_s, longest_bridged_s, gaps, accuracies: None })
     }
 
-    /// The same with accuracies, whose times need not be those of the samples: between two of them they are linear,
-    /// outside of their span there are none.
+    /// Adds accuracies, whose times may differ from those of the samples.
+    ///
+    /// They are interpolated linearly; outside their time span there are none.
     ///
     /// # Errors
-    /// As for [`Trajectory::new`]; the records are those of the accuracies.
+    /// As for [`Trajectory::new`]; record numbers refer to the accuracies.
     pub fn with_accuracies(mut self, samples: Vec<AccuracySample>) -> Result<Trajectory, Problem> {
         self.accuracies = Some(Accuracies::new(&samples)?);
         Ok(self)
     }
 
-    /// The first and the last time, s.
+    /// First and last time, s.
     pub fn span_s(&self) -> [f64; 2] {
         self.index.span_s()
     }
 
-    /// The samples, as they were given.
+    /// The samples as given.
     pub fn samples(&self) -> &[Sample] {
         &self.samples
     }
 
-    /// The usual time from one record to the next, s.
+    /// Median time between records, s.
     pub fn median_step_s(&self) -> f64 {
         self.median_step_s
     }
 
-    /// Gaps up to this have poses inside, s.
+    /// Longest gap that is interpolated, s.
     pub fn longest_bridged_s(&self) -> f64 {
         self.longest_bridged_s
     }
@@ -245,24 +253,26 @@ impl Trajectory {
         &self.gaps
     }
 
-    /// The pose at a time; `None` outside the span and inside gaps that are not bridged.
+    /// Pose at a time; `None` outside the time span and inside gaps that are not interpolated.
     pub fn pose(&self, time_s: f64) -> Option<Pose> {
         self.poses().at(time_s)
     }
 
-    /// Poses at many times, each mostly near the one before: that one's neighbours are looked at once.
+    /// Poses for a sequence of times; neighbours are cached between nearby times.
     pub fn poses(&self) -> Poses<'_> {
         Poses { trajectory: self, last: None }
     }
 
-    /// The records that tell about a time between record `before` and the next: both, and the neighbours on either side
-    /// where no gap lies between; `None` inside a gap that is not bridged.
+    /// Records used to interpolate between record `before` and the next.
+    ///
+    /// Both records, and their outer neighbours unless separated by a gap; `None` inside a gap that
+    /// is not interpolated.
     fn around(&self, before: usize, time_s: f64) -> Option<Range<usize>> {
         let times_s = self.index.times_s();
         let [start_s, end_s] = [times_s[before], times_s[before + 1]];
         let step_s = end_s - start_s;
         if step_s > self.longest_bridged_s {
-            // The record itself is no part of the gap that begins or ends with it.
+            // The bounding records are not part of the gap.
             let at = if time_s == start_s { Some(before) } else { (time_s == end_s).then_some(before + 1) };
             return at.map(|record| record..record + 1);
         }
@@ -273,7 +283,7 @@ impl Trajectory {
     }
 }
 
-/// The poses of a [`Trajectory`].
+/// Sequential access to the poses of a [`Trajectory`].
 #[derive(Clone, Debug)]
 pub struct Poses<'a> {
     trajectory: &'a Trajectory,
@@ -281,7 +291,7 @@ pub struct Poses<'a> {
 }
 
 impl Poses<'_> {
-    /// What [`Trajectory::pose`] tells.
+    /// As [`Trajectory::pose`].
     pub fn at(&mut self, time_s: f64) -> Option<Pose> {
         let trajectory = self.trajectory;
         let times_s = trajectory.index.times_s();
@@ -313,13 +323,13 @@ impl Poses<'_> {
     }
 }
 
-/// The records that tell about the times between two of them.
+/// The records used to interpolate between two of them.
 #[derive(Clone, Debug)]
 struct Neighbours {
-    /// The record before these times.
+    /// Index of the record before the interpolated times.
     before: usize,
     around: Range<usize>,
-    /// How far each of `around` is from that record, and how it is turned from it; zeros behind the last.
+    /// Displacement and rotation of each of `around` relative to that record; zero beyond the last.
     moved_m: [Vector; 4],
     turned: [[f64; 3]; 4],
 }
@@ -347,7 +357,7 @@ impl Node {
     }
 }
 
-/// Lagrange's weights of up to four values at these times, for the value at a time.
+/// Lagrange weights at `time_s` of up to four values at these times.
 fn weights(times_s: &[f64], time_s: f64) -> [f64; 4] {
     let mut weights = [0.0; 4];
     for (j, (weight, own_s)) in weights.iter_mut().zip(times_s).enumerate() {
@@ -423,7 +433,7 @@ fn check_sample(record: usize, sample: &Sample) -> Result<(), Problem> {
     }
 }
 
-/// The index of times that must be strictly ascending.
+/// Index of times that must be strictly ascending.
 fn index(times_s: Vec<f64>) -> Result<TimeIndex, Problem> {
     let count = times_s.len();
     if count < 2 {

@@ -1,13 +1,14 @@
-//! The transverse Mercator projection, of which UTM is one.
+//! Transverse Mercator projection, including UTM.
 //!
-//! Krüger's series to the sixth order of the third flattening, as in Karney 2011, "Transverse Mercator with an accuracy
-//! of a few nanometers", J. Geod. 85:475-485. The error of the series is below 5 nm within 4000 km of the central
-//! meridian. Everything is made of `+ - * /`, square roots and the crate `libm`: the same bits on every machine.
+//! Krüger series to the sixth order of the third flattening, as in Karney 2011, "Transverse
+//! Mercator with an accuracy of a few nanometers", J. Geod. 85:475-485. The error of the series is
+//! below 5 nm within 4000 km of the central meridian. Only `+ - * /`, square roots and the crate
+//! `libm` are used, so results are bit-identical on every machine.
 
 use super::conformal::{Normal, conformal_tangents, geographic_tangent};
 use super::ellipsoid::Ellipsoid;
 
-/// A transverse Mercator projection of an ellipsoid.
+/// Transverse Mercator projection of an ellipsoid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransverseMercator {
     central_meridian_rad: f64,
@@ -15,32 +16,32 @@ pub struct TransverseMercator {
     central_meridian: [f64; 2],
     false_easting_m: f64,
     false_northing_m: f64,
-    /// The central meridian's scale times the rectifying radius, m.
+    /// Scale factor on the central meridian times the rectifying radius, m.
     radius_m: f64,
     eccentricity: f64,
     forward: [f64; 6],
     inverse: [f64; 6],
-    /// The northing of the latitude of origin on the central meridian, less the false northing, m.
+    /// Projected northing of the latitude of origin minus the false northing, m.
     origin_m: f64,
 }
 
-/// What defines a transverse Mercator projection (EPSG method 9807).
+/// Parameters of a transverse Mercator projection (EPSG method 9807).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters {
-    /// The latitude where the northing is the false northing, rad.
+    /// Latitude of the false northing, rad.
     pub latitude_of_origin_rad: f64,
-    /// The meridian of even scale, rad.
+    /// Central meridian, along which the scale is constant, rad.
     pub central_meridian_rad: f64,
-    /// Scale on it.
+    /// Scale factor on the central meridian.
     pub scale: f64,
-    /// Easting on it, m.
+    /// Easting on the central meridian, m.
     pub false_easting_m: f64,
     /// Northing at the latitude of origin, m.
     pub false_northing_m: f64,
 }
 
 impl Parameters {
-    /// Those of a UTM zone, from 1 to 60; `north`: the northern hemisphere's.
+    /// Parameters of a UTM zone, 1 to 60; `north`: northern hemisphere.
     pub fn utm(zone: u8, north: bool) -> Parameters {
         Parameters {
             latitude_of_origin_rad: 0.0,
@@ -53,7 +54,7 @@ impl Parameters {
 }
 
 impl TransverseMercator {
-    /// The projection of an ellipsoid with these parameters.
+    /// Creates the projection of an ellipsoid.
     pub fn new(ellipsoid: Ellipsoid, parameters: Parameters) -> TransverseMercator {
         let n = ellipsoid.flattening / (2.0 - ellipsoid.flattening);
         let n2 = n * n;
@@ -76,27 +77,29 @@ impl TransverseMercator {
         projection
     }
 
-    /// Whether coordinates lie where the series is exact, within 4000 km of the central meridian, and no farther than a
-    /// little over the poles.
+    /// Whether coordinates are in the valid area of the series.
+    ///
+    /// That is within 4000 km of the central meridian, and not far beyond the poles.
     pub fn reaches(&self, easting_m: f64, northing_m: f64) -> bool {
         let from_equator_m = northing_m - self.false_northing_m + self.origin_m;
         (easting_m - self.false_easting_m).abs() < 4e6 && from_equator_m.abs() < 1.2e7
     }
 
-    /// Easting and northing, m, of a latitude and a longitude, rad.
+    /// Easting and northing, m, of a latitude and longitude, rad.
     pub fn project(&self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
         self.project_normal(&Normal::new(latitude_rad, longitude_rad))
     }
 
-    /// Easting and northing, m, of a place.
+    /// Easting and northing, m, of a position.
     pub fn project_normal(&self, normal: &Normal) -> (f64, f64) {
         let [coordinates] = self.project_each(&[*normal]);
         coordinates
     }
 
-    /// Eastings and northings, m, of some places, each step for all of them at once (Karney 2011, equations 7 to 11).
+    /// Eastings and northings, m, of several positions (Karney 2011, equations 7 to 11).
     ///
-    /// The sines of the angles xi and eta are known before the angles are: the harmonics need no more.
+    /// Each step handles all positions. The harmonics need only the sines of the angles xi and eta,
+    /// which are known before the angles.
     pub fn project_each<const N: usize>(&self, normals: &[Normal; N]) -> [(f64, f64); N] {
         let conformal = conformal_tangents(self.eccentricity, &normals.each_ref().map(Normal::tangent));
         let (mut cosines, mut across) = ([0.0; N], [0.0; N]);
@@ -120,8 +123,9 @@ impl TransverseMercator {
         })
     }
 
-    /// Latitude and longitude, rad, of an easting and a northing, m (Karney 2011, equations 15 to 21); the longitude
-    /// counts on from the central meridian, without a jump at 180 degrees.
+    /// Latitude and longitude, rad, of easting and northing, m (Karney 2011, equations 15 to 21).
+    ///
+    /// The longitude is continuous from the central meridian, without a jump at 180 degrees.
     pub fn unproject(&self, easting_m: f64, northing_m: f64) -> (f64, f64) {
         let xi = (northing_m - self.false_northing_m + self.origin_m) / self.radius_m;
         let eta = (easting_m - self.false_easting_m) / self.radius_m;
@@ -136,7 +140,7 @@ impl TransverseMercator {
     }
 }
 
-/// Coefficients of Karney's equation 35, by the order of the harmonic: the factors of n^j, n^(j+1), ... n^6.
+/// Coefficients of Karney's equation 35 by order of the harmonic: factors of n^j, n^(j+1), ... n^6.
 const FORWARD: [&[f64]; 6] = [
     &[1.0 / 2.0, -2.0 / 3.0, 5.0 / 16.0, 41.0 / 180.0, -127.0 / 288.0, 7891.0 / 37_800.0],
     &[13.0 / 48.0, -3.0 / 5.0, 557.0 / 1440.0, 281.0 / 630.0, -1_983_433.0 / 1_935_360.0],
@@ -156,7 +160,7 @@ const INVERSE: [&[f64]; 6] = [
     &[20_648_693.0 / 638_668_800.0],
 ];
 
-/// The harmonics' factors for a third flattening.
+/// Factors of the harmonics for a third flattening.
 fn series(n: f64, coefficients: &[&[f64]; 6]) -> [f64; 6] {
     let mut power = 1.0;
     coefficients.map(|factors| {
@@ -165,8 +169,11 @@ fn series(n: f64, coefficients: &[&[f64]; 6]) -> [f64; 6] {
     })
 }
 
-/// The sums of `c_j sin(2j xi) cosh(2j eta)` and `c_j cos(2j xi) sinh(2j eta)`: the parts of `c_j sin(2j (xi + i eta))`, by
-/// Clenshaw's recurrence in complex numbers. Given are the sine and cosine of `xi` and the hyperbolic ones of `eta`.
+/// Sums of `c_j sin(2j xi) cosh(2j eta)` and `c_j cos(2j xi) sinh(2j eta)`.
+///
+/// These are the real and imaginary parts of the sum of `c_j sin(2j (xi + i eta))`, by Clenshaw's
+/// recurrence in complex numbers. Arguments are the sine and cosine of `xi` and the hyperbolic sine
+/// and cosine of `eta`.
 fn harmonics<const N: usize>(
     coefficients: &[f64; 6],
     [sin, cos]: [[f64; N]; 2],
@@ -208,7 +215,8 @@ mod tests {
         TransverseMercator::new(WGS84, Parameters { central_meridian_rad, ..Parameters::utm(31, true) })
     }
 
-    /// The projection as the complex continuation of the meridian's length, integrated in 40 digits.
+    /// The projection as the complex continuation of the meridian arc length, integrated in 40
+    /// digits.
     #[test]
     fn places_have_their_coordinates_on_the_map() {
         let cases = [

@@ -1,10 +1,10 @@
-//! Down and height at a place in an input's frame.
+//! Vertical direction and height in the frame of an input.
 
 use super::ellipsoid::WGS84;
 use super::frames::Vector;
 use crate::batch::Frame;
 
-/// The unit vector straight down at a place (m in `frame`); `None` where the frame does not tell: an instrument's own.
+/// Unit vector straight down at a position (m in `frame`); `None` for instrument frames.
 pub fn down_at(frame: Frame, place_m: Vector) -> Option<Vector> {
     match frame {
         Frame::Map => Some([0.0, 0.0, -1.0]),
@@ -18,7 +18,7 @@ pub fn down_at(frame: Frame, place_m: Vector) -> Option<Vector> {
     }
 }
 
-/// The height of a place (m in `frame`): over the map's zero or over the ellipsoid; `None` where the frame does not tell.
+/// Height of a position (m in `frame`), projected or ellipsoidal; `None` for instrument frames.
 pub fn height_m(frame: Frame, place_m: Vector) -> Option<f64> {
     match frame {
         Frame::Map => Some(place_m[2]),
@@ -27,8 +27,10 @@ pub fn height_m(frame: Frame, place_m: Vector) -> Option<f64> {
     }
 }
 
-/// The axis, with its sign, that the mean of some directions is nearest to: down in an instrument's own frame, because
-/// scanners are mounted in more than one way, and look down on average.
+/// Signed axis nearest to the mean of some directions.
+///
+/// Serves as down in instrument frames: scanners are mounted in various ways, but look down on
+/// average.
 pub fn main_axis(directions: impl IntoIterator<Item = Vector>) -> Vector {
     let mut sum = [0.0; 3];
     for direction in directions {

@@ -1,6 +1,7 @@
-//! What a calibration says of a scanner: its lever arm, its boresight, and how its ranges and angles are off.
+//! Scanner calibration: lever arm, boresight, and range and angle corrections.
 //!
-//! The parameters e0 to e7 have public names, but neither public signs nor units: those here are this program's own.
+//! The parameters e0 to e7 have public names, but no public signs or units: those here are this
+//! program's own.
 
 use std::path::Path;
 
@@ -10,51 +11,54 @@ use serde::{Deserialize, Serialize};
 use crate::batch::ReturnChannel;
 use crate::formats::{Error, Result};
 
-/// A calibration; all zero: none.
+/// Calibration; all zero means none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Calibration {
-    /// From the place that the trajectory tells to the scanner's centre, in the aircraft's axes: forward, right, down.
+    /// Lever arm from trajectory to scanner origin, m, in body axes: forward, right, down.
     pub lever_arm_m: [f64; 3],
-    /// How the scanner is turned before its mount turns it: roll, pitch and yaw, `Rz(yaw) Ry(pitch) Rx(roll)`.
+    /// Boresight rotation, applied before the mount, degrees: roll, pitch and yaw, `Rz(yaw)
+    /// Ry(pitch) Rx(roll)`.
     pub boresight_deg: [f64; 3],
-    /// Added to every range, m.
+    /// Range offset, m.
     pub e0: f64,
-    /// Part of every range that is added to it.
+    /// Range scale correction: this fraction of every range is added to it.
     pub e1: f64,
-    /// Part of the scan angle that is added to it.
+    /// Scan angle scale correction: this fraction of the angle is added to it.
     pub e2: f64,
-    /// Part of the scan angle's square that is added to it, per radian.
+    /// Quadratic scan angle correction, per radian.
     pub e3: f64,
-    /// Part of the scan angle's cube that is added to it, per square radian.
+    /// Cubic scan angle correction, per square radian.
     pub e4: f64,
-    /// Of no effect.
+    /// No effect.
     pub e5: f64,
-    /// Added to every scan angle, radians.
+    /// Scan angle offset, radians.
     pub e6: f64,
-    /// Added to the ranges of the low-power receiver, m.
+    /// Range offset of the low-power receiver, m.
     pub e7: f64,
 }
 
-/// A longer file is no calibration.
+/// Size limit of a calibration file, bytes.
 const MOST_BYTES: u64 = 100_000;
 
 const REMEDY: &str = "a calibration is a TOML file with `lever_arm_m`, `boresight_deg` and `e0` to `e7`, or text of 12 to \
-                      14 numbers: lever arm X Y Z (m), boresight roll pitch yaw (degrees), e0 to e5 and, if need be, e6 e7";
+                      14 numbers: lever arm X Y Z (m), boresight roll pitch yaw (degrees), e0 to e5 and optionally e6 e7";
 
 impl Calibration {
-    /// Reads a file: TOML where its name ends in `.toml`, else the 12 to 14 numbers of BayesWavEx's `-calib_corr` (lever
-    /// arm, boresight, e0 to e7), separated by blanks, commas or ends of lines; `#` begins a comment, and words are passed
-    /// over.
+    /// Reads a calibration file.
+    ///
+    /// A name ending in `.toml` means TOML. Other files hold the 12 to 14 numbers of BayesWavEx's
+    /// `-calib_corr` (lever arm, boresight, e0 to e7), separated by spaces, commas or line ends;
+    /// `#` starts a comment, and words are skipped.
     ///
     /// # Errors
-    /// A file that cannot be read, or is none of both.
+    /// A file that cannot be read, or is neither.
     pub fn read(path: &Path) -> Result<Calibration> {
         let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the calibration"))?.len();
         if bytes > MOST_BYTES {
             return Err(Error::unusable(
                 path,
-                format!("{bytes} bytes are too many for a calibration"),
+                format!("{bytes} bytes is too large for a calibration"),
                 REMEDY,
             ));
         }
@@ -73,13 +77,14 @@ impl Calibration {
     fn of_numbers(text: &str) -> std::result::Result<Calibration, String> {
         let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default());
         let words = lines.flat_map(|line| line.split([' ', '\t', ',', ';', '{', '}', ':', '=']));
-        // Names stand before their numbers: `e0`, `Boresight`; what begins as a number does must be one.
+        // Names such as `e0` and `Boresight` precede their numbers; a word that starts like a
+        // number must be one.
         let begins_as_number =
             |word: &&str| word.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
         let mut numbers = [0.0; 14];
         let mut n = 0;
         for word in words.filter(begins_as_number) {
-            let number = word.parse().map_err(|_| format!("`{word}` is no number"))?;
+            let number = word.parse().map_err(|_| format!("`{word}` is not a number"))?;
             if let Some(place) = numbers.get_mut(n) {
                 *place = number;
             }
@@ -103,7 +108,7 @@ impl Calibration {
         })
     }
 
-    /// What the types alone cannot say: lengths and angles that no aircraft has are slips of the pen or of the unit.
+    /// Checks what the types cannot: implausible lengths and angles are typing or unit errors.
     pub(super) fn check(&self) -> std::result::Result<(), String> {
         let within = |values: &[f64], most: f64| values.iter().all(|value| value.abs() <= most);
         let checks = [
@@ -125,25 +130,28 @@ impl Calibration {
         }
     }
 
-    /// The range of a return as it should be, m: `(1 + e1) range + e0`, and `+ e7` on the low-power receiver's scale.
+    /// Corrected range, m: `(1 + e1) range + e0`, and `+ e7` on the scale of the low-power
+    /// receiver.
     pub fn range_m(&self, range_m: f64, on_low_power_scale: bool) -> f64 {
         let of_receiver_m = if on_low_power_scale { self.e7 } else { 0.0 };
         (1.0 + self.e1) * range_m + self.e0 + of_receiver_m
     }
 
-    /// What is to be added to a scan angle, rad: `e6 + e2 angle + e3 angle² + e4 angle³`.
+    /// Scan angle correction, rad: `e6 + e2 angle + e3 angle² + e4 angle³`.
     pub fn angle_correction_rad(&self, angle_rad: f64) -> f64 {
         self.e6 + angle_rad * (self.e2 + angle_rad * (self.e3 + angle_rad * self.e4))
     }
 
-    /// Whether scan angles are right as they are.
+    /// Whether scan angles are left unchanged.
     pub fn keeps_angles(&self) -> bool {
         [self.e2, self.e3, self.e4, self.e6] == [0.0; 4]
     }
 }
 
-/// Whether the time of a return counts on the scale of the low-power receiver: its own returns, and all others once both
-/// receivers were fused, because then the times of the high-power receiver have been moved to its scale.
+/// Whether a return is on the time scale of the low-power receiver.
+///
+/// That holds for its own returns, and for all others once the receivers are fused, because fusion
+/// shifts the times of the high-power receiver to its scale.
 pub fn is_on_low_power_scale(channel: ReturnChannel, fused: bool) -> bool {
     fused || channel != ReturnChannel::High
 }
@@ -183,7 +191,7 @@ mod tests {
     fn what_is_no_calibration_is_refused() {
         let refused = |text: &str| read("calib.txt", text).unwrap_err();
         assert_eq!(refused("1 2 3\n"), format!("it has 3 numbers instead of 12 to 14; {REMEDY}"));
-        assert_eq!(refused("1..2 2 3\n"), format!("`1..2` is no number; {REMEDY}"));
+        assert_eq!(refused("1..2 2 3\n"), format!("`1..2` is not a number; {REMEDY}"));
         let error = refused("200 0 0 0 0 0 0 0 0 0 0 0");
         assert_eq!(error, format!("`lever_arm_m` must be three lengths of at most 100 m; {REMEDY}"));
         let error = refused("0 0 0 400 0 0 0 0 0 0 0 0");
@@ -195,7 +203,7 @@ mod tests {
         let error = read("calib.toml", "e5 = nan").unwrap_err();
         assert_eq!(error, format!("`e5` must be a number; {REMEDY}"));
         let error = refused(&"0 ".repeat(60_000));
-        assert_eq!(error, format!("120000 bytes are too many for a calibration; {REMEDY}"));
+        assert_eq!(error, format!("120000 bytes is too large for a calibration; {REMEDY}"));
         let missing = Calibration::read(Path::new("no_such_calibration")).unwrap_err().to_string();
         assert!(missing.starts_with("no_such_calibration: cannot open the calibration: "), "{missing}");
     }

@@ -1,4 +1,4 @@
-//! The map that a job says a recording is in (`crs_of_input` of the readers).
+//! CRS of a recording as declared by the job (`crs_of_input` of the readers).
 
 use std::path::Path;
 
@@ -7,13 +7,13 @@ use crate::geo::crs::{Crs, CrsError, Named};
 use crate::geo::frames::Vector;
 use crate::stage::Result;
 
-/// What a word must be that names the map of a recording.
-const MUST_BE: &str = "it must name one map: `utm:33N`, `EPSG:2154`, or a file with WKT";
+/// Requirement for names of the CRS of a recording.
+const MUST_BE: &str = "it must name a projected CRS: `utm:33N`, `EPSG:2154`, or a file with WKT";
 
 /// Checks the value of `crs_of_input`.
 ///
 /// # Errors
-/// Words that name no map, or none that is the same everywhere.
+/// A name that is not a CRS, or whose CRS depends on the position.
 pub fn check(word: &str) -> std::result::Result<(), String> {
     match Named::parse(word) {
         Ok(Some(Named::Utm | Named::Geodetic | Named::Ecef)) => Err(MUST_BE.to_owned()),
@@ -23,15 +23,15 @@ pub fn check(word: &str) -> std::result::Result<(), String> {
     }
 }
 
-/// Whether the word is the path of a WKT file.
+/// Whether the value is the path of a WKT file.
 pub fn is_file(word: &str) -> bool {
     matches!(Named::parse(word), Ok(None))
 }
 
-/// The WKT of the map that a word names; that of a file is taken as it is.
+/// WKT of the named CRS; that of a file is returned unchanged.
 ///
 /// # Errors
-/// A code that is not in the table, a file that cannot be read, or a text that is not WKT.
+/// An unknown code, a file that cannot be read, or text that is not WKT.
 pub fn wkt(word: &str, input_dir: &Path) -> Result<String> {
     let (named, of_file) = match Named::parse(word).map_err(|error| failed(&error))? {
         Some(named) => (named, None),
@@ -41,7 +41,7 @@ pub fn wkt(word: &str, input_dir: &Path) -> Result<String> {
         }
     };
     match (Crs::new(&named, ANYWHERE, None, None), of_file) {
-        // A system that cannot be computed with can be passed on all the same.
+        // A valid but unsupported CRS can still be passed on.
         (Ok(_), Some(text)) => Ok(text),
         (Err(error), Some(text)) if !matches!(error, CrsError::Wkt(_)) => Ok(text),
         (Ok(crs), None) => Ok(crs.wkt()),
@@ -49,7 +49,7 @@ pub fn wkt(word: &str, input_dir: &Path) -> Result<String> {
     }
 }
 
-/// Whether two texts of WKT are maps in which a point of the first lies elsewhere; `false` where the first cannot be used.
+/// Whether a point has different coordinates in two WKT CRSs; `false` if the first is unusable.
 pub fn differ(first: &str, second: &str, point: Vector) -> bool {
     let is_usable = Crs::new(&Named::Wkt(first.to_owned()), ANYWHERE, None, None).is_ok();
     is_usable && first != second && !Wanted::of(Named::Wkt(second.to_owned())).is_map(first, point)

@@ -1,4 +1,4 @@
-//! The keys of `[job.geometry]`.
+//! Keys of `[job.geometry]`.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,53 +7,58 @@ use super::calibration::Calibration;
 use super::mount::Mount;
 use crate::stage::{InvalidKey, Keys};
 
-/// The table `[job.geometry]`: where the scanner was, how it is mounted, and in which coordinates points come out.
+/// Table `[job.geometry]`: trajectory, mounting of the scanner, and output coordinates.
 ///
-/// `docs/georeferencing.md` has the formulas. Relative paths start where inputs do.
+/// `docs/georeferencing.md` gives the formulas. Relative paths start at the input folder.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GeometryKeys {
-    /// The file of positions and attitudes: SBET, POF, SOL, TRJ or columns of text, told apart by what is in it; `*` is the
-    /// input's stem. Shots of the scanner's or the aircraft's frame get their pose from it.
+    /// File of positions and attitudes: SBET, POF, SOL, TRJ or columns of text, detected from its
+    /// content; `*` is the input's stem. Shots in the scanner or body frame get their poses from
+    /// it.
     #[schemars(extend("x-file" = "input"))]
     pub trajectory: Option<String>,
-    /// What the times of the trajectory count, where its format does not say it.
+    /// Time scale of the trajectory, if its format does not define it.
     pub trajectory_time: Option<TimeKey>,
-    /// The unit of the trajectory's angles, where its format does not say it.
+    /// Unit of the trajectory's angles, if its format does not define it.
     pub trajectory_angles: Option<AnglesKey>,
-    /// The columns of a trajectory in text, a letter each: `t` time, `x` longitude, `y` latitude, `z` height above the
-    /// ellipsoid, `w` roll, `p` pitch, `k` heading; any other letter passes a column over. Without `w` the roll is 0, with a warning.
+    /// Columns of a text trajectory, one letter each: `t` time, `x` longitude, `y` latitude, `z`
+    /// ellipsoidal height, `w` roll, `p` pitch, `k` heading; any other letter skips a column.
+    /// Without `w` the roll is 0, with a warning.
     #[schemars(extend("x-file" = "none"))]
     pub trajectory_columns: Option<String>,
-    /// What the trajectory's heights count from. When not given: the ellipsoid; but the job's geoid, where there is one, for
-    /// a TRJ, which does not say it.
+    /// Height reference of the trajectory. Defaults to the ellipsoid, except for TRJ, which does
+    /// not define it: there, to the geoid of the job, if one is given.
     pub trajectory_heights: Option<HeightsKey>,
-    /// The file of the trajectory's standard deviations: RIEGL's POQ or Applanix' `smrmsg`; `*` is the input's stem. With it
-    /// points have a total uncertainty.
+    /// File of the trajectory's standard deviations: RIEGL POQ or Applanix `smrmsg`; `*` is the
+    /// input's stem. With it, points get a total uncertainty.
     #[schemars(extend("x-file" = "input"))]
     pub trajectory_accuracy: Option<String>,
-    /// How the scanner's frame stands in the aircraft: a name, or roll, pitch and yaw in degrees; `level` when not given.
+    /// Orientation of the scanner frame in the body frame: a name, or roll, pitch and yaw in
+    /// degrees. Defaults to `level`.
     pub mount: Option<Mount>,
-    /// Lever arm, boresight and internal parameters: a table with `lever_arm_m` (forward, right, down), `boresight_deg` (roll,
-    /// pitch, yaw) and `e0` to `e7`, each 0 when not given; or a file that holds them.
+    /// Lever arm, boresight and internal parameters: a table with `lever_arm_m` (forward, right,
+    /// down), `boresight_deg` (roll, pitch, yaw) and `e0` to `e7`, each 0 by default; or a file
+    /// that contains them.
     #[schemars(extend("x-file" = "input"))]
     pub calibration: Option<CalibrationKey>,
-    /// The coordinates of the points: `utm` (the zone of the first shot), `utm:33N`, `EPSG:2154`, a file with WKT,
-    /// `geodetic` (longitude and latitude in degrees), or `ecef`; `utm` when not given.
+    /// Coordinate reference system of the points: `utm` (the zone of the first shot), `utm:33N`,
+    /// `EPSG:2154`, a file with WKT, `geodetic` (longitude and latitude in degrees), or `ecef`.
+    /// Defaults to `utm`.
     #[schemars(extend("x-file" = "input_or_name"))]
     pub crs: Option<String>,
-    /// The geoid that heights are to count from: the name of a file without its extension (`.bin`, `.gtx`), in any case;
-    /// above the ellipsoid when not given.
+    /// Geoid for heights: name of a file without its extension (`.bin`, `.gtx`), case-insensitive.
+    /// By default heights are ellipsoidal.
     #[schemars(extend("x-file" = "geoid"))]
     pub geoid: Option<String>,
-    /// Where geoids lie; the folder of inputs when not given. Without `geoid` it has no effect.
+    /// Folder of the geoids. Defaults to the input folder. Has no effect without `geoid`.
     #[schemars(extend("x-file" = "geoid_folder"))]
     pub geoid_dir: Option<String>,
-    /// The unit of all three coordinates; that of the coordinate reference system when not given.
+    /// Unit of all three coordinates. Defaults to that of the coordinate reference system.
     pub unit: Option<UnitKey>,
 }
 
-/// What times count.
+/// Time scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TimeKey {
@@ -61,21 +66,21 @@ pub enum TimeKey {
     Week,
     /// Seconds of the day.
     Day,
-    /// Seconds since 1980-01-06 minus 1e9.
+    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
     Adjusted,
 }
 
-/// What heights count from.
+/// Height reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HeightsKey {
-    /// The geoid that the job names.
+    /// The geoid of the job.
     Geoid,
-    /// The ellipsoid of WGS 84.
+    /// The WGS 84 ellipsoid.
     Ellipsoid,
 }
 
-/// The unit of angles.
+/// Unit of angles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AnglesKey {
@@ -85,7 +90,7 @@ pub enum AnglesKey {
     Rad,
 }
 
-/// The unit of coordinates.
+/// Unit of coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum UnitKey {
@@ -97,7 +102,7 @@ pub enum UnitKey {
     Ft,
 }
 
-/// A calibration, or the file that holds it.
+/// A calibration, or the file that contains it.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum CalibrationKey {
@@ -107,7 +112,7 @@ pub enum CalibrationKey {
     Inline(Calibration),
 }
 
-/// What a key is of no use without.
+/// A key, the key it requires, and tests for the presence of both.
 type Companion = (&'static str, &'static str, fn(&GeometryKeys) -> bool, fn(&GeometryKeys) -> bool);
 
 const COMPANIONS: [Companion; 6] = [
@@ -129,19 +134,19 @@ fn has_trajectory(keys: &GeometryKeys) -> bool {
 }
 
 impl GeometryKeys {
-    /// The keys of the table with their meaning.
+    /// The keys of the table with their descriptions.
     pub fn keys() -> Keys {
         Keys::of(GeometryKeys::json_schema)
     }
 
-    /// What the types alone cannot say of the keys.
+    /// Checks what the types alone cannot.
     ///
     /// # Errors
-    /// A key whose value cannot be used, or that is of no use without another.
+    /// A key with an invalid value, or without another key that it requires.
     pub fn check(&self) -> Result<(), InvalidKey> {
         for (key, needs, is_given, has_companion) in COMPANIONS {
             if is_given(self) && !has_companion(self) {
-                return Err(InvalidKey::new(key, format!("it is of no use without `{needs}`")));
+                return Err(InvalidKey::new(key, format!("it has no effect without `{needs}`")));
             }
         }
         let is_wrong = |columns: &str, letter: char| match columns.matches(letter).count() {
@@ -152,7 +157,7 @@ impl GeometryKeys {
             && let Some(missing) = "txyzwpk".chars().find(|&letter| is_wrong(columns, letter))
         {
             let problem =
-                format!("`{missing}` must stand in it once: t, x, y, z, p and k are needed, w is the roll");
+                format!("it must contain `{missing}` once: t, x, y, z, p and k are required, w is the roll");
             return Err(InvalidKey::new("geometry.trajectory_columns", problem));
         }
         if let Some(CalibrationKey::Inline(calibration)) = &self.calibration {
@@ -160,18 +165,18 @@ impl GeometryKeys {
         }
         if let Some(Mount::Angles(degrees)) = self.mount {
             let whole = degrees.iter().all(|angle| angle.abs() <= 360.0);
-            InvalidKey::unless(whole, "geometry.mount", "must be three angles of at most 360 degrees")?;
+            InvalidKey::unless(whole, "geometry.mount", "it must be three angles of at most 360 degrees")?;
         }
         Ok(())
     }
 
-    /// Gives the keys that are not given, and whose defaults hang on no data, the values that count in their place.
+    /// Sets omitted keys to their defaults, where these do not depend on data.
     pub fn spell_out(&mut self) {
         self.mount.get_or_insert_default();
         self.calibration.get_or_insert(CalibrationKey::Inline(Calibration::default()));
     }
 
-    /// Whether the job says where scanners are.
+    /// Whether the job defines scanner poses.
     pub fn places_scanners(&self) -> bool {
         let none = CalibrationKey::Inline(Calibration::default());
         self.trajectory.is_some()
@@ -179,12 +184,12 @@ impl GeometryKeys {
             || self.calibration.as_ref().is_some_and(|calibration| *calibration != none)
     }
 
-    /// Whether the job has a mount that leaves axes other than they are.
+    /// Whether the job has a mount that rotates the scanner axes.
     pub fn turns_scanners(&self) -> bool {
         self.mount.is_some_and(|mount| mount != Mount::default())
     }
 
-    /// Whether the job asks for coordinates of a kind.
+    /// Whether the job requests particular output coordinates.
     pub fn wants_coordinates(&self) -> bool {
         self.crs.is_some() || self.geoid.is_some() || self.unit.is_some()
     }
@@ -202,13 +207,13 @@ mod tests {
     fn a_key_of_no_use_alone_is_refused() {
         for key in ["trajectory_time = 'day'", "trajectory_angles = 'rad'", "trajectory_accuracy = 'a.poq'"] {
             let problem = checked(key).unwrap_err();
-            assert_eq!(problem.problem, "it is of no use without `trajectory`", "{key}");
+            assert_eq!(problem.problem, "it has no effect without `trajectory`", "{key}");
             assert_eq!(checked(&format!("trajectory = 'a.out'\n{key}")), Ok(()));
         }
         let heights = checked("trajectory = 'a.trj'\ntrajectory_heights = 'geoid'").unwrap_err();
-        assert_eq!(heights.problem, "it is of no use without `geoid`");
+        assert_eq!(heights.problem, "it has no effect without `geoid`");
         assert_eq!(checked("trajectory = 'a.trj'\ntrajectory_heights = 'ellipsoid'"), Ok(()));
-        // What several jobs share may name the folder alone.
+        // Keys shared by several jobs may give only the folder.
         assert_eq!(checked("geoid_dir = 'g'"), Ok(()));
     }
 
@@ -217,8 +222,8 @@ mod tests {
         let of = |columns: &str| checked(&format!("trajectory = 'a.txt'\ntrajectory_columns = '{columns}'"));
         assert_eq!(of("txyzwpk"), Ok(()));
         assert_eq!(of("t#yx.zwpk"), Ok(()));
-        assert_eq!(of("xyztpk"), Ok(()), "the roll may be missing");
-        let problem = "`k` must stand in it once: t, x, y, z, p and k are needed, w is the roll";
+        assert_eq!(of("xyztpk"), Ok(()), "the roll is optional");
+        let problem = "it must contain `k` once: t, x, y, z, p and k are required, w is the roll";
         assert_eq!(of("txyzwp"), Err(InvalidKey::new("geometry.trajectory_columns", problem)));
         assert!(of("ttxyzwpk").is_err());
     }
@@ -250,6 +255,9 @@ mod tests {
             ("geometry.calibration", "`lever_arm_m` must be three lengths of at most 100 m")
         );
         let error = checked("mount = [0, 0, 361]").unwrap_err();
-        assert_eq!(error, InvalidKey::new("geometry.mount", "must be three angles of at most 360 degrees"));
+        assert_eq!(
+            error,
+            InvalidKey::new("geometry.mount", "it must be three angles of at most 360 degrees")
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! What the table says, with its files read: one for each run, shared by its stages.
+//! Georeferencing context of a run: the keys with their files read, shared by its stages.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -14,25 +14,25 @@ use crate::geo::time_axis::{Alignment, Clock, Misaligned, Times};
 use crate::geo::trajectory::{Pose, Poses, Trajectory};
 use crate::stage::{Result, StageError};
 
-/// The geometry of a run.
+/// Georeferencing context of a run.
 #[derive(Debug)]
 pub struct Geometry {
     keys: GeometryKeys,
     installation: Installation,
     track: Option<Arc<Track>>,
     wanted: Wanted,
-    /// From the times of the recording to those of the trajectory.
+    /// Maps times of the recording to those of the trajectory.
     alignment: OnceLock<Alignment>,
-    /// The recording's first shot.
+    /// First shot of the recording.
     first: OnceLock<First>,
     target: OnceLock<Cached<Arc<Target>>>,
     is_own_map: OnceLock<bool>,
 }
 
-/// A result that every stage gets: an error is kept by its words, problem and remedy.
+/// A cached result; an error is kept as text with problem and remedy.
 type Cached<T> = std::result::Result<T, String>;
 
-/// Where and when a recording begins.
+/// Position and time of the start of a recording.
 #[derive(Clone, Copy, Debug)]
 struct First {
     frame: Frame,
@@ -40,7 +40,9 @@ struct First {
     time_s: f64,
 }
 
-/// Reads the files of the table: those that all runs share once, and a trajectory again only for another file.
+/// Reads the files of `[job.geometry]`.
+///
+/// Shared files are read once; a trajectory is read again only if the file changes.
 #[derive(Debug)]
 pub struct Loader {
     keys: GeometryKeys,
@@ -51,7 +53,7 @@ pub struct Loader {
 }
 
 impl Default for Geometry {
-    /// No trajectory, and nothing to be corrected.
+    /// No trajectory and no corrections.
     fn default() -> Geometry {
         let installation = Installation::new(&Default::default(), &Calibration::default());
         Geometry::of(GeometryKeys::default(), installation, Wanted::default(), None)
@@ -59,10 +61,10 @@ impl Default for Geometry {
 }
 
 impl Loader {
-    /// Reads what does not depend on the input.
+    /// Reads the files that do not depend on the input.
     ///
     /// # Errors
-    /// A calibration or a geoid that cannot be read, or coordinates that nobody knows.
+    /// A calibration or geoid that cannot be read, or an unknown coordinate reference system.
     pub fn new(keys: &GeometryKeys, input_dir: &Path) -> Result<Loader> {
         let calibration = match &keys.calibration {
             Some(CalibrationKey::File(file)) => Calibration::read(&input_dir.join(file))?,
@@ -78,7 +80,7 @@ impl Loader {
         })
     }
 
-    /// The geometry of the run over the input with this stem.
+    /// Returns the context for the input with this stem.
     ///
     /// # Errors
     /// A trajectory that cannot be read.
@@ -103,14 +105,14 @@ impl Loader {
     }
 }
 
-/// Poses at the times of shots, mostly each near the one before.
+/// Poses at shot times; fastest for nearby consecutive times.
 pub(super) struct ShotPoses<'a> {
     poses: Poses<'a>,
     alignment: &'a Alignment,
 }
 
 impl ShotPoses<'_> {
-    /// The aircraft's pose; `None` where the trajectory does not tell it.
+    /// Pose of the aircraft; `None` outside the trajectory or in a gap.
     pub(super) fn at(&mut self, gps_time_s: f64) -> Option<Pose> {
         self.poses.at(self.alignment.on_trajectory(gps_time_s))
     }
@@ -135,12 +137,12 @@ impl Geometry {
         }
     }
 
-    /// What the job says.
+    /// The keys of the job.
     pub fn keys(&self) -> &GeometryKeys {
         &self.keys
     }
 
-    /// How the scanner sits in the aircraft.
+    /// Mounting and calibration of the scanner.
     pub fn installation(&self) -> &Installation {
         &self.installation
     }
@@ -155,26 +157,26 @@ impl Geometry {
         self.track.as_ref().map(|track| (track.file(), &track.trajectory))
     }
 
-    /// Whether the trajectory tells how sure it is.
+    /// Whether the trajectory has accuracies.
     pub fn knows_accuracy(&self) -> bool {
         self.track.as_ref().is_some_and(|track| track.knows_accuracy)
     }
 
-    /// What the user should know of the trajectory.
+    /// Notes on the trajectory.
     pub(super) fn notes(&self) -> &[String] {
         self.track.as_ref().map_or(&[], |track| &track.notes)
     }
 
-    /// Ties the times of a recording to those of the trajectory, once.
+    /// Aligns the times of a recording with those of the trajectory, once.
     ///
     /// # Errors
-    /// The recording does not say what its times count, or they may mean several moments of the trajectory.
+    /// The time scale of the recording is unknown, or its times are ambiguous on the trajectory.
     pub(super) fn align(&self, input: &InputInfo, first_s: f64) -> Result<()> {
         let (Some(track), None) = (&self.track, self.alignment.get()) else { return Ok(()) };
         let Some(clock) = Clock::of(input.time_scale) else {
             return Err(StageError::failed(
-                "the recording does not say what its times count from: its shots have no place on the trajectory",
-                "use a recording with GPS times, or leave `trajectory` out of `[job.geometry]`",
+                "the time scale of the recording is unknown: its shots cannot be located on the trajectory",
+                "use a recording with GPS times, or remove `trajectory` from `[job.geometry]`",
             ));
         };
         let recording = Times { clock, first_s, last_s: first_s };
@@ -183,12 +185,12 @@ impl Geometry {
         Ok(())
     }
 
-    /// The aircraft's pose at the time of a shot; `None` where the trajectory does not tell it.
+    /// Pose of the aircraft at the time of a shot; `None` outside the trajectory or in a gap.
     pub fn pose(&self, gps_time_s: f64) -> Option<Pose> {
         self.poses()?.at(gps_time_s)
     }
 
-    /// The poses at many times; `None` where there is no trajectory, or none that covers the recording.
+    /// Poses for a sequence of times; `None` without an aligned trajectory.
     pub(super) fn poses(&self) -> Option<ShotPoses<'_>> {
         Some(ShotPoses { poses: self.track.as_ref()?.trajectory.poses(), alignment: self.alignment.get()? })
     }
@@ -198,28 +200,28 @@ impl Geometry {
         self.alignment.get().is_some_and(|found| found.trajectory.last_s < found.on_trajectory(gps_time_s))
     }
 
-    /// The trajectory covers none of the shots, which lasted so long.
+    /// Error if the trajectory covers none of the shots, which span `shots_s`.
     pub(super) fn no_overlap(&self, shots_s: [f64; 2]) -> StageError {
         let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else {
-            return StageError::failed("there is no trajectory", "give `trajectory` in `[job.geometry]`");
+            return StageError::failed("there is no trajectory", "set `trajectory` in `[job.geometry]`");
         };
         let [first_s, last_s] = shots_s;
         let (recording, trajectory) = (Times { first_s, last_s, ..*recording }, *trajectory);
         failed(&Misaligned::NoOverlap { recording, trajectory })
     }
 
-    /// The trajectory covers some of the shots, but not these.
+    /// Note if the trajectory covers only some of the shots.
     pub(super) fn partly_covered(&self, n: u64, [first_s, last_s]: [f64; 2]) -> String {
         let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else {
             return String::new();
         };
         let missing = Times { first_s, last_s, ..*recording };
         format!(
-            "{n} shots are left out, for which the trajectory tells no pose: they are from {missing}, the trajectory from {trajectory}"
+            "{n} shots are rejected, because the trajectory has no pose for them: they last from {missing}, the trajectory from {trajectory}"
         )
     }
 
-    /// Tells of the first shot of the recording; later ones change nothing.
+    /// Sets the first shot of the recording; later calls have no effect.
     pub(super) fn meet(&self, first: &Emission, frame: Frame) {
         let _ = self.first.set(First { frame, place_m: first.origin_m, time_s: time_s(first) });
     }
@@ -229,27 +231,28 @@ impl Geometry {
         time_s(emission) - self.first.get().map_or(0.0, |first| first.time_s)
     }
 
-    /// Where the first shot is, m, if the recording is in this frame.
+    /// Position of the first shot, m, if the recording is in this frame.
     fn first_place_m(&self, frame: Frame) -> Option<Vector> {
         self.first.get().filter(|first| first.frame == frame).map(|first| first.place_m)
     }
 
-    /// The coordinates that points get, the zone being that of the recording's first shot; `None` before any shot has its
-    /// place in the earth's frame.
+    /// The output CRS, with the zone of the first shot; `None` before the first shot in the
+    /// earth-centred frame.
     ///
     /// # Errors
-    /// Coordinates that cannot be had there.
+    /// A CRS that is not usable there.
     pub fn target(&self) -> Result<Option<Arc<Target>>> {
         let Some(first_m) = self.first_place_m(Frame::Earth) else { return Ok(None) };
         let make = || self.wanted.at(first_m).map(Arc::new).map_err(|error| error.to_string());
         self.target.get_or_init(make).clone().map(Some).map_err(|error| failed(&error))
     }
 
-    /// The map that a terrain model is in: that of a code of EPSG, else the one of the points. `None` before any shot has its
-    /// place in the earth's frame.
+    /// The CRS of a terrain model: that of its EPSG code, else that of the points.
+    ///
+    /// `None` before the first shot in the earth-centred frame.
     ///
     /// # Errors
-    /// A system that cannot be used.
+    /// A CRS that cannot be used.
     pub fn map_of(&self, epsg: Option<u16>) -> Result<Option<Arc<Target>>> {
         match (epsg, self.first_place_m(Frame::Earth)) {
             (Some(code), Some(first_m)) => self.wanted.in_map(code).at(first_m).map(Arc::new).map(Some),
@@ -257,10 +260,10 @@ impl Geometry {
         }
     }
 
-    /// Whether a recording in a map may stay there.
+    /// Checks that a recording in a projected CRS may stay there.
     ///
     /// # Errors
-    /// Where the job asks for other coordinates.
+    /// The job requests other coordinates.
     pub fn keep_map(&self, crs_wkt: Option<&str>) -> Result<()> {
         let Some(point) = self.first_place_m(Frame::Map).filter(|_| self.keys.wants_coordinates()) else {
             return Ok(());
@@ -271,35 +274,35 @@ impl Geometry {
         let (name, remedy) = match crs_wkt.and_then(|wkt| wkt.split('"').nth(1)) {
             Some(name) => (
                 name,
-                "leave `crs`, `geoid` and `unit` out, and transform the points with another program, such as PDAL",
+                "remove `crs`, `geoid` and `unit`, and transform the points with another program, such as PDAL",
             ),
             None => (
-                "a map that the recording does not name",
-                "name it with the reader's key `crs_of_input`, or leave `crs`, `geoid` and `unit` out",
+                "an unnamed CRS",
+                "set it with the reader's key `crs_of_input`, or remove `crs`, `geoid` and `unit`",
             ),
         };
         let problem = format!(
-            "the beams of this recording are in {name} already, and `[job.geometry]` asks for other coordinates"
+            "the beams of this recording are already in {name}, but `[job.geometry]` requests other coordinates"
         );
         Err(StageError::failed(problem, remedy))
     }
 
-    /// Whether a recording without a place on the earth may stay so.
+    /// Checks that a recording without georeferencing may stay so.
     ///
     /// # Errors
-    /// Where the job asks for coordinates.
+    /// The job requests coordinates.
     pub fn keep_frame(&self) -> Result<()> {
         if !self.keys.wants_coordinates() {
             return Ok(());
         }
         Err(StageError::failed(
-            "`[job.geometry]` asks for coordinates, and where the shots of this recording are on the earth is not known",
-            "give its `trajectory`, or leave `crs`, `geoid` and `unit` out",
+            "`[job.geometry]` requests coordinates, but this recording is not georeferenced",
+            "set its `trajectory`, or remove `crs`, `geoid` and `unit`",
         ))
     }
 }
 
-/// The time of a shot: GPS time where it has one, else that of the instrument's clock.
+/// Time of a shot, s: GPS time if it has one, else the instrument clock.
 fn time_s(emission: &Emission) -> f64 {
     match emission.gps_time_s {
         time_s if time_s.is_finite() => time_s,

@@ -1,33 +1,34 @@
-//! How a scanner's frame stands in the aircraft.
+//! Orientation of the scanner frame in the body frame.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::geo::frames::{IDENTITY, Rotation, rotation_of_angles};
 
-/// The rotation from the scanner's frame to the aircraft's (forward, right, down): a name, or three angles.
+/// Rotation from the scanner frame to the body frame (forward, right, down): a name, or three
+/// angles.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Mount {
-    /// Which way the scanner's axes look.
+    /// A named orientation of the scanner axes.
     Named(MountName),
     /// Roll, pitch and yaw, degrees: `Rz(yaw) Ry(pitch) Rx(roll)`.
     Angles([f64; 3]),
 }
 
-/// Which way a scanner's axes look.
+/// Orientation of the scanner axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MountName {
-    /// x forward, y right, z down: the aircraft's own axes.
+    /// x forward, y right, z down: the body axes.
     Level,
-    /// x straight down, z to the right, so that y looks forward.
+    /// x down, z right, y forward.
     XDownZRight,
-    /// x straight down, z to the left, so that y looks backward.
+    /// x down, z left, y backward.
     XDownZLeft,
-    /// x straight down, z forward, so that y looks to the left.
+    /// x down, z forward, y left.
     XDownZForward,
-    /// x straight down, z backward, so that y looks to the right.
+    /// x down, z backward, y right.
     XDownZBackward,
 }
 
@@ -38,7 +39,7 @@ impl Default for Mount {
 }
 
 impl Mount {
-    /// From the scanner's frame, boresight aside, to the aircraft's.
+    /// Rotation from the scanner frame, without boresight, to the body frame.
     pub fn body_from_scanner(&self) -> Rotation {
         match self {
             Mount::Angles(degrees) => rotation_of_angles(degrees.map(f64::to_radians)),
@@ -89,7 +90,7 @@ mod tests {
         }
     }
 
-    /// Right wing down by 90 degrees: what was down for the scanner looks to the left.
+    /// Right wing down by 90 degrees: the scanner's down direction points left.
     #[test]
     fn angles_turn_the_scanner_as_they_turn_an_aircraft() {
         let turned = rotate(&Mount::Angles([90.0, 0.0, 0.0]).body_from_scanner(), [0.0, 0.0, 1.0]);

@@ -1,4 +1,4 @@
-//! Gives the shots of a source their poses.
+//! Applies poses to the shots of a source.
 
 use std::sync::Arc;
 
@@ -11,21 +11,23 @@ use crate::geo::trajectory::Pose;
 use crate::geo::vertical::down_at;
 use crate::stage::{Context, Item, Result, Source, StageError};
 
-/// A source whose shots start and point in the earth's frame, where there is a trajectory and they came in the scanner's
-/// or the aircraft's; others stay where they are. Shots with a place on the earth have scan angles and directions.
+/// A source whose shots are converted to the earth-centred frame, given a trajectory.
+///
+/// Only shots in the scanner or body frame are converted. Georeferenced shots get scan angles and
+/// directions.
 pub struct Posed {
     source: Box<dyn Source>,
     geometry: Arc<Geometry>,
     times: Option<Unwrap>,
     coverage: Coverage,
-    /// What the source says of its recording, and what the lines say that leave.
+    /// Metadata from the source, and as emitted.
     input: Option<[Arc<InputInfo>; 2]>,
     angles: ScanAngles,
     has_ended: bool,
 }
 
 impl Posed {
-    /// The source with the poses of a geometry.
+    /// Wraps a source with a georeferencing context.
     pub fn new(source: Box<dyn Source>, geometry: Arc<Geometry>) -> Posed {
         let (coverage, angles) = (Coverage::default(), ScanAngles::default());
         Posed { source, geometry, times: None, coverage, input: None, angles, has_ended: false }
@@ -63,7 +65,7 @@ impl Posed {
     fn finish(&self, cx: &mut Context) -> Result<()> {
         if self.angles.gave_up() {
             cx.note(
-                "scan angles are not known, and are 0 in outputs: the recording has none, and its beams do not show the \
+                "scan angles are unknown, and are 0 in outputs: the recording has none, and its beams do not define the \
                  direction of flight",
             );
         }
@@ -73,11 +75,11 @@ impl Posed {
     fn place(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
         match batch.input.frame {
             Frame::Map if self.geometry.keys().places_scanners() => {
-                cx.note("the recording is in a map already: trajectory, mount and calibration are not used");
+                cx.note("the recording is already in a projected CRS: trajectory, mount and calibration are not used");
             }
             Frame::Earth if self.geometry.keys().places_scanners() => cx.note(
-                "the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns \
-                 ranges and coordinates is used",
+                "the beams of the recording are already georeferenced: of `[job.geometry]`, only the keys for \
+                 ranges and coordinates are used",
             ),
             Frame::Scanner | Frame::Body if self.geometry.has_trajectory() => {
                 self.check_frame(batch.input.frame)?;
@@ -97,18 +99,18 @@ impl Posed {
         Ok(batch)
     }
 
-    /// What is in the aircraft's axes already has no mount.
+    /// Rejects a `mount` for a recording already in body axes.
     fn check_frame(&self, frame: Frame) -> Result<()> {
         if frame == Frame::Body && self.geometry.keys().turns_scanners() {
             return Err(StageError::failed(
-                "the beams of this recording are in the aircraft's axes already, and `[job.geometry]` has a `mount`",
-                "leave `mount` out",
+                "the beams of this recording are already in body axes, but `[job.geometry]` has a `mount`",
+                "remove `mount`",
             ));
         }
         Ok(())
     }
 
-    /// Gives every shot of a line its pose; what has none is rejected.
+    /// Applies the pose to every shot of a line; shots without a pose are rejected.
     fn pose(&mut self, batch: &mut Batch, cx: &mut Context) -> Result<()> {
         unwrap_times(&mut self.times, batch)?;
         let Some(first) = batch.emissions.first() else {
@@ -147,7 +149,7 @@ impl Posed {
         Ok(())
     }
 
-    /// What is known of the recording, now in another frame.
+    /// Metadata of the recording, changed to another frame.
     fn info(&mut self, batch: &Batch, frame: Frame) -> Arc<InputInfo> {
         if let Some([from, to]) = &self.input
             && Arc::ptr_eq(from, &batch.input)
@@ -161,7 +163,8 @@ impl Posed {
     }
 }
 
-/// One shot; `down` is the vertical where the line begins, which is good for all of it.
+/// Applies the pose to one shot; `down` is the vertical at the start of the line, valid for all of
+/// it.
 fn pose_one(geometry: &Geometry, emission: &mut Emission, pose: &Pose, down: &mut Option<[f64; 3]>) {
     geometry.installation().to_body(emission);
     to_earth(emission, pose);
@@ -172,10 +175,10 @@ fn pose_one(geometry: &Geometry, emission: &mut Emission, pose: &Pose, down: &mu
     }
 }
 
-/// Why shots are dropped.
+/// Rejection reason of shots without a pose.
 const OUTSIDE: &str = "outside the trajectory";
 
-/// Drops the shots without a pose and their blocks; `place` says where the others stand now.
+/// Removes the shots without a pose and their blocks; `place` gives the new indices of the others.
 fn reject(batch: &mut Batch, place: &[Option<u32>], cx: &mut Context) {
     cx.reject(Item::Shots, OUTSIDE, place.iter().filter(|place| place.is_none()).count() as u64);
     if let Content::Shots(blocks) = &mut batch.content {
@@ -186,15 +189,15 @@ fn reject(batch: &mut Batch, place: &[Option<u32>], cx: &mut Context) {
     }
 }
 
-/// The times of a line on one continuous axis, going on from those before.
+/// Unwraps the times of a line, continuing from earlier lines.
 fn unwrap_times(times: &mut Option<Unwrap>, batch: &mut Batch) -> Result<()> {
     let clock = Clock::of(batch.input.time_scale).unwrap_or(Clock::Adjusted);
     let times = times.get_or_insert(Unwrap::new(clock));
     for emission in &mut batch.emissions {
         if !emission.gps_time_s.is_finite() {
             return Err(StageError::failed(
-                format!("shot {} has no GPS time: its place on the trajectory is not known", emission.shot),
-                "use a recording with GPS times, or leave `trajectory` out of `[job.geometry]`",
+                format!("shot {} has no GPS time and cannot be located on the trajectory", emission.shot),
+                "use a recording with GPS times, or remove `trajectory` from `[job.geometry]`",
             ));
         }
         emission.gps_time_s = times.next(emission.gps_time_s);
@@ -202,12 +205,12 @@ fn unwrap_times(times: &mut Option<Unwrap>, batch: &mut Batch) -> Result<()> {
     Ok(())
 }
 
-/// Which times of the recording the trajectory covers.
+/// Coverage of the recording by the trajectory.
 #[derive(Debug, Default)]
 struct Coverage {
     /// First and last time of all shots, s.
     span_s: Option<[f64; 2]>,
-    /// First and last time of those without a pose, s.
+    /// First and last time of shots without a pose, s.
     missing_s: Option<[f64; 2]>,
     covered: u64,
     missing: u64,
@@ -224,7 +227,7 @@ impl Coverage {
         }
     }
 
-    /// An error once it is certain that no shot will be covered: the recording has passed the trajectory's end.
+    /// Fails if the trajectory has ended without covering any shot.
     fn check(&self, geometry: &Geometry) -> Result<()> {
         match self.span_s {
             Some(span_s) if self.covered == 0 && geometry.has_ended_before(span_s[0]) => {
@@ -234,7 +237,7 @@ impl Coverage {
         }
     }
 
-    /// Says what was not covered.
+    /// Notes shots that were not covered.
     fn finish(&self, geometry: &Geometry, cx: &mut Context) -> Result<()> {
         if let (0, Some(span_s)) = (self.covered, self.span_s) {
             return Err(geometry.no_overlap(span_s));

@@ -1,7 +1,7 @@
-//! From a beam in the scanner's frame to one in the earth's, and how surely.
+//! Beams from the scanner frame to the earth-centred frame, with their variance.
 //!
-//! `X = X_nav + C_ecef_body (lever + R_mount R_boresight x_scanner)` (docs/georeferencing.md): the trajectory gives `X_nav`
-//! and `C_ecef_body`, the job the rest.
+//! `X = X_nav + C_ecef_body (lever + R_mount R_boresight x_scanner)` (docs/georeferencing.md): the
+//! trajectory gives `X_nav` and `C_ecef_body`, the job the rest.
 
 use super::calibration::Calibration;
 use super::mount::Mount;
@@ -9,13 +9,13 @@ use crate::batch::Emission;
 use crate::geo::frames::{IDENTITY, Rotation, Vector, inverse, rotate, rotation_of_angles, then};
 use crate::geo::trajectory::{Accuracy, Pose};
 
-/// How a scanner sits in the aircraft.
+/// Mounting and calibration of a scanner in the aircraft.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Installation {
     lever_in_body_m: Vector,
     /// Boresight, then mount.
     body_from_scanner: Rotation,
-    /// The mount alone, and back: in the aircraft's axes the scan angle is told.
+    /// The mount alone and its inverse: scan angles are defined in body axes.
     mount: [Rotation; 2],
     calibration: Calibration,
 }
@@ -33,19 +33,19 @@ impl Installation {
         }
     }
 
-    /// Whether the scanner's frame is the aircraft's, and nothing is to be corrected.
+    /// Whether scanner and body frame are equal and angles need no correction.
     pub fn is_plain(&self) -> bool {
         self.lever_in_body_m == [0.0; 3]
             && self.body_from_scanner == IDENTITY
             && self.calibration.keeps_angles()
     }
 
-    /// What the ranges are corrected by.
+    /// The calibration of ranges and angles.
     pub fn calibration(&self) -> &Calibration {
         &self.calibration
     }
 
-    /// Turns a beam of the scanner's frame into one of the aircraft's.
+    /// Converts a beam from the scanner frame to the body frame.
     pub fn to_body(&self, emission: &mut Emission) {
         let origin = rotate(&self.body_from_scanner, emission.origin_m);
         emission.origin_m = sum(origin, self.lever_in_body_m);
@@ -53,8 +53,10 @@ impl Installation {
         emission.direction = rotate(&self.body_from_scanner, direction_in_scanner);
     }
 
-    /// The direction of a beam, in the scanner's frame, with its scan angle as it should be. The scan angle is that of the
-    /// mounted scanner, without boresight: about the axis that looks forward, from straight down, positive to the right.
+    /// Direction of a beam in the scanner frame, with corrected scan angle.
+    ///
+    /// The scan angle is that of the mounted scanner, without boresight: about the forward axis,
+    /// from straight down, positive to the right.
     fn corrected(&self, emission: &mut Emission) -> Vector {
         if self.calibration.keeps_angles() {
             return emission.direction;
@@ -68,21 +70,22 @@ impl Installation {
     }
 }
 
-/// Turns a beam of the aircraft's frame into one of the earth's.
+/// Converts a beam from the body frame to the earth-centred frame.
 pub fn to_earth(emission: &mut Emission, pose: &Pose) {
     emission.origin_m = sum(pose.origin_in_ecef_m, rotate(&pose.ecef_from_body, emission.origin_m));
     emission.direction = rotate(&pose.ecef_from_body, emission.direction);
     emission.frame_scale = 1.0;
 }
 
-/// The angle of a beam off the vertical, across the aircraft's heading, degrees: positive to the right, whatever roll and
-/// pitch. `down` is the vertical at the aircraft.
+/// Angle of a beam off the vertical across the heading, degrees, positive to the right.
+///
+/// Independent of the definition of roll and pitch. `down` is the vertical at the aircraft.
 pub fn scan_angle_deg(direction: Vector, pose: &Pose, down: Vector) -> f64 {
     let right = right_of(pose, down);
     libm::atan2(dot(direction, right), dot(direction, down)).to_degrees()
 }
 
-/// The level direction to the right of the heading.
+/// Horizontal direction to the right of the heading.
 fn right_of(pose: &Pose, down: Vector) -> Vector {
     let forward = inverse(&pose.ecef_from_body)[0];
     let right = cross(down, forward);
@@ -90,8 +93,10 @@ fn right_of(pose: &Pose, down: Vector) -> Vector {
     right.map(|part| part / length)
 }
 
-/// The variance of a point's place, m²: the trace of its covariance, of which position, attitude (each angle moves the
-/// point about its own axis) and range have independent parts. `from_nav` leads from the aircraft's place to the point.
+/// Variance of a point position, m²: the trace of its covariance.
+///
+/// Position, attitude (each angle rotates the point about its own axis) and range contribute
+/// independently. `from_nav_m` is the vector from the aircraft to the point.
 pub fn variance_m2(
     accuracy: &Accuracy,
     pose: &Pose,
@@ -99,7 +104,8 @@ pub fn variance_m2(
     from_nav_m: Vector,
     range_sd_m: f64,
 ) -> f64 {
-    // Heading turns about the vertical, pitch about the level axis to the right, roll about the aircraft's own axis.
+    // Heading rotates about the vertical, pitch about the horizontal right axis, roll about the
+    // longitudinal body axis.
     let axes = [inverse(&pose.ecef_from_body)[0], right_of(pose, down), down];
     let position: f64 = accuracy.position_sd_m.iter().map(|sd| sd * sd).sum();
     let attitude: f64 = axes
@@ -158,7 +164,7 @@ mod tests {
 
     const PLACE: Geodetic = Geodetic { latitude_rad: 0.8, longitude_rad: -2.0, height_m: 700.0 };
 
-    /// The lever arm moves the origin, the boresight turns the scanner before the mount does.
+    /// The lever arm moves the origin; the boresight is applied before the mount.
     #[test]
     fn a_beam_goes_through_boresight_mount_and_lever_arm() {
         let calibration = Calibration {
@@ -170,14 +176,15 @@ mod tests {
         assert!(!installation.is_plain());
         let mut emission = beam([0.1, 0.0, 0.0], [0.0, -1.0, 0.0]);
         installation.to_body(&mut emission);
-        // A yaw of 90 degrees turns x to y, which the mount turns forward; and -y to x, which it turns down.
+        // A yaw of 90 degrees rotates x to y, which the mount maps to forward, and -y to x, which
+        // it maps to down.
         assert!(near(emission.origin_m, [1.1, 2.0, 3.0], 1e-15), "{:?}", emission.origin_m);
         assert!(near(emission.direction, [0.0, 0.0, 1.0], 1e-15), "{:?}", emission.direction);
         let plain = Installation::new(&Mount::default(), &Calibration { e0: 1.0, ..Calibration::default() });
-        assert!(plain.is_plain(), "ranges are nothing of the beam's");
+        assert!(plain.is_plain(), "range corrections do not affect the beam");
     }
 
-    /// Scan angles count in the aircraft's axes, whatever the scanner calls its own.
+    /// Scan angles are defined in body axes, whatever the axes of the scanner.
     #[test]
     fn scan_angles_are_corrected_about_the_axis_of_the_flight() {
         let calibration = Calibration { e2: 1e-2, e3: 2e-2, e4: 3e-2, e6: 1e-3, ..Calibration::default() };
@@ -202,7 +209,8 @@ mod tests {
 
     #[test]
     fn a_beam_stands_on_the_earth_as_the_aircraft_does() {
-        // At 0 N 0 E with the heading east: forward is east (y), right is south (-z), down is to the centre (-x).
+        // At 0 N 0 E with heading east: forward is east (y), right is south (-z), down is towards
+        // the centre (-x).
         let place = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 1000.0 };
         let (pose, _) = pose(place, attitude([0.0, 0.0, 90.0]));
         let mut emission = Emission { frame_scale: 1.5, ..beam([1.0, 2.0, 3.0], [0.0, 0.6, 0.8]) };
@@ -212,8 +220,8 @@ mod tests {
         assert_eq!(emission.frame_scale, 1.0);
     }
 
-    /// A level beam's angle is the scanner's; with the right wing down by 10 degrees what looks down looks 10 degrees to
-    /// the left; pitch and heading do not count.
+    /// In level flight the angle is that of the scanner. With the right wing down by 10 degrees,
+    /// the scanner's down points 10 degrees to the left. Pitch and heading have no effect.
     #[test]
     fn the_scan_angle_is_told_against_the_vertical() {
         let angle = |degrees: [f64; 3], scan: f64| {
@@ -233,7 +241,8 @@ mod tests {
     }
 
     proptest! {
-        /// Each angle's part of the variance against what the point does when the angle changes a little.
+        /// Compares each angle's part of the variance with the motion of the point for a small
+        /// change of the angle.
         #[test]
         fn attitude_moves_a_point_as_its_angles_do(
             roll in -40.0..40.0, pitch in -40.0..40.0, heading in -180.0..180.0,
@@ -261,7 +270,7 @@ mod tests {
     fn independent_errors_add_their_squares() {
         let (at, down) = pose(PLACE, attitude([0.0; 3]));
         let accuracy = Accuracy { position_sd_m: [0.03, 0.04, 0.12], attitude_sd_rad: [1e-4, 0.0, 0.0] };
-        // Straight below, the roll moves the point by the height: 0.1 m at 1000 m.
+        // Straight below, roll moves the point by the height times its SD: 0.1 m at 1000 m.
         let below = rotate(&at.ecef_from_body, [0.0, 0.0, 1000.0]);
         let variance = variance_m2(&accuracy, &at, down, below, 0.2);
         assert!((variance - (0.13f64.powi(2) + 0.1f64.powi(2) + 0.2f64.powi(2))).abs() < 1e-12, "{variance}");

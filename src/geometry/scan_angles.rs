@@ -1,8 +1,9 @@
-//! Scan angles and mirror directions of recordings that do not give them.
+//! Scan angles and mirror directions for recordings that lack them.
 //!
-//! The scan angle is that of LAS: off the vertical, across the flight, positive to the right, roll included. With a trajectory
-//! the heading defines right ([`super::poses::scan_angle_deg`]); else, in a map or on the earth, the course
-//! does, which follows from the origins of the beams. The mirror's direction is the sign of the angle's change.
+//! The scan angle is that of LAS: off the vertical, across the flight, positive to the right,
+//! including roll. With a trajectory, the heading defines right ([`super::poses::scan_angle_deg`]).
+//! Otherwise, in a projected CRS or on the earth, the course defines it, which is derived from the
+//! origins of the beams. The mirror direction is the sign of the change of the angle.
 
 use std::collections::VecDeque;
 
@@ -12,16 +13,19 @@ use crate::geo::frames::Vector;
 use crate::geo::vertical::{down_at, main_axis};
 use crate::kernels::sensor_path::{Beam, Window};
 
-/// Steps of the angle before and after a shot; their majority decides its direction, so a gap in a line changes none.
+/// Number of angle steps on each side that decide a direction.
+///
+/// Their majority decides, which bridges gaps in a line.
 const REACH: usize = 4;
 
-/// Whether a line's shots have no scan angles of their own.
+/// Whether any shot of a line lacks a scan angle.
 pub(super) fn are_unknown(emissions: &[Emission]) -> bool {
     emissions.iter().any(|emission| emission.scan_angle_deg.is_nan())
 }
 
-/// Sets the direction of the mirror of a line's shots from their scan angles. A shot whose angle does not change, or is not
-/// known, keeps its flag.
+/// Sets the mirror direction of a line's shots from their scan angles.
+///
+/// A shot whose angle is constant or unknown keeps its flag.
 pub(super) fn set_directions(emissions: &mut [Emission]) {
     let sign = |pair: &[Emission]| match pair {
         [from, to] if to.scan_angle_deg > from.scan_angle_deg => 1,
@@ -39,9 +43,10 @@ pub(super) fn set_directions(emissions: &mut [Emission]) {
     }
 }
 
-/// Scan angles and directions of a line in the aircraft's or the scanner's own axes, where it has none. The aircraft's are
-/// forward, right and down. In the scanner's, down is the axis nearest to the beams' mean, and right the positive end of the
-/// one along which they sweep.
+/// Completes scan angles and directions of a line in body or scanner axes.
+///
+/// Body axes are forward, right and down. In the scanner frame, down is the axis nearest to the
+/// mean beam, and right is the positive end of the axis along which the beams sweep.
 pub fn complete_in_own_axes(frame: Frame, emissions: &mut [Emission]) {
     if !are_unknown(emissions) {
         return;
@@ -65,7 +70,7 @@ fn axes_of_scanner(emissions: &[Emission]) -> (Vector, Vector) {
     (right, down)
 }
 
-/// Sets the angles of the shots that have none, and the directions of all.
+/// Sets the missing angles of shots, and the directions of all shots.
 fn set_angles(emissions: &mut [Emission], axes: impl Fn(&Emission) -> (Vector, Vector)) {
     for emission in emissions.iter_mut().filter(|emission| emission.scan_angle_deg.is_nan()) {
         let (right, down) = axes(emission);
@@ -75,24 +80,25 @@ fn set_angles(emissions: &mut [Emission], axes: impl Fn(&Emission) -> (Vector, V
     set_directions(emissions);
 }
 
-/// Most bytes and lines that wait for the course; beyond them, lines are emitted without scan angles.
+/// Limits of held bytes and lines; beyond them, lines are emitted without scan angles.
 const MOST_HELD_BYTES: usize = 16 << 20;
 const MOST_HELD_LINES: usize = 256;
 
-/// Completes the lines of a source that are in a map or on the earth. The first lines wait until the course is known.
+/// Completes scan angles of lines in a projected CRS or on the earth; holds lines until the course
+/// is known.
 #[derive(Debug, Default)]
 pub(super) struct ScanAngles {
     course: Course,
     held: VecDeque<Batch>,
     held_bytes: usize,
-    /// Lines that leave.
+    /// Lines ready to be emitted.
     ready: VecDeque<Batch>,
-    /// Whether lines left without scan angles.
+    /// Whether lines were emitted without scan angles.
     gave_up: bool,
 }
 
 impl ScanAngles {
-    /// Takes a line.
+    /// Adds a line.
     pub(super) fn push(&mut self, batch: Batch) {
         let is_placed = matches!(batch.input.frame, Frame::Map | Frame::Earth);
         if !is_placed || !are_unknown(&batch.emissions) {
@@ -109,18 +115,18 @@ impl ScanAngles {
         }
     }
 
-    /// The next line that leaves.
+    /// The next line to emit.
     pub(super) fn pop(&mut self) -> Option<Batch> {
         self.ready.pop_front()
     }
 
-    /// Says that no line follows.
+    /// Ends the input.
     pub(super) fn finish(&mut self) {
         self.course.settle();
         self.release();
     }
 
-    /// Whether any line left without scan angles.
+    /// Whether any line was emitted without scan angles.
     pub(super) fn gave_up(&self) -> bool {
         self.gave_up
     }
@@ -143,25 +149,25 @@ impl ScanAngles {
     }
 }
 
-/// The direction of flight.
+/// Course: the direction of flight.
 #[derive(Debug, Default)]
 struct Course {
-    /// As last seen; not a unit vector.
+    /// The last known direction; not a unit vector.
     forward: Option<Vector>,
-    /// The shot from which the next course is taken: time, s, and origin.
+    /// Time, s, and origin of the shot from which the next course is measured.
     from: Option<(f64, Vector)>,
-    /// The beams of a recording that does not give the position of the sensor.
+    /// Beams of a recording without the sensor position.
     window: Window,
 }
 
-/// Least motion of the sensor, m, and in steps of the grid of its positions.
+/// Minimum motion of the sensor, m, and in steps of its coordinate grid.
 const LEAST_WAY_M: f64 = 0.3;
 const LEAST_WAY_STEPS: f64 = 30.0;
-/// What moves slower or faster, or takes longer for its way, is another flight.
+/// Limits of speed, time and distance; motion outside them is a different flight.
 const SPEED_MPS: std::ops::Range<f64> = 0.5..400.0;
 const LONGEST_WAY_S: f64 = 10.0;
 const LONGEST_WAY_M: f64 = 100.0;
-/// Beams of a sensor whose position is not known must span so long, s.
+/// Minimum time span of beams for a sensor at unknown position, s.
 const LEAST_WINDOW_S: f64 = 0.1;
 /// A horizontal grid finer than the vertical one by this factor is in degrees.
 const DEGREES_FINER: f64 = 1000.0;
@@ -191,7 +197,7 @@ impl Course {
                 continue;
             }
             let since_s = time_s - from_s;
-            // Some files have no times: the order of the shots replaces them.
+            // Some files have no times; the order of the shots is used instead.
             let is_flight = match since_s == 0.0 {
                 true => length_m < LONGEST_WAY_M,
                 false => since_s.abs() < LONGEST_WAY_S && SPEED_MPS.contains(&(length_m / since_s.abs())),
@@ -201,7 +207,7 @@ impl Course {
         }
     }
 
-    /// Takes the course from the beams gathered.
+    /// Determines the course from the collected beams.
     fn settle(&mut self) {
         let velocity_mps = self.window.place().map(|place| place.velocity_mps);
         let is_flight = |velocity: &Vector| SPEED_MPS.contains(&dot(*velocity, *velocity).sqrt());
@@ -214,7 +220,7 @@ impl Course {
     }
 }
 
-/// The step of the grid that positions are rounded to, m: 0 where there is none; `None` where they are degrees.
+/// Step of the coordinate grid, m: 0 without a grid; `None` for degrees.
 fn grid_m(input: &InputInfo) -> Option<f64> {
     let Some((scale, _)) = input.coordinate_grid else { return Some(0.0) };
     (scale[0] * DEGREES_FINER > scale[2]).then_some(scale.iter().fold(0.0, |most: f64, step| most.max(*step)))
@@ -253,7 +259,7 @@ mod tests {
         assert_eq!(complete(Frame::Scanner, |sin, cos| [sin, 0.0, -cos]), expected);
         let mut own = [Emission { scan_angle_deg: 7.0, ..beam([0.0, 0.0, 1.0]) }; 2];
         complete_in_own_axes(Frame::Body, &mut own);
-        assert_eq!(found(&own), [(7.0, false); 2], "a recording's own angles and flags stay");
+        assert_eq!(found(&own), [(7.0, false); 2], "recorded angles and flags are kept");
     }
 
     #[test]
@@ -267,7 +273,7 @@ mod tests {
         assert!(found(&emissions).iter().all(|(_, is_positive)| !is_positive));
     }
 
-    /// A sensor whose position is not known: beams through points on the ground, from one that flies north.
+    /// A sensor at unknown position that flies north: beams through points on the ground.
     #[test]
     fn beams_of_an_unknown_sensor_tell_its_course() {
         let input = InputInfo { frame: Frame::Map, origin_is_sensor: false, ..InputInfo::default() };
@@ -297,6 +303,6 @@ mod tests {
                 assert!(wrong <= 2, "line {line}: {wrong} differ (in rounding)");
             }
         }
-        assert!((9..=11).contains(&held) && !angles.gave_up(), "{held} lines of 10 ms waited");
+        assert!((9..=11).contains(&held) && !angles.gave_up(), "{held} lines of 10 ms were held");
     }
 }

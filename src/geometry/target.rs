@@ -1,4 +1,4 @@
-//! The coordinates that points get.
+//! Output coordinate reference system of points.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::geo::frames::Vector;
 use crate::geo::geoid::{Geoid, GeoidError};
 use crate::stage::{Result, StageError};
 
-/// What the job asks for, as far as it does not depend on the place.
+/// The requested CRS, as far as it does not depend on the position.
 #[derive(Clone, Debug)]
 pub struct Wanted {
     named: Named,
@@ -19,7 +19,7 @@ pub struct Wanted {
     unit: Option<Unit>,
 }
 
-/// Coordinates of points.
+/// The output CRS of a recording.
 #[derive(Debug)]
 pub struct Target {
     crs: Crs,
@@ -27,26 +27,26 @@ pub struct Target {
     first_place: Geodetic,
 }
 
-/// A text of WKT that is longer is none.
+/// Size limit of WKT, bytes.
 const MOST_WKT_BYTES: u64 = 1_000_000;
-/// Step of longitudes and latitudes in degrees: a millimetre.
+/// Coordinate step of longitudes and latitudes, degrees: about 1 mm.
 const DEGREES_STEP: f64 = 1e-8;
-/// Step of heights and of all coordinates that are lengths.
+/// Coordinate step of heights and of projected coordinates.
 const LENGTH_STEP: f64 = 1e-3;
-/// Two systems are one where a point has the same coordinates in both within this, in their unit.
+/// Tolerance within which a point has the same coordinates in two CRSs, in their unit.
 const SAME: f64 = 1e-3;
-/// A place for systems that are the same everywhere.
+/// Position for CRSs that do not depend on it.
 pub(super) const ANYWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };
 
 impl Default for Wanted {
-    /// UTM in the zone of the first shot, metres, heights above the ellipsoid.
+    /// UTM in the zone of the first shot, metres, ellipsoidal heights.
     fn default() -> Wanted {
         Wanted { named: Named::Utm, geoid: None, unit: None }
     }
 }
 
 impl Wanted {
-    /// What the keys say, with the files that they name; a system that is none is found here, and not after hours.
+    /// Reads the keys and the files they name; reports an unusable CRS before the run starts.
     pub(super) fn load(keys: &GeometryKeys, input_dir: &Path) -> Result<Wanted> {
         let (named, file) = named(keys, input_dir)?;
         let geoid = match &keys.geoid {
@@ -67,12 +67,12 @@ impl Wanted {
         Ok(wanted)
     }
 
-    /// This system, and heights above the ellipsoid.
+    /// This CRS with ellipsoidal heights.
     pub(super) fn of(named: Named) -> Wanted {
         Wanted { named, ..Wanted::default() }
     }
 
-    /// The height of the geoid above the ellipsoid, m; 0 where the job has none.
+    /// Geoid height above the ellipsoid, m; 0 without a geoid.
     pub(super) fn undulation_m(
         &self,
         latitude_deg: f64,
@@ -85,24 +85,24 @@ impl Wanted {
         Crs::new(&self.named, first_place, self.geoid.clone(), self.unit.clone())
     }
 
-    /// The system, where it is the same wherever the first shot is.
+    /// The CRS, if it does not depend on the first shot.
     pub(super) fn fixed(&self) -> Option<Crs> {
         if self.named == Named::Utm { None } else { self.crs(ANYWHERE).ok() }
     }
 
-    /// The same heights in the map, and its unit, of a code of EPSG.
+    /// The CRS of an EPSG code, with the same height reference.
     pub(super) fn in_map(&self, code: u16) -> Wanted {
         Wanted { named: Named::Epsg(code.into()), geoid: self.geoid.clone(), unit: None }
     }
 
-    /// The system for a recording whose first shot is here, m in the earth's frame.
+    /// The CRS for a recording whose first shot is at this earth-centred position, m.
     pub(super) fn at(&self, first_m: Vector) -> Result<Target> {
         let first_place = WGS84.geodetic_of(first_m);
         let crs = self.crs(first_place).map_err(|error| failed(&error))?;
         Ok(Target { wkt: crs.wkt(), crs, first_place })
     }
 
-    /// Whether a point of a map has the same coordinates here: whether this is the map that a recording is in already.
+    /// Whether this CRS is equivalent to that of a recording, judged by one point.
     pub(super) fn is_map(&self, wkt: &str, point: Vector) -> bool {
         let same = || {
             let map = Crs::new(&Named::Wkt(wkt.to_owned()), ANYWHERE, None, None)?;
@@ -152,7 +152,7 @@ pub fn check_crs(keys: &GeometryKeys, input_dir: &Path) -> Result<()> {
 pub(super) fn read_wkt(path: &Path) -> Result<String> {
     let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the WKT of `crs`"))?.len();
     if bytes > MOST_WKT_BYTES {
-        let problem = format!("{bytes} bytes are too many for WKT");
+        let problem = format!("{bytes} bytes is too large for WKT");
         return Err(Error::unusable(
             path,
             problem,
@@ -164,15 +164,15 @@ pub(super) fn read_wkt(path: &Path) -> Result<String> {
 }
 
 impl Target {
-    /// The coordinates of a place in the earth's frame, m.
+    /// Coordinates of an earth-centred position, m.
     ///
     /// # Errors
-    /// A point that cannot be projected, or of which the geoid says nothing; the message names it.
+    /// A point that cannot be projected, or outside the geoid; the message names it.
     pub fn coordinates(&self, ecef_m: Vector) -> Result<Vector> {
         self.crs.from_ecef(ecef_m).map_err(|error| failed(&error))
     }
 
-    /// Puts the coordinates of places in the earth's frame, m, where the places stood.
+    /// Converts earth-centred positions, m, to coordinates in place.
     ///
     /// # Errors
     /// As [`Target::coordinates`].
@@ -180,17 +180,17 @@ impl Target {
         self.crs.replace_ecef(ecef_m).map_err(|error| failed(&error))
     }
 
-    /// What outputs say of them: WKT 1, with the vertical part where heights count from a geoid.
+    /// WKT 1 for outputs, with a vertical part for heights above a geoid.
     pub fn wkt(&self) -> &str {
         &self.wkt
     }
 
-    /// For people.
+    /// Display name.
     pub fn name(&self) -> &str {
         self.crs.name()
     }
 
-    /// Step and offset with which integers hold the coordinates, where they are degrees.
+    /// Step and offset for integer coordinates, if they are in degrees.
     pub fn grid(&self) -> Option<([f64; 3], [f64; 3])> {
         let offset = [self.first_place.longitude_rad, self.first_place.latitude_rad]
             .map(|rad| rad.to_degrees().round());
@@ -201,7 +201,7 @@ impl Target {
     }
 }
 
-/// An error of `geo`, whose words are problem and remedy.
+/// Converts an error of `geo`, whose text has problem and remedy.
 pub(super) fn failed(error: &dyn std::fmt::Display) -> StageError {
     let text = error.to_string();
     let (problem, remedy) = text.split_once("; ").unwrap_or((&text, "check `[job.geometry]`"));

@@ -1,4 +1,4 @@
-//! The trajectory of a run, on its own axis of time.
+//! The trajectory of a run, on its own time axis.
 
 use std::path::{Path, PathBuf};
 
@@ -16,10 +16,10 @@ pub(super) struct Track {
     file: PathBuf,
     accuracy: Option<PathBuf>,
     pub(super) trajectory: Trajectory,
-    /// From when to when it lasts.
+    /// Time span.
     pub(super) times: Times,
     pub(super) knows_accuracy: bool,
-    /// What the user should know.
+    /// Notes for the user.
     pub(super) notes: Vec<String>,
 }
 
@@ -34,7 +34,7 @@ impl Track {
         self.file == file && self.accuracy.as_deref() == accuracy
     }
 
-    /// Reads a trajectory and the file of its accuracies; places in a map are those of the wanted system.
+    /// Reads a trajectory and its accuracies; projected positions are in the requested CRS.
     ///
     /// # Errors
     /// See [`trajectory::read`] and [`trajectory::Recorded::into_trajectory`].
@@ -77,7 +77,7 @@ impl Track {
     }
 }
 
-/// What the keys say of the files.
+/// Reader options from the keys.
 fn options(keys: &GeometryKeys, accuracy: Option<PathBuf>) -> Options {
     let time = keys.trajectory_time.map(|time| match time {
         TimeKey::Week => Clock::Week,
@@ -91,27 +91,27 @@ fn options(keys: &GeometryKeys, accuracy: Option<PathBuf>) -> Options {
     Options { time, angles, columns: keys.trajectory_columns.clone(), accuracy }
 }
 
-/// What heights of a TRJ are taken for, which does not say it.
+/// Notes the height reference assumed for a TRJ, which does not define it.
 fn heights_note(keys: &GeometryKeys) -> String {
     let (taken, otherwise) = match &keys.geoid {
         Some(geoid) => (format!("the geoid {geoid}"), "`trajectory_heights = \"ellipsoid\"`"),
-        None => ("the ellipsoid".to_owned(), "`trajectory_heights = \"geoid\"` and the geoid"),
+        None => ("the ellipsoid".to_owned(), "`trajectory_heights = \"geoid\"` and `geoid`"),
     };
     format!(
-        "a TRJ does not say what its heights count from: they are taken as above {taken}; where that is wrong, all points \
-         are off by the height of the geoid (tens of metres): give {otherwise} in `[job.geometry]`"
+        "a TRJ does not define its height reference: heights are assumed to be above {taken}; if that is wrong, all points \
+         are off by the height of the geoid (tens of metres): set {otherwise} in `[job.geometry]`"
     )
 }
 
-/// What there is to say of gaps.
+/// Note on the gaps of a trajectory, if any.
 fn gaps(file: &Path, trajectory: &Trajectory) -> Option<String> {
     let gaps = trajectory.gaps();
     let longest = gaps.iter().max_by(|a, b| a.length_s().total_cmp(&b.length_s()))?;
     let open = gaps.iter().filter(|gap| !gap.is_bridged).count();
     let Gap { between_s: [from_s, _], .. } = longest;
     Some(format!(
-        "{}: {} steps of the trajectory are over twice as long as usual ({:.4} s), the longest of {:.3} s at {from_s:.3} s; poses \
-         are interpolated across those of up to {:.3} s, and shots within the other {open} are left out",
+        "{}: {} steps of the trajectory exceed twice the median ({:.4} s); the longest is {:.3} s at {from_s:.3} s; poses \
+         are interpolated across gaps of up to {:.3} s, and shots in the other {open} gaps are rejected",
         file.display(),
         gaps.len(),
         trajectory.median_step_s(),

@@ -1,47 +1,51 @@
-//! What errors of the response look like: echoes that are not there, beside strong ones.
+//! Spurious echoes caused by response-model error.
 //!
-//! A response known to the part `κ` of a pulse's height `a` leaves behind it, in the matched filter, something of the size
-//! `κ a √E`; with the noise it makes the threshold `T √(1 + Σ (κ a √E)²)`.
+//! A response known to a fraction `κ` of the pulse height `a` leaves a residual of order `κ a √E`
+//! in the matched filter. Together with the noise the threshold becomes `T √(1 + Σ (κ a √E)²)`.
 
 use super::rules::BEGINS_WIDTHS;
 use super::sensor_model::ChannelModel;
 
-/// Error of the response to a pulse that overdrives the receiver: from where it begins, before which there is nothing that it
-/// could bend, to its after-pulse. Behind that its tail is taken to be as wrong as it is high.
+/// Relative response error of a pulse that overdrives the receiver, from its start to its
+/// after-pulse. Before it there is nothing to distort. After it, the error equals the height of the
+/// tail.
 const OVERDRIVEN_ERROR: f64 = 0.06;
-/// The template error is the greatest within so many widths (4 ns of 4.4).
+/// Half width of the envelope of the template error, in pulse widths (4 ns for 4.4).
 const ENVELOPE_WIDTHS: f64 = 0.9;
-/// Where a response can be wrong as a pulse can be: its main lobe and its after-pulse, in widths from the peak …
+/// Range of the main lobe and after-pulse, in widths from the peak; there the full smallest
+/// template error applies …
 const LOBE_WIDTHS: std::ops::Range<f64> = -2.5..3.2;
-/// … and the part of the least template error elsewhere, in the slow and smooth tail.
+/// … and this fraction of it elsewhere, in the slow and smooth tail.
 const FAR_PART: f64 = 0.5;
 
-/// How far the response of one channel is to be trusted.
+/// Error model of one channel's response.
 #[derive(Debug, Clone)]
 pub(super) struct Allowance {
-    /// Whether pulses are told by a response.
+    /// Whether the channel has a calibrated response.
     has_response: bool,
-    /// Error far from a pulse.
+    /// Relative error far from a pulse.
     far_error: f64,
     overdriven_dn: f64,
-    /// One over the standard deviation of the noise, 1/DN.
+    /// Inverse of the noise SD, 1/DN.
     per_noise_sd: f64,
     /// Lag of the first entry of the tables, samples.
     first_lag: i64,
-    /// Error of the response by whole sample of time after the peak, as part of the height …
+    /// Relative response error by whole sample after the peak …
     errors: Vec<f64>,
-    /// … and where the pulse overdrives the receiver.
+    /// … and for pulses that overdrive the receiver.
     overdriven_errors: Vec<f64>,
-    /// The greatest of these and the far one, and that or the overdriven one.
+    /// Largest of these errors, without and with overdriven pulses.
     greatest_known_error: f64,
     greatest_error: f64,
-    /// Sums of the squared measured errors before each sample.
+    /// Cumulative sums of the squared measured errors before each sample.
     squares: Vec<f64>,
 }
 
 impl Allowance {
-    /// `least_error` is how well the response is known at least; pulses higher than `overdriven_dn` overdrive the
-    /// receiver.
+    /// Creates the error model.
+    ///
+    /// `least_error` is the smallest relative error of the response; pulses higher than
+    /// `overdriven_dn` overdrive the receiver.
     pub(super) fn new(model: &ChannelModel, least_error: f64, overdriven_dn: f64) -> Allowance {
         let fwhm = model.fwhm_samples();
         let reach = (ENVELOPE_WIDTHS * fwhm).round() as i64;
@@ -52,7 +56,7 @@ impl Allowance {
         };
         let measured = |lag: i64| model.response.as_ref().map_or(0.0, |r| r.template_error_at(lag as f64));
         let height = |lag: i64| model.response.as_ref().map_or(0.0, |r| r.highest_at(lag as f64));
-        // A Gaussian is as wrong as its pulses were seen to be, in the main lobe, and nowhere else.
+        // A Gaussian has the measured shape error in the main lobe, and none elsewhere.
         let (near_error, far_error) = match &model.response {
             Some(_) => (least_error, FAR_PART * least_error),
             None => (model.pulse_shape_error, 0.0),
@@ -98,7 +102,7 @@ impl Allowance {
         self.has_response && height_dn > self.overdriven_dn
     }
 
-    /// The error of the response so many samples behind a pulse, as part of its height.
+    /// Relative response error `lag_samples` after a pulse.
     #[inline(always)]
     fn error(&self, height_dn: f64, lag_samples: f64) -> f64 {
         let errors = if self.overdrives(height_dn) { &self.overdriven_errors } else { &self.errors };
@@ -107,9 +111,10 @@ impl Allowance {
         known.copied().unwrap_or(self.far_error)
     }
 
-    /// By how much the threshold at a place rises for what pulses higher than `height_dn` may leave there (an infinite
-    /// height means all pulses): a factor of at least 1. Pulses are given by position and height, `per_dn` is `√E` of a
-    /// pulse of height 1.
+    /// Factor by which other pulses raise the threshold at a position; at least 1.
+    ///
+    /// Only pulses higher than `height_dn` count; infinity means all. Pulses are pairs of position
+    /// and height; `per_dn` is `√E` of a pulse of height 1.
     #[inline(always)]
     pub(super) fn raise(
         &self,
@@ -118,7 +123,8 @@ impl Allowance {
         per_dn: f64,
         pulses: impl Iterator<Item = (f64, f64)>,
     ) -> f64 {
-        // What a Gaussian leaves of a pulse is a reason to add nothing there, and none to drop what stands by itself.
+        // Without a response, residuals of a Gaussian prevent adding pulses but do not remove
+        // detected ones.
         if !self.has_response && height_dn.is_finite() {
             return 1.0;
         }
@@ -131,7 +137,8 @@ impl Allowance {
         sum.sqrt()
     }
 
-    /// What [`Allowance::raise`] is not above for pulses of these heights, wherever they stand: cheaper to tell.
+    /// Upper bound of [`Allowance::raise`] for pulses of these heights at any position; cheaper to
+    /// compute.
     #[inline(always)]
     pub(super) fn raise_at_most(&self, per_dn: f64, heights_dn: impl Iterator<Item = f64>) -> f64 {
         let (mut sum, mut highest) = (0.0, 0.0);
@@ -140,12 +147,13 @@ impl Allowance {
             highest = f64::max(highest, height);
         }
         let error = if self.overdrives(highest) { self.greatest_error } else { self.greatest_known_error };
-        // A root of squares is at most the sum.
+        // The root of a sum of squares is at most the sum.
         1.0 + error * per_dn * sum
     }
 
-    /// `Σ (κ_k a/σ)²` of one pulse over the samples of a block, with the template error that calibration saw: what the
-    /// response's error adds to chi-square on average.
+    /// `Σ (κ_k a/σ)²` of one pulse over the samples of a block, with the calibrated template error.
+    ///
+    /// It is the mean contribution of the response error to chi-square.
     #[inline(always)]
     pub(super) fn expected_excess(&self, position_samples: f64, height_dn: f64, samples: usize) -> f64 {
         let first = -(position_samples.round() as i64) - self.first_lag;
@@ -166,7 +174,7 @@ mod tests {
         let mut model = channel(&ArNoise::new(&[], 2.0).unwrap(), 4.0, 20.0);
         let response = SystemResponse {
             first_sample: -2,
-            // From sample 12 on a tail, to sample 48.
+            // A tail from sample 12 to sample 48.
             nodes: vec![ResponseNode {
                 peak_dn: 155.0,
                 values: [[1.0; 112].as_slice(), &[0.02; 288]].concat(),
@@ -180,7 +188,7 @@ mod tests {
         model
     }
 
-    /// `T √(1 + Σ (κ a √E)²)` with the error's envelope, its least value and that of the tail.
+    /// `T √(1 + Σ (κ a √E)²)` with the envelope of the error, its minimum and that of the tail.
     #[test]
     fn thresholds_rise_with_what_strong_pulses_may_leave() {
         let allowance = Allowance::new(&model(&[0.0, 0.0, 0.0, 0.02, 0.0]), 0.01, 200.0);
@@ -190,7 +198,8 @@ mod tests {
         {
             assert!((raise(lag) - (1.0 + f64::powi(error * 100.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{lag}");
         }
-        // Before the pulse an overdriven receiver is like any other, and far behind it what its tail may be wrong by.
+        // Before the pulse an overdriven receiver behaves normally; long after it the error is that
+        // of the tail.
         for (place, error) in [
             (40.0, 0.06),
             (23.0, 0.06),
@@ -236,7 +245,7 @@ mod tests {
         let of = |place: f64, samples: usize| allowance.expected_excess(place, 50.0, samples);
         let scale = (50.0f64 / 2.0).powi(2);
         assert!((of(20.0, 60) - scale * 3.0e-3).abs() < 1e-12);
-        // The block begins at the peak: only the errors at and behind it count.
+        // The block begins at the peak: only errors from there on count.
         assert!((of(0.2, 60) - scale * 2.5e-3).abs() < 1e-12);
         assert!((of(20.0, 20) - scale * 0.5e-3).abs() < 1e-12);
         assert_eq!(of(500.0, 60), 0.0);

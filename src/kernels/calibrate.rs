@@ -1,10 +1,13 @@
-//! A channel's model from its waveforms alone: background, noise and its correlation, width of a pulse.
+//! Estimates a channel's model from its waveforms: background, noise, its correlation, and pulse
+//! width.
 //!
-//! With Gaussian pulses (docs/method.md, Calibration). A first look gives a level, a spread and a width; then twice blocks are
-//! decomposed with the model at hand, and a better one is made of the samples before the first pulse that was found
-//! (behind a pulse stands the receiver's slow tail) and of the widths of single pulses. What is signal is thus told by
-//! fitted pulses and never by a threshold on samples, which would cut the noise's own peaks away; where pulses too weak to be
-//! fitted make a peak, a mirrored dip of the noise stands for it.
+//! Pulses are assumed Gaussian (docs/method.md, Calibration). An initial estimate gives a level, a
+//! spread and a width. Then, twice, blocks are decomposed with the current model, and a better one
+//! is estimated from the samples before the first detected pulse and from the widths of single
+//! pulses. Samples after a pulse are not used, because of the receiver's slow tail. Signal is
+//! identified by fitted pulses and never by a threshold on samples, which would truncate the peaks
+//! of the noise. A peak from pulses too weak to be fitted is replaced by a sign-flipped dip of the
+//! noise.
 
 use super::decompose::DecomposeSettings;
 use super::noise::{ArNoise, fit_by_bic};
@@ -29,69 +32,77 @@ pub use noise_statistics::NoiseStatistics;
 pub(super) use uncertainty::jackknife_sd;
 pub(super) use width::{Narrow, Width};
 
-/// Pulses without which nothing can be said of their width.
+/// Fewest pulses for a width estimate.
 const MIN_PULSES: usize = 10;
-/// Rounds of decomposing and estimating, each with about so many blocks at most, chosen evenly: the first model only
-/// serves to make the second. Whether samples are free, and whether the level drifts, is decided in the first.
+/// Largest number of blocks in each round of decomposition and estimation, evenly spaced.
+///
+/// The first model only serves to make the second. The first round decides whether free samples
+/// exist and whether the level drifts.
 const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
-/// Free samples tell the noise where at least this part of the unsaturated blocks begins well before its pulses.
+/// Fraction of blocks with free samples needed to use these.
+///
+/// Only unsaturated blocks with samples well before their pulses count.
 const FREE_PART: f64 = 0.3;
-/// A recording is divided into so many consecutive groups, whose scatter tells how well a number is known: to 15 %.
+/// Number of consecutive groups of a recording whose scatter gives the uncertainties: to 15 %.
 pub(super) const GROUPS: usize = 25;
-/// Pulses that are looked for beside those of detection, where the background is unknown.
+/// Largest number of pulses added if the background is unknown.
 const MAX_OVERLOOKED: u32 = 4;
-/// Background that spreads from block to block by more than this part of the noise's variance is a waveform's own.
+/// Variance of the background between blocks, over that of the noise, above which each waveform
+/// gets its own.
 const DRIFT_PART: f64 = 0.5;
-/// The least spread of a waveform's own background, in standard deviations of the noise.
+/// Smallest SD of a waveform's own background, in standard deviations of the noise.
 const LEAST_DRIFT_SD: f64 = 0.1;
-/// A prior on a waveform's background this much wider than the spread that was seen, where levels can only be guessed.
+/// Factor on the observed spread for the prior on a waveform's background, if levels are only
+/// estimated.
 const WIDE: f64 = 3.0;
-/// Fits that leave more than so many times the white part of the noise are of pulses that are no Gaussians.
+/// Residual over white noise above which pulses are not Gaussian.
 const MISSHAPEN: f64 = 2.0;
-/// Variance of rounding to whole steps: noise cannot be less.
+/// Variance of rounding to whole steps: the lower limit of the noise.
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
 /// One block of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Block<'a> {
-    /// The digitiser's values.
+    /// Samples of the digitiser, DN.
     pub samples: &'a [u16],
     /// Index of the first sample modulo 4.
     pub start_phase: u8,
 }
 
-/// Where the background of a waveform is to be taken from.
+/// Source of the background of a waveform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BackgroundChoice {
-    /// Fixed, unless no sample is free of signal or the level drifts from block to block as much as the noise.
+    /// Fixed, unless no sample is free of signal or the level drifts between blocks by as much as
+    /// the noise.
     Auto,
-    /// The channel's, by the sample's phase.
+    /// The channel's background, by sample phase.
     Fixed,
-    /// Each waveform's own.
+    /// Each waveform's own background.
     PerWaveform,
 }
 
-/// How a channel is calibrated.
+/// Settings of the calibration of a channel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibrationSettings {
-    /// Time from sample to sample, ns.
+    /// Sampling interval, ns.
     pub sampling_interval_ns: f64,
     /// Samples at or above this are saturated, DN.
     pub full_scale_dn: f64,
-    /// Fewer blocks are an error.
+    /// Fewest blocks; fewer are an error.
     pub min_blocks: u64,
-    /// The noise's autoregressive model has at most this order.
+    /// Largest order of the autoregressive noise model.
     pub max_ar_order: usize,
-    /// Where the background is taken from.
+    /// Source of the background.
     pub background: BackgroundChoice,
-    /// What is known beforehand of how samples are taken.
+    /// Prior knowledge of the digitiser.
     pub digitiser: Digitiser,
-    /// How waveforms are decomposed while calibrating; pulses are added or divided as calibration needs it.
+    /// Decomposition settings during calibration; the calibration controls the adding and splitting
+    /// of pulses.
     pub decompose: DecomposeSettings,
 }
 
 impl CalibrationSettings {
-    /// For a channel of echoes: 200 blocks at least, order 4 at most.
+    /// Settings for an echo channel: at least 200 blocks, order at most 4.
     pub fn echoes(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             sampling_interval_ns,
@@ -104,8 +115,9 @@ impl CalibrationSettings {
         }
     }
 
-    /// For the outgoing pulse: 20 blocks at least, as every block holds the same strong pulse; order 2 at most and a
-    /// fixed background, as few samples stand before it.
+    /// Settings for the outgoing pulse: at least 20 blocks, order at most 2, fixed background.
+    ///
+    /// Every block contains the same strong pulse, and only a few samples precede it.
     pub fn reference(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             min_blocks: 20,
@@ -116,41 +128,42 @@ impl CalibrationSettings {
     }
 }
 
-/// Why a channel cannot be calibrated.
+/// Reasons why a channel cannot be calibrated.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
-    /// Too few blocks to tell signal from noise.
+    /// Too few blocks to separate signal from noise.
     #[error(
         "calibration needs {needed} waveforms of the channel and there were {found}; \
          give it more data, or load a saved sensor model"
     )]
     TooFewBlocks {
-        /// Blocks there were.
+        /// Number of blocks.
         found: u64,
-        /// Blocks there must be.
+        /// Required number of blocks.
         needed: u64,
     },
-    /// Hardly a pulse in the blocks.
+    /// Too few pulses in the blocks.
     #[error(
-        "calibration needs {needed} unsaturated pulses that stand out of the noise and there were {found} \
+        "calibration needs {needed} unsaturated pulses above the noise and there were {found} \
          in {blocks} waveforms; give it data with echoes, or load a saved sensor model"
     )]
     TooFewPulses {
-        /// Pulses there were.
+        /// Number of pulses.
         found: u64,
-        /// Pulses there must be.
+        /// Required number of pulses.
         needed: u64,
-        /// Blocks there were.
+        /// Number of blocks.
         blocks: u64,
     },
-    /// The settings or the samples lead to no usable model.
+    /// The settings or the samples give no usable model.
     #[error(transparent)]
     Model(#[from] ModelError),
 }
 
 /// Calibrates one channel.
 ///
-/// The blocks are gone through several times, so the iterator must be cheap to clone: one over samples held in memory.
+/// The blocks are read several times, so the iterator must be cheap to clone: over samples in
+/// memory.
 pub fn calibrate<'a, I>(blocks: I, settings: &CalibrationSettings) -> Result<ChannelModel, CalibrationError>
 where
     I: Iterator<Item = Block<'a>> + Clone,
@@ -171,7 +184,7 @@ where
     let mut model = first_model(&look, background, settings, found);
     let mut free = true;
     for (pass, most) in MOST_BLOCKS.into_iter().enumerate() {
-        // An odd step meets all phases of the first samples where these alternate.
+        // An odd step covers all phases of the first samples if these alternate.
         let step = found.div_ceil(most) as usize | 1;
         let chosen = || blocks.clone().step_by(step);
         let mut survey = survey(chosen(), &model, free, settings)?;
@@ -190,11 +203,11 @@ where
     Ok(model)
 }
 
-/// Decomposes blocks with the model at hand.
+/// Decomposes blocks with the current model.
 ///
-/// Pulses are those that detection finds: on a pulse that is no Gaussian a second look would find others beside it,
-/// and make it narrow. Only beside a strong pulse on an unknown background can detection overlook one, which then
-/// would stand in the free samples; there a few are added.
+/// Only detected pulses are used: on a non-Gaussian pulse a residual search would add components
+/// and make it narrow. Detection can overlook a pulse only close to a strong one on an unknown
+/// background. It would then contaminate the free samples, so in this case a few pulses are added.
 fn survey<'a>(
     blocks: impl Iterator<Item = Block<'a>> + Clone,
     model: &ChannelModel,
@@ -212,13 +225,14 @@ fn survey<'a>(
     Ok(survey)
 }
 
-/// Whether the level changes from block to block by as much as the noise.
+/// Whether the level varies between blocks by as much as the noise.
 fn drifts(survey: &Survey) -> bool {
     let (variance, drift) = survey.free.variance_and_drift();
     drift > DRIFT_PART * variance
 }
 
-/// Whether blocks begin before their pulses; with a fixed background by choice, whether any does.
+/// Whether enough blocks begin before their pulses; with a fixed background by setting, whether any
+/// does.
 fn has_free_samples(survey: &Survey, settings: &CalibrationSettings) -> bool {
     match settings.background {
         BackgroundChoice::Fixed => survey.free.samples() > 0,
@@ -226,7 +240,7 @@ fn has_free_samples(survey: &Survey, settings: &CalibrationSettings) -> bool {
     }
 }
 
-/// What a first look tells: white noise, no phases.
+/// Model from the initial estimate: white noise, no phases.
 fn first_model(
     look: &FirstLook,
     background: Background,
@@ -260,7 +274,7 @@ fn first_model(
     }
 }
 
-/// The model that a survey with the last one gives.
+/// Model from a pass with the previous one.
 fn better_model(
     survey: &Survey,
     look: &FirstLook,
@@ -285,7 +299,7 @@ fn better_model(
     model
 }
 
-/// Background and noise from samples before the first pulse of their block.
+/// Estimates background and noise from samples before the first pulse.
 fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &CalibrationSettings) {
     let drift_sd = survey.free.variance_and_drift().1.sqrt();
     let Told { background_dn, mut autocovariance } = survey.free.told();
@@ -294,17 +308,19 @@ fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &Calib
     model.background_dn = background_dn;
     model.background_sd_dn = drift_sd;
     if model.background == Background::PerWaveform {
-        // No drift seen is still no certainty of a level, and 0 would be no prior at all.
+        // No observed drift does not make the level certain, and 0 would mean no prior.
         model.background_sd_dn = model.background_sd_dn.max(LEAST_DRIFT_SD * autocovariance[0].sqrt());
     }
     model.autocorrelation = autocovariance[1..].iter().map(|r| r / autocovariance[0]).collect();
     set_noise(model, noise);
 }
 
-/// Background and noise where no sample is free: white noise as large as what the fits leave, and the levels of the fits.
-/// What they leave is not the receiver's noise alone but also what a pulse is other than a Gaussian, so its correlation
-/// says nothing of the noise's; and where it is more than noise, a free level has taken up the pulse's skirt, so that
-/// the blocks' smallest samples tell it better.
+/// Estimates background and noise if no sample is free of signal.
+///
+/// The noise is white with the variance of the residuals, and the levels are those of the fits.
+/// Residuals contain the deviation of the pulse from a Gaussian, so their correlation is not that
+/// of the noise. If they exceed the noise, a free level has absorbed the skirt of the pulse; then
+/// the smallest samples of the blocks give a better level.
 fn from_residuals(model: &mut ChannelModel, survey: &Survey, look: &FirstLook) {
     let residual_sd_dn = model.noise_sd_dn * survey.residual_sd();
     if residual_sd_dn <= MISSHAPEN * look.white_sd_dn.max(QUANTISATION_VARIANCE.sqrt()) {

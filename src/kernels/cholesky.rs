@@ -1,7 +1,11 @@
-//! Cholesky's factorisation on fixed workspaces: square matrices of a few dozen rows, row after row in a slice.
+//! Cholesky factorisation in place, for small square matrices stored by rows.
 
-/// Replaces the lower triangle of the symmetric `n` by `n` matrix by its factor `L`, `L Lᵀ = A`. The upper triangle is
-/// neither read nor written. `false` where the matrix is not positive definite; its contents are then spoiled.
+/// Replaces the lower triangle of a matrix by its Cholesky factor.
+///
+/// The matrix is symmetric, `n` by `n`, and `L Lᵀ = A`.
+///
+/// The upper triangle is neither read nor written. Returns `false` if the matrix is not positive
+/// definite; its contents are then undefined.
 pub(super) fn factor(matrix: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         for i in j..n {
@@ -34,7 +38,7 @@ pub(super) fn solve(factor: &[f64], n: usize, b: &mut [f64]) {
     }
 }
 
-/// Writes the inverse of `L Lᵀ` into the `n` by `n` matrix `inverse`.
+/// Writes the inverse of `L Lᵀ` to the `n` by `n` matrix `inverse`.
 pub(super) fn invert(factor: &[f64], n: usize, inverse: &mut [f64]) {
     for (i, row) in inverse.chunks_exact_mut(n).take(n).enumerate() {
         row.fill(0.0);

@@ -1,9 +1,11 @@
-//! Where pulses may stand: local maxima of the matched filter of the calibrated pulse on whitened samples.
+//! Pulse candidates: local maxima of the matched filter of the calibrated pulse on whitened
+//! samples.
 //!
-//! The statistic at lag `t` is `m(t) = g_tᵀ S⁻¹ y / √E(t)` with `E(t) = g_tᵀ S⁻¹ g_t`, `g_t` the pulse of unit height
-//! at sample `t` and `S` the covariance of the noise on the used samples. In noise alone it has mean 0 and variance 1
-//! at every lag, so a threshold on it is in standard deviations of the noise. An unknown background of precision `q`
-//! is part of the noise, `S = Σ + 11ᵀ/q`, by the formula of Sherman and Morrison.
+//! The statistic at lag `t` is `m(t) = g_tᵀ S⁻¹ y / √E(t)` with `E(t) = g_tᵀ S⁻¹ g_t`, `g_t` the
+//! pulse of unit height at sample `t` and `S` the noise covariance of the used samples. In pure
+//! noise it has mean 0 and variance 1 at every lag, so thresholds are in standard deviations of the
+//! noise. An unknown background of precision `q` is part of the noise, `S = Σ + 11ᵀ/q`, by the
+//! Sherman–Morrison formula.
 
 use super::wide::dot;
 use std::ops::Range;
@@ -13,21 +15,22 @@ use super::shape::Shape;
 use super::whitening::Whitener;
 use crate::kernels::rules::{DIP_PART, ECHO_SAMPLES};
 
-/// Half length of the filter's pulse in its widths: the main lobe.
+/// Half length of the filter pulse, in its widths: the main lobe.
 const HALF_LENGTH_WIDTHS: f64 = 1.5;
-/// Lags at which less than this part of the pulse's energy lies in used samples are not looked at.
+/// Smallest fraction of the pulse energy in used samples at a lag.
 const LEAST_ENERGY_PART: f64 = 0.3;
 
-/// A place where a pulse may stand.
+/// A candidate pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
-    /// Place of the maximum, samples from the block's first.
+    /// Position of the maximum, samples from the block's first.
     pub position_samples: f64,
-    /// The statistic at the maximum's sample, in standard deviations of the noise; infinite for a saturated plateau.
+    /// Statistic at the sample of the maximum, in standard deviations of the noise; infinite for a
+    /// saturated plateau.
     pub statistic: f64,
-    /// A first measure of the pulse's height, DN.
+    /// Initial estimate of the height, DN.
     pub height_dn: f64,
-    /// A first measure of the logarithm of its width ratio.
+    /// Initial estimate of the log width ratio.
     pub ln_width_ratio: f64,
 }
 
@@ -38,9 +41,9 @@ pub struct Detector {
     offset_precision: Option<f64>,
     template: Vec<f64>,
     full_energy: f64,
-    /// By whole sample of time behind a pulse of height 1 and calibrated width: the filter's statistic.
+    /// Filter statistic by whole sample after a pulse of height 1 and calibrated width.
     echo: Vec<f64>,
-    /// By lag: `g_tᵀ Σ⁻¹ g_t`, and with an unknown background what remains of it.
+    /// By lag: `g_tᵀ Σ⁻¹ g_t`, reduced for an unknown background.
     energy: Vec<f64>,
     /// By lag: `g_tᵀ Σ⁻¹ 1`.
     template_offset: Vec<f64>,
@@ -53,15 +56,17 @@ pub struct Detector {
 }
 
 impl Detector {
-    /// A filter for pulses of the calibrated width, in the whitener's noise, for blocks of up to `max_samples` samples
-    /// (longer ones make it grow). `offset_precision` as in [`super::gauss_fit::GaussFit::new`].
+    /// Creates a filter for pulses of the calibrated width, in the whitener's noise.
+    ///
+    /// Blocks longer than `max_samples` allocate. `offset_precision` as in
+    /// [`super::gauss_fit::GaussFit::new`].
     pub fn new(
         shape: impl Into<Shape>,
         offset_precision: Option<f64>,
         whitener: &Whitener,
         max_samples: usize,
     ) -> Detector {
-        // A pulse longer than any block need not be laid out: what lies beyond the block is never asked for.
+        // The length is capped: parts of a pulse outside any block are never used.
         let shape = shape.into();
         let half = (HALF_LENGTH_WIDTHS * shape.fwhm_samples()).ceil().clamp(1.0, 1e4) as usize;
         let mut template = vec![0.0; 2 * half + 1];
@@ -75,7 +80,7 @@ impl Detector {
         long.whiten_transposed(&mut column);
         let solved = column;
         let mut pulse = vec![0.0; 4 * half + 1 + ECHO_SAMPLES];
-        // The filter stands still at its own middle, the pulse moves ahead of it.
+        // The filter stays at its centre; the pulse is shifted relative to it.
         shape.add(&unit_pulse((2 * half) as f64), 1.0, &mut pulse);
         let echo = (0..ECHO_SAMPLES).map(|lag| dot(&solved, &pulse[lag..]) / full_energy.sqrt()).collect();
         Detector {
@@ -93,7 +98,7 @@ impl Detector {
         }
     }
 
-    /// Prepares for the whitener's block and choice of samples; to be called again when they change.
+    /// Prepares for the whitener's block and used samples; must be called again when they change.
     pub fn prepare(&mut self, whitener: &Whitener) {
         let samples = whitener.used().len();
         self.prepare_offset(whitener);
@@ -128,8 +133,9 @@ impl Detector {
         }
     }
 
-    /// Filters `values_dn`, the samples less the background (or less the pulses already found). The statistic by lag:
-    /// minus infinity where too little of the pulse lies in used samples.
+    /// Filters `values_dn`, the samples less the background, or less the pulses already found.
+    ///
+    /// Returns the statistic by lag; minus infinity if too little of the pulse is in used samples.
     pub fn filter(&mut self, whitener: &Whitener, values_dn: &[f64]) -> &[f64] {
         self.solved.clear();
         self.solved.extend_from_slice(values_dn);
@@ -149,8 +155,9 @@ impl Detector {
         &self.statistic
     }
 
-    /// Appends the local maxima of the last filtering that reach `threshold`, from left to right: each with a dip of at
-    /// least half the threshold before the next.
+    /// Appends local maxima of the filter output of at least `threshold`, from left to right.
+    ///
+    /// Consecutive maxima are separated by a dip of at least half the threshold.
     pub fn maxima(&self, threshold: f64, candidates: &mut Vec<Candidate>) {
         let already = candidates.len();
         let mut lowest_since = f64::NEG_INFINITY;
@@ -178,7 +185,8 @@ impl Detector {
         }
     }
 
-    /// A maximum's place by the parabola through it and its neighbours, its height by the filter's gain.
+    /// Interpolates a maximum by a parabola through its neighbours; the height follows from the
+    /// filter gain.
     fn candidate(&self, lag: usize) -> Candidate {
         let at =
             |lag: Option<usize>| lag.and_then(|k| self.statistic.get(k)).copied().filter(|v| v.is_finite());
@@ -197,13 +205,14 @@ impl Detector {
         }
     }
 
-    /// `√E` of a pulse of calibrated width that lies wholly in used samples.
+    /// `√E` of a pulse of calibrated width entirely in used samples.
     pub fn full_significance_per_dn(&self) -> f64 {
         self.full_energy.sqrt()
     }
 
-    /// The statistic that a pulse of height 1 and calibrated width leaves so many samples behind its peak: the main lobe,
-    /// then what the receiver's after-pulse and tail look like to the filter.
+    /// Filter statistic `lag_samples` after a pulse of height 1 and calibrated width.
+    ///
+    /// It contains the main lobe, then the filter output of the receiver's after-pulse and tail.
     pub fn echo(&self, lag_samples: f64) -> f64 {
         if lag_samples < 0.0 {
             return 0.0;
@@ -213,7 +222,8 @@ impl Detector {
         (1.0 - part) * at(k) + part * at(k.saturating_add(1))
     }
 
-    /// `√E` of a pulse of calibrated width at a place between samples: its significance is its height times this.
+    /// `√E` of a pulse of calibrated width at a fractional position; its significance is its height
+    /// times this.
     pub fn significance_per_dn(&mut self, whitener: &Whitener, position_samples: f64) -> f64 {
         self.solved.fill(0.0);
         self.shape.add(&unit_pulse(position_samples), 1.0, &mut self.solved);
@@ -229,7 +239,7 @@ fn unit_pulse(position_samples: f64) -> Pulse {
     Pulse { height_dn: 1.0, position_samples, ln_width_ratio: 0.0, ln_width_precision: 0.0 }
 }
 
-/// The part of the pulse at `lag` that lies within the block, and the sample where it starts.
+/// Part of the pulse at `lag` inside the block, and its first sample.
 fn within_block(template: &[f64], lag: usize, samples: usize) -> (usize, &[f64]) {
     let half = template.len() / 2;
     let first = lag.saturating_sub(half);
@@ -238,7 +248,8 @@ fn within_block(template: &[f64], lag: usize, samples: usize) -> (usize, &[f64])
     (first, &template[skipped..skipped + (end - first)])
 }
 
-/// The next run of saturated samples at or after `from`; runs with a single free sample between them are one.
+/// Next run of saturated samples from `from`; runs separated by a single unsaturated sample are
+/// merged.
 pub fn next_plateau(samples: &[u16], full_scale_dn: f64, from: usize) -> Option<Range<usize>> {
     let saturated = |k: usize| samples.get(k).is_some_and(|&s| f64::from(s) >= full_scale_dn);
     let start = (from..samples.len()).find(|&k| saturated(k))?;
@@ -249,10 +260,11 @@ pub fn next_plateau(samples: &[u16], full_scale_dn: f64, from: usize) -> Option<
     Some(start..end)
 }
 
-/// The candidate of a saturated plateau, told from where its flanks cross 0.3 and 0.8 of the plateau's level.
+/// Candidate of a saturated plateau, from the crossings of its flanks at 0.3 and 0.8 of its level.
 ///
-/// With both flanks free these give place, width and height of a Gaussian; with one, place and height for the
-/// calibrated width; with none the plateau's centre stands in. `values_dn` are the samples less the background.
+/// Two free flanks give position, width and height of a Gaussian; one gives position and height for
+/// the calibrated width; without any, the centre of the plateau is used. `values_dn` are the
+/// samples less the background.
 pub fn plateau_candidate(values_dn: &[f64], plateau: Range<usize>, fwhm_samples: f64) -> Candidate {
     const LOW: f64 = 0.3;
     const HIGH: f64 = 0.8;
@@ -283,8 +295,9 @@ pub fn plateau_candidate(values_dn: &[f64], plateau: Range<usize>, fwhm_samples:
     }
 }
 
-/// Where the values, followed outwards from a plateau at `level`, first fall below its given part; `direction` is that
-/// of the walk.
+/// Position where the values, followed outwards from a plateau, first fall below `part` of `level`.
+///
+/// `direction` is the direction of the walk.
 fn crossing(
     values: &[f64],
     walk: impl Iterator<Item = usize>,

@@ -1,33 +1,34 @@
-//! How often noise alone passes for a return.
+//! Expected rate of false returns from noise alone.
 //!
-//! Detection looks for maxima of the matched filter's output, a stationary Gaussian process of unit variance. How often
-//! such a process rises through a threshold follows from its correlation alone: Rice (1944, "Mathematical analysis of
-//! random noise", section 3.3) for the continuous output, of which the maxima between samples are interpolated; the
-//! bivariate normal distribution for the output at the samples.
+//! Detection searches maxima of the matched-filter output, a stationary Gaussian process of unit
+//! variance. The rate at which such a process crosses a threshold upwards follows from its
+//! correlation alone. For the continuous output, whose maxima are interpolated between samples, it
+//! is given by Rice (1944, "Mathematical analysis of random noise", section 3.3); for the output at
+//! the samples, by the bivariate normal distribution.
 
 use super::noise::ArNoise;
 use crate::kernels::rules::SD_OF_FWHM;
 
-/// The matched filter's output where there is only noise.
+/// Matched-filter output for pure noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FilteredNoise {
-    /// Root of minus the second derivative of its autocorrelation at lag 0, radians per sample.
+    /// Root of minus the second derivative of its autocorrelation at lag 0, rad per sample.
     pub bandwidth_rad_per_sample: f64,
-    /// Its correlation from one sample to the next.
+    /// Correlation between consecutive samples.
     pub correlation: f64,
 }
 
-/// The pulse is followed to this many standard deviations on both sides.
+/// Half extent of the pulse, in standard deviations.
 const REACH_SD: f64 = 7.0;
 
 impl FilteredNoise {
-    /// Of the filter that is matched to a Gaussian pulse of this full width at half maximum (samples) in this noise.
+    /// Output of the filter matched to a Gaussian pulse of this FWHM, samples, in this noise.
     pub fn of(fwhm_samples: f64, noise: &ArNoise) -> FilteredNoise {
         let sd = SD_OF_FWHM * fwhm_samples;
         let reach = (REACH_SD * sd).ceil() as i32;
         let pulse = |k: i32| (-0.5 * (f64::from(k) / sd).powi(2)).exp();
         let slope = |k: i32| -f64::from(k) / (sd * sd) * pulse(k);
-        // The whitened pulse g and its derivative; noise that is white passes as it is.
+        // The whitened pulse g and its derivative; white noise is unchanged.
         let whitened = |f: &dyn Fn(i32) -> f64, k: i32| {
             let past = noise.coefficients().iter().zip(1..).map(|(phi, lag)| phi * f(k - lag)).sum::<f64>();
             f(k) - past
@@ -44,26 +45,29 @@ impl FilteredNoise {
         }
     }
 
-    /// False maxima above `sigma` standard deviations per waveform of `samples` samples: those that begin above the
-    /// threshold, and Rice's rate of rises through it.
+    /// Expected false maxima above `sigma` standard deviations in a waveform.
+    ///
+    /// It is the sum of the maxima of waveforms that start above the threshold and of Rice's rate of
+    /// upward crossings.
     pub fn per_waveform(&self, sigma: f64, samples: f64) -> f64 {
         let rate = self.bandwidth_rad_per_sample / std::f64::consts::TAU * (-0.5 * sigma * sigma).exp();
         samples * rate + upper_tail(sigma)
     }
 
-    /// The same for an output that is only looked at where the samples are.
+    /// The same for an output evaluated only at the samples.
     pub fn per_sampled_waveform(&self, sigma: f64, samples: f64) -> f64 {
         let rise = upper_tail(sigma) - both_above(sigma, self.correlation);
         upper_tail(sigma) + (samples - 1.0).max(0.0) * rise
     }
 }
 
-/// Probability that a standard normal number is above `x`.
+/// Probability that a standard normal variable exceeds `x`.
 fn upper_tail(x: f64) -> f64 {
     0.5 * libm::erfc(x / std::f64::consts::SQRT_2)
 }
 
-/// Probability that two standard normal numbers of this correlation are both above `x`:
+/// Probability that two standard normal variables of this correlation both exceed `x`.
+///
 /// `Q(x)² + 1/2π ∫₀^asin(ρ) exp(−x² / (1 + sin θ)) dθ`, by Simpson's rule.
 fn both_above(x: f64, correlation: f64) -> f64 {
     const STEPS: i32 = 400;
@@ -88,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_gaussian_in_white_noise_has_a_closed_form() {
-        // The filter's output has the autocorrelation of the pulse with itself: exp(-t²/4s²).
+        // The filter output has the autocorrelation of the pulse: exp(-t²/4s²).
         let filtered = FilteredNoise::of(4.253, &noise(&[]));
         let sd = SD_OF_FWHM * 4.253;
         assert!((filtered.bandwidth_rad_per_sample - 1.0 / (sd * 2f64.sqrt())).abs() < 1e-6);
@@ -110,12 +114,13 @@ mod tests {
         assert!((1.4e-4..1.8e-4).contains(&rate(0.0)), "{}", rate(0.0));
     }
 
-    /// Filters simulated noise; returns the interpolated maxima above each threshold, and the rises through it at the
-    /// samples.
+    /// Filters simulated noise; returns interpolated maxima and sampled upward crossings per
+    /// threshold.
     fn simulate(phi: &[f64], fwhm: f64, sigmas: &[f64], samples: usize) -> Vec<(u64, u64)> {
         let sd = SD_OF_FWHM * fwhm;
         let pulse = |k: i32| (-0.5 * (f64::from(k) / sd).powi(2)).exp();
-        // The noise is whitened before it is filtered: white deviates stand in for it, the whitened pulse for the filter.
+        // Noise is whitened before filtering, so white deviates are filtered with the whitened
+        // pulse.
         let past = |k: i32| phi.iter().zip(1..).map(|(phi, lag)| phi * pulse(k - lag)).sum::<f64>();
         let taps: Vec<f64> = (-10..=10 + phi.len() as i32).map(|k| pulse(k) - past(k)).collect();
         let norm = taps.iter().map(|tap| tap * tap).sum::<f64>().sqrt();
@@ -150,8 +155,11 @@ mod tests {
                     filtered.per_sampled_waveform(sigma, samples as f64),
                 );
                 let (peaks_part, rises_part) = (peaks as f64 / rice, rises as f64 / sampled);
-                println!("{phi:?} {sigma}: {peaks} maxima, {peaks_part:.3} of Rice's; rises {rises_part:.3}");
-                // A maximum may lie on a rise that another maximum shares: there are a few per cent fewer than rises.
+                println!(
+                    "{phi:?} {sigma}: {peaks} maxima, {peaks_part:.3} of Rice's rate; crossings {rises_part:.3} of theory"
+                );
+                // Two maxima may share one upward crossing: there are a few per cent fewer maxima
+                // than crossings.
                 let chance = 3.0 / rice.sqrt();
                 assert!((peaks_part - 0.97).abs() <= 0.05 + chance, "{phi:?} {sigma}: {peaks_part}");
                 assert!((rises_part - 1.0).abs() <= 0.03 + chance, "{phi:?} {sigma}: {rises_part}");

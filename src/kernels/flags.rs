@@ -1,37 +1,38 @@
-//! What is worth knowing of a return beside its numbers: 16 bits, of which the low byte is the user data of the
-//! returns in LAS (BayesWavEx 1.1, "User data byte").
+//! Flags of a return: 16 bits.
+//!
+//! The low byte is the user data of LAS returns (BayesWavEx 1.1, "User data byte").
 
-/// Refined by iteration; the plain form refines every return.
+/// Refined by iteration; the scalar form refines every return.
 pub const REFINED: u16 = 1 << 0;
-/// Its pulse overlaps another's.
+/// The pulse overlaps another one.
 pub const OVERLAP: u16 = 1 << 1;
-/// The fit went astray at first and was started anew, or ended without an optimum.
+/// The fit diverged and was restarted, or ended without an optimum.
 pub const DIVERGED: u16 = 1 << 2;
-/// The echo overlaps what leaks in from an emission.
+/// The echo overlaps crosstalk from an emission.
 pub const EMISSION_ON_ECHO: u16 = 1 << 3;
-/// The block holds what leaks in from an emission, away from this echo.
+/// The block contains crosstalk from an emission, away from this echo.
 pub const EMISSION_IN_BLOCK: u16 = 1 << 4;
-/// The outgoing pulse is overlapped by an echo: its timing cannot be relied upon.
+/// The outgoing pulse overlaps an echo: its timing is unreliable.
 pub const ECHO_ON_OUTGOING: u16 = 1 << 5;
 /// Samples of the pulse are saturated.
 pub const SATURATED: u16 = 1 << 6;
-/// So many samples are saturated that the pulse is told by its flanks alone, or by one of them.
+/// So many samples are saturated that only the flanks, or one of them, determine the pulse.
 pub const EXTREMELY_SATURATED: u16 = 1 << 7;
-/// The receiver was overdriven without a sample being saturated.
+/// The receiver was overdriven without saturated samples.
 pub const OVERDRIVEN: u16 = 1 << 8;
-/// The block begins or ends on the pulse.
+/// The block begins or ends within the pulse.
 pub const TRUNCATED: u16 = 1 << 9;
-/// The return stems from dividing one widened pulse into two.
+/// The return results from splitting one widened pulse into two.
 pub const SPLIT: u16 = 1 << 10;
-/// The MTA zone was decided against little evidence.
+/// The MTA zone has weak evidence.
 pub const ZONE_UNCERTAIN: u16 = 1 << 11;
-/// The instrument's own return: it was not computed from a waveform.
+/// A return of the instrument, not computed from a waveform.
 pub const INSTRUMENT: u16 = 1 << 12;
 
-/// The flags of cross-talk between emissions and echoes.
+/// Flags of crosstalk between emissions and echoes.
 pub const CROSSTALK: u16 = EMISSION_ON_ECHO | EMISSION_IN_BLOCK | ECHO_ON_OUTGOING;
 
-/// Every flag with its name in words, by bit.
+/// All flags and their names, by bit.
 pub const NAMES: [(u16, &str); 13] = [
     (REFINED, "refined"),
     (OVERLAP, "overlap"),
@@ -48,7 +49,7 @@ pub const NAMES: [(u16, &str); 13] = [
     (INSTRUMENT, "instrument's own return"),
 ];
 
-/// The flags that are set, in words: `refined, overlap`; `none` where none is.
+/// Names of the flags that are set: `refined, overlap`; `none` without flags.
 pub fn words(flags: u16) -> String {
     let set: Vec<&str> = NAMES.iter().filter(|(bit, _)| flags & bit != 0).map(|(_, name)| *name).collect();
     if set.is_empty() { "none".to_owned() } else { set.join(", ") }

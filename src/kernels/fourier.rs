@@ -1,4 +1,4 @@
-//! A plain Fourier transform of power-of-two length (Cooley and Tukey 1965), for tables that are made once.
+//! Fourier transform of power-of-two length (Cooley and Tukey 1965), for tables computed once.
 
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
@@ -6,13 +6,14 @@ use std::sync::OnceLock;
 /// A complex number: real and imaginary part.
 pub(super) type Complex = [f64; 2];
 
-/// The product of two complex numbers.
+/// Product of two complex numbers.
 pub(super) fn times(a: Complex, b: Complex) -> Complex {
     [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
 }
 
-/// Replaces `values`, a power of two many, by `Σ_k values_k exp(sign 2πi jk/n)`, `sign` being 1 or -1; nothing is
-/// scaled.
+/// Replaces `values` by `Σ_k values_k exp(sign 2πi jk/n)`, unscaled.
+///
+/// The length is a power of two; `sign` is 1 or -1.
 pub(super) fn transform(values: &mut [Complex], sign: f64) {
     let n = values.len();
     debug_assert!(n.is_power_of_two());
@@ -39,7 +40,7 @@ pub(super) fn transform(values: &mut [Complex], sign: f64) {
     }
 }
 
-/// `exp(2πi k/n)` for the first half of the circle, kept for each power of two: tables take many transforms of one length.
+/// `exp(2πi k/n)` for the first half of the circle, cached per power of two.
 fn roots(n: usize) -> &'static [Complex] {
     static ROOTS: [OnceLock<Vec<Complex>>; usize::BITS as usize] =
         [const { OnceLock::new() }; usize::BITS as usize];

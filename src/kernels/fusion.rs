@@ -1,7 +1,8 @@
-//! Two receivers that see the same echoes: how much more the sensitive one amplifies, and how much later the other sees
-//! them, from plain peaks; and the fit of one receiver's samples with what the other tells of the pulses ([`JointFit`]).
+//! Relative gain and delay of two receivers that record the same echoes.
 //!
-//! Docs/method.md, Two receivers. The sensitive receiver is *low power*, the one for strong echoes *high power*.
+//! Both are estimated from plain peaks. [`JointFit`] fits one receiver's samples with prior
+//! knowledge of the pulses from the other. See docs/method.md, Two receivers. The sensitive
+//! receiver is *low power*, the one for strong echoes *high power*.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -18,73 +19,80 @@ mod robust;
 #[cfg(test)]
 mod tests;
 
-/// Fewer pairs do not tell gain and delay.
+/// Fewest pairs for an estimate of gain and delay.
 pub const MIN_PAIRS: usize = 20;
-/// Echoes are used from this height over the noise in the receiver for strong echoes on.
+/// Smallest SNR of echoes in the high-power receiver.
 const LEAST_SNR: f64 = 8.0;
-/// Heights at which the delay of the overdriven receiver is told, at most.
+/// Largest number of delay nodes for the overdriven receiver.
 const WALK_NODES: usize = 4;
-/// A change of delay, or of the gain between weaker and stronger echoes, is one from so many standard deviations on.
+/// Significance threshold of a change of delay with height, or of gain between weaker and stronger
+/// echoes, in standard deviations.
 const SIGNIFICANT_SD: f64 = 4.0;
-/// Where the gain changes with height it says little of echoes above those it was found from: its standard deviation
-/// is so many times the change.
+/// If the gain changes with height, its standard deviation is this many times the change, because
+/// stronger echoes are extrapolated.
 const EXTRAPOLATION: f64 = 3.0;
-/// Where only one receiver's response is known, the peaks of the two models may lie apart by this part of a pulse's width.
+/// Peak offset uncertainty, in pulse widths, if only one response is known.
 const UNKNOWN_RESPONSE_WIDTHS: f64 = 0.02;
-/// A model's plain peak is the mean over so many phases of the sample raster.
+/// Number of sample phases averaged for a model's plain peak.
 const PHASES: u32 = 16;
-/// Samples of the block that a model's plain peak is taken from, and where its pulse stands.
+/// Length of the block for a model's plain peak, and position of its pulse, samples.
 const MODEL_SAMPLES: usize = 64;
 const MODEL_PLACE: f64 = 24.0;
 
-/// One echo as both receivers saw it, unsaturated: plain peaks.
+/// Plain peaks of one unsaturated echo in both receivers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair {
-    /// Height above the background in the sensitive receiver, DN.
+    /// Height above the background in the low-power receiver, DN.
     pub low_power_dn: f64,
-    /// The same in the other.
+    /// Height above the background in the high-power receiver, DN.
     pub high_power_dn: f64,
-    /// How much later the other saw it, ns.
+    /// Delay of the high-power receiver, ns.
     pub delay_ns: f64,
 }
 
-/// How the two receivers go together.
+/// Gain ratio and delay of the two receivers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ChannelFusion {
-    /// Echoes that it was found from; 0 where all of it was given.
+    /// Number of echoes used; 0 if all values were given.
     pub pairs: u64,
-    /// Height of an echo in the sensitive receiver over that in the other.
+    /// Height of an echo in the low-power receiver over the high-power one.
     pub gain_ratio: f64,
-    /// Standard deviation of `gain_ratio`, its change with the height of the echo included.
+    /// Standard deviation of `gain_ratio`, including its change with the height of the echo.
     pub gain_ratio_sd: f64,
-    /// How much later the receiver for strong echoes sees an echo than the sensitive one, ns.
+    /// Delay of the high-power receiver relative to the low-power one, ns.
     pub delay_ns: f64,
     /// Standard deviation of `delay_ns`, ns.
     pub delay_sd_ns: f64,
-    /// The delay by height where the sensitive receiver is overdriven, by rising height; none where it does not change.
+    /// Delay by ascending height where the low-power receiver is overdriven.
+    ///
+    /// Empty if it does not change.
     pub walk: Vec<WalkNode>,
 }
 
-/// The delay at one height.
+/// Delay at one height.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WalkNode {
-    /// Height above the background in the sensitive receiver, DN.
+    /// Height above the background in the low-power receiver, DN.
     pub low_power_dn: f64,
-    /// The delay, ns.
+    /// Delay of the high-power receiver, ns.
     pub delay_ns: f64,
-    /// Its standard deviation, ns.
+    /// Standard deviation of the delay, ns.
     pub delay_sd_ns: f64,
 }
 
-/// Gain and delay from echoes that both receivers saw, by robust weighted means: the delay of echoes that do not overdrive
-/// the sensitive receiver, whose scale ends at `full_scale_dn`, the ratio of heights with the weights of a regression
-/// through the origin. `high_noise_dn` is the noise of the receiver for strong echoes. `None` where fewer than
-/// [`MIN_PAIRS`] echoes are strong enough.
+/// Estimates gain and delay of two receivers from common echoes.
+///
+/// Both are robust weighted means.
+///
+/// The delay is from echoes that do not overdrive the low-power receiver, whose range ends at
+/// `full_scale_dn`. The ratio of heights has the weights of a regression through the origin.
+/// `high_noise_dn` is the noise of the high-power receiver. `None` for fewer than [`MIN_PAIRS`]
+/// sufficiently strong echoes.
 pub fn estimate(pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> Option<ChannelFusion> {
     let overdriven_dn = OVERDRIVEN_PART * full_scale_dn;
-    // What the sensitive receiver says of the height decides, so that the other's noise does not choose.
+    // Selection by the low-power height avoids a bias from the noise of the high-power receiver.
     let rough_ratio = rough_ratio(pairs)?;
     let least_dn = LEAST_SNR * high_noise_dn / rough_ratio;
     let strong = |pair: &&Pair| pair.low_power_dn >= least_dn;
@@ -113,7 +121,7 @@ pub fn estimate(pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> Optio
     })
 }
 
-/// The median ratio of the heights; `None` without pairs.
+/// Median ratio of the heights; `None` without pairs.
 fn rough_ratio(pairs: &[Pair]) -> Option<f64> {
     let mut ratios: Vec<f64> = pairs.iter().map(|pair| pair.high_power_dn / pair.low_power_dn).collect();
     let middle = ratios.len() / 2;
@@ -124,23 +132,25 @@ fn rough_ratio(pairs: &[Pair]) -> Option<f64> {
     (median > 0.0).then_some(median)
 }
 
-/// Height in the receiver for strong echoes over that in the other, and its standard deviation: its noise is the larger
-/// one against the height, and the same for all, so that a line through the origin weighs with the square of the height.
+/// Height in the high-power receiver over that in the other, and its standard deviation.
+///
+/// The noise of the high-power receiver dominates and is the same for all echoes, so a line through
+/// the origin has weights proportional to the squared height.
 fn ratio(pairs: &[Pair]) -> (f64, f64) {
     robust_mean(pairs.iter().map(|pair| (pair.high_power_dn / pair.low_power_dn, pair.low_power_dn.powi(2))))
 }
 
-/// The delay and its standard deviation: a place is the better known the higher the peak.
+/// Delay and its standard deviation; positions of higher peaks are more accurate.
 fn delay(pairs: &[Pair]) -> (f64, f64) {
     robust_mean(pairs.iter().map(|pair| (pair.delay_ns, pair.low_power_dn.powi(2))))
 }
 
-/// The sum of the weights.
+/// Sum of the weights.
 fn weight(pairs: &[Pair]) -> f64 {
     pairs.iter().map(|pair| pair.low_power_dn.powi(2)).sum()
 }
 
-/// The delay by height, beginning with `base`, which so much weight tells; none where it does not change.
+/// Delay by height, beginning with `base` of weight `base_weight`; empty if it does not change.
 fn walk(base: WalkNode, base_weight: f64, overdriven: &[Pair]) -> Vec<WalkNode> {
     let nodes = (overdriven.len() / MIN_PAIRS).min(WALK_NODES);
     if nodes == 0 {
@@ -150,7 +160,7 @@ fn walk(base: WalkNode, base_weight: f64, overdriven: &[Pair]) -> Vec<WalkNode> 
     let mut found = vec![base];
     found.extend(bins.map(|bin| {
         let (delay_ns, own_sd_ns) = delay(bin);
-        // A few values may lie close by chance: they are not better known than as many of the others.
+        // A few values may agree by chance: their SD is at least that expected from their weight.
         let delay_sd_ns = own_sd_ns.max(base.delay_sd_ns * (base_weight / weight(bin)).sqrt());
         let low_power_dn = bin.iter().map(|pair| pair.low_power_dn).sum::<f64>() / bin.len() as f64;
         WalkNode { low_power_dn, delay_ns, delay_sd_ns }
@@ -169,9 +179,10 @@ fn walk(base: WalkNode, base_weight: f64, overdriven: &[Pair]) -> Vec<WalkNode> 
 }
 
 impl ChannelFusion {
-    /// By how much the delay of an echo of this height in the sensitive receiver differs from `delay_ns`, and the standard
-    /// deviation of that: linear between the nodes, and above the last one as at the last one, where the whole change may
-    /// be wrong.
+    /// Change of the delay with height relative to `delay_ns`, and its standard deviation, ns.
+    ///
+    /// `low_power_dn` is the height in the low-power receiver. Linear between the nodes; constant
+    /// above the last, with the whole change as uncertainty.
     pub fn walk_ns(&self, low_power_dn: f64) -> (f64, f64) {
         let after = self.walk.partition_point(|node| node.low_power_dn <= low_power_dn);
         let Some(before) = after.checked_sub(1).and_then(|before| self.walk.get(before)) else {
@@ -191,7 +202,9 @@ impl ChannelFusion {
         }
     }
 
-    /// The same between receivers at other gains: of heights as they are recorded.
+    /// Gain and delay between the receivers at other gains.
+    ///
+    /// For pulse heights as recorded. `low` and `high` are the gains of the two receivers.
     pub fn at_gains(&self, low: f64, high: f64) -> ChannelFusion {
         let factor = low / high;
         let mut fusion = self.clone();
@@ -200,10 +213,11 @@ impl ChannelFusion {
         fusion
     }
 
-    /// The same between pulses fitted with these models: what plain peaks make of a model's own pulse is taken off.
+    /// Gain and delay between pulses fitted with these models, corrected for the models' own plain
+    /// peaks.
     ///
     /// # Errors
-    /// Where a model describes no channel.
+    /// Fails if a model describes no channel.
     pub fn between_models(
         &self,
         low: &ChannelModel,
@@ -228,7 +242,7 @@ impl ChannelFusion {
     }
 }
 
-/// Where a model's pulse of this height has its plain peak, ns after its place, and that peak's height over the pulse's.
+/// Plain peak of a model's pulse of this height: offset from its position, ns, and relative height.
 fn plain_of_model(model: &ChannelModel, height_dn: f64) -> Result<(f64, f64), ModelError> {
     let shape = super::shape::Shape::of(model)?;
     let (mut shift_samples, mut ratio) = (0.0, 0.0);
@@ -242,7 +256,7 @@ fn plain_of_model(model: &ChannelModel, height_dn: f64) -> Result<(f64, f64), Mo
             ln_width_precision: 0.0,
         };
         shape.add(&pulse, 1.0, &mut signal);
-        // A pulse too long for the block has no plain peak: it is taken at its place.
+        // A pulse too long for the block has no plain peak; its position is used.
         if let Some(peak) = plain_peak_of(&signal) {
             shift_samples += peak.position_samples - position_samples;
             ratio += peak.height_dn / height_dn - 1.0;

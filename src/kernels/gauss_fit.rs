@@ -1,11 +1,12 @@
-//! Pulses fitted jointly to a block of samples by least squares in the whitened domain.
+//! Joint least-squares fit of pulses in the whitened domain.
 //!
-//! The model of sample `k` is `b + Σ a_i s(k - t_i, u_i)` with the shape `s` of height 1, a Gaussian
-//! `exp(-4 ln 2 (k - t)² / (W e^u)²)` or the calibrated response: heights `a`, positions `t`,
-//! logarithms `u` of the width over the calibrated width `W`, and an offset `b` where the background is not known.
-//! What is made smallest is `‖L⁻¹(y - model)‖² + Σ (u_i/s_i)² + (b/s_b)²`, with `L` the factor of the noise's
-//! covariance on the used samples: the posterior's logarithm for Gaussian priors on `u` and `b`. The method is that of
-//! Levenberg (1944) and Marquardt (1963) with the derivatives in closed form; the covariance of the parameters is the
+//! The model of sample `k` is `b + Σ a_i s(k - t_i, u_i)`. The shape `s` has height 1; it is a
+//! Gaussian `exp(-4 ln 2 (k - t)² / (W e^u)²)` or the calibrated response. Parameters are heights
+//! `a`, positions `t`, logarithms `u` of the width over the calibrated width `W`, and an offset `b`
+//! if the background is unknown. The objective is `‖L⁻¹(y - model)‖² + Σ (u_i/s_i)² + (b/s_b)²`,
+//! with `L` the Cholesky factor of the noise covariance of the used samples; up to constants it is
+//! -2 times the log posterior for Gaussian priors on `u` and `b`. The method is that of Levenberg
+//! (1944) and Marquardt (1963) with analytic derivatives. The covariance of the parameters is the
 //! inverse of the normal matrix at the optimum, priors included.
 
 use super::cholesky;
@@ -18,44 +19,47 @@ mod tests;
 
 /// `4 ln 2`: a Gaussian of full width `W` at half maximum is `exp(-4 ln 2 (x/W)²)`.
 pub const FOUR_LN_2: f64 = 2.772_588_722_239_781;
-/// Beyond so many of its widths a pulse is zero in double precision (`exp(-4 ln 2 · 3.65²) = 1e-16`).
+/// Half extent of a pulse, in widths.
+///
+/// Beyond it a pulse is zero in double precision (`exp(-4 ln 2 · 3.65²) = 1e-16`).
 const SUPPORT_WIDTHS: f64 = 3.65;
-/// The shortest and the longest pulse, over the calibrated width; beyond, a fit has left what can be measured.
+/// Bounds of the log width ratio; a fit outside them is not meaningful.
 pub(super) const LN_WIDTH_BOUNDS: [f64; 2] = [-1.5, 3.2];
-/// The farthest a step may move a pulse, in its own widths (1.5 samples for a pulse of 4.25).
+/// Largest move of a pulse in one step, in its own widths (1.5 samples for a pulse of 4.25).
 const MAX_MOVE_WIDTHS: f64 = 0.35;
-/// The largest change of a width's logarithm in a step.
+/// Largest change of a log width in one step.
 const MAX_LN_WIDTH_STEP: f64 = 0.4;
-/// The smallest part of its height that a step leaves to a pulse.
+/// Smallest relative height that a step may leave.
 const MIN_HEIGHT_PART: f64 = 0.2;
-/// The smallest height over the noise's standard deviation: keeps the normal matrix regular.
+/// Smallest height over the noise SD; keeps the normal matrix regular.
 const MIN_HEIGHT_SD: f64 = 1e-3;
-/// Damping below which the promised decrease tells that the optimum is near.
+/// Damping below which the predicted decrease indicates the optimum.
 const NEAR_NEWTON: f64 = 1e-2;
-/// What the next step promises is taken this many times for what a fit may still gain.
+/// Assumed ratio of the achievable to the predicted decrease.
 const REACH: f64 = 8.0;
 
 /// One pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pulse {
-    /// Height of the peak above the background, digitiser steps.
+    /// Height of the peak above the background, DN.
     pub height_dn: f64,
-    /// Place of the peak, in samples from the block's first.
+    /// Position of the peak, samples from the block's first.
     pub position_samples: f64,
     /// Logarithm of the width over the calibrated width.
     pub ln_width_ratio: f64,
-    /// `1/s²` of the prior that draws `ln_width_ratio` to 0; 0 for no prior.
+    /// Precision `1/s²` of the prior on `ln_width_ratio` about 0; 0 for no prior.
     pub ln_width_precision: f64,
 }
 
 impl Pulse {
-    /// Adds `sign` times the pulse as a Gaussian to `values`, the samples of a block; `fwhm_samples` is the calibrated
-    /// width.
+    /// Adds `sign` times the pulse as a Gaussian to the samples `values`.
+    ///
+    /// `fwhm_samples` is the calibrated width.
     pub fn add_to(&self, fwhm_samples: f64, sign: f64, values: &mut [f64]) {
         self.add_lane_to(fwhm_samples, sign, Lane::All, values);
     }
 
-    /// The same for some of the samples.
+    /// [`Pulse::add_to`] for the samples of a lane.
     pub(super) fn add_lane_to(&self, fwhm_samples: f64, sign: f64, lane: Lane, values: &mut [f64]) {
         let width = fwhm_samples * self.ln_width_ratio.exp();
         let (first, end) = support(self.position_samples, width, values.len());
@@ -66,7 +70,9 @@ impl Pulse {
         }
     }
 
-    /// Writes the Gaussian's derivatives by height, position and width's logarithm to columns of a block's length.
+    /// Writes the Gaussian's derivatives by height, position and log width to columns of block
+    /// length.
+    ///
     /// Returns the first sample that can differ from zero.
     pub(super) fn add_derivatives_to(
         &self,
@@ -89,7 +95,7 @@ impl Pulse {
     }
 }
 
-/// The samples `first..end` of a block of `samples` where a pulse is not zero.
+/// Range `first..end` of samples in which a pulse is not zero.
 fn support(position: f64, width: f64, samples: usize) -> (usize, usize) {
     let reach = SUPPORT_WIDTHS * width;
     let first = (position - reach).ceil().max(0.0) as usize;
@@ -97,75 +103,78 @@ fn support(position: f64, width: f64, samples: usize) -> (usize, usize) {
     (first.min(samples), end.min(samples))
 }
 
-/// Why a fit ended.
+/// Reason why a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Termination {
-    /// The next step promises no decrease worth taking: the optimum.
+    /// The predicted decrease of the next step is negligible: the optimum.
     Converged,
-    /// The same, with a width or a position at the end of its admissible range.
+    /// Converged with a width or a position at its bound.
     AtBound,
-    /// No step, however short, gives a smaller value: the optimum to within rounding.
+    /// No step decreases the objective: the optimum to rounding.
     NoDecrease,
-    /// The permitted number of iterations was used up.
+    /// The iteration limit was reached.
     IterationLimit,
-    /// It would not have come down to [`Limits::enough`].
+    /// The objective cannot reach [`Limits::enough`].
     OutOfReach,
-    /// Fewer used samples than parameters: nothing was fitted.
+    /// Fewer used samples than parameters; nothing was fitted.
     TooFewSamples,
-    /// More pulses than the workspace was made for: nothing was fitted.
+    /// More pulses than the workspace supports; nothing was fitted.
     TooManyPulses,
-    /// Start values, samples or normal matrix are not fit for the computation (not finite, or singular).
+    /// Start values, samples or normal matrix are not finite, or the matrix is singular.
     Singular,
 }
 
 impl Termination {
-    /// Whether the parameters are an optimum and their covariance is known.
+    /// Whether the parameters are an optimum with known covariance.
     pub fn is_optimum(self) -> bool {
         matches!(self, Termination::Converged | Termination::AtBound | Termination::NoDecrease)
     }
 }
 
-/// When a fit ends.
+/// Termination criteria of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Iterations at most.
+    /// Largest number of iterations.
     pub iterations: usize,
-    /// Converged is what the next step promises to lower chi-square by less than this; the square of what is left to
-    /// go, in standard deviations of the parameters.
+    /// Converged if the next step is predicted to lower chi-square by less.
+    ///
+    /// It is the square of the remaining distance, in standard deviations of the parameters.
     pub decrease: f64,
-    /// A fit is given up where even eight times what the next step promises would leave chi-square, with the priors'
-    /// part, above this.
+    /// Abandons a fit that cannot come below this objective.
+    ///
+    /// The criterion: even eight times the predicted decrease leaves chi-square plus the prior part
+    /// above it.
     pub enough: f64,
 }
 
 impl Limits {
-    /// Parameters to within 1e-5 of their standard deviations.
+    /// Criteria for parameters to 1e-5 of their standard deviations.
     pub fn exact(iterations: usize) -> Limits {
         Limits { iterations, decrease: 1e-10, enough: f64::INFINITY }
     }
 
-    /// Chi-square to within what an acceptance turns on.
+    /// Criteria for a chi-square accurate enough for acceptance tests.
     pub fn rough(iterations: usize) -> Limits {
         Limits { iterations, decrease: 1e-2, enough: f64::INFINITY }
     }
 }
 
-/// What a fit reports beside the pulses, the offset and the covariance, which the workspace keeps.
+/// Result of a fit; pulses, offset and covariance remain in the workspace.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fit {
-    /// `‖L⁻¹(y - model)‖²` over the used samples, without the priors' part.
+    /// `‖L⁻¹(y - model)‖²` over the used samples, without the prior part.
     pub chi_square: f64,
-    /// Used samples.
+    /// Number of used samples.
     pub samples: usize,
-    /// Free parameters: three for each pulse, one for an unknown background.
+    /// Number of free parameters: three per pulse, one for an unknown background.
     pub parameters: usize,
-    /// Iterations made: normal matrices formed.
+    /// Number of iterations, each with one normal matrix.
     pub iterations: usize,
-    /// Why it ended.
+    /// Reason for the end.
     pub termination: Termination,
 }
 
-/// Workspace of the fit; no memory is taken while fitting blocks and pulses within its capacities.
+/// Workspace of the fit; within its capacities fits do not allocate.
 #[derive(Debug, Clone)]
 pub struct GaussFit {
     shape: Shape,
@@ -176,7 +185,7 @@ pub struct GaussFit {
     trial: Vec<Pulse>,
     residual: Vec<f64>,
     trial_residual: Vec<f64>,
-    /// Whitened derivatives, one column of the block's length after the other.
+    /// Whitened derivatives, in consecutive columns of block length.
     columns: Vec<f64>,
     normal: Vec<f64>,
     damped: Vec<f64>,
@@ -186,11 +195,11 @@ pub struct GaussFit {
 }
 
 impl GaussFit {
-    /// A workspace for pulses of the shape (of a number: Gaussians of that full width at half maximum, samples).
+    /// Creates a workspace for pulses of a shape; a number means Gaussians of that FWHM, samples.
     ///
-    /// `offset_precision` is `None` where the background is known (and was subtracted), else `1/s_b²` of the offset's
-    /// prior about zero, in 1/DN² (0: no prior). Blocks longer than `max_samples` make the workspace grow; more than
-    /// `max_pulses` pulses are refused.
+    /// `offset_precision` is `None` if the background is known (and subtracted), otherwise the
+    /// precision `1/s_b²` of the offset's prior about zero, in 1/DN² (0: no prior). Blocks longer
+    /// than `max_samples` allocate; more than `max_pulses` pulses are rejected.
     pub fn new(
         shape: impl Into<Shape>,
         offset_precision: Option<f64>,
@@ -216,32 +225,35 @@ impl GaussFit {
         }
     }
 
-    /// The pulses of the last fit, in the order they were given.
+    /// Pulses of the last fit, in input order.
     pub fn pulses(&self) -> &[Pulse] {
         &self.pulses
     }
 
-    /// The background's offset in the last fit, digitiser steps; 0 where the background is known.
+    /// Background offset of the last fit, DN; 0 if the background is known.
     pub fn offset_dn(&self) -> f64 {
         self.offset_dn
     }
 
-    /// Covariance of two parameters at the optimum: of pulse `i`, `3i` is the height (DN), `3i + 1` the position
-    /// (samples) and `3i + 2` the width's logarithm; behind the last pulse stands the offset (DN).
+    /// Covariance of two parameters at the optimum.
     ///
-    /// Only after a fit whose termination is an optimum or the iteration limit; NaN for parameters there are not.
+    /// Of pulse `i`, `3i` is the height (DN), `3i + 1` the position (samples) and `3i + 2` the log
+    /// width; the offset (DN) follows the last pulse. Valid only if the fit ended at an optimum or
+    /// the iteration limit; NaN for parameters that do not exist.
     pub fn covariance(&self, i: usize, j: usize) -> f64 {
         let n = self.parameters();
         if i.max(j) < n { self.covariance[i * n + j] } else { f64::NAN }
     }
 
-    /// Standard deviations of pulse `i`: height (DN), position (samples), width's logarithm.
+    /// Standard deviations of pulse `i`: height (DN), position (samples), log width.
     pub fn pulse_sd(&self, i: usize) -> [f64; 3] {
         [0, 1, 2].map(|part| self.covariance(3 * i + part, 3 * i + part).sqrt())
     }
 
-    /// How parameter `i` of the last fit follows the whitened samples, to first order: its row of the covariance times the
-    /// derivatives. [`Whitener::whiten_transposed`] turns it into weights of the samples themselves.
+    /// Sensitivity of parameter `i` of the last fit to the whitened samples, to first order.
+    ///
+    /// It is the row of the covariance times the derivatives. [`Whitener::whiten_transposed`]
+    /// converts it to weights of the samples.
     pub(super) fn weights(&self, i: usize) -> Vec<f64> {
         let samples = self.residual.len();
         let mut weights = vec![0.0; samples];
@@ -252,9 +264,9 @@ impl GaussFit {
         weights
     }
 
-    /// Fits pulses to `target_dn`, the samples less the known background, from the given start values.
+    /// Fits pulses to `target_dn`, the samples less the known background, from start values.
     ///
-    /// The whitener tells which samples are used; it is prepared for a block of `target_dn`'s length.
+    /// The whitener defines the used samples; it must be prepared for a block of this length.
     pub fn fit(&mut self, whitener: &Whitener, target_dn: &[f64], start: &[Pulse], limits: Limits) -> Fit {
         self.pulses.clear();
         self.offset_dn = 0.0;
@@ -322,7 +334,7 @@ impl GaussFit {
         }
     }
 
-    /// Looks for a step that lowers the objective, with more and more damping; says why, when it is the last.
+    /// Searches a descent step with increasing damping; returns the reason if the fit ends.
     fn descend(
         &mut self,
         whitener: &Whitener,
@@ -338,7 +350,7 @@ impl GaussFit {
                 continue;
             }
             let is_newton = *damping <= NEAR_NEWTON;
-            // Of the whole step, before it is cut down.
+            // Uses the full step, before it is limited.
             if is_newton && *objective - REACH * self.promised_decrease() > limits.enough {
                 return Some(Termination::OutOfReach);
             }
@@ -358,7 +370,8 @@ impl GaussFit {
         Some(Termination::NoDecrease)
     }
 
-    /// The objective at `self.trial` and `offset`; the whitened residual goes to `self.trial_residual`.
+    /// Computes the objective at `self.trial` and `offset`, and the whitened residual in
+    /// `self.trial_residual`.
     fn try_point(&mut self, whitener: &Whitener, target_dn: &[f64], offset: f64) -> f64 {
         for (residual, target) in self.trial_residual.iter_mut().zip(target_dn) {
             *residual = target - offset;
@@ -378,7 +391,7 @@ impl GaussFit {
         std::mem::swap(&mut self.residual, &mut self.trial_residual);
     }
 
-    /// Whitened derivatives of the model at the present point, into `self.columns`.
+    /// Computes the whitened derivatives at the current point in `self.columns`.
     fn form_columns(&mut self, whitener: &Whitener) {
         let samples = self.residual.len();
         self.columns.fill(0.0);
@@ -398,7 +411,7 @@ impl GaussFit {
         }
     }
 
-    /// Normal matrix `JᵀJ + Λ` and right-hand side `Jᵀr - Λ(θ - θ₀)` at the present point.
+    /// Normal matrix `JᵀJ + Λ` and right-hand side `Jᵀr - Λ(θ - θ₀)` at the current point.
     fn form_normal_equations(&mut self, whitener: &Whitener) {
         self.form_columns(whitener);
         let samples = self.residual.len();
@@ -436,8 +449,9 @@ impl GaussFit {
         true
     }
 
-    /// Moves `self.trial` by the step, cut down to what one step may do; the step becomes what was moved. Returns the
-    /// trial's offset, and whether a bound of the parameters held something back.
+    /// Applies the limited step to `self.trial`; `self.step` becomes the actual move.
+    ///
+    /// Returns the trial offset, and whether a bound was active.
     fn step_within_limits(&mut self, samples: usize, min_height_dn: f64) -> (f64, bool) {
         let mut at_bound = false;
         let fwhm_samples = self.shape.fwhm_samples();
@@ -463,7 +477,7 @@ impl GaussFit {
         (self.offset_dn + offset_step, at_bound)
     }
 
-    /// By how much the quadratic model says that the step lowers the objective.
+    /// Decrease of the objective predicted by the quadratic model.
     fn promised_decrease(&self) -> f64 {
         let n = self.parameters();
         let mut decrease = 0.0;

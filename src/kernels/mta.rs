@@ -1,12 +1,13 @@
-//! Multiple time around: which emission caused an echo, when several pulses are in the air.
+//! Multiple time around (MTA): assigns echoes to pulses when several are in the air.
 //!
-//! An echo received at time `T` may belong to any emission before it: emission `e` gives the range `c/2 (T − t_e)`. Lasers
-//! whose pulse intervals vary make this decidable, because only the true assignment gives a smooth surface; all others carry
-//! the known variation of the intervals. A constant pulse rate needs a [`Prior`]. docs/mta.md describes the methods and what
-//! they reach.
+//! An echo received at time `T` may belong to any earlier emission: emission `e` gives the range
+//! `c/2 (T − t_e)`. If the pulse intervals vary, only the true assignment gives a smooth surface;
+//! every other one carries the known variation of the intervals. A constant pulse rate requires a
+//! [`Prior`]. docs/mta.md describes the methods and their accuracy.
 //!
-//! A [`Resolver`] takes scan lines and gives them back in order, each echo with its cause. It holds back at most
-//! [`Resolver::look_ahead_lines`] lines. What comes out depends on the lines and the settings alone.
+//! A [`Resolver`] accepts scan lines and returns them in order, each echo with its cause. It holds
+//! back at most [`Resolver::look_ahead_lines`] lines. The output depends only on the lines and the
+//! settings.
 
 mod blocks;
 mod cells;
@@ -30,24 +31,25 @@ use held::{Held, Places};
 use joined::Joined;
 use variance::Variance;
 
-/// One emission of a line.
+/// One emission of a scan line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Emission {
-    /// Time on the instrument's clock, ps. Ascending within a line.
+    /// Time on the instrument's clock, ps. Ascends within a line.
     pub clock_ps: i64,
-    /// Running number. Zones are differences of it: where numbers run on over lost records, zones count those, too.
+    /// Shot number. Zones are differences of shot numbers: if numbering continues over lost records,
+    /// zones count those too.
     pub shot: u64,
-    /// Place across the line (scan angle, or mirror angle), comparable between lines; NaN where unknown: then the emissions of
-    /// all lines are taken to stand at the same places.
+    /// Position across the line (scan angle or mirror angle), comparable between lines. If NaN, all
+    /// lines are assumed to have their emissions at the same positions.
     pub scan_angle_deg: f32,
-    /// Cosine of the angle between beam and vertical, for [`Prior::Agl`]; NaN where unknown.
+    /// Cosine of the angle between beam and vertical, for [`Prior::Agl`]; NaN if unknown.
     pub cos_nadir: f32,
-    /// The range at which a shot emitted now meets the terrain, m, for [`Prior::PerEmission`]; NaN where unknown.
+    /// Expected range of this shot to the terrain, m, for [`Prior::PerEmission`]; NaN if unknown.
     pub prior_range_m: f32,
 }
 
 impl Default for Emission {
-    /// An emission of which only the time will be known.
+    /// An emission with all values unknown.
     fn default() -> Emission {
         Emission {
             clock_ps: 0,
@@ -62,28 +64,30 @@ impl Default for Emission {
 /// One received echo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Echo {
-    /// Index, in the line, of the emission in whose record the echo lies.
+    /// Index in the line of the emission whose record contains the echo.
     pub emission: u32,
     /// Time after that emission's clock, ns. May exceed the interval to the next emission.
     pub time_ns: f64,
 }
 
-/// A scan line: its emissions in order of time, and its echoes in any order.
+/// A scan line: emissions in time order, and echoes in any order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Line {
     /// In ascending order of `clock_ps`.
     pub emissions: Vec<Emission>,
-    /// What was received in this line's records.
+    /// Echoes received in the records of this line.
     pub echoes: Vec<Echo>,
-    /// What the caller keeps with the line until it is resolved, bytes: beyond [`LOOK_AHEAD_BYTES`] fewer lines are held
-    /// back. It must follow from the data alone, because results depend on it.
+    /// Memory that the caller holds for this line until it is resolved, bytes.
+    ///
+    /// Above [`LOOK_AHEAD_BYTES`] fewer lines are held back. The value must depend on the data
+    /// alone, because results depend on it.
     pub bytes: usize,
 }
 
-/// An emission that caused an echo.
+/// The emission that caused an echo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cause {
-    /// Number of the line, in the order they were pushed, from 0.
+    /// Number of the line in the order of `push`, from 0.
     pub line: u64,
     /// Index of the emission in that line.
     pub emission: u32,
@@ -92,81 +96,83 @@ pub struct Cause {
 /// An echo with its cause.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Assigned {
-    /// The emission that caused it; `None` where no emission is at a feasible distance.
+    /// The emission that caused it; `None` if no emission gives a feasible range.
     pub cause: Option<Cause>,
-    /// Emissions between cause and reception, from 0: the running number of the last emission before the echo less that of
-    /// the cause. 0 without a cause.
+    /// MTA zone: number of emissions between cause and reception, from 0. It is the number of the
+    /// last shot before the echo minus that of the cause. 0 without a cause.
     pub zone: u16,
     /// Time since the causing emission's clock, ns; NaN without a cause.
     pub flight_ns: f64,
-    /// Evidence against the second best zone, nats (`Blocks`), or half the buffer's length times the logarithm of the ratio of
-    /// variances (`Variance`). Infinite with a fixed zone.
+    /// Evidence against the second-best zone, nats.
+    ///
+    /// For `Variance` it is half the buffer length times the logarithm of the variance ratio.
+    /// Infinite for a fixed zone.
     pub margin_nats: f32,
-    /// The zone was decided against little evidence, or the echo lies far from the surface.
+    /// The evidence for the zone is weak, or the echo is far from the surface.
     pub uncertain: bool,
-    /// Received within the blind gap around an emission: what scatters in the instrument may lie there, too.
+    /// Received within the blind gap around an emission, where internal scatter may appear too.
     pub in_blind_gap: bool,
 }
 
 /// A finished line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolved {
-    /// Number of the line, in the order they were pushed, from 0.
+    /// Number of the line in the order of `push`, from 0.
     pub line: u64,
-    /// One for each echo, in the order of [`Line::echoes`].
+    /// One entry per echo, in the order of [`Line::echoes`].
     pub echoes: Vec<Assigned>,
-    /// No line that is still to come has an echo caused by lines below this number: their pulses are complete.
+    /// Lines below this number cause no echo of a later line: their pulses are complete.
     pub settled_lines: u64,
 }
 
-/// What is known of ranges beforehand.
+/// Prior knowledge of ranges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Prior {
-    /// Nothing but [`Settings::range_m`].
+    /// Only [`Settings::range_m`].
     None,
-    /// The height above flat ground: a shot's range is `agl_m / cos_nadir`.
+    /// Height above flat ground: the range of a shot is `agl_m / cos_nadir`.
     Agl {
         /// Height above ground, m.
         agl_m: f64,
-        /// How far terrain departs from it, m.
+        /// Standard deviation of the terrain about flat ground, m.
         sd_m: f64,
     },
     /// [`Emission::prior_range_m`], from a terrain model or a trajectory.
     PerEmission {
-        /// Standard deviation of terrain about it, m.
+        /// Standard deviation of the terrain about the expected range, m.
         sd_m: f64,
     },
 }
 
-/// How zones are found.
+/// Method of MTA zone assignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// Evidence of blocks of neighbouring echoes, joined over the strip.
+    /// Evidence of blocks of neighbouring echoes, combined over the line window.
     Blocks,
-    /// The least variance of consecutive ranges in a buffer of so many.
+    /// Least variance of consecutive ranges in a buffer of fixed length.
     Variance {
-        /// Length of the buffer; 50 is usual.
+        /// Length of the buffer, ranges; 50 is usual.
         buffer: usize,
     },
-    /// Always so many emissions back.
+    /// The same zone for all echoes.
     Fixed(u16),
 }
 
-/// What a resolver is told.
+/// Settings of a [`Resolver`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// How zones are found.
+    /// Method of zone assignment.
     pub method: Method,
-    /// What is known of ranges.
+    /// Prior knowledge of ranges.
     pub prior: Prior,
-    /// Least and greatest feasible range, m. At most 126 intervals between emissions are considered.
+    /// Smallest and largest feasible range, m. At most 126 pulse intervals are considered.
     pub range_m: [f64; 2],
     /// Speed of the pulse, m/s.
     pub group_velocity_mps: f64,
-    /// Echoes so near to an emission are marked, ns.
+    /// Echoes this close to an emission are flagged, ns.
     pub blind_gap_ns: f64,
-    /// Scan angles are azimuths of a beam that turns on a cone: they grow with time and go on at 0 after 360 degrees. Lines
-    /// are joined to revolutions.
+    /// Scan angles are azimuths of a conical scan: they increase with time and wrap at 360 degrees.
+    /// Lines are merged into revolutions.
     pub is_cyclic: bool,
 }
 
@@ -183,77 +189,76 @@ impl Default for Settings {
     }
 }
 
-/// Why zones cannot be found.
+/// Reasons why zones cannot be assigned.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MtaError {
-    /// Settings that contradict themselves.
+    /// Contradictory settings.
     #[error("{0}")]
     Settings(&'static str),
-    /// An echo points beyond the line's emissions.
-    #[error(
-        "line {line}: echo {echo} lies in the record of emission {emission}, but the line has {emissions}"
-    )]
+    /// An echo refers to an emission that the line does not have.
+    #[error("line {line}: echo {echo} refers to emission {emission}, but the line has {emissions} emissions")]
     NoSuchEmission {
-        /// The line's number.
+        /// Number of the line.
         line: u64,
-        /// The echo's index.
+        /// Index of the echo.
         echo: usize,
-        /// The emission it points to.
+        /// Emission index of the echo.
         emission: u32,
-        /// How many the line has.
+        /// Number of emissions in the line.
         emissions: usize,
     },
-    /// An echo's time is not a number or more than a second away from its emission.
-    #[error("line {line}: echo {echo} has no usable time: {time_ns} ns after its emission")]
+    /// The time of an echo is NaN or over 1 s.
+    #[error("line {line}: echo {echo} has an invalid time: {time_ns} ns after its emission")]
     EchoTime {
-        /// The line's number.
+        /// Number of the line.
         line: u64,
-        /// The echo's index.
+        /// Index of the echo.
         echo: usize,
-        /// The time.
+        /// Its time, ns.
         time_ns: f64,
     },
     /// The clock does not ascend within a line.
     #[error(
-        "line {line}: the clock does not ascend at shot {shot}: {clock_ps} ps after {before_ps} ps; end the line there"
+        "line {line}: the clock does not increase at shot {shot}: {clock_ps} ps after {before_ps} ps; start a new line there"
     )]
     ClockOrder {
-        /// The line's number.
+        /// Number of the line.
         line: u64,
-        /// Running number of the shot.
+        /// Shot number.
         shot: u64,
-        /// Its clock.
+        /// Its clock, ps.
         clock_ps: i64,
-        /// The clock of the emission before it.
+        /// Clock of the previous emission, ps.
         before_ps: i64,
     },
-    /// All zones give equally smooth surfaces.
+    /// Constant pulse rate: all zones give equally smooth surfaces.
     #[error(
-        "the pulse rate is constant: intervals of {interval_ns:.3} ns vary by {rms_ns:.3} ns rms, at least {least_ns} ns are needed \
-         to tell one zone from another; give a prior (height above ground, terrain model, trajectory) or a fixed zone"
+        "the pulse rate is constant: intervals of {interval_ns:.3} ns vary by {rms_ns:.3} ns RMS, but at least {least_ns} ns are \
+         needed to assign echoes to pulses; give a prior (height above ground, terrain model, trajectory) or a fixed zone"
     )]
     ConstantRate {
-        /// The usual interval.
+        /// Median pulse interval, ns.
         interval_ns: f64,
-        /// How much intervals vary.
+        /// RMS variation of the intervals, ns.
         rms_ns: f64,
-        /// From when on zones can be told apart.
+        /// Smallest variation at which zones can be distinguished, ns.
         least_ns: f64,
     },
-    /// The clock is read early and late, but pulses leave at even intervals, or zones are wrong throughout.
+    /// Recorded intervals vary, but the ranges do not follow: clock jitter, or wrong zones
+    /// throughout.
     #[error(
-        "intervals between pulses vary by {rms_ns:.3} ns rms on the clock, but ranges contain {:.0} % of that: zones cannot be decided; give a prior (height above ground, terrain model, trajectory) or a fixed zone",
+        "the time stamps jitter, not the pulses: intervals vary by {rms_ns:.3} ns RMS on the clock, but neighbouring ranges contain {:.0} % of that; give a prior (height above ground, terrain model, trajectory) or a fixed zone",
         100.0 * following.max(0.0)
     )]
     JitteringClock {
-        /// How much intervals vary on the clock.
+        /// RMS variation of the recorded intervals, ns.
         rms_ns: f64,
-        /// The part of it that echoes follow.
+        /// Fraction of the variation that the echoes follow.
         following: f64,
     },
 }
 
-/// Finds the cause of each echo, line by line.
+/// Assigns each echo to an emission, line by line.
 #[derive(Debug)]
 pub struct Resolver {
     settings: Settings,
@@ -261,13 +266,13 @@ pub struct Resolver {
     method: State,
     lines: u64,
     joined: Joined,
-    /// How many lines, those that are joined taken as one, the method was given.
+    /// Number of (merged) lines passed to the method.
     runs: u64,
     summary: Summary,
-    /// What the method has finished, and that line by line.
+    /// Results of the method for merged lines, then split into the original lines.
     found: VecDeque<Resolved>,
     ready: VecDeque<Resolved>,
-    /// The last line of all that were pushed, as far as later lines need it.
+    /// Last emissions of the lines pushed so far, needed by later lines.
     tail: pulses::Tail,
 }
 
@@ -279,25 +284,25 @@ enum State {
 }
 
 impl Resolver {
-    /// A resolver, or why its settings contradict themselves.
+    /// Creates a resolver; fails on contradictory settings.
     pub fn new(settings: &Settings) -> Result<Resolver, MtaError> {
         let [least, most] = settings.range_m;
         if !(least >= 0.0 && most > least && most.is_finite()) {
-            return Err(MtaError::Settings("range_m: two ascending distances of at least 0 m are needed"));
+            return Err(MtaError::Settings("range_m: must be two ascending distances of at least 0 m"));
         }
         if !(settings.group_velocity_mps > 1e8 && settings.group_velocity_mps < 3e8) {
-            return Err(MtaError::Settings("group_velocity_mps: a speed of light is needed, m/s"));
+            return Err(MtaError::Settings("group_velocity_mps: must be between 1e8 and 3e8 m/s"));
         }
         if settings.blind_gap_ns.is_nan() || settings.blind_gap_ns < 0.0 {
-            return Err(MtaError::Settings("blind_gap_ns: a time of at least 0 ns is needed"));
+            return Err(MtaError::Settings("blind_gap_ns: must be at least 0 ns"));
         }
         let positive = |value: f64| value > 0.0 && value.is_finite();
         match settings.prior {
             Prior::Agl { agl_m, sd_m } if !(positive(agl_m) && positive(sd_m)) => {
-                return Err(MtaError::Settings("prior: height and standard deviation above 0 m are needed"));
+                return Err(MtaError::Settings("prior: height and standard deviation must be above 0 m"));
             }
             Prior::PerEmission { sd_m } if !positive(sd_m) => {
-                return Err(MtaError::Settings("prior: a standard deviation above 0 m is needed"));
+                return Err(MtaError::Settings("prior: standard deviation must be above 0 m"));
             }
             _ => {}
         }
@@ -307,7 +312,7 @@ impl Resolver {
                 State::Variance(Variance::new(settings, buffer))
             }
             Method::Variance { .. } => {
-                return Err(MtaError::Settings("buffer: from 4 to 10000 ranges are possible"));
+                return Err(MtaError::Settings("buffer: must be 4 to 10000 ranges"));
             }
             Method::Fixed(zone) => State::Fixed(zone, None),
         };
@@ -325,10 +330,12 @@ impl Resolver {
         })
     }
 
-    /// So many lines at most are held back after a push, this one included: what a look-ahead costs is this times
-    /// [`BYTES_PER_SHOT`] and [`BYTES_PER_ECHO`]. With the method `Variance` it is so many unless lines have fewer echoes than
-    /// half a buffer. Lines shorter than a cell count as one while the beam sweeps on: then it grows with the most of them that
-    /// have made one so far.
+    /// Largest number of lines held back after a push, the pushed line included.
+    ///
+    /// Memory is this times [`BYTES_PER_SHOT`] and [`BYTES_PER_ECHO`] per line. `Variance` reaches
+    /// the bound only if lines have fewer echoes than half the buffer. Lines shorter than a cell
+    /// are merged within a sweep; the bound then grows with the largest number of lines merged so
+    /// far.
     pub fn look_ahead_lines(&self) -> usize {
         let lines = match &self.method {
             State::Blocks(_) => blocks::LOOK_AHEAD_LINES,
@@ -338,11 +345,13 @@ impl Resolver {
         self.joined.held_back(lines)
     }
 
-    /// Takes the next line; [`Resolver::pop`] has what is finished then. After an error the resolver is of no further use.
+    /// Adds the next line; finished lines are returned by [`Resolver::pop`].
+    ///
+    /// After an error the resolver must not be used further.
     pub fn push(&mut self, line: &Line) -> Result<(), MtaError> {
         check(line, self.lines)?;
         self.lines += 1;
-        // Of a fixed zone neighbours have no say.
+        // A fixed zone does not depend on neighbours.
         let joins = !matches!(self.settings.method, Method::Fixed(_));
         for line in self.joined.push(line, joins) {
             self.give(&line)?;
@@ -351,7 +360,7 @@ impl Resolver {
         Ok(())
     }
 
-    /// Gives the method a line that is long enough.
+    /// Passes a sufficiently long line to the method.
     fn give(&mut self, line: &Line) -> Result<(), MtaError> {
         let held = Held::new(line, self.runs, &self.settings, &mut self.places, &mut self.tail);
         self.runs += 1;
@@ -369,19 +378,19 @@ impl Resolver {
         }
     }
 
-    /// Makes lines of what the method has finished.
+    /// Splits the results of the method into the original lines.
     fn tell(&mut self) {
         for found in self.found.drain(..) {
             self.joined.apart(found, &mut self.ready);
         }
     }
 
-    /// The next finished line, in the order they were pushed.
+    /// Returns the next finished line, in the order of `push`.
     pub fn pop(&mut self) -> Option<Resolved> {
         self.ready.pop_front()
     }
 
-    /// Says that no line follows: all lines are finished then.
+    /// Signals the end of the input and finishes all lines.
     pub fn finish(&mut self) -> Result<(), MtaError> {
         if let Some(line) = self.joined.take() {
             self.give(&line)?;
@@ -399,23 +408,23 @@ impl Resolver {
         Ok(())
     }
 
-    /// What was found so far, over all finished lines.
+    /// Statistics of all finished lines.
     pub fn summary(&self) -> &Summary {
         &self.summary
     }
 
-    /// What in the data speaks against trusting the zones.
+    /// Reasons in the data to distrust the zones.
     pub fn warnings(&self) -> Vec<Warning> {
         self.summary.warnings(&self.settings)
     }
 }
 
-/// What an emission takes while its line is held back, bytes, with what its vectors may have in reserve.
+/// Memory per emission of a pending line, bytes, including spare capacity of vectors.
 pub const BYTES_PER_SHOT: usize = 64;
-/// What an echo takes while its line is held back, bytes, with what is found of it.
+/// Memory per echo of a pending line, bytes, including its result.
 pub const BYTES_PER_ECHO: usize = 112;
 
-/// A line whose echoes all come from so many emissions back.
+/// Assigns all echoes of a line to the same zone.
 fn fixed(
     line: &Held,
     zone: u16,
@@ -431,7 +440,7 @@ fn fixed(
     held::finish(line, assigned, next, settings, summary)
 }
 
-/// What a line must fulfil.
+/// Checks the preconditions of a line.
 fn check(line: &Line, number: u64) -> Result<(), MtaError> {
     for pair in line.emissions.windows(2) {
         let (before, now) = (pair[0], pair[1]);

@@ -1,13 +1,14 @@
-//! Stationary noise whose samples are correlated: an autoregressive model of low order.
+//! Stationary correlated noise: an autoregressive (AR) model of low order.
 //!
-//! `n_k = φ_1 n_{k-1} + … + φ_p n_{k-p} + w_k` with white `w` of variance `σ_e²`. The model is found from measured
-//! autocovariances by the Yule-Walker equations (Levinson 1947, Durbin 1960), its order by Schwarz's criterion
-//! (Schwarz 1978, "Estimating the dimension of a model").
+//! `n_k = φ_1 n_{k-1} + … + φ_p n_{k-p} + w_k` with white `w` of variance `σ_e²`. The model is
+//! estimated from measured autocovariances by the Yule–Walker equations (Levinson 1947, Durbin
+//! 1960), its order by the Bayesian information criterion (Schwarz 1978, "Estimating the dimension
+//! of a model").
 
-/// The highest order a model may have.
+/// Largest order of a model.
 pub const MAX_ORDER: usize = 8;
 
-/// A stationary autoregressive process, in the unit its innovation is given in (here: digitiser steps).
+/// Stationary autoregressive process, in the unit of its innovation (here DN).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ArNoise {
     order: usize,
@@ -17,10 +18,10 @@ pub struct ArNoise {
 }
 
 impl ArNoise {
-    /// The process with coefficients `φ_1 …` and the innovation's standard deviation.
+    /// Creates the process from coefficients `φ_1 …` and the SD of the innovation.
     ///
-    /// `None` where there is no such stationary process: more than [`MAX_ORDER`] coefficients, a root on or outside
-    /// the unit circle, a standard deviation that is not positive, or anything not finite.
+    /// `None` if no such stationary process exists: more than [`MAX_ORDER`] coefficients, a root on
+    /// or outside the unit circle, a non-positive SD, or a non-finite value.
     pub fn new(coefficients: &[f64], innovation_sd: f64) -> Option<ArNoise> {
         let order = coefficients.len();
         if order > MAX_ORDER || !(innovation_sd > 0.0 && innovation_sd.is_finite()) {
@@ -64,17 +65,17 @@ impl ArNoise {
         })
     }
 
-    /// The order `p`, from 0 (white) to [`MAX_ORDER`].
+    /// Order `p`, from 0 (white) to [`MAX_ORDER`].
     pub fn order(&self) -> usize {
         self.order
     }
 
-    /// `φ_1 … φ_p`.
+    /// Coefficients `φ_1 … φ_p`.
     pub fn coefficients(&self) -> &[f64] {
         &self.coefficients[..self.order]
     }
 
-    /// Variance of the innovation `w`, the part of a sample that its past does not tell.
+    /// Variance of the innovation `w`, the unpredictable part of a sample.
     pub fn innovation_variance(&self) -> f64 {
         self.innovation_variance
     }
@@ -84,7 +85,7 @@ impl ArNoise {
         self.autocovariance[0].sqrt()
     }
 
-    /// Fills `out[k]` with the process's autocovariance at lag `k`.
+    /// Fills `out[k]` with the autocovariance at lag `k`.
     pub fn autocovariance_into(&self, out: &mut [f64]) {
         for k in 0..out.len() {
             out[k] = match self.autocovariance[..=self.order].get(k) {
@@ -95,11 +96,11 @@ impl ArNoise {
     }
 }
 
-/// The autoregressive model of measured autocovariances (lag 0 first) whose order, from 0 to `max_order`, makes
-/// `N ln σ_e² + p ln N` smallest, `N` being the number of `samples` behind the measurement.
+/// Fits an autoregressive model to measured autocovariances (lag 0 first).
 ///
-/// Orders whose equations have no stationary solution, which measured autocovariances of few samples may bring
-/// about, are left out. `None` where the lag 0 is not positive.
+/// The order, from 0 to `max_order`, minimises `N ln σ_e² + p ln N`, with `N` the number of
+/// `samples` of the measurement. Orders without a stationary solution, which can occur with few
+/// samples, are skipped. `None` if lag 0 is not positive.
 pub fn fit_by_bic(autocovariance: &[f64], samples: u64, max_order: usize) -> Option<ArNoise> {
     let (&variance, lags) = autocovariance.split_first()?;
     let mut best = ArNoise::new(&[], variance.max(0.0).sqrt())?;

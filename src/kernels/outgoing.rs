@@ -1,7 +1,7 @@
-//! Where in its block the outgoing pulse stands: the zero of every time of flight.
+//! Position of the outgoing pulse in its block: the zero of every time of flight.
 //!
-//! The same estimator as for echoes, on the main lobe alone: what follows the pulse (after-pulse, slow tail, an echo
-//! that happens to come in) does not pull it.
+//! Uses the estimator for echoes on the main lobe alone, so that an after-pulse, a slow tail or a
+//! coincident echo does not bias it.
 
 mod batch;
 mod mixture;
@@ -16,27 +16,29 @@ use super::sensor_model::{ChannelModel, ModelError};
 pub use batch::{Outgoing, OutgoingBatch};
 pub use usual::{ReferenceBlock, Usual};
 
-/// Half of the window that is fitted, in widths of the pulse.
+/// Half width of the fitted window, in pulse widths.
 const HALF_WINDOW_WIDTHS: f64 = 1.5;
-/// A fit with a deviation ratio above this may hold more than the outgoing pulse: there a second pulse is tried.
+/// Deviation ratio above which a second pulse is tried in the window.
 const SUSPICIOUS: f64 = 3.0;
 
-/// Fits outgoing pulses of one channel; keeps its memory from one to the next.
+/// Fits outgoing pulses of one channel; reuses its buffers.
 #[derive(Debug, Clone)]
 pub struct OutgoingFitter {
-    /// Finds the pulse in the whole block.
+    /// Detects the pulse in the whole block.
     finder: Decomposer,
-    /// Fits it in its window.
+    /// Fits the pulse in its window.
     fitter: Decomposer,
-    /// The last block's samples that were fitted.
+    /// Fitted samples of the last block.
     window: Range<usize>,
-    /// Tries two pulses in the window; only with a calibrated response, as what a Gaussian leaves of any pulse looks like
-    /// a second one.
+    /// Tries two pulses in the window. Only with a calibrated response, because the residual of a
+    /// Gaussian resembles a second pulse.
     two: Option<Decomposer>,
 }
 
 impl OutgoingFitter {
-    /// For blocks of up to `max_samples` samples of the reference channel; longer ones make it take more memory.
+    /// Creates a fitter for a reference channel.
+    ///
+    /// Blocks longer than `max_samples` allocate.
     pub fn new(model: &ChannelModel, max_samples: usize) -> Result<OutgoingFitter, ModelError> {
         let finder = Decomposer::new(model, &one_pulse(), max_samples)?;
         let settings = DecomposeSettings { max_returns: 2, max_added: 1, ..DecomposeSettings::default() };
@@ -45,17 +47,18 @@ impl OutgoingFitter {
         Ok(OutgoingFitter { fitter: finder.clone(), finder, window: 0..0, two })
     }
 
-    /// The block's strongest pulse; `start_phase` is the index of the block's first sample modulo 4.
+    /// Fits the strongest pulse of a block.
     ///
-    /// `None` where no pulse stands out of the noise, or none that can be fitted. The flag
-    /// [`flags::ECHO_ON_OUTGOING`] is set where the window holds a second pulse.
+    /// `start_phase` is the index of the block's first sample modulo 4. `None` if no pulse exceeds
+    /// the noise or none can be fitted. Sets [`flags::ECHO_ON_OUTGOING`] if the window contains a
+    /// second pulse.
     pub fn fit(&mut self, samples: &[u16], start_phase: u8) -> Option<Return> {
         let model = self.finder.model();
         let (fwhm, shifts) = (model.fwhm_samples(), model.digitiser.odd_sample_shift != 0.0);
         let position = self.finder.decompose(samples, start_phase).returns.first()?.position_samples;
         let mut window = window(position, fwhm, samples.len());
         if shifts {
-            // Odd samples of the block stay odd in the window.
+            // Parity of samples must be preserved in the window.
             window.start -= window.start % 2;
         }
         let phase = ((usize::from(start_phase) + window.start) % 4) as u8;
@@ -66,7 +69,7 @@ impl OutgoingFitter {
         Some(pulse)
     }
 
-    /// A pulse of a window, with its place in the block, and with the flag of a second one.
+    /// Converts a pulse to block coordinates; flags a second pulse.
     fn finished(&mut self, mut pulse: Return, first: usize, window: &[u16], phase: u8) -> Return {
         if pulse.deviation_ratio > SUSPICIOUS
             && let Some(two) = &mut self.two
@@ -79,12 +82,12 @@ impl OutgoingFitter {
     }
 }
 
-/// Settings that find one pulse.
+/// Settings for a single pulse.
 fn one_pulse() -> DecomposeSettings {
     DecomposeSettings { max_returns: 1, max_added: 0, split_evidence: None, ..DecomposeSettings::default() }
 }
 
-/// The samples about a pulse that it is fitted to.
+/// Samples around a pulse to which it is fitted.
 fn window(position: f64, fwhm_samples: f64, samples: usize) -> Range<usize> {
     let half = HALF_WINDOW_WIDTHS * fwhm_samples;
     let first = (position - half).ceil().max(0.0) as usize;
@@ -101,7 +104,8 @@ mod tests {
 
     const FWHM: f64 = 4.5;
 
-    /// Blocks of 24 samples, the pulse near the middle, and behind it a disturbance that its window leaves out.
+    /// Blocks of 24 samples, the pulse near the middle, followed by a disturbance outside its
+    /// window.
     #[test]
     fn position_and_its_standard_deviation_are_true() {
         let process = ArNoise::new(&[0.6], 0.8).unwrap();

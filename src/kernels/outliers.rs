@@ -1,33 +1,33 @@
-//! Points that stand alone, and waveforms that jump off their line (docs/outliers.md).
+//! Isolated points, and waveforms that jump off their line (docs/outliers.md).
 //!
-//! A point belongs to something where enough others can be reached from it in steps of a limited length: wires are chains,
-//! roofs and ground are surfaces, and false returns have at most each other.
+//! A point is supported if enough others can be reached from it in steps of limited length. Wires
+//! are chains, roofs and ground are surfaces; false returns reach at most each other.
 
-/// A line's points are looked for among so many before and behind first, in the order of time.
+/// Number of points before and after, in time order, that are searched first.
 const NEAR_IN_TIME: usize = 6;
-/// Others that a search ever counts.
+/// Largest number of other points that a search counts.
 pub const MOST_OTHERS: usize = 8;
 
-/// A return's place.
+/// Position of a return.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// Where it is, m, in any frame without stretch.
+    /// Position, m, in any undistorted frame.
     pub position_m: [f64; 3],
-    /// The waveform that it is of: points of one waveform follow one another.
+    /// Index of its waveform; points of one waveform are consecutive.
     pub waveform: u32,
 }
 
-/// The points of a scan line, in order of time, sorted along the line besides.
+/// Points of a scan line in time order, with an index sorted along the line.
 #[derive(Clone, Debug, Default)]
 pub struct Line {
     points: Vec<Point>,
     along: [f64; 3],
-    /// How far along the line each point is, m, ascending, and which point it is.
+    /// Coordinate along the line, m, ascending, and index of the point.
     sorted: Vec<(f64, u32)>,
 }
 
 impl Line {
-    /// A line whose points run `along` a unit vector, roughly. The nearer to it they run, the faster they are found.
+    /// Creates a line along a unit vector; searches are faster the closer its points follow it.
     pub fn new(points: Vec<Point>, along: [f64; 3]) -> Line {
         let mut sorted: Vec<(f64, u32)> =
             points.iter().zip(0..).map(|(point, index)| (dot(point.position_m, along), index)).collect();
@@ -35,17 +35,17 @@ impl Line {
         Line { points, along, sorted }
     }
 
-    /// The points in order of time.
+    /// Points in time order.
     pub fn points(&self) -> &[Point] {
         &self.points
     }
 
-    /// The memory taken, bytes.
+    /// Allocated memory, bytes.
     pub fn bytes(&self) -> usize {
         self.points.capacity() * size_of::<Point>() + self.sorted.capacity() * size_of::<(f64, u32)>()
     }
 
-    /// The points within a distance of a place.
+    /// Indices of the points within a distance of a position.
     fn around(&self, place_m: [f64; 3], distance_m: f64) -> impl Iterator<Item = u32> + '_ {
         let at = dot(place_m, self.along);
         let from = self.sorted.partition_point(|(along, _)| *along < at - distance_m);
@@ -59,16 +59,17 @@ impl Line {
     }
 }
 
-/// Looks for what points belong to.
+/// Searches for supporting points.
 #[derive(Clone, Debug, Default)]
 pub struct Search {
-    /// The points reached so far: line and index.
+    /// Points reached so far: line and index.
     reached: Vec<(usize, u32)>,
 }
 
 impl Search {
-    /// Whether at least `others` points, at most [`MOST_OTHERS`], can be reached from a point of a line in steps of
-    /// `step_m`, within these lines. False for a point that does not exist.
+    /// Whether `others` points can be reached in steps of `step_m`.
+    ///
+    /// `others` is limited to [`MOST_OTHERS`]. False for a point that does not exist.
     pub fn is_supported(
         &mut self,
         lines: &[&Line],
@@ -88,7 +89,7 @@ impl Search {
         let mut next = 0;
         let mut place_m = start.position_m;
         loop {
-            // The nearest lines first: what is looked for is most often there.
+            // Nearest lines first: they most often contain the supporting points.
             for apart in 0..lines.len() {
                 let (before, behind) = (line.checked_sub(apart), (apart > 0).then_some(line + apart));
                 for at in [before, behind].into_iter().flatten() {
@@ -114,7 +115,7 @@ impl Search {
     }
 }
 
-/// Whether enough points lie within one step among those recorded just before and behind.
+/// Whether enough points recorded just before and after are near.
 fn near_in_time(line: &Line, point: usize, step_m: f64, others: usize) -> bool {
     let Some(place) = line.points.get(point) else { return false };
     let from = point.saturating_sub(NEAR_IN_TIME);
@@ -125,26 +126,28 @@ fn near_in_time(line: &Line, point: usize, step_m: f64, others: usize) -> bool {
     near.filter(within).take(others).count() >= others
 }
 
-/// On which side of its line something lies.
+/// Side of the line on which a waveform lies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// Below it.
+    /// Below the line.
     Low,
-    /// Above it.
+    /// Above the line.
     Air,
 }
 
-/// Where a waveform's highest and lowest return are.
+/// Highest and lowest return of a waveform.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// Position, m, and height, m, of the highest return.
     pub highest: ([f64; 3], f64),
-    /// The same of the lowest.
+    /// Position, m, and height, m, of the lowest return.
     pub lowest: ([f64; 3], f64),
 }
 
-/// The side on which all of a waveform lies more than `max_height_m` off both of its neighbours, where the angle to them is
-/// below `min_angle_rad`; `None` where it does not.
+/// Side on which a waveform jumps off its neighbours; `None` if it does not.
+///
+/// All its returns must be more than `max_height_m` above or below both neighbours, and the angle
+/// to them below `min_angle_rad`.
 pub fn jump(
     before: &Extent,
     wave: &Extent,
@@ -164,7 +167,7 @@ pub fn jump(
     }
 }
 
-/// The angle at a place between two others, rad; 0 where one of them is the place itself.
+/// Angle at a position between two others, rad; 0 if one of them coincides with it.
 fn angle_rad(at: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
     let to = |place: [f64; 3]| -> [f64; 3] { std::array::from_fn(|axis| place[axis] - at[axis]) };
     let (a, b) = (to(a), to(b));
@@ -185,7 +188,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 mod tests {
     use super::*;
 
-    /// A line at `y` of points (x, z).
+    /// A line at `y` with points (x, z).
     fn line(y: f64, points: &[(f64, f64)]) -> Line {
         let point = |(waveform, &(x, z)): (u32, &(f64, f64))| Point { position_m: [x, y, z], waveform };
         Line::new((0..).zip(points).map(point).collect(), [1.0, 0.0, 0.0])
@@ -198,13 +201,13 @@ mod tests {
 
     #[test]
     fn a_wire_across_the_lines_is_a_chain() {
-        // One point in every line, 3 m from line to line, among ground 20 m below.
+        // One point per line, 3 m between lines, above ground 20 m below.
         let ground: Vec<(f64, f64)> = (0..60).map(|k| (f64::from(k), 0.0)).collect();
         let with_wire = |y: f64| line(y, &[&ground[..30], &[(29.5, 20.0)], &ground[30..]].concat());
         let lines: Vec<Line> = (0..5).map(|k| with_wire(3.0 * f64::from(k))).collect();
         assert!(supported(&lines, (2, 30), 4.0, 3));
-        assert!(supported(&lines, (0, 30), 4.0, 3), "from its end, too");
-        assert!(!supported(&lines[1..4], (1, 30), 4.0, 3), "two others are all there are");
+        assert!(supported(&lines, (0, 30), 4.0, 3), "from its end");
+        assert!(!supported(&lines[1..4], (1, 30), 4.0, 3), "only two others exist");
         assert!(!supported(&lines, (2, 30), 2.9, 1));
         assert!(supported(&lines, (2, 10), 1.0, 2), "the ground");
     }
@@ -219,7 +222,7 @@ mod tests {
         assert!(!supported(&lines, (0, 40), 2.1, 5));
         assert!(
             !supported(&lines, (0, 100), 2.1, 0) && !supported(&lines, (1, 0), 2.1, 0),
-            "there is no such point"
+            "the point does not exist"
         );
     }
 
@@ -273,7 +276,7 @@ mod tests {
             None,
             "one of its returns is on the ground"
         );
-        assert_eq!(of(wave(0.5, 80.0, 80.0), wave(1.0, 81.0, 0.0)), None, "a neighbour is as high");
+        assert_eq!(of(wave(0.5, 80.0, 80.0), wave(1.0, 81.0, 0.0)), None, "a neighbour is equally high");
         assert_eq!(of(wave(0.5, 51.9, 51.9), wave(1.0, 1.0, 0.0)), None, "not high enough");
         assert_eq!(of(wave(5.0, 80.0, 80.0), wave(10.0, 1.0, 0.0)), None, "not sharp");
         assert_eq!(of(wave(0.5, 80.0, 80.0), wave(1.0, -90.0, -90.0)), Some(Side::Air));

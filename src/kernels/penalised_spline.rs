@@ -1,33 +1,35 @@
-//! A smooth curve through noisy points: a cubic spline whose bends are penalised (P. H. C. Eilers and B. D. Marx, Flexible
-//! smoothing with B-splines and penalties, Statistical Science 11, 1996, equation 6), as stiff as generalised
-//! cross-validation finds best (P. Craven and G. Wahba, Smoothing noisy data with spline functions, Numerische Mathematik
-//! 31, 1979).
+//! Penalised cubic smoothing spline (P-spline).
+//!
+//! P. H. C. Eilers and B. D. Marx, Flexible smoothing with B-splines and penalties, Statistical
+//! Science 11, 1996, equation 6. The stiffness is chosen by generalised cross-validation (P. Craven
+//! and G. Wahba, Smoothing noisy data with spline functions, Numerische Mathematik 31, 1979).
 
 use nalgebra::{DMatrix, DVector};
 
-/// Pieces of the spline at most; fewer where there are fewer than two points for each.
+/// Largest number of spline pieces; fewer if there are fewer than two points per piece.
 const MOST_PIECES: usize = 20;
-/// Fewer points are left as they are.
+/// Fewest points; fewer are returned unchanged.
 const LEAST_POINTS: usize = 5;
-/// Stiffnesses that are tried, as powers of ten of the points' own weight, and the steps between them.
+/// Range of tried stiffnesses in steps, as powers of ten relative to the points' weight, and steps
+/// per decade.
 const STIFFNESS: std::ops::RangeInclusive<i32> = -12..=16;
 const STEPS_PER_DECADE: f64 = 2.0;
 
 /// A point to be smoothed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// Where it stands.
+    /// Abscissa.
     pub x: f64,
-    /// Its noisy value.
+    /// Noisy value.
     pub y: f64,
-    /// How much it counts: in inverse proportion to the variance of `y`.
+    /// Weight, inversely proportional to the variance of `y`.
     pub weight: f64,
 }
 
-/// The smooth curve's values where the points stand, in their order.
+/// Values of the smooth curve at the points, in their order.
 ///
-/// Points come by rising `x`. Fewer than five, points at one place, and weights or values that are not finite, or weights
-/// that are not positive, give the values as they are.
+/// Points must be sorted by `x`. The values are returned unchanged for fewer than five points, for
+/// a single abscissa, for non-finite values or weights, and for non-positive weights.
 pub fn smooth(points: &[Point]) -> Vec<f64> {
     let as_given = || points.iter().map(|point| point.y).collect();
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
@@ -41,7 +43,7 @@ pub fn smooth(points: &[Point]) -> Vec<f64> {
     fitted(points, &basis).unwrap_or_else(as_given)
 }
 
-/// The curve of the stiffness with the least score of cross-validation.
+/// Curve with the stiffness of the smallest cross-validation score.
 fn fitted(points: &[Point], basis: &DMatrix<f64>) -> Option<Vec<f64>> {
     let n = points.len() as f64;
     let weighted = DMatrix::from_fn(basis.nrows(), basis.ncols(), |i, j| points[i].weight * basis[(i, j)]);
@@ -57,7 +59,7 @@ fn fitted(points: &[Point], basis: &DMatrix<f64>) -> Option<Vec<f64>> {
         let freedom = n - factor.solve(&normal).trace();
         let misfit: f64 = points.iter().zip(curve.iter()).map(|(p, y)| p.weight * (p.y - y).powi(2)).sum();
         let score = misfit / freedom.max(1e-9).powi(2);
-        // Of stiffnesses that are as good but for rounding the stiffer one.
+        // Of stiffnesses equal up to rounding, the larger one.
         if best.as_ref().is_none_or(|(least, _)| score <= least * (1.0 + 1e-9)) {
             best = Some((score, curve));
         }
@@ -65,7 +67,7 @@ fn fitted(points: &[Point], basis: &DMatrix<f64>) -> Option<Vec<f64>> {
     best.map(|(_, curve)| curve.iter().copied().collect())
 }
 
-/// The value of every B-spline, a column each, where every point stands.
+/// Values of every B-spline, one column each, at every point.
 fn basis(points: &[Point], from: f64, span: f64, pieces: usize) -> DMatrix<f64> {
     let mut basis = DMatrix::zeros(points.len(), pieces + 3);
     for (row, point) in points.iter().enumerate() {
@@ -78,14 +80,14 @@ fn basis(points: &[Point], from: f64, span: f64, pieces: usize) -> DMatrix<f64> 
     basis
 }
 
-/// The four cubic B-splines that are not zero at `t` of a piece, 0 to 1.
+/// The four non-zero cubic B-splines at fraction `t` of a piece, 0 to 1.
 fn cubic(t: f64) -> [f64; 4] {
     let s = 1.0 - t;
     let inner = |t: f64| (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0;
     [s * s * s / 6.0, inner(t), inner(s), t * t * t / 6.0]
 }
 
-/// Sum of the squared second differences of so many coefficients.
+/// Penalty matrix of the squared second differences of `n` coefficients.
 fn bend_penalty(n: usize) -> DMatrix<f64> {
     let differences = DMatrix::from_fn(n - 2, n, |i, j| match j.wrapping_sub(i) {
         0 | 2 => 1.0,

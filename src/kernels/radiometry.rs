@@ -1,10 +1,12 @@
-//! What a return's amplitude and width say of the target (docs/corrections.md, docs/returns.md).
+//! Target properties from the amplitude and width of a return.
+//!
+//! See docs/corrections.md and docs/returns.md.
 
 /// Full width at half maximum of a target along the beam, m, and its standard deviation.
 ///
-/// `fwhm_ns` is the calibrated width of a pulse, `ratio` the return's width over it. With `d = fwhm² (ratio² - 1)` and `σ_d`
-/// its standard deviation, `T = v/2 √max(d, 0)` and `σ_T = v/2 σ_d / (2 √max(d, σ_d))`, which stays finite for a flat
-/// target.
+/// `fwhm_ns` is the calibrated width of a pulse, `ratio` the return's width over it. With `d =
+/// fwhm² (ratio² - 1)` and `σ_d` its standard deviation, `T = v/2 √max(d, 0)` and `σ_T = v/2 σ_d /
+/// (2 √max(d, σ_d))`, which stays finite for a flat target.
 pub fn target_thickness_m(half_speed_m_per_ns: f64, fwhm_ns: f64, ratio: f64, ratio_sd: f64) -> (f64, f64) {
     let widening = fwhm_ns.powi(2) * (ratio.powi(2) - 1.0);
     let widening_sd = fwhm_ns.powi(2) * 2.0 * ratio * ratio_sd;
@@ -12,21 +14,23 @@ pub fn target_thickness_m(half_speed_m_per_ns: f64, fwhm_ns: f64, ratio: f64, ra
     (half_speed_m_per_ns * widening.max(0.0).sqrt(), half_speed_m_per_ns * sd)
 }
 
-/// Beams flatter than this count as if they met the ground at this cosine.
+/// Smallest cosine of incidence; more grazing beams use this value.
 pub const LEAST_COS_INCIDENCE: f64 = 0.2;
 
-/// What an amplitude is multiplied with to become an intensity.
+/// Factor from amplitude to intensity.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct RangeAndAir {
-    /// The range from which an intensity is what the amplitude is, m; `None`: it does not depend on the range.
+    /// Range at which the factor is 1, m; `None` for no dependence on range.
     pub reference_range_m: Option<f64>,
-    /// Attenuation in the air, dB/km, one way.
+    /// One-way atmospheric attenuation, dB/km.
     pub attenuation_db_per_km: Option<f64>,
 }
 
 impl RangeAndAir {
-    /// The factor at a range, m, and how it changes with it, 1/m:
-    /// `(R/r0)² · 10^(2 a (R - r0) / 10⁴)`. Without a reference range the attenuation counts from the sensor.
+    /// Factor at a range, m, and its derivative, 1/m.
+    ///
+    /// `(R/r0)² · 10^(2 a (R - r0) / 10⁴)`. Without a reference range the attenuation counts from
+    /// the sensor.
     pub fn factor(&self, range_m: f64) -> (f64, f64) {
         let range_m = range_m.max(0.0);
         let (spread, slope) = match self.reference_range_m {
@@ -58,7 +62,7 @@ mod tests {
     fn range_and_air_have_their_closed_forms() {
         let both = RangeAndAir { reference_range_m: Some(1000.0), attenuation_db_per_km: Some(0.2) };
         assert_eq!(both.factor(1000.0).0, 1.0);
-        // 500 m further, there and back: 0.2 dB.
+        // 500 m farther, two-way: 0.2 dB.
         assert!((both.factor(1500.0).0 - 2.25 * 10f64.powf(0.02)).abs() < 1e-12);
         let air = RangeAndAir { reference_range_m: None, attenuation_db_per_km: Some(0.5) };
         assert!((air.factor(2000.0).0 - 10f64.powf(0.2)).abs() < 1e-12);

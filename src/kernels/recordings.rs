@@ -1,4 +1,4 @@
-//! The plain form on real recordings, which `WAVEX_DATA` tells where to find; nothing of them stands here.
+//! Tests of the scalar form on real recordings in `WAVEX_DATA`; none are in the repository.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ fn data() -> Option<PathBuf> {
     folder
 }
 
-/// Segments of a text dump of PulseWaves whose sampling is of the given kind: "1" outgoing, "2" returning.
+/// Segments of a text dump of PulseWaves with the given sampling type: "1" outgoing, "2" returning.
 fn segments(dump: &Path, kind: &str, count: usize) -> Vec<Vec<u16>> {
     let mut text = String::new();
     flate2::read::GzDecoder::new(std::fs::File::open(dump).unwrap()).read_to_string(&mut text).unwrap();
@@ -33,14 +33,14 @@ fn blocks(segments: &[Vec<u16>]) -> impl Iterator<Item = Block<'_>> + Clone {
     segments.iter().map(|samples| Block { samples, start_phase: 0 })
 }
 
-/// Rows of numbers under a heading; what is no number becomes NaN.
+/// Rows of numbers below a header; non-numbers become NaN.
 fn table(path: &Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap();
     let row = |line: &str| line.split(',').map(|v| v.parse().unwrap_or(f64::NAN)).collect();
     text.lines().skip(1).map(row).collect()
 }
 
-/// Median, and half of what lies between the 16th and the 84th percentile.
+/// Median, and half the difference of the 16th and 84th percentiles.
 fn robust(values: &mut [f64]) -> (f64, f64) {
     values.sort_by(f64::total_cmp);
     let at = |part: f64| values[(part * values.len() as f64) as usize];
@@ -90,7 +90,8 @@ fn riegl_outgoing_pulses_are_calibrated_and_fitted() {
     assert!(width.1 < 0.06 && height.1 < 0.05 * height.0);
 }
 
-/// RIEGL LMS-Q680i against the vendor's own returns. Without the outgoing pulse the position within a sample is open.
+/// RIEGL LMS-Q680i against the vendor's returns; without the outgoing pulse the sub-sample offset
+/// is unknown.
 #[test]
 fn riegl_singles_agree_with_the_vendor() {
     let Some(folder) = data() else { return };
@@ -114,9 +115,11 @@ fn riegl_singles_agree_with_the_vendor() {
         widths.push(found.fwhm_ns - row[13]);
     }
     let (n, position, width) = (positions.len(), robust(&mut positions), robust(&mut widths));
-    println!("{n} singles: position less the vendor's {position:.3?} ns, width {width:.3?} ns");
+    println!(
+        "{n} single returns: position minus vendor's {position:.3?} ns, width minus vendor's {width:.3?} ns"
+    );
     assert!((0.90..0.96).contains(&model.noise_sd_dn) && (0.58..0.66).contains(&model.autocorrelation[0]));
-    // Even and odd samples of this digitiser stand on different levels.
+    // Even and odd samples of this digitiser have different levels.
     for (phase, level) in [2.18, 2.41, 2.18, 2.41].iter().enumerate() {
         assert!((model.background_dn[phase] - level).abs() < 0.05);
     }
@@ -124,14 +127,15 @@ fn riegl_singles_agree_with_the_vendor() {
     assert!(width.0.abs() < 0.05 && width.1 < 0.08);
 }
 
-/// NEON (Optech Gemini): pulses of 15 ns in short blocks that begin on the rise, against an R package's Gaussians.
+/// NEON (Optech Gemini): pulses of 15 ns in short blocks that begin on the rising edge, against the
+/// Gaussians of an R package.
 #[test]
 fn neon_is_decomposed_unattended() {
     let Some(folder) = data() else { return };
     let waveforms: Vec<Vec<u16>> = table(&folder.join("neon/return_1_250.csv"))
         .iter()
         .map(|row| {
-            // Rows are filled up with zeros.
+            // Rows are padded with zeros.
             let end = row.iter().rposition(|&v| v > 0.0).map_or(0, |last| last + 1);
             row[..end].iter().map(|&v| v as u16).collect()
         })
@@ -140,7 +144,8 @@ fn neon_is_decomposed_unattended() {
     println!("{model:?}");
     assert_eq!(model.background, Background::PerWaveform);
     let theirs = table(&folder.join("neon/decomposition_1_250.csv"));
-    // Their package has one Gaussian for each maximum, however skewed, and takes off the smallest sample.
+    // The R package has one Gaussian per maximum, however skewed, and subtracts the smallest
+    // sample.
     let [second_look, detection] = [16, 0].map(|max_added| {
         let settings = DecomposeSettings { max_added, ..DecomposeSettings::default() };
         let mut decomposer = Decomposer::new(&model, &settings, 104).unwrap();
@@ -155,12 +160,12 @@ fn neon_is_decomposed_unattended() {
         (differences.len(), constant, near)
     });
     assert_eq!((second_look.0, detection.0), (156, 156));
-    // They count samples from 1.
+    // The R package counts samples from 1.
     assert!((detection.1 + 1.0).abs() < 0.15);
     assert!(detection.2 * 100 >= 95 * detection.0 && second_look.2 * 100 >= 95 * second_look.0);
 }
 
-/// Position of the strongest return less the component's, for waveforms that have one component.
+/// Position of the strongest return minus the component's, for waveforms with one component.
 fn singles_less_theirs(decomposer: &mut Decomposer, waveforms: &[Vec<u16>], theirs: &[Vec<f64>]) -> Vec<f64> {
     let mut differences = vec![];
     for (i, samples) in waveforms.iter().enumerate() {

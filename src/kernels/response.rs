@@ -1,8 +1,9 @@
-//! The system response: what the digitiser records of an infinitely short echo from a flat target.
+//! System response: the record of an infinitely short echo from a flat target.
 //!
-//! It is laser pulse, receiver and digitiser in one, asymmetric, with an after-pulse and a slow tail
-//! (docs/method.md, Signal model). Its peak stands at time 0 and has the height 1. A receiver that compresses strong echoes
-//! has several, each for one height of the peak; between them shapes are interpolated linearly.
+//! It combines laser pulse, receiver and digitiser, and is asymmetric, with an after-pulse and a
+//! slow tail (docs/method.md, Signal model). Its peak is at time 0 and has height 1. A receiver
+//! that compresses strong echoes has several responses, each for one peak height; shapes in between
+//! are interpolated linearly.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,52 +11,53 @@ use serde::{Deserialize, Serialize};
 use super::fourier::{self, Complex, times};
 use super::sensor_model::ModelError;
 
-/// Values of a response per sample.
+/// Number of values of a response per sample.
 pub const STEPS_PER_SAMPLE: usize = 8;
-/// The longest response, samples.
+/// Largest length of a response, samples.
 const MAX_SAMPLES: usize = 8192;
-/// Frequency times full width at half maximum from where on, and up to where, a response is faded out: what a pulse
-/// of this width has there is below 1e-4, what an estimate has there is noise.
+/// Taper of a response, as frequency times full width at half maximum. At the start the spectrum of
+/// a pulse of this width is below 1e-4, so an estimate contains only noise.
 const FADED: [f64; 2] = [1.8, 2.3];
-/// Nothing is kept beyond this frequency, cycles per sample: just above the highest that samples can tell.
+/// Largest frequency kept, cycles per sample: just above the Nyquist frequency.
 const MAX_FREQUENCY: f64 = 0.55;
 
-/// The calibrated system response of one channel.
+/// Calibrated system response of one channel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SystemResponse {
-    /// Time of the first value, in samples from the peak; negative.
+    /// Time of the first value, samples from the peak; negative.
     pub first_sample: i32,
-    /// The response for echoes of these heights, in rising order; below the first and above the last it stays the same.
+    /// Responses by ascending peak height; constant below the first and above the last.
     pub nodes: Vec<ResponseNode>,
-    /// Standard deviation of the pulses' shape about the response, as part of the height: one value for each sample
-    /// of time from `first_sample` on. 0 where none stands out of the noise.
+    /// SD of the pulse shape about the response, relative to the height.
+    ///
+    /// One value per sample of time from `first_sample`; 0 if not significant.
     pub template_error: Vec<f64>,
-    /// Single echoes the response was found from; 0 where it is another receiver's.
+    /// Number of single echoes used; 0 if copied from another receiver.
     pub echoes: u64,
-    /// Root mean square uncertainty of the first node's values, as part of the peak.
+    /// RMS uncertainty of the first node's values, relative to the peak.
     pub shape_sd: f64,
 }
 
-/// The response for one height of the peak.
+/// Response for one peak height.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ResponseNode {
-    /// Height of the peak that it holds for, DN; positive.
+    /// Peak height, DN; positive and ascending.
     pub peak_dn: f64,
     /// Values every eighth of a sample; 1 at the peak, at index `-8 first_sample`.
     pub values: Vec<f64>,
 }
 
 impl SystemResponse {
-    /// Checks that the numbers describe a response.
+    /// Checks that the values form a response.
     pub fn check(&self) -> Result<(), ModelError> {
         let fail = |problem: String| Err(ModelError { field: "response", problem });
         let peak = -i64::from(self.first_sample) * STEPS_PER_SAMPLE as i64;
-        let Some(first) = self.nodes.first() else { return fail("there is none".into()) };
+        let Some(first) = self.nodes.first() else { return fail("it has no nodes".into()) };
         let length = first.values.len();
         if length > MAX_SAMPLES * STEPS_PER_SAMPLE {
-            return fail(format!("{length} values are more than {}", MAX_SAMPLES * STEPS_PER_SAMPLE));
+            return fail(format!("{length} values exceed the maximum of {}", MAX_SAMPLES * STEPS_PER_SAMPLE));
         }
         if peak <= 0 || peak >= length as i64 {
             return fail(format!("first_sample {} puts the peak outside the values", self.first_sample));
@@ -63,7 +65,7 @@ impl SystemResponse {
         let mut last_dn = 0.0;
         for node in &self.nodes {
             if !(node.peak_dn > last_dn && node.peak_dn.is_finite()) {
-                return fail(format!("peak_dn {} does not rise", node.peak_dn));
+                return fail(format!("peak_dn {} is not above 0 and the previous peak_dn", node.peak_dn));
             }
             last_dn = node.peak_dn;
             if node.values.len() != length {
@@ -71,7 +73,7 @@ impl SystemResponse {
             }
             let bad = node.values.iter().find(|value| value.is_nan() || value.abs() > 1.01);
             if let Some(value) = bad {
-                return fail(format!("value {value} is not a part of the peak"));
+                return fail(format!("value {value} is not between -1.01 and 1.01"));
             }
             if (node.values[peak as usize] - 1.0).abs() > 1e-3 {
                 return fail("the value at the peak is not 1".into());
@@ -80,18 +82,18 @@ impl SystemResponse {
         Ok(())
     }
 
-    /// Full width at half maximum of the first node, in samples; 0 where it does not fall to the half.
+    /// Full width at half maximum of the first node, samples; 0 if it does not fall to half.
     pub fn fwhm_samples(&self) -> f64 {
         self.nodes.first().map_or(0.0, |node| fwhm(&node.values)) / STEPS_PER_SAMPLE as f64
     }
 
-    /// The template error at a time after the peak, in samples: as part of the height.
+    /// Relative template error at a time after the peak, samples.
     pub fn template_error_at(&self, samples: f64) -> f64 {
         let index = (samples - f64::from(self.first_sample)).round();
         if index >= 0.0 { self.template_error.get(index as usize).copied().unwrap_or(0.0) } else { 0.0 }
     }
 
-    /// The response for the highest echoes at a time after the peak, in samples: as part of the height, 0 outside.
+    /// Response for the highest echoes at a time after the peak, samples; 0 outside.
     pub(super) fn highest_at(&self, samples: f64) -> f64 {
         let step = ((samples - f64::from(self.first_sample)) * STEPS_PER_SAMPLE as f64).round();
         let values = self.nodes.last().map_or(&[][..], |node| &node.values);
@@ -99,7 +101,7 @@ impl SystemResponse {
     }
 }
 
-/// Full width at half of the greatest value, in steps; 0 where one side does not fall to the half.
+/// Full width at half maximum, steps; 0 if one side does not fall to half.
 pub(super) fn fwhm(values: &[f64]) -> f64 {
     let Some(peak) = (0..values.len()).max_by(|&i, &j| values[i].total_cmp(&values[j])) else { return 0.0 };
     let half = 0.5 * values[peak];
@@ -115,9 +117,11 @@ pub(super) fn fwhm(values: &[f64]) -> f64 {
     }
 }
 
-/// The Fourier series of `values`, as many per sample as [`STEPS_PER_SAMPLE`], in a period of `steps` (a power of two);
-/// `first_step` is the time of the first value. Only frequencies that a response may have are kept, so that the series
-/// has `bins` terms: bin `j` has `j STEPS_PER_SAMPLE / steps` cycles per sample.
+/// Fourier series of `values` in a period of `steps`, a power of two.
+///
+/// `values` has [`STEPS_PER_SAMPLE`] values per sample; `first_step` is the time of the first. Only
+/// frequencies of a response are kept: the series has `bins` terms, and bin `j` has `j
+/// STEPS_PER_SAMPLE / steps` cycles per sample.
 pub(super) fn spectrum(values: &[f64], first_step: i64, steps: usize, bins: usize) -> Vec<Complex> {
     let mut padded = vec![[0.0, 0.0]; steps];
     for (k, value) in values.iter().enumerate() {
@@ -134,9 +138,10 @@ pub(super) fn bins(steps: usize) -> usize {
     ((MAX_FREQUENCY / STEPS_PER_SAMPLE as f64 * steps as f64).floor() as usize + 1).min(steps / 2)
 }
 
-/// Limits an estimate in frequency, puts its peak at time 0 and scales it to the height 1.
+/// Band-limits an estimate, moves its peak to time 0 and scales it to height 1.
 ///
-/// `values` stand at times `first_step…` in steps; what comes back at the same times. `None` where there is no peak.
+/// `values` are at times `first_step…`, in steps; the result is at the same times. `None` without a
+/// peak.
 pub(super) fn normalised(values: &[f64], first_step: i64, fwhm_samples: f64) -> Option<Vec<f64>> {
     let steps = (2 * values.len()).next_power_of_two();
     let mut series = spectrum(values, first_step, steps, bins(steps));
@@ -226,16 +231,16 @@ mod tests {
             let mut response = response();
             change(&mut response);
             let found = response.check().unwrap_err().to_string();
-            let remedy = "; calibrate anew, or correct the saved model";
+            let remedy = "; recalibrate, or correct the saved model";
             assert_eq!(found, format!("sensor model: response: {expected}{remedy}"));
         };
-        check(|r| r.nodes.clear(), "there is none");
+        check(|r| r.nodes.clear(), "it has no nodes");
         check(|r| r.first_sample = 3, "first_sample 3 puts the peak outside the values");
         check(|r| r.first_sample = i32::MIN, "first_sample -2147483648 puts the peak outside the values");
         check(|r| r.first_sample = -11, "the value at the peak is not 1");
-        check(|r| r.nodes[0].peak_dn = -1.0, "peak_dn -1 does not rise");
-        check(|r| r.nodes[0].values[7] = f64::NAN, "value NaN is not a part of the peak");
-        check(|r| r.nodes[0].values.resize(70_000, 0.0), "70000 values are more than 65536");
+        check(|r| r.nodes[0].peak_dn = -1.0, "peak_dn -1 is not above 0 and the previous peak_dn");
+        check(|r| r.nodes[0].values[7] = f64::NAN, "value NaN is not between -1.01 and 1.01");
+        check(|r| r.nodes[0].values.resize(70_000, 0.0), "70000 values exceed the maximum of 65536");
         check(|r| r.nodes.push(ResponseNode { peak_dn: 171.0, values: vec![] }), "0 values instead of 401");
     }
 }

@@ -1,9 +1,10 @@
-//! A channel's system response from single echoes (docs/method.md, Calibration).
+//! Estimates a channel's system response from single echoes (docs/method.md, Calibration).
 //!
-//! Blocks are decomposed with the model at hand. Of the strong, unsaturated single echoes those of the narrow population
-//! are taken, their heights and places fitted with the width held; then one linear least-squares problem in the
-//! whitened domain gives the splines of the response, and the next round starts with it. The zero of time is the peak,
-//! the width ratio 1 the mode of the widths.
+//! Blocks are decomposed with the current model. From the strong, unsaturated single echoes those
+//! of the narrow population are selected, and their heights and positions are fitted with fixed
+//! width. A linear least-squares problem in the whitened domain then gives the splines of the
+//! response, with which the next round starts. Time zero is the peak; width ratio 1 is the mode of
+//! the widths.
 
 use super::calibrate::{
     Block, CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd,
@@ -26,32 +27,39 @@ mod tests;
 
 pub use even_odd::EvenOdd;
 
-/// Fewer usable single echoes do not tell a response.
+/// Fewest usable single echoes for a response.
 pub const MIN_ECHOES: usize = 150;
-/// Blocks that are looked at, at most, chosen evenly: more would not change the response by what can be measured.
+/// Largest number of blocks, evenly spaced; more would not change the response measurably.
 const MAX_BLOCKS: usize = 12_000;
-/// Rounds; in each, echoes beside the strongest one are allowed up to this part of its height: a Gaussian finds the
-/// after-pulse as an echo, a first response may leave something of it.
+/// Largest height of further echoes of a block relative to the strongest, by round.
+///
+/// A Gaussian model reports the after-pulse as an echo, and a first response may leave some of it.
 const MINOR_PARTS: [f64; 4] = [0.1, 0.03, 0.0, 0.0];
-/// How well the response is known in each round, as part of the height.
+/// Assumed error of the response by round, relative to the height.
 const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
-/// Echoes of one height that a round's response is made of, at most: but for the last one, a response only serves to
-/// choose and to place the echoes of the next.
+/// Largest number of echoes per height node, by round.
+///
+/// All but the last response only serve to select and locate the echoes of the next round.
 const MOST_ECHOES: [usize; 4] = [1_500, 1_500, 1_500, usize::MAX];
-/// Echoes whose places are told by even and odd samples, at most: they tell the factor to 1.3 %.
+/// Largest number of echoes in the even/odd test; they determine the factor to 1.3 %.
 const MOST_SCORED: usize = 6_000;
-/// Heights of usable echoes: at least so many standard deviations of the noise, and not overdriving the receiver.
+/// Smallest height of usable echoes, in standard deviations of the noise; they must also not
+/// overdrive the receiver.
 const STRONG_SD: f64 = 30.0;
-/// Heights with a response of their own, as parts of the full scale (155, 171, 182 and 200 of 255 DN).
+/// Heights with their own response, relative to full scale (155, 171, 182 and 200 of 255 DN).
 const NODE_PARTS: [f64; 4] = [155.0 / 255.0, 171.0 / 255.0, 182.0 / 255.0, 200.0 / 255.0];
-/// With fewer echoes in the window its least width is doubled: the noise of the response weighs more than its blur.
+/// Number of echoes in the window below which it is doubled.
+///
+/// Noise then matters more than blur.
 const ENOUGH_NARROW: usize = 300;
-/// The response reaches at least so many full widths behind the peak (62 ns of 4.4).
+/// Smallest extent of the response after the peak, in pulse widths (62 ns for 4.4 ns).
 const LEAST_REACH_WIDTHS: f64 = 14.0;
-/// How far another receiver's response is to be trusted, as part of the height, where it is higher than that: they see the
-/// same laser pulse, and a Gaussian has no after-pulse at all.
+/// Smallest error of a response borrowed from another receiver, relative to the height, where the
+/// response exceeds this.
+///
+/// Both receivers see the same laser pulse, and a Gaussian has no after-pulse at all.
 const BORROWED_ERROR: f64 = 0.02;
-/// Receivers whose pulses differ in width by more than this part do not share a response.
+/// Largest relative width difference of receivers that share a response.
 const BORROWED_WIDTH: f64 = 0.15;
 
 /// A single echo.
@@ -68,16 +76,19 @@ impl Single<'_> {
     }
 }
 
-/// What became of a search for the response.
+/// Result of the response calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibrated {
-    /// The model: with a response where there are [`MIN_ECHOES`] usable echoes, else as it was.
+    /// The model, with a response if there are at least [`MIN_ECHOES`] usable echoes, otherwise
+    /// unchanged.
     pub model: ChannelModel,
-    /// Usable single echoes.
+    /// Number of usable single echoes.
     pub usable_echoes: usize,
 }
 
-/// Adds the system response to a channel's model that [`super::calibrate::calibrate`] has made from the same blocks.
+/// Adds the system response to a calibrated model.
+///
+/// The model must be from [`super::calibrate::calibrate`] with the same blocks.
 pub fn calibrate_response<'a>(
     blocks: impl Iterator<Item = Block<'a>> + Clone,
     model: &ChannelModel,
@@ -94,7 +105,7 @@ pub fn calibrate_response<'a>(
         if usable_echoes < MIN_ECHOES {
             return Ok(Calibrated { model: gaussian, usable_echoes });
         }
-        // What is not nearly single is not looked at again.
+        // Blocks without a nearly single echo are not used again.
         blocks = singles.iter().map(|single| single.block).collect();
         match better_response(&singles, &model, longest, most)? {
             Some(response) => model = with_response(&model, response),
@@ -116,7 +127,7 @@ pub fn calibrate_response<'a>(
     Ok(Calibrated { model, usable_echoes })
 }
 
-/// [`MAX_BLOCKS`] of the blocks from the whole recording, or all.
+/// Selects [`MAX_BLOCKS`] evenly spaced blocks, or all.
 fn chosen_evenly<'a>(blocks: impl Iterator<Item = Block<'a>> + Clone) -> Vec<Block<'a>> {
     let count = blocks.clone().count().max(1);
     let most = MAX_BLOCKS.min(count);
@@ -124,9 +135,11 @@ fn chosen_evenly<'a>(blocks: impl Iterator<Item = Block<'a>> + Clone) -> Vec<Blo
     blocks.enumerate().filter(|(i, _)| is_chosen(*i)).map(|(_, block)| block).collect()
 }
 
-/// A channel whose own echoes do not tell its response, with that of another receiver of the same laser pulses for weak
-/// echoes, and its factor of errors; none of the channel's own echoes made it. `None` where the other has none, or the channel's
-/// own pulses are of another width.
+/// Copies another receiver's response to a channel.
+///
+/// For channels whose own echoes do not determine a response. The response for weak echoes and the
+/// error factor are copied; its echo count is 0. `None` if the other receiver has no response, or
+/// the channel's own pulses differ in width.
 pub fn with_response_of(model: &ChannelModel, other: &ChannelModel) -> Option<ChannelModel> {
     let known = other.response.as_ref()?;
     let node = known.nodes.first()?.clone();
@@ -135,7 +148,7 @@ pub fn with_response_of(model: &ChannelModel, other: &ChannelModel) -> Option<Ch
         return None;
     }
     let error = |(k, &told): (usize, &f64)| {
-        // The half sample about the time of the error.
+        // Values within half a sample of the time of the error.
         let (from, to) =
             ((k * STEPS_PER_SAMPLE).saturating_sub(STEPS_PER_SAMPLE / 2), (2 * k + 1) * STEPS_PER_SAMPLE / 2);
         let values = &node.values[from.min(node.values.len())..to.min(node.values.len())];
@@ -158,7 +171,7 @@ fn with_response(model: &ChannelModel, response: SystemResponse) -> ChannelModel
     ChannelModel { response: Some(response), pulse_fwhm_ns, pulses, ..model.clone() }
 }
 
-/// The usable single echoes among the blocks.
+/// Selects the usable single echoes of the blocks.
 fn singles<'a>(
     blocks: &[Block<'a>],
     model: &ChannelModel,
@@ -183,7 +196,7 @@ fn singles<'a>(
     Ok(found)
 }
 
-/// The strongest return, if it is whole and what else there is stands well behind it and is minor.
+/// The strongest return, if it is complete and others are minor and well after it.
 fn strongest<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64) -> Option<&'a Return> {
     let returns = outcome.returns;
     let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
@@ -196,19 +209,21 @@ fn strongest<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64
     (strongest.flags & bad == 0 && returns.iter().all(minor)).then_some(strongest)
 }
 
-/// Echoes of about one height.
+/// Echoes of similar height.
 struct Group<'a> {
-    /// The height whose response they tell, DN.
+    /// Height of the node that they determine, DN.
     peak_dn: f64,
     singles: Vec<Single<'a>>,
 }
 
-/// The echoes by height, rising. Neighbouring heights of [`NODE_PARTS`] that have too few echoes share one response, at
-/// their mean height; the first stands for all that are weaker.
+/// Groups the echoes by ascending height.
+///
+/// Neighbouring nodes of [`NODE_PARTS`] with too few echoes share one response at their mean
+/// height. The first node also covers all weaker echoes.
 fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
     let heights = NODE_PARTS.map(|part| part * full_scale_dn);
     let mut groups: Vec<Group<'a>> = Vec::new();
-    // Echoes that no group has yet, from the highest down.
+    // Echoes not yet in a group, in descending order of nodes.
     let mut open: Vec<Single<'a>> = Vec::new();
     for (i, &height) in heights.iter().enumerate().rev() {
         let low = if i > 0 { 0.5 * (heights[i - 1] + height) } else { 0.0 };
@@ -221,7 +236,7 @@ fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
             groups.push(Group { peak_dn, singles: std::mem::take(&mut open) });
         }
     }
-    // The outgoing pulse is always strong.
+    // Needed for the outgoing pulse, which is always strong.
     if let Some(lowest) = groups.last_mut() {
         lowest.singles.append(&mut open);
     }
@@ -229,7 +244,7 @@ fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
     groups
 }
 
-/// The echoes of a group that fit well and that nothing widened: those about the mode of the widths.
+/// Selects well-fitted, unwidened echoes of a group: those near the mode of the widths.
 fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
     let widths: Vec<Width> = singles.iter().map(Single::width).collect();
     let within = |times_least: f64| -> Vec<Single<'a>> {
@@ -241,8 +256,10 @@ fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
     if narrow.len() >= ENOUGH_NARROW { narrow } else { within(2.0) }
 }
 
-/// Standard deviation of the response's width, ns: that of the mean width of the echoes it is made of, chosen anew each time,
-/// by leaving out one of consecutive groups of echoes after the other (jackknife).
+/// Standard deviation of the response's width, ns.
+///
+/// It is that of the mean width of the selected echoes, by a jackknife over consecutive groups with
+/// a new selection each time.
 fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
     let per_group = singles.len().div_ceil(GROUPS).max(1);
     let groups = singles.len().div_ceil(per_group);
@@ -254,13 +271,14 @@ fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
     jackknife_sd(&(0..groups).map(mean_without).collect::<Vec<_>>()) * model.pulse_fwhm_ns
 }
 
-/// At most so many of the echoes, chosen evenly.
+/// At most `most` echoes, evenly spaced.
 fn evenly(singles: Vec<Single<'_>>, most: usize) -> impl Iterator<Item = Single<'_>> {
     let step = singles.len().div_ceil(most).max(1);
     singles.into_iter().step_by(step)
 }
 
-/// The response that tells the echoes best, of each height at most so many of them; `None` where the equations have no solution.
+/// Least-squares response from at most `most` echoes per height node; `None` for singular
+/// equations.
 fn better_response(
     singles: &[Single<'_>],
     model: &ChannelModel,
@@ -270,7 +288,8 @@ fn better_response(
     let fwhm = model.fwhm_samples();
     let reach = (LEAST_REACH_WIDTHS * fwhm).max(longest as f64 + 2.0 * fwhm);
     let basis = Basis::new(fwhm, reach);
-    // A receiver that compresses strong echoes makes them wider: each height has its own mode of the widths.
+    // A receiver that compresses strong echoes makes them wider: each height has its own mode of
+    // the widths.
     let groups = by_height(singles, model.full_scale_dn);
     let narrow: Vec<_> =
         groups.iter().flat_map(|group| evenly(narrow_population(&group.singles), most)).collect();

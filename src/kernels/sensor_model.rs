@@ -1,4 +1,4 @@
-//! What `calibrate` finds out about a sensor and `decompose` relies on, channel by channel.
+//! Sensor model: the calibration of each channel, used by the decomposition.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,103 +6,113 @@ use serde::{Deserialize, Serialize};
 use super::noise::{ArNoise, MAX_ORDER};
 use super::response::SystemResponse;
 
-/// A sensor: one model for each channel that was calibrated.
+/// Sensor model with one entry per calibrated channel.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SensorModel {
-    /// The sensitive channel, for weak echoes (RIEGL: low power, LO).
+    /// Sensitive channel, for weak echoes (RIEGL: low power, LO).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub low_power: Option<ChannelModel>,
-    /// The coarse channel, for strong echoes (RIEGL: high power, HI).
+    /// Less sensitive channel, for strong echoes (RIEGL: high power, HI).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub high_power: Option<ChannelModel>,
-    /// The channel for echoes that saturate the others.
+    /// Channel for echoes that saturate the others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saturation: Option<ChannelModel>,
-    /// The outgoing pulse.
+    /// Channel of the outgoing pulse.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<ChannelModel>,
 }
 
-/// How the background of a waveform is told.
+/// Source of the background of a waveform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Background {
-    /// It is the channel's: `background_dn`, by the sample's phase.
+    /// The channel's `background_dn`, by sample phase.
     Fixed,
-    /// It is a free parameter of each waveform, drawn to `background_dn` with the spread `background_sd_dn`.
+    /// A free parameter of each waveform, with a prior of mean `background_dn` and SD
+    /// `background_sd_dn`.
     PerWaveform,
 }
 
-/// One channel of a sensor. DN are steps of the digitiser.
+/// Model of one channel. DN are digitiser steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ChannelModel {
-    /// Time from sample to sample, ns; positive.
+    /// Sampling interval, ns; positive.
     pub sampling_interval_ns: f64,
-    /// Samples at or above this are saturated, DN; positive.
+    /// Full scale, DN; positive. Samples at or above it are saturated.
     pub full_scale_dn: f64,
-    /// How the background of a waveform is told.
+    /// Source of the background of a waveform.
     pub background: Background,
-    /// Level without a pulse, DN, by the sample's index modulo 4.
+    /// Background level, DN, by sample index modulo 4.
     pub background_dn: [f64; 4],
-    /// Spread of the level from block to block, DN; 0 where none was measured. With `per_waveform`, the standard
-    /// deviation of the prior on a waveform's level; 0 is then no prior.
+    /// SD of the level between blocks, DN; 0 if not measured.
+    ///
+    /// With `per_waveform`, the SD of the prior on the level of a waveform; 0 then means no prior.
     pub background_sd_dn: f64,
-    /// Standard deviation of the noise of one sample, quantisation included, DN; positive.
+    /// SD of the noise of one sample, quantisation included, DN; positive.
     pub noise_sd_dn: f64,
-    /// Correlation of the noise as measured, at lags of 1, 2, … samples.
+    /// Measured autocorrelation of the noise, at lags of 1, 2, … samples.
     pub autocorrelation: Vec<f64>,
-    /// Coefficients `φ_1 …` of the noise's autoregressive model; none for white noise.
+    /// Coefficients `φ_1 …` of the autoregressive noise model; empty for white noise.
     pub ar: Vec<f64>,
-    /// Standard deviation of that model's innovation, DN; positive.
+    /// SD of the innovation of the noise model, DN; positive.
     pub innovation_sd_dn: f64,
     /// Full width at half maximum of a pulse from a flat target, ns; positive.
     pub pulse_fwhm_ns: f64,
-    /// Spread of that width from pulse to pulse, ns.
+    /// SD of that width between pulses, ns.
     pub pulse_fwhm_sd_ns: f64,
-    /// Standard deviation of pulses about the Gaussian that stands for them, as part of their height, where no sample is
-    /// free of signal and so nothing else tells what a pulse leaves; 0 where it was not measured.
+    /// SD of pulses about the Gaussian model, relative to their height; 0 if not measured.
+    ///
+    /// Measured only if no sample is free of signal, because nothing else then determines the
+    /// residual of a pulse.
     #[serde(default)]
     pub pulse_shape_error: f64,
-    /// How much larger errors on a pulse are than the noise before it lets expect: its standard deviations are
-    /// multiplied by this. 1 where it was not measured or does not stand out of its own uncertainty.
+    /// Ratio of actual errors to those expected from the noise.
+    ///
+    /// Standard deviations are multiplied by it. 1 if not measured or not significant.
     #[serde(default = "one")]
     pub pulse_error_factor: f64,
-    /// The system response; absent where pulses are taken to be Gaussians of the width `pulse_fwhm_ns`.
+    /// System response; if absent, pulses are Gaussians of width `pulse_fwhm_ns`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub response: Option<SystemResponse>,
-    /// What the digitiser and the receiver do to samples beside noise; nothing where it is absent.
+    /// Sampling and receiver effects other than noise; none if absent.
     #[serde(default, skip_serializing_if = "Digitiser::is_plain")]
     pub digitiser: Digitiser,
-    /// How well these numbers are known.
+    /// Standard deviations of these parameters.
     #[serde(default)]
     pub uncertainty: ModelUncertainty,
-    /// Blocks the model was found from.
+    /// Number of blocks used for calibration.
     pub waveforms: u64,
-    /// Single, unsaturated pulses the width was found from; 0 where there were too few, and the width is
-    /// another receiver's or a first measure, taken from the samples above half the height.
+    /// Number of single, unsaturated pulses used for the width.
+    ///
+    /// 0 if there were too few; the width is then another receiver's or an initial estimate from
+    /// the samples above half maximum.
     pub pulses: u64,
 }
 
-/// What is known beforehand of how samples are taken.
+/// Known timing offset and tail of the digitiser.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Digitiser {
-    /// Odd samples of a block were taken so much later than their index says, samples; above -1 and below 1.
+    /// Delay of the odd samples of a block relative to their index, samples; above -1 and below 1.
     pub odd_sample_shift: f64,
-    /// The exponential tail that the receiver adds to a signal; absent where it is part of the response.
+    /// Exponential tail that the receiver adds to a signal; absent if it is part of the response.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub decay: Option<Decay>,
 }
 
-/// An exponential tail: `D_k = λ D_{k-1} + A (1 - λ) s_{k-1}` with `λ = e^(-1/T)`, of the signal `s` before sample `k`.
+/// Exponential tail of a signal.
+///
+/// `D_k = λ D_{k-1} + A (1 - λ) s_{k-1}` with `λ = e^(-1/T)`, from the signal `s` before sample
+/// `k`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Decay {
-    /// Area of the tail over that of the signal, `A`.
+    /// Area of the tail over that of the signal, `A`; absolute value below 1.
     pub amplitude: f64,
-    /// Time constant, samples, `T`; positive.
+    /// Time constant `T`, samples; positive.
     pub time_samples: f64,
 }
 
@@ -114,44 +124,53 @@ impl Digitiser {
     fn check(&self) -> Result<(), ModelError> {
         let shift = self.odd_sample_shift;
         if shift.is_nan() || shift.abs() >= 1.0 {
-            let problem = format!("{shift} does not lie between -1 and 1");
+            let problem = format!("{shift} is not between -1 and 1");
             return Err(ModelError { field: "odd_sample_shift", problem });
         }
         match self.decay {
             Some(Decay { amplitude, time_samples })
                 if !(amplitude.abs() < 1.0 && time_samples > 0.0 && time_samples.is_finite()) =>
             {
-                let problem =
-                    format!("no tail has the amplitude {amplitude} and lasts {time_samples} samples");
+                let problem = format!(
+                    "amplitude {amplitude} must be within ±1, and time_samples {time_samples} positive"
+                );
                 Err(ModelError { field: "decay", problem })
             }
             _ => Ok(()),
         }
     }
 
-    /// When sample `k` of a block was taken, samples after its first.
+    /// Time of sample `k` of a block, samples after its first.
     pub fn time_of(&self, k: usize) -> f64 {
         k as f64 + if k % 2 == 1 { self.odd_sample_shift } else { 0.0 }
     }
 }
 
-/// How well the numbers of a [`ChannelModel`] are known: standard deviations of the estimates, by the names of the numbers.
-/// That of the response stands with it (`shape_sd`). 0 where it was not told.
+/// Standard deviations of the parameters of a [`ChannelModel`].
+///
+/// Fields have the names of the parameters. The uncertainty of the response is its `shape_sd`. 0 if
+/// unknown.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelUncertainty {
-    /// Of the level of one phase, DN. This and the next two come from leaving out one of 25 consecutive parts of the
-    /// recording after the other (jackknife, Tukey 1958), so that what changes along it counts as well as chance; where no
-    /// sample is free of pulses, from the spread over the blocks.
+    /// SD of the level of one phase, DN.
+    ///
+    /// This and the next two are jackknife estimates (Tukey 1958) that leave out one of 25
+    /// consecutive parts of the recording at a time, so that changes along it count as well as
+    /// chance. If no sample is free of pulses, they follow from the spread over the blocks.
     pub background_dn: f64,
-    /// Of the standard deviation of the noise, DN.
+    /// SD of `noise_sd_dn`, DN.
     pub noise_sd_dn: f64,
-    /// Of the correlation at each lag.
+    /// SD of the autocorrelation at each lag.
     pub autocorrelation: Vec<f64>,
-    /// Of the full width at half maximum, ns: `1.35 s / √n` for the mode of widths of Gaussians that spread by `s`, `n` of them within `1.5 s`; for a
-    /// response by the jackknife, too.
+    /// SD of the full width at half maximum, ns.
+    ///
+    /// `1.35 s / √n` for the mode of Gaussian widths with SD `s`, `n` of them within `1.5 s`. With
+    /// a response, a jackknife estimate.
     pub pulse_fwhm_ns: f64,
-    /// Of the error factor: `0.96 f / √n` of `n` scores, it being half of what lies between two of their percentiles.
+    /// SD of the error factor.
+    ///
+    /// `0.96 f / √n` for `n` scores; the factor is half the difference of two of their percentiles.
     pub pulse_error_factor: f64,
 }
 
@@ -159,18 +178,18 @@ fn one() -> f64 {
     1.0
 }
 
-/// A model that describes no channel.
+/// Error of an invalid channel model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("sensor model: {field}: {problem}; calibrate anew, or correct the saved model")]
+#[error("sensor model: {field}: {problem}; recalibrate, or correct the saved model")]
 pub struct ModelError {
-    /// The field's name.
+    /// Name of the field.
     pub field: &'static str,
-    /// What is wrong with it.
+    /// The problem.
     pub problem: String,
 }
 
 impl ChannelModel {
-    /// Checks that the numbers describe a channel, and gives the noise they describe.
+    /// Checks the parameters and returns the noise process.
     pub fn noise(&self) -> Result<ArNoise, ModelError> {
         let positive = [
             ("sampling_interval_ns", self.sampling_interval_ns),
@@ -198,29 +217,32 @@ impl ChannelModel {
         }
         ArNoise::new(&self.ar, self.innovation_sd_dn).ok_or_else(|| ModelError {
             field: "ar",
-            problem: format!("{:?} is no stationary process of at most {MAX_ORDER} coefficients", self.ar),
+            problem: format!("{:?} is not a stationary process of at most {MAX_ORDER} coefficients", self.ar),
         })
     }
 
-    /// Checks that the numbers describe a channel and its response.
+    /// Checks the parameters of the channel and its response.
     pub fn check(&self) -> Result<(), ModelError> {
         self.noise()?;
         self.digitiser.check()?;
         self.response.as_ref().map_or(Ok(()), SystemResponse::check)
     }
 
-    /// The calibrated width in samples.
+    /// Calibrated pulse width, samples.
     pub fn fwhm_samples(&self) -> f64 {
         self.pulse_fwhm_ns / self.sampling_interval_ns
     }
 
-    /// The background at sample `index` of a block whose first sample has index `start_phase` modulo 4.
+    /// Background of sample `index`, DN.
+    ///
+    /// `start_phase` is the index of the block's first sample modulo 4.
     pub fn background_at(&self, start_phase: u8, index: usize) -> f64 {
         self.background_dn[(usize::from(start_phase) + index) % 4]
     }
 
-    /// Appends what the samples of a block stand above the background, DN, less the tail that the digitiser's decay says;
-    /// before the block there was no signal.
+    /// Appends the samples of a block less background and decay tail, DN.
+    ///
+    /// Assumes no signal before the block.
     pub fn signal_into(&self, samples: &[u16], start_phase: u8, signal_dn: &mut Vec<f64>) {
         let level = |k: usize| self.background_at(start_phase, k);
         let above = samples.iter().enumerate().map(|(k, &sample)| f64::from(sample) - level(k));
@@ -237,7 +259,8 @@ impl ChannelModel {
         }));
     }
 
-    /// The precision of a waveform's own offset from `background_dn`, 1/DN²; `None` where the background is fixed.
+    /// Prior precision of a waveform's offset from `background_dn`, 1/DN²; `None` for a fixed
+    /// background.
     pub fn offset_precision(&self) -> Option<f64> {
         match self.background {
             Background::Fixed => None,
@@ -301,7 +324,7 @@ mod tests {
         let mut model = model();
         model.digitiser.decay = Some(Decay { amplitude: 0.5, time_samples: 1.0 / 2f64.ln() });
         model.background_dn = [2.0; 4];
-        // λ = 1/2: the signal 8, 4, 0, 0 leaves the tail 0, 2, 2, 1.
+        // λ = 1/2: the signal 8, 4, 0, 0 has the tail 0, 2, 2, 1.
         let mut signal = Vec::new();
         model.signal_into(&[10, 8, 4, 3], 0, &mut signal);
         assert!(
@@ -334,36 +357,36 @@ mod tests {
         check(
             |m| m.innovation_sd_dn = 0.0,
             "sensor model: innovation_sd_dn: 0 is not a positive number; \
-             calibrate anew, or correct the saved model",
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.background_dn[2] = f64::NAN,
-            "sensor model: background_dn: NaN is not a number; calibrate anew, or correct the saved model",
+            "sensor model: background_dn: NaN is not a number; recalibrate, or correct the saved model",
         );
         check(
             |m| m.background_sd_dn = -1.0,
             "sensor model: background_sd_dn: -1 is not a standard deviation; \
-             calibrate anew, or correct the saved model",
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.digitiser.odd_sample_shift = 1.0,
-            "sensor model: odd_sample_shift: 1 does not lie between -1 and 1; \
-             calibrate anew, or correct the saved model",
+            "sensor model: odd_sample_shift: 1 is not between -1 and 1; \
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.pulse_shape_error = f64::NAN,
             "sensor model: pulse_shape_error: NaN is not a standard deviation; \
-             calibrate anew, or correct the saved model",
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.digitiser.decay = Some(Decay { amplitude: 0.1, time_samples: 0.0 }),
-            "sensor model: decay: no tail has the amplitude 0.1 and lasts 0 samples; \
-             calibrate anew, or correct the saved model",
+            "sensor model: decay: amplitude 0.1 must be within ±1, and time_samples 0 positive; \
+             recalibrate, or correct the saved model",
         );
         check(
             |m| m.ar = vec![1.5],
-            "sensor model: ar: [1.5] is no stationary process of at most 8 coefficients; \
-             calibrate anew, or correct the saved model",
+            "sensor model: ar: [1.5] is not a stationary process of at most 8 coefficients; \
+             recalibrate, or correct the saved model",
         );
     }
 }

@@ -1,28 +1,30 @@
-//! Where a sensor was, from the beams that left it: files that give a beam by points on it, but not where it began, tell
-//! the sensor's path all the same, because beams of nearby times meet near it.
+//! Sensor position from the intersection of its beams.
 //!
-//! Within a short window the sensor moves on a straight line, `p(t) = p + v (t - t0)`. The beam of time `t` through the point
-//! `q` with the unit direction `d` passes it at the distance `(I - d dᵀ)(p(t) - q)`; `p` and `v` are the least squares of
-//! these distances: six unknowns, two equations per beam. What a sensor sways around the straight line goes into the
-//! residuals, and what all beams of the window have in common (a wrong mount, a curved map) goes into the place.
+//! Some files give a beam by points on it but not its origin. Beams close in time then still
+//! determine the sensor's path, because they pass near it. Within a short window the sensor moves
+//! on a straight line, `p(t) = p + v (t - t0)`. The beam at time `t` through the point `q` with
+//! unit direction `d` is offset from it by `(I - d dᵀ)(p(t) - q)`; `p` and `v` minimise the squared
+//! offsets: six unknowns, two equations per beam. Motion about the straight line goes into the
+//! residuals. Errors common to all beams of the window (a wrong mounting, a curved projection) go
+//! into the position.
 
 use super::cholesky;
 
-/// A beam: a line on which the sensor was at a time.
+/// A beam: a line through the sensor position at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beam {
-    /// When, s.
+    /// Time, s.
     pub time_s: f64,
-    /// A point on it, m.
+    /// Point on the beam, m.
     pub through_m: [f64; 3],
-    /// Its unit vector.
+    /// Unit vector.
     pub direction: [f64; 3],
 }
 
-/// The sums over the beams of a window.
+/// Sums over the beams of a window.
 #[derive(Clone, Debug, Default)]
 pub struct Window {
-    /// Times and places count from the first beam.
+    /// Times and positions are relative to the first beam.
     first: Option<Beam>,
     normal: [[f64; 6]; 6],
     right: [f64; 6],
@@ -32,29 +34,29 @@ pub struct Window {
     n_beams: u64,
 }
 
-/// Where the sensor was.
+/// Estimated sensor position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// When: the mean time of the beams, s.
+    /// Mean time of the beams, s.
     pub time_s: f64,
-    /// Where, m.
+    /// Position, m.
     pub position_m: [f64; 3],
-    /// How fast it moved, m/s.
+    /// Velocity, m/s.
     pub velocity_mps: [f64; 3],
-    /// Standard deviation of the position, all axes together, m, as the residuals tell it.
+    /// Position SD of all axes combined, m, from the residuals.
     pub sd_m: f64,
-    /// Root mean square of the distances between the beams and the path, m.
+    /// RMS distance between the beams and the path, m.
     pub residual_m: f64,
 }
 
-/// Fewer beams tell nothing of their own errors.
+/// Fewest beams for an uncertainty estimate.
 const FEWEST_BEAMS: u64 = 30;
-/// The place may be so many times less sure than a single beam of the window: nearly parallel beams have no place where
-/// they meet.
+/// Largest dilution of precision relative to a single beam of the window; nearly parallel beams
+/// have no intersection.
 const MOST_DILUTION: f64 = 1000.0;
 
 impl Window {
-    /// Adds a beam; one that is not finite is left out.
+    /// Adds a beam; ignores one that is not finite.
     pub fn add(&mut self, beam: &Beam) {
         let numbers = beam.through_m.iter().chain(&beam.direction).chain([&beam.time_s]);
         if !numbers.into_iter().all(|number| number.is_finite()) {
@@ -82,7 +84,7 @@ impl Window {
         self.n_beams += 1;
     }
 
-    /// How many beams there are.
+    /// Number of beams.
     pub fn n_beams(&self) -> u64 {
         self.n_beams
     }
@@ -92,8 +94,9 @@ impl Window {
         self.first.map_or(0.0, |first| self.last_s - first.time_s)
     }
 
-    /// Where the sensor was at the mean time of the beams; `None` where they do not tell it: too few, or nearly parallel,
-    /// or all of one moment.
+    /// Sensor position at the mean time of the beams.
+    ///
+    /// `None` if undetermined: too few beams, nearly parallel beams, or all at one time.
     pub fn place(&self) -> Option<Place> {
         let first = self.first.filter(|_| self.n_beams >= FEWEST_BEAMS)?;
         let mut factor = [0.0; 36];
@@ -111,7 +114,7 @@ impl Window {
         let variance: f64 = (0..3)
             .map(|axis| at(axis, axis) + 2.0 * t * at(axis, axis + 3) + t * t * at(axis + 3, axis + 3))
             .sum();
-        // Rounding may leave a little less than nothing.
+        // Rounding may give a slightly negative value.
         let left_m2 =
             (self.squares_m2 - solved.iter().zip(self.right).map(|(a, b)| a * b).sum::<f64>()).max(0.0);
         let beam_variance_m2 = left_m2 / (2.0 * n - 6.0);
@@ -137,11 +140,13 @@ impl Window {
 mod tests {
     use super::*;
 
-    /// A scanner at 1000 m that flies east at 60 m/s and sweeps so far across at 47.3 lines a second, its beams told by a
-    /// point near the ground, perhaps rounded, and a direction that is wrong by so much.
+    /// Beams of a scanner at 1000 m that flies east at 60 m/s with 47.3 lines per second.
+    ///
+    /// Each has a point near the ground, rounded if `step_m` is above 0, and a direction with the
+    /// given error.
     fn beams(seconds: f64, half_angle_deg: f64, step_m: f64, direction_error_rad: f64) -> Vec<Beam> {
         let n = (seconds * 10_000.0) as usize;
-        // Errors without a random number: they are spread evenly and repeat after hundreds of beams.
+        // Deterministic errors: evenly spread, repeating after hundreds of beams.
         let spread = |k: usize, by: usize| ((k * by) % 499) as f64 / 249.0 - 1.0;
         (0..n)
             .map(|k| {
@@ -190,7 +195,7 @@ mod tests {
         assert!(place.residual_m < 1e-4 && place.sd_m < 1e-4);
     }
 
-    /// The standard deviation says what rounded points and directions cost.
+    /// The standard deviation covers the effect of rounded points and directions.
     #[test]
     fn errors_are_as_large_as_their_standard_deviation_says() {
         let rounded = fitted(&beams(0.2, 30.0, 0.01, 0.0)).unwrap();
@@ -202,7 +207,7 @@ mod tests {
         assert!(error_m(&turned) < 4.0 * turned.sd_m && turned.sd_m < 2e-3, "{turned:?}");
     }
 
-    /// A beam that turns on a cone of 20 degrees, 80 times a second, is as good a sweep.
+    /// A conical scan of 20 degrees at 80 revolutions per second determines the position as well.
     #[test]
     fn beams_of_a_cone_meet_at_the_sensor() {
         for (step_m, direction_error_rad) in [(0.0, 0.0), (0.001, 1e-5)] {
@@ -214,7 +219,7 @@ mod tests {
                 let rounded = |m: f64| if step_m > 0.0 { (m / step_m).round() * step_m } else { m };
                 beam.through_m =
                     std::array::from_fn(|axis| rounded(sensor[axis] + 990.0 / down * on_beam[axis]));
-                // What a beam straight down is off the vertical, this one is off its own.
+                // The deviation of a beam from the vertical is applied to the beam on the cone.
                 let off = [beam.direction[0], beam.direction[1], 0.0];
                 let turned: [f64; 3] = std::array::from_fn(|axis| on_beam[axis] + off[axis]);
                 let length = dot_of(turned, turned).sqrt();

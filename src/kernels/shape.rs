@@ -1,4 +1,4 @@
-//! The shape that pulses have: a Gaussian, or the calibrated system response.
+//! Pulse shape: a Gaussian or the calibrated system response.
 
 use std::sync::Arc;
 
@@ -7,11 +7,11 @@ use super::response::{self, STEPS_PER_SAMPLE, SystemResponse};
 use super::sensor_model::{ChannelModel, ModelError};
 use super::templates::{Part, Templates};
 
-/// A family of pulses: by height, place and width.
+/// Family of pulses by height, position and width.
 #[derive(Debug, Clone)]
 pub struct Shape {
     family: Family,
-    /// Odd samples were taken so much later, samples.
+    /// Delay of odd samples relative to their index, samples.
     odd_sample_shift: f64,
 }
 
@@ -23,7 +23,7 @@ enum Family {
     Response(Arc<ResponseShape>),
 }
 
-/// Which samples of a block.
+/// Subset of the samples of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Lane {
     All,
@@ -32,7 +32,7 @@ pub(super) enum Lane {
 }
 
 impl Lane {
-    /// The first of these samples at or after one.
+    /// First sample of the lane at or after `first`.
     pub(super) fn from(self, first: usize) -> usize {
         match self {
             Lane::All => first,
@@ -41,17 +41,17 @@ impl Lane {
         }
     }
 
-    /// From one of these samples to the next.
+    /// Distance of consecutive samples of the lane.
     pub(super) fn step(self) -> usize {
         if self == Lane::All { 1 } else { 2 }
     }
 }
 
-/// The tables of a channel's response.
+/// Template tables of a channel's response.
 #[derive(Debug)]
 pub struct ResponseShape {
     fwhm_samples: f64,
-    /// By the height that they hold for, rising.
+    /// Tables by ascending height.
     nodes: Vec<(f64, Templates)>,
     /// Full widths at half maximum of the nodes' responses, samples.
     node_fwhm_samples: Vec<f64>,
@@ -65,7 +65,7 @@ impl From<f64> for Shape {
 }
 
 impl Shape {
-    /// The shape that a channel's model describes.
+    /// Shape of a channel model.
     pub fn of(model: &ChannelModel) -> Result<Shape, ModelError> {
         let shape = match &model.response {
             None => Shape::from(model.fwhm_samples()),
@@ -87,7 +87,7 @@ impl Shape {
         Ok(Shape { family, odd_sample_shift: 0.0 })
     }
 
-    /// The same shape, all of whose samples are taken at their index.
+    /// The same shape with all samples at their nominal times.
     pub fn on_time(&self) -> Shape {
         Shape { odd_sample_shift: 0.0, ..self.clone() }
     }
@@ -100,8 +100,9 @@ impl Shape {
         }
     }
 
-    /// Full width at half maximum of a pulse of width ratio 1 and of this height, samples: a receiver that compresses
-    /// strong echoes makes them wider.
+    /// FWHM of a pulse of this height and width ratio 1, samples.
+    ///
+    /// A receiver that compresses strong echoes makes them wider.
     #[inline(always)]
     pub fn fwhm_samples_at(&self, height_dn: f64) -> f64 {
         match &self.family {
@@ -114,7 +115,7 @@ impl Shape {
         }
     }
 
-    /// The least and the greatest logarithm of a width ratio that can be fitted.
+    /// Smallest and largest log width ratio that can be fitted.
     pub fn ln_width_bounds(&self) -> [f64; 2] {
         match &self.family {
             Family::Gaussian { .. } => gauss_fit::LN_WIDTH_BOUNDS,
@@ -122,7 +123,7 @@ impl Shape {
         }
     }
 
-    /// Adds `sign` times the pulse to `values`, the samples of a block.
+    /// Adds `sign` times the pulse to the samples `values` of a block.
     pub fn add(&self, pulse: &Pulse, sign: f64, values: &mut [f64]) {
         for (lane, pulse) in self.lanes(pulse).into_iter().flatten() {
             match &self.family {
@@ -134,8 +135,10 @@ impl Shape {
         }
     }
 
-    /// Adds the pulse's derivatives by height, position and width's logarithm to columns of a block's length. Returns
-    /// the first sample that can differ from zero.
+    /// Adds the derivatives of the pulse by height, position and log width to columns of block
+    /// length.
+    ///
+    /// Returns the first sample that can differ from zero.
     pub fn add_derivatives(&self, pulse: &Pulse, columns: [&mut [f64]; 3]) -> usize {
         let [by_height, by_position, by_width] = columns;
         let mut first = usize::MAX;
@@ -149,7 +152,7 @@ impl Shape {
         first
     }
 
-    /// The pulse as the samples of each lane see it: what was taken later sees it earlier.
+    /// The pulse relative to the samples of each lane: delayed samples see it earlier.
     fn lanes(&self, pulse: &Pulse) -> [Option<(Lane, Pulse)>; 2] {
         if self.odd_sample_shift == 0.0 {
             return [Some((Lane::All, *pulse)), None];
@@ -160,7 +163,7 @@ impl Shape {
 }
 
 impl ResponseShape {
-    /// The nodes around a height, and the part of the second.
+    /// Nodes around a height, and the weight of the second.
     #[inline]
     fn around(&self, height_dn: f64) -> (usize, usize, f64) {
         if self.nodes.len() == 1 {
@@ -202,7 +205,7 @@ impl ResponseShape {
         }
     }
 
-    /// What the shape's own change with the height adds to the derivative by it.
+    /// Adds the change of shape with height to the height derivative.
     fn add_change_with_height(&self, pulse: &Pulse, lane: Lane, by_height: &mut [f64]) {
         let (low, high, _) = self.around(pulse.height_dn);
         if low == high {
@@ -224,7 +227,8 @@ mod tests {
     const PULSE: Pulse =
         Pulse { height_dn: 50.0, position_samples: 12.3, ln_width_ratio: 0.2, ln_width_precision: 0.0 };
 
-    /// Even samples as they stand, odd ones as of a pulse that much earlier; values and derivatives.
+    /// Even samples are unchanged; odd ones equal those of a pulse that much earlier, for values
+    /// and derivatives.
     #[test]
     fn odd_samples_are_seen_at_their_own_time() {
         let plain = Shape::from(4.5);

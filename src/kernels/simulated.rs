@@ -1,10 +1,10 @@
-//! Waveforms whose truth is known, for tests: a small generator of random numbers, correlated noise, pulses.
+//! Simulated waveforms with known truth for tests: random numbers, correlated noise, pulses.
 
 use super::gauss_fit::{FOUR_LN_2, Pulse};
 use super::noise::{ArNoise, fit_by_bic};
 use super::sensor_model::{Background, ChannelModel, Digitiser};
 
-/// SplitMix64 (Steele, Lea, Flood 2014): a counter through a mixing function; one seed, one sequence.
+/// SplitMix64 (Steele, Lea, Flood 2014): a counter passed through a mixing function.
 pub(crate) struct Random(u64);
 
 impl Random {
@@ -45,7 +45,7 @@ pub(crate) fn coefficients_from_reflection(reflection: &[f64]) -> Vec<f64> {
     predictor
 }
 
-/// `samples` values of the process, after a run-in that makes them stationary.
+/// `samples` values of the process, after a run-in to stationarity.
 pub(crate) fn noise(random: &mut Random, noise: &ArNoise, samples: usize) -> Vec<f64> {
     let run_in = 100;
     let sd = noise.innovation_variance().sqrt();
@@ -57,7 +57,8 @@ pub(crate) fn noise(random: &mut Random, noise: &ArNoise, samples: usize) -> Vec
     out.split_off(run_in)
 }
 
-/// The 8-bit channel, sampled at 1 GHz, whose noise is the process rounded to whole steps: 1/12 DN² more at lag 0.
+/// An 8-bit channel at 1 GHz with the noise of the process, rounded to whole steps: 1/12 DN² more
+/// at lag 0.
 pub(crate) fn channel(process: &ArNoise, fwhm_samples: f64, background_dn: f64) -> ChannelModel {
     let mut lags = [0.0; 6];
     process.autocovariance_into(&mut lags);
@@ -110,7 +111,7 @@ pub(crate) fn analogue(
     values
 }
 
-/// What a digitiser of the given full scale makes of it.
+/// Digitises values with the given full scale.
 pub(crate) fn digitised(values: &[f64], full_scale: u16) -> Vec<u16> {
     values.iter().map(|v| v.round().clamp(0.0, f64::from(full_scale)) as u16).collect()
 }

@@ -1,26 +1,26 @@
-//! Columns of values as whole numbers of steps, and columns of decibels as ratios. Both have the same bits on every
-//! processor.
+//! Quantises columns of values and converts decibels to ratios, bit-identical on every processor.
 
 use super::lockstep::{Kernel, Path, Simd};
 
-/// How values become whole numbers.
+/// Quantisation of values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Steps {
-    /// The value of a stored 0.
+    /// Value of a stored 0.
     pub(crate) offset: f64,
-    /// The value of a step.
+    /// Value of one step.
     pub(crate) scale: f64,
-    /// Smallest number that there is.
+    /// Smallest stored number.
     pub(crate) least: i32,
-    /// Largest number that there is.
+    /// Largest stored number.
     pub(crate) largest: i32,
-    /// What stands for NaN.
+    /// Stored number for NaN.
     pub(crate) nan: i32,
 }
 
 impl Steps {
-    /// For each value the nearest whole number of steps, halves away from zero, or the nearest end of the range; as far as
-    /// both slices reach.
+    /// Rounds each value to the nearest step, halves away from zero, and clamps it to the range.
+    ///
+    /// Processes as many values as the shorter slice has.
     pub(crate) fn count(&self, values: &[f64], numbers: &mut [i32]) {
         Path::best().processor().run(Count { steps: *self, values, numbers });
     }
@@ -32,7 +32,9 @@ struct Count<'a> {
     numbers: &'a mut [i32],
 }
 
-/// Adding this rounds what is small beside it to whole numbers, halves to even ones, and leaves them in the lowest bits.
+/// Adding this to a small number rounds it to an integer.
+///
+/// Halves go to even; the integer is in the lowest bits.
 pub(crate) const ROUNDING: f64 = 1.5 / f64::EPSILON;
 
 impl Kernel for Count<'_> {
@@ -46,7 +48,7 @@ impl Kernel for Count<'_> {
         let (values, numbers) = (&values[..n], &mut numbers[..n]);
         for i in 0..n {
             let exact = (values[i] - steps.offset) / steps.scale;
-            // Comparisons and choices instead of `clamp`: they become instructions on whole vectors.
+            // Comparisons instead of `clamp`, because they vectorise.
             let exact = if exact < least { least } else { exact };
             let exact = if exact > largest { largest } else { exact };
             let exact = if exact.is_nan() { nan } else { exact };
@@ -58,8 +60,10 @@ impl Kernel for Count<'_> {
     }
 }
 
-/// `10^(dB / 10)`, off by less than 1e-12 of it, as far as both slices reach; beyond 3000 dB on both sides it stays what it is
-/// there. NaN stays NaN.
+/// Converts dB to ratios, `10^(dB / 10)`, with a relative error below 1e-12.
+///
+/// Processes as many values as the shorter slice has. Values beyond ±3000 dB are clamped; NaN stays
+/// NaN.
 pub(crate) fn power_ratios(decibels: &[f64], ratios: &mut [f64]) {
     Path::best().processor().run(PowerRatios { decibels, ratios });
 }
@@ -69,11 +73,11 @@ struct PowerRatios<'a> {
     ratios: &'a mut [f64],
 }
 
-/// Decibels beyond which a ratio is no usual double.
+/// Decibels beyond which a ratio is not a normal double.
 const MOST_DECIBELS: f64 = 3000.0;
 const TERMS: usize = 11;
 
-/// `ln(2)^k / k!`: the series of `2^x`, which for |x| <= 1/2 is off by less than 3e-13 without the further terms.
+/// `ln(2)^k / k!`: the series of `2^x`, with a truncation error below 3e-13 for |x| <= 1/2.
 const POWERS_OF_TWO: [f64; TERMS] = {
     let mut terms = [1.0; TERMS];
     let mut k = 1;
@@ -101,7 +105,8 @@ impl Kernel for PowerRatios<'_> {
             for k in (0..TERMS - 1).rev() {
                 power = power * rest + POWERS_OF_TWO[k];
             }
-            // The whole part goes to where a double has its exponent; NaN must not lose its bits there.
+            // The integer part is shifted to the exponent bits of a double; NaN is handled
+            // separately.
             let ratio = f64::from_bits(power.to_bits().wrapping_add(rounded.to_bits() << 52));
             ratios[i] = if decibels[i].is_nan() { f64::NAN } else { ratio };
         }
@@ -119,7 +124,7 @@ mod tests {
         if exact.is_nan() { steps.nan } else { number as i32 }
     }
 
-    /// On every path that this processor has.
+    /// Checks all paths available on this processor.
     fn counted(steps: &Steps, values: &[f64]) -> Vec<i32> {
         let mut numbers = vec![7; values.len()];
         steps.count(values, &mut numbers);

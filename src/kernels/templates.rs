@@ -1,10 +1,11 @@
-//! Tables of a response widened by a Gaussian, and their interpolation in time and width.
+//! Tables of a response widened by a Gaussian, interpolated in time and width.
 //!
-//! `s(t, u) = h_v(t) / max h_v` with `h_v = h ⊗ N(0, v)`, `v = v0 (e^{2u} - 1)` and `v0` the variance of a Gaussian of
-//! the response's full width at half maximum: `e^u` is the width over the response's (docs/method.md, Signal model). By the heat
-//! equation all derivatives are derivatives in time, so one Fourier transform gives them for each width. Between the
-//! table's places a bicubic Hermite polynomial stands: values, slopes and mixed slope are exact there, and value and
-//! slopes are continuous everywhere, as a descent needs them.
+//! `s(t, u) = h_v(t) / max h_v` with `h_v = h ⊗ N(0, v)`, `v = v0 (e^{2u} - 1)` and `v0` the
+//! variance of a Gaussian of the response's full width at half maximum: `e^u` is the width over the
+//! response's (docs/method.md, Signal model). By the heat equation all derivatives are derivatives
+//! in time, so one Fourier transform per width gives them all. Between table nodes the
+//! interpolation is bicubic Hermite: values, slopes and mixed slope are exact at the nodes, and
+//! value and slopes are continuous everywhere, as the minimisation requires.
 
 use std::f64::consts::PI;
 use std::sync::OnceLock;
@@ -14,18 +15,19 @@ use super::response::{STEPS_PER_SAMPLE, bins, spectrum};
 use super::shape::Lane;
 use super::wide::{ROWS, add_rows};
 
-/// Step of the table in the width's logarithm.
+/// Step of the table in log width.
 const LN_WIDTH_STEP: f64 = 0.05;
-/// The narrowest and the widest pulse in the table, as logarithms of the width ratio: 0.55 and 12.2.
+/// Range of the table in log width ratio; ratios 0.55 and 12.2.
 const LN_WIDTH_RANGE: [f64; 2] = [-0.6, 2.5];
-/// A Gaussian is laid out to so many standard deviations.
+/// Half extent of a Gaussian, in standard deviations.
 const REACH_SD: f64 = 5.0;
-/// Narrower than the response means to raise high frequencies, at most by `e` to this: beyond there is only noise.
+/// Limit of the log gain: narrowing amplifies high frequencies, which contain only noise beyond
+/// this.
 const MAX_LN_GAIN: f64 = 4.0;
-/// Values kept for each place: the shape, its slope in time, its slope in the width's logarithm, the mixed slope.
+/// Values per node: shape, slope in time, slope in log width, mixed slope.
 const CHANNELS: usize = 4;
 
-/// One width's rows: for each phase of a sample and each channel the values from sample `first` on.
+/// Rows of one width: for each phase of a sample and each channel, the values from sample `first`.
 #[derive(Debug, Clone)]
 struct Knot {
     first: i64,
@@ -40,11 +42,11 @@ impl Knot {
     }
 }
 
-/// The tables of one response. Few of its widths are asked for, and each is laid out when it first is.
+/// Template tables of one response. Only a few widths are used, so each is computed on first use.
 #[derive(Debug, Clone)]
 pub struct Templates {
     series: Vec<Complex>,
-    /// Period of the series in the response's steps.
+    /// Period of the series, in steps of the response.
     steps: usize,
     /// Variance of a Gaussian of the response's width, samples².
     v0: f64,
@@ -53,21 +55,22 @@ pub struct Templates {
     knots: Vec<OnceLock<Knot>>,
 }
 
-/// What of a shape is wanted.
+/// Part of a shape to evaluate.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Part {
-    /// The shape.
+    /// Shape.
     Value,
-    /// Its derivative in time, per sample.
+    /// Derivative in time, per sample.
     ByTime,
-    /// Its derivative in the width's logarithm.
+    /// Derivative in log width.
     ByLnWidth,
 }
 
 impl Templates {
-    /// Tables for the response with these values, eight to the sample, the first at `first_sample` from the peak.
+    /// Creates tables for a response with eight values per sample, the first at `first_sample`.
     ///
-    /// The values are as [`super::response::SystemResponse::check`] wants them.
+    /// `first_sample` counts from the peak. The values must satisfy
+    /// [`super::response::SystemResponse::check`].
     pub fn new(values: &[f64], first_sample: i32, fwhm_samples: f64) -> Templates {
         let v0 = fwhm_samples * fwhm_samples / (8.0 * std::f64::consts::LN_2);
         let samples = values.len().div_ceil(STEPS_PER_SAMPLE) as i64;
@@ -80,7 +83,7 @@ impl Templates {
         Templates { series, steps, v0, first_sample: i64::from(first_sample), samples, knots }
     }
 
-    /// The rows of one width of the table.
+    /// Rows of one width of the table, computed on first use.
     fn knot(&self, index: usize) -> &Knot {
         self.knots[index].get_or_init(|| {
             let u = LN_WIDTH_RANGE[0] + index as f64 * LN_WIDTH_STEP;
@@ -90,13 +93,14 @@ impl Templates {
         })
     }
 
-    /// The logarithms of the width ratio that the tables reach to.
+    /// Range of log width ratios covered by the tables.
     pub fn ln_width_bounds() -> [f64; 2] {
         LN_WIDTH_RANGE
     }
 
-    /// Adds to each of `values`, the samples of a block, its factor times its part of the shape with the peak at
-    /// `position_samples`; of the samples those of a lane.
+    /// Adds to each of `values`, samples of a block, a part of the shape times its factor.
+    ///
+    /// The peak is at `position_samples`; only samples of the lane are changed.
     pub(super) fn add<const T: usize>(
         &self,
         parts: [(Part, f64); T],
@@ -130,7 +134,7 @@ impl Templates {
     }
 }
 
-/// The weights of a part in the rows of knot `j`: the four channels of a phase, then those of the next.
+/// Weights of a part in the rows of knot `j`: the four channels of a phase, then of the next.
 fn weights(part: Part, factor: f64, by_time: &Hermite, by_width: &Hermite, j: usize) -> [f64; ROWS] {
     let (time, width) = match part {
         Part::Value => (by_time.value(), by_width.value()),
@@ -142,7 +146,7 @@ fn weights(part: Part, factor: f64, by_time: &Hermite, by_width: &Hermite, j: us
     [a * c, b * c, a * d, b * d, e * c, f * c, e * d, f * d]
 }
 
-/// How far a response widened to `e^u` times its width reaches beyond its own samples.
+/// Extent, in samples, of a response widened by `e^u` beyond its own samples.
 fn reach(v0: f64, u: f64) -> i64 {
     (REACH_SD * (v0 * ((2.0 * u).exp() - 1.0)).max(v0).sqrt()).ceil() as i64
 }
@@ -153,7 +157,7 @@ fn accumulate<const T: usize>(
     weights: &[[f64; ROWS]; T],
     step: usize,
 ) {
-    // Without the step the loop is over neighbours.
+    // For unit step the loop is contiguous.
     if step == 1 {
         add_rows(targets, rows, weights);
         return;
@@ -166,7 +170,7 @@ fn accumulate<const T: usize>(
     }
 }
 
-/// Weights of a cubic Hermite polynomial at a part `x` of a step: of value and slope at the left, then at the right.
+/// Cubic Hermite weights at fraction `x` of a step: value and slope at the left, then at the right.
 struct Hermite {
     x: f64,
     step: f64,
@@ -194,14 +198,16 @@ impl Hermite {
     }
 }
 
-/// What widening by `e^u` does to a frequency (radians per sample): the gain, and its first and second derivative by `u`.
+/// Gain of a frequency by widening by `e^u`, and its first and second derivative by `u`.
 ///
-/// `v0` is the variance of a Gaussian of the response's width, samples².
+/// `omega` is in radians per sample; `v0` is the variance of a Gaussian of the response's width,
+/// samples².
 pub(super) fn widening_gain(omega: f64, v0: f64, u: f64) -> [f64; 3] {
     let square = (2.0 * u).exp();
     let exponent = -0.5 * omega * omega * v0 * (square - 1.0);
     let by_u = -omega * omega * v0 * square;
-    // Narrowing raises high frequencies, which are mostly noise: the exponent is bent to a limit.
+    // Narrowing amplifies high frequencies, which are mostly noise: the exponent approaches a limit
+    // smoothly.
     let (ln_gain, slope, bend) = if exponent > 0.0 {
         let bent = (exponent / MAX_LN_GAIN).tanh();
         let slope = 1.0 - bent * bent;
@@ -214,7 +220,7 @@ pub(super) fn widening_gain(omega: f64, v0: f64, u: f64) -> [f64; 3] {
     [gain, gain * first, gain * (first * first + bend * by_u * by_u + slope * 2.0 * by_u)]
 }
 
-/// The rows of one width: `extent` is their first sample and their length.
+/// Computes the rows of one width: `extent` is their first sample and their length.
 fn knot(series: &[Complex], steps: usize, v0: f64, u: f64, extent: (i64, usize)) -> Knot {
     let mut shape = vec![[0.0, 0.0]; steps];
     let mut by_width = vec![[0.0, 0.0]; steps];
@@ -243,10 +249,12 @@ fn knot(series: &[Complex], steps: usize, v0: f64, u: f64, extent: (i64, usize))
     Knot { first, length, rows }
 }
 
-/// Puts term `j` of a real series and of its derivative in time into one complex series: the first comes out as the real
-/// part, the second as the imaginary one.
+/// Adds term `j` of a real series and of its time derivative to one complex series.
+///
+/// After the transform the real part is the series, the imaginary part its derivative.
 fn put(target: &mut [Complex], j: usize, c: Complex, omega: f64) {
-    // f + i g with g's coefficient iω c: at j it is c + i (iω c) = (1 - ω) c, at -j it is (1 + ω) c*.
+    // f + i g with g's coefficient iω c: at j it is c + i (iω c) = (1 - ω) c, at -j it is (1 + ω)
+    // c*.
     target[j] = [c[0] * (1.0 - omega), c[1] * (1.0 - omega)];
     if j > 0 {
         let mirrored = target.len() - j;
@@ -254,7 +262,7 @@ fn put(target: &mut [Complex], j: usize, c: Complex, omega: f64) {
     }
 }
 
-/// The greatest value of a shape, and how it changes with the width's logarithm.
+/// Largest value of a shape, and its derivative by log width.
 fn peak(shape: &[Complex], by_width: &[Complex]) -> (f64, f64) {
     let n = shape.len();
     let at = (0..n).fold(0, |best, k| if shape[k][0] > shape[best][0] { k } else { best });
@@ -281,7 +289,7 @@ mod tests {
         (first * steps..=last * steps).map(shape).collect()
     }
 
-    /// A Gaussian widened by a Gaussian is one: closed forms for value and both slopes.
+    /// A Gaussian widened by a Gaussian is a Gaussian: closed forms for value and both slopes.
     #[test]
     fn a_gaussian_response_gives_gaussians() {
         let tables = Templates::new(&gaussian(-12, 30), -12, FWHM);

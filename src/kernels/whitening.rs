@@ -1,38 +1,39 @@
-//! Exact whitening of a block of samples in stationary autoregressive noise, with samples left out.
+//! Exact whitening of a block in stationary autoregressive noise, with gaps.
 //!
-//! What Cholesky's factor of the noise's covariance does to a vector, `L⁻¹ y`, a predictor does in time linear in the
-//! block's length: each sample minus what the used samples before it tell of it, over the standard deviation of that
-//! error. The predictor is Kalman's (1960) with the last `p` values of the noise as state; it starts with the
-//! stationary covariance, so the first rows are those of Durbin and Levinson, and a sample left out is one without an
-//! update, so the rows behind a gap are those of the covariance's exact sub-matrix.
+//! Applies `L⁻¹ y`, with `L` the Cholesky factor of the noise covariance, in time linear in the
+//! block length: each sample less its prediction from the earlier used samples, over the standard
+//! deviation of the prediction error. The predictor is a Kalman filter (1960) with the last `p`
+//! values of the noise as state. It starts with the stationary covariance, so the first rows are
+//! those of the Durbin–Levinson recursion. An unused sample has no update, so the rows after a gap
+//! are those of the exact covariance sub-matrix.
 
 use super::noise::{ArNoise, MAX_ORDER};
 use super::wide::predict;
 
-/// One sample's row: the inverse standard deviation of its prediction error (0 for a sample left out), and how the
-/// error corrects the state.
+/// Row of one sample: inverse SD of its prediction error (0 if unused), and state correction.
 #[derive(Debug, Clone, Copy, Default)]
 struct Row {
     weight: f64,
     gain: [f64; MAX_ORDER],
-    /// Whether the samples before it, as many as the order, are used: then they alone tell the prediction.
+    /// Whether the preceding `order` samples are all used; they alone then determine the
+    /// prediction.
     is_steady: bool,
 }
 
-/// The whitening matrix of a block, `W = L⁻¹`, for one noise model and one choice of used samples.
+/// Whitening matrix of a block, `W = L⁻¹`, for one noise model and one set of used samples.
 #[derive(Debug, Clone)]
 pub struct Whitener {
     noise: ArNoise,
-    /// Values in the predictor's state: the order, but at least one.
+    /// Size of the predictor's state: the order, at least one.
     states: usize,
     used: Vec<bool>,
     rows: Vec<Row>,
-    /// From this sample on all are used, and behind as many as the order.
+    /// From this sample on, all samples and the preceding `order` samples are used.
     steady: usize,
 }
 
 impl Whitener {
-    /// A whitener for blocks of up to `capacity` samples; a longer one makes it grow.
+    /// Creates a whitener; blocks longer than `capacity` samples allocate.
     pub fn new(noise: ArNoise, capacity: usize) -> Whitener {
         let states = noise.order().max(1);
         Whitener {
@@ -44,23 +45,24 @@ impl Whitener {
         }
     }
 
-    /// The noise it whitens.
+    /// Noise model.
     pub fn noise(&self) -> &ArNoise {
         &self.noise
     }
 
-    /// Which samples of the block take part.
+    /// Used samples of the block.
     pub fn used(&self) -> &[bool] {
         &self.used
     }
 
-    /// How many samples of the block take part.
+    /// Number of used samples of the block.
     pub fn used_count(&self) -> usize {
         self.used.iter().filter(|&&used| used).count()
     }
 
-    /// Prepares for a block of `used.len()` samples of which those marked take part. Returns whether this is another
-    /// choice than before.
+    /// Prepares for a block of `used.len()` samples with the marked ones used.
+    ///
+    /// Returns whether the set of used samples changed.
     pub fn set_used(&mut self, used: &[bool]) -> bool {
         if self.used == used {
             return false;
@@ -81,9 +83,9 @@ impl Whitener {
         true
     }
 
-    /// Replaces `values` by `W values`; samples left out become zero.
+    /// Replaces `values` by `W values`; unused samples become zero.
     ///
-    /// `values` are as many as the block's samples, and zero before index `first`.
+    /// `values` has the length of the block and is zero before index `first`.
     pub fn whiten_from(&self, first: usize, values: &mut [f64]) {
         match self.states {
             1 => self.filter::<1>(first, values),
@@ -94,7 +96,7 @@ impl Whitener {
         }
     }
 
-    /// The filter for a state of at most `N` values.
+    /// Filter for a state of at most `N` values.
     fn filter<const N: usize>(&self, first: usize, values: &mut [f64]) {
         let mut coefficients = [0.0; N];
         coefficients.iter_mut().zip(self.noise.coefficients()).for_each(|(c, known)| *c = *known);
@@ -109,7 +111,7 @@ impl Whitener {
         if let Some(row) = self.rows.get(steady) {
             predict(values, steady, &coefficients, row.weight);
         }
-        // The last values: those of the block in the steady state, else the predictor's.
+        // Last values: of the block in the steady state, otherwise of the predictor.
         let mut past = [0.0; N];
         for (value, row) in values.iter_mut().zip(&self.rows).take(steady).skip(first) {
             let next = predicted(&past);
@@ -125,12 +127,13 @@ impl Whitener {
         }
     }
 
-    /// Replaces `values` by `W values`; samples left out become zero.
+    /// Replaces `values` by `W values`; unused samples become zero.
     pub fn whiten(&self, values: &mut [f64]) {
         self.whiten_from(0, values);
     }
 
-    /// Replaces `values` by `Wᵀ values`, so that after [`Whitener::whiten`] they are `Σ⁻¹ y` on the used samples.
+    /// Replaces `values` by `Wᵀ values`; after [`Whitener::whiten`] they are `Σ⁻¹ y` on the used
+    /// samples.
     pub fn whiten_transposed(&self, values: &mut [f64]) {
         let mut costate = [0.0; MAX_ORDER];
         for (value, row) in values.iter_mut().zip(&self.rows).rev() {
@@ -182,7 +185,7 @@ impl Whitener {
     }
 }
 
-/// Takes a used sample into the state's covariance and gives its row.
+/// Updates the state covariance with a used sample and returns its row.
 fn update(covariance: &mut [[f64; MAX_ORDER]; MAX_ORDER], states: usize) -> Row {
     let first = covariance[0];
     let mut row = Row { weight: 1.0 / first[0].sqrt(), gain: [0.0; MAX_ORDER], is_steady: false };

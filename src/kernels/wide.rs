@@ -1,12 +1,13 @@
-//! Loops over doubles, compiled for the instructions that the processor has. The sums and their order are written out, so
-//! that they have the same bits everywhere.
+//! Vectorised loops over doubles.
+//!
+//! The order of summation is explicit, so results are bit-identical on every processor.
 
 use super::lockstep::{Kernel, Path, Simd};
 
-/// Values that are worked on together.
+/// Number of values processed together.
 const AT_A_TIME: usize = 8;
 
-/// `Σ a b` over what both have.
+/// `Σ a b` over the common length.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     Path::best().processor().run(Dot { a, b })
 }
@@ -41,10 +42,10 @@ impl Kernel for Dot<'_> {
     }
 }
 
-/// Rows that are added with weights at once.
+/// Number of rows added at once.
 pub(super) const ROWS: usize = 8;
 
-/// Adds rows to each target with that target's weights, as far as all reach.
+/// Adds weighted rows to each target, over the common length.
 pub(super) fn add_rows<const T: usize>(
     targets: [&mut [f64]; T],
     rows: [&[f64]; ROWS],
@@ -62,7 +63,7 @@ struct AddRows<'a, const T: usize> {
 impl<const T: usize> Kernel for AddRows<'_, T> {
     type Output = ();
 
-    /// Each row is read once for all targets.
+    /// Reads each row once for all targets.
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
         let AddRows { targets, rows, weights } = self;
@@ -97,8 +98,9 @@ impl<const T: usize> Kernel for AddRows<'_, T> {
     }
 }
 
-/// Replaces the values from index `from` on by `weight` times their difference to what the `N` before them, the nearest
-/// first, predict; `from` is at least `N`.
+/// Replaces values from index `from` by `weight` times their prediction error.
+///
+/// The prediction uses the `N` preceding values, nearest first; `from` is at least `N`.
 pub(super) fn predict<const N: usize>(values: &mut [f64], from: usize, coefficients: &[f64; N], weight: f64) {
     Path::best().processor().run(Predict { values, from: from.max(N), coefficients, weight });
 }
@@ -113,7 +115,7 @@ struct Predict<'a, const N: usize> {
 impl<const N: usize> Kernel for Predict<'_, N> {
     type Output = ();
 
-    /// From the end, so that the values before are still those that predict.
+    /// Runs backwards, so that the preceding values are still unchanged.
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
         let Predict { values, from, coefficients, weight } = self;

@@ -1,50 +1,51 @@
-//! How the width of a flat target's pulse depends on its amplitude: the lower mode of the widths in bins of amplitude,
-//! smoothed (docs/corrections.md, Width).
+//! Pulse width of flat targets as a function of amplitude (docs/corrections.md, Width).
 //!
-//! Slopes, roughness and leaves only widen a pulse, so that flat targets make the lowest mode of the widths.
+//! It is the lowest mode of the widths in amplitude bins, smoothed. Slopes, roughness and leaves
+//! only widen a pulse, so flat targets form the lowest mode.
 
 use super::penalised_spline::{Point, smooth};
 
-/// Width of a bin, in the logarithm of the amplitude.
+/// Width of a bin in log amplitude.
 const BIN_LN: f64 = 0.1;
-/// Bins of fewer pulses say nothing.
+/// Fewest pulses of a bin.
 const LEAST_PULSES: usize = 100;
-/// Fewer bins make no curve.
+/// Fewest bins of a curve.
 const LEAST_BINS: usize = 3;
-/// Pulses whose width is known worse than this, as a part of it, do not tell a mode.
+/// Largest relative SD of the width of pulses used for a mode.
 const MOST_LN_WIDTH_SD: f64 = 0.1;
-/// The finest structure of the density of widths that is looked at.
+/// Smallest bandwidth of the density of widths.
 const LEAST_BANDWIDTH: f64 = 0.004;
-/// A mode counts from this part of the highest one on.
+/// Smallest height of a mode, relative to the highest.
 const MODE_PART: f64 = 0.5;
-/// Steps of the density in a bandwidth, and how many bandwidths a pulse reaches.
+/// Steps of the density per bandwidth, and half extent of the kernel in bandwidths.
 const STEPS_PER_BANDWIDTH: f64 = 4.0;
 const REACH_BANDWIDTHS: f64 = 3.0;
-/// Widths further from that of the response, as logarithms, belong to no flat target.
+/// Largest log width, relative to the response, of flat targets.
 const MOST_LN_WIDTH: f64 = 0.7;
 
-/// A pulse that stands alone.
+/// An isolated pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pulse {
-    /// Logarithm of its amplitude, DN.
+    /// Log amplitude, ln DN.
     pub ln_amplitude: f64,
-    /// Logarithm of its width over the calibrated one.
+    /// Logarithm of the width over the calibrated width.
     pub ln_width: f64,
     /// Standard deviation of `ln_width`.
     pub ln_width_sd: f64,
 }
 
-/// The curve at one amplitude.
+/// Node of the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Node {
-    /// Logarithm of the amplitude, DN.
+    /// Log amplitude, ln DN.
     pub ln_amplitude: f64,
-    /// Logarithm of a flat target's width over the calibrated one.
+    /// Logarithm of a flat target's width over the calibrated width.
     pub ln_width: f64,
 }
 
-/// The width of flat targets by amplitude, by rising amplitude; `None` where the pulses do not tell it: fewer than three
-/// bins of a tenth in the logarithm of the amplitude that hold 100 pulses.
+/// Width of flat targets by ascending amplitude.
+///
+/// `None` for fewer than three bins, of width 0.1 in log amplitude, with at least 100 pulses.
 pub fn width_by_amplitude(pulses: &[Pulse]) -> Option<Vec<Node>> {
     let usable = |pulse: &&Pulse| {
         pulse.ln_amplitude.is_finite()
@@ -69,7 +70,7 @@ pub fn width_by_amplitude(pulses: &[Pulse]) -> Option<Vec<Node>> {
     Some(modes.iter().zip(curve).map(|(mode, ln_width)| Node { ln_amplitude: mode.x, ln_width }).collect())
 }
 
-/// The lowest mode of the widths of a bin, whose pulses come by rising width.
+/// Lowest mode of the widths of a bin, sorted by ascending width.
 fn lower_mode(bin: &[Pulse]) -> Point {
     let n = bin.len() as f64;
     let mut sds: Vec<f64> = bin.iter().map(|pulse| pulse.ln_width_sd).collect();
@@ -83,7 +84,7 @@ fn lower_mode(bin: &[Pulse]) -> Point {
         at(*k) >= MODE_PART * highest && at(*k) >= at(k.wrapping_sub(1)) && at(*k) > at(k + 1)
     };
     let mode = (0..density.len()).find(is_mode).unwrap_or(0);
-    // The top of the parabola through the mode and its neighbours.
+    // Vertex of the parabola through the mode and its neighbours.
     let side = |k: usize| density.get(k).copied().unwrap_or(0.0);
     let (before, top, behind) = (side(mode.wrapping_sub(1)), side(mode), side(mode + 1));
     let bend = before - 2.0 * top + behind;
@@ -91,7 +92,7 @@ fn lower_mode(bin: &[Pulse]) -> Point {
     Point { x, y: from + (mode as f64 + part) * step, weight: n / (bandwidth * bandwidth) }
 }
 
-/// Density of the widths: its values, where the first stands, and the step between them.
+/// Density of the widths: values, position of the first, and step.
 fn density(bin: &[Pulse], bandwidth: f64) -> (Vec<f64>, f64, f64) {
     let step = bandwidth / STEPS_PER_BANDWIDTH;
     let reach = REACH_BANDWIDTHS * bandwidth;
@@ -113,7 +114,7 @@ fn density(bin: &[Pulse], bandwidth: f64) -> (Vec<f64>, f64, f64) {
 mod tests {
     use super::*;
 
-    /// Amplitudes of 20 to 200; flat targets by `flat`, and as many widened ones.
+    /// Amplitudes of 20 to 200; flat targets according to `flat`, and as many widened ones.
     fn pulses(flat: impl Fn(f64) -> f64) -> Vec<Pulse> {
         let pulse = |k: usize| {
             let ln_amplitude = 20f64.ln() + 10f64.ln() * (k % 997) as f64 / 997.0;

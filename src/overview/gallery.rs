@@ -1,4 +1,4 @@
-//! A few shots of a run, chosen while it goes on: which of each sort does not depend on who saw it first.
+//! Selection of a few shots, independent of the order of lines.
 
 use std::collections::BTreeMap;
 
@@ -8,55 +8,55 @@ use serde::{Deserialize, Serialize};
 use super::ShownBlock;
 use crate::batch::{Emission, Return, flags};
 
-/// Why a shot is shown.
+/// Reason why a shot is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ShownKind {
-    /// One clear return, as the model expects it.
+    /// One clear return that agrees with the model.
     Good,
-    /// Returns that overlap.
+    /// Overlapping returns.
     Overlapping,
     /// Saturated samples.
     Saturated,
-    /// The worst fit of all.
+    /// The worst fit.
     Worst,
 }
 
-/// A shot with what was found in it.
+/// A shot with its results.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct ShownShot {
-    /// Why it is shown.
+    /// Reason why it is shown.
     pub kind: ShownKind,
-    /// Its scan line.
+    /// Scan line number.
     pub line: u32,
-    /// Its number in the input.
+    /// Shot number in the input.
     pub shot: u64,
-    /// Its time on the input's scale, s; absent where unknown.
+    /// Time on the input's scale, s; absent if unknown.
     pub gps_time_s: Option<f64>,
-    /// The largest deviation ratio of its returns.
+    /// Largest deviation ratio of its returns.
     pub deviation_ratio: f64,
-    /// Its blocks of echoes, in order of time.
+    /// Blocks with echoes, in time order.
     pub blocks: Vec<ShownBlock>,
-    /// Its returns, in order of time.
+    /// Returns, in time order.
     pub returns: Vec<ShownReturn>,
 }
 
-/// A return in short.
+/// Summary of a return.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct ShownReturn {
-    /// 1 for the first.
+    /// Return number, from 1.
     pub number: u8,
     /// Range, m.
     pub range_m: Option<f64>,
-    /// Its standard deviation, m.
+    /// Standard deviation of the range, m.
     pub range_sd_m: Option<f64>,
     /// Height above the background, DN.
     pub amplitude_dn: Option<f64>,
-    /// Its standard deviation, DN.
+    /// Standard deviation of the amplitude, DN.
     pub amplitude_sd_dn: Option<f64>,
-    /// Width over that of the response.
+    /// Width relative to the system response.
     pub width_ratio: Option<f64>,
-    /// Its flags in words.
+    /// Names of its flags.
     pub flags: String,
 }
 
@@ -75,13 +75,13 @@ impl From<&Return> for ShownReturn {
     }
 }
 
-/// The best shot of each sort so far.
+/// The best shot of each kind so far.
 #[derive(Clone, Debug, Default)]
 pub struct Gallery {
     shown: BTreeMap<ShownKind, (Merit, ShownShot)>,
 }
 
-/// How well a shot shows what it is to show.
+/// Suitability of a shot for its kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Merit {
     value: f64,
@@ -90,29 +90,29 @@ pub(crate) struct Merit {
 }
 
 impl Merit {
-    /// Of two alike, the first is better.
+    /// Whether this merit is higher; of equal ones the first wins.
     fn exceeds(&self, other: &Merit) -> bool {
         let earlier = (other.line, other.shot).cmp(&(self.line, self.shot));
         self.value.total_cmp(&other.value).then(earlier).is_gt()
     }
 }
 
-/// A shot of a line that is better than what the gallery has.
+/// A shot that improves on the current one of its kind.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Candidate {
     pub(crate) kind: ShownKind,
     pub(crate) merit: Merit,
     /// Index of its emission in the line.
     pub(crate) emission: u32,
-    /// The largest deviation ratio of its returns.
+    /// Largest deviation ratio of its returns.
     pub(crate) deviation_ratio: f64,
 }
 
-/// A single return is clear from so many standard deviations on.
+/// Minimum amplitude of a clear return, in standard deviations.
 const CLEAR: f64 = 20.0;
 
 impl Gallery {
-    /// The best shot of a line for each sort, where it is better than the one at hand.
+    /// The best shots of a line, for each kind that they improve.
     pub(crate) fn candidates(&self, line: u32, emissions: &[Emission], returns: &[Return]) -> Vec<Candidate> {
         let mut best: BTreeMap<ShownKind, Candidate> = BTreeMap::new();
         for of_shot in returns.chunk_by(|a, b| a.emission == b.emission) {
@@ -134,7 +134,7 @@ impl Gallery {
         best.into_values().collect()
     }
 
-    /// Shows a shot instead of the one at hand, where it is better.
+    /// Replaces the current shot of the kind, if this one is better.
     pub(crate) fn show(&mut self, merit: Merit, shot: ShownShot) {
         let kept = self.shown.get(&shot.kind);
         if kept.is_none_or(|(kept, _)| merit.exceeds(kept)) {
@@ -142,20 +142,20 @@ impl Gallery {
         }
     }
 
-    /// Adds what another worker has chosen.
+    /// Merges the selection of another worker.
     pub(crate) fn merge(&mut self, other: Gallery) {
         for (merit, shot) in other.shown.into_values() {
             self.show(merit, shot);
         }
     }
 
-    /// The shots, each sort once.
+    /// The selected shots, one per kind.
     pub(super) fn finish(self) -> Vec<ShownShot> {
         self.shown.into_values().map(|(_, shot)| shot).collect()
     }
 }
 
-/// What the returns of a shot show, and how well.
+/// Kinds that the returns of a shot represent, with their suitability.
 fn merits(of_shot: &[Return], deviation_ratio: f64) -> [Option<(ShownKind, f64)>; 4] {
     let any = of_shot.iter().fold(0, |any, found| any | found.flags);
     let with = |flag: u16| of_shot.iter().filter(|found| found.flags & flag != 0).count();
@@ -166,7 +166,7 @@ fn merits(of_shot: &[Return], deviation_ratio: f64) -> [Option<(ShownKind, f64)>
     let is_good = of_shot.len() == 1 && of_shot.iter().all(is_clear);
     let is_saturated = any & flags::SATURATED != 0;
     let n_overlapping = with(flags::OVERLAP);
-    // More returns come first, up to four; the deviation decides among as many.
+    // More returns rank first, up to four; the deviation ratio decides among equals.
     let overlapping = 1000.0 * n_overlapping.min(4) as f64 + usual.max(-999.0);
     [
         is_good.then_some((ShownKind::Good, usual)),
@@ -253,7 +253,7 @@ mod tests {
         let (emissions, returns) = line();
         assert!(
             gallery(&[3]).candidates(4, &emissions, &returns).is_empty(),
-            "no second fit for what is not better"
+            "shots that are not better are not fitted again"
         );
     }
 

@@ -1,36 +1,36 @@
-//! Histograms of quantities whose bounds are known beforehand: bins that need no arithmetic but a few comparisons.
+//! Histograms with predefined bins, filled by a few comparisons.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::packed;
 
-/// How often the values of a quantity occur.
+/// Histogram of a quantity.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Histogram {
-    /// The quantity.
+    /// Name of the quantity.
     pub quantity: String,
-    /// Its unit; empty where it has none.
+    /// Unit; empty for dimensionless quantities.
     pub unit: String,
-    /// Whether edges of bins stand in one ratio, not at one distance.
+    /// Whether bin edges have a constant ratio instead of a constant distance.
     pub logarithmic: bool,
     /// Lower edge of the first bin.
     pub first_edge: f64,
-    /// Width of a bin, or the ratio of its edges where these stand in one ratio.
+    /// Bin width, or the ratio of consecutive edges for logarithmic bins.
     pub bin: f64,
-    /// How many values lie in each bin, one number per bin, separated by blanks; empty bins at both ends are left out.
+    /// Number of values in each bin, separated by spaces; empty bins at both ends are omitted.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub counts: Vec<u64>,
-    /// How many values lie below all bins that there can be.
+    /// Number of values below the lowest possible bin.
     pub below: u64,
-    /// How many lie above.
+    /// Number of values above the highest possible bin.
     pub above: u64,
 }
 
-/// Bins to a factor of two.
+/// Bins per factor of two.
 const PER_OCTAVE: usize = 8;
-/// `2^(i/8)`, from 1 on.
+/// `2^(i/8)` from `i = 1`.
 const EDGES: [f64; PER_OCTAVE - 1] = [
     1.090_507_732_665_257_7,
     1.189_207_115_002_721,
@@ -40,10 +40,10 @@ const EDGES: [f64; PER_OCTAVE - 1] = [
     1.681_792_830_507_429,
     1.834_008_086_409_342_4,
 ];
-/// The octaves that are counted: from a millionth to a million.
+/// Range of octaves: from about 1e-6 to 1e6.
 const OCTAVES: [i64; 2] = [-20, 20];
 
-/// A histogram that grows.
+/// A histogram being filled.
 #[derive(Clone, Debug)]
 pub(super) struct Bins {
     scale: Scale,
@@ -59,24 +59,24 @@ enum Scale {
 }
 
 impl Bins {
-    /// `bins` bins of one width.
+    /// Creates `bins` bins of equal width.
     pub(super) fn linear(first_edge: f64, width: f64, bins: usize) -> Bins {
         Bins { scale: Scale::Linear { first_edge, width }, counts: vec![0; bins], below: 0, above: 0 }
     }
 
-    /// [`PER_OCTAVE`] bins to a factor of two.
+    /// Creates [`PER_OCTAVE`] bins per factor of two.
     pub(super) fn logarithmic() -> Bins {
         let bins = (OCTAVES[1] - OCTAVES[0]) as usize * PER_OCTAVE;
         Bins { scale: Scale::Logarithmic, counts: vec![0; bins], below: 0, above: 0 }
     }
 
-    /// Counts a value; what is not a number is left out.
+    /// Counts a value; NaN is ignored.
     pub(super) fn add(&mut self, value: f64) {
         if value.is_nan() {
             return;
         }
         let bin = match self.scale {
-            // A float converts to the nearest integer in range.
+            // The cast saturates.
             Scale::Linear { first_edge, width } => ((value - first_edge) / width).floor() as i64,
             Scale::Logarithmic => logarithmic_bin(value),
         };
@@ -86,7 +86,7 @@ impl Bins {
         }
     }
 
-    /// What was counted; `None` where that is nothing.
+    /// Returns the histogram; `None` if empty.
     pub(super) fn finish(self, quantity: &str, unit: &str) -> Option<Histogram> {
         let first = self.counts.iter().position(|count| *count > 0);
         let (first, counts) = match first {
@@ -117,7 +117,7 @@ impl Bins {
     }
 }
 
-/// The bin of a value by the exponent and the mantissa that it is made of; negative where it lies below the first.
+/// Bin of a value from its exponent and mantissa; negative below the first bin.
 fn logarithmic_bin(value: f64) -> i64 {
     if value <= 0.0 {
         return -1;
@@ -130,7 +130,7 @@ fn logarithmic_bin(value: f64) -> i64 {
 }
 
 impl Histogram {
-    /// Each bin with its two edges.
+    /// Each bin as its two edges and its count.
     pub fn bins(&self) -> impl Iterator<Item = ([f64; 2], u64)> + '_ {
         let edge = |i: usize| match self.logarithmic {
             true => self.first_edge * self.bin.powf(i as f64),
@@ -139,12 +139,12 @@ impl Histogram {
         self.counts.iter().enumerate().map(move |(i, count)| ([edge(i), edge(i + 1)], *count))
     }
 
-    /// How many values there were.
+    /// Total number of values.
     pub fn total(&self) -> u64 {
         self.counts.iter().fold(self.below.saturating_add(self.above), |sum, n| sum.saturating_add(*n))
     }
 
-    /// The value below which this part of all lies, to a bin; `None` where it lies outside of the bins.
+    /// Quantile, interpolated within a bin; `None` outside the bins.
     pub fn quantile(&self, part: f64) -> Option<f64> {
         let wanted = part * self.total() as f64;
         let mut sum = self.below as f64;

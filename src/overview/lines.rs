@@ -6,15 +6,15 @@ use serde::{Deserialize, Serialize};
 use super::packed;
 use crate::batch::Batch;
 
-/// The most groups that are kept.
+/// Maximum number of groups.
 const MOST_GROUPS: usize = 512;
 
-/// What lines counted, in groups of so many.
+/// Counters of scan lines, in groups.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct LineGroups {
-    /// Scan lines to a group, by their numbers from 0 on; a power of two.
+    /// Scan lines per group, by line number from 0; a power of two.
     pub lines_per_group: u32,
-    /// How many lines came, one number per group, separated by blanks; so are the others.
+    /// Number of lines per group, separated by spaces, as are the other counts.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub lines: Vec<u64>,
@@ -22,7 +22,7 @@ pub struct LineGroups {
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub waveforms: Vec<u64>,
-    /// Returns, withheld ones included.
+    /// Returns, including withheld ones.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub returns: Vec<u64>,
@@ -32,7 +32,7 @@ pub struct LineGroups {
     pub points: Vec<u64>,
 }
 
-/// The same while it grows: lines, waveforms, returns and points of each group.
+/// Groups being filled: lines, waveforms, returns and points of each.
 #[derive(Clone, Debug)]
 pub(super) struct Groups {
     lines_per_group: u32,
@@ -98,7 +98,7 @@ mod tests {
         let many = of(&mut (0..1500));
         assert_eq!((many.lines_per_group, many.lines.len()), (4, 375));
         assert_eq!(many.waveforms.iter().sum::<u64>(), 15_000);
-        assert_eq!(many, of(&mut (0..1500).rev()), "whatever the order");
+        assert_eq!(many, of(&mut (0..1500).rev()), "independent of the order");
         assert_eq!(of(&mut [u32::MAX, 0].into_iter()).lines.iter().sum::<u64>(), 2);
     }
 }

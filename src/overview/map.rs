@@ -1,4 +1,4 @@
-//! The points from above: a grid of cells that double their size whenever the points would need too many of them.
+//! Map of the points: a grid whose cells double in size whenever it would need too many.
 
 use std::collections::BTreeMap;
 
@@ -10,89 +10,89 @@ use super::png::{HEIGHTS, INTENSITIES, Picture, css};
 use super::view::{MapAxes, View};
 use crate::batch::{InputInfo, Return};
 
-/// Points from above, in cells of a grid; rows go from north to south, columns from west to east.
+/// Points in cells of a grid; rows from north to south, columns from west to east.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct MapPicture {
-    /// What its coordinates are.
+    /// Coordinates of the map.
     pub axes: MapAxes,
-    /// The unit of the coordinates: `m`, `ft` or `°`.
+    /// Unit of the coordinates: `m`, `ft` or `°`.
     pub unit: String,
     /// Coordinate of the west edge, in that unit.
     pub west: f64,
     /// Coordinate of the south edge.
     pub south: f64,
-    /// Length of a cell's edges.
+    /// Cell size.
     pub cell: f64,
-    /// How many cells there are from west to east.
+    /// Number of cells from west to east.
     pub columns: u32,
-    /// How many there are from south to north.
+    /// Number of cells from south to north.
     pub rows: u32,
-    /// How many points are in the picture.
+    /// Number of points in the map.
     pub points: u64,
-    /// How many lie outside of it, or have no coordinates.
+    /// Number of points outside the map or without coordinates.
     pub outside: u64,
-    /// Mean heights of the cells as colours.
+    /// Mean cell heights as colours.
     pub heights: Picture,
-    /// The heights that the first and the last colour stand for, m.
+    /// Heights of the first and last colour, m.
     pub height_range_m: [f64; 2],
-    /// Mean intensities of the cells as colours.
+    /// Mean cell intensities as colours.
     pub intensities: Picture,
-    /// The intensities that the first and the last colour stand for.
+    /// Intensities of the first and last colour.
     pub intensity_range: [f64; 2],
-    /// Mean multiple-time-around zones of the cells as colours, where there is another than 0.
+    /// Mean MTA zones of the cells as colours; absent if all are 0.
     #[serde(default)]
     pub zones: Option<Picture>,
-    /// The zones that the first and the last colour stand for.
+    /// Zones of the first and last colour.
     #[serde(default)]
     pub zone_range: [f64; 2],
-    /// The density that one cell in two that has points exceeds, points per square of the unit.
+    /// Median density of the cells with points, points per square unit.
     pub median_density: f64,
-    /// Some scan lines, in their order.
+    /// Some scan lines, in order.
     pub lines: Vec<ScanLine>,
 }
 
-/// A scan line from above.
+/// A scan line in the map.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct ScanLine {
-    /// Its number.
+    /// Scan line number.
     pub line: u32,
-    /// Points along it: how many cells they lie east of `west` and north of `south`, in turn, separated by blanks.
+    /// Points along it, in cells east of `west` and north of `south`, as space-separated pairs.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub places: Vec<f64>,
 }
 
 impl MapPicture {
-    /// The colours of heights from low to high, at equal distances, as CSS writes them.
+    /// Colours of heights from low to high, equally spaced, in CSS notation.
     pub fn height_colours() -> Vec<String> {
         css(&HEIGHTS)
     }
 
-    /// The colours of intensities from weak to strong.
+    /// Colours of intensities from weak to strong.
     pub fn intensity_colours() -> Vec<String> {
         css(&INTENSITIES)
     }
 }
 
-/// The most cells in each direction.
+/// Maximum number of cells in each direction.
 const CELLS: i64 = 320;
-/// The binary logarithm of the smallest cell: fit for degrees, too.
+/// Binary logarithm of the smallest cell size; small enough for degrees.
 const SMALLEST_CELL: i32 = -24;
-/// Coordinates beyond are none, m or degrees.
+/// Largest valid coordinate, m or degrees.
 const FARTHEST: f64 = 1e8;
-/// Heights and intensities beyond count as this.
+/// Heights and intensities are clamped to this.
 const HIGHEST: f64 = 1e7;
-/// Steps of heights and intensities, to a unit: sums of whole numbers do not depend on their order.
+/// Steps per unit of height and intensity: integer sums do not depend on the order.
 const STEPS: f64 = 1000.0;
-/// The most scan lines that are kept.
+/// Maximum number of scan lines kept.
 const MOST_LINES: usize = 128;
-/// Points of a scan line that are kept.
+/// Number of points kept per scan line.
 const PER_LINE: usize = 9;
-/// A picture is made coarser where it is torn in more than one place for so many cells with points.
+/// Minimum number of cells with points per gap; a map with more gaps is coarsened.
 const ENOUGH_FULL: u64 = 10;
-/// A picture of no more cells in both directions is not made coarser.
+/// Maps of at most this many cells in both directions are not coarsened.
 const FEW_CELLS: i64 = 24;
-/// The part of the points that may lie outside of the picture at each of its sides.
+/// Maximum fraction of the points outside each side of the map.
 const OUTSIDE: f64 = 0.0005;
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -112,19 +112,19 @@ impl Cell {
     }
 }
 
-/// The grid while it grows.
+/// The grid being filled.
 #[derive(Clone, Debug)]
 pub(super) struct Grid {
-    /// From where the points are seen, once there are any.
+    /// The view, set by the first point.
     view: Option<View>,
-    /// Binary logarithm of a cell's edge.
+    /// Binary logarithm of the cell size.
     size: i32,
     /// Lowest and highest cell in both directions, once there are points.
     span: Option<[[i64; 2]; 2]>,
-    /// A cell's place is the rest of its numbers by [`CELLS`]: while the span is no longer than that, no two meet.
+    /// Cells by index modulo [`CELLS`]: unique as long as the span does not exceed it.
     cells: Vec<Cell>,
     without_place: u64,
-    /// Every line is kept whose number this divides.
+    /// Lines whose number is a multiple of this are kept.
     every: u32,
     lines: BTreeMap<u32, Vec<[f64; 2]>>,
 }
@@ -143,7 +143,7 @@ impl Default for Grid {
     }
 }
 
-/// Where a cell stands in the list.
+/// Index of a cell in the list.
 fn place([x, y]: [i64; 2]) -> usize {
     (y.rem_euclid(CELLS) * CELLS + x.rem_euclid(CELLS)) as usize
 }
@@ -157,7 +157,7 @@ fn is_place(point: &[f64; 3]) -> bool {
 }
 
 impl Grid {
-    /// Adds the points of a line; withheld ones are left out.
+    /// Adds the points of a line; withheld ones are skipped.
     pub(super) fn add_line(&mut self, line: u32, input: &InputInfo, returns: &[Return], points: &[[f64; 3]]) {
         let is_kept = line.is_multiple_of(self.every);
         let mut places = Vec::new();
@@ -182,7 +182,7 @@ impl Grid {
         if !self.span.is_some_and(within) {
             at = self.make_room(at);
         }
-        // A float converts to the nearest integer in range; what is no number counts as 0.
+        // The cast saturates; NaN counts as 0.
         let steps = |value: f64| (value.clamp(-HIGHEST, HIGHEST) * STEPS).round() as i64;
         let cell = Cell {
             points: 1,
@@ -195,7 +195,7 @@ impl Grid {
         }
     }
 
-    /// Widens the span to a cell, and gives its numbers in the grid that comes of it.
+    /// Extends the span to a cell; returns the cell's index in the resulting grid.
     fn make_room(&mut self, at: [i64; 2]) -> [i64; 2] {
         let Some(before) = self.span else {
             self.cells = vec![Cell::default(); (CELLS * CELLS) as usize];
@@ -214,7 +214,7 @@ impl Grid {
         at.map(|at| at >> larger)
     }
 
-    /// Makes cells larger by so many powers of two.
+    /// Enlarges cells by this power of two.
     fn merge(&mut self, span: [[i64; 2]; 2], larger: i32) {
         let mut merged = vec![Cell::default(); self.cells.len()];
         for y in span[1][0]..=span[1][1] {
@@ -229,7 +229,7 @@ impl Grid {
         self.size += larger;
     }
 
-    /// Keeps some places of a line, and some of the lines.
+    /// Keeps some positions of a line, and some of the lines.
     fn keep(&mut self, line: u32, places: &[[f64; 2]]) {
         let Some(last) = places.len().checked_sub(1).filter(|last| *last > 0) else { return };
         let some = (0..PER_LINE).filter_map(|i| places.get(i * last / (PER_LINE - 1)).copied()).collect();
@@ -245,7 +245,7 @@ impl Grid {
         self.cells.get(place(at)).copied().unwrap_or_default()
     }
 
-    /// The picture; `None` without points.
+    /// Returns the map; `None` without points.
     pub(super) fn finish(mut self) -> Option<MapPicture> {
         let mut bulk = self.bulk(self.span?);
         while self.is_sparse(bulk) {
@@ -300,7 +300,7 @@ impl Grid {
         })
     }
 
-    /// The number of points that one cell in two of those with points exceeds.
+    /// Median number of points in the cells with points.
     fn median_points(&self, [x, y]: [[i64; 2]; 2]) -> u64 {
         let cells = (y[0]..=y[1]).flat_map(|y| (x[0]..=x[1]).map(move |x| [x, y]));
         let mut full: Vec<u64> = cells.map(|at| self.cell(at).points).filter(|points| *points > 0).collect();
@@ -308,8 +308,10 @@ impl Grid {
         full.get(full.len() / 2).copied().unwrap_or(0)
     }
 
-    /// Whether the picture would show single points or lines instead of what they lie on: cells with points that have no
-    /// neighbour in one of both directions, and empty ones between two others.
+    /// Whether the map would show isolated points or lines instead of surfaces.
+    ///
+    /// Counts cells with points that lack neighbours in one direction, and empty cells between two
+    /// with points.
     fn is_sparse(&self, [x, y]: [[i64; 2]; 2]) -> bool {
         if [x, y].iter().all(|[low, high]| high - low < FEW_CELLS) {
             return false;
@@ -331,7 +333,7 @@ impl Grid {
         torn * ENOUGH_FULL >= full
     }
 
-    /// Makes cells twice as large.
+    /// Doubles the cell size.
     fn coarsen(&mut self) {
         if let Some(span) = self.span {
             self.merge(span, 1);
@@ -339,7 +341,8 @@ impl Grid {
         }
     }
 
-    /// The span without the outermost cells of very few points: an echo from a cloud would make all others small.
+    /// The span without outer cells of very few points: an echo from a cloud would make the rest
+    /// small.
     fn bulk(&self, span: [[i64; 2]; 2]) -> [[i64; 2]; 2] {
         let across = |axis: usize, at: i64| -> u64 {
             let [low, high] = span[1 - axis];
@@ -388,7 +391,7 @@ mod tests {
         let corners =
             [[500_000.0, 5_000_000.0, 10.0], [500_100.0, 5_000_050.0, 30.0], [500_100.0, 5_000_050.0, 20.0]];
         let picture = grid(&corners).finish().unwrap();
-        // 100 m in few cells whose edge is a power of two.
+        // 100 m in few cells whose size is a power of two.
         assert_eq!(picture.cell, 8.0);
         assert_eq!((picture.west, picture.south), (500_000.0, 5_000_000.0));
         assert_eq!((picture.columns, picture.rows), (13, 7));
@@ -413,7 +416,7 @@ mod tests {
         grid.add_line(9, &InputInfo::default(), &[withheld, Return::default()], &[[5.0; 3], [0.0; 3]]);
         let picture = grid.finish().unwrap();
         assert_eq!((picture.points, picture.outside, picture.columns), (2, 3, 1));
-        assert_eq!(picture.intensity_range, [3.5, 3.5], "an unknown intensity counts as 0");
+        assert_eq!(picture.intensity_range, [3.5, 3.5], "unknown intensities count as 0");
     }
 
     #[test]
@@ -437,11 +440,11 @@ mod tests {
         };
         assert_eq!(filled([1.0, 1.0]), Some((1.0, 1.0)));
         assert_eq!(filled([2.0, 2.0]), Some((2.0, 0.25)));
-        // Lines 3 m apart: the cells between them are empty until they are larger than that.
+        // Lines 3 m apart: cells between them stay empty until they are larger than that.
         assert_eq!(filled([1.0, 3.0]).map(|(cell, _)| cell), Some(4.0));
     }
 
-    /// The cells have an edge of 4.
+    /// The cell size is 4.
     #[test]
     fn some_lines_are_kept_with_both_ends() {
         let mut grid = Grid::default();

@@ -1,19 +1,21 @@
-//! Long lists of numbers as one text each, separated by blanks: a report that is written with indentation stays short.
+//! Long lists of numbers as one space-separated text each.
+//!
+//! Keeps indented reports short.
 
 use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
-/// What such a list may hold.
+/// Element of a packed list.
 pub(super) trait Packable: Copy {
-    /// As it is written.
+    /// Formats the value.
     fn text(self) -> String;
-    /// As it is read; `None` where the text is none of it.
+    /// Parses a value; `None` if invalid.
     fn read(text: &str) -> Option<Self>;
 }
 
-/// Written to a thousandth.
+/// Rounded to a thousandth.
 impl Packable for f64 {
     fn text(self) -> String {
-        // A zero has no sign.
+        // Turns -0 into 0.
         ((self * 1e3).round() / 1e3 + 0.0).to_string()
     }
 
@@ -61,7 +63,7 @@ fn pack<T: Packable>(list: &[T]) -> String {
 }
 
 fn unpack<T: Packable, E: Error>(text: &str) -> Result<Vec<T>, E> {
-    let number = |word| T::read(word).ok_or_else(|| E::custom(format!("{word:?} is no number of this list")));
+    let number = |word| T::read(word).ok_or_else(|| E::custom(format!("{word:?} is not valid in this list")));
     text.split_ascii_whitespace().map(number).collect()
 }
 
@@ -75,7 +77,7 @@ pub(super) fn deserialize<'de, T: Packable, D: Deserializer<'de>>(from: D) -> Re
     unpack(&String::deserialize(from)?)
 }
 
-/// The same for lists of lists, one text each.
+/// The same for lists of lists, one text per list.
 pub(super) mod lists {
     use serde::{Deserialize, Deserializer, Serializer};
 
@@ -110,7 +112,7 @@ mod tests {
     fn what_is_no_number_is_named() {
         let problem = |text: &str| unpack::<f64, serde_json::Error>(text).unwrap_err().to_string();
         for word in ["x", "inf", "NaN", "1e999"] {
-            assert_eq!(problem(&format!("1 {word}")), format!("{word:?} is no number of this list"));
+            assert_eq!(problem(&format!("1 {word}")), format!("{word:?} is not valid in this list"));
         }
         assert!(unpack::<bool, serde_json::Error>("2").is_err());
         assert!(unpack::<u16, serde_json::Error>("65536").is_err());

@@ -1,9 +1,9 @@
-//! Pictures as PNG (W3C Portable Network Graphics, third edition) in base 64 (RFC 4648, section 4), as pages hold them.
+//! PNG images in base 64 (W3C Portable Network Graphics, third edition; RFC 4648, section 4).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A picture: a PNG of 256 colours of which the first is nothing at all, in base 64.
+/// PNG image in base 64, with 256 colours: the first is transparent.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
 #[schemars(with = "String")]
@@ -24,38 +24,41 @@ impl TryFrom<String> for Picture {
     }
 }
 
-/// Colours at equal distances; those between are mixed.
+/// Equally spaced colours, interpolated linearly.
 pub(super) type Ramp = [[u8; 3]; 6];
 
-/// From low to high: from blue over green to yellow, lighter at every step, so that they can be told apart in grey. Neither
-/// end is lost on a white or a black page.
+/// Heights from low to high: blue, green, yellow.
+///
+/// Lightness increases at every step, so that they can be distinguished in grey. Both ends are
+/// visible on white and on black.
 pub(super) const HEIGHTS: Ramp =
     [[62, 54, 130], [48, 98, 146], [34, 138, 141], [62, 172, 112], [142, 200, 66], [226, 205, 38]];
-/// From weak to strong: greys.
+/// Intensities from weak to strong: greys.
 pub(super) const INTENSITIES: Ramp =
     [[52, 52, 54], [86, 86, 88], [120, 120, 121], [154, 154, 154], [188, 188, 186], [222, 222, 218]];
 
-/// The part of the cells that may lie beyond either end of the colours.
+/// Fraction of the cells beyond either end of the colours.
 const BEYOND: f64 = 0.01;
-/// What `Deflate` allows in a stored block.
+/// Size limit of a stored block in `Deflate`, bytes.
 const MOST_STORED: usize = 65_535;
 
 impl Picture {
-    /// Rows of cells, from above, as colours, and the values that the first and the last colour stand for.
+    /// Converts rows of cells from the top to colours; also returns the values of the first and
+    /// last colour.
     pub(super) fn of(cells: &[Option<f64>], columns: usize, ramp: &Ramp) -> (Picture, [f64; 2]) {
         let mut known: Vec<f64> = cells.iter().flatten().copied().collect();
         known.sort_by(f64::total_cmp);
         let at = |part: f64| known.get((part * known.len().saturating_sub(1) as f64).round() as usize);
         let range = [BEYOND, 1.0 - BEYOND].map(|part| at(part).copied().unwrap_or(0.0));
         let [low, high] = range;
-        // A float converts to the nearest integer in range.
+        // The cast saturates.
         let level = |value: f64| 1 + (254.0 * (value - low) / (high - low).max(1e-9)).round() as u8;
         let levels: Vec<u8> =
             cells.iter().map(|cell| cell.map_or(0, |value| level(value.min(high)))).collect();
         (Picture(base_64(&png(&levels, columns, ramp))), range)
     }
 
-    /// The address of the picture, which holds it.
+    /// The image as a data URL.
     pub fn data_url(&self) -> String {
         format!("data:image/png;base64,{}", self.0)
     }
@@ -71,21 +74,21 @@ fn mixed(ramp: &Ramp, i: usize) -> [u8; 3] {
     std::array::from_fn(|channel| mix(from[channel], to[channel]))
 }
 
-/// The colours of a ramp as CSS writes them.
+/// Colours of a ramp in CSS notation.
 pub(super) fn css(ramp: &Ramp) -> Vec<String> {
     ramp.iter().map(|[red, green, blue]| format!("#{red:02x}{green:02x}{blue:02x}")).collect()
 }
 
-/// The picture's bytes: one byte per cell, which is the number of its colour.
+/// PNG bytes from one colour index per cell.
 fn png(levels: &[u8], columns: usize, ramp: &Ramp) -> Vec<u8> {
     let rows = levels.len() / columns.max(1);
     let mut header = Vec::new();
     header.extend((columns as u32).to_be_bytes());
     header.extend((rows as u32).to_be_bytes());
-    // Eight bits, indexed colour, the only compression and filtering, rows in their order.
+    // 8 bits, indexed colour, the only compression and filter method, not interlaced.
     header.extend([8, 3, 0, 0, 0]);
     let palette: Vec<u8> = [[0; 3]].into_iter().chain((0..255).map(|i| mixed(ramp, i))).flatten().collect();
-    // Each row begins with its filter: none.
+    // Each row starts with its filter type: none.
     let rows: Vec<u8> = levels.chunks(columns.max(1)).flat_map(|row| [&[0], row].concat()).collect();
     let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
     for (name, content) in [
@@ -103,7 +106,7 @@ fn png(levels: &[u8], columns: usize, ramp: &Ramp) -> Vec<u8> {
     file
 }
 
-/// Bytes as a zlib stream (RFC 1950) of blocks that are stored as they are (RFC 1951, section 3.2.4).
+/// Wraps bytes in a zlib stream of stored blocks (RFC 1950; RFC 1951, section 3.2.4).
 fn stored(bytes: &[u8]) -> Vec<u8> {
     let mut stream = vec![0x78, 0x01];
     let mut blocks = bytes.chunks(MOST_STORED).peekable();
@@ -122,7 +125,7 @@ fn stored(bytes: &[u8]) -> Vec<u8> {
     stream
 }
 
-/// The checksum of a chunk (annex D of the specification).
+/// CRC-32 of a chunk (annex D of the specification).
 fn crc_32(bytes: &[u8]) -> u32 {
     let step = |crc: u32, _| if crc & 1 == 1 { 0xedb8_8320 ^ (crc >> 1) } else { crc >> 1 };
     !bytes.iter().fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), step))
@@ -201,7 +204,7 @@ mod tests {
                     .map(|(&c, w)| f64::from(c) * w)
                     .sum::<f64>()
             };
-            assert!((1..255).all(|i| lightness(i) >= lightness(i - 1) - 0.6), "but for rounding");
+            assert!((1..255).all(|i| lightness(i) >= lightness(i - 1) - 0.6), "apart from rounding");
         }
     }
 

@@ -1,77 +1,78 @@
-//! The samples of a block with their fit, as pictures show them.
+//! Samples of a block with their fit, for display.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::packed;
 
-/// Points of a curve to a sample.
+/// Curve points per sample.
 pub const PER_SAMPLE: usize = 8;
 
-/// The samples of a block and their fit; lists are numbers separated by blanks.
+/// Samples of a block and their fit; lists are space-separated numbers.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Samples {
-    /// Time from sample to sample, ns.
+    /// Sampling interval, ns.
     pub interval_ns: f64,
-    /// As they were recorded, DN.
+    /// Recorded samples, DN.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub samples_dn: Vec<u16>,
-    /// As they were fitted, DN: less the receiver's tail, where the model has one.
+    /// Samples as fitted, DN: with the receiver's tail removed, if the model has one.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub fitted_dn: Vec<f64>,
-    /// When each was taken, samples after the first.
+    /// Sampling times, in samples after the first.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub taken_at: Vec<f64>,
-    /// Samples at or above this are saturated, DN.
+    /// Saturation level, DN.
     pub full_scale_dn: f64,
-    /// Which samples took part in the fit.
+    /// Whether each sample was used in the fit.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub used: Vec<bool>,
-    /// The level without a pulse, the mean over sample phases, DN.
+    /// Background, mean over the sample phases, DN.
     pub background_dn: f64,
-    /// The pulses above the background, by position, [`PER_SAMPLE`] points to a sample from the first.
+    /// Pulses above the background, sorted by position, [`PER_SAMPLE`] points per sample from the
+    /// first.
     #[serde(serialize_with = "packed::lists::serialize", deserialize_with = "packed::lists::deserialize")]
     #[schemars(with = "Vec<String>")]
     pub pulses_dn: Vec<Vec<f64>>,
-    /// What the fit leaves, standard deviations.
+    /// Residuals of the fit, in standard deviations.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub residual: Vec<f64>,
 }
 
-/// A block of echoes.
+/// A block with echoes.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct ShownBlock {
-    /// The receiver: `low`, `high` or `joint`.
+    /// Receiver: `low`, `high` or `joint`.
     pub channel: String,
     /// Time of flight of the first sample, ns.
     pub first_ns: f64,
-    /// What the fit leaves, as a sum of squares.
+    /// Residual sum of squares, weighted.
     pub chi_square: f64,
-    /// Samples less parameters.
+    /// Number of samples minus number of parameters.
     pub degrees_of_freedom: u32,
-    /// Where its returns peak.
+    /// Peaks of its returns.
     pub peaks: Vec<Peak>,
     /// The samples.
     #[serde(flatten)]
     pub samples: Samples,
 }
 
-/// Where a return peaks in its block.
+/// Peak of a return in its block.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Peak {
-    /// The return's number; absent where it was dropped.
+    /// Number of the return; absent if it was dropped.
     pub number: Option<u8>,
-    /// Its place, samples after the first.
+    /// Position, in samples after the first.
     pub position_samples: f64,
 }
 
 impl Samples {
-    /// The fit, background and all, [`PER_SAMPLE`] points to a sample, from sample `first` on.
+    /// The fit including background, [`PER_SAMPLE`] points per sample from the first.
     pub fn fit_dn(&self) -> Vec<f64> {
         let points =
             self.pulses_dn.first().map_or(self.samples_dn.len().saturating_sub(1) * PER_SAMPLE + 1, Vec::len);
@@ -82,17 +83,17 @@ impl Samples {
         fit
     }
 
-    /// Whether sample `k` is at the end of the digitiser's scale.
+    /// Whether sample `k` is saturated.
     pub fn is_saturated(&self, k: usize) -> bool {
         self.samples_dn.get(k).is_some_and(|&sample| f64::from(sample) >= self.full_scale_dn)
     }
 
-    /// How many samples took no part in the fit.
+    /// Number of samples not used in the fit.
     pub fn left_out(&self) -> usize {
         self.used.iter().filter(|used| !**used).count()
     }
 
-    /// How long they last, ns, with half a sample before and behind.
+    /// Duration, ns, including half a sample at both ends.
     pub fn span_ns(&self) -> f64 {
         self.samples_dn.len() as f64 * self.interval_ns
     }

@@ -1,38 +1,39 @@
-//! From where points are looked at.
+//! Projection of points to map coordinates.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::InputInfo;
 
-/// What the coordinates of a picture from above are.
+/// Coordinates of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MapAxes {
     /// The first two coordinates of the points.
     Coordinates,
-    /// The same, which are degrees of longitude and latitude.
+    /// The same, in degrees of longitude and latitude.
     Degrees,
-    /// Metres east and north, of points in geocentric coordinates: in a plane that touches the sphere near the first one.
+    /// East and north, m, for geocentric points: in a plane tangential to the sphere near the first
+    /// point.
     Plane,
 }
 
-/// How coordinates become places in the picture.
+/// Conversion of coordinates to map positions.
 #[derive(Clone, Debug)]
 pub(super) enum View {
     Map { axes: MapAxes, unit: &'static str },
     Plane { origin: [f64; 3], axes: [[f64; 3]; 3] },
 }
 
-/// Lengths of geocentric coordinates of places near the ground, m.
+/// Distance of ground points from the centre of the earth, m.
 const EARTH_M: [f64; 2] = [6.33e6, 6.39e6];
-/// Heights in a map stay below, m; of geocentric coordinates only some near the equator do.
+/// Upper limit of projected heights, m; geocentric z values are below it only near the equator.
 const MAP_HEIGHT_M: f64 = 1e5;
-/// Planes touch the sphere at places this far apart, m, so that all points of a site have one.
+/// Spacing of the possible tangent points, m, so that all points of a site share one.
 const PLANES_M: f64 = 20_000.0;
 
 impl View {
-    /// For points of a recording, of which this is one.
+    /// The view for a recording with this point.
     pub(super) fn of(input: &InputInfo, point: [f64; 3]) -> View {
         let length = dot(point, point).sqrt();
         if point[2].abs() > MAP_HEIGHT_M && EARTH_M[0] < length && length < EARTH_M[1] {
@@ -59,7 +60,7 @@ impl View {
         View::Plane { origin, axes: [east, north, up] }
     }
 
-    /// Where a point is seen: west-east, south-north, height.
+    /// Map position of a point: east, north, height.
     pub(super) fn place(&self, point: [f64; 3]) -> [f64; 3] {
         match self {
             View::Map { .. } => point,
@@ -77,7 +78,7 @@ impl View {
         }
     }
 
-    /// The unit of west-east and south-north coordinates.
+    /// Unit of the east and north coordinates.
     pub(super) fn unit(&self) -> &'static str {
         match self {
             View::Map { unit, .. } => unit,
@@ -90,7 +91,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Of length 1; at a pole, where no direction is east, all of it is 0.
+/// Unit vector; at a pole, where east is undefined, the null vector.
 fn unit(vector: [f64; 3]) -> [f64; 3] {
     let length = dot(vector, vector).sqrt().max(1e-300);
     vector.map(|component| component / length)
@@ -116,10 +117,11 @@ mod tests {
             ["GEOGCS[]", "", "PROJCS[GEOGCS[],UNIT[\"US survey foot\",0.3048]]", "PROJCS[UNIT[\"metre\"]]"];
         assert_eq!(units.map(unit), ["°", "m", "ft", "m"]);
         let far_north = of("", [500_000.0, 6_340_000.0, 300.0]);
-        assert_eq!(far_north.axes(), MapAxes::Coordinates, "a northing is no length");
+        assert_eq!(far_north.axes(), MapAxes::Coordinates, "a northing is not a distance from the centre");
     }
 
-    /// On the meridian of Greenwich at a latitude whose sine is 0.6: east is y, and north rises by 0.8 along z.
+    /// On the Greenwich meridian, at a latitude whose sine is 0.6: east is y, and north increases z
+    /// by 0.8 per unit.
     #[test]
     fn geocentric_points_are_seen_from_above() {
         let ground = [0.8 * 6.36e6, 0.0, 0.6 * 6.36e6];

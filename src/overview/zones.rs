@@ -1,4 +1,4 @@
-//! Multiple time around: returns by zone, and what a few shots look like in each zone.
+//! MTA overview: returns by zone, and some shots as they would appear in each zone.
 
 use std::collections::BTreeMap;
 
@@ -8,69 +8,71 @@ use serde::{Deserialize, Serialize};
 use super::packed;
 use crate::batch::{Batch, Emission, Return, flags::ZONE_UNCERTAIN};
 
-/// Returns by multiple-time-around zone.
+/// Returns by MTA zone.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Zones {
-    /// The zones that have returns, in ascending order.
+    /// Zones with returns, in ascending order.
     pub shares: Vec<ZoneShare>,
-    /// Some shots with their ranges in each zone, where clocks allow it.
+    /// Ranges of some shots in each candidate zone, if the clocks allow it.
     pub clouds: Option<ZoneClouds>,
 }
 
-/// The returns of a zone.
+/// Returns of a zone.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct ZoneShare {
-    /// Emissions between the causing shot and the reception; -1 where unresolved.
+    /// Number of emissions between the causing shot and the reception; -1 if unresolved.
     pub zone: i16,
-    /// How many returns it has.
+    /// Number of returns.
     pub returns: u64,
-    /// How many of them were decided against little evidence.
+    /// Number of returns assigned on weak evidence.
     pub uncertain: u64,
 }
 
-/// Consecutive shots of one scan line, computed with each zone in turn for all of them.
+/// Consecutive shots of one scan line, computed for each candidate zone.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct ZoneClouds {
-    /// The scan line.
+    /// Scan line number.
     pub line: u32,
-    /// One for each candidate zone, in ascending order.
+    /// One cloud per candidate zone, in ascending order.
     pub clouds: Vec<ZoneCloud>,
 }
 
-/// The last returns of these shots, all with one zone.
+/// Last returns of these shots, computed for one zone.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct ZoneCloud {
     /// The zone.
     pub zone: i16,
-    /// Number of the causing shot, from the first of these shots, and range, m, in turn, separated by blanks.
+    /// Pairs of causing shot, counted from the first shot, and range, m; separated by spaces.
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub points: Vec<f64>,
-    /// Median difference of the ranges of neighbouring shots, m; least in the true zone, where intervals vary.
+    /// Median range difference of neighbouring shots, m; smallest in the true zone if intervals
+    /// vary.
     pub roughness_m: Option<f64>,
 }
 
-/// Shots of which clouds are shown.
+/// Number of shots in a cloud.
 const SHOTS: usize = 400;
-/// Candidate zones.
+/// Number of candidate zones.
 const CLOUDS: i16 = 6;
-/// Fewer returns make no cloud.
+/// Minimum number of returns of a cloud.
 const LEAST_RETURNS: usize = 20;
 
-/// Counts while lines leave.
+/// Counts collected while lines leave the chain.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Counted {
-    /// Returns, and uncertain ones, by zone.
+    /// Number of returns, and of uncertain ones, by zone.
     shares: BTreeMap<i16, [u64; 2]>,
-    /// The line with most returns so far, and of equal ones the first: how many it has, and its last returns.
+    /// The line with the most returns so far, the first of equals: its number of returns, and its
+    /// last returns.
     best: Option<(usize, Window)>,
 }
 
-/// The middle of a line.
+/// The middle section of a line.
 #[derive(Clone, Debug)]
 struct Window {
     line: u32,
-    /// Clock and running number of the shots in it and of those beside it, ns from the first.
+    /// Shot number and emission time, ns after the first shot.
     shots: Vec<(u64, f64)>,
     /// Index in `shots`, zone and range of last returns.
     returns: Vec<(usize, i16, f64)>,
@@ -92,7 +94,7 @@ impl Counted {
         }
     }
 
-    /// The zones; `None` where all returns are of zone 0: there was nothing to resolve.
+    /// Returns the zones; `None` if all returns are in zone 0, so that nothing was resolved.
     pub(super) fn finish(self) -> Option<Zones> {
         self.shares.keys().any(|zone| *zone > 0).then(|| {
             let share =
@@ -132,7 +134,7 @@ impl Window {
         }
     }
 
-    /// The window in the zones about that which most returns have.
+    /// Clouds for the zones around the most frequent one.
     fn clouds(&self, most: i16) -> Option<ZoneClouds> {
         let first = (most - CLOUDS + 2).max(0);
         let clouds: Vec<ZoneCloud> = (first..first + CLOUDS).map(|zone| self.cloud(zone)).collect();
@@ -140,7 +142,7 @@ impl Window {
         is_enough.then_some(ZoneClouds { line: self.line, clouds })
     }
 
-    /// What each return would be had the shot `zone` emissions before its reception caused it.
+    /// Ranges as if all shots had this zone.
     fn cloud(&self, zone: i16) -> ZoneCloud {
         let place = |&(shot, of_return, range_m): &(usize, i16, f64)| {
             let other = shot.checked_add_signed(isize::from(of_return) - isize::from(zone))?;

@@ -1,9 +1,10 @@
-//! Bad items of a file: one is counted and passed over; a file that ends with them is cut off.
+//! Handling of malformed items: a single one is counted and skipped; a file that ends with them is
+//! truncated.
 
 use crate::formats::{Error, Result};
 use crate::stage::{Context, Item};
 
-/// The bad items since the last good one.
+/// The malformed items since the last good one.
 #[derive(Debug, Default)]
 pub(super) struct BrokenRun {
     first: Option<Error>,
@@ -11,10 +12,10 @@ pub(super) struct BrokenRun {
 }
 
 impl BrokenRun {
-    /// Whether an item can be used. One that is malformed is rejected, its error told once.
+    /// Returns whether an item is usable; rejects a malformed one, with one note per file.
     ///
     /// # Errors
-    /// The file cannot be read at all: that concerns more than one item.
+    /// I/O errors, which affect more than one item.
     pub(super) fn accepts<T>(
         &mut self,
         read: Result<T>,
@@ -31,7 +32,7 @@ impl BrokenRun {
             Err(error) => {
                 cx.reject(item, reason, 1);
                 if !std::mem::replace(&mut self.told, true) {
-                    cx.note(format!("{reason} was left out, and so is every further one: {error}"));
+                    cx.note(format!("{reason} was rejected; further ones are only counted: {error}"));
                 }
                 self.first.get_or_insert(error);
                 Ok(false)
@@ -39,7 +40,7 @@ impl BrokenRun {
         }
     }
 
-    /// At the end of a file: an error if the last item was bad.
+    /// At the end of a file: fails if the last item was malformed.
     pub(super) fn check_at_end(&mut self) -> Result<()> {
         self.first.take().map_or(Ok(()), Err)
     }
@@ -64,8 +65,8 @@ mod tests {
         assert_eq!(cx.counters().rejected_of(Item::Shots), 3);
         assert_eq!(
             cx.counters().notes,
-            ["a pulse that cannot be read was left out, and so is every further one: \
-              a.wvs: byte 1: samples: cut; copy it again"]
+            ["a pulse that cannot be read was rejected; further ones are only counted: a.wvs: byte 1: \
+              samples: cut; copy it again"]
         );
         assert!(broken.check_at_end().is_ok());
     }

@@ -1,4 +1,4 @@
-//! What the sensor is like, found from the recording itself.
+//! `calibrate`: estimates the sensor model from the recording itself.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -21,51 +21,60 @@ pub use presets::Preset;
 
 mod presets;
 
-/// A model has a few thousand numbers: what is larger is none.
+/// Size limit of a sensor model file, bytes; a model has a few thousand numbers.
 const MAX_MODEL_BYTES: u64 = 1 << 26;
 
-/// Sampling intervals that differ by less than this part are the same.
+/// Relative tolerance within which sampling intervals are equal.
 const SAME_INTERVAL: f64 = 1e-3;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Kind::Shots]);
 
-/// Finds, from the first waveforms, what `decompose` must know of the sensor: for each receiver the background (by sample
-/// index modulo 4, or one per waveform where no sample is free of signal), the noise and its correlation, and the shape of
-/// a pulse from a flat target: the system response with its after-pulse and tail, found from single echoes, its error, and
-/// how much larger errors on a pulse are than the noise lets expect. Noise is told from signal by fitted pulses, never by a
-/// threshold on samples. Of the waveforms at most 20 000, chosen evenly, tell background and noise, and 12 000 the shape.
+/// Estimates the sensor model for `decompose` from the first waveforms.
 ///
-/// Holds back the first lines until it has enough waveforms, then lets everything through; the model travels with every
-/// line, and stands in the report. A receiver with fewer than 200 waveforms, or an outgoing pulse that was recorded
-/// fewer than 20 times, is left out, and the report says so; where no receiver of echoes has as many, it is an error.
+/// For each receiver it estimates the background (per sample index modulo 4, or per waveform if no
+/// sample is free of signal), the noise and its correlation, and the system response: the shape of
+/// a pulse from a flat target with its after-pulse and tail, from single echoes. It also estimates
+/// the error of the response, and the factor by which errors on a pulse exceed those expected from
+/// the noise. Signal is separated from noise by fitted pulses, never by a threshold on samples. At
+/// most 20 000 evenly chosen waveforms are used for background and noise, and 12 000 for the
+/// response.
 ///
-/// A model that was kept (`save` writes to `output_dir`, `load` looks in `input_dir`) is used as it is, in another run or on
-/// another recording, down to a single waveform. It may lack channels, which are then not used, and may be written by hand: its
-/// form stands in `schemas/sensor_model.schema.json`. A `preset` is the model of another instrument of the same type, for
-/// recordings too short to calibrate from; none was tried on another instrument than the one that was measured.
+/// Holds back the first lines until it has enough waveforms, then lets everything through. The
+/// model travels with every line and is included in the report. A receiver with fewer than 200
+/// waveforms, or an outgoing pulse recorded fewer than 20 times, is left out, and the report says
+/// so. If no echo receiver has enough waveforms, the run fails.
+///
+/// A saved model (`save` writes to `output_dir`, `load` reads from `input_dir`) is used unchanged,
+/// in another run or on another recording, even for a single waveform. It may lack channels, which
+/// are then not used, and may be written by hand; `schemas/sensor_model.schema.json` describes its
+/// format. A `preset` is the model of another instrument of the same type, for recordings too short
+/// to calibrate from. No preset was tested on an instrument other than the measured one.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Calibrate {
-    /// How many waveforms to calibrate from; fewer where the input has fewer, or where `memory_mb` does not hold them.
+    /// Number of waveforms to calibrate from. Fewer are used if the input has fewer, or if
+    /// `memory_mb` cannot hold them.
     pub waveforms: u64,
-    /// The background of a waveform: the receiver's (`fixed`), its own (`per_waveform`), or decided from the data (`auto`).
+    /// Background of a waveform: common to the receiver (`fixed`), fitted per waveform
+    /// (`per_waveform`), or decided from the data (`auto`).
     pub background: BackgroundKey,
-    /// The shape of a pulse: the system response found from single echoes (`auto`), or a Gaussian of the measured width
-    /// (`gaussian`).
+    /// Pulse shape: the system response estimated from single echoes (`auto`), or a Gaussian of the
+    /// measured width (`gaussian`).
     pub response: ResponseKey,
-    /// Area of the exponential tail that the receiver adds to an echo, over that of the echo, above -0.9 and below 0.9;
-    /// `"auto"`: a tail is part of the response, which reaches to the end of the block.
+    /// Area of the exponential tail of an echo relative to the echo: above -0.9 and below 0.9. With
+    /// `"auto"` the tail is part of the response, which extends to the end of the block.
     pub decay_amplitude: AutoOrNumber,
-    /// Time constant of that tail, ns; `"auto"` as above. Both are given, or neither.
+    /// Time constant of that tail, ns; `"auto"` as for `decay_amplitude`. Give both or neither.
     pub decay_time_ns: AutoOrNumber,
-    /// A file to keep the model in, as JSON, for runs that are to repeat this one exactly.
+    /// File to save the model to, as JSON, for runs that must reproduce this one exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub save: Option<String>,
-    /// A file that `save` has written: its model is used, and nothing is calibrated.
+    /// Model file written by `save`. Its model is used, and nothing is calibrated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub load: Option<PathBuf>,
-    /// The model of a type of instrument, as one of them was measured: nothing is calibrated. Not beside `load`.
+    /// Model of an instrument type, measured on one instrument. Nothing is calibrated. Excludes
+    /// `load`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<Preset>,
 }
@@ -74,17 +83,17 @@ pub struct Calibrate {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum AutoOrNumber {
-    /// The number.
+    /// The given number.
     Number(f64),
-    /// Found from the recording.
+    /// Estimated from the recording.
     Auto(Auto),
 }
 
-/// The word `auto`.
+/// The keyword `auto`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Auto {
-    /// Found from the recording.
+    /// Estimated from the recording.
     Auto,
 }
 
@@ -99,24 +108,24 @@ impl AutoOrNumber {
     }
 }
 
-/// The shape of a pulse.
+/// Pulse shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ResponseKey {
-    /// The system response where there are 150 usable single echoes, else that of the other receiver, else a Gaussian; the report
-    /// says so.
+    /// The system response, if there are 150 usable single echoes; otherwise that of the other
+    /// receiver, or else a Gaussian. The report says which.
     Auto,
     /// A Gaussian of the measured width.
     Gaussian,
 }
 
-/// Where the background comes from.
+/// Source of the background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BackgroundKey {
-    /// Fixed where samples are free of signal, else per waveform.
+    /// Fixed if samples are free of signal, otherwise per waveform.
     Auto,
-    /// The receiver's, by sample index modulo 4.
+    /// Common to the receiver, per sample index modulo 4.
     Fixed,
     /// A free parameter of each waveform.
     PerWaveform,
@@ -143,7 +152,7 @@ impl Config for Calibrate {
         InvalidKey::unless(
             self.load.is_none() || self.preset.is_none(),
             "preset",
-            "it stands for a model, and load gives one: leave one of them out",
+            "`preset` and `load` both give a model: remove one of them",
         )?;
         let (amplitude, time_ns) = (self.decay_amplitude.number(), self.decay_time_ns.number());
         InvalidKey::unless(
@@ -157,8 +166,8 @@ impl Config for Calibrate {
             "it must be above 0 and at most 1000000, or \"auto\"",
         )?;
         let (given, missing) = match amplitude {
-            Some(_) => ("decay_amplitude", "it needs decay_time_ns beside it"),
-            None => ("decay_time_ns", "it needs decay_amplitude beside it"),
+            Some(_) => ("decay_amplitude", "it also needs decay_time_ns"),
+            None => ("decay_time_ns", "it also needs decay_amplitude"),
         };
         InvalidKey::unless(amplitude.is_some() == time_ns.is_some(), given, missing)
     }
@@ -192,7 +201,7 @@ struct Calibrator {
     config: Calibrate,
     survey: Survey,
     model: Option<Arc<SensorModel>>,
-    /// Where the model is to be kept, until it is.
+    /// File for the model; `None` once written.
     save: Option<OutputFile>,
 }
 
@@ -214,7 +223,7 @@ impl Transform for Calibrator {
 }
 
 impl Calibrator {
-    /// Calibrates from the lines at hand, and gives them on.
+    /// Calibrates from the held lines and emits them.
     fn release(&mut self, out: &mut Output) -> Result<()> {
         let model = Arc::new(self.calibrate(out)?);
         self.model = Some(Arc::clone(&model));
@@ -226,7 +235,7 @@ impl Calibrator {
         Ok(())
     }
 
-    /// Writes the model where it is to be kept.
+    /// Writes the model file, if one is wanted and not yet written.
     fn save(&mut self, out: &mut Output) -> Result<()> {
         if let Some(model) = &self.model
             && let Some(mut file) = self.save.take()
@@ -258,7 +267,8 @@ impl Calibrator {
         })
     }
 
-    /// A channel's model. Where its own echoes do not tell the response, that of the other receiver stands in, or a Gaussian.
+    /// Completes a channel's model: without a response of its own, it gets that of the other
+    /// receiver, or a Gaussian.
     fn completed(
         &self,
         channel: Channel,
@@ -272,23 +282,23 @@ impl Calibrator {
         }
         let borrowed = other.as_ref().and_then(|other| with_response_of(model, &other.model));
         let pulses = match &borrowed {
-            Some(_) => "have the system response of the other receiver".to_owned(),
-            None => format!("are taken to be Gaussians {:.2} ns wide", model.pulse_fwhm_ns),
+            Some(_) => "use the system response of the other receiver".to_owned(),
+            None => format!("are modelled as Gaussians with a width of {:.2} ns", model.pulse_fwhm_ns),
         };
         out.cx.note(format!(
             "{}: pulses {pulses}: {}",
             name(channel),
             match *usable_echoes {
                 enough if enough >= MIN_ECHOES =>
-                    format!("its {enough} strong single pulses have no common response"),
+                    format!("its {enough} strong single pulses do not share a common response"),
                 few =>
-                    format!("its own response needs {MIN_ECHOES} strong single pulses and there were {few}"),
+                    format!("estimating its own response needs {MIN_ECHOES} strong single pulses, but there were {few}"),
             }
         ));
         Some(borrowed.unwrap_or_else(|| model.clone()))
     }
 
-    /// Says so where nothing tells the largest value of the digitiser, and it may be far below that of the samples' bits.
+    /// Warns if the full scale is unknown; it may be far below the range of the sample type.
     fn tell_unknown_scale(&self, out: &mut Output) {
         let is_known = self.survey.lines().first().is_none_or(|batch| batch.input.full_scale_dn.is_some());
         let echoes = [Channel::LowPower, Channel::HighPower];
@@ -297,15 +307,14 @@ impl Calibrator {
         if let (false, Some(&highest)) = (is_known, samples.max()) {
             let scale = (u32::from(highest) + 1).next_power_of_two().max(256) - 1;
             out.cx.note(format!(
-                "the recording does not say what its digitiser's largest value is: no pulse counts as cut off or as overdriven; \
-                 the highest sample is {highest} DN: give the reader's full_scale_dn ({scale} for {} bits)",
+                "the full scale of the digitiser is unknown: no pulse counts as clipped or overdriven; \
+                 the highest sample is {highest} DN: set the reader's key `full_scale_dn` ({scale} for {} bits)",
                 (scale + 1).ilog2()
             ));
         }
     }
 
-    /// The model of one receiver, with the response that its own echoes tell; `None` where it recorded too little, which the
-    /// report then says.
+    /// Calibrates one receiver; `None`, with a note, if it recorded too little.
     fn channel(&self, channel: Channel, out: &mut Output) -> Result<Option<Calibrated>> {
         let settings = self.settings(channel);
         let with_response = self.config.response != ResponseKey::Gaussian;
@@ -349,7 +358,7 @@ impl Calibrator {
         }
     }
 
-    /// What the job says of how a channel's samples are taken: a tail is the echo receivers'.
+    /// Digitiser properties of a channel; the tail applies to echo receivers only.
     fn digitiser(&self, channel: Channel, input: &InputInfo) -> Digitiser {
         let given = self.config.decay_amplitude.number().zip(self.config.decay_time_ns.number());
         let decay = given.filter(|_| channel.is_echo()).map(|(amplitude, time_ns)| Decay {
@@ -359,13 +368,15 @@ impl Calibrator {
         Digitiser { odd_sample_shift: input.odd_sample_shift, decay }
     }
 
-    /// Holds a loaded model against a line: one for another sampling interval is an error; what else differs is said.
+    /// Compares a loaded model with a line.
+    ///
+    /// A different sampling interval is an error; other differences are noted.
     fn compare(&self, model: &SensorModel, batch: &Batch, out: &mut Output) -> Result<()> {
         if self.config.load.is_none() && self.config.preset.is_none() {
             return Ok(());
         }
         if self.config.preset.is_some() {
-            out.cx.note("the sensor model is a preset, of another instrument of this type: background, noise and pulse of this one may differ; calibrate where there are 200 waveforms");
+            out.cx.note("the sensor model is a preset, measured on another instrument of this type: background, noise and pulse shape may differ; calibrate if the recording has 200 waveforms");
         }
         let input = &batch.input;
         let channels = [
@@ -381,7 +392,7 @@ impl Calibrator {
                         .is_some_and(|blocks| blocks.iter().any(|block| block.channel == channel))
                 {
                     out.cx.note(format!(
-                        "the loaded model lacks {}: its waveforms are not decomposed; calibrate anew",
+                        "the loaded model lacks {}: its waveforms are not decomposed; recalibrate",
                         name(channel)
                     ));
                 }
@@ -391,17 +402,17 @@ impl Calibrator {
             if (of_model_ns / interval_ns - 1.0).abs() > SAME_INTERVAL {
                 return Err(StageError::failed(
                     format!(
-                        "the loaded model is of samples every {of_model_ns} ns ({}), the recording has them every {interval_ns} ns",
+                        "the loaded model has a sampling interval of {of_model_ns} ns ({}), but that of the recording is {interval_ns} ns",
                         name(channel)
                     ),
-                    "load a model of this instrument and setting, or calibrate anew",
+                    "load a model of this instrument and setting, or recalibrate",
                 ));
             }
             if known.digitiser != self.digitiser(channel, input) {
-                out.cx.note("the loaded model was calibrated with another odd_sample_shift, decay_amplitude or decay_time_ns than this job gives: the model's own are used");
+                out.cx.note("the loaded model was calibrated with an odd_sample_shift, decay_amplitude or decay_time_ns that differs from this job: the values of the model are used");
             }
             if input.full_scale_dn.is_some_and(|dn| f64::from(dn) != known.full_scale_dn) {
-                out.cx.note("the loaded model was calibrated with another full scale than the recording's: the model's own is used");
+                out.cx.note("the loaded model was calibrated with a full scale that differs from the recording: the value of the model is used");
             }
         }
         let (config, default) = (&self.config, Calibrate::default());
@@ -409,12 +420,12 @@ impl Calibrator {
             || config.background != default.background
             || config.response != default.response;
         if is_asked {
-            out.cx.note("`waveforms`, `background` and `response` of calibrate have no effect beside `load` or `preset`: leave them out, or calibrate anew");
+            out.cx.note("`waveforms`, `background` and `response` of calibrate have no effect with `load` or `preset`: remove them, or recalibrate");
         }
         Ok(())
     }
 
-    /// The blocks of one receiver in the lines at hand.
+    /// Blocks of one receiver in the held lines.
     fn blocks(&self, channel: Channel) -> impl Iterator<Item = Block<'_>> + Clone {
         self.survey.samples(channel).map(|samples| Block { samples, start_phase: 0 })
     }
@@ -433,24 +444,24 @@ fn name(channel: Channel) -> &'static str {
     }
 }
 
-/// A model that was kept.
+/// Loads a saved model.
 fn load(path: &Path) -> Result<SensorModel> {
-    const REMEDY: &str = "load a file that `save` of calibrate has written, or calibrate anew";
+    const REMEDY: &str = "load a file written by `save` of calibrate, or recalibrate";
     let size = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
     if size > MAX_MODEL_BYTES {
         return Err(
-            Error::unusable(path, format!("{size} bytes are too many for a sensor model"), REMEDY).into()
+            Error::unusable(path, format!("{size} bytes is too large for a sensor model"), REMEDY).into()
         );
     }
     let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
     let model: SensorModel = serde_json::from_str(&text)
-        .map_err(|error| Error::unusable(path, format!("no sensor model: {error}"), REMEDY))?;
+        .map_err(|error| Error::unusable(path, format!("not a sensor model: {error}"), REMEDY))?;
     let channels = [&model.low_power, &model.high_power, &model.saturation, &model.reference];
     for channel in channels.into_iter().flatten() {
         channel.check().map_err(|error| Error::unusable(path, error.to_string(), REMEDY))?;
     }
     if model.low_power.is_none() && model.high_power.is_none() {
-        return Err(Error::unusable(path, "the sensor model has no receiver of echoes", REMEDY).into());
+        return Err(Error::unusable(path, "the sensor model has no echo receiver", REMEDY).into());
     }
     Ok(model)
 }
@@ -469,7 +480,7 @@ mod tests {
     use crate::batch::{Blocks, Emission};
     use crate::stage::Context;
 
-    /// Lines of noise-like samples, too few to calibrate from.
+    /// A line of noise-like samples, too few to calibrate from.
     fn line(line: u32, shots: u32) -> Batch {
         let mut blocks = Blocks::default();
         (0..shots).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 0.0, 1.0, &[2, 3, 2, 1, 2, 3]));

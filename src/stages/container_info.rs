@@ -1,11 +1,11 @@
-//! What `read_arrow` and `write_arrow` share: the facts of a recording, and the channels, as a container says them.
+//! Metadata and channel codes shared by `read_arrow` and `write_arrow`.
 
 use std::path::PathBuf;
 
 use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 use crate::formats::container::{self, ContainerHeader, channel};
 
-/// The header of a container with these facts.
+/// Container header with the metadata of a recording.
 pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {
     let pairs = |table: &Option<AmplitudeTable>| table.as_ref().map(|table| table.pairs().to_vec());
     ContainerHeader {
@@ -49,7 +49,7 @@ pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {
     }
 }
 
-/// What times count, in a container's words.
+/// Converts a time scale to that of the container.
 pub(super) fn time_scale_of(time_scale: TimeScale) -> container::TimeScale {
     match time_scale {
         TimeScale::Week => container::TimeScale::Week,
@@ -59,7 +59,7 @@ pub(super) fn time_scale_of(time_scale: TimeScale) -> container::TimeScale {
     }
 }
 
-/// The facts that a container's header says; `reference` stands in where it does not say how emissions are known.
+/// Metadata from a container header; `reference` is the default emission reference.
 pub(super) fn info_of(
     header: &ContainerHeader,
     path: PathBuf,
@@ -68,7 +68,7 @@ pub(super) fn info_of(
     reference: EmissionReference,
 ) -> InputInfo {
     let table = |pairs: &Option<Vec<(f64, f64)>>| pairs.clone().and_then(AmplitudeTable::new);
-    // Return locations come from LAS, which does not give the sensor's position.
+    // Return locations come from LAS, which does not contain the sensor position.
     let is_from_las = header.emission_reference == Some(container::EmissionReference::ReturnLocations);
     InputInfo {
         path,
@@ -122,7 +122,7 @@ pub(super) fn info_of(
     }
 }
 
-/// A channel's code in a container.
+/// Code of a channel in a container.
 pub(super) fn code_of(receiver: Channel) -> u8 {
     match receiver {
         Channel::HighPower => channel::HIGH_POWER,
@@ -132,7 +132,7 @@ pub(super) fn code_of(receiver: Channel) -> u8 {
     }
 }
 
-/// The channel of a code; `None` for a code that has none.
+/// Channel of a code; `None` for an unknown code.
 pub(super) fn channel_of(code: u8) -> Option<Channel> {
     match code {
         channel::HIGH_POWER => Some(Channel::HighPower),

@@ -1,4 +1,4 @@
-//! What amplitude, range and direction do to ranges, widths and intensities, taken out.
+//! `correct`: removes amplitude, range and angle effects from returns.
 
 use std::path::PathBuf;
 
@@ -23,85 +23,92 @@ mod width;
 use apply::Corrections;
 use width::WidthCorrection;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<Correct>("correct", &[Kind::Returns]);
 
-/// Waveforms that the widths of flat targets are learnt from.
+/// Number of waveforms used to estimate the widths of flat targets.
 const WAVEFORMS: u64 = 50_000;
 
-/// Takes out of the returns what amplitude, range and direction did to them: ranges by the instrument's range table,
-/// intensities by its amplitude table, by range, incidence and air, widths by amplitude. Every correction carries its
-/// uncertainty into the standard deviations. Formulas and units stand in `docs/corrections.md`.
+/// Corrects amplitude-, range- and angle-dependent effects on returns.
 ///
-/// Tables are read where the peak stands in the receiver that gives the intensity: at background plus fitted height. A file
-/// of tables has columns (digitiser steps, value of the sensitive receiver and, where there are two, of the one for strong
-/// echoes), or JSON: `{"low": [[steps, value], ...], "high": [...]}`, in which a third number is a weight for the fit.
-/// Where a table is wanted and the recording has none, the report says so.
+/// Corrects ranges with the instrument's range table, intensities with its amplitude table and for
+/// range, incidence angle and attenuation, and widths for amplitude. Every correction propagates
+/// its uncertainty into the standard deviations. `docs/corrections.md` gives formulas and units.
 ///
-/// Without this stage, intensities are what `decompose` makes of the instrument's amplitude table.
+/// Tables are read at the level of the peak in the receiver that gives the intensity: background
+/// plus fitted height. A table file has columns (digitiser steps, value of the low-power receiver
+/// and, if there are two receivers, value of the high-power receiver), or is JSON: `{"low":
+/// [[steps, value], ...], "high": [...]}`, in which a third number is a weight for the fit. If a
+/// table is requested but the recording has none, the report says so.
 ///
-/// Holds back the first lines where a width correction is `"auto"`, until it has 50 000 waveforms.
+/// Without this stage, intensities are those that `decompose` computes with the instrument's
+/// amplitude table.
+///
+/// If a width correction is `"auto"`, holds back the first lines until it has 50 000 waveforms.
 ///
 /// Counts `np_range np_atm np_ibrc np_ibic`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Correct {
-    /// Correct ranges by amplitude: with the recording's own table (`true`), not at all (`false`), or with the tables of
-    /// this file, in seconds of the echo's place.
+    /// Correct ranges for amplitude: with the recording's own table (`true`), not at all (`false`),
+    /// or with the tables of this file, which give the delay of the echo in seconds.
     pub range_table: TableKey,
-    /// Smooth the range table first: a penalised cubic in the logarithm of the digitiser steps.
+    /// Smooth the range table first, with a penalised cubic in the logarithm of the digitiser
+    /// steps.
     pub range_table_fit: bool,
-    /// Take amplitudes in dB, and intensities from them, by the recording's own table (`true`), not at all (`false`: the
-    /// intensity is then the height of the pulse), or by the tables of this file, in dB above the detection limit.
+    /// Derive amplitudes in dB, and intensities from them: with the recording's own table (`true`),
+    /// not at all (`false`: the intensity is the pulse height), or with the tables of this file, in
+    /// dB above the detection limit.
     pub amplitude_table: TableKey,
-    /// Widths of the sensitive receiver that change with amplitude: `"auto"`, learnt from the first waveforms; a number
-    /// `c`: widths are divided by `(amplitude / 100 DN)^c`; pairs of amplitude (DN) and the width ratio of a flat target,
-    /// by rising amplitude; or `false`.
+    /// Width correction of the low-power receiver for amplitude: `"auto"`, estimated from the first
+    /// waveforms; a number `c`: widths are divided by `(amplitude / 100 DN)^c`; pairs of amplitude
+    /// (DN) and width ratio of a flat target, by ascending amplitude; or `false`.
     pub width_correction_low: WidthKey,
-    /// The same for the receiver for strong echoes.
+    /// The same for the high-power receiver.
     pub width_correction_high: WidthKey,
-    /// Correct intensities for the angle at which beams meet flat terrain, or not. Without a vertical, in the scanner's own
-    /// frame, they are not corrected, and the report says so.
+    /// Correct intensities for the angle of incidence on flat terrain, or not. If the vertical is
+    /// unknown (scanner frame), they are not corrected, and the report says so.
     pub incidence: Incidence,
-    /// Intensities are made those of this range, from 1 to 100000; `false`: they fall with the range. A recording that does
-    /// not give the position of the sensor (LAS) is corrected neither for range nor for attenuation, and the report says so.
+    /// Reference range to which intensities are normalised, m: 1 to 100000; `false`: no range
+    /// correction. Recordings without the sensor position (LAS) are corrected neither for range nor
+    /// for attenuation, and the report says so.
     pub reference_range_m: NumberOrFalse,
-    /// What the air takes from the light on one kilometre, one way, from 0 to 100; intensities are freed of it both ways,
-    /// beyond `reference_range_m`; `false`: nothing.
+    /// One-way atmospheric attenuation, dB/km: 0 to 100. Intensities are corrected for the two-way
+    /// attenuation beyond `reference_range_m`; `false`: no correction.
     pub attenuation_db_per_km: NumberOrFalse,
 }
 
-/// The recording's own table, none, or those of a file.
+/// Source of a table: the recording, none, or a file.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum TableKey {
-    /// The recording's own, or none.
+    /// The recording's own table, or none.
     Own(bool),
-    /// Those of a file.
+    /// The tables of a file.
     File(PathBuf),
 }
 
-/// How widths depend on amplitude.
+/// Dependence of width on amplitude.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum WidthKey {
-    /// Learnt from the first waveforms.
+    /// Estimated from the first waveforms.
     Auto(Auto),
-    /// As a power of the amplitude.
+    /// A power of the amplitude.
     Power(f64),
-    /// Amplitudes (DN), and the width ratio of a flat target.
+    /// Amplitudes (DN), and width ratios of a flat target.
     Pairs(Vec<[f64; 2]>),
-    /// `false`: they do not.
+    /// `false`: no dependence.
     Without(bool),
 }
 
-/// What the terrain is taken to be.
+/// Terrain model for the angle of incidence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Incidence {
-    /// Level.
+    /// Level terrain.
     Flat,
-    /// Unknown: intensities stay as they are.
+    /// Unknown: intensities are not corrected.
     None,
 }
 
@@ -169,7 +176,7 @@ impl TransformConfig for Correct {
 
 struct Correcting {
     corrections: Corrections,
-    /// Of the sensitive receiver and of the other; `None` while they are being learnt.
+    /// For the low-power and the high-power receiver; `None` until estimated.
     widths: [Option<WidthCorrection>; 2],
     survey: Survey,
 }
@@ -179,7 +186,7 @@ impl Transform for Correcting {
         if let [Some(low), Some(high)] = &self.widths {
             return correct(&mut self.corrections, [low, high], batch, out);
         }
-        let is_enough = self.survey.hold(batch, "widths of flat targets were learnt", out);
+        let is_enough = self.survey.hold(batch, "widths of flat targets were estimated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
@@ -189,7 +196,7 @@ impl Transform for Correcting {
 }
 
 impl Correcting {
-    /// Learns the widths from the lines at hand, and gives them on.
+    /// Estimates the widths from the held lines and emits these.
     fn release(&mut self, out: &mut Output) -> Result<()> {
         let [low, high] = width::CHANNELS.map(|channel| {
             let given = self.widths[usize::from(channel == width::CHANNELS[1])].take();
@@ -203,7 +210,7 @@ impl Correcting {
     }
 }
 
-/// Corrects a line and gives it on.
+/// Corrects a line and emits it.
 fn correct(
     corrections: &mut Corrections,
     widths: [&WidthCorrection; 2],
@@ -212,7 +219,7 @@ fn correct(
 ) -> Result<()> {
     let Content::Returns(mut returns) = std::mem::replace(&mut batch.content, Content::Returns(Vec::new()))
     else {
-        return Err(StageError::failed("correct was given no returns", "put it behind decompose"));
+        return Err(StageError::failed("correct received no returns", "put it after decompose"));
     };
     corrections.apply(&mut batch, &mut returns, widths, out.cx);
     batch.content = Content::Returns(returns);

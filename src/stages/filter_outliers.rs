@@ -1,4 +1,4 @@
-//! Returns that belong to nothing around them.
+//! `filter_outliers`: marks isolated returns.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,39 +13,43 @@ mod tests;
 
 use strip::Strip;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outliers", &[Kind::Returns]);
 
-/// Marks returns that belong to nothing around them, and rejects waveforms that hold nothing else and jump off their line.
+/// Marks isolated returns and rejects waveforms that deviate from their line.
 ///
-/// A return belongs to something where three others can be reached from it in steps of `max_range_m`, or of two and a half
-/// times the distance of the shots or of the lines where that is more: in its own line and in the sixteen before and behind. A wire
-/// is a chain of returns, and ground and roofs are surfaces; false returns have at most a few of their own kind. Those that
-/// belong to nothing are marked as withheld, class 20; they are never removed.
+/// A return is supported if at least three others can be reached from it in steps of at most
+/// `max_range_m`, or of 2.5 times the shot or line spacing if that is larger. The search covers the
+/// return's own line and sixteen lines on each side. Wires form chains of returns, and ground and
+/// roofs form surfaces; false returns have at most a few neighbours of their kind. Unsupported
+/// returns are marked as withheld, class 20; they are never removed.
 ///
-/// A waveform is rejected where all of its returns belong to nothing and lie more than `max_height_m` above both neighbours
-/// in its line, or below them, in an acute angle.
+/// A waveform is rejected if all of its returns are unsupported and lie more than `max_height_m`
+/// above both neighbours in its line, or below both, at an acute angle.
 ///
-/// Where the vertical is not known (in the scanner's own frame, without a trajectory) lines do not tell of each other: only
-/// the line itself counts, heights are taken along the axis that the scanner looks along, and wires across the line are
-/// taken for outliers. The report says so. Method and figures stand in `docs/outliers.md`.
+/// If the vertical is unknown (scanner frame, no trajectory), lines cannot be compared with their
+/// neighbours: only the line itself is searched, heights are taken along the main viewing axis of
+/// the scanner, and wires across the line are marked as outliers. The report says so.
+/// `docs/outliers.md` gives the method and measurements.
 ///
-/// Holds back sixteen lines; fewer, with a note, where `memory_mb` does not hold them.
+/// Holds back sixteen lines, or fewer, with a note, if `memory_mb` cannot hold them.
 ///
-/// Counts `np_air np_low`, rejected returns included, and `nw_deleted`; what is rejected counts as `np_filtered`.
+/// Counts `np_air np_low`, including rejected returns, and `nw_deleted`; rejected returns count as
+/// `np_filtered`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FilterOutliers {
-    /// Reject waveforms that jump off their line.
+    /// Reject waveforms that deviate from their line.
     pub waves: bool,
-    /// Mark returns that belong to nothing.
+    /// Mark isolated returns.
     pub points: bool,
-    /// The angle between the neighbours, seen from a waveform, from which on it is no jump: from 0 to 180.
+    /// Angle between the two neighbours as seen from a waveform, degrees, above which it is not a
+    /// jump: 0 to 180.
     pub min_angle_deg: f64,
-    /// How far above or below both neighbours a waveform must lie to be a jump, above 0. Without power lines it may be the
-    /// height of the highest trees.
+    /// Height above or below both neighbours that makes a waveform a jump, m: above 0. Without
+    /// power lines, the height of the highest trees is suitable.
     pub max_height_m: f64,
-    /// How far one return is from the next at most, from 0.1 to 1000.
+    /// Largest distance from one return to the next, m: 0.1 to 1000.
     pub max_range_m: f64,
 }
 
@@ -61,7 +65,7 @@ impl Config for FilterOutliers {
         unless(
             self.waves || self.points,
             "points",
-            "with `waves = false` it must be `true`, or the stage does nothing",
+            "with `waves = false` it must be `true`; otherwise the stage does nothing",
         )?;
         unless(
             (0.0..=180.0).contains(&self.min_angle_deg),

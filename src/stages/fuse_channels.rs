@@ -1,4 +1,4 @@
-//! How the receiver for strong echoes goes together with the sensitive one, found from the recording itself.
+//! `fuse_channels`: estimates gain ratio and delay between the two receivers.
 
 use std::sync::Arc;
 
@@ -13,33 +13,41 @@ use crate::stage::{
     Config, Holds, InvalidKey, Output, Result, Site, StageSpec, Survey, Transform, TransformConfig,
 };
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<FuseChannels>("fuse_channels", &[Kind::Shots]);
 
-/// Peaks of the two receivers that lie further apart are not one echo, ns.
+/// Largest time difference of peaks of one echo in both receivers, ns.
 const MOST_DELAY_NS: f64 = 10.0;
 
-/// Finds, from the first waveforms, how the two receivers of an instrument go together: how much higher an echo stands in
-/// the sensitive one than in the one for strong echoes, and how much later the other sees it, by amplitude where the
-/// sensitive one is overdriven. Both are told from plain peaks of echoes that neither saturates, robustly, and stand in the
-/// report with their standard deviations, `channel_fusion`.
+/// Estimates the gain ratio and delay between the two receivers of an instrument.
 ///
-/// The times of the other receiver's blocks are moved by the delay, so that both count alike, and `decompose` then uses
-/// both: the sensitive one alone where it is neither saturated nor overdriven, both together where it is and the other
-/// sees the same echo, the other alone where the sensitive one tells nothing.
+/// The gain ratio is the height of an echo in the low-power (sensitive) receiver over its height in
+/// the high-power receiver. The delay is how much later the high-power receiver sees the echo; it
+/// depends on amplitude where the low-power receiver is overdriven. Both are estimated robustly
+/// from peaks of echoes that saturate neither receiver in the first waveforms. The report gives
+/// them with their standard deviations, as `channel_fusion`.
 ///
-/// It stands before `calibrate`. Holds back the first lines until it has enough waveforms, then lets everything through. A
-/// recording of one receiver, or with fewer than 20 echoes that both saw well, passes as it is, and the report says so: the
-/// receivers are then used as without this stage.
+/// The times of the high-power blocks are shifted by the delay, so that both receivers share one
+/// time scale. `decompose` then uses both: the low-power receiver alone where it is neither
+/// saturated nor overdriven, both jointly where it is and the high-power receiver sees the same
+/// echo, and the high-power receiver alone where the low-power receiver gives no information.
+///
+/// Place it before `calibrate`. Holds back the first lines until it has enough waveforms, then lets
+/// everything through. A recording with one receiver, or with fewer than 20 suitable echoes in
+/// both, passes unchanged, and the report says so: the receivers are then used as without this
+/// stage.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FuseChannels {
-    /// Height of an echo in the sensitive receiver over that in the other, above 0; `"auto"`: found.
+    /// Height of an echo in the low-power receiver over that in the high-power receiver, above 0;
+    /// `"auto"`: estimated.
     pub gain_ratio: AutoOrNumber,
-    /// How much later the receiver for strong echoes sees an echo, from -10 to 10; `"auto"`: found, by amplitude where the
-    /// data call for it. Where both are numbers nothing is held back.
+    /// Delay of the high-power receiver relative to the low-power receiver, ns: -10 to 10;
+    /// `"auto"`: estimated, as a function of amplitude if the data require it. If both keys are
+    /// numbers, no lines are held back.
     pub delay_ns: AutoOrNumber,
-    /// How many waveforms to learn from; fewer where the input has fewer, or where `memory_mb` does not hold them.
+    /// Number of waveforms to estimate from. Fewer are used if the input has fewer, or if
+    /// `memory_mb` cannot hold them.
     pub waveforms: u64,
 }
 
@@ -66,7 +74,7 @@ impl Config for FuseChannels {
 }
 
 impl FuseChannels {
-    /// What the keys say, where they say all of it.
+    /// The fusion given by the keys, if they give all of it.
     fn given(&self) -> Option<ChannelFusion> {
         let (gain_ratio, delay_ns) = (self.gain_ratio.number()?, self.delay_ns.number()?);
         Some(ChannelFusion {
@@ -97,11 +105,11 @@ struct Fuser {
     state: State,
 }
 
-/// How far it has come.
+/// State of the estimation.
 enum State {
     Surveying,
     Known(Arc<ChannelFusion>),
-    /// There is nothing to fuse.
+    /// Nothing to fuse.
     Alone,
 }
 
@@ -110,7 +118,7 @@ impl Transform for Fuser {
         if !matches!(self.state, State::Surveying) {
             return out.emit(self.fused(batch));
         }
-        let is_enough = self.survey.hold(batch, "gain and delay of the receivers were found", out);
+        let is_enough = self.survey.hold(batch, "gain and delay of the receivers were estimated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
@@ -120,7 +128,7 @@ impl Transform for Fuser {
 }
 
 impl Fuser {
-    /// Finds gain and delay from the lines at hand, and gives them on.
+    /// Estimates gain and delay from the held lines and emits these.
     fn release(&mut self, out: &mut Output) -> Result<()> {
         self.state = match self.found(out) {
             Some(fusion) => State::Known(Arc::new(fusion)),
@@ -129,7 +137,7 @@ impl Fuser {
         self.survey.release().into_iter().try_for_each(|batch| out.emit(self.fused(batch)))
     }
 
-    /// A line in which both receivers' times count alike.
+    /// Shifts the times of the high-power blocks of a line.
     fn fused(&self, mut batch: Batch) -> Batch {
         if let State::Known(fusion) = &self.state {
             if let Content::Shots(blocks) = &mut batch.content {
@@ -140,7 +148,7 @@ impl Fuser {
         batch
     }
 
-    /// Gain and delay by the lines at hand; `None` where they do not tell them, which is noted.
+    /// Gain and delay from the held lines; `None`, with a note, if they cannot be estimated.
     fn found(&self, out: &mut Output) -> Option<ChannelFusion> {
         let one = |channel| self.survey.samples(channel).next().is_none();
         if one(Channel::LowPower) || one(Channel::HighPower) {
@@ -160,9 +168,9 @@ impl Fuser {
             Some(found) => Some(self.with_given(found)),
             None => {
                 out.cx.note(format!(
-                    "the receivers are not fused: {MIN_PAIRS} echoes that both saw well and unsaturated are needed, and of \
-                     {} echoes that both saw unsaturated fewer were strong enough in the receiver for strong echoes; give \
-                     gain_ratio and delay_ns",
+                    "the receivers are not fused: {MIN_PAIRS} strong unsaturated echoes in both receivers are needed, but fewer of the \
+                     {} unsaturated echoes were strong enough in the high power receiver; set \
+                     `gain_ratio` and `delay_ns`",
                     pairs.len()
                 ));
                 None
@@ -170,7 +178,7 @@ impl Fuser {
         }
     }
 
-    /// What the job gives is taken to be exact.
+    /// Replaces estimates by given values, which are taken as exact.
     fn with_given(&self, mut fusion: ChannelFusion) -> ChannelFusion {
         if let Some(gain_ratio) = self.config.gain_ratio.number() {
             (fusion.gain_ratio, fusion.gain_ratio_sd) = (gain_ratio, 0.0);
@@ -183,7 +191,7 @@ impl Fuser {
     }
 }
 
-/// Adds the strongest echoes of blocks that both receivers recorded at one time.
+/// Adds the strongest echoes of blocks that both receivers recorded simultaneously.
 fn add_pairs(blocks: &Blocks, of_shot: &[Block], full_scale_dn: f64, pairs: &mut Vec<Pair>) {
     let end_ns = |block: &Block| block.time_ns(block.len() as f64);
     for low in of_shot.iter().filter(|block| block.channel == Channel::LowPower) {
@@ -240,7 +248,7 @@ mod tests {
         Batch::of_shots(Arc::new(input), line, vec![Emission::default(); shots as usize], blocks)
     }
 
-    /// What comes out of the stage, and what it says.
+    /// The lines that the stage emits, and its notes.
     fn run(config: &FuseChannels, lines: Vec<Batch>) -> (Vec<Batch>, Vec<String>) {
         let mut stage = Fuser {
             config: config.clone(),
@@ -314,10 +322,9 @@ mod tests {
         let (lines, notes) = run(&FuseChannels::default(), vec![line(0, 19, true)]);
         assert_eq!(
             notes,
-            [
-                "the receivers are not fused: 20 echoes that both saw well and unsaturated are needed, and of 19 echoes that \
-              both saw unsaturated fewer were strong enough in the receiver for strong echoes; give gain_ratio and delay_ns"
-            ]
+            ["the receivers are not fused: 20 strong unsaturated echoes in both receivers are needed, but \
+                 fewer of the 19 unsaturated echoes were strong enough in the high power receiver; set \
+                 `gain_ratio` and `delay_ns`"]
         );
         assert!(lines[0].fusion.is_none());
         assert_eq!(start_ns(&lines[0], Channel::HighPower), 101.25);

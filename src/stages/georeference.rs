@@ -1,4 +1,4 @@
-//! Returns to points.
+//! `georeference`: converts returns to points with coordinates.
 
 use std::sync::Arc;
 
@@ -19,33 +19,36 @@ mod uncertainty;
 use above_ground::Level;
 use uncertainty::Uncertainty;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec =
     StageSpec::map::<Georeference>("georeference", &[Kind::Returns], Some(Kind::Points));
 
-/// Gives every return its coordinates.
+/// Computes the coordinates of every return.
 ///
-/// **With a trajectory** (`[job.geometry]`) beams are known in the earth's own frame by now. A point is the origin of its
-/// beam + direction × range, in the coordinates that `crs`, `geoid` and `unit` of `[job.geometry]` say: UTM in the zone of
-/// the first shot and metres above the ellipsoid where they say nothing. Ranges are corrected by `e0`, `e1` and `e7` of the
-/// calibration before. `docs/georeferencing.md` has the formulas. Where the trajectory tells its accuracy
-/// (`trajectory_accuracy`), each point has its total standard deviation.
+/// **With a trajectory** (`[job.geometry]`), beams are already in the earth-centred frame. A point
+/// is beam origin + direction × range, converted to the coordinates set by `crs`, `geoid` and
+/// `unit` of `[job.geometry]`. Defaults are UTM in the zone of the first shot and ellipsoidal
+/// heights in metres. Ranges are first corrected by `e0`, `e1` and `e7` of the calibration.
+/// `docs/georeferencing.md` gives the formulas. If the trajectory has accuracies
+/// (`trajectory_accuracy`), each point gets its total standard deviation.
 ///
-/// **In a map already** (LAS, PulseWaves, `simulate` without a trajectory): points come out in that map, and ranges are
-/// stretched along each beam as the input's own geometry is.
+/// **Already in a projected CRS** (LAS, PulseWaves, `simulate` without a trajectory): points stay
+/// in that CRS, and ranges are scaled along each beam like the geometry of the input.
 ///
-/// **Otherwise** points stay in the frame of the aircraft or the scanner, and the report says so.
+/// **Otherwise**, points stay in the frame of the aircraft or the scanner, and the report says so.
 ///
-/// The coordinate reference system goes into the outputs. `AGL` of the line statistics is the height of the sensor above the
-/// line's own ground: the median, over the last returns of its shots that are not withheld, of the height of the beam's
-/// origin over that of the point, both above the ellipsoid or in the map.
+/// The coordinate reference system is written to the outputs. `AGL` of the line statistics is the
+/// height of the sensor above the ground of the line: the median difference between the heights of
+/// beam origin and point, over the last returns of the shots that are not withheld. Both heights
+/// are ellipsoidal, or those of the projected CRS.
 ///
 /// Counts `n_georef`.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Georeference {
-    /// Without a trajectory: moves points along the first axis (forward, with the `mount` that the scanner has) by this speed
-    /// times the time since the first shot, so that lines lie side by side and one can look at them.
+    /// Without a trajectory: velocity, m/s, that spreads scan lines for viewing. Points are moved
+    /// along the first axis (forward, with the `mount` of the scanner) by this velocity times the
+    /// time since the first shot.
     #[schemars(range(min = -1000.0, max = 1000.0))]
     pub dummy_velocity_mps: f64,
 }
@@ -53,7 +56,7 @@ pub struct Georeference {
 impl Config for Georeference {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         let fits = self.dummy_velocity_mps.abs() <= 1000.0;
-        InvalidKey::unless(fits, "dummy_velocity_mps", "must lie between -1000 and 1000")
+        InvalidKey::unless(fits, "dummy_velocity_mps", "it must lie between -1000 and 1000")
     }
 }
 
@@ -70,14 +73,14 @@ impl MapConfig for Georeference {
 struct Georeferencer {
     geometry: Arc<Geometry>,
     dummy_velocity_mps: f64,
-    /// What the lines that come in say of their recording, and what those say that leave.
+    /// Metadata of the incoming lines, and of the outgoing lines.
     input: Option<[Arc<InputInfo>; 2]>,
 }
 
 impl Map for Georeferencer {
     fn map(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
         let Content::Returns(mut returns) = batch.content else {
-            return Err(StageError::failed("georeference was given no returns", "put decompose before it"));
+            return Err(StageError::failed("georeference received no returns", "put decompose before it"));
         };
         let frame = batch.input.frame;
         if frame != Frame::Map {
@@ -98,9 +101,9 @@ impl Map for Georeferencer {
                 self.geometry.keep_frame()?;
                 cx.note(match frame {
                     Frame::Body => {
-                        "the input is not georeferenced: its points are in the frame of the aircraft"
+                        "the input is not georeferenced: its points are in the body frame of the aircraft"
                     }
-                    _ => "the input is not georeferenced: its points are in the frame of the scanner",
+                    _ => "the input is not georeferenced: its points are in the scanner frame",
                 });
                 complete_in_own_axes(frame, &mut batch.emissions);
                 self.spread(&batch.emissions, &returns, &mut points);
@@ -113,13 +116,13 @@ impl Map for Georeferencer {
 }
 
 impl Georeferencer {
-    /// Ranges as the calibration has them.
+    /// Applies the range calibration.
     fn correct_ranges(&self, input: &InputInfo, returns: &mut [Return], fused: bool, cx: &mut Context) {
         let mut calibration = *self.geometry.installation().calibration();
         if !input.origin_is_sensor && calibration.e1 != 0.0 {
             cx.note(
-                "ranges are not corrected by `e1`: the recording does not give the position of the sensor, and ranges count \
-                 from a point near the waveform; leave `e1` out of the calibration",
+                "ranges are not corrected by `e1`: the recording does not contain the sensor position, and ranges count \
+                 from a point near the waveform; remove `e1` from the calibration",
             );
             calibration.e1 = 0.0;
         }
@@ -128,7 +131,7 @@ impl Georeferencer {
         }
     }
 
-    /// Points of the earth's frame in the coordinates that are wanted.
+    /// Converts points from the earth-centred frame to the output CRS.
     fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector]) -> Result<()> {
         // Without a first shot there are no points.
         let Some(target) = self.geometry.target()? else { return Ok(()) };
@@ -137,7 +140,7 @@ impl Georeferencer {
         Ok(())
     }
 
-    /// What is known of the recording, with the coordinates of its points.
+    /// Metadata of the recording with the CRS of its points.
     fn info(&mut self, input: &Arc<InputInfo>, target: &Target) -> Arc<InputInfo> {
         if let Some([from, to]) = &self.input
             && Arc::ptr_eq(from, input)
@@ -151,7 +154,7 @@ impl Georeferencer {
         to
     }
 
-    /// Points of one place in the aircraft, as if it had flown straight on.
+    /// Spreads points along a straight flight at the dummy velocity.
     fn spread(&self, emissions: &[Emission], returns: &[Return], points: &mut [Vector]) {
         if self.dummy_velocity_mps == 0.0 {
             return;
@@ -163,7 +166,7 @@ impl Georeferencer {
     }
 }
 
-/// Where a return lies, m, in the frame of its emission.
+/// Position of a return in the frame of its emission, m.
 fn position(emission: &Emission, r: &Return) -> Vector {
     let reach_m = r.range_m * emission.frame_scale;
     std::array::from_fn(|axis| emission.origin_m[axis] + emission.direction[axis] * reach_m)

@@ -1,4 +1,4 @@
-//! Where one scan line ends and the next begins, for readers of files that do not say it.
+//! Splits shots into scan lines for formats that do not mark line ends.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -7,19 +7,19 @@ use crate::batch::{Batch, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emiss
 use crate::geo::cone::{Cone, Turning};
 use crate::stage::InvalidKey;
 
-/// What all readers ask of their key `odd_sample_shift`.
+/// Checks the reader key `odd_sample_shift`.
 pub(super) fn check_odd_sample_shift(shift: f64) -> Result<(), InvalidKey> {
     InvalidKey::unless(shift.abs() < 0.5, "odd_sample_shift", "it must lie between -0.5 and 0.5")
 }
 
-/// The least full scale: four bits.
+/// Smallest full scale: 4 bits.
 const LEAST_FULL_SCALE_DN: u16 = 15;
 
-/// What a job says of how a file's samples were taken.
+/// Sampling properties that a job declares.
 #[derive(Clone, Copy)]
 pub(super) struct Sampling {
     pub(super) odd_sample_shift: f64,
-    /// Where the file does not tell it, or tells it wrongly.
+    /// Set if the file has none or a wrong one.
     pub(super) full_scale_dn: Option<u16>,
 }
 
@@ -30,7 +30,7 @@ impl Sampling {
         InvalidKey::unless(is_scale, "full_scale_dn", "it must be at least 15, four bits")
     }
 
-    /// What a file tells of itself, with what the job says.
+    /// Applies the declared properties to those of a file.
     pub(super) fn with(self, info: InputInfo) -> InputInfo {
         let full_scale_dn = self.full_scale_dn.or(info.full_scale_dn);
         InputInfo { odd_sample_shift: self.odd_sample_shift, full_scale_dn, ..info }
@@ -39,11 +39,12 @@ impl Sampling {
 
 /// Collects shots into scan lines.
 ///
-/// A line ends after a shot with the edge-of-flight-line flag, and before one whose scan direction flag or facet differs
-/// or whose beam jumps against the sweep; else after [`MAX_SHOTS_PER_LINE`] shots or
-/// [`MOST_BYTES`]. Beams that turn on a cone have none of these: where the file ends no line itself, a line is one revolution,
-/// counted from the file's first beam. It also ends where time runs backwards, as between flights that were put into one file: a line's shots
-/// are in order of time.
+/// A line ends after a shot with the edge-of-flight-line flag, and before a shot whose scan
+/// direction flag or facet differs or whose beam jumps against the sweep; otherwise after
+/// [`MAX_SHOTS_PER_LINE`] shots or [`MOST_BYTES`]. Conical scanners have none of these marks:
+/// unless the file itself ends lines, a line is one revolution, counted from the file's first beam.
+/// A line also ends where time runs backwards, as between flights merged into one file: the shots
+/// of a line are in time order.
 pub(super) struct Lines {
     input: Arc<InputInfo>,
     next_line: u32,
@@ -51,19 +52,19 @@ pub(super) struct Lines {
     blocks: Blocks,
     sweep: Sweep,
     turning: Turning,
-    /// How far the beam has turned in the present revolution, rad.
+    /// Angle turned by the beam in the current revolution, rad.
     turned_rad: f64,
-    /// The last shot that was added.
+    /// The last shot added.
     last: Option<Emission>,
-    /// The file itself has ended a line.
+    /// Whether the file itself has ended a line.
     has_ends: bool,
     /// Whether the last shot of a line gets the edge-of-flight-line flag.
     marks_edges: bool,
-    /// Whether the current line is complete, and not only full.
+    /// Whether the current line is complete rather than only full.
     is_complete: bool,
 }
 
-/// The usual movement of the beam from shot to shot.
+/// Mean beam movement from shot to shot.
 #[derive(Default)]
 struct Sweep {
     /// Running mean of the difference of consecutive directions.
@@ -71,11 +72,11 @@ struct Sweep {
     shots: usize,
 }
 
-/// What a line may take, 16 kB a shot: only where a damaged file makes waveforms of whatever it holds is it more.
+/// Size limit of a line, 16 kB per shot; only damaged files with invalid waveform sizes exceed it.
 const MOST_BYTES: usize = 64 << 20;
-/// A beam that moves back by more than this many usual steps has begun a new sweep.
+/// A backward movement of more than this many mean steps begins a new sweep.
 const JUMP_STEPS: f64 = 8.0;
-/// So many shots must have shown the usual step before a jump can be told.
+/// Number of shots needed to know the mean step before jumps are detected.
 const STEADY_SHOTS: usize = 8;
 
 impl Lines {
@@ -95,18 +96,19 @@ impl Lines {
         }
     }
 
-    /// The same, for formats whose edge-of-flight-line flag is missing or often not set: the last shot of a complete line gets
-    /// it.
+    /// Sets the edge-of-flight-line flag on the last shot of complete lines.
+    ///
+    /// For formats that lack the flag or often leave it unset.
     pub(super) fn marking_edges(self) -> Lines {
         Lines { marks_edges: true, ..self }
     }
 
-    /// What is known of the recording.
+    /// Properties of the recording.
     pub(super) fn input(&self) -> &InputInfo {
         &self.input
     }
 
-    /// Whether a shot would begin a new line: then [`Lines::take`] the one at hand first.
+    /// Whether a shot begins a new line; if so, [`Lines::take`] the current one first.
     pub(super) fn ends_before(&mut self, next: &Emission) -> bool {
         self.is_complete = false;
         let Some(last) = self.emissions.last() else { return false };
@@ -117,7 +119,7 @@ impl Lines {
         self.is_complete || self.emissions.len() >= MAX_SHOTS_PER_LINE || self.blocks.bytes() >= MOST_BYTES
     }
 
-    /// Whether the beam passes, with a shot, the azimuth of the file's first.
+    /// Whether the beam passes the azimuth of the file's first beam with this shot.
     fn ends_revolution(&self, last: &Emission, next: &Emission) -> bool {
         self.turned_rad >= PI
             && self
@@ -126,14 +128,14 @@ impl Lines {
                 .is_some_and(|cone| cone.azimuth_rad(last.direction) - cone.azimuth_rad(next.direction) > PI)
     }
 
-    /// Ends the current line where a record of the file says so, not its shots.
+    /// Ends the current line at an end-of-line record of the file.
     pub(super) fn end(&mut self) -> Option<Batch> {
         self.has_ends = true;
         self.is_complete = true;
         self.take()
     }
 
-    /// Adds a shot; its blocks go to [`Lines::blocks`] with the index returned.
+    /// Adds a shot; its blocks go to [`Lines::blocks`] with the returned index.
     pub(super) fn add(&mut self, emission: Emission) -> u32 {
         if let Some(last) = self.emissions.last() {
             self.sweep.learn(last.direction, emission.direction);
@@ -151,12 +153,12 @@ impl Lines {
         (self.emissions.len() - 1) as u32
     }
 
-    /// Where the blocks of the line at hand go.
+    /// The blocks of the current line.
     pub(super) fn blocks(&mut self) -> &mut Blocks {
         &mut self.blocks
     }
 
-    /// The line at hand, if it has any shots.
+    /// Takes the current line, if it has any shots.
     pub(super) fn take(&mut self) -> Option<Batch> {
         if self.emissions.is_empty() {
             return None;
@@ -173,7 +175,7 @@ impl Lines {
     }
 }
 
-/// Whether the flags or facets of consecutive shots say that a line ends between them.
+/// Whether flags or facets of consecutive shots mark a line end.
 fn is_end(last: &Emission, next: &Emission) -> bool {
     let flag = |emission: &Emission| emission.flags & emission_flags::SCAN_DIRECTION_POSITIVE;
     last.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0
@@ -212,7 +214,7 @@ mod tests {
         Emission { direction: [sin, 0.0, -cos], ..Emission::default() }
     }
 
-    /// The lengths of the lines that the shots make.
+    /// Lengths of the lines made from these shots.
     fn lengths(shots: impl IntoIterator<Item = Emission>) -> Vec<usize> {
         let mut lines = Lines::new(Arc::new(InputInfo::default()));
         let mut lengths = Vec::new();
@@ -250,7 +252,7 @@ mod tests {
         assert_eq!(lengths([with(0, 0), with(0, 1), with(0, 1)]), [1, 2]);
     }
 
-    /// Shots of a beam on a cone of 20 degrees, so many a revolution, by a scanner that is tilted by 3 degrees.
+    /// Shots on a cone of 20 degrees, `per_revolution` of them, from a scanner tilted by 3 degrees.
     fn on_cone(shots: std::ops::Range<u32>, per_revolution: f64) -> impl Iterator<Item = Emission> {
         let (sin_tilt, cos_tilt) = 3f64.to_radians().sin_cos();
         let (away, down) = 20f64.to_radians().sin_cos();
@@ -265,9 +267,9 @@ mod tests {
     #[test]
     fn a_beam_on_a_cone_makes_a_line_of_each_revolution() {
         assert_eq!(lengths(on_cone(0..2600, 500.3)), [501, 500, 500, 501, 500, 98]);
-        // From any place on, and with pieces where a revolution is too long for a line.
+        // From any start azimuth, and in parts if a revolution exceeds the line limit.
         assert_eq!(lengths(on_cone(77..15_000, 6874.6)), [4096, 2779, 4096, 2779, 1173]);
-        // The gap passes the end of the revolution.
+        // The gap spans the end of the revolution.
         let with_gap = on_cone(0..2000, 500.3).filter(|shot| !(450..520).contains(&shot.clock_ps));
         assert_eq!(lengths(with_gap), [450, 481, 500, 499]);
     }
@@ -279,7 +281,7 @@ mod tests {
             shot
         };
         assert_eq!(lengths(on_cone(100..1100, 500.0).map(to_the_right)), [150, 250, 250, 250, 100]);
-        // Ended by records that are no shots: two thirds of a revolution each.
+        // Lines ended by records that are not shots: two thirds of a revolution each.
         let mut lines = Lines::new(Arc::new(InputInfo::default()));
         let mut lengths = Vec::new();
         for shot in on_cone(0..2000, 500.0) {
@@ -314,7 +316,7 @@ mod tests {
             edges
         };
         let lines = || Lines::new(Arc::new(InputInfo::default()));
-        // Neither where a line was only full, nor at the end of the file.
+        // Neither a full line nor the end of the file marks an edge.
         assert_eq!(edges(lines().marking_edges()), [1, 4]);
         assert_eq!(edges(lines()), Vec::<usize>::new());
     }

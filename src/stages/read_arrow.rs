@@ -1,4 +1,4 @@
-//! `read_arrow`: recorded waveforms from the open container.
+//! `read_arrow`: reads recorded waveforms from the open container.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,48 +18,52 @@ use crate::formats::container::{
 };
 use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Shots);
 
 with_time_keys! {
 /// Reads recorded waveforms from the open waveform container (Arrow IPC).
 ///
-/// One record batch per scan line, one row per shot, as pyarrow, Polars, DuckDB and R write it. The columns and metadata keys stand in `schemas/container.json`.
+/// The container has one record batch per scan line and one row per shot, as written by pyarrow,
+/// Polars, DuckDB and R. `schemas/container.json` describes the columns and metadata keys.
 ///
-/// The file format and the stream format are told apart by their content; both may be compressed with LZ4 or ZSTD.
-/// Columns and metadata keys that the container does not know are passed over. A missing column, one of another type,
-/// a null where none may be, or a list that points outside its items ends the run with an error that names the column
-/// and the row.
+/// The file format and the stream format are detected from the content; both may be compressed with
+/// LZ4 or ZSTD. Unknown columns and metadata keys are ignored. A missing column, a column of
+/// another type, an invalid null, or a list that points outside its items ends the run with an
+/// error that names the column and the row.
 ///
-/// A scan line ends with its record batch, where the column `line` changes, and after 4096 shots: the parts of a
-/// longer line keep its number. Record batches may have at most 1 GiB.
+/// A scan line ends with its record batch, where the column `line` changes, and after 4096 shots;
+/// the parts of a longer line keep its number. Record batches are limited to 1 GiB.
 ///
-/// Without the key `wavex.emission_reference`, the moment of emission is taken from the outgoing pulse where the first
-/// record batch has a block of channel 3, else from the shot's clock.
+/// Without the key `wavex.emission_reference`, the time of emission is taken from the outgoing
+/// pulse if the first record batch has a block of channel 3, otherwise from the shot's clock.
 ///
-/// Rejected, and counted with their blocks, are shots with: an origin or a direction that is not finite, a direction
-/// that is not a unit vector (to 1e-6: 1 mm at 1 km), a time that is infinite, a clock that is earlier than that of
-/// the shot before it in its line, a frame scale that is not above 0, a block of an unknown channel, a block without a
-/// time, with an interval that is not above 0 or with a gain that is not between 1/1024 and 1024, an online return without a time. The line goes on without them.
+/// Rejected, and counted with their blocks, are shots with: an origin or direction that is not
+/// finite, a direction that is not a unit vector (to 1e-6: 1 mm at 1 km), an infinite time, a clock
+/// earlier than that of the previous shot in its line, a frame scale that is not above 0, a block
+/// of an unknown channel, a block without a time, with an interval that is not above 0 or with a
+/// gain that is not between 1/1024 and 1024, or an online return without a time. The line continues
+/// without them.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// The containers: a file, a pattern, or several of them; `-` is standard input. The job runs once for each.
+    /// The container: a file, a pattern, or a list of them; `-` is standard input. The job runs
+    /// once for each.
     pub path: Paths,
-    /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
-    /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
+    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
+    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
-    /// The largest value that the digitiser can give, DN, at least 15; by default what the file says. Samples at it
-    /// are cut off, and from 82 % of it on a receiver counts as overdriven.
+    /// Largest value of the digitiser, DN, at least 15. The default is taken from the file. Samples
+    /// at this value count as clipped, and a receiver counts as overdriven from 82 % of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_scale_dn: Option<u16>,
-    /// By how many millionths the air's refractive index for the pulse exceeds 1; the recording's own speed of the pulse
-    /// when not given.
+    /// Refractivity of the air for the pulse (group index minus 1), ppm. Defaults to the pulse
+    /// speed of the recording.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refractive_index_ppm: Option<f64>,
-    /// The map that the recording's coordinates are in, where the file names none or a wrong one: `utm:33N`, `EPSG:2154`,
-    /// or a file with WKT. It overrides what the file says.
+    /// Projected coordinate reference system of the recording, if the file names none or a wrong
+    /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crs_of_input: Option<String>,
 }
@@ -104,20 +108,20 @@ impl SourceConfig for Config {
     }
 }
 
-/// A container that is being read.
+/// A container being read.
 struct ReadArrow {
     reader: ContainerReader,
-    /// Else blocks say how many samples they have, and hold none. They are decoded all the same: a record batch is passed
-    /// over by whole columns, and samples are a part of the column `blocks`.
+    /// If false, blocks have a sample count but no samples. Samples are decoded anyway: only whole
+    /// columns can be skipped, and samples are part of the column `blocks`.
     with_samples: bool,
     info: Arc<InputInfo>,
-    /// The record batch at hand, and its first row that was not given on.
+    /// The current record batch, and its first row not yet emitted.
     at: Option<(ContainerLine, usize)>,
 }
 
-/// Gains of receivers over their reference gain.
+/// Valid gains, relative to the reference gain.
 const GAINS: std::ops::RangeInclusive<f64> = 1.0 / 1024.0..=1024.0;
-/// By how much the length of a direction may differ from 1.
+/// Largest deviation of the length of a direction from 1.
 const UNIT_TOLERANCE: f64 = 1e-6;
 
 impl ReadArrow {
@@ -141,7 +145,7 @@ impl ReadArrow {
         Ok(ReadArrow { reader, with_samples: true, info, at: first.map(|line| (line, 0)) })
     }
 
-    /// The next rows that are a line, from the record batch at hand.
+    /// Takes the next rows that form a line from the current record batch.
     fn part(&mut self, cx: &mut Context) -> Option<Batch> {
         let (line, from) = self.at.take()?;
         if from >= line.rows() {
@@ -171,7 +175,7 @@ impl ReadArrow {
         Some(Batch::of_shots(Arc::clone(&self.info), number, emissions, blocks))
     }
 
-    /// The blocks and online returns of the rows `kept`.
+    /// Blocks and online returns of the rows `kept`.
     fn blocks(&self, line: &ContainerLine, kept: &[usize]) -> Blocks {
         let sizes = kept.iter().map(|&row| line.blocks_and_samples(row..row + 1));
         let (n, samples) = sizes.fold((0, 0), |sum, row| (sum.0 + row.0, sum.1 + row.1));
@@ -204,7 +208,7 @@ impl Source for ReadArrow {
         loop {
             match self.part(cx) {
                 Some(batch) if !batch.emissions.is_empty() => return Ok(Some(batch)),
-                // A line whose every shot was rejected.
+                // All shots of this line were rejected.
                 Some(_) => continue,
                 None => {}
             }
@@ -244,7 +248,7 @@ fn emission_of(shot: &ContainerShot) -> Emission {
     }
 }
 
-/// Why a row cannot be used behind the last emission of its line, if so.
+/// The reason to reject a row, if any; `last` is the previous emission of its line.
 fn wrong_row(
     line: &ContainerLine,
     row: usize,
@@ -258,7 +262,7 @@ fn wrong_row(
         .or_else(|| line.online(row).find_map(wrong_online))
 }
 
-/// Why a shot cannot be used, if so.
+/// The reason to reject a shot, if any.
 fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
     let length = shot.direction.iter().map(|x| x * x).sum::<f64>().sqrt();
     let not_positive = |value: f64| !(value.is_finite() && value > 0.0);
@@ -267,7 +271,7 @@ fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
     } else if !length.is_finite() {
         Some("the direction is not finite")
     } else if (length - 1.0).abs() > UNIT_TOLERANCE {
-        Some("the direction is no unit vector")
+        Some("the direction is not a unit vector")
     } else if shot.gps_time_s.is_some_and(f64::is_infinite) {
         Some("the time is infinite")
     } else if shot.frame_scale.is_some_and(not_positive) {
@@ -277,7 +281,7 @@ fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
     }
 }
 
-/// Why a block cannot be used, if so.
+/// The reason to reject a block, if any.
 fn wrong_block(block: ContainerBlock) -> Option<&'static str> {
     if channel_of(block.channel).is_none() {
         Some("a block of an unknown channel")

@@ -1,4 +1,4 @@
-//! LAS full waveform as lines of shots.
+//! `read_las`: reads full-waveform LAS as scan lines of shots.
 
 mod pulse;
 
@@ -22,55 +22,61 @@ use crate::geo::beam_length::BeamLength;
 use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 use pulse::same_pulse;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
 
 with_time_keys! {
 /// Reads full-waveform LAS and LAZ.
 ///
-/// Versions 1.3 and 1.4, point formats 4, 5, 9 and 10, waveform packets inside the file or in a `.wdp` file beside it.
+/// Supports versions 1.3 and 1.4 with point formats 4, 5, 9 and 10, and waveform packets inside the
+/// file or in the `.wdp` file next to it.
 ///
-/// Points of one pulse share its waveforms: consecutive points of the same time and direction become one shot again, in
-/// the order of the file. Points of several scanner channels do where their returns are numbered together, as those of two
-/// receivers of one pulse are in files of `write_las`; lasers that fire together have numbers or directions of their own.
+/// Consecutive points with the same time and direction form one shot and share its waveforms; shots
+/// keep the order of the file. Points of several scanner channels form one shot only if their
+/// returns are numbered together, as `write_las` does for two receivers of one pulse. Lasers that
+/// fire simultaneously have separate numbering or different directions.
 ///
-/// The file's own points are not used, but for one thing: the format carries no outgoing pulse, and the part of a sample by
-/// which a shot left its raster survives only in the locations that the points have in their waveforms. Where they are
-/// there, times of flight are tied to them (see `decompose`); where a file gives none, the report says so.
+/// The points of the file are used for one purpose only. The format has no outgoing pulse; only the
+/// return locations of the points within their waveforms preserve the sub-sample offset of the
+/// emission. Where a file has these locations, times of flight are tied to them (see `decompose`);
+/// where it has none, the report says so.
 ///
-/// The format does not give the position of the scanner: ranges count from the first sample of a shot's first waveform.
-/// Coordinates are right all the same, and `correct` does not correct intensities for range and attenuation. For the same
-/// reason the refractive index of air is that of the file: another one would scale ranges from the sensor. All waveforms count as low power, those of a second receiver, too.
+/// The format does not store the scanner position, so ranges count from the first sample of the
+/// shot's first waveform. Coordinates are not affected, but `correct` cannot correct intensities
+/// for range and attenuation. The refractive index of air is that of the file: changing it would
+/// require ranges from the sensor. All waveforms are assigned to the low-power receiver, including
+/// those of a second receiver.
 ///
-/// Rejects points without waveform (only waveforms have beams, so `online_points` does not bring them back, and the report
-/// gives their number), points whose waveform cannot be read, and waveforms that come again after other
-/// pulses (in files that are not ordered by time), and goes on with the next.
+/// Rejects points without a waveform, points whose waveform cannot be read, and waveforms that
+/// occur again after other pulses (in files not sorted by time), and continues with the next.
+/// `online_points` does not restore points without a waveform, because beams are known only from
+/// waveforms; the report gives their number.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReadLas {
-    /// The `.las` or `.laz` file, several, or a pattern.
+    /// The `.las` or `.laz` file, a list of files, or a pattern.
     pub path: Paths,
-    /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
-    /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
+    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
+    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
-    /// The largest value that the digitiser can give, DN, at least 15; by default what the file says: nothing, where
-    /// samples have sixteen bits, which may be room for fewer. Samples at it
-    /// are cut off, and from 82 % of it on a receiver counts as overdriven.
+    /// Largest value of the digitiser, DN, at least 15. The default is taken from the file; 16-bit
+    /// samples give none, because they may hold fewer bits. Samples at this value count as clipped,
+    /// and a receiver counts as overdriven from 82 % of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_scale_dn: Option<u16>,
-    /// What is added to the times of the waveforms after their pulses, ns: at most 1000 either way. Points move along their
-    /// beams, away from the sensor where it is positive.
+    /// Added to the time of each waveform relative to its pulse, ns: -1000 to 1000. Positive values
+    /// move points along the beam, away from the sensor.
     #[serde(default)]
     pub range_time_offset_ns: f64,
-    /// The map that the recording's coordinates are in, where the file names none or a wrong one: `utm:33N`, `EPSG:2154`,
-    /// or a file with WKT. It overrides what the file says.
+    /// Projected coordinate reference system of the recording, if the file names none or a wrong
+    /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crs_of_input: Option<String>,
 }
 }
 
-/// The largest correction of a time of flight, ns: more is no calibration.
+/// Largest correction of times of flight, ns; larger values are input errors.
 const MOST_OFFSET_NS: f64 = 1000.0;
 
 impl Config for ReadLas {
@@ -116,18 +122,18 @@ impl SourceConfig for ReadLas {
 
 struct LasSource {
     reader: Reader,
-    /// Else the waveform packets stay unread.
+    /// If false, waveform packets are not read.
     with_samples: bool,
-    /// What is added to times of flight, ns.
+    /// Added to times of flight, ns.
     range_time_offset_ns: f64,
-    /// What is added to the points' times, s: they count seconds of the GPS week or adjusted GPS time then.
+    /// Added to point times, s, to give seconds of the GPS week or adjusted GPS time.
     time_shift_s: f64,
     points_read: u64,
     points: u64,
-    /// The point that was read last, the first of the next pulse.
+    /// The point read last: the first of the next pulse.
     ahead: Option<Point>,
     pulse: Vec<Point>,
-    /// A finished shot that begins the next line.
+    /// A complete shot that begins the next line.
     waiting: Option<Shot>,
     next_shot: u64,
     geometry: Geometry,
@@ -138,19 +144,19 @@ struct LasSource {
     without_waveform: u64,
 }
 
-/// A pulse put together again.
+/// A shot assembled from its points.
 struct Shot {
     emission: Emission,
     waveforms: Waveforms,
 }
 
-/// The waveforms of a pulse.
+/// The waveforms of a shot.
 #[derive(Default)]
 struct Waveforms {
     packets: Vec<Packet>,
-    /// Where the locations of the pulse's points lie.
+    /// Return locations of the pulse's points.
     online: Vec<OnlineReturn>,
-    /// Where the first sample of the first waveform lies; `None` where no waveform can be used.
+    /// Position of the first sample of the first waveform; `None` without a usable waveform.
     origin_m: Option<[f64; 3]>,
 }
 
@@ -159,27 +165,28 @@ struct Packet {
     start_ns: f64,
     interval_ns: f64,
     n_samples: u32,
-    /// None where they are not read.
+    /// Empty if samples are not read.
     samples: Vec<u16>,
 }
 
 /// Record of the GeoTIFF keys (LAS 1.4 R15, "GeoKeyDirectoryTag").
 const GEO_KEYS: u16 = 34735;
 
-/// What the beams of a file have in common.
+/// Beam properties common to a file.
 struct Geometry {
     beams: BeamLength,
     group_velocity_mps: f64,
-    /// Some files' direction vectors point down the beam, others' up to the sensor.
+    /// True if direction vectors point up to the sensor; files differ in this.
     towards_sensor: bool,
     has_locations: bool,
-    /// How the first waveform that can be read is stored.
+    /// Descriptor of the first readable waveform.
     sampling: Option<Descriptor>,
 }
 
-/// So many points show the geometry of a file.
+/// Number of points used to determine the geometry of a file.
 const POINTS_LOOKED_AT: usize = 10_000;
-/// The format counts so many returns of a pulse: more points of one time and direction are several pulses.
+/// Largest return number of the format; more points with one time and direction belong to several
+/// pulses.
 const MOST_RETURNS: usize = 15;
 
 impl LasSource {
@@ -235,7 +242,7 @@ impl LasSource {
         }
     }
 
-    /// Puts the pulse at hand together; `None` where none of its waveforms can be used.
+    /// Assembles the current pulse; `None` without a usable waveform.
     fn shot(&mut self, cx: &mut Context) -> Result<Option<Shot>> {
         let Some(first) = self.pulse.first() else { return Ok(None) };
         let (time_s, scan_angle_deg, direction_positive) =
@@ -265,7 +272,7 @@ impl LasSource {
         Ok(Some(Shot { emission, waveforms }))
     }
 
-    /// The waveforms of the pulse at hand.
+    /// Reads the waveforms of the current pulse.
     fn waveforms(&mut self, direction: [f64; 3], metres_per_ns: f64, cx: &mut Context) -> Result<Waveforms> {
         let mut found = Waveforms::default();
         for i in 0..self.pulse.len() {
@@ -333,7 +340,8 @@ impl Source for LasSource {
                 self.add(shot);
             }
             if !self.next_pulse(cx)? {
-                // A file that is cut off ends with an error, behind all that it holds.
+                // A truncated file ends with an error, after everything it contains has been
+                // emitted.
                 if let Some(line) = self.lines.take() {
                     return Ok(Some(line));
                 }
@@ -358,7 +366,7 @@ impl Source for LasSource {
 }
 
 impl Geometry {
-    /// Looks at the first points of a file.
+    /// Determines beam geometry from the first points of a file.
     fn learn(reader: &mut Reader) -> Result<Geometry> {
         let mut vectors: Vec<[f64; 3]> = Vec::new();
         let (mut has_locations, mut sampling) = (false, None);
@@ -388,12 +396,13 @@ impl Geometry {
     }
 }
 
-/// Writers take a beam's vector over about this time: what its rounding is worth.
+/// Typical time over which writers compute a beam vector, ns; sets the effect of its rounding.
 const LEARN_BASELINE_NS: f64 = 1000.0;
 
-/// Where the first sample of a waveform lies, m: the mean of what its points say.
+/// Position of the first sample of a waveform, m: mean over its points.
 ///
-/// Sample `i` lies at `P + (location − i × spacing) × vector` (LAS 1.4 R15, "Parametric dx, dy, dz").
+/// Sample `i` lies at `P + (location − i × spacing) × vector` (LAS 1.4 R15, "Parametric dx, dy,
+/// dz").
 fn first_sample(pulse: &[Point], packet_offset: u64, geometry: &Geometry) -> [f64; 3] {
     let sharing = || pulse.iter().filter(|point| point.wave.offset == packet_offset);
     let n = sharing().count().max(1) as f64;
@@ -414,22 +423,23 @@ fn is_usable(point: &Point) -> bool {
     wave.location_ps.is_finite() && square.is_finite() && square > 0.0
 }
 
-/// What the user should know of points that are left out.
+/// Returns the note on points without a waveform.
 fn without_waveform(n: u64) -> String {
     let (points, have, are) = if n == 1 { ("point", "has", "is") } else { ("points", "have", "are") };
     format!(
-        "{n} {points} of the file {have} no waveform, by which the beam is known, and {are} left out, whatever `online_points` is; \
-         take them from the file itself"
+        "{n} {points} of the file {have} no waveform and {are} omitted, whatever the value of \
+         `online_points`, because beams are known only from waveforms; take them from the file itself"
     )
 }
 
-/// Seconds to whole picoseconds.
+/// Converts seconds to whole picoseconds, modulo 1e6 s.
 fn clock_ps(time_s: f64) -> i64 {
-    // Adjusted times of 1e9 s do not fit: the clock may count from any origin, so that whole days are left out.
+    // Adjusted times of 1e9 s do not fit. The clock may have any origin, so multiples of 1e6 s are
+    // dropped.
     ((time_s.rem_euclid(1e6)) * 1e12).round() as i64
 }
 
-/// From the times of the points to adjusted GPS times, s, where the header says that they are of that kind.
+/// Offset from point times to adjusted GPS times, s; 0 for GPS week times.
 fn time_shift_s(reader: &Reader) -> f64 {
     match reader.header().gps_time() {
         GpsTime::Standard { offset_s } => offset_s - crate::geo::time::ADJUSTMENT_S,
@@ -441,7 +451,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
     let header = reader.header();
     let unknown = InputInfo::default();
     let interval_ns = geometry.sampling.map(|sampling| f64::from(sampling.spacing_ps) / 1000.0);
-    // Sixteen bits are often a place for fewer: then nothing tells where the digitiser ends.
+    // 16-bit samples often hold fewer bits; the full scale is then unknown.
     let bits = geometry.sampling.map(|sampling| sampling.bits).filter(|bits| *bits < 16);
     InputInfo {
         path: path.to_path_buf(),
@@ -475,14 +485,14 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
     }
 }
 
-/// The waveforms that were read lately, by where they stand: one that comes again would be decomposed twice.
+/// Packet offsets of recently read waveforms, to avoid decomposing one twice.
 #[derive(Default)]
 struct Recent {
     offsets: HashSet<u64>,
     order: VecDeque<u64>,
 }
 
-/// So many waveforms are remembered.
+/// Number of waveforms remembered.
 const REMEMBERED: usize = 1 << 16;
 
 impl Recent {
@@ -511,7 +521,7 @@ mod tests {
         assert!(recent.is_new(180));
         assert!(!recent.is_new(60));
         (0..REMEMBERED as u64).for_each(|i| assert!(recent.is_new(1000 + i)));
-        assert!(recent.is_new(60), "what was long ago is forgotten");
+        assert!(recent.is_new(60), "old offsets are forgotten");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! PulseWaves files as lines of shots.
+//! `read_pulsewaves`: reads PulseWaves files as scan lines of shots.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -19,52 +19,58 @@ use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, Ti
 use crate::geo::beam_length::BeamLength;
 use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
 
 with_time_keys! {
-/// Reads PulseWaves: a `.pls` file of pulses, version 0.3, and the `.wvs` file of their waves beside it.
+/// Reads PulseWaves 0.3: a `.pls` file of pulses and its `.wvs` file of waveforms.
 ///
-/// Every pulse becomes a shot, every segment of samples a block. Outgoing segments are the reference channel; the
-/// returning channels of RIEGL's files are 0 high power and 1 low power, and a file with a single returning channel has
-/// it as low power. Amplitude tables (digitiser steps to dB) are taken over.
+/// Every pulse becomes a shot and every segment of samples a sample block. Outgoing segments become
+/// the reference channel. Returning channels follow RIEGL's files: 0 is high power, 1 is low power;
+/// a single returning channel is low power. Amplitude tables (digitiser steps to dB) are adopted
+/// from the file.
 ///
-/// Beams are stored as two points rounded to the file's grid. Their length per nanosecond is averaged over the file where
-/// rounding is all that makes them differ, so that a range of 500 m is not wrong by up to 14 mm on a grid of 1 cm.
+/// Beams are stored as two points rounded to the file's grid. If rounding alone explains their
+/// differences, the beam length per nanosecond is averaged over the file. This avoids errors of up
+/// to 14 mm at a range of 500 m on a grid of 1 cm.
 ///
-/// Where outgoing segments have no start time (RIEGL's files of 2013), the anchor is the whole sample nearest to the
-/// outgoing pulse's peak: on such a recording that reading leaves points within 16 mm of the planes of their neighbours,
-/// where each beam's own length leaves 21 mm.
+/// If outgoing segments have no start time (RIEGL's files of 2013), the anchor is taken as the
+/// whole sample nearest to the peak of the outgoing pulse. On one such recording, this leaves
+/// points within 16 mm of planes through their neighbours; with the individual length of each beam
+/// it is 21 mm.
 ///
-/// Ranges count from the sensor where the file's descriptors place the anchors of its pulses at the optical centre and store
-/// durations from there (RIEGL, GeoLas, Optech). Files converted from LAS, and those of NASA LVIS, anchor pulses at their first
-/// sample: coordinates are right all the same, and `correct` does not correct intensities for range and attenuation.
+/// Ranges count from the sensor if the descriptors place the anchors of the pulses at the optical
+/// centre and durations from there are stored (RIEGL, GeoLas, Optech). Files converted from LAS and
+/// files of NASA LVIS anchor pulses at their first sample: coordinates are not affected, but
+/// `correct` cannot correct intensities for range and attenuation.
 ///
-/// The format has no scan angles, and does not define which way of the mirror its flag means: both are computed from the beams
-/// and the course (`docs/las.md`). The last shot of each scan line gets the edge-of-flight-line flag.
+/// The format has no scan angles, and does not define the sense of its mirror direction flag: both
+/// are computed from the beams and the course (`docs/las.md`). The last shot of each scan line gets
+/// the edge-of-flight-line flag.
 ///
-/// Rejects pulses whose waves cannot be read, and goes on with the next. A file that ends with such pulses is cut off:
-/// that is an error. Compressed files (`.plz`, `.wvz`) are refused.
+/// Rejects pulses whose waveforms cannot be read, and continues with the next. A file that ends
+/// with such pulses is truncated, which is an error. Compressed files (`.plz`, `.wvz`) are not
+/// supported.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReadPulseWaves {
-    /// The `.pls` file, several, or a pattern.
+    /// The `.pls` file, a list of files, or a pattern.
     pub path: Paths,
-    /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
-    /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
+    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
+    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
-    /// The largest value that the digitiser can give, DN, at least 15; by default what the file says: nothing, where
-    /// samples have more than eight bits, which may be room for fewer. Samples at it
-    /// are cut off, and from 82 % of it on a receiver counts as overdriven.
+    /// Largest value of the digitiser, DN, at least 15. The default is taken from the file; samples
+    /// of more than 8 bits give none, because they may hold fewer bits. Samples at this value count
+    /// as clipped, and a receiver counts as overdriven from 82 % of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_scale_dn: Option<u16>,
-    /// By how many millionths the air's refractive index for the pulse exceeds 1; the recording's own speed of the pulse
-    /// when not given.
+    /// Refractivity of the air for the pulse (group index minus 1), ppm. Defaults to the pulse
+    /// speed of the recording.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refractive_index_ppm: Option<f64>,
-    /// The map that the recording's coordinates are in, where the file names none or a wrong one: `utm:33N`, `EPSG:2154`,
-    /// or a file with WKT. It overrides what the file says.
+    /// Projected coordinate reference system of the recording, if the file names none or a wrong
+    /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crs_of_input: Option<String>,
 }
@@ -123,9 +129,9 @@ impl ReadPulseWaves {
 
 struct PulseWavesSource {
     reader: Reader,
-    /// Else the waves file stays unread, and shots have no blocks.
+    /// If false, the waves file is not read and shots have no blocks.
     with_samples: bool,
-    /// What is added to the pulses' times, s: they count seconds of the GPS week or adjusted GPS time then.
+    /// Added to pulse times, s, to give seconds of the GPS week or adjusted GPS time.
     time_shift_s: f64,
     next_pulse: u64,
     waves: Waves,
@@ -138,7 +144,7 @@ struct PulseWavesSource {
     broken: BrokenRun,
 }
 
-/// Which receivers a file's returning channels are.
+/// Maps the returning channels of a file to receivers.
 struct Receivers {
     single: bool,
 }
@@ -156,14 +162,14 @@ impl Receivers {
     }
 }
 
-/// So many pulses, spread over the file, show how long its beams are.
+/// Number of pulses, spread over the file, used to determine beam lengths.
 const BEAMS_LOOKED_AT: u64 = 10_000;
 /// Sampling units between the anchor and the target of a pulse (PulseWaves 0.3, "Pulse Record").
 const UNITS_TO_TARGET: f64 = 1000.0;
 
-/// No scanner flies that high: such a third coordinate is no height, and the frame is geocentric.
+/// Largest plausible height, m; a larger third coordinate means a geocentric frame.
 const NO_HEIGHT_M: f64 = 50_000.0;
-/// Where the earth's surface and those who fly over it are, m from its centre.
+/// Distance of ground and aircraft from the centre of the earth, m.
 const EARTH_M: std::ops::Range<f64> = 6.35e6..6.41e6;
 
 impl PulseWavesSource {
@@ -193,12 +199,12 @@ impl PulseWavesSource {
         })
     }
 
-    /// Adds a pulse to the line at hand.
+    /// Adds a pulse to the current line.
     fn add(&mut self, (emission, unit_ns): (Emission, f64), cx: &mut Context) {
         let index = self.lines.add(emission);
         for segment in self.waves.segments() {
             let Some(channel) = self.receivers.of(segment) else {
-                cx.reject(Item::Blocks, "a channel of no known meaning", 1);
+                cx.reject(Item::Blocks, "a block of an unknown channel", 1);
                 continue;
             };
             let start_ns = segment.duration_of(0.0) * unit_ns;
@@ -227,7 +233,7 @@ impl PulseWavesSource {
         }
     }
 
-    /// Metres of range per nanosecond.
+    /// Range per nanosecond of two-way travel, m.
     fn input_speed(&self) -> f64 {
         self.lines.input().group_velocity_mps * 0.5e-9
     }
@@ -240,7 +246,8 @@ impl Source for PulseWavesSource {
                 self.add(shot, cx);
             }
             if self.next_pulse == self.reader.pulse_count() {
-                // A file that is cut off ends with an error, behind all that it holds.
+                // A truncated file ends with an error, after everything it contains has been
+                // emitted.
                 if let Some(line) = self.lines.take() {
                     return Ok(Some(line));
                 }
@@ -248,7 +255,7 @@ impl Source for PulseWavesSource {
                 self.reader.check_complete()?;
                 if self.reader.stray_bytes() > 0 {
                     let stray = self.reader.stray_bytes();
-                    cx.note(format!("the {stray} bytes behind the last pulse are no records: the file may be cut off, and lack a coordinate system or tables"));
+                    cx.note(format!("the {stray} bytes after the last pulse are not valid records: the file may be truncated and lack its coordinate system or tables"));
                 }
                 return Ok(None);
             }
@@ -279,12 +286,12 @@ impl Source for PulseWavesSource {
     }
 }
 
-/// The sampling unit of a pulse, ns: the anchor and the target lie a thousand of them apart.
+/// Sampling unit of a pulse, ns: anchor and target are 1000 units apart.
 fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
     reader.descriptors().get(&pulse.descriptor).map_or(1.0, |descriptor| descriptor.sample_units_ns)
 }
 
-/// How long beams are, and whether all of them begin as far from the origin as the earth's surface is from its centre.
+/// Beam lengths, and whether all anchors are at the earth's radius from the origin.
 fn look_at_beams(reader: &mut Reader) -> Result<(BeamLength, bool)> {
     let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
     let mut beams = Vec::new();
@@ -323,7 +330,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around
             (true, false) => EmissionReference::OutgoingPulseFraction,
         };
     let (keys, wkt) = (reader.crs().geo_keys.as_deref(), &reader.crs().wkt);
-    // RIEGL's own export names WGS 84 and gives geocentric coordinates.
+    // RIEGL's own export names WGS 84 but stores geocentric coordinates.
     let is_geocentric = around_earth
         || keys.is_some_and(geokeys::is_geocentric)
         || wkt.as_ref().is_some_and(|wkt| wkt.trim_start().starts_with("GEOCCS"));
@@ -360,9 +367,11 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around
     }
 }
 
-/// Whether the anchors of pulses are the optical centre: descriptors give the distance between the two, and durations of the
-/// returning samples are stored. Files converted from formats without the sensor's position anchor pulses at their first
-/// sample, have no durations, and declare no constant distance.
+/// Whether pulse anchors are at the optical centre.
+///
+/// They are if the descriptors give the distance between the two as 0 and durations of the
+/// returning samples are stored. Files converted from formats without the sensor position anchor
+/// pulses at their first sample, have no durations, and declare no constant distance.
 fn anchors_are_sensor(reader: &Reader) -> bool {
     reader.descriptors().values().all(|descriptor| {
         let mut returning =
@@ -373,10 +382,10 @@ fn anchors_are_sensor(reader: &Reader) -> bool {
     })
 }
 
-/// Speed of a near infrared pulse in the air near the ground, m/s, where the file does not show it.
+/// Default group velocity of a near-infrared pulse near the ground, m/s.
 const GROUP_VELOCITY_MPS: f64 = 299_707_502.0;
 
-/// The amplitude table of a returning channel.
+/// Amplitude table of a returning channel.
 fn amplitude_table(reader: &Reader, channel: u8) -> Option<AmplitudeTable> {
     let mut samplings = reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
     let of_channel = |s: &&crate::formats::pulsewaves::Sampling| {

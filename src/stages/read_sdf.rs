@@ -1,4 +1,4 @@
-//! `read_sdf`: recorded waveforms from RIEGL's SDF, through RIEGL's own library.
+//! `read_sdf`: reads recorded waveforms from RIEGL SDF through RIEGL's library.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -20,60 +20,68 @@ mod shot;
 
 use shot::{Found, What, channel_of, fine_ns, what_is, zero_of};
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots);
 
 with_time_keys! {
-/// Reads RIEGL's SDF and WFM files through RIEGL's own library; no real SDF file has been read with it yet.
+/// Reads RIEGL SDF and WFM files through RIEGL's library; untested on real files.
 ///
-/// None could be had. The stage follows RIEGL's public interface, and is tested against a library of our own with the
-/// same thirteen functions. If you own an SDF or WFM file, please try it, and tell us what happens.
+/// No real SDF file was available. The stage follows RIEGL's public interface and is tested against
+/// a substitute library with the same thirteen functions. If you own an SDF or WFM file, please try
+/// it and report the result.
 ///
-/// The layout of SDF is not public. RIEGL's Waveform Extraction Library (RiWAVELib) reads it; owners of a RIEGL instrument
-/// get it from RIEGL, and wavex may not ship it. It is loaded at run time: `sdfifc` for `.sdf`, `wfmifc-mt` for `.wfm`,
-/// from where the key `library` says, or the environment variable `WAVEX_RIWAVELIB`, else from the usual places.
+/// The layout of SDF is not public. RIEGL's Waveform Extraction Library (RiWAVELib) reads it;
+/// owners of a RIEGL instrument get it from RIEGL, and wavex may not ship it. It is loaded at run
+/// time: `sdfifc` for `.sdf`, `wfmifc-mt` for `.wfm`. It is looked for where the key `library`
+/// points, then where the environment variable `WAVEX_RIWAVELIB` points, then in the usual library
+/// folders.
 ///
-/// Blocks stand with the shot whose range gate was open when they came back, not with the shot that caused them: their
-/// zone is unresolved. Origins and directions are in the scanner's own frame. Shots are numbered as they are read.
+/// A block belongs to the shot whose range gate was open when the echo arrived, which need not be
+/// the shot that caused it: its MTA zone is unresolved. Origins and directions are in the scanner's
+/// own frame. Shots are numbered in reading order.
 ///
-/// A scan line ends with a record that says so, besides where facet, sweep or clock end it; its last shot has the
-/// edge-of-flight-line flag, except at the end of the file or where a line is cut because it is too long. The shot's time on the
-/// instrument's clock becomes whole picoseconds; the double that the library gives resolves 0.5 ps below 4096 s,
-/// 58 ps (9 mm) at 409 397 s. Ranges within a record do not suffer: block times are read relative to their record, to a
-/// millionth of a nanosecond. A reference block without samples (`.wfm`) carries the time of emission: it becomes the
-/// shot's clock, and the other blocks count from it.
+/// A scan line ends with an end-of-line record, or where the facet, the sweep or the clock ends it.
+/// Its last shot has the edge-of-flight-line flag, except at the end of the file and where an
+/// overlong line is split. The shot's time on the instrument clock becomes whole picoseconds; the
+/// double returned by the library resolves 0.5 ps below 4096 s and 58 ps (9 mm) at 409 397 s.
+/// Ranges within a record are not affected: block times are read relative to their record, to a
+/// millionth of a nanosecond. A reference block without samples (`.wfm`) carries the time of
+/// emission: it sets the shot's clock, and the times of the other blocks count from it.
 ///
-/// Seconds of the week or of the day that begin anew within a recording are counted on. The GPS week follows from the recording's epoch and the file's name, `YYMMDD_HHMMSS`, or the key `gps_date`. Amplitude
-/// and range tables are taken over; where the library has none, or no licence for them, that is said in the report.
+/// Seconds of the week or day that wrap around within a recording are unwrapped. The GPS week is
+/// taken from the recording's epoch and from a file name of the form `YYMMDD_HHMMSS`, or from the
+/// key `gps_date`. Amplitude and range tables are adopted; if the library has none, or no licence
+/// for them, the report says so.
 ///
-/// The beginning of `time_s` is sought, not read up to. It counts seconds of the instrument's clock where that is not
-/// synchronised with GPS.
+/// The reader seeks to the start of `time_s` instead of reading up to it. `time_s` counts seconds
+/// of the instrument clock if that is not synchronised with GPS.
 ///
-/// Where the library wants an index that is missing, it is made, which reads the whole file and writes beside the data or
-/// into `index_dir`.
+/// If the library needs an index that is missing, it creates one: it reads the whole file and
+/// writes the index next to the data or into `index_dir`.
 ///
-/// Housekeeping records are passed over. Rejected, and counted with their blocks, are shots with: an origin or a
-/// direction that is not finite, a direction that is not a unit vector (to 1e-3; beyond 1e-6 it is made one), a time that
-/// is infinite, a clock that is not finite or beyond 106 days, no time where `time_s` asks for some, a block of an unknown
-/// channel or without a time. A record without blocks and directions is no shot, but ends a line.
+/// Housekeeping records are skipped. Rejected, and counted with their blocks, are shots with: an
+/// origin or direction that is not finite, a direction that is not a unit vector (to 1e-3; beyond
+/// 1e-6 it is normalised), an infinite time, a clock that is not finite or beyond 106 days, no time
+/// although `time_s` is set, or a block of an unknown channel or without a time. A record without
+/// blocks and direction is not a shot; it ends a line.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// The `.sdf` or `.wfm` file, several, or a pattern. The job runs once for each.
+    /// The `.sdf` or `.wfm` file, a list of files, or a pattern. The job runs once for each.
     pub path: Paths,
-    /// RIEGL's library, or the folder it lies in.
+    /// RIEGL's library, or the folder that contains it.
     #[serde(default)]
     pub library: Option<String>,
-    /// A folder for the index that the library makes, where the data's own folder cannot be written to. It must allow
-    /// symbolic links.
+    /// Folder for the index that the library creates, if the folder of the data is not writable. It
+    /// must support symbolic links.
     #[serde(default)]
     pub index_dir: Option<String>,
-    /// By how many millionths the air's refractive index for the pulse exceeds 1; the recording's own speed of the pulse
-    /// when not given.
+    /// Refractivity of the air for the pulse (group index minus 1), ppm. Defaults to the pulse
+    /// speed of the recording.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refractive_index_ppm: Option<f64>,
-    /// Odd samples of a block were taken so much later than their index says, in samples (some digitisers): above -0.5 and
-    /// below 0.5. Pulses are fitted at the times when samples were taken; nothing is resampled.
+    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
+    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
     #[serde(default)]
     pub odd_sample_shift: f64,
 }
@@ -113,45 +121,45 @@ impl SourceConfig for Config {
     }
 }
 
-/// A file that is being read.
+/// A file being read.
 struct ReadSdf {
     reader: SdfReader,
     lines: Lines,
     window: Option<Window>,
-    /// From external times to those of the recording.
+    /// Converts external times to times of the recording.
     axis: Axis,
-    /// Records that were read to learn about the file.
+    /// Records read ahead to inspect the file.
     ahead: VecDeque<SdfRecord>,
-    /// The record at hand.
+    /// The current record.
     record: SdfRecord,
-    /// The shot of the record at hand, where it begins the next line.
+    /// The shot of the current record, if it begins the next line.
     waiting: Option<Emission>,
-    /// How many shots were given on.
+    /// Number of shots emitted.
     shots: u64,
-    /// Remarks that were not made yet.
+    /// Notes not yet issued.
     remarks: Vec<String>,
-    /// Whether any record has said that its line ends.
+    /// Whether any end-of-line mark was seen.
     ends_are_marked: bool,
     at_end: bool,
 }
 
-/// The times to read.
+/// The time window to read.
 struct Window {
     from_s: f64,
     to_s: f64,
-    /// Whether they are external times, or those of the instrument's clock.
+    /// True for external times, false for times of the instrument clock.
     is_external: bool,
-    /// The time of the last shot in it.
+    /// Time of the last shot inside the window.
     now_s: f64,
-    /// How many shots in a row were later.
+    /// Number of consecutive shots after the window.
     late: u32,
 }
 
-/// So many records are looked at, to learn what the outgoing pulse is.
+/// Number of records searched for an outgoing pulse.
 const LOOKED_AT: usize = 1000;
-/// No more are looked at behind so many samples.
+/// The search stops after this many samples.
 const SAMPLES_LOOKED_AT: usize = 1 << 22;
-/// A window has ended where so many shots in a row are later: fewer may have a time that is wrong.
+/// Consecutive late shots that end a window; fewer may have wrong times.
 const LATE_SHOTS: u32 = 100;
 
 impl ReadSdf {
@@ -159,7 +167,7 @@ impl ReadSdf {
         let path = &site.input;
         let library = config.library.as_ref().map(|library| {
             let in_folder = site.input_path(Path::new(library));
-            // A bare name that is no file is one for the system to find.
+            // A bare name that is not a file is left for the system loader to find.
             if in_folder.exists() || library.contains(['/', '\\']) { in_folder } else { library.into() }
         });
         let index_dir = config.index_dir.as_ref().map(|folder| site.input_path(Path::new(folder)));
@@ -211,7 +219,7 @@ impl ReadSdf {
         })
     }
 
-    /// Makes the next record the one at hand; `false` behind the last that is wanted.
+    /// Reads the next record; `false` at the end of the wanted records.
     fn read(&mut self) -> Result<bool> {
         if self.at_end {
             return Ok(false);
@@ -223,7 +231,7 @@ impl ReadSdf {
         Ok(!self.at_end)
     }
 
-    /// The shot of the record at hand, if it is one and is wanted. What is wrong is rejected.
+    /// The shot of the current record, if valid and inside the window; invalid ones are rejected.
     fn shot(&mut self, cx: &mut Context) -> Option<Emission> {
         let mut emission = match shot::read(&self.record) {
             Found::Shot(emission) => emission,
@@ -248,7 +256,7 @@ impl ReadSdf {
         is_inside.then_some(emission)
     }
 
-    /// Counts the blocks of a record that is no shot.
+    /// Counts the blocks of a record that is not a shot.
     fn pass_over(&self, cx: &mut Context) {
         let blocks = self.record.blocks.len() as u64;
         cx.reject(Item::Blocks, "a block of a housekeeping record", blocks);
@@ -259,7 +267,7 @@ impl ReadSdf {
         cx.reject(Item::Blocks, reason, self.record.blocks.len() as u64);
     }
 
-    /// Adds the shot of the record at hand to the line at hand.
+    /// Adds the shot of the current record to the current line.
     fn add(&mut self, mut emission: Emission) {
         let zero_s = zero_of(&self.record);
         emission.shot = self.shots;
@@ -277,17 +285,17 @@ impl ReadSdf {
         }
     }
 
-    /// The last line, and a remark if it seems to be cut off.
+    /// The last line, with a note if it seems truncated.
     fn last_line(&mut self, cx: &mut Context) -> Option<Batch> {
         let line = self.lines.take();
         if line.is_some() && self.ends_are_marked && self.window.is_none() {
-            cx.note("the file ends within a scan line: it may be cut off");
+            cx.note("the file ends within a scan line: it may be truncated");
         }
         line
     }
 }
 
-/// The first records: all up to the first with an outgoing pulse and a time.
+/// Reads records up to the first with an outgoing pulse and a time.
 fn look_ahead(reader: &mut SdfReader) -> Result<VecDeque<SdfRecord>> {
     let says_all = |record: &SdfRecord| has_outgoing_pulse(record) && record.time_external_s.is_finite();
     let mut ahead = VecDeque::new();
@@ -307,7 +315,7 @@ fn has_outgoing_pulse(record: &SdfRecord) -> bool {
     record.blocks.iter().any(|block| block.channel == channel::REFERENCE && !block.is_empty())
 }
 
-/// Samples are words that hold 8-bit values.
+/// Samples are 16-bit words that hold 8-bit values.
 const FULL_SCALE_DN: u16 = 255;
 
 fn describe(

@@ -1,4 +1,5 @@
-//! What a job says of a recording that its file does not say, or says wrongly: times, coordinates, the air.
+//! Declarations of a job that complete or override a recording's metadata: times, CRS, refractive
+//! index.
 
 use std::sync::Arc;
 
@@ -14,38 +15,39 @@ pub(super) mod time;
 
 use time::{Axis, Scale, Times};
 
-/// Declares the keys of a reader: its own, and those for times that all readers share.
+/// Declares the keys of a reader: its own, and the time keys that all readers share.
 macro_rules! with_time_keys {
     ($(#[$about:meta])* pub struct $name:ident { $($(#[$of_field:meta])* pub $field:ident: $type:ty,)* }) => {
         $(#[$about])*
         pub struct $name {
             $($(#[$of_field])* pub $field: $type,)*
-            /// First and last second to read, both included, as the recording's times count or as `time_scale` says. Shots
-            /// outside are left out, and shots without a time are rejected.
+            /// First and last second to read, both included, in the times of the recording or of
+            /// `time_scale`. Shots outside are skipped; shots without a time are rejected.
             #[serde(default)]
             pub time_s: Option<[f64; 2]>,
-            /// What `time_s` counts: seconds of the GPS week, or adjusted seconds (since 1980-01-06, less 1e9). Times that
-            /// come out count what the recording's do.
+            /// Time scale of `time_s`: seconds of the GPS week, or adjusted GPS time (seconds since
+            /// 1980-01-06, minus 1e9). Output times keep the time scale of the recording.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub time_scale: Option<$crate::stages::recording::ScaleKey>,
-            /// What the recording's times count, where the file does not say it or says it wrongly.
+            /// Time scale of the recording, if the file gives none or a wrong one.
             #[serde(default, skip_serializing_if = "Option::is_none")]
             pub recording_time: Option<$crate::stages::recording::RecordingTime>,
-            /// The recording's times are UTC: leap seconds are added. The day must be known: by the recording's times, by
-            /// the name of an SDF file, or by `gps_date`.
+            /// The times of the recording are UTC: adds leap seconds. The day must be known from
+            /// the times of the recording, the name of an SDF file, or `gps_date`.
             #[serde(default)]
             pub utc: bool,
-            /// What is added to the recording's times, s. `time_s` asks for the sums.
+            /// Added to the times of the recording, s. `time_s` refers to the sums.
             #[serde(default)]
             pub time_offset_s: f64,
-            /// The day on which the recording began, as in 2013-06-21, where neither its times nor, for SDF, its file's
-            /// name give it. Seconds of the day or the week then have a date, and LAS outputs hold adjusted GPS times.
+            /// Day on which the recording began, such as 2013-06-21. Needed if neither its times
+            /// nor, for SDF, the file name give it. Seconds of the day or week then have a date,
+            /// and LAS outputs hold adjusted GPS times.
             #[serde(default)]
             pub gps_date: Option<String>,
         }
 
         impl $name {
-            /// The keys for times.
+            /// The shared time keys.
             fn time_keys(&self) -> $crate::stages::recording::TimeKeys {
                 $crate::stages::recording::TimeKeys {
                     time_s: self.time_s,
@@ -61,17 +63,17 @@ macro_rules! with_time_keys {
 }
 pub(super) use with_time_keys;
 
-/// What the seconds of a window count.
+/// Time scale of a time window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ScaleKey {
     /// Seconds of the GPS week.
     Week,
-    /// Seconds since 1980-01-06, less 1e9.
+    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
     Adjusted,
 }
 
-/// What the times of a recording count.
+/// Time scale of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingTime {
@@ -79,13 +81,13 @@ pub enum RecordingTime {
     Week,
     /// Seconds of the day.
     Day,
-    /// Adjusted GPS time: seconds since 1980-01-06, less 1e9.
+    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
     Adjusted,
     /// Standard GPS time: seconds since 1980-01-06.
     Standard,
 }
 
-/// The keys for times, as [`with_time_keys`] declares them.
+/// The time keys, as declared by [`with_time_keys`].
 #[derive(Clone, Debug, Default)]
 pub(super) struct TimeKeys {
     pub(super) time_s: Option<[f64; 2]>,
@@ -96,8 +98,8 @@ pub(super) struct TimeKeys {
     pub(super) gps_date: Option<String>,
 }
 
-/// Why a shot is rejected that has no time.
-pub(super) const NO_TIME: &str = "no time, where `time_s` asks for some";
+/// Rejection reason of a shot without a time.
+pub(super) const NO_TIME: &str = "no time, although `time_s` is set";
 
 impl TimeKeys {
     pub(super) fn check(&self) -> std::result::Result<(), InvalidKey> {
@@ -110,50 +112,50 @@ impl TimeKeys {
         unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")
     }
 
-    /// Whether a key needs to know what the times count.
+    /// Whether any key needs the time scale of the recording.
     fn needs_scale(&self) -> bool {
         self.utc || self.gps_date.is_some() || self.time_scale.is_some()
     }
 }
 
-/// More than this is no air, millionths.
+/// Largest refractivity accepted, ppm; far above that of air.
 const MOST_PPM: f64 = 1000.0;
 /// Speed of light in vacuum, m/s.
 const LIGHT_MPS: f64 = 299_792_458.0;
 
-/// What readers ask of their key `refractive_index_ppm`.
+/// Checks the reader key `refractive_index_ppm`.
 pub(super) fn check_refractive_index(ppm: Option<f64>) -> std::result::Result<(), InvalidKey> {
     let is_air = ppm.is_none_or(|ppm| (0.0..=MOST_PPM).contains(&ppm));
     InvalidKey::unless(is_air, "refractive_index_ppm", "it must lie between 0 and 1000")
 }
 
-/// Speed of the pulse in air of this refractivity, m/s.
+/// Group velocity of the pulse in air of this refractivity, m/s.
 pub(super) fn group_velocity_mps(ppm: f64) -> f64 {
     LIGHT_MPS / (1.0 + 1e-6 * ppm)
 }
 
-/// What readers ask of their key `crs_of_input`.
+/// Checks the reader key `crs_of_input`.
 pub(super) fn check_crs(word: Option<&str>) -> std::result::Result<(), InvalidKey> {
     let checked = word.map_or(Ok(()), declared::check);
     checked.map_err(|problem| InvalidKey::new("crs_of_input", problem))
 }
 
-/// The file that `crs_of_input` names, if it names one.
+/// The file that `crs_of_input` names, if any.
 pub(super) fn crs_file(word: Option<&str>) -> Vec<&str> {
     word.filter(|word| declared::is_file(word)).into_iter().collect()
 }
 
-/// What a job says of a recording.
+/// Metadata of a recording as declared by the job.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Declared {
     pub(super) times: TimeKeys,
-    /// The coordinate reference system of the recording's map, as WKT.
+    /// CRS of the recording's coordinates, as WKT.
     pub(super) crs_wkt: Option<String>,
     pub(super) group_velocity_mps: Option<f64>,
 }
 
 impl Declared {
-    /// What the keys of a reader say.
+    /// Builds the declarations from the keys of a reader.
     ///
     /// # Errors
     /// A coordinate reference system that cannot be read.
@@ -168,19 +170,19 @@ impl Declared {
     }
 }
 
-/// Emits the lines of a reader with the declarations of the job applied.
+/// Emits the lines of a reader with the job's declarations applied.
 pub(super) struct AsDeclared<S> {
     source: S,
     declared: Declared,
-    /// The times of the recording; `None` before the first line.
+    /// State of the recording; `None` before the first line.
     begun: Option<Begun>,
 }
 
-/// What is known once there is a line.
+/// State determined from the first line.
 struct Begun {
-    /// What the reader says of the recording, and what comes out.
+    /// Metadata from the reader, and metadata as emitted.
     info: [Arc<InputInfo>; 2],
-    /// `None` where times stay as they are.
+    /// `None` if times stay unchanged.
     axis: Option<Axis>,
     window_s: Option<[f64; 2]>,
 }
@@ -195,7 +197,7 @@ impl<S: Source> AsDeclared<S> {
         AsDeclared { source, declared, begun: None }
     }
 
-    /// Learns from the first line what times count.
+    /// Determines the time scale from the first line.
     fn begin(&self, first: &Batch, cx: &mut Context) -> Result<Begun> {
         let (keys, from) = (&self.declared.times, &first.input);
         let mut times_s: Vec<f64> =
@@ -203,7 +205,7 @@ impl<S: Source> AsDeclared<S> {
         let first_s = times_s.first().copied();
         times_s.sort_by(f64::total_cmp);
         let scale = keys.recording_time.map_or(Scale::of(from.time_scale), Scale::from);
-        // What a job says of the scale weighs more than the date of a file.
+        // A time scale declared by the job takes precedence over the date of the file.
         let file_date = from.recorded.filter(|_| keys.recording_time.is_none());
         let usual_s = times_s.get(times_s.len() / 2).copied();
         if let Some(problem) = usual_s.and_then(|time_s| scale.misfit(time_s, file_date)) {
@@ -222,8 +224,8 @@ impl<S: Source> AsDeclared<S> {
         };
         if self.declared.group_velocity_mps.is_some() && !from.origin_is_sensor {
             return Err(StageError::failed(
-                "`refractive_index_ppm` needs ranges from the sensor, and those of this recording count from the first sample",
-                "leave it out",
+                "`refractive_index_ppm` needs ranges from the sensor, but the ranges of this recording count from the first sample",
+                "remove the key",
             ));
         }
         let leap_s = if keys.utc { times.leap_s(&from.path, first_s)? } else { 0.0 };
@@ -242,36 +244,33 @@ impl<S: Source> AsDeclared<S> {
         Ok(Begun { info, axis: is_changed.then(|| times.axis()), window_s })
     }
 
-    /// The coordinate reference system that comes out.
+    /// The output coordinate reference system.
     fn crs(&self, first: &Batch, cx: &mut Context) -> Result<Option<String>> {
         let of_file = &first.input.crs_wkt;
         let Some(declared) = &self.declared.crs_wkt else { return Ok(of_file.clone()) };
         let frame = match first.input.frame {
             Frame::Map => None,
-            Frame::Scanner => Some("the scanner's own frame"),
-            Frame::Body => Some("the aircraft's frame"),
+            Frame::Scanner => Some("the scanner frame"),
+            Frame::Body => Some("the body frame of the aircraft"),
             Frame::Earth => Some("geocentric coordinates"),
         };
         if let Some(frame) = frame {
             return Err(StageError::failed(
-                format!("`crs_of_input` names a map, and this recording is in {frame}"),
-                "leave it out; which coordinates points get is `crs` of `[job.geometry]`",
+                format!("`crs_of_input` names a projected CRS, but this recording is in {frame}"),
+                "remove the key; the output CRS is `crs` of `[job.geometry]`",
             ));
         }
         let place_m = first.emissions.first().map(|shot| shot.origin_m).unwrap_or_default();
         if let Some(other) = of_file.as_deref().filter(|wkt| declared::differ(wkt, declared, place_m)) {
-            let [file, job] =
-                [other, declared].map(|wkt| wkt.split('"').nth(1).unwrap_or("a map without a name"));
-            cx.note(format!(
-                "the file says that its coordinates are in {file}; `crs_of_input` overrides it: they are taken as {job}"
-            ));
+            let [file, job] = [other, declared].map(|wkt| wkt.split('"').nth(1).unwrap_or("an unnamed CRS"));
+            cx.note(format!("the file gives {file} as its CRS; `crs_of_input` overrides it with {job}"));
         }
         Ok(Some(declared.clone()))
     }
 }
 
 impl TimeKeys {
-    /// The window on the scale of these times, s.
+    /// The time window on the scale of these times, s.
     ///
     /// # Errors
     /// See [`Times::shift_s`].
@@ -285,7 +284,7 @@ impl TimeKeys {
 }
 
 impl Begun {
-    /// The line with its times as they are to be; empty where none of its shots is wanted.
+    /// Converts the times of a line; returns an empty line if no shot is inside the window.
     fn line(&mut self, mut line: Batch, cx: &mut Context) -> Batch {
         line.input = Arc::clone(&self.info[1]);
         if let Some(axis) = &mut self.axis {
@@ -299,7 +298,7 @@ impl Begun {
     }
 }
 
-/// The shots of a line that were fired between two times, s.
+/// Keeps the shots of a line fired between two times, s.
 fn within(line: Batch, from_s: f64, to_s: f64, cx: &mut Context) -> Batch {
     let is_inside = |shot: &Emission| (from_s..=to_s).contains(&shot.gps_time_s);
     if line.emissions.iter().all(is_inside) {

@@ -1,4 +1,4 @@
-//! Which pulse caused each echo, where several are in the air.
+//! `resolve_mta`: assigns echoes to pulses with several pulses in the air.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -24,81 +24,88 @@ mod tests;
 
 use strip::Strip;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<ResolveMta>("resolve_mta", &[Kind::Shots]);
 
-/// Zones beyond this are never looked at.
+/// Largest zone searched.
 const LARGEST_ZONE: u16 = 126;
-/// How far terrain departs from a single height above ground where the job does not say it, m.
+/// Default standard deviation of the terrain about a single height above ground, m.
 const USUAL_AGL_SD_M: f64 = 100.0;
 
-/// Finds which pulse caused each echo, where several pulses are in the air at once (multiple time around), and puts every
-/// block to the shot that caused it: origin and direction of an echo are those of that shot.
+/// Assigns each echo to its pulse where several are in the air.
 ///
-/// A raw recording holds a block with the shot after whose emission it came back, several shots late. Lasers vary the
-/// intervals between their pulses, so that only the right shot makes a smooth surface of the ranges. Evidence is gathered
-/// over cells of neighbouring echoes and joined over the strip (`docs/mta.md`). Circular scanners are recognised by how
-/// their beams turn, and compared by azimuth. **Where the pulse rate is constant, nothing
-/// in the recording tells one shot from the next**: then a prior is needed (`agl_m` or `terrain`) or a fixed `zone`, and the
-/// run fails without one. Intervals are those of the outgoing pulses where these are recorded, else of the clock. Where the clock
-/// jitters and the pulses do not, ranges do not follow it, and the run fails without a prior, too.
+/// Resolves multiple time around (MTA): every block is moved to the shot that caused it, whose
+/// origin and direction then apply to its echoes.
 ///
-/// Lines come out in order, the blocks of a shot in order of time. The shot's zone is the number of emissions between it and
-/// the first sample of its first block, from 0; a block of another zone says its own. In LAS the zone is the point source
-/// id. Returns of a zone that was decided against little evidence have flag bit 11 (a container written in between does not
-/// keep that). Outgoing pulses stay. Blocks of both
-/// receivers that overlap in time are one, and so are all pulses of a block: they get the shot that most of them speak for,
-/// weighted with their heights. What the instrument itself computed goes with the block it lies in.
+/// A raw recording stores a block with the latest shot before its reception, several shots too
+/// late. Lasers vary the intervals between their pulses, so that only the correct shot turns the
+/// ranges into a smooth surface. Evidence is collected over cells of neighbouring echoes and
+/// combined over the line window (`docs/mta.md`). Circular scanners are recognised from the
+/// rotation of their beams, and compared by azimuth. **If the pulse rate is constant, the recording
+/// cannot distinguish one shot from the next**: a prior (`agl_m` or `terrain`) or a fixed `zone` is
+/// then required, and the run fails without one. Intervals are those of the outgoing pulses if
+/// these are recorded, otherwise those of the clock. If the clock jitters but the pulses do not,
+/// the ranges do not follow the clock, and the run also fails without a prior.
 ///
-/// Rejected, and counted, are blocks without an emission at a distance within `range_m`, and blocks a second or more from
-/// their shot. Blocks received within `blind_gap_ns` of an emission are counted and kept. The report says how many echoes
-/// each zone has, how much the intervals vary, how many zones are uncertain, and whether the evidence is thin.
+/// Lines are emitted in order, and the blocks of a shot in order of time. The zone of a shot is the
+/// number of emissions between it and the first sample of its first block, from 0; blocks of other
+/// zones carry their own. In LAS the zone is the point source id. Returns whose zone was decided on
+/// weak evidence have flag bit 11 (a container written in between does not preserve it). Outgoing
+/// pulses stay with their shot. Blocks of both receivers that overlap in time are treated as one,
+/// as are all pulses of a block: they go to the shot with the largest total height of supporting
+/// echoes. Returns computed by the instrument go with the block that contains them.
 ///
-/// Lines whose zones are known already pass through as they are. Up to 160 lines are held back (`method = "blocks"`), and
-/// fewer where they take more than 256 MB. Results do not depend on `memory_mb`. Where it does not hold these lines, the run
-/// ends with the value to set.
+/// Rejected, and counted, are blocks without an emission at a distance within `range_m`, and blocks
+/// a second or more from their shot. Blocks received within `blind_gap_ns` of an emission are
+/// counted and kept. The report gives the number of echoes per zone, the variation of the
+/// intervals, the number of uncertain zones, and whether the evidence is weak.
+///
+/// Lines with known zones pass through unchanged. Up to 160 lines are held back (`method =
+/// "blocks"`), fewer if they take more than 256 MB. Results do not depend on `memory_mb`. If it
+/// cannot hold these lines, the run ends and reports the value to set.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ResolveMta {
-    /// How zones are found: by the evidence of cells of neighbouring echoes (`blocks`), or by the least variance of
-    /// consecutive ranges (`variance`, for comparisons: it fails in woods and relief).
+    /// Method: evidence of cells of neighbouring echoes (`blocks`), or least variance of
+    /// consecutive ranges (`variance`, for comparison only: it fails in forest and relief).
     pub method: MethodKey,
-    /// How many consecutive ranges the method `variance` compares.
+    /// Number of consecutive ranges compared by the method `variance`.
     #[schemars(range(min = 4, max = 10000))]
     pub buffer: u32,
-    /// `"auto"`, or a number: every echo comes from so many emissions back. 0 where no pulse leaves before the last one is
-    /// back.
+    /// `"auto"`, or a fixed number of emissions between every echo and its pulse. 0 if no pulse
+    /// leaves before the previous one has returned.
     pub zone: ZoneKey,
-    /// Least and greatest distance that an echo may come from. At most 126 emissions back are looked at.
+    /// Smallest and largest distance of an echo, m. At most 126 emissions back are searched.
     pub range_m: [f64; 2],
-    /// Height above ground as a prior: one height, or the least and the greatest. The aircraft is taken to fly level where
-    /// the geometry is the scanner's own.
+    /// Height above ground as a prior, m: one height, or the smallest and the largest. Level flight
+    /// is assumed if the geometry is in the scanner frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub agl_m: Option<HeightKey>,
-    /// How far, as a standard deviation, terrain departs from a single `agl_m`; 100 when not given.
+    /// Standard deviation of the terrain about a single `agl_m`, m; default 100.
     #[schemars(range(min = 1.0, max = 10000.0))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub agl_sd_m: Option<f64>,
-    /// A terrain model as a prior: GeoTIFF or ESRI ASCII grid, in the map and with the heights of the recording's own
-    /// geometry; with a trajectory, in the map that it names itself, else in that of the points. A coarse one will do. Shots
-    /// that do not meet it have no prior.
+    /// Terrain model as a prior: GeoTIFF or ESRI ASCII grid, in the projected CRS and height system
+    /// of the recording. With a trajectory it is in the CRS that it names, otherwise in that of the
+    /// points. A coarse model is sufficient. Shots that do not hit it have no prior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub terrain: Option<PathBuf>,
-    /// How far, as a standard deviation, ranges depart from the terrain model's.
+    /// Standard deviation of ranges about those of the terrain model, m.
     #[schemars(range(min = 1.0, max = 10000.0))]
     pub terrain_sd_m: f64,
-    /// Echoes so near to an emission, before or after, are counted: what scatters in the instrument may lie there, too.
+    /// Echoes closer than this to an emission, before or after it, are counted, ns. Scattering
+    /// inside the instrument may also occur there.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub blind_gap_ns: f64,
 }
 
-/// How zones are found.
+/// Method to resolve zones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MethodKey {
-    /// By the evidence of cells of neighbouring echoes.
+    /// Evidence of cells of neighbouring echoes.
     Blocks,
-    /// By the least variance of consecutive ranges.
+    /// Least variance of consecutive ranges.
     Variance,
 }
 
@@ -106,19 +113,19 @@ pub enum MethodKey {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum ZoneKey {
-    /// Every echo comes from so many emissions back.
+    /// Every echo comes from this many emissions back.
     Fixed(u16),
-    /// Found from the recording.
+    /// Estimated from the recording.
     Auto(Auto),
 }
 
-/// One height above ground, or the least and the greatest.
+/// One height above ground, or the smallest and the largest.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum HeightKey {
-    /// The usual height, m.
+    /// The typical height, m.
     Usual(f64),
-    /// The least and the greatest, m.
+    /// The smallest and the largest height, m.
     Between([f64; 2]),
 }
 
@@ -161,14 +168,14 @@ impl Config for ResolveMta {
         unless(
             self.agl_sd_m.is_none() || single,
             "agl_sd_m",
-            "it belongs to a single `agl_m`: two heights say themselves how far terrain departs",
+            "it needs a single `agl_m`: two heights already define the spread of the terrain",
         )?;
         let one_prior = self.agl_m.is_none() || self.terrain.is_none();
-        unless(one_prior, "agl_m", "`terrain` says more: leave one of them out")?;
+        unless(one_prior, "agl_m", "`terrain` is the more detailed prior: remove one of them")?;
         let ZoneKey::Fixed(zone) = self.zone else { return Ok(()) };
         unless(zone <= LARGEST_ZONE, "zone", "it must be \"auto\" or lie between 0 and 126")?;
         let undecided = self.agl_m.is_none() && self.terrain.is_none();
-        unless(undecided, "zone", "a fixed zone leaves nothing to decide: leave `agl_m` and `terrain` out")
+        unless(undecided, "zone", "a fixed zone needs no prior: remove `agl_m` and `terrain`")
     }
 
     fn spell_out(&mut self) {
@@ -183,7 +190,7 @@ impl Config for ResolveMta {
 }
 
 impl ResolveMta {
-    /// What the kernel is told, for a pulse of this speed.
+    /// Kernel settings for this group velocity.
     fn settings(&self, group_velocity_mps: f64) -> Settings {
         let method = match (self.zone, self.method) {
             (ZoneKey::Fixed(zone), _) => Method::Fixed(zone),
@@ -219,9 +226,9 @@ impl TransformConfig for ResolveMta {
 struct Resolving {
     config: ResolveMta,
     terrain: Option<Terrain>,
-    /// Where the shots are on the earth.
+    /// Positions of the shots on the earth.
     placed: Arc<Geometry>,
-    /// The lines at hand, while there are any whose zones are unknown.
+    /// The pending lines, while any have unknown zones.
     strip: Option<Strip>,
 }
 
@@ -229,13 +236,13 @@ impl Transform for Resolving {
     fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
         let is_unresolved = batch.emissions.iter().any(|emission| emission.mta_zone.is_none());
         if !is_unresolved && !batch.emissions.is_empty() {
-            out.cx.note("lines whose zones are known already pass through as they are");
+            out.cx.note("lines with known zones pass through unchanged");
             self.finish(out)?;
             return out.emit(batch);
         }
         let strip = match &mut self.strip {
             Some(strip) => strip,
-            // A line without shots waits only where others do.
+            // A line without shots is held back only if earlier lines are.
             None if !is_unresolved => return out.emit(batch),
             None => {
                 self.strip.insert(Strip::new(&self.config, &batch, self.terrain.as_ref(), &self.placed, out)?)
@@ -252,26 +259,26 @@ impl Transform for Resolving {
     }
 }
 
-/// Why zones cannot be found, as the stage says it.
+/// Converts a kernel error to a stage error.
 fn failed(error: &MtaError) -> StageError {
     match error {
         MtaError::ConstantRate { interval_ns, rms_ns, least_ns } => StageError::failed(
             format!(
-                "the pulse rate is constant: intervals of {interval_ns:.3} ns vary by {rms_ns:.3} ns rms, at least {least_ns} ns \
-                 are needed to tell which pulse caused an echo"
+                "the pulse rate is constant: intervals of {interval_ns:.3} ns vary by {rms_ns:.3} ns RMS, but at least {least_ns} ns \
+                 are needed to assign echoes to pulses"
             ),
-            "give a prior (`agl_m`, `terrain`), or a fixed `zone`",
+            "set a prior (`agl_m`, `terrain`), or a fixed `zone`",
         ),
         MtaError::JitteringClock { rms_ns, following } => StageError::failed(
             format!(
-                "the time stamps jitter, and not the pulses: intervals vary by {rms_ns:.3} ns rms on the clock, but neighbouring \
-                 ranges contain {:.0} % of that, so nothing says which pulse caused an echo",
+                "the time stamps jitter, not the pulses: intervals vary by {rms_ns:.3} ns RMS on the clock, but neighbouring \
+                 ranges contain {:.0} % of that, so echoes cannot be assigned to pulses",
                 100.0 * following.max(0.0)
             ),
-            "give a prior (`agl_m`, `terrain`), or a fixed `zone`",
+            "set a prior (`agl_m`, `terrain`), or a fixed `zone`",
         ),
         MtaError::Settings(problem) => {
-            StageError::failed(*problem, "correct what the recording says of itself, or the stage's keys")
+            StageError::failed(*problem, "correct the metadata of the recording, or the keys of the stage")
         }
         other => StageError::failed(other.to_string(), "report this as a defect of wavex"),
     }

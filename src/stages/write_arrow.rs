@@ -1,4 +1,4 @@
-//! `write_arrow`: recorded waveforms as the open container.
+//! `write_arrow`: writes recorded waveforms as the open container.
 
 use std::io::{self, Stdout, Write};
 use std::path::Path;
@@ -15,30 +15,33 @@ use crate::stage::{
     self, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
 };
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_arrow", &[Kind::Shots]);
 
 /// Writes recorded waveforms as the open waveform container (Arrow IPC).
 ///
-/// pyarrow, Polars, DuckDB and R open it without wavex, and `read_arrow` reads it: the file format, one record batch per
-/// scan line, one row per shot. The columns and metadata keys stand in `schemas/container.json`.
+/// pyarrow, Polars, DuckDB and R open it without wavex, and `read_arrow` reads it. It is an Arrow
+/// file with one record batch per scan line and one row per shot. `schemas/container.json`
+/// describes the columns and metadata keys.
 ///
-/// What comes back from `read_arrow` is equal to the bit: emissions, blocks, samples, online returns, and what is known
-/// of the recording but for its path, its format and the reader's `odd_sample_shift`. Not written is what the chain finds by itself: the fitted moment of
-/// emission, and the sensor model of `calibrate`.
+/// `read_arrow` restores the data bit by bit: emissions, blocks, samples, online returns, and the
+/// metadata of the recording except its path, its format and the reader's `odd_sample_shift`.
+/// Results of the chain are not written: the fitted time of emission, and the sensor model of
+/// `calibrate`.
 ///
-/// The columns `scan_angle_deg` and `frame_scale` and the fields `zone` and `interval_ns` of blocks are this program's
-/// extensions: they hold a null where there is nothing to say (no angle; a scale of 1; the row's zone; the recording's
-/// sampling interval). The field `gain` of blocks is written only for recordings with automatic gain control; a null is 1.
+/// The columns `scan_angle_deg` and `frame_scale`, and the fields `zone` and `interval_ns` of
+/// blocks, are extensions of this program. They are null for default values (no angle; a scale of
+/// 1; the zone of the row; the sampling interval of the recording). The field `gain` of blocks is
+/// written only for recordings with automatic gain control; null means 1.
 ///
-/// Without a single shot no container is written, which is said in the report. Nothing is rejected.
+/// Without any shots no container is written, and the report says so. Nothing is rejected.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// The file to write; `*` is the input's name. `-` is standard output, in the stream format.
+    /// Output file; `*` is the input's stem. `-` is standard output, in the stream format.
     pub path: String,
-    /// How the buffers are packed: 8-bit samples, which take 16 bits here, shrink to about a half with `lz4` and to
-    /// about a third with `zstd`.
+    /// Compression of the buffers. 8-bit samples take 16 bits here; `lz4` reduces them to about a
+    /// half, `zstd` to about a third.
     pub compression: Compression,
 }
 
@@ -48,11 +51,11 @@ impl Default for Config {
     }
 }
 
-/// How the buffers of an Arrow file are packed.
+/// Compression of the buffers of an Arrow file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Compression {
-    /// Not at all: the fastest to read, and other programs can map the file into memory.
+    /// None: fastest to read, and other programs can memory-map the file.
     None,
     /// LZ4 frames.
     Lz4,
@@ -66,7 +69,7 @@ impl stage::Config for Config {
     }
 }
 
-/// The path that stands for standard output.
+/// Path that means standard output.
 const STANDARD_OUTPUT: &str = "-";
 
 impl SinkConfig for Config {
@@ -88,21 +91,21 @@ impl SinkConfig for Config {
     }
 }
 
-/// A container that is being written.
+/// A container being written.
 struct WriteArrow {
     state: State,
     compression: container::Compression,
 }
 
 enum State {
-    /// The first line brings what the header says.
+    /// Waiting for the first line, which gives the header.
     Waiting(Target),
     Open(Box<ContainerWriter<Target>>),
-    /// A write failed: the run is over.
+    /// A write failed; the run ends.
     Failed,
 }
 
-/// Where the bytes go.
+/// Destination of the bytes.
 enum Target {
     File(OutputFile),
     Stream(Stdout),
@@ -125,7 +128,7 @@ impl Write for Target {
 }
 
 impl WriteArrow {
-    /// The writer, begun with the first line's facts.
+    /// The writer, started with the metadata of the first line.
     fn writer(&mut self, info: &InputInfo) -> Result<&mut ContainerWriter<Target>> {
         if let State::Waiting(_) = self.state
             && let State::Waiting(to) = std::mem::replace(&mut self.state, State::Failed)
@@ -153,7 +156,7 @@ impl Sink for WriteArrow {
     fn write(&mut self, batch: &Batch, _cx: &mut Context) -> Result<()> {
         let Some(blocks) = batch.blocks() else {
             return Err(StageError::failed(
-                format!("write_arrow was given {}, and writes Shots", batch.kind()),
+                format!("write_arrow received {}, but writes Shots", batch.kind()),
                 "put it before `decompose`",
             ));
         };
@@ -171,7 +174,7 @@ impl Sink for WriteArrow {
                     cx.keep(file.finish()?);
                 }
             }
-            State::Waiting(_) => cx.note("no container is written: there was not a single shot"),
+            State::Waiting(_) => cx.note("no container is written: there were no shots"),
             State::Failed => {}
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! Points as columns of text.
+//! `write_ascii`: writes points as columns of text.
 
 use std::io::Write;
 
@@ -16,45 +16,48 @@ mod steps;
 use columns::{ATTRIBUTES, Column, Row, attribute_steps, columns};
 use steps::Steps;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec =
     StageSpec::sink::<WriteAscii>("write_ascii", &[Kind::Points]).after(&["georeference"]);
 
-/// Writes points as text, a row each.
+/// Writes points as text, one row each.
 ///
-/// `columns` names the columns by the letters of LAStools' `-oparse`: `t` GPS time, `x` `y` `z` coordinates, `X` `Y` `Z`
-/// the same as whole steps, `i` intensity, `r` return number, `n` number of returns, `c` class, `u` user data, `a` scan
-/// angle, `e` edge of flight line, `d` scan direction, `p` point source id, `h` withheld, `k` key point, `g` synthetic,
-/// `o` overlap, `l` scanner channel. A digit is an extra attribute by its number: `0` WideRatio, `1` TargetThick, `2` Amp,
+/// `columns` selects the columns by the letters of LAStools' `-oparse`: `t` GPS time, `x` `y` `z`
+/// coordinates, `X` `Y` `Z` coordinates in whole steps, `i` intensity, `r` return number, `n`
+/// number of returns, `c` class, `u` user data, `a` scan angle, `e` edge of flight line, `d` scan
+/// direction, `p` point source id, `h` withheld, `k` key point, `g` synthetic, `o` overlap, `l`
+/// scanner channel. Digits select the extra attributes: `0` WideRatio, `1` TargetThick, `2` Amp,
 /// `3` DevRatio, `4` RangeErr, `5` IntErr, `6` WideErr, `7` ThickErr, `8` Channel, `9` RawAmp.
 ///
-/// Every value is the one that `write_las` stores, with as many decimals as its step has, so that text and LAS say the
-/// same and nothing is lost on the way from one to the other. Times have as many decimals as tell them apart.
+/// Every value equals the one that `write_las` stores, with the number of decimals of its step.
+/// Text and LAS therefore agree, and converting between them is lossless. Times have as many
+/// decimals as needed to distinguish them.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WriteAscii {
-    /// The file; `*` is the input's stem.
+    /// Output file; `*` is the input's stem.
     pub path: String,
-    /// The columns, a letter or a digit each.
+    /// The columns, one letter or digit each.
     pub columns: String,
-    /// What stands between two columns.
+    /// Column separator.
     pub separator: Separator,
-    /// Name the columns in the first line.
+    /// Write a header line with the column names.
     pub header: bool,
-    /// Step of the coordinates, in units of the coordinate reference system; as in `write_las` when not given.
+    /// Coordinate step, in units of the coordinate reference system. Defaults to that of
+    /// `write_las`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coordinate_step: Option<f64>,
 }
 
-/// What stands between two columns.
+/// Column separator.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Separator {
-    /// A blank.
+    /// A space.
     Space,
     /// A comma.
     Comma,
-    /// A tabulator.
+    /// A tab.
     Tab,
     /// A semicolon.
     Semicolon,
@@ -91,7 +94,7 @@ impl Config for WriteAscii {
 }
 
 impl WriteAscii {
-    /// The sink of LAS whose values these are.
+    /// The LAS sink whose values are written.
     fn as_las(&self) -> WriteLas {
         let mut las = WriteLas::default();
         las.coordinate_step = self.coordinate_step;
@@ -105,7 +108,7 @@ impl SinkConfig for WriteAscii {
     }
 
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
-        // The keys have been checked.
+        // The keys have already been checked.
         let columns = columns(&self.columns).unwrap_or_default();
         let separator = self.separator.text();
         let mut file = site.create(&self.path)?;
@@ -132,10 +135,10 @@ struct AsciiWriter {
     columns: Vec<&'static Column>,
     separator: &'static str,
     file: OutputFile,
-    /// Known with the first point.
+    /// Set with the first point.
     steps: Option<[Steps; 3]>,
     attribute_steps: [Steps; ATTRIBUTES.len()],
-    /// The rows of a line.
+    /// Text of the rows of a line.
     text: String,
     n_points: u64,
 }
@@ -175,7 +178,7 @@ impl Sink for AsciiWriter {
 
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
         if self.n_points == 0 {
-            cx.note("not a single point was found");
+            cx.note("no points were found");
         }
         cx.keep(self.file.finish()?);
         Ok(())
@@ -224,7 +227,7 @@ mod tests {
         batch
     }
 
-    /// What a sink with these keys writes of the line.
+    /// Text that a sink with these keys writes for the line.
     fn written(config: &WriteAscii) -> String {
         written_of(config, &[line()])
     }

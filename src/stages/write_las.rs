@@ -1,4 +1,4 @@
-//! Points as LAS or LAZ.
+//! `write_las`: writes points as LAS or LAZ.
 
 pub(super) mod attributes;
 mod files;
@@ -24,83 +24,88 @@ use attributes::Attributes;
 use files::Files;
 use waves::Waves;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec =
     StageSpec::sink::<WriteLas>("write_las", &[Kind::Points]).after(&["georeference"]);
 
-/// Writes points as LAS or LAZ: the extension of `path` decides which.
+/// Writes points as LAS or LAZ, as set by the extension of `path`.
 ///
-/// Intensity is the corrected intensity, rounded. Return numbers, scan angle, scan direction and edge of flight line are
-/// those of the emission; times are adjusted GPS time where the input tells the week, else as the input has them, and the
-/// header says which. The point source id is the multiple-time-around zone, the user data byte holds the flags of the fit
-/// (bit 0 refined, 1 overlap, 2 diverged at first, 3 to 5 cross-talk, 6 saturated, 7 extremely saturated), outliers are
-/// withheld and of class 20; the channel is that of the power that gave the intensity (0 low, 1 high).
+/// Intensity is the corrected intensity, rounded. Return numbers, scan angle, scan direction and
+/// edge-of-flight-line flag are those of the shot. Times are adjusted GPS time if the input gives
+/// the week, otherwise those of the input; the header says which. The point source id is the MTA
+/// zone. The user data byte holds the flags of the fit (bit 0 refined, 1 overlap, 2 diverged at
+/// first, 3 to 5 cross-talk, 6 saturated, 7 extremely saturated). Outliers are withheld and of
+/// class 20. The scanner channel is the receiver that gave the intensity (0 low power, 1 high
+/// power).
 ///
-/// LAS 1.4 has point format 6 and the coordinate reference system of the points as WKT. LAS 1.2 and 1.3, for older
-/// programs, have point format 1 (at most 7 returns of a pulse, whole degrees, no channel) and GeoTIFF keys, or WKT where the system
-/// has no EPSG code.
+/// LAS 1.4 uses point format 6 and the coordinate reference system of the points as WKT. LAS 1.2
+/// and 1.3, for older programs, use point format 1 (at most 7 returns per pulse, whole degrees, no
+/// channel) and GeoTIFF keys, or WKT if the CRS has no EPSG code.
 ///
-/// Extra attributes: `WideRatio`, `TargetThick`, `Amp`, `DevRatio`, `RangeErr`, `IntErr`, `WideErr`, `ThickErr` and
-/// `Channel` (0 low, 1 high power), with the scales, offsets and types of BayesWavEx 1.1. All values are clamped to what
-/// their type can hold, never wrapped.
+/// Extra attributes: `WideRatio`, `TargetThick`, `Amp`, `DevRatio`, `RangeErr`, `IntErr`,
+/// `WideErr`, `ThickErr` and `Channel` (0 low, 1 high power), with the scales, offsets and types of
+/// BayesWavEx 1.1. All values are clamped to the range of their type, never wrapped.
 ///
-/// Layout 1.0 has the names and scales of BayesWavEx 1.0 (2016): `Widening`, `Target Thickness`, `Amplitude`,
-/// `Raw Amplitude`, `Deviation Ratio`, `Range Error`, `Intensity Error`, `Widening Error`, `Thickness Error`. Its user data
-/// byte says in bit 0 that the return was refined (the number of iterations, for which bits 0 to 5 stand, is not kept), in
-/// bit 6 overlap, in bit 7 a second refinement; points of a deviation ratio above 3 belong to class 20, too.
+/// Layout 1.0 has the names and scales of BayesWavEx 1.0 (2016): `Widening`, `Target Thickness`,
+/// `Amplitude`, `Raw Amplitude`, `Deviation Ratio`, `Range Error`, `Intensity Error`, `Widening
+/// Error`, `Thickness Error`. In its user data byte, bit 0 means that the return was refined (bits
+/// 0 to 5 are meant for the number of iterations, which is not kept), bit 6 means overlap, and bit
+/// 7 a second refinement. Points with a deviation ratio above 3 are also of class 20.
 ///
-/// With `wave_packets`, each point comes with the waveform it was found in (point format 9, in LAS 1.3 format 4), so that
-/// the file is itself a recording of full waveforms: `read_las` reads it back, and decomposes it into the same returns. Points
-/// of one waveform share its packet; vectors point from the target to the sensor, as those of RIEGL's and Leica's files do.
-/// Samples are in steps of the digitiser. Shots without any return are not in such a file.
+/// With `wave_packets`, each point has the waveform in which it was found (point format 9, or 4 in
+/// LAS 1.3). The file is then a full-waveform recording: `read_las` reads it, and `decompose` gives
+/// the same returns. Points of one waveform share its packet. Direction vectors point from the
+/// target to the sensor, as in files of RIEGL and Leica. Samples are in digitiser steps. Shots
+/// without returns are not in such a file.
 ///
-/// Rejected, and counted, are waveforms beyond the 255 kinds (number of samples, time between them, 8 or 16 bits) that a
-/// file can tell apart: their points come without. Rejected are points too far away for 32-bit coordinates of the step; where that is every point, it is an
-/// error.
+/// A file can distinguish 255 kinds of waveforms (number of samples, sampling interval, 8 or 16
+/// bits). Waveforms of further kinds are rejected and counted; their points are written without a
+/// waveform. Points too far away for 32-bit coordinates of the given step are rejected; if that is
+/// every point, the run fails.
 ///
-/// The bytes do not depend on the number of threads, and the creation date is that of the data.
+/// The bytes do not depend on the number of threads. The creation date is that of the data.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WriteLas {
-    /// The file, `.las` or `.laz`; `*` is the input's stem.
+    /// Output file, `.las` or `.laz`; `*` is the input's stem.
     pub path: String,
-    /// Version of the file.
+    /// LAS version.
     pub version: VersionKey,
     /// Write the extra attributes.
     pub extra_attributes: bool,
-    /// Of these, write the standard deviations, too.
+    /// Include the standard deviations among the extra attributes.
     pub uncertainty: bool,
-    /// Names and scales of the extra attributes, and what class and user data mean.
+    /// Names and scales of the extra attributes, and meaning of class and user data.
     pub attribute_layout: AttributeLayout,
-    /// Where the waveform goes that each point was found in.
+    /// Destination of the waveforms of the points.
     pub wave_packets: WavePacketsKey,
-    /// Where the spatial index for LAStools goes.
+    /// Destination of the spatial index for LAStools.
     pub index: IndexKey,
-    /// Step of the coordinates, in units of the coordinate reference system; when not given, 0.001, or that of the input or
-    /// of `georeference` where it is below 0.00001, as degrees need it.
+    /// Coordinate step, in units of the coordinate reference system. Defaults to 0.001, or to the
+    /// step of the input or of `georeference` if that is below 0.00001, as required for degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coordinate_step: Option<f64>,
-    /// The names of files beside the file, once they were asked for.
+    /// Names of the companion files, set on first use.
     #[serde(skip)]
     beside: OnceLock<Beside>,
 }
 
-/// Patterns of files beside the file.
+/// Path patterns of companion files.
 #[derive(Clone, Debug)]
 struct Beside {
     index: String,
     packets: String,
-    /// Of packets that become a part of the file: they are gathered under a temporary name that is the file's alone.
+    /// Temporary file, unique to this output, for packets that become part of it.
     packets_inside: String,
 }
 
-/// Version of a file.
+/// LAS version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 pub enum VersionKey {
-    /// Point format 6, with waveforms 9.
+    /// Point format 6, or 9 with waveforms.
     #[serde(rename = "1.4")]
     V1_4,
-    /// Point format 1, with waveforms 4.
+    /// Point format 1, or 4 with waveforms.
     #[serde(rename = "1.3")]
     V1_3,
     /// Point format 1.
@@ -108,37 +113,37 @@ pub enum VersionKey {
     V1_2,
 }
 
-/// Where waveforms go.
+/// Destination of waveforms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WavePacketsKey {
-    /// They are not written.
+    /// Not written.
     None,
-    /// Into a file of the same name that ends in `.wdp`.
+    /// In a file of the same name with the extension `.wdp`.
     External,
-    /// Into the file, behind the points.
+    /// In the file, after the points.
     Internal,
 }
 
-/// Where a spatial index goes.
+/// Destination of the spatial index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum IndexKey {
-    /// There is none.
+    /// Not written.
     None,
-    /// Into a file of the same name that ends in `.lax`.
+    /// In a file of the same name with the extension `.lax`.
     File,
-    /// Behind the points, in LAZ only.
+    /// After the points, LAZ only.
     Appended,
 }
 
-/// A layout of what points tell of their returns.
+/// Layout of the attributes of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 pub enum AttributeLayout {
-    /// That of BayesWavEx 1.1.
+    /// Layout of BayesWavEx 1.1.
     #[serde(rename = "1.1")]
     V1_1,
-    /// That of BayesWavEx 1.0.
+    /// Layout of BayesWavEx 1.0.
     #[serde(rename = "1.0")]
     V1_0,
 }
@@ -165,7 +170,7 @@ impl Config for WriteLas {
         InvalidKey::unless(
             lower.ends_with(".las") || lower.ends_with(".laz"),
             "path",
-            "the file's name must end in .las or .laz",
+            "the file name must end in .las or .laz",
         )?;
         self.check_step()?;
         InvalidKey::unless(
@@ -213,7 +218,7 @@ impl SinkConfig for WriteLas {
 }
 
 impl WriteLas {
-    /// An error where there is no such step of coordinates.
+    /// Checks the coordinate step.
     pub(super) fn check_step(&self) -> std::result::Result<(), InvalidKey> {
         InvalidKey::unless(
             self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
@@ -248,7 +253,7 @@ impl WriteLas {
         Waves::new(site.create(pattern)?, &site.geometry).map(Some)
     }
 
-    /// The step of each coordinate.
+    /// Step of each coordinate.
     pub(super) fn steps(&self, input: &InputInfo) -> [f64; 3] {
         let usual = input.coordinate_grid.map_or([USUAL_STEP; 3], |(steps, _)| {
             steps.map(|step| if step < DEGREES_STEP { step } else { USUAL_STEP })
@@ -256,7 +261,7 @@ impl WriteLas {
         self.coordinate_step.map_or(usual, |step| [step; 3])
     }
 
-    /// Writes what stands before the points.
+    /// Writes the header and the records before the points.
     fn begin(
         &self,
         file: OutputFile,
@@ -302,29 +307,29 @@ impl WriteLas {
     }
 }
 
-/// The step of coordinates in metres and feet.
+/// Default coordinate step in metres and feet.
 const USUAL_STEP: f64 = 0.001;
-/// A step below this is one of degrees, of which a millionth is a decimetre.
+/// Smaller steps are in degrees; 1e-6 degree is about 1 dm.
 const DEGREES_STEP: f64 = 1e-5;
 
 struct LasSink {
     config: WriteLas,
     attributes: Attributes,
     threads: usize,
-    /// The file of the index.
+    /// File of the spatial index.
     index: Option<OutputFile>,
     /// The waveforms of the points.
     waves: Option<Waves>,
     state: State,
     input: Option<Arc<InputInfo>>,
-    /// Why the first point was left out that does not fit into the file's coordinates.
+    /// Error of the first rejected point, outside the range of the file's coordinates.
     refused: Option<Error>,
 }
 
-/// What becomes of a point at a place that cannot be: it must not cost the others.
+/// Rejection reason of a point with an impossible position; the others are kept.
 const TOO_FAR: &str = "a point too far away for the coordinates of the file";
 
-/// The header needs to know the input: it is written when the first line comes.
+/// The header needs the input's metadata: it is written with the first line.
 enum State {
     Empty(OutputFile),
     Open(Box<Writer<OutputFile>>),
@@ -332,7 +337,7 @@ enum State {
 }
 
 impl LasSink {
-    /// Begins the file, unless it has begun.
+    /// Starts the file, unless already started.
     fn begin(&mut self, input: &InputInfo, first: Option<[f64; 3]>, time_s: f64) -> Result<()> {
         if let State::Empty(_) = self.state
             && let State::Empty(file) = std::mem::replace(&mut self.state, State::Broken)
@@ -343,22 +348,22 @@ impl LasSink {
         Ok(())
     }
 
-    /// What is said once about the input.
+    /// Notes on the input, issued once.
     fn note(&self, input: &InputInfo, cx: &mut Context) {
         match &input.crs_wkt {
             None if input.frame == Frame::Map => cx.note(
-                "the input names no coordinate reference system by WKT or EPSG code: the file has none; name it with the \
+                "the input has no coordinate reference system (WKT or EPSG code), so the file has none; set it with the \
                  reader's key `crs_of_input`",
             ),
             None => cx.note(
                 "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
-                 trajectory, and the crs that points are to have",
+                 `trajectory` and a `crs`",
             ),
             Some(wkt) if self.config.version != VersionKey::V1_4 => {
                 if geokeys::of_wkt(wkt).is_none() {
                     cx.note(
-                        "the coordinate reference system has neither an EPSG code nor GeoTIFF keys: the file holds it as \
-                         WKT, which belongs to LAS 1.4",
+                        "the coordinate reference system has neither an EPSG code nor GeoTIFF keys: the file stores it as \
+                         WKT, which is defined for LAS 1.4",
                     );
                 }
             }
@@ -366,17 +371,17 @@ impl LasSink {
         }
     }
 
-    /// What is said once where the header cannot say what the points' times count.
+    /// Notes once if the header cannot express the time scale of the points.
     fn note_times(input: &InputInfo, time_s: f64, cx: &mut Context) {
         match input.time_scale {
             _ if time_s.is_nan() => {}
             TimeScale::Day => cx.note(
-                "the times of the points are seconds of the day, and the header of the LAS file can only say seconds of \
-                 the GPS week; give the day with the reader's key `gps_date`",
+                "the times of the points are seconds of the day, but the LAS header can only declare seconds of \
+                 the GPS week; set the day with the reader's key `gps_date`",
             ),
             TimeScale::Unknown => cx.note(
-                "the recording does not say what its times count, and the header of the LAS file says seconds of the GPS \
-                 week; say it with the reader's key `recording_time`",
+                "the time scale of the recording is unknown, and the LAS header declares seconds of the GPS \
+                 week; set it with the reader's key `recording_time`",
             ),
             TimeScale::Week | TimeScale::Adjusted => {}
         }
@@ -390,7 +395,7 @@ impl Sink for LasSink {
         };
         let input = &batch.input;
         self.input.get_or_insert_with(|| Arc::clone(input));
-        // The first point decides about the offset of the coordinates, so that a file begins with it.
+        // The first point sets the coordinate offset, so the file starts with it.
         if points.is_empty() {
             return Ok(());
         }
@@ -429,7 +434,7 @@ impl Sink for LasSink {
         )?;
         cx.reject(Item::Returns, TOO_FAR, n_refused);
         if let (Some(error), None) = (refused, &self.refused) {
-            cx.note(format!("{TOO_FAR} was left out, and so is every further one: {error}"));
+            cx.note(format!("{TOO_FAR} was rejected; further ones are only counted: {error}"));
             self.refused = Some(error);
         }
         cx.observe("points_per_line", points.len() as f64);
@@ -441,12 +446,12 @@ impl Sink for LasSink {
         self.begin(&input, None, f64::NAN)?;
         if let State::Open(writer) = self.state {
             if writer.n_points() == 0 {
-                // Not one point fits: then it is the file's coordinates that are wrong.
+                // If no point fits, the coordinates of the file are wrong.
                 self.refused.map_or(Ok(()), Err)?;
-                cx.note("not a single point was found");
+                cx.note("no points were found");
             }
             if writer.n_points() > u64::from(u32::MAX) && self.config.index != IndexKey::None {
-                cx.note("an index cannot name so many points: the file has none");
+                cx.note("the index format cannot address this many points: the file has no index");
             }
             let files = Files { index: self.index, waves: self.waves, place: self.config.wave_packets };
             files.finish(*writer, cx)?;
@@ -455,14 +460,14 @@ impl Sink for LasSink {
     }
 }
 
-/// The offset of each coordinate: the input's own, else the first point's, rounded.
+/// Offset of each coordinate: that of the input, else the first point rounded to 1000.
 pub(super) fn offsets(input: &InputInfo, first: Option<[f64; 3]>) -> [f64; 3] {
     let near = |m: f64| (m / 1000.0).round() * 1000.0;
     let own = input.coordinate_grid.map(|(_, offset)| offset);
     own.unwrap_or_else(|| first.unwrap_or_default().map(near))
 }
 
-/// A return as LAS has it.
+/// Converts a return to a LAS point.
 #[inline]
 pub(super) fn point(
     input: &InputInfo,

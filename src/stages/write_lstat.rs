@@ -1,4 +1,4 @@
-//! The statistics of scan lines, as text.
+//! `write_lstat`: writes statistics of scan lines as text.
 
 use std::io::Write;
 
@@ -11,48 +11,48 @@ use crate::formats::Error;
 use crate::geo::time::adjusted_gps_time;
 use crate::stage::{Config, Context, OutputFile, Result, Sink, SinkConfig, Site, StageSpec};
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec =
     StageSpec::sink::<WriteLstat>("write_lstat", &[Kind::Shots, Kind::Returns, Kind::Points]);
 
-/// A column: its name, its value, and what it means.
+/// A column: name, value and meaning.
 struct Column(&'static str, Values, &'static str);
 
-/// Where a column takes its value from.
+/// Source of a column's value.
 enum Values {
     /// A counter.
     Count(fn(&LineStats) -> u64),
-    /// Returns that were fitted step by step.
+    /// Number of iteratively refined returns.
     Refined,
-    /// Seconds, to a microsecond.
+    /// Time, s, to a microsecond.
     Time,
-    /// Metres, to a centimetre.
+    /// Length, m, to a centimetre.
     Metres(fn(&LineStats) -> Option<f64>),
 }
 
 use Values::{Count, Metres, Refined, Time};
 
-/// The columns of BayesWavEx 1.1 (section 3, stat files), in their order.
+/// Columns of BayesWavEx 1.1 (section 3, stat files), in order.
 const COLUMNS: [Column; 20] = [
     Column(
         "gps_time",
         Time,
-        "time of the line's first shot, s: adjusted GPS time where the input tells enough, else as the input has it",
+        "time of the first shot of the line, s: adjusted GPS time if it can be derived from the input, else the time of the input",
     ),
     Column("nw", Count(|stats| stats.nw), "waveforms: shots with at least one echo block"),
-    Column("np", Count(|stats| stats.np), "returns kept, withheld ones included"),
-    Column("np_xtalk", Count(|stats| stats.np_xtalk), "returns touched by the emission's cross-talk"),
+    Column("np", Count(|stats| stats.np), "returns kept, including withheld ones"),
+    Column("np_xtalk", Count(|stats| stats.np_xtalk), "returns affected by cross-talk of the emission"),
     Column("np_filtered", Count(|stats| stats.np_filtered), "candidates rejected by a threshold"),
     Column("np_merged", Count(|stats| stats.np_merged), "candidates merged with another"),
     Column("np_air", Count(|stats| stats.np_air), "outliers above their neighbours"),
     Column("np_low", Count(|stats| stats.np_low), "outliers below their neighbours"),
     Column("np_range", Count(|stats| stats.np_range), "returns whose intensity was corrected for range"),
     Column("np_atm", Count(|stats| stats.np_atm), "returns whose intensity was corrected for the atmosphere"),
-    Column("np_ibrc", Count(|stats| stats.np_ibrc), "returns whose range was corrected by amplitude"),
+    Column("np_ibrc", Count(|stats| stats.np_ibrc), "returns whose range was corrected for amplitude"),
     Column(
         "np_ibic",
         Count(|stats| stats.np_ibic),
-        "returns whose amplitude was corrected by the instrument's table",
+        "returns whose amplitude was corrected with the instrument's table",
     ),
     Column("nw_empty", Count(|stats| stats.nw_empty), "waveforms without any return"),
     Column("nw_saturated", Count(|stats| stats.nw_saturated), "waveforms with saturated samples"),
@@ -62,14 +62,15 @@ const COLUMNS: [Column; 20] = [
     Column(
         "nw_truncated",
         Count(|stats| stats.nw_truncated),
-        "waveforms with a return cut off by the block's edge",
+        "waveforms with a return truncated by the edge of the block",
     ),
     Column("n_georef", Count(|stats| stats.n_georef), "points with coordinates"),
-    Column("AGL", Metres(|stats| stats.agl_m), "height above the line's own ground, m"),
+    Column("AGL", Metres(|stats| stats.agl_m), "height above the ground of the line, m"),
 ];
 
-/// The columns of BayesWavEx 1.0 (section 2, scanline statistics file), in their order. What 1.0 calls empty are all
-/// waveforms without a valid return.
+/// Columns of BayesWavEx 1.0 (section 2, scanline statistics file), in order.
+///
+/// In 1.0, all waveforms without a valid return count as empty.
 const COLUMNS_1_0: [Column; 11] = [
     Column("gps_time", Time, "as in layout 1.1"),
     Column("n_waveforms", Count(|stats| stats.nw), "nw"),
@@ -77,7 +78,7 @@ const COLUMNS_1_0: [Column; 11] = [
     Column("n_empty", Count(|stats| stats.nw_empty + stats.nw_deleted), "nw_empty + nw_deleted"),
     Column("n_filtered", Count(|stats| stats.np_filtered), "np_filtered"),
     Column("n_merged", Count(|stats| stats.np_merged), "np_merged"),
-    Column("n_refined", Refined, "returns that were fitted step by step"),
+    Column("n_refined", Refined, "iteratively refined returns"),
     Column("n_air", Count(|stats| stats.np_air), "np_air"),
     Column("n_low", Count(|stats| stats.np_low), "np_low"),
     Column("n_range", Count(|stats| stats.np_range), "np_range"),
@@ -86,25 +87,27 @@ const COLUMNS_1_0: [Column; 11] = [
 
 /// Writes the counters of every scan line as text.
 ///
-/// One row per line, separated by blanks, after a first line that begins with `#` and names the columns: the 20 of
-/// BayesWavEx 1.1, or with `layout = "1.0"` the 11 of BayesWavEx 1.0, `gps_time n_waveforms n_points n_empty n_filtered
-/// n_merged n_refined n_air n_low n_range n_atm`. `n_empty` is there `nw_empty + nw_deleted`, and `n_refined` counts returns.
+/// Each line is one row with columns separated by spaces. A header line starts with `#` and names
+/// the columns: the 20 of BayesWavEx 1.1, or with `layout = "1.0"` the 11 of BayesWavEx 1.0,
+/// `gps_time n_waveforms n_points n_empty n_filtered n_merged n_refined n_air n_low n_range n_atm`.
+/// There, `n_empty` is `nw_empty + nw_deleted`, and `n_refined` counts returns.
 ///
-/// `gps_time` is that of the line's first shot: adjusted GPS time, as in the LAS file, where the input tells enough, else
-/// as the input has it. `np...` count returns, `nw...` waveforms. `AGL` is the height above ground in metres, `nan` for
-/// recordings that do not give the position of the sensor. What is not known is `nan`.
+/// `gps_time` is that of the first shot of the line: adjusted GPS time, as in the LAS file, if it
+/// can be derived from the input, otherwise the time of the input. `np...` count returns, `nw...`
+/// waveforms. `AGL` is the height above ground in metres, `nan` for recordings without the sensor
+/// position. Unknown values are `nan`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WriteLstat {
-    /// The file; `*` is the input's stem.
+    /// Output file; `*` is the input's stem.
     pub path: String,
-    /// Name the columns in a first line that begins with `#`.
+    /// Write a header line that starts with `#` and names the columns.
     pub header: bool,
-    /// The version of BayesWavEx whose columns these are.
+    /// BayesWavEx version that defines the columns.
     pub layout: Layout,
 }
 
-/// The version of BayesWavEx whose columns these are.
+/// BayesWavEx version that defines the columns.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub enum Layout {
     /// 11 columns.
@@ -170,7 +173,7 @@ impl Sink for LstatWriter {
     }
 }
 
-/// A line's row.
+/// Formats the row of a line.
 fn row(columns: &[Column], stats: &LineStats, gps_time_s: f64, n_refined: u64) -> String {
     let text = |column: &Column| match column.1 {
         Time => number(gps_time_s, 6),
@@ -181,7 +184,7 @@ fn row(columns: &[Column], stats: &LineStats, gps_time_s: f64, n_refined: u64) -
     columns.iter().map(text).collect::<Vec<String>>().join(" ")
 }
 
-/// The file as JSON, for people and programs: what `schemas/lstat.json` holds.
+/// Description of the file as JSON, stored in `schemas/lstat.json`.
 pub fn description() -> Value {
     let column = |Column(name, values, meaning): &Column| {
         let kind = match values {
@@ -192,9 +195,9 @@ pub fn description() -> Value {
     };
     json!({
         "title": "wavex statistics of scan lines: the columns of BayesWavEx 1.1",
-        "format": "text: columns separated by one blank, `nan` where something is not known; a first line that begins \
-                   with `#` names the columns, unless the job leaves it out",
-        "row": "one scan line, in order of time",
+        "format": "text: columns separated by one space, `nan` for unknown values; a header line that starts \
+                   with `#` names the columns, unless disabled by the job",
+        "row": "one scan line, sorted by time",
         "columns": COLUMNS.each_ref().map(column),
         "columns_of_layout_1.0": COLUMNS_1_0.each_ref().map(column),
     })
@@ -208,7 +211,7 @@ fn number(value: f64, digits: usize) -> String {
 mod tests {
     use super::*;
 
-    /// A line of which every counter has another value.
+    /// A line whose counters all differ.
     fn stats() -> LineStats {
         LineStats {
             nw: 1,
@@ -241,7 +244,7 @@ mod tests {
         assert_eq!(row(&COLUMNS_1_0), "101238765.250000 1 2 28 4 5 19 6 7 8 9");
     }
 
-    /// As the documents of both versions print them.
+    /// The columns as printed in the documents of both versions.
     #[test]
     fn the_columns_are_those_of_the_documents() {
         let names = |columns: &[Column]| columns.iter().map(|column| column.0).collect::<Vec<_>>().join(" ");

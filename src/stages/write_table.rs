@@ -1,4 +1,4 @@
-//! `write_table`: every return in full precision, as Arrow, Parquet or CSV.
+//! `write_table`: writes every return in full precision as Arrow, Parquet or CSV.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,30 +15,33 @@ mod writer;
 pub use columns::{Row, description};
 pub use writer::{Format, ROWS_PER_GROUP, TableWriter};
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_table", &[Kind::Returns, Kind::Points]);
 
-/// Writes every return as a row of a table, in full precision.
+/// Writes every return as a table row, in full precision.
 ///
-/// What LAS rounds (amplitudes, deviation ratios, times) stands here as it was computed, with every standard deviation.
-/// The file is Arrow IPC (`pyarrow.ipc.open_file`,
-/// `polars.read_ipc`), Parquet (`read_parquet` of DuckDB, pandas and R) or CSV.
+/// Values that LAS rounds (amplitudes, deviation ratios, times) are written as computed, with every
+/// standard deviation. The file is Arrow IPC (`pyarrow.ipc.open_file`, `polars.read_ipc`), Parquet
+/// (`read_parquet` of DuckDB, pandas and R) or CSV.
 ///
-/// The columns, in this order, are: shot, gps_time_s, return_number, number_of_returns, channel, mta_zone, range_m,
-/// range_sd_m, time_of_flight_ns, time_of_flight_sd_ns, amplitude_dn, amplitude_sd_dn, amplitude_db, width_ratio,
-/// width_ratio_sd, fwhm_ns, thickness_m, thickness_sd_m, deviation_ratio, intensity, intensity_sd, flags, withheld,
-/// class, x, y, z. Their types and meanings stand in `schemas/return_table.json`. gps_time_s, mta_zone and amplitude_db
-/// are null where they are not known, x, y and z before `georeference`; another quantity that is not known is NaN.
+/// The columns, in this order, are: shot, gps_time_s, return_number, number_of_returns, channel,
+/// mta_zone, range_m, range_sd_m, time_of_flight_ns, time_of_flight_sd_ns, amplitude_dn,
+/// amplitude_sd_dn, amplitude_db, width_ratio, width_ratio_sd, fwhm_ns, thickness_m,
+/// thickness_sd_m, deviation_ratio, intensity, intensity_sd, flags, withheld, class, x, y, z.
+/// `schemas/return_table.json` gives their types and meanings. gps_time_s, mta_zone and
+/// amplitude_db are null if unknown; x, y and z are null before `georeference`; other unknown
+/// quantities are NaN.
 ///
-/// Rows are written in groups of 65 536, so that the memory stays bounded and the same returns give the same bytes.
-/// Withheld returns are written, and marked. A table without returns has its columns and no rows. Rejected, and
-/// counted, are returns whose emission the line does not hold.
+/// Rows are written in groups of 65 536, so that memory is bounded and the same returns give the
+/// same bytes. Withheld returns are written, and marked. A table without returns has its columns
+/// but no rows. Rejected, and counted, are returns whose shot is not in the line.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// The file to write; `*` is the input's name. Its extension names the format: `.arrow`, `.parquet`, `.csv`.
+    /// Output file; `*` is the input's stem. The extension sets the format: `.arrow`, `.parquet`,
+    /// `.csv`.
     pub path: String,
-    /// The format, where the extension does not name it.
+    /// Format, if not given by the extension.
     pub format: Option<Format>,
 }
 
@@ -57,7 +60,7 @@ impl Config {
 impl stage::Config for Config {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         InvalidKey::unless(!self.path.is_empty(), "path", "the path is empty")?;
-        let problem = "it ends neither with .arrow nor .parquet nor .csv: give the key `format`";
+        let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
         InvalidKey::unless(self.format().is_some(), "path", problem)
     }
 }
@@ -73,17 +76,17 @@ impl SinkConfig for Config {
     }
 }
 
-/// A table that is being written.
+/// A table being written.
 struct WriteTable {
     state: State,
     format: Format,
 }
 
 enum State {
-    /// The first line says what its times count.
+    /// Waiting for the first line, which gives the time scale.
     Waiting(OutputFile),
     Open(Box<TableWriter<OutputFile>>),
-    /// A write failed: the run is over.
+    /// A write failed; the run ends.
     Failed,
 }
 
@@ -107,15 +110,15 @@ impl Sink for WriteTable {
     fn write(&mut self, batch: &Batch, cx: &mut Context) -> Result<()> {
         let Some(returns) = batch.returns() else {
             return Err(StageError::failed(
-                format!("write_table was given {}, and writes Returns or Points", batch.kind()),
-                "put it behind `decompose`",
+                format!("write_table received {}, but writes Returns or Points", batch.kind()),
+                "put it after `decompose`",
             ));
         };
         let writer = self.writer(batch.input.time_scale)?;
         let points = batch.points().unwrap_or_default();
         for (index, found) in returns.iter().enumerate() {
             let Some(emission) = batch.emissions.get(found.emission as usize) else {
-                cx.reject(Item::Returns, "its emission is not in the line", 1);
+                cx.reject(Item::Returns, "its shot is not in the line", 1);
                 continue;
             };
             writer.push(Row {
@@ -129,7 +132,7 @@ impl Sink for WriteTable {
     }
 
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
-        // A table without a line still has its columns.
+        // A table without lines still has its columns.
         self.writer(TimeScale::Unknown)?;
         if let State::Open(writer) = self.state {
             cx.keep(writer.finish()?.finish()?);

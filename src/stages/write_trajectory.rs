@@ -1,4 +1,4 @@
-//! The sensor's path as text.
+//! `write_trajectory`: writes the sensor's path as text.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -20,49 +20,52 @@ mod pace;
 use met::Met;
 use pace::Pace;
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec =
     StageSpec::sink::<WriteTrajectory>("write_trajectory", &[Kind::Shots, Kind::Returns, Kind::Points]);
 
-/// Writes the sensor's path as text: a row for some of the shots, separated by blanks.
+/// Writes the sensor's path as text, one row per selected shot.
 ///
-/// The columns are `gps_time X Y Z`: the time as the points have it, adjusted GPS time where the input tells enough, and
-/// the place of the sensor in the coordinates of the points. With a trajectory (`[job.geometry]`) the row has
-/// `roll pitch heading`, too: degrees, right wing down, nose up, and clockwise from true north, `nan` where the trajectory
-/// does not tell.
+/// The columns, separated by spaces, are `gps_time X Y Z`: the time of the points (adjusted GPS
+/// time if it can be derived from the input), and the position of the sensor in the coordinates of
+/// the points. With a trajectory (`[job.geometry]`), rows also have `roll pitch heading` in
+/// degrees: right wing down, nose up, and clockwise from true north; `nan` if the trajectory does
+/// not give them.
 ///
-/// LAS and some PulseWaves files give points on each beam, but not where it began: there the sensor's place is estimated from
-/// where the beams of at least `interval_s` meet. Observes `trajectory_sd_m`, the standard deviation of these places.
+/// LAS and some PulseWaves files give points on each beam, but not its origin. The sensor position
+/// is then estimated from the intersection of the beams of at least `interval_s`. Observes
+/// `trajectory_sd_m`, the standard deviation of these positions.
 ///
-/// Where shots have no place on the earth, the file has no rows but the first line, and the report says so.
+/// If shots have no position on the earth, the file has only its header line, and the report says
+/// so.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WriteTrajectory {
-    /// The file; `*` is the input's stem.
+    /// Output file; `*` is the input's stem.
     pub path: String,
-    /// Time from row to row; 0.1 when neither it nor `every` is given.
+    /// Time between rows, s. Defaults to 0.1 if `every` is not given either.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 3600.0))]
     pub interval_s: Option<f64>,
-    /// Shots from row to row, in place of `interval_s`.
+    /// Number of shots between rows, instead of `interval_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 1))]
     pub every: Option<u64>,
-    /// Where the sensor's place comes from.
+    /// Source of the sensor position.
     pub sensor: Sensor,
-    /// Name the columns in a first line that begins with `#`.
+    /// Write a header line that starts with `#` and names the columns.
     pub header: bool,
 }
 
-/// Where the sensor's place comes from.
+/// Source of the sensor position.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Sensor {
-    /// As the input is: from where its beams begin, unless it does not tell that.
+    /// Beam origins if the input has them, otherwise beam intersections.
     Auto,
-    /// From where the beams begin.
+    /// Beam origins.
     Origins,
-    /// From where the beams meet.
+    /// Beam intersections.
     Beams,
 }
 
@@ -84,7 +87,7 @@ impl Config for WriteTrajectory {
         InvalidKey::unless(fits, "interval_s", "it must lie between 0 and 3600")?;
         InvalidKey::unless(self.every != Some(0), "every", "it must be at least 1")?;
         let one = self.every.is_none() || self.interval_s.is_none();
-        InvalidKey::unless(one, "every", "it takes the place of `interval_s`: give one of them")
+        InvalidKey::unless(one, "every", "it replaces `interval_s`: give only one of them")
     }
 
     fn spell_out(&mut self) {
@@ -118,13 +121,13 @@ struct TrajectoryWriter {
     file: OutputFile,
     geometry: Arc<Geometry>,
     sensor: Sensor,
-    /// Still to be written.
+    /// Whether the header line is still to be written.
     header: bool,
-    /// Of the input; the scanner's where there was none.
+    /// Frame of the input; the scanner frame without input.
     frame: Frame,
     pace: Pace,
     met: Met,
-    /// The last shot, where it has no row: the path goes as far.
+    /// The last shot, if it has no row yet: the path ends with it.
     last: Option<(Arc<InputInfo>, Emission)>,
 }
 
@@ -136,7 +139,7 @@ impl Sink for TrajectoryWriter {
         }
         if matches!(batch.input.frame, Frame::Scanner | Frame::Body) {
             cx.note(
-                "the input is not georeferenced: where the sensor was is not known, and its path has no rows",
+                "the input is not georeferenced: the sensor position is unknown, and its path has no rows",
             );
             return Ok(());
         }
@@ -163,7 +166,7 @@ impl Sink for TrajectoryWriter {
     }
 
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
-        // Without a single row the file still says what it is.
+        // A file without rows still gets its header line.
         self.begin()?;
         if let Some((input, emission)) = self.last.take() {
             self.row(&input, emission.gps_time_s, emission.origin_m)?;
@@ -171,7 +174,7 @@ impl Sink for TrajectoryWriter {
         let without = self.met.n_without_place();
         if without > 0 {
             cx.note(format!(
-                "the beams of {without} stretches of the flight do not meet near one place: the sensor's path has no rows there"
+                "the beams of {without} sections of the flight do not intersect near one position: the path of the sensor has no rows there"
             ));
         }
         cx.keep(self.file.finish()?);
@@ -180,7 +183,7 @@ impl Sink for TrajectoryWriter {
 }
 
 impl TrajectoryWriter {
-    /// Writes the first line, unless it stands there.
+    /// Writes the header line, unless already written.
     fn begin(&mut self) -> Result<()> {
         if std::mem::take(&mut self.header) {
             let attitude = if self.frame == Frame::Earth { " roll pitch heading" } else { "" };
@@ -190,7 +193,7 @@ impl TrajectoryWriter {
         Ok(())
     }
 
-    /// Writes a row for a time of the input and a place in its frame.
+    /// Writes a row for an input time and a position in the input frame.
     fn row(&mut self, input: &InputInfo, gps_time_s: f64, place_m: [f64; 3]) -> Result<()> {
         let mut text = number(adjusted_gps_time(input, gps_time_s).unwrap_or(gps_time_s), 6);
         let (place, grid) = match input.frame {
@@ -212,7 +215,7 @@ impl TrajectoryWriter {
         Ok(())
     }
 
-    /// Roll, pitch and heading of the aircraft, degrees; NaN where the trajectory does not tell.
+    /// Roll, pitch and heading of the aircraft, degrees; NaN outside the trajectory.
     fn attitude_deg(&self, gps_time_s: f64) -> [f64; 3] {
         let Some(pose) = self.geometry.pose(gps_time_s) else { return [f64::NAN; 3] };
         let place = WGS84.geodetic_of(pose.origin_in_ecef_m);
@@ -224,7 +227,7 @@ impl TrajectoryWriter {
     }
 }
 
-/// A step below this is one of degrees.
+/// Smaller steps are in degrees.
 const DEGREES_STEP: f64 = 1e-5;
 
 fn number(value: f64, digits: usize) -> String {

@@ -1,19 +1,19 @@
-//! Histograms of what is not known beforehand: bins double their width where values spread beyond them.
+//! Histograms of unknown range, whose bins double in width as needed.
 
-/// No bin is counted so far from zero: what lies beyond counts as this.
+/// Values are clamped to this distance from zero.
 const FARTHEST: f64 = 1e15;
 
-/// Counts of values in bins of one width, which stand on a grid that has an edge at 0.
+/// Counts in bins of equal width, on a grid with an edge at 0.
 ///
-/// Bins are merged in pairs whenever the values would need more than `most_bins` of them. The result depends on the
-/// values alone, not on their order.
+/// Bins are merged in pairs whenever the values would need more than `most_bins`. The result
+/// depends only on the values, not on their order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
     width: f64,
     most_bins: usize,
-    /// Whole numbers: a bin of width 1 stands for one of them, and its centre is that number.
+    /// For whole numbers: a bin of width 1 holds one of them, which is its centre.
     whole: bool,
-    /// Index of the first bin: it begins at `first * width`.
+    /// Index of the first bin, which starts at `first * width`.
     first: i64,
     counts: Vec<u64>,
     total: u64,
@@ -22,7 +22,7 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Bins of `width` at first, at most `most_bins` (2 or more) of them.
+    /// Bins of initially `width`, at most `most_bins` (2 or more).
     pub fn new(width: f64, most_bins: usize) -> Histogram {
         Histogram {
             width,
@@ -36,12 +36,12 @@ impl Histogram {
         }
     }
 
-    /// Of whole numbers, each with a bin of its own where `most_bins` allow it.
+    /// For whole numbers, each in its own bin as long as `most_bins` suffice.
     pub fn of_whole_numbers(most_bins: usize) -> Histogram {
         Histogram { whole: true, ..Histogram::new(1.0, most_bins) }
     }
 
-    /// Counts a value; what is not a number is left out.
+    /// Counts a value; NaN is ignored.
     pub fn add(&mut self, value: f64) {
         if value.is_nan() {
             return;
@@ -70,7 +70,7 @@ impl Histogram {
         self.counts[at] += 1;
     }
 
-    /// How many bins there would be with this one.
+    /// Number of bins needed to include this one.
     fn span_with(&self, bin: i64) -> i64 {
         let last = self.first + self.counts.len() as i64 - 1;
         last.max(bin) - self.first.min(bin) + 1
@@ -89,35 +89,36 @@ impl Histogram {
         (self.first, self.counts, self.width) = (first, merged, 2.0 * self.width);
     }
 
-    /// How many values were counted.
+    /// Number of values counted.
     pub fn total(&self) -> u64 {
         self.total
     }
 
-    /// Whether none was.
+    /// Whether no value was counted.
     pub fn is_empty(&self) -> bool {
         self.total == 0
     }
 
-    /// Width of the bins.
+    /// Bin width.
     pub fn width(&self) -> f64 {
         self.width
     }
 
-    /// The smallest and the largest value.
+    /// Smallest and largest value.
     pub fn range(&self) -> Option<[f64; 2]> {
         (self.total > 0).then_some([self.least, self.largest])
     }
 
-    /// The bins in ascending order, empty ones between others included: centre and count.
+    /// Centre and count of the bins in ascending order, including empty ones.
     pub fn bins(&self) -> impl ExactSizeIterator<Item = (f64, u64)> + Clone + '_ {
         let shift = if self.whole { 0.5 } else { 0.0 };
         let centre = move |at: usize| ((self.first + at as i64) as f64 + 0.5) * self.width - shift;
         self.counts.iter().enumerate().map(move |(at, &count)| (centre(at), count))
     }
 
-    /// The value below which a part (0 to 1) of the values lies, to the width of a bin: linear within it, and for whole
-    /// numbers the number itself. `None` without values.
+    /// Quantile for a fraction from 0 to 1, to the width of a bin; `None` without values.
+    ///
+    /// Linear within a bin; for whole numbers, the number itself.
     pub fn quantile(&self, part: f64) -> Option<f64> {
         let range = self.range()?;
         let mut left = part.clamp(0.0, 1.0) * self.total as f64;
@@ -133,7 +134,7 @@ impl Histogram {
         Some(range[1])
     }
 
-    /// The median; `None` without values.
+    /// Median; `None` without values.
     pub fn median(&self) -> Option<f64> {
         self.quantile(0.5)
     }
@@ -164,13 +165,13 @@ mod tests {
     fn quantiles_are_linear_within_a_bin_and_whole_numbers_themselves() {
         let histogram = of(10.0, 8, &[0.0, 4.0, 6.0, 10.0]);
         assert_eq!(histogram.quantile(0.375), Some(5.0));
-        assert_eq!(histogram.quantile(1.0), Some(10.0), "never beyond the largest value");
+        assert_eq!(histogram.quantile(1.0), Some(10.0), "never above the largest value");
         let mut whole = Histogram::of_whole_numbers(8);
         [40.0, 40.0, 41.0].into_iter().for_each(|value| whole.add(value));
         assert_eq!((whole.median(), whole.quantile(1.0)), (Some(40.0), Some(41.0)));
         assert_eq!(whole.bins().collect::<Vec<_>>(), [(40.0, 2), (41.0, 1)]);
         (0..8).for_each(|value| whole.add(f64::from(value)));
-        assert_eq!(whole.bins().next(), Some((3.5, 8)), "eight numbers in a bin: 0 to 7");
+        assert_eq!(whole.bins().next(), Some((3.5, 8)), "eight numbers in one bin: 0 to 7");
     }
 
     #[test]

@@ -1,24 +1,25 @@
-//! Times from one event to the next: which is the usual one, how far it varies, and what is a gap.
+//! Intervals between events: the usual interval, its variation, and gaps.
 
 use hdrhistogram::Histogram;
 
-/// So many intervals show which one is usual.
+/// Number of intervals used to determine the usual one.
 const LOOKED_AT: usize = 1023;
-/// Intervals this much shorter or longer than the usual one, as a part of it, are counted as such: clocks with steps of
-/// 1 µs give 2 or 3 of them where the interval is 2.5 µs.
+/// Largest relative deviation of usual intervals from their median.
+///
+/// Clocks with steps of 1 µs give intervals of 2 or 3 steps for an interval of 2.5 µs.
 const USUAL_PART: f64 = 0.5;
-/// An interval of more than so many usual ones is a gap.
+/// Intervals longer than this many usual ones are gaps.
 const GAP_INTERVALS: f64 = 2.5;
-/// How many of the longest intervals are kept.
+/// Number of longest intervals kept.
 const LONGEST: usize = 3;
-/// Longer ones count as this, ps: 11 days.
+/// Longer intervals are clamped to this, ps: 11 days.
 const MOST_PS: u64 = 1_000_000_000_000_000_000;
 
-/// Intervals in picoseconds, and the longest of them with their places.
+/// Intervals in picoseconds, and the longest of them with their positions.
 #[derive(Clone, Debug)]
 pub struct Intervals {
     all_ps: Histogram<u64>,
-    /// The first ones, until there are enough of them.
+    /// The first intervals, until there are enough.
     first_ps: Vec<u64>,
     usual: Option<Usual>,
     longest: Vec<LongInterval>,
@@ -27,22 +28,22 @@ pub struct Intervals {
 /// One of the longest intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LongInterval {
-    /// How long it is, ps.
+    /// Length, ps.
     pub ps: u64,
     /// The shot that ends it.
     pub shot: u64,
-    /// That shot's time, s; NaN where unknown.
+    /// Time of that shot, s; NaN if unknown.
     pub gps_time_s: f64,
 }
 
-/// Exact sums over the usual intervals, about one of them.
+/// Exact sums over the usual intervals, relative to a reference.
 #[derive(Clone, Copy, Debug)]
 struct Usual {
     reference_ps: u64,
     count: u64,
     sum: i128,
     squares: i128,
-    /// The largest step of which all are multiples, ps.
+    /// Greatest common divisor of the intervals, ps.
     step_ps: u64,
 }
 
@@ -55,10 +56,10 @@ impl Default for Intervals {
 }
 
 impl Intervals {
-    /// Counts an interval, which ends with the shot of this number and time.
+    /// Adds an interval that ends with the given shot at the given time.
     pub fn add(&mut self, ps: u64, shot: u64, gps_time_s: f64) {
         let ps = ps.min(MOST_PS);
-        // The histogram grows by itself: only what it can never hold fails.
+        // The histogram resizes itself; only values beyond its limits fail.
         let _ = self.all_ps.record(ps);
         if self.longest.len() < LONGEST || self.longest.last().is_some_and(|least| ps > least.ps) {
             let at = self.longest.partition_point(|other| other.ps >= ps);
@@ -76,7 +77,7 @@ impl Intervals {
         }
     }
 
-    /// Says that no interval follows.
+    /// Ends the input.
     pub fn finish(&mut self) {
         if self.usual.is_none() && !self.first_ps.is_empty() {
             self.settle();
@@ -91,12 +92,13 @@ impl Intervals {
         self.usual = Some(usual);
     }
 
-    /// How many there were.
+    /// Number of intervals.
     pub fn count(&self) -> u64 {
         self.all_ps.len()
     }
 
-    /// Mean and standard deviation of the usual ones, those within a half of the median of the first 1023, ps.
+    /// Mean and standard deviation of the usual intervals, ps: those within 50 % of the median of
+    /// the first 1023.
     pub fn usual_ps(&self) -> Option<[f64; 2]> {
         let usual = self.usual.filter(|usual| usual.count > 0)?;
         let count = usual.count as f64;
@@ -105,12 +107,13 @@ impl Intervals {
         Some([usual.reference_ps as f64 + off, variance.sqrt()])
     }
 
-    /// The largest step of which all usual intervals are multiples, ps: what the clock resolves, where they differ.
+    /// Greatest common divisor of the usual intervals, ps: the resolution of the clock, if they
+    /// differ.
     pub fn step_ps(&self) -> Option<u64> {
         self.usual.map(|usual| usual.step_ps).filter(|step_ps| *step_ps > 0)
     }
 
-    /// How many are longer than 2.5 usual ones, to the three digits that are kept of each.
+    /// Number of intervals longer than 2.5 usual ones, to three digits.
     pub fn gaps(&self) -> u64 {
         let Some([usual_ps, _]) = self.usual_ps() else { return 0 };
         let limit = GAP_INTERVALS * usual_ps;
@@ -121,7 +124,7 @@ impl Intervals {
             .sum()
     }
 
-    /// The longest, where it is a gap.
+    /// The longest interval, if it is a gap.
     pub fn longest_gap(&self) -> Option<LongInterval> {
         self.longest.first().copied().filter(|_| self.gaps() > 0)
     }

@@ -1,31 +1,32 @@
-//! What the samples of one channel tell, in one pass: noise, saturation, peaks.
+//! Single-pass statistics of a channel's samples: noise, saturation, peaks.
 //!
-//! The first blocks show the level and the spread of what is no signal. From then on the samples of a block before
-//! anything rises above the noise, less a margin, are taken for free of signal. Their statistics are those of the run's
-//! calibration ([`NoiseStatistics`]); which samples are free is told more simply here: without fitting a pulse.
+//! The first blocks give the level and spread of the background. After that, the samples of a block
+//! before the first rise above the noise, minus a margin, count as free of signal. Their statistics
+//! are those of the calibration ([`NoiseStatistics`]); only the selection of free samples is
+//! simpler: no pulses are fitted.
 
 use super::histogram::Histogram;
 use crate::kernels::calibrate::NoiseStatistics;
 
-/// So many blocks show the level and the spread.
+/// Number of blocks used to determine level and spread.
 const LOOKED_AT: usize = 500;
-/// They may have no more samples than this.
+/// Maximum number of samples in these blocks.
 const SAMPLES_LOOKED_AT: usize = 1 << 20;
-/// Samples at a block's start that are taken for background, to begin with.
+/// Number of samples at the start of a block initially taken as background.
 const START_SAMPLES: usize = 8;
-/// Above so many standard deviations there is signal.
+/// Signal threshold above the level, in standard deviations.
 const SIGNAL_SD: f64 = 5.0;
-/// Signal stands out by so much at least, DN: digitisers round.
+/// Minimum signal threshold above the level, DN, because of rounding by the digitiser.
 const LEAST_SIGNAL_DN: f64 = 1.5;
-/// The rise of a pulse begins at most so many samples before it stands out.
+/// Maximum number of samples from the start of a pulse to the threshold.
 const MARGIN: usize = 4;
-/// Fewer free samples in a row tell nothing about their correlation.
+/// Minimum run of free samples for their correlation.
 const LEAST_STRETCH: usize = 4;
 
 /// Running statistics of a channel's samples.
 #[derive(Clone, Debug)]
 pub struct Samples {
-    /// The first blocks, until they have shown the level.
+    /// The first blocks, until the level is known.
     ahead: Vec<Vec<u16>>,
     n_ahead: usize,
     signal_from_dn: Option<f64>,
@@ -37,17 +38,17 @@ pub struct Samples {
     full_scale_dn: Option<u16>,
 }
 
-/// The highest sample of a block, and where it stands.
+/// Highest sample of a block, and its position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Peak {
-    /// Its place in the block with the part of a sample that a parabola through it and its neighbours tells.
+    /// Position in the block, refined by a parabola through the sample and its neighbours.
     pub position_samples: f64,
-    /// The sample, DN.
+    /// Value of the sample, DN.
     pub dn: u16,
 }
 
 impl Samples {
-    /// Of a digitiser whose largest value may be known.
+    /// Creates statistics for a digitiser with an optional full scale.
     pub fn new(full_scale_dn: Option<u16>) -> Samples {
         Samples {
             ahead: Vec::new(),
@@ -62,7 +63,7 @@ impl Samples {
         }
     }
 
-    /// Counts the samples of a block, and gives its peak; `None` for an empty block.
+    /// Adds the samples of a block; returns its peak, or `None` for an empty block.
     pub fn add(&mut self, samples: &[u16]) -> Option<Peak> {
         let peak = peak_of(samples)?;
         self.peaks_dn.add(f64::from(peak.dn));
@@ -84,21 +85,21 @@ impl Samples {
         Some(peak)
     }
 
-    /// Says that no block follows.
+    /// Ends the input.
     pub fn finish(&mut self) {
         if self.signal_from_dn.is_none() {
             self.settle();
         }
     }
 
-    /// Learns from the first blocks where signal begins, and then counts their free samples.
+    /// Determines the signal threshold from the first blocks, then counts their free samples.
     fn settle(&mut self) {
         let mut starts = Histogram::of_whole_numbers(1 << 16);
         for block in &self.ahead {
             block.iter().take(START_SAMPLES).for_each(|&sample| starts.add(f64::from(sample)));
         }
         let Some(level_dn) = quantile_of_rounded(&starts, 0.5) else { return };
-        // Echoes only add: the spread is that of the part below the level.
+        // Echoes only increase values, so the spread is taken below the level.
         let sd_dn = level_dn - quantile_of_rounded(&starts, 0.158_655).unwrap_or(level_dn);
         let signal_from_dn = level_dn + (SIGNAL_SD * sd_dn).max(LEAST_SIGNAL_DN);
         self.signal_from_dn = Some(signal_from_dn);
@@ -117,12 +118,12 @@ impl Samples {
         }
     }
 
-    /// How many samples are free of signal.
+    /// Number of samples free of signal.
     pub fn free(&self) -> u64 {
         self.noise.samples()
     }
 
-    /// Mean level of the free samples by their index modulo 4, DN; `None` where there are none.
+    /// Mean level of the free samples by index modulo 4, DN; `None` without any.
     pub fn background_dn(&self) -> Option<[f64; 4]> {
         (self.free() > 0).then(|| self.noise.background_dn())
     }
@@ -132,12 +133,12 @@ impl Samples {
         self.background_dn().map(|phases| phases.iter().sum::<f64>() / 4.0)
     }
 
-    /// Standard deviation of the free samples about their phase's level, DN.
+    /// Standard deviation of the free samples about the level of their phase, DN.
     pub fn noise_sd_dn(&self) -> Option<f64> {
         (self.free() > 0).then(|| self.noise.autocovariance().first().copied().unwrap_or(0.0).max(0.0).sqrt())
     }
 
-    /// Autocorrelation of the free samples at lags 1 to 4, as far as there are any.
+    /// Autocorrelation of the free samples at lags 1 to 4, as far as available.
     pub fn noise_autocorrelation(&self) -> Vec<f64> {
         let covariance = self.noise.autocovariance();
         let Some((&variance, lags)) = covariance.split_first().filter(|(variance, _)| **variance > 0.0)
@@ -147,24 +148,23 @@ impl Samples {
         lags.iter().take(4).map(|lag| lag / variance).collect()
     }
 
-    /// The free samples, DN.
+    /// Histogram of the free samples, DN.
     pub fn free_dn(&self) -> &Histogram {
         &self.free_dn
     }
 
-    /// The highest sample of each block, DN, background included.
+    /// Histogram of the highest sample of each block, DN, including background.
     pub fn peaks_dn(&self) -> &Histogram {
         &self.peaks_dn
     }
 
-    /// How many samples stand at the end of the digitiser's range, and in how many blocks; `None` where its end is
-    /// not known.
+    /// Number of saturated samples, and of blocks with any; `None` without a known full scale.
     pub fn saturated(&self) -> Option<[u64; 2]> {
         self.full_scale_dn.map(|_| [self.saturated_samples, self.saturated_blocks])
     }
 }
 
-/// The first of a block's highest samples.
+/// Peak at the first of a block's highest samples.
 pub fn peak_of(samples: &[u16]) -> Option<Peak> {
     let (at, &dn) = samples.iter().enumerate().rev().max_by_key(|(_, sample)| **sample)?;
     let beside = |at: Option<usize>| at.and_then(|at| samples.get(at)).map(|&sample| f64::from(sample));
@@ -178,7 +178,7 @@ pub fn peak_of(samples: &[u16]) -> Option<Peak> {
     Some(Peak { position_samples: at as f64 + off, dn })
 }
 
-/// A quantile of values that were rounded to whole numbers, each spread over half a step to either side.
+/// Quantile of values rounded to integers, each spread uniformly over its rounding interval.
 fn quantile_of_rounded(rounded: &Histogram, part: f64) -> Option<f64> {
     let mut left = part * rounded.total() as f64;
     let width = rounded.width();
@@ -200,12 +200,16 @@ mod tests {
 
     #[test]
     fn the_peak_of_a_parabola_is_its_vertex() {
-        // 100 - 4 (x - 2.25)² at whole x, rounded: exact at 2.25 with these three.
+        // 100 - 4 (x - 2.25)² at integer x, rounded: exact at 2.25 with these three samples.
         let samples = [80, 94, 100, 98, 88];
         let peak = peak_of(&samples).unwrap();
         assert_eq!(peak, Peak { position_samples: 2.25, dn: 100 });
-        assert_eq!(peak_of(&[5, 1]), Some(Peak { position_samples: 0.0, dn: 5 }), "at the edge: the sample");
-        assert_eq!(peak_of(&[1, 9, 9, 1]).unwrap().position_samples, 1.5, "two equal ones: the middle");
+        assert_eq!(
+            peak_of(&[5, 1]),
+            Some(Peak { position_samples: 0.0, dn: 5 }),
+            "at the edge, the sample itself"
+        );
+        assert_eq!(peak_of(&[1, 9, 9, 1]).unwrap().position_samples, 1.5, "two equal samples: their middle");
         assert_eq!(peak_of(&[]), None);
     }
 

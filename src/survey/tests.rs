@@ -1,6 +1,6 @@
 use super::*;
 
-/// A line of shots 2500 ns apart from `clock_ps` on, straight down, with times.
+/// A line of shots, 2500 ns apart from `start_ps` on, straight down, with times.
 fn line(
     input: &Arc<InputInfo>,
     number: u32,
@@ -33,7 +33,7 @@ fn input() -> Arc<InputInfo> {
     })
 }
 
-/// Two lines; shot 0 has a reference block and two echo blocks, shot 3 a saturated one of zone 1.
+/// Two lines; shot 0 has a reference block and two echo blocks, shot 3 a saturated block of zone 1.
 fn surveyed(with_samples: bool) -> Survey {
     let input = input();
     let mut first = Blocks::default();
@@ -75,8 +75,8 @@ fn channels_zones_and_ranges_are_told() {
     assert_eq!(survey.channel(Channel::Saturation).blocks, 0);
     assert_eq!(survey.zones, BTreeMap::from([(Some(0), 2), (Some(1), 1)]));
     assert_eq!(survey.blocks_per_shot.bins().collect::<Vec<_>>(), [(0.0, 3), (1.0, 1), (2.0, 1)]);
-    // The outgoing pulse's parabola has its peak at sample 2.25, 0.25 ns behind the clock; that of the low-power echo
-    // stands at 1002 ns.
+    // The parabola of the outgoing pulse peaks at sample 2.25, 0.25 ns after the clock; that of the
+    // low-power echo is at 1002 ns.
     let [nearest_m, farthest_m] = survey.ranges_m.range().unwrap();
     assert!((nearest_m - (1002.0 - 0.25) * 0.15).abs() < 1e-9, "{nearest_m}");
     assert!((farthest_m - 2001.5 * 0.15).abs() < 1e-9, "{farthest_m}");
@@ -109,7 +109,7 @@ fn a_clock_that_runs_backwards_and_shots_without_time_are_counted() {
     survey.add(&back);
     survey.finish();
     assert_eq!((survey.times.backwards, survey.times.without), ((1, Some(3)), 3));
-    assert_eq!(survey.times.lines.count(), 0, "a step back is no interval");
+    assert_eq!(survey.times.lines.count(), 0, "a backward step is not an interval");
     assert_eq!(survey.blocks_per_shot.bins().collect::<Vec<_>>(), [(0.0, 6)]);
 }
 
@@ -121,7 +121,7 @@ fn parts_of_a_line_are_one_line() {
     survey.add(&line(&input, 7, 3..5, 7_500_000, Blocks::default()));
     survey.finish();
     assert_eq!((survey.lines.count, survey.lines.shots.range()), (1, Some([5.0, 5.0])));
-    assert_eq!(survey.times.shots.count(), 4, "the step between the parts, too");
+    assert_eq!(survey.times.shots.count(), 4, "including the step between the parts");
 }
 
 #[test]

@@ -1,6 +1,7 @@
-//! A few of many, spread evenly.
+//! Evenly spaced selection from a sequence.
 
-/// Every so many-th item of a sequence of unknown length, from the first on: between half and all of `most` of them.
+/// Every n-th item of a sequence of unknown length, from the first: between `most / 2` and `most`
+/// items.
 #[derive(Clone, Debug)]
 pub struct Thinned<T> {
     items: Vec<T>,
@@ -10,12 +11,12 @@ pub struct Thinned<T> {
 }
 
 impl<T> Thinned<T> {
-    /// At most `most` items, rounded up to an even number.
+    /// Keeps at most `most` items, rounded up to an even number.
     pub fn new(most: usize) -> Thinned<T> {
         Thinned { items: Vec::new(), most: most.max(2).next_multiple_of(2), stride: 1, seen: 0 }
     }
 
-    /// Offers the next item, which is only made where it is kept.
+    /// Offers the next item, which is created only if kept.
     pub fn add(&mut self, make: impl FnOnce() -> T) {
         if self.seen.is_multiple_of(self.stride) {
             if self.items.len() == self.most {
@@ -31,7 +32,7 @@ impl<T> Thinned<T> {
         self.seen += 1;
     }
 
-    /// What was kept, in order.
+    /// The kept items, in order.
     pub fn items(&self) -> &[T] {
         &self.items
     }

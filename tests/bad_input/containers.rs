@@ -164,7 +164,7 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
     let expected = [
         "the input has neither outgoing pulses nor return locations: nothing tells which part of a sample the emissions \
          miss their raster by, and the standard deviations of ranges include it",
-        "the input is not georeferenced: its points are in the frame of the scanner",
+        "the input is not georeferenced: its points are in the scanner frame",
     ];
     assert_eq!(notes(&input), expected);
     // Whichever of the workers had something to say, and however many.

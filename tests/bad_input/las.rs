@@ -242,7 +242,7 @@ fn loses_one_pulse(las: &Las, what: &str, note: &str) {
     let place = place(las, |_| {});
     let input = place.succeeds("read_las", "a.las", TO_TABLE);
     assert_eq!(json!(rejected(&input)), json!({ what: 1 }));
-    let said = format!("{what} was left out, and so is every further one: ./{note}");
+    let said = format!("{what} was rejected; further ones are only counted: ./{note}");
     assert_eq!(notes(&input), [said.split_once(": ").unwrap().1]);
     let expected: Vec<String> = (0..250).filter(|i| *i != 100).map(|i| format!("{:?}", time_s(i))).collect();
     assert_eq!(place.times("out/a.csv"), expected);
@@ -355,8 +355,8 @@ fn what_a_recording_does_not_tell_is_noted() {
     let expected = [
         "the input has neither outgoing pulses nor return locations: nothing tells which part of a sample the emissions \
          miss their raster by, and the standard deviations of ranges include it",
-        "the input names no coordinate reference system by WKT or EPSG code: the file has none; \
-         name it with the reader's key `crs_of_input`",
+        "the input has no coordinate reference system (WKT or EPSG code), so the file has none; set it \
+         with the reader's key `crs_of_input`",
     ];
     assert_eq!(notes(&input), expected);
     let input = place(&Las::new(250).with_crs("LOCAL_CS[\"made up\"]"), |_| {})

@@ -178,7 +178,7 @@ fn loses_one_pulse(bad: &PulseWaves, what: &str, note: Option<&str>) {
     let input = place.succeeds("read_pulsewaves", "a.pls", TO_TABLE);
     assert_eq!(json!(rejected(&input)), json!({ what: 1 }));
     let reason = what.split_once(": ").unwrap().1;
-    let said = note.map(|note| format!("{reason} was left out, and so is every further one: ./{note}"));
+    let said = note.map(|note| format!("{reason} was rejected; further ones are only counted: ./{note}"));
     assert_eq!(notes(&input), Vec::from_iter(said));
     let mut expected = whole.times("out/a.csv");
     assert_eq!(expected.len(), 250);
@@ -223,7 +223,7 @@ fn a_coordinate_system_that_is_missing_is_noted() {
     let stages = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'");
     let input = place(&whole.pls(), &whole.waves).succeeds("read_pulsewaves", "a.pls", &stages);
     let expected =
-        ["the input names no coordinate reference system by WKT or EPSG code: the file has none; \
-         name it with the reader's key `crs_of_input`"];
+        ["the input has no coordinate reference system (WKT or EPSG code), so the file has none; set it \
+          with the reader's key `crs_of_input`"];
     assert_eq!(notes(&input), expected);
 }

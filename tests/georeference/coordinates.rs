@@ -153,7 +153,7 @@ fn heights_of_a_trajectory_count_from_what_the_job_says() {
     let keys = "crs = 'utm:10N'\ngeoid = 'plane'\n";
     let place = |geometry: String| flight.place(&geometry, |truth| truth.range_m).unwrap();
     let notes = |placed: &Placed| format!("{:?}", placed.cx.counters().notes);
-    let silent = "a TRJ does not say what its heights count from: they are taken as above ";
+    let silent = "a TRJ does not define its height reference: heights are assumed to be above ";
     for (file, said) in [
         ("ellipsoid.trj", "trajectory_heights = 'ellipsoid'"),
         ("geoid.trj", "trajectory_heights = 'geoid'"),
@@ -164,7 +164,7 @@ fn heights_of_a_trajectory_count_from_what_the_job_says() {
         // The TRJ's heading is that of the sphere's meridians: 0.1 mm at the edge of the swath.
         let off = worst(&format!("{file} {said}"), &placed, above_geoid.iter().copied());
         assert!(off < 5e-3, "{file} {said}: {off} m");
-        let is_said = notes(&placed).contains(&format!("{silent}the geoid plane; where that is wrong"));
+        let is_said = notes(&placed).contains(&format!("{silent}the geoid plane; if that is wrong"));
         assert_eq!(is_said, said.is_empty(), "{file} {said}: {}", notes(&placed));
     }
     // Another format's heights, above the geoid after all: the geoid's height more.
@@ -174,7 +174,7 @@ fn heights_of_a_trajectory_count_from_what_the_job_says() {
     assert!(off < 5e-3, "{off} m");
     let without = place("trajectory = 'ellipsoid.trj'\ncrs = 'utm:10N'".to_owned());
     assert!(
-        notes(&without).contains(&format!("{silent}the ellipsoid; where that is wrong")),
+        notes(&without).contains(&format!("{silent}the ellipsoid; if that is wrong")),
         "{}",
         notes(&without)
     );
@@ -198,8 +198,8 @@ fn a_point_outside_the_geoid_is_named() {
     assert!(
         error.starts_with("geoid plane: the point at latitude 41.0")
             && error.ends_with(
-                " degrees lies outside its area, latitude 40 to 42, longitude -123 to -121; give a geoid that covers the \
-                 survey, or leave it out for heights above the ellipsoid"
+                " degrees lies outside its area, latitude 40 to 42, longitude -123 to -121; use a geoid \
+                 that covers the survey, or remove it for ellipsoidal heights"
             ),
         "{error}"
     );

@@ -24,9 +24,9 @@ fn a_recording_in_a_map_stays_there() {
     for same in ["crs = 'utm'", "crs = 'utm:33N'", "crs = 'EPSG:32633'", "unit = 'm'"] {
         assert_eq!(in_map(same), Ok(()), "{same}");
     }
-    let refused = "stage georeference: the beams of this recording are in WGS 84 / UTM zone 33N already, and `[job.geometry]` \
-                   asks for other coordinates; leave `crs`, `geoid` and `unit` out, and transform the points with another \
-                   program, such as PDAL";
+    let refused = "stage georeference: the beams of this recording are already in WGS 84 / UTM zone 33N, \
+                   but `[job.geometry]` requests other coordinates; remove `crs`, `geoid` and `unit`, and \
+                   transform the points with another program, such as PDAL";
     for other in ["crs = 'utm:32N'", "crs = 'geodetic'", "unit = 'ft'"] {
         assert_eq!(in_map(other), Err(refused.to_owned()), "{other}");
     }
@@ -38,8 +38,8 @@ fn coordinates_need_a_trajectory() {
     let error = flight.place("crs = 'EPSG:2154'", |truth| truth.range_m).err().unwrap();
     assert_eq!(
         error,
-        "`[job.geometry]` asks for coordinates, and where the shots of this recording are on the earth is not known; give its \
-         `trajectory`, or leave `crs`, `geoid` and `unit` out"
+        "`[job.geometry]` requests coordinates, but this recording is not georeferenced; set its \
+         `trajectory`, or remove `crs`, `geoid` and `unit`"
     );
 }
 
@@ -49,7 +49,7 @@ fn points_stand_in_the_aircraft() {
     let flight = fly(&format!("{QUIET}scan_angle_deg = [-20.0, 20.0]"));
     let plain = flight.place("", |truth| truth.range_m).unwrap();
     let notes = |placed: &super::made::Placed| placed.cx.counters().notes.clone();
-    assert_eq!(notes(&plain), ["the input is not georeferenced: its points are in the frame of the scanner"]);
+    assert_eq!(notes(&plain), ["the input is not georeferenced: its points are in the scanner frame"]);
     assert!(plain.points.iter().zip(&flight.truth).all(|(point, truth)| {
         let length_m = distance_m(*point, [0.0; 3]);
         point[0] == 0.0 && (length_m - truth.range_m).abs() < 1e-9
@@ -59,7 +59,7 @@ fn points_stand_in_the_aircraft() {
         .unwrap();
     assert_eq!(
         notes(&installed),
-        ["the input is not georeferenced: its points are in the frame of the aircraft"]
+        ["the input is not georeferenced: its points are in the body frame of the aircraft"]
     );
     for (point, [x, y, z]) in installed.points.iter().zip(&plain.points) {
         assert!(distance_m(*point, [1.0 - y, 2.0 + x, 3.0 + z]) < 1e-9, "a yaw of 90 degrees to the right");
@@ -164,15 +164,13 @@ fn a_place_is_given_once() {
     let notes = &placed.cx.counters().notes;
     assert_eq!(
         notes[..],
-        [
-            "the beams of the recording have their place on the earth already: of `[job.geometry]` only what concerns ranges and \
-          coordinates is used"
-        ]
+        ["the beams of the recording are already georeferenced: of `[job.geometry]`, only the keys for \
+             ranges and coordinates are used"]
     );
     let report = with("mount = 'x_down_z_left'", "[[stage]]\ntype = 'simulate'\nlines = 1\n");
     assert_eq!(
         report.inputs[0].stages[0].notes,
-        ["the recording is in a map already: trajectory, mount and calibration are not used"]
+        ["the recording is already in a projected CRS: trajectory, mount and calibration are not used"]
     );
 }
 
@@ -186,7 +184,8 @@ fn a_mount_is_for_scanners() {
     let error = mounted("x_down_z_right").err().unwrap();
     assert_eq!(
         error,
-        "the beams of this recording are in the aircraft's axes already, and `[job.geometry]` has a `mount`; leave `mount` out"
+        "the beams of this recording are already in body axes, but `[job.geometry]` has a `mount`; remove \
+         `mount`"
     );
     // A mount that turns nothing is none.
     for placed in [flight.place("trajectory = 'a.out'", |truth| truth.range_m), mounted("level")] {
@@ -211,13 +210,14 @@ fn what_the_table_names_must_be_there() {
     );
     assert_eq!(
         refused("crs = 'EPSG:99999'"),
-        "EPSG:99999 is not in the table of systems; check the code, or give the system as a WKT file"
+        "EPSG:99999 is not in the table of coordinate reference systems; check the code, or use a WKT file"
     );
     assert!(refused("crs = 'site.prj'").starts_with("site.prj: cannot open the WKT of `crs`: "));
     std::fs::write(flight.path("huge.prj"), " ".repeat(1_000_001)).unwrap();
     assert_eq!(
         refused("crs = 'huge.prj'"),
-        "huge.prj: 1000001 bytes are too many for WKT; give the .prj or .wkt file of a coordinate reference system"
+        "huge.prj: 1000001 bytes is too large for WKT; give the .prj or .wkt file of a coordinate \
+         reference system"
     );
     assert!(refused("crs = 'utm:61N'").starts_with("crs `utm:61N`: a zone is a number from 1 to 60"));
     assert!(refused("geoid = 'egm96'").contains("there is no geoid `egm96` in this folder"));

@@ -73,10 +73,10 @@ fn a_trajectory_of_another_flight_is_refused() {
     };
     assert_eq!(
         refused(3600.0),
-        "the recording and the trajectory have no time in common: the recording lasts from Tuesday 10:00:00.0 to \
-         10:00:00.4 GPS (208800.0 to 208800.4 s of the week), the trajectory from Tuesday 10:59:59.0 to 11:00:01.4 GPS \
-         (212399.0 to 212401.4 s of the week); give the trajectory of this flight, or say what its times count with \
-         `trajectory_time`"
+        "the recording and the trajectory have no time in common: the recording lasts from Tuesday \
+         10:00:00.0 to 10:00:00.4 GPS (208800.0 to 208800.4 s of the week), the trajectory from Tuesday \
+         10:59:59.0 to 11:00:01.4 GPS (212399.0 to 212401.4 s of the week); use the trajectory of this \
+         flight, or set its time scale with `trajectory_time`"
     );
     // Once the trajectory has ended no later shot can be covered: the recording is not read to its end.
     assert!(refused(-3600.0).contains("the recording lasts from Tuesday 10:00:00.0 to 10:00:00.0 GPS"));
@@ -100,7 +100,7 @@ fn shots_outside_the_trajectory_are_counted() {
     assert!(part.points.len() > 1000 && part.points.iter().all(is_true));
     let note = &counters.notes[0];
     let expected = format!(
-        "{outside} shots are left out, for which the trajectory tells no pose: they are from Tuesday"
+        "{outside} shots are rejected, because the trajectory has no pose for them: they last from Tuesday"
     );
     assert!(
         note.starts_with(&expected) && note.contains(", the trajectory from Tuesday 10:00:00.1 to"),
@@ -114,14 +114,14 @@ fn shots_without_a_time_have_no_place() {
     let error = flight.place("trajectory = '*.out'", |truth| truth.range_m).err().unwrap();
     assert_eq!(
         error,
-        "shot 0 has no GPS time: its place on the trajectory is not known; use a recording with GPS times, or leave \
-         `trajectory` out of `[job.geometry]`"
+        "shot 0 has no GPS time and cannot be located on the trajectory; use a recording with GPS times, \
+         or remove `trajectory` from `[job.geometry]`"
     );
     let flight = fly(QUIET).of_no_scale();
     let error = flight.place("trajectory = '*.out'", |truth| truth.range_m).err().unwrap();
     assert_eq!(
         error,
-        "the recording does not say what its times count from: its shots have no place on the trajectory; use a recording \
-         with GPS times, or leave `trajectory` out of `[job.geometry]`"
+        "the time scale of the recording is unknown: its shots cannot be located on the trajectory; use a \
+         recording with GPS times, or remove `trajectory` from `[job.geometry]`"
     );
 }

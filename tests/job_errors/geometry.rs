@@ -81,7 +81,7 @@ trajectory_time = "day"
 type = "simulate"
 "#,
         r#"
-error: `geometry.trajectory_time`: it is of no use without `trajectory`
+error: `geometry.trajectory_time`: it has no effect without `trajectory`
  --> job.toml:3:19
   |
 3 | trajectory_time = "day"

@@ -43,11 +43,11 @@ fn keys_of_calibrate() {
     refused("calibrate", "decay_amplitude = 0.9\ndecay_time_ns = 20", problem);
     let problem = "`decay_time_ns`: it must be above 0 and at most 1000000, or \"auto\"";
     refused("calibrate", "decay_time_ns = 0\ndecay_amplitude = 0.1", problem);
-    let problem = "`decay_amplitude`: it needs decay_time_ns beside it";
+    let problem = "`decay_amplitude`: it also needs decay_time_ns";
     refused("calibrate", "decay_amplitude = 0.1", problem);
-    let problem = "`decay_time_ns`: it needs decay_amplitude beside it";
+    let problem = "`decay_time_ns`: it also needs decay_amplitude";
     refused("calibrate", "decay_time_ns = 20", problem);
-    let problem = "`preset`: it stands for a model, and load gives one: leave one of them out";
+    let problem = "`preset`: `preset` and `load` both give a model: remove one of them";
     refused("calibrate", "preset = 'riegl_lms_q680'\nload = 'model.json'", problem);
 }
 

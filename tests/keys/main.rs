@@ -293,7 +293,8 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
     let model = place.path("out/model.json");
     let load = format!("load = '{}'", model.display());
     let (_, _) = run(&place, "", &load, "");
-    let notes = |place: &Place| place.text("out/report.json").matches("the model's own are used").count();
+    let notes =
+        |place: &Place| place.text("out/report.json").matches("the values of the model are used").count();
     assert_eq!(notes(&place), 0);
     run(&place, "odd_sample_shift = 0.2", &load, "");
     assert_eq!(notes(&place), 1);
@@ -359,29 +360,29 @@ fn a_model_is_held_against_the_recording() {
     assert_eq!(said(&model, ""), (Some(0), String::new()));
     assert_eq!(notes("the loaded model"), 0);
     assert_eq!(said(&model, "waveforms = 300").0, Some(0));
-    assert_eq!(notes("have no effect beside `load` or `preset`: leave them out, or calibrate anew"), 1);
+    assert_eq!(notes("have no effect with `load` or `preset`: remove them, or recalibrate"), 1);
 
     let mut other = model.clone();
     other["low_power"]["full_scale_dn"] = 1023.0.into();
     assert_eq!(said(&other, "").0, Some(0));
-    assert_eq!(notes("another full scale than the recording's: the model's own is used"), 1);
+    assert_eq!(notes("a full scale that differs from the recording: the value of the model is used"), 1);
 
     let mut other = model.clone();
     other["low_power"]["sampling_interval_ns"] = 0.5.into();
     let (code, err) = said(&other, "");
     assert_eq!(code, Some(1));
-    let problem = "the loaded model is of samples every 0.5 ns (the low power receiver), the recording has them every 1 ns; \
-                   load a model of this instrument and setting, or calibrate anew";
+    let problem = "the loaded model has a sampling interval of 0.5 ns (the low power receiver), but that \
+                   of the recording is 1 ns; load a model of this instrument and setting, or recalibrate";
     assert!(err.contains(problem), "{err}");
 
     let mut other = model;
     let low_power = other.as_object_mut().unwrap().remove("low_power").unwrap();
     let (code, err) = said(&other, "");
     assert_eq!(code, Some(1));
-    assert!(err.contains("the sensor model has no receiver of echoes"), "{err}");
+    assert!(err.contains("the sensor model has no echo receiver"), "{err}");
     other["high_power"] = low_power;
     assert_eq!(said(&other, "").0, Some(0));
-    assert_eq!(notes("lacks the low power receiver: its waveforms are not decomposed; calibrate anew"), 1);
+    assert_eq!(notes("lacks the low power receiver: its waveforms are not decomposed; recalibrate"), 1);
 }
 
 #[test]
@@ -395,7 +396,7 @@ fn an_unknown_full_scale_is_said_and_can_be_given() {
     }
     place.write("a.arrow", &bytes);
     let notes =
-        || place.text("out/report.json").matches("give the reader's full_scale_dn (255 for 8 bits)").count();
+        || place.text("out/report.json").matches("the reader's key `full_scale_dn` (255 for 8 bits)").count();
     run(&place, "", "", "");
     let unknown = notes();
     run(&place, "full_scale_dn = 255", "save = 'model.json'", "");

@@ -106,7 +106,7 @@ fn shots_that_share_a_clock_are_told() {
     nothing_is_lost(&found);
     let notes = stage(&found.report, "resolve_mta")["notes"].to_string();
     assert!(
-        notes.contains("shots that share a clock with the one before them cannot be told from it"),
+        notes.contains("shots with duplicate timestamps are indistinguishable; their echoes go to the first"),
         "{notes}"
     );
     let score = score(&recorded().truth, &found.returns);
@@ -163,6 +163,7 @@ fn a_group_velocity_that_is_none_is_told() {
     refused(
         &recording,
         "",
-        "group_velocity_mps: a speed of light is needed, m/s; correct what the recording says of itself, or the stage's keys",
+        "group_velocity_mps: must be between 1e8 and 3e8 m/s; correct the metadata of the recording, or \
+         the keys of the stage",
     );
 }

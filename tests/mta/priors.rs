@@ -27,8 +27,8 @@ fn a_constant_rate_without_a_prior_is_refused() {
     refused(
         &constant().recording,
         "",
-        "the pulse rate is constant: intervals of 2500.000 ns vary by 0.458 ns rms, at least 0.5 ns are needed to tell \
-         which pulse caused an echo; give a prior (`agl_m`, `terrain`), or a fixed `zone`",
+        "the pulse rate is constant: intervals of 2500.000 ns vary by 0.458 ns RMS, but at least 0.5 ns \
+         are needed to assign echoes to pulses; set a prior (`agl_m`, `terrain`), or a fixed `zone`",
     );
 }
 
@@ -69,11 +69,10 @@ fn stamps_that_jitter_are_no_modulation() {
         let outcome = place.read("read_arrow", "a.arrow", &chain(""));
         assert_eq!(outcome.code, Some(1));
         println!("{}", outcome.err);
-        let told =
-            "stage resolve_mta: ./a.arrow: the time stamps jitter, and not the pulses: intervals vary by ";
+        let told = "stage resolve_mta: ./a.arrow: the time stamps jitter, not the pulses: intervals vary by ";
         assert!(outcome.err.contains(told), "ranges do not follow the stamps: {}", outcome.err);
         assert!(
-            outcome.err.contains("give a prior (`agl_m`, `terrain`), or a fixed `zone`"),
+            outcome.err.contains("set a prior (`agl_m`, `terrain`), or a fixed `zone`"),
             "{}",
             outcome.err
         );
@@ -172,8 +171,8 @@ fn a_terrain_model_needs_the_place_of_the_shots() {
     let grid = "ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 2 3 4\n";
     let place = Place::with(&[("a.arrow", &in_scanner_frame().recording), ("dtm.asc", grid.as_bytes())]);
     let outcome = place.read("read_arrow", "a.arrow", &chain("terrain = 'dtm.asc'"));
-    let message = "stage resolve_mta: ./a.arrow: a terrain model needs shots whose place in the map is known, and those of \
-                   this recording are in the scanner's own frame, without a trajectory; give the `trajectory` in \
+    let message = "stage resolve_mta: ./a.arrow: a terrain model needs georeferenced shots, but those of \
+                   this recording are in the scanner frame, without a trajectory; give the `trajectory` in \
                    `[job.geometry]`, or `agl_m` instead of `terrain`";
     place.left_nothing(outcome, message);
 }

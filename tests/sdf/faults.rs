@@ -161,7 +161,7 @@ fn a_file_that_ends_in_a_line_is_said_to_be_cut() {
     let place = place(&recording(), "end_after 9");
     let (report, lines) = read(&place, "");
     assert_eq!(lengths(&lines), [(0, 5), (1, 3)]);
-    assert_eq!(notes(&report), ["the file ends within a scan line: it may be cut off"]);
+    assert_eq!(notes(&report), ["the file ends within a scan line: it may be truncated"]);
 }
 
 #[test]

@@ -113,5 +113,5 @@ fn an_empty_recording_has_no_lines() {
     let outcome = place.run(&crate::made::copy(""));
     assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""));
     let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
-    assert_eq!(notes(&report["inputs"][0]), ["no container is written: there was not a single shot"]);
+    assert_eq!(notes(&report["inputs"][0]), ["no container is written: there were no shots"]);
 }

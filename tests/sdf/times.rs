@@ -53,7 +53,7 @@ fn shots_without_a_time_are_rejected_where_a_window_is_asked_for() {
     assert_eq!(lengths(&read(&place, "").1), [(0, 5), (1, 5), (2, 5)]);
     let (report, part) = read(&place, "time_s = [208800.55, 208801.05]");
     assert_eq!(lengths(&part), [(0, 3), (1, 1)]);
-    let reason = |item: &str| format!("{item}: no time, where `time_s` asks for some");
+    let reason = |item: &str| format!("{item}: no time, although `time_s` is set");
     assert_eq!(
         rejected(&report).into_iter().collect::<Vec<_>>(),
         [(reason("blocks"), 2), (reason("shots"), 1)]
@@ -65,7 +65,7 @@ fn a_recording_that_was_not_synchronised_is_sought_by_its_clock() {
     let place = place(&container(&header(), &lines()), "unsynchronised");
     let (report, part) = read(&place, "time_s = [5.45, 5.85]");
     assert_eq!(clocks(&part), clocks(&lines())[5..9]);
-    let remark = "the recording does not say what its times count from: no trajectory can be matched to them";
+    let remark = "the time scale of the recording is unknown: no trajectory can be matched to its times";
     assert_eq!(notes(&report), [remark]);
     assert_eq!((header_of(&place).time_scale, header_of(&place).gps_week), (TimeScale::Unknown, None));
 }
@@ -79,8 +79,8 @@ fn a_file_without_its_date_lacks_the_week_unless_the_job_says_the_day() {
         let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
         (notes(&report["inputs"][0]), header_of(&place).gps_week, header_of(&place).recorded)
     };
-    let remark = "the GPS week is not known: the file's name does not begin with its date as in 130621_101500.sdf; \
-                  say the day with the key `gps_date`";
+    let remark = "the GPS week is unknown: the file name does not begin with its date as in \
+                  130621_101500.sdf; set the day with the key `gps_date`";
     assert_eq!(run(""), (vec![remark.to_owned()], None, None));
     assert_eq!(run("gps_date = '2025-05-06'"), (vec![], Some(2365), Some((126, 2025))));
 }
@@ -183,12 +183,12 @@ fn a_window_may_count_another_scale_than_the_recording() {
 #[test]
 fn keys_that_need_the_day_say_so() {
     let place = Place::with(&[("flight.sdf", &container(&header(), &lines()))]);
-    let remedy = "say the day with the key `gps_date`, or leave the key out";
+    let remedy = "set the day with the key `gps_date`, or remove the key";
     for (keys, problem) in [
-        ("utc = true", "its times are UTC, and without a day the leap seconds are not known"),
+        ("utc = true", "its times are UTC, but the day is unknown, and with it the number of leap seconds"),
         (
             "time_s = [0.0, 1.0]\ntime_scale = 'adjusted'",
-            "the recording does not say of which week its times are, which `time_scale` asks for",
+            "`time_scale` needs the GPS week of the recording, which is unknown",
         ),
     ] {
         let outcome = place.run(&copy(keys).replace(NAME, "flight.sdf"));

@@ -1,45 +1,47 @@
-//! A coordinate reference system as its source defines it: by an EPSG code or by well-known text.
+//! Definition of a coordinate reference system from an EPSG code or WKT.
 //!
-//! The text of a code is that of the crate `crs-definitions`. The crate `proj4wkt` makes a PROJ string of the projection's
-//! parameters in degrees and metres out of any dialect; names, datum and vertical part come from the text itself.
+//! The WKT of a code comes from the crate `crs-definitions`. The crate `proj4wkt` converts the
+//! projection parameters of any dialect to a PROJ string in degrees and metres; names, datum and
+//! vertical part are taken from the text itself.
 
 use super::wkt::Node;
 use super::{CrsError, Unit, methods};
 use crate::geo::ellipsoid::{Ellipsoid, GRS80, WGS84};
 use crate::geo::{lambert, transverse_mercator};
 
-/// What is defined, with nothing decided yet about heights or another unit.
+/// Definition of a CRS, before the choice of heights and units.
 #[derive(Clone, Debug)]
 pub(super) struct Definition {
-    /// For people.
+    /// Display name.
     pub name: String,
-    /// The code of EPSG.
+    /// EPSG code.
     pub epsg: Option<u32>,
     pub method: Method,
     pub ellipsoid: Ellipsoid,
-    /// The unit of eastings and northings, or of earth-centred coordinates; the metre for geodetic ones.
+    /// Unit of eastings and northings, or of earth-centred coordinates; metre for geodetic
+    /// coordinates.
     pub unit: Unit,
-    /// The horizontal part, in the source's dialect.
+    /// Horizontal part, in the source's dialect.
     pub horizontal: Node,
-    /// The vertical part, in the source's dialect.
+    /// Vertical part, in the source's dialect.
     pub vertical: Option<Node>,
 }
 
-/// How coordinates are made.
+/// Projection method.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Method {
     Geodetic,
     Ecef,
     TransverseMercator(transverse_mercator::Parameters),
     Lambert(lambert::Parameters),
-    /// Anything else, as a PROJ string in metres without a datum.
+    /// Any other projection, as a PROJ string in metres without a datum.
     Other(String),
-    /// By PROJ itself, in the system's own unit.
+    /// Computed by PROJ, in the unit of the CRS.
     #[cfg(feature = "proj")]
     Foreign(String),
 }
 
-/// Words of the horizontal part, in either version of well-known text.
+/// Keywords of the horizontal part, in both versions of WKT.
 pub(super) const PROJECTED: [&str; 3] = ["PROJCS", "PROJCRS", "PROJECTEDCRS"];
 pub(super) const GEODETIC: [&str; 7] =
     ["GEOGCS", "GEOGCRS", "GEOGRAPHICCRS", "BASEGEOGCRS", "GEODCRS", "GEODETICCRS", "BASEGEODCRS"];
@@ -49,8 +51,9 @@ pub(super) const DATUM: [&str; 4] = ["DATUM", "GEODETICDATUM", "TRF", "ENSEMBLE"
 pub(super) const ELLIPSOID: [&str; 2] = ["SPHEROID", "ELLIPSOID"];
 const LENGTH_UNIT: [&str; 2] = ["UNIT", "LENGTHUNIT"];
 
-/// Datums on the ellipsoids of WGS 84 or GRS 80 that lie metres beside them all the same (EPSG dataset 11: their published
-/// shifts to WGS 84 exceed 5 m).
+/// Datums on the WGS 84 or GRS 80 ellipsoid that are nevertheless metres away from WGS 84.
+///
+/// Their published shifts to WGS 84 exceed 5 m (EPSG dataset 11).
 const ELSEWHERE: [&str; 7] = [
     "greek geodetic reference system 1987",
     "israel 1993",
@@ -62,7 +65,7 @@ const ELSEWHERE: [&str; 7] = [
 ];
 
 impl Definition {
-    /// The system of an EPSG code.
+    /// The CRS of an EPSG code.
     pub fn of_epsg(code: u32) -> Result<Definition, CrsError> {
         let known = u16::try_from(code).ok().and_then(crs_definitions::from_code);
         // A few rows of the table are empty.
@@ -71,7 +74,7 @@ impl Definition {
         Definition::of(&tree, Some(code))
     }
 
-    /// The system of a well-known text.
+    /// The CRS of a WKT.
     pub fn of_wkt(text: &str) -> Result<Definition, CrsError> {
         Definition::of(&Node::parse(text).map_err(CrsError::Wkt)?, None)
     }
@@ -79,14 +82,14 @@ impl Definition {
     fn of(tree: &Node, epsg: Option<u32>) -> Result<Definition, CrsError> {
         let keywords = [PROJECTED.as_slice(), &GEODETIC, &GEOCENTRIC].concat();
         let horizontal = tree.find(&keywords).ok_or_else(|| {
-            CrsError::Wkt(format!("{} is no projected, geodetic or earth-centred system", tree.keyword))
+            CrsError::Wkt(format!("{} is not a projected, geodetic or earth-centred system", tree.keyword))
         })?;
         let mut horizontal = horizontal.clone();
-        // A shift of nothing says nothing, and keeps other programs from recognising the system.
+        // A zero shift has no meaning, and prevents other programs from recognising the CRS.
         horizontal.remove(&|node| node.keyword == "TOWGS84" && is_null_shift(node));
         let vertical = tree.find(&VERTICAL).cloned();
-        let title = horizontal.name().unwrap_or("a system without a name").to_string();
-        // A compound system has a code of its own; the horizontal part keeps its own.
+        let title = horizontal.name().unwrap_or("an unnamed system").to_string();
+        // A compound CRS has its own code; the horizontal part keeps its code.
         let own = horizontal.epsg().or(epsg.filter(|_| vertical.is_none()));
         let name = epsg.map_or(title.clone(), |code| format!("EPSG:{code} ({title})"));
         let ellipsoid = check_datum(&name, &horizontal, tree.find(&["ABRIDGEDTRANSFORMATION"]))?;
@@ -105,7 +108,7 @@ impl Definition {
     }
 }
 
-/// The projected system that PROJ understands by these words: `EPSG:27700`, or well-known text.
+/// The projected CRS of a definition read by PROJ: `EPSG:27700`, or WKT.
 #[cfg(feature = "proj")]
 pub(super) fn of_proj(words: &str) -> Option<Definition> {
     let tree = Node::parse(&super::proj::Foreign::new(words)?.wkt()?).ok()?;
@@ -113,29 +116,31 @@ pub(super) fn of_proj(words: &str) -> Option<Definition> {
     let unit = unit_node(&horizontal)?;
     let unit = Unit::of_metres(unit.name().unwrap_or("unit"), unit.value(1).filter(|metres| *metres > 0.0)?);
     let epsg = horizontal.epsg();
-    let title = horizontal.name().unwrap_or("a system without a name");
+    let title = horizontal.name().unwrap_or("an unnamed system");
     let name = epsg.map_or(title.to_string(), |code| format!("EPSG:{code} ({title})"));
     let vertical = tree.find(&VERTICAL).cloned();
     let method = Method::Foreign(words.into());
     Some(Definition { name, epsg, method, ellipsoid: WGS84, unit, horizontal, vertical })
 }
 
-/// The PROJ string that the text holds, as GDAL adds it where WKT 1 has no words.
+/// The embedded PROJ string, if any.
+///
+/// GDAL adds it if WKT 1 cannot express a projection.
 fn own_proj_string(horizontal: &Node) -> Option<String> {
     let own = horizontal.child(&["EXTENSION"]).filter(|extension| extension.name() == Some("PROJ4"));
     own.and_then(|extension| extension.text(1)).map(str::to_owned)
 }
 
-/// One made of the text.
+/// A PROJ string generated from the text.
 fn proj_string(horizontal: &Node) -> Result<String, CrsError> {
     let made = proj4wkt::wkt_to_projstring(&horizontal.to_string());
     made.map_err(|error| CrsError::Wkt(error.to_string()))
 }
 
-/// The ellipsoid, where the datum is one that is taken as the earth-centred frame itself.
+/// Returns the ellipsoid, if the datum is equivalent to the earth-centred frame.
 fn check_datum(name: &str, horizontal: &Node, bound: Option<&Node>) -> Result<Ellipsoid, CrsError> {
     let datum = horizontal.find(&DATUM);
-    let datum_name = datum.and_then(Node::name).unwrap_or("without a name");
+    let datum_name = datum.and_then(Node::name).unwrap_or("unnamed");
     let refused = |reason: String| CrsError::Datum { name: name.into(), datum: datum_name.into(), reason };
     let figure = horizontal.find(&ELLIPSOID);
     let axis_m = figure.and_then(|node| node.value(1)).unwrap_or(f64::NAN);
@@ -145,15 +150,15 @@ fn check_datum(name: &str, horizontal: &Node, bound: Option<&Node>) -> Result<El
             && (inverse_flattening * known.flattening - 1.0).abs() < 1e-12
     };
     let Some(ellipsoid) = [WGS84, GRS80].iter().find(same).copied() else {
-        let figure = figure.and_then(Node::name).unwrap_or("without a name");
-        return Err(refused(format!("lies on another ellipsoid ({figure})")));
+        let figure = figure.and_then(Node::name).unwrap_or("unnamed");
+        return Err(refused(format!("uses another ellipsoid ({figure})")));
     };
     let plain = datum_name.replace('_', " ").to_lowercase();
     if ELSEWHERE.contains(&plain.trim_start_matches("d ")) {
-        return Err(refused("lies metres beside WGS 84".into()));
+        return Err(refused("is metres away from WGS 84".into()));
     }
     if horizontal.find(&["TOWGS84"]).is_some() || bound.is_some_and(|shift| !is_null_transformation(shift)) {
-        return Err(refused("is shifted against WGS 84".into()));
+        return Err(refused("has a shift to WGS 84".into()));
     }
     Ok(ellipsoid)
 }
@@ -162,18 +167,18 @@ fn is_null_shift(node: &Node) -> bool {
     (0..node.values.len()).all(|place| node.value(place) == Some(0.0))
 }
 
-/// A transformation to WGS 84 that comes with a system of WKT 2 and changes nothing.
+/// Whether a WKT 2 transformation to WGS 84 is null.
 fn is_null_transformation(shift: &Node) -> bool {
     let mut parameters = shift.nodes().filter(|node| node.keyword == "PARAMETER").peekable();
     parameters.peek().is_some() && parameters.all(|parameter| parameter.value(1) == Some(0.0))
 }
 
-/// The parameters of a PROJ string, in their order.
+/// Parameters of a PROJ string, in order.
 pub(super) struct ProjString<'a> {
-    /// The system, for errors.
+    /// Name of the CRS, for errors.
     pub name: &'a str,
     pub pairs: Vec<(&'a str, &'a str)>,
-    /// The text holds it: what it leaves out has the value that PROJ gives it.
+    /// True if the text contains it: omitted parameters then have PROJ's defaults.
     pub is_own: bool,
 }
 
@@ -183,18 +188,18 @@ fn pairs(text: &str) -> Vec<(&str, &str)> {
 }
 
 impl ProjString<'_> {
-    /// The value of a parameter as it was written.
+    /// Value of a parameter as written.
     pub fn text(&self, key: &str) -> Option<&str> {
         self.pairs.iter().find(|pair| pair.0 == key).map(|pair| pair.1)
     }
 
-    /// A number, or what it is where it is not given.
+    /// A numeric parameter, or its default.
     pub fn number(&self, key: &str, otherwise: f64) -> Result<f64, CrsError> {
         let Some(text) = self.text(key) else { return Ok(otherwise) };
         text.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| {
             self.unsupported(
-                format!("its parameter {key} is `{text}`, which is no number"),
-                "check the system's definition",
+                format!("its parameter {key} is `{text}`, which is not a number"),
+                "check the definition of the CRS",
             )
         })
     }
@@ -207,9 +212,10 @@ impl ProjString<'_> {
         CrsError::Unsupported { name: self.name.into(), problem, remedy }
     }
 
-    /// Axes other than east and north, and meridians other than Greenwich's, are not supported.
+    /// Rejects axes other than east and north, and prime meridians other than Greenwich.
     fn check_axes(&self, horizontal: &Node) -> Result<(), CrsError> {
-        const REMEDY: &str = "choose a system with eastings and northings from Greenwich, or build wavex with the feature `proj`";
+        const REMEDY: &str =
+            "choose a CRS with eastings and northings from Greenwich, or build wavex with the feature `proj`";
         if let Some(axes) = self.text("axis").filter(|axes| *axes != "enu") {
             return Err(self.unsupported(format!("its axes are `{axes}`"), REMEDY));
         }
@@ -245,7 +251,7 @@ impl ProjString<'_> {
             "lcc" => {
                 let first_deg = self.number("lat_1", f64::NAN)?;
                 let second_deg = self.number("lat_2", first_deg)?;
-                // With one parallel, that is where northings begin unless said otherwise.
+                // With one parallel, the latitude of origin defaults to it.
                 let origin_deg = if self.text("lat_2").is_some() { 0.0 } else { first_deg };
                 Method::Lambert(lambert::Parameters {
                     standard_parallels_rad: [first_deg, second_deg].map(f64::to_radians),
@@ -294,29 +300,27 @@ impl ProjString<'_> {
             Some("m") => 1.0,
             Some("ft") => Unit::foot().metres,
             Some("us-ft") => Unit::us_survey_foot().metres,
-            // What has no name of its own stands in the text.
+            // Other units are defined in the text.
             Some(_) => unit_node(horizontal).and_then(|unit| unit.value(1)).unwrap_or(f64::NAN),
         };
         if !(metres.is_finite() && metres > 0.0) {
-            return Err(
-                self.unsupported("its unit of length is not known".into(), "give the system as a WKT file")
-            );
+            return Err(self.unsupported("its unit of length is unknown".into(), "use a WKT file"));
         }
         let name = unit_node(horizontal).and_then(Node::name).unwrap_or("unit");
         Ok(Unit::of_metres(name, metres))
     }
 }
 
-/// The unit of a horizontal or a vertical part: its own, or that of its first axis.
+/// Unit node of a horizontal or vertical part, or of its first axis.
 pub(super) fn unit_node(part: &Node) -> Option<&Node> {
     part.child(&LENGTH_UNIT).or_else(|| part.child(&["AXIS"])?.child(&LENGTH_UNIT))
 }
 
-/// Kind of a vertical datum in WKT 1: heights above the ellipsoid (OGC 01-009, section 12.3.4).
+/// WKT 1 vertical datum type of ellipsoidal heights (OGC 01-009, section 12.3.4).
 const ELLIPSOIDAL: f64 = 2002.0;
 
 impl Definition {
-    /// The name of what heights count from, where that is not the ellipsoid.
+    /// Name of the vertical part, unless heights are ellipsoidal.
     pub fn vertical_name(&self) -> Option<String> {
         let vertical = self.vertical.as_ref()?;
         let datum = vertical.child(&["VERT_DATUM", "VDATUM", "VERTICALDATUM"]);
@@ -324,10 +328,10 @@ impl Definition {
             datum.value(1) == Some(ELLIPSOIDAL)
                 || datum.name().is_some_and(|name| name.to_lowercase().starts_with("ellipsoid"))
         });
-        (!above_ellipsoid).then(|| vertical.name().unwrap_or("of a system without a name").to_string())
+        (!above_ellipsoid).then(|| vertical.name().unwrap_or("of an unnamed system").to_string())
     }
 
-    /// The unit of the vertical part.
+    /// Unit of the vertical part.
     pub fn vertical_unit(&self) -> Option<Unit> {
         let unit = unit_node(self.vertical.as_ref()?)?;
         let metres = unit.value(1).filter(|metres| *metres > 0.0)?;

@@ -1,4 +1,4 @@
-//! A coordinate reference system as WKT 1 (OGC 01-009).
+//! Formats a coordinate reference system as WKT 1 (OGC 01-009).
 
 use super::definition::{DATUM, Definition, ELLIPSOID, GEODETIC, Method};
 use super::wkt::{Node, Value};
@@ -6,7 +6,7 @@ use super::{Crs, Unit};
 use crate::geo::ellipsoid::{Ellipsoid, WGS84};
 use crate::geo::{lambert, transverse_mercator};
 
-/// The whole system, compound where heights count from a geoid or are not in metres.
+/// The whole CRS; compound for heights above a geoid or not in metres.
 pub(super) fn wkt(crs: &Crs) -> String {
     let horizontal = horizontal(&crs.definition, &crs.unit);
     match vertical(crs) {
@@ -18,7 +18,8 @@ pub(super) fn wkt(crs: &Crs) -> String {
     }
 }
 
-/// The horizontal part: the source's own text where that is WKT 1 or ESRI's, with another unit where one is asked for.
+/// Horizontal part: the source text if it is WKT 1 or ESRI WKT, with the unit replaced if
+/// requested.
 fn horizontal(definition: &Definition, unit: &Unit) -> Node {
     let source = &definition.horizontal;
     match source.keyword.as_str() {
@@ -29,7 +30,7 @@ fn horizontal(definition: &Definition, unit: &Unit) -> Node {
     }
 }
 
-/// A projected or earth-centred system of WKT 1 in another unit: it is no longer the one that has the code.
+/// A projected or earth-centred WKT 1 CRS in another unit; it loses its EPSG code.
 fn in_unit(source: &Node, from: &Unit, to: &Unit) -> Node {
     let mut node = source.clone();
     let name = format!("{} ({})", source.name().unwrap_or_default(), to.name);
@@ -57,7 +58,7 @@ fn in_unit(source: &Node, from: &Unit, to: &Unit) -> Node {
     node
 }
 
-/// WKT 1 for a system that came as WKT 2.
+/// Generates WKT 1 for a CRS given as WKT 2.
 fn generated(definition: &Definition, unit: &Unit) -> Node {
     let title = definition.horizontal.name().unwrap_or("unnamed");
     let code = definition.epsg.filter(|_| unit.is_as_long_as(&definition.unit));
@@ -87,13 +88,13 @@ fn generated(definition: &Definition, unit: &Unit) -> Node {
             }
         },
         Method::Other(text) => projected("custom_proj4", &[]).with(extension(text, unit)),
-        // PROJ has given it as WKT 1 already.
+        // PROJ already returned it as WKT 1.
         #[cfg(feature = "proj")]
         Method::Foreign(_) => definition.horizontal.clone(),
     }
 }
 
-/// GDAL's way to say a projection for which WKT 1 has no words.
+/// GDAL's extension for projections that WKT 1 cannot express.
 fn extension(proj: &str, unit: &Unit) -> Node {
     let text = proj.replace("+units=m ", &format!("+to_meter={} ", unit.metres));
     let mut node = Node::named("EXTENSION", "PROJ4");
@@ -101,7 +102,7 @@ fn extension(proj: &str, unit: &Unit) -> Node {
     node
 }
 
-/// Names and values of the parameters, degrees and units of the map.
+/// Names and values of the parameters, in degrees and projection units.
 pub(super) fn transverse_mercator_parameters(
     p: &transverse_mercator::Parameters,
     in_unit: &impl Fn(f64) -> f64,
@@ -115,8 +116,9 @@ pub(super) fn transverse_mercator_parameters(
     ]
 }
 
-/// The projection's name, and names and values of its parameters; `None` where WKT 1 has no words: a scale on two
-/// parallels, or an origin beside the only one.
+/// Projection name with names and values of its parameters; `None` if WKT 1 cannot express it.
+///
+/// These are a scale factor with two parallels, or an origin away from a single parallel.
 pub(super) fn lambert_parameters(
     p: &lambert::Parameters,
     in_unit: &impl Fn(f64) -> f64,
@@ -151,7 +153,8 @@ fn lambert_text(p: &lambert::Parameters, ellipsoid: Ellipsoid) -> String {
     )
 }
 
-/// Degrees as they were written: rounded to 10^-13, 10 nm on the ground, which is what the way to radians and back loses.
+/// Degrees rounded to 1e-13, or 10 nm: restores the value before its conversion to radians and
+/// back.
 pub(super) fn degrees(angle_rad: f64) -> f64 {
     (angle_rad.to_degrees() * 1e13).round() / 1e13
 }
@@ -177,13 +180,14 @@ fn earth_centred(definition: &Definition, unit: &Unit) -> Node {
         .with(axis("Geocentric Z", "NORTH"))
 }
 
-/// The datum, under the name it has in WKT 1.
+/// The datum, with its WKT 1 name.
 fn datum(definition: &Definition) -> Node {
     let source = definition.horizontal.find(&DATUM);
     let name = source.and_then(Node::name).unwrap_or("unknown");
     let name = match name.trim_end_matches(" ensemble") {
         "World Geodetic System 1984" => "WGS_1984".to_string(),
-        // As GDAL writes names: what is no letter, digit or plus sign becomes one underscore.
+        // As GDAL writes names: other characters than letters, digits and plus become one
+        // underscore.
         name => {
             let words = name.split(|c: char| !(c.is_alphanumeric() || c == '+'));
             words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_")
@@ -199,11 +203,11 @@ fn datum(definition: &Definition) -> Node {
     Node::named("DATUM", &name).with(spheroid).authority(source.and_then(Node::epsg))
 }
 
-/// Kinds of vertical datums (OGC 01-009, section 12.3.4).
+/// Types of vertical datums (OGC 01-009, section 12.3.4).
 const GEOID_MODEL: f64 = 2005.0;
 const ELLIPSOIDAL: f64 = 2002.0;
 
-/// The vertical part; `None` for metres above the ellipsoid, which needs none, and for earth-centred coordinates.
+/// Vertical part; `None` for ellipsoidal heights in metres and for earth-centred coordinates.
 fn vertical(crs: &Crs) -> Option<Node> {
     let unit = &crs.height_unit;
     let part = |name: &str, datum: Node, code: Option<u32>| {
@@ -228,24 +232,25 @@ fn vertical(crs: &Crs) -> Option<Node> {
     })
 }
 
-/// The code of EPSG for heights above the crs's geoid, in its unit, where both are known.
+/// EPSG code of heights above the CRS's geoid in its unit, if known.
 pub(super) fn vertical_epsg(crs: &Crs) -> Option<u32> {
     vertical(crs)?.epsg()
 }
 
-/// A vertical system of EPSG that a geoid model realises.
+/// Vertical CRS of EPSG that is realised by a geoid model.
 struct Vertical {
-    /// How names of its models begin, in small letters.
+    /// Prefixes of the names of its models, in lower case.
     models: &'static [&'static str],
     name: &'static str,
     datum: &'static str,
     datum_code: u32,
-    /// In metres.
+    /// EPSG code in metres.
     metric_code: u32,
 }
 
-/// What names of geoid models say of their heights; the American models of the 48 states and Alaska only, because the
-/// others are for other datums.
+/// Vertical CRSs by prefix of the geoid model's name.
+///
+/// Of the American models, only those of the 48 states and Alaska; the others use other datums.
 const VERTICALS: [Vertical; 4] = [
     Vertical {
         models: &[

@@ -1,94 +1,96 @@
-//! What can be wrong with a coordinate reference system, or with a point for it.
+//! Errors of coordinate reference systems and their points.
 
 use crate::geo::geoid::GeoidError;
 
-/// What can be wrong with a coordinate reference system, or with a point for it.
+/// Error of a coordinate reference system, or of a point in it.
 #[derive(Debug, thiserror::Error)]
 pub enum CrsError {
-    /// The job's word names no system.
+    /// Invalid name in the job.
     #[error(
         "crs `{word}`: {problem}; write `utm`, `utm:33N`, `EPSG:2154`, `geodetic`, `ecef` or the path of a WKT file"
     )]
     Word {
-        /// The word.
+        /// The name.
         word: String,
-        /// What is wrong with it.
+        /// Description of the problem.
         problem: &'static str,
     },
-    /// A code that is not in the table.
-    #[error("EPSG:{0} is not in the table of systems; check the code, or give the system as a WKT file")]
-    UnknownEpsg(u32),
-    /// A text that is not well-known text of a coordinate reference system.
-    #[error("the WKT cannot be read: {0}; check the text, or give an EPSG code")]
-    Wkt(String),
-    /// The system's datum lies elsewhere than the earth-centred frame of the trajectory.
+    /// EPSG code that is not in the table.
     #[error(
-        "{name}: its datum, {datum}, {reason}, and no datum shift is applied; choose a system on WGS 84, ETRS89, NAD83 or \
-         another frame of their kind, or build wavex with the feature `proj`"
+        "EPSG:{0} is not in the table of coordinate reference systems; check the code, or use a WKT file"
+    )]
+    UnknownEpsg(u32),
+    /// Text that is not the WKT of a coordinate reference system.
+    #[error("the WKT cannot be read: {0}; check the text, or use an EPSG code")]
+    Wkt(String),
+    /// The datum differs from the earth-centred frame of the trajectory.
+    #[error(
+        "{name}: its datum, {datum}, {reason}, but datum shifts are not supported; choose a CRS on WGS 84, ETRS89, NAD83 or \
+         a similar frame, or build wavex with the feature `proj`"
     )]
     Datum {
-        /// The system.
+        /// The CRS.
         name: String,
         /// Its datum.
         datum: String,
-        /// Why it cannot be used.
+        /// Reason why it cannot be used.
         reason: String,
     },
-    /// A well-known text without parameters that its projection needs; they would count as zeros.
+    /// WKT without parameters that its projection needs; they would count as zeros.
     #[error(
-        "{name}: its projection has no {missing}; complete the parameters in its WKT, or give an EPSG code"
+        "{name}: its projection has no {missing}; complete the parameters in its WKT, or use an EPSG code"
     )]
     Incomplete {
-        /// The system.
+        /// The CRS.
         name: String,
-        /// What is missing, as WKT 1 names it.
+        /// WKT 1 names of the missing parameters.
         missing: String,
     },
-    /// Something else that is not supported.
+    /// Another unsupported feature.
     #[error("{name}: {problem}; {remedy}")]
     Unsupported {
-        /// The system.
+        /// The CRS.
         name: String,
-        /// What is not supported.
+        /// Description of the unsupported feature.
         problem: String,
-        /// What the user can do.
+        /// Remedy for the user.
         remedy: &'static str,
     },
-    /// The system's heights count from a surface that only a geoid gives.
+    /// The heights of the CRS need a geoid.
     #[error(
-        "{name}: its heights are {vertical}, which need a geoid; give one with `geoid`, or a system without heights to \
-         get those above the ellipsoid"
+        "{name}: its heights are {vertical}, which need a geoid; set `geoid`, or use a CRS without a vertical part for \
+         ellipsoidal heights"
     )]
     NoGeoid {
-        /// The system.
+        /// The CRS.
         name: String,
-        /// Its vertical part.
+        /// Name of its vertical part.
         vertical: String,
     },
-    /// A point far outside the area where the projection makes sense.
+    /// A point far outside the area of the projection.
     #[error(
         "{name}: the point at latitude {latitude_deg:.6}, longitude {longitude_deg:.6} degrees cannot be projected; \
-         check the trajectory, or choose a system made for that area"
+         check the trajectory, or choose a CRS for that area"
     )]
     OutsideProjection {
-        /// The system.
+        /// The CRS.
         name: String,
-        /// The point's latitude.
+        /// Latitude of the point.
         latitude_deg: f64,
-        /// The point's longitude.
+        /// Longitude of the point.
         longitude_deg: f64,
     },
-    /// Coordinates that are no point of the map.
-    #[error("{name}: the coordinates {x}, {y} are no point of the map; check them and their unit")]
+    /// Coordinates outside the projection.
+    #[error("{name}: the coordinates {x}, {y} are outside the projection; check them and their unit")]
     OutsideMap {
-        /// The system.
+        /// The CRS.
         name: String,
-        /// Easting, in the system's unit.
+        /// Easting, in the unit of the CRS.
         x: f64,
-        /// Northing, in the system's unit.
+        /// Northing, in the unit of the CRS.
         y: f64,
     },
-    /// The geoid says nothing of a point.
+    /// The geoid has no height at a point.
     #[error(transparent)]
     Geoid(#[from] GeoidError),
 }

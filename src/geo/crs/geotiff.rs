@@ -1,4 +1,6 @@
-//! A coordinate reference system as GeoTIFF keys (GeoTIFF 1.0, sections 2.4 and 6), which LAS held before version 1.4.
+//! Formats a coordinate reference system as GeoTIFF keys, as in LAS before 1.4.
+//!
+//! GeoTIFF 1.0, sections 2.4 and 6.
 
 use super::definition::{Definition, GEODETIC, Method};
 use super::describe::{lambert_parameters, transverse_mercator_parameters, vertical_epsg};
@@ -6,12 +8,12 @@ use super::wkt::Node;
 use super::{Crs, Unit};
 use crate::geo::ellipsoid::WGS84;
 
-/// The three records of GeoTIFF keys, all of user `LASF_Projection`.
+/// The three records of GeoTIFF keys, with user ID `LASF_Projection`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeoKeys {
     /// Record 34735, `GeoKeyDirectoryTag`.
     pub directory: Vec<u8>,
-    /// Record 34736, `GeoDoubleParamsTag`; empty where no key needs it.
+    /// Record 34736, `GeoDoubleParamsTag`; empty if no key needs it.
     pub doubles: Vec<u8>,
     /// Record 34737, `GeoAsciiParamsTag`.
     pub ascii: Vec<u8>,
@@ -19,7 +21,7 @@ pub struct GeoKeys {
 
 const DOUBLES: u16 = 34736;
 const ASCII: u16 = 34737;
-/// Instead of a code: the keys say it themselves.
+/// Value in place of a code: defined by other keys.
 const USER_DEFINED: u16 = 32767;
 
 const MODEL_TYPE: u16 = 1024;
@@ -36,13 +38,13 @@ const LINEAR_UNIT_SIZE: u16 = 3077;
 const VERTICAL: u16 = 4096;
 const VERTICAL_UNIT: u16 = 4099;
 
-/// The system's keys; `None` where it has no code and is no projection that is said here.
+/// Keys of a CRS; `None` without a code and with a projection not covered here.
 pub(super) fn keys(crs: &Crs) -> Option<GeoKeys> {
     of_parts(&crs.definition, &crs.unit, &crs.height_unit, vertical_epsg(crs))
 }
 
-/// The keys of a system that is given as well-known text; `None` where it is not supported, or has neither a code nor a
-/// projection that is said here.
+/// Keys of a CRS given as WKT; `None` if unsupported, or without a code and with a projection not
+/// covered here.
 pub fn geotiff_keys_of_wkt(text: &str) -> Option<GeoKeys> {
     let definition = Definition::of_wkt(text).ok()?;
     let height_unit = definition.vertical_unit().unwrap_or_else(|| definition.unit.clone());
@@ -94,7 +96,7 @@ fn linear_unit(keys: &mut Keys, unit: &Unit) {
     }
 }
 
-/// The geodetic system below a projection, or an earth-centred or geodetic one without a code.
+/// Adds the keys of the base CRS of a projection, or of an unprojected CRS without a code.
 fn geographic(keys: &mut Keys, definition: &Definition) {
     let code = definition.horizontal.find(&GEODETIC).and_then(|node| node.epsg());
     match code.and_then(|code| u16::try_from(code).ok()) {
@@ -109,7 +111,8 @@ fn geographic(keys: &mut Keys, definition: &Definition) {
 
 fn projection(keys: &mut Keys, definition: &Definition, unit: &Unit) -> Option<()> {
     let in_unit = |metres: f64| metres / unit.metres;
-    // Codes of methods: 1 transverse Mercator, 8 Lambert with two parallels, 9 with one (section 6.3.3.3).
+    // Method codes: 1 transverse Mercator, 8 Lambert with two parallels, 9 with one (section
+    // 6.3.3.3).
     let (method, parameters) = match &definition.method {
         Method::TransverseMercator(p) => (1, transverse_mercator_parameters(p, &in_unit).to_vec()),
         Method::Lambert(p) => match lambert_parameters(p, &in_unit)? {
@@ -146,7 +149,7 @@ fn key_of_parameter(name: &str, of_two_parallels: bool) -> Option<u16> {
     })
 }
 
-/// Keys as they are collected; the directory wants them in ascending order.
+/// Keys being collected; the directory is sorted.
 #[derive(Default)]
 struct Keys {
     entries: Vec<[u16; 4]>,
@@ -164,7 +167,7 @@ impl Keys {
         self.doubles.push(value);
     }
 
-    /// Texts stand one after the other, each with a bar at its end.
+    /// Texts are concatenated, each terminated by a bar.
     fn text(&mut self, key: u16, text: &str) {
         let text: String = text.chars().filter(|c| c.is_ascii() && *c != '|').take(1000).collect();
         self.entries.push([key, ASCII, text.len() as u16 + 1, self.ascii.len() as u16]);

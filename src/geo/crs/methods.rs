@@ -1,7 +1,7 @@
-//! Projection methods that agree with PROJ within 1 mm, and the parameters that each needs.
+//! Projection methods that agree with PROJ within 1 mm, and their parameters.
 //!
-//! `proj4wkt` leaves out what it does not recognise, and `proj4rs` computes with zeros for what is left out. Both would
-//! move all points without a word, so that definitions are checked here first.
+//! `proj4wkt` drops what it does not recognise, and `proj4rs` uses zeros for what is missing. Both
+//! would silently move all points, so definitions are checked here first.
 
 use super::CrsError;
 use super::definition::ProjString;
@@ -9,10 +9,12 @@ use super::wkt::{Node, Value};
 
 const PROJ_REMEDY: &str = "choose another system, or build wavex with the feature `proj`";
 
-/// PROJ's name of a method, the parameters that it needs, with a bar between alternatives, and those that it may have.
+/// PROJ name of a method, its required parameters (alternatives separated by a bar), and its
+/// optional parameters.
 ///
-/// `tests/python/check_crs.py` compares them with PROJ. Left out are methods that differ (Miller, Mollweide), that have no
-/// use here (world maps, satellites), and parameters that `proj4rs` does not know.
+/// `tests/python/check_crs.py` compares them with PROJ. Omitted are methods with different results
+/// (Miller, Mollweide), methods irrelevant here (world maps, satellites), and parameters unknown to
+/// `proj4rs`.
 const METHODS: [(&str, &str, &str); 24] = [
     ("longlat", "", ""),
     ("geocent", "", ""),
@@ -40,23 +42,24 @@ const METHODS: [(&str, &str, &str); 24] = [
     ("sterea", "lat_0 lon_0 k|k_0 x_0 y_0", ""),
 ];
 
-/// What may stand in any PROJ string: the figure of the earth, units and axes, which are checked elsewhere.
+/// Keys allowed in any PROJ string: figure of the earth, units and axes, which are checked
+/// elsewhere.
 const EVERYWHERE: &str = "proj type datum ellps a b rf R R_A towgs84 nadgrids geoidgrids units to_meter vunits vto_meter \
                           no_defs wktext axis pm";
 
-/// Checks that a PROJ string made of this horizontal part means what the part says.
+/// Checks that a PROJ string represents its horizontal part.
 pub(super) fn check(proj: &ProjString, horizontal: &Node) -> Result<(), CrsError> {
     let method = proj.text("proj").unwrap_or_default();
     let row = METHODS.iter().find(|row| row.0 == method).filter(|_| !differs(proj, horizontal));
     let Some(&(_, needed, optional)) = row else {
         let named = horizontal.find(&["PROJECTION", "METHOD"]).and_then(Node::name).unwrap_or(method);
-        let problem = format!("its projection method, {named}, is not one that is computed as PROJ does");
+        let problem = format!("its projection method, {named}, is not known to agree with PROJ");
         return Err(proj.unsupported(problem, PROJ_REMEDY));
     };
     let known = [EVERYWHERE, needed, optional].map(|keys| keys.split([' ', '|'])).into_iter().flatten();
     let known: Vec<&str> = known.collect();
     if let Some((key, _)) = proj.pairs.iter().find(|(key, _)| !known.contains(key)) {
-        let problem = format!("its PROJ parameter `{key}` is not one of those known for `{method}`");
+        let problem = format!("its PROJ parameter `{key}` is not known for `{method}`");
         return Err(proj.unsupported(problem, PROJ_REMEDY));
     }
     if proj.is_own {
@@ -75,24 +78,23 @@ pub(super) fn check(proj: &ProjString, horizontal: &Node) -> Result<(), CrsError
     match ignored_parameter(horizontal, method) {
         None => Ok(()),
         Some(name) => {
-            let problem =
-                format!("its parameter `{name}` is not one of the projection's that are understood");
+            let problem = format!("its parameter `{name}` is not known for the projection");
             Err(proj.unsupported(
                 problem,
-                "correct its name, give an EPSG code, or build wavex with the feature `proj`",
+                "correct its name, use an EPSG code, or build wavex with the feature `proj`",
             ))
         }
     }
 }
 
-/// What a PROJ string that comes with the text must not say: another figure or datum than that of the text.
+/// Rejects an embedded PROJ string with another figure or datum.
 fn check_own(proj: &ProjString, method: &str) -> Result<(), CrsError> {
     let is_shift = |text: &str| text.split(',').any(|number| number.parse() != Ok(0.0));
     let other = |key: &str, known: &[&str]| proj.text(key).is_some_and(|value| !known.contains(&value));
     let is_other_figure = matches!(method, "utm" | "tmerc" | "lcc")
         && ["b", "R", "R_A"].iter().any(|key| proj.text(key).is_some());
     let problem = if proj.text("towgs84").is_some_and(is_shift) || other("nadgrids", &["@null"]) {
-        "its PROJ string shifts the datum against WGS 84"
+        "its PROJ string has a datum shift to WGS 84"
     } else if is_other_figure || other("ellps", &["WGS84", "GRS80"]) || other("datum", &["WGS84", "NAD83"]) {
         "its PROJ string has another figure of the earth"
     } else if method == "utm" && !(1.0..=60.0).contains(&proj.number("zone", 0.0)?) {
@@ -103,8 +105,8 @@ fn check_own(proj: &ProjString, method: &str) -> Result<(), CrsError> {
     Err(proj.unsupported(problem.into(), PROJ_REMEDY))
 }
 
-/// Variants that PROJ computes in another way than `proj4rs`: equal areas of the sphere, and oblique Mercator through two
-/// points.
+/// Variants for which PROJ and `proj4rs` differ: spherical equal-area, and oblique Mercator through
+/// two points.
 fn differs(proj: &ProjString, horizontal: &Node) -> bool {
     let name = || horizontal.find(&["METHOD"]).and_then(Node::name).unwrap_or_default().to_lowercase();
     match proj.text("proj") {
@@ -119,9 +121,9 @@ fn is_of_two_parallels(horizontal: &Node) -> bool {
     method.and_then(Node::name).is_some_and(|name| name.to_uppercase().contains("2SP"))
 }
 
-/// A parameter that changes nothing and yet is neither 0 nor 1: one whose name is not understood.
+/// Name of a parameter that has no effect although it is neither 0 nor 1, so is not recognised.
 ///
-/// Those of Krovak's projection are fixed, whatever the text says.
+/// Parameters of the Krovak projection are fixed, whatever the text.
 fn ignored_parameter(horizontal: &Node, method: &str) -> Option<String> {
     let text = |node: &Node| proj4wkt::wkt_to_projstring(&node.to_string()).ok();
     let as_is = text(horizontal);
@@ -155,7 +157,7 @@ fn for_each_parameter(node: &mut Node, act: &mut impl FnMut(&mut Node)) {
     }
 }
 
-/// Axes as the text gives them: to the east and to the north, or both to or from a pole.
+/// Whether axes point east and north, or to or from a pole.
 pub(super) fn has_plain_axes(horizontal: &Node) -> bool {
     let axes = horizontal.nodes().filter(|node| node.keyword == "AXIS");
     let directions: Vec<String> = axes
@@ -169,7 +171,7 @@ pub(super) fn has_plain_axes(horizontal: &Node) -> bool {
     souths != 1 && !directions.iter().any(|word| word == "west")
 }
 
-/// A parameter of PROJ, or alternatives, as WKT 1 names them.
+/// WKT 1 name of a PROJ parameter, or of alternatives.
 fn in_words(keys: &str) -> String {
     let word = |key: &str| match key {
         "lat_0" => "latitude_of_origin",

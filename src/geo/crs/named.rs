@@ -1,34 +1,34 @@
-//! The coordinate reference system as a job names it.
+//! Coordinate reference systems as named in jobs.
 
 use super::CrsError;
 
-/// A coordinate reference system as the user names it.
+/// A coordinate reference system as named by the user.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Named {
-    /// WGS 84 / UTM in the zone of the first place: `utm`.
+    /// WGS 84 / UTM in the zone of the first position: `utm`.
     Utm,
-    /// WGS 84 / UTM in a zone: `utm:33N`, `utm:55S`.
+    /// WGS 84 / UTM in a given zone: `utm:33N`, `utm:55S`.
     UtmZone {
-        /// From 1 to 60.
+        /// Zone, 1 to 60.
         zone: u8,
-        /// The northern hemisphere's, which counts northings from the equator.
+        /// Northern hemisphere, with northings from the equator.
         north: bool,
     },
-    /// A code of the EPSG dataset: `EPSG:2154`.
+    /// EPSG code: `EPSG:2154`.
     Epsg(u32),
-    /// Well-known text: WKT 1, ESRI's, or WKT 2.
+    /// WKT 1, ESRI WKT, or WKT 2.
     Wkt(String),
-    /// Longitude and latitude in degrees of WGS 84 and the height: `geodetic`.
+    /// Longitude and latitude of WGS 84 in degrees, and height: `geodetic`.
     Geodetic,
-    /// The earth-centred, earth-fixed frame: `ecef`.
+    /// Earth-centred, earth-fixed frame: `ecef`.
     Ecef,
 }
 
 impl Named {
-    /// What a job's word names, in any case; `None` for anything else, which is the path of a WKT file.
+    /// Parses a name, case-insensitive; `None` for anything else, which is the path of a WKT file.
     ///
     /// # Errors
-    /// The word begins like a name and is none: a zone that there is not, a code that is no number.
+    /// An invalid UTM zone or EPSG code.
     pub fn parse(word: &str) -> Result<Option<Named>, CrsError> {
         let error = |problem| CrsError::Word { word: word.into(), problem };
         let lower = word.trim().to_lowercase();
@@ -52,7 +52,7 @@ impl Named {
     }
 }
 
-/// `33n` or `55s`.
+/// Parses a zone such as `33n` or `55s`.
 fn utm_zone(text: &str) -> Option<Named> {
     let (zone, north) = match text.trim().strip_suffix('n') {
         Some(zone) => (zone, true),
@@ -62,8 +62,10 @@ fn utm_zone(text: &str) -> Option<Named> {
     Some(Named::UtmZone { zone, north })
 }
 
-/// The UTM zone, from 1 to 60, of a longitude, rad. Zones are 6 degrees wide everywhere: the wider ones of Norway and
-/// Svalbard are those of the military grid reference, not of the projection.
+/// UTM zone, 1 to 60, of a longitude, rad.
+///
+/// Zones are 6 degrees wide everywhere: the wider zones of Norway and Svalbard belong to the
+/// military grid reference system, not to the projection.
 pub fn utm_zone_at(longitude_rad: f64) -> u8 {
     let zone = ((longitude_rad.to_degrees() + 180.0) / 6.0).floor().rem_euclid(60.0);
     zone as u8 + 1

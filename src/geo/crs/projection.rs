@@ -1,4 +1,4 @@
-//! From a place on the ellipsoid to the map and back.
+//! Conversion between positions on the ellipsoid and projected coordinates.
 
 use std::fmt;
 
@@ -10,10 +10,10 @@ use crate::geo::conformal::Normal;
 use crate::geo::lambert::LambertConformal;
 use crate::geo::transverse_mercator::TransverseMercator;
 
-/// Coordinates beyond this are no map any more, m: twice around the earth.
+/// Largest plausible projected coordinate, m: twice around the earth.
 const FARTHEST_M: f64 = 8e7;
 
-/// From a place on the ellipsoid to the map and back.
+/// Conversion between positions on the ellipsoid and projected coordinates.
 #[derive(Debug)]
 pub(super) enum Projection {
     /// Longitude and latitude in degrees.
@@ -43,13 +43,13 @@ impl Projection {
             Method::Lambert(parameters) => {
                 let projection = LambertConformal::new(definition.ellipsoid, *parameters);
                 Projection::Lambert(
-                    projection.ok_or_else(|| unsupported("its standard parallels make no cone".into()))?,
+                    projection.ok_or_else(|| unsupported("its standard parallels define no cone".into()))?,
                 )
             }
             #[cfg(feature = "proj")]
             Method::Foreign(text) => Projection::Foreign(
                 super::proj::Foreign::new(text)
-                    .ok_or_else(|| unsupported("PROJ knows no way there from WGS 84".into()))?,
+                    .ok_or_else(|| unsupported("PROJ has no transformation to it from WGS 84".into()))?,
             ),
             Method::Other(text) => Projection::Other(Box::new(
                 Other::new(text).map_err(|problem| unsupported(format!("its projection: {problem}")))?,
@@ -57,8 +57,9 @@ impl Projection {
         })
     }
 
-    /// Easting and northing, m, or longitude and latitude, degrees, of a place at a height, m; `None` where there is no
-    /// such point.
+    /// Easting and northing, m, or longitude and latitude, degrees; `None` outside the projection.
+    ///
+    /// `height_m`: ellipsoidal height of the position.
     #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
     pub fn project(&self, normal: &Normal, height_m: f64) -> Option<[f64; 2]> {
         let (x, y) = match self {
@@ -81,7 +82,7 @@ impl Projection {
         (x.abs() < FARTHEST_M && y.abs() < FARTHEST_M).then_some([x, y])
     }
 
-    /// [`Projection::project`] each of some places.
+    /// [`Projection::project`] for several positions.
     pub fn project_each<const N: usize>(
         &self,
         normals: &[Normal; N],
@@ -95,7 +96,7 @@ impl Projection {
         }
     }
 
-    /// The inverse of [`Projection::project`]: latitude and longitude, rad.
+    /// Inverse of [`Projection::project`]: latitude and longitude, rad.
     #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
     pub fn unproject(&self, [x, y]: [f64; 2], height_m: f64) -> Option<(f64, f64)> {
         if !(x.abs() < FARTHEST_M && y.abs() < FARTHEST_M) {
@@ -118,7 +119,8 @@ impl Projection {
     }
 }
 
-/// A projection of the crate `proj4rs`, which follows PROJ to the bit of the system's mathematical library.
+/// A projection of the crate `proj4rs`, a port of PROJ; depends on the system's mathematical
+/// library.
 pub(super) struct Other {
     text: String,
     from: Proj,
@@ -127,7 +129,7 @@ pub(super) struct Other {
 
 impl Other {
     fn new(text: &str) -> Result<Other, proj4rs::errors::Error> {
-        // Of the same figure: a projection of the sphere takes angles as they are.
+        // Same figure of the earth on both sides: a projection of the sphere uses angles unchanged.
         let is_figure = |word: &&str| ["+a=", "+b=", "+rf=", "+R="].iter().any(|key| word.starts_with(key));
         let figure: Vec<&str> = text.split(' ').filter(is_figure).collect();
         let from = format!("+proj=longlat {} +no_defs", figure.join(" "));

@@ -25,7 +25,7 @@ fn of_wkt(text: &str) -> Result<Crs, CrsError> {
     Crs::new(&Named::Wkt(text.into()), NOWHERE, None, None)
 }
 
-/// A geoid of this name, 30 m above the ellipsoid in a box of Europe.
+/// A geoid of this name, 30 m above the ellipsoid in an area of Europe.
 fn geoid(name: &str) -> Option<Arc<Geoid>> {
     let grid = Grid {
         south_deg: 40.0,
@@ -43,7 +43,7 @@ fn apart(a: Vector, b: Vector) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// False eastings in feet are rounded to 0.1 µm on their way to metres.
+/// False eastings in feet are rounded to 0.1 µm when converted to metres.
 #[test]
 fn systems_agree_with_proj() {
     for (word, longitude, latitude, x, y) in [
@@ -124,7 +124,7 @@ const WKT_2: &str = concat!(
     r#"AXIS["northing (Y)",north,ORDER[2],LENGTHUNIT["US survey foot",0.304800609601219]],ID["EPSG",6578]]"#,
 );
 
-/// Fifteen digits of a third of a degree are 0.1 µm.
+/// Fifteen digits of a third of a degree correspond to 0.1 µm.
 #[test]
 fn every_dialect_gives_the_same_coordinates() {
     let by_code = crs("EPSG:6578").from_geodetic(place(-97.7, 30.3, 50.0)).unwrap();
@@ -135,7 +135,7 @@ fn every_dialect_gives_the_same_coordinates() {
     }
 }
 
-/// What is written for a LAS file is a system that is read again, whatever the source and the unit.
+/// The WKT written to a LAS file can be read again, whatever the source and the unit.
 #[test]
 fn a_systems_wkt_is_the_system() {
     let oblique = r#"GEOGCS["d",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]"#;
@@ -228,14 +228,14 @@ fn heights_count_from_the_geoid() {
     assert!(other.contains(r#"VERT_CS["local_2020 height",VERT_DATUM["local_2020",2005],UNIT["#), "{other}");
 }
 
-/// NAD83(2011) / California zone 1 (ftUS) + NAVD88 height (ftUS), of which the metre is not the unit.
+/// NAD83(2011) / California zone 1 (ftUS) + NAVD88 height (ftUS): neither unit is the metre.
 #[test]
 fn a_systems_own_vertical_part_names_the_heights() {
     let error = Crs::new(&named("EPSG:8714"), NOWHERE, None, None).unwrap_err().to_string();
     assert_eq!(
         error,
-        "EPSG:8714 (NAD83 / California zone 1 (ftUS)): its heights are NAVD88 height (ftUS), which need a geoid; give one \
-         with `geoid`, or a system without heights to get those above the ellipsoid"
+        "EPSG:8714 (NAD83 / California zone 1 (ftUS)): its heights are NAVD88 height (ftUS), which need a \
+         geoid; set `geoid`, or use a CRS without a vertical part for ellipsoidal heights"
     );
     let crs = Crs::new(&named("EPSG:8714"), NOWHERE, geoid("mine"), None).unwrap();
     assert_eq!((crs.epsg(), crs.height_unit()), (Some(2225), &Unit::us_survey_foot()));
@@ -253,29 +253,27 @@ fn systems_that_cannot_be_had_say_why() {
     let error = |word: &str| Crs::new(&named(word), NOWHERE, None, None).unwrap_err().to_string();
     assert_eq!(
         error("EPSG:99999"),
-        "EPSG:99999 is not in the table of systems; check the code, or give the system as a WKT file"
+        "EPSG:99999 is not in the table of coordinate reference systems; check the code, or use a WKT file"
     );
     assert_eq!(
         error("EPSG:27700"),
-        "EPSG:27700 (OSGB 1936 / British National Grid): its datum, OSGB_1936, lies on another ellipsoid (Airy 1830), and \
-         no datum shift is applied; choose a system on WGS 84, ETRS89, NAD83 or another frame of their kind, or build \
-         wavex with the feature `proj`"
+        "EPSG:27700 (OSGB 1936 / British National Grid): its datum, OSGB_1936, uses another ellipsoid \
+         (Airy 1830), but datum shifts are not supported; choose a CRS on WGS 84, ETRS89, NAD83 or a \
+         similar frame, or build wavex with the feature `proj`"
     );
-    assert!(
-        error("EPSG:23032").contains("European_Datum_1950, lies on another ellipsoid (International 1924)")
-    );
-    assert!(error("EPSG:2100").contains("Greek_Geodetic_Reference_System_1987, lies metres beside WGS 84"));
-    assert!(error("EPSG:3296").contains(", is shifted against WGS 84"));
+    assert!(error("EPSG:23032").contains("European_Datum_1950, uses another ellipsoid (International 1924)"));
+    assert!(error("EPSG:2100").contains("Greek_Geodetic_Reference_System_1987, is metres away from WGS 84"));
+    assert!(error("EPSG:3296").contains(", has a shift to WGS 84"));
     assert_eq!(
         error("EPSG:2048"),
-        "EPSG:2048 (Hartebeesthoek94 / Lo19): its axes are `wsu`; choose a system with eastings and northings from \
-         Greenwich, or build wavex with the feature `proj`"
+        "EPSG:2048 (Hartebeesthoek94 / Lo19): its axes are `wsu`; choose a CRS with eastings and northings \
+         from Greenwich, or build wavex with the feature `proj`"
     );
     let error = Crs::new(&Named::Ecef, NOWHERE, geoid("egm96"), None).unwrap_err().to_string();
     assert_eq!(
         error,
-        "EPSG:4978 (WGS 84): earth-centred coordinates have no height that the geoid egm96 could change; leave the geoid \
-         out, or choose a projected or geodetic system"
+        "EPSG:4978 (WGS 84): earth-centred coordinates have no height to which the geoid egm96 could \
+         apply; remove the geoid, or choose a projected or geodetic system"
     );
 }
 
@@ -284,25 +282,26 @@ fn texts_that_cannot_be_used_say_why() {
     let error = |text: &str| of_wkt(text).unwrap_err().to_string();
     assert_eq!(
         error("PROJCS[\"x\""),
-        "the WKT cannot be read: a comma or a closing bracket is expected at character 11; check the text, or give an \
-         EPSG code"
+        "the WKT cannot be read: a comma or a closing bracket is expected at character 11; check the text, \
+         or use an EPSG code"
     );
     assert!(
         error(r#"VERT_CS["x",UNIT["metre",1]]"#)
-            .contains("VERT_CS is no projected, geodetic or earth-centred system")
+            .contains("VERT_CS is not a projected, geodetic or earth-centred system")
     );
     let unknown = ESRI.replace("Lambert_Conformal_Conic", "Origami");
     assert!(error(&unknown).starts_with("the WKT cannot be read: WKT error: No projection mapping found"));
     let equator = ESRI.replace("31.8833333333333", "-30.1166666666667");
-    assert!(error(&equator).contains(": its standard parallels make no cone; choose another system"));
+    assert!(error(&equator).contains(": its standard parallels define no cone; choose another system"));
     let paris = ESRI.replace("PRIMEM[\"Greenwich\",0.0]", "PRIMEM[\"Paris\",2.33722917]");
-    assert!(error(&paris).contains(": its prime meridian is `2.33722917`; choose a system with"));
+    assert!(error(&paris).contains(": its prime meridian is `2.33722917`; choose a CRS with"));
     let letters = ESRI.replace("False_Easting\",2296583.333", "False_Easting\",\"far\"");
     assert!(error(&letters).contains("the WKT cannot be read"), "{}", error(&letters));
     let nowhere = ESRI.replace("Central_Meridian", "Middle");
     assert!(
         error(&nowhere).ends_with(
-            ": its projection has no central_meridian; complete the parameters in its WKT, or give an EPSG code"
+            ": its projection has no central_meridian; complete the parameters in its WKT, or use an EPSG \
+             code"
         ),
         "{}",
         error(&nowhere)
@@ -314,10 +313,10 @@ fn texts_that_cannot_be_used_say_why() {
         error(&no_parallel)
     );
     let no_unit = ESRI.replace("0.304800609601219]]", "0]]");
-    assert!(error(&no_unit).contains(": its unit of length is not known; give the system as a WKT file"));
+    assert!(error(&no_unit).contains(": its unit of length is unknown; use a WKT file"));
 }
 
-/// A system of WKT 1 on WGS 84 with these parameters.
+/// A WKT 1 CRS on WGS 84 with these parameters.
 fn projected(projection: &str, parameters: &[(&str, f64)]) -> String {
     let parameters: String =
         parameters.iter().map(|(name, value)| format!(r#"PARAMETER["{name}",{value}],"#)).collect();
@@ -335,7 +334,7 @@ const SECOND: (&str, f64) = ("standard_parallel_2", 47.0);
 const AZIMUTH: (&str, f64) = ("azimuth", 30.288_139_722_222_2);
 const SKEW: (&str, f64) = ("rectified_grid_angle", 53.130_102_361_111_1);
 
-/// Methods of WKT 1 that are computed, with the parameters that they need.
+/// Supported WKT 1 methods with their required parameters.
 fn methods() -> Vec<(&'static str, Vec<(&'static str, f64)>)> {
     let of = |parts: &[&[(&'static str, f64)]]| [parts.concat(), FALSE.to_vec()].concat();
     vec![
@@ -359,7 +358,7 @@ fn methods() -> Vec<(&'static str, Vec<(&'static str, f64)>)> {
     ]
 }
 
-/// A parameter that is missing would count as 0: each is missed by its name, whatever the projection.
+/// A missing parameter would count as 0: each one is reported by name, for every projection.
 #[test]
 fn every_parameter_of_every_projection_is_needed() {
     for (method, parameters) in methods() {
@@ -367,7 +366,7 @@ fn every_parameter_of_every_projection_is_needed() {
         for (missing, _) in &parameters {
             let rest: Vec<_> = parameters.iter().filter(|(name, _)| name != missing).copied().collect();
             let found = of_wkt(&projected(method, &rest));
-            // Only this angle has a value of its own where it is not given, as in PROJ: the azimuth.
+            // Only this angle has a default other than 0, as in PROJ: the azimuth.
             if *missing == "rectified_grid_angle" {
                 assert!(found.is_ok(), "{method}");
                 continue;
@@ -391,15 +390,15 @@ fn every_parameter_of_every_projection_is_needed() {
     }
 }
 
-/// What is not computed as PROJ does, and what is not understood, is refused and not left out.
+/// Methods that differ from PROJ and unknown parameters are rejected rather than ignored.
 #[test]
 fn what_would_be_left_out_is_refused() {
     let error = |text: &str| of_wkt(text).map(|_| ()).unwrap_err().to_string();
     let miller = projected("Miller_Cylindrical", &[NATURAL[1], FALSE[0], FALSE[1]]);
     assert_eq!(
         error(&miller),
-        "own: its projection method, Miller_Cylindrical, is not one that is computed as PROJ does; choose another system, \
-         or build wavex with the feature `proj`"
+        "own: its projection method, Miller_Cylindrical, is not known to agree with PROJ; choose another \
+         system, or build wavex with the feature `proj`"
     );
     let michigan = projected(
         "Lambert_Conformal_Conic_2SP",
@@ -407,8 +406,8 @@ fn what_would_be_left_out_is_refused() {
     );
     assert_eq!(
         error(&michigan),
-        "own: its parameter `scale_factor` is not one of the projection's that are understood; correct its name, give an \
-         EPSG code, or build wavex with the feature `proj`"
+        "own: its parameter `scale_factor` is not known for the projection; correct its name, use an EPSG \
+         code, or build wavex with the feature `proj`"
     );
     let south = projected("Cassini_Soldner", &[NATURAL[0], NATURAL[1], FALSE[0], FALSE[1]])
         .replace(r#"UNIT["metre",1]]"#, r#"UNIT["metre",1],AXIS["y",SOUTH],AXIS["x",WEST]]"#);
@@ -425,13 +424,10 @@ fn what_would_be_left_out_is_refused() {
     };
     assert!(of_wkt(&extended("+proj=laea +lat_0=52 +lon_0=10 +ellps=GRS80")).is_ok());
     for (proj, problem) in [
-        ("+proj=ob_tran +o_proj=longlat", "its projection method, custom, is not one"),
-        (
-            "+proj=omerc +lonc=10 +alpha=5 +no_rot",
-            "its PROJ parameter `no_rot` is not one of those known for `omerc`",
-        ),
-        ("+proj=laea +lat_0=52 +towgs84=100,0,0", "its PROJ string shifts the datum against WGS 84"),
-        ("+proj=laea +lat_0=52 +nadgrids=x.gsb", "its PROJ string shifts the datum against WGS 84"),
+        ("+proj=ob_tran +o_proj=longlat", "its projection method, custom, is not known"),
+        ("+proj=omerc +lonc=10 +alpha=5 +no_rot", "its PROJ parameter `no_rot` is not known for `omerc`"),
+        ("+proj=laea +lat_0=52 +towgs84=100,0,0", "its PROJ string has a datum shift to WGS 84"),
+        ("+proj=laea +lat_0=52 +nadgrids=x.gsb", "its PROJ string has a datum shift to WGS 84"),
         ("+proj=laea +lat_0=52 +ellps=bessel", "its PROJ string has another figure of the earth"),
         ("+proj=tmerc +lat_0=52 +R=6371000", "its PROJ string has another figure of the earth"),
         ("+proj=utm +ellps=WGS84", "its PROJ string has no UTM zone from 1 to 60"),
@@ -440,7 +436,7 @@ fn what_would_be_left_out_is_refused() {
     }
 }
 
-/// No system of the table lacks parameters.
+/// No CRS of the table lacks parameters.
 #[test]
 fn systems_of_the_table_are_complete() {
     for code in [
@@ -451,7 +447,8 @@ fn systems_of_the_table_are_complete() {
     }
 }
 
-/// Heights in feet are in the keys even where the system's code does not say it, and so is what has no code.
+/// The keys give heights in feet even if the code of the CRS does not, also for a CRS without a
+/// code.
 #[test]
 fn keys_of_a_text_have_the_unit_of_heights() {
     let value = |keys: &GeoKeys, key: u16| {
@@ -486,20 +483,22 @@ fn points_that_are_none_are_named() {
     let error = crs("utm:33N").from_geodetic(place(-90.0, 3.0, 0.0)).unwrap_err().to_string();
     assert_eq!(
         error,
-        "EPSG:32633 (WGS 84 / UTM zone 33N): the point at latitude 3.000000, longitude -90.000000 degrees cannot be \
-         projected; check the trajectory, or choose a system made for that area"
+        "EPSG:32633 (WGS 84 / UTM zone 33N): the point at latitude 3.000000, longitude -90.000000 degrees \
+         cannot be projected; check the trajectory, or choose a CRS for that area"
     );
     let error = crs("EPSG:2154").to_ecef([f64::NAN, 0.0, 0.0]).unwrap_err().to_string();
     assert_eq!(
         error,
-        "EPSG:2154 (RGF93 / Lambert-93): the coordinates NaN, 0 are no point of the map; check them and their unit"
+        "EPSG:2154 (RGF93 / Lambert-93): the coordinates NaN, 0 are outside the projection; check them and \
+         their unit"
     );
     assert!(crs("utm:33N").from_ecef([f64::NAN; 3]).is_err());
     let crs = Crs::new(&named("utm:32N"), NOWHERE, geoid("here"), None).unwrap();
     assert_eq!(
         crs.from_geodetic(place(9.0, 39.0, 0.0)).unwrap_err().to_string(),
-        "geoid here: the point at latitude 39.000000, longitude 9.000000 degrees lies outside its area, latitude 40 to 50, \
-         longitude 0 to 20; give a geoid that covers the survey, or leave it out for heights above the ellipsoid"
+        "geoid here: the point at latitude 39.000000, longitude 9.000000 degrees lies outside its area, \
+         latitude 40 to 50, longitude 0 to 20; use a geoid that covers the survey, or remove it for \
+         ellipsoidal heights"
     );
 }
 

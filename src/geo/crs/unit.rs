@@ -2,18 +2,18 @@
 
 use super::wkt::Node;
 
-/// A unit of length of coordinates.
+/// Unit of length of coordinates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {
-    /// Its name in well-known text.
+    /// Name in WKT.
     pub name: String,
-    /// How many metres it is long.
+    /// Length in metres.
     pub metres: f64,
-    /// Its code of EPSG, where known.
+    /// EPSG code, if known.
     pub epsg: Option<u16>,
 }
 
-/// Name, metres and EPSG code of the units that have a word of their own.
+/// Name, metres and EPSG code of the known units.
 const METRE: (&str, f64, u16) = ("metre", 1.0, 9001);
 const FOOT: (&str, f64, u16) = ("foot", 0.3048, 9002);
 const US_SURVEY_FOOT: (&str, f64, u16) = ("US survey foot", 1200.0 / 3937.0, 9003);
@@ -35,7 +35,7 @@ impl Unit {
         Unit::known(US_SURVEY_FOOT)
     }
 
-    /// The unit that a job's word names: `m`, `us_ft`, `ft`.
+    /// The unit of a job's keyword: `m`, `us_ft`, `ft`.
     pub fn of_word(word: &str) -> Option<Unit> {
         match word {
             "m" => Some(Unit::metre()),
@@ -45,8 +45,9 @@ impl Unit {
         }
     }
 
-    /// A unit of so many metres; one of the known ones where it agrees within a part in 10^11, which is 0.1 mm in the
-    /// largest coordinates there are.
+    /// A unit of this length; a known unit if they agree within 1e-11.
+    ///
+    /// That is 0.1 mm in the largest possible coordinates.
     pub fn of_metres(name: &str, metres: f64) -> Unit {
         let same = |known: &&(&str, f64, u16)| (known.1 / metres - 1.0).abs() < 1e-11;
         match KNOWN.iter().find(same) {
@@ -55,7 +56,7 @@ impl Unit {
         }
     }
 
-    /// The two units are as long as each other.
+    /// Whether two units have the same length.
     pub fn is_as_long_as(&self, other: &Unit) -> bool {
         self.metres.to_bits() == other.metres.to_bits()
     }

@@ -1,73 +1,75 @@
-//! Well-known text of coordinate reference systems as a tree, whatever its dialect: WKT 1 (OGC 01-009), that of ESRI, and
-//! WKT 2 (OGC 18-010) share the grammar of a word with values in brackets.
+//! Well-known text as a tree, for all dialects.
+//!
+//! WKT 1 (OGC 01-009), ESRI WKT and WKT 2 (OGC 18-010) share the grammar of keywords with bracketed
+//! values.
 
-/// A word with its values: `UNIT["metre",1]`.
+/// A keyword with its values: `UNIT["metre",1]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Node {
-    /// The word, in capitals.
+    /// Keyword, in capitals.
     pub keyword: String,
-    /// What stands in its brackets.
+    /// Values in its brackets.
     pub values: Vec<Value>,
 }
 
-/// One of the values in the brackets of a word.
+/// A value in the brackets of a keyword.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
-    /// Text in quotation marks, without them.
+    /// Quoted text, without the quotation marks.
     Text(String),
-    /// A number or a bare word, as it stands.
+    /// A number or a bare word, as written.
     Bare(String),
-    /// A word with values of its own.
+    /// A keyword with values.
     Node(Node),
 }
 
-/// Nothing in use is nested deeper than 12; deeper text is not read, so that it cannot exhaust the stack.
+/// Depth limit, which protects the stack; text in use is nested up to 12 deep.
 const DEEPEST: usize = 32;
 
 impl Node {
-    /// Reads a text that is one word with its values.
+    /// Parses text that is one keyword with its values.
     ///
     /// # Errors
-    /// What is wrong and at which character, as the end of a sentence.
+    /// The problem and the character position, as the end of a sentence.
     pub fn parse(text: &str) -> Result<Node, String> {
         let mut reader = Reader { text: text.trim_start_matches('\u{feff}'), at: 0 };
         let node = reader.node(0)?;
         reader.blanks();
         match reader.peek() {
             None | Some('\0') => Ok(node),
-            Some(_) => Err(reader.problem("something follows the last bracket")),
+            Some(_) => Err(reader.problem("unexpected text after the last bracket")),
         }
     }
 
-    /// A word whose first value is a name.
+    /// A node whose first value is a name.
     pub fn named(keyword: &str, name: &str) -> Node {
         Node { keyword: keyword.into(), values: vec![Value::Text(name.into())] }
     }
 
-    /// The same with a number more.
+    /// Appends a number.
     pub fn number(mut self, number: f64) -> Node {
         self.values.push(Value::Bare(number.to_string()));
         self
     }
 
-    /// The same with a bare word more.
+    /// Appends a bare word.
     pub fn bare(mut self, word: &str) -> Node {
         self.values.push(Value::Bare(word.into()));
         self
     }
 
-    /// The same with a word with values more.
+    /// Appends a node.
     pub fn with(mut self, node: Node) -> Node {
         self.values.push(Value::Node(node));
         self
     }
 
-    /// The first value, where it is text.
+    /// The first value, if it is text.
     pub fn name(&self) -> Option<&str> {
         self.text(0)
     }
 
-    /// A value that is text, by its place from 0.
+    /// A text value by index from 0.
     pub fn text(&self, place: usize) -> Option<&str> {
         match self.values.get(place)? {
             Value::Text(text) => Some(text),
@@ -75,7 +77,7 @@ impl Node {
         }
     }
 
-    /// A value that is a number, by its place from 0.
+    /// A numeric value by index from 0.
     pub fn value(&self, place: usize) -> Option<f64> {
         match self.values.get(place)? {
             Value::Bare(number) | Value::Text(number) => number.parse().ok().filter(|n: &f64| n.is_finite()),
@@ -83,7 +85,7 @@ impl Node {
         }
     }
 
-    /// The words with values among the values.
+    /// The nodes among the values.
     pub fn nodes(&self) -> impl Iterator<Item = &Node> {
         self.values.iter().filter_map(|value| match value {
             Value::Node(node) => Some(node),
@@ -91,7 +93,7 @@ impl Node {
         })
     }
 
-    /// The words with values among the values, to be changed.
+    /// The nodes among the values, mutable.
     pub fn nodes_mut(&mut self) -> impl Iterator<Item = &mut Node> {
         self.values.iter_mut().filter_map(|value| match value {
             Value::Node(node) => Some(node),
@@ -99,12 +101,12 @@ impl Node {
         })
     }
 
-    /// The first of these words among the values.
+    /// The first child node with one of these keywords.
     pub fn child(&self, keywords: &[&str]) -> Option<&Node> {
         self.nodes().find(|node| keywords.contains(&node.keyword.as_str()))
     }
 
-    /// The first of these words here or below, depth first.
+    /// The first node with one of these keywords, here or below, depth first.
     pub fn find(&self, keywords: &[&str]) -> Option<&Node> {
         if keywords.contains(&self.keyword.as_str()) {
             return Some(self);
@@ -112,13 +114,13 @@ impl Node {
         self.nodes().find_map(|node| node.find(keywords))
     }
 
-    /// Takes away the words with values for which `unwanted` holds, here and below.
+    /// Removes the nodes for which `unwanted` holds, here and below.
     pub fn remove(&mut self, unwanted: &impl Fn(&Node) -> bool) {
         self.values.retain(|value| !matches!(value, Value::Node(node) if unwanted(node)));
         self.nodes_mut().for_each(|node| node.remove(unwanted));
     }
 
-    /// The code that EPSG has given to what this word defines, as `AUTHORITY["EPSG","2154"]` or `ID["EPSG",2154]` say.
+    /// EPSG code of this node, from `AUTHORITY["EPSG","2154"]` or `ID["EPSG",2154]`.
     pub fn epsg(&self) -> Option<u32> {
         let authority = self.child(&["AUTHORITY", "ID"])?;
         let code = match authority.values.get(1)? {
@@ -128,7 +130,7 @@ impl Node {
         authority.name()?.eq_ignore_ascii_case("EPSG").then_some(code)
     }
 
-    /// The same with the code that EPSG has given to it.
+    /// Appends an EPSG code.
     pub fn authority(self, epsg: Option<u32>) -> Node {
         let Some(code) = epsg else { return self };
         let mut authority = Node::named("AUTHORITY", "EPSG");
@@ -137,7 +139,7 @@ impl Node {
     }
 }
 
-/// The text on one line.
+/// Formats the tree on one line.
 impl std::fmt::Display for Node {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}[", self.keyword)?;
@@ -155,7 +157,7 @@ impl std::fmt::Display for Node {
     }
 }
 
-/// A place in the text.
+/// A position in the text.
 struct Reader<'a> {
     text: &'a str,
     at: usize,
@@ -175,7 +177,7 @@ impl Reader<'_> {
         self.at += rest.len() - rest.trim_start().len();
     }
 
-    /// Passes over one of these characters after blanks, where it stands there.
+    /// Skips blanks and then one of these characters, if present.
     fn eat(&mut self, wanted: &[char]) -> bool {
         self.blanks();
         let found = self.peek().filter(|c| wanted.contains(c));
@@ -183,7 +185,7 @@ impl Reader<'_> {
         found.is_some()
     }
 
-    /// Letters, digits and what numbers are made of.
+    /// Reads letters, digits and characters of numbers.
     fn word(&mut self) -> String {
         self.blanks();
         let is_word = |c: char| c.is_alphanumeric() || "_+-.:".contains(c);
@@ -195,7 +197,7 @@ impl Reader<'_> {
     fn node(&mut self, depth: usize) -> Result<Node, String> {
         let keyword = self.word();
         if keyword.is_empty() {
-            return Err(self.problem("a word is expected"));
+            return Err(self.problem("a keyword is expected"));
         }
         if !self.eat(&['[', '(']) {
             return Err(self.problem("a bracket is expected"));
@@ -203,7 +205,7 @@ impl Reader<'_> {
         self.values(keyword, depth)
     }
 
-    /// What follows the opening bracket of a word.
+    /// Reads the values after the opening bracket of a keyword.
     fn values(&mut self, keyword: String, depth: usize) -> Result<Node, String> {
         if depth > DEEPEST {
             return Err(self.problem("it is nested too deeply"));
@@ -232,7 +234,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Text up to the closing quotation mark; two of them stand for one.
+    /// Reads text up to the closing quotation mark; two marks mean one.
     fn quoted(&mut self) -> Result<String, String> {
         let mut text = String::new();
         loop {
@@ -277,12 +279,12 @@ mod tests {
     fn errors_name_the_character() {
         let deep = "A[".repeat(100_000);
         for (text, problem) in [
-            ("", "a word is expected at character 1"),
+            ("", "a keyword is expected at character 1"),
             ("PROJCS", "a bracket is expected at character 7"),
             (r#"A["x"#, "a closing quotation mark is missing at character 4"),
             (r#"A["x""#, "a comma or a closing bracket is expected at character 6"),
             (r#"A["ä",]"#, "a value is expected at character 7"),
-            (r#"A["x"] B"#, "something follows the last bracket at character 8"),
+            (r#"A["x"] B"#, "unexpected text after the last bracket at character 8"),
             (&deep, "it is nested too deeply at character 69"),
         ] {
             assert_eq!(Node::parse(text).unwrap_err(), problem);

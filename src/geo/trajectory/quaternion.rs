@@ -1,9 +1,11 @@
-//! Rotations as unit quaternions, of which many are stored and few turned into rows.
+//! Rotations as unit quaternions, for compact storage.
 
 use super::super::frames::{Rotation, Vector};
 
-/// A rotation by an angle about an axis: `w` is the cosine of half the angle, `v` the axis times its sine. Both signs of
-/// a quaternion mean the same rotation.
+/// Rotation by an angle about an axis.
+///
+/// `w` is the cosine of half the angle, `v` the axis times its sine. `q` and `-q` are the same
+/// rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Quaternion {
     w: f64,
@@ -11,8 +13,10 @@ pub(super) struct Quaternion {
 }
 
 impl Quaternion {
-    /// The quaternion of a rotation; Shepperd 1978, "Quaternion from rotation matrix", J. Guidance and Control 1(3): the
-    /// largest component comes from a root, so that nothing is divided by little.
+    /// The quaternion of a rotation matrix.
+    ///
+    /// Shepperd 1978, "Quaternion from rotation matrix", J. Guidance and Control 1(3): the largest
+    /// component is a square root, so that no division is by a small number.
     pub(super) fn of(rotation: &Rotation) -> Quaternion {
         let r = rotation;
         let trace = r[0][0] + r[1][1] + r[2][2];
@@ -31,7 +35,7 @@ impl Quaternion {
         Quaternion { w: (r[k][j] - r[j][k]) / s, v }
     }
 
-    /// The rotation's rows; the quaternion's length, which rounding moves, does not matter.
+    /// The rotation matrix; independent of the norm of the quaternion, which rounding changes.
     pub(super) fn rotation(&self) -> Rotation {
         let Quaternion { w, v: [x, y, z] } = *self;
         let s = 2.0 / (w * w + x * x + y * y + z * z);
@@ -45,7 +49,7 @@ impl Quaternion {
         ]
     }
 
-    /// The rotation `other` first, then this one.
+    /// The rotation `other` followed by this one.
     pub(super) fn after(&self, other: &Quaternion) -> Quaternion {
         let (a, [ax, ay, az]) = (self.w, self.v);
         let (b, [bx, by, bz]) = (other.w, other.v);
@@ -59,13 +63,15 @@ impl Quaternion {
         }
     }
 
-    /// The rotation back.
+    /// The inverse rotation.
     pub(super) fn inverse(&self) -> Quaternion {
         Quaternion { w: self.w, v: self.v.map(|component| -component) }
     }
 
-    /// The rotation, of at most half a turn, as its axis times the tangent of a quarter of its angle (modified Rodrigues
-    /// parameters; Schaub & Junkins 1996, J. Astronautical Sciences 44(1)): a smooth map without a singular place.
+    /// Modified Rodrigues parameters: the axis times the tangent of a quarter of the angle.
+    ///
+    /// For angles of at most half a turn this map is smooth and without singularities (Schaub &
+    /// Junkins 1996, J. Astronautical Sciences 44(1)).
     pub(super) fn parameters(&self) -> Vector {
         let sign = if self.w < 0.0 { -1.0 } else { 1.0 };
         let scale = sign / (1.0 + sign * self.w);
@@ -100,12 +106,12 @@ mod tests {
             angles[axis] = FRAC_PI_2;
             let q = Quaternion::of(&rotation_of_angles(angles));
             assert!((q.w - half).abs() < 1e-15 && (q.v[axis] - half).abs() < 1e-15, "{q:?}");
-            // The tangent of an eighth of a half turn.
+            // The tangent of a quarter of a quarter turn, PI/8.
             assert!((q.parameters()[axis] - (PI / 8.0).tan()).abs() < 1e-15);
         }
     }
 
-    /// Half turns, where each component in its turn is the largest and w is 0.
+    /// Half turns, in which each component in turn is the largest and w is 0.
     #[test]
     fn half_turns_come_back() {
         for angles in [[PI, 0.0, 0.0], [0.0, 0.0, PI], [PI, 0.0, PI], [0.0; 3]] {

@@ -4,7 +4,8 @@ use super::super::frames::{inverse, rotate};
 use super::*;
 use proptest::prelude::*;
 
-/// A flight in closed form: on a circle or straight on, climbing, swaying in all angles and shaken in all directions.
+/// A flight in closed form: circular or straight, climbing, with sways in all angles and shakes in
+/// all directions.
 #[derive(Clone, Copy)]
 struct Flight {
     start: Geodetic,
@@ -15,7 +16,7 @@ struct Flight {
     shake_m: f64,
     /// Amplitude of the sways, rad.
     sway_rad: f64,
-    /// Of the fastest sway, Hz.
+    /// Frequency of the fastest sway, Hz.
     sway_hz: f64,
 }
 
@@ -73,7 +74,7 @@ impl Flight {
         Trajectory::new(times_s.map(|time_s| self.sample(time_s)).collect()).unwrap()
     }
 
-    /// Largest errors of position, m, and of attitude, degrees, of poses between records at this rate.
+    /// Largest errors of position, m, and attitude, degrees, between records at this rate.
     fn worst(&self, rate_hz: f64, seconds: f64) -> [f64; 2] {
         let trajectory = self.flown((0..(seconds * rate_hz) as u32).map(|k| f64::from(k) / rate_hz));
         let [first_s, last_s] = trajectory.span_s();
@@ -87,7 +88,7 @@ impl Flight {
     }
 }
 
-/// How far a pose is from a sample, m, and by which angle it is turned, rad.
+/// Distance of a pose from a sample, m, and the angle between them, rad.
 fn apart(pose: &Pose, sample: &Sample) -> [f64; 2] {
     let truth = WGS84.ecef_of(sample.place);
     let offset = (0..3).map(|axis| (pose.origin_in_ecef_m[axis] - truth[axis]).powi(2)).sum::<f64>();
@@ -123,7 +124,8 @@ fn poses_between_records_are_those_of_the_flight() {
     }
 }
 
-/// Across 180 degrees of longitude, across a heading of 360 and of 180 degrees, near a pole, and upside down.
+/// Across the 180-degree meridian, across headings of 360 and 180 degrees, near a pole, and upside
+/// down.
 #[test]
 fn no_angle_is_special() {
     let flights = [
@@ -171,7 +173,7 @@ fn two_records_are_a_straight_line() {
 #[test]
 fn gaps_are_told_and_the_short_ones_bridged() {
     let flight = Flight { sway_rad: 3f64.to_radians(), ..Flight::at(48.0, 11.0, 70.0) };
-    // 100 Hz without the records from 1.00 to 1.17 s, and from 3.00 to 4.99 s.
+    // 100 Hz without the records from 1.00 to 1.17 s and from 3.00 to 4.99 s.
     let missing = |k: &i32| !(100..118).contains(k) && !(300..500).contains(k);
     let trajectory = flight.flown((0..800).filter(missing).map(|k| 0.01 * f64::from(k)));
     let told: Vec<(usize, bool)> = trajectory.gaps().iter().map(|gap| (gap.record, gap.is_bridged)).collect();
@@ -200,7 +202,7 @@ fn a_single_lost_record_is_no_gap() {
     assert_eq!(trajectory.gaps(), []);
 }
 
-/// A slow trajectory has no gaps just because its steps are long.
+/// A slow trajectory has no gaps merely because its steps are long.
 #[test]
 fn a_gap_is_one_against_the_usual_step() {
     let trajectory =
@@ -209,7 +211,8 @@ fn a_gap_is_one_against_the_usual_step() {
     assert!(trajectory.pose(5.5).is_some() && trajectory.pose(14.0).is_none());
 }
 
-/// A second system's record a microsecond beside another one, a millimetre off: its "velocity" of 1 km/s counts for nothing.
+/// A record of a second system 1 µs and 1 mm away from another: its "velocity" of 1 km/s is
+/// ignored.
 #[test]
 fn records_that_almost_coincide_do_not_shake_their_neighbours() {
     let flight = Flight { shake_m: 0.0, sway_rad: 0.0, ..Flight::at(48.0, 11.0, 70.0) };
@@ -249,14 +252,14 @@ fn records_that_are_no_trajectory_are_refused() {
         (problem.record(), problem.to_string())
     };
     let cases: [(Change, Option<usize>, &str); 6] = [
-        (|samples| samples.truncate(1), None, "1 record(s): a pose takes two at least"),
+        (|samples| samples.truncate(1), None, "1 record(s): at least two are needed"),
         (|samples| samples[2].place.height_m = f64::NAN, Some(2), "record 3: its height is NaN"),
         (|samples| samples[0].place.latitude_rad = -2.0, Some(0), "record 1: its latitude is -2"),
-        (|samples| samples.swap(1, 2), Some(2), "record 3: its time 0.5 s lies before the 1 s of record 2"),
+        (|samples| samples.swap(1, 2), Some(2), "record 3: its time 0.5 s is before the 1 s of record 2"),
         (
             |samples| samples.reverse(),
             Some(1),
-            "record 2: its time 2 s lies before the 2.5 s of record 1 (and 4 more like this)",
+            "record 2: its time 2 s is before the 2.5 s of record 1 (and 4 more like this)",
         ),
         (|samples| samples[4].time_s = 1.5, Some(4), "records 4 and 5 have the same time 1.5 s"),
     ];
@@ -265,7 +268,7 @@ fn records_that_are_no_trajectory_are_refused() {
     }
     assert_eq!(
         Problem::TooMany { count: 5_000_000_000 }.to_string(),
-        "5000000000 records: there is room for 4294967295 at most"
+        "5000000000 records: at most 4294967295 are supported"
     );
 }
 
@@ -282,7 +285,7 @@ fn accuracies_that_are_none_are_refused() {
     assert_eq!(problem, Problem::Duplicate { record: 1, time_s: 0.0, more: 0 });
 }
 
-/// In whatever order poses are asked for, at records, in gaps that are not bridged and outside the span too.
+/// In any order of times, at records, in gaps that are not interpolated, and outside the span.
 #[test]
 fn many_poses_are_the_single_ones() {
     let records = (0..40).chain(600..640).chain(660..700).map(|k| f64::from(k) / 100.0);
@@ -300,7 +303,7 @@ fn many_poses_are_the_single_ones() {
 }
 
 proptest! {
-    /// Whatever the records: a pose inside the span is finite, and its rotation is one.
+    /// For any records, a pose inside the span is finite, and its rotation is valid.
     #[test]
     fn poses_are_finite_and_rotations(
         steps in proptest::collection::vec(1e-6..0.3f64, 1..30),

@@ -1,17 +1,19 @@
-//! Where in a long list of ascending times a time lies, found at once.
+//! Constant-time lookup in a long list of ascending times.
 
-/// Ascending times, and which of them lie in each of as many equal parts of their span as there are times. Records at an
-/// even rate have one in each part; where there are gaps, a part holds a few more.
+/// Ascending times with an index over equal parts of their span.
+///
+/// There are as many parts as times. Records at an even rate have one per part; with gaps, some
+/// parts have a few more.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct TimeIndex {
     times_s: Vec<f64>,
     parts_per_s: f64,
-    /// Before part k there are `starts[k]` times.
+    /// `starts[k]` is the number of times before part k.
     starts: Vec<u32>,
 }
 
 impl TimeIndex {
-    /// The index of finite, strictly ascending times: at least two, at most as many as a `u32` counts.
+    /// Index of finite, strictly ascending times: at least two, at most `u32::MAX`.
     pub(super) fn new(times_s: Vec<f64>) -> TimeIndex {
         let parts = times_s.len();
         let span_s = times_s[parts - 1] - times_s[0];
@@ -32,12 +34,14 @@ impl TimeIndex {
         &self.times_s
     }
 
-    /// The first and the last time, s.
+    /// First and last time, s.
     pub(super) fn span_s(&self) -> [f64; 2] {
         [self.times_s[0], self.times_s[self.times_s.len() - 1]]
     }
 
-    /// The last time that is not later than this one, but never the last of all; `None` outside the span.
+    /// Index of the last time not later than this one.
+    ///
+    /// Never that of the last time of all; `None` outside the span.
     pub(super) fn before(&self, time_s: f64) -> Option<usize> {
         let [first_s, last_s] = self.span_s();
         if !(first_s..=last_s).contains(&time_s) {
@@ -49,7 +53,7 @@ impl TimeIndex {
         Some(after.saturating_sub(1).min(self.times_s.len() - 2))
     }
 
-    /// The part that a time within the span lies in. It grows with the time, however the product is rounded.
+    /// The part that contains a time within the span; monotonic in spite of rounding.
     fn part(&self, time_s: f64) -> usize {
         (((time_s - self.times_s[0]) * self.parts_per_s) as usize).min(self.times_s.len() - 1)
     }

@@ -1,4 +1,4 @@
-//! Many blocks decomposed by the fast kernels, a batch at a time.
+//! Decomposes many blocks with the SIMD kernels, in batches.
 
 use std::sync::Arc;
 
@@ -7,13 +7,14 @@ use crate::kernels::decompose::{DecomposeSettings, Decomposition};
 use crate::kernels::lockstep::{Lockstep, Mode, Outcomes, Path, Tables};
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
 
-/// Blocks whose outcomes are held at once: they and their samples stay in the cache.
+/// Number of blocks per batch: these and their samples fit into the cache.
 const CHUNK: usize = 256;
 
-/// Decomposes blocks with a model and hands on each with what became of it, in order.
+/// Decomposes blocks in order and passes each result to `take`.
 ///
-/// The plain kernels decompose what the fast ones are not made for, and every waveform where the background is each
-/// waveform's own: the models of the first rounds know too little of noise and level for a robust estimate of it.
+/// The scalar kernels decompose blocks unsuitable for the SIMD kernels, and all blocks if each
+/// waveform has its own background: the models of the first rounds describe noise and level too
+/// poorly for a robust estimate of it.
 pub(in crate::kernels) fn decompose_each<'a>(
     mut blocks: impl Iterator<Item = Block<'a>>,
     model: &ChannelModel,

@@ -1,34 +1,34 @@
-//! What can be said of blocks before any model: levels, spreads, and how wide pulses are, by order statistics.
+//! Initial estimate of levels, spreads and pulse width by order statistics, without a model.
 
 use super::Block;
 
-/// Samples at a block's start that are taken for background.
+/// Number of samples at the start of a block taken as background.
 const START_SAMPLES: usize = 8;
-/// Pulses whose peak stands so many standard deviations above the background are measured.
+/// Smallest peak above the background, in standard deviations, of pulses whose width is measured.
 const STRONG_SD: f64 = 10.0;
-/// The part of the measured widths that is narrower than what stands for a flat target.
+/// Quantile of the measured widths that represents a flat target.
 const NARROW_PART: f64 = 0.3;
-/// `√70`: fourth differences of white noise spread by so much more than the noise itself.
+/// `√70`: standard deviation of fourth differences of white noise, over that of the noise.
 const FOURTH_DIFFERENCE_GAIN: f64 = 8.366_600_265_340_756;
-/// Standard deviation of a normal distribution over the median of its absolute value.
+/// SD of a normal distribution over its median absolute value.
 const SD_OF_MEDIAN: f64 = 1.482_602_218_505_602;
 
-/// Levels, spreads and a width.
+/// Initial levels, spreads and width.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct FirstLook {
-    /// Median of the blocks' first samples, DN.
+    /// Median of the first samples of the blocks, DN.
     pub(super) start_level_dn: f64,
-    /// Their standard deviation as the part below the median tells it, where no signal is, DN.
+    /// Their standard deviation from the part below the median, which contains no signal, DN.
     pub(super) start_sd_dn: f64,
-    /// Median of the blocks' smallest samples, DN.
+    /// Median of the smallest samples of the blocks, DN.
     pub(super) floor_level_dn: f64,
-    /// Robust spread of those, DN.
+    /// Robust SD of these, DN.
     pub(super) floor_sd_dn: f64,
-    /// White part of the noise, from fourth differences: a smooth pulse leaves nothing in them, DN.
+    /// White part of the noise, DN, from fourth differences, in which a smooth pulse cancels.
     pub(super) white_sd_dn: f64,
-    /// Width of narrow pulses at half their height, samples.
+    /// Width of narrow pulses at half maximum, samples.
     pub(super) fwhm_samples: f64,
-    /// Pulses measured.
+    /// Number of pulses measured.
     pub(super) pulses: usize,
 }
 
@@ -54,8 +54,9 @@ impl FirstLook {
             start_sd_dn,
             floor_level_dn: floors.quantile(0.5),
             floor_sd_dn: 0.5 * (floors.quantile(0.841_345) - floors.quantile(0.158_655)),
-            // A magnitude of whole steps stands for the values up to half a step around it, so its median is told by
-            // the histogram of magnitudes with its lowest bin half as wide: near enough for a first look.
+            // A magnitude in whole steps represents values up to half a step around it, so the
+            // histogram of magnitudes with its lowest bin half as wide gives the median: sufficient
+            // for an initial estimate.
             white_sd_dn: SD_OF_MEDIAN * differences.quantile(0.5).max(0.0) / FOURTH_DIFFERENCE_GAIN,
             fwhm_samples: widths.get((widths.len() as f64 * NARROW_PART) as usize).copied().unwrap_or(0.0),
             pulses: widths.len(),
@@ -72,8 +73,9 @@ fn fourth_differences(samples: &[u16]) -> impl Iterator<Item = u16> {
     })
 }
 
-/// Width at half height of the block's highest pulse, where it is above the threshold, unsaturated, and both flanks
-/// lie in the block.
+/// Width at half maximum of the highest pulse of a block, samples.
+///
+/// `None` unless it exceeds the threshold, is unsaturated, and both flanks are in the block.
 fn width_of_highest(samples: &[u16], level_dn: f64, threshold_dn: f64, full_scale_dn: f64) -> Option<f64> {
     let (peak, &highest) = samples.iter().enumerate().rev().max_by_key(|(_, s)| **s)?;
     let highest = f64::from(highest);
@@ -89,7 +91,7 @@ fn width_of_highest(samples: &[u16], level_dn: f64, threshold_dn: f64, full_scal
     Some(fall - rise)
 }
 
-/// Counts of whole numbers.
+/// Histogram of whole numbers.
 #[derive(Default)]
 struct Histogram {
     counts: Vec<u64>,
@@ -104,8 +106,8 @@ impl Histogram {
         self.counts[index] += 1;
     }
 
-    /// The quantile of the values before rounding, each count being spread over half a step to either side; 0 without
-    /// values.
+    /// Quantile of the values before rounding; each count is spread over half a step to either
+    /// side. 0 without values.
     fn quantile(&self, part: f64) -> f64 {
         let total: u64 = self.counts.iter().sum();
         let mut left = part * total as f64;
@@ -137,7 +139,7 @@ mod tests {
     #[test]
     fn the_width_is_measured_between_half_heights() {
         let samples = [10, 10, 14, 18, 22, 30, 22, 18, 14, 10, 10];
-        // Half height is 20: between 18 and 22 on either side.
+        // Half maximum is 20: between 18 and 22 on either side.
         assert_eq!(width_of_highest(&samples, 10.0, 12.0, 255.0), Some(3.0));
         assert_eq!(width_of_highest(&samples, 10.0, 30.0, 255.0), None);
         assert_eq!(width_of_highest(&samples, 10.0, 12.0, 30.0), None);

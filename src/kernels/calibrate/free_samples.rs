@@ -1,18 +1,19 @@
-//! What the samples that are free of pulses tell of background and noise, and how well.
+//! Background and noise from samples free of pulses, and their uncertainty.
 
 use super::mirror::{Lean, Mirror, part_left};
 use super::noise_statistics::NoiseStatistics;
 use super::{GROUPS, QUANTISATION_VARIANCE, jackknife_sd};
 use crate::kernels::sensor_model::{Background, ChannelModel, ModelError, ModelUncertainty};
 
-/// Statistics that add up.
+/// Additive statistics.
 #[derive(Debug, Clone)]
 struct Sums {
-    /// Of all free samples.
+    /// All free samples.
     all: NoiseStatistics,
-    /// Where noise has a mirror image: of these, stretches with a peak replaced by mirrored ones with a dip.
+    /// If noise can be mirrored: the same with stretches with a peak replaced by mirrored stretches
+    /// with a dip.
     noise: NoiseStatistics,
-    /// Likewise, of stretches with neither: the level, which mirrored pairs do not tell.
+    /// The same for stretches with neither, which give the level; mirrored pairs do not.
     level: NoiseStatistics,
 }
 
@@ -21,11 +22,11 @@ struct Sums {
 pub(super) struct Told {
     /// By phase, DN.
     pub(super) background_dn: [f64; 4],
-    /// At lags from 0 on, DN²; what a free background takes up is not in it.
+    /// Autocovariance at lags from 0, DN², without the variance taken up by a free background.
     pub(super) autocovariance: Vec<f64>,
 }
 
-/// The free samples of a survey.
+/// Free samples of a pass.
 #[derive(Debug, Clone)]
 pub(super) struct FreeSamples {
     mirror: Option<Mirror>,
@@ -33,7 +34,7 @@ pub(super) struct FreeSamples {
     blocks_per_group: u64,
     blocks: u64,
     groups: Vec<Sums>,
-    /// What is taken off every sample before it is summed.
+    /// Value subtracted from every sample before summation, DN.
     origin_dn: f64,
 }
 
@@ -53,7 +54,7 @@ impl Sums {
     fn told(&self, background: Background) -> Told {
         let all = |autocovariance| Told { background_dn: self.all.background_dn(), autocovariance };
         if background == Background::PerWaveform {
-            // The drift is told apart by the free background, so it is no noise.
+            // The free background removes the drift, so it does not count as noise.
             let without = self.all.autocovariance_without_drift();
             return all(without.unwrap_or_else(|| self.all.autocovariance()));
         }
@@ -62,7 +63,7 @@ impl Sums {
         }
         let background_dn = self.level.background_dn();
         let mut autocovariance = self.noise.autocovariance();
-        // What both cuts take is the same part at every lag, nearly.
+        // Both truncations reduce all lags by nearly the same fraction.
         let part = part_left(autocovariance[0], background_dn.iter().sum::<f64>() / 4.0);
         autocovariance.iter_mut().for_each(|value| *value /= part);
         Told { background_dn, autocovariance }
@@ -70,7 +71,7 @@ impl Sums {
 }
 
 impl FreeSamples {
-    /// Of so many blocks of a channel as it is known so far.
+    /// Starts statistics for `blocks` blocks, with the current model of the channel.
     pub(super) fn of(model: &ChannelModel, blocks: u64) -> Result<FreeSamples, ModelError> {
         Ok(FreeSamples {
             mirror: Mirror::new(model)?,
@@ -82,7 +83,7 @@ impl FreeSamples {
         })
     }
 
-    /// Takes in the free samples of the next block, which may be none.
+    /// Adds the free samples of the next block, possibly none.
     pub(super) fn add(&mut self, samples: &[u16], start_phase: u8) {
         let group = (self.blocks / self.blocks_per_group) as usize;
         self.blocks += 1;
@@ -109,24 +110,26 @@ impl FreeSamples {
         kept.fold(Sums::about(self.origin_dn), |sums, (_, group)| sums.merge(group))
     }
 
-    /// Samples seen.
+    /// Number of samples.
     pub(super) fn samples(&self) -> u64 {
         self.groups.iter().map(|group| group.all.samples()).sum()
     }
 
-    /// Background and noise.
+    /// Background and noise from all groups.
     pub(super) fn told(&self) -> Told {
         self.sums_but(None).told(self.background)
     }
 
-    /// Variance of one sample, and of the level from block to block, DN².
+    /// Variance of one sample, and of the level between blocks, DN².
     pub(super) fn variance_and_drift(&self) -> (f64, f64) {
         let all = self.sums_but(None).all;
         (all.variance(), all.drift_variance())
     }
 
-    /// Standard deviations of level, noise and correlations, by leaving out one group after the other (jackknife, Tukey 1958):
-    /// what changes along the recording counts as well as chance.
+    /// Standard deviations of level, noise and correlations by the jackknife over groups (Tukey
+    /// 1958).
+    ///
+    /// Changes along the recording count as well as chance.
     pub(super) fn uncertainty(&self) -> ModelUncertainty {
         let seen = (0..self.groups.len()).filter(|&i| self.groups[i].all.samples() > 0);
         let without: Vec<Told> = seen.map(|i| self.sums_but(Some(i)).told(self.background)).collect();
@@ -151,7 +154,8 @@ mod tests {
     use crate::kernels::noise::ArNoise;
     use crate::kernels::simulated::{Random, channel, digitised, noise};
 
-    /// Mere noise on levels far from 0 and two standard deviations above it, with 26 free samples a block and with 8.
+    /// Pure noise on levels far from 0 and two standard deviations above it, with 26 and with 8
+    /// free samples per block.
     #[test]
     fn mere_noise_is_not_biased() {
         for (level, length, seed) in [(20.3, 26, 7), (2.2, 26, 8), (20.3, 8, 9)] {
@@ -180,7 +184,8 @@ mod tests {
         }
     }
 
-    /// The level differs from one tenth of a recording to the next: the mean is known much worse than by chance alone.
+    /// The level differs between tenths of a recording: the mean is less certain than by chance
+    /// alone.
     #[test]
     fn what_changes_along_the_recording_counts() {
         let process = ArNoise::new(&[], 1.0).unwrap();
@@ -193,7 +198,7 @@ mod tests {
             free.add(&digitised(&values, 255), 0);
         }
         let known_dn = free.uncertainty().background_dn;
-        // 0.3/√25 but for the groups in which it changes; 1/√25000 if it did not.
+        // 0.3/√25 except for groups with a change of level; 1/√25000 without changes.
         assert!((0.04..0.07).contains(&known_dn), "{known_dn}");
     }
 }

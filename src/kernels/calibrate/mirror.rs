@@ -1,31 +1,32 @@
-//! Weak returns in samples that no detected pulse has touched: told by what noise has as often upside down.
+//! Corrects noise statistics for undetected weak returns by sign-flipped samples.
 //!
-//! Noise is as likely as its mirror image about the background, and a return only raises samples. So stretches that a
-//! smooth peak stands out of are left out, and for them stretches with a dip as deep are taken twice, as they are and
-//! mirrored: in mere noise both are equally frequent and have the same squares and products, whatever its size and
-//! correlation, so that nothing is cut away from its statistics, wherever the threshold lies.
+//! Noise is symmetric about the background, and a return only raises samples. Stretches with a
+//! smooth peak are therefore omitted, and stretches with an equally deep dip count twice: as they
+//! are and mirrored. In pure noise both are equally frequent and have the same squares and
+//! products, whatever its size and correlation. The statistics of the noise are thus not truncated,
+//! wherever the threshold lies.
 
 use super::QUANTISATION_VARIANCE;
 use crate::kernels::noise::ArNoise;
 use crate::kernels::sensor_model::{Background, ChannelModel, ModelError};
 
-/// Peaks and dips of the matched filter count from so many of its standard deviations on: the lower, the less of weak
-/// returns is left, and the fewer samples tell the noise.
+/// Threshold of peaks and dips of the matched filter, in its standard deviations. A lower one
+/// leaves less of weak returns but fewer samples for the noise estimate.
 const THRESHOLD_SD: f64 = 3.0;
-/// Length of a stretch in widths of a pulse; in longer ones more often stand a peak and a dip.
+/// Length of a stretch in pulse widths; longer ones more often contain both a peak and a dip.
 const STRETCH_WIDTHS: f64 = 1.5;
-/// With fewer samples hardly a pair is left at the largest lag.
+/// Shortest stretch, samples; shorter ones have hardly a pair at the largest lag.
 const LEAST_STRETCH: f64 = 6.0;
-/// Peaks so many widths beside a stretch still reach into it.
+/// Largest distance from which a peak reaches into a stretch, in pulse widths.
 const BESIDE_WIDTHS: f64 = 0.5;
-/// The filter reaches so many widths to either side.
+/// Half length of the filter, in pulse widths.
 const REACH_WIDTHS: f64 = 1.5;
-/// Where the background stands fewer standard deviations above 0, too little is left of dips.
+/// Smallest background, in standard deviations above 0; below it too little of the dips is left.
 const LEAST_LEVEL_SD: f64 = 1.5;
-/// From so many standard deviations on, 0 cuts nothing away.
+/// Background above which 0 truncates nothing, in standard deviations.
 const UNCUT_LEVEL_SD: f64 = 6.0;
 
-/// What a stretch shows.
+/// Sign of the strongest extremum of a stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Lean {
     Peak,
@@ -33,10 +34,10 @@ pub(super) enum Lean {
     Neither,
 }
 
-/// A channel's background as a mirror.
+/// Mirrors samples about a channel's background.
 #[derive(Debug, Clone)]
 pub(super) struct Mirror {
-    /// The matched filter of a pulse in the noise, of unit variance, about its middle.
+    /// Matched filter of a pulse in the noise, unit variance, centred.
     filter: Vec<f64>,
     stretch_samples: f64,
     beside: usize,
@@ -47,8 +48,10 @@ pub(super) struct Mirror {
 }
 
 impl Mirror {
-    /// Of a channel as it is known so far. `None` where noise has no mirror image: the background is each waveform's own
-    /// and so not known, or too near to 0.
+    /// Creates a mirror for the current model of a channel.
+    ///
+    /// `None` if the noise cannot be mirrored: the background is each waveform's own and thus
+    /// unknown, or too close to 0.
     pub(super) fn new(model: &ChannelModel) -> Result<Option<Mirror>, ModelError> {
         let noise = model.noise()?;
         let lowest_dn = model.background_dn.iter().copied().fold(f64::INFINITY, f64::min);
@@ -67,8 +70,11 @@ impl Mirror {
         }))
     }
 
-    /// Hands on the free samples of a block by stretches: how each leans, its samples, the same mirrored, and the phase of
-    /// the first. The digitiser cuts noise at 0; samples are cut as far above the background, so that peaks are like dips.
+    /// Passes the free samples of a block to `take` in stretches.
+    ///
+    /// Arguments: the sign of the extremum, the samples, the mirrored samples, and the phase of the
+    /// first. The digitiser truncates noise at 0; samples are truncated at the same distance above
+    /// the background, so that peaks and dips are alike.
     pub(super) fn stretches(
         &mut self,
         samples: &[u16],
@@ -84,7 +90,7 @@ impl Mirror {
         self.mirrored_dn.extend(self.free_dn.iter().enumerate().map(|(k, value)| 2.0 * level(k) - value));
         self.filter_samples();
         let stretches = (samples.len() as f64 / self.stretch_samples).floor().max(1.0) as usize;
-        // In fewer samples than a stretch nothing can be told apart.
+        // Fewer samples than a stretch allow no decision.
         let is_short = samples.len() < self.stretch_samples as usize;
         for i in 0..stretches {
             let (from, to) = (i * samples.len() / stretches, (i + 1) * samples.len() / stretches);
@@ -94,7 +100,7 @@ impl Mirror {
         }
     }
 
-    /// Runs the filter over the free samples less the background; beyond them is nothing.
+    /// Filters the free samples less the background; zero outside them.
     fn filter_samples(&mut self) {
         let above_dn: Vec<f64> =
             self.free_dn.iter().zip(&self.mirrored_dn).map(|(up, down)| 0.5 * (up - down)).collect();
@@ -120,11 +126,13 @@ impl Mirror {
     }
 }
 
-/// The part of normal, rounded noise's variance that is left between cuts at 0 and at twice the level, from the
-/// variance left.
+/// Fraction of the variance of normal, rounded noise left by truncation at 0 and twice the level.
+///
+/// `left` is the remaining variance.
 pub(super) fn part_left(left: f64, level_dn: f64) -> f64 {
     let mut part = 1.0;
-    // The part depends little on the variance: each round is nearer by a factor of three or more.
+    // The fraction depends weakly on the variance: each iteration reduces the error by a factor of
+    // three or more.
     for _ in 0..8 {
         let variance = left / part;
         let rounded_sd = (variance - QUANTISATION_VARIANCE).sqrt();
@@ -145,8 +153,9 @@ pub(super) fn part_left(left: f64, level_dn: f64) -> f64 {
     part
 }
 
-/// The matched filter `Σ⁻¹ g / √(gᵀ Σ⁻¹ g)` of a Gaussian pulse far from a block's edges: the pulse run through the
-/// noise's predictor forwards and backwards.
+/// Matched filter `Σ⁻¹ g / √(gᵀ Σ⁻¹ g)` of a Gaussian pulse far from the block edges.
+///
+/// The pulse is passed through the prediction filter of the noise forwards and backwards.
 fn matched_filter(noise: &ArNoise, fwhm_samples: f64) -> Vec<f64> {
     let reach = (REACH_WIDTHS * fwhm_samples).ceil();
     let pulse: Vec<f64> = (0..=2 * reach as usize)
@@ -183,7 +192,7 @@ mod tests {
         let outputs: Vec<f64> = (0..20_000)
             .map(|_| noise(&mut random, &process, filter.len()).iter().zip(&filter).map(|(y, f)| y * f).sum())
             .collect();
-        // A standard deviation of twenty thousand is known to 0.5 %.
+        // The relative uncertainty of the SD of 20 000 values is 0.5 %.
         assert!((moments(&outputs).1 - 1.0).abs() < 0.015, "{}", moments(&outputs).1);
     }
 

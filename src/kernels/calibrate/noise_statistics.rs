@@ -1,11 +1,11 @@
-//! Moments of the noise from stretches of samples that are free of signal.
+//! Moments of the noise from stretches of signal-free samples.
 
-/// Lags at which products are kept, 0 included.
+/// Number of lags, 0 included.
 const LAGS: usize = 6;
-/// Samples that tell a phase's level to a twentieth of the noise.
+/// Samples that determine the level of a phase to a twentieth of the noise.
 const MIN_PHASE_SAMPLES: u64 = 400;
 
-/// Sums over pairs of samples of one lag, the earlier of one phase.
+/// Sums over sample pairs at one lag and phase of the earlier.
 #[derive(Debug, Clone, Copy, Default)]
 struct Pairs {
     count: u64,
@@ -16,12 +16,12 @@ struct Pairs {
 }
 
 impl Pairs {
-    /// Sum of products about the means `a` of the earlier and `b` of the later sample.
+    /// Sum of products about the means `a` (earlier sample) and `b` (later).
     fn product_about(&self, a: f64, b: f64) -> f64 {
         self.product - b * self.earlier - a * self.later + a * b * self.count as f64
     }
 
-    /// Sum of half the squared differences, likewise.
+    /// Sum of half the squared differences about the same means.
     fn half_difference_about(&self, a: f64, b: f64) -> f64 {
         let squares =
             self.squares - 2.0 * (a * self.earlier + b * self.later) + (a * a + b * b) * self.count as f64;
@@ -29,26 +29,28 @@ impl Pairs {
     }
 }
 
-/// Running sums over stretches of free samples: level by phase modulo 4, autocovariance at lags 0 to 5, and how much
-/// of it is a drift of the level from stretch to stretch.
+/// Running sums over stretches of free samples.
+///
+/// They give the level by phase modulo 4, the autocovariance at lags 0 to 5, and the part of it due
+/// to a drift of the level between stretches.
 #[derive(Debug, Clone, Default)]
 pub struct NoiseStatistics {
-    /// By lag and phase.
+    /// Sums by lag and phase.
     pairs: [[Pairs; 4]; LAGS],
-    /// Level that sums are taken about; where none is given, the first sample.
+    /// Level subtracted before summation, DN; by default the first sample.
     origin_dn: Option<f64>,
-    /// Half the squared differences of all pairs of a stretch farther apart than the lags kept.
+    /// Half the squared differences of all pairs at larger lags.
     distant: f64,
     distant_pairs: f64,
 }
 
 impl NoiseStatistics {
-    /// Of samples about a level that need not be exact: sums are taken about it, so that squares stay small.
+    /// Creates statistics about an approximate level, which keeps the squares small.
     pub fn about(level_dn: f64) -> NoiseStatistics {
         NoiseStatistics { origin_dn: Some(level_dn), ..NoiseStatistics::default() }
     }
 
-    /// Takes in what another about the same level has seen.
+    /// Adds the sums of another object about the same level.
     pub fn merge(&mut self, other: &NoiseStatistics) {
         debug_assert_eq!(self.origin_dn, other.origin_dn);
         for (cell, more) in self.pairs.as_flattened_mut().iter_mut().zip(other.pairs.as_flattened()) {
@@ -95,13 +97,15 @@ impl NoiseStatistics {
         self.origin_dn.unwrap_or(0.0)
     }
 
-    /// Samples seen.
+    /// Number of samples.
     pub fn samples(&self) -> u64 {
         self.pairs[0].iter().map(|cell| cell.count).sum()
     }
 
-    /// Mean level by phase, DN. A phase seen too rarely to tell a difference has the level of the other one of its parity, as
-    /// two converters that take turns make even and odd samples differ, or else of all samples; 0 without samples.
+    /// Mean level by phase, DN.
+    ///
+    /// A phase with too few samples gets the level of its parity, because two interleaved
+    /// converters make even and odd samples differ, or else of all samples; 0 without samples.
     pub fn background_dn(&self) -> [f64; 4] {
         let cells = &self.pairs[0];
         let level = |of: &[usize]| {
@@ -118,16 +122,19 @@ impl NoiseStatistics {
         })
     }
 
-    /// Autocovariance about the phases' means at lags 0 to 5, DN², a drift of the level included; as many lags as there
-    /// are pairs for.
+    /// Autocovariance about the phase means at lags 0 to 5, DN², drift included.
+    ///
+    /// Has as many lags as there are pairs for.
     pub fn autocovariance(&self) -> Vec<f64> {
         let lags = self.means(Pairs::product_about);
         if lags.is_empty() { vec![0.0] } else { lags }
     }
 
-    /// Autocovariance without what a drift of the level adds, which is the same at every lag: from differences within
-    /// a stretch, in which a level cancels, samples farther apart than the lags kept being taken for uncorrelated.
-    /// `None` where no stretch is that long.
+    /// Autocovariance without the contribution of a level drift, DN².
+    ///
+    /// The drift adds the same value at every lag. Differences within a stretch cancel the level;
+    /// samples at larger lags than those kept are assumed uncorrelated. `None` if no stretch is
+    /// long enough.
     pub fn autocovariance_without_drift(&self) -> Option<Vec<f64>> {
         if self.distant_pairs < 1.0 {
             return None;
@@ -139,7 +146,7 @@ impl NoiseStatistics {
         Some(self.means(Pairs::half_difference_about).iter().map(|half| variance - half).collect())
     }
 
-    /// Mean over the pairs of each lag of a sum about the phases' means.
+    /// Mean over pairs, by lag, of a sum about the phase means.
     fn means(&self, sum_about: fn(&Pairs, f64, f64) -> f64) -> Vec<f64> {
         let means = self.background_dn().map(|level| level - self.origin_dn());
         self.pairs
@@ -155,12 +162,12 @@ impl NoiseStatistics {
             .collect()
     }
 
-    /// Variance of one sample, DN², a drift of the level included.
+    /// Variance of one sample, DN², drift included.
     pub fn variance(&self) -> f64 {
         self.autocovariance()[0]
     }
 
-    /// Variance of the level from stretch to stretch, DN²; 0 where no stretch is long enough to tell.
+    /// Variance of the level between stretches, DN²; 0 if no stretch is long enough.
     pub fn drift_variance(&self) -> f64 {
         match self.autocovariance_without_drift() {
             Some(noise) => (self.variance() - noise[0]).max(0.0),
@@ -192,7 +199,8 @@ mod tests {
         assert_eq!(statistics.autocovariance_without_drift(), None);
     }
 
-    /// Blocks whose first two samples alone are free: the third is like the first, the fourth like the second.
+    /// Only the first two samples of each block are free: the third phase equals the first, the
+    /// fourth the second.
     #[test]
     fn phases_that_are_not_seen_have_the_level_of_their_parity() {
         let mut statistics = NoiseStatistics::default();
@@ -208,7 +216,8 @@ mod tests {
         assert_eq!((statistics.variance(), statistics.drift_variance()), (0.0, 0.0));
     }
 
-    /// Rounding adds 1/12 DN² at lag 0 and nothing elsewhere (Widrow, Kollár 2008), a drift its variance at every lag.
+    /// Rounding adds 1/12 DN² at lag 0 only (Widrow, Kollár 2008); a drift adds its variance at
+    /// every lag.
     #[test]
     fn digitised_noise_has_the_closed_forms_of_its_process() {
         let process = ArNoise::new(&[0.7, -0.2], 0.9).unwrap();

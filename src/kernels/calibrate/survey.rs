@@ -1,4 +1,4 @@
-//! One pass over the blocks with the model at hand: free samples, widths, what the fits leave.
+//! One pass over the blocks with the current model: free samples, widths, residuals.
 
 use super::Block;
 use super::free_samples::FreeSamples;
@@ -8,20 +8,21 @@ use crate::kernels::flags;
 use crate::kernels::rules::BEGINS_WIDTHS;
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
 
-/// With fewer free samples in a block, in widths of a pulse, what seems free is the rise of a pulse.
+/// Fewest free samples in a block, in pulse widths; fewer are the rising edge of a pulse.
 const MIN_FREE_WIDTHS: f64 = 1.0;
-/// Pulses from this height on, in standard deviations of the noise, have a width worth knowing.
+/// Smallest height of pulses whose width is used, in standard deviations of the noise.
 const STRONG_SD: f64 = 20.0;
-/// A pulse is single when others reach no more than this part of its height…
+/// Largest height of other pulses, relative to a pulse, for it to be single…
 const MINOR_PART: f64 = 0.1;
-/// … and stand farther off than so many of its widths.
+/// … and their smallest distance from it, in its widths.
 const APART_WIDTHS: f64 = 2.0;
 
-/// What a pass has seen.
+/// Statistics of a pass.
 #[derive(Debug, Clone)]
 pub(super) struct Survey {
     pub(super) blocks: u64,
-    /// Those that tell where their pulses are, as none of them is saturated, and of these, those that begin well before.
+    /// Blocks whose pulse positions are known because no sample is saturated, and those of them
+    /// that begin well before their pulses.
     pub(super) told_blocks: u64,
     pub(super) free_blocks: u64,
     pub(super) free: FreeSamples,
@@ -32,7 +33,7 @@ pub(super) struct Survey {
 }
 
 impl Survey {
-    /// Before the first of so many blocks is decomposed with a model.
+    /// Starts a pass over `blocks` blocks with a model.
     pub(super) fn of(model: &ChannelModel, blocks: u64) -> Result<Survey, ModelError> {
         Ok(Survey {
             blocks: 0,
@@ -46,7 +47,7 @@ impl Survey {
         })
     }
 
-    /// Takes in a block and what became of it with the model.
+    /// Adds a block and its decomposition.
     pub(super) fn add(&mut self, model: &ChannelModel, block: Block<'_>, outcome: &Decomposition<'_>) {
         let fwhm_samples = model.fwhm_samples();
         let strong_dn = STRONG_SD * model.noise_sd_dn;
@@ -70,7 +71,7 @@ impl Survey {
         }
     }
 
-    /// Median of the fitted offsets and their robust spread, DN.
+    /// Median and robust SD of the fitted offsets, DN.
     pub(super) fn offset_dn(&self) -> (f64, f64) {
         let mut sorted = self.offsets_dn.clone();
         sorted.sort_by(f64::total_cmp);
@@ -78,12 +79,12 @@ impl Survey {
         (at(0.5), 0.5 * (at(0.841_345) - at(0.158_655)))
     }
 
-    /// Median standard deviation of what the fits leave, in standard deviations of the noise.
+    /// Median SD of the residuals, in standard deviations of the noise.
     pub(super) fn residual_sd(&self) -> f64 {
         median(&self.residual_sds, 1.0)
     }
 
-    /// Half of what lies between the 16th and the 84th percentile of those.
+    /// Half the difference of the 16th and 84th percentiles of these.
     pub(super) fn residual_spread(&self) -> f64 {
         let mut sorted = self.residual_sds.clone();
         sorted.sort_by(f64::total_cmp);
@@ -91,7 +92,7 @@ impl Survey {
         0.5 * (at(0.841_345) - at(0.158_655))
     }
 
-    /// The same median over the height of the block's highest pulse, per DN.
+    /// Median of the residual SD over the highest pulse, per DN.
     pub(super) fn residual_part(&self) -> f64 {
         median(&self.residual_parts, 0.0)
     }
@@ -103,13 +104,15 @@ fn median(values: &[f64], without: f64) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(without)
 }
 
-/// Whether there is something, and nothing of it could be fitted.
+/// Whether candidates exist but none could be fitted.
 fn is_given_up(outcome: &Decomposition<'_>) -> bool {
     outcome.returns.is_empty() && outcome.counts.n_candidates > 0
 }
 
-/// How many of the block's first samples come before any pulse. What was found and could not be fitted may stand
-/// anywhere; samples at the full scale are of a pulse even so.
+/// Number of samples of a block before any pulse.
+///
+/// 0 if candidates could not be fitted, because their positions are unknown. Saturated samples
+/// count as a pulse in any case.
 fn samples_before_pulses(model: &ChannelModel, block: Block<'_>, outcome: &Decomposition<'_>) -> usize {
     if is_given_up(outcome) {
         return 0;
@@ -122,8 +125,9 @@ fn samples_before_pulses(model: &ChannelModel, block: Block<'_>, outcome: &Decom
     (first.max(0.0).floor() as usize).min(block.samples.len())
 }
 
-/// The strongest return, if it is whole, unsaturated, and what else there is does not touch it: an after-pulse does no
-/// harm to the width.
+/// The strongest return, if it is complete, unsaturated, and separate from all others.
+///
+/// An after-pulse does not affect the width.
 fn single<'a>(outcome: &Decomposition<'a>, fwhm_samples: f64) -> Option<&'a Return> {
     let returns = outcome.returns;
     let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;

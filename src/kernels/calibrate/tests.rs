@@ -3,7 +3,7 @@ use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::simulated::{Random, analogue, digitised, pulse};
 
 const FWHM: f64 = 4.25;
-/// Added to the background of 20 DN by phase, DN.
+/// Offset of each phase from the background of 20 DN, DN.
 const PHASES: [f64; 4] = [0.3, -0.2, 0.1, -0.2];
 
 fn process(sd: f64) -> ArNoise {
@@ -11,7 +11,7 @@ fn process(sd: f64) -> ArNoise {
     ArNoise::new(&[0.8, -0.25], sd / unit.sd()).unwrap()
 }
 
-/// Returns as over a wood: 60 % flat, 40 % widened, three in ten with a second return.
+/// Returns as over forest: 60 % flat, 40 % widened, 30 % with a second return.
 fn echoes(random: &mut Random, sd: f64) -> Vec<Pulse> {
     let mut position = 14.0 + 12.0 * random.uniform();
     let mut pulses = vec![];
@@ -74,7 +74,7 @@ fn a_channel_is_found_from_blocks_that_all_hold_pulses() {
     assert_eq!(model.waveforms, 4000);
 }
 
-/// In a third of the blocks stands an echo too weak to be detected before the strong one.
+/// A third of the blocks have an undetectably weak echo before the strong one.
 #[test]
 fn weak_echoes_do_not_count_as_noise() {
     let mut random = Random::new(39);
@@ -95,8 +95,10 @@ fn weak_echoes_do_not_count_as_noise() {
     let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
     let lags = exact_lags();
     let (all, left) = ((raised.variance() / lags[0]).sqrt(), model.noise_sd_dn / lags[0].sqrt());
-    println!("noise over the true one: {all:.4} of all samples before the echo, {left:.4} of the model");
-    // What is below the limit is still among the noise.
+    println!(
+        "noise over the true noise: {all:.4} from all samples before the echo, {left:.4} from the model"
+    );
+    // Echoes below the threshold remain in the noise.
     assert!(all > 1.05, "{all}");
     assert!((left - 1.0).abs() < 0.025, "{left}");
     for (lag, got) in model.autocorrelation.iter().enumerate() {
@@ -106,8 +108,9 @@ fn weak_echoes_do_not_count_as_noise() {
     assert!(model.background_dn.iter().all(|level| (level - 20.0).abs() < 0.15), "{:?}", model.background_dn);
 }
 
-/// Half of the blocks hold two echoes that share a plateau, and behind them the receiver's tail: one Gaussian does not tell
-/// them, and what is not told is not free.
+/// Half of the blocks contain two echoes with a common plateau, followed by the receiver's tail.
+///
+/// One Gaussian does not fit them, and unexplained samples are not free.
 #[test]
 fn saturated_blocks_that_no_pulse_tells_do_not_count_as_noise() {
     let mut random = Random::new(41);
@@ -133,13 +136,14 @@ fn saturated_blocks_that_no_pulse_tells_do_not_count_as_noise() {
     let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
     println!("{model:?}");
     assert_eq!(model.background, Background::Fixed);
-    // Fourteen thousand free samples tell it to 1.3 %.
+    // Fourteen thousand free samples determine it to 1.3 %.
     assert!((model.noise_sd_dn / exact_lags()[0].sqrt() - 1.0).abs() < 0.04, "{}", model.noise_sd_dn);
     assert!(model.background_dn.iter().all(|level| (level - 20.0).abs() < 0.2), "{:?}", model.background_dn);
     assert!((model.pulse_fwhm_ns / FWHM - 1.0).abs() < 0.02, "{}", model.pulse_fwhm_ns);
 }
 
-/// A drift of the level, 1.5 times the noise, is told from the noise and makes the background each waveform's own.
+/// A level drift of 1.5 times the noise is separated from the noise and selects a background per
+/// waveform.
 #[test]
 fn a_drifting_background_is_each_waveforms_own() {
     let blocks = blocks(32, 3000, 3.0);
@@ -151,7 +155,7 @@ fn a_drifting_background_is_each_waveforms_own() {
     assert!((model.pulse_fwhm_ns / FWHM - 1.0).abs() < 0.01, "{}", model.pulse_fwhm_ns);
 }
 
-/// The choice of the background overrules what the samples suggest.
+/// The setting of the background overrides the automatic choice.
 #[test]
 fn the_background_can_be_chosen() {
     let blocks = blocks(33, 1000, 0.0);
@@ -166,7 +170,8 @@ fn the_background_can_be_chosen() {
     assert!((model.background_dn.iter().sum::<f64>() / 4.0 - 20.0).abs() < 0.1);
 }
 
-/// Pulses of 16 samples in blocks of 50 that begin on the rise, each on its own level: no sample is free.
+/// Pulses of 16 samples in blocks of 50 that begin on the rising edge, each on its own level: no
+/// sample is free.
 #[test]
 fn blocks_without_a_free_sample_are_calibrated() {
     let mut random = Random::new(34);
@@ -188,7 +193,7 @@ fn blocks_without_a_free_sample_are_calibrated() {
     assert!((model.background_sd_dn / (WIDE * 4.0) - 1.0).abs() < 0.2, "{}", model.background_sd_dn);
 }
 
-/// Blocks of 24 samples, a tenth of a reference flight's worth of them.
+/// Blocks of 24 samples, a tenth of the blocks of a reference flight.
 #[test]
 fn a_short_reference_channel_is_calibrated() {
     let mut random = Random::new(35);
@@ -222,7 +227,7 @@ fn too_few_blocks_are_counted() {
 
 #[test]
 fn blocks_without_pulses_are_counted() {
-    let expected = "calibration needs 10 unsaturated pulses that stand out of the noise and there were 0 \
+    let expected = "calibration needs 10 unsaturated pulses above the noise and there were 0 \
                     in 300 waveforms; give it data with echoes, or load a saved sensor model";
     for samples in [vec![], vec![7], vec![7; 60], vec![255; 60]] {
         let same = vec![(samples, 0); 300];
@@ -231,7 +236,7 @@ fn blocks_without_pulses_are_counted() {
     }
 }
 
-/// Noise-free pulses on a level that never changes: rounding is the noise.
+/// Noise-free pulses on a constant level: rounding is the noise.
 #[test]
 fn without_noise_rounding_is_the_noise() {
     let mut random = Random::new(37);
@@ -255,6 +260,6 @@ fn settings_that_describe_no_channel_are_named() {
     assert_eq!(
         error.to_string(),
         "sensor model: sampling_interval_ns: 0 is not a positive number; \
-         calibrate anew, or correct the saved model"
+         recalibrate, or correct the saved model"
     );
 }

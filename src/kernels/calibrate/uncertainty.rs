@@ -1,12 +1,12 @@
-//! How well a model is known, from how much it was found from.
+//! Uncertainty of a model from the amount of data.
 
 use super::survey::Survey;
 use crate::kernels::sensor_model::{ChannelModel, ModelUncertainty};
 
-/// The median of a normal distribution spreads by so many standard deviations over the root of the count: `√(π/2)`.
+/// SD of the median of normal values, times the root of the count, in their SD: `√(π/2)`.
 const SPREAD_OF_MEDIAN: f64 = 1.253_314_137_315_500_3;
 
-/// Of background and noise made from what fits leave: medians over the blocks.
+/// Uncertainty of background and noise estimated from residuals: medians over the blocks.
 pub(super) fn of_residuals(model: &ChannelModel, survey: &Survey) -> ModelUncertainty {
     let of_median = |spread: f64| SPREAD_OF_MEDIAN * spread / (survey.blocks.max(1) as f64).sqrt();
     ModelUncertainty {
@@ -16,8 +16,10 @@ pub(super) fn of_residuals(model: &ChannelModel, survey: &Survey) -> ModelUncert
     }
 }
 
-/// Standard deviation of a number from what it is without each of as many equal parts of the recording (jackknife, Tukey 1958):
-/// what changes along the recording counts as well as chance.
+/// Jackknife standard deviation (Tukey 1958) from leave-one-out values.
+///
+/// Each value omits one of as many equal parts of the recording, so that changes along the
+/// recording count as well as chance.
 pub(in crate::kernels) fn jackknife_sd(without_one: &[f64]) -> f64 {
     let n = without_one.len().max(1) as f64;
     let mean = without_one.iter().sum::<f64>() / n;
@@ -30,7 +32,7 @@ mod tests {
     use crate::kernels::noise::ArNoise;
     use crate::kernels::simulated::{Random, analogue, digitised, moments, pulse};
 
-    /// Of a mean it is the standard deviation of the mean.
+    /// For a mean it is the standard error of the mean.
     #[test]
     fn the_jackknife_of_a_mean_is_its_standard_error() {
         let values = [3.0, 5.0, 4.0, 9.0];
@@ -39,7 +41,7 @@ mod tests {
         assert_eq!(super::jackknife_sd(&[]), 0.0);
     }
 
-    /// Sixty recordings of the same sensor: what is told of them spreads as each of them says.
+    /// Sixty recordings of one sensor: the spread of the estimates equals the reported uncertainty.
     #[test]
     fn models_of_repeated_recordings_spread_as_they_say() {
         let mut random = Random::new(77);
@@ -70,8 +72,8 @@ mod tests {
         }
         for (k, (values, told)) in values.iter().zip(&told).enumerate() {
             let (spread, told) = (moments(values).1, moments(told).0);
-            println!("{k}: spread {spread:.5}, told {told:.5}");
-            // A spread of sixty is known to 9 %.
+            println!("{k}: spread {spread:.5}, reported {told:.5}");
+            // The relative uncertainty of an SD of sixty values is 9 %.
             assert!((0.7..1.35).contains(&(spread / told)), "{k}: {spread} {told}");
         }
     }

@@ -1,33 +1,37 @@
-//! The width of a pulse from a flat target: the narrow end of the widths that are seen.
+//! Pulse width for a flat target: the narrow end of the observed widths.
 
-/// Fewer single pulses tell no mode.
+/// Fewest single pulses for a mode.
 const MIN_PULSES: usize = 10;
-/// Pulses that fit badly, this part of all, are left out.
+/// Fraction of the worst-fitting pulses that is omitted.
 const WORST_PART: f64 = 0.1;
-/// Half of the window about the mode that is averaged, in standard deviations of one measured width, and at least.
+/// Half width of the averaging window about the mode, in standard deviations of one measured width,
+/// and its minimum.
 const WINDOW_SD: f64 = 1.5;
 const LEAST_WINDOW: f64 = 0.015;
-/// The mode of a normal distribution, found as the mean of the window of 1.5 standard deviations about itself, spreads by so
-/// many standard deviations over the root of the count in the window: `√0.552/(1 - 0.448)`, with 0.552 the variance of the
-/// values in the window, and 0.448 the part of a shift that the window takes back into the mean.
+/// SD of the mode of a normal distribution, times the root of the count in the window, in its SD.
+///
+/// The mode is the mean of the window of 1.5 standard deviations about itself: `√0.552/(1 -
+/// 0.448)`, with 0.552 the variance of the values in the window and 0.448 the fraction of a shift
+/// of the window that its mean follows.
 const SPREAD_OF_MODE: f64 = 1.346;
-/// A window with fewer values, or with less than this part of what the fullest one holds, is no mode: it may stand out of its
-/// neighbours by chance.
+/// Fewest values of a mode, absolute and relative to the fullest window; smaller maxima may be due
+/// to chance.
 const LEAST_IN_MODE: usize = 30;
 const LEAST_PART_OF_MODE: f64 = 0.1;
 
-/// One single pulse.
+/// Width of one single pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::kernels) struct Width {
     /// Logarithm of the width, in ns or as a ratio.
     pub(in crate::kernels) ln_width: f64,
     /// Its standard deviation.
     pub(in crate::kernels) sd: f64,
-    /// How well its waveform is told.
+    /// Deviation ratio of its fit.
     pub(in crate::kernels) deviation_ratio: f64,
 }
 
-/// Which of many pulses fit well and are about as wide as the narrowest mode of their widths: nothing has widened them.
+/// Selects well-fitted pulses near the narrowest mode of the widths: those not widened by the
+/// target.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::kernels) struct Narrow {
     worst_deviation_ratio: f64,
@@ -36,7 +40,7 @@ pub(in crate::kernels) struct Narrow {
 }
 
 impl Narrow {
-    /// Of pulses; the least window about the mode may be given wider.
+    /// Finds the narrowest mode; `times_least_window` enlarges the smallest window.
     pub(in crate::kernels) fn of(pulses: &[Width], times_least_window: f64) -> Narrow {
         let mut deviations: Vec<f64> = pulses.iter().map(|pulse| pulse.deviation_ratio).collect();
         deviations.sort_by(f64::total_cmp);
@@ -56,17 +60,17 @@ impl Narrow {
         pulse.deviation_ratio <= self.worst_deviation_ratio
     }
 
-    /// Whether a pulse is one of these.
+    /// Whether a pulse belongs to the selection.
     pub(in crate::kernels) fn holds(&self, pulse: &Width) -> bool {
         self.fits(pulse) && (pulse.ln_width - self.ln_width).abs() <= self.half_window
     }
 }
 
-/// The widths of single pulses.
+/// Widths of single pulses.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Widths(pub(super) Vec<Width>);
 
-/// The population of pulses that nothing widened.
+/// Population of pulses not widened by the target.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct NarrowPopulation {
     pub(super) fwhm_ns: f64,
@@ -77,8 +81,10 @@ pub(super) struct NarrowPopulation {
 }
 
 impl Widths {
-    /// Narrowest mode of the widths, refined as the mean of a window about it; mean and median are drawn away by widened
-    /// pulses. The spread is that of the widths below the mode.
+    /// Narrowest mode of the widths, refined as the mean of a window about it.
+    ///
+    /// Mean and median are biased by widened pulses. The spread is that of the widths below the
+    /// mode.
     pub(super) fn narrow_population(&self) -> Option<NarrowPopulation> {
         if self.0.len() < MIN_PULSES {
             return None;
@@ -97,7 +103,7 @@ impl Widths {
             mode = near().sum::<f64>() / count as f64;
         }
         let below: Vec<f64> = widths.iter().map(|w| mode - w).take_while(|d| *d >= 0.0).collect();
-        // Two thirds of what lies below the mode lie within one standard deviation of it; `below` falls.
+        // Two thirds of the values below the mode are within one SD of it; `below` is descending.
         let spread = below.get((below.len() as f64 * 0.317_311) as usize).copied().unwrap_or(0.0);
         let fwhm_ns = mode.exp();
         Some(NarrowPopulation {
@@ -109,11 +115,13 @@ impl Widths {
     }
 }
 
-/// The narrowest mode of sorted values: the centre of the first window of this half width that holds more of them than its
-/// neighbours and at least twice as many as some window between it and any that holds still more. What leaves and thick
-/// crowns widen alike has a mode of its own, and over woods the higher one.
+/// Narrowest mode of sorted values.
+///
+/// It is the centre of the first window of this half width with a local maximum of the count, and
+/// with at least twice the count of some window between it and any fuller one. Pulses widened by
+/// leaves and dense crowns have a mode of their own, which is the higher one over forest.
 fn narrowest_mode(sorted: &[f64], half_width: f64) -> f64 {
-    // Windows begin on each value in turn.
+    // One window starts at each value.
     let end = |i: usize| sorted.partition_point(|value| *value <= sorted[i] + 2.0 * half_width);
     let highest = (0..sorted.len()).map(|i| end(i) - i).max().unwrap_or(0);
     let least = LEAST_IN_MODE.max((LEAST_PART_OF_MODE * highest as f64) as usize);
@@ -141,7 +149,7 @@ mod tests {
         assert!((narrowest_mode(&[0.0, 5.0, 5.1, 5.2, 9.0, 14.0], 0.1) - 5.1).abs() < 0.06);
     }
 
-    /// A third as many narrow values as wide ones, and a few by chance below both.
+    /// A third as many narrow as wide values, and a few outliers below both.
     #[test]
     fn of_two_modes_the_narrow_one_counts() {
         let mut random = Random::new(12);
@@ -154,7 +162,7 @@ mod tests {
         assert!((mode - 1.5).abs() < 0.01, "{mode}");
     }
 
-    /// Six in ten pulses of 4.2 ns with a spread of 3 %, the others widened by up to 60 %.
+    /// 60 % of pulses of 4.2 ns with a spread of 3 %, the others widened by up to 60 %.
     #[test]
     fn widened_pulses_do_not_draw_the_width() {
         let mut random = Random::new(11);

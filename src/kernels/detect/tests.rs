@@ -23,7 +23,7 @@ fn gaussian(height: f64, position: f64, width_ratio: f64, samples: usize) -> Vec
     values
 }
 
-/// The filter as a matrix: its answers to unit samples.
+/// The filter as a matrix: its responses to unit samples.
 fn filter_matrix(whitener: &Whitener, detector: &mut Detector, samples: usize) -> Vec<Vec<f64>> {
     (0..samples)
         .map(|k| {
@@ -47,7 +47,7 @@ fn covariance(matrix: &[Vec<f64>], offset_variance: f64, a: usize, b: usize) -> 
     sum
 }
 
-/// At every lag, at the block's ends and around a gap, with a known background and with an unknown one.
+/// At every lag, at the ends of the block and around a gap, with known and unknown background.
 #[test]
 fn the_statistic_has_unit_variance() {
     let used: Vec<bool> = (0..40).map(|k| !(17..20).contains(&k)).collect();
@@ -92,7 +92,7 @@ fn shallow_dips_do_not_divide_and_deep_ones_do() {
     assert_eq!(maxima_of(&[0.0, 5.0, 4.0, 6.0, 0.0], 4.0), [6.0]);
     assert_eq!(maxima_of(&[0.0, 6.0, 4.5, 5.0, 0.0], 4.0), [6.0]);
     assert_eq!(maxima_of(&[0.0, 6.0, 2.0, 5.0, 0.0], 4.0), [6.0, 5.0]);
-    // The dip before the highest counts from the highest on.
+    // The dip before the highest maximum counts from that maximum onwards.
     assert_eq!(maxima_of(&[5.0, 4.0, 9.0, 7.5, 8.0, 5.0, 7.0], 4.0), [9.0, 7.0]);
     assert_eq!(maxima_of(&[5.0, 5.0, 5.0], 4.0), [5.0]);
     assert_eq!(maxima_of(&[3.9; 4], 4.0), [0.0; 0]);
@@ -107,7 +107,7 @@ fn upper_tail(x: f64) -> f64 {
     (0..steps).map(|i| density(x + (i as f64 + 0.5) * width) * width).sum()
 }
 
-/// Both of two normal variables of correlation `r` exceed `h` (Plackett 1954).
+/// Probability that two normal variables of correlation `r` both exceed `h` (Plackett 1954).
 fn both_exceed(h: f64, r: f64) -> f64 {
     let steps = 20_000;
     let width = r / steps as f64;
@@ -115,7 +115,8 @@ fn both_exceed(h: f64, r: f64) -> f64 {
     upper_tail(h).powi(2) + (0..steps).map(|i| density((i as f64 + 0.5) * width) * width).sum::<f64>()
 }
 
-/// Up-crossings of a threshold by the sampled statistic: `Q(T) + (M - 1)(Q(T) - L(T, T; ρ))` in a block of `M` lags.
+/// Up-crossings of a threshold by the sampled statistic: `Q(T) + (M - 1)(Q(T) - L(T, T; ρ))` in a
+/// block of `M` lags.
 #[test]
 fn noise_gives_as_many_candidates_as_theory_says() {
     let (whitener, mut detector) = prepared(&[true; 60], None);

@@ -1,10 +1,11 @@
-//! Pulses fitted to one receiver's block with what another receiver tells of them.
+//! Fits pulses to one receiver's block with prior knowledge from another receiver.
 //!
-//! What is made smallest is `‖L⁻¹(y − model)‖²/f² + Σ (θ_i − m_i)ᵀ P_i (θ_i − m_i)`: the whitened residual of the samples
-//! that are used, with the calibrated factor `f` on a pulse's errors, and for each pulse that the other receiver saw, its
-//! parameters `θ = (ln height, place, ln width)` against that receiver's fit `m`, whose precision `P` holds the
-//! uncertainties of gain and delay. Where the other fit is an optimum this is the joint fit of both blocks, to second order
-//! in the other's residual. The method is Levenberg's and Marquardt's.
+//! Minimises `‖L⁻¹(y − model)‖²/f² + Σ (θ_i − m_i)ᵀ P_i (θ_i − m_i)`. The first term is the
+//! whitened residual of the used samples, with the calibrated error factor `f`. The second
+//! compares, for each pulse in the other receiver, the parameters `θ = (ln height, position, ln
+//! width)` with that receiver's fit `m`; its precision `P` includes the uncertainties of gain and
+//! delay. If the other fit is an optimum, this is the joint fit of both blocks, to second order in
+//! the other's residual. The method is Levenberg–Marquardt.
 
 use crate::kernels::allowance::Allowance;
 use crate::kernels::cholesky;
@@ -15,61 +16,63 @@ use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
-/// Parameters of a pulse.
+/// Parameters per pulse.
 const PARTS: usize = 3;
-/// Samples left out behind a saturated one, where the fit shows that the receiver needs them to recover.
+/// Number of samples excluded after a saturated one during recovery.
+///
+/// Used only if the fit shows that the receiver needs to recover.
 const RECOVERY_SAMPLES: usize = 1;
 const ITERATIONS: usize = 40;
-/// Converged is what the next step promises to lower the objective by less than this.
+/// Convergence: predicted decrease of the objective by the next step.
 const DECREASE: f64 = 1e-8;
-/// Longest steps of the logarithm of the height, the place in widths, and the logarithm of the width.
+/// Largest steps of log height, position in widths, and log width.
 const LONGEST: [f64; PARTS] = [0.7, 0.35, 0.3];
-/// A fit whose chi-square exceeds its degrees of freedom by more than so many standard deviations is one to a receiver
-/// that is not what its model says: its samples count less by what they are off.
+/// Excess of chi-square over its degrees of freedom, in standard deviations, above which the model
+/// does not describe the receiver. The weight of its samples is then reduced accordingly.
 const ASTRAY_SD: f64 = 3.0;
 
-/// What is known of a pulse beforehand.
+/// Prior knowledge of a pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
-    /// Logarithm of the height (DN), place (samples), logarithm of the width ratio.
+    /// Log height (ln DN), position (samples), log width ratio.
     pub mean: [f64; 3],
-    /// Their covariance.
+    /// Covariance of the mean.
     pub covariance: [[f64; 3]; 3],
 }
 
 /// A pulse to be fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointPulse {
-    /// Where the fit starts: logarithm of the height (DN), place (samples), logarithm of the width ratio.
+    /// Start values: log height (ln DN), position (samples), log width ratio.
     pub start: [f64; 3],
-    /// What another receiver tells of it.
+    /// Prior knowledge from another receiver.
     pub expected: Option<Expected>,
-    /// `1/s²` of a prior that draws the width's logarithm to 0; 0: none.
+    /// Precision `1/s²` of a prior on the log width about 0; 0 for none.
     pub ln_width_precision: f64,
 }
 
 /// A fitted pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointFitted {
-    /// Logarithm of the height (DN), place (samples), logarithm of the width ratio.
+    /// Log height (ln DN), position (samples), log width ratio.
     pub value: [f64; 3],
-    /// Their covariance.
+    /// Covariance of the values.
     pub covariance: [[f64; 3]; 3],
-    /// `(θ − m)ᵀ P (θ − m)`; 0 where nothing was expected.
+    /// `(θ − m)ᵀ P (θ − m)`; 0 without prior knowledge.
     pub distance: f64,
 }
 
-/// How well a block was fitted.
+/// Goodness of fit of a block.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outcome {
     /// `‖L⁻¹(y − model)‖²`.
     pub chi_square: f64,
-    /// Used samples less parameters.
+    /// Used samples minus parameters.
     pub degrees_of_freedom: usize,
 }
 
 impl Outcome {
-    /// The variance factor that the samples themselves tell, `calibrated` where it explains them.
+    /// Variance factor from the samples, or `calibrated` if that explains them.
     fn variance_factor(&self, calibrated: f64) -> f64 {
         let nu = self.degrees_of_freedom.max(1) as f64;
         let found = self.chi_square / nu;
@@ -84,14 +87,14 @@ pub struct JointFit {
     shape: Shape,
     whitener: Whitener,
     allowance: Allowance,
-    /// Significance of a pulse of height 1 of which all samples are used.
+    /// Significance of a pulse of height 1 with all samples used.
     per_dn: f64,
     target_dn: Vec<f64>,
     used: Vec<bool>,
     pulses: Vec<JointPulse>,
-    /// Inverse of each expectation's covariance.
+    /// Inverse of each prior covariance.
     precisions: Vec<[[f64; PARTS]; PARTS]>,
-    /// Parameters, pulse after pulse, then the offset from the background where that is free.
+    /// Parameters by pulse, then the background offset if it is free.
     values: Vec<f64>,
     residual: Vec<f64>,
     columns: Vec<f64>,
@@ -101,10 +104,11 @@ pub struct JointFit {
 }
 
 impl JointFit {
-    /// For blocks of this channel, whose response is known to `template_error` of a pulse's height at least.
+    /// Creates a workspace for a channel; `template_error` is the smallest relative error of its
+    /// response.
     ///
     /// # Errors
-    /// Where the model describes no channel.
+    /// Fails if the model describes no channel.
     pub fn new(model: &ChannelModel, template_error: f64) -> Result<JointFit, ModelError> {
         let (shape, mut whitener) = (Shape::of(model)?, Whitener::new(model.noise()?, 0));
         let allowance = Allowance::new(model, template_error, OVERDRIVEN_PART * model.full_scale_dn);
@@ -128,18 +132,20 @@ impl JointFit {
         })
     }
 
-    /// The channel.
+    /// Model of the channel.
     pub fn model(&self) -> &ChannelModel {
         &self.model
     }
 
-    /// Full width at half maximum of a pulse of this height and width ratio 1, samples.
+    /// FWHM of a pulse of this height and width ratio 1, samples.
     pub fn fwhm_samples_at(&self, height_dn: f64) -> f64 {
         self.shape.fwhm_samples_at(height_dn)
     }
 
-    /// The height from which on a pulse of this place (samples) stands out by `sigma`, beside pulses of these places and
-    /// heights, DN, and what errors of the response may leave of them.
+    /// Smallest height of a pulse with significance `sigma`, DN.
+    ///
+    /// `position_samples` is its position; `beside` gives positions and heights of other pulses,
+    /// whose response errors raise the threshold.
     pub fn least_height_dn(
         &self,
         sigma: f64,
@@ -149,12 +155,13 @@ impl JointFit {
         sigma * self.allowance.raise(position_samples, f64::INFINITY, self.per_dn, beside) / self.per_dn
     }
 
-    /// The pulses of the last fit, in the order they were given.
+    /// Pulses of the last fit, in input order.
     pub fn fitted(&self) -> &[JointFitted] {
         &self.fitted
     }
 
-    /// Fits pulses to a block. `None` where there is no optimum, or an expectation is none.
+    /// Fits pulses to a block. `None` without an optimum, or if a prior covariance is not positive
+    /// definite.
     pub fn fit(&mut self, samples: &[u16], pulses: impl Iterator<Item = JointPulse>) -> Option<Outcome> {
         self.fitted.clear();
         self.pulses.clear();
@@ -183,7 +190,8 @@ impl JointFit {
         Some(outcome)
     }
 
-    /// Takes up the samples, and which of them are used: so many behind a saturated one are not.
+    /// Loads the samples and marks the used ones; excludes `recovery_samples` after a saturated
+    /// one.
     fn load(&mut self, samples: &[u16], recovery_samples: usize) {
         self.target_dn.clear();
         self.model.signal_into(samples, 0, &mut self.target_dn);
@@ -210,7 +218,7 @@ impl JointFit {
         }
     }
 
-    /// Brings the whitened residual up to the parameters; the chi-square.
+    /// Updates the whitened residual to the parameters; returns chi-square.
     fn residual(&mut self) -> f64 {
         let offset = self.values.get(PARTS * self.pulses.len()).copied().unwrap_or(0.0);
         let mut residual = std::mem::take(&mut self.residual);
@@ -222,7 +230,7 @@ impl JointFit {
         self.residual.iter().map(|r| r * r).sum()
     }
 
-    /// What the parameters are off from what is expected of them.
+    /// Prior part of the objective.
     fn prior(&self) -> f64 {
         let pulses = (0..self.pulses.len()).map(|i| {
             let width = self.values[PARTS * i + 2];
@@ -243,7 +251,9 @@ impl JointFit {
         rows.map(|(x, row)| x * row.iter().zip(&off).map(|(p, y)| p * y).sum::<f64>()).sum()
     }
 
-    /// The normal matrix, and half the objective's gradient downhill, at the parameters of the last residual.
+    /// Computes the normal matrix and descent direction at the last residual.
+    ///
+    /// The direction is half the negative gradient of the objective.
     fn linearise(&mut self, weight: f64) {
         let (n, m) = (self.values.len(), self.target_dn.len());
         self.columns.clear();
@@ -335,7 +345,9 @@ impl JointFit {
         converged.then_some(Outcome { chi_square, degrees_of_freedom })
     }
 
-    /// Shortens a step, part by part, to what the linear model may hold for, and to widths that have templates.
+    /// Limits the components of a step.
+    ///
+    /// They must stay within the validity of the linear model, and widths within the templates.
     fn limit(&self, step: &mut [f64]) {
         let longest = [LONGEST[0], LONGEST[1] * self.shape.fwhm_samples(), LONGEST[2]];
         let [least, most] = self.shape.ln_width_bounds();
@@ -348,7 +360,7 @@ impl JointFit {
         }
     }
 
-    /// Covariances at the optimum.
+    /// Computes the covariances at the optimum.
     fn conclude(&mut self, weight: f64) -> Option<()> {
         let n = self.values.len();
         self.residual();
@@ -370,7 +382,7 @@ impl JointFit {
     }
 }
 
-/// The root of what a pulse of height 1 adds to chi-square.
+/// Root of the chi-square of a pulse of height 1.
 fn significance_per_dn(shape: &Shape, whitener: &mut Whitener) -> f64 {
     let samples = (12.0 * shape.fwhm_samples()).ceil().clamp(8.0, 4096.0) as usize;
     let position_samples = 0.5 * samples as f64;
@@ -382,7 +394,7 @@ fn significance_per_dn(shape: &Shape, whitener: &mut Whitener) -> f64 {
     pulse.iter().map(|value| value * value).sum::<f64>().sqrt()
 }
 
-/// The inverse of a covariance; `None` where it is none.
+/// Inverse of a covariance; `None` if it is not positive definite.
 fn inverse(covariance: &[[f64; PARTS]; PARTS]) -> Option<[[f64; PARTS]; PARTS]> {
     let mut factor: Vec<f64> = covariance.iter().flatten().copied().collect();
     if !cholesky::factor(&mut factor, PARTS) {

@@ -1,21 +1,22 @@
-//! The peak of a block by a parabola.
+//! Peak of a block by a parabola.
 
-/// Samples at a block's start that tell its background: one of each phase that backgrounds are known by.
+/// Number of initial samples for the background: one per phase.
 const LEAD_SAMPLES: usize = 4;
-/// Those samples are free of a pulse whose peak is so many of its half widths at half maximum away.
+/// Smallest distance of the peak from these samples, in half widths at half maximum.
 const CLEAR_HALF_WIDTHS: f64 = 3.0;
 
 /// A peak.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlainPeak {
-    /// Place, samples from the block's first.
+    /// Position, samples from the block's first.
     pub position_samples: f64,
     /// Height above the background, DN.
     pub height_dn: f64,
 }
 
-/// The strongest peak of a block, above the mean of its first samples. `None` where a sample reaches the full scale, or
-/// where the peak stands at the block's edge.
+/// Finds the strongest peak above the mean of the first samples.
+///
+/// `None` if a sample reaches full scale, or the peak is at the edge of the block.
 pub fn plain_peak(samples: &[u16], full_scale_dn: f64) -> Option<PlainPeak> {
     if samples.iter().any(|&sample| f64::from(sample) >= full_scale_dn) {
         return None;
@@ -26,9 +27,11 @@ pub fn plain_peak(samples: &[u16], full_scale_dn: f64) -> Option<PlainPeak> {
     plain_peak_of(&signal)
 }
 
-/// The same of a signal above its background: the vertex of a parabola through the logarithms of the samples above half of
-/// the highest, by least squares with the squares of the samples as weights (Guo 2011, "A simple algorithm for fitting a
-/// Gaussian function", eq. 8): exact for a Gaussian.
+/// Finds the peak of a signal without background.
+///
+/// It is the vertex of a weighted least-squares parabola through the logarithms of the samples
+/// above half maximum, with squared samples as weights (Guo 2011, "A simple algorithm for fitting a
+/// Gaussian function", eq. 8). It is exact for a Gaussian.
 pub fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
     let top = (0..signal.len()).max_by(|&a, &b| signal[a].total_cmp(&signal[b]))?;
     let half = 0.5 * signal[top];
@@ -61,7 +64,7 @@ pub fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
     (is_peak && peak.height_dn.is_finite()).then_some(peak)
 }
 
-/// `Σ_j s_(i+j) c_j = t_i` for three unknowns, by Cramer's rule.
+/// Solves `Σ_j s_(i+j) c_j = t_i` for three unknowns by Cramer's rule.
 fn solve(s: [f64; 5], t: [f64; 3]) -> Option<[f64; 3]> {
     let determinant = |a: [f64; 3], b: [f64; 3], c: [f64; 3]| {
         a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
@@ -72,8 +75,9 @@ fn solve(s: [f64; 5], t: [f64; 3]) -> Option<[f64; 3]> {
     (all != 0.0).then(|| [determinant(t, b, c) / all, determinant(a, t, c) / all, determinant(a, b, t) / all])
 }
 
-/// The standard deviation of the noise of a receiver from the first samples of its blocks, DN: the lower half of the blocks
-/// tells it, so that echoes do not. NaN without blocks.
+/// Noise SD of a receiver from the first samples of its blocks, DN.
+///
+/// Uses the median of the block variances, which few echoes affect. NaN without blocks.
 pub fn lead_noise_sd_dn<'a>(blocks: impl Iterator<Item = &'a [u16]>) -> f64 {
     let variance = |samples: &[u16]| {
         let mean = samples.iter().map(|&sample| f64::from(sample)).sum::<f64>() / samples.len() as f64;
@@ -85,7 +89,7 @@ pub fn lead_noise_sd_dn<'a>(blocks: impl Iterator<Item = &'a [u16]>) -> f64 {
     if variances.is_empty() {
         return f64::NAN;
     }
-    // A chi-square of three degrees of freedom has its median at 0.789 of its mean.
+    // The median of a chi-square distribution with three degrees of freedom is 0.789 of its mean.
     const MEDIAN: f64 = 0.789;
     let middle = variances.len() / 2;
     (*variances.select_nth_unstable_by(middle, f64::total_cmp).1 / MEDIAN).sqrt()

@@ -1,13 +1,16 @@
-//! Means that outliers do not move.
+//! Outlier-resistant means.
 
-/// Tukey's biweight: beyond so many standard deviations a value has no weight; 95 % efficient for normal values.
+/// Tukey's biweight: zero weight beyond this many standard deviations; 95 % efficient for normal
+/// values.
 const BIWEIGHT_SD: f64 = 4.685;
-/// A normal distribution's standard deviation over its median absolute deviation.
+/// Standard deviation of a normal distribution over its median absolute deviation.
 const SD_OF_MEDIAN: f64 = 1.4826;
 const ROUNDS: usize = 10;
 
-/// The weighted mean of `(value, weight)` by Tukey's biweight, started at the weighted median, and its standard deviation
-/// from the values' own scatter. The weights are proportional to the inverse variances. NaN without values.
+/// Weighted mean of `(value, weight)` by Tukey's biweight, and its standard deviation.
+///
+/// Starts at the weighted median. Weights are proportional to inverse variances; the standard
+/// deviation comes from the scatter of the values. NaN without values.
 pub(super) fn robust_mean(values: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
     let mut values: Vec<(f64, f64)> = values.filter(|(x, w)| x.is_finite() && *w > 0.0).collect();
     values.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -36,7 +39,7 @@ pub(super) fn robust_mean(values: impl Iterator<Item = (f64, f64)>) -> (f64, f64
     (mean, sd)
 }
 
-/// Of values in ascending order.
+/// Weighted median of ascending values.
 fn weighted_median(values: &[(f64, f64)]) -> Option<f64> {
     let half = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();
     let mut sum = 0.0;
@@ -49,7 +52,7 @@ fn weighted_median(values: &[(f64, f64)]) -> Option<f64> {
         .map(|(value, _)| *value)
 }
 
-/// The nearest values that do not fall, for `(value, standard deviation)`: neighbours that fall are pooled.
+/// Isotonic regression of `(value, standard deviation)`: decreasing neighbours are pooled.
 pub(super) fn pooled(values: &[(f64, f64)]) -> Vec<f64> {
     let mut runs: Vec<(f64, f64, usize)> = Vec::new();
     for &(value, sd) in values {

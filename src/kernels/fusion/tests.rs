@@ -5,7 +5,8 @@ use crate::kernels::simulated::{Random, analogue, channel, digitised, moments, p
 
 const FULL_SCALE_DN: f64 = 255.0;
 
-/// Pairs of echoes of 100 to 200 DN in the sensitive receiver, the other's noise upon them.
+/// Pairs of echoes of 100 to 250 DN in the low-power receiver, with the noise of the high-power
+/// receiver.
 fn pairs(random: &mut Random, count: usize, gain: f64, delay_ns: impl Fn(f64) -> f64) -> Vec<Pair> {
     let span = |random: &mut Random| 100.0 + 150.0 * random.uniform();
     let pair = |low_power_dn: f64, random: &mut Random| Pair {
@@ -39,7 +40,7 @@ fn what_is_no_whole_unsaturated_peak_has_no_place() {
     let peak = plain_peak(&samples, FULL_SCALE_DN).unwrap();
     assert!((peak.position_samples - 14.0).abs() < 1e-9, "{peak:?}");
     assert_eq!(plain_peak(&samples, 90.0), None, "saturated");
-    assert_eq!(plain_peak(&samples[8..], FULL_SCALE_DN), None, "nothing before it tells the background");
+    assert_eq!(plain_peak(&samples[8..], FULL_SCALE_DN), None, "no samples for the background");
     assert_eq!(plain_peak(&samples[..15], FULL_SCALE_DN), None, "cut off");
     assert_eq!(plain_peak(&[7; 40], FULL_SCALE_DN), None, "flat");
     assert_eq!(plain_peak(&[], FULL_SCALE_DN), None);
@@ -89,7 +90,7 @@ fn gain_and_delay_are_found_to_within_their_standard_deviations() {
     for seed in 0..60 {
         let pairs = pairs(&mut Random::new(seed), 300, 9.0, |_| 0.52);
         let fusion = estimate(&pairs, FULL_SCALE_DN, 0.3).unwrap();
-        assert_eq!(fusion.walk, [], "nothing walks");
+        assert_eq!(fusion.walk, [], "no walk");
         scores[0].push((fusion.gain_ratio - 9.0) / fusion.gain_ratio_sd);
         scores[1].push((fusion.delay_ns - 0.52) / fusion.delay_sd_ns);
     }
@@ -110,7 +111,7 @@ fn a_delay_that_falls_in_the_overdriven_receiver_is_told_by_height() {
     }
     assert!(fusion.walk.windows(2).all(|pair| pair[1].delay_ns <= pair[0].delay_ns), "monotone");
     let (end_ns, sd_ns) = fusion.walk_ns(2000.0);
-    assert!(end_ns < -0.1 && sd_ns > 0.9 * end_ns.abs(), "what was not seen is not known: {end_ns} {sd_ns}");
+    assert!(end_ns < -0.1 && sd_ns > 0.9 * end_ns.abs(), "extrapolation is uncertain: {end_ns} {sd_ns}");
 }
 
 #[test]
@@ -121,7 +122,7 @@ fn too_few_or_too_weak_echoes_tell_nothing() {
     assert_eq!(estimate(&[], FULL_SCALE_DN, 0.3), None);
     let many = pairs(&mut random, 200, 9.0, |_| 0.5);
     assert!(estimate(&many, FULL_SCALE_DN, 0.3).is_some());
-    assert_eq!(estimate(&many, FULL_SCALE_DN, 30.0), None, "none stands out of such noise");
+    assert_eq!(estimate(&many, FULL_SCALE_DN, 30.0), None, "all below the noise");
 }
 
 #[test]
@@ -145,8 +146,10 @@ fn between_models_of_one_shape_plain_peaks_need_no_correction() {
     );
 }
 
-/// In white noise the place of a Gaussian of height `a` and width `W` sampled densely has the variance
-/// `σ² / (a² Σ s'²)` with `Σ s'² = √(π/2) √(4 ln 2) / W`, and is told independently of height and width.
+/// Uncertainty of the position of a Gaussian in white noise.
+///
+/// For height `a` and width `W` and dense sampling its variance is `σ² / (a² Σ s'²)` with `Σ s'² =
+/// √(π/2) √(4 ln 2) / W`, independent of height and width.
 #[test]
 fn the_fit_alone_has_the_closed_forms_uncertainty() {
     let process = ArNoise::new(&[], 1.0).unwrap();
@@ -162,7 +165,8 @@ fn the_fit_alone_has_the_closed_forms_uncertainty() {
     assert!((found.value[1] - 25.3).abs() < 5.0 * exact, "{found:?}");
 }
 
-/// Two measures of one quantity: the joint fit is their mean by inverse variances, and its variance theirs in parallel.
+/// Two measurements of one quantity: the joint fit is their inverse-variance mean, with the
+/// corresponding variance.
 #[test]
 fn what_is_expected_of_a_place_is_averaged_with_what_is_seen() {
     let process = ArNoise::new(&[], 1.0).unwrap();
@@ -207,7 +211,7 @@ fn a_saturated_pulse_is_fitted_from_its_flanks_and_what_is_expected() {
         let found = fit.fitted()[0];
         assert!(
             found.covariance[1][1].sqrt() < 0.5 * sd[1],
-            "flanks tell more than what was expected: {found:?}"
+            "flanks add information to the prior: {found:?}"
         );
         scores.push((found.value[1] - place) / found.covariance[1][1].sqrt());
     }

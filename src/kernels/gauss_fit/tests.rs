@@ -16,7 +16,7 @@ fn whitener(used: &[bool]) -> Whitener {
     whitener
 }
 
-/// Used samples 0..60 but for a gap, three pulses, one of them over the block's start.
+/// Used samples 0..60 except a gap, and three pulses, one across the start of the block.
 fn scene() -> (Vec<bool>, Vec<Pulse>) {
     let used: Vec<bool> = (0..60).map(|k| !(22..25).contains(&k)).collect();
     let mut pulses = vec![pulse(40.0, 1.3, 1.2), pulse(90.0, 22.6, 0.9), pulse(30.0, 28.2, 2.0)];
@@ -32,7 +32,7 @@ fn model(pulses: &[Pulse], offset: f64, samples: usize) -> Vec<f64> {
     values
 }
 
-/// One number of the parameter vector.
+/// One element of the parameter vector.
 fn parameter<'a>(pulses: &'a mut [Pulse], offset: &'a mut f64, index: usize) -> &'a mut f64 {
     match pulses.get_mut(index / 3) {
         None => offset,
@@ -73,7 +73,8 @@ fn derivatives_agree_with_finite_differences() {
     }
 }
 
-/// The covariance is `(J' S⁻¹ J + Λ)⁻¹` with dense matrices, and exact samples give the exact pulses back.
+/// The covariance is `(J' S⁻¹ J + Λ)⁻¹` with dense matrices, and exact samples reproduce the exact
+/// pulses.
 #[test]
 fn exact_samples_give_the_pulses_back_with_the_dense_covariance() {
     let (used, mut pulses) = scene();
@@ -125,7 +126,7 @@ fn check_covariance(fit: &GaussFit, whitener: &Whitener, used: &[bool], pulses: 
     }
 }
 
-/// At an optimum found from noisy samples the gradient vanishes and the priors stand in the covariance.
+/// At an optimum from noisy samples the gradient vanishes and the covariance includes the priors.
 #[test]
 fn priors_enter_the_optimum_and_its_covariance() {
     let (used, pulses) = scene();
@@ -205,7 +206,7 @@ fn each_termination_is_said() {
     let mut unfit = truth;
     unfit.height_dn = f64::NAN;
     assert_eq!(fit.fit(&whitener, &target, &[unfit], Limits::exact(9)).termination, Termination::Singular);
-    // A spike of one sample is narrower than any pulse can be.
+    // A spike of one sample is narrower than any pulse.
     let mut spike = vec![0.0; 60];
     spike[30] = 500.0;
     assert_eq!(fit.fit(&whitener, &spike, &[truth], Limits::exact(200)).termination, Termination::AtBound);

@@ -1,5 +1,6 @@
-//! The method `Blocks`: cells of neighbouring echoes decide together, and each echo takes the emission that puts it nearest to
-//! the surface.
+//! The method `Blocks`: cells of neighbouring echoes decide jointly.
+//!
+//! Each echo is then assigned to the emission that puts it nearest to the surface.
 
 use std::collections::VecDeque;
 
@@ -8,30 +9,32 @@ use super::held::{self, Held, HeldEcho};
 use super::summary::Summary;
 use super::{MtaError, Prior, Resolved, Settings, grid};
 
-/// Bands that are decided at a time, looked at beforehand, and remembered.
+/// Number of bands decided at a time, of bands of look-ahead, and of past bands kept.
 const CORE_BANDS: usize = 16;
 const AHEAD_BANDS: usize = 4;
 const PAST_BANDS: usize = 16;
 const FULL_BANDS: usize = CORE_BANDS + AHEAD_BANDS;
-/// So many lines are held back at most.
+/// Largest number of lines held back.
 pub(super) const LOOK_AHEAD_LINES: usize = FULL_BANDS * BAND_LINES;
-/// Where undecided lines take more than this with what the caller keeps of them ([`super::Line::bytes`]), those that have a
-/// band after them are decided at once.
+/// Memory above which lines are decided early, bytes.
+///
+/// It counts the memory that the caller holds for undecided lines ([`super::Line::bytes`]). Above
+/// it, lines that are followed by at least one band are decided at once.
 pub const LOOK_AHEAD_BYTES: usize = 256_000_000;
-/// An echo further from the surface than this part of the interval is uncertain.
+/// Distance from the surface beyond which an echo is uncertain, in intervals.
 const FAR_PART: f32 = 0.45;
-/// So is one with less evidence, nats.
+/// Evidence below which an echo is uncertain, nats.
 const LEAST_MARGIN_NATS: f32 = 5.0;
-/// What an echo says of its own zone: nats for an interval nearer to the surface than with the next zone.
+/// Evidence of an echo's position for its zone, nats per interval of advantage over the next zone.
 const PLACE_NATS: f32 = 40.0;
 
-/// Echoes so near to a surface, in parts of the interval, move it.
+/// Largest distance from the surface of echoes that refine it, in intervals.
 const SURFACE_PART: f32 = 0.25;
-/// What stands on the terrain is seldom higher, m.
+/// Usual largest height of objects above the terrain, m.
 const ABOVE_M: f32 = 60.0;
-/// Emissions before and behind the expected one that are looked at.
+/// Number of emissions considered before and after the expected one.
 const SPAN: usize = 3;
-/// An echo so near to the surface needs no second look, m.
+/// Distance to the surface below which no other emission is considered, m.
 const AT_SURFACE_M: f32 = 8.0;
 
 /// The state of the method.
@@ -40,11 +43,11 @@ pub(super) struct Blocks {
     settings: Settings,
     /// Undecided lines.
     lines: VecDeque<Held>,
-    /// Number of the first band that is held.
+    /// Number of the first band held.
     first_band: u64,
-    /// Bands of lines that are gone, then of those that are held.
+    /// Bands of past lines, then of pending lines.
     bands: VecDeque<Band>,
-    /// How many bands are decided.
+    /// Number of decided bands.
     decided: usize,
 }
 
@@ -151,7 +154,7 @@ impl Blocks {
         Ok(())
     }
 
-    /// Lays the surfaces through the echoes that the emissions of a cell caused.
+    /// Refits the surfaces to the echoes assigned to each cell.
     fn refine(&mut self, lines: usize) {
         let mut slopes: Vec<Vec<Slope>> =
             self.bands.iter().map(|band| vec![Slope::default(); band.cells.len()]).collect();
@@ -180,13 +183,13 @@ impl Blocks {
         }
     }
 
-    /// The band that holds a line.
+    /// Index of the band that contains a line.
     fn row(&self, line: u64) -> Option<usize> {
         let row = (line / BAND_LINES as u64).checked_sub(self.first_band)? as usize;
         self.bands.get(row).filter(|band| !band.cells.is_empty()).map(|_| row)
     }
 
-    /// The emission that puts an echo nearest to the surface where that emission went.
+    /// Finds the emission that puts an echo nearest to that emission's surface.
     fn nearest(&self, line: &Held, echo: &HeldEcho) -> Nearest {
         let row = self.row(line.number);
         let expected = row.and_then(|row| expected_place(&self.bands[row], line, echo, &self.settings));
@@ -205,7 +208,7 @@ impl Blocks {
                     self.consider(row, line, echo, place, &mut found);
                 }
             }
-            // Near a line's begin, the line before may be the cause.
+            // Near the start of a line, the previous line may contain the cause.
             None => {
                 for place in 0..=last {
                     let row = if place < lead { self.row(line.pulses.cause(place, 0).line) } else { row };
@@ -218,14 +221,16 @@ impl Blocks {
         found
     }
 
-    /// The emission at `place`, where that puts an echo right on its cell's surface: no other needs to be looked at.
+    /// Accepts the emission at `place` if the echo is at its surface.
+    ///
+    /// No other emission is then considered.
     fn at_surface(&self, band: &Band, line: &Held, echo: &HeldEcho, place: usize) -> Option<Nearest> {
         let [least_m, most_m] = self.settings.range_m.map(|range_m| range_m as f32);
         let (range_m, column) = (line.range_m(echo, place, &self.settings), line.pulses.column[place]);
         let index = band.index(column);
         let apart_m = band.apart_m(index, column, range_m);
         let is_expected = match self.settings.prior {
-            // NaN, where nothing is expected, is not far.
+            // NaN, if no range is expected, counts as 0.
             Prior::PerEmission { sd_m } => {
                 let beyond_m = (range_m - line.pulses.expected_m[place]).abs();
                 (beyond_m - 3.0 * sd_m as f32).max(0.0) <= ABOVE_M
@@ -241,7 +246,7 @@ impl Blocks {
         Some(Nearest { cause: Some(place), apart_m, second_m, margin_nats })
     }
 
-    /// Takes the emission at `place`, of a line in the band `row`, into account.
+    /// Considers the emission at `place`, of a line in the band `row`.
     fn consider(&self, row: Option<usize>, line: &Held, echo: &HeldEcho, place: usize, found: &mut Nearest) {
         let [least_m, most_m] = self.settings.range_m.map(|range_m| range_m as f32);
         let range_m = line.range_m(echo, place, &self.settings);
@@ -251,7 +256,7 @@ impl Blocks {
         }
         let (cell, mut apart_m) = band.nearest(line.pulses.column[place], range_m);
         if let Prior::PerEmission { sd_m } = self.settings.prior {
-            // NaN, where nothing is expected, is neither the lesser nor the greater.
+            // NaN, if no range is expected, is ignored by `min` and `max`.
             let beyond_m = (range_m - line.pulses.expected_m[place]).abs();
             let sd_m = sd_m as f32;
             apart_m = apart_m.min(beyond_m + sd_m) + (beyond_m - ABOVE_M - 3.0 * sd_m).max(0.0);
@@ -265,7 +270,7 @@ impl Blocks {
     }
 }
 
-/// The emission that the surface makes likely, where it and those about it are of the line itself.
+/// Most likely emission given the surface; `None` if it or its neighbours are outside the line.
 fn expected_place(band: &Band, line: &Held, echo: &HeldEcho, settings: &Settings) -> Option<usize> {
     let (pulses, last) = (&line.pulses, echo.last as usize);
     let surface_m = band.cells[band.index(pulses.column[last])].surface_m;
@@ -273,10 +278,10 @@ fn expected_place(band: &Band, line: &Held, echo: &HeldEcho, settings: &Settings
     last.checked_sub(zone.clamp(0.0, 1e6) as usize).filter(|&place| place > pulses.lead + SPAN)
 }
 
-/// The emission that puts an echo nearest to the surface.
+/// Result of the search for the emission nearest to the surface.
 struct Nearest {
     cause: Option<usize>,
-    /// How near, and how near the second is, m.
+    /// Distance of the best and of the second-best emission to the surface, m.
     apart_m: f32,
     second_m: f32,
     margin_nats: f32,

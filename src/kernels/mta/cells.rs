@@ -1,80 +1,83 @@
-//! Cells of neighbouring echoes: where their surface lies up to whole intervals, and how smooth each choice makes it.
+//! Cells of neighbouring echoes: phase of their surface and smoothness of each zone.
 //!
-//! A band is a few lines, cut into cells across. All echoes of one surface lie at one *phase*, their range modulo the interval
-//! between pulses, however the zones change within. So the phase is found first, and zones are counted from it: for every cell
-//! there is one unknown, the zone of its surface.
+//! A band is a few lines, divided into cells across the line. All echoes of one surface share one
+//! *phase*, their range modulo the pulse interval, however the zones change within it. The phase is
+//! therefore found first, and zones are counted from it. Each cell then has one unknown: the zone
+//! of its surface.
 
 use super::held::{Held, HeldEcho};
 use super::{Prior, Settings};
 
 /// Number of scan lines in a band.
 pub const BAND_LINES: usize = 8;
-/// Shots of a cell.
+/// Width of a cell, shots.
 pub(super) const CELL_SHOTS: i32 = 16;
-/// Bins of the interval in which the phase is looked for, and how many of them make the surface.
+/// Number of phase bins per interval, and number of bins that form the surface.
 const BINS: usize = 32;
 const SURFACE_BINS: usize = 8;
-/// A cell has a phase from so many echoes on, where this part of them are at the surface.
+/// Fewest echoes from which the phase of a cell is estimated, if [`LEAST_PART`] of them are at the
+/// surface.
 const LEAST_ECHOES: u16 = 8;
-/// The same in a band where no cell has as many.
+/// The same in a band without a cell of [`LEAST_ECHOES`].
 const FEWEST_ECHOES: u16 = 3;
 const LEAST_PART: f32 = 0.55;
-/// Differences of neighbouring ranges: scale of a Laplace distribution and where it gives way to anything, m.
+/// Scale of the Laplace distribution of range differences between neighbours, and its cap, m.
 const SCALE_M: f32 = 0.5;
 const CAP_M: f32 = 5.0;
-/// Pairs of neighbours share echoes: what a pair counts of its evidence.
+/// Weight of the evidence of one pair: pairs of neighbours share echoes.
 const PAIR_PART: f32 = 0.25;
-/// What a second difference counts, against a difference.
+/// Weight of a second difference relative to a first difference.
 const CURVATURE_PART: f32 = 1.0;
-/// Most neighbours of an echo in its line, and in the next.
+/// Most neighbours of an echo in its line and the next.
 const NEIGHBOURS: [usize; 2] = [4, 5];
-/// How far neighbours stand away, columns.
+/// Largest distance of neighbours in the own line and in the next, columns.
 const REACH: [i32; 2] = [2, 1];
-/// A slope goes on over so many cells without a phase of their own.
+/// Number of cells without phase over which a slope is extrapolated.
 const EXTENDED_CELLS: f32 = 3.0;
-/// Echoes so near to the phase, in parts of the interval, tell the slope.
+/// Largest distance from the phase of echoes that determine the slope, in intervals.
 const SLOPE_PART: f32 = 0.25;
-/// How much nearer a surface beside must be, m.
+/// Minimum advantage of the surface of an adjacent cell, m.
 const BESIDE_M: f32 = 5.0;
-/// Zones are handled in groups of so many.
+/// Zones are processed in groups of this size.
 pub(super) const LANES: usize = 8;
-/// Most zones.
+/// Largest number of zones.
 pub(super) const MOST_ZONES: usize = 126;
-/// Costs of a height above ground end here, nats; it is wrong in the same way in many cells, and counts so much in each.
+/// Cap of the cost of a height above ground, nats. Its error is common to many cells, so each cell
+/// counts [`AGL_PART`] of it.
 const AGL_CAP_NATS: f32 = 8.0;
 const AGL_PART: f32 = 1.0 / 16.0;
-/// Costs of an expected range end here, nats.
+/// Cap of the cost of an expected range, nats.
 const EXPECTED_CAP_NATS: f32 = 24.0;
-/// Cost of a range beyond the feasible ones, nats per metre.
+/// Cost of a range outside the feasible interval, nats per metre.
 const INFEASIBLE_NATS_PER_M: f32 = 0.5;
 
-/// What is known of a cell.
+/// State of a cell.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Cell {
-    /// Echoes that count.
+    /// Number of echoes used.
     pub count: u16,
-    /// Whether the echoes, and not only neighbours, tell the phase.
+    /// Whether the cell's own echoes determine the phase.
     pub known: bool,
-    /// Range of the surface in zone 0, in the cell's middle, m.
+    /// Range of the surface in zone 0, mid-cell, m.
     pub phase_m: f32,
-    /// How much the surface's range grows by the column, m.
+    /// Slope of the surface's range, m per column.
     pub slope_m: f32,
-    /// Sum and number of the expected ranges.
+    /// Sum and number of the expected ranges, m.
     prior: (f32, u16),
-    /// Range of the surface in the cell's middle, m: once decided.
+    /// Range of the surface at the middle of the cell, m, once decided.
     pub surface_m: f32,
-    /// How much better the decided zone is than any other, nats.
+    /// Evidence for the decided zone over any other, nats.
     pub margin_nats: f32,
 }
 
 impl Cell {
-    /// Whether there are echoes but no surface.
+    /// Whether the cell has echoes but no surface.
     pub fn is_clutter(&self) -> bool {
         !self.known && self.count >= LEAST_ECHOES
     }
 }
 
-/// A straight line through points of a cell, by least squares.
+/// Least-squares line through points of a cell.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Slope {
     count: f32,
@@ -94,43 +97,44 @@ impl Slope {
         self.xy += x * y_m;
     }
 
-    /// The line's value in the middle and its slope; `None` for fewer than four points.
+    /// Value of the line in the middle, and its slope; `None` for fewer than four points.
     pub fn fit(&self) -> Option<(f32, f32)> {
         if self.count < 4.0 {
             return None;
         }
         let (x, y) = (self.x / self.count, self.y / self.count);
-        // As if there were one point more at either end, on a level: few points in few columns tell no slope.
+        // Two virtual points at the ends, on a level, regularise the slope: a few points in a few
+        // columns do not determine it.
         let spread = self.xx - self.count * x * x + (CELL_SHOTS * CELL_SHOTS) as f32 * 0.5;
         let slope = (self.xy - self.count * x * y) / spread;
         Some((y - slope * x, slope))
     }
 }
 
-/// Some lines, cut into cells.
+/// A group of lines, divided into cells.
 #[derive(Debug, Default)]
 pub(super) struct Band {
-    /// Number of the first cell: cell `i` holds the columns from `(first + i) * CELL_SHOTS` on.
+    /// Number of the first cell: cell `i` holds the columns from `(first + i) * CELL_SHOTS`.
     pub first: i32,
     pub cells: Vec<Cell>,
-    /// The usual interval, m.
+    /// Mean pulse interval of the lines, m.
     pub interval_m: f32,
-    /// Zones that are looked at: 0 up to this.
+    /// Number of zones considered, from 0.
     pub zones: usize,
-    /// Roughness by cell and zone, nats: the greatest zone first, `stride` for a cell.
+    /// Roughness by cell and zone, nats; `stride` entries per cell, the largest zone first.
     rough: Vec<f32>,
     stride: usize,
-    /// The last cell is beside the first.
+    /// The last cell is adjacent to the first.
     pub is_ring: bool,
 }
 
-/// Number of the cell that a column lies in.
+/// Number of the cell that contains a column.
 pub(super) fn cell_of(column: i32) -> i32 {
     column.div_euclid(CELL_SHOTS)
 }
 
 impl Band {
-    /// The band of `lines`, whose echoes are made to count from the cells' phases.
+    /// Builds the band of `lines`; counts the zones of their echoes from the cells' phases.
     pub fn new(lines: &mut [Held], settings: &Settings) -> Band {
         let columns = || lines.iter().flat_map(|line| &line.pulses.column[line.pulses.lead..]);
         let (Some(&least), Some(&most)) = (columns().min(), columns().max()) else {
@@ -162,20 +166,20 @@ impl Band {
         band
     }
 
-    /// The index of the cell that holds a column, or the nearest.
+    /// Index of the cell that contains a column, or of the nearest cell.
     ///
-    /// There must be cells.
+    /// The band must have cells.
     pub fn index(&self, column: i32) -> usize {
         (cell_of(column) - self.first).clamp(0, self.cells.len() as i32 - 1) as usize
     }
 
-    /// How far a range at a column is from the surface of a cell, m.
+    /// Distance of a range from the surface of a cell, m.
     pub fn apart_m(&self, index: usize, column: i32, range_m: f32) -> f32 {
         let cell = &self.cells[index];
         (range_m - cell.surface_m - cell.slope_m * self.off_middle(index, column)).abs()
     }
 
-    /// The cell at a column, or beside it, whose surface is nearest to a range, and how far it is away, m.
+    /// Cell at a column, or adjacent, whose surface is nearest to a range, and the distance, m.
     pub fn nearest(&self, column: i32, range_m: f32) -> (&Cell, f32) {
         let index = self.index(column);
         let mut found = (index, self.apart_m(index, column, range_m));
@@ -214,13 +218,13 @@ impl Band {
         self.cells.iter_mut().for_each(|cell| cell.known = has(cell, least));
     }
 
-    /// How far a column is from the middle of a cell.
+    /// Distance of a column from the middle of a cell, columns.
     pub fn off_middle(&self, index: usize, column: i32) -> f32 {
         let middle = (self.first + index as i32) * CELL_SHOTS;
         (column - middle) as f32 - 0.5 * (CELL_SHOTS - 1) as f32
     }
 
-    /// Finds the slopes of the cells that have a phase, from the echoes about it.
+    /// Fits the slopes of the cells with a phase, from the echoes near it.
     fn find_slopes(&mut self, lines: &[Held]) {
         let mut slopes = vec![Slope::default(); self.cells.len()];
         for line in lines {
@@ -244,7 +248,8 @@ impl Band {
         }
     }
 
-    /// Counts the zones of all echoes from the phase of their cell, or of the nearest that has one.
+    /// Counts the zones of all echoes from the phase of their cell, or of the nearest cell with
+    /// one.
     fn count_from_phases(&mut self, lines: &mut [Held]) {
         fill(&mut self.cells, self.is_ring);
         for line in lines {
@@ -263,12 +268,12 @@ impl Band {
         }
     }
 
-    /// Whether any cell's echoes tell its phase.
+    /// Whether any cell has a phase from its own echoes.
     pub fn is_known(&self) -> bool {
         self.cells.iter().any(|cell| cell.known)
     }
 
-    /// The expected range of a cell, m.
+    /// Expected range of a cell, m.
     pub fn prior_m(&self, index: usize) -> Option<f32> {
         let (sum, count) = self.cells[index].prior;
         (count > 0).then(|| sum / f32::from(count))
@@ -300,7 +305,7 @@ impl Band {
         }
     }
 
-    /// Adds the evidence of neighbours in the line after `line`, which is one of this band's.
+    /// Adds the evidence of neighbours between `line`, a line of this band, and the following line.
     pub fn add_next(&mut self, line: &Held, next: &Held) {
         let mut from = 0;
         let (inside, next_inside) = (inside_from(line, self.zones), inside_from(next, self.zones));
@@ -317,7 +322,8 @@ impl Band {
         }
     }
 
-    /// Adds the evidence of three neighbouring shots' last echoes: their curvature does not see a slope.
+    /// Adds the evidence of the last echoes of three neighbouring shots: their curvature is
+    /// independent of slope.
     pub fn add_curvature(&mut self, line: &Held) {
         let ends = |pair: &[HeldEcho]| pair.len() == 1 || pair[0].last != pair[1].last;
         let inside = inside_from(line, self.zones);
@@ -371,7 +377,7 @@ impl Band {
         }
     }
 
-    /// Cost of each zone of a cell, nats, into the first `zones` entries of `costs`.
+    /// Writes the cost of each zone of a cell, nats, to the first `zones` entries of `costs`.
     pub fn costs(&self, index: usize, settings: &Settings, costs: &mut [f32]) {
         let cell = &self.cells[index];
         let rough = &self.rough[index * self.stride..][..self.stride];
@@ -394,7 +400,8 @@ impl Band {
     }
 }
 
-/// Where `other` counts its zones from and its even range, so that it lies within half an interval of `echo`.
+/// Zone origin and even-interval range of `other`, shifted to lie within half an interval of
+/// `echo`.
 #[inline]
 fn beside(echo: &HeldEcho, other: &HeldEcho, interval_m: f32) -> (i32, f32) {
     let apart = other.range_m - echo.range_m;
@@ -405,8 +412,10 @@ fn beside(echo: &HeldEcho, other: &HeldEcho, interval_m: f32) -> (i32, f32) {
     (other.base + by, other.even_m - by as f32 * interval_m)
 }
 
-/// The offsets of the emissions in all zones counted from `base`, the greatest zone first; `None` where they are not all known: a
-/// lost record would speak against all zones behind it, and none before.
+/// Offsets of the emissions in all zones counted from `base`, the largest zone first.
+///
+/// `None` if they are not all known: a lost record would bias against all zones beyond it and none
+/// before it.
 #[inline]
 fn offsets(line: &Held, base: i32, stride: usize) -> Option<&[f32]> {
     let end = usize::try_from(base).ok()? + 1;
@@ -415,14 +424,16 @@ fn offsets(line: &Held, base: i32, stride: usize) -> Option<&[f32]> {
     if regular + 1 < stride { None } else { line.pulses.offset_m.get(begin..end) }
 }
 
-/// The first place at which no echo comes from a line before: the other end of the swath is another surface, and neither its
-/// phase nor its evidence is that of the cells here. A revolution goes on where the one before ended.
+/// First position from which no echo comes from the previous line.
+///
+/// The other end of the swath is another surface; its phase and evidence do not apply to the cells
+/// here. A revolution continues where the previous one ended.
 fn inside_from(line: &Held, zones: usize) -> u32 {
     let margin = if line.pulses.lead == 0 || line.ring > 0 { 0 } else { zones.min(line.pulses.own() / 4) };
     (line.pulses.lead + margin) as u32
 }
 
-/// Finds where most echoes of a cell lie: the quarter of the interval that holds most, and their mean in it.
+/// Finds the phase of a cell: the quarter interval with most echoes, and their mean range.
 fn find_phase(cell: &mut Cell, bins: &[(u16, f32); BINS], interval_m: f32) {
     let count: u16 = bins.iter().fold(0, |sum, bin| sum.saturating_add(bin.0));
     cell.count = count;
@@ -440,7 +451,7 @@ fn find_phase(cell: &mut Cell, bins: &[(u16, f32); BINS], interval_m: f32) {
     cell.known = surface >= LEAST_PART * f32::from(count);
 }
 
-/// Gives cells without a phase of their own that of the nearest cell in the band, around its end in a ring.
+/// Fills cells without a phase from the nearest cell; cyclic for a ring.
 fn fill(cells: &mut [Cell], is_ring: bool) {
     let count = cells.len() as i32;
     let mut known: Vec<i32> = (0..count).filter(|&i| cells[i as usize].known).collect();

@@ -1,25 +1,26 @@
-//! One zone for each cell of some bands: cheap by its own evidence, and continuous with the cells around.
+//! Assigns one zone to each cell, from its own evidence and continuity with neighbours.
 //!
-//! Min-sum belief propagation on the grid of cells, swept along the lines and across them. Two neighbours whose surfaces stand
-//! `d` apart pay `CONTINUITY_NATS · min(|d| / interval, 1)`: surfaces half an interval apart are ambiguous, and no step costs
-//! more than the evidence of a few cells can pay.
+//! Min-sum belief propagation on the grid of cells, swept along and across the lines. Two
+//! neighbours whose surfaces are `d` apart cost `CONTINUITY_NATS · min(|d| / interval, 1)`.
+//! Surfaces half an interval apart are ambiguous, and no step costs more than the evidence of a few
+//! cells can outweigh.
 
 use std::collections::VecDeque;
 
 use super::Settings;
 use super::cells::{Band, CELL_SHOTS};
 
-/// What a step of a whole interval or more costs, nats.
+/// Cost of a step of one interval or more, nats.
 const CONTINUITY_NATS: f32 = 48.0;
-/// Sweeps there and back, along and across.
+/// Number of sweeps in both directions, along and across the lines.
 const ROUNDS: usize = 3;
-/// Where a message comes from.
+/// Direction from which a message comes.
 const LEFT: usize = 0;
 const RIGHT: usize = 1;
 const BEFORE: usize = 2;
 const AFTER: usize = 3;
 
-/// A cell of the grid, and the row it is in.
+/// A cell of the grid and its row.
 #[derive(Clone, Copy)]
 struct Place {
     row: usize,
@@ -29,14 +30,14 @@ struct Place {
 /// The cells of some bands.
 struct Grid<'a> {
     bands: &'a VecDeque<Band>,
-    /// The first cell of each band.
+    /// Index of the first cell of each band.
     starts: Vec<usize>,
     stride: usize,
     costs: Vec<f32>,
     messages: [Vec<f32>; 4],
 }
 
-/// Decides the zone of every cell of the bands, and with it the range of its surface.
+/// Decides the zone and surface range of every cell.
 pub(super) fn decide(bands: &mut VecDeque<Band>, settings: &Settings) {
     fill_bands(bands);
     let mut grid = Grid::new(bands, settings);
@@ -54,7 +55,7 @@ pub(super) fn decide(bands: &mut VecDeque<Band>, settings: &Settings) {
     }
 }
 
-/// Gives bands without any phase those of the nearest band before them, else after, else of what is expected.
+/// Fills bands without a phase from the prior, the nearest previous band, or the next.
 fn fill_bands(bands: &mut VecDeque<Band>) {
     let known: Vec<usize> = (0..bands.len()).filter(|&row| bands[row].is_known()).collect();
     for row in 0..bands.len() {
@@ -124,7 +125,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// Messages from the cells of one band to those of another that stand at the same places.
+    /// Sends messages between cells of two bands at the same columns.
     fn send_row(&mut self, from: usize, to: usize, side: usize, held: &mut [f32]) {
         let shift = self.bands[from].first - self.bands[to].first;
         for cell in 0..self.bands[from].cells.len() {
@@ -136,7 +137,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// The message that `to` gets from `from`, which stands on its side `side`.
+    /// Sends the message of `from`, which is on side `side` of `to`.
     fn send(&mut self, from: Place, to: Place, side: usize, held: &mut [f32]) {
         let (band, other) = (&self.bands[from.row], &self.bands[to.row]);
         let zones = band.zones;
@@ -154,7 +155,7 @@ impl<'a> Grid<'a> {
         let begin = (self.starts[to.row] + to.cell) * self.stride;
         let message = &mut self.messages[side][begin..begin + other.zones];
         let (here, there) = (&band.cells[from.cell], &other.cells[to.cell]);
-        // Along the line surfaces are compared where the cells meet.
+        // Along the line, surfaces are compared at the boundary of the cells.
         let half = match side {
             LEFT => 0.5 * CELL_SHOTS as f32,
             RIGHT => -0.5 * CELL_SHOTS as f32,
@@ -172,7 +173,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// The best zone of each cell and how much worse the second best is.
+    /// Best zone of each cell, and its margin over the second-best.
     fn decided(&self) -> Vec<(usize, f32)> {
         let mut decided = Vec::new();
         for (band, &start) in self.bands.iter().zip(&self.starts) {

@@ -1,21 +1,21 @@
-//! A line while it is held back.
+//! A pending scan line.
 
 use super::cells::CELL_SHOTS;
 use super::pulses::{Pulses, Tail};
 use super::summary::Summary;
 use super::{Assigned, Line, Resolved, Settings};
 
-/// Columns beyond this are drawn to it.
+/// Largest column number; larger ones are clamped.
 const MOST_COLUMNS: f32 = 65_535.0;
 
-/// Which scan angle stands in which column: found from the first line with four angles.
+/// Maps scan angles to columns; determined from the first line with four angles.
 #[derive(Debug, Default)]
 pub(super) struct Places {
-    /// Angle of column 0, and from one column to the next.
+    /// Angle of column 0 and angle per column, degrees.
     raster_deg: Option<(f32, f32)>,
-    /// Angles are azimuths, which go on at 0 after 360 degrees.
+    /// Angles are azimuths, which wrap at 360 degrees.
     is_cyclic: bool,
-    /// Columns of a revolution; 0 where there are none.
+    /// Columns of a revolution; 0 for a sweep.
     ring: i32,
 }
 
@@ -30,13 +30,13 @@ impl Places {
             let known: Vec<f32> = angles().filter(|angle| angle.is_finite()).collect();
             let mut steps: Vec<f32> = known.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
             let middle = steps.len() / 2;
-            // A sweep's end and the begin of the next are no step.
+            // A turn from the end of a sweep to the start of the next is not a step.
             if steps.len() >= 3 {
                 let step = *steps.select_nth_unstable_by(middle, f32::total_cmp).1;
                 let least = known.iter().copied().fold(f32::INFINITY, f32::min);
                 self.raster_deg = (step > 0.0).then_some((least, step));
                 if self.is_cyclic && step > 0.0 {
-                    // Whole cells make a revolution.
+                    // A revolution has a whole number of cells.
                     let cells = (360.0 / step / CELL_SHOTS as f32)
                         .round()
                         .clamp(1.0, MOST_COLUMNS / CELL_SHOTS as f32);
@@ -58,21 +58,22 @@ impl Places {
     }
 }
 
-/// An echo while its line is held back.
+/// An echo of a pending line.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct HeldEcho {
     /// Time since the last emission before it, ns.
     pub since_ns: f64,
-    /// Index in the line that was pushed.
+    /// Index of the echo in the pushed line.
     pub input: u32,
-    /// Place of the last emission before it, or of the first that is known.
+    /// Index of the last emission before the echo, or of the first known one.
     pub last: u32,
-    /// The place that zone 0 counts from: that of `last`, moved so that neighbouring echoes of one surface have one zone. May
-    /// lie beyond the line's end.
+    /// Index of the emission of zone 0: `last`, shifted so that neighbouring echoes of one surface
+    /// have the same zone. May lie beyond the end of the line.
     pub base: i32,
-    /// Range with the emission at `base` as the cause, had it stood at even intervals behind the line's first, m.
+    /// Range if caused by `base`, for even intervals from the line's first emission, m.
     pub even_m: f32,
-    /// Range in zone 0, counted from `base`, m: of even intervals, too, since `last`.
+    /// Range in zone 0, counted from `base`, m; emissions after `last` are assumed at even
+    /// intervals.
     pub range_m: f32,
 }
 
@@ -80,19 +81,19 @@ pub(super) struct HeldEcho {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LastEmission {
     pub shot: u64,
-    /// Time since it, and until the one that follows, ns.
+    /// Time since it, and until the next emission, ns.
     since_ns: f64,
     until_ns: f64,
 }
 
-/// A line while it is held back.
+/// A pending scan line.
 #[derive(Debug)]
 pub(super) struct Held {
     pub number: u64,
     pub pulses: Pulses,
-    /// In order of column and time.
+    /// Sorted by column and time.
     pub echoes: Vec<HeldEcho>,
-    /// Columns of a revolution, the last of them beside the first; 0 where the beam sweeps.
+    /// Columns of a revolution, whose last is adjacent to the first; 0 for a sweep.
     pub ring: i32,
     /// [`Line::bytes`].
     pub bytes: usize,
@@ -115,12 +116,12 @@ impl Held {
         Held { number, pulses, echoes, ring: places.ring, bytes: line.bytes }
     }
 
-    /// The column in which an echo was received.
+    /// Column in which an echo was received.
     pub fn column(&self, echo: &HeldEcho) -> i32 {
         self.pulses.column[echo.last as usize]
     }
 
-    /// Range with the emission at `place` as the cause, m.
+    /// Range if the emission at `place` is the cause, m.
     pub fn range_m(&self, echo: &HeldEcho, place: usize, settings: &Settings) -> f32 {
         (self.flight_ns(echo, place) * 0.5e-9 * settings.group_velocity_mps) as f32
     }
@@ -131,7 +132,7 @@ impl Held {
         echo.since_ns + clocks[echo.last as usize].saturating_sub(clocks[place]) as f64 * 1e-3
     }
 
-    /// The last emission before an echo, be it of the line that follows.
+    /// The last emission before an echo, possibly in the next line.
     pub fn last_emission(&self, echo: &HeldEcho, next: Option<&Held>) -> LastEmission {
         let (clocks, last) = (&self.pulses.clock_ps, echo.last as usize);
         let gap_ns = |from: i64, to: i64| to.saturating_sub(from) as f64 * 1e-3;
@@ -157,7 +158,7 @@ impl Held {
         found
     }
 
-    /// An echo with the emission at place `cause`.
+    /// Assigns an echo to the emission at `cause`.
     pub fn assigned(
         &self,
         echo: &HeldEcho,
@@ -179,7 +180,7 @@ impl Held {
     }
 }
 
-/// An echo `time_ns` after the line's emission `emission`, among all emissions.
+/// Locates an echo `time_ns` after the line's emission `emission` among all emissions.
 fn place(input: u32, emission: usize, time_ns: f64, pulses: &Pulses, settings: &Settings) -> HeldEcho {
     let clocks = &pulses.clock_ps;
     let record = pulses.lead + emission;
@@ -195,13 +196,13 @@ fn place(input: u32, emission: usize, time_ns: f64, pulses: &Pulses, settings: &
     let range_m = (since_ns * 0.5e-9 * settings.group_velocity_mps) as f32;
     let even_m = range_m + pulses.offset_m[last];
     let mut echo = HeldEcho { since_ns, input, last: last as u32, base: last as i32, even_m, range_m };
-    // Behind a line's last emission the count goes on at even intervals.
+    // After a line's last emission, zones are counted at even intervals.
     echo.count_from((range_m / pulses.interval_m).floor().clamp(0.0, 1e6) as i32, pulses.interval_m);
     echo
 }
 
 impl HeldEcho {
-    /// Counts zones from `by` emissions later.
+    /// Moves the zone origin `by` emissions later.
     pub fn count_from(&mut self, by: i32, interval_m: f32) {
         self.base += by;
         self.even_m -= by as f32 * interval_m;
@@ -209,7 +210,7 @@ impl HeldEcho {
     }
 }
 
-/// A finished line: `assigned` with the indices of echoes, in any order.
+/// Builds a finished line; `assigned` holds echo indices, in any order.
 pub(super) fn finish(
     line: &Held,
     assigned: impl Iterator<Item = (u32, Assigned)>,

@@ -1,64 +1,65 @@
-//! Lines shorter than a cell, joined while the beam sweeps on.
+//! Merges lines shorter than a cell while the sweep continues.
 //!
-//! A line of a few shots has no neighbours to compare its echoes with, and the one beside it is no neighbour of its own but the
-//! next piece of the sweep. So such lines go to the method as one, and what it finds is told line by line again.
+//! A line of a few shots has no neighbours to compare its echoes with; the following line is the
+//! next piece of the same sweep, not a neighbouring line. Such lines are passed to the method as
+//! one, and the results are split again.
 
 use std::collections::VecDeque;
 
 use super::cells::CELL_SHOTS;
 use super::{Cause, Emission, Line, Resolved};
 
-/// Lines with fewer emissions than this are joined with those that follow.
+/// Lines with fewer emissions are merged with the following ones.
 const SHORT_SHOTS: usize = CELL_SHOTS as usize;
-/// Where angles do not tell a sweep's end, so many shots are taken for one.
+/// Length of a merged line without known end of sweep, shots.
 const SWEEP_SHOTS: usize = 256;
-/// A joined line ends here, whatever the angles say.
+/// Largest length of a merged line, shots.
 const MOST_SHOTS: usize = 4096;
-/// The same of a revolution.
+/// The same for a revolution, shots.
 const MOST_SHOTS_OF_RING: usize = 1 << 17;
 
-/// Lines that the method takes as one.
+/// Lines passed to the method as one.
 #[derive(Debug, Default)]
 struct Run {
-    /// Number of the first of the lines, as they were pushed.
+    /// Number of the first of the lines, in the order of `push`.
     first: u64,
-    /// Where the emissions of each line begin in the joined line, and how many echoes it has.
+    /// For each line, the index of its first emission in the merged line, and its number of echoes.
     lines: Vec<(u32, usize)>,
 }
 
 impl Run {
-    /// The line and the emission that stand at an index of the joined line.
+    /// Line and emission at an index of the merged line.
     fn cause(&self, emission: u32) -> Option<Cause> {
         let line = self.lines.partition_point(|&(start, _)| start <= emission).checked_sub(1)?;
         Some(Cause { line: self.first + line as u64, emission: emission - self.lines[line].0 })
     }
 }
 
-/// How far the beam turns from the first to the last of some emissions, degrees; those of unknown azimuth do not count.
+/// Rotation of the beam over the emissions, degrees; steps with unknown azimuth count as 0.
 fn turned_deg(emissions: &[Emission]) -> f32 {
     let steps = emissions.windows(2).map(|pair| pair[1].scan_angle_deg - pair[0].scan_angle_deg);
     steps.filter(|step| step.is_finite()).map(|step| step - 360.0 * (step / 360.0).round()).sum()
 }
 
-/// Joins lines, and takes the results apart again.
+/// Merges lines and splits the results.
 #[derive(Debug, Default)]
 pub(super) struct Joined {
-    /// Short lines that wait for the end of their sweep, joined.
+    /// Pending short lines, merged, until the end of their sweep.
     waiting: Line,
     run: Run,
-    /// The runs that the method knows and a result may still name.
+    /// Merged lines that a result may still refer to.
     runs: VecDeque<Run>,
-    /// Number of the first of them, as the method counts.
+    /// Number of the first of these, as the method counts.
     first_run: u64,
-    /// How many lines were pushed.
+    /// Number of lines pushed.
     lines: u64,
-    /// The most lines of a run.
+    /// Largest number of lines merged so far.
     most_lines: usize,
-    /// No line that is still to come has an echo caused by lines below this.
+    /// Lines below this number cause no echo of a later line.
     settled: u64,
-    /// Angles are azimuths: lines are joined until they make a revolution.
+    /// Angles are azimuths: lines are merged up to a revolution.
     is_cyclic: bool,
-    /// How far the beam has turned over the lines that wait, degrees.
+    /// Rotation of the beam over the pending lines, degrees.
     turned_deg: f32,
 }
 
@@ -67,18 +68,18 @@ impl Joined {
         Joined { is_cyclic, ..Joined::default() }
     }
 
-    /// How many lines may be held back where the method holds back so many.
+    /// Largest number of lines held back if the method holds back `lines`.
     pub fn held_back(&self, lines: usize) -> usize {
         match self.most_lines.max(self.run.lines.len()) {
             0 | 1 => lines,
-            // Those that wait come on top.
+            // The pending lines are added.
             most => (lines + 1) * most,
         }
     }
 
-    /// Takes a line, and gives those that are ready for the method; `joins` says whether short ones wait.
+    /// Adds a line; returns those ready for the method. `joins`: short lines are merged.
     pub fn push(&mut self, line: &Line, joins: bool) -> impl Iterator<Item = Line> + use<> {
-        // A line without shots waits only where others do.
+        // A line without shots is kept only together with others.
         let least = usize::from(self.run.lines.is_empty());
         let is_short =
             joins && (self.is_cyclic || line.emissions.len() < SHORT_SHOTS) && line.emissions.len() >= least;
@@ -89,7 +90,7 @@ impl Joined {
         before.into_iter().chain(own)
     }
 
-    /// The joined line that waits, if one does.
+    /// Takes the pending merged line, if any.
     pub fn take(&mut self) -> Option<Line> {
         self.turned_deg = 0.0;
         let run = std::mem::take(&mut self.run);
@@ -101,7 +102,7 @@ impl Joined {
         Some(std::mem::take(&mut self.waiting))
     }
 
-    /// Whether a line goes on where the waiting ones end: in time, and across the line.
+    /// Whether a line continues the pending ones in time and angle.
     fn goes_on(&self, line: &Line) -> bool {
         let shots = &self.waiting.emissions;
         let (Some(last), Some(next)) = (shots.last(), line.emissions.first()) else { return true };
@@ -111,13 +112,13 @@ impl Joined {
         }
         let sweep_deg = last.scan_angle_deg - shots[0].scan_angle_deg;
         let ahead_deg = next.scan_angle_deg - last.scan_angle_deg;
-        // NaN, where angles are not known, turns nowhere.
+        // NaN, if angles are unknown, is no turn.
         let turns = sweep_deg * ahead_deg < 0.0;
         let most = if ahead_deg.is_nan() { SWEEP_SHOTS } else { MOST_SHOTS };
         next.clock_ps > last.clock_ps && !turns && shots_of_both <= most
     }
 
-    /// Whether the waiting lines make a revolution, to half a line.
+    /// Whether the pending lines form a revolution, to half a line.
     fn is_revolution(&self) -> bool {
         let share = 0.5 / self.run.lines.len().max(1) as f32;
         self.turned_deg * (1.0 + share) >= 360.0
@@ -138,7 +139,7 @@ impl Joined {
         self.waiting.echoes.extend(line.echoes.iter().map(moved));
     }
 
-    /// What was found of a joined line, for each of its lines.
+    /// Splits the result of a merged line into its lines.
     pub fn apart(&mut self, found: Resolved, into: &mut VecDeque<Resolved>) {
         let at = |number: u64| number.checked_sub(self.first_run).map(|at| at as usize);
         let run_at = |number: u64| self.runs.get(at(number)?);
@@ -152,7 +153,7 @@ impl Joined {
             echo
         });
         for (line, &(_, count)) in (run.first..).zip(&run.lines) {
-            // What the joined line settles is settled behind the last of its lines.
+            // Lines settled by the merged line are settled after the last of its lines.
             let settled_lines = if line + 1 == behind { self.settled } else { before };
             into.push_back(Resolved { line, echoes: echoes.by_ref().take(count).collect(), settled_lines });
         }

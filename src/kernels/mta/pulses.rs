@@ -1,35 +1,37 @@
-//! The emissions that may have caused the echoes of one line: its own, and those before it whose pulses may be in the air.
+//! Candidate emissions for the echoes of one line.
+//!
+//! These are its own emissions and earlier ones whose pulses may still be in the air.
 
 use super::{Cause, Emission, Prior, Settings};
 
-/// So many emissions before a line are looked at, at most.
+/// Largest number of emissions considered before a line.
 const MOST_BEFORE: usize = 126;
-/// Beams flatter than this never meet flat ground.
+/// Smallest nadir cosine at which a beam reaches flat ground.
 const LEAST_COSINE: f32 = 0.05;
-/// The interval where a recording has one emission, ps.
+/// Interval assumed for a recording with one emission, ps.
 const UNKNOWN_INTERVAL_PS: f64 = 2.5e6;
-/// Intervals further from the median than this part of it hold a lost record.
+/// Relative deviation from the median interval above which a record was lost.
 pub(super) const REGULAR_PART: f64 = 0.05;
 
-/// Emissions in order of time: first those before the line, then its own.
+/// Emissions in time order: those before the line, then its own.
 #[derive(Debug, Default)]
 pub(super) struct Pulses {
     pub clock_ps: Vec<i64>,
     pub shot: Vec<u64>,
-    /// Place across the line, in shots.
+    /// Column of each emission.
     pub column: Vec<i32>,
-    /// Expected range, m, NaN where unknown; empty without a prior.
+    /// Expected range, m, NaN if unknown; empty without a prior.
     pub expected_m: Vec<f32>,
-    /// Where the line's own emissions begin.
+    /// Index of the line's first own emission.
     pub lead: usize,
-    /// Line and index of those before.
+    /// Line and index of the earlier emissions.
     lead_causes: Vec<Cause>,
-    /// The usual interval, ps and m.
+    /// Median interval, ps and m.
     pub interval_ps: f64,
     pub interval_m: f32,
-    /// How many intervals before each emission, without a break, hold no lost record.
+    /// Number of consecutive intervals before each emission without a lost record.
     pub regular: Vec<u32>,
-    /// How much farther an emission is from the line's first than it were at even intervals, m.
+    /// Deviation of the emission time from even intervals after the line's first, m of range.
     pub offset_m: Vec<f32>,
 }
 
@@ -45,7 +47,7 @@ pub(super) struct Tail {
 }
 
 impl Pulses {
-    /// The emissions of line `number` at the places `columns`, behind those of `tail`, which becomes this line's.
+    /// Combines the emissions of line `number` with those of `tail`, and updates `tail`.
     pub fn new(
         emissions: &[Emission],
         columns: Vec<i32>,
@@ -56,7 +58,7 @@ impl Pulses {
         let reach_ps = 2e12 * settings.range_m[1] / settings.group_velocity_mps;
         let mut pulses = Pulses::default();
         let first = emissions.first().map_or(0, |emission| emission.clock_ps);
-        // Where the clock was set anew, no emission before is comparable.
+        // After a clock reset, no earlier emission is comparable.
         let follows = tail.clock_ps.last().is_some_and(|&last| last < first) && !emissions.is_empty();
         let from = match follows {
             true => tail.clock_ps.partition_point(|&clock| (first.saturating_sub(clock)) as f64 > reach_ps),
@@ -93,7 +95,7 @@ impl Pulses {
         }
     }
 
-    /// Finds the interval and what departs from it.
+    /// Measures the interval and the deviations from it.
     fn measure(&mut self, settings: &Settings, usual_ps: Option<f64>) {
         let mut intervals: Vec<i64> =
             self.clock_ps.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
@@ -127,7 +129,7 @@ impl Pulses {
         self.offset_m = places.map(|(p, &clock)| (offset(p, clock) * m_per_ps) as f32).collect();
     }
 
-    /// How many emissions the line itself has.
+    /// Number of the line's own emissions.
     pub fn own(&self) -> usize {
         self.clock_ps.len() - self.lead
     }
@@ -137,7 +139,7 @@ impl Pulses {
         &self.clock_ps[self.lead..]
     }
 
-    /// The emission at `place`, counted from the first that is held.
+    /// The emission at index `place`, counted from the first held.
     pub fn cause(&self, place: usize, line: u64) -> Cause {
         match place.checked_sub(self.lead) {
             Some(own) => Cause { line, emission: own as u32 },
@@ -145,12 +147,12 @@ impl Pulses {
         }
     }
 
-    /// The first line of which emissions are held, this being line `line`.
+    /// First line with emissions held, for line `line`.
     pub fn first_line(&self, line: u64) -> u64 {
         self.lead_causes.first().map_or(line, |cause| cause.line)
     }
 
-    /// The place of the emission with a running number, looked for from `near` backwards.
+    /// Index of the emission with a shot number, searched backwards from `near`.
     pub fn of_shot(&self, shot: Option<u64>, near: u32) -> Option<usize> {
         let shot = shot?;
         let near = (near as usize + 1).min(self.shot.len());

@@ -1,45 +1,46 @@
-//! What a resolver found, in numbers that do not grow with the recording.
+//! Statistics of the assignment, of constant size.
 
 use super::held::Held;
 use super::pulses::REGULAR_PART;
 use super::{Assigned, Method, MtaError, Prior, Settings};
 
-/// Zones from here on are counted together.
+/// Number of counters for zones; the last also counts all larger zones.
 const ZONES: usize = 128;
-/// Margins are counted in bins of 1 nat.
+/// Number of margin bins of 1 nat.
 const MARGINS: usize = 200;
-/// With less variation of the intervals, ns rms, zones cannot be told apart.
+/// RMS variation of the intervals below which zones cannot be distinguished, ns.
 const LEAST_MODULATION_NS: f64 = 0.5;
-/// With less, ns rms, a prior is advisable.
+/// RMS variation below which a prior is advisable, ns.
 const WEAK_MODULATION_NS: f64 = 5.0;
-/// Neighbouring ranges that differ by more are of two surfaces, m.
+/// Range difference above which neighbouring echoes are on different surfaces, m.
 const NEIGHBOURS_M: f64 = 5.0;
-/// The clock's departures are not those of the pulses where ranges contain less than this part of them, and this many standard
-/// deviations less than all of them.
+/// Fraction of the recorded variation below which clock jitter is reported.
+///
+/// The deficit must also exceed this many standard deviations.
 const LEAST_FOLLOWING: f64 = 0.5;
 const FOLLOWING_SDS: f64 = 4.0;
-/// A median margin below this, nats, is no basis for trust.
+/// Median margin below which the zones are unreliable, nats.
 const WEAK_MARGIN_NATS: f64 = 10.0;
 
 /// Counts over all finished lines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
-    /// Echoes by zone; the last entry counts all from there on.
+    /// Echoes by zone; the last entry also counts all larger zones.
     pub zones: Vec<u64>,
-    /// Echoes.
+    /// Number of echoes.
     pub echoes: u64,
     /// Echoes without a feasible emission.
     pub without_cause: u64,
-    /// Echoes decided against little evidence, those without a cause included.
+    /// Echoes with weak evidence, including those without a cause.
     pub uncertain: u64,
     /// Echoes in a blind gap.
     pub in_blind_gap: u64,
-    /// Echoes by margin: from 0 in steps of 1 nat; the last entry counts all from there on.
+    /// Echoes by margin in bins of 1 nat from 0; the last entry also counts all larger margins.
     pub margins: Vec<u64>,
     intervals: u64,
     interval_sum_ps: f64,
     deviation_sum_ps2: f64,
-    /// Of neighbouring echoes: products of how their emissions depart from even intervals and how their ranges differ, m²;
+    /// Sums over neighbouring echoes: products of emission-time deviation and range difference, m²;
     /// squares of the former, m²; squares of the products, m⁴.
     products_m2: f64,
     departures_m2: f64,
@@ -65,17 +66,17 @@ impl Default for Summary {
     }
 }
 
-/// What speaks against trusting the zones.
+/// Reasons to distrust the zones.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Warning {
-    /// Half of the echoes have less evidence than this.
+    /// The median margin is low.
     WeakEvidence {
         /// The median margin, nats.
         median_margin_nats: f64,
     },
     /// Pulse intervals vary little and there is no prior.
     WeakModulation {
-        /// How much intervals vary, ns rms.
+        /// RMS variation of the intervals, ns.
         rms_ns: f64,
     },
 }
@@ -85,18 +86,18 @@ impl std::fmt::Display for Warning {
         match self {
             Warning::WeakEvidence { median_margin_nats } => write!(
                 f,
-                "half of the echoes have a margin below {median_margin_nats:.0} nats over the second best zone: give a prior"
+                "the median margin over the second-best zone is only {median_margin_nats:.0} nats: give a prior"
             ),
             Warning::WeakModulation { rms_ns } => write!(
                 f,
-                "pulse intervals vary by {rms_ns:.2} ns rms only and there is no prior: look at the margins, or give a prior"
+                "pulse intervals vary by only {rms_ns:.2} ns RMS and there is no prior: check the margins, or give a prior"
             ),
         }
     }
 }
 
 impl Summary {
-    /// Adds a line's intervals: those that hold no lost record.
+    /// Adds a line's intervals without lost records.
     pub(super) fn add_line(&mut self, line: &Held) {
         let usual = line.pulses.interval_ps;
         let regular = || {
@@ -114,7 +115,8 @@ impl Summary {
         }
     }
 
-    /// Adds what neighbouring echoes of a line say of its clocks; `causes` are in the order of [`Held::echoes`].
+    /// Adds the range differences of neighbouring echoes; `causes` are in the order of
+    /// [`Held::echoes`].
     pub(super) fn add_differences(&mut self, line: &Held, causes: &[Option<usize>], settings: &Settings) {
         let pulses = &line.pulses;
         let caused = line.echoes.iter().zip(causes).filter_map(|(echo, cause)| {
@@ -126,7 +128,7 @@ impl Summary {
         let differences: Vec<(f64, f64)> = differences
             .map(|pair| (pair[1].1 - pair[0].1, pair[1].2 - pair[0].2))
             .filter(|(departure_m, range_m)| {
-                // Around a lost record and at edges they say nothing.
+                // Pairs across a lost record or an edge carry no information.
                 departure_m.abs() <= REGULAR_PART * f64::from(pulses.interval_m)
                     && range_m.abs() <= NEIGHBOURS_M
             })
@@ -143,14 +145,18 @@ impl Summary {
         }
     }
 
-    /// How far echoes follow the departures of pulses from even intervals, and its standard deviation: 1 where pulses left when
-    /// the clock says and zones are right, 0 where the clock's departures are in no echo. NaN before there were neighbours.
+    /// Fraction of the recorded interval variation present in the ranges, and its standard
+    /// deviation.
+    ///
+    /// 1 if pulses left at the recorded times and zones are right; 0 if no echo follows the
+    /// recorded variation. NaN before there were neighbours.
     pub fn following(&self) -> (f64, f64) {
         (1.0 + self.products_m2 / self.departures_m2, self.products_m4.sqrt() / self.departures_m2)
     }
 
-    /// That echoes follow the clock's departures from even intervals: what varies is when pulses leave, and not when the
-    /// clock is read.
+    /// Checks that ranges follow the recorded interval variation.
+    ///
+    /// Otherwise the recorded times vary and not the emissions.
     pub(super) fn check_clock(&self, settings: &Settings) -> Result<(), MtaError> {
         let (following, sd) = self.following();
         if settings.prior == Prior::None
@@ -176,12 +182,13 @@ impl Summary {
         }
     }
 
-    /// The mean interval between emissions, ns; NaN before there was one.
+    /// Mean interval between emissions, ns; NaN before the first.
     pub fn interval_ns(&self) -> f64 {
         self.interval_sum_ps / self.intervals as f64 * 1e-3
     }
 
-    /// How much intervals vary within a line, ns rms, lost records left out; NaN before there were two intervals.
+    /// RMS variation of intervals within a line, ns, without lost records; NaN before two
+    /// intervals.
     pub fn interval_rms_ns(&self) -> f64 {
         if self.intervals < 2 {
             return f64::NAN;
@@ -189,7 +196,7 @@ impl Summary {
         (self.deviation_sum_ps2 / self.intervals as f64).sqrt() * 1e-3
     }
 
-    /// The median margin, nats, down to whole ones; `None` before there was an echo.
+    /// Median margin, nats, rounded down; `None` before the first echo.
     pub fn median_margin_nats(&self) -> Option<f64> {
         let count: u64 = self.margins.iter().sum();
         let mut below = 0;
@@ -200,7 +207,7 @@ impl Summary {
         bin.map(|bin| bin as f64)
     }
 
-    /// That zones can be told apart: by the pulse rate, or by a prior.
+    /// Checks that zones are distinguishable by pulse rate or prior.
     pub(super) fn check_rate(&self, settings: &Settings) -> Result<(), MtaError> {
         let rms_ns = self.interval_rms_ns();
         if settings.prior == Prior::None && rms_ns < LEAST_MODULATION_NS {

@@ -13,7 +13,7 @@ use scenes::{Class, METRES_PER_NS, RecordedLine, Recording, SCENES, Scene};
 const INTERVAL_PS: i64 = 2_500_000;
 const LINE_PS: i64 = 1_000_000_000;
 
-/// Numbers in [0, 1) that depend on a key.
+/// Pseudo-random numbers in [0, 1) from a key.
 fn random(key: u64) -> f64 {
     let z = key.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5851_f42d_4c95_7f2d;
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -21,8 +21,8 @@ fn random(key: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Lines with pauses, one echo a shot at `range_m(line, shot)`, pulses displaced by up to half of `modulation_ns`; and the emission
-/// that caused each echo.
+/// Lines with pauses, one echo per shot at `range_m(line, shot)`, emission times displaced by up to
+/// half of `modulation_ns`; and the emission that caused each echo.
 fn strip(
     lines: usize,
     shots: usize,
@@ -75,7 +75,7 @@ fn resolve(settings: &Settings, lines: &[Line]) -> (Vec<Resolved>, Resolver) {
     (resolved, resolver)
 }
 
-/// How many echoes have another cause than the true one.
+/// Number of echoes with a wrong cause.
 fn wrong(resolved: &[Resolved], causes: &[Vec<u32>]) -> usize {
     let line = |(number, (resolved, causes)): (usize, (&Resolved, &Vec<u32>))| {
         assert_eq!(resolved.line, number as u64);
@@ -87,7 +87,8 @@ fn wrong(resolved: &[Resolved], causes: &[Vec<u32>]) -> usize {
     resolved.iter().zip(causes).enumerate().map(line).sum()
 }
 
-/// A surface whose range goes from 1010 m to 1250 m across the line: zones 2 and 3, with blind gaps left in.
+/// A surface whose range goes from 1010 m to 1250 m across the line: zones 2 and 3, with blind
+/// gaps.
 fn slope(_: usize, shot: usize) -> f64 {
     1010.0 + 0.6 * shot as f64
 }
@@ -98,7 +99,8 @@ fn flat_ground_lies_in_one_zone() {
     let (resolved, resolver) = resolve(&settings(Method::Blocks), &lines);
     assert_eq!(wrong(&resolved, &causes), 0);
     let summary = resolver.summary();
-    // Behind the last emission of a line none follows for a while: the last two echoes are received in its record.
+    // After the last emission of a line none follows for a while: the last two echoes are received
+    // in its record.
     assert_eq!((summary.zones[2], summary.zones[1], summary.zones[0]), (20 * 198, 20, 20));
     assert_eq!((summary.echoes, summary.without_cause, summary.in_blind_gap), (4000, 0, 0));
     assert!((summary.interval_ns() - 2500.0).abs() < 0.05, "{}", summary.interval_ns());
@@ -149,8 +151,8 @@ fn a_constant_rate_is_refused_without_a_prior() {
         let error = pushed.and_then(|()| resolver.finish()).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the pulse rate is constant: intervals of 2500.000 ns vary by 0.000 ns rms, at least 0.5 ns are needed to tell one \
-             zone from another; give a prior (height above ground, terrain model, trajectory) or a fixed zone"
+            "the pulse rate is constant: intervals of 2500.000 ns vary by 0.000 ns RMS, but at least 0.5 ns are needed to \
+             assign echoes to pulses; give a prior (height above ground, terrain model, trajectory) or a fixed zone"
         );
     }
 }
@@ -176,13 +178,13 @@ fn little_modulation_is_warned_of() {
     assert!((rms_ns - 2.04).abs() < 0.1);
     assert_eq!(
         Warning::WeakModulation { rms_ns: 2.04 }.to_string(),
-        "pulse intervals vary by 2.04 ns rms only and there is no prior: look at the margins, or give a prior"
+        "pulse intervals vary by only 2.04 ns RMS and there is no prior: check the margins, or give a prior"
     );
 }
 
 #[test]
 fn little_evidence_is_warned_of_and_marked() {
-    // Ranges without any relation: no surface.
+    // Unrelated ranges: no surface.
     let (lines, _) = strip(16, 200, 17.0, |line, shot| 1000.0 + 900.0 * random((line * 1000 + shot) as u64));
     let (_, resolver) = resolve(&settings(Method::Blocks), &lines);
     let [Warning::WeakEvidence { median_margin_nats }] = resolver.warnings()[..] else {
@@ -192,7 +194,7 @@ fn little_evidence_is_warned_of_and_marked() {
     assert!(resolver.summary().uncertain > 16 * 200 / 4, "{}", resolver.summary().uncertain);
     assert_eq!(
         Warning::WeakEvidence { median_margin_nats: 4.0 }.to_string(),
-        "half of the echoes have a margin below 4 nats over the second best zone: give a prior"
+        "the median margin over the second-best zone is only 4 nats: give a prior"
     );
 }
 
@@ -206,7 +208,8 @@ fn a_fixed_zone_counts_running_numbers() {
     let (resolved, resolver) = resolve(&settings(Method::Fixed(2)), &lines);
     let causes: Vec<Option<u32>> =
         resolved[0].echoes.iter().map(|echo| echo.cause.map(|cause| cause.emission)).collect();
-    // Shot 6's zone 2 is the lost one. The last two are received behind the last emission, shot 9, which goes back to shot 7.
+    // Zone 2 of shot 6 is the lost one. The last two echoes are received after the last emission,
+    // shot 9, whose zone 2 is shot 7.
     assert_eq!(causes, [Some(0), Some(1), Some(3), None, Some(4), Some(5), Some(6), Some(6), Some(6)]);
     assert!(resolved[0].echoes.iter().all(|echo| echo.margin_nats == f32::INFINITY));
     assert_eq!(resolver.summary().without_cause, 1);
@@ -218,14 +221,14 @@ fn the_variance_method_is_right_on_bare_ground_and_poisoned_by_false_alarms() {
     let (mut lines, causes) = strip(24, 400, 17.0, slope);
     let variance = settings(Method::Variance { buffer: 50 });
     assert_eq!(wrong(&resolve(&variance, &lines).0, &causes), 0);
-    // One echo in 200 anywhere.
+    // One echo in 200 at a random range.
     for (number, line) in lines.iter_mut().enumerate() {
         for at in (number % 50..line.echoes.len()).step_by(200) {
             line.echoes[at].time_ns = 100.0 + 2000.0 * random(at as u64);
         }
     }
     let right_of = |method| wrong(&resolve(&settings(method), &lines).0, &causes);
-    // Those are wrong in either method; the others in one only.
+    // These are wrong with both methods; the others only with `Variance`.
     assert!(right_of(Method::Blocks) <= 60);
     assert!(right_of(Method::Variance { buffer: 50 }) > 500);
 }
@@ -253,7 +256,8 @@ fn recorded(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
     recorded.iter().enumerate().map(line).collect()
 }
 
-/// Echoes and wrong ones: away from transitions, near to them, and in the first and last eight lines.
+/// Echoes and wrong ones: away from transitions, near transitions, and in the first and last eight
+/// lines.
 fn tally(how: &Recording, prior: Prior, lines: u32, part: f64) -> [(u64, u64); 3] {
     let mut tally = [(0, 0); 3];
     for (i, spec) in (0u64..).zip(SCENES) {
@@ -382,7 +386,7 @@ fn the_order_of_echoes_within_a_line_is_that_of_the_caller() {
 
 #[test]
 fn echoes_of_the_line_before_are_found_there_and_say_when_it_is_settled() {
-    // Lines without a pause: the last shots of each are received in the next.
+    // Lines without a pause: echoes of each line's last shots are received in the next line.
     let shots = 100;
     let (lines, _) = strip(1, 30 * shots, 17.0, |_, shot| 1010.0 + 0.3 * (shot % shots) as f64);
     let lines = sweeps::cut(&lines[0], shots);
@@ -390,7 +394,7 @@ fn echoes_of_the_line_before_are_found_there_and_say_when_it_is_settled() {
     let first = resolved[5].echoes[0].cause.unwrap();
     assert_eq!((first.line, first.emission), (4, 98));
     for line in &resolved[..29] {
-        // Of the line after this one, echoes may come from this one's last shots.
+        // Later lines may have echoes from the last shots of this line.
         assert_eq!(line.settled_lines, line.line);
         for echo in &line.echoes {
             let cause = echo.cause.unwrap();
@@ -476,15 +480,15 @@ fn each_error_says_where_and_what() {
     };
     assert_eq!(
         said(&line(&[1, 2], Echo { emission: 2, time_ns: 1.0 })),
-        "line 1: echo 0 lies in the record of emission 2, but the line has 2"
+        "line 1: echo 0 refers to emission 2, but the line has 2 emissions"
     );
     assert_eq!(
         said(&line(&[1, 2], Echo { emission: 1, time_ns: f64::NAN })),
-        "line 1: echo 0 has no usable time: NaN ns after its emission"
+        "line 1: echo 0 has an invalid time: NaN ns after its emission"
     );
     assert_eq!(
         said(&line(&[2, 2], Echo { emission: 1, time_ns: 1.0 })),
-        "line 1: the clock does not ascend at shot 8: 2 ps after 2 ps; end the line there"
+        "line 1: the clock does not increase at shot 8: 2 ps after 2 ps; start a new line there"
     );
 }
 
@@ -495,23 +499,17 @@ fn settings_that_contradict_themselves_are_refused() {
         change(&mut settings);
         Resolver::new(&settings).unwrap_err().to_string()
     };
-    assert_eq!(
-        said(|s| s.range_m = [5.0, 5.0]),
-        "range_m: two ascending distances of at least 0 m are needed"
-    );
-    assert_eq!(said(|s| s.group_velocity_mps = 0.0), "group_velocity_mps: a speed of light is needed, m/s");
-    assert_eq!(said(|s| s.blind_gap_ns = -1.0), "blind_gap_ns: a time of at least 0 ns is needed");
-    assert_eq!(
-        said(|s| s.method = Method::Variance { buffer: 3 }),
-        "buffer: from 4 to 10000 ranges are possible"
-    );
+    assert_eq!(said(|s| s.range_m = [5.0, 5.0]), "range_m: must be two ascending distances of at least 0 m");
+    assert_eq!(said(|s| s.group_velocity_mps = 0.0), "group_velocity_mps: must be between 1e8 and 3e8 m/s");
+    assert_eq!(said(|s| s.blind_gap_ns = -1.0), "blind_gap_ns: must be at least 0 ns");
+    assert_eq!(said(|s| s.method = Method::Variance { buffer: 3 }), "buffer: must be 4 to 10000 ranges");
     assert_eq!(
         said(|s| s.prior = Prior::Agl { agl_m: 0.0, sd_m: 1.0 }),
-        "prior: height and standard deviation above 0 m are needed"
+        "prior: height and standard deviation must be above 0 m"
     );
     assert_eq!(
         said(|s| s.prior = Prior::PerEmission { sd_m: f64::NAN }),
-        "prior: a standard deviation above 0 m is needed"
+        "prior: standard deviation must be above 0 m"
     );
 }
 

@@ -1,11 +1,14 @@
-//! The method `Variance`: the zone whose consecutive ranges vary least within a circular buffer.
+//! The method `Variance`: the zone with the least variance of consecutive ranges in a circular
+//! buffer.
 //!
-//! For every zone a chain of ranges: at each echo it goes on with its own zone or one beside it, whichever is nearest to its last
-//! range, so that it follows a surface through a change of zone. A buffer holds the squared differences of its consecutive
-//! ranges, a second one those of the zone alone; when the second has the smaller sum, the chain has left the surface, and is
-//! begun anew from the second. The chain of the least sum decides for the echo in the middle of the buffer. Every second line is
-//! taken from its other end, so that the lines join; revolutions join as they are. This is the method of HydroVISH's documentation, which names a buffer of 50
-//! and leaves open when the second buffer takes over.
+//! Each zone has a chain of ranges. At each echo the chain continues with its own zone or an
+//! adjacent one, whichever is nearest to its last range, and so follows a surface through a change
+//! of zone. A buffer holds the squared differences of its consecutive ranges; a second buffer holds
+//! those of the zone alone. If the second has the smaller sum, the chain has left the surface and
+//! restarts from the second. The chain with the least sum decides the echo in the middle of the
+//! buffer. Every second line is processed from its other end, so that consecutive lines connect;
+//! revolutions connect without this. This is the method of HydroVISH's documentation, which gives a
+//! buffer length of 50 and does not specify when the second buffer takes over.
 
 use std::collections::VecDeque;
 
@@ -13,14 +16,14 @@ use super::held::{self, Held, HeldEcho};
 use super::summary::Summary;
 use super::{MtaError, Prior, Resolved, Settings};
 
-/// So many lines are held back at most.
+/// Largest number of lines held back.
 const MOST_LINES: usize = 64;
-/// Zones beside a chain's own.
+/// Number of adjacent zones on either side of a chain's own.
 const OVERLAP: usize = 1;
-/// Variances below this are equal, m².
+/// Variances below this are treated as equal, m².
 const LEAST_VARIANCE_M2: f64 = 1e-6;
 const LEAST_MARGIN_NATS: f32 = 5.0;
-/// Most emissions back.
+/// Largest zone.
 const MOST_ZONES: f64 = 125.0;
 const PRIOR_CAP_NATS: f64 = 50.0;
 
@@ -41,7 +44,7 @@ impl Ring {
         self.sum += value - self.values[self.next];
         self.values[self.next] = value;
         self.next += 1;
-        // Summed afresh once a round: what a large value leaves by rounding does not stay.
+        // Recomputed once per round, so that rounding errors from large values do not persist.
         if self.next == self.values.len() {
             self.next = 0;
             self.sum = self.values.iter().sum();
@@ -49,17 +52,17 @@ impl Ring {
     }
 }
 
-/// One zone's chain.
+/// The chain of one zone.
 #[derive(Debug, Clone)]
 struct Chain {
-    /// With the zones beside it, and alone.
+    /// Buffer including adjacent zones, then of the zone alone.
     overlapping: Ring,
     alone: Ring,
     last_m: f64,
     last_alone_m: f64,
 }
 
-/// A line, and what was decided of its echoes: the place of the cause, and the margin.
+/// A pending line and the decisions for its echoes: index of the cause, and margin.
 #[derive(Debug)]
 struct Waiting {
     line: Held,
@@ -74,9 +77,9 @@ pub(super) struct Variance {
     lines: VecDeque<Waiting>,
     chains: Vec<Chain>,
     length: usize,
-    /// Echoes that wait for the buffer's second half: line, and index in it.
+    /// Echoes that wait for the second half of the buffer: line, and index in it.
     pending: VecDeque<(u64, u32)>,
-    /// For each of those the zone that each chain went on with.
+    /// For each pending echo, the zone with which each chain continued.
     zones: VecDeque<u8>,
 }
 
@@ -131,7 +134,7 @@ impl Variance {
         Ok(())
     }
 
-    /// Takes a line's echoes into the chains, and decides those in whose buffer the second half is full.
+    /// Adds a line's echoes to the chains; decides echoes whose second half of the buffer is full.
     fn take(&mut self, line: Held) {
         let (number, count, is_ring) = (line.number, line.echoes.len(), line.ring > 0);
         if self.chains.is_empty() && count > 0 {
@@ -154,7 +157,7 @@ impl Variance {
         }
     }
 
-    /// Goes on with every chain to the echo of these ranges by zone.
+    /// Continues every chain with an echo, given its ranges by zone.
     fn extend(&mut self, ranges: &[f64]) {
         for (zone, chain) in self.chains.iter_mut().enumerate() {
             let beside = zone.saturating_sub(OVERLAP)..(zone + OVERLAP + 1).min(ranges.len());
@@ -166,7 +169,7 @@ impl Variance {
         }
     }
 
-    /// Decides the echo that waits longest, by the buffers as they are.
+    /// Decides the oldest pending echo from the present buffers.
     fn decide_first(&mut self) {
         let Some((number, i)) = self.pending.pop_front() else { return };
         let zones: Vec<u8> = self.zones.drain(..self.chains.len()).collect();
@@ -222,7 +225,7 @@ impl Chain {
         Chain { overlapping: ring.clone(), alone: ring, last_m: f64::NAN, last_alone_m: f64::NAN }
     }
 
-    /// Goes on to a range of the chain's zone or one beside it, and to that of the zone itself.
+    /// Continues with a range of the chain's or an adjacent zone, and with that of the zone alone.
     fn go_on(&mut self, range_m: f64, alone_m: f64) {
         if self.last_m.is_finite() {
             self.overlapping.add((range_m - self.last_m).powi(2));
@@ -236,13 +239,14 @@ impl Chain {
     }
 }
 
-/// The emission of a zone: zones go on at even intervals behind the line's last emission, where there is none.
+/// Emission of a zone; `None` beyond the line's last emission, where zones continue at even
+/// intervals.
 fn place(echo: &HeldEcho, zone: usize) -> Option<usize> {
     let place = usize::try_from(echo.base).ok()?.checked_sub(zone)?;
     (place <= echo.last as usize).then_some(place)
 }
 
-/// The range of an echo in each zone, m: at even intervals where there is no emission.
+/// Range of an echo in each zone, m; at even intervals where there is no emission.
 fn ranges_of(line: &Held, echo: &HeldEcho, settings: &Settings, ranges: &mut [f64]) {
     let m_per_ns = 0.5e-9 * settings.group_velocity_mps;
     let interval_m = f64::from(line.pulses.interval_m);
@@ -254,7 +258,7 @@ fn ranges_of(line: &Held, echo: &HeldEcho, settings: &Settings, ranges: &mut [f6
     }
 }
 
-/// What the prior has against a zone, nats.
+/// Cost of a zone under the prior, nats.
 fn prior_nats(line: &Held, echo: &HeldEcho, zone: u8, settings: &Settings) -> f64 {
     let sd_m = match settings.prior {
         Prior::None => return 0.0,

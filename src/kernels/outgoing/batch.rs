@@ -1,4 +1,4 @@
-//! The outgoing pulses of many blocks at a time, by the fast kernels.
+//! Fits the outgoing pulses of many blocks with the SIMD kernels.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,38 +11,39 @@ use crate::kernels::decompose::Return;
 use crate::kernels::lockstep::{Candidate, Lockstep, Mode, Outcomes, Path, Tables};
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
 
-/// An outgoing pulse, and the samples of its block that it was fitted to.
+/// An outgoing pulse and the samples to which it was fitted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outgoing {
-    /// The pulse; its place counts from the block's first sample.
+    /// The pulse; its position counts from the block's first sample.
     pub pulse: Return,
-    /// The samples that it was fitted to.
+    /// Indices of the fitted samples.
     pub window: Range<usize>,
-    /// Whether the samples are as one pulse, or a pulse and an echo, would leave them; `false` before
-    /// [`OutgoingBatch::judge`], and where it does not judge.
+    /// Whether one pulse, or a pulse and an echo, explains the samples. `false` before
+    /// [`OutgoingBatch::judge`] and for pulses that it does not examine.
     pub is_explained: bool,
 }
 
-/// Fits outgoing pulses of one channel; keeps its memory from one batch to the next.
+/// Fits outgoing pulses of one channel in batches; reuses its buffers.
 ///
-/// What [`OutgoingFitter`] does, but for this: the matched filter alone says where the window lies, and the window begins
-/// some samples earlier, at a multiple of four and with the samples that the noise's prediction needs before it. Blocks
-/// that are not for the fast kernels are left to it.
+/// Differs from [`OutgoingFitter`] in two points. The window is placed by the matched filter alone.
+/// It starts some samples earlier, at a multiple of four, to include the samples needed for the
+/// noise prediction. Blocks unsuitable for the SIMD kernels are left to [`OutgoingFitter`].
 pub struct OutgoingBatch {
     plain: OutgoingFitter,
     mixture: Option<Mixture>,
     fast: Lockstep,
-    /// Samples at the beginning of a block that only predict.
+    /// Number of initial samples used only for noise prediction.
     order: usize,
     candidates: Vec<(u32, Candidate)>,
     strongest: Vec<Candidate>,
-    /// Length and place of each window, with its block's index.
+    /// Length of each window, index of its block, and its samples.
     windows: Vec<(usize, u32, Range<usize>)>,
     outcomes: Outcomes,
 }
 
 impl OutgoingBatch {
-    /// For the reference channel and its tables: `None`, or what [`Tables::new`] gives for the same model.
+    /// Creates a batch fitter for the reference channel; `tables` is `None` or from [`Tables::new`]
+    /// for the same model.
     pub fn new(
         model: &ChannelModel,
         tables: Option<Arc<Tables>>,
@@ -65,7 +66,8 @@ impl OutgoingBatch {
         self.fast.model()
     }
 
-    /// The strongest pulse of each block, in order; see [`OutgoingFitter::fit`]. `pulses` is emptied first.
+    /// Fits the strongest pulse of each block, in order; see [`OutgoingFitter::fit`]. Clears
+    /// `pulses` first.
     pub fn fit(&mut self, blocks: &[Block<'_>], pulses: &mut Vec<Option<Outgoing>>) {
         pulses.clear();
         self.choose_windows(blocks);
@@ -95,17 +97,20 @@ impl OutgoingBatch {
         }
     }
 
-    /// What the outgoing pulses of a scan line have in common, for [`OutgoingBatch::judge`].
+    /// Typical parameters of the outgoing pulses of a scan line.
     ///
-    /// `None` where there are fewer than 30, or no calibrated response.
+    /// Input of [`OutgoingBatch::judge`]. `None` for fewer than 30 pulses, or without a calibrated
+    /// response.
     pub fn usual(&mut self, blocks: &[ReferenceBlock<'_>], pulses: &[Option<Outgoing>]) -> Option<Usual> {
         self.mixture.as_mut()?.usual(blocks, pulses)
     }
 
-    /// Looks for an echo on an outgoing pulse; with `is_expected` a recorded echo was received while it left.
+    /// Tests for an echo on an outgoing pulse.
     ///
-    /// Sets [`ECHO_ON_OUTGOING`](crate::kernels::flags::ECHO_ON_OUTGOING) where one is more probable than not. Place and
-    /// standard deviation become those that remain with and without an echo, weighted by probability.
+    /// `is_expected`: a recorded echo was received while the pulse left. Sets
+    /// [`ECHO_ON_OUTGOING`](crate::kernels::flags::ECHO_ON_OUTGOING) if an echo is more probable
+    /// than not. Position and standard deviation become those of both hypotheses, weighted by
+    /// probability.
     pub fn judge(
         &mut self,
         block: &ReferenceBlock<'_>,
@@ -118,8 +123,10 @@ impl OutgoingBatch {
         }
     }
 
-    /// Finds the strongest pulse of each block, a statistic of 0 where the block is not for the fast kernels, and its
-    /// window. Windows are in order of their length: thresholds at the ends of blocks are computed once for each length.
+    /// Finds the strongest pulse of each block and its window.
+    ///
+    /// The statistic is 0 for blocks unsuitable for the SIMD kernels. Windows are sorted by length,
+    /// because thresholds at the ends of blocks are computed once per length.
     fn choose_windows(&mut self, blocks: &[Block<'_>]) {
         let model = self.fast.model();
         let (fwhm, full_scale_dn) = (model.fwhm_samples(), model.full_scale_dn);
@@ -148,7 +155,7 @@ impl OutgoingBatch {
     }
 }
 
-/// The samples of a window of a block.
+/// Samples of a window of a block.
 fn part<'a>(blocks: &[Block<'a>], index: u32, window: &Range<usize>) -> &'a [u16] {
     blocks.get(index as usize).and_then(|block| block.samples.get(window.clone())).unwrap_or_default()
 }
@@ -168,7 +175,7 @@ mod tests {
         OutgoingBatch::new(model, tables, Path::best()).unwrap()
     }
 
-    /// Blocks of 40 samples with a disturbance behind every second pulse, which its window leaves out.
+    /// Blocks of 40 samples; every second pulse is followed by a disturbance outside its window.
     #[test]
     fn position_and_its_standard_deviation_are_true_and_those_of_the_plain_form() {
         let process = ArNoise::new(&[0.6, -0.2], 0.8).unwrap();
@@ -199,7 +206,9 @@ mod tests {
             apart.push((pulse.position_samples - expected.position_samples) / expected.position_sd_samples);
         }
         let ((bias, sd), (_, z), (_, apart)) = (moments(&errors), moments(&scores), moments(&apart));
-        println!("outgoing, in lock-step: bias {bias:.5} sd {sd:.5} samples, z {z:.3}, apart {apart:.3}");
+        println!(
+            "outgoing, SIMD: bias {bias:.5} sd {sd:.5} samples, z {z:.3}, difference to scalar {apart:.3}"
+        );
         assert!(bias.abs() < 4.0 * sd / 3000f64.sqrt(), "{bias} {sd}");
         assert!((0.95..1.05).contains(&z), "{z}");
         assert!(apart < 0.25, "{apart}");
@@ -226,7 +235,8 @@ mod tests {
         }
     }
 
-    /// Saturated pulses, other phases and blocks without a pulse are what the plain form says.
+    /// Saturated pulses, other phases and blocks without a pulse give the results of the scalar
+    /// form.
     #[test]
     fn what_is_not_for_the_fast_kernels_is_left_to_the_plain_ones() {
         let process = ArNoise::new(&[], 0.8).unwrap();

@@ -1,9 +1,10 @@
-//! Echoes of earlier pulses on outgoing pulses: detection, and the time of emission that remains.
+//! Echoes of earlier pulses on outgoing pulses: detection and corrected emission time.
 //!
-//! Outgoing pulses of one scan line are alike. A pulse whose height, width, place or residual is unusual is explained in
-//! two ways: by one usual pulse, or by a usual pulse and an echo of unknown place and height. The evidence of both
-//! (Laplace's approximation at each place of the echo, integrated over places) gives the probability of an echo, and the
-//! mean and standard deviation of the emission over both explanations (Bayesian model averaging).
+//! Outgoing pulses of one scan line are alike. A pulse with unusual height, width, position or
+//! residual has two hypotheses: one typical pulse, or a typical pulse and an echo of unknown
+//! position and height. Their evidence (Laplace approximation at each echo position, integrated
+//! over positions) gives the probability of an echo, and the mean and standard deviation of the
+//! emission time over both hypotheses (Bayesian model averaging).
 
 use std::ops::Range;
 
@@ -16,35 +17,35 @@ use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
-/// With fewer outgoing pulses a line does not say what is usual.
+/// Fewest outgoing pulses of a line that define typical parameters.
 const LEAST_PULSES: usize = 30;
-/// Pulses that are fitted to measure what a usual fit leaves.
+/// Number of pulses fitted to measure the typical residual.
 const SAMPLED: usize = 12;
 /// Prior odds of an echo on an unusual outgoing pulse.
 const PRIOR_ODDS: f64 = 0.2;
-/// Prior odds where a recorded echo was received while the pulse left.
+/// Prior odds if a recorded echo was received while the pulse left.
 const EXPECTED_ODDS: f64 = 2.0;
-/// Echoes up to this many times the usual height are equally probable.
+/// Upper limit of the uniform prior on the echo height, in typical pulse heights.
 const GREATEST_HEIGHT: f64 = 1.5;
-/// Echoes are sought up to this many widths from the pulse.
+/// Largest distance of the echo from the pulse, in pulse widths.
 const REACH_WIDTHS: f64 = 1.6;
-/// Places of the echo that are tried first.
+/// Number of echo positions tried first.
 const PLACES: usize = 37;
-/// Places of the echo that are tried instead of each that matters, where neighbours differ much.
+/// Number of positions that replace each relevant one, if neighbours differ too much.
 const PLACES_PER_STEP: usize = 3;
-/// Levels of refinement of the echo's place.
+/// Levels of refinement of the echo position.
 const LEVELS: usize = 5;
-/// Maxima of the evidence that are refined at each level.
+/// Number of maxima of the evidence refined at each level.
 const MODES: usize = 4;
-/// Neighbouring places whose logarithms of evidence differ by more are too far apart.
+/// Largest difference of log evidence between neighbouring positions.
 const COARSE: f64 = 3.0;
-/// Standard deviations of the pulse's place beside an echo are raised by this: the echo's own width is not known.
+/// Factor on the SD of the pulse position with an echo: the width of the echo is unknown.
 const UNKNOWN_WIDTH: f64 = 1.15;
-/// Places whose logarithm of evidence is so far below the best do not matter.
+/// Log evidence below the best at which a position is negligible.
 const NEGLIGIBLE: f64 = 10.0;
-/// Iterations of a fit at most.
+/// Largest number of iterations of a fit.
 const ITERATIONS: usize = 12;
-/// Parameters: height, place and logarithm of the width of the pulse, and height of the echo.
+/// Number of parameters: height, position and log width of the pulse, and height of the echo.
 const PARAMETERS: usize = 4;
 
 /// Parameters at an optimum.
@@ -52,22 +53,22 @@ const PARAMETERS: usize = 4;
 struct Optimum {
     values: [f64; PARAMETERS],
     place_sd: f64,
-    /// Of the samples alone, over the noise factor.
+    /// Chi-square of the samples alone, over the noise factor.
     chi_square: f64,
-    /// Logarithm of the evidence, but for constants that all explanations share.
+    /// Log evidence, without constants common to all hypotheses.
     ln_evidence: f64,
 }
 
-/// The explanation of an outgoing pulse with an echo, over all places of the echo.
+/// Hypothesis of an outgoing pulse with an echo, integrated over echo positions.
 struct WithEcho {
     ln_evidence: f64,
-    /// The pulse's place.
+    /// Position of the pulse.
     place: Moments,
-    /// The least.
+    /// Smallest chi-square of all echo positions.
     chi_square: f64,
 }
 
-/// Probability-weighted places of an outgoing pulse.
+/// Probability-weighted moments of the position of an outgoing pulse.
 #[derive(Debug, Clone, Copy, Default)]
 struct Moments {
     weight: f64,
@@ -103,7 +104,7 @@ pub(super) struct Mixture {
 }
 
 impl Mixture {
-    /// `None` without a calibrated response: what a Gaussian leaves of any pulse looks like an echo.
+    /// Returns `None` without a calibrated response: the residual of a Gaussian resembles an echo.
     pub(super) fn new(model: &ChannelModel) -> Result<Option<Mixture>, ModelError> {
         if model.response.is_none() {
             return Ok(None);
@@ -118,7 +119,7 @@ impl Mixture {
         }))
     }
 
-    /// What the outgoing pulses of a line have in common; `None` where there are fewer than 30.
+    /// Typical parameters of the outgoing pulses of a line; `None` for fewer than 30.
     pub(super) fn usual(
         &mut self,
         blocks: &[ReferenceBlock<'_>],
@@ -133,7 +134,7 @@ impl Mixture {
             return None;
         }
         let mut usual = Usual::of(&fitted);
-        // Once more without what differs.
+        // Second pass without unusual pulses.
         let clean: Vec<(&ReferenceBlock<'_>, &Outgoing)> = (fitted.iter().copied())
             .filter(|(block, o)| !usual.is_unusual(&o.pulse, block.start_samples + o.pulse.position_samples))
             .collect();
@@ -148,14 +149,16 @@ impl Mixture {
                 left.push(one.chi_square / window.len().saturating_sub(3).max(1) as f64);
             }
         }
-        // `max` leaves out a median that is not a number.
+        // `max` ignores a NaN median.
         let factor = self.model.pulse_error_factor.powi(2).max(1.0);
         usual.noise_factor = factor.max(percentiles(left.into_iter())[1]);
         Some(usual)
     }
 
-    /// Judges an outgoing pulse of the line: sets [`flags::ECHO_ON_OUTGOING`] where an echo on it is more probable than
-    /// not, and place and standard deviation to their mean over both explanations.
+    /// Examines an outgoing pulse of the line for an echo.
+    ///
+    /// Sets [`flags::ECHO_ON_OUTGOING`] if an echo is more probable than not. Position and standard
+    /// deviation become the mean over both hypotheses.
     pub(super) fn judge(
         &mut self,
         block: &ReferenceBlock<'_>,
@@ -196,12 +199,12 @@ impl Mixture {
         outgoing.window = window;
     }
 
-    /// Takes up the samples about the usual place, or about the pulse where that is not known.
+    /// Loads the samples around the typical position, or around the pulse if that is not known.
     fn load(&mut self, block: &ReferenceBlock<'_>, outgoing: &Outgoing, usual: &Usual) -> Option<Loaded> {
         let expected = usual.place.median - block.start_samples;
         let at = if usual.knows_place() { expected } else { outgoing.pulse.position_samples };
         let mut range = window(at, self.model.fwhm_samples(), block.samples.len());
-        // Backgrounds and odd samples go by the index in the block.
+        // Background phase and sample parity depend on the index in the block.
         range.start = range.start / 4 * 4;
         let samples = block.samples.get(range.clone())?;
         let is_saturated = samples.iter().any(|&sample| f64::from(sample) >= self.model.full_scale_dn);
@@ -222,7 +225,7 @@ impl Mixture {
         Some(Loaded { window: range, start: Start { values, place: expected - first } })
     }
 
-    /// The pulse with an echo, over all places of the echo.
+    /// Fits the pulse with an echo, over all echo positions.
     fn with_echo(&mut self, start: Start, usual: &Usual) -> WithEcho {
         let reach = REACH_WIDTHS * self.model.fwhm_samples();
         let at = start.values[1];
@@ -238,8 +241,9 @@ impl Mixture {
         all
     }
 
-    /// Tries places of the echo between two, and more of them where they matter until neighbours differ little. Adds
-    /// optima with the logarithms of their evidence times the step.
+    /// Tries echo positions in an interval; refines relevant ones until neighbours differ little.
+    ///
+    /// Appends optima with their log evidence times the step.
     fn explore(
         &mut self,
         [low, high]: [f64; 2],
@@ -286,7 +290,7 @@ impl Mixture {
         }
     }
 
-    /// The optimum for an echo at a place, or without one. `None` where the fit fails.
+    /// Finds the optimum with an echo at a given position, or without one. `None` if the fit fails.
     fn optimum(&mut self, echo: Option<f64>, start: Start, usual: &Usual) -> Option<Optimum> {
         let n = if echo.is_some() { PARAMETERS } else { PARAMETERS - 1 };
         let mut values = start.values;
@@ -325,7 +329,8 @@ impl Mixture {
             .filter(|optimum| optimum.place_sd.is_finite())
     }
 
-    /// Writes the normal matrix and the gradient of the samples; returns chi-square over the noise factor.
+    /// Writes the normal matrix and gradient of the samples; returns chi-square over the noise
+    /// factor.
     fn normal_equations(
         &mut self,
         values: &[f64; PARAMETERS],
@@ -367,20 +372,20 @@ impl Mixture {
     }
 }
 
-/// The samples that are fitted, and where fits begin among them.
+/// Fitted samples and start values.
 struct Loaded {
     window: Range<usize>,
     start: Start,
 }
 
-/// Where a fit begins, and the place that the line expects.
+/// Start values of a fit and the position expected from the line.
 #[derive(Debug, Clone, Copy)]
 struct Start {
     values: [f64; PARAMETERS],
     place: f64,
 }
 
-/// Adds the line's priors on height, place and width; returns their part of the objective.
+/// Adds the line's priors on height, position and width; returns their part of the objective.
 fn add_priors(
     values: &[f64; PARAMETERS],
     n: usize,

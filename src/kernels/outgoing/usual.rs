@@ -1,21 +1,23 @@
-//! What the outgoing pulses of a scan line have in common.
+//! Typical parameters of the outgoing pulses of a scan line.
 
 use super::Outgoing;
 use crate::kernels::decompose::Return;
 
-/// A pulse is unusual where the squares of its positive scores in height and width exceed this: 0.1 % of clean pulses.
+/// Threshold of the summed squares of positive height and width scores; exceeded by 0.1 % of clean
+/// pulses.
 const UNUSUAL: f64 = 12.0;
-/// From this on the pulse may hold an unseen echo: 10 % of clean pulses.
+/// Threshold above which the pulse may contain an undetected echo; exceeded by 10 % of clean
+/// pulses.
 const DOUBTFUL: f64 = 3.0;
-/// A pulse is unusual where its deviation ratio is this many spreads above the median.
+/// Spreads above the median deviation ratio that make a pulse unusual.
 pub(super) const UNUSUAL_DEVIATION: f64 = 5.0;
-/// An unseen echo that raises the pulse by a part of its height moves it by about that part of so many widths.
+/// Displacement by an undetected echo, in widths, per relative increase of the height.
 const MOVE_BY_HEIGHT: f64 = 0.35;
-/// The same for a part of its width.
+/// The same per relative increase of the width.
 const MOVE_BY_WIDTH: f64 = 0.6;
-/// Least spread of logarithms of heights and widths.
+/// Smallest spread of the logarithms of heights and widths.
 const LEAST_SPREAD: f64 = 1e-3;
-/// Least standard deviation of the prior on the place, samples: emissions are uniform within a sample.
+/// Smallest SD of the position prior, samples: emissions are uniform within a sample.
 const LEAST_PLACE_SD: f64 = 0.3;
 
 /// A block with an outgoing pulse.
@@ -23,43 +25,44 @@ const LEAST_PLACE_SD: f64 = 0.3;
 pub struct ReferenceBlock<'a> {
     /// The block's samples.
     pub samples: &'a [u16],
-    /// The block's first sample after the shot's clock, samples.
+    /// Time of the block's first sample after the shot's clock, samples.
     pub start_samples: f64,
 }
 
-/// A quantity's usual value and its spread.
+/// Median and spread of a quantity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Spread {
     pub(super) median: f64,
-    /// Of fitted values.
+    /// Standard deviation of the fitted values.
     pub(super) sd: f64,
-    /// Of the pulses themselves, without the error of the fits.
+    /// Standard deviation of the pulses themselves, without fit errors.
     pub(super) true_sd: f64,
 }
 
 impl Spread {
-    /// How many spreads a value lies above the median; 0 below.
+    /// Number of spreads above the median; 0 below it.
     fn score(&self, value: f64) -> f64 {
         ((value - self.median) / self.sd).max(0.0)
     }
 }
 
-/// What the outgoing pulses of a scan line have in common.
+/// Typical parameters of the outgoing pulses of a scan line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Usual {
     pub(super) ln_height: Spread,
     pub(super) ln_width: Spread,
     deviation: Spread,
-    /// After the shot's clock, samples.
+    /// Position after the shot's clock, samples.
     pub(super) place: Spread,
-    /// What usual fits leave, over the variance of the noise; at least 1.
+    /// Residual variance of typical fits over the noise variance; at least 1.
     pub(super) noise_factor: f64,
 }
 
 impl Usual {
     pub(super) fn of(fitted: &[(&ReferenceBlock<'_>, &Outgoing)]) -> Usual {
         let lower = |value: &dyn Fn(&Return) -> (f64, f64)| {
-            // Echoes make pulses higher and wider, so the spread of clean ones is that of the lower half.
+            // Echoes make pulses higher and wider, so the spread of clean pulses is that of the
+            // lower half.
             let [low, median, _] = percentiles(fitted.iter().map(|(_, o)| value(&o.pulse).0));
             let error = percentiles(fitted.iter().map(|(_, o)| value(&o.pulse).1))[1];
             let sd = (median - low).max(LEAST_SPREAD);
@@ -79,7 +82,7 @@ impl Usual {
         }
     }
 
-    /// Squares of the pulse's positive scores in height and width.
+    /// Sum of the squared positive scores in height and width.
     fn squares(&self, pulse: &Return) -> f64 {
         let height = self.ln_height.score(pulse.amplitude_dn.ln());
         let width = self.ln_width.score(pulse.width_ratio.ln());
@@ -92,7 +95,7 @@ impl Usual {
             || self.is_displaced(place)
     }
 
-    /// Standard deviation of the move by an echo too weak to be seen, samples.
+    /// Standard deviation of the displacement by an undetected echo, samples.
     pub(super) fn unseen_move_sd(&self, pulse: &Return, fwhm_samples: f64) -> f64 {
         let doubt = ((self.squares(pulse) - DOUBTFUL) / (UNUSUAL - DOUBTFUL)).clamp(0.0, 1.0);
         let height = (pulse.amplitude_dn.ln() - self.ln_height.median).max(0.0);
@@ -104,13 +107,13 @@ impl Usual {
         (place - self.place.median).abs() > (5.0 * self.place.sd).max(1.5)
     }
 
-    /// Whether the place of the pulse in its block is known to a sample beforehand.
+    /// Whether the position in the block is predictable to one sample.
     pub(super) fn knows_place(&self) -> bool {
         self.place.sd < 1.0
     }
 }
 
-/// The percentiles of one standard deviation below the median, the median, and one above; NaN without values.
+/// Percentiles 15.87, 50 and 84.13 (median ± 1 SD of a normal distribution); NaN without values.
 pub(super) fn percentiles(values: impl Iterator<Item = f64>) -> [f64; 3] {
     let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
     let Some(last) = values.len().checked_sub(1) else { return [f64::NAN; 3] };

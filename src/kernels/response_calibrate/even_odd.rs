@@ -1,38 +1,40 @@
-//! The even/odd test: how far the places differ that every other sample of a recorded pulse tells.
+//! The even/odd test: position difference between the even and odd samples of a pulse.
 
 use crate::kernels::gauss_fit::{GaussFit, Limits, Pulse};
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
-/// Fits of one pulse to the even and to the odd samples of its block.
+/// Fits one pulse separately to even and odd samples.
 ///
-/// Both tell the same place, so their difference is made of the noise alone, recorded noise and not simulated: no truth
-/// is needed, and no other program (docs/method.md, Calibration). To first order the places are weighted sums of
-/// the samples, `w_e·y` and `w_o·y`; with `Σ` the covariance of the noise the difference has the variance
-/// `(w_e - w_o)ᵀ Σ (w_e - w_o)`, in which the correlation of even with odd samples is not left out.
+/// Both estimate the same position, so their difference contains only the recorded noise: neither a
+/// truth nor another program is needed (docs/method.md, Calibration). To first order the positions
+/// are weighted sums of the samples, `w_e·y` and `w_o·y`. With `Σ` the covariance of the noise, the
+/// difference has the variance `(w_e - w_o)ᵀ Σ (w_e - w_o)`, which includes the correlation between
+/// even and odd samples.
 #[derive(Debug, Clone)]
 pub struct EvenOdd {
     fitter: GaussFit,
     /// For even and for odd samples.
     whiteners: [Whitener; 2],
-    /// As far as it differs from zero.
+    /// Up to the last lag that differs from zero.
     autocovariance: Vec<f64>,
 }
 
-/// Places to within a hundredth of their standard deviations.
+/// Tolerance for positions: a hundredth of their standard deviations.
 const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
-/// Noise that is correlated by less is not.
+/// Correlation below which noise is treated as uncorrelated.
 const LEAST_CORRELATION: f64 = 1e-9;
 
 impl EvenOdd {
-    /// For blocks of the channel of up to `longest` samples; in longer ones noise farther apart than that is taken to be
-    /// uncorrelated.
+    /// Creates the test for blocks of up to `longest` samples.
+    ///
+    /// In longer blocks, larger lags count as uncorrelated.
     pub fn new(model: &ChannelModel, longest: usize) -> Result<EvenOdd, ModelError> {
         EvenOdd::of_shape(Shape::of(model)?, model, longest)
     }
 
-    /// The same where the shape that the model describes is at hand.
+    /// The same for a given shape of the model.
     pub(super) fn of_shape(
         shape: Shape,
         model: &ChannelModel,
@@ -51,10 +53,11 @@ impl EvenOdd {
         })
     }
 
-    /// The difference of the two places over its standard deviation by the noise model, the error factor left out.
+    /// Position difference over its standard deviation by the noise model, without the error
+    /// factor.
     ///
-    /// `target_dn` are the samples less the background, `start` is the only pulse in them. `None` where a half cannot
-    /// be fitted.
+    /// `target_dn` are the samples less the background; `start` is the only pulse in them. `None`
+    /// if the fit to either half fails.
     pub fn score(&mut self, target_dn: &[f64], start: Pulse) -> Option<f64> {
         let (even, weights_even) = self.place(target_dn, start, 0)?;
         let (odd, weights_odd) = self.place(target_dn, start, 1)?;
@@ -63,7 +66,7 @@ impl EvenOdd {
         (variance > 0.0).then(|| (even - odd) / variance.sqrt())
     }
 
-    /// The place that every other sample tells, and how it follows each sample.
+    /// Position from every other sample, and its sensitivity to each sample.
     fn place(&mut self, target_dn: &[f64], start: Pulse, parity: usize) -> Option<(f64, Vec<f64>)> {
         let whitener = &mut self.whiteners[parity];
         if whitener.used().len() != target_dn.len() {
@@ -79,7 +82,7 @@ impl EvenOdd {
         Some((self.fitter.pulses().first()?.position_samples, weights))
     }
 
-    /// Variance that the noise gives to a weighted sum of samples.
+    /// Noise variance of a weighted sum of samples.
     fn variance(&self, weights: &[f64]) -> f64 {
         let at_lag = |(lag, covariance): (usize, &f64)| {
             let later = weights.get(lag..).unwrap_or_default();

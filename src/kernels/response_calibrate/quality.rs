@@ -1,4 +1,4 @@
-//! How well the response tells single echoes: its error by time, and the error of places by the even/odd test.
+//! Accuracy of the response: template error by time, and error factor by the even/odd test.
 
 use super::Single;
 use super::even_odd::EvenOdd;
@@ -6,19 +6,19 @@ use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 
-/// Half of what lies between these is the standard deviation of a normal distribution.
+/// Half their difference is the standard deviation of a normal distribution.
 const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
-/// A mean, or a spread, stands out of the noise from so many of its standard deviations on.
+/// Significance threshold of a mean or a spread, in its standard deviations.
 const SIGNIFICANT: f64 = 2.0;
 
 pub(super) struct Quality<'a> {
     model: &'a ChannelModel,
     shape: Shape,
     even_odd: EvenOdd,
-    /// Difference of the places told by even and by odd samples, over its expected standard deviation.
+    /// Difference of the positions from even and odd samples, over its expected standard deviation.
     scores: Vec<f64>,
-    /// By sample of time from the response's first: excess of the squared residual over the noise, as part of the
-    /// squared height: number, sum, sum of squares.
+    /// Excess of the squared residual over the noise, relative to the squared height, by sample
+    /// since the start of the response: number, sum, sum of squares.
     excess: Vec<[f64; 3]>,
 }
 
@@ -39,7 +39,7 @@ impl<'a> Quality<'a> {
         })
     }
 
-    /// Takes in an echo; whether its place is told by even and odd samples.
+    /// Adds an echo; `is_scored` includes it in the even/odd test.
     pub(super) fn add(&mut self, single: &Single<'_>, is_scored: bool) {
         let block = single.block;
         let mut target = Vec::with_capacity(block.samples.len());
@@ -74,7 +74,7 @@ impl<'a> Quality<'a> {
         }
     }
 
-    /// The template error by time: 0 where it does not stand out of the noise.
+    /// Template error by time; 0 if not significant.
     pub(super) fn template_error(&self) -> Vec<f64> {
         let error = |[count, sum, squares]: &[f64; 3]| {
             if *count < 20.0 {
@@ -87,7 +87,7 @@ impl<'a> Quality<'a> {
         self.excess.iter().map(error).collect()
     }
 
-    /// Spread of the scores and its standard deviation; 1 where it does not stand out of that.
+    /// Spread of the scores and its standard deviation; 1 if not significant.
     pub(super) fn pulse_error_factor(&self) -> (f64, f64) {
         let spread = spread(&self.scores);
         let sd = factor_sd(spread.max(1.0), self.scores.len());
@@ -95,12 +95,12 @@ impl<'a> Quality<'a> {
     }
 }
 
-/// Half the difference of the two percentiles of `n` normal values spreads by `√(0.925/n)`.
+/// SD of the spread of `n` normal values: `√(0.925/n)`.
 fn factor_sd(factor: f64, scores: usize) -> f64 {
     0.962 * factor / (scores.max(1) as f64).sqrt()
 }
 
-/// Half of what lies between the two percentiles; 0 without values.
+/// Half the difference of the two percentiles; 0 without values.
 fn spread(scores: &[f64]) -> f64 {
     let mut sorted = scores.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -120,7 +120,7 @@ mod tests {
             (0..400).map(|_| spread(&(0..300).map(|_| 1.1 * random.normal()).collect::<Vec<_>>())).collect();
         let (mean, sd) = moments(&factors);
         assert!((mean - 1.1).abs() < 0.01, "{mean}");
-        // A spread of four hundred is known to 3.5 %.
+        // The relative uncertainty of an SD of four hundred values is 3.5 %.
         assert!((sd / factor_sd(1.1, 300) - 1.0).abs() < 0.105, "{sd}");
         assert_eq!(spread(&[]), 0.0);
     }

@@ -1,4 +1,4 @@
-//! The linear problem: which splines tell the echoes best, in the whitened domain.
+//! Linear least-squares problem for the splines of the response, in the whitened domain.
 
 use crate::kernels::wide::dot;
 use std::ops::Range;
@@ -11,21 +11,21 @@ use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
-/// Precision of a prior that holds a width in its place.
+/// Precision of a prior that fixes a width.
 pub(super) const FROZEN: f64 = 1e8;
-/// Part of the greatest diagonal element that is added to all.
+/// Ridge added to the diagonal, relative to its largest element.
 const RIDGE: f64 = 1e-6;
-/// Standard deviation of the second difference of neighbouring splines in the tail: a slow tail is smooth.
+/// SD of the second difference of neighbouring splines in the tail: a slow tail is smooth.
 const TAIL_BEND_SD: f64 = 0.004;
-/// Standard deviation of the first difference there: where there is no data, a tail goes to zero.
+/// SD of the first difference in the tail: without data the tail decays to zero.
 const TAIL_SLOPE_SD: f64 = 0.003;
-/// Standard deviation of the difference of a spline from one node to the next.
+/// SD of the difference of a spline between adjacent nodes.
 const NODE_CHANGE_SD: f64 = 0.02;
 
-/// Heights and places to within a hundredth of their standard deviations.
+/// Tolerance for heights and positions: a hundredth of their standard deviations.
 const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
 
-/// The normal equations of the splines of all nodes.
+/// Normal equations of the splines of all nodes.
 pub(super) struct Problem<'a> {
     model: &'a ChannelModel,
     basis: &'a Basis,
@@ -39,12 +39,12 @@ pub(super) struct Problem<'a> {
     extents: Vec<Range<usize>>,
 }
 
-/// The splines by node.
+/// Spline coefficients by node.
 pub(super) struct Solution {
     pub(super) coefficients: Vec<Vec<f64>>,
-    /// Root mean square uncertainty of the first node's main lobe.
+    /// RMS uncertainty of the first node's main lobe.
     pub(super) shape_sd: f64,
-    /// By how much the splines lower the objective, against none.
+    /// Decrease of the objective by the splines, relative to none.
     decrease: f64,
 }
 
@@ -71,7 +71,7 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// Takes in an echo: its height and place are fitted with the calibrated width.
+    /// Adds an echo; fits its height and position with the calibrated width.
     pub(super) fn add(&mut self, single: &Single<'_>) {
         let samples = single.block.samples;
         self.whitener.set_used(&vec![true; samples.len()]);
@@ -94,14 +94,16 @@ impl<'a> Problem<'a> {
         self.accumulate(pulse.height_dn, samples.len());
     }
 
-    /// The whitened splines of an echo, each with the samples where it differs from zero: past a spline's own samples
-    /// its whitened form reaches as far as the noise's order.
+    /// Fills the whitened splines of an echo, each with the range of samples where it differs from
+    /// zero.
+    ///
+    /// Whitening extends this range by the order of the noise model.
     fn fill_columns(&mut self, pulse: &Pulse, samples: usize) {
         let Problem { basis, model, whitener, columns, extents, .. } = self;
         columns.clear();
         columns.resize(basis.len() * samples, 0.0);
         extents.clear();
-        // A spline that has no sample ends before it begins.
+        // A spline without samples has an end before its start.
         extents.resize(basis.len(), samples..0);
         for k in 0..samples {
             for (j, value) in basis.at(model.digitiser.time_of(k) - pulse.position_samples) {
@@ -128,7 +130,7 @@ impl<'a> Problem<'a> {
             for &(node, share) in &shares {
                 self.right[node * count + i] += share * told;
             }
-            // Splines rise with time, so those that overlap one stand next to it.
+            // Splines are ordered by time, so overlapping ones are adjacent.
             for j in (0..=i).rev() {
                 let other = &self.extents[j];
                 let common = extent.start.max(other.start)..extent.end.min(other.end);
@@ -149,7 +151,7 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// What is known beforehand: tails are smooth, and neighbouring nodes alike.
+    /// Adds the priors: tails are smooth, and neighbouring nodes are similar.
     fn add_priors(&mut self) {
         let (count, unknowns) = (self.basis.len(), self.right.len());
         let greatest = (0..unknowns).map(|i| self.normal[i * unknowns + i]).fold(0.0, f64::max);
@@ -158,7 +160,7 @@ impl<'a> Problem<'a> {
         }
         for node in 0..self.nodes.len() {
             for j in self.basis.lobe..count {
-                // Beyond the last spline stands zero.
+                // Beyond the last spline the value is zero.
                 let terms = [(j.wrapping_sub(1), 1.0), (j, -2.0), (j + 1, 1.0)];
                 let terms = terms.map(|(j, c)| (if j < count { Some(node * count + j) } else { None }, c));
                 self.add_square(&terms, TAIL_BEND_SD.powi(-2));
@@ -184,9 +186,10 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Solves with as many nodes as the echoes call for: all, or the first for all heights where the others tell
-    /// the echoes better by no more than their noise does (Akaike 1974: two for each parameter more). `None` where the
-    /// equations are singular.
+    /// Solves with all nodes, or with one for all heights if more are not significant.
+    ///
+    /// Further nodes must improve the fit beyond their noise (Akaike 1974: two per additional
+    /// parameter). `None` for singular equations.
     pub(super) fn solve(self) -> Option<Solution> {
         let one = self.with_one_node();
         let more = 2.0 * (self.right.len() - one.right.len()) as f64;
@@ -197,7 +200,7 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// The problem with the same splines at all heights: shares of nodes sum to one, so its equations are sums.
+    /// Reduces the problem to one node: shares of nodes sum to one, so its equations are sums.
     fn with_one_node(&self) -> Problem<'a> {
         let (count, unknowns) = (self.basis.len(), self.right.len());
         let nodes = &self.nodes[..1];
@@ -245,7 +248,7 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// The nodes around a height and their parts.
+/// Nodes around a height and their weights.
 fn shares(nodes: &[f64], height_dn: f64) -> Vec<(usize, f64)> {
     let above = nodes.partition_point(|peak_dn| *peak_dn <= height_dn);
     if above == 0 || above == nodes.len() {
@@ -280,7 +283,7 @@ mod tests {
         }
     }
 
-    /// Whole columns, whitened over the whole block, and all their products.
+    /// Complete columns, whitened over the whole block, and all their products.
     fn add_densely(problem: &Problem<'_>, single: &Single<'_>, normal: &mut [f64], right: &mut [f64]) {
         let echo = problem.fitter.pulses()[0];
         let (count, unknowns) = (problem.basis.len(), right.len());
@@ -304,7 +307,7 @@ mod tests {
         }
     }
 
-    /// Echoes at the block's start, in its midst and at its end, in noise of several orders.
+    /// Echoes at the start, in the middle and at the end of a block, in noise of several orders.
     #[test]
     fn normal_equations_of_local_columns_are_those_of_whole_ones() {
         for coefficients in [&[][..], &[0.6], &[0.9, -0.5, 0.2], &[0.5, 0.1, -0.2, 0.1]] {

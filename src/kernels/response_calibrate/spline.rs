@@ -1,24 +1,25 @@
-//! Cubic B-splines on knots that stand close in the main lobe and wide in the tail.
+//! Cubic B-splines on knots dense in the main lobe, sparse in the tail.
 
 use std::ops::Range;
 
-/// Distance of knots in the main lobe and in the tail, in full widths at half maximum (0.75 and 2 ns of 4.4).
+/// Knot spacing in the main lobe and in the tail, in pulse widths (0.75 and 2 ns for 4.4 ns).
 const LOBE_STEP_WIDTHS: f64 = 0.17;
 const TAIL_STEP_WIDTHS: f64 = 0.45;
-/// The first knot before the peak, and the end of the close ones behind it: past the after-pulse (11 and 14 ns of 4.4).
+/// First knot before the peak, and end of the dense knots after it, past the after-pulse (11 and 14
+/// ns for 4.4 ns).
 const LEAD_WIDTHS: f64 = 2.5;
 const LOBE_WIDTHS: f64 = 3.2;
 
-/// The splines; times are in samples from the peak.
+/// The spline basis; times are in samples from the peak.
 #[derive(Debug, Clone)]
 pub(super) struct Basis {
     knots: Vec<f64>,
-    /// Splines before this one lie in the main lobe.
+    /// Number of splines in the main lobe.
     pub(super) lobe: usize,
 }
 
 impl Basis {
-    /// From 2.5 widths before the peak to `end_samples` behind it.
+    /// Creates the basis from 2.5 widths before the peak to `end_samples`.
     pub(super) fn new(fwhm_samples: f64, end_samples: f64) -> Basis {
         let mut knots = Vec::new();
         let mut at = -LEAD_WIDTHS * fwhm_samples;
@@ -32,17 +33,17 @@ impl Basis {
         Basis { knots, lobe }
     }
 
-    /// How many splines there are.
+    /// Number of splines.
     pub(super) fn len(&self) -> usize {
         self.knots.len().saturating_sub(4)
     }
 
-    /// Times between which the splines differ from zero.
+    /// Interval in which the splines differ from zero, samples.
     pub(super) fn extent(&self) -> Range<f64> {
         self.knots[0]..self.knots[self.knots.len() - 1]
     }
 
-    /// The splines that differ from zero at a time, by index, and their values there (de Boor 1972).
+    /// Indices and values of the non-zero splines at a time (de Boor 1972).
     pub(super) fn at(&self, time: f64) -> impl Iterator<Item = (usize, f64)> {
         let t = &self.knots;
         let interval = t.partition_point(|&knot| knot <= time);
@@ -50,7 +51,7 @@ impl Basis {
         let inside = interval > 0 && interval < t.len();
         if inside {
             let i = interval - 1;
-            // Beyond the ends the knots go on at the distance of the outermost two.
+            // Beyond the ends, knots continue at the spacing of the outermost two.
             let knot = |k: isize| -> f64 {
                 let last = t.len() as isize - 1;
                 match k {
@@ -102,7 +103,7 @@ mod tests {
         assert_eq!(sum(-1e9) + sum(1e9), 0.0);
     }
 
-    /// On even knots the spline of degree three is 1/6, 2/3, 1/6 at its inner knots.
+    /// For equidistant knots the cubic spline has the values 1/6, 2/3, 1/6 at its inner knots.
     #[test]
     fn even_knots_give_the_cardinal_spline() {
         let basis = Basis::new(4.4, 60.0);

@@ -71,7 +71,8 @@ fn too_few_single_echoes_leave_the_gaussian() {
     assert!((100..150).contains(&found.usable_echoes), "{}", found.usable_echoes);
 }
 
-/// Sixteen recordings of the same receiver: the widths of their responses, and the values at two places, spread as each says.
+/// Sixteen recordings of one receiver: widths and values at two times scatter as their reported
+/// SDs.
 #[test]
 fn responses_of_repeated_recordings_spread_as_they_say() {
     let mut random = Random::new(21);
@@ -92,9 +93,12 @@ fn responses_of_repeated_recordings_spread_as_they_say() {
     }
     let [width_sd, shape_sd] = told.each_ref().map(|told| moments(told).0);
     let spreads = values.each_ref().map(|values| moments(values).1);
-    println!("width {:.5} told {width_sd:.5}; values {spreads:.5?} told {shape_sd:.5}", moments(&widths).1);
-    // A spread of sixteen is known to 18 %.
+    println!(
+        "width {:.5}, reported {width_sd:.5}; values {spreads:.5?}, reported {shape_sd:.5}",
+        moments(&widths).1
+    );
+    // The relative uncertainty of an SD of sixteen values is 18 %.
     assert!((0.5..1.6).contains(&(moments(&widths).1 / width_sd)));
-    // Single values are surer on the flanks than on average, or less so.
+    // The uncertainty of single values on the flanks differs from the average.
     assert!(spreads.iter().all(|spread| (0.25..4.0).contains(&(spread / shape_sd))));
 }

@@ -1,6 +1,7 @@
-//! Models of types of instruments, for recordings too short to calibrate from.
+//! Sensor models of instrument types, for recordings too short to calibrate from.
 //!
-//! Each is what `save` wrote of a recording of one instrument, its numbers rounded to five digits.
+//! Each was written by `save` for a recording of one instrument; its numbers are rounded to five
+//! digits.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,18 +9,19 @@ use serde::{Deserialize, Serialize};
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Result, StageError};
 
-/// A type of instrument.
+/// Instrument type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// RIEGL LMS-Q680i, low power receiver and outgoing pulse, 8 bits, 1 ns: from 608 waveforms at 400 kHz.
+    /// RIEGL LMS-Q680i: low-power receiver and outgoing pulse, 8 bits, 1 ns; from 608 waveforms at
+    /// 400 kHz.
     RieglLmsQ680i,
-    /// RIEGL LMS-Q680, low power receiver and outgoing pulse, 8 bits, 1 ns: from 16 486 waveforms.
+    /// RIEGL LMS-Q680: low-power receiver and outgoing pulse, 8 bits, 1 ns; from 16 486 waveforms.
     RieglLmsQ680,
 }
 
 impl Preset {
-    /// Its model.
+    /// Returns the model of this type.
     pub(super) fn model(self) -> Result<SensorModel> {
         let text = match self {
             Preset::RieglLmsQ680i => include_str!("presets/riegl_lms_q680i.json"),

@@ -1,4 +1,4 @@
-//! The corrections of a line's returns.
+//! Applies the corrections to the returns of a line.
 
 use std::sync::Arc;
 
@@ -11,12 +11,12 @@ use crate::geo::vertical::down_at;
 use crate::kernels::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};
 use crate::stage::{Context, Result};
 
-/// What is done to every return of a run.
+/// Corrections applied to every return of a run.
 pub(super) struct Corrections {
     sources: Sources,
     range_and_air: RangeAndAir,
     incidence: Incidence,
-    /// The tables of the recording at hand.
+    /// Tables of the current recording.
     tables: Option<Tables>,
 }
 
@@ -28,7 +28,7 @@ struct Tables {
 }
 
 impl Corrections {
-    /// `range` and `amplitude` are the files' tables, where the keys name files.
+    /// `range` and `amplitude` are the tables of the files named by the keys.
     pub(super) fn new(
         keys: &Correct,
         range: Option<LookupTables>,
@@ -64,7 +64,7 @@ impl Corrections {
             _ => 0.0,
         };
         let half_speed_m_per_ns = 0.5e-9 * batch.input.group_velocity_mps;
-        // Tables and widths are those of computed returns.
+        // Tables and widths apply to computed returns only, not to those of the instrument.
         for r in returns.iter_mut().filter(|r| r.flags & flags::INSTRUMENT == 0) {
             correct_range(r, &tables.range, told_s, half_speed_m_per_ns, &mut batch.stats);
             correct_width(r, widths, half_speed_m_per_ns);
@@ -75,7 +75,7 @@ impl Corrections {
         self.tables = Some(tables);
     }
 
-    /// By range, air and incidence.
+    /// Corrects intensities for range, attenuation and incidence.
     fn correct_intensities(&self, batch: &mut Batch, returns: &mut [Return], cx: &mut Context) {
         let frame = batch.input.frame;
         let range_and_air = self.range_and_air(&batch.input, cx);
@@ -86,7 +86,7 @@ impl Corrections {
                 Incidence::Flat => match emission.and_then(|emission| cos_to_vertical(frame, emission)) {
                     Some(cosine) => cosine.max(LEAST_COS_INCIDENCE),
                     None => {
-                        cx.note("intensities are not corrected for incidence: without a trajectory the beams' angles to the vertical are not known");
+                        cx.note("intensities are not corrected for incidence: without a trajectory the angle between beam and vertical is unknown");
                         1.0
                     }
                 },
@@ -103,25 +103,25 @@ impl Corrections {
         batch.stats.np_atm += if range_and_air.attenuation_db_per_km.is_some() { n } else { 0 };
     }
 
-    /// The corrections that need ranges from the sensor: none where its position is not known.
+    /// The range and attenuation corrections; none if the sensor position is unknown.
     fn range_and_air(&self, input: &InputInfo, cx: &mut Context) -> RangeAndAir {
         if input.origin_is_sensor || self.range_and_air == RangeAndAir::default() {
             return self.range_and_air;
         }
         cx.note(
-            "intensities are not corrected for range and attenuation: the recording does not give the position of the sensor, \
-             and ranges count from a point near the waveform; read the instrument's own recording, or set \
+            "intensities are not corrected for range and attenuation: the recording does not contain the sensor position, \
+             and ranges count from a point near the waveform; read the original recording of the instrument, or set \
              `reference_range_m` and `attenuation_db_per_km` to false",
         );
         RangeAndAir::default()
     }
 }
 
-/// Says what is wanted and not there.
+/// Notes tables that are requested but missing.
 fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], cx: &mut Context) {
     let kinds = [
-        (wanted[0], &tables.range, "range", "ranges are not corrected by amplitude"),
-        (wanted[1], &tables.amplitude, "amplitude", "intensities are heights of pulses"),
+        (wanted[0], &tables.range, "range", "ranges are not corrected for amplitude"),
+        (wanted[1], &tables.amplitude, "amplitude", "intensities are pulse heights"),
     ];
     for (is_wanted, both, kind, so) in kinds {
         for channel in [ReturnChannel::Low, ReturnChannel::High] {
@@ -129,7 +129,7 @@ fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], 
             let is_of = |r: &Return| receiver_of(r.channel) == receiver;
             if is_wanted && both[receiver].is_none() && returns.iter().any(is_of) {
                 cx.note(format!(
-                    "{}: there is no {kind} table: {so}; give {kind}_table a file, or false where none is wanted",
+                    "{}: there is no {kind} table: {so}; set {kind}_table to a file, or to false if none is wanted",
                     name(channel)
                 ));
             }
@@ -137,13 +137,13 @@ fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], 
     }
 }
 
-/// The cosine of the angle between a beam and straight down; `None` where the frame does not tell it.
+/// Cosine of the angle between a beam and straight down; `None` if the frame has no vertical.
 fn cos_to_vertical(frame: crate::batch::Frame, emission: &Emission) -> Option<f64> {
     let down = down_at(frame, emission.origin_m)?;
     Some(emission.direction.iter().zip(down).map(|(a, b)| a * b).sum())
 }
 
-/// Takes the range table's value off the echo's place.
+/// Subtracts the value of the range table.
 fn correct_range(
     r: &mut Return,
     ranges: &Both,
@@ -163,7 +163,9 @@ fn correct_range(
     stats.np_ibrc += 1;
 }
 
-/// Makes a flat target as wide as the calibrated pulse. Widths of both receivers' joint fits stay: neither curve is theirs.
+/// Normalises widths so that a flat target has that of the calibrated pulse.
+///
+/// Returns of joint fits are left unchanged: neither receiver's curve applies.
 fn correct_width(r: &mut Return, [low, high]: [&WidthCorrection; 2], half_speed_m_per_ns: f64) {
     let correction = match r.channel {
         ReturnChannel::Low => low,
@@ -182,7 +184,7 @@ fn correct_width(r: &mut Return, [low, high]: [&WidthCorrection; 2], half_speed_
         target_thickness_m(half_speed_m_per_ns, calibrated_ns, r.width_ratio, r.width_ratio_sd);
 }
 
-/// Amplitude and intensity before range, air and incidence.
+/// Sets amplitude and intensity, before the corrections for range, attenuation and incidence.
 fn take_amplitude(r: &mut Return, amplitudes: &Both, stats: &mut LineStats) {
     match &amplitudes[receiver_of(r.channel)] {
         Some(table) => {
@@ -198,7 +200,7 @@ fn take_amplitude(r: &mut Return, amplitudes: &Both, stats: &mut LineStats) {
     }
 }
 
-/// Returns of a shot in order of time again, where the range table has moved one past another.
+/// Sorts the returns of a shot by corrected time.
 fn put_in_order(returns: &mut [Return]) {
     for of_shot in returns.chunk_by_mut(|a, b| a.emission == b.emission) {
         if of_shot.is_sorted_by(|a, b| a.time_of_flight_ns <= b.time_of_flight_ns) {

@@ -1,4 +1,4 @@
-//! The instrument's tables, as the job wants them.
+//! Selection of the range and amplitude tables.
 
 use std::sync::Arc;
 
@@ -10,25 +10,25 @@ use crate::kernels::penalised_spline::{Point, smooth};
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{Result, StageError};
 
-/// A correction of an echo's place beyond this is no number of seconds: 150 m.
+/// Largest plausible range correction, s (150 m); larger values are not seconds.
 const MOST_RANGE_CORRECTION_S: f64 = 1e-6;
 
-/// Of the sensitive receiver, and of the one for strong echoes.
+/// Tables of the low-power and of the high-power receiver.
 pub(super) type Both = [Option<Arc<AmplitudeTable>>; 2];
 
-/// Which of two tables is that of a return.
+/// Index of a return's table.
 pub(super) fn receiver_of(channel: ReturnChannel) -> usize {
     usize::from(channel != ReturnChannel::Low)
 }
 
-/// Where the tables of a run come from.
+/// Sources of the tables of a run.
 pub(super) struct Sources {
     range: Source,
     range_table_fit: bool,
     amplitude: Source,
 }
 
-/// Where the tables of one kind come from.
+/// Source of the tables of one kind.
 enum Source {
     Own,
     None,
@@ -44,7 +44,7 @@ impl Source {
         }
     }
 
-    /// The rows for a recording whose own tables these are.
+    /// Table rows; `own` are the tables of the recording.
     fn rows(&self, own: [&Option<AmplitudeTable>; 2]) -> [Vec<Row>; 2] {
         let of_table = |table: &Option<AmplitudeTable>| {
             let pairs = table.as_ref().map(AmplitudeTable::pairs).unwrap_or_default();
@@ -59,7 +59,7 @@ impl Source {
 }
 
 impl Sources {
-    /// `range` and `amplitude` are the files' tables, where the keys name files.
+    /// `range` and `amplitude` are the tables of the files named by the keys.
     pub(super) fn new(
         keys: &Correct,
         range: Option<LookupTables>,
@@ -71,7 +71,7 @@ impl Sources {
             .find(|value| is_defined(*value) && value.abs() > MOST_RANGE_CORRECTION_S);
         match too_much {
             Some(value) => Err(StageError::failed(
-                format!("the range table has {value:e} s, which is no correction of an echo's place"),
+                format!("the range table has {value:e} s, which is too large for a range correction"),
                 "give its values in seconds",
             )),
             None => Ok(Sources {
@@ -82,18 +82,18 @@ impl Sources {
         }
     }
 
-    /// Whether tables of ranges, and of amplitudes, are wanted at all.
+    /// Whether range tables, and amplitude tables, are requested.
     pub(super) fn wanted(&self) -> [bool; 2] {
         [&self.range, &self.amplitude].map(|source| !matches!(source, Source::None))
     }
 
-    /// The range tables, s by digitiser steps, for a recording.
+    /// Range tables of a recording, s by digitiser steps.
     pub(super) fn range(&self, input: &InputInfo) -> Both {
         let rows = self.range.rows([&input.range_low, &input.range_high]);
         rows.map(|rows| table(if self.range_table_fit { smoothed(rows) } else { rows }))
     }
 
-    /// The amplitude tables, dB by digitiser steps, for a recording.
+    /// Amplitude tables of a recording, dB by digitiser steps.
     pub(super) fn amplitude(&self, input: &InputInfo) -> Both {
         self.amplitude.rows([&input.amplitude_low, &input.amplitude_high]).map(table)
     }
@@ -107,7 +107,7 @@ fn table(rows: Vec<Row>) -> Option<Arc<AmplitudeTable>> {
     AmplitudeTable::new(rows.into_iter().map(|row| (row.steps_dn, row.value))).map(Arc::new)
 }
 
-/// The table with its values on a smooth curve in the logarithm of the digitiser steps, of which there are none below 1.
+/// Smooths the values over the logarithm of the digitiser steps; drops steps below 1.
 fn smoothed(mut rows: Vec<Row>) -> Vec<Row> {
     rows.retain(|row| is_defined(row.value) && row.steps_dn >= 1.0 && row.steps_dn.is_finite());
     rows.sort_by(|a, b| a.steps_dn.total_cmp(&b.steps_dn));
@@ -116,10 +116,10 @@ fn smoothed(mut rows: Vec<Row>) -> Vec<Row> {
     rows.iter().zip(values).map(|(row, value)| Row { value, ..*row }).collect()
 }
 
-/// By how much the range tables of the two receivers differ, s, where the sensitive one begins to be overdriven.
+/// Difference of the receivers' range tables, s, where the low-power receiver becomes overdriven.
 ///
-/// `fuse_channels` has moved the times of the other receiver so that both agree for such echoes as they are recorded; what
-/// its table holds beyond that of the sensitive one there is in that move already.
+/// `fuse_channels` has shifted the times of the high-power receiver so that both agree for such
+/// echoes as recorded. That shift already contains the difference of the two tables there.
 pub(super) fn told_by_fusion_s(ranges: &Both, model: &SensorModel, gain_ratio: f64) -> f64 {
     let (Some(low), Some(high)) = (&model.low_power, &model.high_power) else { return 0.0 };
     let background_dn = |channel: &ChannelModel| channel.background_dn.iter().sum::<f64>() / 4.0;

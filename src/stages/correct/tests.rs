@@ -5,7 +5,7 @@ use crate::batch::{AmplitudeTable, Blocks, Emission, Frame, InputInfo, Return, R
 use crate::kernels::fusion::ChannelFusion;
 use crate::stage::Context;
 
-/// m/ns, there and back.
+/// Half the speed of light, m/ns.
 const HALF_SPEED: f64 = 0.149896229;
 
 fn emission(direction: [f64; 3]) -> Emission {
@@ -33,7 +33,7 @@ fn found(channel: ReturnChannel, time_of_flight_ns: f64, amplitude_dn: f64) -> R
     }
 }
 
-/// Down, in the map.
+/// A line that points straight down, in a projected CRS.
 fn line_of(input: InputInfo, returns: Vec<Return>) -> Batch {
     let emissions =
         vec![emission([0.0, 0.0, -1.0]); returns.iter().map(|r| r.emission as usize + 1).max().unwrap_or(1)];
@@ -47,7 +47,7 @@ fn map() -> InputInfo {
     InputInfo { frame: Frame::Map, ..InputInfo::default() }
 }
 
-/// Nothing is corrected.
+/// Keys that disable all corrections.
 fn nothing() -> Correct {
     Correct {
         range_table: TableKey::Own(false),
@@ -60,7 +60,7 @@ fn nothing() -> Correct {
     }
 }
 
-/// The lines behind the stage, and what it says.
+/// Runs the stage; returns its lines and notes.
 fn run(keys: &Correct, lines: Vec<Batch>) -> (Vec<Batch>, Vec<String>) {
     let site = Site {
         input: PathBuf::new(),
@@ -150,7 +150,8 @@ fn what_fusion_has_told_of_the_tables_is_not_told_twice() {
         ..map()
     };
     let keys = Correct { range_table: TableKey::Own(true), range_table_fit: false, ..nothing() };
-    // The sensitive receiver is overdriven from 210 DN on: 42 in the other.
+    // The low-power receiver is overdriven from 210 DN on, which is 42 DN in the high-power
+    // receiver.
     let mut line = line_of(
         input,
         vec![found(ReturnChannel::High, 6000.0, 42.0), found(ReturnChannel::High, 6001.0, 142.0)],
@@ -214,11 +215,16 @@ fn what_is_missing_is_said_once() {
     assert_eq!(
         notes,
         [
-            "the low power receiver: there is no range table: ranges are not corrected by amplitude; give range_table a file, or false where none is wanted",
-            "the high power receiver: there is no range table: ranges are not corrected by amplitude; give range_table a file, or false where none is wanted",
-            "the low power receiver: there is no amplitude table: intensities are heights of pulses; give amplitude_table a file, or false where none is wanted",
-            "the high power receiver: there is no amplitude table: intensities are heights of pulses; give amplitude_table a file, or false where none is wanted",
-            "intensities are not corrected for incidence: without a trajectory the beams' angles to the vertical are not known",
+            "the low power receiver: there is no range table: ranges are not corrected for amplitude; set \
+             range_table to a file, or to false if none is wanted",
+            "the high power receiver: there is no range table: ranges are not corrected for amplitude; set \
+             range_table to a file, or to false if none is wanted",
+            "the low power receiver: there is no amplitude table: intensities are pulse heights; set \
+             amplitude_table to a file, or to false if none is wanted",
+            "the high power receiver: there is no amplitude table: intensities are pulse heights; set \
+             amplitude_table to a file, or to false if none is wanted",
+            "intensities are not corrected for incidence: without a trajectory the angle between beam and \
+             vertical is unknown",
         ]
     );
     near(first(&lines).intensity, 80.0 * (6000.0 * HALF_SPEED / 1000.0f64).powi(2));
@@ -280,10 +286,8 @@ fn automatic_widths_make_flat_targets_as_wide_as_the_pulse() {
     assert_eq!(first(&lines).width_ratio, 1.1);
     assert_eq!(
         notes,
-        [
-            "the low power receiver: widths are not corrected by amplitude: their 1 single returns do not tell how wide flat \
-          targets are"
-        ]
+        ["the low power receiver: widths are not corrected for amplitude: the width of flat targets \
+             cannot be estimated from its single returns (1)"]
     );
 }
 
@@ -337,12 +341,12 @@ fn keys_that_cannot_be_used_say_why() {
         (
             |keys| keys.width_correction_low = WidthKey::Pairs(vec![[5.0, 1.0], [5.0, 1.0]]),
             "width_correction_low",
-            "pairs must have rising amplitudes above 0 and width ratios between 0.1 and 10",
+            "pairs must have ascending amplitudes above 0 and width ratios between 0.1 and 10",
         ),
         (
             |keys| keys.width_correction_low = WidthKey::Pairs(Vec::new()),
             "width_correction_low",
-            "pairs must have rising amplitudes above 0 and width ratios between 0.1 and 10",
+            "pairs must have ascending amplitudes above 0 and width ratios between 0.1 and 10",
         ),
     ];
     for (change, key, problem) in cases {
@@ -360,6 +364,6 @@ fn a_range_table_in_other_units_is_noticed() {
     let error = Corrections::new(&Correct::default(), Some(rows), None).err().unwrap().to_string();
     assert_eq!(
         error,
-        "the range table has 1e-2 s, which is no correction of an echo's place; give its values in seconds"
+        "the range table has 1e-2 s, which is too large for a range correction; give its values in seconds"
     );
 }

@@ -1,15 +1,15 @@
-//! Widths that change with amplitude.
+//! Correction of widths for amplitude.
 
 use super::WidthKey;
 use crate::batch::{Batch, Return, ReturnChannel, flags};
 use crate::kernels::width_by_amplitude::{Node, Pulse, width_by_amplitude};
 use crate::stage::{Context, InvalidKey};
 
-/// The receivers that have a width correction, in the order of the keys.
+/// Receivers with a width correction, in the order of the keys.
 pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChannel::High];
-/// A power of the amplitude counts from here, DN.
+/// Reference amplitude of a power, DN.
 const POWER_FROM_DN: f64 = 100.0;
-/// Returns with one of these flags do not show how wide a flat target is.
+/// Returns with any of these flags are unsuitable for the width of flat targets.
 const NOT_PLAIN: u16 = flags::INSTRUMENT
     | flags::OVERLAP
     | flags::DIVERGED
@@ -20,10 +20,10 @@ const NOT_PLAIN: u16 = flags::INSTRUMENT
     | flags::TRUNCATED
     | flags::SPLIT;
 
-/// The width of a flat target by amplitude.
+/// Width ratio of a flat target as a function of amplitude.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum WidthCorrection {
-    /// The same at every amplitude.
+    /// Independent of amplitude.
     None,
     /// A power of the amplitude.
     Power(f64),
@@ -31,7 +31,7 @@ pub(super) enum WidthCorrection {
     Nodes(Vec<Node>),
 }
 
-/// Whether a key can be used.
+/// Checks a width key.
 pub(super) fn check(name: &'static str, key: &WidthKey) -> Result<(), InvalidKey> {
     let (holds, problem) = match key {
         WidthKey::Auto(_) => (true, ""),
@@ -42,7 +42,7 @@ pub(super) fn check(name: &'static str, key: &WidthKey) -> Result<(), InvalidKey
                     .iter()
                     .all(|[dn, width]| *dn > 0.0 && dn.is_finite() && (0.1..=10.0).contains(width))
                 && pairs.is_sorted_by(|a, b| a[0] < b[0]),
-            "pairs must have rising amplitudes above 0 and width ratios between 0.1 and 10",
+            "pairs must have ascending amplitudes above 0 and width ratios between 0.1 and 10",
         ),
         WidthKey::Without(with) => (!with, "it must be \"auto\", a number, pairs of numbers, or `false`"),
     };
@@ -50,7 +50,7 @@ pub(super) fn check(name: &'static str, key: &WidthKey) -> Result<(), InvalidKey
 }
 
 impl WidthCorrection {
-    /// What the key gives; `None` where it is to be learnt.
+    /// The correction given by a key; `None` if it must be estimated.
     pub(super) fn given(key: &WidthKey) -> Option<WidthCorrection> {
         let node = |&[dn, width]: &[f64; 2]| Node { ln_amplitude: dn.ln(), ln_width: width.ln() };
         match key {
@@ -61,7 +61,7 @@ impl WidthCorrection {
         }
     }
 
-    /// What the single returns of some lines tell; where they do not, which is noted, nothing is corrected.
+    /// Estimates the correction from single returns; none, with a note, if they are insufficient.
     pub(super) fn learnt(lines: &[Batch], channel: ReturnChannel, cx: &mut Context) -> WidthCorrection {
         let returns = lines.iter().filter_map(Batch::returns).flatten();
         let of_channel: Vec<&Return> = returns.filter(|r| r.channel == channel).collect();
@@ -77,7 +77,8 @@ impl WidthCorrection {
         let pulses: Vec<Pulse> = of_channel.iter().filter(plain).map(pulse).collect();
         let Some(nodes) = width_by_amplitude(&pulses) else {
             cx.note(format!(
-                "{}: widths are not corrected by amplitude: their {} single returns do not tell how wide flat targets are",
+                "{}: widths are not corrected for amplitude: the width of flat targets cannot be estimated \
+                 from its single returns ({})",
                 name(channel),
                 pulses.len()
             ));
@@ -91,7 +92,7 @@ impl WidthCorrection {
         WidthCorrection::Nodes(nodes)
     }
 
-    /// The width ratio of a flat target at an amplitude, DN.
+    /// Width ratio of a flat target at an amplitude, DN.
     pub(super) fn flat_target(&self, amplitude_dn: f64) -> f64 {
         match self {
             WidthCorrection::None => 1.0,
@@ -101,7 +102,7 @@ impl WidthCorrection {
     }
 }
 
-/// The logarithm of a width between nodes.
+/// Interpolates the logarithm of a width between nodes.
 fn at(nodes: &[Node], ln_amplitude: f64) -> f64 {
     let behind = nodes.partition_point(|node| node.ln_amplitude <= ln_amplitude);
     let before = behind.checked_sub(1).and_then(|before| nodes.get(before));
@@ -115,7 +116,7 @@ fn at(nodes: &[Node], ln_amplitude: f64) -> f64 {
     }
 }
 
-/// The receiver, as notes name it.
+/// Name of the receiver in notes.
 pub(super) fn name(channel: ReturnChannel) -> &'static str {
     match channel {
         ReturnChannel::Low => "the low power receiver",

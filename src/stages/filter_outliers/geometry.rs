@@ -1,26 +1,26 @@
-//! A line of returns as the search for outliers sees it.
+//! Positions of a line's returns for the outlier search.
 
 use crate::batch::{Batch, Emission, Frame};
 use crate::geo::vertical::{down_at, main_axis};
 use crate::kernels::outliers::{Extent, Line, Point};
 
-/// Beams nearer to each other than this have no direction between them, m per m.
+/// Smallest change of direction, m per m, that defines a sweep direction.
 const LEAST_SWEEP: f64 = 1e-9;
 
-/// Where the returns of a line are.
+/// Positions of the returns of a line.
 #[derive(Debug)]
 pub(super) struct Places {
     /// The returns, in their order in the batch.
     pub(super) line: Line,
-    /// Distance of neighbouring shots at each return, m.
+    /// Spacing to the neighbouring shot at each return, m.
     pub(super) spacing_m: Vec<f32>,
-    /// Heights of the returns over any level, m.
+    /// Heights of the returns above an arbitrary level, m.
     pub(super) height_m: Vec<f64>,
-    /// Where the middle shot's beam begins, m; `None` without shots.
+    /// Beam origin of the middle shot, m; `None` without shots.
     pub(super) middle_m: Option<[f64; 3]>,
 }
 
-/// Whether lines of this frame tell of each other.
+/// Whether lines of this frame can be compared with each other.
 pub(super) fn has_vertical(frame: Frame) -> bool {
     matches!(frame, Frame::Map | Frame::Earth)
 }
@@ -53,14 +53,14 @@ impl Places {
         Places { line: Line::new(points, along), spacing_m, height_m, middle_m }
     }
 
-    /// The memory taken, bytes.
+    /// Memory used, bytes.
     pub(super) fn bytes(&self) -> usize {
         self.line.bytes()
             + self.spacing_m.capacity() * size_of::<f32>()
             + self.height_m.capacity() * size_of::<f64>()
     }
 
-    /// The highest and the lowest of some returns of one waveform; `None` of none.
+    /// Highest and lowest of some returns of one waveform; `None` if empty.
     pub(super) fn extent(&self, returns: std::ops::Range<usize>) -> Option<Extent> {
         let place =
             |index: usize| Some((self.line.points().get(index)?.position_m, *self.height_m.get(index)?));
@@ -70,7 +70,7 @@ impl Places {
     }
 }
 
-/// How far the beam turns from one shot to the next, m per m.
+/// Change of beam direction from one shot to the next, m per m.
 fn turn(emissions: &[Emission], shot: usize) -> f64 {
     let between = |a: usize, b: usize| {
         let (a, b) = (emissions.get(a)?, emissions.get(b)?);
@@ -80,7 +80,9 @@ fn turn(emissions: &[Emission], shot: usize) -> f64 {
     between(shot, shot + 1).or_else(|| between(shot.checked_sub(1)?, shot)).unwrap_or(0.0)
 }
 
-/// How far a point of a shot's beam is from the beam of the next shot (of the one before, for the last), m.
+/// Distance of a point from the next shot's beam, m.
+///
+/// For the last shot, from that of the previous one.
 fn to_next_beam_m(emissions: &[Emission], shot: usize, position_m: [f64; 3]) -> f64 {
     let next = emissions.get(shot + 1).or_else(|| emissions.get(shot.checked_sub(1)?));
     next.map_or(0.0, |next| {
@@ -90,7 +92,7 @@ fn to_next_beam_m(emissions: &[Emission], shot: usize, position_m: [f64; 3]) -> 
     })
 }
 
-/// The level direction from the first shot of a line to its last; any where there is none.
+/// Horizontal direction from the first shot of a line to its last; arbitrary if undefined.
 fn along(emissions: &[Emission], down: [f64; 3]) -> [f64; 3] {
     let any = if down[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
     let (Some(first), Some(last)) = (emissions.first(), emissions.last()) else { return any };
@@ -112,7 +114,7 @@ mod tests {
     use super::*;
     use crate::batch::{Blocks, Content, InputInfo, Return};
 
-    /// Beams 0.01 rad apart from 1000 m, told by their sensor or by points 5 m above the ground.
+    /// Beams 0.01 rad apart from 1000 m, with the sensor or points 5 m above the ground as origins.
     #[test]
     fn shots_are_as_far_apart_wherever_ranges_count_from() {
         let spacings = |origin_is_sensor: bool| {

@@ -1,4 +1,4 @@
-//! The lines at hand: each is judged when the lines behind it that can tell of it have come.
+//! Line window: a line is classified once enough later lines are held.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -9,40 +9,40 @@ use crate::batch::{Batch, Content, Return, flags};
 use crate::kernels::outliers::{Line, Search, Side, jump};
 use crate::stage::{Item, Output, Result};
 
-/// Lines before and behind that tell of a line.
+/// Number of lines on each side used to classify a line.
 const LINES_APART: usize = 16;
-/// Others that a return must reach to belong to something.
+/// Number of other returns that a supported return must reach.
 const OTHERS: usize = 3;
-/// Steps are at least so many times as long as shots are apart.
+/// Minimum step length, as a multiple of the shot or line spacing.
 const SPACINGS: f64 = 2.5;
-/// LAS class of outliers, as BayesWavEx 1.1 has it.
+/// LAS class of outliers, as in BayesWavEx 1.1.
 const OUTLIER_CLASS: u8 = 20;
 
-/// The lines at hand, and those given on that still tell of others.
+/// Pending lines, and emitted lines still needed for others.
 pub(super) struct Strip {
     config: FilterOutliers,
     lines: VecDeque<Held>,
-    /// The first of `lines` that has not been judged.
+    /// Index of the first line in `lines` not yet classified.
     next: usize,
     bytes: usize,
     search: Search,
 }
 
-/// A line, and its batch until it is given on.
+/// A line; its batch is taken when it is emitted.
 struct Held {
     batch: Option<Batch>,
     places: Places,
     bytes: usize,
 }
 
-/// What becomes of a line's returns.
+/// Classification of a line's returns.
 #[derive(Default)]
 struct Verdicts {
-    /// Those that belong to nothing.
+    /// Unsupported returns.
     outliers: Vec<bool>,
-    /// Those whose waveform is rejected.
+    /// Returns whose waveform is rejected.
     rejected: Vec<bool>,
-    /// Where the outliers lie.
+    /// Side on which the outliers lie.
     sides: Vec<Option<Side>>,
 }
 
@@ -51,7 +51,7 @@ impl Strip {
         Strip { config, lines: VecDeque::new(), next: 0, bytes: 0, search: Search::default() }
     }
 
-    /// Takes the next line, and gives on what can be judged.
+    /// Adds the next line and emits those that can be classified.
     pub(super) fn push(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
         let places = Places::of(&batch);
         let apart = self.lines_apart(&batch, out);
@@ -63,9 +63,9 @@ impl Strip {
         }
         while self.bytes > out.may_hold_bytes() && !self.lines.is_empty() {
             out.cx.note(
-                "outliers are told from fewer lines than could tell of them: more do not fit into memory_mb",
+                "outliers are detected with fewer neighbouring lines than wanted: more do not fit into memory_mb",
             );
-            // As many lines before as behind.
+            // Keep as many lines before as after.
             match self.next > self.lines.len() - self.next {
                 true => self.forget_first(),
                 false => self.judge_next(out)?,
@@ -74,7 +74,7 @@ impl Strip {
         Ok(())
     }
 
-    /// Judges what is left.
+    /// Classifies the remaining lines.
     pub(super) fn finish(&mut self, out: &mut Output) -> Result<()> {
         while self.next < self.lines.len() {
             self.judge_next(out)?;
@@ -86,11 +86,11 @@ impl Strip {
         if has_vertical(batch.input.frame) {
             return LINES_APART;
         }
-        out.cx.note("outliers are looked for within each line alone: without a trajectory lines do not tell of each other, and wires across them are taken for outliers");
+        out.cx.note("outliers are detected within each line only: without a trajectory, lines cannot be compared with their neighbours, and wires across them are marked as outliers");
         0
     }
 
-    /// Judges a line, and gives it on.
+    /// Classifies a line and emits it.
     fn judge_next(&mut self, out: &mut Output) -> Result<()> {
         let at = self.next;
         self.next += 1;
@@ -107,14 +107,14 @@ impl Strip {
         out.emit(batch)
     }
 
-    /// Lets go of the first line, which has been judged.
+    /// Drops the first line, which has been classified.
     fn forget_first(&mut self) {
         let gone = self.lines.pop_front().map_or(0, |gone| gone.bytes);
         self.bytes -= gone;
         self.next -= 1;
     }
 
-    /// What becomes of the returns of a line.
+    /// Classifies the returns of a line.
     fn verdicts(&mut self, at: usize) -> Verdicts {
         let Some(held) = self.lines.get(at) else { return Verdicts::default() };
         let is_alone = held.batch.as_ref().is_none_or(|batch| !has_vertical(batch.input.frame));
@@ -139,7 +139,7 @@ impl Strip {
         verdicts
     }
 
-    /// How far a line is from the nearer of its neighbours' lines, m; 0 where there is none.
+    /// Distance to the nearer neighbouring line, m; 0 without one.
     fn line_spacing_m(&self, at: usize) -> f64 {
         let middle_m = |at: usize| self.lines.get(at)?.places.middle_m;
         let apart = |a: Option<usize>| {
@@ -152,8 +152,9 @@ impl Strip {
     }
 }
 
-/// Tells of each outlier whether it lies above or below the line: the mean height of the nearest returns before and behind
-/// it that belong to something.
+/// Determines whether each outlier lies above or below the line.
+///
+/// The level is the mean height of the nearest supported returns before and after it.
 fn find_sides(places: &Places, verdicts: &mut Verdicts) {
     let heights = &places.height_m;
     let mut before = vec![f64::NAN; heights.len()];
@@ -179,7 +180,7 @@ fn find_sides(places: &Places, verdicts: &mut Verdicts) {
     }
 }
 
-/// Rejects the waveforms that hold outliers alone and jump off their neighbours.
+/// Rejects waveforms that consist of outliers and jump from their neighbours.
 fn reject_jumps(places: &Places, verdicts: &mut Verdicts, config: &FilterOutliers) {
     let mut waves: Vec<Range<usize>> = Vec::new();
     for of_wave in places.line.points().chunk_by(|a, b| a.waveform == b.waveform) {
@@ -203,7 +204,7 @@ fn reject_jumps(places: &Places, verdicts: &mut Verdicts, config: &FilterOutlier
     }
 }
 
-/// Rejects and marks returns of a line, and counts them.
+/// Rejects and marks the returns of a line, and counts them.
 fn apply(batch: &mut Batch, verdicts: &Verdicts, config: &FilterOutliers, out: &mut Output) {
     let stats = &mut batch.stats;
     let Content::Returns(returns) = &mut batch.content else { return };
@@ -228,7 +229,7 @@ fn apply(batch: &mut Batch, verdicts: &Verdicts, config: &FilterOutliers, out: &
     stats.np_filtered += n;
     stats.nw_with_points -= waves.min(stats.nw_with_points);
     stats.nw_deleted += waves;
-    out.cx.reject(Item::Returns, "of a waveform that jumps off its line", n);
+    out.cx.reject(Item::Returns, "a return of a waveform that deviates from its line", n);
     let mut index = 0;
     returns.retain(|_| {
         index += 1;

@@ -12,7 +12,7 @@ fn found(emission: u32, range_m: f64) -> Return {
     Return { emission, range_m, range_sd_m: 0.003, amplitude_dn: 50.0, ..Return::default() }
 }
 
-/// Where the frame's axes (east, north, up) lie, and its origin.
+/// Axes (east, north, up) of the frame, and its origin.
 struct Lying {
     frame: Frame,
     axes: [[f64; 3]; 3],
@@ -25,7 +25,8 @@ const MAP: Lying = Lying {
     origin_m: [0.0; 3],
 };
 
-/// Line `line` over level ground, 1 m from line to line and from shot to shot; `other` gives ranges instead of the ground's.
+/// Line `line` over level ground, with 1 m line and shot spacing; `other` replaces the ranges of
+/// shots.
 fn line(lying: &Lying, line: u32, other: impl Fn(u32) -> Option<Vec<f64>>) -> Batch {
     let turned = |v: [f64; 3]| -> [f64; 3] {
         std::array::from_fn(|k| (0..3).map(|axis| lying.axes[axis][k] * v[axis]).sum())
@@ -58,8 +59,8 @@ fn line(lying: &Lying, line: u32, other: impl Fn(u32) -> Option<Vec<f64>>) -> Ba
     batch
 }
 
-/// A false return 30 m above the ground in line 4, one 20 m below it in line 9, a wire across all lines 20 m above it, and
-/// a waveform 100 m above it in line 6.
+/// A false return 30 m above the ground in line 4, one 20 m below it in line 9, a wire across all
+/// lines 20 m above it, and a waveform 100 m above it in line 6.
 fn scene(lying: &Lying) -> Vec<Batch> {
     let other = |at: u32, shot: u32| match (at, shot) {
         (4, 10) => Some(vec![HEIGHT_M - 30.0, HEIGHT_M.hypot(20.0)]),
@@ -71,7 +72,7 @@ fn scene(lying: &Lying) -> Vec<Batch> {
     (0..20).map(|at| line(lying, at, |shot| other(at, shot))).collect()
 }
 
-/// The lines behind the stage, and what it counted and said.
+/// Runs the stage; returns its lines, counters and notes.
 fn run(keys: &FilterOutliers, lines: Vec<Batch>, may_hold_bytes: usize) -> (Vec<Batch>, Context) {
     let mut stage = Filter { strip: Strip::new(keys.clone()) };
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
@@ -98,7 +99,7 @@ fn marked(lines: &[Batch]) -> Vec<(u32, u32)> {
 fn false_returns_are_marked_and_waveforms_that_jump_rejected() {
     let (lines, cx) = run(&FilterOutliers::default(), scene(&MAP), usize::MAX);
     assert_eq!(lines.iter().map(|batch| batch.line).collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
-    assert_eq!(marked(&lines), [(4, 10), (9, 30)], "not the wire");
+    assert_eq!(marked(&lines), [(4, 10), (9, 30)], "the wire is not marked");
     let sides = |at: usize| (lines[at].stats.np_air, lines[at].stats.np_low);
     assert_eq!([sides(4), sides(6), sides(9), sides(12)], [(1, 0), (1, 0), (0, 1), (0, 0)]);
     let rejected = &lines[6].stats;
@@ -106,7 +107,7 @@ fn false_returns_are_marked_and_waveforms_that_jump_rejected() {
     assert_eq!(lines[6].n_returns() as u64, rejected.np);
     assert!(lines.iter().all(|batch| batch.stats.laws_hold()));
     let rejected: Vec<_> = cx.counters().rejected.iter().collect();
-    assert_eq!(rejected, [(&(Item::Returns, "of a waveform that jumps off its line"), &1)]);
+    assert_eq!(rejected, [(&(Item::Returns, "a return of a waveform that deviates from its line"), &1)]);
     assert!(cx.counters().notes.is_empty());
 }
 
@@ -151,10 +152,8 @@ fn in_the_scanners_frame_a_line_stands_alone() {
     let (lines, cx) = run(&FilterOutliers::default(), scene(&scanner), usize::MAX);
     assert_eq!(
         cx.counters().notes,
-        [
-            "outliers are looked for within each line alone: without a trajectory lines do not tell of each other, and wires \
-          across them are taken for outliers"
-        ]
+        ["outliers are detected within each line only: without a trajectory, lines cannot be compared \
+             with their neighbours, and wires across them are marked as outliers"]
     );
     let marked = marked(&lines);
     assert!(
@@ -162,7 +161,11 @@ fn in_the_scanners_frame_a_line_stands_alone() {
         "{marked:?}"
     );
     assert!(marked.iter().all(|at| [(4, 10), (9, 30)].contains(at) || at.1 == 50), "{marked:?}");
-    assert_eq!((lines[6].stats.nw_deleted, lines[9].stats.np_low), (1, 1), "down is where the scanner looks");
+    assert_eq!(
+        (lines[6].stats.nw_deleted, lines[9].stats.np_low),
+        (1, 1),
+        "down is the viewing direction of the scanner"
+    );
 }
 
 #[test]
@@ -193,7 +196,7 @@ fn what_memory_holds_is_held_and_what_it_does_not_is_said() {
     let (lines, cx) = run(&keys, scene(&MAP), 12 * of_line);
     assert_eq!(
         cx.counters().notes,
-        ["outliers are told from fewer lines than could tell of them: more do not fit into memory_mb"]
+        ["outliers are detected with fewer neighbouring lines than wanted: more do not fit into memory_mb"]
     );
     assert_eq!(lines.iter().map(|batch| batch.line).collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
     let marked = marked(&lines);
@@ -214,7 +217,7 @@ fn keys_that_cannot_be_used_say_why() {
         (
             |keys| (keys.waves, keys.points) = (false, false),
             "points",
-            "with `waves = false` it must be `true`, or the stage does nothing",
+            "with `waves = false` it must be `true`; otherwise the stage does nothing",
         ),
         (|keys| keys.min_angle_deg = 181.0, "min_angle_deg", "it must lie between 0 and 180"),
         (|keys| keys.max_height_m = 0.0, "max_height_m", "it must be above 0 and at most 100000"),

@@ -1,4 +1,4 @@
-//! How surely the place of each point is known.
+//! Total uncertainty of point positions.
 
 use crate::batch::{Emission, Frame, Return};
 use crate::geo::frames::Vector;
@@ -7,7 +7,7 @@ use crate::geo::vertical::down_at;
 use crate::geometry::Geometry;
 use crate::geometry::poses::variance_m2;
 
-/// The uncertainties of a line.
+/// Computes the uncertainties of a line.
 pub(super) struct Uncertainty<'g> {
     geometry: &'g Geometry,
 }
@@ -17,12 +17,12 @@ impl<'g> Uncertainty<'g> {
         Uncertainty { geometry }
     }
 
-    /// Gives every return the standard deviation of its point, as far as the trajectory tells its own.
+    /// Sets the total standard deviation of each return, if the trajectory has accuracies.
     pub(super) fn tell(&self, emissions: &[Emission], points: &[Vector], returns: &mut [Return]) {
         if !self.geometry.knows_accuracy() {
             return;
         }
-        // The vertical where the line begins is good for all of it.
+        // The vertical at the start of the line is accurate enough for the whole line.
         let first_m = emissions.first().map_or([0.0; 3], |first| first.origin_m);
         let Some(down) = down_at(Frame::Earth, first_m) else { return };
         let mut last: Option<(u32, Option<(Pose, Accuracy)>)> = None;

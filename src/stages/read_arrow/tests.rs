@@ -1,10 +1,10 @@
-//! How rows become lines, and which rows do not.
+//! Conversion of rows to lines, and rejection of rows.
 
 use super::*;
 use crate::formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
 use crate::stage::Config as _;
 
-/// A job that says nothing of the samples.
+/// A job without declarations about the samples.
 const NO_WORD: Sampling = Sampling { odd_sample_shift: 0.0, full_scale_dn: None };
 
 fn header() -> ContainerHeader {
@@ -55,7 +55,7 @@ fn bytes(header: &ContainerHeader, lines: Vec<LineBuilder>) -> Vec<u8> {
     writer.finish().unwrap()
 }
 
-/// What a job reads from these bytes, and what is said about it.
+/// Reads these bytes as a job does; returns the lines and the counters.
 fn read(bytes: &[u8]) -> (Vec<Batch>, Context) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("made.arrow");
@@ -106,7 +106,7 @@ fn a_line_ends_with_its_record_batch_its_number_or_its_4096th_shot() {
     }
 }
 
-/// A line of a good shot, the one that `add` adds, and a good one.
+/// A line of three shots: a good one, the one that `add` adds, and a good one.
 fn around(add: impl FnOnce(&mut LineBuilder)) -> LineBuilder {
     let mut line = plain([good(0, 0)]);
     add(&mut line);
@@ -122,8 +122,8 @@ fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
         ("the origin is not finite", |shot| shot.origin_m[1] = f64::NAN),
         ("the direction is not finite", |shot| shot.direction[2] = f64::INFINITY),
         ("the direction is not finite", |shot| shot.direction[0] = f64::NAN),
-        ("the direction is no unit vector", |shot| shot.direction[2] = 0.80001),
-        ("the direction is no unit vector", |shot| shot.direction = [0.0; 3]),
+        ("the direction is not a unit vector", |shot| shot.direction[2] = 0.80001),
+        ("the direction is not a unit vector", |shot| shot.direction = [0.0; 3]),
         ("the time is infinite", |shot| shot.gps_time_s = Some(f64::NEG_INFINITY)),
         ("the clock runs backwards", |shot| shot.clock_ps = -1),
         ("the frame scale is not above 0", |shot| shot.frame_scale = Some(0.0)),

@@ -1,11 +1,11 @@
-//! Which points are of one pulse.
+//! Grouping of LAS points into pulses.
 
 use crate::formats::las::Point;
 
-/// Directions of points of one pulse differ by less than this, as a cosine.
+/// Maximum of 1 - cos between directions of points of one pulse.
 const SAME_BEAM: f64 = 1e-9;
 
-/// Whether a point goes on with the pulse whose points these are.
+/// Whether a point belongs to the same pulse as these points.
 pub(super) fn same_pulse(pulse: &[Point], b: &Point) -> bool {
     let Some(a) = pulse.last() else { return false };
     let (u, v) = (a.wave.direction_per_ps.map(f64::from), b.wave.direction_per_ps.map(f64::from));
@@ -16,10 +16,11 @@ pub(super) fn same_pulse(pulse: &[Point], b: &Point) -> bool {
     a.gps_time == b.gps_time && counts_on && cosine > 1.0 - SAME_BEAM
 }
 
-/// Whether a point counts on in the series of these points, of which some are of another channel.
+/// Whether a point continues the return numbering of points from several channels.
 ///
-/// A channel is a laser of its own, with series of its own, or a receiver of one and the same pulse, as `write_las` has it:
-/// then the returns of all its receivers are numbered together, and go by rising number.
+/// A scanner channel is either a separate laser with its own numbering, or one of several receivers
+/// of the same pulse, as `write_las` writes it. In the second case the returns of all receivers are
+/// numbered together, in ascending order.
 fn is_one_series(pulse: &[Point], b: &Point) -> bool {
     pulse.iter().all(|a| a.number_of_returns == b.number_of_returns && a.return_number < b.return_number)
 }
@@ -41,7 +42,10 @@ mod tests {
         assert!(alone(point(1.0, 1, 60), point(1.0, 2, 60)));
         assert!(alone(point(1.0, 1, 60), point(1.0, 2, 180)), "a second waveform of the same pulse");
         assert!(!alone(point(1.0, 1, 60), point(1.000_002, 2, 60)));
-        assert!(!alone(point(1.0, 1, 60), point(1.0, 1, 180)), "a time too coarse to tell pulses apart");
+        assert!(
+            !alone(point(1.0, 1, 60), point(1.0, 1, 180)),
+            "time resolution too coarse to separate pulses"
+        );
         let mut tilted = point(1.0, 2, 60);
         tilted.wave.direction_per_ps[0] = 1e-7;
         assert!(!alone(point(1.0, 1, 60), tilted));
@@ -58,8 +62,11 @@ mod tests {
         assert!(same_pulse(&[of(0, 1, 3), of(1, 2, 3)], &of(0, 3, 3)));
         assert!(!same_pulse(&[of(0, 1, 3)], &of(1, 2, 2)), "another number of returns");
         assert!(!same_pulse(&[of(0, 1, 1)], &of(1, 1, 1)), "both have a first return");
-        assert!(!same_pulse(&[of(0, 1, 2), of(0, 2, 2)], &of(1, 1, 2)), "the second laser begins anew");
-        assert!(!same_pulse(&[of(0, 1, 3), of(1, 3, 3)], &of(1, 2, 3)), "numbers rise");
+        assert!(
+            !same_pulse(&[of(0, 1, 2), of(0, 2, 2)], &of(1, 1, 2)),
+            "the second laser restarts its numbering"
+        );
+        assert!(!same_pulse(&[of(0, 1, 3), of(1, 3, 3)], &of(1, 2, 3)), "numbers must ascend");
         let mut tilted = of(1, 2, 3);
         tilted.wave.direction_per_ps[0] = 1e-7;
         assert!(!same_pulse(&[of(0, 1, 3)], &tilted));

@@ -1,21 +1,24 @@
-//! What a record is: a shot, a line's end, or neither.
+//! Classification of SDF records: a shot, an end of line, or neither.
 
 use crate::batch::{Channel, Emission, emission_flags};
 use crate::formats::sdf::{SdfBlock, SdfRecord, channel, record_flags};
 
-/// What a record is.
+/// Kind of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum What {
-    /// A shot; its line may end with it.
+    /// A shot; it may also end its line.
     Shot,
-    /// The end of a scan line, which is no shot.
+    /// The end of a scan line, without a shot.
     EndOfLine,
-    /// Something of the instrument's own.
+    /// Internal data of the instrument.
     Housekeeping,
 }
 
-/// The line of one known file ends with a shot of flags 11, then a record of flags 15 without blocks and directions. A
-/// record without blocks that has a direction is a shot that recorded nothing: its echoes may stand with later ones.
+/// Classifies a record.
+///
+/// In the one known file, a line ends with a shot of flags 11, then a record of flags 15 without
+/// blocks and direction. A record without blocks but with a direction is a shot that recorded
+/// nothing; its echoes may be stored with later shots.
 pub(super) fn what_is(record: &SdfRecord) -> What {
     let is = |flag: u16| record.flags & flag != 0;
     let is_directed = record.direction.iter().all(|x| x.is_finite());
@@ -27,16 +30,16 @@ pub(super) fn what_is(record: &SdfRecord) -> What {
     }
 }
 
-/// A record that should be a shot.
+/// Result of reading a shot record.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Found {
-    /// It is; its number is not known yet.
+    /// A valid shot; its number is not known yet.
     Shot(Emission),
-    /// Why it cannot be used.
+    /// The reason why the shot is rejected.
     Wrong(&'static str),
 }
 
-/// The shot of a record; its time is external time.
+/// Reads the shot of a record; its time is external time.
 pub(super) fn read(record: &SdfRecord) -> Found {
     if let Some(reason) = wrong(record) {
         return Found::Wrong(reason);
@@ -60,7 +63,7 @@ pub(super) fn ends_line(emission: &Emission) -> bool {
     emission.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0
 }
 
-/// The first three bits mean what they mean to the library; no meaning is known of those above the fourth.
+/// The first three bits have the library's meaning; bits above the fourth have no known meaning.
 fn flags(record: u16) -> u16 {
     const SAME: u16 = emission_flags::SYNCHRONISED
         | emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND
@@ -69,14 +72,14 @@ fn flags(record: u16) -> u16 {
     record & SAME | if edge { emission_flags::EDGE_OF_FLIGHT_LINE } else { 0 }
 }
 
-/// By how much the length of a direction may differ from 1: more is no unit vector, however few its digits.
+/// Largest deviation of the length of a direction from 1.
 const UNIT_TOLERANCE: f64 = 1e-3;
-/// Below this, a direction is taken as it is: 1 mm at 1 km.
+/// Below this deviation a direction is not normalised: 1 mm at 1 km.
 const AS_GOOD_AS_UNIT: f64 = 1e-6;
-/// Later, whole picoseconds would pass 2^63: 106 days.
+/// Latest clock time, s: whole picoseconds would overflow 2^63 (106 days).
 const LATEST_S: f64 = 9.2e6;
 
-/// Why a shot cannot be used, if so.
+/// The reason to reject a shot, if any.
 fn wrong(record: &SdfRecord) -> Option<&'static str> {
     let length = length(record.direction);
     let has_time = |block: &SdfBlock| block.start_s.abs() <= FARTHEST_S;
@@ -85,7 +88,7 @@ fn wrong(record: &SdfRecord) -> Option<&'static str> {
     } else if !length.is_finite() {
         Some("the direction is not finite")
     } else if (length - 1.0).abs() > UNIT_TOLERANCE {
-        Some("the direction is no unit vector")
+        Some("the direction is not a unit vector")
     } else if record.time_external_s.is_infinite() {
         Some("the time is infinite")
     } else if !record.time_s.is_finite() {
@@ -105,7 +108,7 @@ fn length(direction: [f64; 3]) -> f64 {
     direction.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// The channel of a code; `None` for a code that has none.
+/// The channel of a code; `None` for an unknown code.
 pub(super) fn channel_of(code: u32) -> Option<Channel> {
     match code {
         channel::HIGH_POWER => Some(Channel::HighPower),
@@ -116,24 +119,26 @@ pub(super) fn channel_of(code: u32) -> Option<Channel> {
     }
 }
 
-/// The time of emission after the record's, s, where a reference block without samples carries it.
+/// Emission time relative to the record, s, from a reference block without samples.
 pub(super) fn zero_of(record: &SdfRecord) -> Option<f64> {
     let carries = |channel: u32, is_empty: bool| channel == channel::REFERENCE && is_empty;
     record.blocks.iter().find(|block| carries(block.channel, block.is_empty())).map(|block| block.start_s)
 }
 
-/// Whole picoseconds, to the nearest: below 4096 s the double's own resolution is finer.
+/// Rounds to whole picoseconds; below 4096 s a double resolves less than that.
 pub(super) fn clock_ps(time_s: f64) -> i64 {
-    // Seconds and their parts apart: each product is exact or rounded to far less than a picosecond.
+    // Whole and fractional seconds are converted separately: each product is exact or rounded to
+    // far less than 1 ps.
     let whole_s = time_s.trunc();
     whole_s as i64 * 1_000_000_000_000 + ((time_s - whole_s) * 1e12).round() as i64
 }
 
-/// A block lies within a second of its shot, or its time is none.
+/// Largest offset of a block from its shot, s; beyond it the time is invalid.
 const FARTHEST_S: f64 = 1.0;
 
-/// A relative time, to a millionth of a nanosecond: so a decimal number of nanoseconds is again what it was before it
-/// became seconds.
+/// Rounds a relative time to 1e-6 ns.
+///
+/// This restores decimal nanoseconds that were converted to seconds.
 pub(super) fn fine_ns(time_s: f64) -> f64 {
     (time_s * 1e15).round() / 1e6
 }
@@ -189,8 +194,8 @@ mod tests {
         let changes: [(&str, Change); 10] = [
             ("the origin is not finite", |record| record.origin_m[2] = f64::INFINITY),
             ("the direction is not finite", |record| record.direction = NOWHERE),
-            ("the direction is no unit vector", |record| record.direction[2] = -1.0011),
-            ("the direction is no unit vector", |record| record.direction = [0.0; 3]),
+            ("the direction is not a unit vector", |record| record.direction[2] = -1.0011),
+            ("the direction is not a unit vector", |record| record.direction = [0.0; 3]),
             ("the time is infinite", |record| record.time_external_s = f64::NEG_INFINITY),
             ("the clock is not finite", |record| record.time_s = f64::NAN),
             ("the clock is beyond 106 days", |record| record.time_s = 9.3e6),

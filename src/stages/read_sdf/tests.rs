@@ -1,4 +1,4 @@
-//! The keys. What is read stands in `tests/sdf`.
+//! Configuration keys. `tests/sdf` covers reading.
 
 use super::*;
 use crate::stage::Config as _;

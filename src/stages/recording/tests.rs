@@ -1,4 +1,4 @@
-//! Windows, labels that do not fit, and maps. What whole jobs make of the keys stands in `tests/declared.rs`.
+//! Time windows, implausible time scales, and CRSs. `tests/declared.rs` covers whole jobs.
 
 use super::*;
 use crate::batch::{Blocks, Channel, TimeScale};
@@ -52,9 +52,9 @@ fn times_that_do_not_fit_their_label_are_named() {
         let (_, cx) = read(scale, vec![vec![time_s]], TimeKeys::default()).unwrap();
         cx.counters().notes.clone()
     };
-    let expected = "the recording's times, as 1000061758.0 s, do not fit what they are said to be, seconds of the GPS week \
-                    (as adjusted GPS times they would be of 2043-05-23, as standard GPS times they would be of 2011-09-14); \
-                    say what they count with the reader's key `recording_time`";
+    let expected = "the recording's times, such as 1000061758.0 s, are not plausible as seconds of the GPS \
+                    week (as adjusted GPS time: 2043-05-23, as standard GPS time: 2011-09-14); set the time \
+                    scale with the reader's key `recording_time`";
     assert_eq!(said(TimeScale::Week, 1_000_061_758.0), [expected]);
     assert_eq!(said(TimeScale::Day, 400_000.0).len(), 1);
     assert_eq!(said(TimeScale::Adjusted, 1_400_000_000.0 + 2e9).len(), 1);

@@ -1,5 +1,6 @@
-//! What the times of a recording count, and in which GPS week it was made: from what its file and the job say, and from
-//! the time of its first shot.
+//! Time scale and GPS week of a recording.
+//!
+//! Both follow from its file, the job, and the time of its first shot.
 
 use std::path::Path;
 
@@ -12,10 +13,10 @@ use crate::stage::Result;
 
 const DAY_S: f64 = 86_400.0;
 
-/// A moment, in seconds since the GPS epoch (1980-01-06), leap seconds left out.
+/// A moment in seconds since the GPS epoch (1980-01-06), without leap seconds.
 pub(in crate::stages) type SinceEpoch = f64;
 
-/// What the times in a file count.
+/// Time scale of a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::stages) enum Scale {
     Week,
@@ -37,7 +38,7 @@ impl From<RecordingTime> for Scale {
 }
 
 impl Scale {
-    /// The scale that a reader has found.
+    /// The scale that a reader reports.
     pub(in crate::stages) fn of(scale: TimeScale) -> Scale {
         match scale {
             TimeScale::Week => Scale::Week,
@@ -47,7 +48,7 @@ impl Scale {
         }
     }
 
-    /// The scale of an SDF file's epoch, as the library gives it.
+    /// The scale of an SDF epoch, as returned by the library.
     pub(in crate::stages) fn of_epoch(epoch: &str) -> Scale {
         match epoch.trim() {
             "WEEKSEC" => Scale::Week,
@@ -56,10 +57,12 @@ impl Scale {
         }
     }
 
-    /// Why a usual time of the recording cannot be of this scale; `file_date`: when the file was made (day, year).
+    /// Explains why a typical time cannot be of this scale, if so.
+    ///
+    /// `file_date`: creation date of the file (day of the year, year).
     pub(in crate::stages) fn misfit(self, time_s: f64, file_date: Option<(u16, u16)>) -> Option<String> {
         let (fits, what) = match self {
-            // A clock may count on over the end of its week or day.
+            // A clock may run on past the end of its week or day.
             Scale::Week => ((0.0..WEEK_S + DAY_S).contains(&time_s), "seconds of the GPS week"),
             Scale::Day => ((0.0..2.0 * DAY_S).contains(&time_s), "seconds of the day"),
             Scale::Since(epoch) => {
@@ -70,27 +73,27 @@ impl Scale {
         let dates = || {
             let readings = [("adjusted", 0.0), ("standard", -ADJUSTMENT_S)].map(|(name, shift_s)| {
                 let [year, month, day] = date(time_s + shift_s)?;
-                Some(format!("{name} GPS times they would be of {year}-{month:02}-{day:02}"))
+                Some(format!("{name} GPS time: {year}-{month:02}-{day:02}"))
             });
             let readings: Vec<String> = readings.into_iter().flatten().collect();
             if readings.is_empty() { String::new() } else { format!(" (as {})", readings.join(", as ")) }
         };
         let what = match self {
-            Scale::Since(ADJUSTMENT_S) => "adjusted GPS times",
-            Scale::Since(0.0) => "standard GPS times",
+            Scale::Since(ADJUSTMENT_S) => "adjusted GPS time",
+            Scale::Since(0.0) => "standard GPS time",
             _ => what,
         };
         (!fits).then(|| {
-            format!(
-                "the recording's times, as {time_s:.1} s, do not fit what they are said to be, {what}{}",
-                dates()
-            )
+            format!("the recording's times, such as {time_s:.1} s, are not plausible as {what}{}", dates())
         })
     }
 }
 
-/// No full waveforms were recorded in flight before 1990, none is from after 2079, and none from a year behind that of its file. The first week of
-/// adjusted time is one of September 2011: in a file of another year these are seconds of a week.
+/// Whether a moment is plausible for airborne full-waveform data.
+///
+/// None was recorded in flight before 1990. A date after 2079, or more than a year after that of
+/// the file, is wrong. The first week of adjusted time is in September 2011: in a file of another
+/// year, such values are seconds of the week.
 fn is_plausible(moment: SinceEpoch, file_date: Option<(u16, u16)>) -> bool {
     let adjusted_s = moment - ADJUSTMENT_S;
     let Some((year, day)) = day_of_year(adjusted_s) else { return false };
@@ -101,40 +104,40 @@ fn is_plausible(moment: SinceEpoch, file_date: Option<(u16, u16)>) -> bool {
     (1990..2080).contains(&year) && fits_file
 }
 
-/// The remedy where times do not fit.
-pub(in crate::stages) const SAY_SCALE: &str = "say what they count with the reader's key `recording_time`";
+/// Remedy for implausible times.
+pub(in crate::stages) const SAY_SCALE: &str = "set the time scale with the reader's key `recording_time`";
 
-/// What the times of a file mean.
+/// Interpretation of the times of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::stages) struct Times {
     pub(in crate::stages) scale: TimeScale,
-    /// What to add to a time of the file, s.
+    /// Added to a time of the file, s.
     pub(in crate::stages) offset_s: f64,
-    /// After how many seconds times of the file begin anew, where they do.
+    /// Period after which times of the file wrap around, s.
     pub(in crate::stages) period_s: Option<f64>,
     /// The GPS week of the first shot.
     pub(in crate::stages) gps_week: Option<u32>,
-    /// The day of the first shot: (day of the year from 1, year).
+    /// Day of the first shot: (day of the year from 1, year).
     pub(in crate::stages) recorded: Option<(u16, u16)>,
-    /// What the user should know.
+    /// A note for the user.
     pub(in crate::stages) remark: Option<&'static str>,
 }
 
-/// Times of a file as those of the recording, one after the other: they run on where the file's begin anew.
+/// Converts times of a file to those of the recording in sequence, unwrapping them.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::stages) struct Axis {
-    /// What to add to times of the file, s; a period more each time that they begin anew.
+    /// Added to times of the file, s; increases by one period at each wrap-around.
     pub(in crate::stages) offset_s: f64,
     period_s: Option<f64>,
     /// The last time, s; NaN before the first.
     last_s: f64,
 }
 
-/// Times begin anew where the next one is then at most so much later, s: any other step back is a wrong time.
+/// Longest step across a wrap-around, s; any other backward step is a wrong time.
 const LONGEST_STEP_S: f64 = 3600.0;
 
 impl Axis {
-    /// The next time of the file, s.
+    /// Converts the next time of the file, s.
     pub(in crate::stages) fn next(&mut self, of_file_s: f64) -> f64 {
         if let Some(period_s) = self.period_s {
             let step_s = of_file_s + self.offset_s + period_s - self.last_s;
@@ -151,8 +154,10 @@ impl Axis {
 }
 
 impl Times {
-    /// `first_s`: the file's time of the first shot, if any; `about`: when the recording was made, to half a day for
-    /// seconds of the day, to half a week for seconds of the week.
+    /// Interprets times from their scale, the first time and the approximate date.
+    ///
+    /// `first_s`: time of the first shot in the file, if any; `about`: moment of the recording, to
+    /// half a day for seconds of the day, to half a week for seconds of the week.
     pub(in crate::stages) fn new(scale: Scale, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
         match scale {
             Scale::Week => Times::periodic(WEEK_S, TimeScale::Week, first_s, about),
@@ -166,25 +171,25 @@ impl Times {
         }
     }
 
-    /// The times as a reader gives them.
+    /// The times as reported by a reader.
     pub(in crate::stages) fn as_said(info: &InputInfo) -> Times {
         let (scale, gps_week, recorded) = (info.time_scale, info.gps_week, info.recorded);
         Times { scale, gps_week, recorded, ..Times::dated(None) }
     }
 
-    /// Begins to turn times of the file into those of the recording.
+    /// Starts the conversion of file times to recording times.
     pub(in crate::stages) fn axis(&self) -> Axis {
         Axis { offset_s: self.offset_s, period_s: self.period_s, last_s: f64::NAN }
     }
 
-    /// Times that begin anew with every period.
+    /// Times that wrap around with this period.
     fn periodic(period_s: f64, scale: TimeScale, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
         let Some(about) = about else {
             return Times { scale, period_s: Some(period_s), remark: Some(NO_WEEK), ..Times::dated(None) };
         };
         let first_s = first_s.unwrap_or(about.rem_euclid(period_s));
-        // Of all moments with this time, the one nearest to when the recording was made: where that lies on the other
-        // side of midnight, the date is corrected.
+        // Of all moments with this time, take the nearest to the moment of the recording: this
+        // corrects the date if the two lie on different sides of midnight.
         let period_begins = ((about - first_s) / period_s).round() * period_s;
         let week_begins = (period_begins / WEEK_S).floor() * WEEK_S;
         let offset_s = period_begins - week_begins;
@@ -197,28 +202,28 @@ impl Times {
         .of_week(week_begins)
     }
 
-    /// The same times, so much later, s.
+    /// The same times, later by `by_s`.
     pub(in crate::stages) fn later_by(self, by_s: f64) -> Times {
         Times { offset_s: self.offset_s + by_s, ..self }
     }
 
-    /// GPS time less the recording's, s, where that is UTC and begins with the external time `first_s`.
+    /// GPS time minus UTC, s, for a recording in UTC that begins at external time `first_s`.
     ///
     /// # Errors
     /// The day is not known.
     pub(in crate::stages) fn leap_s(&self, file: &Path, first_s: Option<f64>) -> Result<f64> {
         let begins_s = self.scale_begins_s().and_then(|begins_s| Some(begins_s + first_s? + self.offset_s));
         let Some(begins_s) = begins_s else {
-            let problem = "its times are UTC, and without a day the leap seconds are not known";
+            let problem = "its times are UTC, but the day is unknown, and with it the number of leap seconds";
             return Err(Error::unusable(file, problem, NO_DAY).into());
         };
         Ok(leap_seconds(begins_s))
     }
 
-    /// What is to be added to a time of this scale so that it counts what the recording's do, s.
+    /// Offset from times of this scale to times of the recording, s.
     ///
     /// # Errors
-    /// The recording does not say what its times count, or in which week.
+    /// The time scale or the GPS week of the recording is unknown.
     pub(in crate::stages) fn shift_s(&self, scale: ScaleKey, file: &Path) -> Result<f64> {
         let week_s = || self.gps_week.map(|week| f64::from(week) * WEEK_S - ADJUSTMENT_S);
         let shift_s = match (scale, self.scale) {
@@ -227,11 +232,11 @@ impl Times {
             (ScaleKey::Adjusted, TimeScale::Week) => week_s().map(|week_s| -week_s),
             _ => None,
         };
-        let problem = "the recording does not say of which week its times are, which `time_scale` asks for";
+        let problem = "`time_scale` needs the GPS week of the recording, which is unknown";
         Ok(shift_s.ok_or_else(|| Error::unusable(file, problem, NO_DAY))?)
     }
 
-    /// Adjusted time when the seconds of the recording's scale began, s.
+    /// Adjusted time at which the recording's time scale begins, s.
     fn scale_begins_s(&self) -> Option<f64> {
         match self.scale {
             TimeScale::Adjusted => Some(0.0),
@@ -254,20 +259,22 @@ impl Times {
         }
     }
 
-    /// Seconds of the week count from the beginning of this one, even where the first shot lies behind its end.
+    /// Sets the week in which seconds of the week begin.
+    ///
+    /// The first shot may lie after the end of that week.
     fn of_week(self, week_begins: SinceEpoch) -> Times {
         let week = week_begins / WEEK_S;
         Times { gps_week: (0.0..1e5).contains(&week).then_some(week as u32), ..self }
     }
 }
 
-const NO_DAY: &str = "say the day with the key `gps_date`, or leave the key out";
+const NO_DAY: &str = "set the day with the key `gps_date`, or remove the key";
 const NO_SCALE: &str =
-    "the recording does not say what its times count from: no trajectory can be matched to them";
-const NO_WEEK: &str = "the GPS week is not known: the file's name does not begin with its date as in 130621_101500.sdf; \
-                       say the day with the key `gps_date`";
+    "the time scale of the recording is unknown: no trajectory can be matched to its times";
+const NO_WEEK: &str = "the GPS week is unknown: the file name does not begin with its date as in 130621_101500.sdf; \
+                       set the day with the key `gps_date`";
 
-/// When a recording was made, by its file's name: `YYMMDD_HHMMSS`, and anything behind it.
+/// Moment of a recording from its file name: `YYMMDD_HHMMSS`, with any suffix.
 pub(in crate::stages) fn named(file: &Path) -> Option<SinceEpoch> {
     let name = file.file_stem()?.to_str()?;
     let (date, rest) = name.split_once('_')?;
@@ -278,12 +285,12 @@ pub(in crate::stages) fn named(file: &Path) -> Option<SinceEpoch> {
     Some(midnight(year as i32, month, day)? + seconds(hour, minute, f64::from(second))?)
 }
 
-/// Noon of a day, `YYYY-MM-DD`.
+/// Noon of a day given as `YYYY-MM-DD`.
 pub(in crate::stages) fn noon(date: &str) -> Option<SinceEpoch> {
     Some(day(date)? + 0.5 * DAY_S)
 }
 
-/// A date and time of ISO 8601: `2010-11-16T00:00:00`, with parts of seconds and a `Z` if need be.
+/// Parses an ISO 8601 date and time, with optional fraction and `Z`.
 fn date_and_time(text: &str) -> Option<SinceEpoch> {
     let (date, time) = text.split_once(['T', ' '])?;
     let mut parts = time.trim_end_matches('Z').splitn(3, ':');
@@ -320,7 +327,7 @@ fn seconds(hour: u32, minute: u32, second: f64) -> Option<f64> {
     is_time.then(|| f64::from(3600 * hour + 60 * minute) + second)
 }
 
-/// Three numbers of two digits.
+/// Parses three numbers of two digits.
 fn pairs(text: &str) -> Option<[u32; 3]> {
     let [a, b, c] = [0, 2, 4].map(|at| text.get(at..at + 2).and_then(|pair| number(pair, 2)));
     (text.len() == 6).then_some([a?, b?, c?])
@@ -339,7 +346,7 @@ mod tests {
         Times::new(Scale::of_epoch(epoch), first_s, about)
     }
 
-    /// 2013-06-21 lies in week 1745, on its Friday.
+    /// 2013-06-21: Friday of GPS week 1745.
     const FRIDAY: f64 = 1745.0 * WEEK_S + 5.0 * DAY_S;
 
     #[test]
@@ -348,7 +355,7 @@ mod tests {
         assert_eq!(at("in/130621_101500.sdf"), Some(FRIDAY + 36_900.0));
         assert_eq!(at("130621_101500_1.sdf"), at("130621_101500.wfm"));
         assert_eq!(at("130621_101500_line 4.sdf"), at("130621_101500.sdf"));
-        assert_eq!(at("940102_000000.sdf"), Some(730.0 * WEEK_S), "of the last century");
+        assert_eq!(at("940102_000000.sdf"), Some(730.0 * WEEK_S), "of the 20th century");
         for other in [
             "flight.sdf",
             "130621.sdf",
@@ -372,11 +379,12 @@ mod tests {
         let friday = times(5.0 * DAY_S + 36_901.5, FRIDAY + 36_900.0);
         assert_eq!((friday.scale, friday.offset_s, friday.gps_week), (TimeScale::Week, 0.0, Some(1745)));
         assert_eq!((friday.recorded, friday.remark), (Some((172, 2013)), None));
-        // Named a second before Sunday's midnight, begun a second behind it, and the other way round.
+        // The name is one second before Sunday midnight and the first shot one second after it, and
+        // vice versa.
         let sunday = 1745.0 * WEEK_S;
         assert_eq!(times(1.0, sunday - 1.0).gps_week, Some(1745));
         assert_eq!(times(WEEK_S - 1.0, sunday + 1.0).gps_week, Some(1744));
-        // A clock that counts on over the end of the week.
+        // A clock that runs on past the end of the week.
         assert_eq!(times(WEEK_S + 1.0, sunday + 1.0).gps_week, Some(1744));
     }
 

@@ -1,39 +1,39 @@
-//! What was received: groups of blocks that go to one shot together, and the echoes in them.
+//! Received echoes: groups of blocks that belong to one shot, and their peaks.
 
 use std::ops::Range;
 
 use crate::batch::{Block, Blocks, Channel, Emission};
 
-/// The strongest pulses of a group that count.
+/// Number of strongest pulses used per group.
 const MOST_ECHOES: usize = 4;
-/// A pulse counts from this height above the background on, digitiser steps.
+/// Smallest pulse height above the background, digitiser steps.
 const LEAST_HEIGHT_DN: f64 = 3.0;
-/// And from this part of the highest.
+/// Smallest pulse height relative to the highest.
 const LEAST_PART: f64 = 0.3;
-/// An outgoing pulse below this height says nothing of when it left, digitiser steps.
+/// Smallest height of an outgoing pulse that gives an emission time, digitiser steps.
 const LEAST_OUTGOING_DN: f64 = 10.0;
-/// What the instrument computed belongs to a block so near to it, ns.
+/// Largest distance of an online return from its block, ns.
 const ONLINE_REACH_NS: f64 = 2.0;
-/// Nothing comes back so late, ns.
+/// Latest possible reception, ns.
 const LATEST_NS: f64 = 1e9;
 
-/// What becomes of a block, or of a return that the instrument computed, before its zone is known.
+/// Destination of a block or online return before its zone is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
-    /// It stays with its shot: an outgoing pulse, or a block whose zone is known.
+    /// Stays with its shot: an outgoing pulse, or a block with a known zone.
     Stays,
-    /// It goes where its group goes.
+    /// Goes where its group goes.
     Group(u32),
-    /// It has no usable time.
+    /// Has no usable time.
     Nowhere,
 }
 
-/// Blocks of one record that overlap in time: all of them come from one shot.
+/// Blocks of one record that overlap in time, and so come from one shot.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Group {
-    /// Index of the emission in whose record they stand.
+    /// Index of the emission whose record contains them.
     pub record: u32,
-    /// Begin and end after that emission's clock, ns.
+    /// Start and end after that emission's clock, ns.
     pub from_ns: f64,
     to_ns: f64,
     /// Its echoes in [`Received::echoes`].
@@ -43,23 +43,23 @@ pub(super) struct Group {
 /// One echo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Peak {
-    /// Time after the clock of the emission in whose record it stands, ns.
+    /// Time after the clock of the emission whose record contains it, ns.
     pub time_ns: f64,
     /// Height above the background at gain 1, digitiser steps.
     pub height_dn: f64,
 }
 
-/// What was received in a line.
+/// Echoes received in a line.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Received {
     pub groups: Vec<Group>,
     /// The echoes of the groups, group by group.
     pub echoes: Vec<Peak>,
-    /// One for each block.
+    /// One entry per block.
     pub blocks: Vec<Place>,
-    /// One for each return that the instrument computed.
+    /// One entry per online return.
     pub online: Vec<Place>,
-    /// When each shot's outgoing pulse left after its clock, ns; NaN where none was recorded.
+    /// Delay of each shot's outgoing pulse after its clock, ns; NaN if not recorded.
     pub outgoing_ns: Vec<f64>,
 }
 
@@ -97,7 +97,7 @@ impl Received {
         received
     }
 
-    /// Makes groups of blocks of one record.
+    /// Groups the blocks of one record.
     fn add_groups(&mut self, record: u32, members: &mut [(usize, Block)], blocks: &Blocks) {
         members.sort_by(|a, b| a.1.start_ns.total_cmp(&b.1.start_ns));
         let mut from = 0;
@@ -119,7 +119,7 @@ impl Received {
         }
     }
 
-    /// Adds what the instrument computed to the group it lies in, among those from `first` on, or to one of its own.
+    /// Assigns an online return to a group: one from `first` on that contains it, or a new one.
     fn add_online(&mut self, first: usize, index: usize, record: u32, blocks: &Blocks) {
         let time_ns = blocks.online[index].time_ns;
         if !has_time(time_ns) {
@@ -151,7 +151,7 @@ fn has_time(time_ns: f64) -> bool {
     time_ns.abs() < LATEST_NS
 }
 
-/// Whether a block stays; if not, its group is not known yet.
+/// Whether a block stays; otherwise its group is set later.
 fn place_of(block: &Block, emission: &Emission) -> Place {
     if block.channel == Channel::Reference || block.zone.or(emission.mta_zone).is_some() {
         Place::Stays
@@ -162,7 +162,7 @@ fn place_of(block: &Block, emission: &Emission) -> Place {
     }
 }
 
-/// Finds the echoes of a group: those of the sensitive receiver where it recorded, else of the other; at least one.
+/// Finds the echoes of a group in its most sensitive receiver; at least one.
 fn find(group: &[(usize, Block)], blocks: &Blocks, echoes: &mut Vec<Peak>) {
     let order = [Channel::LowPower, Channel::HighPower, Channel::Saturation];
     let recorded = |channel: &Channel| group.iter().any(|(_, block)| block.channel == *channel);
@@ -174,7 +174,7 @@ fn find(group: &[(usize, Block)], blocks: &Blocks, echoes: &mut Vec<Peak>) {
     let own = &mut echoes[first..];
     own.sort_by(|a, b| b.height_dn.total_cmp(&a.height_dn));
     let least_dn = own.first().map_or(0.0, |highest| (LEAST_PART * highest.height_dn).max(LEAST_HEIGHT_DN));
-    // The highest stays, however low it is.
+    // The highest is always kept.
     let kept = own.iter().take(MOST_ECHOES).filter(|peak| peak.height_dn >= least_dn).count().max(1);
     echoes.truncate(first + kept);
     if echoes.len() == first {
@@ -182,8 +182,10 @@ fn find(group: &[(usize, Block)], blocks: &Blocks, echoes: &mut Vec<Peak>) {
     }
 }
 
-/// The peaks of a block: each run of equal samples that its neighbours are below, at its middle, or, where it is a single
-/// sample, at the vertex of the parabola through it and its neighbours.
+/// Finds the peaks of a block: runs of equal samples above both neighbours.
+///
+/// The position is the middle of the run; for a single sample it is the vertex of the parabola
+/// through it and its neighbours.
 fn peaks(block: &Block, samples: &[u16], echoes: &mut Vec<Peak>) {
     let background_dn = f64::from(background(samples));
     let mut from = 0;
@@ -206,9 +208,10 @@ fn peaks(block: &Block, samples: &[u16], echoes: &mut Vec<Peak>) {
     }
 }
 
-/// The centroid of an outgoing pulse's upper part, ns after the clock of its shot; NaN where it is too low to say.
+/// Centroid of the upper part of an outgoing pulse, ns after its shot's clock; NaN if too low.
 ///
-/// What lies above three tenths of the height counts, by how far it does: that is steadier than the vertex through three samples.
+/// Weights are the excess above 30 % of the height, which is more stable than the vertex through
+/// three samples.
 fn outgoing_ns(block: &Block, samples: &[u16]) -> f64 {
     let checked = |time_ns: f64| if has_time(time_ns) { time_ns } else { f64::NAN };
     let Some(peak) = (0..samples.len()).max_by_key(|&k| (samples[k], std::cmp::Reverse(k))) else {
@@ -229,7 +232,7 @@ fn outgoing_ns(block: &Block, samples: &[u16]) -> f64 {
     checked(block.time_ns(weighted / sum))
 }
 
-/// What a block holds beside its pulses: the lower of the medians of its first and its last four samples.
+/// Background of a block: the lower of the medians of its first and last four samples.
 fn background(samples: &[u16]) -> u16 {
     let median = |samples: &[u16]| {
         let mut few = [0; 4];
@@ -242,7 +245,7 @@ fn background(samples: &[u16]) -> u16 {
     median(&samples[..part]).min(median(&samples[samples.len() - part..]))
 }
 
-/// Where the parabola through three samples has its vertex, from the middle one, which is above the others.
+/// Vertex of a parabola through three samples, relative to the highest, in the middle.
 fn vertex(before: u16, middle: u16, after: u16) -> f64 {
     let [before, middle, after] = [before, middle, after].map(f64::from);
     0.5 * (before - after) / (before - 2.0 * middle + after)
@@ -279,7 +282,7 @@ mod tests {
         let samples = [2, 3, 2, 2, 10, 40, 11, 2, 3, 2, 20, 61, 19, 2, 4, 2, 255, 255, 255, 2, 2];
         blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &samples);
         let received = Received::of(&unresolved(1), &blocks);
-        assert_eq!(times(&received, 0), [17.0], "61 is less than three tenths of a saturated pulse");
+        assert_eq!(times(&received, 0), [17.0], "61 is less than 30 % of a saturated pulse");
         let mut blocks = Blocks::default();
         blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &samples[..15]);
         let received = Received::of(&unresolved(1), &blocks);

@@ -1,4 +1,4 @@
-//! What the geometry of a recording says of its shots: their place across the line, and how far the ground should be.
+//! Shot geometry: positions across the line, and expected ranges to the ground.
 
 use std::sync::Arc;
 
@@ -11,38 +11,38 @@ use crate::geometry::target::Target;
 use crate::kernels::mta;
 use crate::stage::{Result, StageError};
 
-/// Beams nearer to each other than this have no direction between them, m per m.
+/// Smallest change of direction, m per m, that defines a sweep direction.
 const LEAST_SWEEP: f64 = 1e-6;
-/// A beam of the earth's frame is taken to be as straight in the map as it is up to here, m.
+/// Length over which an earth-frame beam is treated as straight in the projected CRS, m.
 const REACH_M: f64 = 1000.0;
-/// Beams sweep if they have not turned around an axis after this many restarts of the search, or this many beams.
+/// A scanner is not circular after this many restarts of the cone search, or this many beams.
 const MOST_RESTARTS: usize = 3;
 const MOST_BEAMS: usize = 4096;
 
-/// How a recording's beams lie.
+/// Beam geometry of a recording.
 #[derive(Clone, Debug)]
 pub(super) struct Geometry {
     frame: Frame,
     range_m: [f64; 2],
-    /// Straight down, as far as the frame tells.
+    /// Straight down, or the best estimate in frames without a vertical.
     down: [f64; 3],
-    /// Where the terrain model is, if beams are in the earth's frame.
+    /// Projected CRS of the terrain model, if beams are in the earth-centred frame.
     map: Option<Arc<Target>>,
-    /// Across the line: from the first shot of a line to its last, or from a line of one shot to the next; `None` before there
-    /// were two.
+    /// Direction across the line: from the first shot of a line to its last, or between consecutive
+    /// lines of one shot; `None` until there were two shots.
     across: Option<[f64; 3]>,
     /// The last beam so far.
     last: Option<[f64; 3]>,
     turning: Turning,
     beams: usize,
-    /// Whether beams turn on a cone; `None` while that is not known.
+    /// Whether beams turn on a cone; `None` until known.
     is_circular: Option<bool>,
 }
 
 impl Geometry {
-    /// The geometry of the recording that a line is of.
+    /// The geometry of a recording, from its first line.
     ///
-    /// In the scanner's own frame down is the axis nearest to the mean direction of the line.
+    /// In the scanner frame, down is the axis nearest to the mean direction of the line.
     pub fn of(
         batch: &Batch,
         range_m: [f64; 2],
@@ -55,11 +55,11 @@ impl Geometry {
             _ => None,
         };
         if terrain.is_some() && frame != Frame::Map && map.is_none() {
-            let frame = if frame == Frame::Scanner { "scanner's" } else { "aircraft's" };
+            let frame = if frame == Frame::Scanner { "scanner" } else { "body" };
             return Err(StageError::failed(
                 format!(
-                    "a terrain model needs shots whose place in the map is known, and those of this recording are in the \
-                     {frame} own frame, without a trajectory"
+                    "a terrain model needs georeferenced shots, but those of this recording are in the \
+                     {frame} frame, without a trajectory"
                 ),
                 "give the `trajectory` in `[job.geometry]`, or `agl_m` instead of `terrain`",
             ));
@@ -85,7 +85,7 @@ impl Geometry {
         })
     }
 
-    /// Follows the beams of the next line, and says whether it is known if they turn on a cone.
+    /// Adds the beams of the next line; returns whether the scanner type is known.
     pub fn follow(&mut self, emissions: &[Emission]) -> bool {
         if self.is_circular != Some(false) {
             emissions.iter().for_each(|emission| self.turning.add(emission.direction));
@@ -99,12 +99,12 @@ impl Geometry {
         self.is_circular.is_some()
     }
 
-    /// Whether places across the line are azimuths. What is not known by now is not asked again.
+    /// Whether positions across the line are azimuths; settles the answer if still unknown.
     pub fn is_circular(&mut self) -> bool {
         *self.is_circular.get_or_insert(false)
     }
 
-    /// Learns the direction across the line.
+    /// Determines the direction across the line.
     pub fn learn(&mut self, emissions: &[Emission]) {
         if self.across.is_some() {
             return;
@@ -121,7 +121,7 @@ impl Geometry {
         }
     }
 
-    /// A shot as the kernel wants it.
+    /// Converts a shot for the kernel.
     pub fn emission(&self, emission: &Emission, terrain: Option<&Terrain>) -> mta::Emission {
         let cos_nadir = dot(emission.direction, self.down);
         let expected_m = terrain.map_or(f64::NAN, |terrain| {
@@ -137,7 +137,7 @@ impl Geometry {
         }
     }
 
-    /// Where a beam starts in the map, and what a metre of it is there; NaN where the map does not reach.
+    /// Beam origin in the projected CRS, and its displacement per metre; NaN outside the CRS.
     fn in_map(&self, emission: &Emission) -> ([f64; 3], [f64; 3]) {
         let (origin_m, direction) = (emission.origin_m, emission.direction);
         let Some(map) = &self.map else {
@@ -148,7 +148,8 @@ impl Geometry {
         (near, std::array::from_fn(|axis| (far[axis] - near[axis]) / REACH_M))
     }
 
-    /// The place across the line: the azimuth on a cone, else the recording's own scan angle, or, in the scanner's frame, that of the beam.
+    /// Position across the line, degrees: azimuth on a cone, else the recorded scan angle, else the
+    /// angle of the beam.
     fn scan_angle_deg(&self, emission: &Emission, cos_nadir: f64) -> f64 {
         if let (Some(true), Some(cone)) = (self.is_circular, self.turning.cone()) {
             return cone.azimuth_rad(emission.direction).to_degrees();

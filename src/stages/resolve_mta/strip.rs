@@ -1,4 +1,4 @@
-//! The lines at hand: each is given on when no block that is still to come belongs to it.
+//! Pending scan lines; a line is emitted once no later block can belong to it.
 
 use std::collections::VecDeque;
 
@@ -15,49 +15,50 @@ use crate::kernels::mta::{
 };
 use crate::stage::{Item, Output, Result};
 
-/// What the kernel's cells take at most for each shot of the lines at hand, bytes (docs/mta.md, Memory and order).
+/// Upper bound of the kernel's cell memory per shot of the pending lines, bytes (docs/mta.md,
+/// Memory and order).
 const CELL_BYTES_PER_SHOT: usize = 48;
-/// What a shot, and a block or a return of the instrument's own, count in the kernel's window, bytes.
+/// Nominal size in the kernel's window of a shot, and of a block or online return, bytes.
 const WINDOW_BYTES_PER_SHOT: usize = 256;
 const WINDOW_BYTES_PER_BLOCK: usize = 240;
 const NO_EMISSION: &str = "no emission at a distance within `range_m`";
 const NO_TIME: &str = "a block a second or more from its shot";
-const NO_SHOT: &str = "its emission is not in the line";
+const NO_SHOT: &str = "its shot is not in the line";
 
-/// Lines whose zones are being found.
+/// Lines whose zones are being resolved.
 pub(super) struct Strip {
     resolver: Resolver,
     settings: Settings,
     geometry: Geometry,
-    /// The first lines, while it is not known whether their beams turn on a cone.
+    /// The first lines, until it is known whether the scanner is circular.
     first_lines: Vec<Batch>,
     held: VecDeque<HeldLine>,
-    /// Number of the first line in `held`, as the resolver counts.
+    /// Number of the first line in `held`, in the resolver's count.
     first: u64,
     /// Lines below this number are complete.
     settled: u64,
     pub(super) held_bytes: usize,
-    /// When the last outgoing pulse left after its shot's clock, ps.
+    /// Delay of the last outgoing pulse relative to its shot's clock, ps.
     outgoing_ps: i64,
-    /// How many lines there were, and what they count in the kernel's window.
+    /// Number of lines added, and their nominal size in the kernel's window, bytes.
     pushed: usize,
     pushed_bytes: usize,
-    /// What the terrain model takes, bytes.
+    /// Memory of the terrain model, bytes.
     terrain_bytes: usize,
-    /// Its share of the memory in flight, given back with the strip.
+    /// Budget share of the terrain model; released with the strip.
     _terrain_ticket: Option<Ticket>,
     tally: Tally,
 }
 
-/// A line that waits.
+/// A pending line.
 struct HeldLine {
     batch: Batch,
     received: Received,
-    /// For each emission that the resolver knows its index in the line.
+    /// Index in the line of each emission known to the resolver.
     known: Vec<u32>,
-    /// For each echo that the resolver knows its group.
+    /// Group of each echo known to the resolver.
     group_of_echo: Vec<u32>,
-    /// Blocks, of this line and of later ones, that this line's shots caused.
+    /// Blocks, of this line and of later ones, caused by this line's shots.
     incoming: Vec<Moved>,
     online: Vec<OnlineReturn>,
     bytes: usize,
@@ -67,28 +68,28 @@ struct HeldLine {
 struct Moved {
     /// Index of that shot in its line.
     to: u32,
-    /// Time after its clock, ns.
+    /// Time relative to the clock of that shot, ns.
     start_ns: f64,
-    /// The line and the index where the samples are.
+    /// Line and index of the block that holds the samples.
     line: u64,
     block: u32,
     zone: Option<i16>,
     is_uncertain: bool,
 }
 
-/// Where a group goes.
+/// Assignment of a group to a shot.
 #[derive(Clone, Copy)]
 struct Verdict {
     line: u64,
     emission: u32,
     zone: i16,
-    /// From the record's clock to the cause's, ns.
+    /// From the causing shot's clock to the record's clock, ns.
     later_ns: f64,
     is_uncertain: bool,
 }
 
 impl Strip {
-    /// For the recording that a line is of.
+    /// Starts with the first line of a recording.
     pub fn new(
         config: &ResolveMta,
         first: &Batch,
@@ -122,7 +123,7 @@ impl Strip {
         })
     }
 
-    /// Takes the next line, and gives on what is complete.
+    /// Adds the next line and emits complete ones.
     pub fn push(&mut self, batch: Batch, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
         let is_known = self.geometry.follow(&batch.emissions);
         self.first_lines.push(batch);
@@ -159,7 +160,8 @@ impl Strip {
         self.pushed_bytes += line.bytes;
         self.pushed += 1;
         if held.known.len() < held.batch.emissions.len() {
-            out.cx.note("shots that share a clock with the one before them cannot be told from it: it gets their echoes");
+            out.cx
+                .note("shots with duplicate timestamps are indistinguishable; their echoes go to the first");
         }
         held.count();
         self.held_bytes += held.bytes;
@@ -170,7 +172,7 @@ impl Strip {
         Ok(())
     }
 
-    /// Says that no line follows.
+    /// Resolves and emits the remaining lines.
     pub fn finish(mut self, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
         self.take_first_lines(terrain, out)?;
         self.resolver.finish().map_err(|error| failed(&error))?;
@@ -181,7 +183,7 @@ impl Strip {
         Ok(())
     }
 
-    /// Puts the blocks of all lines that are resolved where they belong.
+    /// Assigns the blocks of all resolved lines to their shots.
     fn settle(&mut self, out: &mut Output) -> Result<()> {
         while let Some(resolved) = self.resolver.pop() {
             self.assign(&resolved, out);
@@ -204,7 +206,7 @@ impl Strip {
         Ok(())
     }
 
-    /// The blocks of the first line's shots, in order of shot and time. Sets the shots' zones.
+    /// The blocks of the first line's shots, sorted by shot and time; sets the zones of the shots.
     fn regrouped(&mut self) -> Blocks {
         let Some(line) = self.held.front_mut() else { return Blocks::default() };
         let mut incoming = std::mem::take(&mut line.incoming);
@@ -218,7 +220,7 @@ impl Strip {
             }
         }
         for (emission, first) in line.batch.emissions.iter_mut().zip(first_zones) {
-            // A shot of which nothing came back has no zone; 0 says that it is resolved.
+            // A shot without echoes has no zone; 0 marks it as resolved.
             emission.mta_zone = emission.mta_zone.or(first).or(Some(0));
         }
         let mut blocks = Blocks::default();
@@ -241,7 +243,7 @@ impl Strip {
         blocks
     }
 
-    /// Sends the blocks of a line that is resolved to the lines that caused them.
+    /// Sends the blocks of a resolved line to the lines that caused them.
     fn assign(&mut self, resolved: &Resolved, out: &mut Output) {
         let Some(at) = resolved.line.checked_sub(self.first).map(|at| at as usize) else { return };
         let Some(line) = self.held.get(at) else { return };
@@ -268,7 +270,7 @@ impl Strip {
         }
     }
 
-    /// The cause that most of a group's echoes speak for, weighted with their heights, and its margin.
+    /// The cause with the largest total echo height in a group, and its margin.
     fn verdict(&self, line: &HeldLine, group: &Group, echoes: &[Assigned]) -> Option<(Verdict, f32)> {
         let peaks = line.received.echoes.get(group.echoes.start as usize..group.echoes.end as usize)?;
         let votes = || echoes.iter().zip(peaks).filter(|(echo, _)| echo.cause.is_some());
@@ -276,7 +278,7 @@ impl Strip {
         for (echo, _) in votes() {
             let of_cause = votes().filter(|(other, _)| other.cause == echo.cause);
             let weight: f64 = of_cause.map(|(_, peak)| peak.height_dn.max(1.0)).sum();
-            // Of equal ones the first, which is the higher pulse's.
+            // Of equal weights the first wins, which is that of the highest pulse.
             if best.is_none_or(|(most, _)| weight > most) {
                 best = Some((weight, echo));
             }
@@ -299,7 +301,7 @@ impl Strip {
         Some((verdict, best.margin_nats))
     }
 
-    /// What this stage will hold back at most, by the lines so far, bytes.
+    /// Upper bound of the memory that this stage will hold, bytes.
     fn foreseen_bytes(&self) -> usize {
         let lines_by_bytes =
             (LOOK_AHEAD_BYTES / (self.pushed_bytes / self.pushed).max(1)).saturating_add(BAND_LINES);
@@ -309,8 +311,9 @@ impl Strip {
 }
 
 impl HeldLine {
-    /// The line as the kernel wants it: its clocks ascend, and are the times at which pulses left. `outgoing_ps` is the last
-    /// outgoing pulse's time after its clock.
+    /// Converts the line for the kernel, with ascending emission times as clocks.
+    ///
+    /// `outgoing_ps` is the delay of the last outgoing pulse relative to its clock.
     fn for_kernel(
         &mut self,
         geometry: &Geometry,
@@ -319,12 +322,13 @@ impl HeldLine {
     ) -> mta::Line {
         let mut line = mta::Line { bytes: self.window_bytes(), ..mta::Line::default() };
         let has_outgoing = self.batch.input.emission_reference == EmissionReference::OutgoingPulse;
-        // For each shot its place among those that the kernel knows.
+        // For each shot, its index among those known to the kernel.
         let mut places = Vec::with_capacity(self.batch.emissions.len());
         for ((index, emission), outgoing_ns) in
             (0u32..).zip(&self.batch.emissions).zip(&self.received.outgoing_ns)
         {
-            // Pulses leave when their peak says, not when the clock was read. Where one says nothing, the last one's counts.
+            // A pulse leaves at its recorded peak, not at its time stamp. If a peak is unusable,
+            // the last delay is used.
             if has_outgoing && outgoing_ns.is_finite() {
                 *outgoing_ps = (outgoing_ns * 1000.0).round() as i64;
             }
@@ -351,7 +355,8 @@ impl HeldLine {
         line
     }
 
-    /// What the line counts in the kernel's window: about what it takes, but by the data alone, whoever read it.
+    /// Nominal size of the line in the kernel's window, bytes; depends on the data only, not on the
+    /// reader.
     fn window_bytes(&self) -> usize {
         let blocks = self.batch.blocks();
         let samples: usize = blocks.map_or(0, |blocks| blocks.iter().map(Block::len).sum());
@@ -360,7 +365,7 @@ impl HeldLine {
             + samples * size_of::<u16>()
     }
 
-    /// What the line takes while it is held back goes to the memory in flight.
+    /// Charges the memory of the pending line to the budget.
     fn count(&mut self) {
         let shots = self.batch.emissions.len();
         let received = &self.received;
@@ -375,7 +380,7 @@ impl HeldLine {
         }
     }
 
-    /// Running number of the last shot that was out when a group began.
+    /// Number of the last shot fired before a group begins.
     fn received_with(&self, group: &Group) -> u64 {
         let emissions = &self.batch.emissions;
         let mut at = group.record as usize;
@@ -390,7 +395,7 @@ impl HeldLine {
         emissions.get(at).map_or(0, |emission| emission.shot)
     }
 
-    /// Where blocks and returns of the instrument's own go; what has no cause is rejected.
+    /// Destinations of blocks and online returns; those without a cause are rejected.
     #[expect(clippy::type_complexity, reason = "two lists of what goes to which line")]
     fn moves(
         &self,
@@ -459,14 +464,14 @@ impl HeldLine {
                     let time_ns = returned.time_ns + later_ns;
                     moves.push((line, OnlineReturn { emission, time_ns, ..returned }));
                 }
-                _ => out.cx.note("returns of the instrument's own whose cause was not found are left out"),
+                _ => out.cx.note("online returns without an assigned shot are skipped"),
             }
         }
         moves
     }
 }
 
-/// Says so where a terrain model and a recording name different maps.
+/// Notes if the terrain model and the recording name different CRSs.
 fn terrain_elsewhere(terrain: &Terrain, first: &Batch, out: &mut Output) {
     let name = |wkt: &str| wkt.split('"').nth(1).map(str::to_owned);
     let of_terrain = terrain.epsg().and_then(crate::formats::geokeys::wkt_of_epsg).and_then(|wkt| name(&wkt));
@@ -475,7 +480,7 @@ fn terrain_elsewhere(terrain: &Terrain, first: &Batch, out: &mut Output) {
         && terrain != recording
     {
         out.cx.note(format!(
-            "the terrain model is in {terrain} and the recording in {recording}: coordinates are taken as they stand"
+            "the terrain model is in {terrain} but the recording is in {recording}: coordinates are used without conversion"
         ));
     }
 }

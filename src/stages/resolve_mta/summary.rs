@@ -1,9 +1,9 @@
-//! What the report says of the zones.
+//! Zone statistics for the report.
 
 use crate::kernels::mta::Resolver;
 use crate::stage::Context;
 
-/// Counts what goes to which zone.
+/// Counts echoes per zone.
 pub(super) struct Tally {
     blind_gap_ns: f64,
 }
@@ -13,7 +13,7 @@ impl Tally {
         Tally { blind_gap_ns }
     }
 
-    /// Blocks that go together have found their shot.
+    /// Records the assignment of a group of blocks.
     pub fn add(&self, zone: i16, margin_nats: f32, is_uncertain: bool, cx: &mut Context) {
         cx.observe("mta_zone", f64::from(zone));
         cx.observe("mta_uncertain", f64::from(u8::from(is_uncertain)));
@@ -22,7 +22,7 @@ impl Tally {
         }
     }
 
-    /// What was found over the whole strip.
+    /// Reports the totals of the recording.
     pub fn tell(&self, resolver: &Resolver, cx: &mut Context) {
         let summary = resolver.summary();
         if summary.interval_rms_ns().is_finite() {

@@ -2,7 +2,7 @@ use super::*;
 use crate::batch::{Blocks, Channel, Emission, Frame, InputInfo, OnlineReturn};
 use crate::stage::{Context, Item};
 
-/// Time between pulses, ps, without what varies.
+/// Mean time between pulses, ps.
 const INTERVAL_PS: i64 = 2_500_000;
 
 fn input() -> Arc<InputInfo> {
@@ -17,7 +17,7 @@ fn shots(first: u64, count: u64) -> Vec<Emission> {
 
 const PULSE: [u16; 9] = [2, 2, 2, 12, 40, 12, 2, 2, 2];
 
-/// Gives lines to a stage with these keys; what comes out, and what was counted.
+/// Runs the stage on these lines; returns its result, lines and counters.
 fn run(config: &ResolveMta, lines: Vec<Batch>, may_hold_bytes: usize) -> (Result<()>, Vec<Batch>, Context) {
     let terrain = config.terrain.as_ref().map(|path| Terrain::open(path).unwrap());
     let mut stage = Resolving { config: config.clone(), terrain, placed: Arc::default(), strip: None };
@@ -83,7 +83,7 @@ fn blocks_go_to_the_shot_before_even_in_the_line_before() {
 
 #[test]
 fn a_zone_counts_to_the_begin_of_the_block() {
-    // An emission leaves between the block's first sample and its peak.
+    // An emission between the first sample of the block and its peak.
     let mut blocks = Blocks::default();
     blocks.push(1, Channel::LowPower, None, 2497.0, 1.0, &PULSE);
     let lines = vec![Batch::of_shots(input(), 0, shots(0, 3), blocks)];
@@ -108,10 +108,7 @@ fn what_has_no_cause_is_rejected() {
         rejected,
         [("a block a second or more from its shot", 1), ("no emission at a distance within `range_m`", 1)]
     );
-    assert_eq!(
-        cx.counters().notes[0],
-        "returns of the instrument's own whose cause was not found are left out"
-    );
+    assert_eq!(cx.counters().notes[0], "online returns without an assigned shot are skipped");
 }
 
 #[test]
@@ -167,7 +164,7 @@ fn what_is_held_back_is_foreseen_with_the_terrain_model() {
         foreseen.push(out.foreseen_bytes());
     }
     let [least, most] = [foreseen.iter().min(), foreseen.iter().max()].map(|bytes| *bytes.unwrap() as f64);
-    assert!(most < 1.01 * least, "as well from the first line: {least} to {most}");
+    assert!(most < 1.01 * least, "the estimate is stable from the first line: {least} to {most}");
 }
 
 #[test]
@@ -216,14 +213,11 @@ fn keys_that_contradict_one_another_are_refused() {
         ("agl_m = [9, 8]", "agl_m: it must be a height, or two ascending ones, above 0 and at most 100000"),
         (
             "agl_m = [900, 1000]\nagl_sd_m = 9",
-            "agl_sd_m: it belongs to a single `agl_m`: two heights say themselves how far terrain departs",
+            "agl_sd_m: it needs a single `agl_m`: two heights already define the spread of the terrain",
         ),
-        ("agl_m = 9\nterrain = 'a.tif'", "agl_m: `terrain` says more: leave one of them out"),
+        ("agl_m = 9\nterrain = 'a.tif'", "agl_m: `terrain` is the more detailed prior: remove one of them"),
         ("zone = 127", "zone: it must be \"auto\" or lie between 0 and 126"),
-        (
-            "zone = 1\nagl_m = 9",
-            "zone: a fixed zone leaves nothing to decide: leave `agl_m` and `terrain` out",
-        ),
+        ("zone = 1\nagl_m = 9", "zone: a fixed zone needs no prior: remove `agl_m` and `terrain`"),
     ] {
         assert_eq!(problem(keys), expected, "{keys}");
     }

@@ -1,4 +1,4 @@
-//! The law of the container: what is written comes back.
+//! Round trip: what is written is read back unchanged.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -24,7 +24,7 @@ fn site(folder: &Path, input: &str) -> Site {
     }
 }
 
-/// Writes batches as a job does; what was said about it.
+/// Writes batches as a job does; returns the notes and counters.
 fn write(folder: &Path, config: &Config, batches: &[Batch]) -> Context {
     let mut cx = Context::default();
     let mut sink = config.make(&site(folder, "")).unwrap();
@@ -41,7 +41,7 @@ fn read(folder: &Path) -> Vec<Batch> {
     let mut source: Box<dyn Source> = config.make(&site(folder, "made.arrow")).unwrap();
     let mut cx = Context::default();
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
-    // Made-up times fit their scale by chance only.
+    // Made-up times may be implausible for their time scale.
     let is_of_times = |note: &String| {
         note.starts_with("the recording's times") || note.starts_with("the receiver's gain changes")
     };
@@ -206,7 +206,8 @@ fn batch(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> Batch {
     Batch::of_shots(Arc::clone(info), line, emissions, blocks)
 }
 
-/// All that a batch holds, with every bit of its numbers: a NaN is equal to a NaN, and -0 is not 0.
+/// All contents of a batch as text, with every bit of its numbers: NaN equals NaN, and -0 differs
+/// from 0.
 fn words(batch: &Batch) -> String {
     format!("{} {:?} {:?} {:?}", batch.line, batch.emissions, batch.content, batch.stats)
 }
@@ -273,7 +274,7 @@ fn without_a_shot_there_is_no_file_but_a_note() {
     let empty = Batch::of_shots(plain_info(), 0, vec![], Blocks::default());
     for batches in [&[][..], &[empty][..]] {
         let cx = write(folder.path(), &Config::default(), batches);
-        assert_eq!(cx.counters().notes, ["no container is written: there was not a single shot"]);
+        assert_eq!(cx.counters().notes, ["no container is written: there were no shots"]);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }
@@ -325,7 +326,7 @@ fn other_kinds_of_batches_are_refused() {
     let mut batch = Batch::of_shots(plain_info(), 0, vec![], Blocks::default());
     batch.content = crate::batch::Content::Returns(vec![]);
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
-    assert_eq!(error, "write_arrow was given Returns, and writes Shots; put it before `decompose`");
+    assert_eq!(error, "write_arrow received Returns, but writes Shots; put it before `decompose`");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The columns that a row may have, by the letters of LAStools.
+//! Columns of a row, by the letters of LAStools.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use super::steps::Steps;
 use crate::batch::Return;
 use crate::formats::las::{ATTRIBUTES_1_1, ExtraAttribute, PointOut, RAW_AMP, quantise};
 
-/// A point, and what else its row is made of.
+/// A point, and the other sources of its row.
 pub(super) struct Row<'a> {
     pub(super) point: &'a PointOut,
     pub(super) found: &'a Return,
@@ -15,7 +15,7 @@ pub(super) struct Row<'a> {
     pub(super) attribute_steps: &'a [Steps; ATTRIBUTES.len()],
 }
 
-/// The attributes by their number: those of layout 1.1 in their order, and the raw amplitude behind them.
+/// Attributes by number: those of layout 1.1 in order, then the raw amplitude.
 pub(super) const ATTRIBUTES: [ExtraAttribute; 10] = {
     let [a, b, c, d, e, f, g, h, i] = ATTRIBUTES_1_1;
     [a, b, c, d, e, f, g, h, i, RAW_AMP]
@@ -29,30 +29,30 @@ pub(super) fn attribute_steps() -> [Steps; ATTRIBUTES.len()] {
 /// A column.
 pub(super) struct Column {
     letter: char,
-    /// In the first line.
+    /// Name in the header line.
     pub(super) name: &'static str,
     cell: Cell,
 }
 
-/// Where a column takes its values from.
+/// Source of a column's values.
 enum Cell {
-    /// Seconds.
+    /// Time, s.
     Time,
-    /// A coordinate, by its axis.
+    /// A coordinate, by axis.
     Coordinate(usize),
-    /// The steps of a coordinate from its offset, by its axis.
+    /// A coordinate in steps from its offset, by axis.
     CoordinateSteps(usize),
-    /// Degrees.
+    /// Scan angle, degrees.
     ScanAngle,
     /// A whole number.
     Whole(fn(&PointOut) -> u16),
-    /// An extra attribute, by its number.
+    /// An extra attribute, by number.
     Attribute(usize),
 }
 
 use Cell::{Attribute, Coordinate, CoordinateSteps, ScanAngle, Time, Whole};
 
-/// Every column. Flags that no point of a waveform has (key point, synthetic, overlap) are 0.
+/// All columns. Flags that waveform points never have (key point, synthetic, overlap) are 0.
 static COLUMNS: [Column; 31] = [
     column('t', "gps_time", Time),
     column('x', "x", Coordinate(0)),
@@ -95,22 +95,22 @@ const fn attribute(letter: char, number: usize) -> Column {
     Column { letter, name: ATTRIBUTES[number].name, cell: Attribute(number) }
 }
 
-/// The columns that letters name.
+/// Returns the columns named by letters.
 ///
 /// # Errors
-/// There are none, or a letter names none: says which, where, and what there is.
+/// No letters, or an unknown letter: names it, its position and the valid letters.
 pub(super) fn columns(letters: &str) -> Result<Vec<&'static Column>, String> {
     if letters.is_empty() {
-        return Err(format!("no column is named; {}", choices()));
+        return Err(format!("no columns are given; {}", choices()));
     }
     let found = letters.chars().enumerate().map(|(index, letter)| {
-        let unknown = || format!("`{letter}`, the {} of it, names no column; {}", place(index), choices());
+        let unknown = || format!("`{letter}`, the {}, is not a column; {}", place(index), choices());
         COLUMNS.iter().find(|column| column.letter == letter).ok_or_else(unknown)
     });
     found.collect()
 }
 
-/// `3rd letter`.
+/// Formats a position, such as `3rd letter`.
 fn place(index: usize) -> String {
     let number = index + 1;
     let ending = match (number % 10, number % 100) {
@@ -123,15 +123,15 @@ fn place(index: usize) -> String {
     format!("{number}{ending} letter")
 }
 
-/// What there is to choose from.
+/// Lists the valid letters.
 fn choices() -> String {
     let names: Vec<String> =
         COLUMNS.iter().map(|column| format!("{} {}", column.letter, column.name)).collect();
-    format!("there are {}", names.join(", "))
+    format!("valid letters are {}", names.join(", "))
 }
 
 impl Column {
-    /// Writes the column's value of a row. (Writing into a string cannot fail.)
+    /// Appends the column's value in a row. (Writing into a string cannot fail.)
     pub(super) fn write(&self, row: &Row, text: &mut String) {
         match self.cell {
             Time => {
@@ -139,7 +139,7 @@ impl Column {
             }
             Coordinate(axis) => row.steps[axis].write(steps(row, axis), text),
             CoordinateSteps(axis) => {
-                // Adding 0 leaves no minus before a 0.
+                // Adding 0 turns -0 into 0.
                 let _ = write!(text, "{}", steps(row, axis) + 0.0);
             }
             ScanAngle => {
@@ -180,11 +180,11 @@ mod tests {
     fn what_names_no_column_is_said_with_its_place() {
         let problem = columns("txR").err().unwrap();
         assert!(
-            problem.starts_with("`R`, the 3rd letter of it, names no column; there are t gps_time, x x"),
+            problem.starts_with("`R`, the 3rd letter, is not a column; valid letters are t gps_time, x x"),
             "{problem}"
         );
         assert!(problem.ends_with("9 RawAmp"), "{problem}");
-        assert!(columns("").err().unwrap().starts_with("no column is named; there are t"));
+        assert!(columns("").err().unwrap().starts_with("no columns are given; valid letters are t"));
         let places: Vec<String> = [0, 1, 3, 10, 11, 12, 20, 21, 22, 110].map(place).to_vec();
         let endings: Vec<&str> = places.iter().map(|p| p.trim_end_matches(" letter")).collect();
         assert_eq!(endings, ["1st", "2nd", "4th", "11th", "12th", "13th", "21st", "22nd", "23rd", "111th"]);

@@ -1,17 +1,18 @@
-//! Numbers that count in steps, as text that loses none of them.
+//! Lossless text for numbers that are multiples of a step.
 
 use std::fmt::Write;
 
-/// Steps from an offset, and how many decimals tell them.
+/// Steps from an offset, with the number of decimals they need.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Steps {
     step: f64,
     offset: f64,
-    /// `None`: no number of decimals is exact, and the shortest text that reads back as the same number is taken.
+    /// `None` if no number of decimals is exact; the shortest text that reads back exactly is then
+    /// used.
     decimals: Option<usize>,
 }
 
-/// More decimals than that are none that a person gave.
+/// Largest number of decimals expected in user input.
 const MOST_DECIMALS: usize = 12;
 
 impl Steps {
@@ -21,14 +22,14 @@ impl Steps {
         Steps { step, offset, decimals }
     }
 
-    /// How many steps lie between the offset and a value.
+    /// Number of steps from the offset to a value.
     pub(super) fn count(&self, value: f64) -> f64 {
         ((value - self.offset) / self.step).round()
     }
 
-    /// Writes the value that so many steps make.
+    /// Appends the value at a number of steps.
     pub(super) fn write(&self, count: f64, text: &mut String) {
-        // Adding 0 leaves no minus before a 0.
+        // Adding 0 turns -0 into 0.
         let value = count * self.step + self.offset + 0.0;
         // Writing into a string cannot fail.
         let _ = match self.decimals {
@@ -39,7 +40,7 @@ impl Steps {
     }
 }
 
-/// How many decimals a number has; `None` where they do not end.
+/// Number of decimals of a value; `None` if not finite.
 fn decimals_of(value: f64) -> Option<usize> {
     (0..=MOST_DECIMALS).find(|&decimals| {
         let scaled = value * 10f64.powi(decimals as i32);
@@ -79,7 +80,7 @@ mod tests {
     }
 
     proptest! {
-        /// What is read back lies on the same step.
+        /// A value read back is on the same step.
         #[test]
         fn no_step_is_lost(
             count in any::<i32>(),

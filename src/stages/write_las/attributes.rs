@@ -1,4 +1,4 @@
-//! What a point holds of its return: the attributes, the class and the user data of both layouts.
+//! Extra attributes, class and user data of points, in both layouts.
 
 use crate::batch::{Return, ReturnChannel, flags};
 use crate::formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER};
@@ -6,7 +6,7 @@ use crate::kernels::steps::{ROUNDING, power_ratios};
 
 use super::AttributeLayout;
 
-/// What an extra attribute tells of a return.
+/// Quantity of a return stored in an extra attribute.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Quantity {
     WidthRatio,
@@ -26,7 +26,7 @@ use Quantity::{
     WidthRatio, WidthSd,
 };
 
-/// What the attributes of each layout tell, in their order.
+/// Quantities of the attributes of each layout, in their order.
 const QUANTITIES_1_1: [Quantity; 9] = [
     WidthRatio,
     Thickness,
@@ -50,19 +50,19 @@ const QUANTITIES_1_0: [Quantity; 9] = [
     ThicknessSd,
 ];
 
-/// Points of layout 1.0 whose waveform deviates by more belong to class 20.
+/// Deviation ratio above which points of layout 1.0 are of class 20.
 const UNDEFINED_DEVIATION_RATIO: f64 = 3.0;
 /// "Undefined" (BayesWavEx 1.1, section 3).
 const UNDEFINED: u8 = 20;
 
-/// The extra attributes of a file: how they are stored, and what they tell.
+/// The extra attributes of a file: storage, and quantities.
 pub(super) struct Attributes {
     pub(super) stored: Vec<ExtraAttribute>,
     told: Vec<Quantity>,
 }
 
 impl Attributes {
-    /// Those of a layout, with or without standard deviations.
+    /// The attributes of a layout, with or without standard deviations.
     pub(super) fn of(layout: AttributeLayout, uncertainty: bool) -> Attributes {
         let (stored, told) = match layout {
             AttributeLayout::V1_1 => (ATTRIBUTES_1_1, QUANTITIES_1_1),
@@ -77,7 +77,7 @@ impl Attributes {
         Attributes { stored: Vec::new(), told: Vec::new() }
     }
 
-    /// Puts what returns tell, at most [`TOGETHER`] of them.
+    /// Writes the attributes of at most [`TOGETHER`] returns.
     pub(super) fn put(&self, returns: &[Return], columns: &mut ExtraColumns) {
         let mut values = [0.0; TOGETHER];
         let values = &mut values[..returns.len().min(TOGETHER)];
@@ -93,10 +93,11 @@ impl Quantity {
         matches!(self, RangeSd | IntensitySd | WidthSd | ThicknessSd)
     }
 
-    /// [`Quantity::of`] each return, with the exception that linear amplitudes are only near enough to be rounded to whole
-    /// numbers.
+    /// Applies [`Quantity::of`] to each return.
+    ///
+    /// Linear amplitudes are approximate, but accurate enough for rounding to whole numbers.
     fn column(self, returns: &[Return], values: &mut [f64]) {
-        // The quantity is named in each function: it is not to be asked for every value.
+        // Each closure names its quantity as a constant, so that it is not matched per value.
         match self {
             WidthRatio => fill(values, returns, |r| WidthRatio.of(r)),
             Thickness => fill(values, returns, |r| Thickness.of(r)),
@@ -128,23 +129,24 @@ impl Quantity {
     }
 }
 
-/// The value of each return.
+/// Computes the value of each return.
 #[inline]
 fn fill(values: &mut [f64], returns: &[Return], of: impl Fn(&Return) -> f64) {
     values.iter_mut().zip(returns).for_each(|(value, r)| *value = of(r));
 }
 
-/// What an attribute of layout 1.1, or the raw amplitude, tells of a return; NaN for others.
+/// Value of an attribute of layout 1.1, or of the raw amplitude; NaN for others.
 pub(in crate::stages) fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
     let mut all = ATTRIBUTES_1_1.iter().zip(QUANTITIES_1_1).chain([(&RAW_AMP, RawAmplitude)]);
     let found = all.find(|(stored, _)| stored.name == attribute.name);
     found.map_or(f64::NAN, |(_, quantity)| quantity.of(r))
 }
 
-/// Linear amplitudes, which become the same whole numbers as those of [`linear_amplitude`]: where one is so near to the middle
-/// between two that this is not certain, it is the same.
+/// Linear amplitudes that round to the same whole numbers as [`linear_amplitude`].
+///
+/// A value so close to a rounding boundary that this is not certain is recomputed exactly.
 fn linear_amplitudes(values: &mut [f64], returns: &[Return]) {
-    /// Far more than either of the two ways can be off, as a share of the amplitude.
+    /// Relative uncertainty, far larger than the error of either method.
     const UNCERTAIN: f64 = 1e-11;
     let (mut decibels, mut ratios) = ([0.0; TOGETHER], [0.0; TOGETHER]);
     fill(&mut decibels, returns, |r| r.amplitude_db);
@@ -163,7 +165,7 @@ fn linear_amplitudes(values: &mut [f64], returns: &[Return]) {
     }
 }
 
-/// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak's height at gain 1.
+/// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak height at gain 1.
 fn linear_amplitude(r: &Return) -> f64 {
     match r.amplitude_db.is_nan() {
         true => r.amplitude_at_unit_gain_dn().0,
@@ -176,7 +178,9 @@ pub(super) fn power_channel(r: &Return) -> u8 {
     u8::from(r.channel != ReturnChannel::Low)
 }
 
-/// The user data byte. Layout 1.0 counts iterations, which a return does not keep: a refined one says 1.
+/// User data byte.
+///
+/// Layout 1.0 counts iterations, which a return does not keep; it is 1 for refined returns.
 pub(super) fn user_data(layout: AttributeLayout, r: &Return) -> u8 {
     let bit = |flag: u16, bit: u8| u8::from(r.flags & flag != 0) << bit;
     match layout {
@@ -185,7 +189,7 @@ pub(super) fn user_data(layout: AttributeLayout, r: &Return) -> u8 {
     }
 }
 
-/// The class: in layout 1.0 bad fits are undefined, too.
+/// Class; in layout 1.0, poor fits are also undefined.
 pub(super) fn class(layout: AttributeLayout, r: &Return) -> u8 {
     match layout {
         AttributeLayout::V1_0 if r.deviation_ratio > UNDEFINED_DEVIATION_RATIO => UNDEFINED,
@@ -199,7 +203,7 @@ mod tests {
     use crate::formats::las::quantise;
     use proptest::prelude::*;
 
-    /// The stored amplitudes of returns of these decibels and heights, from the column and one by one.
+    /// Stored amplitudes for these decibels and heights, computed by column and individually.
     fn stored(amplitudes: &[(f64, f64)]) -> (Vec<i64>, Vec<i64>) {
         let of = |(amplitude_db, amplitude_dn): &(f64, f64)| Return {
             amplitude_db: *amplitude_db,

@@ -1,9 +1,10 @@
-//! The files of a run of points, in the order in which they get their names.
+//! Order in which the files of a run get their final names.
 //!
-//! A run may be killed between any two of these steps, and nothing tells other programs which packets or which index a file of
-//! points was written with: they trust the names. So no step may leave a file of points beside packets or an index of another
-//! run. What an earlier run left goes first: its index, and where packets stand beside the points, its points. Packets then
-//! come before the points that refer to them, and the index after the points that it counts.
+//! A run may be killed between any two of these steps. Other programs match points with packets and
+//! indexes by name only. Therefore no step may leave points next to packets or an index of another
+//! run. Files of an earlier run are removed first: its index and, with external packets, its
+//! points. Packets are then published before the points that refer to them, and the index after the
+//! points that it counts.
 
 use std::io::Write;
 
@@ -13,18 +14,18 @@ use crate::formats::Error;
 use crate::formats::las::{Writer, indexes_beside};
 use crate::stage::{Context, Item, OutputFile, Result, WholeFile};
 
-/// What is written beside the points, or becomes a part of their file.
+/// Companion files of the points, or data appended to them.
 pub(super) struct Files {
-    /// The file of the index.
+    /// File of the spatial index.
     pub index: Option<OutputFile>,
     /// The waveforms of the points.
     pub waves: Option<Waves>,
-    /// Where the waveforms go.
+    /// Destination of the waveforms.
     pub place: WavePacketsKey,
 }
 
 impl Files {
-    /// Completes the files and keeps them in order.
+    /// Completes the files and publishes them in order.
     pub fn finish(self, mut writer: Writer<OutputFile>, cx: &mut Context) -> Result<()> {
         let index = self.index.map(|file| finish_index(file, &mut writer)).transpose()?.flatten();
         let points = match self.waves {
@@ -38,7 +39,7 @@ impl Files {
     }
 }
 
-/// The file of the index; `None` where an index cannot name so many points.
+/// Completes the index file; `None` if the index format cannot address this many points.
 fn finish_index(mut file: OutputFile, writer: &mut Writer<OutputFile>) -> Result<Option<WholeFile>> {
     let Some(index) = writer.take_index() else { return Ok(None) };
     let path = file.path().to_path_buf();
@@ -52,7 +53,7 @@ fn finish_with_waveforms(
     place: WavePacketsKey,
     cx: &mut Context,
 ) -> Result<OutputFile> {
-    cx.reject(Item::Blocks, "a waveform that no packet can hold", waves.n_refused);
+    cx.reject(Item::Blocks, "a waveform of a kind that the file cannot describe", waves.n_refused);
     let (packets, kinds) = waves.finish()?;
     if place == WavePacketsKey::Internal {
         return Ok(writer.finish_with_waveforms(&kinds, Some(&mut waves::open(&packets)?))?);

@@ -64,7 +64,7 @@ fn site(folder: &Path) -> Site {
     }
 }
 
-/// What the stage leaves, its files before they have their names.
+/// Runs the stage; its files do not yet have their final names.
 fn run(keys: &WriteLas, site: &Site, lines: &[Batch]) -> Context {
     let mut cx = Context::default();
     let mut sink = keys.make(site).unwrap();
@@ -73,7 +73,7 @@ fn run(keys: &WriteLas, site: &Site, lines: &[Batch]) -> Context {
     cx
 }
 
-/// The file that these keys make of these lines, and what the stage notes.
+/// The file written for these lines, and the notes of the stage.
 fn write(keys: &WriteLas, lines: &[Batch]) -> (Vec<u8>, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     let site = site(folder.path());
@@ -96,7 +96,7 @@ fn keys(path: &str) -> WriteLas {
     WriteLas { path: path.into(), ..WriteLas::default() }
 }
 
-/// Steps, as the sink stores them.
+/// Stored steps of the attributes.
 fn stored(point: &las::Point, layout: AttributeLayout) -> Vec<u16> {
     let mut rest = point.extra_bytes.as_slice();
     let stored = Attributes::of(layout, true).stored;
@@ -145,9 +145,8 @@ fn version_1_2_clamps_what_its_fields_cannot_hold() {
     let (bytes, notes) = write(&keys, &[line(info(Some("PROJCS[\"x\"]")), vec![found(1)])]);
     assert_eq!(
         notes,
-        [
-            "the coordinate reference system has neither an EPSG code nor GeoTIFF keys: the file holds it as WKT, which belongs to LAS 1.4"
-        ]
+        ["the coordinate reference system has neither an EPSG code nor GeoTIFF keys: the file stores it \
+             as WKT, which is defined for LAS 1.4"]
     );
     let reader = las::Reader::new(std::io::Cursor::new(bytes)).unwrap();
     assert!(reader.header().vlrs().iter().any(|vlr| vlr.record_id == 2112));
@@ -161,10 +160,8 @@ fn layout_1_0_has_its_own_steps_bits_and_class() {
     let (bytes, notes) = write(&keys, &lines);
     assert_eq!(
         notes,
-        [
-            "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
-             trajectory, and the crs that points are to have"
-        ]
+        ["the points are not georeferenced: the file has no coordinate reference system; give \
+             [job.geometry] a `trajectory` and a `crs`"]
     );
     let (_, points) = points(&bytes);
     assert_eq!(stored(&points[0], AttributeLayout::V1_0), [13, 30, 700, 120, 40, 3, 50, 25, 125]);
@@ -204,7 +201,7 @@ fn an_index_is_a_file_or_a_part_of_one() {
     assert!(bytes.windows(8).any(|window| window == b"LASX\0\0\0\0"));
 }
 
-/// LASzip takes whatever index has the name of the points: what an earlier run left is not that of these.
+/// LASzip uses any index with the name of the points, so the index of an earlier run must go.
 #[test]
 fn an_index_of_earlier_points_is_gone() {
     let lines = [line(info(None), vec![found(1), found(2)])];
@@ -215,7 +212,7 @@ fn an_index_of_earlier_points_is_gone() {
             std::fs::write(folder.path().join(name), b"old").unwrap();
         }
         let mut cx = run(&WriteLas { index, ..keys("*.laz") }, &site(folder.path()), &lines);
-        assert_eq!(std::fs::read(&index_path).unwrap(), b"old", "until the new points are whole");
+        assert_eq!(std::fs::read(&index_path).unwrap(), b"old", "kept until the new points are complete");
         cx.whole.drain(..).for_each(|whole| drop(whole.publish().unwrap()));
         match index {
             IndexKey::File => assert!(std::fs::read(&index_path).unwrap().starts_with(b"LASX")),
@@ -225,7 +222,7 @@ fn an_index_of_earlier_points_is_gone() {
     }
 }
 
-/// What a run that is killed after any step leaves: never points beside packets or an index that are not theirs.
+/// A run killed after any step never leaves points next to packets or an index of another run.
 #[test]
 fn points_never_stand_beside_what_belongs_to_others() {
     let folder = tempfile::tempdir().unwrap();
@@ -235,7 +232,7 @@ fn points_never_stand_beside_what_belongs_to_others() {
     names.iter().for_each(|name| std::fs::write(folder.path().join(name), b"old").unwrap());
     let line = Batch { waveforms: Some(Blocks::default()), ..line(info(None), vec![found(1)]) };
     let mut cx = run(&external, &site(folder.path()), &[line]);
-    // Of each file: o is old, n new, and - not there.
+    // State of each file: o is old, n new, - missing.
     let state = || {
         let state = |name: &str| match std::fs::read(folder.path().join(name)) {
             Ok(bytes) if bytes == b"old" => 'o',
@@ -260,7 +257,7 @@ fn points_never_stand_beside_what_belongs_to_others() {
 fn keys_that_cannot_be_are_told() {
     let said = |keys: WriteLas| keys.check().err().map(|invalid| format!("{invalid:?}"));
     assert_eq!(said(WriteLas::default()), None);
-    assert!(said(keys("a.ply")).unwrap().contains("the file's name must end in .las or .laz"));
+    assert!(said(keys("a.ply")).unwrap().contains("the file name must end in .las or .laz"));
     let appended = WriteLas { index: IndexKey::Appended, ..keys("a.las") };
     assert!(said(appended).unwrap().contains("an index can only be appended to .laz: write it as a file"));
     let old = WriteLas { version: VersionKey::V1_2, wave_packets: WavePacketsKey::Internal, ..keys("a.las") };

@@ -1,4 +1,4 @@
-//! The waveforms of points.
+//! Waveform packets of points.
 
 use std::sync::Arc;
 
@@ -9,33 +9,33 @@ use crate::geo::frames::Vector;
 use crate::geometry::Geometry;
 use crate::stage::{OutputFile, Result, StageError, WholeFile};
 
-/// Over such a length beams are straight in any map, m.
+/// Length over which beams are treated as straight in any projection, m.
 const BEAM_M: f64 = 10.0;
 
 /// The packets of a run's points.
 pub(super) struct Waves {
     packets: PacketWriter<OutputFile>,
     geometry: Arc<Geometry>,
-    /// What was written for each block of the line at hand, once a return has asked for it.
+    /// Packet of each block of the current line, once a return has requested it.
     written: Vec<Option<Option<Packet>>>,
-    /// Blocks that could not be written.
+    /// Number of blocks that could not be written.
     pub(super) n_refused: u64,
 }
 
 impl Waves {
-    /// Begins the packets in a fresh file.
+    /// Starts the packets in a new file.
     pub(super) fn new(file: OutputFile, geometry: &Arc<Geometry>) -> Result<Waves> {
         let path = file.path().to_path_buf();
         let packets = PacketWriter::new(file, &path)?;
         Ok(Waves { packets, geometry: Arc::clone(geometry), written: Vec::new(), n_refused: 0 })
     }
 
-    /// The recorded blocks of a line.
+    /// Returns the recorded blocks of a line.
     pub(super) fn begin_line<'a>(&mut self, batch: &'a Batch) -> Result<&'a Blocks> {
         let Some(blocks) = &batch.waveforms else {
             return Err(StageError::failed(
-                "the line comes without its waveforms",
-                "put write_las with wave_packets behind decompose, in the same job",
+                "the line has no waveforms",
+                "put write_las with wave_packets after decompose, in the same job",
             ));
         };
         self.written.clear();
@@ -43,7 +43,7 @@ impl Waves {
         Ok(blocks)
     }
 
-    /// The waveform of a return at `point`, written with the first return that is in it.
+    /// The waveform of a return at `point`; written with the first return that uses it.
     pub(super) fn of(&mut self, batch: &Batch, blocks: &Blocks, r: &Return, point: Vector) -> Result<Wave> {
         let emission = &batch.emissions[r.emission as usize];
         let time_ns = emission.emission_ns + r.time_of_flight_ns;
@@ -64,7 +64,7 @@ impl Waves {
         if let Some(Some(packet)) = self.written.get(index) {
             return Ok(*packet);
         }
-        // A float converts to the nearest integer in range; what is no spacing is refused.
+        // The cast saturates; a value that is not a valid spacing is rejected later.
         let spacing_ps = (block.interval_ns * 1000.0).round() as u32;
         let packet = self.packets.add(blocks.samples(block), spacing_ps)?;
         self.n_refused += u64::from(packet.is_none());
@@ -74,7 +74,7 @@ impl Waves {
         Ok(packet)
     }
 
-    /// How the coordinates of a point change per metre of range towards the sensor.
+    /// Change of a point's coordinates per metre of range towards the sensor.
     fn to_sensor(&self, frame: Frame, emission: &Emission, r: &Return, point: Vector) -> Result<Vector> {
         if frame != Frame::Earth {
             return Ok(emission.direction.map(|along| -along * emission.frame_scale));
@@ -87,19 +87,19 @@ impl Waves {
         Ok(std::array::from_fn(|axis| (nearer[axis] - point[axis]) / BEAM_M))
     }
 
-    /// The packets' file, whole, and their kinds.
+    /// Completes the packet file; returns it with its descriptors.
     pub(super) fn finish(self) -> Result<(WholeFile, Vec<Descriptor>)> {
         let (file, kinds) = self.packets.finish()?;
         Ok((file.finish()?, kinds))
     }
 }
 
-/// Packets to be taken in by another file.
+/// Opens the packets, to be copied into another file.
 pub(super) fn open(packets: &WholeFile) -> Result<std::fs::File> {
     Ok(packets.open().map_err(Error::io(packets.path(), "read the waveform packets"))?)
 }
 
-/// The block that a return was found in: of its receiver where there is one, and where its peak lies in it or is nearest.
+/// Finds the block of a return: preferably of its receiver, containing or nearest to its peak.
 fn block_of<'a>(blocks: &'a Blocks, r: &Return, time_ns: f64) -> Option<(usize, &'a Block)> {
     let receiver = match r.channel {
         ReturnChannel::High => Channel::HighPower,
@@ -136,7 +136,7 @@ mod tests {
         };
         assert_eq!(of(ReturnChannel::Low, 110.0), Some(2));
         assert_eq!(of(ReturnChannel::Low, 239.0), Some(3));
-        assert_eq!(of(ReturnChannel::Joint, 180.0), Some(3), "the nearest");
+        assert_eq!(of(ReturnChannel::Joint, 180.0), Some(3), "the nearest block");
         assert_eq!(of(ReturnChannel::High, 239.0), Some(4));
         let elsewhere = Return { emission: 2, ..Return::default() };
         assert_eq!(block_of(&blocks, &elsewhere, 110.0), None);

@@ -1,4 +1,4 @@
-//! The columns of a table of returns: names, types, meanings, and where each value comes from.
+//! Columns of the return table: names, types, meanings and sources.
 
 use std::sync::Arc;
 
@@ -11,16 +11,16 @@ use serde_json::{Value, json};
 
 use crate::batch::Return;
 
-/// One return, with what the table needs of its emission.
+/// One return, with the fields of its shot that the table needs.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// Running number of the emission.
+    /// Running number of the shot.
     pub shot: u64,
     /// Time of the shot, s; NaN where unknown.
     pub gps_time_s: f64,
     /// The return.
     pub found: Return,
-    /// Where it lies in the output frame, once that is known.
+    /// Position in the output frame, if known.
     pub point: Option<[f64; 3]>,
 }
 
@@ -31,7 +31,7 @@ pub(super) struct Column {
     meaning: &'static str,
 }
 
-/// The type of a column, and how a row gives its value; `Maybe...` may be null.
+/// Type of a column, and how a row gives its value; `Maybe...` may be null.
 enum Values {
     U8(fn(&Row) -> u8),
     U16(fn(&Row) -> u16),
@@ -53,19 +53,19 @@ const fn column(name: &'static str, values: Values, meaning: &'static str) -> Co
 
 #[rustfmt::skip]
 pub(super) static COLUMNS: &[Column] = &[
-    column("shot", Values::U64(|row| row.shot), "running number of the emission, from 0"),
+    column("shot", Values::U64(|row| row.shot), "running number of the shot, from 0"),
     column("gps_time_s", Values::MaybeF64(|row| known(row.gps_time_s)), "time of the shot, s, on the scale of the metadata `wavex.time_scale`"),
-    column("return_number", Values::U8(|row| row.found.return_number), "1 for the first return of its emission"),
-    column("number_of_returns", Values::U8(|row| row.found.number_of_returns), "how many returns the emission has, withheld ones included"),
+    column("return_number", Values::U8(|row| row.found.return_number), "1 for the first return of its shot"),
+    column("number_of_returns", Values::U8(|row| row.found.number_of_returns), "number of returns of the shot, including withheld ones"),
     column("channel", Values::Text(|row| row.found.channel.name()), "the receiver that gave the intensity: `low`, `high` or `joint`"),
-    column("mta_zone", Values::MaybeI16(|row| Some(row.found.mta_zone).filter(|&zone| zone != -1)), "emissions between the causing shot and the reception; null where unresolved"),
-    column("range_m", Values::F64(|row| row.found.range_m), "range along the beam from the emission's origin, m: from the sensor, or for recordings that do not give its position (LAS) from the first sample"),
+    column("mta_zone", Values::MaybeI16(|row| Some(row.found.mta_zone).filter(|&zone| zone != -1)), "number of emissions between the causing shot and the reception; null if unresolved"),
+    column("range_m", Values::F64(|row| row.found.range_m), "range along the beam from the origin of the shot, m: from the sensor, or from the first sample for recordings without the sensor position (LAS)"),
     column("range_sd_m", Values::F64(|row| row.found.range_sd_m), "standard deviation of range_m"),
     column("time_of_flight_ns", Values::F64(|row| row.found.time_of_flight_ns), "echo minus outgoing pulse, both at the peak of the response, ns"),
     column("time_of_flight_sd_ns", Values::F64(|row| row.found.time_of_flight_sd_ns), "standard deviation of time_of_flight_ns"),
-    column("amplitude_dn", Values::F64(|row| row.found.amplitude_dn), "height of the fitted pulse's peak above the background, digitiser steps"),
+    column("amplitude_dn", Values::F64(|row| row.found.amplitude_dn), "peak height of the fitted pulse above the background, digitiser steps"),
     column("amplitude_sd_dn", Values::F64(|row| row.found.amplitude_sd_dn), "standard deviation of amplitude_dn"),
-    column("amplitude_db", Values::MaybeF64(|row| known(row.found.amplitude_db)), "amplitude above the detection limit by the input's table, dB; null where it has none"),
+    column("amplitude_db", Values::MaybeF64(|row| known(row.found.amplitude_db)), "amplitude above the detection limit from the amplitude table of the input, dB; null without a table"),
     column("width_ratio", Values::F64(|row| row.found.width_ratio), "full width at half maximum over that of the system response; 1 for a flat target"),
     column("width_ratio_sd", Values::F64(|row| row.found.width_ratio_sd), "standard deviation of width_ratio"),
     column("fwhm_ns", Values::F64(|row| row.found.fwhm_ns), "full width at half maximum, ns"),
@@ -80,7 +80,7 @@ pub(super) static COLUMNS: &[Column] = &[
     column("x", Values::MaybeF64(|row| row.point.map(|point| point[0])), "coordinate in the output frame; null before `georeference`"),
     column("y", Values::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
     column("z", Values::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),
-    column("total_uncertainty_m", Values::MaybeF64(|row| known(row.found.total_sd_m)), "square root of the trace of the point's covariance: position, attitude × range and range; null where the trajectory does not tell its accuracy"),
+    column("total_uncertainty_m", Values::MaybeF64(|row| known(row.found.total_sd_m)), "square root of the trace of the covariance of the point, m: position, attitude × range and range; null if the trajectory has no accuracies"),
 ];
 
 impl Values {
@@ -115,7 +115,7 @@ impl Values {
     }
 }
 
-/// The schema of a table whose times count `time_scale`.
+/// Schema of a table with this time scale.
 pub(super) fn schema(time_scale: &str) -> SchemaRef {
     let field =
         |column: &Column| Field::new(column.name, column.values.data_type(), column.values.nullable());
@@ -124,13 +124,13 @@ pub(super) fn schema(time_scale: &str) -> SchemaRef {
     Arc::new(Schema::new_with_metadata(fields, metadata))
 }
 
-/// The rows as a record batch.
+/// Converts the rows to a record batch.
 pub(super) fn record_batch(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch, ArrowError> {
     let arrays = COLUMNS.iter().map(|column| column.values.array(rows)).collect();
     RecordBatch::try_new(Arc::clone(schema), arrays)
 }
 
-/// The table as JSON, for people and programs: what `schemas/return_table.json` holds.
+/// Description of the table as JSON, stored in `schemas/return_table.json`.
 pub fn description() -> Value {
     let name = |values: &Values| match values {
         Values::U8(_) => "u8",
@@ -154,15 +154,15 @@ pub fn description() -> Value {
         .collect();
     json!({
         "title": "wavex table of returns, version 1",
-        "format": "Apache Arrow IPC file, Apache Parquet, or CSV with a header line and nothing for null",
-        "row": "one return, ordered by emission, then by time",
+        "format": "Apache Arrow IPC file, Apache Parquet, or CSV with a header line and empty fields for null",
+        "row": "one return, sorted by shot, then by time",
         "columns": columns,
         "metadata": [
             {"key": "wavex.table", "form": "`1`", "meaning": "version of this layout; not in CSV"},
             {
                 "key": "wavex.time_scale",
                 "form": "`week`, `day`, `adjusted` or `unknown`",
-                "meaning": "what `gps_time_s` counts: seconds of the GPS week, of the day, since 1980-01-06 minus 1e9; \
+                "meaning": "time scale of `gps_time_s`: seconds of the GPS week, of the day, or since 1980-01-06 minus 1e9; \
                             not in CSV",
             },
         ],

@@ -1,4 +1,4 @@
-//! Tables read back by the libraries that others read them with.
+//! Tables are read back by the libraries that users read them with.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -97,7 +97,7 @@ fn found(emission: u32, value: f64) -> Return {
     }
 }
 
-/// A line of three emissions from `shot` on, with three returns and, perhaps, their coordinates.
+/// A line of three emissions from `shot` on, with three returns and optional coordinates.
 fn line(shot: u64, with_points: bool) -> Batch {
     let emissions = (shot..shot + 3).map(emission).collect();
     let mut returns = vec![found(0, 1000.0), found(1, 2000.0), found(1, 3000.5)];
@@ -156,7 +156,7 @@ fn arrow_and_parquet_hold_the_same_columns() {
         write(folder.path(), &config("*.parquet"), &batches);
         let of_arrow = arrow(&folder.path().join("made.arrow")).remove(0);
         let of_parquet = parquet(&folder.path().join("made.parquet")).remove(0);
-        // By words: a NaN is no number, and not equal to itself.
+        // Compared as text, because NaN is not equal to itself.
         assert_eq!(format!("{:?}", of_arrow.columns()), format!("{:?}", of_parquet.columns()));
         let schema = of_arrow.schema();
         assert_eq!(schema.fields(), of_parquet.schema().fields());
@@ -174,7 +174,7 @@ fn arrow_and_parquet_hold_the_same_columns() {
         assert_eq!(numbers("gps_time_s"), [Some(10.0 / 3.0), None, None]);
         assert_eq!(numbers("amplitude_db"), [Some(12.5), None, Some(12.5)]);
         assert_eq!(numbers("time_of_flight_ns"), [Some(1000.0), Some(2000.0), Some(3000.5)]);
-        assert!(numbers("intensity_sd").iter().all(|sd| sd.unwrap().is_nan()), "unknown, but no null");
+        assert!(numbers("intensity_sd").iter().all(|sd| sd.unwrap().is_nan()), "unknown, but not null");
         let z = if with_points { [Some(3.5), Some(6.0), Some(-9.125)] } else { [None; 3] };
         assert_eq!(numbers("z"), z);
         assert_eq!(numbers("total_uncertainty_m"), [None, None, Some(0.0625)]);
@@ -221,7 +221,7 @@ fn rows_are_grouped_by_their_number_whatever_the_lines_and_the_bytes_repeat() {
         batch.content = Content::Returns((0..n).map(|i| found((i % 4) as u32, 7.0)).collect());
         batch
     };
-    // Each is a multiple of 4, so that the rows are the same however they are cut into lines.
+    // Multiples of 4, so that the rows are the same for any division into lines.
     let total = ROWS_PER_GROUP + 4000;
     let cuts = [vec![total], vec![1000, ROWS_PER_GROUP - 1000, 4000], vec![total / 2; 2]];
     for (path, name) in [("*.arrow", "made.arrow"), ("*.parquet", "made.parquet"), ("*.csv", "made.csv")] {
@@ -268,7 +268,7 @@ fn a_return_of_no_emission_is_counted() {
         returns[2].emission = 3;
     }
     let cx = write(folder.path(), &config("*.csv"), &[batch]);
-    assert_eq!(cx.counters().rejected[&(Item::Returns, "its emission is not in the line")], 1);
+    assert_eq!(cx.counters().rejected[&(Item::Returns, "its shot is not in the line")], 1);
     assert_eq!(fs::read_to_string(folder.path().join("made.csv")).unwrap().lines().count(), 3);
 }
 
@@ -277,7 +277,7 @@ fn the_extension_or_the_key_names_the_format() {
     assert_eq!(config("a/b.PARQUET").format(), Some(Format::Parquet));
     assert_eq!(config("a.csv").format(), Some(Format::Csv));
     assert_eq!(config("a.csv.arrow").check(), Ok(()));
-    let problem = "it ends neither with .arrow nor .parquet nor .csv: give the key `format`";
+    let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
     for path in ["a.txt", "arrow", ".csv"] {
         assert_eq!(config(path).check(), Err(InvalidKey::new("path", problem)), "{path}");
     }
@@ -307,7 +307,7 @@ fn shots_are_refused() {
     let mut sink = config("*.csv").make(&site).unwrap();
     let batch = Batch::of_shots(info(), 0, vec![], Blocks::default());
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
-    assert_eq!(error, "write_table was given Shots, and writes Returns or Points; put it behind `decompose`");
+    assert_eq!(error, "write_table received Shots, but writes Returns or Points; put it after `decompose`");
     drop(sink);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }
@@ -319,7 +319,7 @@ fn the_columns_stand_in_the_schemas() {
     if fs::read_to_string(&path).ok().as_deref() != Some(&expected) {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, expected).unwrap();
-        panic!("schemas/return_table.json was not what the code says: it is now; commit it");
+        panic!("schemas/return_table.json was out of date and has been rewritten; commit it");
     }
 }
 

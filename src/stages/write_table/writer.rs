@@ -1,4 +1,4 @@
-//! A table of returns as Arrow IPC, Parquet or CSV.
+//! Writes the return table as Arrow IPC, Parquet or CSV.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -19,23 +19,24 @@ use serde::{Deserialize, Serialize};
 use super::columns::{self, Row};
 use crate::formats::{Error, Result};
 
-/// How many returns are held before they are written: a row group of Parquet, a record batch of Arrow.
+/// Rows buffered before writing: a Parquet row group, or an Arrow record batch.
 pub const ROWS_PER_GROUP: usize = 1 << 16;
 
-/// The format of a table.
+/// File format of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Format {
-    /// Arrow IPC in the file format, packed with LZ4.
+    /// Arrow IPC file format, compressed with LZ4.
     Arrow,
-    /// Parquet, packed with ZSTD.
+    /// Parquet, compressed with ZSTD.
     Parquet,
-    /// Text: a header line, commas, nothing for a null, each number with the digits that give it back to the bit.
+    /// Text with a header line, commas, and empty fields for null; numbers have enough digits to be
+    /// read back exactly.
     Csv,
 }
 
 impl Format {
-    /// The format that a path's extension names, in any case.
+    /// The format of a path's extension, case-insensitive.
     pub fn of(path: &str) -> Option<Format> {
         match Path::new(path).extension()?.to_ascii_lowercase().to_str()? {
             "arrow" => Some(Format::Arrow),
@@ -46,7 +47,7 @@ impl Format {
     }
 }
 
-/// A table that is being written to `W`. The bytes depend on the rows and on the time scale alone.
+/// Writes a table to `W`. The bytes depend only on the rows and the time scale.
 pub struct TableWriter<W: Write + Send> {
     form: Form<W>,
     schema: SchemaRef,
@@ -57,13 +58,14 @@ pub struct TableWriter<W: Write + Send> {
 enum Form<W: Write + Send> {
     Arrow(Box<FileWriter<W>>),
     Parquet(Box<ArrowWriter<W>>),
-    /// And whether the header line is written.
+    /// The flag is set once the header line is written.
     Csv(W, bool),
 }
 
 impl<W: Write + Send> TableWriter<W> {
-    /// Begins a table whose times count `time_scale` (`week`, `day`, `adjusted`, `unknown`); `file` is its name, for
-    /// errors.
+    /// Starts a table with a time scale (`week`, `day`, `adjusted`, `unknown`).
+    ///
+    /// `file` is the name used in errors.
     pub fn new(to: W, file: &Path, format: Format, time_scale: &str) -> Result<TableWriter<W>> {
         let schema = columns::schema(time_scale);
         let form = match format {
@@ -79,7 +81,7 @@ impl<W: Write + Send> TableWriter<W> {
         let form = form.map_err(|error| failed(file, error))?;
         let mut table = TableWriter { form, schema, rows: Vec::new(), file: file.to_path_buf() };
         if format == Format::Csv {
-            // The header line comes with the first rows, even where there are none.
+            // The header line is written with the first rows, even if there are none.
             table.write_rows()?;
         }
         Ok(table)
@@ -91,7 +93,7 @@ impl<W: Write + Send> TableWriter<W> {
         if self.rows.len() >= ROWS_PER_GROUP { self.write_rows() } else { Ok(()) }
     }
 
-    /// Writes the rows that were held.
+    /// Writes the buffered rows.
     fn write_rows(&mut self) -> Result<()> {
         let batch = columns::record_batch(&self.schema, &self.rows);
         self.rows.clear();
@@ -109,7 +111,7 @@ impl<W: Write + Send> TableWriter<W> {
             .map_err(|error| failed(&self.file, error))
     }
 
-    /// Writes what is left and what stands at the end, and gives back what was written to.
+    /// Writes the remaining rows and the footer, and returns the writer.
     pub fn finish(mut self) -> Result<W> {
         if !self.rows.is_empty() {
             self.write_rows()?;
@@ -123,15 +125,15 @@ impl<W: Write + Send> TableWriter<W> {
     }
 }
 
-/// Rows as text. They are made in memory because the writer's own errors do not keep those of the system.
+/// Formats rows as CSV. In memory, because the CSV writer does not preserve I/O errors.
 fn csv(batch: &RecordBatch, header: bool) -> std::result::Result<Vec<u8>, ArrowError> {
     let mut writer = arrow_csv::WriterBuilder::new().with_header(header).build(Vec::new());
     writer.write(batch)?;
     Ok(writer.into_inner())
 }
 
-/// Dictionaries are off: hardly a number of a table occurs twice, and ZSTD finds those that do. The metadata stands
-/// in the file itself, too, for readers that do not know Arrow's schema.
+/// Writer properties. Dictionaries are off: few numbers repeat, and ZSTD finds those that do. The
+/// metadata is also stored in the file itself, for readers that ignore the Arrow schema.
 fn properties(schema: &SchemaRef) -> WriterProperties {
     let metadata = schema.metadata().iter();
     let metadata = metadata.map(|(key, value)| KeyValue::new(key.clone(), value.clone())).collect();
@@ -158,7 +160,7 @@ fn arrow_error(error: ParquetError) -> ArrowError {
 fn failed(file: &Path, error: ArrowError) -> Error {
     match error {
         ArrowError::IoError(_, source) => Error::io(file, "write")(source),
-        // The columns are such as CSV can hold: what fails is the disk, of which only the words come through.
+        // The columns are valid CSV, so only I/O can fail; the error preserves only its text.
         ArrowError::CsvError(words) => Error::io(file, "write")(std::io::Error::other(words)),
         other => Error::unusable(file, other.to_string(), "write the table in another format"),
     }

@@ -1,31 +1,31 @@
-//! The sensor's place from where beams meet, stretch by stretch.
+//! Sensor positions from beam intersections, section by section.
 
 use super::pace::{Pace, time_s};
 use crate::batch::Emission;
 use crate::kernels::sensor_path::{Beam, Window};
 
-/// Gathers beams until a stretch is long enough.
+/// Collects beams until a section is long enough.
 pub(super) struct Met {
     pace: Pace,
     window: Window,
     has_gps_time: bool,
-    /// Beams at the last fit, which did not tell.
+    /// Number of beams at the last fit, which was inconclusive.
     looked_at: u64,
     without_place: u64,
 }
 
-/// Where the sensor was.
+/// Estimated position of the sensor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MetPlace {
-    /// NaN where shots have no GPS time.
+    /// NaN if shots have no GPS time.
     pub(super) gps_time_s: f64,
     pub(super) position_m: [f64; 3],
     pub(super) sd_m: f64,
 }
 
-/// A place that is less sure than this is none.
+/// Largest accepted standard deviation of a position, m.
 const MOST_SD_M: f64 = 5.0;
-/// A stretch whose beams do not tell the place grows up to this, and is then given up.
+/// Length at which a section without a position is abandoned, s.
 const LONGEST_S: f64 = 2.0;
 
 impl Met {
@@ -33,14 +33,14 @@ impl Met {
         Met { pace, window: Window::default(), has_gps_time: true, looked_at: 0, without_place: 0 }
     }
 
-    /// Adds a shot; gives the place of the stretch that ends with it.
+    /// Adds a shot; returns the position of the section that ends with it.
     pub(super) fn add(&mut self, emission: &Emission) -> Option<MetPlace> {
         let time_s = time_s(emission);
         self.window.add(&Beam { time_s, through_m: emission.origin_m, direction: emission.direction });
         self.has_gps_time &= emission.gps_time_s.is_finite();
         let (n, length_s) = (self.window.n_beams(), self.window.length_s());
         let is_given_up = !(0.0..=LONGEST_S).contains(&length_s);
-        // A fit at every shot of a stretch that does not tell yet would take long.
+        // Fit only after 25 % more beams; a fit at every shot would be slow.
         let may_look = self.pace.is_over(n, length_s) && (n >= self.looked_at * 5 / 4);
         if !is_given_up && !may_look {
             return None;
@@ -60,7 +60,7 @@ impl Met {
         found
     }
 
-    /// How many stretches were given up.
+    /// Number of abandoned sections.
     pub(super) fn n_without_place(&self) -> u64 {
         self.without_place
     }

@@ -1,19 +1,19 @@
-//! Which shots have a row.
+//! Decimation: selects the shots that get a row.
 
 use crate::batch::Emission;
 
-/// Counts shots, or time.
+/// Counts shots or time since the last row.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
     every: Option<u64>,
     interval_s: f64,
-    /// Shots since the last one that was due.
+    /// Shots since the last selected one.
     since: u64,
-    /// Its time.
+    /// Time of the last selected shot, s.
     last_s: Option<f64>,
 }
 
-/// Time from row to row where nothing is said.
+/// Default time between rows, s.
 pub(super) const INTERVAL_S: f64 = 0.1;
 
 impl Pace {
@@ -21,7 +21,7 @@ impl Pace {
         Pace { every, interval_s: interval_s.unwrap_or(INTERVAL_S), since: 0, last_s: None }
     }
 
-    /// Whether the next shot is due; the first is. A clock that has run backwards begins anew.
+    /// Whether the next shot is selected; the first is. Restarts if the clock runs backwards.
     pub(super) fn is_due(&mut self, emission: &Emission) -> bool {
         let time_s = time_s(emission);
         let is_due = match self.last_s {
@@ -36,14 +36,14 @@ impl Pace {
         is_due
     }
 
-    /// Whether so many shots, and so much time, are enough.
+    /// Whether this number of shots, or this time, reaches the next row.
     pub(super) fn is_over(&self, shots: u64, elapsed_s: f64) -> bool {
-        // A nanosecond is less than the rounding of times.
+        // The tolerance of 1 ns is below the rounding of times.
         self.every.map_or(elapsed_s >= self.interval_s - 1e-9, |every| shots >= every)
     }
 }
 
-/// The time of a shot: GPS time where it has one, else that of the instrument's clock.
+/// Time of a shot, s: GPS time if it has one, else the instrument clock.
 pub(super) fn time_s(emission: &Emission) -> f64 {
     match emission.gps_time_s {
         time_s if time_s.is_finite() => time_s,

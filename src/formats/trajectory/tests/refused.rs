@@ -188,7 +188,7 @@ fn disorder_names_the_file_and_the_records() {
     };
     assert_eq!(
         told("t.sbet", None),
-        "t.sbet: record 3: its time 100.5 s lies before the 101 s of record 2; sort its records by time"
+        "t.sbet: record 3: its time 100.5 s is before the 101 s of record 2; sort its records by time"
     );
     assert_eq!(
         told("t.trj", None),

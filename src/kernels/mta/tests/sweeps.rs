@@ -1,8 +1,8 @@
-//! Lines that follow one another without a pause, and pieces of lines.
+//! Consecutive lines without a pause, and partial lines.
 
 use super::*;
 
-/// A line cut into lines of so many shots.
+/// Cuts a line into lines of `shots` shots.
 pub fn cut(line: &Line, shots: usize) -> Vec<Line> {
     let piece = |(number, emissions): (usize, &[Emission])| {
         let first = (number * shots) as u32;
@@ -14,7 +14,7 @@ pub fn cut(line: &Line, shots: usize) -> Vec<Line> {
     line.emissions.chunks(shots).enumerate().map(piece).collect()
 }
 
-/// How many echoes of a line that was cut have another cause than the true one.
+/// Number of echoes of a cut line with a wrong cause.
 fn wrong_of(resolved: &[Resolved], shots: usize, causes: &[u32]) -> usize {
     let found = resolved
         .iter()
@@ -25,9 +25,12 @@ fn wrong_of(resolved: &[Resolved], shots: usize, causes: &[u32]) -> usize {
     found.iter().zip(causes).filter(|(found, cause)| **found != Some(**cause)).count()
 }
 
-/// A swath whose edge is a wood on a terrace, and whose other end is bare ground so much nearer that its zone, counted from the
-/// wood's phase, is another one. Without a pause its last echoes lie in the next line's first records, which are the wood's:
-/// they must not speak for it.
+/// Echoes from the end of a line do not affect the start of the next.
+///
+/// One edge of the swath is a wood on a terrace; the other end is bare ground so much nearer that
+/// its zone, counted from the phase of the wood, differs. Without a pause its last echoes are
+/// received in the first records of the next line, which belong to the wood, and must not count as
+/// evidence there.
 #[test]
 fn the_end_of_a_line_says_nothing_of_the_begin_of_the_next() {
     const SHOTS: usize = 120;
@@ -40,7 +43,7 @@ fn the_end_of_a_line_says_nothing_of_the_begin_of_the_next() {
     assert_eq!(wrong_of(&resolved, SHOTS, &causes[0]), 0);
 }
 
-/// Sweeps of 200 shots across a slope, as lines of so many shots.
+/// Sweeps of 200 shots across a slope, as lines of `shots` shots.
 fn pieces(shots: usize, modulation_ns: f64) -> (Vec<Line>, Vec<u32>) {
     let range_m = |_: usize, shot: usize| 1010.0 + 0.8 * (shot % 200) as f64;
     let (mut lines, causes) = strip(1, 24 * 200, modulation_ns, range_m);
@@ -66,7 +69,7 @@ fn pieces_of_a_sweep_are_resolved_as_the_sweep() {
         assert_eq!(wrong_of(&resolved, shots, &causes), 0, "{shots}");
         assert!(resolved.iter().enumerate().all(|(number, line)| line.line == number as u64));
         assert_eq!(resolver.warnings(), []);
-        // No cause lies in a line that was said to be complete.
+        // No cause lies in a line that was reported complete.
         let mut settled = 0;
         for line in &resolved {
             assert!(line.echoes.iter().flat_map(|echo| echo.cause).all(|cause| cause.line >= settled));
@@ -77,8 +80,10 @@ fn pieces_of_a_sweep_are_resolved_as_the_sweep() {
     }
 }
 
-/// A beam that turns on a cone, 1000 shots a revolution, over ground with a step that its end and its begin share, in lines that
-/// are no whole part of it. Neighbours are found by the azimuth, around its end.
+/// A conical scan of 1000 shots per revolution, in lines that are not a whole fraction of it.
+///
+/// The ground has a step that the end and the start of the revolution share. Neighbours are found
+/// by azimuth, across the wrap.
 #[test]
 fn revolutions_are_compared_by_azimuth() {
     let range_m = |_: usize, shot: usize| {
@@ -110,7 +115,7 @@ fn a_constant_rate_is_refused_for_pieces_of_a_sweep_too() {
     assert!(matches!(error, MtaError::ConstantRate { .. }), "{error}");
 }
 
-/// Without angles nothing tells a sweep's end; range and modulation do the rest.
+/// Without angles the end of a sweep is unknown; range and modulation suffice.
 #[test]
 fn pieces_without_angles_are_resolved_on_level_ground() {
     let (mut lines, causes) = pieces(1, 15.0);

@@ -10,10 +10,10 @@ use crate::kernels::simulated::{Random, analogue, channel, digitised, pulse};
 
 const FWHM: f64 = 4.5;
 const HEIGHT_DN: f64 = 160.0;
-/// Standard deviation of a pulse's energy, over its mean.
+/// Relative standard deviation of the pulse energy.
 const ENERGY_SD: f64 = 0.01;
 const SHOTS: usize = 600;
-/// Standard deviation of a place that nothing explains: 0.255 m at 1 GHz.
+/// Standard deviation of an unexplained position: 0.255 m at 1 GHz.
 const UNRELIABLE_SAMPLES: f64 = 1.7;
 
 fn process() -> ArNoise {
@@ -38,13 +38,14 @@ fn model() -> ChannelModel {
     model
 }
 
-/// A line of outgoing pulses: place of each, samples of each, and strength and distance of the echo on it.
+/// A line of outgoing pulses: positions and samples.
 struct TestLine {
     places: Vec<f64>,
     samples: Vec<Vec<u16>>,
 }
 
-/// A line whose shots have these echoes (height over the usual pulse's, distance in samples).
+/// A line whose shots have these echoes (height over the typical pulse height, distance in
+/// samples).
 fn line(random: &mut Random, echoes: &[Option<(f64, f64)>]) -> TestLine {
     let mut places = Vec::new();
     let one = |echo: &Option<(f64, f64)>| {
@@ -78,7 +79,7 @@ fn batch(is_fast: bool) -> OutgoingBatch {
     OutgoingBatch::new(&model, tables, Path::best()).unwrap()
 }
 
-/// What became of the pulses of one cell.
+/// Results for the pulses of one test cell.
 #[derive(Default)]
 struct Cell {
     count: f64,
@@ -126,7 +127,7 @@ impl Cell {
 const DISTANCES: [f64; 7] = [0.0, 0.5, 1.0, 1.5, 2.0, 3.25, 5.0];
 const STRENGTHS: [f64; 4] = [0.05, 0.1, 0.3, 1.0];
 
-/// Every distance and strength, before and behind the pulse, on few shots of lines.
+/// All distances and strengths, before and after the pulse, on a few shots per line.
 fn table(is_fast: bool, is_expected: bool, lines: usize, greatest_z: f64) {
     println!("fast {is_fast}, expected {is_expected}");
     let cases = DISTANCES.len() * STRENGTHS.len();
@@ -160,7 +161,7 @@ fn table(is_fast: bool, is_expected: bool, lines: usize, greatest_z: f64) {
         assert!(strength < 0.1 || cell.flagged() >= 0.95, "{strength} {distance}: {}", cell.flagged());
     }
     assert!(clean.flagged() <= 1e-3, "{}", clean.flagged());
-    // Raised where a pulse is a little higher than usual.
+    // Increased for pulses slightly higher than usual.
     assert!((0.9..1.05).contains(&clean.z()), "{}", clean.z());
 }
 
@@ -171,7 +172,7 @@ fn echoes_on_outgoing_pulses_are_flagged_and_their_ranges_within_their_standard_
 
 #[test]
 fn the_plain_kernels_do_the_same() {
-    // Few shots: z is known to 20 %.
+    // With few shots, z has an uncertainty of 20 %.
     table(false, false, 6, 1.5);
 }
 
