@@ -1,4 +1,4 @@
-//! `wavex run`: a job's text to a finished run.
+//! `wavex run`: reads and runs a job.
 
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
@@ -14,10 +14,10 @@ use crate::stage::{
     OutputFile, OutputLock, Outputs, StageError, fixed_folder, give_up_claims, remove_unfinished_files,
 };
 
-/// What `--profile` writes beside the outputs.
+/// Trace that `--profile` writes to the output folder.
 const TRACE: &str = "trace.json";
 
-/// Reads the job and runs it; `archive` is the name of the archive to make of it.
+/// Reads and runs the job; `archive` names the archive to make.
 pub(super) fn run(
     args: &JobArgs,
     machine: Machine,
@@ -48,7 +48,7 @@ fn run_archived(
     }
     let (input_dir, output_dir) = folders(job, folder);
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    // Before the log: another run's would be cut off.
+    // Claim the outputs before opening the log, which would truncate the log of another run.
     let own = own_outputs(job, [&input_dir, &output_dir], machine.profile, archive);
     let _lock = OutputLock::take(&own).map_err(|error| failed(&error))?;
     if archive.is_some() {
@@ -67,7 +67,7 @@ fn run_archived(
         ..Options::of_job(job, input_dir, &output_dir)
     };
     stop_on_signals(&options.cancel);
-    // What keeps the report from being written is better known before the run than after it.
+    // Open these files early: problems with them should be reported before the run, not after it.
     let begin = |name: &str| match name {
         "" => Ok(None),
         name => OutputFile::create(&output_dir.join(name)).map(Some).map_err(|error| failed(&error)),
@@ -110,7 +110,7 @@ fn run_archived(
     let mut said = summary(&report, &own, machine.profile);
     if let (Some(recorder), Some(archive)) = (recorder, archive) {
         let seal = recorder.finish(&report, &log::kept()).map_err(|error| logged(&error))?;
-        let _ = writeln!(said, "archived in {}; its seal is {seal}", archive.display());
+        let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
     }
     if !quiet {
         terminal::print(&said)?;
@@ -118,7 +118,9 @@ fn run_archived(
     Ok(report)
 }
 
-/// What a run writes besides the outputs of its stages, which the engine claims.
+/// Files that a run writes besides the outputs of its stages.
+///
+/// The engine claims the outputs of the stages.
 fn own_outputs(
     job: &Job,
     [input_dir, output_dir]: [&Path; 2],
@@ -126,7 +128,7 @@ fn own_outputs(
     archive: Option<&Path>,
 ) -> Outputs {
     let settings = &job.settings;
-    // Inputs that cannot be found are the engine's to tell of.
+    // The engine reports inputs that cannot be found.
     let inputs = engine::inputs(job, input_dir).unwrap_or_default();
     let stat_logs = inputs.iter().map(|input| settings.stat_log.replace('*', &input.stem));
     let of_run = [&settings.log, &settings.report, &settings.report_page];
@@ -144,8 +146,9 @@ fn own_outputs(
     outputs
 }
 
-/// Ctrl-C and a request to terminate end the run in order, as soon as every stage has done the line it is at; a second one
-/// ends the process at once.
+/// Ends the run in order on Ctrl-C or a termination request.
+///
+/// Every stage completes its current line first. A second signal ends the process at once.
 pub(super) fn stop_on_signals(cancel: &Cancel) {
     let cancel = cancel.clone();
     let handler = move || {
@@ -160,7 +163,7 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
         cancel.cancel();
     };
     if let Err(error) = ctrlc::set_handler(handler) {
-        tracing::debug!("signals are not handled: {error}");
+        tracing::debug!("cannot install the signal handler: {error}");
     }
 }
 
@@ -172,7 +175,9 @@ fn write_report(report: &RunReport, mut file: OutputFile) -> Result<(), StageErr
     Ok(())
 }
 
-/// Writes the statistics of each input, and gives their names; `own` are the other files of the run.
+/// Writes the statistics of each input and returns the paths.
+///
+/// `own` are the other files of the run.
 fn write_stat_logs(
     report: &RunReport,
     job: &Job,
@@ -197,8 +202,9 @@ fn write_trace(report: &RunReport, path: &Path) -> Result<(), StageError> {
     Ok(())
 }
 
-/// What the user sees at the end: for each input where the time went, what was dropped, and what was written; `own` are the
-/// files of the run as a whole.
+/// Summary for the user: times, rejections and outputs of each input.
+///
+/// `own` are the files of the run as a whole.
 fn summary(report: &RunReport, own: &[PathBuf], profile: bool) -> String {
     let mut text = String::new();
     for input in &report.inputs {
@@ -229,14 +235,14 @@ fn wrote(text: &mut String, paths: &[PathBuf]) {
     }
 }
 
-/// Where relative input and output paths of a job start that stands in `folder`.
+/// Input and output folders of a job stored in `folder`.
 pub(super) fn folders(job: &Job, folder: &Path) -> (PathBuf, PathBuf) {
     let from = |dir: &Option<String>| dir.as_ref().map_or(folder.to_path_buf(), |dir| folder.join(dir));
     (from(&job.settings.input_dir), from(&job.settings.output_dir))
 }
 
 impl Machine {
-    /// What the command line sets of the job.
+    /// Job keys set by these arguments.
     pub(super) fn overrides(self) -> Option<Override> {
         self.threads.map(|threads| Override::new(format!("job.threads={threads}")))
     }
@@ -247,7 +253,7 @@ impl Machine {
 }
 
 impl When {
-    /// How progress is shown.
+    /// Progress display for this setting.
     pub(super) fn mode(self, quiet: bool, on_terminal: bool) -> ProgressMode {
         match self {
             _ if quiet => ProgressMode::Hidden,
