@@ -367,19 +367,19 @@ fn the_seal_is_told_and_compared() {
     let place = flight();
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
     let run = said(&place, &["run", "job.toml", "--archive", "archive"]);
-    let (_, seal) = run.trim_end().rsplit_once("archived in archive; its seal is ").expect("a seal");
+    let (_, seal) = run.trim_end().rsplit_once("archived in archive; seal ").expect("a seal");
     assert_eq!(seal, blake3::hash(place.text("archive/archive.b3").as_bytes()).to_hex().as_str());
-    let expected = "7 files of the archive, 2 inputs and 5 outputs are as they were; its seal is";
+    let expected = "7 archive files, 2 inputs and 5 outputs are unchanged; seal";
     assert_eq!(said(&place, &["verify", "archive"]), format!("archive: {expected} {seal}\n"));
     let replayed = said(&place, &["replay", "archive"]);
-    assert_eq!(replayed, format!("archive: 5 outputs are the same to the bit; its seal is {seal}\n"));
+    assert_eq!(replayed, format!("archive: 5 outputs are identical bit by bit; seal {seal}\n"));
     holds(&place, &["verify", "archive", "--seal", seal]);
     holds(&place, &["verify", "archive", "--seal", &seal.to_uppercase()]);
 
     let other = "0123456789abcdef".repeat(4);
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", &other]);
     let expected = format!(
-        "error: archive: not everything is as it was; its seal is {seal}\n  the seal is {seal} instead of {other}: this is not \
+        "error: archive: verification failed; seal {seal}\n  the seal is {seal} instead of {other}: this is not \
          the archive whose seal was written down, or it was changed and sealed anew\n"
     );
     assert_eq!((code, err), (Some(1), expected));
@@ -389,7 +389,7 @@ fn the_seal_is_told_and_compared() {
     // Whoever takes the seal away leaves nothing to compare.
     fs::remove_file(place.path("archive/archive.b3")).unwrap();
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", seal]);
-    let expected = "error: archive: not everything is as it was\n  archive.b3: missing: nothing says whether the archive is \
+    let expected = "error: archive: verification failed\n  archive.b3: missing: nothing says whether the archive is \
                     as it was made\n";
     assert_eq!((code, err.as_str()), (Some(1), expected));
 }
@@ -513,7 +513,7 @@ fn included_keys_are_resolved() {
     holds(&place, &["replay", "archive"]);
     holds(&place, &["verify", "archive"]);
     let missing = wavex(&place, &["run", "job.toml"]);
-    let problem = "error: shared/site.toml: cannot read what the job includes: No such file or directory (os error 2); \
+    let problem = "error: shared/site.toml: cannot read the included file: No such file or directory (os error 2); \
                    check `include` in `[job]`\n";
     assert_eq!(missing, (Some(2), problem.to_owned()));
 }

@@ -87,8 +87,8 @@ fn what_cannot_be_converted_is_told_and_leaves_nothing() {
         1,
         "a_old.las: point formats 6 to 10 can be copied to COPC, and this is format 1; write the points with `version = \"1.4\"`",
     );
-    refused(&["a.laz", "-o", "a.laz"], 2, "a.laz: this is the input: give another name by --out");
-    refused(&["a.laz", "-o", "b.las"], 2, "b.las: COPC is LAZ: give a name that ends in .copc.laz");
+    refused(&["a.laz", "-o", "a.laz"], 2, "a.laz: this is the input; give another name with --out");
+    refused(&["a.laz", "-o", "b.las"], 2, "b.las: COPC is LAZ; give a name that ends in .copc.laz");
     refused(&["c.laz"], 1, "c.laz: cannot open: No such file or directory (os error 2); check the path");
     let (code, problem) = copc(&place, &["cut.laz"]).unwrap_err();
     assert_eq!(code, Some(1));

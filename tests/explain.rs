@@ -165,13 +165,13 @@ fn by_hand(timed: bool) -> Vec<u8> {
 fn what_cannot_be_explained_is_said() {
     let place =
         Place::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.dat", b"")]);
-    let message = "a.arrow: there is no shot 99; its 260 shots have the numbers 100 to 359";
+    let message = "a.arrow: no shot 99; its 260 shots are numbered 100 to 359";
     refused(&place, &["-q", "a.arrow", "--shot", "99"], 2, message);
-    let message = "--out a.arrow: the picture is SVG: give it a name that ends in .svg";
+    let message = "--out a.arrow: the picture is SVG; give a name that ends in .svg";
     refused(&place, &["a.arrow", "--shot", "101", "--out", "a.arrow"], 2, message);
     let message = "a.arrow: shot 102 has no recorded echoes; choose another one";
     refused(&place, &["-q", "a.arrow", "--shot", "102"], 2, message);
-    let message = "timeless.arrow: its shots have no times; choose one with --shot";
+    let message = "timeless.arrow: its shots have no times; select one with --shot";
     refused(&place, &["-q", "timeless.arrow", "--time", "1"], 2, message);
     let message = "a.dat: the name does not say what kind of recording this is; \
                    an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";

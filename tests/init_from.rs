@@ -29,7 +29,7 @@ fn job_for(place: &Place, recording: &str) -> String {
     assert!(out.starts_with("wrote flight.toml\n"), "{out}");
     let (code, out, err) = wavex(place, &["check", job]);
     assert_eq!((code, err.as_str()), (Some(0), ""), "{recording}");
-    assert!(out.starts_with("flight.toml fits\n") && !out.contains("warning"), "{out}");
+    assert!(out.starts_with("flight.toml is valid\n") && !out.contains("warning"), "{out}");
     place.text(job)
 }
 
@@ -133,7 +133,7 @@ fn a_schema_that_is_there_stays() {
     let place = Place::with(&[("job.schema.json", b"mine")]);
     let (code, out, _) = wavex(&place, &["init", "a.toml"]);
     assert_eq!(code, Some(0));
-    assert!(out.contains("job.schema.json exists already and stays as it is\n"), "{out}");
+    assert!(out.contains("kept the existing job.schema.json\n"), "{out}");
     assert_eq!(place.text("job.schema.json"), "mine");
 }
 
@@ -153,7 +153,7 @@ fn a_model_is_saved_and_serves_another_recording() {
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\n";
     assert_eq!(place.run(job).code, Some(0));
     let (code, _, err) = wavex(&place, &["calibrate", "out/a.arrow", "--save-preset", "model.txt"]);
-    let expected = "error: --save-preset model.txt: a model is JSON: give a name that ends in .json\n";
+    let expected = "error: --save-preset model.txt: a sensor model is JSON; give a name that ends in .json\n";
     assert_eq!((code, err.as_str()), (Some(2), expected));
 }
 

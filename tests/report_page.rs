@@ -90,11 +90,11 @@ fn the_page_tells_all_of_a_run() {
     let (place, _) = run();
     let page = place.text("out/page.html");
     let headings = [
-        "What was run",
+        "Job with all keys",
         "Warnings",
         "Points by height",
         "Points by intensity",
-        "Swath on the grid of the map",
+        "Swath on the map grid",
         "Waveforms and returns along the flight",
         "Amplitude",
         "Width ratio",
@@ -104,13 +104,13 @@ fn the_page_tells_all_of_a_run() {
         "Overlapping: shot",
         "Saturated: shot",
         "Worst fit: shot",
-        "Where the time went",
+        "Time per stage",
         "System response, low power",
         "Noise, low power",
         "System response, outgoing pulse",
-        "Counts of all lines",
+        "Totals",
         "Sensor model, low power",
-        "Written",
+        "Outputs",
     ];
     for heading in headings {
         assert!(page.contains(&format!(">{heading}")), "{heading}");
@@ -142,7 +142,7 @@ fn what_is_normal_is_no_warning() {
     assert_eq!(place.run(&format!("{job}[[stage]]\ntype = 'write_table'\n")), done());
     let page = place.text("out/page.html");
     let (_, rest) = page.split_once("<h2>Warnings</h2>").unwrap();
-    let (warnings, found) = rest.split_once("<h2>Found</h2>").unwrap();
+    let (warnings, found) = rest.split_once("<h2>Findings</h2>").unwrap();
     let found = found.split_once("</section>").unwrap().0;
     let said = "blocks: the sensitive receiver recorded it as well</li>";
     assert!(found.contains("<li><b>decompose</b>: set aside ") && found.contains(said), "{found}");
@@ -291,7 +291,7 @@ fn a_recording_without_returns_has_a_page_of_its_own() {
     assert_eq!(place.run(job), done());
     let page = place.text("out/page.html");
     assert_eq!(elements(&page)["svg"], 2, "waveforms along the flight, and times");
-    assert!(page.contains("None: no stage had anything to say"));
+    assert!(page.contains("None: no warnings and no rejected items"));
 }
 
 /// Two recordings of one job, each with its part of the page.
@@ -322,9 +322,9 @@ fn a_run_with_several_inputs_has_one_page() {
         let headings = [
             "<h3>Points by height<",
             "<h3>Worst fit: shot ",
-            "<h3>Where the time went",
+            "<h3>Time per stage",
             "<h2>Sensor model, low power",
-            "<h2>Written",
+            "<h2>Outputs",
         ];
         for heading in headings {
             assert_eq!(part.matches(heading).count(), 1, "{heading}");
@@ -415,8 +415,8 @@ fn what_is_no_report_is_said() {
         let Outcome { code, err } = report(&place, &[path]);
         assert!(code == Some(1) && err.starts_with(&format!("error: {problem}")), "{err}");
     };
-    refused("a.json", "a.json: no report of a run: it has no `inputs`; give the report.json of a run");
-    refused("b.json", "b.json: no report of a run: expected");
-    refused("c.json", "c.json: the overview of \"s\" is none: invalid type: integer `7`");
+    refused("a.json", "a.json: not a report of a run: no `inputs`; give the report.json of a run");
+    refused("b.json", "b.json: not a report of a run: expected");
+    refused("c.json", "c.json: the overview of \"s\" is invalid: invalid type: integer `7`");
     refused("gone.json", "gone.json: cannot open the report: ");
 }

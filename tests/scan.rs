@@ -75,7 +75,7 @@ fn a_simulated_flight_is_told_as_it_was_made() {
     assert_eq!(said(&out, "Times", "clock runs backwards"), "never");
     assert_eq!(said(&out, "Rates", "pulse rate, nominal"), "400000 Hz");
     // Each pulse leaves up to 15 ns early or late: intervals spread by 30 ns / √6.
-    let modulation = said(&out, "Rates", "modulation of the interval").strip_suffix(" ns rms").unwrap();
+    let modulation = said(&out, "Rates", "modulation of the interval").strip_suffix(" ns RMS").unwrap();
     assert!((modulation.parse::<f64>().unwrap() - 30.0 / 6f64.sqrt()).abs() < 0.3, "{modulation}");
     assert_eq!(said(&out, "Lines", "scan lines"), "20");
     assert_eq!(said(&out, "Lines", "facets"), "4");
@@ -123,18 +123,18 @@ fn fast_leaves_the_samples_out_and_says_the_same_else() {
         ("Times", "shots"),
         ("Rates", "pulse rate, measured"),
         ("Echoes", "shots by number of blocks"),
-        ("Channel: low power", "samples of a block"),
+        ("Channel: low power", "samples per block"),
         ("Channel: low power", "first sample after the clock"),
         ("Beams", "scan angles"),
     ] {
         assert_eq!(said(&fast, section, name), said(&whole, section, name), "{section}: {name}");
     }
     assert!(said(&fast, "Echoes", "pulses in the air").starts_with("unresolved: "), "{fast}");
-    let remedy = "zones are unresolved: `resolve_mta` must come before `decompose`";
+    let remedy = "zones are unresolved: put `resolve_mta` before `decompose`";
     assert_eq!(said(&fast, "Integrity", "note"), remedy);
     assert!(
         said(&whole, "Echoes", "ranges")
-            .ends_with("from the emission before the reception: zones are unresolved")
+            .ends_with("from the latest emission before reception: zones are unresolved")
     );
 }
 
@@ -149,7 +149,7 @@ fn fast_reads_no_waveforms_of_las_and_pulsewaves() {
         ("b.wvs", &waves.waves),
     ]);
     let (whole, fast) = (summary(&place, &["a.las"]), summary(&place, &["a.las", "--fast"]));
-    for name in ["blocks", "samples of a block", "first sample after the clock"] {
+    for name in ["blocks", "samples per block", "first sample after the clock"] {
         assert_eq!(said(&fast, "Channel: low power", name), said(&whole, "Channel: low power", name));
     }
     // Without the bytes of any wave there is still all that the pulses tell.
@@ -171,7 +171,7 @@ fn gaps_rejects_and_missing_times_are_told() {
     shots.push(Shot { clock_ps: 110_000_000, blocks: block(255) });
     place.write("x.arrow", &container(&shots, EmissionReference::OutgoingPulse, false));
     let out = summary(&place, &["x.arrow"]);
-    assert_eq!(said(&out, "Times", "shots without time"), "7 (100.0 %)");
+    assert_eq!(said(&out, "Times", "shots without a time"), "7 (100.0 %)");
     let gap = "1 of more than 2.5 shot intervals, the longest 50.000 µs (5 shot intervals) before shot 104";
     assert!(said(&out, "Times", "gaps within lines").starts_with(gap.split(" (5").next().unwrap()), "{out}");
     assert_eq!(said(&out, "Integrity", "rejected blocks"), "1: a block of an unknown channel");
@@ -250,7 +250,7 @@ fn real_recordings_are_told_as_they_are_known() {
         assert!((got.parse::<f64>().unwrap() - known).abs() < 0.03, "{lags}");
     }
     let las = summary(&place, &[&path("riegl_q680i_dev/riegl_q680i_dev.las")]);
-    assert_eq!(said(&las, "Echoes", "instrument's own returns"), "667 in 607 shots");
+    assert_eq!(said(&las, "Echoes", "instrument returns"), "667 in 607 shots");
     let third = summary(&place, &[&path("pulsewaves/riegl_example3.pls")]);
     assert_eq!((said(&third, "File", "instrument"), said(&third, "Times", "shots")), ("Q680", "16 486"));
     assert_eq!(said(&third, "Rates", "pulse rate, nominal"), "150000 Hz");

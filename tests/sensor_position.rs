@@ -145,8 +145,7 @@ fn explain_says_where_ranges_count_from() {
     program.args(["explain", "a.las", "--shot", "7", "--set", "calibrate.waveforms=300"]);
     let ended = program.current_dir(place.path("")).env_remove("RUST_LOG").output().unwrap();
     let out = String::from_utf8_lossy(&ended.stdout);
-    let said =
-        "\nranges count from the first sample: the recording does not give the position of the sensor\n";
+    let said = "\nranges start at the first sample: the recording has no sensor position\n";
     assert!(out.contains(said), "{out}{}", String::from_utf8_lossy(&ended.stderr));
 }
 

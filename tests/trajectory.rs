@@ -53,7 +53,7 @@ fn a_flight_is_told_projected_and_thinned() {
     assert!(out.starts_with("out/flight.sbet: SBET, "), "{out}");
     assert_eq!(said(&out, "clock"), "seconds of the week, GPS");
     assert!(said(&out, "times").starts_with("Tuesday 09:59:59.0 to "), "{out}");
-    assert_eq!(said(&out, "rate"), "200.00 Hz, a record every 5.000 ms");
+    assert_eq!(said(&out, "rate"), "200.00 Hz, one record every 5.000 ms");
     assert_eq!(said(&out, "gaps"), "none");
     assert_eq!(said(&out, "map"), "EPSG:32633 (WGS 84 / UTM zone 33N)");
     assert!(out.ends_with("\nwrote po.txt, po.svg\n"), "{out}");
@@ -120,8 +120,8 @@ fn gaps_are_told() {
         rows.map(|k| format!("{},179.99{k:02},-17,500,0,0,90\n", 0.1 * f64::from(k))).collect();
     place.write("t.csv", text.as_bytes());
     let out = told(&place, &["t.csv", "--columns", "txyzwpk", "--svg", "t.svg"]);
-    assert_eq!(said(&out, "gaps"), "2, the longest 0.800 s; 2 longer than the 0.500 s that are bridged");
-    assert!(out.contains("0.600 s after 1.900 s: no poses inside"), "{out}");
+    assert_eq!(said(&out, "gaps"), "2, the longest 0.800 s; 2 exceed the 0.500 s limit of bridging");
+    assert!(out.contains("0.600 s after 1.900 s: no poses in it"), "{out}");
     assert_eq!(said(&out, "longitude"), "179.9900000 to 179.9939000");
     // A line for each of the three stretches, in the plan and in the heights.
     assert_eq!(place.text("t.svg").matches("<polyline class=\"fit\"").count(), 6);
@@ -152,6 +152,6 @@ fn what_is_no_trajectory_is_refused() {
     let (code, err) = refused(&[options.as_slice(), &["--crs", "EPSG:1"]].concat());
     assert!(code == Some(2) && err.starts_with("error: --crs EPSG:1: "), "{err}");
     let (code, err) = refused(&[options.as_slice(), &["--every", "0"]].concat());
-    assert!(code == Some(2) && err.contains("give a whole number from 1 on"), "{err}");
+    assert!(code == Some(2) && err.contains("give a whole number of at least 1"), "{err}");
     assert!(!place.path("a.txt").exists(), "a failed run leaves nothing");
 }

@@ -320,8 +320,7 @@ fn the_line_that_scans() {
             line.trim().strip_prefix(name).is_some_and(|rest| rest.trim_start().starts_with(value))
         })
     };
-    for (name, value) in
-        [("shots", "240"), ("scan lines", "2"), ("shots of a line", "120"), ("blocks", "240")]
+    for (name, value) in [("shots", "240"), ("scan lines", "2"), ("shots per line", "120"), ("blocks", "240")]
     {
         assert!(says(name, value), "{name} {value}: {out}");
     }

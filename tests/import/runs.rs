@@ -176,7 +176,7 @@ fn a_job_is_printed_or_written_and_what_is_there_is_left_alone() {
     assert_eq!(wavex(&place, &format!("-o job.toml {line}")).out, "");
     assert_eq!(place.text("job.toml"), printed.out);
     let again = wavex(&place, &format!("-o job.toml {line}"));
-    let expected = "error: job.toml: the file exists already; choose another name, or remove it\n";
+    let expected = "error: job.toml: the file already exists; choose another name or remove it\n";
     assert_eq!(again, Ended { code: Some(2), out: String::new(), err: expected.to_owned() });
     std::fs::create_dir(place.path("jobs")).unwrap();
     assert_eq!(wavex(&place, &format!("--run -o jobs/job.toml {line}")).code, Some(0));
@@ -188,7 +188,11 @@ fn a_line_without_a_job_is_not_written() {
     let place = Place::new();
     let ended = wavex(&place, "-o job.toml -- -v");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    assert!(ended.err.starts_with("error: this line makes no job to write:\n"), "{}", ended.err);
+    assert!(
+        ended.err.starts_with("error: this command line makes no job, so `-o` has nothing to write:\n"),
+        "{}",
+        ended.err
+    );
     assert!(!place.path("job.toml").exists());
 }
 
@@ -214,7 +218,6 @@ fn a_line_with_columns_that_are_not_enough_is_not_run() {
     let place = data_sdf();
     let ended = wavex(&place, "--run -- -i data.sdf -po a.txt -po_parse xyztwk");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    let expected = "error: the line is not run: -po_parse xyztwk: the pitch (`p`) is missing, and no point has a place \
-                    without it: give a trajectory that has it, or add such a column to the text and its letter here\n";
+    let expected = "error: not run: -po_parse xyztwk: the pitch (`p`) is missing, and points cannot be georeferenced without it: give a trajectory that has it, or add the column to the text file and its letter here\n";
     assert!(ended.err.ends_with(expected), "{}", ended.err);
 }

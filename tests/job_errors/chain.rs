@@ -198,7 +198,7 @@ type = "calibrat"
 type = "decompose"
 "#,
         r#"
-error: there is no stage `calibrat`
+error: unknown stage `calibrat`
  --> job.toml:6:8
   |
 6 | type = "calibrat"

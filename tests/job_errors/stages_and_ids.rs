@@ -50,7 +50,7 @@ path = "flight.las"
 type = "decompos"
 "#,
         r#"
-error: there is no stage `decompos`
+error: unknown stage `decompos`
  --> job.toml:6:8
   |
 6 | type = "decompos"
@@ -74,7 +74,7 @@ path = "flight.las"
 type = "fuse_channels"
 "#,
         r#"
-error: there is no stage `fuse_channels`
+error: unknown stage `fuse_channels`
  --> job.toml:6:8
   |
 6 | type = "fuse_channels"

@@ -353,7 +353,7 @@ fn lines_may_end_as_on_windows() {
     check(
         "[[stage]]\r\ntype = \"read_lsa\"\r\n",
         r#"
-error: there is no stage `read_lsa`
+error: unknown stage `read_lsa`
  --> job.toml:2:8
   |
 2 | type = "read_lsa"
