@@ -49,7 +49,8 @@ fn folders(args: &ArchiveArgs) -> Folders {
 
 /// Reports problems as one failure.
 ///
-/// # Errors If there are any problems.
+/// # Errors
+/// If there are any problems.
 fn failed(archive: &Path, problems: &[String], seal: &str) -> Result<(), Failure> {
     if problems.is_empty() {
         return Ok(());

@@ -52,8 +52,9 @@ pub struct Import {
 
 /// Translates a classic command line; `classic` names its version, if known.
 ///
-/// # Errors If the line is invalid: all problems with their positions in one message, without the
-/// leading `error`.
+/// # Errors
+/// If the line is invalid: all problems with their positions in one message, without the leading
+/// `error`.
 pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<Import, String> {
     let words = line::without_program(words);
     let version = version_of(words, classic)?;

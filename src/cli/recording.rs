@@ -72,7 +72,8 @@ impl Recording {
     ///
     /// SDF and WFM are recognised by extension because reading them requires RIEGL's library.
     ///
-    /// # Errors If the file does not exist, its format is not supported, or no shot can be read.
+    /// # Errors
+    /// If the file does not exist, its format is not supported, or no shot can be read.
     pub(super) fn recognise(path: &Path) -> Result<Recording, Failure> {
         let name = path.display().to_string();
         let reader = reader_of(&name).map_err(Failure::Wrong)?;

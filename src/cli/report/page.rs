@@ -16,7 +16,8 @@ const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src dat
 
 /// Renders a report as HTML; omits what the report lacks.
 ///
-/// # Errors If the overview of an input is invalid: names the input and the reason.
+/// # Errors
+/// If the overview of an input is invalid: names the input and the reason.
 pub(super) fn page(report: &Value) -> Result<String, String> {
     let inputs = list(report, "inputs");
     let names: Vec<String> = inputs.iter().map(|input| plain(&input["stem"])).collect();
