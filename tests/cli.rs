@@ -153,9 +153,8 @@ fn a_wrong_job_is_refused_in_plain_text() {
     fs::write(&job, "[job]\nmemory_mb = 8\n").unwrap();
     let job = job.to_str().unwrap();
     let expected = format!(
-        "error: the job has no stage\n --> {job}\n = help: `wavex init` writes one to start from; \
-         `wavex stages` lists the stages\n\n\
-         error: `memory_mb` must be at least 64 and at most 1000000000; this is 8\n \
+        "error: the job has no stage\n --> {job}\n = help: `wavex init` writes a starter job; `wavex stages` lists the stages\n\n\
+         error: `memory_mb` must be at least 64 and at most 1000000000, got 8\n \
          --> {job}:2:13\n  |\n2 | memory_mb = 8\n  |             ^\n"
     );
     for command in ["run", "check"] {
@@ -166,7 +165,7 @@ fn a_wrong_job_is_refused_in_plain_text() {
 #[test]
 fn a_job_may_come_from_standard_input() {
     let expected = "\
-error: `threads` must be at least 0; this is -1
+error: `threads` must be at least 0, got -1
  --> standard input:4:11
   |
 4 | threads = -1
@@ -188,7 +187,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: its keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);
@@ -249,8 +248,8 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
 
 #[test]
 fn an_input_of_an_unknown_kind_is_not_converted() {
-    let expected = "error: flight.dat: the name does not say what kind of recording this is; \
-                    an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow\n";
+    let expected = "error: flight.dat: unknown recording format; \
+                    supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow\n";
     refused(wavex(&["convert", "flight.dat", "flight.arrow"]), expected);
 }
 

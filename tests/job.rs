@@ -109,10 +109,7 @@ fn a_job_without_settings_has_the_defaults() {
 #[test]
 fn a_job_that_writes_nothing_is_noted() {
     let job = parse("[[stage]]\ntype = \"simulate\"\n", &[]);
-    assert_eq!(
-        job.notes,
-        ["no stage of this job writes a file: a run counts and measures, and leaves only its report"]
-    );
+    assert_eq!(job.notes, ["no stage of this job writes a file: a run produces only the report"]);
 }
 
 #[test]

@@ -61,7 +61,7 @@ Reads waveforms from LAS files. Blocks stay with their shot.
 
 Point formats 4, 5, 9 and 10.
 
-  path (text or a list of texts; must be given)
+  path (text or a list of texts; required)
       The files to read, one run each.
 
   time_s (a list of 2 numbers, in s)
@@ -71,7 +71,7 @@ Point formats 4, 5, 9 and 10.
     let decompose = manual_of(&stages::DECOMPOSE);
     assert!(
         decompose
-            .starts_with("decompose: A map: takes Shots, makes Returns; needs `calibrate` before it\n\n"),
+            .starts_with("decompose: A map: takes Shots, makes Returns; requires `calibrate` before it\n\n"),
         "{decompose}"
     );
     let first_key = "\n  detection_sigma (a number, at least 1 and at most 100; default 4.5)\n      How far";
@@ -95,7 +95,7 @@ fn the_manual_has_a_table_of_stages_and_one_of_keys_for_each() {
          | `waveforms` | a whole number, at least 200 | `100000` |  | How many waveforms to learn from. |\n\
          | `background` | \"auto\" or \"per_waveform\" | `\"auto\"` |  | How the background is found. |\n",
     );
-    contains("| `path` | text or a list of texts | must be given |  | The files to read, one run each. |\n");
+    contains("| `path` | text or a list of texts | required |  | The files to read, one run each. |\n");
     contains("| `time_s` | a list of 2 numbers | none | s | First and last second to read. |\n");
     contains("standard deviations \\| of the noise.");
 }

@@ -214,7 +214,7 @@ fn what_cannot_be_scanned_is_said() {
         assert_eq!((found, out.as_str()), (Some(code), ""), "{err}");
         assert!(err.starts_with(&format!("error: {message}")), "{err}");
     };
-    refused(&["x.dat"], 2, "x.dat: the name does not say what kind of recording this is; an input ends in");
+    refused(&["x.dat"], 2, "x.dat: unknown recording format; supported extensions");
     refused(&["gone.arrow"], 1, "gone.arrow: cannot open: ");
     refused(
         &["x.arrow", "--set", "read_arrow.odd_sample_shift=3"],

@@ -267,10 +267,10 @@ fn the_statistics_in_words_have_every_part() {
     for name in ["start", "end"] {
         assert!(value(name).ends_with('Z') && value(name).len() == 20, "{name}: {}", value(name));
     }
-    assert_eq!(value("exit status"), "0, done");
+    assert_eq!(value("exit status"), "0, success");
     assert_eq!((value("mount"), value("calibration")), ("level".into(), "none".into()));
     assert!(value("geoid").starts_with("none: "), "{text}");
-    assert_eq!(value("unit"), "that of the coordinate reference system");
+    assert_eq!(value("unit"), "as in the coordinate reference system");
 }
 
 #[test]
@@ -301,6 +301,6 @@ fn statistics_need_a_name_for_each_input() {
     let several = "[job]\nstat_log = 'out/stat.log'\n[[stage]]\ntype = 'read_las'\npath = '*.las'\n";
     let errors = Job::parse("job.toml", several, &[]).unwrap_err().to_string();
     let expected = "error: `stat_log`: every input of this job would write the same file, \"out/stat.log\"\n --> job.toml\n = \
-                    help: write `*` where the input's name belongs, as in \"out/*_stat.log\"\n";
+                    help: write `*` in place of the stem of the input, such as \"out/*_stat.log\"\n";
     assert_eq!(errors, expected);
 }

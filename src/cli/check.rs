@@ -116,7 +116,8 @@ a.toml is valid
                 "HERE/geoids: no geoid egm96 (.bin, .gtx)",
             ]
         );
-        let pattern = "no file matches `HERE/lines/*.arrow`; check the path, or `path` of the reader and `input_dir` of the job";
+        let pattern =
+            "no file matches `HERE/lines/*.arrow`; check `path` of the reader and `input_dir` of the job";
         assert_eq!(of("lines/*.arrow", ""), [pattern]);
         for name in ["flight.arrow", "model.json"] {
             fs::write(folder.path().join(name), "").unwrap();
@@ -132,7 +133,7 @@ a.toml is valid
 a.toml is valid
   chain:  simulate -> Shots
   inputs: .
-  note:   no stage of this job writes a file: a run counts and measures, and leaves only its report
+  note:   no stage of this job writes a file: a run produces only the report
 ";
         assert_eq!(report(&job, Path::new(".")).unwrap(), expected);
     }

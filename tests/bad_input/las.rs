@@ -219,7 +219,7 @@ fn waveforms_that_overlap_take_no_more_memory_than_a_line_may() {
     let mut command =
         place.command("[[stage]]\ntype = 'read_las'\npath = 'a.las'\n[[stage]]\ntype = 'write_lstat'\n");
     command.args(["--set", "job.memory_mb=64"]);
-    let message = "stage read_las: ./a.las: scan line 0 takes 67.1 MB, too much for the job's memory_mb; \
+    let message = "stage read_las: ./a.las: scan line 0 needs 67.1 MB, too much for the job's memory_mb; \
                    set memory_mb to 135 or more";
     place.left_nothing(outcome(&mut command), message);
 }

@@ -83,7 +83,7 @@ fn send(signal: &str, to: &Child) {
 fn ends(place: &Place, child: Child) {
     let output = child.wait_with_output().unwrap();
     let err = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(err, "error: interrupted; no unfinished output was left behind\n");
+    assert_eq!(err, "error: interrupted; unfinished outputs were removed\n");
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(place.outputs(), Vec::<String>::new());
 }

@@ -79,7 +79,8 @@ fn a_file_of_another_format() {
 fn a_pattern_without_matches() {
     let place = Place::with(&[("lines/a.las", &Las::new(3).las())]);
     for reader in ["read_las", "read_pulsewaves", "read_arrow"] {
-        let message = "no file matches `./lines/*.pls`; check the path, or `path` of the reader and `input_dir` of the job";
+        let message =
+            "no file matches `./lines/*.pls`; check `path` of the reader and `input_dir` of the job";
         place.fails(reader, "lines/*.pls", message);
     }
 }
@@ -87,7 +88,7 @@ fn a_pattern_without_matches() {
 #[test]
 fn inputs_whose_outputs_would_have_the_same_names() {
     let place = Place::with(&[("a/x.las", b""), ("b/x.las", b"")]);
-    let message = "a/x.las and b/x.las would have outputs of the same names; \
+    let message = "the outputs of a/x.las and b/x.las would have the same names; \
                    run them as two jobs with different output folders";
     place.fails("read_las", "*/x.las", message);
 }

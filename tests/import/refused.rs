@@ -116,8 +116,8 @@ fn an_output_has_one_of_the_extensions_of_its_version() {
 
 #[test]
 fn the_kind_of_recording_must_be_clear() {
-    let known = "an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
-    let what = format!("data: the name does not say what kind of recording this is; {known}");
+    let known = "supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow";
+    let what = format!("data: unknown recording format; {known}");
     refused("-i data", &what, "-i", "");
     let what = "`b.pls` has another format than the files before it; use one job per format";
     refused("-i a.sdf b.pls", what, "-i", "");

@@ -27,9 +27,9 @@ fn keys_of_decompose() {
     }
     let problem = "`split_evidence`: it must lie between 4 and 1000000, or be `false`";
     refused("decompose", "split_evidence = 3", problem);
-    let problem = "`drop_emission_crosstalk` must be `true` or `false`; this is the number 1";
+    let problem = "`drop_emission_crosstalk` must be `true` or `false`, got the number 1";
     refused("decompose", "drop_emission_crosstalk = 1", problem);
-    let problem = "`mode` must be \"fastest\", \"fast_separated\", \"refined\" or \"slow\"; this is \"fast\"";
+    let problem = "`mode` must be \"fastest\", \"fast_separated\", \"refined\" or \"slow\", got \"fast\"";
     refused("decompose", "mode = \"fast\"", problem);
     let problem = "`refine_when_needed`: it has no effect in this `mode`, which refines every waveform; \
                    leave it out, or choose `mode = \"fastest\"` or `\"fast_separated\"`";

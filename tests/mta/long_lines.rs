@@ -164,7 +164,7 @@ fn run(place: &Place, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
     }
     let (outcome, peak_kb) = peak_kb(&mut command);
     if outcome.code == Some(1) {
-        let told = "memory_mb has no room for scan line ";
+        let told = " does not fit into memory_mb: stages hold back ";
         assert!(outcome.err.contains(told), "{}", outcome.err);
         assert!(outcome.err.contains(", and `resolve_mta` needs up to "), "{}", outcome.err);
         let needed = outcome.err.split("; set memory_mb to ").nth(1).unwrap().split(' ').next().unwrap();

@@ -265,7 +265,7 @@ pub(super) fn swath(map: &MapPicture, axes: &[String; 2], below: &str) -> Option
     let middle = |line: &Vec<[f64; 2]>| line.get(line.len() / 2).copied();
     let first = lines.first().and_then(middle)?;
     svg.circle("begin", first, 5.0);
-    Some(frame.finish(svg, "Swath on the grid of the map", 0.0))
+    Some(frame.finish(svg, "Swath on the map grid", 0.0))
 }
 
 /// Caption of a map view: coordinates, cell size, density.
