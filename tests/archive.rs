@@ -181,7 +181,8 @@ fn every_kind_of_tampering_is_named() {
     ] {
         change(&place.path(file), from, to);
         let name = file.strip_prefix("archives/a/").unwrap();
-        let expected = format!("{name}: changed since the archive was made, or its digest in archive.b3 was");
+        let expected =
+            format!("{name}: the file or its digest in archive.b3 was changed after the archive was made");
         let (code, err) = wavex(&place, &verify);
         assert!(code == Some(1) && err.contains(&expected), "{err}");
         fails(&place, &replay, &[&expected]);
@@ -191,7 +192,7 @@ fn every_kind_of_tampering_is_named() {
     fails(
         &place,
         &verify,
-        &["job.toml: changed since the archive was made, or its digest in archive.b3 was"],
+        &["job.toml: the file or its digest in archive.b3 was changed after the archive was made"],
     );
     restore("archives/a/archive.b3");
     fs::remove_file(place.path("archives/a/wavex.log")).unwrap();
@@ -226,10 +227,11 @@ fn an_output_that_was_changed_is_named_with_its_first_difference() {
     );
     let (code, err) = wavex(&place, &["replay", "archives/a"]);
     assert_eq!(code, Some(1), "{err}");
-    let expected = format!("a.csv was changed since: row 4, column amplitude_dn: 7 instead of {value}\n");
-    assert!(err.contains("  output a.csv of stage write_table-1: the run makes it again, but "), "{err}");
+    let expected =
+        format!("a.csv was changed since the run: row 4, column amplitude_dn: 7 instead of {value}\n");
+    assert!(err.contains("  output a.csv of stage write_table-1: reproduced, but "), "{err}");
     assert!(err.contains(&expected), "{err}");
-    assert!(err.contains("a_lstat.txt was changed since: it ends before line 4\n"), "{err}");
+    assert!(err.contains("a_lstat.txt was changed since the run: it ends before line 4\n"), "{err}");
     assert!(!err.contains("a.parquet"), "what is missing was made again all the same:\n{err}");
 }
 
@@ -260,9 +262,9 @@ fn a_changed_file_is_told_by_what_it_has_now_instead_of_then() {
     let (code, err) = wavex(&place, &["replay", "archive"]);
     assert_eq!(code, Some(1), "{err}");
     for expected in [
-        format!("a.las was changed since: point 0, field intensity: {now} instead of {then}\n"),
-        "a_lstat.txt was changed since: line 2: \"mine\" instead of \"".to_owned(),
-        format!("a.parquet was changed since: row 2, column {column}: 87.0 instead of {value:?}\n"),
+        format!("a.las was changed since the run: point 0, field intensity: {now} instead of {then}\n"),
+        "a_lstat.txt was changed since the run: line 2: \"mine\" instead of \"".to_owned(),
+        format!("a.parquet was changed since the run: row 2, column {column}: 87.0 instead of {value:?}\n"),
     ] {
         assert!(err.contains(&expected), "{expected} is not in\n{err}");
     }
@@ -319,13 +321,13 @@ fn a_run_that_gives_something_else_says_what_and_where() {
     holds(&place, &["verify", "archives/a"]);
     let (code, err) = wavex(&place, &["replay", "archives/a"]);
     assert_eq!(code, Some(1), "{err}");
-    assert!(err.contains("  output a.laz of stage write_las: not the same: point 0, field X: "), "{err}");
+    assert!(err.contains("  output a.laz of stage write_las: different: point 0, field X: "), "{err}");
     for table in [
         "a.csv of stage write_table-1",
         "a.parquet of stage write_table-2",
         "a_points.arrow of stage write_table-3",
     ] {
-        let begins = format!("  output {table}: not the same: row ");
+        let begins = format!("  output {table}: different: row ");
         let line = err
             .lines()
             .find(|line| line.starts_with(&begins))
@@ -337,21 +339,20 @@ fn a_run_that_gives_something_else_says_what_and_where() {
 #[test]
 fn an_archive_is_never_replaced_and_its_inputs_are_files() {
     let place = archived("a");
-    let exists = "error: archives/a: it exists already; choose another name: an archive is never replaced\n";
+    let exists = "error: archives/a: it already exists; choose another name: an archive is never replaced\n";
     assert_eq!(run(&place, &["--archive", "archives/a"]), Outcome { code: Some(2), err: exists.into() });
     let from_stdin = run(
         &place,
         &["--set", "read_arrow.path='-'", "--set", "job.output_dir='out2'", "--archive", "archives/b"],
     );
-    let problem =
-        "error: standard input cannot be archived; save it as a file, and give that to the reader\n";
+    let problem = "error: standard input cannot be archived; save it to a file and read that file\n";
     assert_eq!(from_stdin, Outcome { code: Some(1), err: problem.into() });
     assert_eq!(fs::read_dir(place.path("archives")).unwrap().count(), 1, "nothing is left of the other");
     let (code, err) = wavex(&place, &["verify", "in"]);
     assert_eq!(code, Some(1));
     assert_eq!(
         err,
-        "error: in: no archive: it has no text archive.json; give an archive that `wavex run --archive` has made\n"
+        "error: in: not an archive: archive.json is missing; give an archive made by `wavex run --archive`\n"
     );
 }
 
@@ -379,8 +380,7 @@ fn the_seal_is_told_and_compared() {
     let other = "0123456789abcdef".repeat(4);
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", &other]);
     let expected = format!(
-        "error: archive: verification failed; seal {seal}\n  the seal is {seal} instead of {other}: this is not \
-         the archive whose seal was written down, or it was changed and sealed anew\n"
+        "error: archive: verification failed; seal {seal}\n  the seal is {seal} instead of {other}: this is not the archive with the noted seal, or it was changed and resealed\n"
     );
     assert_eq!((code, err), (Some(1), expected));
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", "0123"]);
@@ -389,8 +389,7 @@ fn the_seal_is_told_and_compared() {
     // Whoever takes the seal away leaves nothing to compare.
     fs::remove_file(place.path("archive/archive.b3")).unwrap();
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", seal]);
-    let expected = "error: archive: verification failed\n  archive.b3: missing: nothing says whether the archive is \
-                    as it was made\n";
+    let expected = "error: archive: verification failed\n  archive.b3: missing: the integrity of the archive cannot be verified\n";
     assert_eq!((code, err.as_str()), (Some(1), expected));
 }
 
@@ -400,8 +399,7 @@ fn archives_of_another_kind_are_not_made() {
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
     for (name, kind) in [("x.zip", ".zip"), ("a/x.tar.gz", ".gz")] {
         let expected = format!(
-            "error: {name}: wavex makes no archive of the kind {kind}; give a name that ends in .tar.zst, or that of a new \
-             folder\n"
+            "error: {name}: wavex cannot make {kind} archives; give a name that ends in .tar.zst, or the name of a new folder\n"
         );
         assert_eq!(run(&place, &["--archive", name]), Outcome { code: Some(2), err: expected });
         assert!(!place.path(name).exists() && !place.path("out").exists());
@@ -411,13 +409,11 @@ fn archives_of_another_kind_are_not_made() {
 #[test]
 fn what_is_no_archive_or_no_whole_one_is_refused_with_a_remedy() {
     let place = archived("a.tar.zst");
-    let other = "error: job.toml: no archive: neither a folder nor packed as a .tar.zst is; give an archive that `wavex run --archive` has \
-                 made\n";
+    let other = "error: job.toml: not an archive: neither a folder nor a .tar.zst file; give an archive made by `wavex run --archive`\n";
     assert_eq!(wavex(&place, &["verify", "job.toml"]), (Some(1), other.to_owned()));
     let whole = fs::read(place.path("archives/a.tar.zst")).unwrap();
     place.write("cut.tar.zst", &whole[..whole.len() / 2]);
-    let cut =
-        "error: cut.tar.zst: a damaged archive: it ends too early, and was cut off; get a whole copy of it\n";
+    let cut = "error: cut.tar.zst: damaged archive: the file is truncated, its data end too early; get a complete copy\n";
     for command in ["verify", "replay"] {
         assert_eq!(wavex(&place, &[command, "cut.tar.zst"]), (Some(1), cut.to_owned()));
     }

@@ -213,21 +213,21 @@ fn the_example_shows_the_defaults_as_they_are() {
 fn the_example_in_full() {
     let expected = r#"
 [job]
-# How many threads work in the pools of `decompose` and its like; 0: as many as the machine has cores.
+# Number of worker threads of each parallel stage such as `decompose`; 0: one per core.
 #threads = 0
-# A bound on the memory taken by the scan lines that are under way, MB.
+# Memory limit of all scan lines in the pipeline, MB.
 #memory_mb = 1024
-# How many scan lines may wait between two stages.
+# Maximum number of scan lines that wait between two stages.
 #channel_capacity = 16
-# The processor's instructions that the fast kernels use.
+# SIMD instructions of the fast kernels.
 #simd = "auto"
-# The report of the run (JSON), in the folder of the outputs; empty: none.
+# Report of the run (JSON) in the output folder; empty: none.
 #report = "report.json"
-# The report as a page that browsers show and print (HTML, one file), in the folder of the outputs: its name, or `true` for `report.html`; `false` or empty: none.
+# Report as a page for browsers and printing (one HTML file) in the output folder: a name, or `true` for `report.html`; `false` or empty: none.
 #report_page = ""
-# The statistics of each input in words, in the folder of the outputs; `*` is the input's stem, needed where there are several inputs; empty: none.
+# Text statistics of each input in the output folder; `*` is replaced by the stem of the input and is required for several inputs; empty: none.
 #stat_log = "*_stat.log"
-# The log of the run, in the folder of the outputs; empty: none.
+# Log of the run in the output folder; empty: none.
 #log = "wavex.log"
 # Not set: include, input_dir, output_dir, geometry
 

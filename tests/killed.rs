@@ -190,7 +190,7 @@ fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
     let output = child.wait_with_output().unwrap();
     let err = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{err}");
-    assert!(err.contains("simulated.arrow: cannot give the final name to: "), "{err}");
+    assert!(err.contains("simulated.arrow: cannot rename to the final name: "), "{err}");
     assert_eq!(names(&place.path("out")), Vec::<String>::new());
     assert_eq!(run(&place, &[]), succeeded());
     assert_eq!(
@@ -210,8 +210,7 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
     assert_eq!(second.code, Some(1), "{}", second.err);
     let process = first.id();
     let problem = format!(
-        "error: ./out/report.json is being written by another run (process {process}); \
-         wait for its end, or choose another folder with `output_dir`\n"
+        "error: ./out/report.json is being written by another run (process {process}); wait until it ends, or choose another folder with `output_dir`\n"
     );
     assert_eq!(second.err, problem);
     // Without a report and a log of its own it is the output that both want.

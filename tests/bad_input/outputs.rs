@@ -27,7 +27,7 @@ fn a_file_where_the_folder_of_outputs_should_be() {
     let place = place(3);
     place.write("out", b"");
     let remedy =
-        "cannot make the folder: File exists (os error 17); choose another folder: a file is in the way";
+        "cannot create the folder: File exists (os error 17); choose another folder: a file is in the way";
     let stages = format!("{READ}{COPY}");
     fails(&place, &mut place.command(&stages), &format!("./out: {remedy}"));
     let mut command = place.command(&stages);
@@ -40,8 +40,8 @@ fn a_file_where_a_folder_in_the_path_of_a_sink_should_be() {
     let place = place(3);
     place.write("out/sub", b"");
     for (path, problem) in [
-        ("sub/*.arrow", "./out/sub: cannot make the folder: File exists (os error 17)"),
-        ("sub/deep/*.arrow", "./out/sub/deep: cannot make the folder: Not a directory (os error 20)"),
+        ("sub/*.arrow", "./out/sub: cannot create the folder: File exists (os error 17)"),
+        ("sub/deep/*.arrow", "./out/sub/deep: cannot create the folder: Not a directory (os error 20)"),
     ] {
         let mut command = place.command(&format!("{READ}{COPY}path = '{path}'\n"));
         let message = format!("{problem}; choose another folder: a file is in the way");
@@ -51,7 +51,7 @@ fn a_file_where_a_folder_in_the_path_of_a_sink_should_be() {
 
 #[test]
 fn a_folder_of_the_name_of_an_output() {
-    let problem = "a folder has the name of this output; choose another name, or remove the folder";
+    let problem = "a folder with the name of this output exists; choose another name or remove the folder";
     for (folder, message) in [
         ("a.arrow", format!("stage write_arrow: ./out/a.arrow: {problem}")),
         ("report.json", format!("./out/report.json: {problem}")),
