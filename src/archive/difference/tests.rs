@@ -161,7 +161,7 @@ fn a_table_compressed_in_an_unknown_way_says_so_with_a_remedy() {
     let error = parquet::errors::ParquetError::General("Disabled feature at compile time: flate2".into());
     let said = tables::unreadable(Path::new("a.parquet"), &error).to_string();
     let expected = "a.parquet: its compression method is not supported by wavex: rows are not compared; save it \
-                    with zstd, snappy or no compression, and compare again";
+                    with zstd, snappy or no compression and compare again";
     assert_eq!(said, expected);
 }
 
