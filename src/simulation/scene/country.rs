@@ -13,7 +13,7 @@ const WOOD_M: f64 = 150.0;
 const PLOT_M: f64 = 40.0;
 /// Minimum and maximum side of houses, m; a house stays within its plot.
 const HOUSE_M: [f64; 2] = [8.0, 28.0];
-/// The lowest house, over the highest.
+/// Height of the lowest house relative to the highest.
 const LOWEST_HOUSE: f64 = 0.4;
 
 /// Properties of the land.
