@@ -1,4 +1,4 @@
-//! Archives of runs: made, run again elsewhere, and every kind of tampering named.
+//! Archives of runs: creation, replay in another place, and detection of tampering.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -11,7 +11,7 @@ use serde_json::Value;
 use support::flight::{OUTPUTS, STAGES, flight, run, wavex};
 use support::{Outcome, Place};
 
-/// A flight whose run was archived as `archives/NAME`.
+/// A flight with a run archived as `archives/NAME`.
 fn archived(name: &str) -> Place {
     let place = flight();
     place
@@ -26,7 +26,7 @@ fn holds(place: &Place, arguments: &[&str]) {
     assert_eq!(wavex(place, arguments), (Some(0), String::new()), "{arguments:?}");
 }
 
-/// The command fails, and these are the problems that it names, in order.
+/// Asserts that the command fails with these problems, in order.
 #[track_caller]
 fn fails(place: &Place, arguments: &[&str], expected: &[&str]) {
     let (code, err) = wavex(place, arguments);
@@ -110,7 +110,7 @@ fn an_archive_holds_what_it_takes_and_is_replayed_elsewhere() {
 
     holds(&place, &["verify", "archives/a"]);
     holds(&place, &["replay", "archives/a", "--threads", "1"]);
-    // Elsewhere, all together; and the inputs by themselves.
+    // First move everything together; then the inputs alone.
     let elsewhere = Place::new();
     copy(&place.path("archives"), &elsewhere.path("archives"));
     copy(&place.path("in"), &elsewhere.path("in"));
@@ -134,7 +134,7 @@ fn a_resolved_job_runs_by_itself_and_gives_the_same() {
     assert!(fs::read(place.path("out/a.laz")).unwrap() == then);
     let text = place.text("archives/a/job.resolved.toml");
     assert!(!text.contains(&place.path("").display().to_string()), "no path from the root:\n{text}");
-    // A pattern would find other files another day.
+    // A pattern could match other files later.
     assert!(text.contains("path = [\"in/a.arrow\"]") || text.contains("path = \"in/a.arrow\""), "{text}");
 }
 
@@ -235,14 +235,14 @@ fn an_output_that_was_changed_is_named_with_its_first_difference() {
     assert!(!err.contains("a.parquet"), "what is missing was made again all the same:\n{err}");
 }
 
-/// The intensity of the first point, and its place in a LAS file of point format 6.
+/// Intensity of the first point and its offset in a LAS file of point format 6.
 fn intensity(las: &[u8]) -> (usize, u16) {
     let points = u32::from_le_bytes(las[96..100].try_into().unwrap()) as usize;
     let at = points + 12;
     (at, u16::from_le_bytes([las[at], las[at + 1]]))
 }
 
-/// What a file has now comes first, whatever kind it is of.
+/// Messages give the current value first, for every file format.
 #[test]
 fn a_changed_file_is_told_by_what_it_has_now_instead_of_then() {
     let place = flight();
@@ -270,8 +270,10 @@ fn a_changed_file_is_told_by_what_it_has_now_instead_of_then() {
     }
 }
 
-/// Saves a table as other programs do, with another compression, and with 87 in row 2 of a column; gives what stood there, and
-/// the column's name.
+/// Rewrites a table as other programs do: with another compression and with 87 in row 2 of a
+/// column.
+///
+/// Returns the original value and the name of the column.
 fn resave_with_snappy(path: &Path) -> (f64, String) {
     use arrow_array::{Array, ArrayRef, Float64Array, RecordBatch};
     use parquet::arrow::ArrowWriter;
@@ -301,7 +303,7 @@ fn resave_with_snappy(path: &Path) -> (f64, String) {
     (then, schema.field(at).name().clone())
 }
 
-/// An archive whose job was edited by somebody who knows how seals are made: the outputs tell.
+/// An archive with an edited job and a valid new seal: the outputs reveal the change.
 #[test]
 fn a_run_that_gives_something_else_says_what_and_where() {
     let place = archived("a");
@@ -356,7 +358,7 @@ fn an_archive_is_never_replaced_and_its_inputs_are_files() {
     );
 }
 
-/// What the program says in the folder, to the standard output.
+/// Standard output of the program in the folder.
 fn said(place: &Place, arguments: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     let output = command.args(arguments).current_dir(place.path("")).output();
@@ -386,7 +388,7 @@ fn the_seal_is_told_and_compared() {
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", "0123"]);
     assert_eq!(code, Some(2), "{err}");
     assert!(err.contains("a seal has 64 hexadecimal digits, as `wavex run --archive` prints them"), "{err}");
-    // Whoever takes the seal away leaves nothing to compare.
+    // Without the seal there is nothing to compare with.
     fs::remove_file(place.path("archive/archive.b3")).unwrap();
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", seal]);
     let expected = "error: archive: verification failed\n  archive.b3: missing: the integrity of the archive cannot be verified\n";
@@ -419,7 +421,7 @@ fn what_is_no_archive_or_no_whole_one_is_refused_with_a_remedy() {
     }
 }
 
-/// Every value that counts stands in the job as run, and nothing that is this machine's.
+/// The archived job contains every effective value and nothing specific to this machine.
 #[test]
 fn a_resolved_job_spells_out_defaults_that_hang_on_other_keys() {
     let place = flight();
@@ -460,7 +462,7 @@ fn inputs_outside_of_the_jobs_folder_are_told_below_one_folder() {
     assert_eq!(archive["inputs"]["files"][1]["path"], "model.json");
     assert!(place.text("archive/wavex.log").contains("INFO wavex "), "the archive has a log all the same");
 
-    // With another folder above: then the paths start there.
+    // With a higher common folder, the paths start there.
     fs::create_dir(place.path("models")).unwrap();
     fs::rename(&model, place.path("models/m.json")).unwrap();
     let set = format!("calibrate.load='{}'", place.path("models/m.json").display());
@@ -493,7 +495,7 @@ fn the_trajectory_is_an_input() {
     fails(&place, &["replay", "archive", "--inputs", "moved"], &["input a.out: changed: the digest of "]);
 }
 
-/// What a job includes stands in the resolved job, and as it was written beside the job.
+/// Included keys appear in the resolved job; the included text is archived as written.
 #[test]
 fn included_keys_are_resolved() {
     let place = flight();

@@ -1,11 +1,11 @@
-//! The program itself: what it prints, where, and its exit code.
+//! The command line: output, streams and exit codes.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use std::fs;
 use std::io::Write;
 use std::process::{Command, Stdio};
 
-/// What a run of the program leaves.
+/// Result of a run of the program.
 #[derive(Debug, PartialEq)]
 struct Outcome {
     code: Option<i32>,
@@ -18,7 +18,7 @@ fn wavex_with_input(arguments: &[&str], input: &str) -> Outcome {
     let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
     program.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = program.spawn().unwrap();
-    // A program that does not read its input may be gone already.
+    // A program that does not read its input may already have exited.
     let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
     let output = child.wait_with_output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
@@ -29,7 +29,7 @@ fn wavex(arguments: &[&str]) -> Outcome {
     wavex_with_input(arguments, "")
 }
 
-/// The arguments are refused with this message, and nothing else is printed.
+/// Asserts that the arguments are refused with this message and no other output.
 fn refused(outcome: Outcome, expected: &str) {
     assert_eq!(outcome, Outcome { code: Some(2), out: String::new(), err: expected.to_owned() });
 }

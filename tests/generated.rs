@@ -1,5 +1,7 @@
-//! Files that are made from the code. A test that finds one out of date writes it anew, and fails, so that the new file
-//! is looked at and committed.
+//! Files generated from the code.
+//!
+//! A test that finds an outdated file rewrites it and fails, so that the new file is reviewed and
+//! committed.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use std::fs;
@@ -14,10 +16,10 @@ use wavex::kernels::sensor_model::SensorModel;
 use wavex::registry::{STAGES, find};
 use wavex::stages::write_lstat;
 
-/// Writes a file of the repository where it is not as it should be, and says so.
+/// Rewrites an outdated file of the repository and reports it.
 fn check(name: &str, expected: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
-    // A checkout may end lines in another way; a missing file is an empty one.
+    // A checkout may use other line endings; a missing file is treated as empty.
     let found = fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n");
     if found != expected {
         fs::create_dir_all(path.parent().unwrap()).unwrap();

@@ -1,4 +1,4 @@
-//! Jobs that fit: what is made of them.
+//! Valid jobs.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use proptest::prelude::*;
@@ -189,7 +189,7 @@ fn the_example_is_a_job_that_fits() {
     assert_eq!(ids(&job), stages);
 }
 
-/// The example with every key that it shows as a comment.
+/// The example with all its commented keys enabled.
 fn uncommented(example: &str) -> String {
     let key = |line: &str| match line.strip_prefix('#') {
         Some(key) if key.starts_with(|first: char| first.is_ascii_lowercase()) => key.to_owned(),
@@ -254,7 +254,7 @@ type = "decompose"
     assert!(example.contains(expected), "{example}");
 }
 
-/// The job of this text, with what it includes.
+/// Parses this text with included files.
 fn with_includes(text: &str, files: &[&str], overrides: &[&str]) -> Job {
     let include = |text: &&str| Include { name: "site.toml".into(), text: (*text).to_owned() };
     let includes: Vec<Include> = files.iter().map(include).collect();

@@ -1,4 +1,4 @@
-//! Every job of the repository is whole, and the demo runs.
+//! All jobs of the repository are valid, and the demo runs.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,

@@ -1,4 +1,4 @@
-//! Runs that end by force: no file under a final name that is not whole, and the next run needs no cleaning by hand.
+//! Killed runs: only complete files have final names, and the next run needs no manual cleanup.
 #![cfg(unix)]
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
@@ -19,7 +19,7 @@ fn succeeded() -> Outcome {
     Outcome { code: Some(0), err: String::new() }
 }
 
-/// A flight with its job, and what the job makes of it.
+/// A flight with its job, and the expected outputs.
 fn place() -> (Place, BTreeMap<String, Vec<u8>>) {
     let place = flight();
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{STAGES}").as_bytes());
@@ -29,7 +29,7 @@ fn place() -> (Place, BTreeMap<String, Vec<u8>>) {
     (place, whole)
 }
 
-/// What has a final name in the folder of outputs, besides log and report.
+/// Files with final names in the output folder, except log and report.
 fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
     let mut files = files(&place.path("out"));
     let is_about_the_run =
@@ -38,7 +38,7 @@ fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
     files
 }
 
-/// Whatever has a final name is whole.
+/// Asserts that all files with final names are complete.
 fn is_whole(place: &Place, whole: &BTreeMap<String, Vec<u8>>) {
     for (name, bytes) in products(place) {
         assert!(whole[&name] == bytes, "{name} is not whole");
@@ -56,7 +56,7 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Removes what has a final name in a folder; on request also what has not.
+/// Removes finished files from a folder; with `all`, also unfinished ones.
 fn clear(folder: &Path, all: bool) {
     for name in names(folder).iter().filter(|name| all || !name.starts_with('.')) {
         fs::remove_file(folder.join(name)).unwrap();
@@ -84,7 +84,7 @@ fn a_run_killed_at_any_moment_leaves_whole_files_only() {
     let (mut killed, mut begun, mut random) = (0, 0, 12345u64);
     for attempt in 0..KILLS {
         clear(&place.path("out"), attempt % 2 == 0);
-        // Constants of Knuth's MMIX.
+        // Constants of Knuth's MMIX generator.
         random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let mut child = spawn(&place, &["--archive", &format!("archives/{attempt}")]);
         std::thread::sleep(duration.mul_f64((random >> 40) as f64 / f64::from(1 << 24)));
@@ -98,7 +98,7 @@ fn a_run_killed_at_any_moment_leaves_whole_files_only() {
     assert!(killed > 0);
     for name in names(&place.path("archives")).iter().filter(|name| !name.starts_with('.')) {
         let archive = format!("archives/{name}");
-        // Its outputs may have gone with the next attempt: the archive itself is sealed.
+        // The next attempt may have removed its outputs; the archive itself is sealed.
         let (_, err) = wavex(&place, &["verify", &archive]);
         assert!(err.lines().skip(1).all(|line| line.trim_start().starts_with("output ")), "{err}");
     }
@@ -133,7 +133,7 @@ fn leavings_of_killed_runs_are_swept_up_by_the_next() {
     assert!(names(&place.path("archives")).iter().all(|name| !name.starts_with('.')));
 }
 
-/// Waits until something is so, which it is sooner or later.
+/// Waits for a condition that becomes true eventually.
 fn wait_for(mut so: impl FnMut() -> bool) {
     let started = Instant::now();
     while !so() {
@@ -149,7 +149,7 @@ fn a_full_disk_leaves_whole_files_only() {
     let mut failed = 0;
     for blocks in [1, 20, largest / 4, largest / 2, largest - 1, 10 * largest] {
         fs::remove_dir_all(place.path("out")).unwrap();
-        // No file may grow beyond so many blocks of 512 bytes: as on a disk that is full, writing fails.
+        // A limit on file size in blocks of 512 bytes: writing fails as on a full disk.
         let mut command = Command::new("sh");
         command.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" --quiet run job.toml --archive archives/{blocks}")]);
         let output = command.arg(env!("CARGO_BIN_EXE_wavex")).current_dir(place.path("")).output().unwrap();
@@ -173,7 +173,7 @@ fn a_full_disk_leaves_whole_files_only() {
     assert!(products(&place) == whole);
 }
 
-/// A job that goes on for a while: many lines, written as they come.
+/// A job that runs for a while: many lines, written as they arrive.
 const LONG: &str = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'simulate'\nlines = 4000\nshots_per_line = 200\n\
                     [[stage]]\ntype = 'write_arrow'\n";
 
@@ -213,14 +213,14 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
         "error: ./out/report.json is being written by another run (process {process}); wait until it ends, or choose another folder with `output_dir`\n"
     );
     assert_eq!(second.err, problem);
-    // Without a report and a log of its own it is the output that both want.
+    // Without a report and a log, both runs conflict on the output itself.
     let silent = run(
         &place,
         &[&shorter[..], &["--set", "job.report=''", "--set", "job.log=''", "--set", "job.stat_log=''"]]
             .concat(),
     );
     assert!(silent.err.contains("out/simulated.arrow is being written by another run"), "{}", silent.err);
-    // Others run: into another folder, and into this one under another name.
+    // Other runs succeed: to another folder, and to this folder under another name.
     assert_eq!(run(&place, &[&shorter[..], &["--set", "job.output_dir=elsewhere"]].concat()), succeeded());
     let other_names = [
         "--set",

@@ -1,4 +1,4 @@
-//! The schema and the manual of a small list of stages.
+//! Schema and manual of a small list of stages.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use serde_json::{Value, json};
@@ -6,7 +6,7 @@ use wavex::job::{job_schema, manual, manual_of, summary};
 
 mod stages;
 
-/// The schema of one stage.
+/// Schema of one stage.
 fn stage<'s>(schema: &'s Value, name: &str) -> &'s Value {
     let stages = schema["properties"]["stage"]["items"]["oneOf"].as_array().unwrap();
     stages.iter().find(|stage| stage["properties"]["type"]["const"] == name).unwrap()
@@ -105,7 +105,7 @@ fn a_summary_is_the_first_sentence() {
     assert_eq!(summary(&stages::READ_LAS), "Reads waveforms from LAS files.");
 }
 
-/// Every test that the table of errors names is there.
+/// All tests named in the table of errors exist.
 #[test]
 fn the_table_of_errors_names_tests_that_there_are() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -11,7 +11,7 @@ use browser::Look;
 use serde_json::Value;
 use support::{Outcome, Place, outcome};
 
-/// Every element ends, in the order in which they began; gives how often each began.
+/// Asserts that elements are properly nested; returns their counts.
 #[track_caller]
 fn elements(page: &str) -> std::collections::BTreeMap<String, usize> {
     let mut open: Vec<&str> = Vec::new();
@@ -46,7 +46,7 @@ const JOB: &str = "[[stage]]\ntype = 'simulate'\nstem = 'a<b&c'\nlines = 8\nshot
                    [[stage]]\ntype = 'calibrate'\nwaveforms = 600\n[[stage]]\ntype = 'decompose'\n\
                    [[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_las'\npath = '*.las'\n";
 
-/// The job with a page, and more keys of `[job]`; these are the first of its text.
+/// The job with a page and further keys of `[job]`, which come first in its text.
 fn with_page(keys: &str) -> String {
     format!("report_page = 'page.html'\n{keys}\n{JOB}")
 }
@@ -189,7 +189,7 @@ fn what_is_gathered_does_not_depend_on_threads() {
     assert_eq!(one, overview("5"));
 }
 
-/// The numbers of the page against those that the run counted.
+/// The numbers of the page equal the counters of the run.
 #[test]
 fn what_is_gathered_adds_up() {
     let (_, report) = run();
@@ -214,7 +214,7 @@ fn what_is_gathered_adds_up() {
     assert_eq!(kinds, ["good", "overlapping", "saturated", "worst"]);
 }
 
-/// Several pulses in the air: shares, the swath by zone, and the clouds of six candidate zones.
+/// Several pulses in the air: shares, the swath by zone, and scatter plots of six candidate zones.
 #[test]
 fn zones_are_shown_where_several_pulses_are_in_the_air() {
     let job = "report_page = 'page.html'\n[[stage]]\ntype = 'simulate'\nlines = 4\nshots_per_line = 240\n\
@@ -246,17 +246,17 @@ fn zones_are_shown_where_several_pulses_are_in_the_air() {
         assert!(page.contains(told), "{told}");
     }
     assert!(page.contains(&format!("zone {most}: ")));
-    // A page made from the report alone is the same.
+    // A page made from the report alone is identical.
     assert_eq!(report_of(&place), page);
 }
 
-/// The page that `wavex report` makes of a run's report.
+/// The page that `wavex report` makes from a run's report.
 fn report_of(place: &Place) -> String {
     assert_eq!(report(place, &["out", "-o", "again.html"]), done());
     place.text("again.html")
 }
 
-/// The waveforms that are shown have the returns that the run wrote, to the last digit.
+/// The waveforms shown have exactly the returns that the run wrote.
 #[test]
 fn the_fits_shown_are_those_of_the_run() {
     let place = Place::new();
@@ -358,7 +358,7 @@ fn the_key_asks_for_a_page() {
     assert!(place.text("out/report.html").starts_with("<!DOCTYPE html>"));
 }
 
-/// The page as a browser shows it: readable, with all its pictures, and with nothing to say on the console.
+/// The page in a browser: readable, with all pictures and without console messages.
 #[test]
 fn a_browser_shows_the_page() {
     let Some(browser) = browser::find() else { return };
@@ -384,7 +384,7 @@ fn a_browser_shows_the_page() {
     }
 }
 
-/// What the test above would say of a page that is not as it should be.
+/// The checks of the previous test detect a faulty page.
 #[test]
 fn the_browser_notices_what_is_wrong() {
     let Some(browser) = browser::find() else { return };

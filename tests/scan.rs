@@ -1,4 +1,4 @@
-//! `wavex scan`: what it says of a recording is what was put into it, and what cannot be read is said.
+//! `wavex scan`: the summary matches the recording, and read errors are reported.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -21,7 +21,7 @@ fn scan(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
 
-/// The summary of a scan that succeeds without a word on standard error.
+/// Summary of a successful scan without messages on standard error.
 #[track_caller]
 fn summary(place: &Place, arguments: &[&str]) -> String {
     let (code, out, err) = scan(place, arguments);
@@ -29,7 +29,7 @@ fn summary(place: &Place, arguments: &[&str]) -> String {
     out
 }
 
-/// What the summary says of something in a section.
+/// Value of a row in a section of the summary.
 #[track_caller]
 fn said<'a>(summary: &'a str, section: &str, name: &str) -> &'a str {
     let from = summary.find(&format!("\n{section}\n")).unwrap_or_else(|| panic!("{section}:\n{summary}"));
@@ -38,7 +38,7 @@ fn said<'a>(summary: &'a str, section: &str, name: &str) -> &'a str {
     found.unwrap_or_else(|| panic!("{section}: {name}:\n{summary}")).trim()
 }
 
-/// The counts of a histogram's file.
+/// Counts of a histogram file.
 fn counts(text: &str) -> Vec<(f64, u64)> {
     let rows = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
     rows.map(|row| row.split_once('\t').unwrap())
@@ -54,7 +54,7 @@ fn files(place: &Place) -> Vec<String> {
     names
 }
 
-/// A recording of the simulator, `out/flight.arrow`.
+/// A simulated recording, `out/flight.arrow`.
 fn simulated(keys: &str) -> Place {
     let place = Place::new();
     let job = format!(
@@ -74,7 +74,7 @@ fn a_simulated_flight_is_told_as_it_was_made() {
     assert_eq!(said(&out, "Times", "gaps within lines"), "none");
     assert_eq!(said(&out, "Times", "clock runs backwards"), "never");
     assert_eq!(said(&out, "Rates", "pulse rate, nominal"), "400000 Hz");
-    // Each pulse leaves up to 15 ns early or late: intervals spread by 30 ns / √6.
+    // Each pulse is up to 15 ns early or late: intervals have an RMS of 30 ns / √6.
     let modulation = said(&out, "Rates", "modulation of the interval").strip_suffix(" ns RMS").unwrap();
     assert!((modulation.parse::<f64>().unwrap() - 30.0 / 6f64.sqrt()).abs() < 0.3, "{modulation}");
     assert_eq!(said(&out, "Lines", "scan lines"), "20");
@@ -98,7 +98,7 @@ fn a_simulated_flight_is_told_as_it_was_made() {
     let angles = place.text("flight_angles.txt");
     assert!(angles.starts_with("# scan angles: 10000 values, bins 0.25 wide\n# centre of the bin: angle of a shot, degrees\tcount\n"), "{angles}");
     assert_eq!(counts(&angles).iter().map(|bin| bin.1).sum::<u64>(), 10_000);
-    // Straight down the ground is as far away as the aircraft is high.
+    // At nadir, the range to the ground equals the flying height.
     let ranges = counts(&place.text("flight_ranges.txt"));
     assert!(ranges.iter().all(|(centre, _)| (740.0..960.0).contains(centre)), "{:?}", ranges.first());
 
@@ -152,7 +152,7 @@ fn fast_reads_no_waveforms_of_las_and_pulsewaves() {
     for name in ["blocks", "samples per block", "first sample after the clock"] {
         assert_eq!(said(&fast, "Channel: low power", name), said(&whole, "Channel: low power", name));
     }
-    // Without the bytes of any wave there is still all that the pulses tell.
+    // Without waveform bytes, all pulse attributes are still available.
     fs::write(place.path("b.wvs"), &waves.waves[..60]).unwrap();
     let fast = summary(&place, &["b.pls", "--fast"]);
     assert_eq!(

@@ -1,4 +1,4 @@
-//! The program on bad input: its exit code, its message, and what it leaves.
+//! Bad input: exit codes, messages and remaining files.
 #![allow(
     missing_docs,
     clippy::unwrap_used,

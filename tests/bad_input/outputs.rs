@@ -1,4 +1,4 @@
-//! Folders that cannot be written to, and disks that are full.
+//! Folders that are not writable, and full disks.
 
 use std::fs::{self, OpenOptions};
 use std::process::{Command, Stdio};
@@ -14,7 +14,7 @@ fn place(pulses: usize) -> Place {
     Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)])
 }
 
-/// The run fails with this message, and leaves the folder as it was.
+/// Asserts that the run fails with this message and leaves the folder unchanged.
 #[track_caller]
 fn fails(place: &Place, command: &mut Command, message: &str) {
     let before = place.outputs();
@@ -58,7 +58,7 @@ fn a_folder_of_the_name_of_an_output() {
     ] {
         let place = place(3);
         place.write(&format!("out/{folder}/mine"), b"");
-        // The second output must not stay when the first one cannot.
+        // The second output must not remain if the first cannot be written.
         let stages = format!("{READ}[[stage]]\ntype = 'write_lstat'\n{COPY}");
         fails(&place, &mut place.command(&stages), &message);
     }
@@ -85,7 +85,8 @@ fn an_output_that_would_replace_an_input() {
     let place = place(250);
     let recording = fs::read(place.path("a.las")).unwrap();
     let to_las = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'\npath = '*.las'");
-    // The job cannot know that both folders are the same; of another name, it is told before anything is read.
+    // The job cannot detect that both folders are the same under different names; the run reports
+    // it before reading.
     let mut command = place.command(&format!("{READ}{to_las}"));
     command.args(["--set", "job.output_dir='out/..'"]);
     let message =
@@ -117,10 +118,10 @@ fn an_output_that_would_replace_the_packets_of_an_input() {
     assert_eq!(fs::read(place.path("a.wdp")).unwrap(), b"packets");
 }
 
-/// The same command on a disk that takes files of at most 8 kB.
+/// Runs the same command with a file size limit of 8 kB, as a full disk.
 ///
-/// A file that may not grow further refuses a write as a full disk does, and needs no rights to be set up. Where it is
-/// not to end the program, its signal is ignored, which the program inherits.
+/// A file at the limit refuses writes like a full disk does, and needs no privileges to set up. If
+/// its signal must not end the program, it is ignored in the shell, and the program inherits this.
 #[cfg(unix)]
 fn on_a_small_disk(command: &Command) -> Command {
     let mut small = Command::new("sh");

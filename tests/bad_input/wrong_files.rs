@@ -1,4 +1,4 @@
-//! Inputs that are not there, or something else.
+//! Missing inputs and inputs of other formats.
 
 use std::fs;
 

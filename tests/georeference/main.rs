@@ -1,4 +1,4 @@
-//! From recordings in the scanner's frame, with a trajectory, to points in coordinates.
+//! Georeferencing of recordings in the scanner's frame with a trajectory.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,

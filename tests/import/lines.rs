@@ -1,18 +1,18 @@
-//! How options may be written, and what several say together.
+//! Notations of options, and combined effects of several options.
 
 use wavex::cli::import::draft::Known;
 use wavex::cli::import::{Import, Place, import};
 
 use crate::{complete, files, here, in_version, keys, read_with, stages, words};
 
-/// The keys of a line's job that another line's job does not have.
+/// Keys in a line's job that are not in the job of another line.
 #[track_caller]
 fn added(line: &str, to: &str) -> Vec<String> {
     let before = keys(&complete(to).text);
     keys(&complete(line).text).into_iter().filter(|key| !before.contains(key)).collect()
 }
 
-/// The notes of a line.
+/// Notes of a line.
 fn notes(import: &Import) -> Vec<String> {
     let notes = import.text.lines().skip_while(|line| !line.starts_with("# Options that"));
     let notes = notes.skip(1).map_while(|line| line.strip_prefix("#   "));
@@ -86,7 +86,7 @@ fn the_input_tells_the_version() {
     );
 }
 
-/// The same letter asks for different things.
+/// The same letter has different meanings in the two versions.
 #[test]
 fn a_is_what_it_is_in_its_version() {
     assert_eq!(added("-i a.las -A 0.2", "-i a.las"), ["correct.attenuation_db_per_km = 0.2"]);
@@ -289,7 +289,7 @@ fn the_trajectory_tells_the_hemisphere_of_a_zone() {
     assert_eq!(crs("-i a.sdf -po u.pof -utm 33"), unknown);
 }
 
-/// Examples of the documents leave out the roll.
+/// Examples of the documents omit the roll.
 #[test]
 fn columns_without_the_roll_are_enough() {
     let import = here("-i a.sdf -po a.txt -po_parse xyztpk");
@@ -395,7 +395,7 @@ fn matters_of_the_run_are_none_of_the_job() {
     assert!(keys(&import.text).contains(&"job.log = \"\"".to_owned()));
 }
 
-/// Times are options of every reader, not only of that of SDF.
+/// Time options apply to every reader, not only to that of SDF.
 #[test]
 fn options_for_times_are_keys_of_every_reader() {
     let line = "-t_min 82300 -t_max 82400 -t_adj -gps_date 2025-05-06 -utc -t_corr 0.72";

@@ -1,4 +1,4 @@
-//! Lines that are wrong: each message once.
+//! Invalid lines: one test per message.
 
 use wavex::cli::import::draft::Known;
 
@@ -9,7 +9,7 @@ fn problem(line: &str) -> String {
     read_with(line, &Known::Everything, &files).unwrap_err()
 }
 
-/// The problem of a line: its sentence, the part of the line that is marked, and the help.
+/// Asserts the problem of a line: sentence, marked text, and help.
 #[track_caller]
 fn refused(line: &str, what: &str, marked: &str, help: &str) {
     let at = "wavex ".len() + line.find(marked).unwrap();

@@ -1,4 +1,4 @@
-//! The order of the stages, and the files they write.
+//! Order of the stages, and output files.
 
 use super::check;
 

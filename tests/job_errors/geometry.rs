@@ -68,7 +68,7 @@ error: `calibration` of `geometry` of `[job]` has no key `lever_arms_m`
     );
 }
 
-/// What only the table itself can say is shown at the key, too.
+/// Constraints checked by the table itself are also reported at the key.
 #[test]
 fn a_key_of_no_use_alone() {
     check(
@@ -105,7 +105,7 @@ error: `geometry.calibration`: `lever_arm_m` must be three lengths of at most 10
     );
 }
 
-/// What a shell leaves without quotation marks is text, also below a table.
+/// Values without quotation marks are text, also in the nested table.
 #[test]
 fn overrides_reach_into_the_table() {
     let set = ["job.geometry.crs=EPSG:2154", "job.geometry.trajectory=*.out", "job.geometry.mount=[1, 2, 3]"];

@@ -403,7 +403,7 @@ fn a_report_that_is_a_truth_value() {
     }
 }
 
-/// From outside, text needs no quotation marks.
+/// In overrides, text needs no quotation marks.
 #[test]
 fn a_report_that_is_set_to_a_truth_value() {
     for value in ["true", "false"] {

@@ -1,4 +1,4 @@
-//! Lists and tables among the keys, and what a stage itself refuses.
+//! Lists and tables among the keys, and values refused by stages.
 
 use super::check;
 

@@ -1,4 +1,4 @@
-//! Values set from outside.
+//! Overrides.
 
 use super::{FULL, check_set};
 

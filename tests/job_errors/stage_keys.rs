@@ -1,8 +1,8 @@
-//! What the stages of the registry say of their own keys.
+//! Errors that registered stages report for their own keys.
 
 use wavex::job::Job;
 
-/// A job whose stage has this line among its keys is refused with this message at that line.
+/// Asserts that a stage with this key line is refused with this message at that line.
 #[track_caller]
 fn refused(stage: &str, line: &str, message: &str) {
     let keys = |of: &str| if of == stage { format!("{line}\n") } else { String::new() };

@@ -1,4 +1,4 @@
-//! The text as TOML, its tables, and how an error is shown.
+//! TOML syntax, tables, and display of errors.
 
 use super::{check, parse};
 

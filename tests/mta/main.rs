@@ -1,4 +1,4 @@
-//! From blocks as they were recorded to the pulses that caused them, through the whole chain.
+//! MTA resolution: from recorded blocks to their pulses, through the whole chain.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,

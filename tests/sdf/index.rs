@@ -1,4 +1,4 @@
-//! The index that the library wants: made once, where it can be written.
+//! The index required by the library: made once, in a writable folder.
 
 use crate::made::{NAME, container, copy, fails, header, lengths, place, plain_line, read};
 
@@ -45,7 +45,7 @@ fn an_index_may_lie_in_another_folder_and_stays_there() {
     let index = folders[0].join(format!("{NAME}.idx"));
     assert!(index.exists());
     assert!(!place.path(&format!("{NAME}.idx")).exists());
-    // The second run takes the same index: a library that can make none is enough.
+    // The second run uses the same index: a library that cannot make one suffices.
     std::fs::write(&index, "still there").unwrap();
     place.write(&format!("{NAME}.txt"), b"index needed\nfail fwifc_reindex 6");
     assert_eq!(read(&place, "index_dir = 'index'").1, lines);
