@@ -104,7 +104,7 @@ fn an_archive_holds_what_it_takes_and_is_replayed_elsewhere() {
     );
     let report: Value = serde_json::from_str(&place.text("archives/a/report.json")).unwrap();
     assert_eq!(report, serde_json::from_str::<Value>(&place.text("out/report.json")).unwrap());
-    assert_eq!(report["stages"].as_array().unwrap().len(), 9, "the archive's own stage is not told of");
+    assert_eq!(report["stages"].as_array().unwrap().len(), 9, "the archive's own stage does not appear");
     let outputs = report["inputs"][0]["outputs"].as_array().unwrap();
     assert!(outputs.len() == 5 && outputs.iter().all(|path| path.as_str().unwrap().starts_with("./out/")));
 
@@ -133,7 +133,7 @@ fn a_resolved_job_runs_by_itself_and_gives_the_same() {
     holds(&place, &["run", "archives/a/job.resolved.toml"]);
     assert!(fs::read(place.path("out/a.laz")).unwrap() == then);
     let text = place.text("archives/a/job.resolved.toml");
-    assert!(!text.contains(&place.path("").display().to_string()), "no path from the root:\n{text}");
+    assert!(!text.contains(&place.path("").display().to_string()), "no absolute path:\n{text}");
     // A pattern could match other files later.
     assert!(text.contains("path = [\"in/a.arrow\"]") || text.contains("path = \"in/a.arrow\""), "{text}");
 }
@@ -232,7 +232,7 @@ fn an_output_that_was_changed_is_named_with_its_first_difference() {
     assert!(err.contains("  output a.csv of stage write_table-1: reproduced, but "), "{err}");
     assert!(err.contains(&expected), "{err}");
     assert!(err.contains("a_lstat.txt was changed since the run: it ends before line 4\n"), "{err}");
-    assert!(!err.contains("a.parquet"), "what is missing was made again all the same:\n{err}");
+    assert!(!err.contains("a.parquet"), "the replay made the missing file:\n{err}");
 }
 
 /// Intensity of the first point and its offset in a LAS file of point format 6.
@@ -349,7 +349,11 @@ fn an_archive_is_never_replaced_and_its_inputs_are_files() {
     );
     let problem = "error: standard input cannot be archived; save it to a file and read that file\n";
     assert_eq!(from_stdin, Outcome { code: Some(1), err: problem.into() });
-    assert_eq!(fs::read_dir(place.path("archives")).unwrap().count(), 1, "nothing is left of the other");
+    assert_eq!(
+        fs::read_dir(place.path("archives")).unwrap().count(),
+        1,
+        "no files of the other archive remain"
+    );
     let (code, err) = wavex(&place, &["verify", "in"]);
     assert_eq!(code, Some(1));
     assert_eq!(
@@ -460,7 +464,7 @@ fn inputs_outside_of_the_jobs_folder_are_told_below_one_folder() {
     let archive: Value = serde_json::from_str(&place.text("archive/archive.json")).unwrap();
     assert_eq!(archive["inputs"]["folder"], "../in");
     assert_eq!(archive["inputs"]["files"][1]["path"], "model.json");
-    assert!(place.text("archive/wavex.log").contains("INFO wavex "), "the archive has a log all the same");
+    assert!(place.text("archive/wavex.log").contains("INFO wavex "), "the archive contains a log anyway");
 
     // With a higher common folder, the paths start there.
     fs::create_dir(place.path("models")).unwrap();

@@ -1,4 +1,4 @@
-//! `wavex copc`: from the points of a run to a cloud-optimised file, or to a message.
+//! `wavex copc`: converts the points of a run to COPC, or reports an error.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -33,7 +33,7 @@ path = '*_old.las'
 version = '1.2'
 ";
 
-/// What the program prints, or the message that it fails with and its exit code.
+/// Output of the program, or exit code and message if it fails.
 fn copc(place: &Place, arguments: &[&str]) -> Result<String, (Option<i32>, String)> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.arg("copc").args(arguments).current_dir(place.path("out"));
@@ -96,7 +96,7 @@ fn what_cannot_be_converted_is_told_and_leaves_nothing() {
     assert_eq!(place.outputs(), before);
 }
 
-/// What is in the way of the new file is replaced as a whole, or not at all.
+/// An existing file is replaced as a whole or not at all.
 #[test]
 fn a_file_that_is_there_stays_until_the_new_one_is_whole() {
     let place = Place::new();

@@ -1,4 +1,4 @@
-//! The engine's promises, with stages that do little.
+//! Guarantees of the engine, tested with trivial stages.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;

@@ -1,4 +1,5 @@
-//! `wavex explain`: the table agrees with the run's, the picture is whole, and what cannot be explained is said.
+//! `wavex explain`: the table agrees with that of a run, the picture is complete, and errors are
+//! reported.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -23,14 +24,14 @@ fn explain(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
 
-/// It ends with this message, and nothing is printed or written.
+/// Asserts that the command fails with this message, without output or files.
 #[track_caller]
 fn refused(place: &Place, arguments: &[&str], code: i32, message: &str) {
     let (found, out, err) = explain(place, arguments);
     assert_eq!((found, out.as_str(), err), (Some(code), "", format!("error: {message}\n")));
 }
 
-/// A recording of the simulator, its model and its returns, in `out`.
+/// A simulated recording, its model and its returns, in `out`.
 fn simulated() -> Place {
     let place = Place::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 2\nshots_per_line = 300\n\
@@ -44,7 +45,7 @@ fn simulated() -> Place {
     place
 }
 
-/// The rows of a table of returns that belong to a shot, each as its cells by name.
+/// Rows of a table of returns for one shot, as cells by name.
 fn rows_of(table: &str, shot: &str) -> Vec<std::collections::BTreeMap<String, String>> {
     let mut lines = table.lines().map(|line| line.split(',').map(str::to_owned));
     let heads: Vec<String> = lines.next().unwrap().collect();
@@ -52,13 +53,13 @@ fn rows_of(table: &str, shot: &str) -> Vec<std::collections::BTreeMap<String, St
     rows.filter(|row: &std::collections::BTreeMap<String, String>| row["shot"] == shot).collect()
 }
 
-/// Every element is closed in its order, and every attribute stands in quotation marks.
+/// Asserts that elements are properly nested and attributes are quoted.
 fn assert_well_formed(svg: &str) {
     let mut open: Vec<&str> = Vec::new();
     let mut rest = svg;
     let mut elements = 0;
     while let Some(start) = rest.find('<') {
-        assert!(!rest[..start].contains('>'), "a stray bracket before {}", &rest[start..]);
+        assert!(!rest[..start].contains('>'), "a stray `<` or `>` before {}", &rest[start..]);
         let end = start + rest[start..].find('>').unwrap();
         let tag = &rest[start + 1..end];
         match tag.strip_prefix('/') {
@@ -128,19 +129,19 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
         assert!(svg.contains(text), "{text}");
     }
 
-    // What it calibrates by itself from the same waveforms is what the run has saved.
+    // Calibration from the same waveforms gives the model that the run saved.
     let (code, by_itself, err) = explain(&place, &["out/flight.arrow", "--shot", shot]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     let name = format!("flight_shot_{shot}.svg");
     assert_eq!(by_itself, out.replace("picture.svg", &name));
     assert_eq!(place.text(&name), svg);
 
-    // Points alone cannot be explained.
+    // Points without waveforms cannot be explained.
     let message = "out/flight.las: byte 104: point data record format: no waveforms in point data format 6; \
                    export the flight with waveforms, as LAS point format 4, 5, 9 or 10";
     refused(&place, &["out/flight.las", "--shot", shot], 1, message);
 
-    // The time of the shot leads to it, and the keys of a job count.
+    // The time of the shot selects it, and the keys of a job apply.
     let time = rows[0]["gps_time_s"].clone();
     let (code, by_time, _) = explain(&place, &["out/flight.arrow", "--time", &time, "--job", "job.toml"]);
     assert_eq!((code, by_time), (Some(0), by_itself));
@@ -151,7 +152,7 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
     assert!(none.contains(nothing) && !out.contains(nothing), "{none}");
 }
 
-/// Shots with one echo each, but for the third, which has only an outgoing pulse.
+/// Shots with one echo each, except the third, which has only an outgoing pulse.
 fn by_hand(timed: bool) -> Vec<u8> {
     let block = |shot: usize| shots::echo(shot).into_iter().map(u16::from).collect::<Vec<u16>>();
     let shot = |number: usize| Shot {

@@ -24,7 +24,7 @@ fn check(name: &str, expected: &str) {
     if found != expected {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, expected).unwrap();
-        panic!("{name} was out of date and has been written anew: look at it and commit it");
+        panic!("{name} was outdated and has been rewritten: review and commit it");
     }
 }
 

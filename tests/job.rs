@@ -156,7 +156,7 @@ fn overrides_set_what_the_text_says_and_what_it_does_not() {
     assert_eq!(resolved("georeference")["control"], json!([]));
     assert_eq!(resolved("read_las")["path"], json!(["c*.las"]));
     assert_eq!(resolved("write_lstat-2")["path"], json!("*_after.txt"));
-    assert_eq!(job.text, FULL, "the text stays as it was written");
+    assert_eq!(job.text, FULL, "the text is kept as written");
 }
 
 #[test]
@@ -288,10 +288,10 @@ type = 'write_lstat'
     let settings = &job.settings;
     assert_eq!((settings.threads, settings.memory_mb, settings.channel_capacity), (2, 300, 3));
     assert_eq!(settings.geometry.crs.as_deref(), Some("utm"));
-    assert_eq!(settings.geometry.trajectory.as_deref(), Some("a.out"), "tables are filled key by key");
+    assert_eq!(settings.geometry.trajectory.as_deref(), Some("a.out"), "tables are merged key by key");
     let path = |stage: usize| job.stages[stage].planned.resolved["path"].clone();
     assert_eq!((path(2), path(3)), (json!("a.txt"), json!("b.txt")));
     assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(700));
     let job = with_includes(text, &[country, site], &["calibrate.waveforms=800"]);
-    assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(800), "what is set wins over all");
+    assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(800), "overrides take precedence");
 }

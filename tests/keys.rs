@@ -178,7 +178,7 @@ fn the_last_of_several_returns_may_have_its_own_threshold() {
     let (without, filtered) = counts("");
     assert_eq!(without, [2, 2, 1]);
     let (with, more_filtered) = counts("detection_sigma_last = 30");
-    assert_eq!(with, [1, 2, 1], "neither the first of two nor an only one is the last of several");
+    assert_eq!(with, [1, 2, 1], "only the last of several returns is affected");
     assert_eq!(more_filtered, filtered + 1);
 }
 
@@ -304,7 +304,7 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
     assert_eq!(rows.len(), SHOTS);
     assert!(
         rows.iter().all(|row| number(row, "time_of_flight_sd_ns") > 0.28),
-        "a part of a sample is unknown"
+        "the sub-sample emission offset is unknown"
     );
 }
 

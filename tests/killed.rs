@@ -41,10 +41,10 @@ fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
 /// Asserts that all files with final names are complete.
 fn is_whole(place: &Place, whole: &BTreeMap<String, Vec<u8>>) {
     for (name, bytes) in products(place) {
-        assert!(whole[&name] == bytes, "{name} is not whole");
+        assert!(whole[&name] == bytes, "{name} is not complete");
     }
     if let Ok(report) = fs::read(place.path("out/report.json")) {
-        serde_json::from_slice::<serde_json::Value>(&report).expect("a report is whole");
+        serde_json::from_slice::<serde_json::Value>(&report).expect("a report is complete");
     }
 }
 
@@ -104,12 +104,12 @@ fn a_run_killed_at_any_moment_leaves_whole_files_only() {
     }
 
     assert_eq!(run(&place, &["--archive", "archives/last"]), succeeded());
-    assert!(products(&place) == whole, "the next run makes everything");
+    assert!(products(&place) == whole, "the next run makes all outputs");
     assert_eq!(wavex(&place, &["verify", "archives/last"]), (Some(0), String::new()));
     let unfinished = |folder: &str| {
         names(&place.path(folder)).into_iter().filter(|name| name.starts_with('.')).collect::<Vec<_>>()
     };
-    assert_eq!(unfinished("archives"), Vec::<String>::new(), "what dead runs left is swept up");
+    assert_eq!(unfinished("archives"), Vec::<String>::new(), "remains of dead runs are removed");
     assert_eq!(unfinished("out"), Vec::<String>::new());
 }
 
@@ -137,7 +137,7 @@ fn leavings_of_killed_runs_are_swept_up_by_the_next() {
 fn wait_for(mut so: impl FnMut() -> bool) {
     let started = Instant::now();
     while !so() {
-        assert!(started.elapsed() < Duration::from_secs(60), "it never comes");
+        assert!(started.elapsed() < Duration::from_secs(60), "the condition never became true");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
@@ -168,7 +168,7 @@ fn a_full_disk_leaves_whole_files_only() {
             );
         }
     }
-    assert!(failed >= 3, "{failed} of 6 runs ran out of room");
+    assert!(failed >= 3, "{failed} of 6 runs ran out of disk space");
     assert_eq!(run(&place, &[]), succeeded());
     assert!(products(&place) == whole);
 }
@@ -235,7 +235,7 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
     assert_eq!(run(&place, &[&shorter[..], &other_names].concat()), succeeded());
     first.kill().unwrap();
     first.wait().unwrap();
-    assert_eq!(run(&place, &shorter), succeeded(), "a run that was killed holds nothing");
+    assert_eq!(run(&place, &shorter), succeeded(), "a killed run holds no lock");
     let expected =
         ["b.arrow", "b.json", "b.log", "report.json", "simulated.arrow", "simulated_stat.log", "wavex.log"];
     assert_eq!(names(&place.path("out")), expected);

@@ -116,7 +116,7 @@ fn the_page_tells_all_of_a_run() {
         assert!(page.contains(&format!(">{heading}")), "{heading}");
     }
 
-    assert!(page.contains("detection_sigma = 4.5"), "keys, every default spelled out");
+    assert!(page.contains("detection_sigma = 4.5"), "all keys with defaults");
 }
 
 #[test]
@@ -372,7 +372,7 @@ fn a_browser_shows_the_page() {
         for nothing in ["empty", "faint", "small", "overlapping", "cut", "loaded"] {
             assert_eq!(found[nothing], serde_json::json!([]), "{look:?}: {nothing}");
         }
-        assert_eq!(found["wide"], false, "{look:?}: it must be scrolled sideways");
+        assert_eq!(found["wide"], false, "{look:?}: the page scrolls horizontally");
         let images = found["images"].as_array().unwrap();
         assert!(images.len() == 2 && images.iter().all(|size| size[0].as_u64() > Some(20)), "{images:?}");
         assert!(found["texts"].as_u64().unwrap() > 200, "{}", found["texts"]);

@@ -60,14 +60,14 @@ fn notes(report: &Value) -> Vec<&str> {
 fn is_left_alone(place: &Place, reader: &str, file: &str) {
     let (_, before, _) = run(place, reader, file, None);
     let (report, after, agl) = run(place, reader, file, Some(ALL));
-    assert_eq!(after, before, "{file}: beams are vertical: there is nothing else to correct");
+    assert_eq!(after, before, "{file}: beams are vertical: no other correction applies");
     assert_eq!([&report["totals"]["np_range"], &report["totals"]["np_atm"]], [0, 0]);
     assert_eq!(notes(&report).iter().filter(|note| **note == NOT_CORRECTED).count(), 1);
     assert_eq!(report["ranges_count_from"], "first_sample");
     assert_eq!(agl, "nan");
     let off = format!("reference_range_m = false\n{}", ALL.replace("0.2", "false"));
     let (report, _, _) = run(place, reader, file, Some(&off));
-    assert!(!notes(&report).contains(&NOT_CORRECTED), "what is not wanted is not missed");
+    assert!(!notes(&report).contains(&NOT_CORRECTED), "no warning for corrections that are off");
 }
 
 #[test]

@@ -154,5 +154,5 @@ fn what_is_no_trajectory_is_refused() {
     assert!(code == Some(2) && err.starts_with("error: --crs EPSG:1: "), "{err}");
     let (code, err) = refused(&[options.as_slice(), &["--every", "0"]].concat());
     assert!(code == Some(2) && err.contains("give a whole number of at least 1"), "{err}");
-    assert!(!place.path("a.txt").exists(), "a failed run leaves nothing");
+    assert!(!place.path("a.txt").exists(), "a failed run leaves no outputs");
 }

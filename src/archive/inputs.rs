@@ -197,7 +197,7 @@ mod tests {
                 key.schema["anyOf"].as_array().map_or(vec![key.schema], |all| all.iter().collect());
             let is_text = |schema: &&Value| schema["type"] == "string" && choices(schema).is_none();
             let takes_text = branches.iter().any(is_text);
-            assert_eq!(key.file_mark().is_some(), takes_text, "{pointer}: say `x-file` where it is declared");
+            assert_eq!(key.file_mark().is_some(), takes_text, "{pointer}: declare `x-file` for this key");
             marks.extend(key.file_mark().map(|mark| (pointer.to_owned(), mark)));
         };
         keys.iter().for_each(|key| visit(key, "", &mut seen));

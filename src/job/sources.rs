@@ -131,7 +131,7 @@ mod tests {
     fn spans_past_the_end_are_those_of_the_overrides() {
         let texts = ["x.y=1", "z.w=2"];
         assert_eq!(place("ab", &texts, 3..4), ("--set".into(), 1, 1, "x.y=1".into(), 1));
-        assert_eq!(place("ab", &texts, 2..2).0, "job.toml", "the end of the file is still the file");
+        assert_eq!(place("ab", &texts, 2..2).0, "job.toml", "the end of the file belongs to the file");
         assert_eq!(place("ab", &texts, 11..14), ("--set".into(), 1, 3, "z.w=2".into(), 3));
     }
 

@@ -288,7 +288,7 @@ mod tests {
         assert!((0.5..7.5).contains(&wall), "the wall is hit below its top: {wall}");
         let x = beam_to(-100.6).at(hits(&scene, -100.6)[0].range_m)[0];
         assert!((x + 100.0).abs() < 1e-9);
-        assert!((height(-252.0) - 8.0).abs() < 1e-9, "behind the far edge the roof throws a shadow");
+        assert!((height(-252.0) - 8.0).abs() < 1e-9, "the roof casts a shadow beyond its far edge");
         assert!(height(-255.0).abs() < 1e-9);
     }
 

@@ -291,7 +291,7 @@ mod tests {
         cx.reject(Item::Returns, "outside", 0);
         assert_eq!(cx.counters.rejected[&(Item::Shots, "truncated")], 3);
         assert_eq!(cx.counters.rejected_of(Item::Shots), 7);
-        assert_eq!(cx.counters.rejected.len(), 2, "nothing rejected leaves no trace");
+        assert_eq!(cx.counters.rejected.len(), 2, "a rejection of 0 items is not recorded");
     }
 
     #[test]

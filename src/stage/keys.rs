@@ -261,7 +261,7 @@ mod tests {
         assert_eq!(window.meaning(), "How long.");
         assert_eq!(window.unit(), Some("ns"));
         assert_eq!(window.takes(), "a number, at least 0.5");
-        assert_eq!(window.default(), None, "nothing stands in its place");
+        assert_eq!(window.default(), None, "no default");
         assert_eq!(keys.get("path").unwrap().unit(), None);
         assert_eq!(keys.schema()["additionalProperties"], json!(false));
     }
@@ -292,7 +292,7 @@ mod tests {
         }
         let keys = Keys::of(Outer::json_schema);
         assert_eq!(keys.get("inner.length_m").unwrap().meaning(), "How long.");
-        assert_eq!(keys.get("inner").unwrap().default(), None, "an empty table is none");
+        assert_eq!(keys.get("inner").unwrap().default(), None, "an empty table is no default");
         assert_eq!((keys.get("inner.width_m"), keys.get("length_m")), (None, None));
     }
 

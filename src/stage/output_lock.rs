@@ -290,7 +290,7 @@ mod tests {
         drop(first);
         let again = OutputLock::take(&outputs(folder, &["a.laz"])).unwrap();
         drop((other, again));
-        assert_eq!(names(folder), Vec::<String>::new(), "nothing is left");
+        assert_eq!(names(folder), Vec::<String>::new(), "no files remain");
     }
 
     #[test]
@@ -338,7 +338,7 @@ mod tests {
             let threads: Vec<_> = (0..4).map(|_| scope.spawn(take)).collect();
             threads.into_iter().map(|thread| thread.join().unwrap()).sum()
         });
-        assert!(won >= 1, "whoever comes first gets it");
+        assert!(won >= 1, "the first one gets the lock");
         assert_eq!(names(folder), Vec::<String>::new());
     }
 }

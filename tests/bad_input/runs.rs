@@ -47,7 +47,7 @@ fn has_begun(place: &Place) -> bool {
 fn begin(place: &Place, job: &str) -> Child {
     let mut child = place.command(job).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     while !has_begun(place) {
-        assert_eq!(child.try_wait().unwrap(), None, "the run ended by itself");
+        assert_eq!(child.try_wait().unwrap(), None, "the run ended before it was interrupted");
         std::thread::sleep(Duration::from_millis(20));
     }
     child

@@ -120,5 +120,5 @@ fn no_waveform_at_all() {
     let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
     let input = place.succeeds("read_las", "a.las", TO_TABLE);
     assert_eq!(input["totals"], serde_json::json!({}));
-    assert_eq!(place.text("out/a.csv").lines().count(), 1, "a table of no rows");
+    assert_eq!(place.text("out/a.csv").lines().count(), 1, "a table without rows");
 }

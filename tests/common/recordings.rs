@@ -20,7 +20,7 @@ pub fn data() -> Option<PathBuf> {
 /// Runs a job of the folder `jobs` on the recordings; writes to `out`.
 pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputReport {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs").join(name);
-    let text = std::fs::read_to_string(&path).expect("the job stands in the repository");
+    let text = std::fs::read_to_string(&path).expect("the job exists in the repository");
     run(name, &text, data, out, set)
 }
 
@@ -44,7 +44,7 @@ impl Table {
         let text =
             std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let mut lines = text.lines();
-        let names = lines.next().expect("a first line with names").split(',');
+        let names = lines.next().expect("a header line").split(',');
         let columns = names.enumerate().map(|(i, name)| (name.to_string(), i)).collect();
         let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect();
         Table { columns, rows: lines.map(row).collect() }
@@ -72,7 +72,7 @@ pub fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len();
-    assert!(n > 0, "a median of nothing");
+    assert!(n > 0, "median of an empty list");
     (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0
 }
 

@@ -148,7 +148,7 @@ fn the_bytes_do_not_depend_on_the_threads() {
         process(&flight, threads, GEOMETRY, "");
         files.map(|name| std::fs::read(flight.path(name)).unwrap())
     };
-    assert!(made(1) == made(2), "the same job, and other bytes");
+    assert!(made(1) == made(2), "the same job gave different bytes");
 }
 
 /// CRS of the LAS file, and height above ground of each line.

@@ -92,7 +92,7 @@ fn ranges_are_corrected_by_the_calibration() {
     let placed = flight.place(keys, |truth| (truth.range_m - 0.15) / (1.0 + 2e-4)).unwrap();
     for ((point, r), truth) in placed.points.iter().zip(&placed.returns).zip(&flight.truth) {
         assert!(distance_m(*point, truth.point_m) < 1e-3);
-        assert!((r.range_m - truth.range_m).abs() < 1e-9, "the table tells the range as it should be");
+        assert!((r.range_m - truth.range_m).abs() < 1e-9, "the table contains the corrected range");
     }
 }
 

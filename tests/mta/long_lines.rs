@@ -195,8 +195,8 @@ fn resolves(flight: &Flight, reader: &str, memories_mb: &[u64]) {
     for &memory_mb in memories_mb {
         let found = run(&place, &job, memory_mb)
             .or_else(|needed_mb| run(&place, &job, needed_mb))
-            .expect("what it asks for suffices");
-        assert!(found == expected, "other results with {memory_mb} MB");
+            .expect("the requested memory suffices");
+        assert!(found == expected, "different results with {memory_mb} MB");
     }
 }
 

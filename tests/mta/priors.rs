@@ -65,7 +65,7 @@ fn stamps_that_jitter_are_no_modulation() {
         println!("{}", outcome.err);
         let told =
             "stage resolve_mta: ./a.arrow: the pulse rate is constant: intervals of 2500.000 ns vary by 0.";
-        assert!(outcome.err.contains(told), "outgoing pulses say when they left: {}", outcome.err);
+        assert!(outcome.err.contains(told), "outgoing pulses give the emission times: {}", outcome.err);
         let recording = with_jitter(constant(), jitter_ns, false);
         let place = Place::with(&[("a.arrow", &recording)]);
         let outcome = place.read("read_arrow", "a.arrow", &chain(""));

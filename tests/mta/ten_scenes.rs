@@ -40,7 +40,7 @@ fn through(spec: Spec, seed: u64, model: &Path) -> Score {
     };
     chain::run(&place.path(""), &stand_in(), &calibrate);
     let (are_same, score) = chain::compare(&place.path(""), &truth);
-    assert!(are_same, "{}: the doors differ", spec.name);
+    assert!(are_same, "{}: the readers give different bytes", spec.name);
     score
 }
 

@@ -157,7 +157,7 @@ fn what_is_resolved_passes_through_as_it_is() {
     let (report, resolved) = run(&format!("[[stage]]\ntype = 'resolve_mta'\n{copy}"));
     assert!(resolved == run(copy).1, "to the byte");
     let notes = &stage(&report, "resolve_mta")["notes"];
-    assert_eq!(notes[0], "lines whose zones are known already pass through as they are");
+    assert_eq!(notes[0], "lines with known zones pass unchanged");
 }
 
 #[test]

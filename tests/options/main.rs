@@ -115,8 +115,6 @@ fn the_page_on_options_is_up_to_date() {
     if found != expected {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, expected).unwrap();
-        panic!(
-            "docs/reference/options.md was out of date and has been written anew: look at it and commit it"
-        );
+        panic!("docs/reference/options.md was outdated and has been rewritten: review and commit it");
     }
 }

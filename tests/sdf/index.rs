@@ -19,7 +19,7 @@ fn a_missing_index_is_made_and_the_record_is_read_again() {
 fn a_file_without_an_index_is_read_from_its_beginning_without_one() {
     let place = place(&recording(), "index hidden");
     assert_eq!(lengths(&read(&place, "").1), [(0, 5), (1, 5)]);
-    assert!(!place.path(&format!("{NAME}.idx")).exists(), "nothing was sought");
+    assert!(!place.path(&format!("{NAME}.idx")).exists(), "no index was made");
     assert_eq!(lengths(&read(&place, WINDOW).1), [(0, 3), (1, 2)]);
     assert!(place.path(&format!("{NAME}.idx")).exists());
 }

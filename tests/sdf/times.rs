@@ -160,7 +160,7 @@ fn leap_seconds_and_an_offset_are_added() {
     assert_eq!((times(&found), clocks(&found)), (expected, clocks(&lines())));
     assert_eq!(notes(&report), Vec::<String>::new());
     let (_, part) = read(&place, "time_offset_s = 100.0\ntime_s = [208900.65, 208901.2]");
-    assert_eq!(clocks(&part), clocks(&lines())[7..13], "a window asks for the sums");
+    assert_eq!(clocks(&part), clocks(&lines())[7..13], "the window applies to the shifted times");
 }
 
 #[test]
@@ -171,7 +171,7 @@ fn a_window_may_count_another_scale_than_the_recording() {
         format!("time_s = [{}, {}]\ntime_scale = 'adjusted'", week_s + 208_800.65, week_s + 208_801.25);
     let (_, part) = read(&in_weeks, &asked);
     assert_eq!(clocks(&part), clocks(&lines())[7..13]);
-    assert_eq!(times(&part)[0], 208_800.7, "what comes out counts what it did");
+    assert_eq!(times(&part)[0], 208_800.7, "times stay on the scale of the recording");
     let (_, part) = read(&in_weeks, "time_s = [208800.65, 208801.2]\ntime_scale = 'week'");
     assert_eq!(clocks(&part), clocks(&lines())[7..13]);
     let adjusted = place(&container(&header(), &lines()), "epoch 2025-05-04T00:00:00");

@@ -105,9 +105,9 @@ impl Place {
     #[track_caller]
     pub fn left_nothing(&self, outcome: Outcome, message: &str) {
         assert_eq!(outcome, Outcome { code: Some(1), err: format!("error: {message}\n") });
-        assert_eq!(self.outputs(), Vec::<String>::new(), "a failed run leaves nothing");
+        assert_eq!(self.outputs(), Vec::<String>::new(), "a failed run leaves no outputs");
         let log = self.text("out/wavex.log");
-        assert!(log.contains(message), "the log does not tell why the run failed:\n{log}");
+        assert!(log.contains(message), "the log lacks the cause of the failure:\n{log}");
     }
 
     /// Runs a job successfully; returns its report of the only input.
