@@ -166,7 +166,7 @@ fn by_hand(timed: bool) -> Vec<u8> {
 fn what_cannot_be_explained_is_said() {
     let place =
         Place::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.dat", b"")]);
-    let message = "a.arrow: no shot 99; its 260 shots are numbered 100 to 359";
+    let message = "a.arrow: no shot 99; the 260 shots are numbered 100 to 359";
     refused(&place, &["-q", "a.arrow", "--shot", "99"], 2, message);
     let message = "--out a.arrow: the picture is SVG; give a name that ends in .svg";
     refused(&place, &["a.arrow", "--shot", "101", "--out", "a.arrow"], 2, message);

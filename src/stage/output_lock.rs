@@ -73,7 +73,6 @@ impl OutputLock {
     ///
     /// # Errors
     /// If another run is writing one of the outputs, or a folder is not writable.
-    /// Another run is writing one of them, or a folder cannot be written to.
     pub fn take(outputs: &Outputs) -> Result<OutputLock> {
         let mut lock = OutputLock::default();
         for (folder, paths) in outputs {

@@ -14,7 +14,7 @@ fn added(line: &str, to: &str) -> Vec<String> {
 
 /// Notes of a line.
 fn notes(import: &Import) -> Vec<String> {
-    let notes = import.text.lines().skip_while(|line| !line.starts_with("# Options that"));
+    let notes = import.text.lines().skip_while(|line| !line.starts_with("# Options without"));
     let notes = notes.skip(1).map_while(|line| line.strip_prefix("#   "));
     notes.map(str::to_owned).collect()
 }

@@ -336,7 +336,7 @@ error: every input of this job would write the same file, "out/lines.txt"
 7 | path = "out/lines.txt"
   |        ^^^^^^^^^^^^^^^
   |
-  = help: write `*` where the input's name belongs, as in "out/*_lines.txt"
+  = help: write `*` in place of the stem of the input, such as "out/*_lines.txt"
 "#,
     );
 }
@@ -360,7 +360,7 @@ error: every input of this job would write the same file, "lines.txt"
 7 | path = "lines.txt"
   |        ^^^^^^^^^^^
   |
-  = help: write `*` where the input's name belongs, as in "*_lines.txt"
+  = help: write `*` in place of the stem of the input, such as "*_lines.txt"
 "#,
     );
 }
@@ -384,7 +384,7 @@ error: "a/*.las" would replace the input
 7 | path = "a/*.las"
   |        ^^^^^^^^^
   |
-  = help: give the output another folder or another name, as in "out/*.laz" or "*_points.laz"
+  = help: give the output another folder or another name, such as "out/*.laz" or "*_points.laz"
 "#,
     );
 }

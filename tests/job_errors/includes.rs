@@ -39,7 +39,7 @@ error: invalid TOML: string values must be quoted, expected literal string
 2 | threads = many
   |           ^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }

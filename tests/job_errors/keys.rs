@@ -139,7 +139,7 @@ error: `path` must be text, got the number 4
 7 | path = 4
   |        ^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -163,7 +163,7 @@ error: `path` must be text, got a date or a time
 7 | path = 2018-11-14
   |        ^^^^^^^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -382,7 +382,7 @@ error: `version` must be "1.2" or "1.4", got the number 1.4
 16 | version = 1.4
    |           ^^^
    |
-   = help: write text between quotation marks: `"text"`
+   = help: put text in quotation marks: `"text"`
 "#,
     );
 }

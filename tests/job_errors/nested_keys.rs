@@ -110,7 +110,7 @@ error: an item of `path` must be text, got the number 3
 3 | path = ["a.las", 3]
   |                  ^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }

@@ -63,7 +63,7 @@ error: invalid TOML: string values must be quoted, expected literal string
 1 | read_las.path=["a.las", b]
   |                         ^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }

@@ -29,7 +29,7 @@ error: invalid TOML: string values must be quoted, expected literal string
 2 | type = read_las
   |        ^^^^^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -69,7 +69,7 @@ error: invalid TOML: string values must be quoted, expected literal string
 2 | type = read_las
   |        ^^^^^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 
 error: invalid TOML: string values must be quoted, expected literal string
  --> job.toml:5:8
@@ -77,7 +77,7 @@ error: invalid TOML: string values must be quoted, expected literal string
 5 | type = calibrate
   |        ^^^^^^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
