@@ -1,8 +1,8 @@
 //! Runs a job: one thread per stage (several per map), bounded channels, and a report.
 //!
 //! Only this module uses threads and channels. It guarantees:
-//! * An `End` message ends a stream. A disconnected channel means that the run has failed; the first
-//!   cause is reported, not its consequences.
+//! * An `End` message ends a stream. A disconnected channel means that the run has failed; the
+//!   first cause is reported, not its consequences.
 //! * Lines leave in the order in which they entered, whatever the number of workers.
 //! * No file gets its final name before every stage has succeeded.
 

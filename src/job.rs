@@ -88,12 +88,10 @@ pub struct JobSettings {
     /// Memory limit of all scan lines in the pipeline, MB.
     #[schemars(range(min = 64, max = 1_000_000_000))]
     pub memory_mb: u64,
-    /// Folder at which relative input paths start. A relative folder starts at the folder of the
-    /// job file, which is also the default.
+    /// Folder of relative input paths; relative to the job file's folder, which is the default.
     #[schemars(extend("x-file" = "input_folder"))]
     pub input_dir: Option<String>,
-    /// Folder at which relative output paths start. A relative folder starts at the folder of the
-    /// job file, which is also the default.
+    /// Folder of relative output paths; relative to the job file's folder, which is the default.
     #[schemars(extend("x-file" = "output_folder"))]
     pub output_dir: Option<String>,
     /// Maximum number of scan lines that wait between two stages. Does not affect results.

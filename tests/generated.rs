@@ -89,7 +89,7 @@ fn every_stage_and_every_key_says_what_it_is_for() {
 #[test]
 fn names_of_stages_are_unique_and_those_they_need_exist() {
     for (at, spec) in STAGES.iter().enumerate() {
-        assert!(STAGES[..at].iter().all(|other| other.name != spec.name), "{} stands twice", spec.name);
+        assert!(STAGES[..at].iter().all(|other| other.name != spec.name), "{} is listed twice", spec.name);
         assert_ne!(spec.name, "job", "`--set job.KEY` means the table [job]");
         for needed in spec.after {
             assert!(find(needed).is_some(), "{} needs `{needed}`, which does not exist", spec.name);

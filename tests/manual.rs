@@ -39,8 +39,7 @@ fn the_schema_carries_meanings_limits_and_defaults() {
     assert_eq!(
         schema["properties"]["job"]["properties"]["input_dir"],
         json!({
-            "description": "Where relative input paths start; the job file's folder when not given. \
-                            A relative one starts there, too.",
+            "description": "Folder of relative input paths; relative to the job file's folder, which is the default.",
             "type": "string",
             "x-file": "input_folder",
         })
@@ -87,7 +86,9 @@ fn the_manual_has_a_table_of_stages_and_one_of_keys_for_each() {
     contains(
         "| [`write_lstat`](#write_lstat) | sink | Shots, Returns or Points | Writes a row per line. |\n",
     );
-    contains("| `memory_mb` | a whole number, at least 64 and at most 1000000000 | `1024` | MB | A bound on");
+    contains(
+        "| `memory_mb` | a whole number, at least 64 and at most 1000000000 | `1024` | MB | Memory limit",
+    );
     contains(
         "\n## `calibrate`\n\nA transform: takes Shots and keeps the kind.\n\n\
          Learns the sensor from the first waveforms.\n\n\

@@ -7,7 +7,7 @@
     clippy::panic,
     clippy::print_stdout,
     clippy::zombie_processes,
-    reason = "a test fails by panicking, and tells what it skips; the caller waits for what `begin` starts"
+    reason = "a test fails by panicking, and prints what it skips; the caller waits for what `begin` starts"
 )]
 
 mod common;

@@ -20,15 +20,17 @@ const HEADING: &str = "\
 
 # A wavex job: the stages that process the data, in order.
 #
-# Set `path` of the first stage to your recording. For PulseWaves, SDF or a container, replace `read_las` by `read_pulsewaves`,
-# `read_sdf` or `read_arrow`. `wavex init --from RECORDING FILE` does this and adds the stages that a raw recording needs.
+# Set `path` of the first stage to your recording. For PulseWaves, SDF or a container, replace
+# `read_las` by `read_pulsewaves`, `read_sdf` or `read_arrow`. `wavex init --from RECORDING FILE` does
+# this and adds the stages that a raw recording needs.
 #
 #   wavex check FILE     validates it and lists missing inputs
 #   wavex run FILE       runs it
 #   wavex stages NAME    describes a stage and all its keys
 #
-# `#key = value`, without a blank after the `#`, shows a default: remove the `#` to change it. The first line lets an editor
-# validate this file if job.schema.json is in the same folder: `wavex init` writes both, `wavex schema` prints the schema.
+# `#key = value`, without a blank after the `#`, shows a default: remove the `#` to change it. The
+# first line lets an editor validate this file if job.schema.json is in the same folder: `wavex init`
+# writes both, `wavex schema` prints the schema.
 ";
 
 /// Writes a starter job from waveforms to points, with all keys that have defaults.

@@ -115,7 +115,7 @@ impl Shape {
 }
 
 impl Term {
-    /// The decay convolved with a normal distribution of standard deviation `sd_ns`: an exponentially modified Gaussian.
+    /// Decay convolved with a normal distribution of SD `sd_ns` (exponentially modified Gaussian).
     fn at(&self, time_ns: f64, sd_ns: f64) -> f64 {
         let (t, decay) = (time_ns - self.delay_ns, self.decay_ns);
         if decay == 0.0 {

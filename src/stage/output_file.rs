@@ -126,7 +126,7 @@ impl WholeFile {
     /// one may be an output of another.
     ///
     /// # Errors
-    /// The system refuses.
+    /// If the system refuses.
     pub fn make_way(&mut self) -> Result<()> {
         for path in std::mem::take(&mut self.stale) {
             match fs::remove_file(&path) {
@@ -143,7 +143,7 @@ impl WholeFile {
     /// Gives the file its final name; replaces an earlier file.
     ///
     /// # Errors
-    /// The system refuses.
+    /// If the system refuses.
     pub fn publish(mut self) -> Result<PathBuf> {
         self.make_way()?;
         let partial = &mut self.partial;

@@ -38,7 +38,7 @@ fn no_name_stands_twice_and_none_is_made_up() {
     for (name, all) in [("1.0", V10), ("1.1", V11)] {
         let names: Vec<&str> = version(name).names().collect();
         for (at, option) in names.iter().enumerate() {
-            assert!(!names[..at].contains(option), "{name}: -{option} stands twice");
+            assert!(!names[..at].contains(option), "{name}: -{option} is listed twice");
             let is_listed = all.split_whitespace().any(|listed| listed == *option);
             assert!(is_listed || spelled_out.contains(option), "{name}: -{option} is in no document");
         }

@@ -6,7 +6,7 @@
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells what it skips"
+    reason = "a test fails by panicking, and prints what it skips"
 )]
 
 #[path = "../support/mod.rs"]
