@@ -61,7 +61,7 @@ fn is_up_to_date(name: &str, text: &str) -> bool {
 fn check<'n>(jobs: impl IntoIterator<Item = (&'n str, String)>) {
     let old: Vec<&str> =
         jobs.into_iter().filter(|(name, text)| !is_up_to_date(name, text)).map(|(name, _)| name).collect();
-    assert!(old.is_empty(), "written anew in tests/import/jobs, to be looked at and committed: {old:?}");
+    assert!(old.is_empty(), "outdated jobs rewritten in tests/import/jobs; review and commit them: {old:?}");
 }
 
 #[test]
