@@ -1,19 +1,21 @@
-//! Production archives: what it takes to show, years later, how files were made, and to make them again.
+//! Production archives: document how files were made, and reproduce them years later.
 //!
-//! An archive is a folder, or the same folder as `.tar.zst`, of texts that need no wavex to be read:
+//! An archive is a folder, or the same folder as `.tar.zst`, of text files that can be read without
+//! wavex:
 //!
 //! | file | what it is |
 //! |---|---|
 //! | `archive.json` | [`Archive`]: digests of all inputs and outputs, the program, the machine |
 //! | `job.toml` | the job as written |
-//! | `job.resolved.toml` | the job as run: every default spelled out, every path relative |
+//! | `job.resolved.toml` | the job as run: all defaults written out, all paths relative |
 //! | `report.json` | the report of the run |
 //! | `wavex.log` | its log |
-//! | `sensor_model/STEM.json` | what was learnt of the sensor, for each input |
-//! | `lines/STEM_lstat.txt` | the statistics of the scan lines of each input |
-//! | `archive.b3` | the seal: the BLAKE3 digests of all these, as `b3sum` writes and checks them |
+//! | `sensor_model/STEM.json` | the calibrated sensor model of each input |
+//! | `lines/STEM_lstat.txt` | the scan-line statistics of each input |
+//! | `archive.b3` | the seal: BLAKE3 digests of all these files, in the format of `b3sum` |
 //!
-//! Inputs and outputs stay where they are: the archive names each by its path below one folder, with its digest.
+//! Inputs and outputs are not copied: the archive lists each by its path below one folder, with its
+//! digest.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -36,70 +38,70 @@ pub use recorder::{Recorder, check_destination};
 pub use replay::{Replay, Replayed, replay};
 pub use verify::{Folders, Verified, verify};
 
-/// The format's version: others are refused.
+/// Version of the format; archives of other versions are refused.
 pub const FORMAT: u32 = 1;
 
-/// The file that describes the archive.
+/// File that describes the archive.
 const ARCHIVE: &str = "archive.json";
-/// The file with the digests of all others.
+/// File with the digests of all others.
 const SEAL: &str = "archive.b3";
-/// The job as written.
+/// Job as written.
 const JOB: &str = "job.toml";
-/// The folder of the files that the job as written includes.
+/// Folder of the files that the job includes.
 const INCLUDED: &str = "included";
-/// The job as run.
+/// Job as run.
 const RESOLVED: &str = "job.resolved.toml";
-/// The report of the run.
+/// Report of the run.
 const REPORT: &str = "report.json";
-/// The log of the run.
+/// Log of the run.
 const LOG: &str = "wavex.log";
-/// The folder of the sensor models.
+/// Folder of the sensor models.
 const MODELS: &str = "sensor_model";
-/// The folder of the statistics of scan lines.
+/// Folder of the scan-line statistics.
 const LINES: &str = "lines";
 
-/// What a production archive says of itself (`archive.json`).
+/// Description of a production archive (`archive.json`).
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Archive {
-    /// The version of this format: 1.
+    /// Version of this format: 1.
     pub format: u32,
-    /// When the run began, UTC (ISO 8601).
+    /// Start of the run, UTC, ISO 8601.
     pub made: String,
-    /// What the job's file was called.
+    /// Name of the job file.
     pub job: String,
-    /// What the command line set of the job, in order.
+    /// Overrides from the command line, in order.
     pub set: Vec<String>,
-    /// The program that ran it.
+    /// Program that ran the job.
     pub program: Program,
-    /// The machine that it ran on.
+    /// Machine that it ran on.
     pub machine: Machine,
-    /// Every file that the run read.
+    /// All files that the run read.
     pub inputs: Files,
-    /// Every file that its stages wrote.
+    /// All files that its stages wrote.
     pub outputs: Files,
 }
 
 /// Files below one folder.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Files {
-    /// The folder, seen from that of the archive (for a `.tar.zst`, from the folder of its name beside it).
+    /// The folder, relative to that of the archive (for a `.tar.zst`, to the folder it unpacks to).
     pub folder: String,
-    /// The folder as the machine called it.
+    /// Absolute path of the folder on the machine of the run.
     pub folder_was: String,
-    /// The files, in order of their paths.
+    /// The files, sorted by path.
     pub files: Vec<DigestedFile>,
 }
 
-/// A file and its digest.
+/// A file with its digest.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct DigestedFile {
-    /// Its path from the folder, with `/` between the steps.
+    /// Path relative to the folder, with `/` as separator.
     pub path: String,
-    /// Its length, bytes.
+    /// Size, bytes.
     pub bytes: u64,
-    /// The BLAKE3 digest of its content, 64 hexadecimal digits.
+    /// BLAKE3 digest of the content, 64 hexadecimal digits.
     pub blake3: String,
-    /// The stage that wrote it, as the job calls it; none for an input.
+    /// Id of the stage that wrote it; none for an input.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage: Option<String>,
 }

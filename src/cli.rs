@@ -1,6 +1,6 @@
-//! The command line: arguments in, one error at most out, and an exit code.
+//! The command line: parses arguments, runs a command, sets the exit code.
 //!
-//! 0: done; 1: the run failed; 2: the job or the command line is wrong.
+//! Exit codes: 0 success; 1 the run failed; 2 the job or the command line is invalid.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -39,19 +39,19 @@ use args::{
 };
 use terminal::print;
 
-/// Why a command did not do what was asked.
+/// Reason why a command failed.
 #[derive(Debug)]
 enum Failure {
-    /// The job is wrong.
+    /// The job is invalid.
     Job(JobErrors),
-    /// The command line, or what it names, is wrong: what, and what to do about it.
+    /// The command line or a file named on it is invalid: problem and remedy.
     Wrong(String),
-    /// The run failed: why.
+    /// The run failed: problem and remedy.
     Run(String),
 }
 
 impl Failure {
-    /// What the shell is told.
+    /// Exit code of the process.
     fn exit_code(&self) -> u8 {
         match self {
             Failure::Run(_) => 1,
@@ -59,7 +59,7 @@ impl Failure {
         }
     }
 
-    /// What the user is told; ends with a line feed.
+    /// Error message for the user; ends with a line feed.
     fn message(&self, colour: bool) -> String {
         match self {
             Failure::Job(errors) => errors.render(colour),
@@ -76,7 +76,7 @@ impl From<JobErrors> for Failure {
     }
 }
 
-/// The program: reads the arguments of the process, does what they say, and tells what went wrong.
+/// Runs the program: parses the process arguments, dispatches, reports errors.
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
@@ -93,12 +93,14 @@ pub fn main() -> ExitCode {
             failure.exit_code()
         }
     };
-    // For the log of a run, whose last line says how it ended.
+    // The last line of a run's log states the exit status.
     tracing::debug!("exit status {exit_code}");
     ExitCode::from(exit_code)
 }
 
-/// Whether `--verbose` or `-v` is among the arguments: clap answers `--version` before it reads the others.
+/// Returns whether the arguments contain `--verbose` or `-v`.
+///
+/// clap handles `--version` before it parses the other arguments.
 fn asks_for_more() -> bool {
     let is_verbose = |word: String| {
         word == "--verbose" || (word.starts_with('-') && !word.starts_with("--") && word.contains('v'))
@@ -135,7 +137,9 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
     }
 }
 
-/// Does everything, whatever fails: failures are printed, the last one is given.
+/// Runs all commands even if some fail.
+///
+/// Prints every error except the last, which is returned.
 fn do_all(done: impl Iterator<Item = Result<(), Failure>>) -> Result<(), Failure> {
     let mut last = Ok(());
     for failure in done.filter_map(Result::err) {
@@ -147,7 +151,7 @@ fn do_all(done: impl Iterator<Item = Result<(), Failure>>) -> Result<(), Failure
 }
 
 impl JobArgs {
-    /// The job with what is set on the command line, which `more` adds to.
+    /// Parses the job, with overrides from the command line and from `more`.
     fn read(&self, more: impl IntoIterator<Item = Override>) -> Result<Job, Failure> {
         let (name, text) = if self.is_stdin() {
             ("standard input".to_owned(), std::io::read_to_string(std::io::stdin()))
@@ -161,9 +165,9 @@ impl JobArgs {
         Ok(Job::parse_with(STAGES, &name, &text, &includes?, &overrides)?)
     }
 
-    /// A file that the job includes.
+    /// Reads a file that the job includes.
     fn read_include(&self, included: &str) -> Result<Include, Failure> {
-        // Beside a job of this folder, as the job names it.
+        // In the current folder the path stays as the job writes it, without a leading `./`.
         let folder = self.folder();
         let path = if folder == *"." { PathBuf::from(included) } else { folder.join(included) };
         let name = path.display().to_string();
@@ -171,12 +175,12 @@ impl JobArgs {
             Ok(text) => Ok(Include { name, text }),
             Err(error) => {
                 let remedy = "check `include` in `[job]`";
-                Err(Failure::Wrong(format!("{name}: cannot read what the job includes: {error}; {remedy}")))
+                Err(Failure::Wrong(format!("{name}: cannot read the included file: {error}; {remedy}")))
             }
         }
     }
 
-    /// The folder that relative paths of the job start from.
+    /// Folder at which relative paths of the job start.
     fn folder(&self) -> PathBuf {
         let folder = self.job.parent().filter(|folder| !self.is_stdin() && !folder.as_os_str().is_empty());
         folder.map_or(PathBuf::from("."), PathBuf::from)
@@ -193,7 +197,7 @@ mod tests {
 
     #[test]
     fn the_command_line_is_consistent() {
-        // clap itself panics on what contradicts itself, and says what.
+        // clap panics on contradictory definitions and names them.
         Cli::command().debug_assert();
     }
 

@@ -1,10 +1,10 @@
-//! Runs a job: one thread per stage (several for a map), bounded channels between them, and a report at the end.
+//! Runs a job: one thread per stage (several per map), bounded channels, and a report.
 //!
-//! This is the only place that knows of threads and channels. Three promises are kept here:
-//! * the end of a stream is said, by an `End` message: a channel that hangs up means that the run has failed, and the
-//!   first true cause is reported, not its echoes;
-//! * lines come out in the order they came in, whatever the number of workers;
-//! * no file gets its final name before every stage has succeeded.
+//! Only this module uses threads and channels. It guarantees:
+//! * An `End` message ends a stream. A disconnected channel means that the run has failed; the
+//!   first cause is reported, not its consequences.
+//! * Lines leave in the order in which they entered, whatever the number of workers.
+//! * No file gets its final name before every stage has succeeded.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -34,31 +34,31 @@ pub use progress::{Progress, ProgressMode};
 pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals, TrajectoryReport};
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};
 
-/// Where a job runs, and how.
+/// Folders, resources and observers of a run.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Where relative input paths start.
+    /// Folder at which relative input paths start.
     pub input_dir: PathBuf,
-    /// Where relative output paths start.
+    /// Folder at which relative output paths start.
     pub output_dir: PathBuf,
-    /// Workers per map; 0: as many as the machine has cores.
+    /// Workers per map; 0: one per core.
     pub threads: usize,
-    /// How many lines may wait between two stages.
+    /// Maximum number of lines that wait between two stages.
     pub channel_capacity: usize,
-    /// The instructions that kernels use; the results do not depend on it.
+    /// SIMD instructions of the kernels; results do not depend on them.
     pub simd: lockstep::Path,
-    /// Keep what a trace needs.
+    /// Whether to record spans for a trace.
     pub profile: bool,
-    /// Ends the run early when it is set.
+    /// Ends the run early when set.
     pub cancel: Cancel,
-    /// How to show how far the run is.
+    /// Progress display.
     pub progress: ProgressMode,
-    /// Gather what a page shows of each input.
+    /// Whether to collect the data of the report page for each input.
     pub overview: bool,
 }
 
 impl Options {
-    /// The options that a job asks for, in these folders.
+    /// Options requested by a job, in these folders.
     pub fn of_job(job: &Job, input_dir: impl Into<PathBuf>, output_dir: impl Into<PathBuf>) -> Options {
         Options {
             input_dir: input_dir.into(),
@@ -73,7 +73,7 @@ impl Options {
         }
     }
 
-    /// How many workers each map has.
+    /// Number of workers of each map.
     pub fn workers(&self) -> usize {
         match self.threads {
             0 => cores().unwrap_or(1),
@@ -82,38 +82,40 @@ impl Options {
     }
 }
 
-/// How many threads the machine runs at once, where it tells.
+/// Number of available cores, if known.
 pub fn cores() -> Option<usize> {
     std::thread::available_parallelism().ok().map(usize::from)
 }
 
-/// The inputs of a job, one run each, in order.
+/// Lists the inputs of a job, one run each, in order.
 ///
 /// # Errors
-/// A pattern that fits no file, and inputs whose outputs would have the same names.
+/// If a pattern matches no file, or the outputs of two inputs would have the same names.
 pub fn inputs(job: &Job, input_dir: &Path) -> Result<Vec<Input>, RunError> {
     let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
-        return Err(RunError::of_job(StageError::failed("the job has no source", "begin it with a reader")));
+        return Err(RunError::of_job(StageError::failed("the job has no source", "start it with a reader")));
     };
     inputs::expand(source.paths(), source.stem(), input_dir)
 }
 
-/// A run that failed: why, and what it had done by then.
+/// A failed run: the cause and the work done before it.
 #[derive(Debug)]
 pub struct FailedRun {
     /// The first true cause, with its stage and input.
     pub error: RunError,
-    /// The run, with the inputs that were finished before it failed; their outputs stay.
+    /// Report of the inputs finished before the failure; their outputs remain.
     pub report: RunReport,
-    /// The input that it failed on; all inputs where it failed before the first one.
+    /// The input that failed.
+    ///
+    /// All inputs if the run failed before the first one.
     pub unfinished: Vec<InputReport>,
 }
 
-/// Runs the chain once per input, and says what happened.
+/// Runs the chain once per input and reports the results.
 ///
 /// # Errors
-/// The first true cause, with its stage and input. The outputs of inputs that were finished before it stay; of the one
-/// that failed, no file is left.
+/// The first cause, with its stage and input. Outputs of earlier inputs remain; no file of the
+/// failed input remains.
 pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
     run_or_report(job, options).map_err(|failed| failed.error)
 }
@@ -187,7 +189,9 @@ fn run_inputs(
     Ok(())
 }
 
-/// Writes the trace of a profiled run for Perfetto or chrome://tracing (the Trace Event Format, JSON).
+/// Writes the trace of a profiled run in Trace Event Format (JSON).
+///
+/// Perfetto and chrome://tracing open it.
 pub fn write_trace(report: &RunReport, out: &mut dyn std::io::Write) -> std::io::Result<()> {
     trace::write(report, out)
 }

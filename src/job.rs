@@ -1,8 +1,9 @@
-//! A job: TOML text to a chain of stages that is known to fit. No input or output happens here.
+//! A job: parses TOML into a validated chain of stages, without any input or output.
 //!
-//! Two passes: the text becomes a table that knows where each value stands, and `[job]` and each stage's `type` and
-//! `id` are taken out of it (`draft`); then every stage reads what is left of its own keys. A serde enum tagged by
-//! `type` would be shorter, and would point its errors at the wrong stage.
+//! Parsing has two passes. The first (`draft`) turns the text into a table with source positions
+//! and removes `[job]` and each stage's `type` and `id`. In the second pass every stage parses the
+//! rest of its keys. A serde enum tagged by `type` would be shorter, but would report errors at the
+//! wrong stage.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -38,77 +39,81 @@ pub use simd::Simd;
 
 use sources::Sources;
 
-/// A job that can be run.
+/// A validated job.
 #[derive(Clone, Debug, Default)]
 pub struct Job {
-    /// What messages call it: the file it was read from.
+    /// Name in messages: the file that the job was read from.
     pub name: String,
-    /// Its text as it was written, so that it can be archived and repeated.
+    /// Text as written, for archives.
     pub text: String,
-    /// What it includes, in order.
+    /// Included files, in order.
     pub includes: Vec<Include>,
-    /// What was set from outside the text, in order.
+    /// Values set from outside the text, in order.
     pub overrides: Vec<Override>,
     /// The table `[job]`.
     pub settings: JobSettings,
-    /// The chain, in order: one source, then what takes its lines.
+    /// Stages in order: one source, then the stages that process its lines.
     pub stages: Vec<JobStage>,
-    /// What the user should know before it runs.
+    /// Warnings for the user before the run.
     pub notes: Vec<String>,
 }
 
 /// A stage of a job.
 #[derive(Clone, Debug)]
 pub struct JobStage {
-    /// What the job calls it: its `id`, or its type; where several stages without an `id` share one type, they are
-    /// numbered in order (`write_las-1`, `write_las-2`).
+    /// The stage's `id`, or its type.
+    ///
+    /// If several stages without an `id` share a type, they are numbered in order (`write_las-1`,
+    /// `write_las-2`).
     pub id: String,
-    /// Its place in the registry.
+    /// Entry in the registry.
     pub spec: &'static StageSpec,
-    /// Its keys, and how it is made.
+    /// Parsed keys and constructor.
     pub planned: Planned,
 }
 
-/// The table `[job]`: what concerns the run as a whole.
+/// Settings of the run as a whole: the table `[job]`.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JobSettings {
-    /// Files with keys that count where the job gives none: one or a list, of which the later counts. Relative paths start at
-    /// the job file's folder. In such a file `[job]` holds keys of this table, and `[decompose]` those of every stage of that
-    /// type.
+    /// Files with shared defaults: one file or a list. Their keys apply where the job gives none;
+    /// later files override earlier ones. Relative paths start at the folder of the job file. In
+    /// such a file, `[job]` holds keys of this table, and a table such as `[decompose]` holds keys
+    /// for every stage of that type.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("x-file" = "include"))]
     pub include: Option<Paths>,
-    /// How many threads work in the pools of `decompose` and its like; 0: as many as the machine has cores.
+    /// Number of worker threads of each parallel stage such as `decompose`; 0: one per core.
     pub threads: usize,
-    /// A bound on the memory taken by the scan lines that are under way, MB.
+    /// Memory limit of all scan lines in the pipeline, MB.
     #[schemars(range(min = 64, max = 1_000_000_000))]
     pub memory_mb: u64,
-    /// Where relative input paths start; the job file's folder when not given. A relative one starts there, too.
+    /// Folder of relative input paths; relative to the job file's folder, which is the default.
     #[schemars(extend("x-file" = "input_folder"))]
     pub input_dir: Option<String>,
-    /// Where relative output paths start; the job file's folder when not given. A relative one starts there, too.
+    /// Folder of relative output paths; relative to the job file's folder, which is the default.
     #[schemars(extend("x-file" = "output_folder"))]
     pub output_dir: Option<String>,
-    /// How many scan lines may wait between two stages. The results do not depend on it.
+    /// Maximum number of scan lines that wait between two stages. Does not affect results.
     #[schemars(range(min = 1))]
     pub channel_capacity: usize,
-    /// The processor's instructions that the fast kernels use. The results do not depend on it.
+    /// SIMD instructions of the fast kernels. Does not affect results.
     pub simd: Simd,
-    /// The report of the run (JSON), in the folder of the outputs; empty: none.
+    /// Report of the run (JSON) in the output folder; empty: none.
     #[schemars(extend("x-file" = "output"))]
     pub report: String,
-    /// The report as a page that browsers show and print (HTML, one file), in the folder of the outputs: its name, or `true`
-    /// for `report.html`; `false` or empty: none. With a page, the report holds histograms, pictures of the points and a few
-    /// waveforms, too.
+    /// Report as a page for browsers and printing (one HTML file) in the output folder: a name, or
+    /// `true` for `report.html`; `false` or empty: none. With a page, the JSON report also contains
+    /// histograms, map views and some waveforms.
     #[serde(deserialize_with = "page::name")]
     #[schemars(with = "page::PageKey", extend("x-file" = "output"))]
     pub report_page: String,
-    /// The statistics of each input in words, in the folder of the outputs; `*` is the input's stem, needed where
-    /// there are several inputs; empty: none. A run that fails writes them, too, with the failure.
+    /// Text statistics of each input in the output folder; `*` is replaced by the stem of the input
+    /// and is required for several inputs; empty: none. A failed run writes them with its error
+    /// message.
     #[schemars(extend("x-file" = "output"))]
     pub stat_log: String,
-    /// The log of the run, in the folder of the outputs; empty: none.
+    /// Log of the run in the output folder; empty: none.
     #[schemars(extend("x-file" = "output"))]
     pub log: String,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
@@ -135,35 +140,37 @@ impl Default for JobSettings {
 }
 
 impl JobSettings {
-    /// The keys of the table with their meaning.
+    /// The keys of the table with their documentation.
     pub fn keys() -> Keys {
         Keys::of(JobSettings::json_schema)
     }
 
-    /// What the types alone cannot say of the keys.
+    /// Checks constraints that the types cannot express.
     fn check(&self) -> Result<(), InvalidKey> {
         self.simd.check(lockstep::Path::is_available).map_err(|problem| InvalidKey::new("simd", problem))?;
         let fits = self.stat_log.is_empty() || self.stat_log.ends_with(".log");
-        InvalidKey::unless(fits, "stat_log", "it must end in .log, as in \"*_stat.log\"")?;
-        // What the command line sets is text, where a key takes nothing else.
+        InvalidKey::unless(fits, "stat_log", "it must end in .log, such as \"*_stat.log\"")?;
+        // The command line sets a key as text if the key accepts only text.
         let is_name = !matches!(self.report.as_str(), "true" | "false");
         InvalidKey::unless(is_name, "report", page::REPORT_IS_A_NAME)?;
         let fits = self.report_page.is_empty() || self.report_page.ends_with(".html");
-        InvalidKey::unless(fits, "report_page", "it must end in .html, as in \"report.html\"")?;
+        InvalidKey::unless(fits, "report_page", "it must end in .html, such as \"report.html\"")?;
         self.geometry.check()
     }
 }
 
 impl Job {
-    /// Reads a job of the stages in the registry; `name` is what errors call the text.
+    /// Parses a job of the registered stages; errors call the text `name`.
     ///
     /// # Errors
-    /// Everything that is wrong with the job, each with its place in the text or in an override.
+    /// If the job is invalid: all errors, each with its position in the text or in an override.
     pub fn parse(name: &str, text: &str, overrides: &[Override]) -> Result<Job, JobErrors> {
         Job::parse_with(registry::STAGES, name, text, &[], overrides)
     }
 
-    /// The same, with a list of stages of one's own, and with the files that the text includes, as [`included`] names them.
+    /// Parses a job with its own list of stages and with included files.
+    ///
+    /// `includes` are the files named by [`included`].
     ///
     /// # Errors
     /// See [`Job::parse`].
@@ -189,8 +196,9 @@ impl Job {
         }
     }
 
-    /// The chain as a line, with the kind of lines wherever it changes:
-    /// `read_las -> Shots -> decompose -> Returns -> write_table`.
+    /// The chain on one line, with the kind of lines wherever it changes.
+    ///
+    /// Example: `read_las -> Shots -> decompose -> Returns -> write_table`.
     pub fn chain(&self) -> String {
         let mut words: Vec<String> = Vec::new();
         let mut kind: Option<Kind> = None;
@@ -206,7 +214,7 @@ impl Job {
     }
 }
 
-/// The settings and the stages, or everything that is wrong with them.
+/// Parses settings and stages, or returns all errors.
 fn read(
     stages: &[&'static StageSpec],
     text: &str,
@@ -240,14 +248,11 @@ fn read(
     }
 }
 
-/// What the user should know of a chain that fits.
+/// Warnings about a valid chain.
 fn notes(stages: &[JobStage]) -> Vec<String> {
     let writes = stages.iter().any(|stage| matches!(stage.planned.plan, crate::stage::Plan::Sink(_)));
     if writes {
         return Vec::new();
     }
-    vec![
-        "no stage of this job writes a file: a run counts and measures, and leaves only its report"
-            .to_owned(),
-    ]
+    vec!["no stage of this job writes a file: a run produces only the report".to_owned()]
 }

@@ -1,6 +1,7 @@
-//! wavex turns recorded full-waveform lidar into point clouds one can trust.
+//! Open engine that turns full-waveform lidar recordings into point clouds.
 //!
-//! The map of the crate is `ARCHITECTURE.md`; the manual of the stages is `docs/stages.md`, or `wavex stages`.
+//! `ARCHITECTURE.md` describes the structure of the crate. `docs/stages.md` and `wavex stages`
+//! document the stages.
 
 pub mod archive;
 pub mod batch;
@@ -18,7 +19,7 @@ pub mod stage;
 pub mod stages;
 pub mod survey;
 
-// The stages of the integration tests serve the unit tests, too: there the crate goes by its own name.
+// Unit tests share the stages of the integration tests, which name the crate `wavex`.
 #[cfg(test)]
 extern crate self as wavex;
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The program `wavex`: see [`wavex::cli`].
+//! The `wavex` binary: see [`wavex::cli`].
 
 use std::process::ExitCode;
 

@@ -1,4 +1,4 @@
-//! The list of all stages. A stage exists for jobs, the manual and the tests as soon as it stands here.
+//! The list of all stages, for jobs, the manual and the tests.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::stages::{
     write_table, write_trajectory,
 };
 
-/// Every stage that a job can name, in the order of the manual: sources, what changes lines, sinks.
+/// All stages that a job can use, in the order of the manual.
 pub const STAGES: &[&StageSpec] = &[
     &read_las::STAGE,
     &read_pulsewaves::STAGE,
@@ -32,15 +32,15 @@ pub const STAGES: &[&StageSpec] = &[
     &write_arrow::STAGE,
 ];
 
-/// The stage of this name.
+/// Returns the stage of this name.
 pub fn find(name: &str) -> Option<&'static StageSpec> {
     find_in(STAGES, name)
 }
 
-/// The stage that reads files with this name's extension.
+/// Returns the reader for files with this extension.
 ///
 /// # Errors
-/// A format that cannot be read, with the way round where it is known.
+/// If the format is not supported, with an alternative if one is known.
 pub fn reader_of(input: &str) -> Result<&'static str, String> {
     if let Some(error) = unsupported(Path::new(input)) {
         return Err(error.to_string());
@@ -52,24 +52,25 @@ pub fn reader_of(input: &str) -> Result<&'static str, String> {
         "sdf" | "wfm" => Ok("read_sdf"),
         "arrow" => Ok("read_arrow"),
         _ => {
-            let known = "an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
-            Err(format!("{input}: the name does not say what kind of recording this is; {known}"))
+            let known = "supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow";
+            Err(format!("{input}: unknown recording format; {known}"))
         }
     }
 }
 
-/// The name in the list that one may have meant by `name`.
+/// Returns the registered name most similar to `name`.
 pub fn nearest(name: &str) -> Option<&'static str> {
     nearest_of(name, STAGES.iter().map(|spec| spec.name))
 }
 
-/// The stage of this name in a list of one's own.
+/// Returns the stage of this name in a list.
 pub fn find_in(stages: &[&'static StageSpec], name: &str) -> Option<&'static StageSpec> {
     stages.iter().find(|spec| spec.name == name).copied()
 }
 
-/// The name among `names` that one may have meant: the one that the fewest slips of the pen lead to, where these are
-/// few against its length.
+/// Returns the name most similar to `name`.
+///
+/// Similarity is the edit distance, which must not exceed a third of the length (at least 1).
 pub fn nearest_of<'n>(name: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
     let slips_allowed = name.chars().count().max(3) / 3;
     let slips = |candidate: &'n str| (strsim::damerau_levenshtein(name, candidate), candidate);
@@ -86,8 +87,8 @@ mod tests {
             ["a/B.LAS", "b.laz", "in/*.pls", "d.arrow", "130621_101500.sdf", "w.WFM"].map(reader_of);
         let expected = ["read_las", "read_las", "read_pulsewaves", "read_arrow", "read_sdf", "read_sdf"];
         assert_eq!(readers, expected.map(Ok));
-        let problem = "a.dat: the name does not say what kind of recording this is; \
-                       an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
+        let problem = "a.dat: unknown recording format; \
+                       supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow";
         assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
         for name in ["a.rxp", "a.h5", "a.plz"] {
             assert!(reader_of(name).unwrap_err().contains(" is not supported; "), "{name}");
@@ -101,7 +102,7 @@ mod tests {
         assert_eq!(nearest("decompsoe"), Some("decompose"));
         assert_eq!(nearest("write_laz"), Some("write_las"));
         assert_eq!(nearest("write_lstats"), Some("write_lstat"));
-        assert_eq!(nearest("ready"), None, "too far from any");
+        assert_eq!(nearest("ready"), None, "not similar to any name");
         assert_eq!(nearest(""), None);
     }
 }

@@ -1,15 +1,17 @@
-//! A lidar that exists only as numbers: what the stage `simulate` is made of.
+//! A simulated lidar: the components of the stage `simulate`.
 //!
-//! Each part stands by itself, so that another can take its place: the [`scanner`] says when each pulse leaves and at
-//! which angle, the [`platform`] where the scanner is then and how it is turned, the [`scene`] what the pulse meets, the
-//! [`detector`] how strong that comes out, the [`receiver`] what is recorded of it, the [`world`] where on the earth all
-//! this takes place, and [`truth`] what a perfect evaluation would find.
+//! Each component can be replaced independently. The [`scanner`] defines emission time and angle of
+//! each pulse, the [`platform`] the position and attitude of the scanner, the [`scene`] the targets
+//! of the pulse, the [`detector`] the amplitude of an echo, the [`receiver`] the recorded samples,
+//! the [`world`] the position of the scene on the earth, and [`truth`] the result of a perfect
+//! evaluation.
 //!
-//! # The same bytes everywhere
-//! Random numbers come from a generator of our own ([`random`]), started afresh for each shot from the seed, the scan
-//! line and the shot's place in it: no line depends on another. Sines, exponentials, logarithms and error functions
-//! come from the crate `libm`, never from `std`, whose results differ between platforms in the last bit. What else is
-//! done with a number (`+ - * /`, square root, rounding) IEEE 754 defines to the bit.
+//! # Reproducible bytes
+//! Random numbers come from our own generator ([`random`]), seeded for each shot with the seed, the
+//! scan line and the index of the shot in it, so no line depends on another. Sines, exponentials,
+//! logarithms and error functions come from the crate `libm`, because the results of `std` differ
+//! between platforms in the last bit. All other operations (`+ - * /`, square root, rounding) are
+//! defined bit by bit by IEEE 754.
 
 pub mod detector;
 pub mod noise;
@@ -22,11 +24,12 @@ pub mod scene;
 pub mod truth;
 pub mod world;
 
-/// Speed of the pulse in the simulated air, m/s: as an instrument's file has said it.
+/// Group velocity of the pulse in the simulated air, m/s, from an instrument's file.
 pub const GROUP_VELOCITY_MPS: f64 = 299_710_540.0;
 
-/// A number as the whole number below it and the rest, from 0 to below 1; its size is below 2^63. What `f64::floor` gives,
-/// without the call that it costs where the instruction may be missing.
+/// Splits a number into floor and fractional part in [0, 1); its magnitude is below 2^63.
+///
+/// Same result as `f64::floor`, without the function call on processors that lack the instruction.
 #[inline]
 fn whole_and_part(x: f64) -> (i64, f64) {
     let towards_zero = x as i64;
@@ -34,7 +37,7 @@ fn whole_and_part(x: f64) -> (i64, f64) {
     (whole, x - whole as f64)
 }
 
-/// The time from emission to echo at a range, ns.
+/// Time of flight at a range, ns.
 pub fn time_of_flight_ns(range_m: f64) -> f64 {
     2e9 * range_m / GROUP_VELOCITY_MPS
 }

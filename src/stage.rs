@@ -1,7 +1,7 @@
-//! The four roles that a stage may play, and what the engine gives a stage to work with.
+//! The four roles of stages, and the interface that the engine gives them.
 //!
-//! A stage sees no channel, no thread and no clock. What it drops, it drops through [`Context::reject`]; what it
-//! measures, it measures through [`Context::observe`]; what the user should know goes through [`Context::note`].
+//! A stage sees no channels, threads or clocks. It drops items through [`Context::reject`], records
+//! measurements through [`Context::observe`], and warns the user through [`Context::note`].
 
 use crate::batch::Batch;
 
@@ -27,72 +27,76 @@ pub use spec::{
 pub use survey::Survey;
 pub use words::{bounds, choices, listed, takes};
 
-/// Why a stage cannot go on.
+/// Failure of a stage.
 #[derive(Debug, thiserror::Error)]
 pub enum StageError {
-    /// A file is not what it should be.
+    /// A file is invalid.
     #[error(transparent)]
     Format(#[from] crate::formats::Error),
-    /// Anything else: what is wrong, and what to do about it.
+    /// Any other problem, with its remedy.
     #[error("{problem}; {remedy}")]
     Failed {
-        /// What is wrong.
+        /// The problem.
         problem: String,
-        /// What the user can do.
+        /// The remedy.
         remedy: String,
     },
-    /// The run ends for a reason that is not this stage's.
+    /// The run ends because of another stage.
     #[error("the run is being stopped")]
     Stopped,
 }
 
 impl StageError {
-    /// What is wrong, and what to do about it.
+    /// Creates an error from a problem and its remedy.
     pub fn failed(problem: impl Into<String>, remedy: impl Into<String>) -> StageError {
         StageError::Failed { problem: problem.into(), remedy: remedy.into() }
     }
 }
 
-/// Shorthand for the results of stages.
+/// Result of a stage.
 pub type Result<T> = std::result::Result<T, StageError>;
 
-/// Makes batches: a reader, or the simulator.
+/// Produces scan lines: a reader, or the simulator.
 pub trait Source {
-    /// The next line, or `None` at the end of the input.
+    /// Returns the next line, or `None` at the end of the input.
     fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>>;
 
-    /// How far the input has been read, from 0 to 1, where that can be said.
+    /// Fraction of the input read, 0 to 1, if known.
     fn progress(&self) -> Option<f64> {
         None
     }
 }
 
-/// Turns one line into one line, with no memory between lines: the engine may run several of them side by side.
+/// Maps one line to one line without state between lines.
+///
+/// The engine may run several instances in parallel.
 pub trait Map {
-    /// The line, changed. Its emissions stay; what it cannot keep, it rejects.
+    /// Processes a line. Keeps its emissions; rejects what it drops.
     fn map(&mut self, batch: Batch, cx: &mut Context) -> Result<Batch>;
 }
 
-/// Holds lines back: for look-ahead, or to learn from the first lines.
+/// Holds lines back, for look-ahead or to learn from the first lines.
 pub trait Transform {
-    /// Takes a line and gives on what is ready.
+    /// Accepts a line and emits the lines that are ready.
     fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()>;
 
-    /// Gives on what was held back.
+    /// Emits all lines held back.
     fn finish(&mut self, out: &mut Output) -> Result<()>;
 }
 
-/// Writes lines; the engine passes each on, so that several sinks may follow one another.
+/// Writes lines; the engine passes each on, so several sinks may follow each other.
 pub trait Sink {
     /// Writes a line.
     fn write(&mut self, batch: &Batch, cx: &mut Context) -> Result<()>;
 
-    /// Completes the files: each whole one is handed to [`Context::keep`], and gets its final name when the whole run
+    /// Completes the files.
+    ///
+    /// Hands each finished file to [`Context::keep`]; it gets its final name after the whole run
     /// has succeeded.
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()>;
 }
 
-/// Where a [`Transform`] gives on its lines.
+/// Output of a [`Transform`].
 pub struct Output<'a> {
     /// Counters and notes.
     pub cx: &'a mut Context,
@@ -102,7 +106,7 @@ pub struct Output<'a> {
 }
 
 impl<'a> Output<'a> {
-    /// An output that gives on through `emit`.
+    /// Creates an output that forwards lines to `emit`.
     pub fn new(
         cx: &'a mut Context,
         may_hold_bytes: usize,
@@ -111,25 +115,29 @@ impl<'a> Output<'a> {
         Output { cx, emit, may_hold_bytes, foreseen_bytes: 0 }
     }
 
-    /// Gives a line on.
+    /// Emits a line.
     pub fn emit(&mut self, batch: Batch) -> Result<()> {
         (self.emit)(batch)
     }
 
-    /// Most bytes of lines that a stage may hold back if it can work with fewer lines; it emits what exceeds them. It follows
-    /// from the job alone, so that a stage that heeds it does the same on every machine. A stage that needs its lines holds
-    /// as many as it needs, and says so by [`Output::foresee`].
+    /// Maximum memory of lines held back, bytes, for a stage that can work with fewer lines.
+    ///
+    /// Such a stage emits lines beyond this limit. The limit depends only on the job, so results
+    /// are the same on every machine. A stage that requires its lines may exceed it and announces
+    /// its demand with [`Output::foresee`].
     pub fn may_hold_bytes(&self) -> usize {
         self.may_hold_bytes
     }
 
-    /// Says how many bytes the stage will hold back at most, as far as can be seen: where `memory_mb` has no room for the
-    /// next line, the run ends with what to set.
+    /// Announces the maximum memory that the stage will hold back, bytes, as far as known.
+    ///
+    /// If `memory_mb` has no room for the next line, the run ends with an error that states the
+    /// required value.
     pub fn foresee(&mut self, bytes: usize) {
         self.foreseen_bytes = bytes;
     }
 
-    /// What was foreseen; 0 where nothing was.
+    /// Announced memory demand, bytes; 0 if none.
     pub fn foreseen_bytes(&self) -> usize {
         self.foreseen_bytes
     }

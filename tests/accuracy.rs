@@ -1,13 +1,16 @@
-//! Decomposition against the truth, with the automatic calibration: the goals of docs/accuracy.md in a small run,
-//! each beside its figure. `cargo bench --bench accuracy` prints all of them from 20 000 waveforms and more.
+//! Accuracy of the decomposition against the truth, with automatic calibration.
 //!
-//! So few waveforms as a test can afford leave a figure uncertain: every assertion allows three standard deviations of the
-//! figure beyond the goal, by the functions of [`uncertain`], and the line printed shows figure and goal.
+//! A small run of the goals of docs/accuracy.md. `cargo bench --bench accuracy` prints all of them
+//! from at least 20 000 waveforms.
+//!
+//! The few waveforms of a test leave each figure uncertain. Every assertion therefore allows three
+//! standard deviations of the figure beyond the goal (see [`uncertain`]), and prints figure and
+//! goal.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells its figures"
+    reason = "a test fails by panicking and prints its figures"
 )]
 
 use std::sync::{Arc, OnceLock};
@@ -29,22 +32,22 @@ use instrument::{
     mean_bound, moments, noise_sd_dn,
 };
 
-/// Waveforms that calibration has.
+/// Number of waveforms for calibration.
 const CALIBRATION: usize = 10_000;
 
-/// Three standard deviations of a figure that so many waveforms tell.
+/// Three standard deviations of a figure estimated from this many waveforms.
 mod uncertain {
-    /// Of a standard deviation, as part of it.
+    /// Of a standard deviation, relative.
     pub fn spread(count: usize) -> f64 {
         3.0 / (2.0 * count as f64).sqrt()
     }
 
-    /// Of a mean, in standard deviations.
+    /// Of a mean, in standard deviations of one value.
     pub fn mean(count: usize) -> f64 {
         3.0 / (count as f64).sqrt()
     }
 
-    /// Of a rate that is expected.
+    /// Of a rate with this expectation.
     pub fn rate(expected: f64, count: usize) -> f64 {
         3.0 * (expected * (1.0 - expected) / count as f64).sqrt()
     }
@@ -67,7 +70,7 @@ fn calibrated(mut instrument: Instrument, full_scale_dn: f64) -> ChannelModel {
     calibrate_response(blocks(), &gaussian, &settings).unwrap().model
 }
 
-/// The channel as calibrated from echoes of many kinds, once for all tests.
+/// Channel model calibrated once for all tests from echoes of many kinds.
 fn model() -> &'static ChannelModel {
     static MODEL: OnceLock<ChannelModel> = OnceLock::new();
     MODEL.get_or_init(|| calibrated(instrument(1), EIGHT_BITS))
@@ -77,7 +80,7 @@ fn decomposer(settings: DecomposeSettings) -> Engine {
     Engine::new(model(), &settings, Mode::Refined)
 }
 
-/// With a scale whose end no pair of strong echoes reaches.
+/// A decomposer with a full scale that no pair of strong echoes reaches.
 fn decomposer_of_twelve_bits(split_evidence: f64) -> Engine {
     let model = ChannelModel { full_scale_dn: TWELVE_BITS, ..model().clone() };
     let settings = DecomposeSettings { split_evidence: Some(split_evidence), ..DecomposeSettings::default() };
@@ -116,7 +119,8 @@ fn calibration_finds_the_instrument() {
         found.echoes
     );
     assert!(noise.abs() <= 0.015 && correlation <= 0.02 && background <= 0.1);
-    // The targets that count as flat widen a pulse by 0.5 % on average, which is part of what calibration shall find.
+    // The targets that calibration treats as flat widen a pulse by 0.5 % on average; the test
+    // includes this error.
     let width_sd = model.uncertainty.pulse_fwhm_ns / model.pulse_fwhm_ns;
     assert!((width - 1.0).abs() <= 0.006 + 3.0 * width_sd && width_sd <= 0.001, "{width} +- {width_sd}");
     assert!(rms <= 1e-3, "{rms}");
@@ -124,7 +128,8 @@ fn calibration_finds_the_instrument() {
     assert_eq!(found.nodes.len(), 1, "a receiver that does not compress has one response");
 }
 
-/// A1 to A4, and coverage: isolated returns at the Cramer-Rao bound, unbiased, with true uncertainties.
+/// A1 to A4, and coverage: isolated returns reach the Cramér-Rao bound, are unbiased, and have
+/// correct uncertainties.
 #[test]
 fn isolated_returns_reach_the_bound() {
     const COUNT: usize = 2500;
@@ -180,7 +185,7 @@ fn isolated_returns_reach_the_bound() {
     assert!((covered - 0.68).abs() <= 0.02 + uncertain::rate(0.68, all_places.len()));
 }
 
-/// A5: one step from the width bank is enough for isolated returns.
+/// A5: one step from the width bank suffices for isolated returns.
 #[test]
 fn fastest_reaches_the_bound_too() {
     const COUNT: usize = 2500;
@@ -207,7 +212,8 @@ fn fastest_reaches_the_bound_too() {
     }
 }
 
-/// A6: noise alone. Rice's rate for the matched filter of this pulse is 0.44/2pi exp(-T^2/2) per sample.
+/// A6: pure noise. Rice's rate for the matched filter of this pulse is 0.44/2pi exp(-T^2/2) per
+/// sample.
 #[test]
 fn noise_alone_gives_no_more_returns_than_theory() {
     const COUNT: usize = 60_000;
@@ -227,14 +233,14 @@ fn noise_alone_gives_no_more_returns_than_theory() {
     }
 }
 
-/// Whether exactly two are found, each within 0.4 of the separation.
+/// Returns whether exactly two returns are found, each within 0.4 of the separation.
 fn is_pair(returns: &[Return], echoes: &[Echo]) -> bool {
     let separation = echoes[1].place - echoes[0].place;
     let near = |(r, e): (&Return, &Echo)| (r.position_samples - e.place).abs() < 0.4 * separation;
     returns.len() == 2 && returns.iter().zip(echoes).all(near)
 }
 
-/// A7 and A8: equal and unequal pairs; coverage for pairs.
+/// A7 and A8: equal and unequal pairs; coverage of pairs.
 #[test]
 fn close_pairs_are_told_apart() {
     const COUNT: usize = 1500;
@@ -269,7 +275,7 @@ fn close_pairs_are_told_apart() {
     }
 }
 
-/// A7: single returns, widened or not, stay one. Coverage of pairs that are told apart.
+/// A7: single returns, widened or not, are not split. Coverage of separated pairs.
 #[test]
 fn single_returns_are_not_divided_and_pairs_have_true_uncertainties() {
     const COUNT: usize = 3000;
@@ -301,14 +307,15 @@ fn single_returns_are_not_divided_and_pairs_have_true_uncertainties() {
     }
     let covered = share(places.iter().filter(|z| z.abs() < 1.0).count(), places.len());
     println!("coverage: {:.1} % of pairs at 0.75 widths within one (goal 62-76)", 100.0 * covered);
-    // The two places of a pair are one figure.
+    // The two positions of a pair count as one figure.
     assert!((covered - 0.69).abs() <= 0.07 + uncertain::rate(0.69, places.len() / 2));
     let z = moments(&places).1;
     println!("A3: z {z:.3} of pairs at 0.75 widths (goal 0.85-1.15)");
     assert!((z - 1.0).abs() <= 0.15 + uncertain::spread(places.len() / 2), "{z}");
 }
 
-/// A9: nothing false behind strong returns whose ringing varies from pulse to pulse, and a weak one there is kept.
+/// A9: no false returns after strong returns whose ringing varies from pulse to pulse; a weak true
+/// one is kept.
 #[test]
 fn late_returns_are_true_ones() {
     const COUNT: usize = 3000;
@@ -340,13 +347,13 @@ fn late_returns_are_true_ones() {
     assert!(share(kept, COUNT) >= 0.99 - uncertain::rate(0.99, COUNT));
 }
 
-/// Samples within the scale, but for the one behind a saturated one.
+/// Unsaturated samples, except the one after a saturated sample.
 fn unsaturated(samples: &[u16]) -> Vec<bool> {
     let at_end = |k: usize| f64::from(samples[k]) >= EIGHT_BITS;
     (0..samples.len()).map(|k| samples[k] > 0 && !(at_end(k) || k > 0 && at_end(k - 1))).collect()
 }
 
-/// A11: peaks cut off by the digitiser, against the bound without the samples that are lost.
+/// A11: peaks clipped by the digitiser, compared with the bound without the clipped samples.
 #[test]
 fn saturated_pulses_reach_their_bound() {
     const COUNT: usize = 1500;

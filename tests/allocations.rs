@@ -1,8 +1,8 @@
-//! The kernels take their memory at the start: not for each waveform.
+//! The kernels allocate memory only at the start, not per waveform.
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells its figures"
+    reason = "a test fails by panicking and prints its figures"
 )]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -19,29 +19,29 @@ mod scenes;
 
 use scenes::{SAMPLES, Scene, Waveforms, model, noise};
 
-/// The system's allocator, with a count of each thread's requests.
+/// The system allocator with a counter of requests per thread.
 struct Counting;
 
 thread_local! {
     static REQUESTS: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: every request is passed on to the system's allocator as it came.
+// SAFETY: every request is forwarded unchanged to the system allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         REQUESTS.set(REQUESTS.get() + 1);
-        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        // SAFETY: the caller upholds the contract of `System`, which is the same.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        // SAFETY: the caller upholds the contract of `System`, which is the same.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         REQUESTS.set(REQUESTS.get() + 1);
-        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        // SAFETY: the caller upholds the contract of `System`, which is the same.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
@@ -52,7 +52,7 @@ static ALLOCATOR: Counting = Counting;
 const WARM_UP: usize = 12_000;
 const COUNTED: usize = 8_000;
 
-/// Waveforms of the mixed scene, one in five hundred of which the plain kernels decompose.
+/// In the mixed scene, the plain kernels decompose one in 500 waveforms.
 #[test]
 fn decomposition_allocates_nothing_per_waveform() {
     let noise = noise();

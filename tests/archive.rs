@@ -1,4 +1,4 @@
-//! Archives of runs: made, run again elsewhere, and every kind of tampering named.
+//! Archives of runs: creation, replay in another place, and detection of tampering.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -11,7 +11,7 @@ use serde_json::Value;
 use support::flight::{OUTPUTS, STAGES, flight, run, wavex};
 use support::{Outcome, Place};
 
-/// A flight whose run was archived as `archives/NAME`.
+/// A flight with a run archived as `archives/NAME`.
 fn archived(name: &str) -> Place {
     let place = flight();
     place
@@ -26,7 +26,7 @@ fn holds(place: &Place, arguments: &[&str]) {
     assert_eq!(wavex(place, arguments), (Some(0), String::new()), "{arguments:?}");
 }
 
-/// The command fails, and these are the problems that it names, in order.
+/// Asserts that the command fails with these problems, in order.
 #[track_caller]
 fn fails(place: &Place, arguments: &[&str], expected: &[&str]) {
     let (code, err) = wavex(place, arguments);
@@ -104,13 +104,13 @@ fn an_archive_holds_what_it_takes_and_is_replayed_elsewhere() {
     );
     let report: Value = serde_json::from_str(&place.text("archives/a/report.json")).unwrap();
     assert_eq!(report, serde_json::from_str::<Value>(&place.text("out/report.json")).unwrap());
-    assert_eq!(report["stages"].as_array().unwrap().len(), 9, "the archive's own stage is not told of");
+    assert_eq!(report["stages"].as_array().unwrap().len(), 9, "the archive's own stage does not appear");
     let outputs = report["inputs"][0]["outputs"].as_array().unwrap();
     assert!(outputs.len() == 5 && outputs.iter().all(|path| path.as_str().unwrap().starts_with("./out/")));
 
     holds(&place, &["verify", "archives/a"]);
     holds(&place, &["replay", "archives/a", "--threads", "1"]);
-    // Elsewhere, all together; and the inputs by themselves.
+    // First move everything together; then the inputs alone.
     let elsewhere = Place::new();
     copy(&place.path("archives"), &elsewhere.path("archives"));
     copy(&place.path("in"), &elsewhere.path("in"));
@@ -133,8 +133,8 @@ fn a_resolved_job_runs_by_itself_and_gives_the_same() {
     holds(&place, &["run", "archives/a/job.resolved.toml"]);
     assert!(fs::read(place.path("out/a.laz")).unwrap() == then);
     let text = place.text("archives/a/job.resolved.toml");
-    assert!(!text.contains(&place.path("").display().to_string()), "no path from the root:\n{text}");
-    // A pattern would find other files another day.
+    assert!(!text.contains(&place.path("").display().to_string()), "no absolute path:\n{text}");
+    // A pattern could match other files later.
     assert!(text.contains("path = [\"in/a.arrow\"]") || text.contains("path = \"in/a.arrow\""), "{text}");
 }
 
@@ -181,7 +181,8 @@ fn every_kind_of_tampering_is_named() {
     ] {
         change(&place.path(file), from, to);
         let name = file.strip_prefix("archives/a/").unwrap();
-        let expected = format!("{name}: changed since the archive was made, or its digest in archive.b3 was");
+        let expected =
+            format!("{name}: the file or its digest in archive.b3 was changed after the archive was made");
         let (code, err) = wavex(&place, &verify);
         assert!(code == Some(1) && err.contains(&expected), "{err}");
         fails(&place, &replay, &[&expected]);
@@ -191,7 +192,7 @@ fn every_kind_of_tampering_is_named() {
     fails(
         &place,
         &verify,
-        &["job.toml: changed since the archive was made, or its digest in archive.b3 was"],
+        &["job.toml: the file or its digest in archive.b3 was changed after the archive was made"],
     );
     restore("archives/a/archive.b3");
     fs::remove_file(place.path("archives/a/wavex.log")).unwrap();
@@ -226,21 +227,22 @@ fn an_output_that_was_changed_is_named_with_its_first_difference() {
     );
     let (code, err) = wavex(&place, &["replay", "archives/a"]);
     assert_eq!(code, Some(1), "{err}");
-    let expected = format!("a.csv was changed since: row 4, column amplitude_dn: 7 instead of {value}\n");
-    assert!(err.contains("  output a.csv of stage write_table-1: the run makes it again, but "), "{err}");
+    let expected =
+        format!("a.csv was changed since the run: row 4, column amplitude_dn: 7 instead of {value}\n");
+    assert!(err.contains("  output a.csv of stage write_table-1: reproduced, but "), "{err}");
     assert!(err.contains(&expected), "{err}");
-    assert!(err.contains("a_lstat.txt was changed since: it ends before line 4\n"), "{err}");
-    assert!(!err.contains("a.parquet"), "what is missing was made again all the same:\n{err}");
+    assert!(err.contains("a_lstat.txt was changed since the run: it ends before line 4\n"), "{err}");
+    assert!(!err.contains("a.parquet"), "the replay made the missing file:\n{err}");
 }
 
-/// The intensity of the first point, and its place in a LAS file of point format 6.
+/// Intensity of the first point and its offset in a LAS file of point format 6.
 fn intensity(las: &[u8]) -> (usize, u16) {
     let points = u32::from_le_bytes(las[96..100].try_into().unwrap()) as usize;
     let at = points + 12;
     (at, u16::from_le_bytes([las[at], las[at + 1]]))
 }
 
-/// What a file has now comes first, whatever kind it is of.
+/// Messages give the current value first, for every file format.
 #[test]
 fn a_changed_file_is_told_by_what_it_has_now_instead_of_then() {
     let place = flight();
@@ -260,16 +262,18 @@ fn a_changed_file_is_told_by_what_it_has_now_instead_of_then() {
     let (code, err) = wavex(&place, &["replay", "archive"]);
     assert_eq!(code, Some(1), "{err}");
     for expected in [
-        format!("a.las was changed since: point 0, field intensity: {now} instead of {then}\n"),
-        "a_lstat.txt was changed since: line 2: \"mine\" instead of \"".to_owned(),
-        format!("a.parquet was changed since: row 2, column {column}: 87.0 instead of {value:?}\n"),
+        format!("a.las was changed since the run: point 0, field intensity: {now} instead of {then}\n"),
+        "a_lstat.txt was changed since the run: line 2: \"mine\" instead of \"".to_owned(),
+        format!("a.parquet was changed since the run: row 2, column {column}: 87.0 instead of {value:?}\n"),
     ] {
         assert!(err.contains(&expected), "{expected} is not in\n{err}");
     }
 }
 
-/// Saves a table as other programs do, with another compression, and with 87 in row 2 of a column; gives what stood there, and
-/// the column's name.
+/// Rewrites a table as other programs do: with another compression and with 87 in row 2 of a
+/// column.
+///
+/// Returns the original value and the name of the column.
 fn resave_with_snappy(path: &Path) -> (f64, String) {
     use arrow_array::{Array, ArrayRef, Float64Array, RecordBatch};
     use parquet::arrow::ArrowWriter;
@@ -299,7 +303,7 @@ fn resave_with_snappy(path: &Path) -> (f64, String) {
     (then, schema.field(at).name().clone())
 }
 
-/// An archive whose job was edited by somebody who knows how seals are made: the outputs tell.
+/// An archive with an edited job and a valid new seal: the outputs reveal the change.
 #[test]
 fn a_run_that_gives_something_else_says_what_and_where() {
     let place = archived("a");
@@ -319,13 +323,13 @@ fn a_run_that_gives_something_else_says_what_and_where() {
     holds(&place, &["verify", "archives/a"]);
     let (code, err) = wavex(&place, &["replay", "archives/a"]);
     assert_eq!(code, Some(1), "{err}");
-    assert!(err.contains("  output a.laz of stage write_las: not the same: point 0, field X: "), "{err}");
+    assert!(err.contains("  output a.laz of stage write_las: different: point 0, field X: "), "{err}");
     for table in [
         "a.csv of stage write_table-1",
         "a.parquet of stage write_table-2",
         "a_points.arrow of stage write_table-3",
     ] {
-        let begins = format!("  output {table}: not the same: row ");
+        let begins = format!("  output {table}: different: row ");
         let line = err
             .lines()
             .find(|line| line.starts_with(&begins))
@@ -337,25 +341,28 @@ fn a_run_that_gives_something_else_says_what_and_where() {
 #[test]
 fn an_archive_is_never_replaced_and_its_inputs_are_files() {
     let place = archived("a");
-    let exists = "error: archives/a: it exists already; choose another name: an archive is never replaced\n";
+    let exists = "error: archives/a: it already exists; choose another name: an archive is never replaced\n";
     assert_eq!(run(&place, &["--archive", "archives/a"]), Outcome { code: Some(2), err: exists.into() });
     let from_stdin = run(
         &place,
         &["--set", "read_arrow.path='-'", "--set", "job.output_dir='out2'", "--archive", "archives/b"],
     );
-    let problem =
-        "error: standard input cannot be archived; save it as a file, and give that to the reader\n";
+    let problem = "error: standard input cannot be archived; save it to a file and read that file\n";
     assert_eq!(from_stdin, Outcome { code: Some(1), err: problem.into() });
-    assert_eq!(fs::read_dir(place.path("archives")).unwrap().count(), 1, "nothing is left of the other");
+    assert_eq!(
+        fs::read_dir(place.path("archives")).unwrap().count(),
+        1,
+        "no files of the other archive remain"
+    );
     let (code, err) = wavex(&place, &["verify", "in"]);
     assert_eq!(code, Some(1));
     assert_eq!(
         err,
-        "error: in: no archive: it has no text archive.json; give an archive that `wavex run --archive` has made\n"
+        "error: in: not an archive: archive.json is missing; give an archive made by `wavex run --archive`\n"
     );
 }
 
-/// What the program says in the folder, to the standard output.
+/// Standard output of the program in the folder.
 fn said(place: &Place, arguments: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     let output = command.args(arguments).current_dir(place.path("")).output();
@@ -367,30 +374,28 @@ fn the_seal_is_told_and_compared() {
     let place = flight();
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
     let run = said(&place, &["run", "job.toml", "--archive", "archive"]);
-    let (_, seal) = run.trim_end().rsplit_once("archived in archive; its seal is ").expect("a seal");
+    let (_, seal) = run.trim_end().rsplit_once("archived in archive; seal ").expect("a seal");
     assert_eq!(seal, blake3::hash(place.text("archive/archive.b3").as_bytes()).to_hex().as_str());
-    let expected = "7 files of the archive, 2 inputs and 5 outputs are as they were; its seal is";
+    let expected = "7 archive files, 2 inputs and 5 outputs are unchanged; seal";
     assert_eq!(said(&place, &["verify", "archive"]), format!("archive: {expected} {seal}\n"));
     let replayed = said(&place, &["replay", "archive"]);
-    assert_eq!(replayed, format!("archive: 5 outputs are the same to the bit; its seal is {seal}\n"));
+    assert_eq!(replayed, format!("archive: 5 outputs are identical bit by bit; seal {seal}\n"));
     holds(&place, &["verify", "archive", "--seal", seal]);
     holds(&place, &["verify", "archive", "--seal", &seal.to_uppercase()]);
 
     let other = "0123456789abcdef".repeat(4);
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", &other]);
     let expected = format!(
-        "error: archive: not everything is as it was; its seal is {seal}\n  the seal is {seal} instead of {other}: this is not \
-         the archive whose seal was written down, or it was changed and sealed anew\n"
+        "error: archive: verification failed; seal {seal}\n  the seal is {seal} instead of {other}: this is not the archive with the noted seal, or it was changed and resealed\n"
     );
     assert_eq!((code, err), (Some(1), expected));
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", "0123"]);
     assert_eq!(code, Some(2), "{err}");
     assert!(err.contains("a seal has 64 hexadecimal digits, as `wavex run --archive` prints them"), "{err}");
-    // Whoever takes the seal away leaves nothing to compare.
+    // Without the seal there is nothing to compare with.
     fs::remove_file(place.path("archive/archive.b3")).unwrap();
     let (code, err) = wavex(&place, &["verify", "archive", "--seal", seal]);
-    let expected = "error: archive: not everything is as it was\n  archive.b3: missing: nothing says whether the archive is \
-                    as it was made\n";
+    let expected = "error: archive: verification failed\n  archive.b3: missing: the integrity of the archive cannot be verified\n";
     assert_eq!((code, err.as_str()), (Some(1), expected));
 }
 
@@ -400,8 +405,7 @@ fn archives_of_another_kind_are_not_made() {
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
     for (name, kind) in [("x.zip", ".zip"), ("a/x.tar.gz", ".gz")] {
         let expected = format!(
-            "error: {name}: wavex makes no archive of the kind {kind}; give a name that ends in .tar.zst, or that of a new \
-             folder\n"
+            "error: {name}: wavex cannot make {kind} archives; give a name that ends in .tar.zst, or the name of a new folder\n"
         );
         assert_eq!(run(&place, &["--archive", name]), Outcome { code: Some(2), err: expected });
         assert!(!place.path(name).exists() && !place.path("out").exists());
@@ -411,19 +415,17 @@ fn archives_of_another_kind_are_not_made() {
 #[test]
 fn what_is_no_archive_or_no_whole_one_is_refused_with_a_remedy() {
     let place = archived("a.tar.zst");
-    let other = "error: job.toml: no archive: neither a folder nor packed as a .tar.zst is; give an archive that `wavex run --archive` has \
-                 made\n";
+    let other = "error: job.toml: not an archive: neither a folder nor a .tar.zst file; give an archive made by `wavex run --archive`\n";
     assert_eq!(wavex(&place, &["verify", "job.toml"]), (Some(1), other.to_owned()));
     let whole = fs::read(place.path("archives/a.tar.zst")).unwrap();
     place.write("cut.tar.zst", &whole[..whole.len() / 2]);
-    let cut =
-        "error: cut.tar.zst: a damaged archive: it ends too early, and was cut off; get a whole copy of it\n";
+    let cut = "error: cut.tar.zst: damaged archive: the file is truncated, its data end too early; get a complete copy\n";
     for command in ["verify", "replay"] {
         assert_eq!(wavex(&place, &[command, "cut.tar.zst"]), (Some(1), cut.to_owned()));
     }
 }
 
-/// Every value that counts stands in the job as run, and nothing that is this machine's.
+/// The archived job contains every effective value and nothing specific to this machine.
 #[test]
 fn a_resolved_job_spells_out_defaults_that_hang_on_other_keys() {
     let place = flight();
@@ -462,9 +464,9 @@ fn inputs_outside_of_the_jobs_folder_are_told_below_one_folder() {
     let archive: Value = serde_json::from_str(&place.text("archive/archive.json")).unwrap();
     assert_eq!(archive["inputs"]["folder"], "../in");
     assert_eq!(archive["inputs"]["files"][1]["path"], "model.json");
-    assert!(place.text("archive/wavex.log").contains("INFO wavex "), "the archive has a log all the same");
+    assert!(place.text("archive/wavex.log").contains("INFO wavex "), "the archive contains a log anyway");
 
-    // With another folder above: then the paths start there.
+    // With a higher common folder, the paths start there.
     fs::create_dir(place.path("models")).unwrap();
     fs::rename(&model, place.path("models/m.json")).unwrap();
     let set = format!("calibrate.load='{}'", place.path("models/m.json").display());
@@ -497,7 +499,7 @@ fn the_trajectory_is_an_input() {
     fails(&place, &["replay", "archive", "--inputs", "moved"], &["input a.out: changed: the digest of "]);
 }
 
-/// What a job includes stands in the resolved job, and as it was written beside the job.
+/// Included keys appear in the resolved job; the included text is archived as written.
 #[test]
 fn included_keys_are_resolved() {
     let place = flight();
@@ -513,7 +515,7 @@ fn included_keys_are_resolved() {
     holds(&place, &["replay", "archive"]);
     holds(&place, &["verify", "archive"]);
     let missing = wavex(&place, &["run", "job.toml"]);
-    let problem = "error: shared/site.toml: cannot read what the job includes: No such file or directory (os error 2); \
+    let problem = "error: shared/site.toml: cannot read the included file: No such file or directory (os error 2); \
                    check `include` in `[job]`\n";
     assert_eq!(missing, (Some(2), problem.to_owned()));
 }

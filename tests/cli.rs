@@ -1,11 +1,11 @@
-//! The program itself: what it prints, where, and its exit code.
+//! The command line: output, streams and exit codes.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use std::fs;
 use std::io::Write;
 use std::process::{Command, Stdio};
 
-/// What a run of the program leaves.
+/// Result of a run of the program.
 #[derive(Debug, PartialEq)]
 struct Outcome {
     code: Option<i32>,
@@ -18,7 +18,7 @@ fn wavex_with_input(arguments: &[&str], input: &str) -> Outcome {
     let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
     program.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = program.spawn().unwrap();
-    // A program that does not read its input may be gone already.
+    // A program that does not read its input may already have exited.
     let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
     let output = child.wait_with_output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
@@ -29,7 +29,7 @@ fn wavex(arguments: &[&str]) -> Outcome {
     wavex_with_input(arguments, "")
 }
 
-/// The arguments are refused with this message, and nothing else is printed.
+/// Asserts that the arguments are refused with this message and no other output.
 fn refused(outcome: Outcome, expected: &str) {
     assert_eq!(outcome, Outcome { code: Some(2), out: String::new(), err: expected.to_owned() });
 }
@@ -37,37 +37,37 @@ fn refused(outcome: Outcome, expected: &str) {
 #[test]
 fn the_help_names_every_command() {
     let expected = "\
-Turns recorded full-waveform lidar into point clouds
+Turn full-waveform lidar recordings into point clouds
 
 Usage: wavex [OPTIONS] <COMMAND>
 
 Commands:
   run           Run a job
-  replay        Run an archived job again, and say whether it gives the same outputs to the bit
-  verify        Say whether an archive, its inputs and its outputs are as they were, by their digests alone
-  check         Validate a job without reading data: its keys, its chain, its folders, and which inputs are missing
-  stages        List the stages, or explain one with all its keys
-  schema        Print the JSON Schema of a job, for editors that check and complete TOML
-  init          Write a commented job to start from
-  calibrate     Calibrate from a recording, and save the sensor model for others
-  convert       Copy recorded waveforms into the open container (Arrow)
-  copc          Copy points into a cloud-optimised file (COPC), which viewers read in parts
-  false-alarms  Print how many returns of noise alone each threshold lets through
-  explain       Show one shot: its samples, the fit, what the fit leaves, and its returns
-  scan          Tell what a recording holds: times, rates, lines, channels, noise, integrity
-  report        Show what a run did as a page: where the time went, counts, sensor model, warnings
-  trajectory    Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
+  replay        Run an archived job again and compare the outputs bit by bit
+  verify        Verify an archive, its inputs and its outputs by their digests
+  check         Validate a job without reading data: keys, chain, output folders, missing inputs
+  stages        List the stages, or describe one stage and its keys
+  schema        Print the JSON Schema of jobs, for editors that validate and complete TOML
+  init          Write a commented starter job
+  calibrate     Calibrate from a recording and save the sensor model
+  convert       Copy recorded waveforms into the open container format (Arrow)
+  copc          Convert points to a cloud-optimised point cloud (COPC)
+  false-alarms  Print the false-return rate of pure noise for each threshold
+  explain       Explain one shot: samples, fit, residuals and returns
+  scan          Summarise a recording: times, rates, lines, channels, noise, integrity
+  report        Render a run's report as a page: timing, counts, sensor model, warnings
+  trajectory    Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
   import        Translate a command line of BayesWavEx 1.0 or 1.1 into a job
-  completions   Print the completions of a shell
+  completions   Print a shell completion script
   help          Print this message or the help of the given subcommand(s)
 
 Options:
-  -v, --verbose...  Say more: -v tells what is done, -vv also the details
-  -q, --quiet       Say nothing but errors
+  -v, --verbose...  Print more messages: -v for progress, -vv for details
+  -q, --quiet       Print errors only
   -h, --help        Print help
   -V, --version     Print version
 
-Exit status: 0 done; 1 the run failed; 2 the job or the command line is wrong
+Exit status: 0 success; 1 the run failed; 2 the job or the command line is invalid
 ";
     let asked = wavex(&["--help"]);
     assert_eq!(asked, Outcome { code: Some(0), out: expected.to_owned(), err: String::new() });
@@ -81,7 +81,7 @@ fn the_help_of_run_explains_its_options() {
     assert_eq!((help.code, help.err.as_str()), (Some(0), ""));
     for part in [
         "Usage: wavex run [OPTIONS] <JOB>",
-        "The job's file (TOML); `-` for standard input",
+        "Job file (TOML); `-` for standard input",
         "--set <STAGE.KEY=VALUE>",
         "--threads <N>",
         "--profile",
@@ -153,9 +153,8 @@ fn a_wrong_job_is_refused_in_plain_text() {
     fs::write(&job, "[job]\nmemory_mb = 8\n").unwrap();
     let job = job.to_str().unwrap();
     let expected = format!(
-        "error: the job has no stage\n --> {job}\n = help: `wavex init` writes one to start from; \
-         `wavex stages` lists the stages\n\n\
-         error: `memory_mb` must be at least 64 and at most 1000000000; this is 8\n \
+        "error: the job has no stage\n --> {job}\n = help: `wavex init` writes a starter job; `wavex stages` lists the stages\n\n\
+         error: `memory_mb` must be at least 64 and at most 1000000000, got 8\n \
          --> {job}:2:13\n  |\n2 | memory_mb = 8\n  |             ^\n"
     );
     for command in ["run", "check"] {
@@ -166,7 +165,7 @@ fn a_wrong_job_is_refused_in_plain_text() {
 #[test]
 fn a_job_may_come_from_standard_input() {
     let expected = "\
-error: `threads` must be at least 0; this is -1
+error: `threads` must be at least 0, got -1
  --> standard input:4:11
   |
 4 | threads = -1
@@ -188,7 +187,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: its keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);
@@ -209,7 +208,7 @@ fn the_stages_of_the_registry_are_listed_and_explained() {
 fn a_stage_that_does_not_exist_is_refused() {
     let outcome = wavex(&["stages", "fly_home"]);
     assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""));
-    assert!(outcome.err.starts_with("error: there is no stage `fly_home`"), "{}", outcome.err);
+    assert!(outcome.err.starts_with("error: unknown stage `fly_home`"), "{}", outcome.err);
 }
 
 #[test]
@@ -230,7 +229,7 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
     let [file, schema] = ["job.toml", "job.schema.json"].map(|name| folder.path().join(name));
     let (file, schema) = (file.to_str().unwrap(), schema.to_str().unwrap());
     let written = wavex(&["init", file]);
-    let remark = "it reads RECORDING.las: change `type` and `path` of its first stage, or let `wavex init --from RECORDING` do so\n";
+    let remark = "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init --from RECORDING`\n";
     let expected = format!("wrote {file}\nwrote {schema}\n{remark}");
     assert_eq!(written, Outcome { code: Some(0), out: expected, err: String::new() });
     assert_eq!(fs::read_to_string(file).unwrap(), printed.out);
@@ -242,22 +241,21 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
     assert!(checked.out.contains(&warning), "{}", checked.out);
 
     fs::write(file, "mine").unwrap();
-    let expected = format!("error: {file}: the file exists already; choose another name, or remove it\n");
+    let expected = format!("error: {file}: the file already exists; choose another name or remove it\n");
     refused(wavex(&["init", file]), &expected);
     assert_eq!(fs::read_to_string(file).unwrap(), "mine");
 }
 
 #[test]
 fn an_input_of_an_unknown_kind_is_not_converted() {
-    let expected = "error: flight.dat: the name does not say what kind of recording this is; \
-                    an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow\n";
+    let expected = "error: flight.dat: unknown recording format; \
+                    supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow\n";
     refused(wavex(&["convert", "flight.dat", "flight.arrow"]), expected);
 }
 
 #[test]
 fn a_container_has_the_name_of_what_it_is() {
-    let expected = "error: flight.parquet: the container is Arrow: give a name that ends in .arrow; tables of returns, as \
-                    Parquet, CSV or Arrow, are made by the stage write_table of a job\n";
+    let expected = "error: flight.parquet: the container is Arrow; give a name that ends in .arrow. To write tables of returns (Parquet, CSV or Arrow), use the stage write_table in a job\n";
     refused(wavex(&["convert", "flight.pls", "flight.parquet"]), expected);
 }
 

@@ -1,4 +1,5 @@
-//! A container that lies about its lengths gets no more memory than an honest one of its size could need.
+//! A container with wrong lengths causes no larger allocation than a valid one of its size could
+//! need.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Cursor;
@@ -11,27 +12,27 @@ use wavex::formats::container::{
     LineBuilder, TimeScale, channel,
 };
 
-/// The system's allocator, with a note of the largest request.
+/// The system allocator, recording the largest request.
 struct Noting;
 
 static LARGEST: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: every request is passed on to the system's allocator as it came.
+// SAFETY: every request is forwarded unchanged to the system allocator.
 unsafe impl GlobalAlloc for Noting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LARGEST.fetch_max(layout.size(), Ordering::Relaxed);
-        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        // SAFETY: the caller upholds the contract of `System`, which is the same.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        // SAFETY: the caller upholds the contract of `System`, which is the same.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         LARGEST.fetch_max(size, Ordering::Relaxed);
-        // SAFETY: the caller keeps `System`'s contract, which is this one.
+        // SAFETY: the caller upholds the contract of `System`, which is the same.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
@@ -39,8 +40,10 @@ unsafe impl GlobalAlloc for Noting {
 #[global_allocator]
 static ALLOCATOR: Noting = Noting;
 
-/// The largest single request that a container of a few KB may cause: what a stream reads ahead (4 MiB), or the
-/// largest block that an LZ4 frame may declare (8 MiB), with its window.
+/// Largest single request that a container of a few KB may cause.
+///
+/// The read-ahead of a stream (4 MiB), or the largest block of an LZ4 frame (8 MiB) with its
+/// window.
 const MOST_BYTES: usize = 16 << 20;
 
 fn container(compression: Compression) -> Result<Vec<u8>> {
@@ -96,7 +99,8 @@ fn no_length_that_lies_takes_memory() {
             for lie in [i32::MAX, 0x0fff_fff8] {
                 let mut bytes = whole.clone();
                 bytes[at..at + 4].copy_from_slice(&lie.to_le_bytes());
-                // The footer, and what it points to, is read from a file; all else as in a stream.
+                // A file reads the footer and the data it points to; all else is read as in a
+                // stream.
                 if at % 16 == 0 || at > whole.len() - 200 {
                     std::fs::write(&path, &bytes).unwrap();
                     assert!(read(&path) <= 1);

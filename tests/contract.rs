@@ -1,4 +1,4 @@
-//! What holds for every stage in the registry.
+//! Rules that hold for every registered stage.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
@@ -19,12 +19,12 @@ use wavex::stage::{
     Config, Context, Item, Key, Paths, Plan, Result, RoleName, Site, Source, SourceConfig, StageSpec, choices,
 };
 
-/// Endings of the names of quantities, by which their unit can be told.
+/// Name suffixes that identify the unit of a quantity.
 const UNITS: [&str; 17] = [
     "_m", "_ns", "_ps", "_s", "_us", "_deg", "_hz", "_mps", "_dn", "_db", "_mb", "_ppm", "_ratio", "_sigma",
     "_rate", "_step", "_per_km",
 ];
-/// Quantities without a unit, and whose name says so.
+/// Names of quantities without a unit.
 const PLAIN_NUMBERS: [&str; 8] = [
     "noise_autocorrelation",
     "split_evidence",
@@ -42,7 +42,7 @@ fn every_stage_and_every_key_is_explained() {
         let keys = spec.keys();
         assert!(keys.doc().len() > 80, "{}: its doc comment is its page in the manual", spec.name);
         for key in keys.iter() {
-            assert!(key.meaning().len() > 10, "{}.{} has no meaning", spec.name, key.name);
+            assert!(key.meaning().len() > 10, "{}.{} has no description", spec.name, key.name);
         }
     }
 }
@@ -59,10 +59,10 @@ fn every_quantity_carries_its_unit_in_its_name() {
     }
 }
 
-/// Keys that take a text which names no file.
+/// Text keys that do not name a file.
 const NAMES: [&str; 3] = ["stem", "gps_date", "columns"];
 
-/// Archives and locks know files by what a stage says of its keys.
+/// Archives and locks learn about files from the stage's own declarations.
 #[test]
 fn every_key_that_names_a_file_is_an_input_or_an_output() {
     let takes_text = |schema: &serde_json::Value| {
@@ -71,7 +71,7 @@ fn every_key_that_names_a_file_is_an_input_or_an_output() {
         let is_text = |schema: &&serde_json::Value| schema["type"] == "string" && choices(schema).is_none();
         all.iter().any(is_text)
     };
-    // As the default ends, where there is one: some stages want a certain ending.
+    // Same extension as the default, if any: some stages require a certain extension.
     let file = |key: &Key| match key.default().and_then(serde_json::Value::as_str) {
         Some(pattern) => pattern.replace('*', key.name),
         None => format!("{}.csv", key.name),
@@ -94,7 +94,7 @@ fn every_key_that_names_a_file_is_an_input_or_an_output() {
                 || planned.inputs.contains(&text)
                 || planned.plan.outputs().contains(&text.as_str())
                 || planned.local_keys.contains(&key.name);
-            assert!(is_known, "{}.{}: tell it in `inputs`, `outputs` or `local_keys`", spec.name, key.name);
+            assert!(is_known, "{}.{}: list it in `inputs`, `outputs` or `local_keys`", spec.name, key.name);
         }
     }
 }
@@ -103,19 +103,20 @@ fn every_key_that_names_a_file_is_an_input_or_an_output() {
 fn names_are_verbs_and_roles_have_their_kinds() {
     let mut seen = BTreeMap::new();
     for spec in STAGES {
-        assert!(seen.insert(spec.name, ()).is_none(), "{} stands twice in the registry", spec.name);
+        assert!(seen.insert(spec.name, ()).is_none(), "{} is registered twice", spec.name);
         assert_eq!(spec.role == RoleName::Source, spec.accepts.is_empty(), "{}", spec.name);
         assert!(spec.after.iter().all(|name| registry::find(name).is_some()), "{}", spec.name);
     }
 }
 
-/// Lines of the simulator with lines in between that hold no emission, and one whose emissions hold no block.
+/// Lines of the simulator, with lines without emissions in between and one whose emissions have no
+/// blocks.
 #[derive(Clone, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct Gaps {
-    /// Whether any line has shots at all.
+    /// Whether no line has shots.
     only_empty: bool,
-    /// Whether blocks stand with the shots in whose records they were stored.
+    /// Whether blocks belong to the shots in whose records they were stored.
     unresolved: bool,
 }
 
@@ -175,7 +176,7 @@ fn without_blocks(line: Batch) -> Batch {
 
 const GAPS: StageSpec = StageSpec::source::<Gaps>("gaps", Kind::Shots);
 
-/// The shortest chain that ends in a stage: what must stand before it, and the stage with its defaults.
+/// The shortest chain that ends in a stage: its required predecessors and the stage with defaults.
 fn chain_to(spec: &'static StageSpec, only_empty: bool) -> Job {
     let keys = format!("only_empty = {only_empty}\nunresolved = {}", spec.name == "resolve_mta");
     let source = stage(&GAPS, &keys);
@@ -236,7 +237,7 @@ fn lines_without_shots_pass_through_every_stage() {
         let job = chain_to(spec, true);
         let outcome = engine::run(&job, &into(&job, folder.path()));
         if job.stages.iter().any(|stage| stage.spec.name == "calibrate") {
-            // Nothing can be said of a sensor without a single waveform: an error, and a clear one.
+            // Calibration without any waveform must fail with a clear error.
             let error = outcome.unwrap_err().to_string();
             assert!(
                 error.contains("calibration needs 200 waveforms of the channel and there were 0"),

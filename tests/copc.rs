@@ -1,4 +1,4 @@
-//! `wavex copc`: from the points of a run to a cloud-optimised file, or to a message.
+//! `wavex copc`: converts the points of a run to COPC, or reports an error.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -33,7 +33,7 @@ path = '*_old.las'
 version = '1.2'
 ";
 
-/// What the program prints, or the message that it fails with and its exit code.
+/// Output of the program, or exit code and message if it fails.
 fn copc(place: &Place, arguments: &[&str]) -> Result<String, (Option<i32>, String)> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.arg("copc").args(arguments).current_dir(place.path("out"));
@@ -88,8 +88,8 @@ fn what_cannot_be_converted_is_told_and_leaves_nothing() {
         "a_old.las: COPC needs point format 6 to 10, but this is format 1; write the points with \
          `version = \"1.4\"`",
     );
-    refused(&["a.laz", "-o", "a.laz"], 2, "a.laz: this is the input: give another name by --out");
-    refused(&["a.laz", "-o", "b.las"], 2, "b.las: COPC is LAZ: give a name that ends in .copc.laz");
+    refused(&["a.laz", "-o", "a.laz"], 2, "a.laz: this is the input; give another name with --out");
+    refused(&["a.laz", "-o", "b.las"], 2, "b.las: COPC is LAZ; give a name that ends in .copc.laz");
     refused(&["c.laz"], 1, "c.laz: cannot open: No such file or directory (os error 2); check the path");
     let (code, problem) = copc(&place, &["cut.laz"]).unwrap_err();
     assert_eq!(code, Some(1));
@@ -97,7 +97,7 @@ fn what_cannot_be_converted_is_told_and_leaves_nothing() {
     assert_eq!(place.outputs(), before);
 }
 
-/// What is in the way of the new file is replaced as a whole, or not at all.
+/// An existing file is replaced as a whole or not at all.
 #[test]
 fn a_file_that_is_there_stays_until_the_new_one_is_whole() {
     let place = Place::new();

@@ -1,4 +1,4 @@
-//! What a job says of a recording that its file does not say, or says wrongly: times, the map, the air.
+//! Job keys for properties that a recording lacks or states wrongly: time scale, map, atmosphere.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -43,7 +43,7 @@ fn las_at(pulses: usize, time_of: impl Fn(usize) -> f64) -> Las {
 const READERS: [(&str, &str); 3] =
     [("read_las", "a.las"), ("read_pulsewaves", "a.pls"), ("read_arrow", "a.arrow")];
 
-/// What a reader with these keys gives: the notes, the header of a copy, and the times of its shots.
+/// Results of a reader with these keys: notes, header of a copy, and times of its shots.
 #[track_caller]
 fn copied(place: &Place, reader: &str, input: &str, keys: &str) -> (Vec<String>, ContainerHeader, Vec<f64>) {
     let report = place.succeeds(reader, input, &format!("{keys}\n{COPY}"));
@@ -56,7 +56,7 @@ fn copied(place: &Place, reader: &str, input: &str, keys: &str) -> (Vec<String>,
     (notes(&report), header, times)
 }
 
-/// The points of a LAS file that a job makes: what its header says of times, and the time of the first.
+/// A LAS file written by a job: notes, time scale in its header, and time of its first point.
 #[track_caller]
 fn written(place: &Place, keys: &str) -> (Vec<String>, GpsTime, f64) {
     let to_las = TO_TABLE
@@ -105,7 +105,7 @@ fn a_day_a_scale_and_utc_are_those_of_every_reader() {
     }
 }
 
-/// Global encoding, bit 0: adjusted GPS time where the date is known, and seconds of the week as they are elsewhere.
+/// Global encoding, bit 0: adjusted GPS time if the date is known, else seconds of the week.
 #[test]
 fn the_header_of_las_says_what_its_times_count() {
     let place = place(&las_at(320, |pulse| TUESDAY_S + time_s(pulse)));
@@ -136,7 +136,7 @@ fn times_that_do_not_fit_their_label_are_named_by_runs_and_by_scan() {
     scan.args(["scan", "a.las"]).current_dir(place.path("")).stdin(Stdio::null());
     let summary = String::from_utf8(scan.output().unwrap().stdout).unwrap();
     assert!(summary.contains(said), "{summary}");
-    // A day cannot be found for times that count something else.
+    // A date cannot be applied to times on another scale.
     let outcome = place.read("read_las", "a.las", &format!("gps_date = '2011-09-14'\n{COPY}"));
     assert!(outcome.code == Some(1) && outcome.err.trim_end().ends_with("`recording_time`"), "{outcome:?}");
 }
@@ -146,7 +146,7 @@ fn a_recording_without_a_time_scale_is_noted_in_las() {
     let header = ContainerHeader::new(1.0, 299_707_502.0);
     assert_eq!(header.time_scale, TimeScale::Unknown);
     let place = place(&Las::new(320));
-    // An offset of 1e9 s over seconds of the week is what PulseWaves' own writer presets.
+    // PulseWaves' own writer presets an offset of 1e9 s, also for seconds of the week.
     let mut pls = PulseWaves::new(320).pls();
     pls[232..240].copy_from_slice(&1e9f64.to_le_bytes());
     place.write("a.pls", &pls);
@@ -208,7 +208,7 @@ fn a_declared_map_that_cannot_be_used_is_refused() {
     }
 }
 
-/// A map without a name is no reason to go to another program.
+/// A map without a name is accepted.
 #[test]
 fn coordinates_may_be_asked_for_in_the_map_that_is_declared() {
     let place = place(&Las::new(320));

@@ -1,4 +1,4 @@
-//! The engine's promises, with stages that do little.
+//! Guarantees of the engine, tested with trivial stages.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
@@ -98,7 +98,7 @@ fn a_sink_that_fails_is_the_cause_and_not_the_stages_before_it() {
 #[test]
 fn a_panic_ends_the_run_and_says_where() {
     let error = failing(&[(&COUNT, "lines = 100000"), (&WORK, "panic_at = 30"), (&WRITE_NUMBERS, "")]);
-    assert!(error.contains("a bug in wavex: line 30 is a bug (tests/common/mod.rs:"), "{error}");
+    assert!(error.contains("bug in wavex: line 30 is a bug (tests/common/mod.rs:"), "{error}");
     assert!(error.contains("please report it with the job"), "{error}");
 }
 
@@ -116,7 +116,7 @@ fn a_cancelled_run_leaves_nothing() {
         });
         engine::run(&job, &options).unwrap_err()
     });
-    assert_eq!(error.to_string(), "interrupted; no unfinished output was left behind");
+    assert_eq!(error.to_string(), "interrupted; unfinished outputs were removed");
     assert_eq!(files(folder.path()), Vec::<String>::new());
 }
 
@@ -143,7 +143,7 @@ fn a_line_that_does_not_fit_says_what_to_set() {
     let mut job = job(&[(&COUNT, "lines = 4\nshots = 200000"), (&WRITE_NUMBERS, "")]);
     job.settings.memory_mb = 64;
     let error = engine::run(&job, &into(&job, folder.path())).unwrap_err().to_string();
-    assert!(error.starts_with("stage count: scan line 0 takes "), "{error}");
+    assert!(error.starts_with("stage count: scan line 0 needs "), "{error}");
     assert!(error.contains("; set memory_mb to "), "{error}");
 }
 

@@ -1,17 +1,17 @@
-//! The examples for users of the library run, and do what they say.
+//! The library examples run and produce the documented results.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// An example, which cargo builds before the tests.
+/// Path of an example, which cargo builds before the tests.
 fn example(name: &str) -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let folder = test.parent().and_then(Path::parent).unwrap().join("examples");
     folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX))
 }
 
-/// What an example prints.
+/// Output of an example.
 #[track_caller]
 fn printed(name: &str, arguments: &[&Path]) -> String {
     let output = Command::new(example(name)).args(arguments).output().unwrap();

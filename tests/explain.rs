@@ -1,4 +1,5 @@
-//! `wavex explain`: the table agrees with the run's, the picture is whole, and what cannot be explained is said.
+//! `wavex explain`: the table agrees with that of a run, the picture is complete, and errors are
+//! reported.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -23,14 +24,14 @@ fn explain(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
 
-/// It ends with this message, and nothing is printed or written.
+/// Asserts that the command fails with this message, without output or files.
 #[track_caller]
 fn refused(place: &Place, arguments: &[&str], code: i32, message: &str) {
     let (found, out, err) = explain(place, arguments);
     assert_eq!((found, out.as_str(), err), (Some(code), "", format!("error: {message}\n")));
 }
 
-/// A recording of the simulator, its model and its returns, in `out`.
+/// A simulated recording, its model and its returns, in `out`.
 fn simulated() -> Place {
     let place = Place::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 2\nshots_per_line = 300\n\
@@ -44,7 +45,7 @@ fn simulated() -> Place {
     place
 }
 
-/// The rows of a table of returns that belong to a shot, each as its cells by name.
+/// Rows of a table of returns for one shot, as cells by name.
 fn rows_of(table: &str, shot: &str) -> Vec<std::collections::BTreeMap<String, String>> {
     let mut lines = table.lines().map(|line| line.split(',').map(str::to_owned));
     let heads: Vec<String> = lines.next().unwrap().collect();
@@ -52,13 +53,13 @@ fn rows_of(table: &str, shot: &str) -> Vec<std::collections::BTreeMap<String, St
     rows.filter(|row: &std::collections::BTreeMap<String, String>| row["shot"] == shot).collect()
 }
 
-/// Every element is closed in its order, and every attribute stands in quotation marks.
+/// Asserts that elements are properly nested and attributes are quoted.
 fn assert_well_formed(svg: &str) {
     let mut open: Vec<&str> = Vec::new();
     let mut rest = svg;
     let mut elements = 0;
     while let Some(start) = rest.find('<') {
-        assert!(!rest[..start].contains('>'), "a stray bracket before {}", &rest[start..]);
+        assert!(!rest[..start].contains('>'), "a stray `<` or `>` before {}", &rest[start..]);
         let end = start + rest[start..].find('>').unwrap();
         let tag = &rest[start + 1..end];
         match tag.strip_prefix('/') {
@@ -128,19 +129,19 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
         assert!(svg.contains(text), "{text}");
     }
 
-    // What it calibrates by itself from the same waveforms is what the run has saved.
+    // Calibration from the same waveforms gives the model that the run saved.
     let (code, by_itself, err) = explain(&place, &["out/flight.arrow", "--shot", shot]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     let name = format!("flight_shot_{shot}.svg");
     assert_eq!(by_itself, out.replace("picture.svg", &name));
     assert_eq!(place.text(&name), svg);
 
-    // Points alone cannot be explained.
+    // Points without waveforms cannot be explained.
     let message = "out/flight.las: byte 104: point data record format: no waveforms in point data format 6; \
                    export the flight with waveforms, as LAS point format 4, 5, 9 or 10";
     refused(&place, &["out/flight.las", "--shot", shot], 1, message);
 
-    // The time of the shot leads to it, and the keys of a job count.
+    // The time of the shot selects it, and the keys of a job apply.
     let time = rows[0]["gps_time_s"].clone();
     let (code, by_time, _) = explain(&place, &["out/flight.arrow", "--time", &time, "--job", "job.toml"]);
     assert_eq!((code, by_time), (Some(0), by_itself));
@@ -151,7 +152,7 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
     assert!(none.contains(nothing) && !out.contains(nothing), "{none}");
 }
 
-/// Shots with one echo each, but for the third, which has only an outgoing pulse.
+/// Shots with one echo each, except the third, which has only an outgoing pulse.
 fn by_hand(timed: bool) -> Vec<u8> {
     let block = |shot: usize| shots::echo(shot).into_iter().map(u16::from).collect::<Vec<u16>>();
     let shot = |number: usize| Shot {
@@ -165,16 +166,16 @@ fn by_hand(timed: bool) -> Vec<u8> {
 fn what_cannot_be_explained_is_said() {
     let place =
         Place::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.dat", b"")]);
-    let message = "a.arrow: there is no shot 99; its 260 shots have the numbers 100 to 359";
+    let message = "a.arrow: no shot 99; the 260 shots are numbered 100 to 359";
     refused(&place, &["-q", "a.arrow", "--shot", "99"], 2, message);
-    let message = "--out a.arrow: the picture is SVG: give it a name that ends in .svg";
+    let message = "--out a.arrow: the picture is SVG; give a name that ends in .svg";
     refused(&place, &["a.arrow", "--shot", "101", "--out", "a.arrow"], 2, message);
     let message = "a.arrow: shot 102 has no recorded echoes; choose another one";
     refused(&place, &["-q", "a.arrow", "--shot", "102"], 2, message);
-    let message = "timeless.arrow: its shots have no times; choose one with --shot";
+    let message = "timeless.arrow: its shots have no times; select one with --shot";
     refused(&place, &["-q", "timeless.arrow", "--time", "1"], 2, message);
-    let message = "a.dat: the name does not say what kind of recording this is; \
-                   an input ends in .las, .laz, .pls, .sdf, .wfm or .arrow";
+    let message =
+        "a.dat: unknown recording format; supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow";
     refused(&place, &["a.dat", "--shot", "1"], 2, message);
     place.write("short.toml", b"[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n");
     let message = "short.toml: the job has no stage `calibrate`; add one";

@@ -1,5 +1,7 @@
-//! Files that are made from the code. A test that finds one out of date writes it anew, and fails, so that the new file
-//! is looked at and committed.
+//! Files generated from the code.
+//!
+//! A test that finds an outdated file rewrites it and fails, so that the new file is reviewed and
+//! committed.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use std::fs;
@@ -14,15 +16,15 @@ use wavex::kernels::sensor_model::SensorModel;
 use wavex::registry::{STAGES, find};
 use wavex::stages::write_lstat;
 
-/// Writes a file of the repository where it is not as it should be, and says so.
+/// Rewrites an outdated file of the repository and reports it.
 fn check(name: &str, expected: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
-    // A checkout may end lines in another way; a missing file is an empty one.
+    // A checkout may use other line endings; a missing file is treated as empty.
     let found = fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n");
     if found != expected {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, expected).unwrap();
-        panic!("{name} was out of date and has been written anew: look at it and commit it");
+        panic!("{name} was outdated and has been rewritten: review and commit it");
     }
 }
 
@@ -87,7 +89,7 @@ fn every_stage_and_every_key_says_what_it_is_for() {
 #[test]
 fn names_of_stages_are_unique_and_those_they_need_exist() {
     for (at, spec) in STAGES.iter().enumerate() {
-        assert!(STAGES[..at].iter().all(|other| other.name != spec.name), "{} stands twice", spec.name);
+        assert!(STAGES[..at].iter().all(|other| other.name != spec.name), "{} is listed twice", spec.name);
         assert_ne!(spec.name, "job", "`--set job.KEY` means the table [job]");
         for needed in spec.after {
             assert!(find(needed).is_some(), "{} needs `{needed}`, which does not exist", spec.name);

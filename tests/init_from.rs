@@ -1,4 +1,4 @@
-//! `wavex init --from` and `wavex calibrate`: a job, and a model, for a recording that is there.
+//! `wavex init --from` and `wavex calibrate` on existing recordings.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -19,7 +19,7 @@ fn wavex(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
 
-/// The job for a recording of a folder, which must pass `check` without a warning.
+/// Job for a recording of a folder; must pass `check` without a warning.
 #[track_caller]
 fn job_for(place: &Place, recording: &str) -> String {
     let job = "flight.toml";
@@ -29,11 +29,11 @@ fn job_for(place: &Place, recording: &str) -> String {
     assert!(out.starts_with("wrote flight.toml\n"), "{out}");
     let (code, out, err) = wavex(place, &["check", job]);
     assert_eq!((code, err.as_str()), (Some(0), ""), "{recording}");
-    assert!(out.starts_with("flight.toml fits\n") && !out.contains("warning"), "{out}");
+    assert!(out.starts_with("flight.toml is valid\n") && !out.contains("warning"), "{out}");
     place.text(job)
 }
 
-/// The stages of a job, in order.
+/// Stages of a job, in order.
 fn stages(text: &str) -> Vec<String> {
     let table: toml::Table = toml::from_str(text).unwrap();
     let stages = table["stage"].as_array().unwrap().iter();
@@ -65,7 +65,7 @@ fn las_and_pulsewaves_have_their_jobs() {
         "{text}"
     );
     assert_eq!(stages(&text)[..5], ["read_sdf", "resolve_mta", "fuse_channels", "calibrate", "decompose"]);
-    // A job elsewhere finds the recording all the same.
+    // A job in another folder also finds the recording.
     fs::create_dir(place.path("jobs")).unwrap();
     let (code, _, err) = wavex(&place, &["-q", "init", "--from", "b.pls", "jobs/b.toml"]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
@@ -74,7 +74,7 @@ fn las_and_pulsewaves_have_their_jobs() {
     assert!(place.path("jobs/job.schema.json").is_file());
 }
 
-/// A simulated container: as an instrument records it, with its trajectory beside it, or in a map.
+/// A simulated container: as recorded with a trajectory, or in map coordinates.
 fn simulated(keys: &str) -> Place {
     let place = Place::new();
     let job = format!(
@@ -133,7 +133,7 @@ fn a_schema_that_is_there_stays() {
     let place = Place::with(&[("job.schema.json", b"mine")]);
     let (code, out, _) = wavex(&place, &["init", "a.toml"]);
     assert_eq!(code, Some(0));
-    assert!(out.contains("job.schema.json exists already and stays as it is\n"), "{out}");
+    assert!(out.contains("kept the existing job.schema.json\n"), "{out}");
     assert_eq!(place.text("job.schema.json"), "mine");
 }
 
@@ -148,12 +148,12 @@ fn a_model_is_saved_and_serves_another_recording() {
         "{out}"
     );
     assert!(!place.path("report.json").exists() && !place.path("wavex.log").exists());
-    // Ten waveforms are too few to calibrate from.
+    // Ten waveforms are too few for calibration.
     let job = "[[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'calibrate'\nload = 'model.json'\n\
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\n";
     assert_eq!(place.run(job).code, Some(0));
     let (code, _, err) = wavex(&place, &["calibrate", "out/a.arrow", "--save-preset", "model.txt"]);
-    let expected = "error: --save-preset model.txt: a model is JSON: give a name that ends in .json\n";
+    let expected = "error: --save-preset model.txt: a sensor model is JSON; give a name that ends in .json\n";
     assert_eq!((code, err.as_str()), (Some(2), expected));
 }
 

@@ -1,4 +1,4 @@
-//! Jobs that fit: what is made of them.
+//! Valid jobs.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use proptest::prelude::*;
@@ -109,10 +109,7 @@ fn a_job_without_settings_has_the_defaults() {
 #[test]
 fn a_job_that_writes_nothing_is_noted() {
     let job = parse("[[stage]]\ntype = \"simulate\"\n", &[]);
-    assert_eq!(
-        job.notes,
-        ["no stage of this job writes a file: a run counts and measures, and leaves only its report"]
-    );
+    assert_eq!(job.notes, ["no stage of this job writes a file: a run produces only the report"]);
 }
 
 #[test]
@@ -159,7 +156,7 @@ fn overrides_set_what_the_text_says_and_what_it_does_not() {
     assert_eq!(resolved("georeference")["control"], json!([]));
     assert_eq!(resolved("read_las")["path"], json!(["c*.las"]));
     assert_eq!(resolved("write_lstat-2")["path"], json!("*_after.txt"));
-    assert_eq!(job.text, FULL, "the text stays as it was written");
+    assert_eq!(job.text, FULL, "the text is kept as written");
 }
 
 #[test]
@@ -192,7 +189,7 @@ fn the_example_is_a_job_that_fits() {
     assert_eq!(ids(&job), stages);
 }
 
-/// The example with every key that it shows as a comment.
+/// The example with all its commented keys enabled.
 fn uncommented(example: &str) -> String {
     let key = |line: &str| match line.strip_prefix('#') {
         Some(key) if key.starts_with(|first: char| first.is_ascii_lowercase()) => key.to_owned(),
@@ -216,21 +213,21 @@ fn the_example_shows_the_defaults_as_they_are() {
 fn the_example_in_full() {
     let expected = r#"
 [job]
-# How many threads work in the pools of `decompose` and its like; 0: as many as the machine has cores.
+# Number of worker threads of each parallel stage such as `decompose`; 0: one per core.
 #threads = 0
-# A bound on the memory taken by the scan lines that are under way, MB.
+# Memory limit of all scan lines in the pipeline, MB.
 #memory_mb = 1024
-# How many scan lines may wait between two stages.
+# Maximum number of scan lines that wait between two stages.
 #channel_capacity = 16
-# The processor's instructions that the fast kernels use.
+# SIMD instructions of the fast kernels.
 #simd = "auto"
-# The report of the run (JSON), in the folder of the outputs; empty: none.
+# Report of the run (JSON) in the output folder; empty: none.
 #report = "report.json"
-# The report as a page that browsers show and print (HTML, one file), in the folder of the outputs: its name, or `true` for `report.html`; `false` or empty: none.
+# Report as a page for browsers and printing (one HTML file) in the output folder: a name, or `true` for `report.html`; `false` or empty: none.
 #report_page = ""
-# The statistics of each input in words, in the folder of the outputs; `*` is the input's stem, needed where there are several inputs; empty: none.
+# Text statistics of each input in the output folder; `*` is replaced by the stem of the input and is required for several inputs; empty: none.
 #stat_log = "*_stat.log"
-# The log of the run, in the folder of the outputs; empty: none.
+# Log of the run in the output folder; empty: none.
 #log = "wavex.log"
 # Not set: include, input_dir, output_dir, geometry
 
@@ -257,7 +254,7 @@ type = "decompose"
     assert!(example.contains(expected), "{example}");
 }
 
-/// The job of this text, with what it includes.
+/// Parses this text with included files.
 fn with_includes(text: &str, files: &[&str], overrides: &[&str]) -> Job {
     let include = |text: &&str| Include { name: "site.toml".into(), text: (*text).to_owned() };
     let includes: Vec<Include> = files.iter().map(include).collect();
@@ -291,10 +288,10 @@ type = 'write_lstat'
     let settings = &job.settings;
     assert_eq!((settings.threads, settings.memory_mb, settings.channel_capacity), (2, 300, 3));
     assert_eq!(settings.geometry.crs.as_deref(), Some("utm"));
-    assert_eq!(settings.geometry.trajectory.as_deref(), Some("a.out"), "tables are filled key by key");
+    assert_eq!(settings.geometry.trajectory.as_deref(), Some("a.out"), "tables are merged key by key");
     let path = |stage: usize| job.stages[stage].planned.resolved["path"].clone();
     assert_eq!((path(2), path(3)), (json!("a.txt"), json!("b.txt")));
     assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(700));
     let job = with_includes(text, &[country, site], &["calibrate.waveforms=800"]);
-    assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(800), "what is set wins over all");
+    assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(800), "overrides take precedence");
 }

@@ -1,9 +1,9 @@
-//! Every job of the repository is whole, and the demo runs.
+//! All jobs of the repository are valid, and the demo runs.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells its figures"
+    reason = "a test fails by panicking and prints its figures"
 )]
 
 #[path = "common/recordings.rs"]

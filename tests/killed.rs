@@ -1,4 +1,4 @@
-//! Runs that end by force: no file under a final name that is not whole, and the next run needs no cleaning by hand.
+//! Killed runs: only complete files have final names, and the next run needs no manual cleanup.
 #![cfg(unix)]
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
@@ -19,7 +19,7 @@ fn succeeded() -> Outcome {
     Outcome { code: Some(0), err: String::new() }
 }
 
-/// A flight with its job, and what the job makes of it.
+/// A flight with its job, and the expected outputs.
 fn place() -> (Place, BTreeMap<String, Vec<u8>>) {
     let place = flight();
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{STAGES}").as_bytes());
@@ -29,7 +29,7 @@ fn place() -> (Place, BTreeMap<String, Vec<u8>>) {
     (place, whole)
 }
 
-/// What has a final name in the folder of outputs, besides log and report.
+/// Files with final names in the output folder, except log and report.
 fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
     let mut files = files(&place.path("out"));
     let is_about_the_run =
@@ -38,13 +38,13 @@ fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
     files
 }
 
-/// Whatever has a final name is whole.
+/// Asserts that all files with final names are complete.
 fn is_whole(place: &Place, whole: &BTreeMap<String, Vec<u8>>) {
     for (name, bytes) in products(place) {
-        assert!(whole[&name] == bytes, "{name} is not whole");
+        assert!(whole[&name] == bytes, "{name} is not complete");
     }
     if let Ok(report) = fs::read(place.path("out/report.json")) {
-        serde_json::from_slice::<serde_json::Value>(&report).expect("a report is whole");
+        serde_json::from_slice::<serde_json::Value>(&report).expect("a report is complete");
     }
 }
 
@@ -56,7 +56,7 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Removes what has a final name in a folder; on request also what has not.
+/// Removes finished files from a folder; with `all`, also unfinished ones.
 fn clear(folder: &Path, all: bool) {
     for name in names(folder).iter().filter(|name| all || !name.starts_with('.')) {
         fs::remove_file(folder.join(name)).unwrap();
@@ -84,7 +84,7 @@ fn a_run_killed_at_any_moment_leaves_whole_files_only() {
     let (mut killed, mut begun, mut random) = (0, 0, 12345u64);
     for attempt in 0..KILLS {
         clear(&place.path("out"), attempt % 2 == 0);
-        // Constants of Knuth's MMIX.
+        // Constants of Knuth's MMIX generator.
         random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let mut child = spawn(&place, &["--archive", &format!("archives/{attempt}")]);
         std::thread::sleep(duration.mul_f64((random >> 40) as f64 / f64::from(1 << 24)));
@@ -98,18 +98,18 @@ fn a_run_killed_at_any_moment_leaves_whole_files_only() {
     assert!(killed > 0);
     for name in names(&place.path("archives")).iter().filter(|name| !name.starts_with('.')) {
         let archive = format!("archives/{name}");
-        // Its outputs may have gone with the next attempt: the archive itself is sealed.
+        // The next attempt may have removed its outputs; the archive itself is sealed.
         let (_, err) = wavex(&place, &["verify", &archive]);
         assert!(err.lines().skip(1).all(|line| line.trim_start().starts_with("output ")), "{err}");
     }
 
     assert_eq!(run(&place, &["--archive", "archives/last"]), succeeded());
-    assert!(products(&place) == whole, "the next run makes everything");
+    assert!(products(&place) == whole, "the next run makes all outputs");
     assert_eq!(wavex(&place, &["verify", "archives/last"]), (Some(0), String::new()));
     let unfinished = |folder: &str| {
         names(&place.path(folder)).into_iter().filter(|name| name.starts_with('.')).collect::<Vec<_>>()
     };
-    assert_eq!(unfinished("archives"), Vec::<String>::new(), "what dead runs left is swept up");
+    assert_eq!(unfinished("archives"), Vec::<String>::new(), "remains of dead runs are removed");
     assert_eq!(unfinished("out"), Vec::<String>::new());
 }
 
@@ -133,11 +133,11 @@ fn leavings_of_killed_runs_are_swept_up_by_the_next() {
     assert!(names(&place.path("archives")).iter().all(|name| !name.starts_with('.')));
 }
 
-/// Waits until something is so, which it is sooner or later.
+/// Waits for a condition that becomes true eventually.
 fn wait_for(mut so: impl FnMut() -> bool) {
     let started = Instant::now();
     while !so() {
-        assert!(started.elapsed() < Duration::from_secs(60), "it never comes");
+        assert!(started.elapsed() < Duration::from_secs(60), "the condition never became true");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
@@ -149,7 +149,7 @@ fn a_full_disk_leaves_whole_files_only() {
     let mut failed = 0;
     for blocks in [1, 20, largest / 4, largest / 2, largest - 1, 10 * largest] {
         fs::remove_dir_all(place.path("out")).unwrap();
-        // No file may grow beyond so many blocks of 512 bytes: as on a disk that is full, writing fails.
+        // A limit on file size in blocks of 512 bytes: writing fails as on a full disk.
         let mut command = Command::new("sh");
         command.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" --quiet run job.toml --archive archives/{blocks}")]);
         let output = command.arg(env!("CARGO_BIN_EXE_wavex")).current_dir(place.path("")).output().unwrap();
@@ -168,12 +168,12 @@ fn a_full_disk_leaves_whole_files_only() {
             );
         }
     }
-    assert!(failed >= 3, "{failed} of 6 runs ran out of room");
+    assert!(failed >= 3, "{failed} of 6 runs ran out of disk space");
     assert_eq!(run(&place, &[]), succeeded());
     assert!(products(&place) == whole);
 }
 
-/// A job that goes on for a while: many lines, written as they come.
+/// A job that runs for a while: many lines, written as they arrive.
 const LONG: &str = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'simulate'\nlines = 4000\nshots_per_line = 200\n\
                     [[stage]]\ntype = 'write_arrow'\n";
 
@@ -190,7 +190,7 @@ fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
     let output = child.wait_with_output().unwrap();
     let err = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{err}");
-    assert!(err.contains("simulated.arrow: cannot give the final name to: "), "{err}");
+    assert!(err.contains("simulated.arrow: cannot rename to the final name: "), "{err}");
     assert_eq!(names(&place.path("out")), Vec::<String>::new());
     assert_eq!(run(&place, &[]), succeeded());
     assert_eq!(
@@ -210,18 +210,17 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
     assert_eq!(second.code, Some(1), "{}", second.err);
     let process = first.id();
     let problem = format!(
-        "error: ./out/report.json is being written by another run (process {process}); \
-         wait for its end, or choose another folder with `output_dir`\n"
+        "error: ./out/report.json is being written by another run (process {process}); wait until it ends, or choose another folder with `output_dir`\n"
     );
     assert_eq!(second.err, problem);
-    // Without a report and a log of its own it is the output that both want.
+    // Without a report and a log, both runs conflict on the output itself.
     let silent = run(
         &place,
         &[&shorter[..], &["--set", "job.report=''", "--set", "job.log=''", "--set", "job.stat_log=''"]]
             .concat(),
     );
     assert!(silent.err.contains("out/simulated.arrow is being written by another run"), "{}", silent.err);
-    // Others run: into another folder, and into this one under another name.
+    // Other runs succeed: to another folder, and to this folder under another name.
     assert_eq!(run(&place, &[&shorter[..], &["--set", "job.output_dir=elsewhere"]].concat()), succeeded());
     let other_names = [
         "--set",
@@ -236,7 +235,7 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
     assert_eq!(run(&place, &[&shorter[..], &other_names].concat()), succeeded());
     first.kill().unwrap();
     first.wait().unwrap();
-    assert_eq!(run(&place, &shorter), succeeded(), "a run that was killed holds nothing");
+    assert_eq!(run(&place, &shorter), succeeded(), "a killed run holds no lock");
     let expected =
         ["b.arrow", "b.json", "b.log", "report.json", "simulated.arrow", "simulated_stat.log", "wavex.log"];
     assert_eq!(names(&place.path("out")), expected);

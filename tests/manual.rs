@@ -1,4 +1,4 @@
-//! The schema and the manual of a small list of stages.
+//! Schema and manual of a small list of stages.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use serde_json::{Value, json};
@@ -6,7 +6,7 @@ use wavex::job::{job_schema, manual, manual_of, summary};
 
 mod stages;
 
-/// The schema of one stage.
+/// Schema of one stage.
 fn stage<'s>(schema: &'s Value, name: &str) -> &'s Value {
     let stages = schema["properties"]["stage"]["items"]["oneOf"].as_array().unwrap();
     stages.iter().find(|stage| stage["properties"]["type"]["const"] == name).unwrap()
@@ -39,8 +39,7 @@ fn the_schema_carries_meanings_limits_and_defaults() {
     assert_eq!(
         schema["properties"]["job"]["properties"]["input_dir"],
         json!({
-            "description": "Where relative input paths start; the job file's folder when not given. \
-                            A relative one starts there, too.",
+            "description": "Folder of relative input paths; relative to the job file's folder, which is the default.",
             "type": "string",
             "x-file": "input_folder",
         })
@@ -61,7 +60,7 @@ Reads waveforms from LAS files. Blocks stay with their shot.
 
 Point formats 4, 5, 9 and 10.
 
-  path (text or a list of texts; must be given)
+  path (text or a list of texts; required)
       The files to read, one run each.
 
   time_s (a list of 2 numbers, in s)
@@ -71,7 +70,7 @@ Point formats 4, 5, 9 and 10.
     let decompose = manual_of(&stages::DECOMPOSE);
     assert!(
         decompose
-            .starts_with("decompose: A map: takes Shots, makes Returns; needs `calibrate` before it\n\n"),
+            .starts_with("decompose: A map: takes Shots, makes Returns; requires `calibrate` before it\n\n"),
         "{decompose}"
     );
     let first_key = "\n  detection_sigma (a number, at least 1 and at most 100; default 4.5)\n      How far";
@@ -87,7 +86,9 @@ fn the_manual_has_a_table_of_stages_and_one_of_keys_for_each() {
     contains(
         "| [`write_lstat`](#write_lstat) | sink | Shots, Returns or Points | Writes a row per line. |\n",
     );
-    contains("| `memory_mb` | a whole number, at least 64 and at most 1000000000 | `1024` | MB | A bound on");
+    contains(
+        "| `memory_mb` | a whole number, at least 64 and at most 1000000000 | `1024` | MB | Memory limit",
+    );
     contains(
         "\n## `calibrate`\n\nA transform: takes Shots and keeps the kind.\n\n\
          Learns the sensor from the first waveforms.\n\n\
@@ -95,7 +96,7 @@ fn the_manual_has_a_table_of_stages_and_one_of_keys_for_each() {
          | `waveforms` | a whole number, at least 200 | `100000` |  | How many waveforms to learn from. |\n\
          | `background` | \"auto\" or \"per_waveform\" | `\"auto\"` |  | How the background is found. |\n",
     );
-    contains("| `path` | text or a list of texts | must be given |  | The files to read, one run each. |\n");
+    contains("| `path` | text or a list of texts | required |  | The files to read, one run each. |\n");
     contains("| `time_s` | a list of 2 numbers | none | s | First and last second to read. |\n");
     contains("standard deviations \\| of the noise.");
 }
@@ -105,7 +106,7 @@ fn a_summary_is_the_first_sentence() {
     assert_eq!(summary(&stages::READ_LAS), "Reads waveforms from LAS files.");
 }
 
-/// Every test that the table of errors names is there.
+/// All tests named in the table of errors exist.
 #[test]
 fn the_table_of_errors_names_tests_that_there_are() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -1,4 +1,4 @@
-//! The instrument's own returns: when they become points, and how they compare with computed ones.
+//! Instrument returns: when they become points, and comparison with computed ones.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -20,7 +20,8 @@ const SHOTS: usize = 320;
 const WITHOUT: usize = SHOTS / 10;
 const START_NS: f64 = 4000.0;
 
-/// Each shot has an own return 0.25 ns behind its echo with twice its height; those without a waveform have two.
+/// Each shot has an instrument return 0.25 ns after its echo with twice its amplitude; shots
+/// without a waveform have two.
 fn recording(zone: Option<i16>) -> Place {
     let header = ContainerHeader {
         time_scale: TimeScale::Week,
@@ -76,7 +77,7 @@ fn job(keys: &str) -> String {
 
 type Row = BTreeMap<String, String>;
 
-/// The rows of the table and the input's part of the report.
+/// Rows of the table, and the input's part of the report.
 #[track_caller]
 fn run(keys: &str) -> (Vec<Row>, serde_json::Value) {
     let place = recording(Some(0));
@@ -105,7 +106,7 @@ fn shots_without_a_waveform_have_the_instruments_returns() {
     assert_eq!(own.len(), 2 * WITHOUT);
     assert_eq!(report["totals"]["np_online"], 2 * WITHOUT);
     assert_eq!(report["totals"]["nw"], SHOTS - WITHOUT);
-    // In order of time, with the instrument's amplitude, and with what is not known as such.
+    // Sorted by time, with the instrument's amplitude; unknown attributes are missing.
     let (first, second) = (own[0], own[1]);
     assert_eq!((number(first, "return_number"), number(second, "return_number")), (1.0, 2.0));
     assert_eq!(number(first, "number_of_returns"), 2.0);
@@ -114,7 +115,7 @@ fn shots_without_a_waveform_have_the_instruments_returns() {
     assert_eq!(number(first, "range_sd_m"), 0.255);
     let unknown = ["width_ratio", "amplitude_dn", "amplitude_sd_dn", "intensity_sd", "deviation_ratio"];
     assert!(unknown.iter().all(|column| number(first, column).is_nan()), "{first:?}");
-    // Corrected for range as any other.
+    // Corrected for range like any other return.
     let by_range = (range_m / 1000.0).powi(2);
     assert!((number(first, "intensity") / (120.0 * by_range) - 1.0).abs() < 1e-6, "{first:?}");
     let shots: Vec<f64> = rows.iter().map(|row| number(row, "gps_time_s")).collect();

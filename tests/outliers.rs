@@ -1,4 +1,4 @@
-//! Outliers of simulated scenes: how many false returns `filter_outliers` tells, and how many true ones it takes for them.
+//! `filter_outliers` on simulated scenes: detected false returns and wrongly marked true ones.
 #![allow(missing_docs, clippy::expect_used, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 #[path = "common/false_returns.rs"]
@@ -27,7 +27,7 @@ fn false_returns_are_told_and_true_ones_kept() {
         assert!(score.lost(None) <= 0.1, "{}", scene.name);
         assert!(score.lost(Some("roof")) <= 0.1, "{}", scene.name);
         assert!(cx.counters().notes.is_empty());
-        // Marked and rejected returns are counted, and every return is somewhere.
+        // Marked and rejected returns are counted, and no return is lost.
         let total = |of: fn(&Batch) -> u64| lines.iter().map(of).sum::<u64>();
         let told: usize = [score.outliers, score.among].iter().map(|[_, told]| told).sum();
         let lost: usize = score.true_returns.values().map(|[_, lost]| lost).sum();
@@ -43,7 +43,8 @@ fn false_returns_are_told_and_true_ones_kept() {
     }
 }
 
-/// The sides on which false returns lie are told: those above the highest ground and house are air points.
+/// The side of false returns is identified: those above the highest ground and house are air
+/// points.
 #[test]
 fn low_points_are_low_and_air_points_are_in_the_air() {
     let flight = fly(&SCENES[0], 5);
@@ -62,7 +63,7 @@ fn low_points_are_low_and_air_points_are_in_the_air() {
     assert!(air > 200 && low > 20, "{air} {low}");
 }
 
-/// The whole chain: false returns as weak as a recording has them, found in waveforms.
+/// The whole chain: false returns as weak as in real recordings, found in waveforms.
 #[test]
 fn false_returns_of_waveforms_are_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -100,7 +101,7 @@ fn false_returns_of_waveforms_are_told() {
     let is_at = |row: &[String], other: &[String]| {
         row[0] == other[0] && (number(&row[1]) - number(&other[1])).abs() < 0.3
     };
-    // Ground lies at 400 m, wood and building reach 20 m above it.
+    // Ground is at 400 m; wood and building are up to 20 m higher.
     let is_off = |row: &&Vec<String>| row[2] == "false_alarm" && !(390.0..430.0).contains(&number(&row[3]));
     let off: Vec<&Vec<String>> = truth.iter().filter(is_off).collect();
     let left = off.iter().filter(|row| found.iter().filter(kept).any(|other| is_at(row, other))).count();

@@ -1,4 +1,5 @@
-//! Systems that only the library PROJ has (feature `proj`), against PROJ 9.5.1 through pyproj 3.7.2, without its grids.
+//! Systems supported only by the library PROJ (feature `proj`), against PROJ 9.5.1 through pyproj
+//! 3.7.2, without grids.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
@@ -14,7 +15,7 @@ fn crs(named: &Named, unit: Option<Unit>) -> Crs {
     Crs::new(named, place(0.0, 0.0, 0.0), None, unit).unwrap()
 }
 
-/// Datum shifts in three dimensions: at 4000 m, those of the ground would be 6 cm off.
+/// Three-dimensional datum shifts: at 4000 m, a shift computed at ground level would be 6 cm off.
 const PLACES: [(u32, [f64; 3], [f64; 2]); 7] = [
     (27700, [-1.5, 52.2, 100.0], [434_269.900_571_9, 255_869.773_312_9]),
     (27700, [-4.2, 57.5, 1200.0], [268_260.985_366_1, 847_667.878_752_4]),
@@ -22,7 +23,7 @@ const PLACES: [(u32, [f64; 3], [f64; 2]); 7] = [
     (23032, [11.0, 44.0, 2500.0], [660_431.836_867_8, 4_874_013.988_484_6]),
     (2056, [7.5, 46.9, 600.0], [2_604_676.036_308_2, 1_194_322.875_148_0]),
     (2056, [9.8, 46.5, 4000.0], [2_781_243.473_501_7, 1_152_581.480_039_4]),
-    // Westings and southings, as the system has them.
+    // Westings and southings, as the system defines them.
     (2048, [18.9, -33.9, 300.0], [9_249.292_055_9, 3_752_573.795_700_7]),
 ];
 

@@ -1,9 +1,9 @@
-//! Real recordings, against what others made of them. Run with `WAVEX_DATA` set; skipped, loudly, without.
+//! Real recordings against the results of others. Skipped with a notice unless `WAVEX_DATA` is set.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells its figures"
+    reason = "a test fails by panicking and prints its figures"
 )]
 
 #[path = "common/agreement.rs"]
@@ -32,16 +32,16 @@ use vendor_free::{
     EvenOddScores, Recording, Single, Superposition, left_beside_strong_echoes, tail_statistics,
 };
 
-/// Settings that tell about what RIEGL's own program tells.
+/// Settings that report about the same returns as RIEGL's own program.
 const VENDOR_LIKE: [&str; 2] = ["decompose.split_evidence=false", "decompose.template_error=0.0075"];
 
-/// RIEGL's own returns of the Q680i recording, and ours of one route.
+/// RIEGL's own returns of the Q680i recording, and ours by one reader.
 struct Comparison {
     vendor: Table,
     ours: Table,
 }
 
-/// A return of RIEGL's and the nearest one of ours of the same pulse: indices into the tables.
+/// One of RIEGL's returns and our nearest return of the same pulse: indices into the tables.
 struct Pair {
     vendor: usize,
     ours: usize,
@@ -58,7 +58,7 @@ impl Comparison {
         }
     }
 
-    /// Each of RIEGL's returns that `wanted` names, with the nearest of ours.
+    /// Pairs each of RIEGL's returns selected by `wanted` with our nearest one.
     fn pairs(&self, wanted: impl Fn(usize) -> bool) -> Vec<Pair> {
         let pulse = self.vendor.column("pulse_index");
         let shot = self.ours.column("shot");
@@ -111,7 +111,7 @@ fn single_returns_agree_with_riegl_in_time_amplitude_and_width() {
     assert!(median_ns.abs() <= 0.1 && sd_ns <= 0.15, "{median_ns} ns, {sd_ns} ns");
 }
 
-/// The job with the stage `correct`, with these keys.
+/// The job with the stage `correct` and these keys.
 fn corrected(data: &Path, keys: &str) -> (Comparison, engine::InputReport) {
     let job = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs/q680i_pulsewaves.toml");
     let stage = format!("[[stage]]\ntype = \"correct\"\n{keys}\n[[stage]]\ntype = \"georeference\"");
@@ -139,7 +139,7 @@ fn amplitudes_by_the_instruments_tables_are_riegls() {
         println!("{name}: median {median_db:.4} dB (goal 0.05), robust standard deviation {sd_db:.4} dB");
         assert!(median_db.abs() <= 0.05 && sd_db <= 0.03, "{median_db} dB, {sd_db} dB");
     }
-    // The file's numbers are rounded to six digits.
+    // Numbers in the file are rounded to six digits.
     let [own_intensity, file_intensity] = [&own, &from_file].map(|c| c.ours.column("intensity"));
     let same = own_intensity.iter().zip(&file_intensity).all(|(a, b)| (a / b - 1.0).abs() < 1e-5);
     assert!(same && own_intensity.len() == file_intensity.len());
@@ -209,7 +209,7 @@ fn a_recording_of_sixteen_thousand_pulses_comes_through_whole() {
     assert_eq!(report.totals["nw_deleted"], 0);
     assert_eq!(report.emission_reference.as_deref(), Some("outgoing_pulse_fraction"));
     let velocity_mps = report.group_velocity_mps.unwrap();
-    // RIEGL's own, by the step of the durations in the file: 299 713 794 +- 18 m/s.
+    // RIEGL's own value, from the resolution of the durations in the file: 299 713 794 +- 18 m/s.
     assert!((velocity_mps / 299_713_794.0 - 1.0).abs() < 5e-5, "{velocity_mps}");
     let low_power = report.sensor_model.unwrap().low_power.unwrap();
     println!("noise {:.3} DN, lag 1 {:.3}", low_power.noise_sd_dn, low_power.autocorrelation[0]);
@@ -232,7 +232,7 @@ fn las_and_pulsewaves_give_the_same_low_power_samples() {
     assert!(las.iter().all(|block| others.any(|other| other == block)), "sample for sample, in order");
 }
 
-/// What one setting makes of the Q680i recording, beside RIEGL's returns.
+/// Comparison with RIEGL's returns for one setting on the Q680i recording.
 fn agreement(data: &Path, set: &[&str]) -> Vec<agreement::Pulse> {
     agreement_in(tempfile::tempdir().unwrap().path(), data, set)
 }
@@ -250,8 +250,8 @@ fn agreement_in(out: &Path, data: &Path, set: &[&str]) -> Vec<agreement::Pulse> 
     agreement::pulses(&vendor, &ours)
 }
 
-/// RIEGL's returns that are missed, ours that are extra, and those of them that stand where the receiver's after-pulse
-/// does, as parts of RIEGL's returns.
+/// As fractions of RIEGL's returns: missed, extra, and extra at the position of the receiver's
+/// after-pulse.
 fn missed_and_extra(pulses: &[agreement::Pulse]) -> [f64; 3] {
     let vendor: usize = pulses.iter().map(|pulse| pulse.vendor.len()).sum();
     let missed = pulses.iter().flat_map(agreement::Pulse::missed).count();
@@ -265,8 +265,10 @@ fn missed_and_extra(pulses: &[agreement::Pulse]) -> [f64; 3] {
     [missed, extra, after].map(|count| count as f64 / vendor as f64)
 }
 
-/// RIEGL's missed returns that are none of its own after-pulses (at most 0.6 dB, 7.5 to 14 ns behind an echo 10 dB stronger), and
-/// ours that are extra behind echoes that overdrive the receiver, as parts of RIEGL's returns.
+/// As fractions of RIEGL's returns: missed ones that are not after-pulses, and extra ones after
+/// overdriving echoes.
+///
+/// After-pulses are returns of at most 0.6 dB, 7.5 to 14 ns after an echo that is 10 dB stronger.
 fn missed_echoes_and_overdriven(pulses: &[agreement::Pulse]) -> [f64; 2] {
     let vendor: usize = pulses.iter().map(|pulse| pulse.vendor.len()).sum();
     let is_after_pulse = |pulse: &agreement::Pulse, echo: &agreement::Echo| {
@@ -310,13 +312,15 @@ fn returns_are_riegls_and_few_more() {
         assert!(missed <= 0.007 && after <= 0.0015);
     }
     assert!(by_default[1] <= 0.055);
-    // The goal of 3 % is not reached at 4.5: what is left are echoes, see the next test. It is 4.05 %, and shall not rise.
+    // The goal of 3 % is not reached at 4.5: the rest are real echoes, see the next test. It is
+    // 4.05 % and must not rise.
     assert!(vendor_like[1] <= 0.042 && at_six[1] <= 0.03);
 }
 
-/// What a wrong response or noise makes stands at the same distances from strong echoes everywhere; what is an echo stands where
-/// the pulses beside it hit, too: RIEGL's returns of other pulses, which have nothing of this waveform, tell the two apart. And
-/// what other pulses hit, too close to the ground for RIEGL to tell, stands in a line.
+/// Errors of response or noise appear at fixed distances from strong echoes. Real echoes appear
+/// where neighbouring pulses hit as well: RIEGL's returns of other pulses, which share nothing with
+/// this waveform, separate the two cases. Objects hit by other pulses too close to the ground for
+/// RIEGL to separate form a line.
 #[test]
 fn returns_beside_riegls_stand_where_other_pulses_hit() {
     let Some(data) = data() else { return };
@@ -324,7 +328,7 @@ fn returns_beside_riegls_stand_where_other_pulses_hit() {
         let pulses = agreement(&data, set);
         let vendor: usize = pulses.iter().map(|pulse| pulse.vendor.len()).sum();
         let extras = agreement::extras(&pulses);
-        // One and a half times the distance from one pulse's return to the next one's.
+        // 1.5 times the spacing of returns of consecutive pulses.
         let near_m = 0.5;
         let near = |extra: &agreement::Extra| {
             agreement::to_another_pulse_m(&pulses, extra.pulse, extra.place_m) <= near_m
@@ -356,7 +360,7 @@ fn returns_beside_riegls_stand_where_other_pulses_hit() {
             100.0 * confirmed as f64 / vendor as f64
         );
         assert!(beside as f64 >= 4.0 * chance * extras.len() as f64 && confirmed * 4 >= extras.len() * 3);
-        // Echoes stand close to each other where there is more than one: so do ours beside RIEGL's.
+        // Where there are several echoes, they are close to each other; so are our extra returns.
         let [of_one, of_several] = [true, false].map(|is_one| {
             let of = pulses.iter().filter(|pulse| (pulse.vendor.len() == 1) == is_one);
             of.fold([0; 2], |[extra, count], pulse| [extra + pulse.extra().count(), count + 1])
@@ -369,8 +373,8 @@ fn returns_beside_riegls_stand_where_other_pulses_hit() {
     }
 }
 
-/// An error of the response leaves as many minima beside strong echoes as maxima, an echo leaves none: what minima there are
-/// tells how many of the returns beside RIEGL's a wrong response can have made.
+/// A response error causes as many minima as maxima near strong echoes; a missed echo causes no
+/// minima. The minima therefore bound the number of extra returns due to response errors.
 #[test]
 fn few_of_the_returns_beside_riegls_are_errors_of_the_response() {
     let Some(data) = data() else { return };
@@ -387,7 +391,7 @@ fn few_of_the_returns_beside_riegls_are_errors_of_the_response() {
     }
 }
 
-/// Calibrated on the even pulses, scored on the odd ones, and the other way round.
+/// Calibrated on even pulses and scored on odd ones, and vice versa.
 #[test]
 fn a_model_of_one_half_holds_for_the_other() {
     let Some(data) = data() else { return };
@@ -520,7 +524,7 @@ fn example3(data: &Path) -> &'static Recording {
     RECORDING.get_or_init(|| Recording::of(&data.join("pulsewaves/riegl_example3.pls"), 4))
 }
 
-/// Pairs of a kind: so many tell a standard deviation to 2 %.
+/// Pairs per kind: enough to determine a standard deviation to 2 %.
 const PAIRS: usize = 1200;
 
 #[test]
@@ -562,7 +566,7 @@ fn superposed_echoes_are_told_apart() {
     }
 }
 
-/// Robust spread of the scores of echoes of these heights; half a per cent of it is chance.
+/// Robust SD of the scores of echoes in this amplitude range; 0.5 % of it is chance.
 fn spread_of(scores: &[(f64, f64)], heights: std::ops::Range<f64>) -> f64 {
     let scores: Vec<f64> = scores.iter().filter(|s| heights.contains(&s.0)).map(|s| s.1).collect();
     agreement::spread(&scores)
@@ -626,7 +630,7 @@ fn points_lie_on_planes_and_waveforms_fit() {
     assert!(residuals.all_mm <= 18.0 && residuals.all_mm < residuals.stored_mm, "{}", residuals.all_mm);
 }
 
-/// NEON, Optech Gemini: pulses of 15 ns, blocks that begin on the rise, 250 waveforms.
+/// NEON, Optech Gemini: pulses of 15 ns, blocks that start on the rise, 250 waveforms.
 #[test]
 fn long_pulses_without_free_samples_come_through_unattended() {
     let Some(data) = data() else { return };
@@ -646,7 +650,7 @@ fn long_pulses_without_free_samples_come_through_unattended() {
         100.0 * low_power.pulse_shape_error,
         reference.pulse_fwhm_ns
     );
-    // Where each pulse left, to tell places in the block from times of flight.
+    // Emission times of the pulses, to convert positions in the block to times of flight.
     let mut fitter = OutgoingFitter::new(&reference, 64).unwrap();
     let departures: Vec<f64> = neon::waveforms(&folder.join("outg_1_250.csv"))
         .iter()

@@ -1,9 +1,10 @@
-//! The same job on the same input gives the same bytes, whatever the threads, the queues and the repetition.
+//! The same job on the same input gives the same bytes for any number of threads, queue length and
+//! repetition.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells its figures"
+    reason = "a test fails by panicking and prints its figures"
 )]
 
 use std::collections::BTreeMap;
@@ -52,7 +53,7 @@ type = "write_table"
 path = "*_returns.arrow"
 "#;
 
-/// The digest of every output, by name.
+/// Digests of all outputs, by name.
 fn digests(threads: usize, channel_capacity: usize) -> BTreeMap<String, u64> {
     digests_with(threads, channel_capacity, &[])
 }
@@ -105,7 +106,7 @@ fn the_instructions_in_use_are_reported() {
     }
 }
 
-/// The returns of a small simulated flight, with these keys of `calibrate`, in `folder`.
+/// Returns of a small simulated flight with these keys of `calibrate`, in `folder`.
 fn returns(folder: &std::path::Path, name: &str, calibrate: &str) -> Vec<u8> {
     let text = format!(
         "[[stage]]\ntype = 'simulate'\nlines = 3\nshots_per_line = 120\n[[stage]]\ntype = 'calibrate'\n{calibrate}\n\

@@ -11,7 +11,7 @@ use browser::Look;
 use serde_json::Value;
 use support::{Outcome, Place, outcome};
 
-/// Every element ends, in the order in which they began; gives how often each began.
+/// Asserts that elements are properly nested; returns their counts.
 #[track_caller]
 fn elements(page: &str) -> std::collections::BTreeMap<String, usize> {
     let mut open: Vec<&str> = Vec::new();
@@ -46,7 +46,7 @@ const JOB: &str = "[[stage]]\ntype = 'simulate'\nstem = 'a<b&c'\nlines = 8\nshot
                    [[stage]]\ntype = 'calibrate'\nwaveforms = 600\n[[stage]]\ntype = 'decompose'\n\
                    [[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_las'\npath = '*.las'\n";
 
-/// The job with a page, and more keys of `[job]`; these are the first of its text.
+/// The job with a page and further keys of `[job]`, which come first in its text.
 fn with_page(keys: &str) -> String {
     format!("report_page = 'page.html'\n{keys}\n{JOB}")
 }
@@ -90,11 +90,11 @@ fn the_page_tells_all_of_a_run() {
     let (place, _) = run();
     let page = place.text("out/page.html");
     let headings = [
-        "What was run",
+        "Job with all keys",
         "Warnings",
         "Points by height",
         "Points by intensity",
-        "Swath on the grid of the map",
+        "Swath on the map grid",
         "Waveforms and returns along the flight",
         "Amplitude",
         "Width ratio",
@@ -104,19 +104,19 @@ fn the_page_tells_all_of_a_run() {
         "Overlapping: shot",
         "Saturated: shot",
         "Worst fit: shot",
-        "Where the time went",
+        "Time per stage",
         "System response, low power",
         "Noise, low power",
         "System response, outgoing pulse",
-        "Counts of all lines",
+        "Totals",
         "Sensor model, low power",
-        "Written",
+        "Outputs",
     ];
     for heading in headings {
         assert!(page.contains(&format!(">{heading}")), "{heading}");
     }
 
-    assert!(page.contains("detection_sigma = 4.5"), "keys, every default spelled out");
+    assert!(page.contains("detection_sigma = 4.5"), "all keys with defaults");
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn what_is_normal_is_no_warning() {
     assert_eq!(place.run(&format!("{job}[[stage]]\ntype = 'write_table'\n")), done());
     let page = place.text("out/page.html");
     let (_, rest) = page.split_once("<h2>Warnings</h2>").unwrap();
-    let (warnings, found) = rest.split_once("<h2>Found</h2>").unwrap();
+    let (warnings, found) = rest.split_once("<h2>Findings</h2>").unwrap();
     let found = found.split_once("</section>").unwrap().0;
     let said = "blocks: the sensitive receiver recorded it as well</li>";
     assert!(found.contains("<li><b>decompose</b>: set aside ") && found.contains(said), "{found}");
@@ -189,7 +189,7 @@ fn what_is_gathered_does_not_depend_on_threads() {
     assert_eq!(one, overview("5"));
 }
 
-/// The numbers of the page against those that the run counted.
+/// The numbers of the page equal the counters of the run.
 #[test]
 fn what_is_gathered_adds_up() {
     let (_, report) = run();
@@ -214,7 +214,7 @@ fn what_is_gathered_adds_up() {
     assert_eq!(kinds, ["good", "overlapping", "saturated", "worst"]);
 }
 
-/// Several pulses in the air: shares, the swath by zone, and the clouds of six candidate zones.
+/// Several pulses in the air: shares, the swath by zone, and scatter plots of six candidate zones.
 #[test]
 fn zones_are_shown_where_several_pulses_are_in_the_air() {
     let job = "report_page = 'page.html'\n[[stage]]\ntype = 'simulate'\nlines = 4\nshots_per_line = 240\n\
@@ -246,17 +246,17 @@ fn zones_are_shown_where_several_pulses_are_in_the_air() {
         assert!(page.contains(told), "{told}");
     }
     assert!(page.contains(&format!("zone {most}: ")));
-    // A page made from the report alone is the same.
+    // A page made from the report alone is identical.
     assert_eq!(report_of(&place), page);
 }
 
-/// The page that `wavex report` makes of a run's report.
+/// The page that `wavex report` makes from a run's report.
 fn report_of(place: &Place) -> String {
     assert_eq!(report(place, &["out", "-o", "again.html"]), done());
     place.text("again.html")
 }
 
-/// The waveforms that are shown have the returns that the run wrote, to the last digit.
+/// The waveforms shown have exactly the returns that the run wrote.
 #[test]
 fn the_fits_shown_are_those_of_the_run() {
     let place = Place::new();
@@ -291,7 +291,7 @@ fn a_recording_without_returns_has_a_page_of_its_own() {
     assert_eq!(place.run(job), done());
     let page = place.text("out/page.html");
     assert_eq!(elements(&page)["svg"], 2, "waveforms along the flight, and times");
-    assert!(page.contains("None: no stage had anything to say"));
+    assert!(page.contains("None: no warnings and no rejected items"));
 }
 
 /// Two recordings of one job, each with its part of the page.
@@ -322,9 +322,9 @@ fn a_run_with_several_inputs_has_one_page() {
         let headings = [
             "<h3>Points by height<",
             "<h3>Worst fit: shot ",
-            "<h3>Where the time went",
+            "<h3>Time per stage",
             "<h2>Sensor model, low power",
-            "<h2>Written",
+            "<h2>Outputs",
         ];
         for heading in headings {
             assert_eq!(part.matches(heading).count(), 1, "{heading}");
@@ -358,7 +358,7 @@ fn the_key_asks_for_a_page() {
     assert!(place.text("out/report.html").starts_with("<!DOCTYPE html>"));
 }
 
-/// The page as a browser shows it: readable, with all its pictures, and with nothing to say on the console.
+/// The page in a browser: readable, with all pictures and without console messages.
 #[test]
 fn a_browser_shows_the_page() {
     let Some(browser) = browser::find() else { return };
@@ -372,7 +372,7 @@ fn a_browser_shows_the_page() {
         for nothing in ["empty", "faint", "small", "overlapping", "cut", "loaded"] {
             assert_eq!(found[nothing], serde_json::json!([]), "{look:?}: {nothing}");
         }
-        assert_eq!(found["wide"], false, "{look:?}: it must be scrolled sideways");
+        assert_eq!(found["wide"], false, "{look:?}: the page scrolls horizontally");
         let images = found["images"].as_array().unwrap();
         assert!(images.len() == 2 && images.iter().all(|size| size[0].as_u64() > Some(20)), "{images:?}");
         assert!(found["texts"].as_u64().unwrap() > 200, "{}", found["texts"]);
@@ -384,7 +384,7 @@ fn a_browser_shows_the_page() {
     }
 }
 
-/// What the test above would say of a page that is not as it should be.
+/// The checks of the previous test detect a faulty page.
 #[test]
 fn the_browser_notices_what_is_wrong() {
     let Some(browser) = browser::find() else { return };
@@ -415,8 +415,8 @@ fn what_is_no_report_is_said() {
         let Outcome { code, err } = report(&place, &[path]);
         assert!(code == Some(1) && err.starts_with(&format!("error: {problem}")), "{err}");
     };
-    refused("a.json", "a.json: no report of a run: it has no `inputs`; give the report.json of a run");
-    refused("b.json", "b.json: no report of a run: expected");
-    refused("c.json", "c.json: the overview of \"s\" is none: invalid type: integer `7`");
+    refused("a.json", "a.json: not a report of a run: no `inputs`; give the report.json of a run");
+    refused("b.json", "b.json: not a report of a run: expected");
+    refused("c.json", "c.json: the overview of \"s\" is invalid: invalid type: integer `7`");
     refused("gone.json", "gone.json: cannot open the report: ");
 }

@@ -1,4 +1,4 @@
-//! `wavex scan`: what it says of a recording is what was put into it, and what cannot be read is said.
+//! `wavex scan`: the summary matches the recording, and read errors are reported.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -21,7 +21,7 @@ fn scan(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
 
-/// The summary of a scan that succeeds without a word on standard error.
+/// Summary of a successful scan without messages on standard error.
 #[track_caller]
 fn summary(place: &Place, arguments: &[&str]) -> String {
     let (code, out, err) = scan(place, arguments);
@@ -29,7 +29,7 @@ fn summary(place: &Place, arguments: &[&str]) -> String {
     out
 }
 
-/// What the summary says of something in a section.
+/// Value of a row in a section of the summary.
 #[track_caller]
 fn said<'a>(summary: &'a str, section: &str, name: &str) -> &'a str {
     let from = summary.find(&format!("\n{section}\n")).unwrap_or_else(|| panic!("{section}:\n{summary}"));
@@ -38,7 +38,7 @@ fn said<'a>(summary: &'a str, section: &str, name: &str) -> &'a str {
     found.unwrap_or_else(|| panic!("{section}: {name}:\n{summary}")).trim()
 }
 
-/// The counts of a histogram's file.
+/// Counts of a histogram file.
 fn counts(text: &str) -> Vec<(f64, u64)> {
     let rows = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
     rows.map(|row| row.split_once('\t').unwrap())
@@ -54,7 +54,7 @@ fn files(place: &Place) -> Vec<String> {
     names
 }
 
-/// A recording of the simulator, `out/flight.arrow`.
+/// A simulated recording, `out/flight.arrow`.
 fn simulated(keys: &str) -> Place {
     let place = Place::new();
     let job = format!(
@@ -74,8 +74,8 @@ fn a_simulated_flight_is_told_as_it_was_made() {
     assert_eq!(said(&out, "Times", "gaps within lines"), "none");
     assert_eq!(said(&out, "Times", "clock runs backwards"), "never");
     assert_eq!(said(&out, "Rates", "pulse rate, nominal"), "400000 Hz");
-    // Each pulse leaves up to 15 ns early or late: intervals spread by 30 ns / √6.
-    let modulation = said(&out, "Rates", "modulation of the interval").strip_suffix(" ns rms").unwrap();
+    // Each pulse is up to 15 ns early or late: intervals have an RMS of 30 ns / √6.
+    let modulation = said(&out, "Rates", "modulation of the interval").strip_suffix(" ns RMS").unwrap();
     assert!((modulation.parse::<f64>().unwrap() - 30.0 / 6f64.sqrt()).abs() < 0.3, "{modulation}");
     assert_eq!(said(&out, "Lines", "scan lines"), "20");
     assert_eq!(said(&out, "Lines", "facets"), "4");
@@ -98,13 +98,13 @@ fn a_simulated_flight_is_told_as_it_was_made() {
     let angles = place.text("flight_angles.txt");
     assert!(angles.starts_with("# scan angles: 10000 values, bins 0.25 wide\n# centre of the bin: angle of a shot, degrees\tcount\n"), "{angles}");
     assert_eq!(counts(&angles).iter().map(|bin| bin.1).sum::<u64>(), 10_000);
-    // Straight down the ground is as far away as the aircraft is high.
+    // At nadir, the range to the ground equals the flying height.
     let ranges = counts(&place.text("flight_ranges.txt"));
     assert!(ranges.iter().all(|(centre, _)| (740.0..960.0).contains(centre)), "{:?}", ranges.first());
 
     let page = place.text("flight_scan.html");
     assert!(page.starts_with("<!DOCTYPE html>") && page.contains("prefers-color-scheme:dark"));
-    assert!(!page.contains("<script") && !page.contains("http"), "no script, and nothing from elsewhere");
+    assert!(!page.contains("<script") && !page.contains("http"), "no script or external resource");
     for title in ["amplitudes, low power", "ranges", "echo blocks over time", "angles of ", "shot 0, "] {
         assert!(page.contains(&format!("<h3>{title}")), "{title}");
     }
@@ -123,18 +123,18 @@ fn fast_leaves_the_samples_out_and_says_the_same_else() {
         ("Times", "shots"),
         ("Rates", "pulse rate, measured"),
         ("Echoes", "shots by number of blocks"),
-        ("Channel: low power", "samples of a block"),
+        ("Channel: low power", "samples per block"),
         ("Channel: low power", "first sample after the clock"),
         ("Beams", "scan angles"),
     ] {
         assert_eq!(said(&fast, section, name), said(&whole, section, name), "{section}: {name}");
     }
     assert!(said(&fast, "Echoes", "pulses in the air").starts_with("unresolved: "), "{fast}");
-    let remedy = "zones are unresolved: `resolve_mta` must come before `decompose`";
+    let remedy = "zones are unresolved: put `resolve_mta` before `decompose`";
     assert_eq!(said(&fast, "Integrity", "note"), remedy);
     assert!(
         said(&whole, "Echoes", "ranges")
-            .ends_with("from the emission before the reception: zones are unresolved")
+            .ends_with("from the latest emission before reception: zones are unresolved")
     );
 }
 
@@ -149,10 +149,10 @@ fn fast_reads_no_waveforms_of_las_and_pulsewaves() {
         ("b.wvs", &waves.waves),
     ]);
     let (whole, fast) = (summary(&place, &["a.las"]), summary(&place, &["a.las", "--fast"]));
-    for name in ["blocks", "samples of a block", "first sample after the clock"] {
+    for name in ["blocks", "samples per block", "first sample after the clock"] {
         assert_eq!(said(&fast, "Channel: low power", name), said(&whole, "Channel: low power", name));
     }
-    // Without the bytes of any wave there is still all that the pulses tell.
+    // Without waveform bytes, all pulse attributes are still available.
     fs::write(place.path("b.wvs"), &waves.waves[..60]).unwrap();
     let fast = summary(&place, &["b.pls", "--fast"]);
     assert_eq!(
@@ -171,7 +171,7 @@ fn gaps_rejects_and_missing_times_are_told() {
     shots.push(Shot { clock_ps: 110_000_000, blocks: block(255) });
     place.write("x.arrow", &container(&shots, EmissionReference::OutgoingPulse, false));
     let out = summary(&place, &["x.arrow"]);
-    assert_eq!(said(&out, "Times", "shots without time"), "7 (100.0 %)");
+    assert_eq!(said(&out, "Times", "shots without a time"), "7 (100.0 %)");
     let gap = "1 of more than 2.5 shot intervals, the longest 50.000 µs (5 shot intervals) before shot 104";
     assert!(said(&out, "Times", "gaps within lines").starts_with(gap.split(" (5").next().unwrap()), "{out}");
     assert_eq!(said(&out, "Integrity", "rejected blocks"), "1: a block of an unknown channel");
@@ -214,7 +214,7 @@ fn what_cannot_be_scanned_is_said() {
         assert_eq!((found, out.as_str()), (Some(code), ""), "{err}");
         assert!(err.starts_with(&format!("error: {message}")), "{err}");
     };
-    refused(&["x.dat"], 2, "x.dat: the name does not say what kind of recording this is; an input ends in");
+    refused(&["x.dat"], 2, "x.dat: unknown recording format; supported extensions");
     refused(&["gone.arrow"], 1, "gone.arrow: cannot open: ");
     refused(
         &["x.arrow", "--set", "read_arrow.odd_sample_shift=3"],
@@ -250,7 +250,7 @@ fn real_recordings_are_told_as_they_are_known() {
         assert!((got.parse::<f64>().unwrap() - known).abs() < 0.03, "{lags}");
     }
     let las = summary(&place, &[&path("riegl_q680i_dev/riegl_q680i_dev.las")]);
-    assert_eq!(said(&las, "Echoes", "instrument's own returns"), "667 in 607 shots");
+    assert_eq!(said(&las, "Echoes", "instrument returns"), "667 in 607 shots");
     let third = summary(&place, &[&path("pulsewaves/riegl_example3.pls")]);
     assert_eq!((said(&third, "File", "instrument"), said(&third, "Times", "shots")), ("Q680", "16 486"));
     assert_eq!(said(&third, "Rates", "pulse rate, nominal"), "150000 Hz");

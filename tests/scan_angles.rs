@@ -1,4 +1,4 @@
-//! Scan angle, scan direction and edge of flight line in outputs, where the recording does not give them.
+//! Scan angle, scan direction and edge of flight line in outputs, for recordings without them.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 #[path = "common/recordings.rs"]
@@ -16,7 +16,7 @@ use support::{Outcome, Place};
 use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
 use wavex::formats::container::{Compression, ContainerReader, ContainerWriter, LineBuilder};
 
-/// The stages from samples to points as text: time, place, angle, direction, edge.
+/// Stages from samples to points as text: time, position, angle, direction, edge.
 const TO_TEXT: &str = "\
 [[stage]]
 type = 'calibrate'
@@ -35,7 +35,7 @@ columns = 'txyzade'
 const UNKNOWN: &str = "scan angles are unknown, and are 0 in outputs: the recording has none, and its \
                        beams do not define the direction of flight";
 
-/// A point as text has it.
+/// A point of the text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Row {
     time_s: f64,
@@ -45,7 +45,7 @@ struct Row {
     is_edge: bool,
 }
 
-/// The first point of each shot.
+/// First point of each shot.
 fn shots(text: &Path) -> Vec<Row> {
     let text = std::fs::read_to_string(text).unwrap();
     let rows = text.lines().filter(|line| !line.starts_with('#')).map(|line| {
@@ -64,26 +64,26 @@ fn shots(text: &Path) -> Vec<Row> {
     rows
 }
 
-/// Shots of a line of the flights made by hand.
+/// Shots per line of the flights built by hand.
 const SHOTS: usize = 150;
 
-/// The angle of a shot: it sweeps from side to side.
+/// Angle of a shot: it sweeps from side to side.
 fn angle_of(shot: usize) -> f64 {
     let (line, place) = (shot / SHOTS, (shot % SHOTS) as f64 / (SHOTS - 1) as f64);
     let swing = 50.0 * place - 20.0;
     if line.is_multiple_of(2) { swing } else { 10.0 - swing }
 }
 
-/// A flight to the east at 60 m/s as PulseWaves, whose beams sweep across it.
+/// A PulseWaves flight to the east at 60 m/s with beams that sweep across the track.
 fn sweeping() -> PulseWaves {
     (0..3 * SHOTS).fold(PulseWaves::new(3 * SHOTS), |recording, shot| {
         let anchor = [(shot as f64 * 60_000.0 / 1024.0).round() as i32, 0, 600_000];
         let (right, down) = angle_of(shot).to_radians().sin_cos();
-        // To the right of a flight to the east is south.
+        // For a flight to the east, right is south.
         let beam = [0.0, -right, -down].map(|part| (149_853.751 * part).round() as i32);
         let target: [i32; 3] = std::array::from_fn(|axis| anchor[axis] + beam[axis]);
         let bytes: Vec<u8> = anchor.iter().chain(&target).flat_map(|value| value.to_le_bytes()).collect();
-        // What the flag means is not defined: here it is set where the mirror goes to the left.
+        // The meaning of the flag is not defined: here it is set while the mirror moves left.
         let flags = if (shot / SHOTS).is_multiple_of(2) { 0 } else { 0x20 };
         recording.change(shot, 16, &bytes).change(shot, 45, &[flags])
     })
@@ -99,14 +99,14 @@ fn pulsewaves_get_their_angles_from_beams_and_course() {
     for (shot, row) in found.iter().enumerate() {
         let (line, of_line) = (shot / SHOTS, shot % SHOTS);
         assert!((row.angle_deg - angle_of(shot)).abs() < 0.01, "{shot}: {row:?} {}", angle_of(shot));
-        // The end of the file is not known to be the end of a line.
+        // The end of the file need not be the end of a line.
         let is_edge = of_line == SHOTS - 1 && line < 2;
         assert_eq!((row.to_the_right, row.is_edge), (line.is_multiple_of(2), is_edge), "{shot}: {row:?}");
     }
     assert!(!report.to_string().contains(UNKNOWN));
 }
 
-/// A sensor that does not move tells no direction of flight.
+/// A stationary sensor gives no flight direction.
 #[test]
 fn a_recording_without_a_course_has_no_scan_angles() {
     let recording = (0..400).fold(PulseWaves::new(400), |recording, shot| {
@@ -120,7 +120,7 @@ fn a_recording_without_a_course_has_no_scan_angles() {
 
 #[test]
 fn las_keeps_its_own_values() {
-    // Angle of -12.6 degrees to the left; direction and edge in the flags' bits 6 and 7.
+    // Angle of -12.6 degrees to the left; direction and edge in bits 6 and 7 of the flags.
     let recording = (0..400).fold(Las::new(400), |recording, shot| {
         let bits = if shot % 100 == 99 { 0xC0 } else { 0x40 };
         recording.change(shot, 15, &[bits]).change(shot, 18, &(-2100i16).to_le_bytes())
@@ -132,7 +132,7 @@ fn las_keeps_its_own_values() {
     }
 }
 
-/// Leaves angles and directions out of a container, and gives the directions by time.
+/// Removes angles and directions from a container; returns the directions by time.
 fn without_angles(path: &Path) -> (Vec<u8>, BTreeMap<i64, bool>) {
     let mut reader = ContainerReader::open(path).unwrap();
     let mut writer = ContainerWriter::file(Vec::new(), path, reader.header(), Compression::None).unwrap();
@@ -153,12 +153,13 @@ fn without_angles(path: &Path) -> (Vec<u8>, BTreeMap<i64, bool>) {
     (writer.finish().unwrap(), directions)
 }
 
-/// Whole microseconds of the week of an adjusted time, less one: times are rounded.
+/// Microseconds of the week of an adjusted time, minus one because times are rounded.
 fn just_before_us(adjusted_s: f64) -> i64 {
     ((adjusted_s * 1e6).round() as i64 + 1_000_000_000_000_000) % 604_800_000_000 - 1
 }
 
-/// A rolling flight with a mirror that goes to and fro, against the place of each point as seen from the sensor's.
+/// A rolling flight with an oscillating mirror: angles against the position of each point relative
+/// to the sensor.
 #[test]
 fn with_a_trajectory_angles_include_the_roll() {
     let place = Place::new();
@@ -191,7 +192,7 @@ fn with_a_trajectory_angles_include_the_roll() {
         worst_deg = worst_deg.max((row.angle_deg - expected_deg).abs());
         largest_roll = largest_roll.max(sensor[4].abs());
         let (_, to_the_right) = directions.range(just_before_us(row.time_s)..).next().unwrap();
-        // At the turns of the mirror two shots have the same angle.
+        // At the turning points of the mirror, two shots have the same angle.
         assert!(row.to_the_right == *to_the_right || (expected_deg + 2.5).abs() > 18.0, "{row:?}");
         n += 1;
     }
@@ -199,7 +200,8 @@ fn with_a_trajectory_angles_include_the_roll() {
     assert!(n > 500 && largest_roll > 1.0 && worst_deg < 0.05, "{n} {largest_roll} {worst_deg}");
 }
 
-/// Angles of real recordings, and the directions that RIEGL's own flags give; those of the LAS file of the same pulses agree.
+/// Angles of real recordings, and directions given by RIEGL's own flags; the LAS file of the same
+/// pulses agrees.
 #[test]
 fn real_pulsewaves_have_scan_angles() {
     let Some(data) = data() else { return };

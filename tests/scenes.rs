@@ -1,5 +1,7 @@
-//! Calibration and decomposition over lands of every kind: bare, wooded all over, so bright that most echoes are clipped.
-//! What one land teaches of an instrument must hold over the next.
+//! Calibration and decomposition over different landscapes: bare, fully wooded, and so bright that
+//! most echoes are clipped.
+//!
+//! A model calibrated over one landscape must be valid over the next.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 mod common;
@@ -14,10 +16,11 @@ use wavex::registry;
 use wavex::simulation::pulse::Shape;
 
 const NOISE_DN: f64 = 0.93;
-/// Echoes are apart from this distance on, two widths of a pulse, and strong from so many standard deviations of the noise on.
+/// Minimum distance of separate echoes (two pulse widths), and minimum signal-to-noise ratio of
+/// strong echoes.
 const APART_M: f64 = 1.35;
 const STRONG_SD: f64 = 8.0;
-/// Echoes are faint below this part of another one's height.
+/// Echoes are faint below this fraction of another echo's amplitude.
 const FAINT_PART: f64 = 0.03;
 /// Higher echoes may overdrive the receiver.
 const HIGHEST_DN: f64 = 200.0;
@@ -26,7 +29,7 @@ struct Scene {
     name: &'static str,
     keys: &'static str,
     two_receivers: bool,
-    /// By how much the noise may be too large: returns too weak to be told from it raise it.
+    /// Tolerated relative excess of the noise: undetectable weak returns increase it.
     noise_part: f64,
 }
 
@@ -75,7 +78,7 @@ const SCENES: [Scene; 7] = [
     },
 ];
 
-/// Range, m, height, DN, and standard deviation of the range of the truth or of returns, by shot.
+/// Range (m), amplitude (DN) and range SD of true or found returns, by shot.
 type Rows = BTreeMap<u64, Vec<[f64; 3]>>;
 
 fn rows(path: &Path, columns: [&str; 3]) -> Rows {
@@ -93,7 +96,7 @@ fn rows(path: &Path, columns: [&str; 3]) -> Rows {
     rows
 }
 
-/// The model of the sensitive receiver, truth and returns of a scene.
+/// Model of the sensitive receiver, truth and returns of a scene.
 fn flown(scene: &Scene) -> (ChannelModel, Rows, Rows) {
     let folder = tempfile::tempdir().unwrap();
     let simulate = format!("stem = \"scene\"\nlines = 8\ntruth = \"truth.csv\"\n{}", scene.keys);
@@ -126,9 +129,11 @@ fn the_instrument_is_found_over_every_land() {
                 let near = |other: &[f64; 3]| (other[0] - range_m).abs();
                 let is_apart = hits.iter().enumerate().all(|(j, hit)| i == j || near(hit) > APART_M);
                 let heights_dn = STRONG_SD * NOISE_DN..HIGHEST_DN;
-                // What errors of the response may leave beside a stronger echo is none.
+                // Spurious echoes allowed for response errors next to a stronger echo are not
+                // counted.
                 let is_faint = hits.iter().any(|hit| FAINT_PART * hit[1] > *height_dn);
-                // Behind a clipped echo the receiver takes time to recover; before it, it knows nothing of it.
+                // After a clipped echo the receiver needs time to recover; before it, it is not
+                // affected.
                 let is_clear = hits.iter().all(|hit| hit[1] < HIGHEST_DN || hit[0] > *range_m);
                 if !is_apart || !is_clear || is_faint || !heights_dn.contains(height_dn) {
                     continue;

@@ -1,4 +1,4 @@
-//! Recordings that do not give the position of the sensor: what counts from it is left out, with a warning.
+//! Recordings without sensor positions: corrections that need them are skipped with a warning.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 #[path = "common/recordings.rs"]
@@ -18,13 +18,13 @@ use wavex::formats::container::{
     Compression, ContainerHeader, ContainerReader, ContainerWriter, LineBuilder, Origin,
 };
 
-/// What is said instead of a wrong intensity.
+/// Warning that replaces a wrong intensity.
 const NOT_CORRECTED: &str = "intensities are not corrected for range and attenuation: the recording does \
                              not contain the sensor position, and ranges count from a point near the \
                              waveform; read the original recording of the instrument, or set \
                              `reference_range_m` and `attenuation_db_per_km` to false";
 
-/// The stages from samples to points; `keys` are those of `correct`, which is left out without any.
+/// Stages from samples to points; `keys` are those of `correct`, which is omitted if `None`.
 fn chain(keys: Option<&str>) -> String {
     let correct = keys.map_or(String::new(), |keys| format!("[[stage]]\ntype = 'correct'\n{keys}\n"));
     format!(
@@ -34,10 +34,10 @@ fn chain(keys: Option<&str>) -> String {
     )
 }
 
-/// Everything on, but for the widths, which take part in nothing here.
+/// All corrections except widths, which are irrelevant here.
 const ALL: &str = "attenuation_db_per_km = 0.2\nwidth_correction_low = false\nwidth_correction_high = false";
 
-/// What a run leaves of `a.*`: the report of the input, intensities, and `AGL` of its first line.
+/// Results of a run for `a.*`: report of the input, intensities, and `AGL` of its first line.
 fn run(place: &Place, reader: &str, file: &str, keys: Option<&str>) -> (Value, Vec<f64>, String) {
     let report = place.succeeds(reader, file, &chain(keys));
     let intensities = Table::read(&place.path("out/a.csv")).column("intensity");
@@ -56,19 +56,19 @@ fn notes(report: &Value) -> Vec<&str> {
         .collect()
 }
 
-/// Neither corrected nor counted, and said once.
+/// Asserts that intensities are neither corrected nor counted, with one warning.
 #[track_caller]
 fn is_left_alone(place: &Place, reader: &str, file: &str) {
     let (_, before, _) = run(place, reader, file, None);
     let (report, after, agl) = run(place, reader, file, Some(ALL));
-    assert_eq!(after, before, "{file}: beams are vertical: there is nothing else to correct");
+    assert_eq!(after, before, "{file}: beams are vertical: no other correction applies");
     assert_eq!([&report["totals"]["np_range"], &report["totals"]["np_atm"]], [0, 0]);
     assert_eq!(notes(&report).iter().filter(|note| **note == NOT_CORRECTED).count(), 1);
     assert_eq!(report["ranges_count_from"], "first_sample");
     assert_eq!(agl, "nan");
     let off = format!("reference_range_m = false\n{}", ALL.replace("0.2", "false"));
     let (report, _, _) = run(place, reader, file, Some(&off));
-    assert!(!notes(&report).contains(&NOT_CORRECTED), "what is not wanted is not missed");
+    assert!(!notes(&report).contains(&NOT_CORRECTED), "no warning for corrections that are off");
 }
 
 #[test]
@@ -76,14 +76,15 @@ fn intensities_of_las_are_not_corrected_for_range() {
     let recording = Las::new(400);
     let place = Place::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
     is_left_alone(&place, "read_las", "a.las");
-    // A container made of it says so, too.
+    // A container made from it has the same property.
     let to_container = "[[stage]]\ntype = 'write_arrow'\npath = 'b.arrow'\n";
     place.succeeds("read_las", "a.las", to_container);
     std::fs::copy(place.path("out/b.arrow"), place.path("a.arrow")).unwrap();
     is_left_alone(&place, "read_arrow", "a.arrow");
 }
 
-/// Where a descriptor has the distance from the optical centre to the anchor, and what says that it is not constant.
+/// Offset of the distance from optical centre to anchor in a descriptor, and the value for "not
+/// constant".
 const CENTRE_TO_ANCHOR: usize = 8;
 const NOT_CONSTANT: [u8; 4] = 0x8FFF_FFFFu32.to_le_bytes();
 
@@ -93,7 +94,7 @@ fn anchors_of_pulsewaves_are_the_sensor_where_the_descriptor_says_so() {
     let place = Place::with(&[("a.pls", &recording.pls()), ("a.wvs", &recording.waves)]);
     let (_, before, _) = run(&place, "read_pulsewaves", "a.pls", None);
     let (report, after, agl) = run(&place, "read_pulsewaves", "a.pls", Some("width_correction_low = false"));
-    // The ground lies about 600 m below the anchors.
+    // The ground is about 600 m below the anchors.
     let factors: Vec<f64> = after.iter().zip(&before).map(|(after, before)| after / before).collect();
     assert!(factors.iter().all(|factor| (factor / 0.36 - 1.0).abs() < 0.02), "{:?}", &factors[..5]);
     assert_eq!(
@@ -110,7 +111,8 @@ fn anchors_of_pulsewaves_are_the_sensor_where_the_descriptor_says_so() {
     is_left_alone(&place, "read_pulsewaves", "a.pls");
 }
 
-/// The file of options that the document of version 1.0 prints, against the same line without its last row.
+/// The options file printed in the document of version 1.0, against the same line without its last
+/// row.
 #[test]
 fn the_option_file_of_version_1_0_leaves_intensities_as_they_are() {
     let recording = Las::new(400);
@@ -146,12 +148,11 @@ fn explain_says_where_ranges_count_from() {
     program.args(["explain", "a.las", "--shot", "7", "--set", "calibrate.waveforms=300"]);
     let ended = program.current_dir(place.path("")).env_remove("RUST_LOG").output().unwrap();
     let out = String::from_utf8_lossy(&ended.stdout);
-    let said =
-        "\nranges count from the first sample: the recording does not give the position of the sensor\n";
+    let said = "\nranges start at the first sample: the recording has no sensor position\n";
     assert!(out.contains(said), "{out}{}", String::from_utf8_lossy(&ended.stderr));
 }
 
-/// The same container, whose header says another thing of its origins.
+/// The same container with another origin in its header.
 fn with_origin(path: &Path, origin: Option<Origin>) -> Vec<u8> {
     let mut reader = ContainerReader::open(path).unwrap();
     let mut lines = Vec::new();
@@ -171,8 +172,8 @@ fn with_origin(path: &Path, origin: Option<Origin>) -> Vec<u8> {
     writer.finish().unwrap()
 }
 
-/// A trajectory does not make the position known where the origins are not the sensor's; nor can a part of the range be
-/// added to what counts from elsewhere.
+/// A trajectory does not provide sensor positions if the origins are elsewhere, and an offset
+/// proportional to range cannot be added to such ranges.
 #[test]
 fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() {
     let place = Place::new();
@@ -194,7 +195,7 @@ fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() 
             chain(Some("width_correction_low = false"))
         );
         let text = format!("[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{}", geometry);
-        // The table of the geometry stands before the stages.
+        // The geometry table precedes the stages.
         let (before, after) = text.split_at(text.find("[job.geometry]").unwrap());
         let (table, stages) = after.split_at(after.find("[[stage]]").unwrap());
         assert_eq!(
@@ -213,8 +214,8 @@ fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() 
     assert!((ranges[0][0] / ranges[1][0] - 1.01).abs() < 1e-9);
 }
 
-/// What the real recordings say: the makers' own formats give the sensor's position, what was converted from LAS, and LVIS,
-/// do not.
+/// Real recordings: the makers' own formats give sensor positions; recordings converted from LAS,
+/// and LVIS, do not.
 #[test]
 fn real_recordings_say_where_ranges_count_from() {
     let Some(data) = data() else { return };
@@ -234,7 +235,8 @@ fn real_recordings_say_where_ranges_count_from() {
     }
 }
 
-/// Of RIEGL's recording in both formats, corrected intensities of LAS are those without the correction for range.
+/// For RIEGL's recording in both formats, corrected intensities of LAS equal those without range
+/// correction.
 #[test]
 fn real_las_keeps_its_intensities() {
     let Some(data) = data() else { return };

@@ -1,4 +1,4 @@
-//! Sinks of text: what they write against what the other sinks write of the same run.
+//! Text sinks: their output against that of the other sinks of the same run.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 use std::path::Path;
@@ -22,14 +22,14 @@ type = 'decompose'
 type = 'georeference'
 ";
 
-/// Runs a job of the simulator, points, and these stages.
+/// Runs a job of simulator, points, and these stages.
 #[track_caller]
 fn run(folder: &Path, stages: &str) -> engine::RunReport {
     let job = Job::parse("job.toml", &format!("{TO_POINTS}{stages}"), &[]).unwrap_or_else(|e| panic!("{e}"));
     engine::run(&job, &engine::Options::of_job(&job, folder, folder)).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// Every row of the text against the point of the LAS file, read by the crate `las`.
+/// Every row of the text equals the point of the LAS file, read by the crate `las`.
 #[test]
 fn text_says_what_las_says() {
     let folder = tempfile::tempdir().unwrap();
@@ -77,7 +77,7 @@ fn text_says_what_las_says() {
     assert!(n_points > 800 && rows.next().is_none(), "{n_points}");
 }
 
-/// The rows of a text, as numbers, without the line that names the columns.
+/// Rows of a text as numbers, without the header line.
 fn numbers(folder: &Path, name: &str) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(folder.join(name)).unwrap();
     let rows = text.lines().filter(|line| !line.starts_with('#'));
@@ -89,7 +89,7 @@ fn names(folder: &Path, name: &str) -> Vec<String> {
     text.lines().next().unwrap().trim_start_matches("# ").split(' ').map(str::to_owned).collect()
 }
 
-/// Line by line, both layouts say the same, and keep the laws; all lines together are what the report counts.
+/// Both layouts agree line by line and satisfy the counter identities; their sums equal the report.
 #[test]
 fn both_layouts_of_line_statistics_keep_the_laws() {
     let folder = tempfile::tempdir().unwrap();
@@ -141,7 +141,7 @@ fn both_layouts_of_line_statistics_keep_the_laws() {
 const LONG: &str =
     "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 120\nshots_per_line = 100\npulse_rate_hz = 6000\n";
 
-/// What the beams of a simulated flight tell of the sensor's place, against where it was.
+/// Sensor path estimated from beams of a simulated flight, against the truth.
 #[test]
 fn the_path_is_told_by_origins_and_found_again_from_beams() {
     let circular =
@@ -169,7 +169,7 @@ fn path_from_beams(flight: &str) {
     assert!(met.len() >= 15, "{}", met.len());
     let mut worst_m = 0.0f64;
     for row in &met {
-        // Between two lines the scanner pauses: the path goes straight on.
+        // The scanner pauses between lines; the path continues straight.
         let after = told.partition_point(|other| other[0] <= row[0]);
         let (from, to) = (&told[after - 1], &told[after]);
         let share = (row[0] - from[0]) / (to[0] - from[0]);
@@ -177,12 +177,12 @@ fn path_from_beams(flight: &str) {
         let error_m = (1..4).map(|axis| off(axis).powi(2)).sum::<f64>().sqrt();
         worst_m = error_m.max(worst_m);
     }
-    // A microsecond of the text's time is 0.06 mm of flight.
+    // A microsecond in the text's time is 0.06 mm of flight.
     println!("the place from beams is right within {worst_m} m");
     assert!(worst_m < 0.001, "{worst_m} m");
 }
 
-/// A path without rows says by its first line what it is.
+/// A path without rows still has its header line.
 #[test]
 fn a_path_without_rows_has_its_first_line() {
     let folder = tempfile::tempdir().unwrap();
@@ -191,7 +191,7 @@ fn a_path_without_rows_has_its_first_line() {
         engine::run(&job, &engine::Options::of_job(&job, folder.path(), folder.path())).unwrap();
     };
     let text = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
-    // Without its trajectory the recording is in the scanner's frame.
+    // Without its trajectory, the recording is in the scanner's frame.
     run_on(
         "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 50\nroll_deg = 6\n\
          sbet = 'a.out'\n[[stage]]\ntype = 'write_arrow'\npath = 'a.arrow'\n",
@@ -205,7 +205,7 @@ fn a_path_without_rows_has_its_first_line() {
 
 const WEEK_2365_S: f64 = 2365.0 * 604_800.0 - 1e9;
 
-/// With a trajectory, rows are its own poses, at the times of shots.
+/// With a trajectory, rows are its poses at the times of shots.
 #[test]
 fn with_a_trajectory_rows_are_its_poses() {
     let folder = tempfile::tempdir().unwrap();
@@ -267,10 +267,10 @@ fn the_statistics_in_words_have_every_part() {
     for name in ["start", "end"] {
         assert!(value(name).ends_with('Z') && value(name).len() == 20, "{name}: {}", value(name));
     }
-    assert_eq!(value("exit status"), "0, done");
+    assert_eq!(value("exit status"), "0, success");
     assert_eq!((value("mount"), value("calibration")), ("level".into(), "none".into()));
     assert!(value("geoid").starts_with("none: "), "{text}");
-    assert_eq!(value("unit"), "that of the coordinate reference system");
+    assert_eq!(value("unit"), "as in the coordinate reference system");
 }
 
 #[test]
@@ -301,6 +301,6 @@ fn statistics_need_a_name_for_each_input() {
     let several = "[job]\nstat_log = 'out/stat.log'\n[[stage]]\ntype = 'read_las'\npath = '*.las'\n";
     let errors = Job::parse("job.toml", several, &[]).unwrap_err().to_string();
     let expected = "error: `stat_log`: every input of this job would write the same file, \"out/stat.log\"\n --> job.toml\n = \
-                    help: write `*` where the input's name belongs, as in \"out/*_stat.log\"\n";
+                    help: write `*` in place of the stem of the input, such as \"out/*_stat.log\"\n";
     assert_eq!(errors, expected);
 }

@@ -1,4 +1,4 @@
-//! `wavex trajectory`: what it says and writes of a trajectory, and what it refuses.
+//! `wavex trajectory`: summary, table and errors.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod support;
@@ -16,7 +16,7 @@ fn trajectory(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String
     (output.status.code(), text(output.stdout), text(output.stderr))
 }
 
-/// What is printed of a trajectory that is one.
+/// Standard output for a valid trajectory.
 #[track_caller]
 fn told(place: &Place, arguments: &[&str]) -> String {
     let (code, out, err) = trajectory(place, arguments);
@@ -24,7 +24,7 @@ fn told(place: &Place, arguments: &[&str]) -> String {
     out
 }
 
-/// The value of a row of the summary.
+/// Value of a row of the summary.
 #[track_caller]
 fn said<'a>(summary: &'a str, name: &str) -> &'a str {
     let row = summary.lines().find_map(|line| line.strip_prefix(&format!("  {name:<10} ")));
@@ -40,7 +40,7 @@ fn flown() -> Place {
     place
 }
 
-/// The rows of a table, without its header.
+/// Rows of a table, without its header.
 fn rows(text: &str) -> Vec<Vec<f64>> {
     let rows = text.lines().filter(|line| !line.starts_with('#'));
     rows.map(|row| row.split(' ').map(|cell| cell.parse().unwrap()).collect()).collect()
@@ -53,7 +53,7 @@ fn a_flight_is_told_projected_and_thinned() {
     assert!(out.starts_with("out/flight.sbet: SBET, "), "{out}");
     assert_eq!(said(&out, "clock"), "seconds of the week, GPS");
     assert!(said(&out, "times").starts_with("Tuesday 09:59:59.0 to "), "{out}");
-    assert_eq!(said(&out, "rate"), "200.00 Hz, a record every 5.000 ms");
+    assert_eq!(said(&out, "rate"), "200.00 Hz, one record every 5.000 ms");
     assert_eq!(said(&out, "gaps"), "none");
     assert_eq!(said(&out, "map"), "EPSG:32633 (WGS 84 / UTM zone 33N)");
     assert!(out.ends_with("\nwrote po.txt, po.svg\n"), "{out}");
@@ -65,7 +65,8 @@ fn a_flight_is_told_projected_and_thinned() {
     let table = rows(&text);
     assert!(table.iter().all(|row| row.len() == 10));
     assert!(table.windows(2).all(|pair| (pair[1][0] - pair[0][0] - 0.05).abs() < 1e-6));
-    // It starts a second before it is above 320 000 E 5 300 000 N, 600 m above ground of 400 m, and flies north.
+    // It starts one second before 320 000 E 5 300 000 N, 600 m above ground of 400 m, and flies
+    // north.
     assert!(
         (table[20][4] - 320_000.0).abs() < 1e-3 && (table[20][5] - 5_300_000.0).abs() < 1e-3,
         "{:?}",
@@ -82,7 +83,7 @@ fn a_flight_is_told_projected_and_thinned() {
     }
 }
 
-/// The table is itself a trajectory: read as a text it tells the same places.
+/// The table is itself a valid trajectory: reading it as text gives the same positions.
 #[test]
 fn what_is_written_can_be_read() {
     let place = flown();
@@ -120,10 +121,10 @@ fn gaps_are_told() {
         rows.map(|k| format!("{},179.99{k:02},-17,500,0,0,90\n", 0.1 * f64::from(k))).collect();
     place.write("t.csv", text.as_bytes());
     let out = told(&place, &["t.csv", "--columns", "txyzwpk", "--svg", "t.svg"]);
-    assert_eq!(said(&out, "gaps"), "2, the longest 0.800 s; 2 longer than the 0.500 s that are bridged");
-    assert!(out.contains("0.600 s after 1.900 s: no poses inside"), "{out}");
+    assert_eq!(said(&out, "gaps"), "2, the longest 0.800 s; 2 exceed the 0.500 s limit of bridging");
+    assert!(out.contains("0.600 s after 1.900 s: no poses in it"), "{out}");
     assert_eq!(said(&out, "longitude"), "179.9900000 to 179.9939000");
-    // A line for each of the three stretches, in the plan and in the heights.
+    // One line for each of the three parts, in the plan and in the heights.
     assert_eq!(place.text("t.svg").matches("<polyline class=\"fit\"").count(), 6);
 }
 
@@ -149,6 +150,6 @@ fn what_is_no_trajectory_is_refused() {
     let (code, err) = refused(&[options.as_slice(), &["--crs", "EPSG:1"]].concat());
     assert!(code == Some(2) && err.starts_with("error: --crs EPSG:1: "), "{err}");
     let (code, err) = refused(&[options.as_slice(), &["--every", "0"]].concat());
-    assert!(code == Some(2) && err.contains("give a whole number from 1 on"), "{err}");
-    assert!(!place.path("a.txt").exists(), "a failed run leaves nothing");
+    assert!(code == Some(2) && err.contains("give a whole number of at least 1"), "{err}");
+    assert!(!place.path("a.txt").exists(), "a failed run leaves no outputs");
 }

@@ -1,14 +1,13 @@
-//! Recordings that were cut off anywhere: an error, or fewer shots; never a panic.
+//! Truncated recordings give an error or fewer shots; never a panic.
 //!
-//! The parts of a file that are there are true, and the rest is missing: what a copy leaves that was broken off, or a
-//! disk that filled up while the file was written.
+//! The remaining part of the file is valid, as after an aborted copy or a full disk.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
     clippy::zombie_processes,
-    reason = "a test fails by panicking, and tells what it skips; the caller waits for what `begin` starts"
+    reason = "a test fails by panicking, and prints what it skips; the caller waits for what `begin` starts"
 )]
 
 mod common;
@@ -23,12 +22,12 @@ use wavex::engine::{self, Cause};
 use wavex::stage::StageSpec;
 use wavex::stages::{read_arrow, read_las, read_pulsewaves, simulate, write_arrow};
 
-/// Headers end before this byte: up to here every byte is a place to cut.
+/// Headers end before this byte; every byte up to here is tested.
 const HEADERS: usize = 400;
-/// So many places more, spread over the rest, and as many at the end.
+/// Number of further positions, spread over the rest, and as many at the end.
 const SPREAD: usize = 24;
 
-/// How many shots a reader finds in a file and what it has to say, or the error with which it ends.
+/// Number of shots and notes of a reader, or its error.
 fn read(reader: &'static StageSpec, path: &Path) -> Result<(u64, Vec<String>), String> {
     let job = common::job(&[(reader, &format!("path = '{}'", path.display()))]);
     match engine::run(&job, &common::into(&job, path.parent().unwrap())) {
@@ -43,20 +42,22 @@ fn read(reader: &'static StageSpec, path: &Path) -> Result<(u64, Vec<String>), S
     }
 }
 
-/// Where to cut a file of `length` bytes.
+/// Positions at which to truncate a file of `length` bytes.
 fn cuts(length: usize) -> BTreeSet<usize> {
     let spread = (0..SPREAD).map(|i| HEADERS + i * length.saturating_sub(HEADERS) / SPREAD + i % 8);
     let end = (1..=SPREAD).map(|i| length.saturating_sub(i));
     (0..HEADERS).chain(spread).chain(end).filter(|cut| *cut < length).collect()
 }
 
-/// Where the last record of a file ends that must not be missing: nothing says how many are appended to pulses.
+/// End of the last required record of a file: the number of records appended to pulses is not
+/// stored.
 fn end_of_records(extension: &str, bytes: &[u8]) -> usize {
     let number = |at: usize| u32::from_le_bytes(*bytes[at..].first_chunk().unwrap()) as usize;
     if extension == "pls" { number(176) + number(184) * number(200) } else { bytes.len() }
 }
 
-/// Cuts each file of a recording everywhere, and gives how many shots the whole has, or why it cannot be read.
+/// Truncates each file of a recording everywhere; returns the shots of the whole recording, or its
+/// error.
 fn cut_everywhere(
     reader: &'static StageSpec,
     data: &Path,
@@ -71,7 +72,7 @@ fn cut_everywhere(
     let whole = read(reader, &path(extensions[0])).map(|(shots, _)| shots);
     for extension in extensions {
         let bytes = fs::read(path(extension)).unwrap();
-        // From behind, so that the file has to be written only once.
+        // From the end, so that the file is written only once.
         for cut in cuts(bytes.len()).into_iter().rev() {
             OpenOptions::new().write(true).open(path(extension)).unwrap().set_len(cut as u64).unwrap();
             let what = format!("{name}.{extension}, cut at {cut}");
@@ -84,7 +85,7 @@ fn cut_everywhere(
                         "{what}: {notes:?}"
                     );
                 }
-                // Of a file that cannot be read anyway, the cut is what is told.
+                // If the whole file is unreadable, the error must report the truncation.
                 Err(error) => assert_ne!(Err(error), whole, "{what}"),
             }
         }
@@ -95,7 +96,7 @@ fn cut_everywhere(
 
 const RIEGL: &str = "riegl_q680i_dev/riegl_q680i_dev";
 
-/// The points of these files refer to waveforms that the program which made them left out.
+/// The points of these files refer to waveforms that the writing program omitted.
 #[track_caller]
 fn cut_points_without_waveforms(extension: &str, names: &[&str]) {
     let Some(data) = support::data() else { return };

@@ -1,11 +1,11 @@
-//! Points with their waveforms are a recording of full waveforms: read back and decomposed again, they give the same
+//! Points written with waveforms are a full-waveform recording: decomposing it again gives the same
 //! returns.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and says what it skips"
+    reason = "a test fails by panicking and prints what it skips"
 )]
 
 #[path = "common/recordings.rs"]
@@ -51,7 +51,7 @@ type = "write_table"
 path = "again.csv"
 "#;
 
-/// File, version, where the waveforms are, and the point format with its bit of compression.
+/// File, version, location of the waveforms, and point format with its compression bit.
 const FILES: [(&str, &str, &str, u8); 6] = [
     ("a.las", "1.4", "internal", 9),
     ("b.las", "1.4", "external", 9),
@@ -61,7 +61,7 @@ const FILES: [(&str, &str, &str, u8); 6] = [
     ("f.laz", "1.3", "internal", 4 | 0x80),
 ];
 
-/// The largest difference between two columns.
+/// Maximum difference between two columns.
 fn apart(one: &Table, other: &Table, column: &str) -> f64 {
     differences(one, other, column).fold(0.0, f64::max)
 }
@@ -73,7 +73,7 @@ fn differences(one: &Table, other: &Table, column: &str) -> impl Iterator<Item =
 fn assert_same_returns(written: &Table, again: &Table, file: &str) {
     assert_eq!(again.len(), written.len(), "{file}");
     for axis in ["x", "y", "z"] {
-        // Points are stored to a millimetre.
+        // Points are stored with a resolution of 1 mm.
         let apart_m = apart(written, again, axis);
         assert!(apart_m <= 0.001, "{file}: {axis} is {apart_m} m apart");
     }
@@ -112,15 +112,15 @@ fn decomposing_again_gives_the_same_returns() {
     assert_nothing_is_left(folder.path());
 }
 
-/// A flight over buildings and trees whose instrument has a second receiver for strong echoes.
+/// A flight over buildings and trees with a second receiver for strong echoes.
 fn two_receivers() -> String {
     let simulate = "lines = 12\nshots_per_line = 150\nlandscape = \"country\"\nhigh_power = true\n\
                     ground_amplitude_dn = 250.0\n[[stage]]\ntype = \"fuse_channels\"";
     WRITE.replace("lines = 4\nshots_per_line = 200", simulate)
 }
 
-/// Points of one pulse stand in two channels where one return is of the sensitive receiver and another of both: they come
-/// back as one pulse all the same.
+/// Points of one pulse are in two channels if one return is of the sensitive receiver only and
+/// another of both: they are read back as one pulse.
 #[test]
 fn a_pulse_in_two_receivers_stays_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -144,7 +144,8 @@ fn a_pulse_in_two_receivers_stays_one() {
             assert_eq!(apart(&written, &again, column), 0.0, "{version}: {column}");
         }
         for axis in ["x", "y", "z"] {
-            // Of the receiver for strong echoes nothing comes back: saturated echoes move a little, most within their millimetre.
+            // The high-power receiver is not written: saturated echoes move slightly, most by less
+            // than 1 mm.
             let apart_m = apart(&written, &again, axis);
             let moved = differences(&written, &again, axis).filter(|moved_m| *moved_m > 0.001).count();
             println!("{version}: {moved} of {} moved by more than 1 mm, at most {apart_m} m", again.len());
@@ -156,7 +157,7 @@ fn a_pulse_in_two_receivers_stays_one() {
     }
 }
 
-/// The number of returns of each shot that has any.
+/// Number of returns of each shot with any.
 fn shots(table: &Table) -> Vec<usize> {
     let shots = table.column("shot");
     shots.chunk_by(|a, b| a == b).map(<[f64]>::len).collect()
@@ -170,7 +171,7 @@ fn shots_in_two_channels(folder: &Path) -> usize {
     pulses.filter(|points| points.iter().any(|p| p.scanner_channel != points[0].scanner_channel)).count()
 }
 
-/// Packets that became a part of another file leave none of their own.
+/// Asserts that packets merged into another file leave no file of their own.
 fn assert_nothing_is_left(folder: &Path) {
     let names =
         std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());

@@ -1,4 +1,4 @@
-//! The files of an archive, from its folder or its `.tar.zst`, and back.
+//! Reads and writes the files of an archive, as a folder or a `.tar.zst`.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -10,44 +10,46 @@ use super::paths::plain;
 use super::{ARCHIVE, Archive, FORMAT, JOB, RESOLVED, SEAL};
 use crate::formats::{Error, Result};
 
-/// What the name of a packed archive ends with.
+/// Extension of a packed archive.
 const PACKED: &str = ".tar.zst";
-/// The files of an archive have no more bytes together: they are texts.
+/// Maximum total size of an archive's files, bytes; they are texts.
 const MOST_BYTES: u64 = 1 << 30;
-/// The level of compression: the usual one of zstd.
+/// Compression level: the default of zstd.
 const LEVEL: i32 = 3;
-const REMEDY: &str = "give an archive that `wavex run --archive` has made";
-/// What a file packed by zstd begins with (RFC 8878, section 3.1.1).
+const REMEDY: &str = "give an archive made by `wavex run --archive`";
+/// Magic number of a zstd file (RFC 8878, section 3.1.1).
 const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
-/// What the names of archives of other programs end with, and of parts of one's own.
+/// Extensions of other archive formats, and of incomplete forms of `.tar.zst`.
 const OTHERS: [&str; 15] = [
     ".zip", ".tar", ".gz", ".tgz", ".bz2", ".tbz", ".tbz2", ".xz", ".txz", ".lzma", ".zst", ".tzst", ".7z",
     ".rar", ".lz4",
 ];
 
-/// The files of an archive.
+/// Files of an archive.
 #[derive(Debug)]
 pub(super) struct Contents {
-    /// The archive itself.
+    /// Path of the archive.
     path: PathBuf,
-    /// The folder that the archive is, or would be unpacked to, from the root of the file system.
+    /// Absolute path of the folder that the archive is, or unpacks to.
     folder: PathBuf,
-    /// By their paths in it.
+    /// Contents by relative path.
     files: BTreeMap<String, Vec<u8>>,
 }
 
-/// Whether an archive of this name is packed into one file.
+/// Returns whether an archive of this name is packed into one file.
 pub(super) fn is_packed(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(PACKED))
 }
 
-/// The end of a name that means an archive of another kind, if it has one.
+/// Extension of another archive format, if the name has one.
 pub(super) fn other_kind(path: &Path) -> Option<&'static str> {
     let name = path.file_name()?.to_string_lossy().to_lowercase();
     OTHERS.into_iter().find(|end| name.ends_with(end) && !is_packed(path))
 }
 
-/// The folder that an archive is, or would be unpacked to; it must not exist, but the folder that it lies in must.
+/// Absolute path of the folder that an archive is, or unpacks to.
+///
+/// The folder need not exist, but its parent must.
 pub(super) fn folder_of(path: &Path) -> Result<PathBuf> {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let parent = parent.canonicalize().map_err(Error::io(parent, "find the folder"))?;
@@ -56,43 +58,44 @@ pub(super) fn folder_of(path: &Path) -> Result<PathBuf> {
 }
 
 impl Contents {
-    /// Reads an archive, whatever its files hold.
+    /// Reads an archive without validating its files.
     ///
     /// # Errors
-    /// There is none, or it has more than a gigabyte.
+    /// If it is not an archive, or larger than 1 GiB.
     pub(super) fn read(path: &Path) -> Result<Contents> {
         let files = if path.is_dir() { read_files(path)? } else { read_packed(path)? };
         if files.is_empty() {
-            return Err(Error::unusable(path, "no archive: it holds no file", REMEDY));
+            return Err(Error::unusable(path, "not an archive: it contains no files", REMEDY));
         }
         if !files.contains_key(ARCHIVE) && !files.contains_key(SEAL) {
-            return Err(Error::unusable(path, format!("no archive: it has no text {ARCHIVE}"), REMEDY));
+            return Err(Error::unusable(path, format!("not an archive: {ARCHIVE} is missing"), REMEDY));
         }
-        // As `plain` sees it, so that the name is one, whether the path ends in `/.` or not.
+        // Normalise the path, so that it ends in a name even if given as `name/.`.
         let whole = plain(&std::path::absolute(path).map_err(Error::io(path, "find"))?);
         Ok(Contents { path: path.to_owned(), folder: folder_of(&whole)?, files })
     }
 
-    /// The folder that the archive is, or would be unpacked to.
+    /// Folder that the archive is, or unpacks to.
     pub(super) fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// What the archive says of itself.
+    /// Parses the description of the archive.
     ///
     /// # Errors
-    /// It is of another version, or damaged.
+    /// If the format version is unknown or the archive is damaged.
     pub(super) fn archive(&self) -> Result<Archive> {
         let text = self.text(ARCHIVE)?;
         let unusable = |problem: String| Error::unusable(&self.path.join(ARCHIVE), problem, REMEDY);
         let value: serde_json::Value =
-            serde_json::from_str(text).map_err(|error| unusable(format!("no JSON: {error}")))?;
+            serde_json::from_str(text).map_err(|error| unusable(format!("invalid JSON: {error}")))?;
         if value["format"] != FORMAT {
-            let problem = format!("archives of format {} are not known, only of {FORMAT}", value["format"]);
+            let problem =
+                format!("archive format {} is not supported, only format {FORMAT}", value["format"]);
             return Err(Error::unusable(&self.path.join(ARCHIVE), problem, "use a newer wavex"));
         }
         serde_json::from_value(value)
-            .map_err(|error| unusable(format!("no description of an archive: {error}")))
+            .map_err(|error| unusable(format!("invalid description of an archive: {error}")))
     }
 
     /// The job as run.
@@ -103,25 +106,25 @@ impl Contents {
     fn text(&self, name: &str) -> Result<&str> {
         let bytes = self.files.get(name);
         let text = bytes.and_then(|bytes| std::str::from_utf8(bytes).ok());
-        text.ok_or_else(|| Error::unusable(&self.path, format!("no archive: it has no text {name}"), REMEDY))
+        text.ok_or_else(|| Error::unusable(&self.path, format!("not an archive: {name} is missing"), REMEDY))
     }
 
-    /// What differs from what was sealed: a file that was changed, is missing, or was added.
+    /// Lists differences from the sealed state: changed, missing or added files.
     pub(super) fn tampering(&self) -> Vec<String> {
         let Ok(seal) = self.text(SEAL) else {
-            return vec![format!("{SEAL}: missing: nothing says whether the archive is as it was made")];
+            return vec![format!("{SEAL}: missing: the integrity of the archive cannot be verified")];
         };
         let mut sealed: BTreeMap<&str, &str> = BTreeMap::new();
         let mut problems = Vec::new();
         for (at, line) in seal.lines().enumerate() {
             match line.split_once("  ") {
                 Some((digest, name)) => drop(sealed.insert(name, digest)),
-                None => problems.push(format!("{SEAL}: line {}: no digest and name", at + 1)),
+                None => problems.push(format!("{SEAL}: line {}: expected digest and name", at + 1)),
             }
         }
         for name in [ARCHIVE, JOB, RESOLVED] {
             if !sealed.contains_key(name) {
-                problems.push(format!("{SEAL}: it does not seal {name}"));
+                problems.push(format!("{SEAL}: lacks the digest of {name}"));
             }
         }
         for (name, digest) in &sealed {
@@ -129,35 +132,34 @@ impl Contents {
                 None => problems.push(format!("{name}: missing from the archive")),
                 Some(bytes) if digest::of_bytes(bytes) != **digest => {
                     problems.push(format!(
-                        "{name}: changed since the archive was made, or its digest in {SEAL} was"
+                        "{name}: the file or its digest in {SEAL} was changed after the archive was made"
                     ));
                 }
                 Some(_) => {}
             }
         }
         let known = |name: &&String| *name != SEAL && !sealed.contains_key(name.as_str());
-        problems.extend(
-            self.files.keys().filter(known).map(|name| format!("{name}: not sealed: it was added later")),
-        );
+        problems
+            .extend(self.files.keys().filter(known).map(|name| format!("{name}: not sealed: added later")));
         problems
     }
 
-    /// The digest of the seal's text: one number for everything in the archive. Empty where it is missing.
+    /// Seal: the digest of the seal file, which covers the whole archive; empty if missing.
     pub(super) fn seal(&self) -> String {
         self.files.get(SEAL).map(|text| digest::of_bytes(text)).unwrap_or_default()
     }
 
-    /// How many files were sealed.
+    /// Number of sealed files.
     pub(super) fn count(&self) -> usize {
         self.files.len().saturating_sub(1)
     }
 }
 
 fn too_large(path: &Path) -> Error {
-    Error::unusable(path, format!("no archive: it has more than {MOST_BYTES} bytes"), REMEDY)
+    Error::unusable(path, format!("not an archive: larger than {MOST_BYTES} bytes"), REMEDY)
 }
 
-/// Reads to the end; `None` where that is more than is left.
+/// Reads to the end; `None` if the input exceeds the remaining limit.
 fn read_whole(input: impl Read, left: &mut u64) -> std::io::Result<Option<Vec<u8>>> {
     let mut bytes = Vec::new();
     input.take(*left + 1).read_to_end(&mut bytes)?;
@@ -166,7 +168,7 @@ fn read_whole(input: impl Read, left: &mut u64) -> std::io::Result<Option<Vec<u8
     Ok(rest.map(|_| bytes))
 }
 
-/// All files of a folder by their paths in it.
+/// Reads all files of a folder, by relative path.
 pub(super) fn read_files(folder: &Path) -> Result<BTreeMap<String, Vec<u8>>> {
     let mut files = BTreeMap::new();
     read_folder(folder, "", &mut { MOST_BYTES }, &mut files)?;
@@ -200,17 +202,13 @@ fn read_packed(path: &Path) -> Result<BTreeMap<String, Vec<u8>>> {
     let mut begin = Vec::new();
     (&file).take(MAGIC.len() as u64).read_to_end(&mut begin).map_err(Error::io(path, "read"))?;
     if begin != MAGIC {
-        return Err(Error::unusable(
-            path,
-            "no archive: neither a folder nor packed as a .tar.zst is",
-            REMEDY,
-        ));
+        return Err(Error::unusable(path, "not an archive: neither a folder nor a .tar.zst file", REMEDY));
     }
     let unpacked = unpack(begin.as_slice().chain(file)).map_err(|error| damaged(path, &error))?;
     unpacked.ok_or_else(|| too_large(path))
 }
 
-/// The files of a packed archive; `None` where they have too many bytes.
+/// Unpacks an archive; `None` if its files are too large.
 fn unpack(packed: impl Read) -> std::io::Result<Option<BTreeMap<String, Vec<u8>>>> {
     let (mut files, mut left) = (BTreeMap::new(), MOST_BYTES);
     let mut tar = tar::Archive::new(zstd::stream::read::Decoder::new(packed)?);
@@ -220,27 +218,27 @@ fn unpack(packed: impl Read) -> std::io::Result<Option<BTreeMap<String, Vec<u8>>
             continue;
         }
         let name = entry.path()?.into_owned();
-        // The first step is the folder's own name.
+        // The first component is the folder's own name.
         let steps: Vec<String> = name.components().filter_map(step).skip(1).collect();
         let Some(bytes) = read_whole(entry, &mut left)? else { return Ok(None) };
         files.insert(steps.join("/"), bytes);
     }
-    // To the very end, so that a file that was cut off there is told, too.
+    // Read to the very end, so that truncation there is detected as well.
     Ok(read_whole(tar.into_inner(), &mut left)?.map(|_| files))
 }
 
-/// What keeps a file that begins as a packed archive does from being unpacked.
+/// Error for a file that starts like a packed archive but cannot be unpacked.
 fn damaged(path: &Path, error: &std::io::Error) -> Error {
     let problem = match error.kind() {
         std::io::ErrorKind::UnexpectedEof => {
-            "a damaged archive: it ends too early, and was cut off".to_owned()
+            "damaged archive: the file is truncated, its data end too early".to_owned()
         }
-        _ => format!("a damaged archive, or none: it cannot be unpacked: {error}"),
+        _ => format!("damaged or not an archive: cannot unpack it: {error}"),
     };
-    Error::unusable(path, problem, "get a whole copy of it")
+    Error::unusable(path, problem, "get a complete copy")
 }
 
-/// A step of a path down; there is no other in an archive.
+/// A normal path component; archives contain no others.
 fn step(step: Component) -> Option<String> {
     match step {
         Component::Normal(step) => Some(step.to_string_lossy().into_owned()),
@@ -248,24 +246,24 @@ fn step(step: Component) -> Option<String> {
     }
 }
 
-/// The seal of files: a line for each, with its digest and its path, as `b3sum` writes it.
+/// Text of the seal: one line per file with digest and path, in the format of `b3sum`.
 pub(super) fn seal(files: &BTreeMap<String, Vec<u8>>) -> String {
     files.iter().map(|(name, bytes)| format!("{}  {name}\n", digest::of_bytes(bytes))).collect()
 }
 
-/// Writes files into a folder, down to the disk.
+/// Writes files to a folder and syncs them to disk.
 pub(super) fn write_folder(folder: &Path, files: &BTreeMap<String, Vec<u8>>) -> Result<()> {
     for (name, bytes) in files {
         let path = folder.join(name);
         let parent = path.parent().unwrap_or(folder);
-        fs::create_dir_all(parent).map_err(Error::io(parent, "make the folder"))?;
+        fs::create_dir_all(parent).map_err(Error::io(parent, "create the folder"))?;
         let mut file = File::create(&path).map_err(Error::io(&path, "create"))?;
         file.write_all(bytes).and_then(|()| file.sync_all()).map_err(Error::io(&path, "write"))?;
     }
     Ok(())
 }
 
-/// Packs files as a folder of this name; all are as old as the archive, `seconds` since 1970.
+/// Packs files as a folder of this name; `seconds` since 1970 is the time of all files.
 pub(super) fn pack(
     name: &str,
     files: &BTreeMap<String, Vec<u8>>,
@@ -330,17 +328,17 @@ mod tests {
             |files: &mut BTreeMap<String, Vec<u8>>| drop(files.insert(JOB.to_owned(), b"A".to_vec()));
         assert_eq!(
             with(changed),
-            ["job.toml: changed since the archive was made, or its digest in archive.b3 was"]
+            ["job.toml: the file or its digest in archive.b3 was changed after the archive was made"]
         );
         assert_eq!(with(|files| drop(files.remove(JOB))), ["job.toml: missing from the archive"]);
         let added = |files: &mut BTreeMap<String, Vec<u8>>| drop(files.insert("new".to_owned(), vec![]));
-        assert_eq!(with(added), ["new: not sealed: it was added later"]);
-        let unsealed = ["archive.b3: missing: nothing says whether the archive is as it was made"];
+        assert_eq!(with(added), ["new: not sealed: added later"]);
+        let unsealed = ["archive.b3: missing: the integrity of the archive cannot be verified"];
         assert_eq!(with(|files| drop(files.remove(SEAL))), unsealed);
         let emptied = with(|files| drop(files.insert(SEAL.to_owned(), b"x\n".to_vec())));
         assert_eq!(
             emptied[..2],
-            ["archive.b3: line 1: no digest and name", "archive.b3: it does not seal archive.json"]
+            ["archive.b3: line 1: expected digest and name", "archive.b3: lacks the digest of archive.json"]
         );
     }
 
@@ -353,27 +351,26 @@ mod tests {
         let empty = problem(folder.path());
         assert!(
             empty.ends_with(
-                "no archive: it holds no file; give an archive that `wavex run --archive` has made"
+                "not an archive: it contains no files; give an archive made by `wavex run --archive`"
             ),
             "{empty}"
         );
         fs::write(folder.path().join("a.txt"), "").unwrap();
         let other = problem(folder.path());
-        assert!(other.contains("no archive: it has no text archive.json; "), "{other}");
+        assert!(other.contains("not an archive: archive.json is missing; "), "{other}");
         fs::write(folder.path().join(ARCHIVE), "{\"format\": 2}").unwrap();
         let newer = problem(folder.path());
         assert!(
-            newer.ends_with("archives of format 2 are not known, only of 1; use a newer wavex"),
+            newer.ends_with("archive format 2 is not supported, only format 1; use a newer wavex"),
             "{newer}"
         );
         fs::write(folder.path().join(ARCHIVE), "{\"format\": 1}").unwrap();
         let torn = problem(folder.path());
-        assert!(torn.contains("no description of an archive: missing field"), "{torn}");
+        assert!(torn.contains("invalid description of an archive: missing field"), "{torn}");
         for (name, content) in [("a.tar.zst", "not packed"), ("geo.toml", "[a]\n"), ("empty", "")] {
             fs::write(folder.path().join(name), content).unwrap();
             let other = problem(&folder.path().join(name));
-            let expected =
-                format!("{name}: no archive: neither a folder nor packed as a .tar.zst is; {REMEDY}");
+            let expected = format!("{name}: not an archive: neither a folder nor a .tar.zst file; {REMEDY}");
             assert!(other.ends_with(&expected), "{other}");
         }
     }
@@ -387,15 +384,14 @@ mod tests {
         for length in MAGIC.len()..whole.len() {
             fs::write(&path, &whole[..length]).unwrap();
             let cut = Contents::read(&path).unwrap_err().to_string();
-            let expected =
-                "a.tar.zst: a damaged archive: it ends too early, and was cut off; get a whole copy of it";
+            let expected = "a.tar.zst: damaged archive: the file is truncated, its data end too early; get a complete copy";
             assert!(cut.ends_with(expected), "{length} of {}: {cut}", whole.len());
         }
         let no_tar = zstd::encode_all([7u8; 2000].as_slice(), LEVEL).unwrap();
         fs::write(&path, no_tar).unwrap();
         let other = Contents::read(&path).unwrap_err().to_string();
-        let expected = "a.tar.zst: a damaged archive, or none: it cannot be unpacked: ";
-        assert!(other.contains(expected) && other.ends_with("; get a whole copy of it"), "{other}");
+        let expected = "a.tar.zst: damaged or not an archive: cannot unpack it: ";
+        assert!(other.contains(expected) && other.ends_with("; get a complete copy"), "{other}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
-//! Where two files differ first, in their own terms.
+//! First difference of two files, in terms of their format.
 //!
-//! One is what should be (`then`), the other what is (`now`): it is the second that is described.
+//! `then` is the expected file, `now` the actual one; messages describe `now`.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -11,12 +11,14 @@ use crate::formats::{Error, Result};
 mod points;
 mod tables;
 
-/// The longest value that is told, characters.
+/// Maximum length of a value in a message, characters.
 const LONGEST: usize = 80;
 
-/// Where the file `now` differs first from what it should be, `then`: both are the same output, and what is told is the value in
-/// `now` instead of that in `then`. The format is told by the name; where the content does not differ in its terms, or cannot be
-/// read, it is the byte that is told.
+/// Describes the first difference of two versions of an output.
+///
+/// Messages give the value in `now` instead of that in `then`. The extension of the name determines
+/// the format. If the content does not differ in its terms or cannot be read, describes the first
+/// differing byte.
 pub(super) fn first_difference(then: &Path, now: &Path) -> String {
     let extension = now.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let compare = || match extension.as_str() {
@@ -26,7 +28,7 @@ pub(super) fn first_difference(then: &Path, now: &Path) -> String {
         "csv" | "txt" | "json" => compare_texts(then, now, extension == "csv"),
         _ => Ok(None),
     };
-    // Parquet's own reader may panic on a file that was tampered with.
+    // The Parquet library may panic on a manipulated file.
     match std::panic::catch_unwind(compare).unwrap_or(Ok(None)) {
         Ok(Some(difference)) => difference,
         Ok(None) => compare_bytes(then, now).unwrap_or_else(|error| error.to_string()),
@@ -37,12 +39,12 @@ pub(super) fn first_difference(then: &Path, now: &Path) -> String {
     }
 }
 
-/// A value that is another one.
+/// Formats a pair of different values.
 fn instead(now: &str, then: &str) -> String {
     format!("{} instead of {}", short(now), short(then))
 }
 
-/// A value, cut off where it is long.
+/// Truncates a long value.
 fn short(value: &str) -> String {
     match value.char_indices().nth(LONGEST) {
         Some((end, _)) => format!("{}...", &value[..end]),
@@ -50,7 +52,7 @@ fn short(value: &str) -> String {
     }
 }
 
-/// The first line that differs; in a table with a line of names, the column too.
+/// Compares texts line by line; in a table with a header, also finds the column.
 fn compare_texts(then: &Path, now: &Path, is_table: bool) -> Result<Option<String>> {
     let open = |path: &Path| File::open(path).map(BufReader::new).map_err(Error::io(path, "open"));
     let mut files = [(open(then)?, then), (open(now)?, now)];
@@ -61,7 +63,7 @@ fn compare_texts(then: &Path, now: &Path, is_table: bool) -> Result<Option<Strin
         match (then?, now?) {
             (None, None) => return Ok(None),
             (Some(_), None) => return Ok(Some(format!("it ends before line {number}"))),
-            (None, Some(_)) => return Ok(Some(format!("it goes on with line {number}"))),
+            (None, Some(_)) => return Ok(Some(format!("it continues with line {number}"))),
             (Some(then), Some(now)) if then != now => {
                 let cell = if is_table && number > 1 { cell(&names, &then, &now) } else { None };
                 let place = format!("line {number}");
@@ -80,10 +82,10 @@ fn compare_texts(then: &Path, now: &Path, is_table: bool) -> Result<Option<Strin
     }
 }
 
-/// The longest line that is compared as a whole, bytes.
+/// Maximum length of a line compared as a whole, bytes.
 const LONGEST_LINE: u64 = 1 << 24;
 
-/// The next line without its end; one that is too long comes in pieces.
+/// Reads the next line without its terminator; a line that is too long is split.
 fn line(file: &mut impl BufRead, path: &Path) -> Result<Option<String>> {
     let mut bytes = Vec::new();
     file.take(LONGEST_LINE).read_until(b'\n', &mut bytes).map_err(Error::io(path, "read"))?;
@@ -91,7 +93,7 @@ fn line(file: &mut impl BufRead, path: &Path) -> Result<Option<String>> {
     Ok((!bytes.is_empty()).then(|| text.strip_suffix('\n').unwrap_or(&text).to_owned()))
 }
 
-/// The first column in which two rows differ, with both values.
+/// First column in which two rows differ, with both values.
 fn cell(names: &str, then: &str, now: &str) -> Option<(String, String, String)> {
     let count = |row: &str| row.split(',').count();
     if count(names) != count(then) || count(then) != count(now) {
@@ -103,7 +105,7 @@ fn cell(names: &str, then: &str, now: &str) -> Option<(String, String, String)> 
     Some((name.to_owned(), value(then), value(now)))
 }
 
-/// The first byte that differs.
+/// Compares files byte by byte.
 fn compare_bytes(then: &Path, now: &Path) -> Result<String> {
     let open = |path: &Path| File::open(path).map(BufReader::new).map_err(Error::io(path, "open"));
     let (mut a, mut b) = (open(then)?.bytes(), open(now)?.bytes());
@@ -114,7 +116,7 @@ fn compare_bytes(then: &Path, now: &Path) -> Result<String> {
         match (then_byte, now_byte) {
             (None, None) => return Ok("no byte differs".to_owned()),
             (Some(_), None) => return Ok(format!("it ends before byte {at}")),
-            (None, Some(_)) => return Ok(format!("it goes on with byte {at}")),
+            (None, Some(_)) => return Ok(format!("it continues with byte {at}")),
             (Some(x), Some(y)) if x != y => return Ok(format!("byte {at}: {y} instead of {x}")),
             _ => at += 1,
         }

@@ -1,4 +1,4 @@
-//! Digests of files, and whether a file stayed the same meanwhile.
+//! Digests of files, and detection of changes.
 
 use std::fs::{self, File};
 use std::io::Read;
@@ -7,10 +7,10 @@ use std::time::SystemTime;
 
 use crate::formats::{Error, Result};
 
-/// So much is read at once, bytes.
+/// Buffer size, bytes.
 const BUFFER: usize = 1 << 20;
 
-/// The length and the BLAKE3 digest of a file.
+/// Size and BLAKE3 digest of a file.
 pub(super) fn of_file(path: &Path) -> Result<(u64, String)> {
     let mut file = File::open(path).map_err(Error::io(path, "open"))?;
     let mut hasher = blake3::Hasher::new();
@@ -25,12 +25,12 @@ pub(super) fn of_file(path: &Path) -> Result<(u64, String)> {
     Ok((hasher.count(), hasher.finalize().to_hex().to_string()))
 }
 
-/// The digest of what is in memory.
+/// BLAKE3 digest of bytes in memory.
 pub(super) fn of_bytes(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 
-/// Length and time of the last change of a file: a file that was changed has another one.
+/// Size and modification time of a file, to detect changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Stamp(u64, Option<SystemTime>);
 
@@ -50,11 +50,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
         fs::write(&path, "").unwrap();
-        // The digest of nothing: the test vectors of BLAKE3, input length 0.
+        // Test vector of BLAKE3 for input length 0.
         let nothing = "af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262";
         assert_eq!(of_file(&path).unwrap(), (0, nothing.to_owned()));
         assert_eq!(of_bytes(b""), nothing);
-        // The test vector of input length 102400: bytes that count from 0 to 250 again and again.
+        // Test vector for input length 102400: bytes 0 to 250, repeated.
         let bytes: Vec<u8> = (0..102_400u32).map(|at| (at % 251) as u8).collect();
         fs::write(&path, &bytes).unwrap();
         let expected = "bc3e3d41a1146b069abffad3c0d44860cf664390afce4d9661f7902e7943e085";

@@ -1,4 +1,6 @@
-//! Which files a job reads: the source's, those beside them, those that other stages name, and those of `[job.geometry]`.
+//! Lists the files that a job reads.
+//!
+//! Sources' files with companions, files named by other stages, and files of `[job.geometry]`.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,7 +14,7 @@ use crate::geo::crs::Named;
 use crate::job::{Job, JobSettings};
 use crate::stage::{FileMark, Key, Keys};
 
-/// Where `[job]` has texts with such a mark, as JSON pointers.
+/// JSON pointers of the keys in `[job]` with this mark.
 pub(super) fn marked(mark: FileMark) -> Vec<String> {
     marked_among(&JobSettings::keys(), mark)
 }
@@ -23,7 +25,7 @@ fn marked_among(keys: &Keys, mark: FileMark) -> Vec<String> {
     found
 }
 
-/// The same of a key and of those of the table that it takes.
+/// Collects pointers of a key and of its nested keys.
 fn collect(key: Key, table: &str, mark: FileMark, found: &mut Vec<String>) {
     let pointer = format!("{table}/{}", key.name);
     key.inner().for_each(|inner| collect(inner, &pointer, mark, found));
@@ -32,7 +34,7 @@ fn collect(key: Key, table: &str, mark: FileMark, found: &mut Vec<String>) {
     }
 }
 
-/// Every file that a run of the job over these inputs reads, each once; `input_dir` is absolute.
+/// All files that a run of the job over these inputs reads; `input_dir` is absolute.
 pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &Path) -> BTreeSet<PathBuf> {
     let mut files = BTreeSet::new();
     for input in inputs.iter().filter(|input| !input.path.as_os_str().is_empty()) {
@@ -51,7 +53,7 @@ pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &
     files
 }
 
-/// Inputs of a job that do not exist, in words; `input_dir` is absolute.
+/// Describes missing inputs of a job; `input_dir` is absolute.
 pub(crate) fn missing_inputs(job: &Job, input_dir: &Path) -> Vec<String> {
     let inputs = match engine::inputs(job, input_dir) {
         Ok(inputs) => inputs,
@@ -76,7 +78,7 @@ pub(crate) fn missing_inputs(job: &Job, input_dir: &Path) -> Vec<String> {
     missing
 }
 
-/// Where `[job]` has texts that name files, seen from the folder of inputs, as JSON pointers.
+/// JSON pointers of the texts in `[job]` that name input files.
 pub(super) fn pointers(settings: &Value, input_dir: &Path) -> Vec<String> {
     let text = |pointer: &str| settings.pointer(pointer).and_then(Value::as_str);
     let named = marked(FileMark::Input).into_iter().filter(|pointer| text(pointer).is_some());
@@ -84,16 +86,17 @@ pub(super) fn pointers(settings: &Value, input_dir: &Path) -> Vec<String> {
     named.chain(marked(FileMark::InputOrName).into_iter().filter(is_file)).collect()
 }
 
-/// Where `[job]` names a geoid, and where the folder of geoids, as JSON pointers.
+/// JSON pointers of the geoid and of the geoid folder.
 fn geoid_pointers() -> Option<(String, String)> {
     marked(FileMark::Geoid).pop().zip(marked(FileMark::GeoidFolder).pop())
 }
 
-/// Says of a geoid, where the job names one, in which folder it lies: `place` makes it of what the job says, which is that of
-/// the inputs (an empty text) when not given.
+/// Sets the geoid folder if the job names a geoid.
+///
+/// `place` converts the folder that the job gives; an empty text stands for the input folder.
 ///
 /// # Errors
-/// Those of `place`.
+/// Errors of `place`.
 pub(super) fn place_geoid<E>(
     settings: &mut Value,
     place: impl FnOnce(&str) -> Result<String, E>,
@@ -107,7 +110,7 @@ pub(super) fn place_geoid<E>(
     Ok(())
 }
 
-/// The file of the geoid: its name or its stem is the one that the job gives, in any case.
+/// File of the geoid: its name or stem matches the key, ignoring case.
 fn geoid(settings: &Value, input_dir: &Path) -> Option<PathBuf> {
     let (name, folder) = geoid_pointers()?;
     let wanted = settings.pointer(&name)?.as_str()?.to_lowercase();
@@ -177,14 +180,14 @@ mod tests {
         assert_eq!(names(geometry), Vec::<String>::new());
     }
 
-    /// Every key of `[job]`, those of its tables included, with its pointer.
+    /// Visits every key of `[job]`, including nested ones, with its pointer.
     fn visit(key: Key, table: &str, seen: &mut dyn FnMut(&str, Key)) {
         let pointer = format!("{table}/{}", key.name);
         key.inner().for_each(|inner| visit(inner, &pointer, seen));
         seen(&pointer, key);
     }
 
-    /// A key that is forgotten here would be missing from archives.
+    /// Archives would lack the files of a key without a mark.
     #[test]
     fn every_text_of_the_job_says_whether_it_names_a_file() {
         let keys = JobSettings::keys();
@@ -194,7 +197,7 @@ mod tests {
                 key.schema["anyOf"].as_array().map_or(vec![key.schema], |all| all.iter().collect());
             let is_text = |schema: &&Value| schema["type"] == "string" && choices(schema).is_none();
             let takes_text = branches.iter().any(is_text);
-            assert_eq!(key.file_mark().is_some(), takes_text, "{pointer}: say `x-file` where it is declared");
+            assert_eq!(key.file_mark().is_some(), takes_text, "{pointer}: declare `x-file` for this key");
             marks.extend(key.file_mark().map(|mark| (pointer.to_owned(), mark)));
         };
         keys.iter().for_each(|key| visit(key, "", &mut seen));

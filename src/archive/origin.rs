@@ -1,55 +1,55 @@
-//! What ran: the program with all that it is made of, and the machine.
+//! Origin of a run: the program with its dependencies, and the machine.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A program, and what it is made of.
+/// A program with its dependencies.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Program {
-    /// Its version.
+    /// Version.
     pub version: String,
-    /// The commit it was built from, with a `+` where files differed; none where the build did not know it.
+    /// Commit of the build, with a `+` if files were modified; none if unknown.
     pub commit: Option<String>,
-    /// The compiler.
+    /// Compiler version.
     pub rustc: String,
-    /// What it was built for.
+    /// Target of the build.
     pub target: String,
-    /// How it was built: `release` or `debug`.
+    /// Build profile: `release` or `debug`.
     pub profile: String,
-    /// The crates that the build was allowed to use, in the versions of `Cargo.lock`.
+    /// Crates available to the build, in the versions of `Cargo.lock`.
     pub crates: Vec<Package>,
 }
 
 /// A crate.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Package {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// Its version.
+    /// Version.
     pub version: String,
-    /// The SHA-256 of its source, as `Cargo.lock` has it; none for wavex itself.
+    /// SHA-256 of the source, from `Cargo.lock`; none for wavex itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub checksum: Option<String>,
 }
 
-/// A machine; what the system does not tell is left out.
+/// A machine; unknown properties are omitted.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Machine {
-    /// What it calls itself.
+    /// Host name.
     pub host: Option<String>,
-    /// The operating system.
+    /// Operating system.
     pub os: String,
-    /// Its processor's architecture.
+    /// Processor architecture.
     pub architecture: String,
-    /// Its processor.
+    /// Processor model.
     pub processor: Option<String>,
-    /// How many threads it runs at once.
+    /// Number of available cores.
     pub cores: Option<usize>,
-    /// Its memory, MB.
+    /// Memory, MB.
     pub memory_mb: Option<u64>,
 }
 
-/// What of `Cargo.lock` is of interest.
+/// The used part of `Cargo.lock`.
 #[derive(Deserialize)]
 struct Lock {
     package: Vec<Package>,
@@ -71,7 +71,7 @@ impl Program {
         }
     }
 
-    /// In words: `0.1.0 (commit, rustc, profile)`.
+    /// Text form: `0.1.0 (commit, rustc, target, profile)`.
     pub fn words(&self) -> String {
         let commit = self.commit.as_deref().unwrap_or("unknown commit");
         format!("{} ({commit}, {}, {}, {})", self.version, self.rustc, self.target, self.profile)
@@ -99,7 +99,7 @@ impl Machine {
     }
 }
 
-/// What stands behind `name:` in one of the lines.
+/// Value after `name:` in one of the lines.
 fn value<'t>(text: &'t str, name: &str) -> Option<&'t str> {
     let mut pairs = text.lines().filter_map(|line| line.split_once(':'));
     pairs.find(|(key, _)| key.trim() == name).map(|(_, value)| value.trim())

@@ -1,9 +1,9 @@
-//! Paths from one folder to another, by their words alone.
+//! Lexical path operations.
 
 use std::ffi::OsStr;
 use std::path::{Component, Path, PathBuf};
 
-/// A path without steps that lead nowhere or back: `a/./b/../c` is `a/c`.
+/// Removes `.` and `..` components: `a/./b/../c` becomes `a/c`.
 pub(crate) fn plain(path: &Path) -> PathBuf {
     let mut steps = PathBuf::new();
     for step in path.components() {
@@ -18,7 +18,7 @@ pub(crate) fn plain(path: &Path) -> PathBuf {
     steps
 }
 
-/// The deepest folder that all of these lie in; `None` for none, and where there is no such folder.
+/// Deepest common parent folder; `None` for no folders or if there is none.
 pub(super) fn common<'p>(folders: impl IntoIterator<Item = &'p Path>) -> Option<PathBuf> {
     let mut folders = folders.into_iter();
     let mut common = folders.next()?.to_path_buf();
@@ -32,8 +32,9 @@ pub(super) fn common<'p>(folders: impl IntoIterator<Item = &'p Path>) -> Option<
     Some(common)
 }
 
-/// The way from a folder to a path, both absolute, with `/` between the steps; `.` for the folder itself. `None` where there is
-/// no way (another drive), or where a step is no Unicode.
+/// Path from one absolute path to another, with `/` as separator; `.` if equal.
+///
+/// `None` if there is none (another drive) or a component is not valid Unicode.
 pub(super) fn relative(from: &Path, to: &Path) -> Option<String> {
     let shared = common([from, to])?;
     let up = from.strip_prefix(&shared).ok()?.components().map(|_| Some(".."));

@@ -1,4 +1,4 @@
-//! The making of an archive, around a run: digests of the inputs before it, everything else behind it.
+//! Makes the archive of a run: digests of the inputs before it, all else after it.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,77 +20,77 @@ use crate::job::{Include, Job, JobStage};
 use crate::stage::{ConfigError, OutputFile, Result, StageError, partial_path};
 use crate::stages::write_lstat;
 
-/// What the stage is called that writes the statistics of scan lines for the archive.
+/// Id of the stage that writes scan-line statistics for the archive.
 const STAGE_ID: &str = "archive";
 
-/// An archive that is being made. Dropped before [`Recorder::finish`], nothing is left of it.
+/// An archive under construction; removed if dropped before [`Recorder::finish`].
 pub struct Recorder {
-    /// Where it is to be.
+    /// Final path.
     path: PathBuf,
-    /// Where its files gather meanwhile.
+    /// Folder of its files until then.
     gathering: Gathering,
     made: SystemTime,
     archive: Archive,
     job: String,
     includes: Vec<Include>,
     resolved: Resolved,
-    /// What the inputs were like when their digests were taken.
+    /// State of the inputs when their digests were taken.
     stamps: Vec<Stamp>,
-    /// The folder that the archive will be, or would be unpacked to.
+    /// Folder that the archive will be, or unpacks to.
     folder: PathBuf,
 }
 
-/// A folder that is removed in the end.
+/// A temporary folder, removed on drop.
 struct Gathering(PathBuf);
 
 impl Drop for Gathering {
     fn drop(&mut self) {
-        // Nothing can be done about a folder that resists: its name says what it is.
+        // A folder that cannot be removed is recognisable by its name.
         let _ = fs::remove_dir_all(&self.0);
     }
 }
 
-/// Whether an archive can get this name: nothing has it yet.
+/// Checks that an archive can be created under this name.
 ///
 /// # Errors
-/// Something has it; a path without a name; and a name that means an archive of another kind.
+/// If the path exists, has no file name, or has the extension of another archive format.
 pub fn check_destination(path: &Path) -> Result<()> {
     if path.file_name().is_none() {
         return Err(Error::unusable(
             path,
-            "no name for an archive",
+            "not a valid name for an archive",
             "give a new folder, or a name that ends in .tar.zst",
         )
         .into());
     }
     if let Some(kind) = contents::other_kind(path) {
-        let problem = format!("wavex makes no archive of the kind {kind}");
-        let remedy = "give a name that ends in .tar.zst, or that of a new folder";
+        let problem = format!("wavex cannot make {kind} archives");
+        let remedy = "give a name that ends in .tar.zst, or the name of a new folder";
         return Err(Error::unusable(path, problem, remedy).into());
     }
     if path.symlink_metadata().is_ok() {
         let remedy = "choose another name: an archive is never replaced";
-        return Err(Error::unusable(path, "it exists already", remedy).into());
+        return Err(Error::unusable(path, "it already exists", remedy).into());
     }
     Ok(())
 }
 
 impl Recorder {
-    /// Begins the archive of a run with these options: resolves the job, and takes the digests of all inputs.
+    /// Starts the archive of a run: resolves the job and computes the digests of all inputs.
     ///
     /// # Errors
-    /// The archive exists already, or an input cannot be read.
+    /// If the archive exists already or an input cannot be read.
     pub fn begin(job: &Job, options: &Options, path: &Path) -> Result<Recorder> {
         check_destination(path)?;
         let made = SystemTime::now();
         let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        fs::create_dir_all(parent).map_err(Error::io(parent, "make the folder"))?;
+        fs::create_dir_all(parent).map_err(Error::io(parent, "create the folder"))?;
         let folder = contents::folder_of(path)?;
         let resolved = Resolved::new(job, options, &folder)?;
         let gathering = Gathering(partial_path(path, std::process::id()));
-        // What a dead process of the same number has left is not ours.
+        // Remove remains of a dead process with the same id.
         drop(Gathering(gathering.0.clone()));
-        fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "make the folder"))?;
+        fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "create the folder"))?;
         let stamps: Result<Vec<Stamp>> = resolved.inputs.iter().map(|path| Ok(Stamp::of(path)?)).collect();
         let digested = |path: &PathBuf| digested(&resolved.input_root, path, None);
         let inputs: Result<Vec<DigestedFile>> = resolved.inputs.iter().map(digested).collect();
@@ -109,16 +109,16 @@ impl Recorder {
         Ok(Recorder { path, gathering, made, archive, job, includes, resolved, stamps, folder })
     }
 
-    /// The job to run: the same, with statistics of scan lines for the archive at its end.
+    /// The job to run: with an additional stage that writes scan-line statistics for the archive.
     ///
     /// # Errors
-    /// A folder whose name is no Unicode.
+    /// If the name of a folder is not valid Unicode.
     pub fn job(&self, job: &Job) -> Result<Job> {
         let folder = std::path::absolute(&self.gathering.0).map_err(Error::io(&self.gathering.0, "find"))?;
         let pattern = folder.join(LINES).join("*_lstat.txt");
         let Some(pattern) = pattern.to_str().filter(|pattern| pattern.matches('*').count() == 1) else {
-            let problem = format!("{}: no name for an archive", self.path.display());
-            return Err(StageError::failed(problem, "choose one in Unicode and without `*`"));
+            let problem = format!("{}: not a valid name for an archive", self.path.display());
+            return Err(StageError::failed(problem, "choose a Unicode name without `*`"));
         };
         let keys = format!("path = {}", toml::Value::String(pattern.to_owned()));
         let keys = toml::de::DeTable::parse(&keys).map_err(|error| defect(&error))?;
@@ -131,7 +131,7 @@ impl Recorder {
         Ok(job)
     }
 
-    /// Takes what the archive's own stage did out of a report.
+    /// Removes the archive's own stage from a report.
     pub fn strip(&self, report: &mut RunReport) {
         report.stages.pop();
         let own = std::path::absolute(&self.gathering.0).unwrap_or_default();
@@ -141,10 +141,12 @@ impl Recorder {
         }
     }
 
-    /// Gives the archive its name: from here on it is there, and whole. Returns its seal, the BLAKE3 digest of `archive.b3`.
+    /// Completes the archive, gives it its name, and returns its seal.
+    ///
+    /// The seal is the BLAKE3 digest of `archive.b3`.
     ///
     /// # Errors
-    /// An input was changed during the run, or the archive cannot be written.
+    /// If an input was changed during the run, or the archive cannot be written.
     pub fn finish(mut self, report: &RunReport, log: &[u8]) -> Result<String> {
         self.check_inputs()?;
         self.archive.outputs.files = self.outputs(report)?;
@@ -158,14 +160,15 @@ impl Recorder {
         } else {
             contents::write_folder(&self.gathering.0, &files)?;
             fs::rename(&self.gathering.0, &self.path)
-                .map_err(Error::io(&self.path, "give the final name to"))?;
+                .map_err(Error::io(&self.path, "rename to the final name"))?;
         }
         Ok(seal)
     }
 
     fn pack(&self, files: &BTreeMap<String, Vec<u8>>) -> Result<()> {
-        // The folder that gathers has the name that the file would have meanwhile.
-        fs::remove_dir_all(&self.gathering.0).map_err(Error::io(&self.path, "make room for"))?;
+        // The temporary folder has the same name as the temporary file.
+        fs::remove_dir_all(&self.gathering.0)
+            .map_err(Error::io(&self.path, "remove the temporary folder of"))?;
         let mut file = OutputFile::create(&self.path)?;
         let name = self.folder.file_name().unwrap_or_default().to_string_lossy();
         let seconds = self.made.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
@@ -177,14 +180,14 @@ impl Recorder {
     fn check_inputs(&self) -> Result<()> {
         for (path, stamp) in self.resolved.inputs.iter().zip(&self.stamps) {
             if Stamp::of(path)? != *stamp {
-                let problem = "it was changed while the run read it: no archive is made";
+                let problem = "it was changed during the run: no archive was made";
                 return Err(Error::unusable(path, problem, "run the job again").into());
             }
         }
         Ok(())
     }
 
-    /// The digests of all that the stages wrote, in order of their paths.
+    /// Digests of all files written by stages, sorted by path.
     fn outputs(&self, report: &RunReport) -> Result<Vec<DigestedFile>> {
         let mut files = Vec::new();
         for output in report.inputs.iter().flat_map(|input| &input.outputs) {
@@ -196,7 +199,7 @@ impl Recorder {
         Ok(files)
     }
 
-    /// The files that are made here, by their paths.
+    /// Files generated here, by path.
     fn texts(&self, report: &RunReport, log: &[u8]) -> Result<BTreeMap<String, Vec<u8>>> {
         let mut files = BTreeMap::from([
             (ARCHIVE.to_owned(), json(&self.archive)?),
@@ -219,17 +222,17 @@ impl Recorder {
 }
 
 fn defect(error: &dyn std::fmt::Display) -> StageError {
-    StageError::failed(format!("the run cannot be archived: {error}"), "report this as a defect of wavex")
+    StageError::failed(format!("the run cannot be archived: {error}"), "please report this bug in wavex")
 }
 
-/// A value as text that people read, too.
+/// Formats a value as indented JSON.
 fn json(value: &impl serde::Serialize) -> Result<Vec<u8>> {
     let mut text = serde_json::to_vec_pretty(value).map_err(|error| defect(&error))?;
     text.push(b'\n');
     Ok(text)
 }
 
-/// A file that exists, from the root of the file system; its name stays as it is.
+/// Absolute path of an existing file; its file name is not resolved.
 fn absolute(path: &Path) -> Result<PathBuf> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = folder.canonicalize().map_err(Error::io(folder, "find the folder"))?;
@@ -239,12 +242,12 @@ fn absolute(path: &Path) -> Result<PathBuf> {
 fn digested(root: &Path, path: &Path, stage: Option<String>) -> Result<DigestedFile> {
     let (bytes, blake3) = digest::of_file(path)?;
     let name = relative(root, path).ok_or_else(|| {
-        StageError::failed(format!("{}: no name in Unicode", path.display()), "give it another name")
+        StageError::failed(format!("{}: the name is not valid Unicode", path.display()), "rename it")
     })?;
     Ok(DigestedFile { path: name, bytes, blake3, stage })
 }
 
-/// Files below a folder, as the archive in `archive` names it.
+/// Describes files below a folder for the archive in `archive`.
 fn files(archive: &Path, root: &Path, files: Vec<DigestedFile>) -> Files {
     let folder_was = root.display().to_string();
     Files { folder: relative(archive, root).unwrap_or_else(|| folder_was.clone()), folder_was, files }

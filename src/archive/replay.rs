@@ -1,4 +1,4 @@
-//! The run of an archive once more, and whether it gives the same bytes.
+//! Runs an archived job again and compares the outputs.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,37 +16,39 @@ use crate::formats::Error;
 use crate::job::{Job, Override, Simd};
 use crate::stage::{Result, StageError};
 
-/// How an archive is run again.
+/// Options of a replay.
 #[derive(Clone, Debug)]
 pub struct Replay {
-    /// Where inputs and outputs are now.
+    /// Current folders of inputs and outputs.
     pub folders: Folders,
-    /// Workers per map; the archive's when not given, as many as the machine has cores when 0.
+    /// Workers per map; default: as in the archived run; 0: one per core.
     pub threads: Option<usize>,
-    /// How to show how far the run is.
+    /// Progress display.
     pub progress: ProgressMode,
-    /// Ends the run early when it is set.
+    /// Ends the run early when set.
     pub cancel: Cancel,
 }
 
-/// What came out.
+/// Result of a replay.
 #[derive(Debug)]
 pub struct Replayed {
-    /// Each thing that is not as it was; empty: every output is the same to the bit.
+    /// Differences; empty if all outputs are identical bit by bit.
     pub problems: Vec<String>,
-    /// What the user should know besides.
+    /// Further notes for the user.
     pub notes: Vec<String>,
-    /// How many outputs were compared.
+    /// Number of compared outputs.
     pub outputs: usize,
-    /// The archive's seal, the BLAKE3 digest of `archive.b3`; empty where that is missing.
+    /// Seal of the archive: the BLAKE3 digest of `archive.b3`; empty if missing.
     pub seal: String,
 }
 
-/// Runs an archive again, into a folder of its own that is removed behind it, and compares what comes out with what came out
-/// then. Nothing is run where the archive or an input is not as it was.
+/// Runs an archived job again and compares the outputs.
+///
+/// Writes to a temporary folder, which is removed afterwards. Does not run if the archive or an
+/// input has changed.
 ///
 /// # Errors
-/// There is no archive, or the run fails.
+/// If there is no archive or the run fails.
 pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     let contents = Contents::read(path)?;
     let seal = contents.seal();
@@ -76,7 +78,7 @@ pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     Ok(Replayed { problems, notes, outputs: archive.outputs.files.len(), seal })
 }
 
-/// The job as it was run, and what is different of it here.
+/// The archived job, and notes on differences to the archived run.
 fn job(contents: &Contents, archive: &Archive, threads: Option<usize>) -> Result<(Job, Vec<String>)> {
     let text = contents.resolved_job()?;
     let wanted = toml::from_str::<toml::Table>(text).ok().and_then(|job| {
@@ -89,7 +91,7 @@ fn job(contents: &Contents, archive: &Archive, threads: Option<usize>) -> Result
     if wanted.is_some_and(|simd| !simd.path().is_available()) {
         set.push(Override::new("job.simd='auto'"));
         notes.push(format!(
-            "the run used instructions that this processor lacks ({}): others are used, which give the same results",
+            "the archived run used SIMD instructions that this processor lacks (recorded on: {}); other instructions with the same results are used",
             archive.machine.processor.as_deref().unwrap_or(&archive.machine.architecture)
         ));
     }
@@ -97,7 +99,7 @@ fn job(contents: &Contents, archive: &Archive, threads: Option<usize>) -> Result
         Ok(job) => Ok((job, notes)),
         Err(errors) => {
             let problem = format!(
-                "the job of this archive is none that wavex {} knows:\n{errors}",
+                "the job of this archive is not valid in wavex {}:\n{errors}",
                 env!("CARGO_PKG_VERSION")
             );
             Err(StageError::failed(problem.trim_end(), format!("use wavex {}", archive.program.words())))
@@ -105,14 +107,14 @@ fn job(contents: &Contents, archive: &Archive, threads: Option<usize>) -> Result
     }
 }
 
-/// A note where another program made the archive.
+/// Note if another program made the archive.
 fn other_program(archive: &Archive) -> Option<String> {
     let (then, now) = (&archive.program, Program::this());
     (*then != now)
         .then(|| format!("the archive was made by wavex {}, this is wavex {}", then.words(), now.words()))
 }
 
-/// What differs between the outputs of now, in `now`, and those of then, which may lie in `then`.
+/// Compares new outputs in `now` with the archived ones, which may still exist in `then`.
 fn compare(archive: &Archive, report: &RunReport, now: &Path, then: &Path) -> Result<Vec<String>> {
     let outputs = report.inputs.iter().flat_map(|input| &input.outputs);
     let mut made: BTreeMap<String, &PathBuf> =
@@ -120,15 +122,17 @@ fn compare(archive: &Archive, report: &RunReport, now: &Path, then: &Path) -> Re
     let mut problems = Vec::new();
     for file in &archive.outputs.files {
         match made.remove(&file.path) {
-            None => problems.push(format!("output {}: the run does not make it any more", file.path)),
+            None => problems.push(format!("output {}: not made by the replay", file.path)),
             Some(path) => problems.extend(compare_file(file, path, &then.join(&file.path))?),
         }
     }
-    problems.extend(made.keys().map(|path| format!("output {path}: the run did not make it then")));
+    problems.extend(
+        made.keys().map(|path| format!("output {path}: made by the replay, but not by the archived run")),
+    );
     Ok(problems)
 }
 
-/// What is wrong with an output, if anything: the one made now, and the one made then where it still lies there.
+/// Compares an output with its digest; uses the original file if it still exists.
 fn compare_file(file: &DigestedFile, now: &Path, then: &Path) -> Result<Option<String>> {
     let name = match &file.stage {
         Some(stage) => format!("output {} of stage {stage}", file.path),
@@ -143,22 +147,22 @@ fn compare_file(file: &DigestedFile, now: &Path, then: &Path) -> Result<Option<S
         (true, true) => {
             let difference = first_difference(now, then);
             let then = then.display();
-            Some(format!("{name}: the run makes it again, but {then} was changed since: {difference}"))
+            Some(format!("{name}: reproduced, but {then} was changed since the run: {difference}"))
         }
         (false, true) if is_same(then)? => {
-            Some(format!("{name}: not the same: {}", first_difference(then, now)))
+            Some(format!("{name}: different: {}", first_difference(then, now)))
         }
         (false, _) => {
             let (_, blake3) = digest::of_file(now)?;
             Some(format!(
-                "{name}: not the same: its digest is {blake3} instead of {}; the file of then is not at hand to say where",
+                "{name}: different: its digest is {blake3} instead of {}; the original file is not available to locate the difference",
                 file.blake3
             ))
         }
     })
 }
 
-/// A folder that is removed in the end.
+/// A temporary folder, removed on drop.
 struct Temporary(PathBuf);
 
 impl Temporary {
@@ -166,14 +170,14 @@ impl Temporary {
         static COUNT: AtomicUsize = AtomicUsize::new(0);
         let number = COUNT.fetch_add(1, Ordering::Relaxed);
         let path = std::env::temp_dir().join(format!("wavex-replay-{}-{number}", std::process::id()));
-        fs::create_dir_all(&path).map_err(Error::io(&path, "make the folder"))?;
+        fs::create_dir_all(&path).map_err(Error::io(&path, "create the folder"))?;
         Ok(Temporary(path))
     }
 }
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // The system's own sweeping of temporary files gets what resists.
+        // The system cleans up temporary folders that cannot be removed.
         let _ = fs::remove_dir_all(&self.0);
     }
 }

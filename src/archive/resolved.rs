@@ -1,4 +1,4 @@
-//! A job as it was run, in a form that runs anywhere: every default spelled out, every path relative.
+//! The job as run, in portable form: all defaults written out, all paths relative.
 
 use std::borrow::Cow;
 use std::fs;
@@ -13,22 +13,22 @@ use crate::formats::Error;
 use crate::job::{Job, JobStage, Simd};
 use crate::stage::{FileMark, Paths, Plan, Result, StageError};
 
-/// A job with its files by their paths below two folders.
+/// A portable job with its files.
 #[derive(Debug)]
 pub(super) struct Resolved {
     /// `job.resolved.toml`.
     pub text: String,
-    /// The folder that holds all inputs.
+    /// Folder that contains all inputs.
     pub input_root: PathBuf,
-    /// The folder that holds all outputs.
+    /// Folder that contains all outputs.
     pub output_root: PathBuf,
-    /// Every file that is read.
+    /// All files that are read.
     pub inputs: Vec<PathBuf>,
-    /// Every file that a stage may write, with the stage.
+    /// All files that stages may write, with the id of the stage.
     pub outputs: Vec<(PathBuf, String)>,
 }
 
-/// Where the paths of a job start, all absolute.
+/// Absolute folders at which the paths of a job start.
 struct Roots {
     input_dir: PathBuf,
     input_root: PathBuf,
@@ -37,17 +37,18 @@ struct Roots {
 }
 
 impl Resolved {
-    /// The job as these options run it; its own folders are told as seen from `archive`.
+    /// Resolves the job as these options run it; its folders are relative to `archive`.
     ///
     /// # Errors
-    /// An input is missing, or standard input; a path is no Unicode.
+    /// If an input is missing or standard input, or a path is not valid Unicode.
     pub(super) fn new(job: &Job, options: &Options, archive: &Path) -> Result<Resolved> {
         let input_dir = absolute(&options.input_dir)?;
-        fs::create_dir_all(&options.output_dir).map_err(Error::io(&options.output_dir, "make the folder"))?;
+        fs::create_dir_all(&options.output_dir)
+            .map_err(Error::io(&options.output_dir, "create the folder"))?;
         let output_dir = absolute(&options.output_dir)?;
         let sources = engine::inputs(job, &input_dir).map_err(|error| error.into_stage_error())?;
         if sources.iter().any(|input| input.path == Path::new("-")) {
-            let remedy = "save it as a file, and give that to the reader";
+            let remedy = "save it to a file and read that file";
             return Err(StageError::failed("standard input cannot be archived", remedy));
         }
         let mut settings = job.settings.clone();
@@ -67,7 +68,7 @@ impl Resolved {
         let text = toml::to_string_pretty(&without_null(json!({"job": job_table, "stage": stages?})))
             .map_err(|error| defect(&error))?;
         let text = format!(
-            "# The job {:?} as wavex {} ran it: every default spelled out that hangs on no data, every path relative.\n\n{text}",
+            "# Job {:?} as run by wavex {}: all data-independent defaults written out, all paths relative.\n\n{text}",
             name_of(&job.name),
             env!("CARGO_PKG_VERSION")
         );
@@ -82,7 +83,7 @@ impl Resolved {
     }
 }
 
-/// What a job is called without the folders that are this machine's.
+/// Name of a job without folders of this machine.
 fn name_of(job: &str) -> Cow<'_, str> {
     match Path::new(job) {
         path if path.is_absolute() => path.file_name().unwrap_or_default().to_string_lossy(),
@@ -91,15 +92,15 @@ fn name_of(job: &str) -> Cow<'_, str> {
 }
 
 fn defect(error: &dyn std::fmt::Display) -> StageError {
-    StageError::failed(format!("the job cannot be archived: {error}"), "report this as a defect of wavex")
+    StageError::failed(format!("the job cannot be archived: {error}"), "please report this bug in wavex")
 }
 
-/// A folder that exists, from the root of the file system.
+/// Absolute path of an existing folder.
 fn absolute(folder: &Path) -> Result<PathBuf> {
     Ok(folder.canonicalize().map_err(Error::io(folder, "find the folder"))?)
 }
 
-/// The job's own folder where all files lie below it, else the deepest that holds them all.
+/// The job's own folder if it contains all files, else their deepest common folder.
 fn root<'p>(own: &Path, files: impl Iterator<Item = &'p Path> + Clone) -> PathBuf {
     if files.clone().all(|file| file.starts_with(own)) {
         return own.to_owned();
@@ -107,7 +108,7 @@ fn root<'p>(own: &Path, files: impl Iterator<Item = &'p Path> + Clone) -> PathBu
     common(files.filter_map(Path::parent)).unwrap_or_else(|| own.to_owned())
 }
 
-/// Every file that a stage may write, with the stage.
+/// All files that stages may write, with the id of the stage.
 fn outputs_of(job: &Job, sources: &[Input], output_dir: &Path) -> Vec<(PathBuf, String)> {
     let of_stage = |stage: &JobStage| -> Vec<(PathBuf, String)> {
         let patterns = stage.planned.plan.outputs();
@@ -119,12 +120,12 @@ fn outputs_of(job: &Job, sources: &[Input], output_dir: &Path) -> Vec<(PathBuf, 
 }
 
 impl Roots {
-    /// A text of the job that names inputs, as seen from the folder of all inputs.
+    /// Path of an input, relative to the folder of all inputs.
     fn input(&self, text: &str) -> Result<String> {
         way(&self.input_root, &plain(&self.input_dir.join(text)))
     }
 
-    /// The same for outputs.
+    /// Path of an output, relative to the folder of all outputs.
     fn output(&self, text: &str) -> Result<String> {
         way(&self.output_root, &plain(&self.output_dir.join(text)))
     }
@@ -136,7 +137,7 @@ impl Roots {
                 *text = self.input(text)?;
             }
         }
-        // Without a folder of their own, geoids lie in that of the inputs.
+        // Without a folder of their own, geoids are in the input folder.
         inputs::place_geoid(&mut settings, |folder| self.input(folder))?;
         for pointer in inputs::marked(FileMark::Output) {
             if let Some(Value::String(text)) = settings.pointer_mut(&pointer)
@@ -146,7 +147,7 @@ impl Roots {
             }
         }
         if let Some(table) = settings.as_object_mut() {
-            // What the files say stands in the job itself now.
+            // The contents of included files are now part of the job.
             table.retain(|key, _| key != "include");
         }
         settings["input_dir"] = json!(way(archive, &self.input_root)?);
@@ -177,7 +178,7 @@ impl Roots {
         {
             let files: Result<Vec<String>> =
                 sources.iter().map(|input| self.input_file(&input.path)).collect();
-            // A pattern would find other files another day.
+            // Replace patterns: they could match other files later.
             if let Some((_, value)) = table.iter_mut().find(|(_, value)| **value == json!(paths)) {
                 *value = match (paths, files?.as_slice()) {
                     (Paths::One(_), [only]) => json!(only),
@@ -193,15 +194,15 @@ impl Roots {
     }
 }
 
-/// The way from a folder to a path.
+/// Path from a folder to a file.
 fn way(from: &Path, to: &Path) -> Result<String> {
     relative(from, to).ok_or_else(|| {
-        let problem = format!("{}: there is no relative path to this from {}", to.display(), from.display());
-        StageError::failed(problem, "put both on one drive, under names in Unicode")
+        let problem = format!("{}: no relative path from {}", to.display(), from.display());
+        StageError::failed(problem, "put both on one drive and use Unicode names")
     })
 }
 
-/// Replaces a text wherever it stands as a value.
+/// Replaces a text in all values of a table.
 fn replace(table: &mut Map<String, Value>, from: &str, to: &str) {
     for value in table.values_mut() {
         match value {
@@ -212,7 +213,7 @@ fn replace(table: &mut Map<String, Value>, from: &str, to: &str) {
     }
 }
 
-/// The same without nulls, which TOML does not have: what is null is not given.
+/// Removes nulls, which TOML does not support; a null key is omitted.
 fn without_null(value: Value) -> Value {
     match value {
         Value::Object(table) => {

@@ -1,4 +1,4 @@
-//! Whether an archive and the files that it tells of are as they were: by digests alone.
+//! Verifies an archive, its inputs and its outputs by their digests.
 
 use std::path::{Path, PathBuf};
 
@@ -8,38 +8,40 @@ use super::paths::plain;
 use super::{Archive, DigestedFile, Files};
 use crate::stage::Result;
 
-/// Where inputs and outputs are now, where they are not where the archive says.
+/// Current folders of inputs and outputs, if different from those in the archive.
 #[derive(Clone, Debug, Default)]
 pub struct Folders {
-    /// The folder of the inputs.
+    /// Folder of the inputs.
     pub inputs: Option<PathBuf>,
-    /// The folder of the outputs.
+    /// Folder of the outputs.
     pub outputs: Option<PathBuf>,
 }
 
-/// What came out.
+/// Result of a verification.
 #[derive(Debug)]
 pub struct Verified {
-    /// Each thing that is not as it was.
+    /// Differences.
     pub problems: Vec<String>,
-    /// How many files of the archive, inputs and outputs were looked at.
+    /// Number of verified archive files, inputs and outputs.
     pub counts: [usize; 3],
-    /// The archive's seal, the BLAKE3 digest of `archive.b3`; empty where that is missing.
+    /// Seal of the archive: the BLAKE3 digest of `archive.b3`; empty if missing.
     pub seal: String,
 }
 
-/// Compares the files of an archive, its inputs and its outputs with their digests; and the archive's seal with the one that
-/// was written down, where that is given.
+/// Verifies the digests of an archive's files, inputs and outputs.
+///
+/// Also compares the seal with `seal_noted`, if given.
 ///
 /// # Errors
-/// There is no archive.
+/// If there is no archive.
 pub fn verify(path: &Path, folders: &Folders, seal_noted: Option<&str>) -> Result<Verified> {
     let contents = Contents::read(path)?;
     let seal = contents.seal();
     let mut problems: Vec<String> =
         seal_noted.and_then(|noted| other_seal(&seal, noted)).into_iter().collect();
     problems.extend(contents.tampering());
-    // What cannot be told of an archive that was tampered with is told by that.
+    // If the archive was tampered with, the description may be unreadable; report the tampering
+    // only.
     let archive = match contents.archive() {
         Err(_) if !problems.is_empty() => {
             return Ok(Verified { problems, counts: [contents.count(), 0, 0], seal });
@@ -52,17 +54,17 @@ pub fn verify(path: &Path, folders: &Folders, seal_noted: Option<&str>) -> Resul
     Ok(Verified { problems, counts, seal })
 }
 
-/// What a seal that is not the one written down means.
+/// Message for a seal that differs from the noted one.
 fn other_seal(seal: &str, noted: &str) -> Option<String> {
     (!seal.is_empty() && !seal.eq_ignore_ascii_case(noted)).then(|| {
         format!(
-            "the seal is {seal} instead of {noted}: this is not the archive whose seal was written down, or it was changed and \
-             sealed anew"
+            "the seal is {seal} instead of {noted}: this is not the archive with the noted seal, or it was changed and \
+             resealed"
         )
     })
 }
 
-/// What is not as it was of the inputs.
+/// Verifies the inputs.
 pub(super) fn inputs(archive: &Archive, contents: &Contents, folders: &Folders) -> Vec<String> {
     let folder = place(&archive.inputs, contents, folders.inputs.as_deref());
     archive.inputs.files.iter().filter_map(|file| problem("input", &folder, file, "--inputs")).collect()
@@ -73,7 +75,7 @@ fn outputs(archive: &Archive, contents: &Contents, folders: &Folders) -> Vec<Str
     archive.outputs.files.iter().filter_map(|file| problem("output", &folder, file, "--outputs")).collect()
 }
 
-/// Where files are: where the user says, else as seen from the archive, else where they were.
+/// Current folder of files: as given by the user, else relative to the archive, else the original.
 pub(super) fn place(files: &Files, contents: &Contents, said: Option<&Path>) -> PathBuf {
     if let Some(said) = said {
         return said.to_owned();
@@ -84,15 +86,12 @@ pub(super) fn place(files: &Files, contents: &Contents, said: Option<&Path>) -> 
     if !has_any(&seen) && has_any(&was) { was } else { seen }
 }
 
-/// What is wrong with a file, if anything.
+/// Verifies one file; returns the problem, if any.
 fn problem(what: &str, folder: &Path, file: &DigestedFile, option: &str) -> Option<String> {
     let path = folder.join(&file.path);
     if !path.exists() {
         let folder = folder.display();
-        return Some(format!(
-            "{what} {}: not found in {folder}; say with {option} where it is now",
-            file.path
-        ));
+        return Some(format!("{what} {}: not found in {folder}; give its folder with {option}", file.path));
     }
     match digest::of_file(&path) {
         Err(error) => Some(format!("{what} {}: {error}", file.path)),

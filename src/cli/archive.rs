@@ -1,4 +1,4 @@
-//! `wavex replay` and `wavex verify`: what became of an archive.
+//! `wavex replay` and `wavex verify`: check archives of runs.
 
 use std::fmt::Write as _;
 use std::io::IsTerminal;
@@ -8,7 +8,7 @@ use super::{ArchiveArgs, Failure, When, print, run};
 use crate::archive::{self, Folders, Replay};
 use crate::engine::Cancel;
 
-/// Runs an archive again, and says what differs.
+/// Runs an archived job again and reports differences.
 pub(super) fn replay(
     args: ArchiveArgs,
     threads: Option<usize>,
@@ -25,11 +25,11 @@ pub(super) fn replay(
     }
     failed(&args.archive, &found.problems, &found.seal)?;
     let (archive, outputs, seal) = (args.archive.display(), found.outputs, &found.seal);
-    let said = format!("{archive}: {outputs} outputs are the same to the bit; its seal is {seal}\n");
+    let said = format!("{archive}: {outputs} outputs are identical bit by bit; seal {seal}\n");
     if quiet { Ok(()) } else { print(&said) }
 }
 
-/// Compares digests, and the seal with the one that was written down, and says what differs.
+/// Verifies all digests, and the seal against `seal_noted`.
 pub(super) fn verify(args: &ArchiveArgs, seal_noted: Option<&str>, quiet: bool) -> Result<(), Failure> {
     let found = archive::verify(&args.archive, &folders(args), seal_noted);
     let found = found.map_err(|error| Failure::Run(error.to_string()))?;
@@ -37,7 +37,7 @@ pub(super) fn verify(args: &ArchiveArgs, seal_noted: Option<&str>, quiet: bool) 
     let [files, inputs, outputs] = found.counts;
     let archive = args.archive.display();
     let said = format!(
-        "{archive}: {files} files of the archive, {inputs} inputs and {outputs} outputs are as they were; its seal is {}\n",
+        "{archive}: {files} archive files, {inputs} inputs and {outputs} outputs are unchanged; seal {}\n",
         found.seal
     );
     if quiet { Ok(()) } else { print(&said) }
@@ -47,15 +47,17 @@ fn folders(args: &ArchiveArgs) -> Folders {
     Folders { inputs: args.inputs.clone(), outputs: args.outputs.clone() }
 }
 
+/// Reports problems as one failure.
+///
 /// # Errors
-/// There are problems.
+/// If there are any problems.
 fn failed(archive: &Path, problems: &[String], seal: &str) -> Result<(), Failure> {
     if problems.is_empty() {
         return Ok(());
     }
-    let mut text = format!("{}: not everything is as it was", archive.display());
+    let mut text = format!("{}: verification failed", archive.display());
     if !seal.is_empty() {
-        let _ = write!(text, "; its seal is {seal}");
+        let _ = write!(text, "; seal {seal}");
     }
     for problem in problems {
         let _ = write!(text, "\n  {problem}");

@@ -1,4 +1,4 @@
-//! The arguments of every command.
+//! Command-line arguments of all commands.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use super::usage;
 use crate::formats::trajectory::Angles;
 use crate::geo::time_axis::Clock;
 
-/// Turns recorded full-waveform lidar into point clouds.
+/// Turn full-waveform lidar recordings into point clouds
 #[derive(Parser)]
 #[command(name = "wavex", version, after_help = EXIT_CODES)]
 pub(super) struct Cli {
@@ -18,15 +18,15 @@ pub(super) struct Cli {
     pub(super) loudness: Loudness,
 }
 
-const EXIT_CODES: &str = "Exit status: 0 done; 1 the run failed; 2 the job or the command line is wrong";
+const EXIT_CODES: &str = "Exit status: 0 success; 1 the run failed; 2 the job or the command line is invalid";
 
-/// How much is said besides results and errors.
+/// Verbosity on standard error.
 #[derive(Args, Clone, Copy)]
 pub(super) struct Loudness {
-    /// Say more: -v tells what is done, -vv also the details
+    /// Print more messages: -v for progress, -vv for details
     #[arg(short, long, global = true, action = ArgAction::Count)]
     pub(super) verbose: u8,
-    /// Say nothing but errors
+    /// Print errors only
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub(super) quiet: bool,
 }
@@ -35,184 +35,190 @@ pub(super) struct Loudness {
 pub(super) enum Command {
     /// Run a job
     ///
-    /// Relative paths in the job start at its folder, or at its `input_dir` and `output_dir`. Outputs get their names
-    /// only when the whole run has succeeded.
+    /// Relative paths start at the job's folder, or at its `input_dir` and `output_dir`. Outputs
+    /// get their final names only after the whole run has succeeded.
     #[command(after_help = usage::RUN)]
     Run {
         #[command(flatten)]
         job: JobArgs,
         #[command(flatten)]
         machine: Machine,
-        /// Keep how the outputs were made: a new folder, or a file whose name ends in .tar.zst
+        /// Archive how the outputs were made, in a new folder or a file that ends in .tar.zst
         ///
-        /// The job as written and as resolved, the digests of all inputs and outputs, the sensor model, versions, the
-        /// machine, the report, the statistics of scan lines, and the log.
+        /// The archive holds the job as written and as resolved, digests of all inputs and outputs,
+        /// the sensor model, software versions, the machine, the report, the scan-line statistics,
+        /// and the log.
         #[arg(long, value_name = "ARCHIVE")]
         archive: Option<PathBuf>,
     },
-    /// Run an archived job again, and say whether it gives the same outputs to the bit
+    /// Run an archived job again and compare the outputs bit by bit
     ///
-    /// Runs into a temporary folder (TMPDIR says where), after the archive and its inputs were found to be as they were. Exit
-    /// status 1 where something differs: which file, and the first difference in its own terms.
+    /// First verifies the archive and its inputs, then runs into a temporary folder (see TMPDIR).
+    /// If an output differs, prints the file and its first difference, and exits with status 1.
     #[command(after_help = usage::REPLAY)]
     Replay {
         #[command(flatten)]
         archived: ArchiveArgs,
-        /// How many threads work at once; 0: one for each core [default: as many as then]
+        /// Number of worker threads; 0: one per core [default: as in the archived run]
         #[arg(long, value_name = "N")]
         threads: Option<usize>,
-        /// Whether to show how far the run is; auto: a bar on a terminal, lines elsewhere
+        /// When to show progress; auto: a bar on a terminal, lines elsewhere
         #[arg(long, value_name = "WHEN", default_value = "auto")]
         progress: When,
     },
-    /// Say whether an archive, its inputs and its outputs are as they were, by their digests alone
+    /// Verify an archive, its inputs and its outputs by their digests
     #[command(after_help = usage::VERIFY)]
     Verify {
         #[command(flatten)]
         archived: ArchiveArgs,
-        /// The seal that was written down when the archive was made: another one is an error
+        /// Seal noted when the archive was made; fail if it differs
         ///
-        /// 64 hexadecimal digits, as `wavex run --archive` prints them. Whoever changes an archive can seal it anew, but not with
-        /// this number.
+        /// 64 hexadecimal digits, as `wavex run --archive` prints them. Anyone who changes an
+        /// archive can reseal it, but the new seal differs from the noted one.
         #[arg(long, value_name = "HEX", value_parser = seal)]
         seal: Option<String>,
     },
-    /// Validate a job without reading data: its keys, its chain, its folders, and which inputs are missing
+    /// Validate a job without reading data: keys, chain, output folders, missing inputs
     #[command(after_help = usage::CHECK)]
     Check {
         #[command(flatten)]
         job: JobArgs,
     },
-    /// List the stages, or explain one with all its keys
+    /// List the stages, or describe one stage and its keys
     #[command(after_help = usage::STAGES)]
     Stages {
-        /// The stage to explain
+        /// Stage to describe
         name: Option<String>,
     },
-    /// Print the JSON Schema of a job, for editors that check and complete TOML
+    /// Print the JSON Schema of jobs, for editors that validate and complete TOML
     ///
-    /// Save it as job.schema.json and begin a job with the line `#:schema job.schema.json`.
+    /// Save it as job.schema.json and start the job with the line `#:schema job.schema.json`.
     #[command(after_help = usage::SCHEMA)]
     Schema,
-    /// Write a commented job to start from
+    /// Write a commented starter job
     ///
-    /// With --from, the job for this recording: its format, its instrument and its frame choose the stages. The schema for editors
-    /// is written beside the job, as job.schema.json.
+    /// With --from, writes a job for this recording: its format, instrument and frame select the
+    /// stages. Also writes the schema for editors, job.schema.json, to the folder of the job.
     #[command(after_help = usage::INIT)]
     Init {
-        /// The file to write, which must not exist yet; standard output when not given
+        /// Job to write; must not exist yet [default: standard output]
         file: Option<PathBuf>,
-        /// The recording that the job is for
+        /// Recording to write the job for
         #[arg(long, value_name = "RECORDING")]
         from: Option<PathBuf>,
     },
-    /// Calibrate from a recording, and save the sensor model for others
+    /// Calibrate from a recording and save the sensor model
     ///
-    /// Reads the whole recording, prints noise, background and pulse width of each receiver, and writes the model as JSON. Jobs use
-    /// it by `load` of `calibrate`. docs/presets.md says how to make and share one.
+    /// Reads the whole recording, prints noise, background and pulse width of each receiver, and
+    /// writes the model as JSON. A job uses it with the key `load` of `calibrate`. docs/presets.md
+    /// describes how to make and share presets.
     #[command(after_help = usage::CALIBRATE)]
     Calibrate(CalibrateArgs),
-    /// Copy recorded waveforms into the open container (Arrow)
+    /// Copy recorded waveforms into the open container format (Arrow)
     #[command(after_help = usage::CONVERT)]
     Convert {
-        /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow; a pattern in quotation marks means several
+        /// Recording: .las, .laz, .pls, .sdf, .wfm or .arrow; quote a pattern to convert several
         input: String,
-        /// The container to write: .arrow; with several inputs, `*` stands for the name of each
+        /// Container to write: .arrow; with several inputs, `*` is replaced by the name of each
         output: String,
         #[command(flatten)]
         machine: Machine,
     },
-    /// Copy points into a cloud-optimised file (COPC), which viewers read in parts
+    /// Convert points to a cloud-optimised point cloud (COPC)
     ///
-    /// Takes LAS and LAZ of point formats 6 to 10, as `write_las` makes them. All points stay as they are to the bit, with
-    /// extra attributes and coordinate system; waveforms stay behind.
+    /// Reads LAS or LAZ of point formats 6 to 10, as `write_las` writes them. Copies all points bit
+    /// by bit, with extra attributes and coordinate system, but without waveforms.
     #[command(after_help = usage::COPC)]
     Copc {
-        /// The points: .las or .laz
+        /// Points: .las or .laz
         input: PathBuf,
-        /// The file to write [default: NAME.copc.laz beside the points]
+        /// COPC file to write [default: NAME.copc.laz next to the input]
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Print how many returns of noise alone each threshold lets through
+    /// Print the false-return rate of pure noise for each threshold
     ///
-    /// The table to choose `detection_sigma` by: false returns per waveform, by threshold and correlation of the noise.
+    /// Use the table to choose `detection_sigma`: false returns per waveform, by threshold and
+    /// noise correlation.
     #[command(after_help = usage::FALSE_ALARMS)]
     FalseAlarms(FalseAlarmArgs),
-    /// Show one shot: its samples, the fit, what the fit leaves, and its returns
+    /// Explain one shot: samples, fit, residuals and returns
     ///
-    /// Calibrates from the recording as a run would, decomposes one shot, prints its returns with their standard
-    /// deviations, and draws a picture (SVG, which any browser shows).
+    /// Calibrates from the recording as a run would, decomposes the shot, prints its returns with
+    /// standard deviations, and draws a picture (SVG, readable by any browser).
     #[command(after_help = usage::EXPLAIN)]
     Explain(ExplainArgs),
-    /// Tell what a recording holds: times, rates, lines, channels, noise, integrity
+    /// Summarise a recording: times, rates, lines, channels, noise, integrity
     ///
-    /// Prints a summary and writes it beside histograms as text and a page with pictures: NAME_scan.txt, NAME_scan.html,
-    /// NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
+    /// Prints a summary and writes it with histograms and a page of pictures: NAME_scan.txt,
+    /// NAME_scan.html, NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
     #[command(after_help = usage::SCAN)]
     Scan(ScanArgs),
-    /// Show what a run did as a page: where the time went, counts, sensor model, warnings
+    /// Render a run's report as a page: timing, counts, sensor model, warnings
     ///
-    /// The page is one file (HTML) without scripts, which needs no network.
+    /// The page is one HTML file without scripts or network access.
     #[command(after_help = usage::REPORT)]
     Report {
-        /// The report.json of a run, or the folder it is in
+        /// The report.json of a run, or the folder that contains it
         place: PathBuf,
-        /// The page [default: beside the report, as report.html]
+        /// Page to write [default: report.html next to the report]
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Project and thin a trajectory: SBET, POF, SOL, TRJ or a text
+    /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
     ///
-    /// Prints a summary; writes, where asked to, a table of the columns t lon lat h x y z w p k, and a picture (SVG).
+    /// Prints a summary. Optionally writes a table with the columns t lon lat h x y z w p k, and a
+    /// picture (SVG).
     #[command(after_help = usage::TRAJECTORY)]
     Trajectory(TrajectoryArgs),
     /// Translate a command line of BayesWavEx 1.0 or 1.1 into a job
     ///
-    /// Prints the job; every key says which option it comes from, and what has no key stands there as a comment.
-    /// docs/import.md lists all options.
+    /// Prints the job. A comment at each key names its option; options without a key become
+    /// comments. docs/import.md lists all options.
     #[command(after_help = usage::IMPORT)]
     Import(ImportArgs),
-    /// Print the completions of a shell
+    /// Print a shell completion script
     #[command(after_help = usage::COMPLETIONS)]
     Completions {
-        /// The shell
+        /// Shell to print completions for
         shell: clap_complete::Shell,
     },
 }
 
-/// Which archive, and where its files are.
+/// An archive and the locations of its files.
 #[derive(Args)]
 pub(super) struct ArchiveArgs {
-    /// The archive: a folder, or a file whose name ends in .tar.zst
+    /// Archive: a folder, or a file that ends in .tar.zst
     pub(super) archive: PathBuf,
-    /// Where the inputs are now [default: where the archive says]
+    /// Current folder of the inputs [default: as recorded in the archive]
     #[arg(long, value_name = "FOLDER")]
     pub(super) inputs: Option<PathBuf>,
-    /// Where the outputs are now [default: where the archive says]
+    /// Current folder of the outputs [default: as recorded in the archive]
     #[arg(long, value_name = "FOLDER")]
     pub(super) outputs: Option<PathBuf>,
 }
 
-/// Which recording, and where its model goes.
+/// Recording to calibrate from and sensor model to write.
 #[derive(Args)]
 pub(super) struct CalibrateArgs {
-    /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow
+    /// Recording: .las, .laz, .pls, .sdf, .wfm or .arrow
     pub(super) file: PathBuf,
-    /// The sensor model to write (.json)
+    /// Sensor model to write (.json)
     #[arg(long, value_name = "NAME.json")]
     pub(super) save_preset: Option<PathBuf>,
-    /// Set a key of the reader or of calibrate, this time: as for `wavex run`; may be repeated
+    /// Override a key of the reader or of calibrate for this run, as for `wavex run`; may be
+    /// repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
     #[command(flatten)]
     pub(super) machine: Machine,
 }
 
-/// Which noise, and which thresholds.
+/// Noise correlations, thresholds and waveform size of the table.
 #[derive(Args)]
 pub(super) struct FalseAlarmArgs {
-    /// Correlations of the noise, one column each: 0.6 from one sample to the next, or 0.63:0.42:0.22 at several lags
+    /// Noise correlations, one column each: 0.6 at a lag of one sample, or 0.63:0.42:0.22 at lags
+    /// of 1, 2, 3 samples
     #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
     #[arg(value_name = "RHO", default_values = ["0", "0.3", "0.6", "0.63:0.42:0.22:0.11"])]
     pub(super) correlation: Vec<String>,
@@ -223,99 +229,102 @@ pub(super) struct FalseAlarmArgs {
     /// Full width at half maximum of a pulse, samples
     #[arg(long, default_value_t = 4.5, allow_negative_numbers = true)]
     pub(super) fwhm: f64,
-    /// Samples of a waveform
+    /// Samples per waveform
     #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
     pub(super) samples: f64,
 }
 
-/// Which shot of which recording, and how it is decomposed.
+/// Shot to explain and stages to decompose it with.
 #[derive(Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
 pub(super) struct ExplainArgs {
-    /// The recording: .las, .laz, .pls, .sdf, .wfm or .arrow
+    /// Recording: .las, .laz, .pls, .sdf, .wfm or .arrow
     pub(super) file: PathBuf,
-    /// The shot's number, as in the column `shot` of write_table
+    /// Number of the shot, as in the column `shot` of write_table
     #[arg(long, value_name = "N", group = "which")]
     pub(super) shot: Option<u64>,
-    /// The shot nearest to this time, as in the column `gps_time_s` of write_table
+    /// Explain the shot nearest to this time, as in the column `gps_time_s` of write_table
     #[arg(long, value_name = "GPS_SECONDS", group = "which", allow_negative_numbers = true)]
     pub(super) time: Option<f64>,
-    /// Take the keys of the stages up to decompose from this job; of its reader, too, where that reads such files
+    /// Job to take the keys of all stages up to decompose from; its reader is used if it reads this
+    /// format
     #[arg(long, value_name = "FILE")]
     pub(super) job: Option<PathBuf>,
-    /// Set a key of the job, this time: as for `wavex run`; may be repeated
+    /// Override a key of the job for this run, as for `wavex run`; may be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
-    /// A sensor model that `save` of calibrate has written: nothing is calibrated anew
+    /// Sensor model written by `save` of calibrate; used instead of calibrating
     #[arg(long, value_name = "FILE")]
     pub(super) model: Option<PathBuf>,
-    /// The picture to write [default: STEM_shot_N.svg in the current folder]
+    /// Picture to write [default: STEM_shot_N.svg in the current folder]
     #[arg(long, value_name = "FILE")]
     pub(super) out: Option<PathBuf>,
 }
 
-/// Which recording, and how closely it is looked at.
+/// Recordings to inspect and files to write.
 #[derive(Args)]
 pub(super) struct ScanArgs {
-    /// The recordings: .las, .laz, .pls, .sdf, .wfm or .arrow; each may be a pattern, as 'lines/*.sdf'
+    /// Recordings: .las, .laz, .pls, .sdf, .wfm or .arrow; each may be a pattern such as
+    /// 'lines/*.sdf'
     #[arg(required = true, value_name = "FILE")]
     pub(super) files: Vec<String>,
-    /// Do not look at samples: nothing on noise, amplitudes and ranges
+    /// Skip samples: no noise, amplitudes or ranges
     ///
-    /// Waveform packets of LAS and the .wvs file of PulseWaves stay unread, samples of containers are not looked at;
-    /// RIEGL's library, which reads SDF, does so all the same.
+    /// Does not read waveform packets of LAS or the .wvs file of PulseWaves, and ignores samples of
+    /// containers. RIEGL's library, which reads SDF, still reads the samples.
     #[arg(long)]
     pub(super) fast: bool,
-    /// What the files written are named after; may begin with a folder [default: STEM in the current folder]
+    /// Name prefix of the written files; may contain a folder [default: STEM in the current folder]
     ///
-    /// Those of several recordings are named after NAME and each recording's stem: NAME_STEM.
+    /// With several recordings, the prefix is NAME_STEM with the stem of each recording.
     #[arg(long, value_name = "NAME")]
     pub(super) name: Option<String>,
-    /// Set a key of the reader, this time: as for `wavex run`; may be repeated
+    /// Override a key of the reader for this run, as for `wavex run`; may be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
 }
 
-/// Which trajectory, and what becomes of it.
+/// Trajectory to read and outputs to write.
 #[derive(Args)]
 pub(super) struct TrajectoryArgs {
-    /// The trajectory; its content tells the format
+    /// Trajectory; the format is recognised by content
     pub(super) file: PathBuf,
-    /// The coordinates x y z: utm (zone of the first place), utm:33N, EPSG:2154, geodetic, ecef or a file with WKT; of a TRJ
-    /// also its own map
+    /// Coordinate system of x y z: utm (zone of the first position), utm:33N, EPSG:2154, geodetic,
+    /// ecef, or a file with WKT; for a TRJ, also the map projection of the file
     #[arg(long, value_name = "CRS", default_value = "utm")]
     pub(super) crs: String,
-    /// Write one record of so many
+    /// Write every N-th record
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = every)]
     pub(super) every: usize,
-    /// The table to write
+    /// Table to write
     #[arg(short, long, value_name = "FILE")]
     pub(super) out: Option<PathBuf>,
-    /// The picture to write
+    /// Picture to write
     #[arg(long, value_name = "FILE")]
     pub(super) svg: Option<PathBuf>,
-    /// What the columns of a text are: t time, x longitude, y latitude, z height, w roll, p pitch, k heading, others skip
+    /// Columns of a text file, one letter each: t time, x longitude, y latitude, z height, w roll,
+    /// p pitch, k heading; other letters skip a column
     #[arg(long, value_name = "LETTERS")]
     pub(super) columns: Option<String>,
-    /// What times count [default: as the format says]
+    /// Time scale of the times [default: as the format defines]
     #[arg(long, value_name = "CLOCK")]
     pub(super) time: Option<ClockName>,
-    /// Unit of roll, pitch and heading in a text [default: deg]
+    /// Unit of roll, pitch and heading in a text file [default: deg]
     #[arg(long, value_name = "UNIT")]
     pub(super) angles: Option<AnglesName>,
-    /// The file of accuracies: POQ or smrmsg [default: the POQ beside a POF]
+    /// Accuracy file: POQ or smrmsg [default: the POQ next to a POF]
     #[arg(long, value_name = "FILE")]
     pub(super) accuracy: Option<PathBuf>,
 }
 
-/// What times count.
+/// Time scale of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum ClockName {
     /// Seconds of the week
     Week,
     /// Seconds of the day
     Day,
-    /// Seconds since 1980-01-06 less 1e9
+    /// Seconds since 1980-01-06 minus 1e9
     Adjusted,
 }
 
@@ -329,7 +338,7 @@ impl From<ClockName> for Clock {
     }
 }
 
-/// A unit of angles.
+/// Angle unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum AnglesName {
     /// Degrees
@@ -347,37 +356,40 @@ impl From<AnglesName> for Angles {
     }
 }
 
-/// A digest in hexadecimal digits.
+/// Parses a seal: 64 hexadecimal digits, returned in lower case.
 fn seal(text: &str) -> Result<String, String> {
     let is_digest = text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
     is_digest.then(|| text.to_ascii_lowercase()).ok_or_else(|| {
-        "a seal has 64 hexadecimal digits, as `wavex run --archive` prints them at its end".to_owned()
+        "a seal has 64 hexadecimal digits, as `wavex run --archive` prints them at the end".to_owned()
     })
 }
 
-/// A count of at least 1.
+/// Parses a count of at least 1.
 fn every(text: &str) -> Result<usize, String> {
-    text.parse().ok().filter(|every| *every >= 1).ok_or_else(|| "give a whole number from 1 on".to_owned())
+    text.parse()
+        .ok()
+        .filter(|every| *every >= 1)
+        .ok_or_else(|| "give a whole number of at least 1".to_owned())
 }
 
-/// Which classic line, and what becomes of it.
+/// Classic command line to translate and what to do with the job.
 #[derive(Args)]
 pub(super) struct ImportArgs {
-    /// The version that the line is for [default: 1.0 where the input is LAS or LAZ, else 1.1]
+    /// Version of the classic program [default: 1.0 if the input is LAS or LAZ, else 1.1]
     #[arg(long, value_name = "VERSION")]
     pub(super) classic: Option<Classic>,
     /// Run the job instead of printing it
     #[arg(long)]
     pub(super) run: bool,
-    /// Write the job into this file, which must not exist yet
+    /// File to write the job to; must not exist yet
     #[arg(short, long, value_name = "FILE")]
     pub(super) output: Option<PathBuf>,
-    /// The line as it was typed, behind `--`; the program's name may be left out
+    /// Classic command line, after `--`; the program name may be omitted
     #[arg(last = true, required = true, value_name = "LINE")]
     pub(super) line: Vec<String>,
 }
 
-/// A version of the classic program.
+/// Version of the classic program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Classic {
     /// Full-waveform LAS in, LAS 1.2 out
@@ -397,31 +409,33 @@ impl Classic {
     }
 }
 
-/// Which job, and what is different this time.
+/// Job to run and keys to override.
 #[derive(Args)]
 pub(super) struct JobArgs {
-    /// The job's file (TOML); `-` for standard input
+    /// Job file (TOML); `-` for standard input
     pub(super) job: PathBuf,
-    /// Set a key of the job, this time: STAGE is the stage's id or type, or `job`; may be repeated
+    /// Override a key of the job for this run: STAGE is the stage's id or type, or `job`; may be
+    /// repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
 }
 
-/// What a run does with the machine and with the terminal.
+/// Threads, profiling and progress of a run.
 #[derive(Args, Clone, Copy)]
 pub(super) struct Machine {
-    /// How many threads work at once; 0: one for each core [default: the job's `threads`]
+    /// Number of worker threads; 0: one per core [default: the job's `threads`]
     #[arg(long, value_name = "N")]
     pub(super) threads: Option<usize>,
-    /// Say at the end how long each stage took per scan line, and write a trace for Perfetto (trace.json)
+    /// Print the time of each stage per scan line at the end, and write a Perfetto trace
+    /// (trace.json)
     #[arg(long)]
     pub(super) profile: bool,
-    /// Whether to show how far the run is; auto: a bar on a terminal, lines elsewhere
+    /// When to show progress; auto: a bar on a terminal, lines elsewhere
     #[arg(long, value_name = "WHEN", default_value = "auto")]
     pub(super) progress: When,
 }
 
-/// Whether to show progress.
+/// When to show progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum When {
     /// A bar on a terminal, lines elsewhere

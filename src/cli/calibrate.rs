@@ -1,4 +1,4 @@
-//! `wavex calibrate`: a reader and `calibrate`, for the sensor model alone.
+//! `wavex calibrate`: runs a reader and `calibrate` to make a sensor model.
 
 use std::path::Path;
 
@@ -7,12 +7,12 @@ use crate::engine::sensor_model_words;
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
 
-/// Calibrates from a recording, writes the model where asked to, and prints what it found.
+/// Calibrates from a recording, saves the model if requested, prints it.
 pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
     let text = job_text(args).map_err(Failure::Wrong)?;
     let set = args.set.iter().map(Override::new).chain(args.machine.overrides());
     let mut job = Job::parse("the job of `wavex calibrate`", &text, &set.collect::<Vec<_>>())?;
-    // That it has no sink is the purpose.
+    // A missing sink is intended here and needs no warning.
     job.notes.clear();
     let report = run::run_job(&job, Path::new("."), args.machine, true)?;
     let Some(input) = report.inputs.first().filter(|_| !quiet) else {
@@ -32,7 +32,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure
     terminal::print(&said)
 }
 
-/// The job that reads the recording and calibrates.
+/// TOML of a job that reads the recording and calibrates.
 fn job_text(args: &CalibrateArgs) -> Result<String, String> {
     let file = args.file.display().to_string();
     let reader = reader_of(&file)?;
@@ -40,7 +40,7 @@ fn job_text(args: &CalibrateArgs) -> Result<String, String> {
     let save = match &args.save_preset {
         Some(path) if !path.extension().is_some_and(|found| found.eq_ignore_ascii_case("json")) => {
             return Err(format!(
-                "--save-preset {}: a model is JSON: give a name that ends in .json",
+                "--save-preset {}: a sensor model is JSON; give a name that ends in .json",
                 path.display()
             ));
         }

@@ -1,4 +1,4 @@
-//! `wavex check`: what can be said of a job without its data.
+//! `wavex check`: validates a job without reading data.
 
 use std::collections::BTreeSet;
 use std::fs::{self, OpenOptions};
@@ -11,17 +11,17 @@ use crate::geometry::check_crs;
 use crate::job::Job;
 use crate::stage::fixed_folder;
 
-/// Says what the job will do, or what is wrong with it.
+/// Prints the job's chain and folders, or its errors.
 pub(super) fn check(args: &JobArgs) -> Result<(), Failure> {
     let job = args.read(None)?;
     print(&report(&job, &args.folder()).map_err(Failure::Wrong)?)
 }
 
-/// What a job that stands in `folder` will do, or why it cannot.
+/// Describes the job in `folder`, or the first folder that cannot be written.
 fn report(job: &Job, folder: &Path) -> Result<String, String> {
     let (input_dir, output_dir) = run::folders(job, folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| error.to_string())?;
-    let mut said = format!("{} fits\n  chain:  {}\n", job.name, job.chain());
+    let mut said = format!("{} is valid\n  chain:  {}\n", job.name, job.chain());
     said += &format!("  inputs: {}\n", input_dir.display());
     for folder in output_folders(job, &output_dir) {
         let found = writable(&folder)?;
@@ -37,7 +37,7 @@ fn report(job: &Job, folder: &Path) -> Result<String, String> {
     Ok(said)
 }
 
-/// The folders that the job writes to, as far as the input's name does not decide about them.
+/// Output folders of the job, without parts that depend on the input's name.
 fn output_folders(job: &Job, output_dir: &Path) -> BTreeSet<PathBuf> {
     let mut folders = BTreeSet::new();
     for pattern in job.stages.iter().flat_map(|stage| stage.planned.plan.outputs()) {
@@ -46,22 +46,24 @@ fn output_folders(job: &Job, output_dir: &Path) -> BTreeSet<PathBuf> {
     folders
 }
 
-/// Whether files can be made in a folder, or the folder itself: in words, or why not. Nothing stays behind.
+/// Checks that a folder is writable or can be created.
+///
+/// Leaves no file in the folder.
 fn writable(folder: &Path) -> Result<&'static str, String> {
     let exists = folder.exists();
     let existing = folder.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("."));
     match try_file_in(existing) {
-        Ok(()) if exists => Ok("can be written"),
-        Ok(()) => Ok("will be made"),
+        Ok(()) if exists => Ok("is writable"),
+        Ok(()) => Ok("will be created"),
         Err(error) => {
-            let action = if exists { "cannot write to this folder" } else { "cannot make this folder" };
+            let action = if exists { "cannot write to this folder" } else { "cannot create this folder" };
             let remedy = "choose another one with `output_dir` or in the `path` of the sink";
             Err(format!("{}: {action}: {error}; {remedy}", folder.display()))
         }
     }
 }
 
-/// Makes an empty file in a folder, and removes it.
+/// Creates an empty file in a folder and removes it.
 fn try_file_in(folder: &Path) -> io::Result<()> {
     let file = folder.join(format!(".wavex-check.{}.partial", std::process::id()));
     OpenOptions::new().write(true).create_new(true).open(&file)?;
@@ -82,11 +84,11 @@ mod tests {
         let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[], &[]).unwrap();
         let said = report(&job, folder.path()).unwrap().replace(&folder.path().display().to_string(), "HERE");
         let expected = "\
-a.toml fits
+a.toml is valid
   chain:  simulate -> Shots -> write_lstat -> write_shots
   inputs: HERE
-  output: HERE/out (will be made)
-  output: HERE/out/lines (will be made)
+  output: HERE/out (will be created)
+  output: HERE/out/lines (will be created)
 ";
         assert_eq!(said, expected);
     }
@@ -116,7 +118,8 @@ a.toml fits
                 "HERE/geoids: no geoid egm96 (.bin, .gtx)",
             ]
         );
-        let pattern = "no file matches `HERE/lines/*.arrow`; check the path, or `path` of the reader and `input_dir` of the job";
+        let pattern =
+            "no file matches `HERE/lines/*.arrow`; check `path` of the reader and `input_dir` of the job";
         assert_eq!(of("lines/*.arrow", ""), [pattern]);
         for name in ["flight.arrow", "model.json"] {
             fs::write(folder.path().join(name), "").unwrap();
@@ -129,10 +132,10 @@ a.toml fits
         let text = "[[stage]]\ntype = \"simulate\"\n";
         let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[], &[]).unwrap();
         let expected = "\
-a.toml fits
+a.toml is valid
   chain:  simulate -> Shots
   inputs: .
-  note:   no stage of this job writes a file: a run counts and measures, and leaves only its report
+  note:   no stage of this job writes a file: a run produces only the report
 ";
         assert_eq!(report(&job, Path::new(".")).unwrap(), expected);
     }
@@ -140,8 +143,8 @@ a.toml fits
     #[test]
     fn a_folder_is_tried_and_nothing_stays_behind() {
         let folder = tempfile::tempdir().unwrap();
-        assert_eq!(writable(folder.path()), Ok("can be written"));
-        assert_eq!(writable(&folder.path().join("new/las")), Ok("will be made"));
+        assert_eq!(writable(folder.path()), Ok("is writable"));
+        assert_eq!(writable(&folder.path().join("new/las")), Ok("will be created"));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 
@@ -151,7 +154,7 @@ a.toml fits
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         let error = writable(&file.join("las")).unwrap_err();
-        let begins = format!("{}: cannot make this folder: ", file.join("las").display());
+        let begins = format!("{}: cannot create this folder: ", file.join("las").display());
         assert!(error.starts_with(&begins), "{error}");
         let ends = "; choose another one with `output_dir` or in the `path` of the sink";
         assert!(error.ends_with(ends), "{error}");

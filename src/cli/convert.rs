@@ -1,4 +1,4 @@
-//! `wavex convert`: a job of two stages, from a recording to the open container.
+//! `wavex convert`: copies a recording into the open container.
 
 use std::path::Path;
 
@@ -6,7 +6,9 @@ use super::{Failure, Machine, run};
 use crate::job::Job;
 use crate::registry::reader_of;
 
-/// Runs the job that copies `input` into `output`; relative paths start at the current folder.
+/// Runs the job that copies `input` to `output`.
+///
+/// Relative paths start at the current folder.
 pub(super) fn convert(input: &str, output: &str, machine: Machine, quiet: bool) -> Result<(), Failure> {
     let text = job_text(input, output).map_err(Failure::Wrong)?;
     let overrides: Vec<_> = machine.overrides().into_iter().collect();
@@ -14,14 +16,14 @@ pub(super) fn convert(input: &str, output: &str, machine: Machine, quiet: bool) 
     run::run_job(&job, Path::new("."), machine, quiet).map(drop)
 }
 
-/// The job that copies waveforms from `input` into the container `output`.
+/// TOML of the job that copies waveforms from `input` into container `output`.
 fn job_text(input: &str, output: &str) -> Result<String, String> {
     let reader = reader_of(input)?;
     let is_arrow = Path::new(output).extension().is_some_and(|found| found.eq_ignore_ascii_case("arrow"));
     if output != "-" && !is_arrow {
         return Err(format!(
-            "{output}: the container is Arrow: give a name that ends in .arrow; tables of returns, as Parquet, CSV or Arrow, are \
-             made by the stage write_table of a job"
+            "{output}: the container is Arrow; give a name that ends in .arrow. To write tables of returns \
+             (Parquet, CSV or Arrow), use the stage write_table in a job"
         ));
     }
     let quoted = |text: &str| toml::Value::String(text.to_owned());
@@ -41,7 +43,7 @@ mod tests {
         let text = job_text(r#"a "b" \c.las"#, "d.arrow").unwrap();
         let job: toml::Table = toml::from_str(&text).unwrap();
         let own_files = ["report", "stat_log", "log"].map(|key| job["job"][key].as_str());
-        assert_eq!(own_files, [Some(""); 3], "the container is all that is written");
+        assert_eq!(own_files, [Some(""); 3], "writes nothing but the container");
         assert_eq!(job["stage"][0]["path"].as_str(), Some(r#"a "b" \c.las"#));
         assert_eq!(job["stage"][1]["type"].as_str(), Some("write_arrow"));
     }

@@ -1,4 +1,4 @@
-//! `wavex copc`: points into a cloud-optimised file.
+//! `wavex copc`: converts points to a cloud-optimised point cloud.
 
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
@@ -9,15 +9,17 @@ use crate::formats::Error;
 use crate::formats::las::{CopcSummary, indexes_beside, write_copc};
 use crate::stage::{OutputFile, OutputLock, Outputs, WholeFile};
 
-/// Sorted runs that are claimed: three thousand million points of 40 bytes need as many.
+/// Maximum number of sorted runs, claimed in advance.
+///
+/// Enough for 3e9 points of 40 bytes.
 const CLAIMED_RUNS: usize = 512;
 
-/// Writes the points of `input` into `out`, which gets its name when it is whole.
+/// Writes the points of `input` to `out`, which appears only when complete.
 pub(super) fn copc(input: &Path, out: Option<PathBuf>, quiet: bool) -> Result<(), Failure> {
     let out = out.unwrap_or_else(|| input.with_extension("copc.laz"));
     check_name(input, &out).map_err(Failure::Wrong)?;
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // What a killed process leaves is swept up by its claim.
+    // The claim lets a later process remove what a killed process left.
     let written = (0..CLAIMED_RUNS).map(|number| run_path(&out, number)).chain([out.clone()]);
     let claimed = Outputs::from([(folder.to_path_buf(), written.collect::<BTreeSet<_>>())]);
     let lock = OutputLock::take(&claimed).map_err(|error| Failure::Run(error.to_string()))?;
@@ -29,12 +31,12 @@ pub(super) fn copc(input: &Path, out: Option<PathBuf>, quiet: bool) -> Result<()
 fn check_name(input: &Path, out: &Path) -> Result<(), String> {
     let extension = out.extension().unwrap_or_default();
     if !extension.eq_ignore_ascii_case("laz") {
-        return Err(format!("{}: COPC is LAZ: give a name that ends in .copc.laz", out.display()));
+        return Err(format!("{}: COPC is LAZ; give a name that ends in .copc.laz", out.display()));
     }
     let real = |path: &Path| path.canonicalize().ok();
     match (real(input), real(out)) {
         (Some(input), Some(there)) if input == there => {
-            Err(format!("{}: this is the input: give another name by --out", out.display()))
+            Err(format!("{}: this is the input; give another name with --out", out.display()))
         }
         _ => Ok(()),
     }
@@ -42,7 +44,7 @@ fn check_name(input: &Path, out: &Path) -> Result<(), String> {
 
 fn write(input: &Path, out: &Path) -> Result<CopcSummary, Error> {
     let mut file = OutputFile::create(out)?;
-    // Removed when dropped.
+    // Runs are removed when dropped.
     let mut runs: Vec<WholeFile> = Vec::new();
     let mut keep = |run: &[u8]| {
         let path = run_path(out, runs.len());
@@ -58,7 +60,7 @@ fn write(input: &Path, out: &Path) -> Result<CopcSummary, Error> {
     Ok(summary)
 }
 
-/// What a sorted run is named after.
+/// Path of a sorted run.
 fn run_path(out: &Path, number: usize) -> PathBuf {
     let name = out.file_name().unwrap_or_default().to_string_lossy();
     out.with_file_name(format!("{name}.sorted_{number}"))

@@ -1,4 +1,4 @@
-//! `wavex explain`: one shot, from its samples to its returns, as a table and as a picture.
+//! `wavex explain`: one shot as a table and a picture.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -26,12 +26,12 @@ mod picture;
 mod table;
 mod upstream;
 
-/// Prints the table of a shot's returns and writes its picture.
+/// Prints the returns of a shot and writes its picture.
 pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     if let Some(out) = &args.out
         && !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"))
     {
-        let problem = "the picture is SVG: give it a name that ends in .svg";
+        let problem = "the picture is SVG; give a name that ends in .svg";
         return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));
     }
     let chain = Chain::of(args)?;
@@ -47,7 +47,7 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     if quiet { Ok(()) } else { terminal::print(&said) }
 }
 
-/// Writes a picture, which has its name only when it is whole.
+/// Writes a picture, which gets its final name only when complete.
 fn write(path: &Path, picture: &str) -> crate::formats::Result<()> {
     let mut file = OutputFile::create(path)?;
     file.write_all(picture.as_bytes()).map_err(Error::io(path, "write"))?;
@@ -55,14 +55,14 @@ fn write(path: &Path, picture: &str) -> crate::formats::Result<()> {
     Ok(())
 }
 
-/// A job's stages up to `decompose`, over one recording.
+/// A job's stages up to `decompose`, applied to one recording.
 struct Chain {
     job: Job,
     site: Site,
-    /// Keys of `calibrate` in which nothing is saved.
+    /// Keys of `calibrate`, with `save` removed.
     calibrate: Calibrate,
     decompose: Decompose,
-    /// The reader of the recording.
+    /// Reader of the recording.
     source: Arc<dyn SourcePlan>,
 }
 
@@ -83,14 +83,15 @@ impl Chain {
         let Some(Plan::Source(source)) = reading.stages.first().map(|stage| stage.planned.plan.clone())
         else {
             return Err(Failure::Wrong(format!(
-                "{}: the job has no source; begin it with a reader",
+                "{}: the job has no source; start it with a reader",
                 job.name
             )));
         };
         let mut calibrate: Calibrate = keys_of(&job, "calibrate")?;
         calibrate.save = None;
         if let Some(model) = &args.model {
-            // A relative path in the job starts at its input folder, one on the command line at the current one.
+            // Relative paths in the job start at its input folder, paths on the command line at the
+            // current folder.
             calibrate.load = Some(std::path::absolute(model).unwrap_or_else(|_| model.clone()));
         }
         let decompose = keys_of(&job, "decompose")?;
@@ -109,13 +110,13 @@ impl Chain {
         &self.site.input
     }
 
-    /// The reader's lines, whose shots have their poses.
+    /// The reader's scan lines, with a pose for each shot.
     fn posed(&self) -> Result<Box<dyn Source>, Failure> {
         let source = self.source.make(&self.site).map_err(|error| failed(&error))?;
         Ok(Box::new(Posed::new(source, Arc::clone(&self.site.geometry))))
     }
 
-    /// The stages between reader and `decompose`, but for sinks.
+    /// The stages between the reader and `decompose`, without sinks.
     fn steps(&self) -> Result<Vec<Step>, Failure> {
         let until_decompose = self.job.stages.iter().take_while(|stage| stage.spec.name != "decompose");
         let mut steps = Vec::new();
@@ -133,7 +134,7 @@ impl Chain {
         Ok(steps)
     }
 
-    /// The line that holds a shot, ready to be decomposed.
+    /// Returns the scan line that contains a shot, ready for decomposition.
     fn line_of(&self, shot: u64) -> Result<Batch, Failure> {
         let source = self.posed()?;
         let mut upstream = Upstream::new(source, self.steps()?, crate::engine::may_hold_bytes(&self.job));
@@ -146,7 +147,7 @@ impl Chain {
         line.ok_or_else(|| Failure::Wrong(seen.without(shot, self.file())))
     }
 
-    /// The shot nearest to a time.
+    /// Returns the number of the shot nearest to a time.
     fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
         let source = self.posed()?;
         let mut nearest: Option<(f64, u64)> = None;
@@ -162,12 +163,12 @@ impl Chain {
         Upstream::new(source, Vec::new(), 0).first(&mut look).map_err(|error| failed(&error))?;
         nearest.map(|(_, shot)| shot).ok_or_else(|| {
             let file = self.file().display();
-            Failure::Wrong(format!("{file}: its shots have no times; choose one with --shot"))
+            Failure::Wrong(format!("{file}: its shots have no times; select one with --shot"))
         })
     }
 }
 
-/// The numbers of the shots of a recording.
+/// Count and range of the shot numbers of a recording.
 #[derive(Default)]
 struct Numbers {
     count: u64,
@@ -181,38 +182,34 @@ impl Numbers {
         self.range = Some((first.min(shot), last.max(shot)));
     }
 
-    /// What is said where a shot is not among them.
+    /// Error message for a missing shot number.
     fn without(&self, shot: u64, file: &Path) -> String {
         let file = file.display();
         match self.range {
-            None => format!(
-                "{file}: there is no shot {shot}: the recording has no shots at all; choose another file"
-            ),
+            None => format!("{file}: no shot {shot}: the recording has no shots; choose another file"),
             Some((first, last)) => {
                 let count = self.count;
-                format!(
-                    "{file}: there is no shot {shot}; its {count} shots have the numbers {first} to {last}"
-                )
+                format!("{file}: no shot {shot}; the {count} shots are numbered {first} to {last}")
             }
         }
     }
 }
 
-/// A shot and all that became of it.
+/// A shot with its decomposition.
 struct Explained {
     file: String,
     emission: Emission,
-    /// In order of time.
+    /// Sorted by time.
     returns: Returns,
-    /// In order of time.
+    /// Sorted by time.
     blocks: Vec<SeenBlock>,
     outgoing: Option<SeenPulse>,
     model: Arc<SensorModel>,
-    /// What was dropped or is worth knowing, in words.
+    /// Rejections and notes as text.
     remarks: Vec<String>,
 }
 
-/// Decomposes the shot of a line, looking on.
+/// Decomposes one shot of a scan line and records the intermediate results.
 fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Failure> {
     let without = |what: &str| {
         let file = chain.file().display();
@@ -235,7 +232,7 @@ fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Fai
         .and_then(|shots| shots.fusing(line.fusion.as_deref()))
         .map_err(|error| failed(&error))?;
     let of_line = Shot { index, blocks: &blocks, of_shot, input: &line.input };
-    // What is usual of the outgoing pulses follows from the whole line.
+    // The whole line is decomposed first: it defines the usual outgoing pulse.
     let shot_of = |(index, of_shot)| Shot { index, blocks: &blocks, of_shot, input: &line.input };
     let all: Vec<Shot> = blocks.by_emission().map(shot_of).collect();
     let (mut emissions, mut others) = (line.emissions.clone(), Returns::new());
@@ -248,23 +245,19 @@ fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Fai
     let (blocks, outgoing) = seen.finish(&emission, &returns);
     let mut remarks = remarks(&cx);
     if !line.input.origin_is_sensor {
-        remarks.push(
-            "ranges count from the first sample: the recording does not give the position of the sensor"
-                .into(),
-        );
+        remarks.push("ranges start at the first sample: the recording has no sensor position".into());
     }
     Ok(Explained { file, emission, returns, blocks, outgoing, model, remarks })
 }
 
-/// What was dropped or is worth knowing, in words.
+/// Rejections and notes of a context as text.
 fn remarks(cx: &Context) -> Vec<String> {
     let rejected = &cx.counters().rejected;
-    let dropped =
-        rejected.iter().map(|((item, why), n)| format!("not used: {n} of its {}: {why}", item.name()));
+    let dropped = rejected.iter().map(|((item, why), n)| format!("rejected {n} {}: {why}", item.name()));
     dropped.chain(cx.counters().notes.iter().cloned()).collect()
 }
 
-/// The job of every default.
+/// A job with the default keys of all stages.
 fn default_job(reader: &str, file: &str, set: &[String]) -> Result<Job, Failure> {
     let path = toml::Value::String(file.to_owned());
     let text = format!(
@@ -275,14 +268,14 @@ fn default_job(reader: &str, file: &str, set: &[String]) -> Result<Job, Failure>
     Ok(Job::parse("the job of `wavex explain`", &text, &overrides)?)
 }
 
-/// The keys of a job's first stage of a type.
+/// Keys of the first stage of this type in a job.
 fn keys_of<C: DeserializeOwned>(job: &Job, stage: &str) -> Result<C, Failure> {
     let is_it = |candidate: &&JobStage| candidate.spec.name == stage;
     let Some(found) = job.stages.iter().find(is_it) else {
         return Err(Failure::Wrong(format!("{}: the job has no stage `{stage}`; add one", job.name)));
     };
     serde_json::from_value(found.planned.resolved.clone())
-        .map_err(|error| Failure::Run(format!("`{stage}`: {error}; report this as a defect of wavex")))
+        .map_err(|error| Failure::Run(format!("`{stage}`: {error}; please report this bug in wavex")))
 }
 
 fn failed(error: &dyn std::fmt::Display) -> Failure {

@@ -1,4 +1,4 @@
-//! `wavex false-alarms`: how many returns of noise alone a threshold lets through.
+//! `wavex false-alarms`: false-return rates of pure noise by threshold.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use super::{Failure, FalseAlarmArgs};
 use crate::kernels::false_alarms::FilteredNoise;
 use crate::kernels::noise::{ArNoise, fit_by_bic};
 
-/// Correlations that differ by less are the same.
+/// Tolerance for equal correlations.
 const SAME_CORRELATION: f64 = 1e-3;
 
 /// Prints the table.
@@ -17,11 +17,11 @@ pub(super) fn false_alarms(args: &FalseAlarmArgs) -> Result<(), Failure> {
     print(&table(args, &noises))
 }
 
-/// Numbers that a table can be made of.
+/// Checks that the arguments are within the range of the table.
 fn check(args: &FalseAlarmArgs) -> Result<(), Failure> {
     let within = |name: &str, value: f64, [low, high]: [f64; 2]| match (low..=high).contains(&value) {
         true => Ok(()),
-        false => Err(Failure::Wrong(format!("--{name} {value}: it must lie between {low} and {high}"))),
+        false => Err(Failure::Wrong(format!("--{name} {value}: must be between {low} and {high}"))),
     };
     args.sigma.iter().try_for_each(|&sigma| within("sigma", sigma, [1.0, 30.0]))?;
     within("fwhm", args.fwhm, [0.5, 100.0])?;
@@ -32,9 +32,9 @@ fn table(args: &FalseAlarmArgs, noises: &[ArNoise]) -> String {
     let filtered: Vec<FilteredNoise> =
         noises.iter().map(|noise| FilteredNoise::of(args.fwhm, noise)).collect();
     let mut text = format!(
-        "Maxima of mere noise per waveform of {} samples, pulse of {} samples full width at half maximum,\n\
+        "Maxima of pure noise per waveform of {} samples, pulse of {} samples full width at half maximum,\n\
          by threshold (standard deviations after the matched filter) and correlation of the noise;\n\
-         about half of them are left as returns\n\n",
+         about half of them remain as returns\n\n",
         args.samples, args.fwhm
     );
     let row = |text: &mut String, head: &str, cells: Vec<String>| {
@@ -50,30 +50,32 @@ fn table(args: &FalseAlarmArgs, noises: &[ArNoise]) -> String {
         row(&mut text, &sigma.to_string(), cells.collect());
     }
     text.push_str(
-        "\nRice's formula for the interpolated maxima that detection starts from. 20 million simulated samples have 0.97 to\n\
-         1.00 times as many at 3 and 3.5, and at 4 and 4.5 as many within chance (5 and 13 %). The fit that follows leaves\n\
-         0.45 to 0.48 of them as returns.\n",
+        "\nRice's formula for the interpolated maxima that detection starts from. In 20 million simulated samples the\n\
+         count is 0.97 to 1.00 times the formula at 3 and 3.5, and agrees within statistical error at 4 and 4.5\n\
+         (5 and 13 %). The fit that follows keeps 0.45 to 0.48 of the maxima as returns.\n",
     );
     text
 }
 
-/// The noise with these correlations at lags of 1, 2, ... samples: `0.6`, or `0.63:0.42:0.22:0.11`.
+/// Noise with these autocorrelations at lags of 1, 2, ... samples.
+///
+/// `text` is `0.6` or a list such as `0.63:0.42:0.22:0.11`.
 fn noise(text: &str) -> Result<ArNoise, Failure> {
     let wrong = |problem: &str| Failure::Wrong(format!("--correlation {text}: {problem}"));
     let lags: Result<Vec<f64>, _> = text.split(':').map(str::parse).collect();
-    let lags = lags.map_err(|_| wrong("not a number, nor several with `:` between them"))?;
+    let lags = lags.map_err(|_| wrong("not a number or a list of numbers separated by `:`"))?;
     if lags.len() > 8 || !lags.iter().all(|rho| rho.abs() < 1.0) {
-        return Err(wrong("correlations lie between -1 and 1, and there are at most 8 of them"));
+        return Err(wrong("give at most 8 correlations, each between -1 and 1"));
     }
     let autocovariance: Vec<f64> = [1.0].into_iter().chain(lags.iter().copied()).collect();
-    // So many samples that the order is as high as the correlations ask for.
+    // With this many samples the BIC does not limit the order.
     let found = fit_by_bic(&autocovariance, 1_000_000_000, lags.len());
     let has_them = |noise: &ArNoise| {
         let mut own = vec![0.0; autocovariance.len()];
         noise.autocovariance_into(&mut own);
         own.iter().zip(&autocovariance).all(|(own, asked)| (own - asked).abs() < SAME_CORRELATION)
     };
-    found.filter(has_them).ok_or_else(|| wrong("no noise has such correlations"))
+    found.filter(has_them).ok_or_else(|| wrong("no stationary noise has these correlations"))
 }
 
 #[cfg(test)]
@@ -94,7 +96,8 @@ mod tests {
             table.lines().skip(4).map(|line| line.split_whitespace().collect()).collect();
         assert_eq!(rows[0], ["sigma", "0", "0.6", "0.63:0.42:0.22:0.11"]);
         assert_eq!((rows[1][0], rows[1].len(), rows[2][0]), ("4", 4, "4.5"));
-        // Rice's formula gives 1.7e-4 per 60 ns at 4.5 for a bandwidth of 0.44 rad/ns, between white noise and this.
+        // Rice's formula gives 1.7e-4 per 60 ns at 4.5 for a bandwidth of 0.44 rad/ns, which lies
+        // between white noise and this noise.
         assert!(rows[2][1].starts_with("1.6e-4") || rows[2][1].starts_with("1.5"), "{}", rows[2][1]);
     }
 
@@ -103,16 +106,16 @@ mod tests {
         let message = |text: &str| noise(text).unwrap_err().message(false);
         assert_eq!(
             message("half"),
-            "error: --correlation half: not a number, nor several with `:` between them\n"
+            "error: --correlation half: not a number or a list of numbers separated by `:`\n"
         );
         assert_eq!(
             message("1.5"),
-            "error: --correlation 1.5: correlations lie between -1 and 1, and there are at most 8 of them\n"
+            "error: --correlation 1.5: give at most 8 correlations, each between -1 and 1\n"
         );
         for text in ["0.9:-0.9", "0.5:-0.8:0.9"] {
             assert_eq!(
                 message(text),
-                format!("error: --correlation {text}: no noise has such correlations\n")
+                format!("error: --correlation {text}: no stationary noise has these correlations\n")
             );
         }
         assert!(["-0.3", "0.6:0.36", "0.6:0.9"].iter().all(|text| noise(text).is_ok()));
@@ -122,13 +125,13 @@ mod tests {
     fn what_no_table_can_be_made_of_is_refused() {
         let message = |args: FalseAlarmArgs| check(&args).unwrap_err().message(false);
         let sigma = |sigma: f64| FalseAlarmArgs { sigma: vec![4.5, sigma], ..args(&["0"]) };
-        assert_eq!(message(sigma(f64::NAN)), "error: --sigma NaN: it must lie between 1 and 30\n");
-        assert_eq!(message(sigma(-1.0)), "error: --sigma -1: it must lie between 1 and 30\n");
+        assert_eq!(message(sigma(f64::NAN)), "error: --sigma NaN: must be between 1 and 30\n");
+        assert_eq!(message(sigma(-1.0)), "error: --sigma -1: must be between 1 and 30\n");
         let fwhm = |fwhm: f64| FalseAlarmArgs { fwhm, ..args(&["0"]) };
-        assert_eq!(message(fwhm(0.0)), "error: --fwhm 0: it must lie between 0.5 and 100\n");
-        assert_eq!(message(fwhm(f64::INFINITY)), "error: --fwhm inf: it must lie between 0.5 and 100\n");
+        assert_eq!(message(fwhm(0.0)), "error: --fwhm 0: must be between 0.5 and 100\n");
+        assert_eq!(message(fwhm(f64::INFINITY)), "error: --fwhm inf: must be between 0.5 and 100\n");
         let samples = |samples: f64| FalseAlarmArgs { samples, ..args(&["0"]) };
-        assert_eq!(message(samples(-100.0)), "error: --samples -100: it must lie between 5 and 65535\n");
+        assert_eq!(message(samples(-100.0)), "error: --samples -100: must be between 5 and 65535\n");
     }
 
     #[test]

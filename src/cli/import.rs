@@ -1,8 +1,9 @@
-//! `wavex import`: a line of the classic program BayesWavEx 1.0 or 1.1 as a job of wavex.
+//! `wavex import`: translates BayesWavEx 1.0 and 1.1 command lines into jobs.
 //!
-//! What each option becomes stands in one table per version (`v10`, `v11`). A line is taken apart by it (`line`), becomes keys
-//! of a job, notes and commands (`translate`, `outputs`), and is written as TOML (`draft`), in which every key says what it
-//! comes from. Nothing of a line is dropped in silence.
+//! One table per version (`v10`, `v11`) defines what each option becomes. `line` parses a command
+//! line with it. `translate` and `outputs` turn the options into job keys, notes and commands.
+//! `draft` writes the TOML, with the source of each key as a comment. Every option appears in the
+//! result.
 
 use std::path::Path;
 
@@ -32,27 +33,28 @@ use translate::Imported;
 pub use page::{becomes, page};
 pub use translate::Place;
 
-/// The job of a line, with everything that is to be said of it.
+/// The job made from a classic command line, with notes.
 #[derive(Debug)]
 pub struct Import {
-    /// The job in TOML with its comments; comments only where the line makes no points.
+    /// The job in TOML with comments; only comments if the line writes no points.
     pub text: String,
-    /// Whether there is a job.
+    /// Whether the text contains a job.
     pub has_job: bool,
-    /// What else is to be done, each a command line of `wavex`.
+    /// Commands to run besides or instead of the job, each a `wavex` command line.
     pub commands: Vec<Vec<String>>,
     /// Options of `wavex run`.
     pub flags: Vec<Flag>,
-    /// What the line asks for and this build cannot do.
+    /// Requests that this build does not support.
     pub missing: Vec<String>,
-    /// What the line asks for in a way that cannot be used, and why.
+    /// Requests that cannot be met, each with the reason.
     pub obstacles: Vec<String>,
 }
 
-/// Translates a line: its words, and the version where it is known.
+/// Translates a classic command line; `classic` names its version, if known.
 ///
 /// # Errors
-/// Everything that is wrong with the line, each with its place, as one message without the word `error` before it.
+/// If the line is invalid: all problems with their positions in one message, without the leading
+/// `error`.
 pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<Import, String> {
     let words = line::without_program(words);
     let version = version_of(words, classic)?;
@@ -64,7 +66,7 @@ pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<
                 (given, problems) = line::read_file(version, Path::new(name), &text);
             }
             Some(_) => {
-                passed_over.push(((*name).to_owned(), "passed over: only one such file is read".to_owned()))
+                passed_over.push(((*name).to_owned(), "ignored: only the first file is read".to_owned()))
             }
             None => {}
         }
@@ -81,7 +83,7 @@ pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<
     Ok(finished(version, words, &from_files, imported, place.known))
 }
 
-/// The version that is named, or that reads such inputs: 1.0 LAS and LAZ, 1.1 everything else.
+/// Returns the named version, else 1.0 for LAS or LAZ inputs and 1.1 for all others.
 fn version_of(words: &[String], classic: Option<&str>) -> Result<&'static Version, String> {
     let is_las = || {
         let (given, _) = line::read_line(&v11::V11, words);
@@ -94,10 +96,10 @@ fn version_of(words: &[String], classic: Option<&str>) -> Result<&'static Versio
     };
     let name = classic.unwrap_or_else(|| if is_las() { "1.0" } else { "1.1" });
     Version::find(name)
-        .ok_or_else(|| Problem::of_line(format!("there is no version {name}"), "1.0 or 1.1").shown())
+        .ok_or_else(|| Problem::of_line(format!("unknown version {name}"), "1.0 or 1.1").shown())
 }
 
-/// The text of what a line has become.
+/// Builds the text of a translated line.
 fn finished(
     version: &Version,
     words: &[String],
@@ -107,24 +109,31 @@ fn finished(
 ) -> Import {
     let has_job = !imported.job.toml.is_empty();
     let (mut missing, obstacles) = (imported.job.missing, imported.job.obstacles);
-    let mut text =
-        format!("# What BayesWavEx {} does with this line:\n#\n#   {}\n", version.name, line::joined(words));
+    let mut text = format!(
+        "# Translation of this BayesWavEx {} command line:\n#\n#   {}\n",
+        version.name,
+        line::joined(words)
+    );
     for written in from_files {
         text += &format!("#   {written}\n");
     }
     if !imported.notes.is_empty() {
-        text += "#\n# Options that are no keys of the job:\n";
+        text += "#\n# Options without a key in the job:\n";
         for (written, what) in &imported.notes {
             text += &format!("#   {written}: {what}\n");
         }
     }
     if !imported.commands.is_empty() {
-        text += if has_job { "#\n# Besides the job:\n" } else { "#\n# No job: the same is done by\n" };
+        text += if has_job {
+            "#\n# In addition to the job:\n"
+        } else {
+            "#\n# Equivalent commands instead of a job:\n"
+        };
         for words in &imported.commands {
             let mut line = shell_line(words);
             if !known.has_command(words) {
                 missing.push(line.clone());
-                line += "    (this build cannot do this yet)";
+                line += "    (not supported by this build)";
             }
             text += &format!("#   {line}\n");
         }
@@ -133,7 +142,7 @@ fn finished(
     Import { text, has_job, commands: imported.commands, flags: imported.flags, missing, obstacles }
 }
 
-/// Words as a shell takes them.
+/// Quotes words for a shell.
 fn shell_line(words: &[String]) -> String {
     let is_plain = |letter: char| letter.is_alphanumeric() || "-_./:=,+%@\\".contains(letter);
     let quoted = |word: &String| {
@@ -147,7 +156,7 @@ fn shell_line(words: &[String]) -> String {
 }
 
 impl Known {
-    /// Whether the program has the command that these words begin with.
+    /// Returns whether `wavex` has the command that these words start with.
     fn has_command(&self, words: &[String]) -> bool {
         let name = words.get(1).map(String::as_str).unwrap_or_default();
         matches!(self, Known::Everything)
@@ -157,7 +166,7 @@ impl Known {
     }
 }
 
-/// Translates a line, and prints, writes or runs what it has become.
+/// Translates a line and prints, writes or runs the result.
 pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> {
     let read = |path: &str| std::fs::read_to_string(path).ok();
     let folder =
@@ -166,7 +175,8 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
         None => None,
         Some(_) => {
             let here = std::env::current_dir();
-            let here = here.map_err(|error| Failure::Wrong(format!("the current folder: {error}")))?;
+            let here = here
+                .map_err(|error| Failure::Wrong(format!("cannot determine the current folder: {error}")))?;
             Some(here.display().to_string())
         }
     };
@@ -180,14 +190,17 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
     };
     match &args.output {
         Some(_) if job.is_none() => {
-            return Err(Failure::Wrong(format!("this line makes no job to write:\n{}", import.text)));
+            return Err(Failure::Wrong(format!(
+                "this command line makes no job, so `-o` has nothing to write:\n{}",
+                import.text
+            )));
         }
         Some(file) => super::init::write_new(file, &import.text)?,
         None if !args.run => terminal::print(&import.text)?,
         None => {}
     }
     for what in &import.missing {
-        tracing::warn!("this build cannot do yet: {what}");
+        tracing::warn!("not supported by this build: {what}");
     }
     for what in &import.obstacles {
         tracing::warn!("{what}");
@@ -195,7 +208,9 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
     if args.run { run_all(&import, job, folder, quiet) } else { Ok(()) }
 }
 
-/// The latitude at which a trajectory begins, degrees; `None` where it cannot be read, or is in the coordinates of a map.
+/// Latitude of the first trajectory record, degrees.
+///
+/// `None` if the trajectory cannot be read or has map coordinates.
 fn latitude(file: &str, columns: Option<&str>) -> Option<f64> {
     let options = trajectory::Options { columns: columns.map(str::to_owned), ..Default::default() };
     match trajectory::read(Path::new(file), &options).ok()?.records {
@@ -204,17 +219,17 @@ fn latitude(file: &str, columns: Option<&str>) -> Option<f64> {
     }
 }
 
-/// Runs the job and the commands, or says what keeps this build from it.
+/// Runs the job and the commands, or reports what prevents it.
 fn run_all(import: &Import, job: Option<Job>, folder: Option<&Path>, quiet: bool) -> Result<(), Failure> {
     if !import.obstacles.is_empty() {
         let what = import.obstacles.join("; ");
-        return Err(Failure::Wrong(format!("the line is not run: {what}")));
+        return Err(Failure::Wrong(format!("not run: {what}")));
     }
     if !import.missing.is_empty() {
         let what = import.missing.join(", ");
         return Err(Failure::Wrong(format!(
-            "the line is not run, because this build cannot do yet: {what}; leave that out, or write the job with `-o` \
-             and change it"
+            "not run: this build does not support {what}; omit these options, or write the job with `-o` \
+             and edit it"
         )));
     }
     if job.is_none() && import.commands.is_empty() {
@@ -229,7 +244,7 @@ fn run_all(import: &Import, job: Option<Job>, folder: Option<&Path>, quiet: bool
     super::do_all(import.commands.iter().map(|words| command(words, quiet)))
 }
 
-/// Does what a command line of `wavex` says.
+/// Runs a `wavex` command line in this process.
 fn command(words: &[String], quiet: bool) -> Result<(), Failure> {
     let words = words.iter().map(String::as_str).chain(quiet.then_some("--quiet"));
     match Cli::try_parse_from(words) {

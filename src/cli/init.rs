@@ -1,4 +1,4 @@
-//! `wavex init`: a commented job to start from, or one for a recording.
+//! `wavex init`: writes a starter job, generic or for a recording.
 
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
@@ -9,16 +9,16 @@ use super::{Failure, print};
 use crate::job::{example_job, job_schema};
 use crate::registry::STAGES;
 
-/// What editors check jobs by, beside the job.
+/// Schema for editors, written to the folder of the job.
 const SCHEMA: &str = "job.schema.json";
 
-/// Writes the job into a file that does not exist yet, with its schema beside it, or prints it.
+/// Writes a new job file and its schema, or prints the job.
 pub(super) fn init(file: Option<&Path>, from: Option<&Path>, quiet: bool) -> Result<(), Failure> {
     let (text, remark) = match from {
         Some(recording) => (of_recording(recording, file)?, String::new()),
         None => (
             example_job(STAGES),
-            "it reads RECORDING.las: change `type` and `path` of its first stage, or let `wavex init --from RECORDING` do so\n"
+            "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init --from RECORDING`\n"
                 .to_owned(),
         ),
     };
@@ -28,7 +28,7 @@ pub(super) fn init(file: Option<&Path>, from: Option<&Path>, quiet: bool) -> Res
     write_new(file, &text)?;
     let schema = file.with_file_name(SCHEMA);
     let kept = match schema.exists() {
-        true => format!("{} exists already and stays as it is\n", schema.display()),
+        true => format!("kept the existing {}\n", schema.display()),
         false => {
             write_new(&schema, &format!("{:#}\n", job_schema(STAGES)))?;
             format!("wrote {}\n", schema.display())
@@ -37,13 +37,13 @@ pub(super) fn init(file: Option<&Path>, from: Option<&Path>, quiet: bool) -> Res
     if quiet { Ok(()) } else { print(&format!("wrote {}\n{kept}{remark}", file.display())) }
 }
 
-/// Writes a file that does not exist yet.
+/// Creates a file; fails if it exists.
 pub(super) fn write_new(file: &Path, text: &str) -> Result<(), Failure> {
     let written = OpenOptions::new().write(true).create_new(true).open(file);
     written.and_then(|mut file| file.write_all(text.as_bytes())).map_err(|error| {
         let problem = match error.kind() {
             ErrorKind::AlreadyExists => {
-                "the file exists already; choose another name, or remove it".to_owned()
+                "the file already exists; choose another name or remove it".to_owned()
             }
             _ => format!("cannot write the job: {error}"),
         };
@@ -51,7 +51,7 @@ pub(super) fn write_new(file: &Path, text: &str) -> Result<(), Failure> {
     })
 }
 
-/// The job for a recording: a job of the folder `jobs` with this recording in it.
+/// Fills the matching template of `jobs/` with this recording.
 fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Failure> {
     let recording = Recording::recognise(path)?;
     let folder = job.and_then(Path::parent).filter(|folder| !folder.as_os_str().is_empty());
@@ -63,8 +63,7 @@ fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Failure> {
         let is_reader = paragraph.contains("\ntype = \"read_");
         if is_reader && !paragraph.contains(&format!("\ntype = \"{}\"", recording.reader)) {
             let path = quoted(path);
-            text +=
-                &format!("# The recording.\n[[stage]]\ntype = \"{}\"\npath = {path}\n\n", recording.reader);
+            text += &format!("# Recording.\n[[stage]]\ntype = \"{}\"\npath = {path}\n\n", recording.reader);
             continue;
         }
         for line in paragraph.split_inclusive('\n') {
@@ -73,9 +72,9 @@ fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Failure> {
                 "output_dir" => "output_dir = \"out\"\n".to_owned(),
                 "trajectory" => match &trajectory {
                     Some(trajectory) => format!("trajectory = {}\n", quoted(trajectory)),
-                    None => format!("# None was found beside the recording:\n# {line}"),
+                    None => format!("# No trajectory was found next to the recording:\n# {line}"),
                 },
-                // Without a trajectory there are no such coordinates.
+                // Coordinates in a CRS require a trajectory.
                 "crs" if trajectory.is_none() => format!("# {line}"),
                 _ if line.starts_with("#:schema ") => {
                     format!("#:schema {SCHEMA}\n\n# For {}: {}.\n", path.display(), recording.facts)
@@ -87,7 +86,9 @@ fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// A path as a job in this folder names it: as it is, where the job is in the current folder, else absolute.
+/// Path as a job in this folder names it.
+///
+/// Unchanged if the job is in the current folder, else absolute.
 fn seen_from(folder: Option<&Path>, path: &Path) -> PathBuf {
     match folder {
         None => path.to_owned(),

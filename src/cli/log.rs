@@ -1,4 +1,4 @@
-//! The log: what happens on standard error, and in a file beside the outputs.
+//! The log: on standard error, and in a file next to the outputs.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -14,13 +14,15 @@ use tracing_subscriber::{EnvFilter, Layer, fmt};
 use super::terminal;
 use crate::formats::{Error, Result};
 
-/// The log's file, once a run has one: the log itself begins with the process.
+/// The log file of the run, opened after logging has started.
 static FILE: Mutex<Option<File>> = Mutex::new(None);
 
-/// The log, once a run has to keep it.
+/// Copy of the log in memory, if a run archives it.
 static KEPT: Mutex<Option<Vec<u8>>> = Mutex::new(None);
 
-/// Begins the log on standard error: warnings, or as much as is asked for; `RUST_LOG` has the last word.
+/// Starts logging to standard error.
+///
+/// The level is WARN by default. `RUST_LOG` overrides the arguments.
 pub(super) fn begin(verbose: u8, quiet: bool) {
     let level = match (quiet, verbose) {
         (true, _) => LevelFilter::ERROR,
@@ -35,11 +37,11 @@ pub(super) fn begin(verbose: u8, quiet: bool) {
     let log = tracing_subscriber::registry()
         .with(on_terminal.with_filter(wanted))
         .with(in_file.with_filter(LevelFilter::DEBUG));
-    // A log that exists already stays: this is the process's first unless a test has made one.
+    // An existing subscriber is kept; only tests install one earlier.
     let _ = log.try_init();
 }
 
-/// From here on the log goes into this file, too.
+/// Also writes the log to this file from now on.
 pub(super) fn to_file(path: &Path) -> Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(Error::io(folder, "make the folder"))?;
@@ -49,12 +51,12 @@ pub(super) fn to_file(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// From here on the log is kept in memory, too.
+/// Also keeps the log in memory from now on.
 pub(super) fn keep() {
     *lock_kept() = Some(Vec::new());
 }
 
-/// What was kept of the log.
+/// Returns the log kept in memory.
 pub(super) fn kept() -> Vec<u8> {
     lock_kept().clone().unwrap_or_default()
 }
@@ -67,7 +69,7 @@ fn lock() -> MutexGuard<'static, Option<File>> {
     FILE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// Writes to the log's file, where there is one, and to what is kept.
+/// Writes to the log file, if any, and to the copy in memory.
 struct ToFile;
 
 impl<'a> MakeWriter<'a> for ToFile {
@@ -83,7 +85,7 @@ impl Write for ToFile {
         if let Some(kept) = lock_kept().as_mut() {
             kept.extend_from_slice(bytes);
         }
-        // The whole, so that nothing is kept twice.
+        // Write everything: a partial write would be retried and kept twice in memory.
         lock().as_mut().map_or(Ok(()), |file| file.write_all(bytes)).map(|()| bytes.len())
     }
 

@@ -1,4 +1,4 @@
-//! What kind of recording a file is, from its name and its first shots.
+//! Recognises the kind of a recording from its name and first shots.
 
 use std::path::{Path, PathBuf};
 
@@ -7,42 +7,44 @@ use crate::batch::{Channel, Frame};
 use crate::registry::reader_of;
 use crate::survey::Survey;
 
-/// Number of shots that are read to recognise a recording.
+/// Number of shots read to recognise a recording.
 const LOOKED_AT: u64 = 20_000;
-/// Large footprints are far apart: fewer pulses per second than this, Hz.
+/// Maximum pulse rate of a large-footprint instrument, Hz.
 const LARGE_FOOTPRINT_RATE_HZ: f64 = 5_000.0;
-/// Their waveforms hold whole crowns: at least as many samples.
+/// Minimum waveform length of a large-footprint instrument, samples.
+///
+/// Its waveforms span whole tree crowns.
 const LARGE_FOOTPRINT_SAMPLES: f64 = 256.0;
-/// Instruments of large footprints, by a word of their names.
+/// Names of large-footprint instruments, matched as whole words.
 const LARGE_FOOTPRINTS: [&str; 3] = ["LVIS", "GEDI", "GLAS"];
 
-/// A recording, as far as a job must know it.
+/// Properties of a recording that select its job.
 pub(super) struct Recording {
-    /// The stage that reads it.
+    /// Name of the stage that reads it.
     pub(super) reader: &'static str,
-    /// Which job it takes.
+    /// Kind of the recording, which selects the job.
     pub(super) kind: Kind,
-    /// What it was recognised by, in words.
+    /// Properties that identified the kind, as text.
     pub(super) facts: String,
 }
 
-/// Kinds of recordings, each with a job of its own.
+/// Kinds of recordings, one job template each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// In the scanner's frame, as the instrument recorded it.
+    /// Raw recording in the scanner's frame.
     Raw,
     /// LAS with waveforms.
     Las,
     /// PulseWaves.
     PulseWaves,
-    /// A container whose beams are in a map.
+    /// Container with beams in map coordinates.
     Container,
     /// Footprints of 10 m and more.
     LargeFootprint,
 }
 
 impl Kind {
-    /// The job's file in the folder `jobs`.
+    /// File name of the job in the folder `jobs`.
     pub(super) fn file(self) -> &'static str {
         match self {
             Kind::Raw => "sdf.toml",
@@ -53,7 +55,7 @@ impl Kind {
         }
     }
 
-    /// The job.
+    /// Text of the job.
     pub(super) fn template(self) -> &'static str {
         match self {
             Kind::Raw => include_str!("../../jobs/sdf.toml"),
@@ -66,10 +68,12 @@ impl Kind {
 }
 
 impl Recording {
-    /// Looks at a file. SDF and WFM are known by their names: reading them needs RIEGL's library.
+    /// Recognises the kind of a recording.
+    ///
+    /// SDF and WFM are recognised by extension because reading them requires RIEGL's library.
     ///
     /// # Errors
-    /// A file that does not exist, of a kind that cannot be read, or without any shot that can be read.
+    /// If the file does not exist, its format is not supported, or no shot can be read.
     pub(super) fn recognise(path: &Path) -> Result<Recording, Failure> {
         let name = path.display().to_string();
         let reader = reader_of(&name).map_err(Failure::Wrong)?;
@@ -77,11 +81,16 @@ impl Recording {
             return Err(Failure::Wrong(format!("{name}: no such file; check the path")));
         }
         if reader == "read_sdf" {
-            return Ok(Recording { reader, kind: Kind::Raw, facts: "RIEGL SDF or WFM, by its name".into() });
+            return Ok(Recording {
+                reader,
+                kind: Kind::Raw,
+                facts: "RIEGL SDF or WFM, by its extension".into(),
+            });
         }
         let (survey, _, ended) = scan::look_at(path, &[], true, LOOKED_AT)?;
         if survey.shots.count == 0 {
-            let problem = ended.err().map_or(format!("{name}: it has no shots"), |error| error.to_string());
+            let problem =
+                ended.err().map_or(format!("{name}: the recording has no shots"), |error| error.to_string());
             return Err(Failure::Run(problem));
         }
         let (kind, reason) = kind_of(reader, &survey);
@@ -89,7 +98,7 @@ impl Recording {
     }
 }
 
-/// Which job a recording takes, and why, where its format alone does not say it.
+/// Selects the kind, with the reason if the format alone does not decide.
 fn kind_of(reader: &str, survey: &Survey) -> (Kind, &'static str) {
     let input = survey.input.as_deref();
     if is_large_footprint(survey) {
@@ -98,8 +107,8 @@ fn kind_of(reader: &str, survey: &Survey) -> (Kind, &'static str) {
     match (reader, input.map(|input| input.frame)) {
         ("read_las", _) => (Kind::Las, ""),
         ("read_pulsewaves", _) => (Kind::PulseWaves, ""),
-        (_, Some(Frame::Scanner | Frame::Body)) => (Kind::Raw, ", in the frame of the instrument"),
-        _ => (Kind::Container, ", with coordinates"),
+        (_, Some(Frame::Scanner | Frame::Body)) => (Kind::Raw, ", in the instrument's frame"),
+        _ => (Kind::Container, ", in map coordinates"),
     }
 }
 
@@ -111,13 +120,13 @@ fn is_large_footprint(survey: &Survey) -> bool {
     is_named || (is_slow && samples(survey).is_some_and(|samples| samples >= LARGE_FOOTPRINT_SAMPLES))
 }
 
-/// Pulses per second.
+/// Measured pulse rate, Hz.
 fn rate_hz(survey: &Survey) -> Option<f64> {
     let [mean_ps, _] = survey.times.shots.usual_ps()?;
     (mean_ps > 0.0).then(|| 1e12 / mean_ps)
 }
 
-/// Samples of a usual waveform.
+/// Median waveform length, samples.
 fn samples(survey: &Survey) -> Option<f64> {
     survey.channel(Channel::LowPower).lengths.median()
 }
@@ -129,11 +138,11 @@ fn facts(survey: &Survey) -> String {
     let rate = rate_hz(survey).map(|hz| format!("{hz:.0} pulses per second"));
     let samples = samples(survey).map(|samples| format!("waveforms of {samples:.0} samples"));
     let facts = [Some(format), instrument, rate, samples];
-    // One line of a comment, whatever an instrument is called.
+    // The text must fit in one comment line, whatever characters the instrument's name contains.
     facts.into_iter().flatten().collect::<Vec<_>>().join(", ").replace(char::is_control, " ")
 }
 
-/// The file of the same name beside another one, with the first of these extensions, in any case.
+/// Finds a file with the same stem and one of these extensions, in lower or upper case.
 pub(super) fn beside(path: &Path, extensions: &[&str]) -> Option<PathBuf> {
     let both = |extension: &&str| [extension.to_string(), extension.to_uppercase()];
     extensions

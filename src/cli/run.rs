@@ -1,4 +1,4 @@
-//! `wavex run`: a job's text to a finished run.
+//! `wavex run`: reads and runs a job.
 
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
@@ -17,10 +17,10 @@ use crate::stage::{
     OutputFile, OutputLock, Outputs, StageError, fixed_folder, give_up_claims, remove_unfinished_files,
 };
 
-/// What `--profile` writes beside the outputs.
+/// Trace that `--profile` writes to the output folder.
 const TRACE: &str = "trace.json";
 
-/// Reads the job and runs it; `archive` is the name of the archive to make of it.
+/// Reads and runs the job; `archive` names the archive to make.
 pub(super) fn run(
     args: &JobArgs,
     machine: Machine,
@@ -52,7 +52,7 @@ fn run_archived(
     let (input_dir, output_dir) = folders(job, folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    // Before the log: another run's would be cut off.
+    // Claim the outputs before opening the log, which would truncate the log of another run.
     let own = own_outputs(job, [&input_dir, &output_dir], machine.profile, archive);
     let _lock = OutputLock::take(&own).map_err(|error| failed(&error))?;
     if archive.is_some() {
@@ -71,7 +71,7 @@ fn run_archived(
         ..Options::of_job(job, input_dir, &output_dir)
     };
     stop_on_signals(&options.cancel);
-    // What keeps the report from being written is better known before the run than after it.
+    // Open these files early: problems with them should be reported before the run, not after it.
     let begin = |name: &str| match name {
         "" => Ok(None),
         name => OutputFile::create(&output_dir.join(name)).map(Some).map_err(|error| failed(&error)),
@@ -105,7 +105,7 @@ fn run_archived(
         let mut said = summary(&report, &own, machine.profile);
         if let (Some(recorder), Some(archive)) = (recorder, archive) {
             let seal = recorder.finish(&report, &log::kept())?;
-            let _ = writeln!(said, "archived in {}; its seal is {seal}", archive.display());
+            let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
         }
         Ok(said)
     };
@@ -116,7 +116,9 @@ fn run_archived(
     Ok(report)
 }
 
-/// Writes the files of the run as a whole and the statistics of each input, and gives their names.
+/// Writes the files of the run as a whole and the statistics of each input.
+///
+/// Returns the paths.
 fn write_own(
     report: &RunReport,
     report_file: Option<OutputFile>,
@@ -148,7 +150,9 @@ fn write_own(
     Ok(own)
 }
 
-/// What a run writes besides the outputs of its stages, which the engine claims.
+/// Files that a run writes besides the outputs of its stages.
+///
+/// The engine claims the outputs of the stages.
 fn own_outputs(
     job: &Job,
     [input_dir, output_dir]: [&Path; 2],
@@ -156,7 +160,7 @@ fn own_outputs(
     archive: Option<&Path>,
 ) -> Outputs {
     let settings = &job.settings;
-    // Inputs that cannot be found are the engine's to tell of.
+    // The engine reports inputs that cannot be found.
     let inputs = engine::inputs(job, input_dir).unwrap_or_default();
     let stat_logs = inputs.iter().map(|input| settings.stat_log.replace('*', &input.stem));
     let of_run = [&settings.log, &settings.report, &settings.report_page];
@@ -174,8 +178,9 @@ fn own_outputs(
     outputs
 }
 
-/// Ctrl-C and a request to terminate end the run in order, as soon as every stage has done the line it is at; a second one
-/// ends the process at once.
+/// Ends the run in order on Ctrl-C or a termination request.
+///
+/// Every stage completes its current line first. A second signal ends the process at once.
 pub(super) fn stop_on_signals(cancel: &Cancel) {
     let cancel = cancel.clone();
     let handler = move || {
@@ -190,7 +195,7 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
         cancel.cancel();
     };
     if let Err(error) = ctrlc::set_handler(handler) {
-        tracing::debug!("signals are not handled: {error}");
+        tracing::debug!("cannot install the signal handler: {error}");
     }
 }
 
@@ -202,7 +207,9 @@ fn write_report(report: &RunReport, mut file: OutputFile) -> Result<(), StageErr
     Ok(())
 }
 
-/// Writes the statistics of an input, and gives their name; `own` are the other files of the run.
+/// Writes the statistics of an input and returns the path.
+///
+/// `own` are the other files of the run.
 fn write_stat_log(
     report: &RunReport,
     input: &InputReport,
@@ -243,8 +250,9 @@ fn write_trace(report: &RunReport, path: &Path) -> Result<(), StageError> {
     Ok(())
 }
 
-/// What the user sees at the end: for each input where the time went, what was dropped, and what was written; `own` are the
-/// files of the run as a whole.
+/// Summary for the user: times, rejections and outputs of each input.
+///
+/// `own` are the files of the run as a whole.
 fn summary(report: &RunReport, own: &[PathBuf], profile: bool) -> String {
     let mut text = String::new();
     for input in &report.inputs {
@@ -275,14 +283,14 @@ fn wrote(text: &mut String, paths: &[PathBuf]) {
     }
 }
 
-/// Where relative input and output paths of a job start that stands in `folder`.
+/// Input and output folders of a job stored in `folder`.
 pub(super) fn folders(job: &Job, folder: &Path) -> (PathBuf, PathBuf) {
     let from = |dir: &Option<String>| dir.as_ref().map_or(folder.to_path_buf(), |dir| folder.join(dir));
     (from(&job.settings.input_dir), from(&job.settings.output_dir))
 }
 
 impl Machine {
-    /// What the command line sets of the job.
+    /// Job keys set by these arguments.
     pub(super) fn overrides(self) -> Option<Override> {
         self.threads.map(|threads| Override::new(format!("job.threads={threads}")))
     }
@@ -293,7 +301,7 @@ impl Machine {
 }
 
 impl When {
-    /// How progress is shown.
+    /// Progress display for this setting.
     pub(super) fn mode(self, quiet: bool, on_terminal: bool) -> ProgressMode {
         match self {
             _ if quiet => ProgressMode::Hidden,

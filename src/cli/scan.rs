@@ -1,4 +1,4 @@
-//! `wavex scan`: what a recording holds, as a summary, as histograms, and as a page with pictures.
+//! `wavex scan`: inspects recordings; writes a summary, histograms and a page.
 
 use std::io::Write;
 use std::path::Path;
@@ -17,13 +17,13 @@ mod histograms;
 pub(in crate::cli) mod page;
 mod summary;
 
-/// Looks recordings over, writes what was seen, and prints the summaries.
+/// Inspects recordings, writes the results, and prints the summaries.
 ///
-/// A recording that cannot be read does not keep the others from being looked over.
+/// An unreadable recording does not stop the inspection of the others.
 pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     let inputs = engine::expand(Some(&Paths::Many(args.files.clone())), "", Path::new(""));
     let inputs = inputs.map_err(|error| {
-        // A format that is not supported is the better reason.
+        // An unsupported format is the more helpful reason.
         let unreadable = args.files.iter().find_map(|file| reader_of(file).err());
         unreadable.map_or_else(|| failed(&error), Failure::Wrong)
     })?;
@@ -39,7 +39,9 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     super::do_all(scans)
 }
 
-/// Scans one recording. If it cannot be read to its end, the readable part is printed and written before the error is returned.
+/// Inspects one recording.
+///
+/// If it cannot be read to its end, prints and writes the readable part before returning the error.
 fn scan_one(file: &Path, name: &str, args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     let (survey, cx, ended) = look_at(file, &args.set, !args.fast, u64::MAX)?;
     if let Err(error) = &ended
@@ -62,7 +64,7 @@ fn scan_one(file: &Path, name: &str, args: &ScanArgs, quiet: bool) -> Result<(),
     ended.map_err(|error| failed(&error))
 }
 
-/// Reads up to `shots` shots of a recording, or up to the first unreadable place.
+/// Inspects up to `shots` shots, or up to the first read error.
 pub(super) fn look_at(
     file: &Path,
     set: &[String],
@@ -75,7 +77,7 @@ pub(super) fn look_at(
     let overrides: Vec<Override> = set.iter().map(Override::new).collect();
     let job = Job::parse("the job of `wavex scan`", &text, &overrides)?;
     let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
-        return Err(Failure::Run("the job has no source; report this as a defect of wavex".into()));
+        return Err(Failure::Run("the job has no source; please report this bug in wavex".into()));
     };
     let mut source = source.make_survey(&Site::alone(file), with_samples).map_err(|error| failed(&error))?;
     let (mut survey, mut cx) = (Survey::new(with_samples), Context::default());
@@ -91,7 +93,7 @@ pub(super) fn look_at(
     Ok((survey, cx, ended))
 }
 
-/// Writes files, which get their names when all of them are whole.
+/// Writes files; they get their final names when all are complete.
 fn write(files: &[(String, String)]) -> Result<Vec<String>, Error> {
     let mut whole: Vec<WholeFile> = Vec::new();
     for (name, text) in files {

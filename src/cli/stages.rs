@@ -1,11 +1,11 @@
-//! `wavex stages`: the list of stages, and the page of one.
+//! `wavex stages`: lists all stages or describes one.
 
 use super::{Failure, print};
 use crate::job::{manual_of, summary};
 use crate::registry::{find_in, nearest_of};
 use crate::stage::StageSpec;
 
-/// Prints the list, or one stage's page.
+/// Prints the list, or the page of one stage.
 pub(super) fn stages(known: &[&'static StageSpec], name: Option<&str>) -> Result<(), Failure> {
     match name {
         None => print(&list(known)),
@@ -13,7 +13,7 @@ pub(super) fn stages(known: &[&'static StageSpec], name: Option<&str>) -> Result
     }
 }
 
-/// A line for each stage: its name, what it takes and makes, and its first sentence.
+/// One row per stage: name, input and output kinds, first sentence.
 fn list(known: &[&'static StageSpec]) -> String {
     let widest = |width: fn(&&'static StageSpec) -> usize| known.iter().map(width).max().unwrap_or(0);
     let (name_width, flow_width) = (widest(|spec| spec.name.len()), widest(|spec| flow(spec).len()));
@@ -23,7 +23,7 @@ fn list(known: &[&'static StageSpec]) -> String {
     known.iter().map(line).collect()
 }
 
-/// What goes in and what comes out, where that differs.
+/// Input and output kinds; only the input if the kind does not change.
 fn flow(spec: &StageSpec) -> String {
     let takes: Vec<String> = spec.accepts.iter().map(ToString::to_string).collect();
     match spec.makes {
@@ -40,7 +40,7 @@ fn page(known: &[&'static StageSpec], name: &str) -> Result<String, Failure> {
     let meant = nearest_of(name, names.iter().copied());
     let meant = meant.map(|name| format!("; did you mean `{name}`?")).unwrap_or_default();
     let names = names.join(", ");
-    Err(Failure::Wrong(format!("there is no stage `{name}`{meant} (the stages: {names})")))
+    Err(Failure::Wrong(format!("unknown stage `{name}`{meant} (stages: {names})")))
 }
 
 #[cfg(test)]
@@ -66,9 +66,9 @@ georeference  Returns -> Points  Computes coordinates.
         assert_eq!(page(test_stages::STAGES, "simulate").unwrap(), manual_of(&test_stages::SIMULATE));
         let error = page(&test_stages::STAGES[..2], "simulat").unwrap_err();
         let expected =
-            "error: there is no stage `simulat`; did you mean `simulate`? (the stages: read_las, simulate)\n";
+            "error: unknown stage `simulat`; did you mean `simulate`? (stages: read_las, simulate)\n";
         assert_eq!(error.message(false), expected);
         let error = page(&test_stages::STAGES[..2], "fly").unwrap_err();
-        assert_eq!(error.message(false), "error: there is no stage `fly` (the stages: read_las, simulate)\n");
+        assert_eq!(error.message(false), "error: unknown stage `fly` (stages: read_las, simulate)\n");
     }
 }

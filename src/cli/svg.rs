@@ -1,13 +1,13 @@
-//! The few words of SVG that a picture needs.
+//! A minimal SVG writer.
 
 use std::fmt::Write;
 
-/// A picture that grows element by element. Looks come from the classes of its style sheet.
+/// A picture built element by element; the style sheet's classes define the looks.
 pub(in crate::cli) struct Svg {
     body: String,
 }
 
-/// On which side of its place a text stands.
+/// Text anchor relative to its position.
 #[derive(Clone, Copy)]
 pub(in crate::cli) enum Anchor {
     Start,
@@ -25,7 +25,7 @@ impl Anchor {
     }
 }
 
-/// Light by default, dark where the reader's system is. Colours are told apart by their lightness, too.
+/// Style sheet: follows the system's light or dark theme; colours also differ in lightness.
 const STYLE: &str = "\
 text{font-family:'Segoe UI','Helvetica Neue','Liberation Sans','DejaVu Sans',Arial,sans-serif;font-size:12px;fill:#333}
 .page{fill:#ffffff}.title{font-size:17px;font-weight:600;fill:#111}.note{fill:#666}.num{font-weight:600;fill:#111}
@@ -47,7 +47,7 @@ impl Svg {
         Svg { body: String::new() }
     }
 
-    /// The whole document.
+    /// Returns the complete document.
     pub(in crate::cli) fn finish(self, width: f64, height: f64, title: &str) -> String {
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
@@ -58,7 +58,7 @@ impl Svg {
         )
     }
 
-    /// The picture as a part of a page, whose style sheet gives the looks.
+    /// Returns the picture as an element of a page that has its own style sheet.
     pub(in crate::cli) fn inline(self, width: f64, height: f64, title: &str) -> String {
         let (title, body) = (escaped(title), self.body);
         format!(
@@ -73,7 +73,7 @@ impl Svg {
         );
     }
 
-    /// A rectangle from its upper left to its lower right corner.
+    /// Draws a rectangle from its upper left to its lower right corner.
     pub(in crate::cli) fn rect(&mut self, class: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
         let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
         let _ = writeln!(
@@ -93,7 +93,7 @@ impl Svg {
         }
     }
 
-    /// A surface between these corners.
+    /// Draws a filled polygon with these corners.
     pub(in crate::cli) fn area(&mut self, class: &str, corners: impl Iterator<Item = [f64; 2]>) {
         let corners: Vec<String> = corners.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
         let _ = writeln!(self.body, "<polygon class=\"{class}\" points=\"{}\"/>", corners.join(" "));
@@ -107,7 +107,7 @@ impl Svg {
         );
     }
 
-    /// A rectangle in a colour of its own, as a legend shows it.
+    /// Draws a rectangle of this colour, for legends.
     pub(in crate::cli) fn swatch(&mut self, colour: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
         let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
         let _ = writeln!(
@@ -116,12 +116,12 @@ impl Svg {
         );
     }
 
-    /// A picture shown before, in the same page and at the same place.
+    /// Repeats an element of the same page at the same position.
     pub(in crate::cli) fn again(&mut self, class: &str, id: &str) {
         let _ = writeln!(self.body, "<use class=\"{class}\" href=\"#{id}\"/>");
     }
 
-    /// A picture of cells, from its upper left to its lower right corner.
+    /// Embeds a raster image from its upper left to its lower right corner.
     pub(in crate::cli) fn image(
         &mut self,
         id: &str,
@@ -137,7 +137,7 @@ impl Svg {
         );
     }
 
-    /// A text that is read from below, around its middle.
+    /// Draws text rotated by 90 degrees, centred at a position.
     pub(in crate::cli) fn upright_text(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
         let _ = writeln!(
             self.body,
@@ -148,7 +148,7 @@ impl Svg {
     }
 }
 
-/// A text as XML holds it.
+/// Escapes text for XML.
 pub(in crate::cli) fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for character in text.chars() {
@@ -157,7 +157,7 @@ pub(in crate::cli) fn escaped(text: &str) -> String {
             '<' => safe.push_str("&lt;"),
             '>' => safe.push_str("&gt;"),
             '"' => safe.push_str("&quot;"),
-            // XML has no place for other control characters.
+            // XML does not allow other control characters.
             character if character.is_control() => safe.push(' '),
             character => safe.push(character),
         }
@@ -165,7 +165,7 @@ pub(in crate::cli) fn escaped(text: &str) -> String {
     safe
 }
 
-/// A scale from values to places: value `from[0]` stands at `to[0]`.
+/// Linear scale: value `from[0]` maps to `to[0]`.
 #[derive(Clone, Copy)]
 pub(in crate::cli) struct Scale {
     pub(in crate::cli) from: [f64; 2],
@@ -179,7 +179,7 @@ impl Scale {
         self.to[0] + (value - a) / span * (self.to[1] - self.to[0])
     }
 
-    /// Round values within the scale, about so many, and their digits behind the point.
+    /// Round tick values within the scale, about `wanted`, and their decimal places.
     pub(in crate::cli) fn ticks(&self, wanted: f64) -> (Vec<f64>, usize) {
         let span = (self.from[1] - self.from[0]).abs().max(1e-9);
         let raw = span / wanted.max(1.0);
@@ -209,6 +209,6 @@ mod tests {
         assert_eq!(ticks(0.0, 100.0, 5.0), (vec![0.0, 20.0, 40.0, 60.0, 80.0, 100.0], 0));
         assert_eq!(ticks(-0.3, 0.31, 4.0), (vec![-0.2, 0.0, 0.2], 1));
         assert_eq!(ticks(4003.2, 4059.0, 6.0).0, [4010.0, 4020.0, 4030.0, 4040.0, 4050.0]);
-        assert_eq!(ticks(5.0, 5.0, 4.0).0.len(), 1, "a span of nothing has no endless list of ticks");
+        assert_eq!(ticks(5.0, 5.0, 4.0).0.len(), 1, "an empty span has one tick");
     }
 }

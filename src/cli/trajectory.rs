@@ -1,4 +1,4 @@
-//! `wavex trajectory`: any trajectory projected and thinned, as a summary, a table and a picture.
+//! `wavex trajectory`: projects and decimates a trajectory.
 
 use std::io::Write;
 use std::path::Path;
@@ -16,10 +16,10 @@ mod map;
 mod picture;
 mod summary;
 
-/// Rows are handed over when they take this many bytes.
+/// Size at which buffered rows are written, bytes.
 const CHUNK: usize = 1 << 16;
 
-/// Reads the trajectory, writes what is asked for, and prints the summary.
+/// Reads the trajectory, writes the requested files, and prints the summary.
 pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failure> {
     let failed = |error: Error| Failure::Run(error.to_string());
     let recorded = trajectory::read(&args.file, &args.options()).map_err(failed)?;
@@ -36,7 +36,7 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
         let unproject = unproject.as_ref().map(|unproject| unproject as &Unproject);
         recorded.into_trajectory(unproject).map_err(failed)?
     };
-    // Without a first place there is no trajectory; with one there is a map.
+    // A trajectory with a first position always has a map.
     let map = map.map_or_else(Map::geodetic, Ok).map_err(Failure::Run)?;
     map.covers(trajectory.samples()).map_err(Failure::Run)?;
     let map = &map;
@@ -65,7 +65,7 @@ impl TrajectoryArgs {
     }
 }
 
-/// Writes table and picture, which get their names when both are whole.
+/// Writes table and picture; they get their final names when both are complete.
 fn write(
     args: &TrajectoryArgs,
     about: &About,
@@ -87,7 +87,9 @@ fn write(
     whole.into_iter().map(|file| file.publish().map(|path| path.display().to_string())).collect()
 }
 
-/// Writes every n-th record: time, longitude, latitude, height, x, y, z, roll, pitch, heading.
+/// Writes every n-th record as a row.
+///
+/// Columns: time, longitude, latitude, height, x, y, z, roll, pitch, heading.
 fn table(
     path: &Path,
     every: usize,
@@ -109,7 +111,7 @@ fn table(
         let [longitude, latitude] = [place.longitude_rad, place.latitude_rad].map(f64::to_degrees);
         let angles = [attitude.roll_rad, attitude.pitch_rad, attitude.heading_rad].map(f64::to_degrees);
         let [roll, pitch, heading] = angles;
-        // A vector of bytes takes whatever is written.
+        // Writing to a vector cannot fail.
         let _ = writeln!(
             rows,
             "{:.6} {longitude:.10} {latitude:.10} {:.4} {x:.digits$} {y:.digits$} {z:.4} {roll:.7} {pitch:.7} {heading:.7}",

@@ -1,4 +1,4 @@
-//! Examples of use, which stand at the end of each command's help.
+//! Usage examples at the end of each command's help.
 
 pub(super) const RUN: &str = "\
 Examples:
@@ -47,7 +47,7 @@ Examples:
   wavex calibrate level_ground.sdf --save-preset vq780i_1234.json
   wavex calibrate flight7.las --set read_las.full_scale_dn=255 --save-preset model.json
 
-In a job, the model stands for the calibration: `load = \"model.json\"` in the stage `calibrate`.";
+To use the model in a job, set `load = \"model.json\"` in the stage `calibrate`.";
 
 pub(super) const COPC: &str = "\
 Examples:

@@ -1,18 +1,21 @@
-//! `wavex --version --verbose`: what this build is made of.
+//! `wavex --version --verbose`: build details.
 
 use crate::archive::Program;
 use crate::kernels::lockstep;
 
-/// Version, commit, compiler, target, licence and features, a line each.
+/// Lines with version, commit, compiler, target, licence and features.
 pub(super) fn details() -> String {
     let program = Program::this();
-    let proj =
-        if cfg!(feature = "proj") { "proj" } else { "none (proj: coordinate systems by the library PROJ)" };
+    let proj = if cfg!(feature = "proj") {
+        "proj"
+    } else {
+        "none (proj: coordinate systems through the PROJ library)"
+    };
     format!(
         "wavex {}\ncommit: {}\ncompiler: {}\ntarget: {}, {} build\nlicence: {}\nfeatures: {proj}\n\
-         instructions: {:?} on this machine\nSDF and WFM: through RIEGL's library, loaded at run time\n",
+         instructions: {:?} on this machine\nSDF and WFM: read through RIEGL's library, loaded at run time\n",
         program.version,
-        program.commit.as_deref().unwrap_or("not known"),
+        program.commit.as_deref().unwrap_or("unknown"),
         program.rustc,
         program.target,
         program.profile,

@@ -1,4 +1,4 @@
-//! One run of the chain over one input: spawn, watch, join, publish.
+//! Runs the chain over one input: spawns threads, monitors, joins, publishes.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
@@ -18,13 +18,13 @@ use crate::job::{Job, JobStage};
 use crate::overview::Gallery;
 use crate::stage::{Context, Holds, Plan, Result, Site, StageError, WholeFile};
 
-/// What a stage's workers leave behind: one entry each.
+/// Results of a stage's workers, one entry per worker.
 type Leavings = Mutex<Vec<(Meter, Context)>>;
 
-/// Runs the chain over one input; `cx` is that of the run.
+/// Runs the chain over one input; `cx` is the context of the whole run.
 ///
 /// # Errors
-/// The first true cause, and what was done before it.
+/// The first true cause, with the work done before it.
 pub(super) fn run(
     job: &Job,
     site: &Arc<Site>,
@@ -49,8 +49,8 @@ pub(super) fn run(
                 let name = format!("{THREAD_PREFIX}{}-{worker}", stage.id);
                 if let Err(error) = std::thread::Builder::new().name(name).spawn_scoped(scope, body) {
                     let failed = StageError::failed(
-                        format!("no thread could be started: {error}"),
-                        "lower `threads` or raise the system's limit of processes",
+                        format!("cannot start a thread: {error}"),
+                        "lower `threads` or raise the process limit of the system",
                     );
                     shared.failure.fail(&stage.id, &site.input, Cause::Stage(failed));
                 }
@@ -81,7 +81,7 @@ pub(super) fn run(
     }
 }
 
-/// Every stage's workers, each with where its lines come from and where they go.
+/// Input and output ends of all workers, by stage.
 fn plan(job: &Job, options: &Options) -> Vec<Vec<(Option<Inlet>, Exit)>> {
     let workers = |stage: &JobStage| match stage.planned.plan {
         Plan::Map(_) => options.workers(),
@@ -100,9 +100,11 @@ fn plan(job: &Job, options: &Options) -> Vec<Vec<(Option<Inlet>, Exit)>> {
     plan
 }
 
-/// How many bytes the lines of a job may take, and how many transforms at most hold lines back at a time; at least one.
+/// Memory limit of all lines, bytes, and the maximum number of transforms that hold lines at the
+/// same time (at least 1).
 ///
-/// Of those that hold the first lines only one does at a time: as long as it holds any, none has come to those after it.
+/// Of the transforms that hold only the first lines, one is active at a time: as long as it holds
+/// lines, none reaches the next.
 fn memory(job: &Job) -> (usize, usize) {
     let limit =
         usize::try_from(job.settings.memory_mb).unwrap_or(usize::MAX / 1_000_000).saturating_mul(1_000_000);
@@ -115,7 +117,7 @@ fn memory(job: &Job) -> (usize, usize) {
     (limit, (windows + usize::from(first)).max(1))
 }
 
-/// How many bytes of lines each transform of a job may hold back that can do with fewer.
+/// Memory that each transform may hold back if it can do with less, bytes.
 pub(crate) fn may_hold_bytes(job: &Job) -> usize {
     let (limit, holders) = memory(job);
     limit / (2 * holders)
@@ -128,8 +130,8 @@ fn shared(job: &Job, options: &Options, cx: &Context) -> Shared {
         budget: Budget::new(limit),
         may_hold_bytes: may_hold_bytes(job),
         holders,
-        // What transforms hold back that can do with less stays within the other half, so that there is always room for a
-        // line more. Only lines that a stage cannot do without may leave none (`Budget::take`).
+        // Such transforms stay within one half, so there is always room for one more line. Only
+        // lines that a stage requires may exhaust the memory (`Budget::take`).
         largest_line_bytes: limit / 2,
         foreseen: Mutex::default(),
         keeps_waveforms: job.stages.iter().any(|stage| stage.planned.plan.needs_waveforms()),
@@ -140,7 +142,7 @@ fn shared(job: &Job, options: &Options, cx: &Context) -> Shared {
     }
 }
 
-/// The whole life of a worker, from the making of its stage to its last counter.
+/// Runs a worker from construction of its stage to its last counter.
 fn run_worker(
     stage: &JobStage,
     site: &Arc<Site>,
@@ -170,13 +172,13 @@ fn work(stage: &JobStage, site: &Site, inlet: Option<Inlet>, desk: &mut Desk) ->
         (Plan::Transform(plan), Some(mut inlet)) => run_transform(plan.make(site)?, &mut inlet, desk),
         (Plan::Sink(plan), Some(mut inlet)) => run_sink(plan.make(site)?, &mut inlet, desk),
         _ => Err(StageError::failed(
-            "a source stands first in a job, and only there",
+            "the source must be the first stage of a job, and the only source",
             "check the job with `wavex check`",
         )),
     }
 }
 
-/// What each stage did, the files that are whole, and the shots to be shown.
+/// Merges the results of all workers: stage reports, finished files, shots to show.
 fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String, WholeFile)>, Gallery) {
     let mut whole = Vec::new();
     let mut gallery = Gallery::default();
@@ -197,7 +199,7 @@ fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String
     (reports, whole, gallery)
 }
 
-/// Gives every whole file its final name, in the order in which its stage kept it.
+/// Gives every finished file its final name, in the order in which stages finished them.
 fn publish(mut whole: Vec<(String, WholeFile)>) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
     for (stage, file) in &mut whole {
         file.make_way().map_err(|error| (stage.clone(), error.into()))?;

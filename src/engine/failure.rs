@@ -1,4 +1,4 @@
-//! How a run ends early: the first true cause is kept, and everybody is told to stop.
+//! Early end of a run: keeps the first cause and stops all threads.
 
 use std::cell::RefCell;
 use std::panic;
@@ -8,51 +8,51 @@ use std::sync::{Arc, Mutex, Once};
 
 use crate::stage::StageError;
 
-/// A switch that ends a run early; clones share it.
+/// A flag that ends a run early; clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Cancel(Arc<AtomicBool>);
 
 impl Cancel {
-    /// Asks the run to end.
+    /// Requests the end of the run.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::SeqCst);
     }
 
-    /// Whether the run was asked to end.
+    /// Returns whether the end of the run was requested.
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Why a run failed, and where.
+/// Failure of a run, with its stage and input.
 #[derive(Debug)]
 pub struct RunError {
-    /// The stage, as the job calls it.
+    /// Name of the stage in the job.
     pub stage: Option<String>,
-    /// The input that was being worked on.
+    /// Input that was being processed.
     pub input: Option<PathBuf>,
-    /// What happened.
+    /// The cause.
     pub cause: Cause,
 }
 
-/// What ended a run.
+/// Cause of the end of a run.
 #[derive(Debug)]
 pub enum Cause {
-    /// A stage could not go on.
+    /// A stage failed.
     Stage(StageError),
-    /// A stage panicked: a bug of ours.
+    /// A stage panicked, which is a bug in wavex.
     Panic(String),
-    /// Somebody asked for it.
+    /// The user interrupted the run.
     Interrupted,
 }
 
 impl RunError {
-    /// An error that concerns the job as a whole.
+    /// An error of the job as a whole.
     pub fn of_job(error: StageError) -> RunError {
         RunError { stage: None, input: None, cause: Cause::Stage(error) }
     }
 
-    /// The same as the error of something that a run is a part of.
+    /// Converts the error for a caller that is itself part of a run.
     pub fn into_stage_error(self) -> StageError {
         match self {
             RunError { stage: None, input: None, cause: Cause::Stage(error) } => error,
@@ -74,7 +74,7 @@ impl std::fmt::Display for RunError {
         }
         match &self.cause {
             Cause::Stage(error) => {
-                // An error of a format names its file by itself.
+                // Errors of formats already name their file.
                 if let (StageError::Failed { .. }, Some(input)) = (error, self.input.as_deref().filter(named))
                 {
                     write!(f, "{}: ", input.display())?;
@@ -83,13 +83,13 @@ impl std::fmt::Display for RunError {
             }
             Cause::Panic(message) => write!(
                 f,
-                "a bug in wavex: {message}; please report it with the job and, if you can, the input{}",
+                "bug in wavex: {message}; please report it with the job and, if possible, the input{}",
                 self.input
                     .as_deref()
                     .filter(named)
                     .map_or(String::new(), |input| format!(" {}", input.display()))
             ),
-            Cause::Interrupted => write!(f, "interrupted; no unfinished output was left behind"),
+            Cause::Interrupted => write!(f, "interrupted; unfinished outputs were removed"),
         }
     }
 }
@@ -98,7 +98,7 @@ fn named(path: &&Path) -> bool {
     !path.as_os_str().is_empty()
 }
 
-/// Where the threads of one chain meet when something goes wrong.
+/// Shared failure state of the threads of one chain.
 #[derive(Debug)]
 pub(super) struct Failure {
     first: Mutex<Option<RunError>>,
@@ -111,12 +111,14 @@ impl Failure {
         Failure { first: Mutex::default(), stopping: AtomicBool::new(false), cancel }
     }
 
-    /// Whether the threads should end.
+    /// Returns whether the threads should end.
     pub(super) fn stopping(&self) -> bool {
         self.stopping.load(Ordering::Relaxed) || self.cancel.is_cancelled()
     }
 
-    /// Keeps the cause if it is the first, and tells everybody to stop. An echo of another failure is no cause.
+    /// Records the first cause and stops all threads.
+    ///
+    /// `StageError::Stopped` is a consequence of another failure and is not recorded.
     pub(super) fn fail(&self, stage: &str, input: &Path, cause: Cause) {
         if !matches!(cause, Cause::Stage(StageError::Stopped)) {
             let mut first = self.first.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -129,7 +131,7 @@ impl Failure {
         self.stopping.store(true, Ordering::SeqCst);
     }
 
-    /// The cause of the end, if it was not a success.
+    /// The cause of the end, unless the run succeeded.
     pub(super) fn into_error(self, input: &Path) -> Option<RunError> {
         let first = self.first.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
         let interrupted =
@@ -151,7 +153,7 @@ thread_local! {
     static PANIC: RefCell<Option<String>> = const { RefCell::new(None) };
 }
 
-/// Makes the panics of stages silent, and keeps their messages for [`guarded`].
+/// Suppresses the output of panics in stages and keeps their messages for [`guarded`].
 pub(super) fn catch_panic_messages() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -169,10 +171,10 @@ pub(super) fn catch_panic_messages() {
     });
 }
 
-/// What the names of the engine's threads begin with.
+/// Prefix of the names of the engine's threads.
 pub(super) const THREAD_PREFIX: &str = "wavex:";
 
-/// Runs the body of a thread, and turns a panic into a cause.
+/// Runs the body of a thread; converts a panic into a cause.
 pub(super) fn guarded<T>(body: impl FnOnce() -> Result<T, StageError>) -> Result<T, Cause> {
     match panic::catch_unwind(panic::AssertUnwindSafe(body)) {
         Ok(result) => result.map_err(Cause::Stage),

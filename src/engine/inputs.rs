@@ -1,4 +1,4 @@
-//! From the paths of a reader to the inputs of the runs.
+//! Expands the paths of a reader into the inputs of the runs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -8,16 +8,16 @@ use crate::formats::{companions, unsupported};
 use crate::job::Job;
 use crate::stage::{Outputs, Paths, Site, StageError, fixed_folder};
 
-/// One run's input.
+/// Input of one run.
 #[derive(Debug, PartialEq)]
 pub struct Input {
-    /// The file, or `-` for standard input; empty where the source makes its own data.
+    /// The file, or `-` for standard input; empty if the source generates its data.
     pub path: PathBuf,
-    /// What outputs are named after.
+    /// Stem after which outputs are named.
     pub stem: String,
 }
 
-/// The inputs, in the order of the job; those of a pattern in the order of their names.
+/// Lists the inputs in the order of the job; matches of a pattern are sorted by name.
 pub(crate) fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Result<Vec<Input>, RunError> {
     let Some(paths) = paths else {
         return Ok(vec![Input { path: PathBuf::new(), stem: stem.to_string() }]);
@@ -36,7 +36,7 @@ pub(crate) fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Res
             if let Some(other) = stems.insert(stem.clone(), path.clone()) {
                 return Err(RunError::of_job(StageError::failed(
                     format!(
-                        "{} and {} would have outputs of the same names",
+                        "the outputs of {} and {} would have the same names",
                         other.display(),
                         path.display()
                     ),
@@ -65,12 +65,12 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
         return Ok(vec![path]);
     }
     let fail = |problem: String, remedy: &str| RunError::of_job(StageError::failed(problem, remedy));
-    // Only the job's own words are a pattern: a folder may have brackets in its name.
+    // Escape the folder: only the text in the job is a pattern.
     let folder = glob::Pattern::escape(&input_dir.to_string_lossy());
     let is_whole = folder.is_empty() || Path::new(pattern).is_absolute();
     let whole = if is_whole { pattern.into() } else { format!("{folder}/{pattern}") };
     let found = glob::glob(&whole)
-        .map_err(|e| fail(format!("`{pattern}` is no pattern: {e}"), "write it as in `lines/*.pls`"))?;
+        .map_err(|e| fail(format!("invalid pattern `{pattern}`: {e}"), "write it as in `lines/*.pls`"))?;
     let mut paths = Vec::new();
     for entry in found {
         paths.push(entry.map_err(|e| fail(e.to_string(), "check the folder's permissions"))?);
@@ -78,14 +78,14 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     if paths.is_empty() {
         return Err(fail(
             format!("no file matches `{}`", path.display()),
-            "check the path, or `path` of the reader and `input_dir` of the job",
+            "check `path` of the reader and `input_dir` of the job",
         ));
     }
     paths.sort();
     Ok(paths)
 }
 
-/// What all runs write, by the folder in which it is claimed.
+/// Output files of all runs, by the folder in which they are claimed.
 pub(super) fn outputs(job: &Job, sites: &[Site]) -> Outputs {
     let mut outputs = Outputs::new();
     for site in sites {
@@ -97,8 +97,9 @@ pub(super) fn outputs(job: &Job, sites: &[Site]) -> Outputs {
     outputs
 }
 
-/// No output of any run may take the place of an input of any run, or of a file that belongs to it: `job` compares the
-/// names, here are the files.
+/// Checks that no output replaces an input or a companion file of one.
+///
+/// `job` compares patterns; this compares actual files.
 pub(super) fn keep_from_outputs(job: &Job, sites: &[Site]) -> Result<(), RunError> {
     let with_companions =
         |site: &Site| companions(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>();
@@ -106,7 +107,7 @@ pub(super) fn keep_from_outputs(job: &Job, sites: &[Site]) -> Result<(), RunErro
         sites.iter().flat_map(with_companions).filter_map(|path| path.canonicalize().ok()).collect();
     let patterns = || job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());
     let mut outputs = sites.iter().flat_map(|site| patterns().map(|pattern| site.output_path(pattern)));
-    // An output that does not exist yet is no input.
+    // An output that does not exist cannot be an input.
     match outputs.find(|path| path.canonicalize().is_ok_and(|path| inputs.contains(&path))) {
         None => Ok(()),
         Some(path) => Err(RunError::of_job(StageError::failed(
@@ -140,7 +141,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let error = expand(Some(&Paths::One("*.sdf".into())), "", folder.path()).unwrap_err();
         let expected = format!(
-            "no file matches `{}`; check the path, or `path` of the reader and `input_dir` of the job",
+            "no file matches `{}`; check `path` of the reader and `input_dir` of the job",
             folder.path().join("*.sdf").display()
         );
         assert_eq!(error.to_string(), expected);
@@ -152,7 +153,7 @@ mod tests {
         let error = expand(Some(&paths), "", Path::new("in")).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "in/a/x.pls and in/b/x.pls would have outputs of the same names; \
+            "the outputs of in/a/x.pls and in/b/x.pls would have the same names; \
              run them as two jobs with different output folders"
         );
     }

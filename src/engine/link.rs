@@ -1,4 +1,4 @@
-//! The channels between stages.
+//! Channels between stages.
 
 use std::collections::BTreeMap;
 
@@ -7,42 +7,43 @@ use crossbeam_channel::{Receiver, Sender};
 use crate::batch::Batch;
 use crate::stage::{Result, StageError};
 
-/// What travels in a channel.
+/// Message in a channel.
 #[expect(
     clippy::large_enum_variant,
     reason = "an End is sent once: a box per line would cost more than it saves"
 )]
 pub(super) enum Message {
-    /// A line, and its place in the stream.
+    /// A line with its position in the stream.
     Line(u64, Batch),
-    /// The sender has no more.
+    /// The sender is finished.
     End,
 }
 
-/// Where a worker takes its lines from.
+/// Receiving end of a worker.
 pub(super) struct Inlet {
     channel: Receiver<Message>,
-    /// How many `End`s close the stream for this worker: one from each sender.
+    /// Number of senders that have not yet sent `End`.
     senders: usize,
     order: Order,
 }
 
-/// In which order a worker takes lines.
+/// Order in which a worker receives lines.
 enum Order {
-    /// As they come: the worker is one of a pool.
+    /// As received: the worker belongs to a pool.
     Any,
-    /// As they were sent into the stream: lines that come early wait. `memory_mb` bounds how many.
+    /// As sent into the stream; lines that arrive early wait, limited by `memory_mb`.
     Sequence { next: u64, early: BTreeMap<u64, Batch> },
 }
 
-/// Where a worker gives its lines on.
+/// Sending end of a worker.
 pub(super) struct Outlet {
     channel: Sender<Message>,
     receivers: usize,
 }
 
-/// The channel between a stage of `senders` workers and one of `receivers`: an outlet and an inlet, to be cloned for each
-/// worker.
+/// Creates the channel between two stages with these numbers of workers.
+///
+/// Clone the outlet and the inlet for each worker.
 pub(super) fn link(capacity: usize, senders: usize, receivers: usize) -> (Outlet, Inlet) {
     let (sender, receiver) = crossbeam_channel::bounded(capacity.max(1));
     (Outlet { channel: sender, receivers }, Inlet::new(receiver, senders, receivers == 1))
@@ -59,7 +60,7 @@ impl Inlet {
         Inlet::new(self.channel.clone(), self.senders, matches!(self.order, Order::Sequence { .. }))
     }
 
-    /// The next line for this worker; `None` when every sender has said that it has no more.
+    /// Receives the next line; `None` when every sender has finished.
     pub(super) fn next(&mut self) -> Result<Option<(u64, Batch)>> {
         loop {
             if let Order::Sequence { next, early } = &mut self.order
@@ -71,7 +72,7 @@ impl Inlet {
             if self.senders == 0 {
                 return Ok(None);
             }
-            // A channel that hangs up without an `End` is the echo of a failure elsewhere.
+            // A disconnect without `End` is a consequence of a failure elsewhere.
             match self.channel.recv().map_err(|_| StageError::Stopped)? {
                 Message::End => self.senders -= 1,
                 Message::Line(place, batch) => match &mut self.order {
@@ -91,12 +92,12 @@ impl Outlet {
         Outlet { channel: self.channel.clone(), receivers: self.receivers }
     }
 
-    /// Gives a line on; waits while the channel is full.
+    /// Sends a line; blocks while the channel is full.
     pub(super) fn send(&self, place: u64, batch: Batch) -> Result<()> {
         self.channel.send(Message::Line(place, batch)).map_err(|_| StageError::Stopped)
     }
 
-    /// Says, to each receiver, that this sender has no more.
+    /// Tells each receiver that this sender is finished.
     pub(super) fn end(&self) -> Result<()> {
         (0..self.receivers).try_for_each(|_| self.channel.send(Message::End).map_err(|_| StageError::Stopped))
     }

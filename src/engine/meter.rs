@@ -1,4 +1,4 @@
-//! What a worker measures of itself: where its time goes, and how many items pass.
+//! Measurements of a worker: time and item counts.
 
 use std::time::{Duration, Instant};
 
@@ -7,7 +7,7 @@ use hdrhistogram::Histogram;
 use crate::batch::Batch;
 use crate::stage::Item;
 
-/// The time and the items of one worker, or of all workers of a stage.
+/// Time and items of one worker, or of all workers of a stage.
 #[derive(Clone, Debug)]
 pub(super) struct Meter {
     pub(super) working: Duration,
@@ -19,14 +19,14 @@ pub(super) struct Meter {
     pub(super) items_out: [u64; 3],
     /// Working time per line, ns.
     pub(super) latency_ns: Histogram<u64>,
-    /// When each line was worked on, where a trace is wanted.
+    /// Work intervals of each line, if a trace is requested.
     pub(super) spans: Vec<Span>,
     tracing: bool,
     lap: Instant,
     line_working: Duration,
 }
 
-/// A stretch of work on one line, since the run's start.
+/// A work interval of one line.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Span {
     pub(super) worker: usize,
@@ -34,7 +34,7 @@ pub(super) struct Span {
     pub(super) length: Duration,
 }
 
-/// The most spans that a worker keeps: a trace of a longer run shows its beginning.
+/// Maximum number of spans per worker; a trace of a longer run shows its start.
 const MAX_SPANS: usize = 100_000;
 
 impl Meter {
@@ -57,7 +57,7 @@ impl Meter {
         }
     }
 
-    /// The time since the last call.
+    /// Time since the last call.
     fn lap(&mut self) -> Duration {
         let now = Instant::now();
         let lap = now - self.lap;
@@ -65,19 +65,19 @@ impl Meter {
         lap
     }
 
-    /// The time until now was spent waiting for input.
+    /// Adds the time since the last call as waiting for input.
     pub(super) fn waited(&mut self) {
         let lap = self.lap();
         self.waiting += lap;
     }
 
-    /// The time until now was spent waiting for room in the output.
+    /// Adds the time since the last call as waiting for space in the output.
     pub(super) fn was_blocked(&mut self) {
         let lap = self.lap();
         self.blocked += lap;
     }
 
-    /// The time until now was spent working on the current line.
+    /// Adds the time since the last call as work on the current line.
     pub(super) fn worked(&mut self) {
         let start = self.lap;
         let length = self.lap();
@@ -87,9 +87,9 @@ impl Meter {
         }
     }
 
-    /// The work on the current line is done.
+    /// Finishes the current line.
     pub(super) fn line_done(&mut self) {
-        // The histogram grows by itself.
+        // Recording cannot fail: the histogram resizes itself.
         let _ = self.latency_ns.record(self.line_working.as_nanos() as u64);
         self.working += self.line_working;
         self.line_working = Duration::ZERO;
@@ -105,7 +105,7 @@ impl Meter {
         count(&mut self.items_out, batch);
     }
 
-    /// Adds another worker of the same stage.
+    /// Adds the measurements of another worker of the same stage.
     pub(super) fn merge(&mut self, other: Meter, worker: usize) {
         self.working += other.working;
         self.waiting += other.waiting;
@@ -116,7 +116,7 @@ impl Meter {
             self.items_in[item] += other.items_in[item];
             self.items_out[item] += other.items_out[item];
         }
-        // The histograms resize by themselves.
+        // Adding cannot fail: the histogram resizes itself.
         let _ = self.latency_ns.add(&other.latency_ns);
         self.spans.extend(other.spans.into_iter().map(|span| Span { worker, ..span }));
     }

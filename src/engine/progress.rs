@@ -1,4 +1,4 @@
-//! How far a run is: a bar on a terminal, plain lines elsewhere.
+//! Progress display: a bar on a terminal, plain lines elsewhere.
 
 use std::io::Write;
 use std::sync::atomic::Ordering;
@@ -8,19 +8,19 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::worker::Gauge;
 
-/// How to show how far a run is.
+/// Progress display of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum ProgressMode {
     /// A bar, for a terminal.
     Bar,
-    /// A line now and then.
+    /// A line every 10 s.
     Lines,
-    /// Not at all.
+    /// None.
     #[default]
     Hidden,
 }
 
-/// Shows how far a run is, on standard error.
+/// Displays the progress of a run on standard error.
 #[derive(Debug)]
 pub struct Progress {
     mode: ProgressMode,
@@ -32,11 +32,11 @@ pub struct Progress {
     next_line: Duration,
 }
 
-/// Plain lines come this far apart.
+/// Interval between plain lines.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
 impl Progress {
-    /// Shows the progress of so many inputs.
+    /// Creates a display for this number of inputs.
     pub fn new(mode: ProgressMode, inputs: usize) -> Progress {
         let started = Instant::now();
         Progress { mode, inputs, begun: 0, stem: String::new(), started, bar: None, next_line: LINE_EVERY }
@@ -105,7 +105,7 @@ impl Progress {
     }
 
     fn line(&self, text: &str) {
-        // A standard error that is closed is no reason to end a run.
+        // A closed standard error does not end a run.
         let _ = writeln!(std::io::stderr(), "{}: {text}", self.label());
     }
 }

@@ -1,4 +1,4 @@
-//! What a run did: the table at its end, and `report.json`.
+//! Report of a run: final table and `report.json`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -20,18 +20,18 @@ use crate::kernels::sensor_model::SensorModel;
 use crate::overview::{Gallery, Gathering, Overview};
 use crate::stage::{Counters, Distribution, Item, RoleName, Site};
 
-/// What a run did (`report.json`).
+/// Report of a run (`report.json`).
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct RunReport {
-    /// The version of wavex.
+    /// Version of wavex.
     pub wavex: String,
-    /// The table `[job]`, every default spelled out.
+    /// The table `[job]` with all defaults.
     pub job: JobSettings,
-    /// The stages with their keys, every default spelled out.
+    /// Stages with their keys and all defaults.
     pub stages: Vec<StageKeys>,
     /// Workers per map.
     pub threads: usize,
-    /// The instructions that kernels used.
+    /// SIMD instructions that the kernels used.
     pub simd: Simd,
     /// Duration of the whole run, s.
     pub wall_s: f64,
@@ -39,86 +39,86 @@ pub struct RunReport {
     pub inputs: Vec<InputReport>,
 }
 
-/// A stage as the job has it.
+/// A stage of the job with its keys.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct StageKeys {
-    /// What the job calls it.
+    /// Name in the job.
     pub id: String,
-    /// Its type.
+    /// Type of the stage.
     pub r#type: String,
-    /// Its keys, every default spelled out.
+    /// Its keys with all defaults.
     pub keys: serde_json::Value,
 }
 
-/// What the chain did with one input.
+/// Results of the chain for one input.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct InputReport {
-    /// The file; empty for a simulated input.
+    /// Path of the file; empty for a simulated input.
     #[serde(serialize_with = "path_as_text")]
     #[schemars(with = "String")]
     pub path: PathBuf,
-    /// What its outputs are named after.
+    /// Stem after which its outputs are named.
     pub stem: String,
-    /// The format, as the reader told it.
+    /// Format, as reported by the reader.
     pub format: Option<String>,
-    /// The instrument.
+    /// Name of the instrument.
     pub instrument: Option<String>,
-    /// Its serial number.
+    /// Serial number of the instrument.
     pub serial: Option<String>,
-    /// Time between samples, ns.
+    /// Sampling interval, ns.
     pub sampling_interval_ns: Option<f64>,
-    /// Speed of the pulse in air, m/s.
+    /// Group velocity of the pulse in air, m/s.
     pub group_velocity_mps: Option<f64>,
-    /// `week`, `day`, `adjusted` or `unknown`.
+    /// Time scale: `week`, `day`, `adjusted` or `unknown`.
     pub time_scale: Option<String>,
-    /// `scanner`, `body` or `map`.
+    /// Frame of the beams: `scanner`, `body`, `map` or `earth`.
     pub frame: Option<String>,
-    /// How the moment of emission is known: `outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or
-    /// `clock`.
+    /// Source of the emission time: `outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations`
+    /// or `clock`.
     pub emission_reference: Option<String>,
-    /// Where ranges count from: `sensor`, or `first_sample` where the recording does not give the sensor's position.
+    /// Origin of ranges: `sensor`, or `first_sample` if the recording has no sensor position.
     pub ranges_count_from: Option<String>,
-    /// When this run began, UTC, as ISO 8601.
+    /// Start of this run, UTC, ISO 8601.
     pub started: String,
-    /// When it ended.
+    /// End of this run, UTC, ISO 8601.
     pub ended: String,
     /// Duration of this run, s.
     pub wall_s: f64,
-    /// The most memory that lines under way took at once, bytes.
+    /// Peak memory of all lines in the pipeline, bytes.
     pub peak_in_flight_bytes: usize,
-    /// The counters of all lines together.
+    /// Counters, summed over all lines.
     pub totals: BTreeMap<&'static str, u64>,
-    /// What `fuse_channels` found, or was given.
+    /// Channel fusion, as estimated by or given to `fuse_channels`.
     pub channel_fusion: Option<ChannelFusion>,
-    /// What `calibrate` found.
+    /// Sensor model of `calibrate`.
     pub sensor_model: Option<SensorModel>,
-    /// The trajectory of `[job.geometry]`.
+    /// Trajectory of `[job.geometry]`.
     pub trajectory: Option<TrajectoryReport>,
-    /// The coordinates of the points, where a trajectory brought them there.
+    /// Coordinate system of the points, if georeferenced with a trajectory.
     pub coordinates: Option<String>,
-    /// What was made, to be looked at, where the job wants a page.
+    /// Data of the report page, if the job requests one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub overview: Option<Overview>,
-    /// The stages, in order.
+    /// Stages in order.
     pub stages: Vec<StageReport>,
-    /// The files written.
+    /// Written files.
     #[serde(serialize_with = "paths_as_text")]
     #[schemars(with = "Vec<String>")]
     pub outputs: Vec<PathBuf>,
 }
 
-/// A trajectory in a few numbers.
+/// Summary of a trajectory.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct TrajectoryReport {
-    /// The file.
+    /// Path of the file.
     pub path: String,
-    /// How many records it has.
+    /// Number of records.
     pub records: usize,
-    /// First and last time, s, on an axis without jumps.
+    /// First and last time, s, on a continuous time axis.
     pub span_s: [f64; 2],
-    /// The usual time from record to record, s.
+    /// Median interval between records, s.
     pub median_step_s: f64,
-    /// How many gaps there are, bridged ones included.
+    /// Number of gaps, including bridged ones.
     pub gaps: usize,
 }
 
@@ -134,40 +134,40 @@ impl From<(&Path, &Trajectory)> for TrajectoryReport {
     }
 }
 
-/// What a stage did.
+/// Results of a stage.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct StageReport {
-    /// What the job calls it.
+    /// Name in the job.
     pub id: String,
-    /// Its type.
+    /// Type of the stage.
     pub r#type: String,
-    /// Its role.
+    /// Role of the stage.
     pub role: RoleName,
-    /// How many workers it had.
+    /// Number of workers.
     pub workers: usize,
-    /// Scan lines in.
+    /// Input scan lines.
     pub lines_in: u64,
-    /// Scan lines out.
+    /// Output scan lines.
     pub lines_out: u64,
-    /// Items in.
+    /// Input items.
     pub items_in: ItemCounts,
-    /// Items out.
+    /// Output items.
     pub items_out: ItemCounts,
-    /// Items dropped: `what: why` and how many.
+    /// Number of rejected items, by `item: reason`.
     pub rejected: BTreeMap<String, u64>,
-    /// Of these, the names of what nothing is lost with.
+    /// Entries of `rejected` that lose no data.
     pub set_aside: Vec<String>,
-    /// Quantities measured.
+    /// Measured quantities.
     pub observed: BTreeMap<String, Summary>,
-    /// What the stage had to say.
+    /// Warnings of the stage.
     pub notes: Vec<String>,
-    /// What came out, which is no reason to act.
+    /// Findings that need no action.
     pub findings: Vec<String>,
-    /// Time spent working, s, all workers together.
+    /// Working time, s, summed over all workers.
     pub working_s: f64,
-    /// Time spent waiting for input, s, all workers together.
+    /// Time waiting for input, s, summed over all workers.
     pub waiting_s: f64,
-    /// Time spent waiting for room in the output, s, all workers together.
+    /// Time waiting for space in the output, s, summed over all workers.
     pub blocked_s: f64,
     /// Working time per scan line, microseconds.
     pub line_us: Summary,
@@ -176,10 +176,10 @@ pub struct StageReport {
     pub(super) spans: Vec<Span>,
 }
 
-/// How many items of each sort.
+/// Item counts by type.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct ItemCounts {
-    /// Emissions.
+    /// Shots.
     pub shots: u64,
     /// Sample blocks.
     pub blocks: u64,
@@ -187,26 +187,26 @@ pub struct ItemCounts {
     pub returns: u64,
 }
 
-/// A distribution in a few numbers.
+/// Summary of a distribution.
 #[derive(Clone, Copy, Debug, Serialize, JsonSchema)]
 pub struct Summary {
-    /// How many values.
+    /// Number of values.
     pub count: u64,
-    /// Their mean.
+    /// Mean.
     pub mean: f64,
-    /// Half of the values lie below.
+    /// Median.
     pub p50: f64,
-    /// 90 % lie below.
+    /// 90th percentile.
     pub p90: f64,
-    /// 99 % lie below.
+    /// 99th percentile.
     pub p99: f64,
-    /// 99.9 % lie below.
+    /// 99.9th percentile.
     pub p999: f64,
-    /// The largest.
+    /// Maximum.
     pub max: f64,
 }
 
-/// What the lines of a run had counted when they left the chain.
+/// Counters of lines that have left the chain, with data for the page.
 #[derive(Clone, Debug, Default)]
 pub struct Totals {
     counts: BTreeMap<&'static str, u64>,
@@ -218,12 +218,12 @@ pub struct Totals {
 }
 
 impl Totals {
-    /// With what a page shows, or without.
+    /// Creates totals, with data for the page if `overview`.
     pub(super) fn new(overview: bool) -> Totals {
         Totals { gathering: overview.then(Gathering::default), ..Totals::default() }
     }
 
-    /// The same, with the shots to be shown.
+    /// Adds the shots to show.
     pub(super) fn with_gallery(self, gallery: Gallery) -> Totals {
         Totals { gallery: Some(gallery), ..self }
     }
@@ -250,7 +250,7 @@ impl From<[u64; 3]> for ItemCounts {
 }
 
 impl ItemCounts {
-    /// How many of one sort.
+    /// Count of one item type.
     pub fn of(&self, item: Item) -> u64 {
         match item {
             Item::Shots => self.shots,
@@ -289,7 +289,7 @@ impl Summary {
     }
 }
 
-/// What was dropped, and why.
+/// Item and reason of a rejection.
 fn dropped((item, reason): &(Item, &'static str)) -> String {
     format!("{}: {reason}", item.name())
 }
@@ -318,13 +318,13 @@ impl StageReport {
         }
     }
 
-    /// How many of `item` were rejected, whatever the reason.
+    /// Number of rejected items of this type, for all reasons.
     pub fn rejected_of(&self, item: Item) -> u64 {
         let prefix = format!("{}: ", item.name());
         self.rejected.iter().filter(|(what, _)| what.starts_with(&prefix)).map(|(_, n)| n).sum()
     }
 
-    /// The part of the run during which each worker was busy, on average.
+    /// Mean fraction of the run during which each worker was busy.
     fn load(&self, wall_s: f64) -> f64 {
         self.working_s / (self.workers as f64 * wall_s).max(1e-9)
     }
@@ -363,24 +363,24 @@ impl InputReport {
             sensor_model: totals.model.as_deref().cloned(),
             overview: totals.gathering.map(|gathering| gathering.finish(totals.gallery)),
             trajectory: site.geometry.trajectory().map(TrajectoryReport::from),
-            // An error here has ended the run before.
+            // An error here would already have ended the run.
             coordinates: site.geometry.target().ok().flatten().map(|target| target.name().to_owned()),
             stages,
             outputs,
         }
     }
 
-    /// The report of an input that no stage has begun with.
+    /// Report of an input that no stage has started.
     pub(super) fn not_begun(site: &Site, started: Instant) -> InputReport {
         InputReport::new(site, started, Totals::new(false), Vec::new(), Vec::new(), 0)
     }
 
-    /// The stage whose workers were busiest: where the time goes.
+    /// Returns the stage with the busiest workers.
     pub fn bottleneck(&self) -> Option<&StageReport> {
         self.stages.iter().max_by(|a, b| a.load(self.wall_s).total_cmp(&b.load(self.wall_s)))
     }
 
-    /// The table of the stages: items, and where the time went.
+    /// Table of the stages: items and times.
     pub fn table(&self) -> String {
         let mut text = String::new();
         let width = self.stages.iter().map(|stage| stage.id.len()).max().unwrap_or(0).max(5);
@@ -423,7 +423,7 @@ impl InputReport {
         text
     }
 
-    /// Working time per scan line of each stage, in percentiles.
+    /// Table of working times per scan line, in percentiles.
     pub fn latency_table(&self) -> String {
         let mut text = String::new();
         let width = self.stages.iter().map(|stage| stage.id.len()).max().unwrap_or(0).max(5);
@@ -466,7 +466,9 @@ impl RunReport {
         self.inputs.push(input);
     }
 
-    /// What stages noted of several inputs, with the number of inputs; each note is logged for the first one only.
+    /// Notes that several inputs share, with the number of inputs.
+    ///
+    /// Each note is logged for the first input only.
     pub fn repeated_notes(&self) -> BTreeMap<&str, usize> {
         let mut inputs_of: BTreeMap<&str, usize> = BTreeMap::new();
         for input in &self.inputs {
@@ -479,7 +481,7 @@ impl RunReport {
     }
 }
 
-/// A path as JSON can hold it: what is not Unicode is replaced.
+/// Serialises a path as text; replaces invalid Unicode.
 fn path_as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(&path.to_string_lossy())
 }

@@ -1,4 +1,4 @@
-//! What a run did with one input, for people: the statistics that stand beside its outputs.
+//! Text statistics of one input (`*_stat.log`).
 
 use std::fmt::{Display, Write as _};
 use std::path::PathBuf;
@@ -8,12 +8,12 @@ use crate::geometry::keys::{CalibrationKey, GeometryKeys};
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::RoleName;
 
-/// Counters of lines in words, in their order.
+/// Descriptions of the line counters, in output order.
 const COUNTS: [(&str, &str); 23] = [
     ("nw", "waveforms"),
     ("nw_with_points", "waveforms with returns"),
     ("nw_empty", "waveforms without any return"),
-    ("nw_deleted", "waveforms that could not be used"),
+    ("nw_deleted", "unusable waveforms"),
     ("nw_saturated", "waveforms with saturated samples"),
     ("nw_truncated", "waveforms with a return cut off"),
     ("nw_refined1x", "waveforms refined"),
@@ -23,24 +23,24 @@ const COUNTS: [(&str, &str); 23] = [
     ("np_filtered", "candidates rejected by a threshold"),
     ("np_merged", "candidates merged"),
     ("np", "returns"),
-    ("np_xtalk", "returns touched by cross-talk"),
-    ("np_xtalk_dropped", "returns dropped for cross-talk"),
-    ("np_online", "returns that the instrument computed"),
+    ("np_xtalk", "returns affected by cross-talk"),
+    ("np_xtalk_dropped", "returns dropped due to cross-talk"),
+    ("np_online", "returns computed by the instrument"),
     ("np_air", "outliers above their neighbours"),
     ("np_low", "outliers below their neighbours"),
     ("np_range", "intensities corrected for range"),
-    ("np_atm", "intensities corrected for the air"),
+    ("np_atm", "intensities corrected for atmospheric attenuation"),
     ("np_ibrc", "ranges corrected by amplitude"),
     ("np_ibic", "amplitudes corrected by table"),
     ("n_georef", "points with coordinates"),
 ];
 
-/// A text of titled parts, with a name and a value per row.
+/// A text of titled sections, with one name and value per row.
 struct Text(String);
 
 impl Text {
     fn title(&mut self, title: &str) {
-        // Writing into a string cannot fail, here as below.
+        // Writing to a string cannot fail, here and below.
         let _ = write!(self.0, "\n{title}\n{}\n", "-".repeat(title.len()));
     }
 
@@ -48,7 +48,7 @@ impl Text {
         let _ = writeln!(self.0, "{name:<36} {value}");
     }
 
-    /// A row where the value is known.
+    /// Writes a row if the value is known.
     fn known(&mut self, name: &str, value: Option<impl Display>) {
         if let Some(value) = value {
             self.row(name, value);
@@ -56,8 +56,10 @@ impl Text {
     }
 }
 
-/// The statistics of one input of a run (`*_stat.log`): run time, input, decoding, extraction, trajectory,
-/// georeferencing, output. `own` are the files of the run as a whole, `failure` is the message of a run that failed.
+/// Text statistics of one input of a run (`*_stat.log`).
+///
+/// Sections: run time, input, decoding, extraction, trajectory, georeferencing, output. `own` are
+/// the files of the run as a whole. `failure` is the message of a failed run.
 pub fn stat_log(run: &RunReport, input: &InputReport, own: &[PathBuf], failure: Option<&str>) -> String {
     let mut text = Text(format!("wavex {}: statistics of {}\n", run.wavex, input.stem));
     run_time(&mut text, run, input, failure);
@@ -78,16 +80,13 @@ fn run_time(text: &mut Text, run: &RunReport, input: &InputReport, failure: Opti
     text.title("Run time");
     text.row("start", &input.started);
     text.row("end", &input.ended);
-    text.row("exit status", if failure.is_some() { "1, failed" } else { "0, done" });
+    text.row("exit status", if failure.is_some() { "1, failed" } else { "0, success" });
     text.known("failure", failure);
     text.row("duration", format_args!("{:.3} s", input.wall_s));
     let rate = total(input, "nw") as f64 / input.wall_s.max(1e-9);
     text.row("waveforms per second", format_args!("{rate:.0}"));
     text.row("threads", run.threads);
-    text.row(
-        "most memory of lines under way",
-        format_args!("{:.1} MB", input.peak_in_flight_bytes as f64 / 1e6),
-    );
+    text.row("peak memory of scan lines", format_args!("{:.1} MB", input.peak_in_flight_bytes as f64 / 1e6));
     text.known("slowest stage", input.bottleneck().map(|stage| &stage.id));
     let _ = write!(text.0, "\n{}", input.table());
 }
@@ -103,10 +102,10 @@ fn about_input(text: &mut Text, input: &InputReport) {
     text.known("serial number", input.serial.as_ref());
     text.known("sampling interval", input.sampling_interval_ns.map(|ns| format!("{ns} ns")));
     text.known("group velocity", input.group_velocity_mps.map(|mps| format!("{mps} m/s")));
-    text.known("times count on the scale", input.time_scale.as_ref());
-    text.known("beams are in the frame", input.frame.as_ref());
-    text.known("moment of emission", input.emission_reference.as_ref().map(|word| word.replace('_', " ")));
-    text.known("ranges count from", input.ranges_count_from.as_ref().map(|word| word.replace('_', " ")));
+    text.known("time scale", input.time_scale.as_ref());
+    text.known("frame of the beams", input.frame.as_ref());
+    text.known("emission time from", input.emission_reference.as_ref().map(|word| word.replace('_', " ")));
+    text.known("ranges start at", input.ranges_count_from.as_ref().map(|word| word.replace('_', " ")));
 }
 
 fn decoding(text: &mut Text, input: &InputReport) {
@@ -134,10 +133,10 @@ fn extraction(text: &mut Text, input: &InputReport) {
     }
 }
 
-/// The stage that has a part of its own.
+/// The stage with a section of its own.
 const GEOREFERENCE: &str = "georeference";
 
-/// What was found of each receiver, by name.
+/// Calibration results of each receiver, by name.
 pub fn sensor_model_words(model: &SensorModel) -> impl Iterator<Item = (&'static str, String)> {
     let channels = [
         ("low power", &model.low_power),
@@ -149,7 +148,7 @@ pub fn sensor_model_words(model: &SensorModel) -> impl Iterator<Item = (&'static
 
 fn calibration(channel: &ChannelModel) -> String {
     format!(
-        "noise {:.3} DN, background {:.2} DN, pulse {:.3} ns wide, of {} waveforms",
+        "noise {:.3} DN, background {:.2} DN, pulse width {:.3} ns, from {} waveforms",
         channel.noise_sd_dn,
         channel.background_dn.iter().sum::<f64>() / channel.background_dn.len() as f64,
         channel.pulse_fwhm_ns,
@@ -171,7 +170,7 @@ fn trajectory(text: &mut Text, trajectory: Option<&TrajectoryReport>) {
     text.row("gaps", trajectory.gaps);
 }
 
-/// What `[job.geometry]` says of mount, calibration, geoid and unit, by name.
+/// Mount, calibration, geoid and unit of `[job.geometry]`, by name.
 pub fn geometry_words(keys: &GeometryKeys) -> [(&'static str, String); 4] {
     let calibration = keys.calibration.as_ref().map(|calibration| match calibration {
         CalibrationKey::File(file) => file.clone(),
@@ -183,12 +182,12 @@ pub fn geometry_words(keys: &GeometryKeys) -> [(&'static str, String); 4] {
     [
         ("mount", or(keys.mount.as_ref().map(words), "level")),
         ("calibration", or(calibration, "none")),
-        ("geoid", or(geoid, "none: heights are those of the coordinate reference system")),
-        ("unit", or(keys.unit.as_ref().map(words), "that of the coordinate reference system")),
+        ("geoid", or(geoid, "none: heights as in the coordinate reference system")),
+        ("unit", or(keys.unit.as_ref().map(words), "as in the coordinate reference system")),
     ]
 }
 
-/// A value of a job on one line.
+/// Formats a value of a job on one line.
 fn words(value: &impl serde::Serialize) -> String {
     match serde_json::to_value(value) {
         Ok(serde_json::Value::String(text)) => text,
@@ -199,7 +198,7 @@ fn words(value: &impl serde::Serialize) -> String {
 
 fn georeferencing(text: &mut Text, run: &RunReport, input: &InputReport) {
     text.title("Georeferencing");
-    text.row("coordinates", input.coordinates.as_deref().unwrap_or("those of the input"));
+    text.row("coordinates", input.coordinates.as_deref().unwrap_or("as in the input"));
     for (name, words) in geometry_words(&run.job.geometry) {
         text.row(name, words);
     }
@@ -222,7 +221,7 @@ fn output(text: &mut Text, input: &InputReport, own: &[PathBuf]) {
     }
 }
 
-/// What a stage rejected, and what it had to say.
+/// Writes the rejections, notes and findings of a stage.
 fn remarks(text: &mut Text, stage: &StageReport) {
     for (what, n) in &stage.rejected {
         text.row(&format!("{}: rejected", stage.id), format_args!("{n} {what}"));
@@ -231,7 +230,7 @@ fn remarks(text: &mut Text, stage: &StageReport) {
         text.row(&format!("{}: note", stage.id), note);
     }
     for finding in &stage.findings {
-        text.row(&format!("{}: found", stage.id), finding);
+        text.row(&format!("{}: finding", stage.id), finding);
     }
 }
 

@@ -1,4 +1,4 @@
-//! The trace of a profiled run, in the Trace Event Format that Perfetto and chrome://tracing open.
+//! Trace of a profiled run in Trace Event Format, for Perfetto and chrome://tracing.
 
 use std::io::{self, Write};
 
@@ -6,7 +6,9 @@ use serde_json::json;
 
 use super::report::RunReport;
 
-/// One track per worker, one slice per stretch of work on a line; times in microseconds from the first slice.
+/// Writes one track per worker and one slice per work interval.
+///
+/// Times are in microseconds from the first slice.
 pub(super) fn write(report: &RunReport, out: &mut dyn Write) -> io::Result<()> {
     let spans = || report.inputs.iter().flat_map(|input| &input.stages).flat_map(|stage| &stage.spans);
     let origin = spans().map(|span| span.start).min();

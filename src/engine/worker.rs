@@ -1,4 +1,4 @@
-//! The body of a stage's thread, one function per role.
+//! Thread bodies of the stages, one function per role.
 
 use std::sync::Arc;
 use std::sync::Mutex;
@@ -11,44 +11,44 @@ use super::report::Totals;
 use crate::batch::{Batch, Blocks, Budget, NoRoom};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 
-/// What the threads of one chain share.
+/// State shared by the threads of one chain.
 pub(super) struct Shared {
     pub(super) failure: Failure,
     pub(super) budget: Arc<Budget>,
     pub(super) may_hold_bytes: usize,
-    /// How many transforms at most hold lines back at a time.
+    /// Maximum number of transforms that hold lines at the same time.
     pub(super) holders: usize,
     pub(super) largest_line_bytes: usize,
-    /// The most that a stage foresees to hold back, bytes, and which.
+    /// Largest announced memory demand of a stage, bytes, and its name.
     pub(super) foreseen: Mutex<(usize, String)>,
-    /// Lines keep their recorded blocks behind `decompose`.
+    /// Whether lines keep their sample blocks after `decompose`.
     pub(super) keeps_waveforms: bool,
     pub(super) gauge: Gauge,
-    /// What lines that leave hold is gathered for a page.
+    /// Whether to collect data for the report page.
     pub(super) overview: bool,
     pub(super) totals: Mutex<Totals>,
-    /// What the contexts of all workers come from.
+    /// Parent of all workers' contexts.
     pub(super) cx: Context,
 }
 
-/// How far a run is.
+/// Progress of a run.
 #[derive(Debug, Default)]
 pub(super) struct Gauge {
-    /// The part of the input that was read, in millionths; `u64::MAX` where that cannot be said.
+    /// Fraction of the input read, ppm; `u64::MAX` if unknown.
     pub(super) read_ppm: AtomicU64,
     pub(super) lines: AtomicU64,
     pub(super) shots: AtomicU64,
 }
 
-/// Where lines leave a worker: to the next stage, or out of the chain.
+/// Destination of a worker's lines: the next stage, or the end of the chain.
 pub(super) enum Exit {
     To(Outlet),
     Out,
 }
 
-/// A worker's own things.
+/// State of one worker.
 pub(super) struct Desk<'a> {
-    /// What the job calls the stage.
+    /// Name of the stage in the job.
     pub(super) stage: &'a str,
     pub(super) shared: &'a Shared,
     pub(super) exit: Exit,
@@ -57,7 +57,7 @@ pub(super) struct Desk<'a> {
 }
 
 impl Desk<'_> {
-    /// Gives a line on.
+    /// Sends a line to the next stage or out of the chain.
     fn send(&mut self, place: u64, mut batch: Batch) -> Result<()> {
         batch.recount();
         self.meter.gave(&batch);
@@ -66,21 +66,21 @@ impl Desk<'_> {
             Exit::Out => self.leave(&batch),
         }
         if self.shared.overview && matches!(self.exit, Exit::Out) {
-            // Looking at a line that leaves is work: nobody behind blocks the last stage.
+            // Collecting data of a line that leaves is work: no stage follows that could block.
             self.meter.worked();
         }
         self.meter.was_blocked();
         Ok(())
     }
 
-    /// A line leaves the chain: what it counted is added to the run's totals.
+    /// Adds the counters of a line that leaves the chain to the totals.
     fn leave(&self, batch: &Batch) {
         self.shared.gauge.lines.fetch_add(1, Ordering::Relaxed);
         self.shared.gauge.shots.fetch_add(batch.emissions.len() as u64, Ordering::Relaxed);
         self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(batch);
     }
 
-    /// The stage will hold back so much at most.
+    /// Records the maximum memory that the stage will hold back.
     fn foresee(&self, bytes: usize) {
         if bytes > 0 {
             let mut foreseen = self.shared.foreseen.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -97,7 +97,7 @@ impl Desk<'_> {
         }
     }
 
-    /// The next line, unless the run is ending.
+    /// Receives the next line, unless the run is ending.
     fn take(&mut self, inlet: &mut Inlet) -> Result<Option<(u64, Batch)>> {
         let next = inlet.next()?;
         self.meter.waited();
@@ -111,7 +111,7 @@ impl Desk<'_> {
     }
 }
 
-/// Reads to the end of the input; a line waits until it fits into the budget.
+/// Reads the whole input; each line waits until it fits into the memory budget.
 pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut Desk) -> Result<()> {
     let mut place = 0;
     loop {
@@ -143,24 +143,24 @@ fn too_large(line: u32, bytes: usize, shared: &Shared) -> StageError {
     let needed_mb =
         (shared.budget.limit() as f64 * bytes as f64 / shared.largest_line_bytes as f64 / 1e6).ceil();
     StageError::failed(
-        format!("scan line {line} takes {:.1} MB, too much for the job's memory_mb", bytes as f64 / 1e6),
+        format!("scan line {line} needs {:.1} MB, too much for the job's memory_mb", bytes as f64 / 1e6),
         format!("set memory_mb to {needed_mb} or more"),
     )
 }
 
-/// There is no room for a line, because stages need all the `held` bytes of lines that they hold back.
+/// Error if a line does not fit because stages require all `held` bytes that they hold back.
 fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError {
     let (foreseen, stage) = &*shared.foreseen.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let needs = match stage.as_str() {
         "" => String::new(),
         stage => format!(", and `{stage}` needs up to {:.1} MB", *foreseen as f64 / 1e6),
     };
-    // Beside it the others take up to their shares.
+    // The other transforms additionally use up to their shares.
     let holders = shared.holders as f64;
     let needed = ((*foreseen).max(held) + 2 * bytes) as f64 * 2.0 * holders / (holders + 1.0);
     StageError::failed(
         format!(
-            "memory_mb has no room for scan line {line}, which takes {:.1} MB: stages hold back {:.1} MB{needs}",
+            "scan line {line} ({:.1} MB) does not fit into memory_mb: stages hold back {:.1} MB{needs}",
             bytes as f64 / 1e6,
             held as f64 / 1e6
         ),
@@ -168,7 +168,7 @@ fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError 
     )
 }
 
-/// Changes lines one by one; one of several workers.
+/// Maps lines one by one; one of several workers.
 pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
     while let Some((place, batch)) = desk.take(inlet)? {
         let result = map.map(batch, &mut desk.cx);
@@ -179,7 +179,7 @@ pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut Desk)
     desk.end()
 }
 
-/// Takes lines, and gives them on when the stage says so.
+/// Passes lines to a transform, which emits lines when it is ready.
 pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
     let mut place = 0;
     loop {
@@ -188,7 +188,7 @@ pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, de
         let budget = Arc::clone(&desk.shared.budget);
         let at_work = budget.at_work();
         set_inside(next.as_mut().map(|(_, batch)| batch), true);
-        // The stage borrows the counters while it gives lines on, so they leave the desk for that time.
+        // The stage borrows the context while it emits lines, so take it out of the worker's state.
         let mut cx = std::mem::take(&mut desk.cx);
         let may_hold_bytes = desk.shared.may_hold_bytes;
         let mut emit = |mut batch: Batch| {
@@ -215,7 +215,7 @@ pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, de
     }
 }
 
-/// Says whether a transform has a line.
+/// Marks whether a transform holds a line.
 fn set_inside(batch: Option<&mut Batch>, is_inside: bool) {
     if let Some(ticket) = batch.and_then(|batch| batch.ticket.as_mut()) {
         ticket.set_inside(is_inside);

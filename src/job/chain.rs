@@ -1,4 +1,4 @@
-//! Whether the stages fit one behind the other, and what to insert where they do not.
+//! Checks that consecutive stages fit, and suggests missing stages.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -12,11 +12,11 @@ use crate::batch::Kind;
 use crate::registry::find_in;
 use crate::stage::{RoleName, StageSpec, listed};
 
-/// What the chain needs to know of a stage.
+/// A stage as far as the check of the chain needs it.
 pub(super) struct Link {
-    /// Its place in the registry; `None` where the job names a stage that does not exist.
+    /// Entry in the registry; `None` if the job names an unknown stage.
     pub spec: Option<&'static StageSpec>,
-    /// Where the job names it.
+    /// Position of its name in the job.
     pub named_at: Range<usize>,
     /// Whether its keys say that it needs no stage before it.
     needs_none: bool,
@@ -37,10 +37,10 @@ impl Link {
     }
 }
 
-/// What keeps the stages from fitting; `known` is what the remedies may name.
+/// Finds errors in the order of the stages; remedies name stages of `known`.
 pub(super) fn check(links: &[Link], known: &[&'static StageSpec]) -> Vec<JobError> {
     let mut errors = Vec::new();
-    // The kind of the lines behind the stages so far; `None` where that cannot be said.
+    // Kind of the lines after the stages so far; `None` if unknown.
     let mut kind: Option<Kind> = None;
     for (at, link) in links.iter().enumerate() {
         let Some(spec) = link.spec else {
@@ -55,7 +55,7 @@ pub(super) fn check(links: &[Link], known: &[&'static StageSpec]) -> Vec<JobErro
             _ => chain.wrong_kind(kind).or_else(|| chain.too_early()),
         };
         errors.extend(problem.map(|(problem, help)| JobError::at(link.named_at.clone(), problem).help(help)));
-        // Behind a stage that does not fit, the chain goes on as if it did.
+        // After a stage that does not fit, continue as if it did.
         kind = spec.gives(match (kind, spec.accepts) {
             (Some(kind), accepts) if accepts.contains(&kind) => Some(kind),
             (_, &[only]) => Some(only),
@@ -65,7 +65,7 @@ pub(super) fn check(links: &[Link], known: &[&'static StageSpec]) -> Vec<JobErro
     errors
 }
 
-/// A stage at its place in the chain.
+/// A stage at its position in the chain.
 struct Chain<'c> {
     links: &'c [Link],
     known: &'c [&'static StageSpec],
@@ -73,53 +73,52 @@ struct Chain<'c> {
     spec: &'static StageSpec,
 }
 
-/// What is wrong, and what to do about it.
+/// Problem and remedy.
 type Problem = (String, String);
 
 impl Chain<'_> {
     fn no_source(&self) -> Problem {
         let sources = self.known.iter().filter(|spec| spec.role == RoleName::Source);
         let sources: Vec<String> = sources.map(|spec| quoted(spec.name)).collect();
-        let problem = format!("`{}` cannot be the first stage: nothing makes lines for it", self.spec.name);
-        (problem, format!("begin with a source: {}", listed(&sources, "or")))
+        let problem = format!("`{}` cannot be the first stage: it has no input", self.spec.name);
+        (problem, format!("start with a source: {}", listed(&sources, "or")))
     }
 
     fn second_source(&self) -> Problem {
-        let problem = format!("`{}` is a source, and only the first stage can be one", self.spec.name);
-        (problem, "name several inputs in the `path` of one source, or write two jobs".to_owned())
+        let problem = format!("`{}` is a source, but only the first stage can be a source", self.spec.name);
+        (problem, "list several inputs in the `path` of one source, or write two jobs".to_owned())
     }
 
-    /// The lines that come here are not of a kind that the stage takes.
+    /// Checks that the stage accepts the kind of its input lines.
     fn wrong_kind(&self, given: Option<Kind>) -> Option<Problem> {
         let given = given.filter(|given| !self.spec.accepts.contains(given))?;
         let takes: Vec<String> = self.spec.accepts.iter().map(Kind::to_string).collect();
         let name = self.spec.name;
-        let problem =
-            format!("`{name}` takes {}, and the lines that come here are {given}", listed(&takes, "or"));
+        let problem = format!("`{name}` takes {}, but receives {given}", listed(&takes, "or"));
         let help = if let Some(route) = self.route(given) {
             let names: Vec<String> = route.iter().map(|spec| quoted(spec.name)).collect();
             format!("insert {} before it", listed(&names, "and"))
         } else if let Some(earlier) = self.last_fit() {
-            format!("move it up, behind `{}`", earlier.name)
+            format!("move it up, after `{}`", earlier.name)
         } else {
             format!("no stage makes {} of {given}", listed(&takes, "or"))
         };
         Some((problem, help))
     }
 
-    /// A stage that must stand before this one does not.
+    /// Checks that a stage required before this one comes before it.
     fn too_early(&self) -> Option<Problem> {
         let (before, behind) = self.links.split_at(self.at);
         let after = self.spec.after;
         let is_one = |link: &&Link| after.iter().any(|name| link.is(name));
-        // A stage that does not exist may be a slip of the pen for the one that is missing.
+        // An unknown stage may be a misspelling of the missing one.
         let needs_none = after.is_empty() || self.links[self.at].needs_none;
         if needs_none || before.iter().any(|link| is_one(&link) || link.spec.is_none()) {
             return None;
         }
         let names: Vec<String> = after.iter().map(|name| quoted(name)).collect();
         let names = listed(&names, "or");
-        let problem = format!("`{}` needs {names} before it", self.spec.name);
+        let problem = format!("`{}` requires {names} before it", self.spec.name);
         let help = match behind.iter().find(is_one).and_then(|link| link.spec) {
             Some(later) => format!("move `{}` up, before it", later.name),
             None => format!("insert {names} before it"),
@@ -127,8 +126,9 @@ impl Chain<'_> {
         Some((problem, help))
     }
 
-    /// The fewest stages that lead from the kind given to one that the stage takes, each with the stages that must
-    /// stand before it.
+    /// Shortest list of stages that converts `given` to an accepted kind.
+    ///
+    /// Each stage is preceded by the stages that it requires.
     fn route(&self, given: Kind) -> Option<Vec<&'static StageSpec>> {
         let mut open = VecDeque::from([(given, Vec::new())]);
         let mut seen = vec![given];
@@ -150,7 +150,7 @@ impl Chain<'_> {
         None
     }
 
-    /// The stage that must stand before `spec`, unless one of those that may stands in the chain or on the route.
+    /// The stage required before `spec`, unless an alternative is in the chain or on the route.
     fn missing_before(&self, spec: &StageSpec, route: &[&StageSpec]) -> Option<&'static StageSpec> {
         let in_chain = |name: &&str| self.links[..self.at].iter().any(|link| link.is(name));
         let on_route = |name: &&str| route.iter().any(|spec| spec.name == *name);
@@ -160,7 +160,7 @@ impl Chain<'_> {
         find_in(self.known, spec.after.first()?)
     }
 
-    /// The last stage before this one behind which the lines are of a kind that it takes.
+    /// The last stage before this one whose output this stage accepts.
     fn last_fit(&self) -> Option<&'static StageSpec> {
         let mut kind = None;
         let mut fit = None;

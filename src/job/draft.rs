@@ -1,5 +1,6 @@
-//! The first pass: the text as a table whose values know their place, with `[job]`, and each stage's `type` and `id`,
-//! taken out of it.
+//! First parsing pass: the text becomes a table with source positions.
+//!
+//! Removes `[job]`, and each stage's `type` and `id`, from the table.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -11,32 +12,33 @@ use super::{JobError, JobSettings};
 use crate::registry::{find_in, nearest_of};
 use crate::stage::StageSpec;
 
-/// A job whose stages have a name, and whose keys nobody has read yet.
+/// A job with named stages and unparsed keys.
 pub(super) struct Draft<'t> {
     /// The keys of `[job]`.
     pub settings: Spanned<DeTable<'t>>,
-    /// The stages in order.
+    /// Stages in order.
     pub stages: Vec<DraftStage<'t>>,
 }
 
-/// A stage whose keys nobody has read yet.
+/// A stage with unparsed keys.
 pub(super) struct DraftStage<'t> {
-    /// Where the stage is named: its `type`, or its header where it has none.
+    /// Position of its `type`, or of its header if it has no `type`.
     pub named_at: Range<usize>,
-    /// What errors call it: its type, or what stands in the type's place.
+    /// Name in errors: its type, or a placeholder.
     pub type_name: String,
-    /// Its place in the registry, where it has one.
+    /// Entry in the registry, if known.
     pub spec: Option<&'static StageSpec>,
-    /// What the job calls it.
+    /// Its `id` or the name derived from its type.
     pub id: String,
-    /// Where its `id` stands, if it has one.
+    /// Position of its `id`, if given.
     id_at: Option<Range<usize>>,
     /// Its keys; the span is that of the header.
     pub keys: Spanned<DeTable<'t>>,
 }
 
-/// The text as a table, or what keeps it from being TOML: of several errors in a line only the first that the parser
-/// met, because the others mostly follow from it.
+/// Parses the text as TOML, or returns its syntax errors.
+///
+/// Only the first error of each line is reported, because the others are mostly consequences of it.
 pub(super) fn syntax(text: &str) -> Result<DeTable<'_>, Vec<JobError>> {
     let (root, problems) = DeTable::parse_recoverable(text);
     if problems.is_empty() {
@@ -51,17 +53,17 @@ pub(super) fn syntax(text: &str) -> Result<DeTable<'_>, Vec<JobError>> {
     Err(of_lines.into_values().collect())
 }
 
-/// What keeps a text from being TOML.
+/// Converts a TOML syntax error.
 pub(super) fn syntax_error(span: Range<usize>, problem: &toml::de::Error) -> JobError {
-    let error = JobError::at(span, format!("this is not TOML: {}", problem.message()));
+    let error = JobError::at(span, format!("invalid TOML: {}", problem.message()));
     if problem.message().starts_with("string values must be quoted") {
-        return error.help("write text between quotation marks: `\"text\"`");
+        return error.help("put text in quotation marks: `\"text\"`");
     }
     error
 }
 
 impl<'t> Draft<'t> {
-    /// Takes the text's table apart; what stands there and should not is told beside the rest.
+    /// Splits the table into settings and stages; also returns errors.
     pub(super) fn new(mut root: DeTable<'t>, known: &[&'static StageSpec]) -> (Draft<'t>, Vec<JobError>) {
         let mut errors = Vec::new();
         let settings = root.remove("job").and_then(|job| table(job, "[job]", &mut errors));
@@ -72,7 +74,7 @@ impl<'t> Draft<'t> {
         name(&mut stages, &mut errors);
         errors.extend(root.keys().map(unknown));
         if stages.is_empty() && errors.is_empty() {
-            let help = "`wavex init` writes one to start from; `wavex stages` lists the stages";
+            let help = "`wavex init` writes a starter job; `wavex stages` lists the stages";
             errors.push(JobError::of_job("the job has no stage").help(help));
         }
         (Draft { settings, stages }, errors)
@@ -99,7 +101,7 @@ impl<'t> DraftStage<'t> {
             named_at: type_at.unwrap_or(keys.span()),
             type_name: type_name.unwrap_or("stage".to_owned()),
             spec,
-            // An `id` that is no text is an error already, and the stage goes by its type.
+            // An `id` that is not text is already an error; the stage then uses its type as name.
             id_at: id_at.filter(|_| id.is_some()),
             id: id.unwrap_or_default(),
             keys,
@@ -107,7 +109,7 @@ impl<'t> DraftStage<'t> {
     }
 }
 
-/// Takes a text that is no key of the stage's own, and where it stands.
+/// Removes a text key from the stage; returns its value and position.
 fn take_text(
     keys: &mut Spanned<DeTable>,
     key: &str,
@@ -120,15 +122,16 @@ fn take_text(
     match value.into_inner() {
         DeValue::String(text) => (Some(text.into_owned()), Some(span)),
         other => {
-            let problem = format!("`{key}` must be text; this is {}", super::validate::kind_of(&other));
+            let problem = format!("`{key}` must be text, got {}", super::validate::kind_of(&other));
             errors.push(JobError::at(span.clone(), problem));
             (None, Some(span))
         }
     }
 }
 
-/// Gives each stage without an `id` the name of its type, numbered where several share one; refuses names that cannot
-/// be told apart or cannot be used in `--set`.
+/// Names stages without an `id` after their type, numbered if several share it.
+///
+/// Reports duplicate names and names that `--set` cannot use.
 fn name(stages: &mut [DraftStage], errors: &mut Vec<JobError>) {
     let mut of_type: BTreeMap<String, (usize, usize)> = BTreeMap::new();
     for stage in stages.iter().filter(|stage| stage.id_at.is_none()) {
@@ -145,23 +148,23 @@ fn name(stages: &mut [DraftStage], errors: &mut Vec<JobError>) {
     for stage in stages.iter() {
         let at = stage.id_at.clone().unwrap_or(stage.named_at.clone());
         if seen.contains(&stage.id.as_str()) {
-            let error = JobError::at(at, format!("two stages are called `{}`", stage.id));
-            errors.push(error.help("give one of them another `id`"));
+            let error = JobError::at(at, format!("duplicate stage name `{}`", stage.id));
+            errors.push(error.help("give one of them a different `id`"));
         } else if stage.id_at.is_some() && !usable(&stage.id) {
-            let error = JobError::at(at, format!("a stage cannot be called `{}`", stage.id));
-            errors.push(error.help("an `id` has letters, digits, `_` and `-`, and is not `job`"));
+            let error = JobError::at(at, format!("invalid stage name `{}`", stage.id));
+            errors.push(error.help("an `id` consists of letters, digits, `_` and `-`, and is not `job`"));
         }
         seen.push(&stage.id);
     }
 }
 
-/// Whether `--set` can name a stage so.
+/// Returns whether `--set` can use this name.
 fn usable(id: &str) -> bool {
     let plain = |character: char| character.is_ascii_alphanumeric() || matches!(character, '_' | '-');
     !id.is_empty() && id.chars().all(plain) && id != "job"
 }
 
-/// A value that must be a table.
+/// Converts a value that must be a table.
 fn table<'t>(
     value: Spanned<DeValue<'t>>,
     header: &str,
@@ -179,7 +182,7 @@ fn table<'t>(
     }
 }
 
-/// The elements of a list of tables.
+/// Converts a value that must be a list of tables.
 fn elements<'t>(value: Spanned<DeValue<'t>>, errors: &mut Vec<JobError>) -> Vec<Spanned<DeTable<'t>>> {
     let span = value.span();
     match value.into_inner() {
@@ -194,32 +197,28 @@ fn elements<'t>(value: Spanned<DeValue<'t>>, errors: &mut Vec<JobError>) -> Vec<
     }
 }
 
-/// A name at the top that is neither `job` nor `stage`.
+/// Error for a top-level key other than `job` and `stage`.
 fn unknown(key: &Spanned<std::borrow::Cow<str>>) -> JobError {
     let name = key.get_ref();
     let help = if JobSettings::keys().get(name).is_some() {
-        format!("`{name}` belongs below `[job]`")
+        format!("move `{name}` to `[job]`")
     } else {
         match nearest_of(name, ["job", "stage"]) {
             Some("job") => "did you mean `[job]`?".to_owned(),
             Some(_) => "did you mean `[[stage]]`?".to_owned(),
-            None => "a job has one table `[job]` and a `[[stage]]` for each of its stages".to_owned(),
+            None => "a job has one table `[job]` and one `[[stage]]` per stage".to_owned(),
         }
     };
-    JobError::at(key.span(), format!("`{name}` is no part of a job")).help(help)
+    JobError::at(key.span(), format!("unknown top-level key `{name}`")).help(help)
 }
 
 fn unknown_type(name: &str, at: &Range<usize>, known: &[&'static StageSpec]) -> JobError {
-    let error = JobError::at(at.clone(), format!("there is no stage `{name}`"));
+    let error = JobError::at(at.clone(), format!("unknown stage `{name}`"));
     error.meant(name, known.iter().map(|spec| spec.name)).help(names(known))
 }
 
-/// The stages that exist.
+/// Lists all known stages.
 fn names(known: &[&'static StageSpec]) -> String {
     let names: Vec<&str> = known.iter().map(|spec| spec.name).collect();
-    if names.is_empty() {
-        "there are no stages".to_owned()
-    } else {
-        format!("the stages: {}", names.join(", "))
-    }
+    if names.is_empty() { "there are no stages".to_owned() } else { format!("stages: {}", names.join(", ")) }
 }

@@ -1,4 +1,4 @@
-//! What is wrong with a job, shown at its place in the text.
+//! Errors in a job, shown at their positions in the text.
 
 use std::fmt;
 use std::ops::Range;
@@ -6,19 +6,21 @@ use std::ops::Range;
 use super::sources::{Place, Sources, shown};
 use crate::registry::nearest_of;
 
-/// One thing that is wrong with a job.
+/// One error in a job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JobError {
-    /// What is wrong, in one sentence.
+    /// The problem in one sentence.
     pub problem: String,
-    /// What the user can do about it, each thing on a line of its own.
+    /// Remedies, one per line.
     pub help: Vec<String>,
-    /// Where: bytes of the job's text, or, past its end, of the overrides in their order.
+    /// Byte range in the job's text, or past its end in the included files and overrides.
     pub(super) span: Option<Range<usize>>,
 }
 
-/// Everything that was found wrong with a job, in the order of the text. Displayed, it shows for each error its file,
-/// line and column, the line itself, a caret under the place, and help.
+/// All errors in a job, in the order of the text.
+///
+/// Displays for each error its file, line and column, the line itself, a caret below the position,
+/// and remedies.
 #[derive(Clone, Debug)]
 pub struct JobErrors {
     errors: Vec<JobError>,
@@ -26,7 +28,7 @@ pub struct JobErrors {
 }
 
 impl JobError {
-    /// An error at a place in the text.
+    /// An error at a position in the text.
     pub(super) fn at(span: Range<usize>, problem: impl Into<String>) -> JobError {
         JobError { problem: problem.into(), help: Vec::new(), span: Some(span) }
     }
@@ -36,7 +38,7 @@ impl JobError {
         JobError { problem: problem.into(), help: Vec::new(), span: None }
     }
 
-    /// The same, with the one of `names` that may have been meant by `name`, if there is one.
+    /// Adds the most similar of `names` as a suggestion, if any is close to `name`.
     pub(super) fn meant<'n>(self, name: &str, names: impl IntoIterator<Item = &'n str>) -> JobError {
         match nearest_of(name, names) {
             Some(meant) => self.help(format!("did you mean `{meant}`?")),
@@ -44,7 +46,7 @@ impl JobError {
         }
     }
 
-    /// The same, with what to do about it.
+    /// Adds a remedy.
     pub(super) fn help(mut self, help: impl Into<String>) -> JobError {
         self.help.push(help.into());
         self
@@ -54,17 +56,17 @@ impl JobError {
 impl JobErrors {
     pub(super) fn new(mut errors: Vec<JobError>, sources: Sources) -> JobErrors {
         errors.sort_by_key(|error| error.span.clone().map_or((0, 0), |span| (span.start, span.end)));
-        // What an included file says of a stage is said of each of its type.
+        // An error in an included file is reported once for each stage of the type.
         errors.dedup();
         JobErrors { errors, sources }
     }
 
-    /// The errors in the order of the text.
+    /// Returns the errors in the order of the text.
     pub fn errors(&self) -> &[JobError] {
         &self.errors
     }
 
-    /// As it is displayed, in the colours of a terminal if wanted. Ends with a line feed.
+    /// Renders all errors, in terminal colours if requested; ends with a line feed.
     pub fn render(&self, colour: bool) -> String {
         let paint = Paint { colour };
         let each: Vec<String> = self.errors.iter().map(|error| self.show(error, &paint)).collect();
@@ -90,7 +92,7 @@ impl JobErrors {
     }
 }
 
-/// What can be done about an error, a line each.
+/// Formats the remedies of an error, one per line.
 fn help(error: &JobError, margin: &str, paint: &Paint) -> String {
     let line = |help: &String| format!("{margin} {} help: {}\n", paint.blue("="), shown(help));
     error.help.iter().map(line).collect()
@@ -104,7 +106,7 @@ impl fmt::Display for JobErrors {
 
 impl std::error::Error for JobErrors {}
 
-/// Words in the colours of a terminal, or plain.
+/// Text styles for a terminal, or plain text.
 struct Paint {
     colour: bool,
 }

@@ -1,14 +1,14 @@
-//! A commented job to start from, written from what the stages say of themselves, so that it cannot be out of date.
+//! A commented starter job, generated from the stages' documentation.
 
 use super::JobSettings;
 use super::manual::{first_sentence, summary, toml_text};
 use crate::registry::find_in;
 use crate::stage::{Keys, StageSpec};
 
-/// The chain of the job; stages that do not exist are left out.
+/// Stages of the job; unknown ones are omitted.
 const CHAIN: &[&str] = &["read_las", "calibrate", "decompose", "georeference", "write_las", "write_lstat"];
 
-/// Values for the keys that must be given, by stage and key.
+/// Example values of required keys, by stage and key.
 const EXAMPLES: &[(&str, &str, &str)] = &[
     ("read_las", "path", "\"RECORDING.las\""),
     ("write_las", "path", "\"out/*.laz\""),
@@ -18,21 +18,22 @@ const EXAMPLES: &[(&str, &str, &str)] = &[
 const HEADING: &str = "\
 #:schema job.schema.json
 
-# A job of wavex: the stages that the data passes, in order.
+# A wavex job: the stages that process the data, in order.
 #
-# First name your recording: `path` of the first stage. For PulseWaves, SDF or a container put `read_pulsewaves`, `read_sdf` or
-# `read_arrow` in the place of `read_las`; `wavex init --from RECORDING FILE` does so, and adds the stages that a raw recording
-# needs.
+# Set `path` of the first stage to your recording. For PulseWaves, SDF or a container, replace
+# `read_las` by `read_pulsewaves`, `read_sdf` or `read_arrow`. `wavex init --from RECORDING FILE` does
+# this and adds the stages that a raw recording needs.
 #
-#   wavex check FILE     checks it, and names the inputs that are missing
+#   wavex check FILE     validates it and lists missing inputs
 #   wavex run FILE       runs it
-#   wavex stages NAME    explains a stage and all its keys
+#   wavex stages NAME    describes a stage and all its keys
 #
-# `#key = value`, without a blank behind the `#`, is the default: take the `#` away to change it. The first line lets an editor
-# check this file, where job.schema.json lies beside it: `wavex init` writes both, `wavex schema` prints it.
+# `#key = value`, without a blank after the `#`, shows a default: remove the `#` to change it. The
+# first line lets an editor validate this file if job.schema.json is in the same folder: `wavex init`
+# writes both, `wavex schema` prints the schema.
 ";
 
-/// A job of these stages from waveforms to points, with every key that has a default.
+/// Writes a starter job from waveforms to points, with all keys that have defaults.
 pub fn example_job(stages: &[&'static StageSpec]) -> String {
     let mut text = format!("{HEADING}\n[job]\n{}", keys_text("job", &JobSettings::keys()));
     for spec in CHAIN.iter().filter_map(|name| find_in(stages, name)) {
@@ -42,7 +43,7 @@ pub fn example_job(stages: &[&'static StageSpec]) -> String {
     text
 }
 
-/// The keys of a table: those that must be given with an example, the others with what counts when they are not.
+/// Lists the keys of a table: required ones with an example, others with their default.
 fn keys_text(stage: &str, keys: &Keys) -> String {
     let mut text = String::new();
     for key in keys.iter() {

@@ -1,7 +1,7 @@
-//! Keys that several jobs share, in files of their own: `[job] include`.
+//! Included files with shared keys: `[job] include`.
 //!
-//! An included file gives keys where the job gives none: its `[job]` those of `[job]`, and a table named after a stage those of
-//! every stage of that type.
+//! An included file provides defaults: its table `[job]` for `[job]`, and a table named after a
+//! stage type for every stage of that type.
 
 use std::borrow::Cow;
 
@@ -16,14 +16,15 @@ use crate::stage::StageSpec;
 /// A file that a job includes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Include {
-    /// What errors call it.
+    /// Name in errors.
     pub name: String,
-    /// What is in it.
+    /// Content of the file.
     pub text: String,
 }
 
-/// The files that a job's text includes, in order, as it names them; none where it is no job, which comes to light when it is
-/// read.
+/// Names of the files that a job's text includes, in order.
+///
+/// Returns none if the text is invalid; parsing the job reports the errors.
 pub fn included(text: &str) -> Vec<String> {
     let (root, _) = DeTable::parse_recoverable(text);
     let job = root.get_ref().get("job").and_then(|job| job.get_ref().as_table());
@@ -39,16 +40,18 @@ pub fn included(text: &str) -> Vec<String> {
 /// The key of `[job]`.
 pub(super) const KEY: &str = "include";
 
-/// The text with blanks before it up to its place among the texts of a job, so that the spans that TOML's parser gives are
-/// already the right ones.
+/// Prepends blanks up to the position of the text among all texts of a job.
+///
+/// The spans of the TOML parser then need no correction.
 pub(super) fn pad(start: usize, text: &str) -> String {
-    // A mark of the byte order would stand amid the text.
+    // A byte order mark would end up in the middle of the text.
     let marked = text.strip_prefix('\u{feff}');
     " ".repeat(start + text.len() - marked.unwrap_or(text).len()) + marked.unwrap_or(text)
 }
 
-/// Gives the keys of the included files to a job that does not have them; what cannot be given is told. Of two files the later
-/// one counts.
+/// Adds keys of the included files that the job does not set; returns errors.
+///
+/// Later files override earlier ones.
 pub(super) fn apply<'t>(
     padded: &'t [String],
     draft: &mut Draft<'t>,
@@ -66,21 +69,22 @@ pub(super) fn apply<'t>(
     errors
 }
 
-/// What is wrong where the job names another number of files than were read: an override has changed it, or whoever reads the
-/// job did not read them.
+/// Error if the job names a different number of files than were read.
+///
+/// This happens if an override changes `include`, or if the caller did not read the files.
 pub(super) fn check(draft: &Draft, n_read: usize) -> Option<JobError> {
     let value = draft.settings.get_ref().get(KEY)?;
     let n_named = match value.get_ref() {
         DeValue::Array(names) => names.len(),
         DeValue::String(_) => 1,
-        // What is no name is told with the other keys.
+        // Values of other types are reported with the other keys.
         _ => return None,
     };
-    let error = || JobError::at(value.span(), "the files that `include` names have not been read");
-    (n_named != n_read).then(|| error().help("`include` counts where it stands in the job's own text"))
+    let error = || JobError::at(value.span(), "the files named by `include` have not been read");
+    (n_named != n_read).then(|| error().help("`include` must be set in the text of the job itself"))
 }
 
-/// Gives the keys of one table.
+/// Adds the keys of one table.
 fn give<'t>(
     name: Spanned<Cow<'t, str>>,
     value: Spanned<DeValue<'t>>,
@@ -100,8 +104,10 @@ fn give<'t>(
     };
     let own: &[&str] = if is_job { &[KEY] } else { &["type", "id"] };
     if let Some((key, _)) = table.iter().find(|(key, _)| own.contains(&key.get_ref().as_ref())) {
-        errors
-            .push(JobError::at(key.span(), format!("`{}` cannot stand in an included file", key.get_ref())));
+        errors.push(JobError::at(
+            key.span(),
+            format!("`{}` is not allowed in an included file", key.get_ref()),
+        ));
         return;
     }
     if is_job {
@@ -114,17 +120,18 @@ fn give<'t>(
 
 fn unknown(name: &Spanned<Cow<str>>, known: &[&'static StageSpec]) -> JobError {
     if name.get_ref() == "stage" {
-        let error = JobError::at(name.span(), "an included file has no stages of its own");
-        return error.help("name a table after a stage: `[decompose]` is for every stage of that type");
+        let error = JobError::at(name.span(), "an included file cannot contain stages");
+        return error
+            .help("name a table after a stage type: `[decompose]` applies to every stage of that type");
     }
-    let error = JobError::at(name.span(), format!("`{}` is neither `job` nor a stage", name.get_ref()));
+    let error = JobError::at(name.span(), format!("`{}` is neither `job` nor a stage type", name.get_ref()));
     match nearest_of(name.get_ref(), known.iter().map(|spec| spec.name).chain(["job"])) {
         Some(meant) => error.help(format!("did you mean `[{meant}]`?")),
-        None => error.help("name a table after a stage, or `[job]`"),
+        None => error.help("name a table after a stage type, or `[job]`"),
     }
 }
 
-/// Adds what a table does not have; tables in it are filled likewise.
+/// Adds missing entries to a table, recursively.
 fn fill<'t>(table: &mut DeTable<'t>, from: &DeTable<'t>) {
     for (key, value) in from {
         match (table.get_mut(key.get_ref().as_ref()).map(Spanned::get_mut), value.get_ref()) {

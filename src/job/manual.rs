@@ -1,4 +1,4 @@
-//! The manual of the stages, made from the doc comments of their keys.
+//! Manual of the stages, generated from the doc comments of their keys.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use super::JobSettings;
 use crate::geometry::GeometryKeys;
 use crate::stage::{Key, Keys, RoleName, StageSpec, listed};
 
-/// The manual of these stages in Markdown: `docs/stages.md`.
+/// Renders the manual of these stages in Markdown (`docs/stages.md`).
 pub fn manual(stages: &[&'static StageSpec]) -> String {
     let mut page = String::from(INTRODUCTION);
     for spec in stages {
@@ -39,23 +39,23 @@ pub fn manual(stages: &[&'static StageSpec]) -> String {
 const INTRODUCTION: &str = "\
 # The stages
 
-A job is a list of stages: a source makes scan lines, the stages behind it change them, and sinks write them and pass
-them on. This page is made from the code by `cargo test --test generated`; `wavex stages NAME` shows a part of it.
+A job is a list of stages: a source produces scan lines, maps and transforms process them, and sinks write them and pass
+them on. This page is generated from the code by `cargo test --test generated`; `wavex stages NAME` prints one section.
 
-Lines are of three kinds: Shots (emissions and recorded waveforms), Returns (the echoes found in them) and Points
-(returns with coordinates).
+There are three kinds of scan lines: Shots (emissions and recorded waveforms), Returns (echoes reported by the
+decomposition) and Points (returns with coordinates).
 
 | stage | role | lines | |
 |---|---|---|---|
 ";
 
-/// The manual of one stage for a terminal.
+/// Renders the manual of one stage for a terminal.
 pub fn manual_of(spec: &StageSpec) -> String {
     let keys = spec.keys();
     let mut page = format!("{}: {}\n\n{}\n", spec.name, place(spec), keys.doc());
     for key in keys.iter() {
         let default = match (key.required, key.default()) {
-            (true, _) => "; must be given".to_owned(),
+            (true, _) => "; required".to_owned(),
             (false, Some(default)) => format!("; default {}", toml_text(default)),
             (false, None) => String::new(),
         };
@@ -69,12 +69,12 @@ pub fn manual_of(spec: &StageSpec) -> String {
     page
 }
 
-/// The first sentence of a stage's page.
+/// First sentence of a stage's documentation.
 pub fn summary(spec: &StageSpec) -> String {
     first_sentence(spec.keys().doc())
 }
 
-/// The first sentence of a text, in one line.
+/// First sentence of a text, on one line.
 pub(super) fn first_sentence(text: &str) -> String {
     let paragraph = text.split("\n\n").next().unwrap_or_default();
     let line = paragraph.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -84,7 +84,7 @@ pub(super) fn first_sentence(text: &str) -> String {
     }
 }
 
-/// A default as a job would write it.
+/// Formats a default as TOML.
 pub(super) fn toml_text(value: &Value) -> String {
     match value {
         Value::Array(items) => format!("[{}]", items.iter().map(toml_text).collect::<Vec<_>>().join(", ")),
@@ -98,7 +98,7 @@ pub(super) fn toml_text(value: &Value) -> String {
     }
 }
 
-/// What a stage takes and makes: `Shots → Returns`.
+/// Input and output kinds of a stage: `Shots → Returns`.
 fn flow(spec: &StageSpec) -> String {
     let takes: Vec<String> = spec.accepts.iter().map(ToString::to_string).collect();
     match (takes.as_slice(), spec.makes) {
@@ -108,7 +108,7 @@ fn flow(spec: &StageSpec) -> String {
     }
 }
 
-/// A stage's place in a chain, in words.
+/// Role, input and output of a stage as text.
 fn place(spec: &StageSpec) -> String {
     let takes: Vec<String> = spec.accepts.iter().map(ToString::to_string).collect();
     let takes = listed(&takes, "or");
@@ -123,7 +123,7 @@ fn place(spec: &StageSpec) -> String {
     let unless = spec.unless.map(|(key, word)| format!(", unless `{key} = \"{word}\"`")).unwrap_or_default();
     let after = match after.is_empty() {
         true => String::new(),
-        false => format!("; needs {} before it{unless}", listed(&after, "or")),
+        false => format!("; requires {} before it{unless}", listed(&after, "or")),
     };
     let role = match spec.role {
         RoleName::Source => "A source",
@@ -134,7 +134,7 @@ fn place(spec: &StageSpec) -> String {
     format!("{role}: {flow}{after}")
 }
 
-/// The keys as a table in Markdown.
+/// Renders the keys as a Markdown table.
 fn key_table(keys: &Keys) -> String {
     let mut table = String::from("| key | type | default | unit | meaning |\n|---|---|---|---|---|\n");
     for key in keys.iter() {
@@ -147,13 +147,13 @@ fn key_table(keys: &Keys) -> String {
 
 fn default_cell(key: &Key) -> String {
     match (key.required, key.default()) {
-        (true, _) => "must be given".to_owned(),
+        (true, _) => "required".to_owned(),
         (false, Some(default)) => format!("`{}`", cell(&toml_text(default))),
         (false, None) => "none".to_owned(),
     }
 }
 
-/// A text as the cell of a table in Markdown: one line, and bars that do not end the cell.
+/// Formats a text as a Markdown table cell: one line, escaped bars.
 fn cell(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|")
 }

@@ -1,4 +1,6 @@
-//! The files that a job writes, as far as their patterns tell: no two may meet, and none may meet the input.
+//! Checks that output files differ from each other and from the input.
+//!
+//! Only their patterns are compared.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -6,7 +8,7 @@ use super::tables::Stage;
 use super::{JobError, JobSettings};
 use crate::stage::{Paths, Plan};
 
-/// What is wrong with the output patterns of the sinks. Stages that could not be read are `None`.
+/// Finds errors in the output patterns of the sinks; unparsed stages are `None`.
 pub(super) fn check(stages: &[Option<Stage>], settings: Option<&JobSettings>) -> Vec<JobError> {
     let Some(source) = stages.iter().flatten().find_map(Input::of) else {
         return Vec::new();
@@ -22,12 +24,12 @@ pub(super) fn check(stages: &[Option<Stage>], settings: Option<&JobSettings>) ->
             errors.push(JobError::at(at, problem).help(with_star(pattern)));
         } else if let Some((_, other)) = seen.iter().find(|(other, _)| *other == file) {
             let problem = format!("two outputs of this job are the same file, {pattern:?}");
-            let help = format!("give this one a name of its own: `{other}` writes it already");
+            let help = format!("choose another name: `{other}` already writes this file");
             errors.push(JobError::at(at, problem).help(help));
         } else if same_folder && source.meets(pattern) {
             let problem = format!("{pattern:?} would replace the input");
             let help =
-                "give the output another folder or another name, as in \"out/*.laz\" or \"*_points.laz\"";
+                "give the output another folder or another name, such as \"out/*.laz\" or \"*_points.laz\"";
             errors.push(JobError::at(at, problem).help(help));
         }
         seen.push((file, &stage.stage.id));
@@ -36,20 +38,20 @@ pub(super) fn check(stages: &[Option<Stage>], settings: Option<&JobSettings>) ->
     errors
 }
 
-/// The statistics of one input would replace those of another.
+/// Error if the statistics of all inputs have the same name.
 fn shared_stat_log(settings: &JobSettings) -> Option<JobError> {
     let pattern = Some(&settings.stat_log).filter(|name| !name.is_empty() && !name.contains('*'))?;
     let problem = format!("`stat_log`: every input of this job would write the same file, {pattern:?}");
     Some(JobError::of_job(problem).help(with_star(pattern)))
 }
 
-/// What the source tells of its files.
+/// Input files as described by the source.
 struct Input {
-    /// Whether a run may have several.
+    /// Whether a run may have several inputs.
     several: bool,
-    /// The files and the patterns of files.
+    /// Files and file patterns.
     files: Vec<PathBuf>,
-    /// What `*` means, where it means one thing only.
+    /// Replacement of `*`, if it is unique.
     stem: Option<String>,
 }
 
@@ -69,7 +71,7 @@ impl Input {
         Some(Input { several, files, stem })
     }
 
-    /// The file that a pattern means, as far as that can be said.
+    /// File of an output pattern, as far as known.
     fn file(&self, pattern: &str) -> PathBuf {
         match &self.stem {
             Some(stem) => plain(&pattern.replace('*', stem)),
@@ -77,29 +79,29 @@ impl Input {
         }
     }
 
-    /// Whether the pattern means an input where it is named after that.
+    /// Returns whether the output pattern, applied to an input, is that input.
     fn meets(&self, pattern: &str) -> bool {
         self.files.iter().any(|file| plain(&pattern.replace('*', &stem_of(file))) == *file)
     }
 }
 
-/// The patterns that a stage writes.
+/// Output patterns of a stage.
 fn patterns(stage: &Stage) -> Vec<(&Stage, &str)> {
     stage.stage.planned.plan.outputs().into_iter().map(|pattern| (stage, pattern)).collect()
 }
 
-/// A path without the steps that lead nowhere: `./a/./b` is `a/b`.
+/// Removes `.` components from a path: `./a/./b` becomes `a/b`.
 fn plain(path: &str) -> PathBuf {
     Path::new(path).components().filter(|step| *step != Component::CurDir).collect()
 }
 
-/// What outputs are named after.
+/// Stem after which outputs are named.
 fn stem_of(file: &Path) -> String {
     file.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
 }
 
-/// A remedy: the same pattern with the input's name in it.
+/// Remedy: the same pattern with the stem of the input.
 fn with_star(pattern: &str) -> String {
     let (folder, name) = pattern.split_at(pattern.rfind('/').map_or(0, |slash| slash + 1));
-    format!("write `*` where the input's name belongs, as in \"{folder}*_{name}\"")
+    format!("write `*` in place of the stem of the input, such as \"{folder}*_{name}\"")
 }

@@ -1,4 +1,4 @@
-//! Values that are set from outside the job's text: `--set STAGE.KEY=VALUE`.
+//! Values set from outside the job's text: `--set STAGE.KEY=VALUE`.
 
 use std::borrow::Cow;
 
@@ -11,35 +11,38 @@ use super::validate::only_text;
 use super::{JobError, JobSettings};
 use crate::stage::{Keys, StageSpec, listed};
 
-/// A value that is set from outside the text, as `STAGE.KEY=VALUE`: STAGE is a stage's `id` or type, or `job`; KEY is
-/// one of its keys, dotted where it lies in a table; VALUE is TOML. What is no TOML is text, and so is any value where
-/// the key takes nothing else: quotation marks, which a shell would take away, may be left out.
+/// A value set from outside the text: `STAGE.KEY=VALUE`.
+///
+/// STAGE is a stage's `id` or type, or `job`. KEY is one of its keys, dotted inside tables. VALUE
+/// is TOML. A value that is not valid TOML is text, and so is any value of a key that accepts only
+/// text. Quotation marks, which a shell would remove, are therefore optional.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Override {
-    /// As it was given.
+    /// Text as given.
     pub text: String,
 }
 
 impl Override {
-    /// An override as it was given; what is wrong with it comes to light with the job.
+    /// Creates an override; errors are reported when the job is parsed.
     pub fn new(text: impl Into<String>) -> Override {
         Override { text: text.into() }
     }
 }
 
-/// An override, read but not applied: which stage it concerns, and the key with its value.
+/// A parsed override that is not yet applied: stage, key and value.
 pub(super) struct Change<'t> {
     stage: Spanned<&'t str>,
     key: Key<'t>,
     value: Spanned<DeValue<'t>>,
-    /// The value as it was written.
+    /// Value as written.
     written: &'t str,
 }
 
 type Key<'t> = Spanned<Cow<'t, str>>;
 
-/// The override's `KEY=VALUE` with blanks before it up to its place among the texts, so that the spans that TOML's
-/// parser gives are already the right ones. Empty where there is no `KEY=VALUE`.
+/// Prepends blanks to `KEY=VALUE` up to its position among all texts of a job.
+///
+/// The spans of the TOML parser then need no correction. Empty if there is no `KEY=VALUE`.
 pub(super) fn pad(start: usize, text: &str) -> String {
     stage_of(text)
         .map_or_else(String::new, |stage| " ".repeat(start + stage.len() + 1) + &text[stage.len() + 1..])
@@ -51,7 +54,7 @@ fn stage_of(text: &str) -> Option<&str> {
     Some(name.split_once('.')?.0)
 }
 
-/// Reads the overrides; `padded` is what [`pad`] makes of each.
+/// Parses the overrides; `padded` are the results of [`pad`].
 pub(super) fn read<'t>(sources: &'t Sources, padded: &'t [String]) -> (Vec<Change<'t>>, Vec<JobError>) {
     let (mut changes, mut errors) = (Vec::new(), Vec::new());
     for ((start, text), padded) in sources.overrides().zip(padded) {
@@ -65,14 +68,14 @@ pub(super) fn read<'t>(sources: &'t Sources, padded: &'t [String]) -> (Vec<Chang
 
 fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<Change<'t>, JobError> {
     let malformed = || {
-        let error = JobError::at(start..start + text.len(), "this is not STAGE.KEY=VALUE");
-        error.help("as in `--set decompose.detection_sigma=5` or `--set job.threads=2`")
+        let error = JobError::at(start..start + text.len(), "expected STAGE.KEY=VALUE");
+        error.help("for example `--set decompose.detection_sigma=5` or `--set job.threads=2`")
     };
     let stage = stage_of(text).ok_or_else(malformed)?;
     let (key, value) = padded.split_once('=').ok_or_else(malformed)?;
     let written = value.trim();
     if written.is_empty() {
-        return Err(JobError::at(start..start + text.len(), "there is no value behind the `=`"));
+        return Err(JobError::at(start..start + text.len(), "missing value after `=`"));
     }
     let (entries, problems) = DeTable::parse_recoverable(padded);
     let mut entries = entries.into_inner().into_iter();
@@ -87,7 +90,7 @@ fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<Change<'
     Ok(Change { stage, key, value, written })
 }
 
-/// A key with a value that is no TOML and does not look as if it were meant to be: text without quotation marks.
+/// A key with a text value without quotation marks; `None` if it looks like TOML.
 fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(Key<'t>, Spanned<DeValue<'t>>)> {
     let path = key.trim();
     let plain = |character: char| character.is_ascii_alphanumeric() || matches!(character, '_' | '-');
@@ -105,7 +108,7 @@ fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(Key<'t>, Sp
         Spanned::new(start..start + name.len(), Cow::Borrowed(name))
     });
     let mut names: Vec<Key> = spanned.collect();
-    // A path means tables, one in the other.
+    // A dotted path stands for nested tables.
     let inner = names.split_off(1);
     let value = inner.into_iter().rfold(value, |value, name| {
         Spanned::new(name.span().start..value_end, DeValue::Table(DeTable::from_iter([(name, value)])))
@@ -113,7 +116,7 @@ fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(Key<'t>, Sp
     names.pop().map(|name| (name, value))
 }
 
-/// Sets the values; what cannot be set is told.
+/// Applies the changes; returns errors.
 pub(super) fn apply<'t>(changes: Vec<Change<'t>>, draft: &mut Draft<'t>) -> Vec<JobError> {
     let mut errors = Vec::new();
     for change in changes {
@@ -134,7 +137,7 @@ pub(super) fn apply<'t>(changes: Vec<Change<'t>>, draft: &mut Draft<'t>) -> Vec<
 }
 
 impl<'t> Change<'t> {
-    /// The value, as text where the key takes nothing else.
+    /// The value, converted to text if the key accepts only text.
     fn value_for(&self, keys: &Keys) -> Spanned<DeValue<'t>> {
         let compound =
             matches!(self.value.get_ref(), DeValue::String(_) | DeValue::Array(_) | DeValue::Table(_));
@@ -146,17 +149,14 @@ impl<'t> Change<'t> {
     }
 }
 
-/// The table of the stage that an override is about, and what its keys may be.
+/// The table that an override changes, with its key definitions.
 fn target<'d, 't>(
     change: &Change,
     stages: &'d mut [DraftStage<'t>],
 ) -> Result<(&'d mut DeTable<'t>, Keys), JobError> {
     let (name, name_at) = (*change.stage.get_ref(), change.stage.span());
     if let "type" | "id" = change.key.get_ref().as_ref() {
-        return Err(JobError::at(
-            change.key.span(),
-            format!("`{}` cannot be set from outside the job", change.key),
-        ));
+        return Err(JobError::at(change.key.span(), format!("`{}` cannot be overridden", change.key)));
     }
     let by_id = stages.iter().any(|stage| stage.id == name);
     let is_meant = |stage: &&mut DraftStage| if by_id { stage.id == name } else { stage.type_name == name };
@@ -170,17 +170,17 @@ fn target<'d, 't>(
         (Some(last), others) => {
             let ids: Vec<&str> = others.iter().map(|stage| &*stage.id).chain([&*last.id]).collect();
             let error = JobError::at(name_at, format!("the job has several stages `{name}`"));
-            Err(error.help(format!("name one of them by its `id`: {}", listed(&ids, "or"))))
+            Err(error.help(format!("select one by its `id`: {}", listed(&ids, "or"))))
         }
         (None, _) => {
             let names = ids.iter().map(String::as_str).chain(["job"]);
             let error = JobError::at(name_at, format!("the job has no stage `{name}`")).meant(name, names);
-            Err(error.help(format!("its stages: {}", ids.join(", "))))
+            Err(error.help(format!("stages: {}", ids.join(", "))))
         }
     }
 }
 
-/// Sets a key; the keys of a table that the override does not name stay as they are.
+/// Sets a key; a table is merged, so keys not named by the override keep their values.
 fn set<'t>(table: &mut DeTable<'t>, key: Key<'t>, value: Spanned<DeValue<'t>>) {
     let span = value.span();
     match (table.get_mut(key.get_ref().as_ref()).map(Spanned::get_mut), value.into_inner()) {
@@ -190,7 +190,7 @@ fn set<'t>(table: &mut DeTable<'t>, key: Key<'t>, value: Spanned<DeValue<'t>>) {
             }
         }
         (_, value) => {
-            // The table would keep the old key, and with it the old key's place.
+            // Otherwise the table would keep the old key with its old position.
             table.remove(key.get_ref().as_ref());
             table.insert(key, Spanned::new(span, value));
         }

@@ -1,26 +1,26 @@
-//! The key `report_page`: a name, or whether there is to be a page.
+//! The key `report_page`: a name or a flag.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 
-/// What the page is called where a job only asks for one, as `wavex report` calls it.
+/// Default name of the page, as in `wavex report`.
 const USUAL_NAME: &str = "report.html";
 
-/// What is said where `report` is given a truth value.
-pub(super) const REPORT_IS_A_NAME: &str = "it is the name of the report (JSON), \"\" for none; the report as a page is asked for \
-                                           by `report_page = true`";
+/// Message if `report` is given a Boolean value.
+pub(super) const REPORT_IS_A_NAME: &str = "it is the name of the JSON report, or \"\" for none; to get the report as a page, set \
+                                           `report_page = true`";
 
-/// What a job may give.
+/// Accepted values.
 #[derive(Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub(super) enum PageKey {
-    /// Whether there is to be one.
+    /// Whether to write a page with the default name.
     IsWanted(bool),
-    /// Its name.
+    /// Name of the page.
     Name(String),
 }
 
-/// The name of the page; empty where there is none.
+/// Returns the name of the page; empty for none.
 pub(super) fn name<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
     Ok(match PageKey::deserialize(from)? {
         PageKey::IsWanted(true) => USUAL_NAME.to_owned(),

@@ -1,28 +1,30 @@
-//! The JSON Schema of a whole job, for editors that check and complete TOML.
+//! JSON Schema of a job, for editors that validate and complete TOML.
 
 use serde_json::{Map, Value, json};
 
 use super::JobSettings;
 use crate::stage::StageSpec;
 
-/// The JSON Schema (draft 2020-12) of a job of these stages. A job whose first line is
-/// `#:schema path/to/job.schema.json` is checked by editors that know taplo, such as those with Even Better TOML.
+/// Returns the JSON Schema (draft 2020-12) of a job of these stages.
+///
+/// Editors with taplo support, such as Even Better TOML, validate a job whose first line is
+/// `#:schema path/to/job.schema.json`.
 pub fn job_schema(stages: &[&'static StageSpec]) -> Value {
     let stage: Vec<Value> = stages.iter().map(|spec| stage_schema(spec)).collect();
     let mut settings = JobSettings::keys().schema().clone();
     settings["title"] = json!("[job]");
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "A job of wavex",
-        "description": "The stages that the data passes, in order, and what concerns the run as a whole.",
+        "title": "A wavex job",
+        "description": "The stages that process the data, in order, and the settings of the run.",
         "type": "object",
         "properties": {
             "job": settings,
             "stage": {
-                "description": "The stages in order: one source, then what takes its lines.",
+                "description": "Stages in order: one source, then the stages that process its lines.",
                 "type": "array",
                 "minItems": 1,
-                // A choice of none is no schema: without stages nothing fits.
+                // An empty `oneOf` is not a valid schema; without stages nothing is valid.
                 "items": if stage.is_empty() { json!(false) } else { json!({ "oneOf": stage }) },
             },
         },
@@ -31,11 +33,11 @@ pub fn job_schema(stages: &[&'static StageSpec]) -> Value {
     })
 }
 
-/// The schema of one stage: its `type`, its `id`, and its own keys.
+/// Schema of one stage: `type`, `id`, and its own keys.
 fn stage_schema(spec: &StageSpec) -> Value {
     let keys = spec.keys();
     let name_of_stage = json!({
-        "description": "What the job calls the stage, where its type is not enough: letters, digits, `_` and `-`.",
+        "description": "Name of the stage if its type is ambiguous: letters, digits, `_` and `-`.",
         "type": "string",
         "pattern": "^[A-Za-z0-9_-]+$",
     });

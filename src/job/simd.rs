@@ -6,18 +6,18 @@ use serde::{Deserialize, Serialize};
 use crate::kernels::lockstep::Path;
 use crate::stage::listed;
 
-/// Instructions of a processor that compute on several numbers at once.
+/// SIMD instruction set of a processor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Simd {
-    /// The fastest that the processor has.
+    /// The fastest set that the processor supports.
     #[default]
     Auto,
     /// AVX-512.
     Avx512,
     /// AVX2 and FMA.
     Avx2,
-    /// What every processor has (NEON on ARM).
+    /// Instructions of every processor of the architecture (NEON on ARM).
     Portable,
 }
 
@@ -32,7 +32,7 @@ impl From<Path> for Simd {
 }
 
 impl Simd {
-    /// The path of the kernels that is meant on this processor.
+    /// Instruction set of the kernels on this processor.
     pub fn path(self) -> Path {
         match self {
             Simd::Auto => Path::best(),
@@ -42,7 +42,7 @@ impl Simd {
         }
     }
 
-    /// What a job calls it.
+    /// Name in a job.
     fn name(self) -> &'static str {
         match self {
             Simd::Auto => "auto",
@@ -52,7 +52,9 @@ impl Simd {
         }
     }
 
-    /// An error where a processor that `has` some paths lacks the one that is asked for.
+    /// Checks that the processor supports the instruction set.
+    ///
+    /// `has` returns whether it supports a given one.
     pub(super) fn check(self, has: impl Fn(Path) -> bool) -> Result<(), String> {
         if self == Simd::Auto || has(self.path()) {
             return Ok(());
@@ -60,7 +62,9 @@ impl Simd {
         let available = Path::ALL.into_iter().filter(|&path| has(path));
         let names: Vec<String> = available.map(|path| format!("`{}`", Simd::from(path).name())).collect();
         let (asked, has) = (self.name(), listed(&names, "and"));
-        Err(format!("this processor has no `{asked}`; it has {has}, and `auto` takes the fastest"))
+        Err(format!(
+            "this processor does not support `{asked}`; it supports {has}; `auto` selects the fastest"
+        ))
     }
 }
 
@@ -71,13 +75,13 @@ mod tests {
     #[test]
     fn what_the_processor_lacks_is_an_error() {
         let without_avx512 = |path: Path| path != Path::Avx512;
-        let message =
-            "this processor has no `avx512`; it has `avx2` and `portable`, and `auto` takes the fastest";
+        let message = "this processor does not support `avx512`; it supports `avx2` and `portable`; `auto` selects the fastest";
         assert_eq!(Simd::Avx512.check(without_avx512).unwrap_err(), message);
         for simd in [Simd::Auto, Simd::Avx2, Simd::Portable] {
             assert_eq!(simd.check(without_avx512), Ok(()));
         }
-        let message = "this processor has no `avx2`; it has `portable`, and `auto` takes the fastest";
+        let message =
+            "this processor does not support `avx2`; it supports `portable`; `auto` selects the fastest";
         assert_eq!(Simd::Avx2.check(|path| path == Path::Portable).unwrap_err(), message);
     }
 

@@ -1,17 +1,18 @@
-//! The texts that a job comes from, laid end to end: its file, each file that it includes, then each override. A span past the
-//! end of the file is one of another text, so that an error needs no word about where its span comes from.
+//! The texts of a job, concatenated: job file, included files, overrides.
+//!
+//! A span past the end of one text belongs to a later text, so errors need not store their source.
 
 use std::ops::Range;
 
 use super::{Include, Override};
 
-/// The job's text, what it includes, and its overrides.
+/// The job's text, its includes, and its overrides.
 #[derive(Clone, Debug)]
 pub(super) struct Sources {
     file: Source,
-    /// The included files, then the overrides.
+    /// Included files, then overrides.
     others: Vec<Source>,
-    /// How many of them are files.
+    /// Number of included files.
     n_includes: usize,
 }
 
@@ -19,24 +20,24 @@ pub(super) struct Sources {
 struct Source {
     name: String,
     text: String,
-    /// Where the text begins among all texts.
+    /// Start of the text in the concatenation, bytes.
     start: usize,
 }
 
-/// A span, as an error shows it.
+/// Position of a span as an error shows it.
 #[derive(Debug, PartialEq)]
 pub(super) struct Place<'s> {
     /// The file, or `--set`.
     pub name: &'s str,
-    /// From 1.
+    /// Line number, from 1.
     pub line: usize,
-    /// In characters, from 1.
+    /// Column, characters, from 1.
     pub column: usize,
     /// The line.
     pub text: String,
-    /// How many characters of it stand before the span.
+    /// Number of characters before the span.
     pub before: usize,
-    /// How many characters of it the span covers, at least 1.
+    /// Number of characters in the span, at least 1.
     pub width: usize,
 }
 
@@ -45,7 +46,7 @@ impl Sources {
         let file = Source { name: name.to_owned(), text: text.to_owned(), start: 0 };
         let mut end = text.len();
         let follow = |(name, text): (&str, &str)| {
-            // One byte between two texts: the end of one is not the beginning of the next.
+            // A gap of one byte separates the end of one text from the start of the next.
             let start = end + 1;
             end = start + text.len();
             Source { name: name.to_owned(), text: text.to_owned(), start }
@@ -55,22 +56,22 @@ impl Sources {
         Sources { file, others: files.chain(changes).map(follow).collect(), n_includes: includes.len() }
     }
 
-    /// What errors call the job.
+    /// Name of the job in errors.
     pub(super) fn name(&self) -> &str {
         &self.file.name
     }
 
-    /// Each included file, and where its text begins.
+    /// Each included file with its start.
     pub(super) fn includes(&self) -> impl Iterator<Item = (usize, &str)> {
         self.others.iter().take(self.n_includes).map(|source| (source.start, source.text.as_str()))
     }
 
-    /// Each override, and where its text begins.
+    /// Each override with its start.
     pub(super) fn overrides(&self) -> impl Iterator<Item = (usize, &str)> {
         self.others.iter().skip(self.n_includes).map(|source| (source.start, source.text.as_str()))
     }
 
-    /// Where a span is.
+    /// Position of a span.
     pub(super) fn place(&self, span: &Range<usize>) -> Place<'_> {
         let source = self.others.iter().rfind(|source| source.start <= span.start).unwrap_or(&self.file);
         let text = &source.text;
@@ -90,8 +91,9 @@ impl Sources {
     }
 }
 
-/// A text as a terminal may show it, one column per character: tabs are blanks, and other characters that command
-/// the terminal are replaced.
+/// Makes a text safe for a terminal, one column per character.
+///
+/// Tabs become blanks; other control characters are replaced.
 pub(super) fn shown(text: &str) -> String {
     let visible = |character: char| match character {
         '\t' => ' ',
@@ -129,7 +131,7 @@ mod tests {
     fn spans_past_the_end_are_those_of_the_overrides() {
         let texts = ["x.y=1", "z.w=2"];
         assert_eq!(place("ab", &texts, 3..4), ("--set".into(), 1, 1, "x.y=1".into(), 1));
-        assert_eq!(place("ab", &texts, 2..2).0, "job.toml", "the end of the file is still the file");
+        assert_eq!(place("ab", &texts, 2..2).0, "job.toml", "the end of the file belongs to the file");
         assert_eq!(place("ab", &texts, 11..14), ("--set".into(), 1, 3, "z.w=2".into(), 3));
     }
 

@@ -1,4 +1,4 @@
-//! The second pass: what is left of each table becomes the settings, or a stage that can be made.
+//! Second parsing pass: the remaining tables become settings and stages.
 
 use std::ops::Range;
 
@@ -11,25 +11,25 @@ use super::page::REPORT_IS_A_NAME;
 use super::{JobError, JobSettings, JobStage, validate};
 use crate::stage::{ConfigError, InvalidKey, Keys};
 
-/// A stage that can be made, and where its texts stand.
+/// A parsed stage with the positions of its texts.
 pub(super) struct Stage {
     /// The stage.
     pub stage: JobStage,
-    /// Where it is named.
+    /// Position of its name.
     pub named_at: Range<usize>,
-    /// Every text among its keys, with its place.
+    /// All texts among its keys, with positions.
     texts: Vec<Spanned<String>>,
 }
 
 impl Stage {
-    /// Where a text among its keys stands; where the stage is named, if the text is a default.
+    /// Position of a text among its keys, or of the stage's name if the text is a default.
     pub(super) fn place_of(&self, text: &str) -> Range<usize> {
         let same = |found: &&Spanned<String>| found.get_ref() == text;
         self.texts.iter().find(same).map_or(self.named_at.clone(), Spanned::span)
     }
 }
 
-/// The settings of `[job]`.
+/// Parses the settings of `[job]`.
 pub(super) fn settings(table: Spanned<DeTable>, errors: &mut Vec<JobError>) -> Option<JobSettings> {
     let keys = JobSettings::keys();
     let problems = validate::check("`[job]`", &keys, &table);
@@ -58,7 +58,7 @@ pub(super) fn settings(table: Spanned<DeTable>, errors: &mut Vec<JobError>) -> O
     }
 }
 
-/// A stage with its keys read.
+/// Parses the keys of a stage.
 pub(super) fn stage(draft: DraftStage, errors: &mut Vec<JobError>) -> Option<Stage> {
     let spec = draft.spec?;
     let keys = spec.keys();
@@ -86,7 +86,7 @@ pub(super) fn stage(draft: DraftStage, errors: &mut Vec<JobError>) -> Option<Sta
     }
 }
 
-/// Where the entries of a table stand.
+/// Positions of the entries of a table.
 struct Places {
     header: Range<usize>,
     entries: Vec<(String, Range<usize>)>,
@@ -99,7 +99,7 @@ impl Places {
         Places { header: table.span(), entries }
     }
 
-    /// A value that the schema lets pass and the stage's own type does not.
+    /// Error for a value that passes the schema but fails to deserialize.
     fn refused(&self, keys: &Keys, error: &toml::de::Error) -> JobError {
         let span = error.span().unwrap_or(self.header.clone());
         let within =
@@ -107,17 +107,17 @@ impl Places {
         let Some(key) = self.entries.iter().find(within).and_then(|(name, _)| keys.get(name)) else {
             return JobError::at(span, error.message());
         };
-        // serde's own words are of Rust's types; those of a type that reads its texts itself are of the matter.
+        // serde's own messages name Rust types; messages of custom deserializers are meaningful.
         let of_types = ["invalid type: ", "invalid value: ", "invalid length "];
         let message = match error.message() {
-            message if of_types.iter().any(|words| message.starts_with(words)) => "this value cannot be used",
+            message if of_types.iter().any(|words| message.starts_with(words)) => "invalid value",
             message => message,
         };
         let error = JobError::at(span, format!("`{}`: {message}", key.name));
         error.help(format!("`{}` takes {}", key.name, key.takes()))
     }
 
-    /// A value that the stage cannot use.
+    /// Error for a value that the stage rejects.
     fn invalid(&self, keys: &Keys, invalid: &InvalidKey) -> JobError {
         let InvalidKey { key, problem } = invalid;
         if let Some((_, place)) = self.entries.iter().find(|(name, _)| name == key) {
@@ -126,13 +126,13 @@ impl Places {
         let default = keys.get(key).and_then(|key| key.default().map(|value| format!(", {value},")));
         let error = JobError::at(self.header.clone(), format!("`{key}`: {problem}"));
         error.help(format!(
-            "the job does not give `{key}`, and its default{} does not fit here",
+            "the job does not set `{key}`, and its default{} is not valid here",
             default.unwrap_or_default()
         ))
     }
 }
 
-/// Where each entry of a table stands, those of tables in it first and with the path that leads to them.
+/// Collects the positions of all entries; nested entries come first, with dotted names.
 fn collect_entries(path: &str, table: &DeTable, entries: &mut Vec<(String, Range<usize>)>) {
     for (key, value) in table {
         let name = format!("{path}{}", key.get_ref());
@@ -143,7 +143,7 @@ fn collect_entries(path: &str, table: &DeTable, entries: &mut Vec<(String, Range
     }
 }
 
-/// Every text in a value.
+/// Collects all texts in a value.
 fn collect_texts(value: &Spanned<DeValue>, texts: &mut Vec<Spanned<String>>) {
     match value.get_ref() {
         DeValue::String(text) => texts.push(Spanned::new(value.span(), text.clone().into_owned())),

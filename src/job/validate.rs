@@ -1,5 +1,7 @@
-//! The keys of a table against their schema: everything that is wrong with them at once, each at its own place, where
-//! serde would stop at the first. An editor that knows the schema refuses the same things.
+//! Validates the keys of a table against their schema.
+//!
+//! Reports all errors with their positions, whereas serde stops at the first. Editors with the
+//! schema report the same errors.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -12,17 +14,17 @@ use super::JobError;
 use super::manual::first_sentence;
 use crate::stage::{Keys, bounds, choices, takes};
 
-/// What is wrong with the keys in `table`; `owner` is what errors call it, as in "`decompose`".
+/// Finds errors in the keys of `table`; errors call the table `owner`, such as "`decompose`".
 pub(super) fn check(owner: &str, keys: &Keys, table: &Spanned<DeTable>) -> Vec<JobError> {
     check_table(owner, keys.schema(), table.get_ref(), &table.span())
 }
 
-/// Whether a schema takes text, and nothing but text.
+/// Returns whether a schema accepts only text.
 pub(super) fn only_text(schema: &Value) -> bool {
     choices(schema).is_some() || schema.get("type").is_some_and(|name| name == "string")
 }
 
-/// What a value is, in words.
+/// Describes the type of a value.
 pub(super) fn kind_of(value: &DeValue) -> String {
     match value {
         DeValue::String(_) => "text".to_owned(),
@@ -64,23 +66,23 @@ fn unknown_key<'k>(
     match known.as_slice() {
         [] => error.help("it has no keys"),
         known => {
-            error.meant(key.get_ref(), known.iter().copied()).help(format!("its keys: {}", known.join(", ")))
+            error.meant(key.get_ref(), known.iter().copied()).help(format!("keys: {}", known.join(", ")))
         }
     }
 }
 
 fn missing_key(owner: &str, key: &str, schema: &Value, header: &Range<usize>) -> JobError {
     let meaning = first_sentence(schema.get("description").and_then(Value::as_str).unwrap_or_default());
-    let error = JobError::at(header.clone(), format!("{owner} needs the key `{key}`"));
+    let error = JobError::at(header.clone(), format!("{owner} requires the key `{key}`"));
     error.help(format!("add `{key} = ...`, {}: {meaning}", takes(schema)))
 }
 
-/// A value that a job gives, and what may stand in its place.
+/// A value of a job with its schema.
 #[derive(Clone, Copy)]
 struct Given<'g> {
-    /// The table that it stands in, as errors call it.
+    /// Name of its table in errors.
     owner: &'g str,
-    /// What errors call the value.
+    /// Name of the value in errors.
     name: &'g str,
     schema: &'g Value,
     value: &'g Spanned<DeValue<'g>>,
@@ -114,20 +116,20 @@ impl Given<'_> {
         }
     }
 
-    /// One of several schemas must hold: if none does, the one that the value comes closest to tells why.
+    /// Checks alternatives: if none is valid, reports the errors of the closest one.
     fn check_branches(&self, branches: &[Value]) -> Vec<JobError> {
         let each = branches.iter().map(|schema| Given { schema, ..*self }).filter(Given::is_of_type);
         let closest = each.map(|given| given.check()).min_by_key(Vec::len);
         match (closest, self.value.get_ref()) {
             (Some(errors), _) if errors.is_empty() => errors,
-            // Among texts none is closer than another: all that may stand there is named.
+            // No text is closer than another: name all accepted texts.
             (Some(_), DeValue::String(text)) => vec![self.wrong_text(text)],
             (Some(errors), _) => errors,
             (None, _) => vec![self.wrong_type()],
         }
     }
 
-    /// Whether the value is of the schema's type at all.
+    /// Returns whether the value has the type of the schema.
     fn is_of_type(&self) -> bool {
         let fits = |name: &Value| {
             matches!(
@@ -154,9 +156,9 @@ impl Given<'_> {
             (DeValue::String(text), Some("number" | "integer")) if text.parse::<f64>().is_ok() => {
                 error.help(format!("write numbers without quotation marks: {text}"))
             }
-            (DeValue::Float(_), Some("integer")) => error.help("write it without point and exponent"),
+            (DeValue::Float(_), Some("integer")) => error.help("write it without decimal point and exponent"),
             (DeValue::Integer(_) | DeValue::Float(_) | DeValue::Datetime(_), _) if only_text(self.schema) => {
-                error.help("write text between quotation marks: `\"text\"`")
+                error.help("put text in quotation marks: `\"text\"`")
             }
             _ => error,
         }
@@ -185,7 +187,7 @@ impl Given<'_> {
             _ => return None,
         };
         if !given.is_finite() {
-            let problem = if given.is_nan() { "no number" } else { "too large" };
+            let problem = if given.is_nan() { "not a number" } else { "too large" };
             return Some(self.must_be(&takes(self.schema), &format!("{written}, which is {problem}")));
         }
         let holds = limit("minimum").is_none_or(|min| given >= min)
@@ -205,6 +207,6 @@ impl Given<'_> {
     }
 
     fn must_be(&self, wanted: &str, given: &str) -> JobError {
-        JobError::at(self.value.span(), format!("{} must be {wanted}; this is {given}", self.name))
+        JobError::at(self.value.span(), format!("{} must be {wanted}, got {given}", self.name))
     }
 }

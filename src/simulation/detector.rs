@@ -1,47 +1,52 @@
-//! How high the peak of an echo stands in each receiver.
+//! Peak amplitude of an echo in each receiver.
 //!
-//! An echo has a *linear amplitude*: the height, in digitiser steps above the background, that its peak would have in the
-//! sensitive receiver if that were linear without end. A receiver gives it another height; tables say which, as decibels
-//! above 7 steps (`dB = 10 log10(a / 7)` with the linear amplitude `a`) by background + height.
+//! The *linear amplitude* of an echo is the amplitude, in DN above the background, that its peak
+//! would have in the sensitive receiver if that were linear without limit. Receivers record other
+//! amplitudes. Tables map background + amplitude to decibels above 7 DN: `dB = 10 log10(a / 7)`
+//! with the linear amplitude `a`.
 
-/// The linear amplitude that counts as 0 dB, DN.
+/// Linear amplitude of 0 dB, DN.
 pub const ZERO_DB_DN: f64 = 7.0;
 
-/// Up to this height the sensitive receiver of the measured instrument is linear, DN above the background.
+/// Upper limit of the linear range of the measured sensitive receiver, DN above the background.
 const LINEAR_TO_DN: f64 = 66.0;
-/// Its strongest table entry: height above the background, DN, and decibels.
+/// Last table entry of the sensitive receiver: DN above the background, and dB.
 const SENSITIVE_END: (f64, f64) = (253.0, 19.7);
-/// The other receiver's strongest entry, DN above the background and decibels, and steps per decibel on its logarithmic
-/// part.
+/// Last table entry of the coarse receiver (DN above the background, dB), and slope of its
+/// logarithmic range, DN/dB.
 const COARSE_END: (f64, f64) = (253.0, 39.7);
 const COARSE_DN_PER_DB: f64 = 10.0;
-/// What a linear receiver for strong echoes makes of a linear amplitude.
+/// Gain of a linear receiver for strong echoes.
 const COARSE_GAIN: f64 = 0.1;
 
-/// A kind of receiver electronics.
+/// Model of the receiver electronics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detector {
-    /// Height is proportional to the linear amplitude: 1 in the sensitive receiver, 1/10 in the other.
+    /// Amplitude is proportional to the linear amplitude: factor 1 in the sensitive receiver, 1/10
+    /// in the coarse one.
     Linear,
-    /// As the tables of a RIEGL LMS-Q680i say: the sensitive receiver is linear to 68 steps (a background of 2 included)
-    /// and compresses above, up to 19.7 dB at 255; the other is linear with 1/12 of the gain to 45 steps and logarithmic
-    /// above, with 0.1 dB per step up to 39.7 dB at 255. Only the peak's height is compressed, not the pulse's shape.
+    /// Follows the tables of a RIEGL LMS-Q680i.
+    ///
+    /// The sensitive receiver is linear to 68 DN (including a background of 2) and compressive
+    /// above, to 19.7 dB at 255 DN. The coarse receiver has 1/12 of the gain, is linear to 45 DN
+    /// and logarithmic above with 0.1 dB/DN, to 39.7 dB at 255 DN. Only the peak amplitude is
+    /// compressed, not the pulse shape.
     Riegl,
 }
 
-/// Which receiver.
+/// One of the two receivers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sensitivity {
-    /// The one for weak echoes: low power.
+    /// Receiver for weak echoes: low power.
     Sensitive,
-    /// The one for strong echoes: high power.
+    /// Receiver for strong echoes: high power.
     Coarse,
 }
 
 use Sensitivity::{Coarse, Sensitive};
 
 impl Detector {
-    /// The height that an echo's peak has in a receiver, DN above the background.
+    /// Peak amplitude of an echo in a receiver, DN above the background.
     pub fn height_dn(self, receiver: Sensitivity, linear_dn: f64) -> f64 {
         match (self, receiver) {
             (Detector::Linear, Sensitive) => linear_dn,
@@ -63,7 +68,7 @@ impl Detector {
         }
     }
 
-    /// The decibels of an echo whose peak has this height in a receiver: the inverse.
+    /// Inverse of [`Detector::height_dn`]: decibels of an echo with this peak amplitude.
     pub fn decibels(self, receiver: Sensitivity, height_dn: f64) -> f64 {
         match (self, receiver) {
             (Detector::Linear, Sensitive) => decibels(height_dn),
@@ -84,8 +89,9 @@ impl Detector {
         }
     }
 
-    /// A receiver's amplitude table: pairs of background + height, for each whole step up to the digitiser's last, and
-    /// decibels.
+    /// Amplitude table of a receiver.
+    ///
+    /// Pairs of background + amplitude, DN, for each integer up to full scale, and dB.
     pub fn table(
         self,
         receiver: Sensitivity,
@@ -103,8 +109,9 @@ fn decibels(linear_dn: f64) -> f64 {
     10.0 * libm::log10(linear_dn / ZERO_DB_DN)
 }
 
-/// Slope and half curvature, DN per decibel and per decibel squared, of the sensitive receiver's compressed part: it
-/// begins with the slope of the linear part and ends at the strongest entry.
+/// Slope (DN/dB) and half curvature (DN/dB²) of the sensitive receiver's compressive range.
+///
+/// The curve starts with the slope of the linear range and ends at the last table entry.
 fn compression() -> (f64, f64) {
     let slope = LINEAR_TO_DN * core::f64::consts::LN_10 / 10.0;
     let (end_dn, end_db) = SENSITIVE_END;
@@ -112,8 +119,9 @@ fn compression() -> (f64, f64) {
     (slope, (end_dn - LINEAR_TO_DN - slope * span_db) / (span_db * span_db))
 }
 
-/// Gain of the coarse receiver's linear part, and the height up to which it is linear, DN: where the logarithm's slope is
-/// that of a straight line from 0.
+/// Gain and upper limit (DN) of the coarse receiver's linear range.
+///
+/// At the limit, the slope of the logarithm equals that of a line through the origin.
 fn coarse_gain() -> (f64, f64) {
     let from_dn = COARSE_DN_PER_DB * 10.0 / core::f64::consts::LN_10;
     let from_db = COARSE_END.1 + (from_dn - COARSE_END.0) / COARSE_DN_PER_DB;
@@ -132,7 +140,7 @@ mod tests {
         (Detector::Riegl, Coarse),
     ];
 
-    /// The figures of a real instrument's tables, with their background of 2.
+    /// Values from a real instrument's tables, with its background of 2 DN.
     #[test]
     fn tables_have_the_measured_ends() {
         let at = |receiver, dn: u16| {

@@ -1,22 +1,23 @@
-//! The receiver's noise: normal, stationary, and related from sample to sample.
+//! Receiver noise: normal, stationary and autocorrelated.
 
 use super::random::{Normal, Random};
 
-/// An autoregressive process whose autocorrelation at the first lags is given.
+/// An autoregressive process with a given autocorrelation at the first lags.
 ///
-/// The order is the number of lags. The first samples of each block come from the lower orders of the same recursion,
-/// so that a block is stationary from its first sample on.
+/// The order is the number of lags. The first samples of each block use the lower orders of the
+/// same recursion, so a block is stationary from its first sample.
 #[derive(Clone, Debug)]
 pub struct Noise {
-    /// By order: the weights of the past samples, the oldest first, and the standard deviation of what is new.
+    /// By order: weights of past samples, oldest first, and SD of the innovation.
     orders: Vec<(Vec<f64>, f64)>,
     normal: Normal,
 }
 
 impl Noise {
-    /// Noise of standard deviation `sd` and of this autocorrelation at lags 1, 2, ...; `None` where no process has it.
+    /// Noise with standard deviation `sd` and this autocorrelation at lags 1, 2, ...
     ///
-    /// Levinson-Durbin recursion: Brockwell and Davis 1991, "Time Series: Theory and Methods", section 5.2.
+    /// `None` if no process has this autocorrelation. Levinson-Durbin recursion: Brockwell and
+    /// Davis 1991, "Time Series: Theory and Methods", section 5.2.
     pub fn new(sd: f64, autocorrelation: &[f64]) -> Option<Noise> {
         let mut weights: Vec<f64> = Vec::new();
         let mut variance = 1.0;
@@ -25,7 +26,7 @@ impl Noise {
             let known: f64 = (0..order).map(|lag| weights[lag] * autocorrelation[order - 1 - lag]).sum();
             let reflection = (rho - known) / variance;
             variance *= 1.0 - reflection * reflection;
-            // Negated, so that an undefined number is refused, too.
+            // Negated, so that NaN is rejected as well.
             if !(variance > 0.0 && reflection.abs() < 1.0) {
                 return None;
             }
@@ -37,7 +38,7 @@ impl Noise {
         Some(Noise { orders, normal: Normal::default() })
     }
 
-    /// Fills a block with noise that is independent of any other block's.
+    /// Fills a block with noise that is independent of all other blocks.
     pub fn fill(&self, random: &mut Random, block: &mut [f64]) {
         block.iter_mut().for_each(|sample| *sample = self.normal.draw(random));
         for (k, (weights, sd)) in self.orders.iter().enumerate().take(block.len()) {
@@ -55,20 +56,20 @@ impl Noise {
     }
 }
 
-/// The recursion of order four, the usual one, from the sixth sample on: its past stays in registers.
+/// Recursion of order four, the usual order, from the sixth sample; past samples stay in registers.
 fn go_on_by_four([a, b, c, d]: [f64; 4], sd: f64, block: &mut [f64]) {
     let Some((&mut [_, w, x, y, z], rest)) = block.split_first_chunk_mut::<5>() else { return };
     let mut past = [w, x, y, z];
     for sample in rest {
-        // In the order of `next`, to the bit.
+        // Same order of operations as `next`, so results are identical bit by bit.
         *sample = sd * *sample + past[0] * a + past[1] * b + past[2] * c + past[3] * d;
         past = [past[1], past[2], past[3], *sample];
     }
 }
 
-/// The sample after `past` (the oldest first), of which `news` does not depend on it.
+/// Next sample after `past` (oldest first); `news` is the innovation.
 fn next(past: &[f64], weights: &[f64], news: f64) -> f64 {
-    // The newest sample comes last: the rest of the sum does not wait for it.
+    // The newest sample is added last, so the rest of the sum does not wait for it.
     past.iter().zip(weights).fold(news, |sum, (sample, weight)| sum + sample * weight)
 }
 
@@ -86,7 +87,7 @@ mod tests {
         assert!((noise.orders[1].1 - 1.6).abs() < 1e-15, "2 sqrt(1 - 0.6^2)");
     }
 
-    /// The weights of the highest order fulfil the equations of Yule and Walker.
+    /// The weights of the highest order satisfy the Yule-Walker equations.
     #[test]
     fn weights_reproduce_the_autocorrelation() {
         let noise = Noise::new(1.0, &MEASURED).unwrap();
@@ -98,7 +99,7 @@ mod tests {
         }
     }
 
-    /// Every sample of a block, the first ones included, has the given spread and correlations.
+    /// Every sample of a block, including the first, has the given SD and correlations.
     #[test]
     fn a_block_is_stationary_from_its_first_sample_on() {
         let (noise, n) = (Noise::new(0.93, &MEASURED).unwrap(), 200_000);
@@ -116,7 +117,7 @@ mod tests {
         }
     }
 
-    /// The short form of order four gives the bits of the general one.
+    /// The specialised recursion of order four gives the same bits as the general one.
     #[test]
     fn order_four_is_no_different() {
         let noise = Noise::new(0.93, &MEASURED).unwrap();

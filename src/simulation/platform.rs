@@ -1,4 +1,4 @@
-//! Where the scanner is, and how it is turned, at each moment.
+//! Position and attitude of the scanner over time.
 
 use core::f64::consts::TAU;
 
@@ -6,10 +6,10 @@ use super::scene::{Area, Beam};
 use super::world::{GROUND_HEIGHT_M, START_M};
 use crate::geo::frames::{Attitude, IDENTITY, Rotation, rotate, rotation_of_angles, then};
 
-/// An aircraft that flies straight on, or in a circle, at constant speed and height, and the scanner in it.
+/// An aircraft with a scanner, on a straight or circular track at constant speed and height.
 ///
-/// Its places are those of the scene: x to the right of the track's beginning, y along it, z up. Its body (forward, right,
-/// down) stands level and looks along the track but for its motion.
+/// Positions are in the frame of the scene: x to the right of the initial track, y along it, z up.
+/// Apart from its motion, the body (forward, right, down) is level and points along the track.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Platform {
     speed_mps: f64,
@@ -17,30 +17,32 @@ pub struct Platform {
     motion: Motion,
     lever_arm_m: [f64; 3],
     body_from_scanner: Rotation,
-    /// Of the circle, m, positive to the right; 0: straight on.
+    /// Radius of the circle, m, positive to the right; 0: straight track.
     turn_radius_m: f64,
-    /// Level, with the scanner at its centre: the beams are those of the scanner.
+    /// Level, with the scanner at the centre of the body: beams need no rotation.
     is_steady: bool,
 }
 
-/// How the body sways: each angle is the sum of two sines.
+/// Angular motion of the body: each angle is the sum of two sines.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    /// The largest roll, pitch and yaw, rad.
+    /// Maximum roll, pitch and yaw, rad.
     pub angles_rad: [f64; 3],
-    /// How long the slower of the two sines takes for the roll, s; pitch and yaw are slower.
+    /// Period of the slower sine of the roll, s; pitch and yaw are slower.
     pub period_s: f64,
 }
 
-/// Shares of the slower and of the faster sine.
+/// Amplitude fractions of the slower and the faster sine.
 const SHARES: [f64; 2] = [0.7, 0.3];
-/// Frequencies of both, for each angle, over that of the period: no two have a common multiple within a flight.
+/// Frequencies of both sines for each angle, relative to the period; no two have a common multiple
+/// within a flight.
 const FREQUENCIES: [[f64; 2]; 3] = [[1.0, 2.62], [0.73, 1.93], [0.41, 1.27]];
 
 impl Platform {
-    /// An aircraft with this speed over ground and height above the scene's level ground. The scanner's centre lies
-    /// `lever_arm_m` from the body's (forward, right, down), turned against the body by the angles `boresight_rad` (roll,
-    /// pitch, yaw).
+    /// An aircraft with this ground speed and height above the level ground of the scene.
+    ///
+    /// `lever_arm_m` is the position of the scanner in the body (forward, right, down);
+    /// `boresight_rad` its rotation (roll, pitch, yaw).
     pub fn new(
         speed_mps: f64,
         flying_height_m: f64,
@@ -63,7 +65,7 @@ impl Platform {
         }
     }
 
-    /// The same on a circle of this radius, m: positive to the right, 0: straight on.
+    /// Changes the track to a circle of this radius, m: positive to the right, 0: straight.
     pub fn turning(self, turn_radius_m: f64) -> Platform {
         Platform { turn_radius_m, is_steady: self.is_steady && turn_radius_m == 0.0, ..self }
     }
@@ -73,7 +75,7 @@ impl Platform {
         self.speed_mps
     }
 
-    /// The body's centre, m in the scene.
+    /// Position of the body's centre in the scene, m.
     pub fn position_m(&self, since_start_s: f64) -> [f64; 3] {
         let [x, y] = START_M;
         let height_m = GROUND_HEIGHT_M + self.flying_height_m;
@@ -84,25 +86,25 @@ impl Platform {
         [x + self.turn_radius_m * (1.0 - cosine), y + self.turn_radius_m * sine, height_m]
     }
 
-    /// Velocity along the track's beginning, to its right, and down, m/s.
+    /// Velocity along the initial track, to its right, and down, m/s.
     pub fn velocity_mps(&self, since_start_s: f64) -> [f64; 3] {
         let (sine, cosine) = libm::sincos(self.turned_rad(since_start_s));
         [self.speed_mps * cosine, self.speed_mps * sine, 0.0]
     }
 
-    /// How far the track has turned to the right since its beginning, rad.
+    /// Rotation of the track to the right since its start, rad.
     fn turned_rad(&self, since_start_s: f64) -> f64 {
         if self.turn_radius_m == 0.0 { 0.0 } else { self.speed_mps * since_start_s / self.turn_radius_m }
     }
 
-    /// How the body is turned against the track's beginning: its heading counts from there.
+    /// Attitude of the body; heading is relative to the initial track.
     pub fn attitude(&self, since_start_s: f64) -> Attitude {
         let [roll_rad, pitch_rad, heading_rad] =
             core::array::from_fn(|axis| self.motion.angle(axis, since_start_s));
         Attitude { roll_rad, pitch_rad, heading_rad: heading_rad + self.turned_rad(since_start_s) }
     }
 
-    /// A beam that leaves the scanner in this direction, in the scene.
+    /// Beam in the scene for a direction in the scanner.
     pub fn beam(&self, since_start_s: f64, direction_in_scanner: [f64; 3]) -> Beam {
         let origin_m = self.position_m(since_start_s);
         if self.is_steady {
@@ -119,7 +121,7 @@ impl Platform {
         }
     }
 
-    /// The ground that beams between two angles cover from the start up to a time, were the flight level.
+    /// Ground area covered between two scan angles up to a time, for a level flight.
     pub fn swath(&self, scan_angle_rad: [f64; 2], end_s: f64) -> Area {
         let across = |angle_rad| START_M[0] + self.flying_height_m * libm::tan(angle_rad);
         let along = |time_s| START_M[1] + self.speed_mps * time_s;
@@ -158,7 +160,7 @@ mod tests {
         assert!((swath.x[1] - 320_000.0 - 600.0 * 0.5f64.tan()).abs() < 1e-9);
     }
 
-    /// A quarter of a circle to the right ends a radius ahead and to the right, and looks there.
+    /// A quarter circle to the right ends one radius ahead and one to the right, and points right.
     #[test]
     fn a_circle_leads_around() {
         let quarter_s = core::f64::consts::FRAC_PI_2 * 900.0 / 60.0;
@@ -178,7 +180,7 @@ mod tests {
         assert_eq!(beam.direction, [0.0, 0.0, -1.0]);
     }
 
-    /// Right wing down: the beam swings to the left. Nose up: it swings forward. Nose right: it turns clockwise.
+    /// Right wing down: the beam moves left. Nose up: forward. Nose right: clockwise.
     #[test]
     fn angles_turn_the_beam_as_they_turn_the_aircraft() {
         let beam = |angles| platform([0.0; 3], [0.0; 3], angles).beam(0.0, [0.0, 0.0, 1.0]).direction;

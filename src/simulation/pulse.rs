@@ -1,23 +1,24 @@
-//! The shape of a pulse as the receiver records it.
+//! Shape of a pulse as recorded by the receiver.
 
 mod table;
 
 pub use table::{PulseTable, Width};
 
-/// Full width at half maximum of a normal distribution of standard deviation 1: `2 sqrt(2 ln 2)`.
+/// FWHM of a normal distribution of SD 1: `2 sqrt(2 ln 2)`.
 pub const FWHM_OF_NORMAL: f64 = 2.354_820_045_030_949_3;
 
-/// A system response: laser pulse, receiver and digitiser together, with its peak of height 1 at time 0.
+/// A system response (laser pulse, receiver and digitiser), with peak 1 at time 0.
 ///
-/// It is a sum of exponential decays, each convolved with one normal distribution. A target that spreads the pulse by a
-/// normal distribution of variance `v` only adds `v` to that distribution's variance: the widened response has a closed
-/// form, too (docs/method.md, Signal model: response convolved with a Gaussian).
+/// It is a sum of exponential decays, each convolved with the same normal distribution. A target
+/// that spreads the pulse by a normal distribution of variance `v` adds `v` to the variance, so the
+/// widened response also has a closed form (docs/method.md, signal model: response convolved with a
+/// Gaussian).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
-    /// Variance of the normal distribution, ns^2.
+    /// Variance of the normal distribution, ns².
     variance_ns2: f64,
     terms: Vec<Term>,
-    /// Where the peak of the sum of terms lies, ns, and the inverse of its height there.
+    /// Peak time of the sum of terms, ns, and the inverse of its peak.
     peak_ns: f64,
     scale: f64,
 }
@@ -25,37 +26,37 @@ pub struct Shape {
 /// An exponential decay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Term {
-    /// The area under it.
+    /// Area.
     area: f64,
-    /// Where it begins, ns.
+    /// Start, ns.
     delay_ns: f64,
-    /// How long it takes to fall by e, ns; 0 where it is an impulse.
+    /// Decay constant, ns; 0 for an impulse.
     decay_ns: f64,
 }
 
-/// The main lobe of an airborne instrument's pulse: a slightly skewed bell.
+/// Main lobe of an airborne instrument's pulse: a slightly skewed bell.
 const LOBE: Term = Term { area: 1.0, delay_ns: 0.0, decay_ns: 0.6 };
-/// Standard deviation of its normal part, ns: gives a full width at half maximum of 4.5 ns.
+/// SD of its normal part, ns; gives a FWHM of 4.5 ns.
 const LOBE_SD_NS: f64 = 1.806;
-/// The receiver's second, weaker answer: 5 % of the peak 10.6 ns behind it, the slow tail below it included.
+/// After-pulse of the receiver: 5 % of the peak 10.6 ns after it, including the slow tail.
 const AFTER_PULSE: Term = Term { area: 0.0265, delay_ns: 10.75, decay_ns: LOBE.decay_ns };
-/// The receiver's slow recovery: 1.6 % of the peak 20 ns behind it.
+/// Slow recovery of the receiver: 1.6 % of the peak 20 ns after it.
 const TAIL: Term = Term { area: 0.198, delay_ns: 0.0, decay_ns: 23.0 };
 
 impl Shape {
-    /// A normal distribution of this full width at half maximum, ns.
+    /// A normal distribution with this FWHM, ns.
     pub fn gaussian(fwhm_ns: f64) -> Shape {
         let sd_ns = fwhm_ns / FWHM_OF_NORMAL;
         Shape::new(sd_ns, vec![Term { area: 1.0, delay_ns: 0.0, decay_ns: 0.0 }])
     }
 
-    /// The response of a low-power receiver to an echo, as a RIEGL LMS-Q680i has recorded it: full width at half
-    /// maximum 4.5 ns, an after-pulse and a slow tail.
+    /// Response of a low-power receiver, as recorded by a RIEGL LMS-Q680i: FWHM 4.5 ns, with
+    /// after-pulse and slow tail.
     pub fn riegl() -> Shape {
         Shape::new(LOBE_SD_NS, vec![LOBE, AFTER_PULSE, TAIL])
     }
 
-    /// The outgoing pulse of the same instrument: its recording shows neither after-pulse nor tail.
+    /// Outgoing pulse of the same instrument; its recording has neither after-pulse nor tail.
     pub fn riegl_reference() -> Shape {
         Shape::new(LOBE_SD_NS, vec![LOBE])
     }
@@ -67,18 +68,20 @@ impl Shape {
         shape
     }
 
-    /// The response at a time from its peak, widened by a target of variance `widening_ns2` (0: a flat one). The
-    /// widening keeps the area: the peak falls.
+    /// Response at a time from its peak, widened by a target.
+    ///
+    /// `widening_ns2` is the variance of the target (0: flat). Widening preserves the area, so the
+    /// peak falls.
     pub fn at(&self, time_ns: f64, widening_ns2: f64) -> f64 {
         let sd_ns = self.sd_ns(widening_ns2);
         let time_ns = time_ns + self.peak_ns;
         self.scale * self.terms.iter().map(|term| term.at(time_ns, sd_ns)).sum::<f64>()
     }
 
-    /// Where the widened response has its peak, ns from that of the response itself.
+    /// Peak time of the widened response relative to the peak of the response, ns.
     pub fn peak_ns(&self, widening_ns2: f64) -> f64 {
         let sd_ns = self.sd_ns(widening_ns2);
-        // The derivative changes its sign between the start of the rise and the time when the lobe has decayed.
+        // The derivative changes sign between the start of the rise and the decay of the lobe.
         let falls = |time_ns: f64| {
             self.terms.iter().map(|term| term.slope(time_ns + self.peak_ns, sd_ns)).sum::<f64>() < 0.0
         };
@@ -91,13 +94,15 @@ impl Shape {
         boundary(0.0, far, |t| self.at(t, 0.0) < 0.5) - boundary(-far, 0.0, |t| self.at(t, 0.0) > 0.5)
     }
 
-    /// Standard deviation of the normal part of the widened response, ns.
+    /// SD of the normal part of the widened response, ns.
     fn sd_ns(&self, widening_ns2: f64) -> f64 {
         (self.variance_ns2 + widening_ns2).sqrt()
     }
 
-    /// The term that lasts longest, and from when on nothing else is left, ns from the peak: from there on the response
-    /// is one exponential, or nothing.
+    /// Decay constant of the slowest term, ns, and the time from which only that term remains, ns
+    /// from the peak.
+    ///
+    /// From then on, the response is one exponential or zero.
     fn end(&self, widening_ns2: f64) -> (f64, f64) {
         let sd_ns = self.sd_ns(widening_ns2);
         let decay_ns = self.terms.iter().map(|term| term.decay_ns).fold(0.0, f64::max);
@@ -110,7 +115,7 @@ impl Shape {
 }
 
 impl Term {
-    /// The decay convolved with a normal distribution of standard deviation `sd_ns`: an exponentially modified Gaussian.
+    /// Decay convolved with a normal distribution of SD `sd_ns` (exponentially modified Gaussian).
     fn at(&self, time_ns: f64, sd_ns: f64) -> f64 {
         let (t, decay) = (time_ns - self.delay_ns, self.decay_ns);
         if decay == 0.0 {
@@ -121,7 +126,7 @@ impl Term {
         self.area / (2.0 * decay) * libm::exp(0.5 * ratio * ratio - t / decay) * below
     }
 
-    /// The derivative of [`Term::at`] by time.
+    /// Time derivative of [`Term::at`].
     fn slope(&self, time_ns: f64, sd_ns: f64) -> f64 {
         let t = time_ns - self.delay_ns;
         let density = self.area * normal_density(t, sd_ns);
@@ -137,7 +142,7 @@ fn normal_density(x: f64, sd: f64) -> f64 {
     libm::exp(-0.5 * z * z) / (sd * (2.0 * core::f64::consts::PI).sqrt())
 }
 
-/// Where `beyond` becomes true between `low` and `high`, to the last bit.
+/// Position where `beyond` becomes true between `low` and `high`, to the last bit.
 fn boundary(mut low: f64, mut high: f64, beyond: impl Fn(f64) -> bool) -> f64 {
     loop {
         let middle = 0.5 * (low + high);
@@ -158,7 +163,7 @@ mod tests {
         assert!((shape.fwhm_ns() - 4.5).abs() < 1e-12);
         assert!((shape.at(2.25, 0.0) - 0.5).abs() < 1e-12);
         assert!(shape.peak_ns(3.0).abs() < 1e-12);
-        // Twice the variance: the peak falls by the square root of two.
+        // Twice the variance: the peak falls by a factor of the square root of two.
         let variance = (4.5 / FWHM_OF_NORMAL).powi(2);
         assert!((shape.at(0.0, variance) - 0.5f64.sqrt()).abs() < 1e-12);
     }
@@ -172,7 +177,7 @@ mod tests {
         }
     }
 
-    /// The figures measured on recordings of RIEGL LMS-Q680i and LMS-Q680.
+    /// Values measured on recordings of RIEGL LMS-Q680i and LMS-Q680.
     #[test]
     fn the_response_has_the_measured_width_after_pulse_and_tail() {
         let shape = Shape::riegl();
@@ -186,7 +191,7 @@ mod tests {
         assert!(Shape::riegl_reference().at(10.5, 0.0) < 1e-5);
     }
 
-    /// The closed form against the plain sum of the convolution.
+    /// The closed form equals a direct sum of the convolution.
     #[test]
     fn widening_is_a_convolution_with_a_gaussian() {
         let (shape, sd, step) = (Shape::riegl(), 1.7, 0.01);

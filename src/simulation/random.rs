@@ -1,26 +1,26 @@
-//! Random numbers that depend on a key alone, and on no machine.
+//! Random numbers that depend only on a key, not on the machine.
 //!
-//! A [`Random`] is xoshiro256++ (Blackman and Vigna 2021, "Scrambled linear pseudorandom number generators", ACM TOMS
-//! 47:36) whose 256 bits come from SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable pseudorandom number
-//! generators", OOPSLA), as its authors advise. Streams of different keys share no stretch, so that no two shots ever
-//! see the same noise.
+//! A [`Random`] is xoshiro256++ (Blackman and Vigna 2021, "Scrambled linear pseudorandom number
+//! generators", ACM TOMS 47:36). Its 256-bit state comes from SplitMix64 (Steele, Lea and Flood
+//! 2014, "Fast splittable pseudorandom number generators", OOPSLA), as its authors recommend.
+//! Streams of different keys do not overlap, so no two shots have the same noise.
 
 mod normal;
 
 pub use normal::Normal;
 
-/// What a stream is for: changing one part of the simulator leaves the numbers of the others as they were.
+/// Purpose of a stream: separate streams keep changes of one component from affecting others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Moment and energy of the emission.
+    /// Time and energy of the emission.
     Laser,
     /// Noise of the receiver.
     Noise,
-    /// When the pulse leaves, against the mean rate.
+    /// Deviation of the emission time from the mean rate.
     Modulation,
     /// Noise of the receiver for strong echoes.
     HighPowerNoise,
-    /// Pulses that no target sent back.
+    /// Spurious pulses without a target.
     FalseAlarms,
 }
 
@@ -31,12 +31,12 @@ pub struct Random {
 }
 
 impl Random {
-    /// The stream of one shot (its place in the line) for one purpose.
+    /// Stream of a shot (by its index in the line) for one purpose.
     pub fn of_shot(seed: u64, line: u32, shot: u32, purpose: Purpose) -> Random {
         Random::from_key(hash([purpose as u64, seed, u64::from(line), u64::from(shot)]))
     }
 
-    /// The stream of a key.
+    /// Stream of a key.
     pub fn from_key(key: u64) -> Random {
         let state = [1, 2, 3, 4].map(|n: u64| mix(key.wrapping_add(n.wrapping_mul(GOLDEN))));
         Random { state }
@@ -57,14 +57,16 @@ impl Random {
         result
     }
 
-    /// A number in [0, 1), of 53 random bits.
+    /// A number in [0, 1) from 53 random bits.
     pub fn uniform(&mut self) -> f64 {
         unit(self.bits())
     }
 }
 
-/// Numbers in [0, 1) that belong to the corners of a cell of a lattice: the grain of a scene. They are those of (x, y),
-/// (x + 1, y), (x, y + 1) and (x + 1, y + 1), and a corner has the same number in all four cells that it belongs to.
+/// Random numbers in [0, 1) at the corners of a lattice cell.
+///
+/// The corners are (x, y), (x + 1, y), (x, y + 1) and (x + 1, y + 1). A corner has the same number
+/// in all four cells that share it.
 pub fn cell(key: u64, x: i64, y: i64) -> [f64; 4] {
     let start = hash([key]);
     let [west, east] = [x, x + 1].map(|x| hashed_on(start, x as u64));
@@ -73,27 +75,27 @@ pub fn cell(key: u64, x: i64, y: i64) -> [f64; 4] {
         .map(|(column, row)| unit(hashed_on(column, row)))
 }
 
-/// 64 bits that depend on every bit of `words`; two keys that differ only in the last word never give the same.
+/// 64-bit hash of `words`; keys that differ only in the last word never collide.
 pub fn hash<const N: usize>(words: [u64; N]) -> u64 {
     words.into_iter().fold(0, hashed_on)
 }
 
-/// The hash of one word more.
+/// Extends a hash by one word.
 fn hashed_on(hash: u64, word: u64) -> u64 {
     mix(hash.wrapping_add(GOLDEN) ^ word)
 }
 
-/// 2^64 divided by the golden ratio: the step of SplitMix64.
+/// 2^64 divided by the golden ratio: the increment of SplitMix64.
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// The output function of SplitMix64, a permutation of the 64-bit numbers.
+/// Output function of SplitMix64, a permutation of 64-bit numbers.
 fn mix(z: u64) -> u64 {
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)
 }
 
-/// The upper 53 bits as a number in [0, 1).
+/// Converts the upper 53 bits to a number in [0, 1).
 fn unit(bits: u64) -> f64 {
     const STEP: f64 = 1.0 / (1u64 << 53) as f64;
     (bits >> 11) as f64 * STEP
@@ -103,14 +105,14 @@ fn unit(bits: u64) -> f64 {
 mod tests {
     use super::*;
 
-    /// The published sequence of SplitMix64 for the seed 1234567.
+    /// Published sequence of SplitMix64 for the seed 1234567.
     #[test]
     fn a_key_is_spread_by_splitmix64() {
         let expected = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431];
         assert_eq!(Random::from_key(1234567).state, expected);
     }
 
-    /// The published sequence of xoshiro256++ for the state 1, 2, 3, 4.
+    /// Published sequence of xoshiro256++ for the state 1, 2, 3, 4.
     #[test]
     fn bits_are_those_of_xoshiro256_plus_plus() {
         let mut random = Random { state: [1, 2, 3, 4] };

@@ -1,67 +1,69 @@
-//! What is recorded of the light that arrives: sample blocks of the digitisers.
+//! Recorded sample blocks of the digitisers.
 
 use super::noise::Noise;
 use super::pulse::{PulseTable, Shape, Width};
 use super::random::Random;
 
-/// Samples of the outgoing pulse's block.
+/// Number of samples of the outgoing pulse's block.
 pub const REFERENCE_SAMPLES: usize = 24;
-/// Where its block begins: on the sample raster of the shot's clock, this many samples before it.
+/// Samples from the start of that block to the shot's clock, on the same raster.
 const REFERENCE_LEAD: i64 = 10;
-/// Height of the outgoing pulse's peak above the background, DN.
+/// Peak amplitude of the outgoing pulse above the background, DN.
 const REFERENCE_AMPLITUDE_DN: f64 = 177.0;
 
-/// An echo block grows by this many samples as long as echoes come.
+/// Increment of the length of an echo block, samples, while echoes continue.
 const BLOCK_SAMPLES: i64 = 60;
-/// Samples between the start of a block and the echo that opened it.
+/// Samples from the start of a block to the echo that opened it.
 const ECHO_LEAD: i64 = 16;
-/// Samples that an echo needs behind its peak: where the block ends earlier, it grows.
+/// Minimum number of samples after an echo's peak; otherwise the block grows.
 const ECHO_HOLD: i64 = 24;
-/// The weakest echo that opens a block or lets it grow, DN: as in recordings, where weaker ones only stand beside others.
+/// Weakest echo that opens or extends a block, DN; in real recordings, weaker echoes appear only
+/// next to stronger ones.
 pub const TRIGGER_DN: f64 = 5.5;
-/// Echo samples lie this far behind the raster of the shot's clock, ns: two digitisers are never in step.
+/// Delay of echo samples relative to the raster of the shot's clock, ns: two digitisers are never
+/// synchronous.
 const ECHO_RASTER_NS: f64 = 0.375;
 
-/// Samples of the receiver for strong echoes lie this far behind those of the other, ns: a constant of the instrument that
-/// was measured.
+/// Delay of the high-power receiver's samples relative to those of the other receiver, ns; a
+/// constant measured on a real instrument.
 const HIGH_POWER_RASTER_NS: f64 = 1.43;
 
-/// Steps of the digitiser are 1 DN: their rounding errors have this variance, DN^2.
+/// Variance of the digitiser's rounding errors (steps of 1 DN), DN².
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
-/// What a [`Receiver`] is set to.
+/// Settings of a [`Receiver`].
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Time between samples, ns.
+    /// Sampling interval, ns.
     pub interval_ns: f64,
-    /// The largest value that the digitiser gives.
+    /// Full scale of the digitiser, DN.
     pub full_scale_dn: u16,
-    /// Background of the even and of the odd samples of a block, DN.
+    /// Background of even and odd samples of a block, DN.
     pub background_dn: [f64; 2],
-    /// Standard deviation of the recorded noise, rounding included, DN; 0: only the rounding is left.
+    /// SD of the recorded noise, including rounding, DN; 0: rounding errors only.
     pub noise_sd_dn: f64,
     /// Autocorrelation of the recorded noise at lags 1, 2, ... samples.
     pub noise_autocorrelation: Vec<f64>,
-    /// What an echo from a flat target looks like.
+    /// Response to a flat target.
     pub response: Shape,
-    /// What the outgoing pulse looks like.
+    /// Shape of the outgoing pulse.
     pub reference: Shape,
-    /// The second receiver, for strong echoes, where there is one.
+    /// Second receiver, for strong echoes, if any.
     pub high_power: Option<HighPower>,
 }
 
 /// A receiver for strong echoes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HighPower {
-    /// Its block is kept where an echo's peak has this height or more in the other receiver, DN.
+    /// Minimum peak amplitude in the other receiver for its block to be recorded, DN.
     pub from_dn: f64,
-    /// Standard deviation of its recorded noise, rounding included, DN; 0: only the rounding is left.
+    /// SD of its recorded noise, including rounding, DN; 0: rounding errors only.
     pub noise_sd_dn: f64,
-    /// How much later it sees an echo than the other does, ns.
+    /// Delay of its echoes relative to the other receiver, ns.
     pub delay_ns: f64,
 }
 
-/// A receiver with one or two digitisers for echoes and one for the outgoing pulse.
+/// A receiver with one or two echo digitisers and one for the outgoing pulse.
 #[derive(Debug)]
 pub struct Receiver {
     interval_ns: f64,
@@ -76,7 +78,7 @@ pub struct Receiver {
     gain: f64,
 }
 
-/// Room for one block: what arrives, its noise, and its samples.
+/// Buffers for one block: signal, noise and samples.
 #[derive(Debug, Default)]
 struct Scratch {
     signal: Vec<f64>,
@@ -87,19 +89,19 @@ struct Scratch {
 /// An echo as it arrives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Echo {
-    /// Time of its peak (of the response's, were the target flat) after the shot's clock, ns.
+    /// Peak time after the shot's clock, ns; for a widened echo, of the flat target's response.
     pub time_ns: f64,
-    /// Height of its peak above the background at gain 1, DN, before the digitiser's limits.
+    /// Peak amplitude above the background at gain 1, DN, before digitiser limits.
     pub amplitude_dn: f64,
-    /// The same in the receiver for strong echoes.
+    /// Peak amplitude in the receiver for strong echoes, DN.
     pub high_power_dn: f64,
-    /// The height that it would have in a receiver without limits.
+    /// Peak amplitude in a receiver without limits, DN.
     pub linear_dn: f64,
-    /// How wide it is.
+    /// Width.
     pub width: Width,
 }
 
-/// A run of the echo digitiser's samples.
+/// A range of the echo digitiser's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     start: i64,
@@ -107,18 +109,18 @@ pub struct Window {
 }
 
 impl Settings {
-    /// The noise before the digitiser, which adds its own rounding errors; `None` where there is none.
+    /// Noise before the digitiser, which adds rounding errors; `None` for no noise.
     ///
     /// # Errors
-    /// Where no noise becomes the wanted one by rounding.
+    /// If no process gives the requested noise after rounding.
     pub fn noise(&self) -> Result<Option<Noise>, NoSuchNoise> {
         self.noise_of(self.noise_sd_dn)
     }
 
-    /// The same for the receiver for strong echoes, whose noise has the same autocorrelation.
+    /// Noise of the high-power receiver, with the same autocorrelation.
     ///
     /// # Errors
-    /// Where no noise becomes the wanted one by rounding.
+    /// If no process gives the requested noise after rounding.
     pub fn high_power_noise(&self) -> Result<Option<Noise>, NoSuchNoise> {
         self.high_power.map_or(Ok(None), |receiver| self.noise_of(receiver.noise_sd_dn))
     }
@@ -138,15 +140,15 @@ impl Settings {
     }
 }
 
-/// No noise has the wanted spread and autocorrelation after rounding.
+/// No process has the requested SD and autocorrelation after rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoSuchNoise;
 
 impl Receiver {
-    /// A receiver with these settings.
+    /// Creates a receiver.
     ///
     /// # Errors
-    /// Where no noise has the wanted spread and autocorrelation.
+    /// If no process has the requested SD and autocorrelation.
     pub fn new(settings: &Settings) -> Result<Receiver, NoSuchNoise> {
         let high_power_noise = settings.high_power_noise()?;
         Ok(Receiver {
@@ -162,23 +164,27 @@ impl Receiver {
         })
     }
 
-    /// Sets the gain of the echo receivers: of signal and noise, not of background and rounding.
+    /// Sets the gain of the echo receivers.
+    ///
+    /// Applies to signal and noise, not to background and rounding.
     pub fn set_gain(&mut self, gain: f64) {
         self.gain = gain;
     }
 
-    /// Their gain.
+    /// Gain of the echo receivers.
     pub fn gain(&self) -> f64 {
         self.gain
     }
 
-    /// The response to echoes, which knows widths and the height of peaks.
+    /// Response to echoes, with its widths and peak amplitudes.
     pub fn response(&self) -> &PulseTable {
         &self.response
     }
 
-    /// Records the outgoing pulse, whose peak lies `emission_ns` after the shot's clock and whose energy is `energy`
-    /// times the usual one: the time of the first sample after the clock, ns, and the samples.
+    /// Records the outgoing pulse.
+    ///
+    /// `emission_ns` is the peak time after the shot's clock, `energy` relative to the usual
+    /// energy. Returns the time of the first sample after the clock, ns, and the samples.
     pub fn record_emission(&mut self, emission_ns: f64, energy: f64, random: &mut Random) -> (f64, &[u16]) {
         self.clear(REFERENCE_SAMPLES);
         let start_ns = -(REFERENCE_LEAD as f64) * self.interval_ns;
@@ -188,8 +194,10 @@ impl Receiver {
         (start_ns, digitise(self.noise.as_ref(), 1.0, self.full_scale_dn, &mut self.scratch, random))
     }
 
-    /// The blocks that these echoes (in order of time) let the instrument record, in order. Each begins on an even
-    /// sample of the digitiser, so that even and odd samples keep their backgrounds.
+    /// Blocks that the instrument records for these echoes (sorted by time), in order.
+    ///
+    /// Each starts on an even sample of the digitiser, so even and odd samples keep their
+    /// backgrounds.
     pub fn windows(&self, echoes: &[Echo], windows: &mut Vec<Window>) {
         windows.clear();
         for echo in echoes.iter().filter(|echo| echo.amplitude_dn >= TRIGGER_DN) {
@@ -204,13 +212,14 @@ impl Receiver {
         }
     }
 
-    /// Whether an echo's peak lies in a block.
+    /// Returns whether an echo's peak is inside a block.
     pub fn is_in(&self, window: &Window, echo: &Echo) -> bool {
         let position = self.position(echo.time_ns);
         (window.start as f64..window.end() as f64).contains(&position)
     }
 
-    /// Records one of these blocks: the time of its first sample after the shot's clock, ns, and the samples.
+    /// Records a block; returns the time of its first sample after the shot's clock, ns, and the
+    /// samples.
     pub fn record(&mut self, window: &Window, echoes: &[Echo], random: &mut Random) -> (f64, &[u16]) {
         self.clear(window.len as usize);
         for echo in echoes {
@@ -222,13 +231,13 @@ impl Receiver {
         (start_ns, digitise(self.noise.as_ref(), self.gain, self.full_scale_dn, &mut self.scratch, random))
     }
 
-    /// Whether the receiver for strong echoes keeps its block of this window.
+    /// Returns whether the high-power receiver records its block of this window.
     pub fn is_strong(&self, window: &Window, echoes: &[Echo]) -> bool {
         let Some((receiver, _)) = &self.high_power else { return false };
         echoes.iter().any(|echo| echo.amplitude_dn >= receiver.from_dn && self.is_in(window, echo))
     }
 
-    /// Records the same window with the receiver for strong echoes; nothing where there is none.
+    /// Records the window with the high-power receiver, if there is one.
     pub fn record_high_power(
         &mut self,
         window: &Window,
@@ -248,17 +257,17 @@ impl Receiver {
         Some((start_ns, samples))
     }
 
-    /// The time of a window's first sample after the shot's clock, ns.
+    /// Time of a window's first sample after the shot's clock, ns.
     pub fn start_ns(&self, window: &Window) -> f64 {
         window.start as f64 * self.interval_ns + ECHO_RASTER_NS
     }
 
-    /// A time after the shot's clock as a place on the echo digitiser's raster, samples.
+    /// Position of a time after the shot's clock on the echo digitiser's raster, samples.
     fn position(&self, time_ns: f64) -> f64 {
         (time_ns - ECHO_RASTER_NS) / self.interval_ns
     }
 
-    /// Begins a block: there is nothing in it but the background.
+    /// Starts a block that contains only background.
     fn clear(&mut self, len: usize) {
         let signal = &mut self.scratch.signal;
         signal.clear();
@@ -267,7 +276,7 @@ impl Receiver {
     }
 }
 
-/// Adds noise, amplified, to background and signal and rounds them to the digitiser's steps.
+/// Adds amplified noise to the signal and rounds to integer DN.
 fn digitise<'s>(
     noise: Option<&Noise>,
     gain: f64,
@@ -284,24 +293,24 @@ fn digitise<'s>(
     let full_scale = i32::from(full_scale_dn);
     samples.clear();
     samples.extend(signal.iter().zip(noise_dn).map(|(signal, noise)| {
-        // Below zero the conversion rounds towards zero, which the limit makes good.
+        // Below zero the conversion rounds towards zero; the clamp corrects this.
         ((*signal + gain * *noise + 0.5) as i32).clamp(0, full_scale) as u16
     }));
     samples
 }
 
 impl Window {
-    /// Where it begins and ends on the digitiser's raster, ns.
+    /// Start and end on the digitiser's raster, ns.
     pub fn limits_ns(&self, interval_ns: f64) -> [f64; 2] {
         [self.start, self.end()].map(|sample| sample as f64 * interval_ns + ECHO_RASTER_NS)
     }
 
-    /// The same window by a clock that is so many samples ahead.
+    /// The same window relative to a clock that is ahead by this many samples.
     pub fn by_clock_ahead(&self, samples: i64) -> Window {
         Window { start: self.start - samples, len: self.len }
     }
 
-    /// The sample after the last.
+    /// Index after the last sample.
     fn end(&self) -> i64 {
         self.start + self.len
     }
@@ -333,7 +342,7 @@ mod tests {
         Random::of_shot(1, 0, 0, Purpose::Noise)
     }
 
-    /// Echoes of flat targets at these times, of these amplitudes.
+    /// Echoes of flat targets at these times with these amplitudes.
     fn echoes(receiver: &Receiver, echoes: &[(f64, f64)]) -> Vec<Echo> {
         let width = receiver.response().width(0.0);
         echoes.iter().map(|&(time_ns, amplitude_dn)| echo(time_ns, amplitude_dn, width)).collect()
@@ -343,7 +352,7 @@ mod tests {
         Echo { time_ns, amplitude_dn, high_power_dn: 0.1 * amplitude_dn, linear_dn: amplitude_dn, width }
     }
 
-    /// Start and length of the blocks that echoes of 100 DN at these times open.
+    /// Start and length of the blocks opened by echoes of 100 DN at these times.
     fn windows(times_ns: &[f64]) -> Vec<(i64, i64)> {
         let (receiver, mut windows) = (receiver(), Vec::new());
         let strong: Vec<(f64, f64)> = times_ns.iter().map(|&time_ns| (time_ns, 100.0)).collect();
@@ -355,9 +364,9 @@ mod tests {
     fn a_block_grows_while_echoes_come() {
         assert_eq!(windows(&[]), []);
         assert_eq!(windows(&[100.0]), [(82, 60)]);
-        assert_eq!(windows(&[101.0]), [(84, 60)], "blocks begin on even samples");
+        assert_eq!(windows(&[101.0]), [(84, 60)], "blocks start on even samples");
         assert_eq!(windows(&[100.0, 118.0]), [(82, 60)]);
-        assert_eq!(windows(&[100.0, 120.0]), [(82, 120)], "24 samples are needed behind the second");
+        assert_eq!(windows(&[100.0, 120.0]), [(82, 120)], "24 samples are required after the second");
         assert_eq!(windows(&[100.0, 157.0]), [(82, 120)], "blocks do not overlap");
         assert_eq!(windows(&[100.0, 159.0]), [(82, 60), (142, 60)]);
         assert_eq!(windows(&[100.0, 150.0, 200.0]), [(82, 180)]);
@@ -380,7 +389,8 @@ mod tests {
         receiver.windows(&one, &mut windows);
         let (start_ns, samples) = receiver.record(&windows[0], &one, &mut random());
         assert_eq!((start_ns, samples.len()), (84.375, 60));
-        // 100 DN at sample 16, where 2 of background are, and 100 * 2^-(2 k / 4.5)^2 at k samples from it.
+        // 100 DN at sample 16, above a background of 2 DN, and 100 * 2^-(2 k / 4.5)^2 at k samples
+        // from it.
         assert_eq!(samples[8..25], [2, 4, 3, 7, 13, 33, 60, 91, 102, 91, 60, 33, 13, 7, 3, 4, 2]);
         assert!(samples[..8].chunks(2).chain(samples[26..].chunks(2)).all(|pair| pair == [2, 4]));
     }
@@ -399,7 +409,8 @@ mod tests {
         let mut receiver = receiver();
         let (start_ns, samples) = receiver.record_emission(0.5, 1.0, &mut random());
         assert_eq!((start_ns, samples.len()), (-10.0, 24));
-        // 177 DN * 2^-(2 k / 4.5)^2 at k = 0.5, 1.5 and 2.5 samples from the peak, above 2 and 4 DN.
+        // 177 DN * 2^-(2 k / 4.5)^2 at k = 0.5, 1.5 and 2.5 samples from the peak, above 2 and 4
+        // DN.
         assert_eq!(samples[8..14], [77, 134, 173, 175, 132, 79]);
     }
 
@@ -427,7 +438,8 @@ mod tests {
         assert!(settings(0.0, 0.5).noise().unwrap().is_none());
         assert!(settings(0.93, 0.5).noise().unwrap().is_some());
         assert_eq!(settings(0.28, 0.0).noise().unwrap_err(), NoSuchNoise);
-        // 0.9 of 0.25 would be 1.35 of what is left without the rounding's twelfth.
+        // A correlation of 0.9 at 0.25 DN² would require 1.35 of the variance without rounding
+        // (1/12).
         assert_eq!(settings(0.5, 0.9).noise().unwrap_err(), NoSuchNoise);
     }
 }

@@ -1,89 +1,93 @@
-//! When each pulse leaves, and in which direction it leaves the scanner.
+//! Emission time and direction of each pulse.
 
 use core::f64::consts::TAU;
 
 use super::random::{Purpose, Random};
 
-/// GPS week of the flight: from 4 May 2025 on.
+/// GPS week of the flight, from 4 May 2025.
 pub const GPS_WEEK: u32 = 2365;
-/// When it begins, s of the GPS week, unless another time is given: on Tuesday at ten in the morning.
+/// Default start time of the flight, s of the GPS week: Tuesday 10:00.
 pub const START_S: f64 = 2.0 * 86_400.0 + 36_000.0;
-/// When it begins on the instrument's clock, ns.
+/// Start of the flight on the instrument's clock, ns.
 const CLOCK_START_NS: i64 = 1_000_000_000_000;
 /// Facets of the rotating mirror.
 const FACETS: u32 = 4;
 
-/// What moves the beam.
+/// Scan mechanism.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mirror {
-    /// A polygon of four facets: each sweeps one line from left to right at constant speed, then half a line's time
-    /// passes without pulses until the next facet faces the ground.
+    /// A polygon of four facets. Each sweeps one line from left to right at constant speed; a pause
+    /// of half a line without pulses follows.
     RotatingPolygon,
-    /// A mirror that swings like a pendulum: lines go to the right and back in turns, and shots lie closest where it
-    /// turns. It never pauses.
+    /// A mirror that swings sinusoidally: lines alternate between right and left, and shots are
+    /// densest at the turning points. No pauses.
     Oscillating,
-    /// A row of fixed fibres, one after the other: spots are evenly spaced on level ground, and each fibre's spots make a
-    /// line along the flight. It never pauses.
+    /// A row of fixed fibres, used one after the other: spots are evenly spaced on level ground,
+    /// and the spots of each fibre form a line along the flight. No pauses.
     ParallelLines,
-    /// A mirror whose beam turns around straight down on a cone, clockwise seen from above. It never pauses, and a
+    /// A mirror whose beam rotates on a cone about nadir, clockwise seen from above. No pauses; a
     /// line is a fixed number of shots.
     Circular,
 }
 
-/// A laser with a mirror, and the clock that both run on.
+/// A laser with a mirror and their common clock.
 ///
-/// The frame of the scanner is x forward, y right, z down: the beam sweeps across, through straight down.
+/// The scanner's frame is x forward, y right, z down; the beam sweeps across the track through
+/// nadir.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scanner {
-    /// What moves the beam.
+    /// Scan mechanism.
     pub mirror: Mirror,
-    /// Shots of each scan line.
+    /// Shots per scan line.
     pub shots_per_line: u32,
-    /// Pulses per second.
+    /// Pulse rate, Hz.
     pub pulse_rate_hz: f64,
-    /// How far the interval between two pulses may be from its mean, ns: each pulse leaves up to half of this early or
-    /// late. Below half the interval.
+    /// Range of the pulse interval modulation, ns: each pulse is up to half of this early or late.
+    ///
+    /// Less than half the interval.
     pub modulation_ns: f64,
-    /// What the modulation starts from.
+    /// Seed of the modulation.
     pub seed: u64,
-    /// The first and the last shot's angle from straight down, radians, positive to the right.
-    /// Those of a circular scanner lie between these, half of their difference from the axis.
+    /// Angles of the first and the last shot from nadir, rad, positive to the right.
+    ///
+    /// A circular scanner has half of their difference as its angle from the axis.
     pub scan_angle_rad: [f64; 2],
     /// Revolutions per second of a circular scanner.
     pub rotation_hz: f64,
 }
 
-/// A pulse that leaves the scanner.
+/// An emitted pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shot {
-    /// Running number, from 0.
+    /// Shot number, from 0.
     pub number: u64,
-    /// Whole nanoseconds from the start of the flight to the last tick of the sample clock before the pulse leaves.
+    /// Time from the start of the flight to the last tick of the sample clock before the emission,
+    /// ns.
     pub since_start_ns: i64,
-    /// Angle from straight down, radians, positive to the right.
+    /// Angle from nadir, rad, positive to the right.
     pub scan_angle_rad: f64,
     /// Unit vector along the beam.
     pub direction_in_scanner: [f64; 3],
     /// Mirror facet.
     pub facet: u16,
-    /// The beam moves to the right.
+    /// Whether the beam moves to the right.
     pub to_the_right: bool,
 }
 
 impl Shot {
-    /// The tick on the instrument's clock, ps.
+    /// Tick on the instrument's clock, ps.
     pub fn clock_ps(&self) -> i64 {
         1000 * (CLOCK_START_NS + self.since_start_ns)
     }
 
-    /// The same moment, s from the start of the flight.
+    /// Tick relative to the start of the flight, s.
     pub fn since_start_s(&self) -> f64 {
         1e-9 * self.since_start_ns as f64
     }
 }
 
 impl Scanner {
-    /// A shot by its scan line and its place in the line, both from 0.
+    /// A shot by scan line and index in the line, both from 0.
     pub fn shot(&self, line: u32, index: u32) -> Shot {
         if self.mirror == Mirror::Circular {
             return self.circular_shot(line, index);
@@ -114,18 +118,18 @@ impl Scanner {
         }
     }
 
-    /// Running number of a shot.
+    /// Number of a shot.
     pub fn number(&self, line: u32, index: u32) -> u64 {
         u64::from(line) * u64::from(self.shots_per_line) + u64::from(index)
     }
 
-    /// Scan line and place in the line of a shot by its running number.
+    /// Scan line and index of a shot by its number.
     pub fn place(&self, number: u64) -> (u32, u32) {
         let shots = u64::from(self.shots_per_line);
         ((number / shots) as u32, (number % shots) as u32)
     }
 
-    /// The last tick of the sample clock before a shot leaves, ns from the start.
+    /// Last tick of the sample clock before a shot's emission, ns from the start.
     pub fn tick_ns(&self, line: u32, index: u32) -> i64 {
         let nominal_ns = 1e9 * self.time_s(line, index);
         if self.modulation_ns == 0.0 {
@@ -135,13 +139,13 @@ impl Scanner {
         (nominal_ns + self.modulation_ns * place).floor() as i64
     }
 
-    /// Pulses that would leave from the start of one line to that of the next if the laser never paused.
+    /// Pulses from the start of one line to the start of the next if the laser never paused.
     pub fn pulses_per_line(&self) -> f64 {
         let pause = if self.mirror == Mirror::RotatingPolygon { 1.5 } else { 1.0 };
         pause * f64::from(self.shots_per_line)
     }
 
-    /// The nominal time of a shot since the start, s.
+    /// Nominal time of a shot since the start, s.
     pub fn time_s(&self, line: u32, index: u32) -> f64 {
         (f64::from(line) * self.pulses_per_line() + f64::from(index)) / self.pulse_rate_hz
     }
@@ -153,12 +157,13 @@ impl Scanner {
         match self.mirror {
             Mirror::RotatingPolygon => first + (last - first) * place,
             Mirror::Oscillating => {
-                // Half a step from the turning point: the two shots next to it do not coincide.
+                // Half a step from the turning point, so that the two shots next to it do not
+                // coincide.
                 let phase = (f64::from(index) + 0.5) / f64::from(self.shots_per_line);
                 let swing = 0.5 - 0.5 * libm::cos(core::f64::consts::PI * phase);
                 first + (last - first) * if to_the_right { swing } else { 1.0 - swing }
             }
-            // A cone's place across follows from its azimuth.
+            // On a cone, the position across follows from the azimuth.
             Mirror::ParallelLines | Mirror::Circular => {
                 let (left, right) = (libm::tan(first), libm::tan(last));
                 libm::atan(left + (right - left) * place)
@@ -211,7 +216,7 @@ mod tests {
         assert_eq!(there[1000].scan_angle_rad, back[0].scan_angle_rad);
         let step = |k: usize| there[k + 1].scan_angle_rad - there[k].scan_angle_rad;
         assert!(step(0) < 0.01 * step(500));
-        // The fastest step of a cosine is pi / 2 of the mean.
+        // The largest step of a cosine is pi / 2 times the mean step.
         assert!((step(500) * 1001.0 / core::f64::consts::FRAC_PI_2 - 1.0).abs() < 1e-3);
         assert_eq!(back[0].since_start_ns - there[1000].since_start_ns, 6667, "without a pause");
     }
@@ -226,7 +231,7 @@ mod tests {
         assert!((shots[0].scan_angle_rad + 0.5).abs() < 1e-15 && shots[0].facet == 0);
     }
 
-    /// 150 kHz and 100 revolutions a second: 1500 shots a revolution, whatever the lines.
+    /// 150 kHz and 100 revolutions per second: 1500 shots per revolution, independent of the lines.
     #[test]
     fn a_circular_scanner_turns_around_straight_down() {
         let shots: Vec<Shot> = (0..4).flat_map(|number| line(Mirror::Circular, number)).collect();
@@ -250,7 +255,7 @@ mod tests {
     #[test]
     fn time_goes_on_by_the_pulse_rate_and_pauses_between_lines() {
         let at = |line, index| scanner().shot(line, index);
-        // 6666.67 ns between pulses: the sample clock says whole nanoseconds.
+        // 6666.67 ns between pulses: the sample clock counts whole nanoseconds.
         assert_eq!(at(0, 1).clock_ps() - at(0, 0).clock_ps(), 6_666_000);
         assert_eq!(at(0, 3).clock_ps() - at(0, 0).clock_ps(), 20_000_000);
         let line_s = 1.5 * 1001.0 / 150_000.0;
@@ -258,8 +263,8 @@ mod tests {
         assert!(at(1, 0).clock_ps() > at(0, 1000).clock_ps());
     }
 
-    /// Independent places make intervals of triangular distribution, whose standard deviation is the half range over the
-    /// square root of six.
+    /// Independent offsets give intervals with a triangular distribution, whose SD is the half
+    /// range divided by the square root of six.
     #[test]
     fn the_modulation_bounds_the_interval_between_pulses() {
         let modulated = Scanner { modulation_ns: 17.0, pulse_rate_hz: 400_000.0, ..scanner() };

@@ -1,6 +1,6 @@
-//! What a pulse meets: ground, water, buildings, woods and wires.
+//! Targets of a pulse: ground, water, buildings, woods and wires.
 //!
-//! The scene is a function of the place alone, with no memory and no order: a spot looks the same from every line.
+//! The scene is a function of position only, without state, so a spot is the same in every line.
 
 mod building;
 mod canopy;
@@ -18,50 +18,50 @@ use texture::Texture;
 
 use super::world::GROUND_HEIGHT_M;
 
-/// Angle between the beam's axis and the place where its intensity has fallen to 1/e^2, radians.
+/// Half divergence: angle from the beam axis to the 1/e² intensity, rad.
 const HALF_DIVERGENCE_RAD: f64 = 0.25e-3;
-/// A hit with less than this share of the pulse is not there at all.
+/// Minimum fraction of the pulse for a hit.
 const LEAST_SHARE: f64 = 0.02;
-/// Where the building and the wood stand, as shares of the swath across and along the flight.
+/// Building and wood, as fractions of the swath across and along the flight.
 const BUILDING_AREA: Area = Area { x: [0.15, 0.30], y: [0.25, 0.75] };
 const CANOPY_AREA: Area = Area { x: [0.55, 0.95], y: [0.0, 1.0] };
 
 /// A rectangle of the map, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
-    /// From west to east.
+    /// West and east edge.
     pub x: [f64; 2],
-    /// From south to north.
+    /// South and north edge.
     pub y: [f64; 2],
 }
 
-/// What an echo comes from.
+/// Source of an echo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Class {
-    /// The ground.
+    /// Ground.
     Ground,
-    /// A building's roof.
+    /// Roof of a building.
     Roof,
-    /// A building's wall.
+    /// Wall of a building.
     Wall,
-    /// A layer of a wood.
+    /// Layer of leaves.
     Leaves,
-    /// A wire.
+    /// Wire.
     Wire,
-    /// Nothing: light or noise that looks like a pulse.
+    /// No target: light or noise that resembles a pulse.
     FalseAlarm,
 }
 
-/// A part of a pulse that comes back.
+/// The part of a pulse that a target reflects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// What it comes from.
+    /// Source of the echo.
     pub class: Class,
     /// Distance along the beam, m.
     pub range_m: f64,
-    /// Energy that comes back, over that from level ground of mean reflectance straight below the aircraft.
+    /// Returned energy, relative to level ground of mean reflectance at nadir.
     pub energy: f64,
-    /// Standard deviation of the distance within the beam, m.
+    /// SD of the distance within the beam, m.
     pub spread_m: f64,
 }
 
@@ -69,7 +69,7 @@ pub struct Hit {
 #[derive(Clone, Debug)]
 pub struct Scene {
     land: Land,
-    /// Range at which level ground gives energy 1, m.
+    /// Range at which level ground returns energy 1, m.
     reference_range_m: f64,
 }
 
@@ -79,7 +79,7 @@ enum Land {
     Country(Box<Country>),
 }
 
-/// Level ground with a long building and a long wood on it.
+/// Level ground with a long building and a long wood.
 #[derive(Clone, Debug)]
 struct Strips {
     ground: Surface,
@@ -91,25 +91,27 @@ struct Strips {
 #[derive(Clone, Copy, Debug)]
 struct Surface {
     class: Class,
-    /// Mean reflectance, over that of the ground.
+    /// Mean reflectance relative to the ground.
     reflectance: f64,
-    /// Standard deviation of its height within a footprint, m.
+    /// SD of its height within a footprint, m.
     roughness_m: f64,
     texture: Texture,
 }
 
-/// A beam on its way through the scene.
+/// A beam in the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beam {
-    /// Where it starts, m.
+    /// Origin, m.
     pub origin_m: [f64; 3],
-    /// Unit vector along it; it points down.
+    /// Unit vector along the beam; it points down.
     pub direction: [f64; 3],
 }
 
 impl Scene {
-    /// Level ground in the swath `area`, seen from `flying_height_m` above it, with one building and one wood along the
-    /// flight; a height of 0 leaves the one or the other out.
+    /// Level ground in the swath `area`, with one building and one wood along the flight.
+    ///
+    /// `flying_height_m` is the height above the ground. A height of 0 omits the building or the
+    /// wood.
     pub fn strips(
         seed: u64,
         area: Area,
@@ -129,13 +131,13 @@ impl Scene {
         Scene { land: Land::Strips(Box::new(strips)), reference_range_m: flying_height_m }
     }
 
-    /// Land without an end, seen from `flying_height_m` above its lowest ground.
+    /// Unbounded land, seen from `flying_height_m` above its lowest ground.
     pub fn country(seed: u64, flying_height_m: f64, settings: CountrySettings) -> Scene {
         let country = Country::new(seed, ground(seed), settings);
         Scene { land: Land::Country(Box::new(country)), reference_range_m: flying_height_m }
     }
 
-    /// What a beam meets, in order of range.
+    /// Finds the hits of a beam, sorted by range.
     pub fn hits(&self, beam: &Beam, hits: &mut Vec<Hit>) {
         hits.clear();
         match &self.land {
@@ -152,7 +154,7 @@ impl Strips {
         let ground_m = beam.range_to(GROUND_HEIGHT_M);
         let [x, ..] = beam.at(ground_m);
         if let Some((area, canopy)) = self.canopy.as_ref().filter(|(area, canopy)| {
-            // Most beams pass beside the wood all the way down from its highest place.
+            // Most beams miss the wood over the whole distance below its top.
             let [x_high, ..] = beam.at(beam.range_to(GROUND_HEIGHT_M + canopy.height_m()));
             x.max(x_high) >= area.x[0] && x.min(x_high) <= area.x[1]
         }) {
@@ -169,20 +171,22 @@ impl Strips {
     }
 }
 
-/// The ground's material.
+/// Material of the ground.
 fn ground(seed: u64) -> Surface {
     Surface { class: Class::Ground, reflectance: 1.0, roughness_m: 0.02, texture: Texture::new(seed, 1, 6.0) }
 }
 
 impl Surface {
-    /// The echo of the share `share` of a pulse that meets the surface at a range; `cosine` is that of the angle
-    /// between beam and normal. The footprint spreads the echo where it lies askew.
+    /// Echo of the fraction `share` of a pulse that reaches the surface at a range.
+    ///
+    /// `cosine` is that of the angle between beam and normal. An inclined footprint spreads the
+    /// echo.
     fn hit(&self, beam: &Beam, range_m: f64, cosine: f64, share: f64, reference_range_m: f64) -> Hit {
         let [x, y, z] = beam.at(range_m);
-        // Walls have a grain along their height.
+        // The texture of walls varies with height.
         let grain = 0.5 + self.texture.at(x + z, y);
         let distance = reference_range_m / range_m;
-        // The intensity's standard deviation is half the radius at 1/e^2.
+        // The intensity's SD is half the radius at 1/e².
         let footprint_sd_m = 0.5 * HALF_DIVERGENCE_RAD * range_m;
         let tangent2 = 1.0 / (cosine * cosine) - 1.0;
         let spread2 = self.roughness_m * self.roughness_m + footprint_sd_m * footprint_sd_m * tangent2;
@@ -196,30 +200,30 @@ impl Surface {
 }
 
 impl Beam {
-    /// The point at a range, m.
+    /// Point at a range, m.
     pub fn at(&self, range_m: f64) -> [f64; 3] {
         core::array::from_fn(|axis| self.origin_m[axis] + range_m * self.direction[axis])
     }
 
-    /// The range at which the beam reaches a height, m.
+    /// Range at which the beam reaches a height, m.
     fn range_to(&self, height_m: f64) -> f64 {
         (self.origin_m[2] - height_m) / self.cosine()
     }
 
-    /// Cosine of the angle from straight down.
+    /// Cosine of the angle from nadir.
     fn cosine(&self) -> f64 {
         -self.direction[2]
     }
 }
 
 impl Area {
-    /// The part of the area between two shares of its width and of its length.
+    /// Part of the area between two fractions of its width and its length.
     fn part(&self, shares: Area) -> Area {
         let part = |[from, to]: [f64; 2], shares: [f64; 2]| shares.map(|share| from + share * (to - from));
         Area { x: part(self.x, shares.x), y: part(self.y, shares.y) }
     }
 
-    /// How far a point lies inside the area, m; negative outside.
+    /// Distance of a point from the edge inside the area, m; negative outside.
     fn depth_m(&self, x: f64, y: f64) -> f64 {
         let inside = |[from, to]: [f64; 2], at: f64| (at - from).min(to - at);
         inside(self.x, x).min(inside(self.y, y))
@@ -254,7 +258,7 @@ mod tests {
             let [px, _, pz] = beam_to(x).at(hits[0].range_m);
             assert!((px - x).abs() < 1e-9 && (pz - GROUND_HEIGHT_M).abs() < 1e-9);
         }
-        // At 45 degrees the footprint's spread along the beam is that across it.
+        // At 45 degrees the footprint's spread along the beam equals that across it.
         let hit = hits(&scene, 600.0)[0];
         let footprint_sd = 0.125e-3 * hit.range_m;
         assert!((hit.spread_m.powi(2) - footprint_sd.powi(2) - 0.02f64.powi(2)).abs() < 1e-12);
@@ -275,7 +279,8 @@ mod tests {
     #[test]
     fn a_roof_stands_above_the_ground_and_throws_a_shadow() {
         let scene = Scene::strips(1, SWATH, 600.0, 8.0, 0.0);
-        // The building reaches from -250 to -100: a wall faces the aircraft, the other lies in shadow.
+        // The building extends from -250 to -100: one wall faces the aircraft, the other is in
+        // shadow.
         let height = |x: f64| beam_to(x).at(hits(&scene, x)[0].range_m)[2] - GROUND_HEIGHT_M;
         assert!((height(-180.0) - 8.0).abs() < 1e-9);
         assert!(height(-99.0).abs() < 1e-9);
@@ -283,14 +288,14 @@ mod tests {
         assert!((0.5..7.5).contains(&wall), "the wall is hit below its top: {wall}");
         let x = beam_to(-100.6).at(hits(&scene, -100.6)[0].range_m)[0];
         assert!((x + 100.0).abs() < 1e-9);
-        assert!((height(-252.0) - 8.0).abs() < 1e-9, "behind the far edge the roof throws a shadow");
+        assert!((height(-252.0) - 8.0).abs() < 1e-9, "the roof casts a shadow beyond its far edge");
         assert!(height(-255.0).abs() < 1e-9);
     }
 
     #[test]
     fn a_footprint_across_the_roofs_edge_comes_back_twice() {
         let scene = Scene::strips(1, SWATH, 600.0, 8.0, 0.0);
-        // The beam's axis passes the far edge of the roof (at x = -250) 2 cm outside it.
+        // The beam axis passes the far edge of the roof (at x = -250) at 2 cm outside.
         let at_ground = -250.02 * 600.0 / 592.0;
         let found = hits(&scene, at_ground);
         assert_eq!(found.len(), 2);

@@ -1,44 +1,48 @@
-//! What a perfect evaluation of the recorded waveforms would find.
+//! Ground truth: the result of a perfect evaluation of the recorded waveforms.
 
 use std::io::Write;
 
 use super::scene::Class;
 
-/// An echo that stands in a recorded block.
+/// A true echo in a recorded block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrueReturn {
-    /// Running number of the emission.
+    /// Number of the shot.
     pub shot: u64,
-    /// 1 for the first return of its emission.
+    /// 1 for the first return of its shot.
     pub return_number: u8,
-    /// How many returns the emission has.
+    /// Number of returns of the shot.
     pub number_of_returns: u8,
-    /// The emission's time after the shot's clock, ns.
+    /// Emission time after the shot's clock, ns.
     pub emission_ns: f64,
-    /// Time from the emission to the echo, ns.
+    /// Time from emission to echo, ns.
     pub time_of_flight_ns: f64,
     /// Distance along the beam, m.
     pub range_m: f64,
-    /// Height of the peak above the background as recorded, with the gain, DN; beyond the digitiser's limits where the echo is saturated.
+    /// Recorded peak amplitude above the background, DN.
+    ///
+    /// Includes the gain; exceeds the digitiser's limits if the echo is saturated.
     pub amplitude_dn: f64,
-    /// Full width at half maximum over that of a flat target's echo (of Gaussians with the response's width).
+    /// FWHM relative to that of a flat target's echo (of Gaussians with the response's width).
     pub width_ratio: f64,
-    /// Where the echo comes from, m: easting, northing and height in the map.
+    /// Position of the echo, m: easting, northing and height in the map.
     pub point_m: [f64; 3],
-    /// Emissions between that of the pulse and the block that the echo stands in. In a resolved recording it counts as if
-    /// the laser did not pause between lines; as recorded, it leads to the shot that the block stands with.
+    /// Emissions between that of the pulse and the block that contains the echo.
+    ///
+    /// In a resolved recording, counted as if the laser did not pause between lines. As recorded,
+    /// relative to the shot that the block is stored with.
     pub zone: i16,
-    /// The receiver for strong echoes recorded it, too.
+    /// Whether the high-power receiver recorded it as well.
     pub in_high_power: bool,
-    /// What the echo comes from.
+    /// Source of the echo.
     pub class: Class,
-    /// The height that its peak would have in a sensitive receiver without end, DN.
+    /// Peak amplitude in a sensitive receiver without limits, DN.
     pub linear_dn: f64,
     /// Gain of the receivers when it was recorded.
     pub gain: f64,
 }
 
-/// The columns of a table of truth.
+/// Columns of a table of ground truth.
 pub const COLUMNS: &str = "shot,return_number,number_of_returns,emission_ns,time_of_flight_ns,range_m,amplitude_dn,\
                            width_ratio,x,y,z,zone,channel,class,linear_dn";
 
@@ -46,11 +50,13 @@ pub const COLUMNS: &str = "shot,return_number,number_of_returns,emission_ns,time
 pub const GAIN_COLUMN: &str = ",gain";
 
 impl TrueReturn {
-    /// Adds a row of the table with these [`COLUMNS`] to `out`. Each number has as many digits as it takes to read the
-    /// same bits back. With [`GAIN_COLUMN`] where it is wanted.
+    /// Appends a row with these [`COLUMNS`] to `out`.
+    ///
+    /// Numbers have as many digits as needed to read back the same bits. `with_gain` adds
+    /// [`GAIN_COLUMN`].
     pub fn write(&self, out: &mut Vec<u8>, with_gain: bool) {
         let [x, y, z] = self.point_m;
-        // Writing to memory never fails.
+        // Writing to memory cannot fail.
         let _ = write!(out, "{},{},{},", self.shot, self.return_number, self.number_of_returns);
         let _ = write!(out, "{},{},{},", self.emission_ns, self.time_of_flight_ns, self.range_m);
         let _ = write!(out, "{},{},{x},{y},{z},", self.amplitude_dn, self.width_ratio);
@@ -63,7 +69,7 @@ impl TrueReturn {
     }
 }
 
-/// A class as the table says it.
+/// Name of a class in the table.
 fn name_of(class: Class) -> &'static str {
     match class {
         Class::Ground => "ground",

@@ -1,17 +1,18 @@
-//! Where on the earth the scene lies, and the trajectory of a flight over it.
+//! Position of the scene on the earth, and the trajectory of a flight over it.
 //!
-//! The scene is a Cartesian frame of its own: x to the right of the track, y along it, z up, metres, with the start of
-//! the flight at [`START_M`]. It can lie on the earth in two ways.
+//! The scene is a local Cartesian frame: x to the right of the track, y along it, z up, in metres,
+//! with the start of the flight at [`START_M`]. There are two ways to place it on the earth.
 //!
-//! * **Map**: the scene *is* the map. Turned by the heading about the start, its coordinates are easting and northing in
-//!   UTM zone 33 north and height above the ellipsoid. Beams are straight in the map, where the scale at the start is 1.
-//! * **Earth**: the scene is a Cartesian frame east, north, up that touches the ellipsoid of WGS 84 at the start's
-//!   geodetic place, turned by the heading about the vertical there. Everything else follows by closed formulas: the
-//!   trajectory is the body's place in geodetic coordinates and its attitude against the horizon of that place; a
-//!   point's map coordinates are those of the transverse Mercator projection, and its height is the ellipsoidal one.
-//!   The start can be put to any other place, and the map's zone is that of the start.
-//!   Level ground is the plane that touches the ellipsoid's horizon at the start: it rises with the square of the
-//!   distance, by 78 mm in 1 km.
+//! * **Map**: the scene *is* the map. Rotated by the heading about the start, its coordinates are
+//!   easting and northing in UTM zone 33 north, and height above the ellipsoid. Beams are straight
+//!   in the map, where the scale at the start is 1.
+//! * **Earth**: the scene is a Cartesian east-north-up frame tangent to the ellipsoid of WGS 84 at
+//!   the start's geodetic position, rotated by the heading about the vertical there. All else
+//!   follows from closed formulas. The trajectory is the body's geodetic position and its attitude
+//!   relative to the local horizon. Map coordinates of a point are those of the transverse Mercator
+//!   projection, and its height is ellipsoidal. The start can be moved to any other position, and
+//!   the UTM zone is that of the start. Level ground is the plane of the horizon at the start: it
+//!   rises above the ellipsoid with the square of the distance, by 78 mm at 1 km.
 
 use super::platform::Platform;
 use crate::geo::ellipsoid::Geodetic;
@@ -21,13 +22,14 @@ use crate::geo::frames::{
 };
 use crate::geo::transverse_mercator::{Parameters, TransverseMercator};
 
-/// The aircraft's first position, m: easting and northing in UTM zone 33 north, 180 km west of its meridian, where the
-/// map's scale is 1: a metre of the world is a metre of the map.
+/// Initial position of the aircraft, m: easting and northing in UTM zone 33 north.
+///
+/// It is 180 km west of the central meridian, where the map scale is 1.
 pub const START_M: [f64; 2] = [320_000.0, 5_300_000.0];
-/// The height of the level ground, m above the ellipsoid.
+/// Height of the level ground above the ellipsoid, m.
 pub const GROUND_HEIGHT_M: f64 = 400.0;
 
-/// The coordinate reference system of `START_M`: WGS 84 / UTM zone 33N (EPSG:32633) as WKT 1 (OGC 01-009).
+/// CRS of `START_M`: WGS 84 / UTM zone 33N (EPSG:32633) as WKT 1 (OGC 01-009).
 pub const CRS_WKT: &str = concat!(
     r#"PROJCS["WGS 84 / UTM zone 33N",GEOGCS["WGS 84",DATUM["WGS_1984","#,
     r#"SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG","6326"]],"#,
@@ -40,7 +42,7 @@ pub const CRS_WKT: &str = concat!(
     r#"AUTHORITY["EPSG","32633"]]"#,
 );
 
-/// The place of the scene on the earth.
+/// Position of the scene on the earth.
 #[derive(Clone, Debug)]
 pub struct World {
     heading_rad: f64,
@@ -50,26 +52,26 @@ pub struct World {
     map: TransverseMercator,
 }
 
-/// A place and an attitude, as a trajectory says them.
+/// Position and attitude in a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// The body's centre.
+    /// Centre of the body.
     pub place: Geodetic,
-    /// How the body is turned against the horizon of that place.
+    /// Attitude of the body relative to the local horizon.
     pub attitude: Attitude,
-    /// Velocity to north, east and down at that place, m/s.
+    /// Velocity north, east and down in the local frame, m/s.
     pub velocity_mps: [f64; 3],
 }
 
 impl World {
-    /// A scene whose track has this heading, radians, clockwise from north.
+    /// A scene whose track has this heading, rad, clockwise from north.
     pub fn new(heading_rad: f64) -> World {
         let map = TransverseMercator::new(WGS84, Parameters::utm(33, true));
         let (latitude_rad, longitude_rad) = map.unproject(START_M[0], START_M[1]);
         World::with(map, [longitude_rad, latitude_rad], heading_rad)
     }
 
-    /// The same with its start at a longitude and a latitude, rad, and the map of the UTM zone there.
+    /// A scene that starts at this longitude and latitude, rad, with the map of the UTM zone there.
     pub fn starting_at(start_rad: [f64; 2], heading_rad: f64) -> World {
         let [longitude_rad, latitude_rad] = start_rad;
         let zone = (longitude_rad.to_degrees() / 6.0).floor() + 31.0;
@@ -83,7 +85,7 @@ impl World {
         World { heading_rad, turn: [sine, cosine], frame: LocalFrame::at(WGS84, origin), map }
     }
 
-    /// A vector of the scene (right, along, up) as east, north, up.
+    /// Converts a vector of the scene (right, along, up) to east, north, up.
     pub fn turned(&self, [right, along, up]: [f64; 3]) -> [f64; 3] {
         if self.heading_rad == 0.0 {
             return [right, along, up];
@@ -92,7 +94,7 @@ impl World {
         [right * cosine + along * sine, along * cosine - right * sine, up]
     }
 
-    /// A point of the scene in the map, where the scene is the map.
+    /// Converts a point of the scene to the map, if the scene is the map.
     pub fn on_flat_map(&self, point_m: [f64; 3]) -> [f64; 3] {
         if self.heading_rad == 0.0 {
             return point_m;
@@ -101,7 +103,7 @@ impl World {
         [START_M[0] + east, START_M[1] + north, up]
     }
 
-    /// A point of the scene on the earth: easting, northing and ellipsoidal height.
+    /// Converts a point of the scene to easting, northing and ellipsoidal height.
     pub fn on_earth(&self, point_m: [f64; 3]) -> [f64; 3] {
         let place = self.geodetic_of(point_m);
         let (easting_m, northing_m) = self.map.project(place.latitude_rad, place.longitude_rad);
@@ -113,7 +115,7 @@ impl World {
         self.frame.geodetic_of(self.turned([x - START_M[0], y - START_M[1], up]))
     }
 
-    /// Where a platform is and how it is turned, on the earth.
+    /// Position and attitude of a platform on the earth.
     pub fn pose(&self, platform: &Platform, since_start_s: f64) -> Pose {
         let place = self.geodetic_of(platform.position_m(since_start_s));
         let ecef_from_ned_here = ecef_from_ned(place.latitude_rad, place.longitude_rad);
@@ -128,7 +130,7 @@ impl World {
         }
     }
 
-    /// From north, east, down at the start to the earth-centred frame.
+    /// Rotation from north, east, down at the start to the earth-centred frame.
     fn ecef_from_start(&self) -> Rotation {
         self.frame.ecef_from_local().map(|[east, north, up]| [north, east, -up])
     }
@@ -147,7 +149,7 @@ mod tests {
     fn the_start_is_where_the_map_says() {
         let world = World::new(0.0);
         let start = world.geodetic_of([START_M[0], START_M[1], 0.0]);
-        // Found by inverting the projection in 40 digits.
+        // Computed by inverting the projection with 40 digits.
         assert!((start.latitude_rad.to_degrees() - 47.828_142_448_644_364).abs() < 1e-13, "{start:?}");
         assert!((start.longitude_rad.to_degrees() - 12.594_893_857_932_11).abs() < 1e-13, "{start:?}");
         assert!(
@@ -165,7 +167,7 @@ mod tests {
         assert_eq!(World::new(0.0).on_flat_map(point), point);
     }
 
-    /// The chain that georeferencing goes, from the trajectory, leads to the truth within a nanometre's rounding.
+    /// The georeferencing chain from the trajectory reproduces the truth within rounding (1 nm).
     #[test]
     fn trajectory_and_truth_agree() {
         for heading_deg in [0.0f64, 35.0, -120.0, 180.0] {

@@ -1,4 +1,4 @@
-//! A stage's counters, and what it has to say.
+//! Counters and messages of a stage.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
@@ -9,10 +9,10 @@ use super::WholeFile;
 use crate::batch::Batch;
 use crate::overview::Gallery;
 
-/// What can be counted on its way through a stage.
+/// Items counted by stages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Item {
-    /// Emissions.
+    /// Shots.
     Shots,
     /// Sample blocks.
     Blocks,
@@ -21,10 +21,10 @@ pub enum Item {
 }
 
 impl Item {
-    /// All of them.
+    /// All item types.
     pub const ALL: [Item; 3] = [Item::Shots, Item::Blocks, Item::Returns];
 
-    /// As reports write it.
+    /// Name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Item::Shots => "shots",
@@ -33,7 +33,7 @@ impl Item {
         }
     }
 
-    /// How many a batch holds.
+    /// Number of such items in a scan line.
     pub fn count(self, batch: &Batch) -> u64 {
         match self {
             Item::Shots => batch.emissions.len() as u64,
@@ -43,60 +43,64 @@ impl Item {
     }
 }
 
-/// What a stage is given besides its lines.
+/// Interface of a stage to the run.
 #[derive(Debug, Default)]
 pub struct Context {
-    /// What the stage has counted so far.
+    /// Counters of the stage so far.
     pub(crate) counters: Counters,
-    /// Files that are whole and wait for the end of the run.
+    /// Finished files that get their final names at the end of the run.
     pub(crate) whole: Vec<WholeFile>,
-    /// The notes of all workers and inputs of the run, so that each is logged once.
+    /// Messages of all workers and inputs of the run, so that each is logged once.
     said: Arc<Mutex<BTreeSet<String>>>,
-    /// The shots to be shown, where the run is to have a page.
+    /// Shots to show on the report page, if there is one.
     pub(crate) gallery: Option<Gallery>,
 }
 
-/// What a stage has counted, measured and said.
+/// Counts, measurements and messages of a stage.
 #[derive(Debug, Default)]
 pub struct Counters {
-    /// Items dropped, by what they are and why.
+    /// Dropped items, by type and reason.
     pub rejected: BTreeMap<(Item, &'static str), u64>,
-    /// Quantities measured, by name.
+    /// Measured quantities, by name.
     pub observed: BTreeMap<&'static str, Distribution>,
-    /// Of these, what nothing is lost with.
+    /// Entries of `rejected` that lose no data.
     pub set_aside: BTreeSet<(Item, &'static str)>,
-    /// What the user should know, each thing once, in order.
+    /// Warnings in order, each once.
     pub notes: Vec<String>,
-    /// What came out, which is no reason to act, each thing once, in order.
+    /// Findings that need no action, in order, each once.
     pub findings: Vec<String>,
 }
 
 impl Context {
-    /// The context of another worker of the same run.
+    /// Context of another worker of the same run.
     pub(crate) fn another(&self) -> Context {
         let gallery = self.gallery.is_some().then(Gallery::default);
         Context { said: Arc::clone(&self.said), gallery, ..Context::default() }
     }
 
-    /// The context of one input of the same run, whose shots are shown or not.
+    /// Context of one input of the same run, with or without a gallery.
     pub(crate) fn of_input(&self, with_gallery: bool) -> Context {
         let gallery = with_gallery.then(Gallery::default);
         Context { said: Arc::clone(&self.said), gallery, ..Context::default() }
     }
 
-    /// Where shots are shown, if the run wants any.
+    /// Gallery of shots for the report page, if there is one.
     pub(crate) fn gallery(&mut self) -> Option<&mut Gallery> {
         self.gallery.as_mut()
     }
 
-    /// Drops `n` items for a reason. This and [`Context::set_aside`] are the only ways to drop anything.
+    /// Drops `n` items for a reason.
+    ///
+    /// This and [`Context::set_aside`] are the only ways to drop items.
     pub fn reject(&mut self, item: Item, reason: &'static str, n: u64) {
         if n > 0 {
             *self.counters.rejected.entry((item, reason)).or_default() += n;
         }
     }
 
-    /// Drops `n` items that nothing is lost with: they are counted as rejected, and are no reason for a warning.
+    /// Drops `n` items whose loss is expected.
+    ///
+    /// Counted as rejected, but no reason for a warning.
     pub fn set_aside(&mut self, item: Item, reason: &'static str, n: u64) {
         if n > 0 {
             self.counters.set_aside.insert((item, reason));
@@ -104,17 +108,19 @@ impl Context {
         self.reject(item, reason, n);
     }
 
-    /// Adds a value to the distribution `name`, whose unit is part of the name. Negative values count as 0.
+    /// Adds a value to the distribution `name`, whose unit is part of the name.
+    ///
+    /// Negative values count as 0.
     pub fn observe(&mut self, name: &'static str, value: f64) {
         self.counters.observed.entry(name).or_default().add(value);
     }
 
-    /// Adds a value that may be negative to the distribution `name`, as [`Context::observe`] does.
+    /// Adds a signed value to the distribution `name`; see [`Context::observe`].
     pub fn observe_signed(&mut self, name: &'static str, value: f64) {
         self.counters.observed.entry(name).or_default().add_signed(value);
     }
 
-    /// Tells the user something, once per run: it is logged and stands in the report.
+    /// Warns the user once per run: in the log and in the report.
     pub fn note(&mut self, text: impl AsRef<str> + Into<String>) {
         if self.counters.notes.iter().any(|said| said == text.as_ref()) {
             return;
@@ -126,7 +132,7 @@ impl Context {
         self.counters.notes.push(text);
     }
 
-    /// Tells the user what came out, as [`Context::note`] does, and not as a warning.
+    /// Reports a finding like [`Context::note`], but not as a warning.
     pub fn tell(&mut self, text: impl Into<String>) {
         let text = text.into();
         if self.counters.findings.contains(&text) {
@@ -138,24 +144,24 @@ impl Context {
         self.counters.findings.push(text);
     }
 
-    /// Whether no worker of the run has said this so far.
+    /// Returns whether no worker of the run has given this message before.
     fn is_new(&self, text: &str) -> bool {
         self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
     }
 
-    /// Keeps a file that is whole: it gets its final name when every stage has succeeded.
+    /// Keeps a finished file until every stage has succeeded; it then gets its final name.
     pub fn keep(&mut self, file: WholeFile) {
         self.whole.push(file);
     }
 
-    /// What has been counted so far.
+    /// Counters so far.
     pub fn counters(&self) -> &Counters {
         &self.counters
     }
 }
 
 impl Counters {
-    /// Adds what another worker of the same stage has counted.
+    /// Adds the counters of another worker of the same stage.
     pub fn merge(&mut self, other: Counters) {
         for (key, n) in other.rejected {
             *self.rejected.entry(key).or_default() += n;
@@ -168,13 +174,13 @@ impl Counters {
         add_new(&mut self.findings, other.findings);
     }
 
-    /// How many of `item` were dropped, whatever the reason.
+    /// Number of dropped items of a type, for all reasons.
     pub fn rejected_of(&self, item: Item) -> u64 {
         self.rejected.iter().filter(|((of, _), _)| *of == item).map(|(_, n)| n).sum()
     }
 }
 
-/// Adds the texts that are not among these.
+/// Adds the texts that are not yet in the list.
 fn add_new(texts: &mut Vec<String>, more: Vec<String>) {
     for text in more {
         if !texts.contains(&text) {
@@ -183,11 +189,11 @@ fn add_new(texts: &mut Vec<String>, more: Vec<String>) {
     }
 }
 
-/// The distribution of a quantity, to three significant digits, from a millionth up.
+/// Distribution of a quantity with three significant digits and a resolution of 1e-6.
 #[derive(Clone, Debug)]
 pub struct Distribution {
     millionths: Histogram<u64>,
-    /// The sizes of negative values.
+    /// Magnitudes of negative values.
     negative: Histogram<u64>,
 }
 
@@ -201,14 +207,14 @@ impl Default for Distribution {
 }
 
 impl Distribution {
-    /// Adds a value; negative and undefined ones count as 0.
+    /// Adds a value; negative and NaN values count as 0.
     pub fn add(&mut self, value: f64) {
-        // A float converts to the nearest integer in range: NaN and negatives become 0.
-        // The histogram grows by itself: only what it can never hold fails.
+        // The cast saturates: NaN and negative values become 0. Recording cannot fail, because the
+        // histogram resizes itself.
         let _ = self.millionths.record((value * 1e6).round() as u64);
     }
 
-    /// Adds a value that may be negative; undefined ones count as 0.
+    /// Adds a signed value; NaN counts as 0.
     pub fn add_signed(&mut self, value: f64) {
         if value < 0.0 {
             let _ = self.negative.record((-value * 1e6).round() as u64);
@@ -219,17 +225,17 @@ impl Distribution {
 
     /// Adds another distribution.
     pub fn merge(&mut self, other: &Distribution) {
-        // The histograms resize by themselves: an addition can only fail where that is switched off.
+        // Adding cannot fail, because the histograms resize themselves.
         let _ = self.millionths.add(&other.millionths);
         let _ = self.negative.add(&other.negative);
     }
 
-    /// How many values were added.
+    /// Number of values.
     pub fn count(&self) -> u64 {
         self.millionths.len() + self.negative.len()
     }
 
-    /// Their mean.
+    /// Mean.
     pub fn mean(&self) -> f64 {
         let sum = |of: &Histogram<u64>| of.mean() * of.len() as f64;
         match self.negative.len() {
@@ -238,14 +244,15 @@ impl Distribution {
         }
     }
 
-    /// The value below which `percent` of them lie.
+    /// Percentile: the value below which `percent` of the values lie.
     pub fn percentile(&self, percent: f64) -> f64 {
         let (below, above) = (self.negative.len() as f64, self.millionths.len() as f64);
         let rank = percent / 100.0 * (below + above);
         if below == 0.0 {
             shortest(&self.millionths, self.millionths.value_at_percentile(percent))
         } else if rank <= below {
-            // The same place counted from the other end: sizes of negative values fall as the values rise.
+            // Same rank counted from the other end: magnitudes of negative values fall as the
+            // values rise.
             let from_zero = below - rank.ceil().max(1.0) + 0.5;
             -shortest(&self.negative, self.negative.value_at_percentile(100.0 * from_zero / below))
         } else {
@@ -253,7 +260,7 @@ impl Distribution {
         }
     }
 
-    /// The largest.
+    /// Maximum.
     pub fn max(&self) -> f64 {
         match self.millionths.len() {
             0 if !self.negative.is_empty() => -shortest(&self.negative, self.negative.min()),
@@ -262,7 +269,7 @@ impl Distribution {
     }
 }
 
-/// The number of fewest digits among those that a histogram counts together with this one: whole numbers stay whole.
+/// Number with the fewest digits in the same histogram bin, so that whole numbers stay whole.
 fn shortest(histogram: &Histogram<u64>, millionths: u64) -> f64 {
     let (lowest, highest) =
         (histogram.lowest_equivalent(millionths), histogram.highest_equivalent(millionths));
@@ -284,7 +291,7 @@ mod tests {
         cx.reject(Item::Returns, "outside", 0);
         assert_eq!(cx.counters.rejected[&(Item::Shots, "truncated")], 3);
         assert_eq!(cx.counters.rejected_of(Item::Shots), 7);
-        assert_eq!(cx.counters.rejected.len(), 2, "nothing rejected leaves no trace");
+        assert_eq!(cx.counters.rejected.len(), 2, "a rejection of 0 items is not recorded");
     }
 
     #[test]

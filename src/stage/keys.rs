@@ -1,5 +1,6 @@
-//! The keys of a table of a job, as their types and doc comments tell them: errors, the schema and the manual all
-//! read them here.
+//! Keys of a job table, derived from types and doc comments.
+//!
+//! Error messages, schema and manual use them.
 
 use schemars::generate::SchemaSettings;
 use schemars::transform::transform_subschemas;
@@ -18,16 +19,16 @@ pub struct Keys {
 /// One key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Key<'k> {
-    /// As a job writes it.
+    /// Name in a job.
     pub name: &'k str,
-    /// Whether a job must give it.
+    /// Whether a job must set it.
     pub required: bool,
-    /// What its values may be: a JSON Schema (draft 2020-12) without references and without `null`.
+    /// Accepted values: a JSON Schema (draft 2020-12) without references and `null`.
     pub schema: &'k Value,
 }
 
 impl Keys {
-    /// The keys of the type whose schema this function makes.
+    /// Keys of the type whose schema this function generates.
     pub fn of(schema: fn(&mut SchemaGenerator) -> Schema) -> Keys {
         let settings = SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
         let mut schema = schema(&mut settings.into_generator());
@@ -35,22 +36,22 @@ impl Keys {
         Keys { schema: schema.to_value() }
     }
 
-    /// All of them as one JSON Schema, without references and without `null`.
+    /// JSON Schema of all keys, without references and `null`.
     pub fn schema(&self) -> &Value {
         &self.schema
     }
 
-    /// The doc comment of the whole: its page in the manual.
+    /// Doc comment of the type: its section of the manual.
     pub fn doc(&self) -> &str {
         text(&self.schema, "description")
     }
 
-    /// The keys in the order of their fields.
+    /// Keys in the order of their fields.
     pub fn iter(&self) -> impl Iterator<Item = Key<'_>> {
         keys_in(&self.schema)
     }
 
-    /// The key of this name; `table.key` means a key of a table among them.
+    /// Returns a key by name; `table.key` is a key of a nested table.
     pub fn get(&self, name: &str) -> Option<Key<'_>> {
         let mut path = name.split('.');
         let first = path.next()?;
@@ -59,7 +60,7 @@ impl Keys {
     }
 }
 
-/// The keys of a table that a schema describes.
+/// Keys of the table that a schema describes.
 fn keys_in(table: &Value) -> impl Iterator<Item = Key<'_>> {
     let properties = table.get("properties").and_then(Value::as_object);
     properties.into_iter().flatten().map(|(name, schema)| Key {
@@ -70,66 +71,69 @@ fn keys_in(table: &Value) -> impl Iterator<Item = Key<'_>> {
 }
 
 impl<'k> Key<'k> {
-    /// The keys of the table that it takes; none where it takes something else.
+    /// Keys of the table that this key accepts; none for other types.
     pub fn inner(&self) -> impl Iterator<Item = Key<'k>> + use<'k> {
         keys_in(self.schema)
     }
 
-    /// What it does: its doc comment.
+    /// Documentation of the key: its doc comment.
     pub fn meaning(&self) -> &'k str {
         text(self.schema, "description")
     }
 
-    /// What counts when a job does not give it; `None` where there is nothing in its place.
+    /// Default; `None` if an omitted key has no value.
     pub fn default(&self) -> Option<&'k Value> {
         self.schema.get("default")
     }
 
-    /// What may be given, in words: `a number, at least 0.5`.
+    /// Description of accepted values: `a number, at least 0.5`.
     pub fn takes(&self) -> String {
         words::takes(self.schema)
     }
 
-    /// Which file a text that it takes names, where its declaration says so.
+    /// File that the key's text names, if declared.
     pub fn file_mark(&self) -> Option<FileMark> {
         FileMark::deserialize(self.schema.get(FILE_MARK)?).ok()
     }
 
-    /// The unit that its name ends in.
+    /// Unit given by the suffix of the name.
     pub fn unit(&self) -> Option<&'static str> {
         UNITS.iter().find(|(suffix, _)| self.name.ends_with(suffix)).map(|(_, unit)| *unit)
     }
 }
 
-/// The keyword of a key's schema that says which file a text names: `#[schemars(extend("x-file" = "input"))]`. Keys of stages
-/// have none: their [`Config`](super::Config) tells files.
+/// Schema keyword that declares which file a text names.
+///
+/// Usage: `#[schemars(extend("x-file" = "input"))]`. Keys of stages do not need it, because their
+/// [`Config`](super::Config) lists the files.
 const FILE_MARK: &str = "x-file";
 
-/// Which file the text of a key of `[job]` names.
+/// File that the text of a key of `[job]` names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FileMark {
-    /// One that is read, below the folder of inputs; `*` is the input's stem.
+    /// An input file, relative to the input folder; `*` is replaced by the stem of the input.
     Input,
-    /// The same where there is such a file; the name of something else otherwise.
+    /// Like `Input` if such a file exists; otherwise another name.
     InputOrName,
-    /// A geoid by its name, in the folder of geoids.
+    /// A geoid by name, in the geoid folder.
     Geoid,
-    /// The folder of geoids, below that of inputs.
+    /// The geoid folder, relative to the input folder.
     GeoidFolder,
-    /// The folder of inputs.
+    /// The input folder.
     InputFolder,
-    /// One that is written, below the folder of outputs; `*` is the input's stem; none where the text is empty.
+    /// An output file, relative to the output folder; `*` is replaced by the stem of the input;
+    /// empty: none.
     Output,
-    /// The folder of outputs.
+    /// The output folder.
     OutputFolder,
-    /// A text of the job itself, which `Job` has read.
+    /// An included part of the job, which `Job` has parsed.
     Include,
-    /// None.
+    /// No file.
     None,
 }
 
-/// The ends of names that carry a unit; of two that fit, the longer stands first.
+/// Suffixes of names with their units; longer suffixes come first.
 const UNITS: &[(&str, &str)] = &[
     ("_db_per_km", "dB/km"),
     ("_samples", "samples"),
@@ -149,17 +153,17 @@ const UNITS: &[(&str, &str)] = &[
     ("_s", "s"),
 ];
 
-/// The keys that a schema demands.
+/// Required keys of a schema.
 fn required(schema: &Value) -> impl Iterator<Item = &str> {
     schema.get("required").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str)
 }
 
-/// A text in a schema; empty where it has none.
+/// Text of a schema keyword; empty if missing.
 fn text<'v>(schema: &'v Value, keyword: &str) -> &'v str {
     schema.get(keyword).and_then(Value::as_str).unwrap_or_default()
 }
 
-/// Takes out what is of no use in a job: Rust's names of number formats, and `null`, which TOML does not have.
+/// Removes schema parts that do not apply to jobs: Rust number formats and `null`.
 fn tidy(schema: &mut Schema) {
     transform_subschemas(&mut tidy, schema);
     take(schema, "format");
@@ -179,7 +183,7 @@ fn tidy(schema: &mut Schema) {
             let only = only.clone();
             take(schema, "anyOf");
             for (keyword, value) in only {
-                // What stands at the key itself wins: its description and its default.
+                // Keywords of the key itself take precedence: its description and its default.
                 if schema.get(&keyword).is_none() {
                     schema.insert(keyword, value);
                 }
@@ -194,14 +198,14 @@ fn tidy(schema: &mut Schema) {
     }
 }
 
-/// Takes a keyword out and leaves the others in their order.
+/// Removes a keyword and keeps the order of the others.
 fn take(schema: &mut Schema, keyword: &str) {
     if let Some(keywords) = schema.as_object_mut() {
         keywords.shift_remove(keyword);
     }
 }
 
-/// Takes out the members of tables that are not set.
+/// Removes null members from tables, recursively.
 fn without_null(value: &mut Value) {
     match value {
         Value::Object(members) => {
@@ -257,7 +261,7 @@ mod tests {
         assert_eq!(window.meaning(), "How long.");
         assert_eq!(window.unit(), Some("ns"));
         assert_eq!(window.takes(), "a number, at least 0.5");
-        assert_eq!(window.default(), None, "nothing stands in its place");
+        assert_eq!(window.default(), None, "no default");
         assert_eq!(keys.get("path").unwrap().unit(), None);
         assert_eq!(keys.schema()["additionalProperties"], json!(false));
     }
@@ -288,7 +292,7 @@ mod tests {
         }
         let keys = Keys::of(Outer::json_schema);
         assert_eq!(keys.get("inner.length_m").unwrap().meaning(), "How long.");
-        assert_eq!(keys.get("inner").unwrap().default(), None, "an empty table is none");
+        assert_eq!(keys.get("inner").unwrap().default(), None, "an empty table is no default");
         assert_eq!((keys.get("inner.width_m"), keys.get("length_m")), (None, None));
     }
 

@@ -1,4 +1,4 @@
-//! Files that appear under their final name only when they are whole.
+//! Output files that get their final name only when complete.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -8,22 +8,22 @@ use std::sync::{Mutex, MutexGuard};
 
 use crate::formats::{Error, Result};
 
-/// A file being written beside its final name. Dropped before [`OutputFile::finish`], it is removed.
+/// A file being written under a temporary name; removed if dropped before [`OutputFile::finish`].
 #[derive(Debug)]
 pub struct OutputFile {
     writer: BufWriter<File>,
     partial: Partial,
 }
 
-/// A file that is complete and waits for its final name. Dropped before [`WholeFile::publish`], it is removed.
+/// A complete file under a temporary name; removed if dropped before [`WholeFile::publish`].
 #[derive(Debug)]
 pub struct WholeFile {
     partial: Partial,
-    /// Files that must be gone before this one has its final name.
+    /// Files to remove before this one gets its final name.
     stale: Vec<PathBuf>,
 }
 
-/// A file under a temporary name, removed when dropped unless it was renamed.
+/// A file under a temporary name; removed when dropped unless renamed.
 #[derive(Debug)]
 struct Partial {
     temporary: PathBuf,
@@ -31,39 +31,40 @@ struct Partial {
     renamed: bool,
 }
 
-/// The temporary files of this process, for an end without time for anything else.
+/// Temporary files of this process, for an immediate exit.
 static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
-    // Each change is one insertion or removal: a panic elsewhere cannot leave the set half done.
+    // Each change is one insertion or removal, so a panic elsewhere cannot leave the set
+    // inconsistent.
     UNFINISHED.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// Removes every file that has no final name yet: for a process that ends at once.
+/// Removes all temporary files of this process before an immediate exit.
 pub fn remove_unfinished_files() {
     for path in unfinished().iter() {
-        // As where one is dropped.
+        // Errors are ignored, as on drop.
         let _ = fs::remove_file(path);
     }
 }
 
-/// Where a process writes what is to become `path`: beside it.
+/// Temporary path of an output, in the same folder.
 pub(crate) fn partial_path(path: &Path, process: u32) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     path.with_file_name(format!(".{name}.{process}.partial"))
 }
 
 impl OutputFile {
-    /// Begins the file that is to become `path`; its folder is made where it is missing.
+    /// Creates the temporary file of an output; creates its folder if missing.
     pub fn create(path: &Path) -> Result<OutputFile> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        fs::create_dir_all(folder).map_err(Error::io(folder, "make the folder"))?;
+        fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
         if path.file_name().is_none() {
-            return Err(Error::unusable(path, "no file name", "give the output a name, as in `out/*.laz`"));
+            return Err(Error::unusable(path, "no file name", "give the output a name such as `out/*.laz`"));
         }
         if path.is_dir() {
-            let remedy = "choose another name, or remove the folder";
-            return Err(Error::unusable(path, "a folder has the name of this output", remedy));
+            let remedy = "choose another name or remove the folder";
+            return Err(Error::unusable(path, "a folder with the name of this output exists", remedy));
         }
         let temporary = partial_path(path, std::process::id());
         let file = File::create(&temporary).map_err(Error::io(path, "create"))?;
@@ -71,12 +72,12 @@ impl OutputFile {
         Ok(OutputFile { writer: BufWriter::with_capacity(1 << 18, file), partial })
     }
 
-    /// The final name.
+    /// Final path.
     pub fn path(&self) -> &Path {
         &self.partial.path
     }
 
-    /// Writes what is buffered down to the disk: from here on the file is whole.
+    /// Flushes and syncs the file to disk; it is then complete.
     pub fn finish(self) -> Result<WholeFile> {
         let path = self.partial.path.clone();
         let file = self.writer.into_inner().map_err(|e| Error::io(&path, "write")(e.into_error()))?;
@@ -102,33 +103,36 @@ impl Seek for OutputFile {
 }
 
 impl WholeFile {
-    /// The final name.
+    /// Final path.
     pub fn path(&self) -> &Path {
         &self.partial.path
     }
 
-    /// Opens the file for reading under the name that it has now.
+    /// Opens the file for reading under its current name.
     pub fn open(&self) -> io::Result<File> {
         File::open(&self.partial.temporary)
     }
 
-    /// Names files that belong to what stood there before, such as its index: they are removed first, so that no moment
-    /// shows them beside this one.
+    /// Names companion files of the earlier output, such as its index.
+    ///
+    /// They are removed before this file gets its final name, so they never appear next to it.
     pub fn instead_of(self, stale: impl IntoIterator<Item = PathBuf>) -> WholeFile {
         WholeFile { stale: stale.into_iter().collect(), ..self }
     }
 
-    /// Removes these files, where there are any; [`WholeFile::publish`] does so, too. Where several files get their names
-    /// together, all make way first: what one removes, another may bring anew.
+    /// Removes the stale companion files; [`WholeFile::publish`] does this as well.
+    ///
+    /// If several files are published together, call this for all of them first: a file removed for
+    /// one may be an output of another.
     ///
     /// # Errors
-    /// The system refuses.
+    /// If the system refuses.
     pub fn make_way(&mut self) -> Result<()> {
         for path in std::mem::take(&mut self.stale) {
             match fs::remove_file(&path) {
-                // No program takes a folder for what belongs to a file.
+                // A folder of this name is not a companion file.
                 Err(error) if error.kind() != ErrorKind::NotFound && !path.is_dir() => {
-                    return Err(Error::io(&path, "remove what belongs to the earlier output")(error));
+                    return Err(Error::io(&path, "remove a companion file of the earlier output")(error));
                 }
                 _ => {}
             }
@@ -136,15 +140,15 @@ impl WholeFile {
         Ok(())
     }
 
-    /// Gives the file its final name, in place of what stood there before.
+    /// Gives the file its final name; replaces an earlier file.
     ///
     /// # Errors
-    /// The system refuses.
+    /// If the system refuses.
     pub fn publish(mut self) -> Result<PathBuf> {
         self.make_way()?;
         let partial = &mut self.partial;
         fs::rename(&partial.temporary, &partial.path)
-            .map_err(Error::io(&partial.path, "give the final name to"))?;
+            .map_err(Error::io(&partial.path, "rename to the final name"))?;
         partial.renamed = true;
         Ok(partial.path.clone())
     }
@@ -161,7 +165,7 @@ impl Drop for Partial {
     fn drop(&mut self) {
         unfinished().remove(&self.temporary);
         if !self.renamed {
-            // Nothing can be done about a temporary file that resists: its name says what it is.
+            // A temporary file that cannot be removed is recognisable by its name.
             let _ = fs::remove_file(&self.temporary);
         }
     }
@@ -213,10 +217,12 @@ mod tests {
             whole.instead_of([index.clone(), folder.path().join("never.lax"), folder.path().to_path_buf()])
         };
         fs::write(&index, b"old").unwrap();
-        // A new name that cannot be given shows what was done before it.
+        // A failing rename shows what was done before it.
         let begun = whole();
         fs::create_dir_all(path.join("in the way")).unwrap();
-        assert!(begun.publish().unwrap_err().to_string().contains("a.laz: cannot give the final name to: "));
+        assert!(
+            begun.publish().unwrap_err().to_string().contains("a.laz: cannot rename to the final name: ")
+        );
         assert_eq!(names(folder.path()), ["a.laz"]);
         fs::remove_dir_all(&path).unwrap();
 
@@ -235,7 +241,8 @@ mod tests {
         let path = folder.path().join("points.laz");
         fs::create_dir(&path).unwrap();
         let error = OutputFile::create(&path).unwrap_err().to_string();
-        let expected = "a folder has the name of this output; choose another name, or remove the folder";
+        let expected =
+            "a folder with the name of this output exists; choose another name or remove the folder";
         assert_eq!(error, format!("{}: {expected}", path.display()));
         assert_eq!(names(folder.path()), ["points.laz"]);
     }
@@ -246,6 +253,6 @@ mod tests {
         let blocker = folder.path().join("file");
         fs::write(&blocker, b"").unwrap();
         let error = OutputFile::create(&blocker.join("out.laz")).unwrap_err().to_string();
-        assert!(error.contains("cannot make the folder"), "{error}");
+        assert!(error.contains("cannot create the folder"), "{error}");
     }
 }

@@ -1,8 +1,9 @@
-//! One run at a time for the same outputs: what a run writes, it claims first.
+//! Prevents two runs from writing the same outputs.
 //!
-//! A claim is a small file in the folder of the outputs that tells them, and that the system keeps locked for the run as long
-//! as it lives, however it ends. Whoever comes next finds out by the lock alone whether that run still lives: its claim is then
-//! respected, and swept away with its unfinished files otherwise.
+//! A claim is a small file in the output folder that lists the outputs of a run. The system keeps
+//! it locked while the run's process lives, however the process ends. The lock alone tells a later
+//! run whether the process still lives: if so, its claim is respected; otherwise the claim and the
+//! unfinished files are removed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -14,39 +15,40 @@ use super::output_file::partial_path;
 use super::{Result, StageError};
 use crate::formats::Error;
 
-/// What the names of claims begin and end with; between them stand the number of the process and that of its claim.
+/// Prefix and suffix of claim names; the process id and the claim number are in between.
 const CLAIM: (&str, &str) = (".wavex-", ".run");
-/// Whoever reads or changes the claims of a folder holds this file meanwhile.
+/// File that a process locks while it reads or changes the claims of a folder.
 const GATE: &str = ".wavex.lock";
-/// So often is the gate sought where others give it up at that moment.
+/// Maximum number of attempts to lock the gate while others give it up.
 const MOST_ATTEMPTS: u32 = 10_000;
-/// A list of outputs is never longer, bytes.
+/// Maximum size of a list of outputs, bytes.
 const MOST_BYTES: u64 = 1 << 26;
 
-/// Outputs by the folder in which they are claimed, which they all lie below.
+/// Outputs by the folder in which they are claimed; all are below that folder.
 pub type Outputs = BTreeMap<PathBuf, BTreeSet<PathBuf>>;
 
-/// Keeps other runs from writing the same files for as long as it lives.
+/// Prevents other runs from writing the same files until dropped.
 #[derive(Debug, Default)]
 pub struct OutputLock(Vec<Claim>);
 
-/// The claim of a run on outputs below a folder.
+/// Claim of a run on outputs below a folder.
 #[derive(Debug)]
 struct Claim {
     path: PathBuf,
-    /// Locked while it is open.
+    /// Locked while open.
     file: Option<File>,
 }
 
-/// The claims of this process, for an end without time for anything else.
+/// Claims of this process, for an immediate exit.
 static CLAIMED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 fn claimed() -> MutexGuard<'static, BTreeSet<PathBuf>> {
-    // Each change is one insertion or removal: a panic elsewhere cannot leave the set half done.
+    // Each change is one insertion or removal, so a panic elsewhere cannot leave the set
+    // inconsistent.
     CLAIMED.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// Gives up what this process claims: where it ends at once.
+/// Releases all claims of this process before an immediate exit.
 pub fn give_up_claims() {
     let paths = claimed().clone();
     for path in &paths {
@@ -54,9 +56,9 @@ pub fn give_up_claims() {
     }
 }
 
-/// Removes a claim, and the gate with the last one.
+/// Removes a claim, and the gate with the last claim.
 fn give_up(claim: &Path) {
-    // Without the gate the file is as good as gone all the same: its lock ends with the process.
+    // Without the gate the file can still be removed: its lock ends with the process.
     let gate = Gate::enter(claim.parent().unwrap_or(Path::new(".")));
     remove(claim);
     if let Ok(gate) = gate {
@@ -65,21 +67,22 @@ fn give_up(claim: &Path) {
 }
 
 impl OutputLock {
-    /// Claims outputs, and sweeps up what runs have left that were killed. Folders are made where they are missing. On a
-    /// file system that knows no locks nothing is claimed, and the log says so.
+    /// Claims outputs and removes remains of killed runs.
+    ///
+    /// Creates missing folders. On a file system without locks, logs a warning and claims nothing.
     ///
     /// # Errors
-    /// Another run is writing one of them, or a folder cannot be written to.
+    /// If another run is writing one of the outputs, or a folder is not writable.
     pub fn take(outputs: &Outputs) -> Result<OutputLock> {
         let mut lock = OutputLock::default();
         for (folder, paths) in outputs {
-            fs::create_dir_all(folder).map_err(Error::io(folder, "make the folder"))?;
+            fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
             match claim(folder, paths) {
                 Ok(claim) => lock.0.push(claim),
                 Err(StageError::Format(Error::Io { source, .. })) if is_unsupported(&source) => {
                     let folder = folder.display();
                     tracing::warn!(
-                        "{folder}: locks are not known here: nothing keeps two runs from writing the same files"
+                        "{folder}: this file system has no locks: two runs may write the same files"
                     );
                 }
                 Err(error) => return Err(error),
@@ -94,10 +97,12 @@ fn is_unsupported(error: &io::Error) -> bool {
 }
 
 fn claim(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
-    let gate = Gate::enter(folder).map_err(Error::io(folder, "lock the folder of the outputs"))?;
+    let gate = Gate::enter(folder).map_err(Error::io(folder, "lock the output folder"))?;
     let wanted = paths.iter().map(|path| below(folder, path)).collect();
     for claim in claims(folder) {
-        if let Some(other) = Other::look(&claim).map_err(Error::io(&claim, "read what another run claims"))? {
+        if let Some(other) =
+            Other::look(&claim).map_err(Error::io(&claim, "read the claim of another run"))?
+        {
             other.check(folder, &wanted)?;
         }
     }
@@ -106,30 +111,30 @@ fn claim(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
     Ok(made)
 }
 
-/// A path from a folder that it lies below.
+/// Path relative to a folder that contains it.
 fn below(folder: &Path, path: &Path) -> String {
     path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned()
 }
 
-/// The claims in a folder.
+/// Claims in a folder.
 fn claims(folder: &Path) -> Vec<PathBuf> {
     let is_claim = |path: &PathBuf| {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         name.starts_with(CLAIM.0) && name.ends_with(CLAIM.1)
     };
-    // A folder that cannot be listed has no claims that one could read.
+    // A folder that cannot be listed has no readable claims.
     let entries = folder.read_dir().into_iter().flatten().flatten();
     entries.map(|entry| entry.path()).filter(is_claim).collect()
 }
 
-/// The process that a claim's name tells.
+/// Process id in a claim's name.
 fn process_of(claim: &Path) -> u32 {
     let name = claim.file_name().unwrap_or_default().to_string_lossy();
     let numbers = name.strip_prefix(CLAIM.0).unwrap_or_default();
     numbers.split('-').next().and_then(|number| number.parse().ok()).unwrap_or(0)
 }
 
-/// Makes a claim of this process and locks it.
+/// Creates and locks a claim of this process.
 fn make(folder: &Path, wanted: &BTreeSet<String>) -> io::Result<Claim> {
     let list = serde_json::to_vec(wanted)?;
     let mut number = 0;
@@ -148,15 +153,15 @@ fn make(folder: &Path, wanted: &BTreeSet<String>) -> io::Result<Claim> {
     }
 }
 
-/// The claim of a run that lives.
+/// Claim of a live run.
 struct Other {
     process: u32,
-    /// What it writes; `None` where the system lets nobody else read a locked file.
+    /// Its outputs; `None` if the system does not permit reading a locked file.
     outputs: Option<BTreeSet<String>>,
 }
 
 impl Other {
-    /// Looks at a claim; `None`: its run is dead, and all that it left is swept away.
+    /// Inspects a claim; `None` if its run is dead, after removing its remains.
     fn look(claim: &Path) -> io::Result<Option<Other>> {
         let mut file = match OpenOptions::new().read(true).write(true).open(claim) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -182,8 +187,10 @@ impl Other {
         Ok(None)
     }
 
+    /// Checks for overlap with these files below a folder.
+    ///
     /// # Errors
-    /// It writes one of these files below a folder.
+    /// If the other run writes one of them.
     fn check(&self, folder: &Path, wanted: &BTreeSet<String>) -> Result<()> {
         let meets = match &self.outputs {
             Some(outputs) => outputs.intersection(wanted).next(),
@@ -197,13 +204,13 @@ impl Other {
                     folder.join(output).display(),
                     self.process
                 ),
-                "wait for its end, or choose another folder with `output_dir`",
+                "wait until it ends, or choose another folder with `output_dir`",
             )),
         }
     }
 }
 
-/// Removes a file or a folder of a dead run. What resists is in nobody's way.
+/// Removes a file or folder of a dead run; ignores errors, because remains do no harm.
 fn remove(path: &Path) {
     let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
 }
@@ -216,7 +223,7 @@ impl Drop for Claim {
     }
 }
 
-/// Lets one run at a time look at the claims of a folder and change them.
+/// Serialises access to the claims of a folder.
 struct Gate {
     file: File,
     folder: PathBuf,
@@ -231,8 +238,8 @@ impl Gate {
             if file.metadata()?.len() == 0 {
                 return Ok(Gate { file, folder: folder.to_owned() });
             }
-            // It was given up by the one who held it: the gate is another file by now, or that one was killed before it
-            // could remove this. A mark of one's own tells which.
+            // Its holder gave it up. Either the gate is a new file by now, or the holder was killed
+            // before it could remove this one. A mark written to this file shows which.
             let mark = format!("{}-{attempt}\n", std::process::id());
             file.write_all(mark.as_bytes())?;
             if fs::read_to_string(&path).is_ok_and(|found| found.ends_with(&mark)) {
@@ -242,7 +249,7 @@ impl Gate {
         Err(io::Error::other(format!("remove the file {GATE} in it")))
     }
 
-    /// Leaves, and takes the gate away where there is nothing left to be looked at.
+    /// Leaves the gate and removes it if no claims remain.
     fn leave(mut self) {
         if claims(&self.folder).is_empty() && self.file.write_all(b"given up\n").is_ok() {
             remove(&self.folder.join(GATE));
@@ -273,7 +280,7 @@ mod tests {
         let first = OutputLock::take(&outputs(folder, &["a.laz", "lines/a.txt"])).unwrap();
         let error = OutputLock::take(&outputs(folder, &["b.laz", "lines/a.txt"])).unwrap_err().to_string();
         let expected = format!(
-            "{} is being written by another run (process {}); wait for its end, or choose another folder with `output_dir`",
+            "{} is being written by another run (process {}); wait until it ends, or choose another folder with `output_dir`",
             folder.join("lines/a.txt").display(),
             std::process::id()
         );
@@ -282,14 +289,14 @@ mod tests {
         drop(first);
         let again = OutputLock::take(&outputs(folder, &["a.laz"])).unwrap();
         drop((other, again));
-        assert_eq!(names(folder), Vec::<String>::new(), "nothing is left");
+        assert_eq!(names(folder), Vec::<String>::new(), "no files remain");
     }
 
     #[test]
     fn what_a_dead_run_left_is_swept_away() {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
-        // A claim that nobody holds, of a process with an unfinished file and an unfinished archive.
+        // A claim without a lock, of a process with an unfinished file and an unfinished archive.
         fs::write(folder.join(".wavex-77-0.run"), r#"["a.laz","archive"]"#).unwrap();
         fs::write(folder.join(".a.laz.77.partial"), "half").unwrap();
         fs::create_dir(folder.join(".archive.77.partial")).unwrap();
@@ -330,7 +337,7 @@ mod tests {
             let threads: Vec<_> = (0..4).map(|_| scope.spawn(take)).collect();
             threads.into_iter().map(|thread| thread.join().unwrap()).sum()
         });
-        assert!(won >= 1, "whoever comes first gets it");
+        assert!(won >= 1, "the first one gets the lock");
         assert_eq!(names(folder), Vec::<String>::new());
     }
 }

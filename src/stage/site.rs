@@ -1,4 +1,4 @@
-//! Where a run takes place: which input, which folders, how many threads.
+//! Context of one run: input, folders, threads, geometry.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,27 +10,30 @@ use super::{OutputFile, Result};
 use crate::geometry::Geometry;
 use crate::kernels::lockstep;
 
-/// What a stage knows of the run that it is made for.
+/// Per-run context of a stage.
 #[derive(Clone, Debug)]
 pub struct Site {
-    /// The input of this run: a file, or `-` for standard input; empty where the source makes its own data.
+    /// Input of this run: a file, or `-` for standard input; empty if the source generates its
+    /// data.
     pub input: PathBuf,
-    /// What outputs are named after.
+    /// Stem after which outputs are named.
     pub stem: String,
-    /// Where relative input paths start.
+    /// Folder at which relative input paths start.
     pub input_dir: PathBuf,
-    /// Where relative output paths start.
+    /// Folder at which relative output paths start.
     pub output_dir: PathBuf,
-    /// How many threads a stage may use for itself.
+    /// Number of threads that a stage may use itself.
     pub threads: usize,
-    /// The instructions that kernels are to use.
+    /// SIMD instructions of the kernels.
     pub simd: lockstep::Path,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: Arc<Geometry>,
 }
 
 impl Site {
-    /// One input by itself, outside of a run: paths start at the current folder, on one thread and without geometry.
+    /// Context for one input outside of a run.
+    ///
+    /// Paths start at the current folder; one thread; no geometry.
     pub fn alone(input: &Path) -> Site {
         Site {
             input: input.to_owned(),
@@ -43,25 +46,25 @@ impl Site {
         }
     }
 
-    /// The file that an output pattern means in this run: `*` is the input's stem.
+    /// Path of an output pattern in this run; `*` is replaced by the stem of the input.
     pub fn output_path(&self, pattern: &str) -> PathBuf {
         self.output_dir.join(pattern.replace('*', &self.stem))
     }
 
-    /// Begins the output file that a pattern means in this run.
+    /// Creates the output file of a pattern.
     pub fn create(&self, pattern: &str) -> Result<OutputFile> {
         Ok(OutputFile::create(&self.output_path(pattern))?)
     }
 
-    /// A path of the job, from where inputs are.
+    /// Path of an input named by the job.
     pub fn input_path(&self, path: &Path) -> PathBuf {
         self.input_dir.join(path)
     }
 }
 
-/// The folder that an output pattern means, as far as the input's name does not decide about it.
+/// Folder of an output pattern, without parts that depend on the stem of the input.
 pub fn fixed_folder(output_dir: &Path, pattern: &str) -> PathBuf {
-    // What stands before the first `*` is a folder up to its last separator.
+    // The text before the first `*` is a folder up to its last separator.
     let known = output_dir.join(pattern.split('*').next().unwrap_or_default());
     let ends_in_separator = known.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
     let folder = if ends_in_separator { Some(known.as_path()) } else { known.parent() };
@@ -69,18 +72,18 @@ pub fn fixed_folder(output_dir: &Path, pattern: &str) -> PathBuf {
     if folder.as_os_str().is_empty() { PathBuf::from(".") } else { folder }
 }
 
-/// One path or several; each may be a pattern (`*`, `?`, `[...]`, `**`).
+/// One or more paths; each may be a pattern (`*`, `?`, `[...]`, `**`).
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Paths {
     /// A file or a pattern.
     One(String),
-    /// Several of them.
+    /// Several files or patterns.
     Many(Vec<String>),
 }
 
 impl Paths {
-    /// The paths as they were written.
+    /// Paths as written.
     pub fn patterns(&self) -> &[String] {
         match self {
             Paths::One(path) => std::slice::from_ref(path),

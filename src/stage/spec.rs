@@ -1,4 +1,4 @@
-//! How a stage stands in the registry: its name, what goes in and out, its keys, and how it is made.
+//! Registry entry of a stage: name, input and output kinds, keys, constructor.
 
 use std::sync::Arc;
 
@@ -9,62 +9,66 @@ use serde::de::DeserializeOwned;
 use super::{Keys, Map, Paths, Result, Sink, Site, Source, Transform};
 use crate::batch::Kind;
 
-/// The keys of a stage in a job. Its doc comment is the stage's page in the manual, and each field's doc comment that
-/// key's line; a field's name carries its unit.
+/// Keys of a stage.
+///
+/// The doc comment of the type is the stage's section of the manual. The doc comment of each field
+/// describes that key, and the field name carries the unit.
 pub trait Config: DeserializeOwned + Serialize + JsonSchema + Send + Sync + 'static {
-    /// What the types alone cannot say of the keys: limits, and keys that exclude each other.
+    /// Checks constraints that the types cannot express, such as limits and exclusive keys.
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         Ok(())
     }
 
-    /// Gives the keys that the job does not, and whose defaults hang on other keys, the values that count in their place.
-    /// Comes behind [`Config::check`].
+    /// Sets omitted keys whose defaults depend on other keys.
+    ///
+    /// Called after [`Config::check`].
     fn spell_out(&mut self) {}
 
-    /// The files that the stage reads besides the source's `path`: texts among its keys, which start where inputs do.
-    /// Archives keep their digests.
+    /// Input files besides the source's `path`: texts among the keys, relative to the input folder.
+    ///
+    /// Archives store their digests.
     fn inputs(&self) -> Vec<&str> {
         Vec::new()
     }
 
-    /// Keys that say where something lies on this machine and change no result: archives leave them out.
+    /// Keys that concern only this machine and do not affect results; archives omit them.
     fn local_keys(&self) -> &'static [&'static str] {
         &[]
     }
 }
 
-/// A key whose value cannot be used.
+/// A key with an invalid value.
 #[derive(Debug, PartialEq)]
 pub struct InvalidKey {
-    /// The key's name.
+    /// Name of the key.
     pub key: &'static str,
-    /// What is wrong with its value.
+    /// The problem with its value.
     pub problem: String,
 }
 
 impl InvalidKey {
-    /// A key whose value cannot be used.
+    /// Creates an error for a key.
     pub fn new(key: &'static str, problem: impl Into<String>) -> InvalidKey {
         InvalidKey { key, problem: problem.into() }
     }
 
-    /// An error unless `holds`.
+    /// Returns an error unless `holds`.
     pub fn unless(holds: bool, key: &'static str, problem: &str) -> std::result::Result<(), InvalidKey> {
         if holds { Ok(()) } else { Err(InvalidKey::new(key, problem)) }
     }
 }
 
-/// The keys of a [`Source`].
+/// Keys of a [`Source`].
 pub trait SourceConfig: Config {
-    /// The files to read, one run each; `None` where the source makes its own data.
+    /// Input files, one run each; `None` if the source generates its data.
     fn paths(&self) -> Option<&Paths>;
 
-    /// What outputs are named after where there are no files.
+    /// Stem of the outputs if there are no input files.
     fn stem(&self) -> &str {
         "out"
     }
 
-    /// Patterns of the files that the source writes besides.
+    /// Patterns of additional files that the source writes.
     fn outputs(&self) -> Vec<&str> {
         Vec::new()
     }
@@ -72,66 +76,68 @@ pub trait SourceConfig: Config {
     /// Opens the input of a run.
     fn make(&self, site: &Site) -> Result<Box<dyn Source>>;
 
-    /// Opens the input to look it over. Unless `with_samples`, blocks may come without their samples, or not at all, as
-    /// the format allows it. A file that is cut off may give what it holds before it ends with that error.
+    /// Opens the input for inspection.
+    ///
+    /// Unless `with_samples`, blocks may lack their samples or be missing, as the format permits. A
+    /// truncated file may yield its readable part before the error.
     fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
         let _ = with_samples;
         self.make(site)
     }
 }
 
-/// The keys of a [`Map`].
+/// Keys of a [`Map`].
 pub trait MapConfig: Config {
-    /// Makes one worker.
+    /// Creates one worker.
     fn make(&self, site: &Site) -> Result<Box<dyn Map>>;
 }
 
-/// The keys of a [`Transform`].
+/// Keys of a [`Transform`].
 pub trait TransformConfig: Config {
     /// Patterns of the files that the stage writes.
     fn outputs(&self) -> Vec<&str> {
         Vec::new()
     }
 
-    /// Which lines it holds back.
+    /// Lines that it holds back.
     fn holds(&self) -> Holds {
         Holds::Window
     }
 
-    /// Makes the stage.
+    /// Creates the stage.
     fn make(&self, site: &Site) -> Result<Box<dyn Transform>>;
 }
 
-/// Which lines a transform holds back.
+/// Lines that a transform holds back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Holds {
-    /// The first lines of a recording, and none once it has given them on.
+    /// The first lines of a recording; none after it has emitted them.
     First,
-    /// Neighbouring lines, as long as the recording lasts.
+    /// Neighbouring lines, throughout the recording.
     Window,
 }
 
-/// The keys of a [`Sink`].
+/// Keys of a [`Sink`].
 pub trait SinkConfig: Config {
-    /// Patterns of the files to write.
+    /// Patterns of the files that it writes.
     fn outputs(&self) -> Vec<&str>;
 
-    /// Whether lines are to keep their recorded blocks behind `decompose`.
+    /// Whether lines must keep their sample blocks after `decompose`.
     fn needs_waveforms(&self) -> bool {
         false
     }
 
-    /// Begins the files of a run.
+    /// Creates the files of a run.
     fn make(&self, site: &Site) -> Result<Box<dyn Sink>>;
 }
 
-/// The four roles.
+/// Role of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RoleName {
-    /// Makes lines.
+    /// Produces lines.
     Source,
-    /// One line in, one line out; runs in a pool.
+    /// Maps one line to one line; runs in a pool.
     Map,
     /// Holds lines back.
     Transform,
@@ -150,12 +156,12 @@ impl std::fmt::Display for RoleName {
     }
 }
 
-/// A stage with its keys, ready to be made on a thread of its own.
+/// A stage with its keys, ready to be created on its thread.
 #[derive(Clone)]
 pub enum Plan {
-    /// Makes lines.
+    /// Produces lines.
     Source(Arc<dyn SourcePlan>),
-    /// One line in, one line out.
+    /// Maps one line to one line.
     Map(Arc<dyn MakeMap>),
     /// Holds lines back.
     Transform(Arc<dyn MakeTransform>),
@@ -185,22 +191,22 @@ impl Plan {
         }
     }
 
-    /// Whether lines are to keep their recorded blocks behind `decompose`.
+    /// Whether lines must keep their sample blocks after `decompose`.
     pub fn needs_waveforms(&self) -> bool {
         matches!(self, Plan::Sink(sink) if sink.needs_waveforms())
     }
 }
 
-/// [`Plan`], and the keys with every default spelled out.
+/// A [`Plan`], with keys and all defaults.
 #[derive(Clone, Debug)]
 pub struct Planned {
-    /// How to make the stage.
+    /// Constructor of the stage.
     pub plan: Plan,
-    /// Its keys, every default spelled out.
+    /// Its keys with all defaults.
     pub resolved: serde_json::Value,
-    /// The files that it reads, see [`Config::inputs`].
+    /// Its input files, see [`Config::inputs`].
     pub inputs: Vec<String>,
-    /// Keys that concern this machine only, see [`Config::local_keys`].
+    /// Keys that concern only this machine, see [`Config::local_keys`].
     pub local_keys: &'static [&'static str],
 }
 
@@ -292,38 +298,38 @@ impl<C: SinkConfig> SinkPlan for C {
     }
 }
 
-/// What `parse` can find wrong with a stage's keys.
+/// Error in a stage's keys.
 #[derive(Debug)]
 pub enum ConfigError {
-    /// A key is unknown, missing, or of another type; carries its place in the job.
+    /// A key is unknown, missing, or has the wrong type; with its position in the job.
     Toml(toml::de::Error),
-    /// A key's value cannot be used.
+    /// A key has an invalid value.
     Key(InvalidKey),
 }
 
-/// A stage's place in the registry.
+/// Registry entry of a stage.
 #[derive(Debug)]
 pub struct StageSpec {
-    /// The verb that a job calls it by.
+    /// Name of its type in a job, a verb.
     pub name: &'static str,
-    /// Which of the four roles it plays.
+    /// Role of the stage.
     pub role: RoleName,
-    /// The kinds of batch it takes; none for a source.
+    /// Kinds of lines that it accepts; empty for a source.
     pub accepts: &'static [Kind],
-    /// The kind it makes; `None`: the kind that it was given.
+    /// Kind that it produces; `None`: the same as its input.
     pub makes: Option<Kind>,
-    /// Stages of which one must stand before it.
+    /// Stages of which one must precede it.
     pub after: &'static [&'static str],
-    /// A key and its word with which the stage needs none of them.
+    /// Key and value with which the stage requires none of them.
     pub unless: Option<(&'static str, &'static str)>,
-    /// Its keys, for the schema and the manual.
+    /// Schema of its keys.
     pub schema: fn(&mut SchemaGenerator) -> Schema,
-    /// Reads its keys out of a job.
+    /// Parses its keys.
     pub parse: fn(toml::Spanned<toml::de::DeTable<'_>>) -> std::result::Result<Planned, ConfigError>,
 }
 
 impl StageSpec {
-    /// A source that makes batches of one kind.
+    /// A source of one kind of lines.
     pub const fn source<C: SourceConfig>(name: &'static str, makes: Kind) -> StageSpec {
         StageSpec {
             name,
@@ -337,7 +343,7 @@ impl StageSpec {
         }
     }
 
-    /// A map; `makes` is `None` where it keeps the kind.
+    /// A map; `makes` is `None` if it keeps the kind.
     pub const fn map<C: MapConfig>(
         name: &'static str,
         accepts: &'static [Kind],
@@ -369,7 +375,7 @@ impl StageSpec {
         }
     }
 
-    /// A sink, which passes on what it was given.
+    /// A sink, which passes on its input.
     pub const fn sink<C: SinkConfig>(name: &'static str, accepts: &'static [Kind]) -> StageSpec {
         StageSpec {
             name,
@@ -383,17 +389,17 @@ impl StageSpec {
         }
     }
 
-    /// The kind that leaves the stage where `given` enters it; `None` where neither is known.
+    /// Output kind for an input kind; `None` if unknown.
     pub fn gives(&self, given: Option<Kind>) -> Option<Kind> {
         self.makes.or(given)
     }
 
-    /// Its keys with their meaning, and the stage's page of the manual.
+    /// Its keys with documentation.
     pub fn keys(&self) -> Keys {
         Keys::of(self.schema)
     }
 
-    /// The same, but one of `stages` must stand before it.
+    /// Requires one of `stages` to precede it.
     pub const fn after(mut self, stages: &'static [&'static str]) -> StageSpec {
         self.after = stages;
         self

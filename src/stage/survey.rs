@@ -1,10 +1,10 @@
-//! The first lines of a recording, held back by a transform that learns from them.
+//! Holds back the first lines of a recording for a transform that learns from them.
 
 use super::Output;
 use crate::batch::{Batch, Channel};
 use crate::kernels::gain::Recorded;
 
-/// Lines that are held back until there are enough.
+/// Lines held back until they contain enough waveforms.
 #[derive(Debug)]
 pub struct Survey {
     lines: Vec<Batch>,
@@ -14,13 +14,15 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// Of so many waveforms.
+    /// Creates a buffer for `wanted` waveforms.
     pub fn new(wanted: u64) -> Survey {
         Survey { lines: Vec::new(), bytes: 0, waveforms: 0, wanted }
     }
 
-    /// Holds back a line. Returns whether there are waveforms enough, or no memory for more: then what was `done` from them
-    /// was done from fewer, which is noted.
+    /// Holds back a line; returns whether the buffer is full.
+    ///
+    /// It is full when it contains enough waveforms or has reached its memory limit. In the second
+    /// case, notes that `done` was based on fewer waveforms.
     pub fn hold(&mut self, batch: Batch, done: &str, out: &mut Output) -> bool {
         self.waveforms += batch.stats.nw;
         self.bytes += batch.bytes();
@@ -35,12 +37,12 @@ impl Survey {
         is_full || self.waveforms >= self.wanted
     }
 
-    /// The lines at hand.
+    /// Lines held back.
     pub fn lines(&self) -> &[Batch] {
         &self.lines
     }
 
-    /// The samples that a receiver recorded in them, block after block; empty blocks are left out.
+    /// Samples of a channel, one slice per non-empty block.
     pub fn samples(&self, channel: Channel) -> impl Iterator<Item = &[u16]> + Clone {
         self.lines.iter().filter_map(Batch::blocks).flat_map(move |blocks| {
             let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
@@ -48,7 +50,7 @@ impl Survey {
         })
     }
 
-    /// The same with the gain of each block.
+    /// Returns the samples of each block with its gain.
     pub fn recorded(&self, channel: Channel) -> impl Iterator<Item = Recorded<'_>> + Clone {
         self.lines.iter().filter_map(Batch::blocks).flat_map(move |blocks| {
             let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
@@ -56,7 +58,7 @@ impl Survey {
         })
     }
 
-    /// Lets go of the lines, in their order.
+    /// Removes and returns the lines, in order.
     pub fn release(&mut self) -> Vec<Batch> {
         self.bytes = 0;
         std::mem::take(&mut self.lines)

@@ -1,8 +1,9 @@
-//! What a key takes, in words.
+//! Text descriptions of the values that a key accepts.
 
 use serde_json::Value;
 
-/// What a schema takes, in words: `a number, at least 0.5`, `"fast" or "slow"`, `text or a list of texts`.
+/// Describes accepted values: `a number, at least 0.5`, `"fast" or "slow"`,
+/// `text or a list of texts`.
 pub fn takes(schema: &Value) -> String {
     if let Some(choices) = choices(schema) {
         return listed(&choices.iter().map(|choice| format!("{choice:?}")).collect::<Vec<_>>(), "or");
@@ -27,7 +28,7 @@ pub fn takes(schema: &Value) -> String {
     }
 }
 
-/// The texts that a schema takes, where it takes only these.
+/// Texts that a schema accepts, if it accepts only a fixed set.
 pub fn choices(schema: &Value) -> Option<Vec<&str>> {
     if let Some(only) = schema.get("const") {
         return Some(vec![only.as_str()?]);
@@ -39,7 +40,7 @@ pub fn choices(schema: &Value) -> Option<Vec<&str>> {
     of_each.map(|choices| choices.concat())
 }
 
-/// The limits of a number, in words: `at least 64`, `above 0 and at most 1`; `None` where there are none.
+/// Describes the bounds of a number: `at least 64`, `above 0 and at most 1`; `None` without bounds.
 pub fn bounds(schema: &Value) -> Option<String> {
     let bound = |keyword: &str, words: &str| {
         schema.get(keyword).and_then(number).map(|limit| format!("{words} {limit}"))
@@ -52,7 +53,7 @@ pub fn bounds(schema: &Value) -> Option<String> {
     }
 }
 
-/// `a`, `a or b`, `a, b or c`.
+/// Joins names: `a`, `a or b`, `a, b or c`.
 pub fn listed(names: &[impl AsRef<str>], last: &str) -> String {
     match names {
         [] => String::new(),
@@ -64,7 +65,7 @@ pub fn listed(names: &[impl AsRef<str>], last: &str) -> String {
     }
 }
 
-/// The schemas of which one must fit.
+/// Alternative schemas.
 fn branches(schema: &Value) -> Option<&Vec<Value>> {
     schema.get("anyOf").or_else(|| schema.get("oneOf")).and_then(Value::as_array)
 }
@@ -91,7 +92,7 @@ fn list(schema: &Value) -> String {
     format!("a list of {n}{items}")
 }
 
-/// A number as one writes it: 9.0 is 9.
+/// Formats a number without a trailing `.0`: 9.0 is `9`.
 fn number(value: &Value) -> Option<String> {
     match value {
         Value::Number(number) if number.is_f64() => number.as_f64().map(|number| number.to_string()),

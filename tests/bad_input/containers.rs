@@ -1,4 +1,4 @@
-//! The waveform container.
+//! Damaged waveform containers.
 
 use std::fs::File;
 use std::io::Write;
@@ -41,7 +41,8 @@ fn shot(shot: usize) -> ContainerShot {
     }
 }
 
-/// A container of so many shots with one echo block each, `change`d; a scan line has a hundred.
+/// A container of this many shots with one echo block each, modified by `change`; 100 shots per
+/// scan line.
 fn container(shots: usize, compression: Compression, change: impl Fn(usize, &mut ContainerShot)) -> Vec<u8> {
     let file = std::io::Cursor::new(Vec::new());
     let mut writer = ContainerWriter::file(file, Path::new("a.arrow"), &header(), compression).unwrap();
@@ -49,7 +50,7 @@ fn container(shots: usize, compression: Compression, change: impl Fn(usize, &mut
     writer.finish().unwrap().into_inner()
 }
 
-/// The same as a stream.
+/// The container as an Arrow stream.
 fn stream() -> Vec<u8> {
     let mut writer =
         ContainerWriter::stream(Vec::new(), Path::new("-"), &header(), Compression::None).unwrap();
@@ -109,7 +110,8 @@ fn sizes_that_lie() {
     let mut bytes = whole.clone();
     bytes[end..end + 4].copy_from_slice(&i32::MAX.to_le_bytes());
     refused(&bytes, &format!("byte {end}: length of the footer: it is 2147483647; {DAMAGED}"));
-    // The samples of a line, 100 times 48 of two bytes, are said to unpack to more than an address space holds.
+    // The samples of a line (100 times 48 of two bytes) claim to unpack to more than an address
+    // space.
     let mut bytes = container(250, Compression::Lz4, |_, _| {});
     let at = bytes.windows(8).position(|window| window == 9600i64.to_le_bytes()).unwrap();
     bytes[at..at + 8].copy_from_slice(&(1i64 << 60).to_le_bytes());
@@ -167,7 +169,7 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
         "the input is not georeferenced: its points are in the scanner frame",
     ];
     assert_eq!(notes(&input), expected);
-    // Whichever of the workers had something to say, and however many.
+    // One message, regardless of the number of workers that reported the problem.
     let log = place.text("out/wavex.log");
     expected.iter().for_each(|note| assert_eq!(log.matches(note).count(), 1, "{log}"));
 }

@@ -1,4 +1,4 @@
-//! LAS and LAZ.
+//! Damaged LAS and LAZ.
 
 use serde_json::json;
 
@@ -6,27 +6,27 @@ use crate::support::las::{HEADER, Las, descriptor};
 use crate::support::shots::{SAMPLES, time_s};
 use crate::support::{Place, TO_TABLE, notes, outcome, rejected};
 
-/// Length of a point that `write_las` writes: format 6 and the extra attributes.
+/// Size of a point written by `write_las`, bytes: format 6 and the extra attributes.
 const WRITTEN_POINT: usize = 30 + 10;
 
 const CUT: &str = "the file is cut off: copy it again from its source";
 const LIES: &str = "the header is wrong or the file is cut off: copy it again from its source";
 const DAMAGED: &str = "the file is cut off or damaged: copy it again from its source";
 
-/// A folder with a recording, its points changed.
+/// A folder with a recording whose points are modified.
 fn place(las: &Las, change: impl Fn(&mut Vec<u8>)) -> Place {
     let mut points = las.las();
     change(&mut points);
     Place::with(&[("a.las", &points), ("a.wdp", &las.packets)])
 }
 
-/// Reading a file fails with a message about a file.
+/// Asserts that reading a file fails with a message that names a file.
 #[track_caller]
 fn refused(place: &Place, input: &str, message: &str) {
     place.fails("read_las", input, &format!("stage read_las: ./{message}"));
 }
 
-/// A recording of three pulses with bytes replaced is refused.
+/// Asserts that a recording of three pulses with replaced bytes is refused.
 #[track_caller]
 fn refused_with(at: usize, bytes: &[u8], message: &str) {
     let place = place(&Las::new(3), |las| las[at..at + bytes.len()].copy_from_slice(bytes));
@@ -99,7 +99,7 @@ fn waveforms_that_were_cut_off() {
 #[test]
 fn waveforms_that_were_cut_off_where_their_header_does_not_say_how_many_there_are() {
     let mut las = Las::new(3);
-    // Writers that do not go back leave the length 0.
+    // Writers that do not seek back leave a length of 0.
     las.packets[20..28].fill(0);
     let cut = las.packets.len() - 2 * SAMPLES;
     let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets[..cut])]);
@@ -217,7 +217,7 @@ fn a_descriptor_of_more_samples_than_a_waveform_has() {
 
 #[test]
 fn waveforms_that_overlap_take_no_more_memory_than_a_line_may() {
-    // 600 waveforms of a megabyte each out of a file of one.
+    // 600 waveforms of 1 MB each from a file of 1 MB.
     let mut las = Las::new(600);
     let long = 1 << 20;
     las.vlrs[0].splice(54.., descriptor(8, long, 1000));
@@ -231,12 +231,13 @@ fn waveforms_that_overlap_take_no_more_memory_than_a_line_may() {
     let mut command =
         place.command("[[stage]]\ntype = 'read_las'\npath = 'a.las'\n[[stage]]\ntype = 'write_lstat'\n");
     command.args(["--set", "job.memory_mb=64"]);
-    let message = "stage read_las: ./a.las: scan line 0 takes 67.1 MB, too much for the job's memory_mb; \
+    let message = "stage read_las: ./a.las: scan line 0 needs 67.1 MB, too much for the job's memory_mb; \
                    set memory_mb to 135 or more";
     place.left_nothing(outcome(&mut command), message);
 }
 
-/// One bad point in the middle of a recording: it alone is missing in the results, and counted.
+/// Asserts that one bad point in the middle of a recording is skipped and counted, and all others
+/// are read.
 #[track_caller]
 fn loses_one_pulse(las: &Las, what: &str, note: &str) {
     let place = place(las, |_| {});

@@ -1,11 +1,11 @@
-//! The program on bad input: its exit code, its message, and what it leaves.
+//! Bad input: exit codes, messages and remaining files.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
     clippy::zombie_processes,
-    reason = "a test fails by panicking, and tells what it skips; the caller waits for what `begin` starts"
+    reason = "a test fails by panicking, and prints what it skips; the caller waits for what `begin` starts"
 )]
 
 #[path = "../support/mod.rs"]

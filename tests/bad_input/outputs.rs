@@ -1,4 +1,4 @@
-//! Folders that cannot be written to, and disks that are full.
+//! Folders that are not writable, and full disks.
 
 use std::fs::{self, OpenOptions};
 use std::process::{Command, Stdio};
@@ -14,7 +14,7 @@ fn place(pulses: usize) -> Place {
     Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)])
 }
 
-/// The run fails with this message, and leaves the folder as it was.
+/// Asserts that the run fails with this message and leaves the folder unchanged.
 #[track_caller]
 fn fails(place: &Place, command: &mut Command, message: &str) {
     let before = place.products();
@@ -27,7 +27,7 @@ fn a_file_where_the_folder_of_outputs_should_be() {
     let place = place(3);
     place.write("out", b"");
     let remedy =
-        "cannot make the folder: File exists (os error 17); choose another folder: a file is in the way";
+        "cannot create the folder: File exists (os error 17); choose another folder: a file is in the way";
     let stages = format!("{READ}{COPY}");
     fails(&place, &mut place.command(&stages), &format!("./out: {remedy}"));
     let mut command = place.command(&stages);
@@ -40,8 +40,8 @@ fn a_file_where_a_folder_in_the_path_of_a_sink_should_be() {
     let place = place(3);
     place.write("out/sub", b"");
     for (path, problem) in [
-        ("sub/*.arrow", "./out/sub: cannot make the folder: File exists (os error 17)"),
-        ("sub/deep/*.arrow", "./out/sub/deep: cannot make the folder: Not a directory (os error 20)"),
+        ("sub/*.arrow", "./out/sub: cannot create the folder: File exists (os error 17)"),
+        ("sub/deep/*.arrow", "./out/sub/deep: cannot create the folder: Not a directory (os error 20)"),
     ] {
         let mut command = place.command(&format!("{READ}{COPY}path = '{path}'\n"));
         let message = format!("{problem}; choose another folder: a file is in the way");
@@ -51,14 +51,14 @@ fn a_file_where_a_folder_in_the_path_of_a_sink_should_be() {
 
 #[test]
 fn a_folder_of_the_name_of_an_output() {
-    let problem = "a folder has the name of this output; choose another name, or remove the folder";
+    let problem = "a folder with the name of this output exists; choose another name or remove the folder";
     for (folder, message) in [
         ("a.arrow", format!("stage write_arrow: ./out/a.arrow: {problem}")),
         ("report.json", format!("./out/report.json: {problem}")),
     ] {
         let place = place(3);
         place.write(&format!("out/{folder}/mine"), b"");
-        // The second output must not stay when the first one cannot.
+        // The second output must not remain if the first cannot be written.
         let stages = format!("{READ}[[stage]]\ntype = 'write_lstat'\n{COPY}");
         fails(&place, &mut place.command(&stages), &message);
     }
@@ -85,7 +85,8 @@ fn an_output_that_would_replace_an_input() {
     let place = place(250);
     let recording = fs::read(place.path("a.las")).unwrap();
     let to_las = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'\npath = '*.las'");
-    // The job cannot know that both folders are the same; of another name, it is told before anything is read.
+    // The job cannot detect that both folders are the same under different names; the run reports
+    // it before reading.
     let mut command = place.command(&format!("{READ}{to_las}"));
     command.args(["--set", "job.output_dir='out/..'"]);
     let message =
@@ -117,10 +118,10 @@ fn an_output_that_would_replace_the_packets_of_an_input() {
     assert_eq!(fs::read(place.path("a.wdp")).unwrap(), b"packets");
 }
 
-/// The same command on a disk that takes files of at most 8 kB.
+/// Runs the same command with a file size limit of 8 kB, as a full disk.
 ///
-/// A file that may not grow further refuses a write as a full disk does, and needs no rights to be set up. Where it is
-/// not to end the program, its signal is ignored, which the program inherits.
+/// A file at the limit refuses writes like a full disk does, and needs no privileges to set up. If
+/// its signal must not end the program, it is ignored in the shell, and the program inherits this.
 #[cfg(unix)]
 fn on_a_small_disk(command: &Command) -> Command {
     let mut small = Command::new("sh");

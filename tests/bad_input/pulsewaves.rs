@@ -1,4 +1,4 @@
-//! PulseWaves.
+//! Damaged PulseWaves.
 
 use serde_json::json;
 
@@ -18,7 +18,7 @@ fn refused(place: &Place, message: &str) {
     place.fails("read_pulsewaves", "a.pls", &format!("stage read_pulsewaves: ./{message}"));
 }
 
-/// A recording of three pulses with bytes of the pulse file replaced is refused.
+/// Asserts that a recording of three pulses with replaced bytes in the pulse file is refused.
 #[track_caller]
 fn refused_with(at: usize, bytes: &[u8], message: &str) {
     let whole = PulseWaves::new(3);
@@ -154,7 +154,7 @@ fn a_descriptor_of_more_samples_than_a_waveform_has() {
 
 #[test]
 fn waves_that_overlap_take_no_more_memory_than_a_line_may() {
-    // 600 pulses with two segments of a megabyte each out of a file of little more.
+    // 600 pulses with two segments of 1 MB each, from a file of little more than 1 MB.
     let long = 1 << 20;
     let mut whole = PulseWaves::new(600);
     whole.records[0].1 = descriptor(long);
@@ -163,12 +163,13 @@ fn waves_that_overlap_take_no_more_memory_than_a_line_may() {
     let mut command = place
         .command("[[stage]]\ntype = 'read_pulsewaves'\npath = 'a.pls'\n[[stage]]\ntype = 'write_lstat'\n");
     command.args(["--set", "job.memory_mb=64"]);
-    let message = "stage read_pulsewaves: ./a.pls: scan line 0 takes 67.1 MB, too much for the job's memory_mb; \
+    let message = "stage read_pulsewaves: ./a.pls: scan line 0 needs 67.1 MB, too much for the job's memory_mb; \
                    set memory_mb to 135 or more";
     place.left_nothing(outcome(&mut command), message);
 }
 
-/// One bad pulse in the middle of a recording: it alone is missing in the results, and counted.
+/// Asserts that one bad pulse in the middle of a recording is skipped and counted, and all others
+/// are read.
 #[track_caller]
 fn loses_one_pulse(bad: &PulseWaves, what: &str, note: Option<&str>) {
     let good = PulseWaves::new(250);

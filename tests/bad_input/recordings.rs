@@ -1,4 +1,4 @@
-//! Real recordings, damaged.
+//! Damaged real recordings.
 
 use std::fs;
 use std::path::Path;
@@ -8,7 +8,7 @@ use wavex::formats::container::ContainerReader;
 
 use crate::support::{Place, data, rejected};
 
-/// Copies a recording of one or several files into a folder, as `a` with their own extensions.
+/// Copies a recording of one or more files to a folder, as `a` with their extensions.
 fn copy(data: &Path, name: &str, extensions: &[&str]) -> Place {
     let place = Place::new();
     for extension in extensions {
@@ -24,13 +24,13 @@ fn change(place: &Place, name: &str, at: usize, bytes: &[u8]) {
     place.write(name, &whole);
 }
 
-/// A 16 or 32-bit number in a file.
+/// Reads a 16 or 32-bit number from a file.
 fn number(place: &Place, name: &str, at: usize, bytes: usize) -> usize {
     let whole = fs::read(place.path(name)).unwrap();
     whole[at..at + bytes].iter().rev().fold(0, |number, byte| number << 8 | usize::from(*byte))
 }
 
-/// What a container holds of each shot: its time, its place, and all samples of all blocks.
+/// Contents of a container by shot: time, position, and all samples of all blocks.
 fn shots(path: &Path) -> Vec<String> {
     let mut reader = ContainerReader::open(path).unwrap();
     let mut shots = Vec::new();
@@ -44,7 +44,8 @@ fn shots(path: &Path) -> Vec<String> {
     shots
 }
 
-/// The recording with a damaged record in its middle is read, but for one shot, which is counted.
+/// Asserts that a recording with a damaged record in the middle is read except for one shot, which
+/// is counted.
 #[track_caller]
 fn loses_one_shot(place: &Place, reader: &str, name: &str, damage: (usize, &[u8]), what: &str) {
     const COPY: &str = "[[stage]]\ntype = 'write_arrow'\n";

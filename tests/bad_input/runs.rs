@@ -1,4 +1,4 @@
-//! Runs that are ended from outside.
+//! Runs interrupted from outside.
 
 use std::fs;
 use std::process::{Child, Command, Stdio};
@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::support::las::Las;
 use crate::support::{Outcome, Place, outcome};
 
-/// A flight that takes hours, on its way into every kind of output.
+/// A flight that takes hours, written to every kind of output.
 const LONG: &str = "\
 [[stage]]
 type = 'simulate'
@@ -35,7 +35,7 @@ type = 'write_table'
 type = 'write_lstat'
 ";
 
-/// Whether a run has begun all its outputs and written to some.
+/// Returns whether a run has created all its outputs and written to some.
 fn has_begun(place: &Place) -> bool {
     let outputs = place.outputs();
     let is_written =
@@ -43,17 +43,17 @@ fn has_begun(place: &Place) -> bool {
     outputs.len() >= 6 && outputs.iter().any(is_written)
 }
 
-/// Starts a long run, and waits until it is well under way.
+/// Starts a long run and waits until it is writing.
 fn begin(place: &Place, job: &str) -> Child {
     let mut child = place.command(job).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     while !has_begun(place) {
-        assert_eq!(child.try_wait().unwrap(), None, "the run ended by itself");
+        assert_eq!(child.try_wait().unwrap(), None, "the run ended before it was interrupted");
         std::thread::sleep(Duration::from_millis(20));
     }
     child
 }
 
-/// A folder may have a name that JSON cannot hold.
+/// A folder may have a name that JSON cannot represent.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_folder_whose_name_is_no_unicode_is_reported_all_the_same() {
@@ -78,12 +78,12 @@ fn send(signal: &str, to: &Child) {
     assert!(sent.success());
 }
 
-/// A run that was interrupted ends with this, and leaves nothing.
+/// Asserts the message and the absence of outputs of an interrupted run.
 #[track_caller]
 fn ends(place: &Place, child: Child) {
     let output = child.wait_with_output().unwrap();
     let err = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(err, "error: interrupted; no unfinished output was left behind\n");
+    assert_eq!(err, "error: interrupted; unfinished outputs were removed\n");
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(place.products(), Vec::<String>::new());
 }
@@ -104,7 +104,7 @@ fn a_signal_ends_a_run_in_order() {
 fn a_second_signal_ends_a_stage_that_takes_its_time() {
     let place = Place::new();
     let child = begin(&place, &LONG.replace("waveforms = 300", "waveforms = 20000"));
-    // Nothing more is written once calibration has begun and all the queues before it are full.
+    // Nothing more is written once calibration has started and all queues before it are full.
     let written = || {
         let outputs = place.outputs();
         outputs.iter().map(|name| fs::metadata(place.path("out").join(name)).unwrap().len()).sum::<u64>()

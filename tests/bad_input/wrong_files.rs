@@ -1,4 +1,4 @@
-//! Inputs that are not there, or something else.
+//! Missing inputs and inputs of other formats.
 
 use std::fs;
 
@@ -79,7 +79,8 @@ fn a_file_of_another_format() {
 fn a_pattern_without_matches() {
     let place = Place::with(&[("lines/a.las", &Las::new(3).las())]);
     for reader in ["read_las", "read_pulsewaves", "read_arrow"] {
-        let message = "no file matches `./lines/*.pls`; check the path, or `path` of the reader and `input_dir` of the job";
+        let message =
+            "no file matches `./lines/*.pls`; check `path` of the reader and `input_dir` of the job";
         place.fails(reader, "lines/*.pls", message);
     }
 }
@@ -87,7 +88,7 @@ fn a_pattern_without_matches() {
 #[test]
 fn inputs_whose_outputs_would_have_the_same_names() {
     let place = Place::with(&[("a/x.las", b""), ("b/x.las", b"")]);
-    let message = "a/x.las and b/x.las would have outputs of the same names; \
+    let message = "the outputs of a/x.las and b/x.las would have the same names; \
                    run them as two jobs with different output folders";
     place.fails("read_las", "*/x.las", message);
 }
@@ -131,5 +132,5 @@ fn no_waveform_at_all() {
     let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
     let input = place.succeeds("read_las", "a.las", TO_TABLE);
     assert_eq!(input["totals"], serde_json::json!({}));
-    assert_eq!(place.text("out/a.csv").lines().count(), 1, "a table of no rows");
+    assert_eq!(place.text("out/a.csv").lines().count(), 1, "a table without rows");
 }

@@ -1,15 +1,15 @@
-//! Our returns beside the vendor's: pairs, what is missed, what is extra.
+//! Comparison of our returns with the vendor's: pairs, missed and extra returns.
 
 use super::recordings::{Table, median, robust};
 
-/// Returns farther apart than this are not the same, ns.
+/// Maximum time difference of a pair, ns.
 const PAIR_NS: f64 = 3.0;
 
-/// One return, the vendor's or ours.
+/// A return, the vendor's or ours.
 #[derive(Clone, Copy, Debug)]
 pub struct Echo {
     pub time_ns: f64,
-    /// Where it stands: `[x, y, z]`.
+    /// Position `[x, y, z]`.
     pub place_m: [f64; 3],
     pub amplitude_dn: f64,
     pub amplitude_db: f64,
@@ -23,12 +23,12 @@ pub struct Echo {
 pub struct Pulse {
     pub vendor: Vec<Echo>,
     pub ours: Vec<Echo>,
-    /// Indices of the vendor's and of ours.
+    /// Pairs of indices: vendor's and ours.
     pub pairs: Vec<(usize, usize)>,
 }
 
 impl Pulse {
-    /// The nearest two first, as long as any are near enough; each return once.
+    /// Pairs returns, nearest first, while any are near enough; each return once.
     fn pair(&mut self) {
         let mut all = Vec::new();
         for (i, theirs) in self.vendor.iter().enumerate() {
@@ -45,24 +45,24 @@ impl Pulse {
         }
     }
 
-    /// The vendor's returns that have no partner.
+    /// The vendor's returns without a partner.
     pub fn missed(&self) -> impl Iterator<Item = &Echo> {
         let paired = |i: &usize| self.pairs.iter().all(|pair| pair.0 != *i);
         (0..self.vendor.len()).filter(paired).map(|i| &self.vendor[i])
     }
 
-    /// Ours that have no partner.
+    /// Our returns without a partner.
     pub fn extra(&self) -> impl Iterator<Item = &Echo> {
         let paired = |j: &usize| self.pairs.iter().all(|pair| pair.1 != *j);
         (0..self.ours.len()).filter(paired).map(|j| &self.ours[j])
     }
 
-    /// The strongest of ours.
+    /// Our strongest return.
     pub fn strongest(&self) -> Option<&Echo> {
         self.ours.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))
     }
 
-    /// The pairs; `index` is the pulse's.
+    /// The pairs; `index` is that of the pulse.
     pub fn told(&self, index: usize) -> impl Iterator<Item = Told> {
         self.pairs.iter().map(move |&(i, j)| Told {
             pulse: index,
@@ -75,26 +75,27 @@ impl Pulse {
     }
 }
 
-/// A return that both tell.
+/// A return that both report.
 pub struct Told {
     pub pulse: usize,
     pub vendor: Echo,
     pub ours: Echo,
-    /// Distances to the nearest other return that the same one tells of the pulse, ns.
+    /// Distance to the nearest other return of the same pulse by the same source, ns.
     pub vendor_separation_ns: f64,
     pub our_separation_ns: f64,
-    /// Whether both tell one return.
+    /// Whether both report one return only.
     pub single: bool,
 }
 
 impl Told {
-    /// Whether the vendor tells others of the pulse.
+    /// Returns whether the vendor reports other returns of the pulse.
     pub fn is_multi(&self) -> bool {
         !self.single && self.vendor_separation_ns.is_finite()
     }
 
-    /// Whether these, and ours, are more than 12 ns away: where another of ours is near, the vendor's return stands between
-    /// the two.
+    /// Returns whether all other returns are more than 12 ns away.
+    ///
+    /// Where another return of ours is near, the vendor's return lies between the two.
     pub fn is_far(&self) -> bool {
         self.is_multi() && self.vendor_separation_ns.min(self.our_separation_ns) > 12.0
     }
@@ -145,9 +146,11 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
     pulses
 }
 
-/// What a walk that follows the amplitude leaves of differences: a cubic in the amplitude's logarithm, as tables of the receivers
-/// are given in dB, weighted by the standard deviations. Each tenth of the pulses by the walk that the others tell;
-/// `tenth_of` tells which tenth a pulse is of.
+/// Removes an amplitude-dependent trend from differences.
+///
+/// The trend is a cubic in the logarithm of the amplitude (receiver tables are in dB), weighted by
+/// the standard deviations. Each tenth of the pulses is corrected with the trend of the others;
+/// `tenth_of` gives the tenth of a pulse.
 pub fn without_trend(pairs: &[Told], differences: &[f64], tenth_of: impl Fn(usize) -> usize) -> Vec<f64> {
     let points: Vec<Point> = pairs
         .iter()
@@ -187,7 +190,7 @@ fn powers(amplitude_dn: f64) -> [f64; 4] {
     [1.0, t, t * t, t * t * t]
 }
 
-/// A cubic by weighted least squares, twice without what lies far off.
+/// Fits a cubic by weighted least squares, with two passes of outlier removal.
 fn cubic(mut points: Vec<Point>) -> [f64; 4] {
     let mut coefficients = [0.0; 4];
     for _ in 0..3 {
@@ -207,7 +210,7 @@ fn cubic(mut points: Vec<Point>) -> [f64; 4] {
     coefficients
 }
 
-/// Gauss's elimination of four equations.
+/// Gaussian elimination for four equations.
 fn solve(mut m: [[f64; 5]; 4]) -> [f64; 4] {
     for i in 0..4 {
         let pivot = m[i];
@@ -219,7 +222,7 @@ fn solve(mut m: [[f64; 5]; 4]) -> [f64; 4] {
     [0, 1, 2, 3].map(|i| m[i][4] / m[i][i])
 }
 
-/// Part of the values that `test` holds for.
+/// Fraction of the values that satisfy `test`.
 pub fn share(values: &[f64], test: impl Fn(f64) -> bool) -> f64 {
     values.iter().filter(|value| test(**value)).count() as f64 / values.len().max(1) as f64
 }
@@ -230,15 +233,15 @@ pub fn spread(values: &[f64]) -> f64 {
     1.4826 * median(&values.iter().map(|value| (value - centre).abs()).collect::<Vec<_>>())
 }
 
-/// A return that is ours alone.
+/// A return that only we report.
 pub struct Extra {
     pub pulse: usize,
     pub place_m: [f64; 3],
-    /// From the strongest return of its pulse.
+    /// Offset from the strongest return of its pulse.
     pub offset_m: [f64; 3],
 }
 
-/// The returns that are ours alone.
+/// The returns that only we report.
 pub fn extras(pulses: &[Pulse]) -> Vec<Extra> {
     let of_pulse = |(index, pulse): (usize, &Pulse)| {
         let strongest_m = pulse.strongest().map(|echo| echo.place_m)?;
@@ -252,7 +255,7 @@ pub fn extras(pulses: &[Pulse]) -> Vec<Extra> {
     pulses.iter().enumerate().filter_map(of_pulse).flatten().collect()
 }
 
-/// From a place to the vendor's nearest return of *another* pulse, m.
+/// Distance from a position to the vendor's nearest return of *another* pulse, m.
 pub fn to_another_pulse_m(pulses: &[Pulse], pulse: usize, place_m: [f64; 3]) -> f64 {
     let others = pulses.iter().enumerate().filter(|(index, _)| *index != pulse);
     others
@@ -261,8 +264,9 @@ pub fn to_another_pulse_m(pulses: &[Pulse], pulse: usize, place_m: [f64; 3]) -> 
         .fold(f64::INFINITY, f64::min)
 }
 
-/// Part of the places within `near_m` of the vendor's return of another pulse, were returns as far from the strongest ones of
-/// any pulses as these are of theirs.
+/// Fraction of positions within `near_m` of the vendor's return of another pulse by chance.
+///
+/// The offsets from the strongest return are those of `extras`, applied to randomly chosen pulses.
 pub fn near_by_chance(pulses: &[Pulse], extras: &[Extra], near_m: f64) -> f64 {
     let (mut near, mut all) = (0, 0);
     for (index, strongest) in pulses.iter().enumerate().filter_map(|(i, pulse)| Some((i, pulse.strongest()?)))
@@ -276,7 +280,7 @@ pub fn near_by_chance(pulses: &[Pulse], extras: &[Extra], near_m: f64) -> f64 {
     near as f64 / f64::from(all.max(1))
 }
 
-/// As many places as these returns, each as far from the strongest return of a pulse by chance as it is from its own.
+/// Random positions: each extra return's offset applied to the strongest return of a random pulse.
 pub fn placed_by_chance(pulses: &[Pulse], extras: &[Extra], seed: usize) -> Vec<[f64; 3]> {
     let strongest: Vec<[f64; 3]> =
         pulses.iter().filter_map(|pulse| Some(pulse.strongest()?.place_m)).collect();
@@ -289,7 +293,7 @@ pub fn placed_by_chance(pulses: &[Pulse], extras: &[Extra], seed: usize) -> Vec<
     extras.iter().map(place).collect()
 }
 
-/// A number that has little to do with the one that it is made of (Steele, Lea and Flood's finaliser of SplitMix64).
+/// Pseudo-random number from another (finaliser of SplitMix64, Steele, Lea and Flood).
 pub fn scattered(number: usize) -> usize {
     let mut z = (number as u64).wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -297,7 +301,8 @@ pub fn scattered(number: usize) -> usize {
     ((z ^ (z >> 31)) >> 1) as usize
 }
 
-/// The most places within `near_m` of one straight line through two of them that are 3 m apart or more: indices.
+/// Indices of the largest set of positions within `near_m` of a line through two of them at least 3
+/// m apart.
 pub fn on_a_line(places_m: &[[f64; 3]], near_m: f64) -> Vec<usize> {
     let mut most = Vec::new();
     for (i, from_m) in places_m.iter().enumerate() {

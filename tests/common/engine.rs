@@ -1,4 +1,5 @@
-//! The decomposition that a run makes, one waveform at a time: for `tests/accuracy.rs` and `benches/accuracy`.
+//! The decomposition of a run, one waveform at a time, for `tests/accuracy.rs` and
+//! `benches/accuracy`.
 
 use std::sync::Arc;
 
@@ -7,21 +8,21 @@ use wavex::kernels::decompose::{DecomposeSettings, Return};
 use wavex::kernels::lockstep::{Lockstep, Mode, Outcomes, Path, Tables};
 use wavex::kernels::sensor_model::ChannelModel;
 
-/// One waveform to its returns.
+/// Decomposes one waveform at a time.
 pub struct Engine {
     kernels: Lockstep,
     outcomes: Outcomes,
 }
 
 impl Engine {
-    /// The engine for a channel.
+    /// Creates the engine for a channel.
     pub fn new(model: &ChannelModel, settings: &DecomposeSettings, mode: Mode) -> Engine {
         let tables = Tables::new(model).map(Arc::new);
         let kernels = Lockstep::new(model, tables, settings, mode, Path::best()).expect("a model");
         Engine { kernels, outcomes: Outcomes::default() }
     }
 
-    /// The returns of a waveform, and its deviation ratio.
+    /// Returns of a waveform, and its deviation ratio.
     pub fn decompose(&mut self, samples: &[u16]) -> (&[Return], f64) {
         self.kernels.decompose(&[Block { samples, start_phase: 0 }], &mut self.outcomes);
         let outcome = self.outcomes.get(0).expect("one outcome for one waveform");

@@ -1,4 +1,4 @@
-//! Simulated scenes with false returns, and how well a filter tells them from the others: for `tests/outliers.rs` and
+//! Simulated scenes with false returns, and scores of outlier filters, for `tests/outliers.rs` and
 //! `benches/outliers`.
 
 use std::collections::{HashMap, HashSet};
@@ -10,15 +10,18 @@ use wavex::job::Job;
 use wavex::registry;
 use wavex::stage::{Context, Output, Plan, Site};
 
-/// A scene: a name, keys of `simulate`, and how far a false return is from every true one at least, m, to count as a low or
-/// an air point: what is nearer lies among them. It is the distance at which the filter takes two returns for one thing.
+/// A scene: name, keys of `simulate`, and minimum distance of a false return from every true one to
+/// count as an outlier, m.
+///
+/// Nearer false returns lie among true ones. The distance is that at which the filter treats two
+/// returns as one object.
 pub struct Scene {
     pub name: &'static str,
     pub keys: &'static str,
     pub margin_m: f64,
 }
 
-/// Keys that all scenes of the country have.
+/// Keys common to all country scenes.
 const COUNTRY: &str = "landscape = 'country'\nfalse_alarm_rate = 0.01\nwater_ratio = 0.0\n";
 
 pub const SCENES: [Scene; 9] = [
@@ -71,7 +74,7 @@ pub const SCENES: [Scene; 9] = [
     },
 ];
 
-/// A return of the truth.
+/// A true return.
 #[derive(Clone, Debug, PartialEq)]
 pub struct True {
     pub shot: u64,
@@ -80,13 +83,13 @@ pub struct True {
     pub class: String,
 }
 
-/// A flight: its lines with the true returns in them, and what each return is, line by line.
+/// A flight: lines with true returns, and the type of each return by line.
 pub struct Flight {
     pub lines: Vec<Batch>,
     pub truth: Vec<Vec<True>>,
 }
 
-/// Flies over a scene; another seed takes another one of the same kind.
+/// Simulates a flight over a scene; another seed gives another scene of the same kind.
 pub fn fly(scene: &Scene, seed: u64) -> Flight {
     let country = scene.name != "strips";
     let own = |key: &str| scene.keys.contains(key);
@@ -164,7 +167,7 @@ fn rows(path: &Path) -> Vec<True> {
     lines.map(row).collect()
 }
 
-/// A return of which only its place matters.
+/// A return with a position only.
 pub fn found(emission: u32, return_number: u8, number_of_returns: u8, range_m: f64) -> Return {
     Return {
         emission,
@@ -177,7 +180,7 @@ pub fn found(emission: u32, return_number: u8, number_of_returns: u8, range_m: f
     }
 }
 
-/// A line as it was, for a second filter.
+/// Copies a line for a second filter.
 pub fn copy(line: &Batch) -> Batch {
     let mut copy = Batch::of_shots(line.input.clone(), line.line, line.emissions.clone(), Default::default());
     copy.stats = line.stats.clone();
@@ -185,7 +188,7 @@ pub fn copy(line: &Batch) -> Batch {
     copy
 }
 
-/// The lines behind `filter_outliers` with these keys, and the seconds that it took.
+/// Lines after `filter_outliers` with these keys, and the run time in seconds.
 pub fn filtered(lines: Vec<Batch>, keys: &str, may_hold_bytes: usize) -> (Vec<Batch>, Context, f64) {
     let Plan::Transform(filter) = planned("filter_outliers", keys) else { panic!("a transform") };
     let mut filter = filter.make(&site()).expect("a filter");
@@ -204,26 +207,26 @@ pub fn filtered(lines: Vec<Batch>, keys: &str, may_hold_bytes: usize) -> (Vec<Ba
     (given_on, cx, seconds)
 }
 
-/// How well false returns were told from the others.
+/// Score of an outlier filter.
 #[derive(Clone, Debug, Default)]
 pub struct Score {
-    /// False returns away from every true one, and how many of them were told.
+    /// False returns away from all true ones: total and detected.
     pub outliers: [usize; 2],
-    /// Those among true ones.
+    /// False returns among true ones: total and detected.
     pub among: [usize; 2],
-    /// True returns by class, and how many of them were taken for outliers.
+    /// True returns by class: total and marked as outliers.
     pub true_returns: HashMap<String, [usize; 2]>,
     /// Returns of rejected waveforms.
     pub rejected: usize,
 }
 
 impl Score {
-    /// Percent of the outliers that were told.
+    /// Detected outliers, percent.
     pub fn told(&self) -> f64 {
         100.0 * self.outliers[1] as f64 / self.outliers[0].max(1) as f64
     }
 
-    /// Percent of the true returns taken for outliers: all of them, or those of a class.
+    /// True returns marked as outliers, percent: all, or of one class.
     pub fn lost(&self, class: Option<&str>) -> f64 {
         let of_class = |(name, _): &(&String, &[usize; 2])| class.is_none_or(|class| class == *name);
         let (mut all, mut lost) = (0, 0);
@@ -234,7 +237,7 @@ impl Score {
     }
 }
 
-/// What a filter made of a flight: whether each return was marked or rejected.
+/// Scores a filter on a flight; `is_out` gives whether a return was marked or rejected.
 pub fn score(flight: &Flight, margin_m: f64, is_out: impl Fn(usize, usize) -> bool) -> Score {
     let cell = |p: [f64; 3]| p.map(|x| (x / margin_m).floor() as i64);
     let mut grid: HashMap<[i64; 3], Vec<[f64; 3]>> = HashMap::new();
@@ -269,7 +272,7 @@ pub fn score(flight: &Flight, margin_m: f64, is_out: impl Fn(usize, usize) -> bo
     score
 }
 
-/// The score of `filter_outliers` on a flight.
+/// Scores `filter_outliers` on a flight.
 pub fn score_of_stage(flight: &Flight, lines: &[Batch], margin_m: f64) -> Score {
     let key = |line: usize, r: &Return| (line, r.emission, r.range_m.to_bits());
     let mut kept = HashSet::new();

@@ -1,9 +1,10 @@
-//! A simulated instrument whose truth is known, and the bounds that its noise sets: for `tests/accuracy.rs` and
+//! A simulated instrument with known truth, and its noise bounds, for `tests/accuracy.rs` and
 //! `benches/accuracy.rs`.
 //!
-//! The sensor: a normal distribution of 1.65 ns convolved with a decay of 0.9 ns, and ringing
-//! from 4 ns on, a damped sine of 11 ns period and 7 ns decay that has passed the same normal distribution and is 5 % of
-//! the peak at its deepest. Noise of 2 DN, 85 % of it of a Gaussian band and 15 % white, on a background of 20.3 DN.
+//! Response: a normal distribution with an SD of 1.65 ns convolved with a decay of 0.9 ns, plus
+//! ringing from 4 ns on. The ringing is a damped sine with a period of 11 ns and a decay of 7 ns,
+//! convolved with the same normal distribution; its extreme is 5 % of the peak. Noise: 2 DN, of
+//! which 85 % is Gaussian band-limited and 15 % white, on a background of 20.3 DN.
 
 use std::f64::consts::TAU;
 use std::sync::{Arc, OnceLock};
@@ -12,15 +13,15 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 use wavex::simulation::noise::Noise;
 use wavex::simulation::random::{Normal, Purpose, Random};
 
-/// Samples of a waveform, 1 ns apart.
+/// Samples per waveform, 1 ns apart.
 pub const SAMPLES: usize = 60;
-/// Standard deviation of a sample's noise before it is rounded.
+/// SD of a sample's noise before rounding.
 pub const NOISE_SD_DN: f64 = 2.0;
 /// Level without an echo.
 pub const BACKGROUND_DN: f64 = 20.3;
-/// End of the scale of eight bits.
+/// Full scale of 8 bits.
 pub const EIGHT_BITS: f64 = 255.0;
-/// End of the scale where a strong echo shall not be cut off.
+/// Full scale at which strong echoes are not clipped.
 pub const TWELVE_BITS: f64 = 4095.0;
 
 const NORMAL_SD_NS: f64 = 1.65;
@@ -28,34 +29,36 @@ const DECAY_NS: f64 = 0.9;
 const RINGING_FROM_NS: f64 = 4.0;
 const RINGING_PERIOD_NS: f64 = 11.0;
 const RINGING_DECAY_NS: f64 = 7.0;
-/// Greatest deviation of the ringing, as part of the peak.
+/// Extreme of the ringing relative to the peak.
 const RINGING_PART: f64 = 0.05;
-/// Correlation of receiver noise one sample apart and its share; the correlation at lag `k` is `share · ρ^(k²)`.
+/// Correlation of receiver noise at lag 1 and its share; the correlation at lag `k` is
+/// `share · ρ^(k²)`.
 const BAND_CORRELATION: f64 = 0.61 / BAND_PART;
 const BAND_PART: f64 = 0.85;
-/// Lags at which the noise is correlated by more than can be measured, and more.
+/// Number of lags, more than those with measurable correlation.
 const LAGS: usize = 8;
-/// Table of the response: steps per nanosecond, and times from the normal distribution's centre.
+/// Table of the response: steps per nanosecond, and times from the centre of the normal
+/// distribution.
 const STEPS_PER_NS: f64 = 8.0;
 const FIRST_NS: f64 = -14.0;
 const LAST_NS: f64 = 66.0;
-/// Width ratios from 1 to 2.6 are rounded to this step: the truth is the rounded one.
+/// Step of width ratios from 1 to 2.6; the truth is rounded to it.
 const WIDTH_STEP: f64 = 0.002;
 const WIDTHS: usize = 801;
 
-/// One width's table: main lobe and ringing apart.
+/// Table of one width: main lobe and ringing separately.
 #[derive(Debug)]
 struct Row {
     lobe: Vec<f64>,
     ringing: Vec<f64>,
-    /// Height of the peak that the sum has.
+    /// Peak of the sum.
     peak: f64,
 }
 
 /// The response and all its widened forms.
 #[derive(Debug)]
 pub struct Response {
-    /// Place and height of the response's own peak, from the normal distribution's centre.
+    /// Position and value of the response's peak, from the centre of the normal distribution.
     peak_ns: f64,
     /// Full width at half maximum.
     pub fwhm_ns: f64,
@@ -94,7 +97,7 @@ impl Response {
         response
     }
 
-    /// Variance of a normal distribution of the response's width.
+    /// Variance of a normal distribution with the width of the response.
     fn variance_ns2(&self) -> f64 {
         self.fwhm_ns.powi(2) / (8.0 * 2f64.ln())
     }
@@ -136,7 +139,8 @@ impl Response {
         self.rows[index].get_or_init(|| self.widened(1.0 + index as f64 * WIDTH_STEP))
     }
 
-    /// The response of this width ratio and height 1 at a time from the peak of the response itself.
+    /// Response with this width ratio and peak 1, at a time from the peak of the unwidened
+    /// response.
     pub fn at(&self, time_ns: f64, width: f64) -> f64 {
         let row = self.row(width);
         row.at(time_ns + self.peak_ns, 1.0) / row.peak
@@ -155,20 +159,21 @@ impl Row {
     }
 }
 
-/// Weights of four even points for the cubic through them, at a part of the middle interval.
+/// Weights of cubic interpolation between four equidistant points, at a fraction of the middle
+/// interval.
 fn lagrange(x: f64) -> [f64; 4] {
     let (a, b, c) = (x + 1.0, x - 1.0, x - 2.0);
     [-x * b * c / 6.0, a * b * c / 2.0, -a * x * c / 2.0, a * x * b / 6.0]
 }
 
-/// A decay that begins at 0, convolved with a normal distribution; of area 1.
+/// An exponential decay from 0, convolved with a normal distribution; area 1.
 fn decayed(time_ns: f64, sd_ns: f64) -> f64 {
     let ratio = sd_ns / DECAY_NS;
     let below = libm::erfc((ratio - time_ns / sd_ns) * std::f64::consts::FRAC_1_SQRT_2);
     (0.5 * ratio * ratio - time_ns / DECAY_NS).exp() * below / (2.0 * DECAY_NS)
 }
 
-/// The greatest value of a smooth table, and where it is, in steps.
+/// Maximum of a smooth table, and its position in steps.
 fn greatest(values: &[f64]) -> (f64, f64) {
     let at = (0..values.len()).fold(0, |best, k| if values[k] > values[best] { k } else { best });
     let fine = (-1000..=1000).map(|i| f64::from(i) * 1e-3).map(|shift| {
@@ -179,7 +184,7 @@ fn greatest(values: &[f64]) -> (f64, f64) {
     fine.fold((f64::NEG_INFINITY, 0.0), |best, one| if one.0 > best.0 { one } else { best })
 }
 
-/// An echo: the height of its peak over the noise, the place of the response's peak in it, and its width ratio.
+/// An echo: peak signal-to-noise ratio, position of the response's peak, and width ratio.
 #[derive(Clone, Copy, Debug)]
 pub struct Echo {
     pub snr: f64,
@@ -187,19 +192,19 @@ pub struct Echo {
     pub width: f64,
 }
 
-/// Records waveforms.
+/// Generates waveforms.
 #[derive(Clone)]
 pub struct Instrument {
     pub response: Arc<Response>,
     noise: Arc<Noise>,
     random: Random,
     normal: Normal,
-    /// Standard deviation of the ringing from pulse to pulse, as part of it.
+    /// Relative SD of the ringing from pulse to pulse.
     pub ringing_sd: f64,
 }
 
 impl Instrument {
-    /// Two seeds: waveforms of a cell, and a part of them.
+    /// Two seeds: the cell, and the part of its waveforms.
     pub fn new(response: &Arc<Response>, cell: u64, part: u32) -> Instrument {
         let lags: Vec<f64> = (1..=LAGS).map(autocorrelation).collect();
         Instrument {
@@ -215,7 +220,7 @@ impl Instrument {
         low + (high - low) * self.random.uniform()
     }
 
-    /// An echo at any phase, well within the block.
+    /// An echo at a random phase, well within the block.
     pub fn echo(&mut self, snr: f64, width: f64) -> Echo {
         Echo { snr, place: self.uniform(18.0, 24.0), width }
     }
@@ -238,8 +243,11 @@ impl Instrument {
         block.iter().map(|value| (value + BACKGROUND_DN).round().clamp(0.0, full_scale_dn) as u16).collect()
     }
 
-    /// A waveform of those that calibration is made from: 60 % of the targets flat but for a mean widening of 1 % of the
-    /// response's variance, 40 % widened up to 1.5 times; 30 % with a second return; ratios of 15 to 110.
+    /// A waveform for calibration.
+    ///
+    /// 60 % of the targets are flat except for a mean widening of 1 % of the response's variance;
+    /// 40 % are widened up to 1.5 times. 30 % have a second return. Signal-to-noise ratios are 15
+    /// to 110.
     pub fn record_any(&mut self, full_scale_dn: f64) -> Vec<u16> {
         let width = if self.random.uniform() < 0.6 {
             (1.0 - 0.01 * (1.0 - self.random.uniform()).ln()).sqrt()
@@ -257,18 +265,19 @@ impl Instrument {
     }
 }
 
-/// Correlation of the noise without rounding.
+/// Autocorrelation of the noise without rounding.
 pub fn autocorrelation(lag: usize) -> f64 {
     if lag == 0 { 1.0 } else { BAND_PART * BAND_CORRELATION.powi((lag * lag) as i32) }
 }
 
-/// Standard deviation of a sample's noise, rounding included.
+/// SD of a sample's noise, including rounding.
 pub fn noise_sd_dn() -> f64 {
     (NOISE_SD_DN.powi(2) + 1.0 / 12.0).sqrt()
 }
 
-/// The Cramer-Rao bound of an echo's height (as part of it), place (samples) and logarithm of its width, all three free,
-/// from the used samples of a block.
+/// Cramér-Rao bound of an echo: relative amplitude, position (samples), logarithm of width.
+///
+/// All three are free; only the used samples of a block count.
 pub fn bound(response: &Response, echo: Echo, used: &[bool]) -> [f64; 3] {
     let kept: Vec<usize> = (0..used.len()).filter(|k| used[*k]).collect();
     let covariance = |lag: usize| match lag {
@@ -295,7 +304,7 @@ pub fn bound(response: &Response, echo: Echo, used: &[bool]) -> [f64; 3] {
     [0, 1, 2].map(|i| inverse[(i, i)].sqrt())
 }
 
-/// The bound over the phases of a sample: root of the mean variance.
+/// Bound averaged over sample phases: root of the mean variance.
 pub fn mean_bound(response: &Response, snr: f64, width: f64) -> [f64; 3] {
     let mut sums = [0.0; 3];
     for phase in 0..8 {

@@ -1,4 +1,4 @@
-//! Small stages to build test chains of, and jobs made of them without text.
+//! Small stages for test chains, and jobs made of them without text.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use std::sync::Arc;
@@ -40,15 +40,15 @@ pub fn line_of_shots(input: &Arc<InputInfo>, line: u32, shots: usize) -> Batch {
     Batch::of_shots(Arc::clone(input), line, emissions, blocks)
 }
 
-/// Makes lines of shots.
+/// A source of lines of shots.
 #[derive(Clone, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Count {
-    /// How many lines.
+    /// Number of lines.
     pub lines: u32,
-    /// Shots of each line.
+    /// Shots per line.
     pub shots: usize,
-    /// The line whose making fails; none when negative.
+    /// Line at which the source fails; none if negative.
     pub fail_at: i64,
 }
 
@@ -88,15 +88,17 @@ impl Source for Counting {
     }
 }
 
-/// Works for a time that differs from line to line, and rejects the first shot of every line on request.
+/// A map with a run time that varies from line to line.
+///
+/// Optionally rejects the first shot of every line.
 #[derive(Clone, Default, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Work {
-    /// The longest time, us.
+    /// Maximum run time, us.
     pub longest_us: u64,
-    /// Drop one shot per line.
+    /// Whether to drop one shot per line.
     pub drop_one: bool,
-    /// The line at which the stage panics; none when 0.
+    /// Line at which the stage panics; none if 0.
     pub panic_at: u32,
 }
 
@@ -122,11 +124,11 @@ impl Map for Work {
     }
 }
 
-/// Holds the first lines back.
+/// A transform that holds back the first lines.
 #[derive(Clone, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Hold {
-    /// How many lines.
+    /// Number of lines.
     pub lines: usize,
 }
 
@@ -169,15 +171,15 @@ impl Transform for Holding {
     }
 }
 
-/// Writes the lines' numbers.
+/// A sink that writes line numbers.
 #[derive(Clone, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WriteNumbers {
-    /// The file.
+    /// Output file.
     pub path: String,
-    /// The line whose writing fails; none when 0.
+    /// Line at which writing fails; none if 0.
     pub fail_at: u32,
-    /// How long each line takes, us.
+    /// Run time per line, us.
     pub slow_us: u64,
 }
 
@@ -240,7 +242,7 @@ pub fn stage(spec: &'static StageSpec, keys: &str) -> JobStage {
     JobStage { id, spec, planned }
 }
 
-/// Options that write into a folder.
+/// Options that write to a folder.
 pub fn into(job: &Job, folder: &std::path::Path) -> Options {
     Options::of_job(job, folder, folder)
 }

@@ -1,4 +1,4 @@
-//! NEON's waveforms as text: to our container, and an R package's Gaussians beside them.
+//! Converts NEON waveforms from text to our container; reads the Gaussians of an R package.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -9,17 +9,18 @@ use wavex::formats::container::{
     LineBuilder, TimeScale, channel,
 };
 
-/// When every recorded echo begins after its shot's clock, ns: the time of the first sample is not in the text.
+/// Start of every recorded echo after its shot's clock, ns; the text does not give the time of the
+/// first sample.
 pub const START_NS: f64 = 3000.0;
 
-/// Rows of numbers below a line of names; what is no number is NaN.
+/// Numeric rows below a header line; other text is NaN.
 pub fn rows(path: &Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap();
     let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect();
     text.lines().skip(1).map(row).collect()
 }
 
-/// The waveforms of a table; its rows are filled up behind them with zeros or nothing.
+/// Waveforms of a table; zeros or empty cells at the end of rows are padding.
 pub fn waveforms(path: &Path) -> Vec<Vec<u16>> {
     let samples = |row: Vec<f64>| {
         let end = row.iter().rposition(|value| *value > 0.0).map_or(0, |last| last + 1);
@@ -28,7 +29,7 @@ pub fn waveforms(path: &Path) -> Vec<Vec<u16>> {
     rows(path).into_iter().map(samples).collect()
 }
 
-/// Writes the recording of `folder` to a container: all shots as one scan line, straight down.
+/// Converts the recording of `folder` to a container: all shots as one scan line, at nadir.
 pub fn to_container(folder: &Path, path: &Path) {
     let header = ContainerHeader {
         instrument: Some("Optech Gemini".into()),

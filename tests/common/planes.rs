@@ -1,4 +1,4 @@
-//! How far points lie from the planes through their neighbours.
+//! Distances of points from the planes through their neighbours.
 
 use std::path::Path;
 
@@ -6,20 +6,20 @@ use wavex::formats::pulsewaves::Reader;
 
 use super::recordings::{Table, median};
 
-/// Neighbours that tell a plane.
+/// Neighbours used to fit a plane.
 const NEIGHBOURS: usize = 12;
-/// Side of the cells that points are sorted into, m: a few times the distance of neighbours.
+/// Side of the cells for sorting points, m: a few times the point spacing.
 const CELL_M: f64 = 3.0;
 
 type Point = [f64; 3];
 
-/// A pulse's anchor and its displacement per sampling unit, as a file stores them.
+/// A pulse's anchor and its displacement per sampling unit, as stored in a file.
 pub struct Beam {
     anchor: Point,
     step: Point,
 }
 
-/// The beams of a PulseWaves file whose sampling unit is a nanosecond, by pulse.
+/// Beams by pulse of a PulseWaves file with a sampling unit of one nanosecond.
 pub fn stored_beams(path: &Path) -> Vec<Beam> {
     let mut reader = Reader::open(path).unwrap();
     (0..reader.pulse_count())
@@ -28,13 +28,13 @@ pub fn stored_beams(path: &Path) -> Vec<Beam> {
         .collect()
 }
 
-/// Robust residuals of single returns against the planes through their twelve neighbours, mm.
+/// Robust residuals of single returns from the planes through their twelve neighbours, mm.
 pub struct Residuals {
     pub all_mm: f64,
-    /// Where the neighbours lie in a plane best: half and tenth of all.
+    /// The half and the tenth of the points whose neighbours fit a plane best.
     pub half_mm: f64,
     pub tenth_mm: f64,
-    /// All, with the length of each beam as the file stores it.
+    /// All points, with the beam lengths stored in the file.
     pub stored_mm: f64,
 }
 
@@ -64,7 +64,7 @@ impl Residuals {
     }
 }
 
-/// For each point its distance from its neighbours' plane, and how far those lie from it, m.
+/// Distance of each point from the plane of its neighbours, and their RMS distance from it, m.
 fn residuals(points: &[Point]) -> Vec<(f64, f64)> {
     let cell = |p: &Point| p.map(|x| (x / CELL_M).floor() as i64);
     let mut cells: std::collections::HashMap<[i64; 3], Vec<usize>> = std::collections::HashMap::new();
@@ -88,7 +88,7 @@ fn residuals(points: &[Point]) -> Vec<(f64, f64)> {
     found
 }
 
-/// Distance of the origin from the plane that fits points best, and their own root mean square distance.
+/// Distance of the origin from the best-fit plane of points, and their RMS distance from it.
 fn plane(points: &[Point]) -> (f64, f64) {
     let n = points.len() as f64;
     let mean: Point = std::array::from_fn(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / n);

@@ -1,4 +1,4 @@
-//! Real recordings, and other people's results beside them.
+//! Real recordings with reference results.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use wavex::engine::{self, InputReport, Options};
 use wavex::job::{Job, Override};
 use wavex::stage::{Context, Plan, Planned, Site};
 
-/// The folder of real recordings, or `None`, said loudly.
+/// Folder of real recordings; prints a notice if it is not set.
 pub fn data() -> Option<PathBuf> {
     let folder = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
     if folder.is_none() {
@@ -17,14 +17,14 @@ pub fn data() -> Option<PathBuf> {
     folder
 }
 
-/// Runs a job of the folder `jobs` on the recordings, into `out`.
+/// Runs a job of the folder `jobs` on the recordings; writes to `out`.
 pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputReport {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs").join(name);
-    let text = std::fs::read_to_string(&path).expect("the job stands in the repository");
+    let text = std::fs::read_to_string(&path).expect("the job exists in the repository");
     run(name, &text, data, out, set)
 }
 
-/// Runs a job on the inputs in a folder, into `out`.
+/// Runs a job on the inputs of a folder; writes to `out`.
 pub fn run(name: &str, text: &str, inputs: &Path, out: &Path, set: &[&str]) -> InputReport {
     let overrides: Vec<Override> = set.iter().map(|text| Override::new(*text)).collect();
     let job = Job::parse(name, text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
@@ -33,7 +33,7 @@ pub fn run(name: &str, text: &str, inputs: &Path, out: &Path, set: &[&str]) -> I
     report.inputs.remove(0)
 }
 
-/// A table of numbers by column; what is no number is NaN.
+/// A numeric table by column; other text is NaN.
 pub struct Table {
     columns: HashMap<String, usize>,
     rows: Vec<Vec<f64>>,
@@ -44,13 +44,13 @@ impl Table {
         let text =
             std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let mut lines = text.lines();
-        let names = lines.next().expect("a first line with names").split(',');
+        let names = lines.next().expect("a header line").split(',');
         let columns = names.enumerate().map(|(i, name)| (name.to_string(), i)).collect();
         let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect();
         Table { columns, rows: lines.map(row).collect() }
     }
 
-    /// The numbers of a column.
+    /// Values of a column.
     pub fn column(&self, name: &str) -> Vec<f64> {
         let i = self.columns[name];
         self.rows.iter().map(|row| row[i]).collect()
@@ -61,7 +61,7 @@ impl Table {
     }
 }
 
-/// Median, and 1.4826 times the median deviation from it.
+/// Median and robust SD (1.4826 MAD).
 pub fn robust(values: &[f64]) -> (f64, f64) {
     let centre = median(values);
     let deviations: Vec<f64> = values.iter().map(|value| (value - centre).abs()).collect();
@@ -72,16 +72,16 @@ pub fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len();
-    assert!(n > 0, "a median of nothing");
+    assert!(n > 0, "median of an empty list");
     (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0
 }
 
-/// The low power samples of every block that a reader finds, in order.
+/// Low-power samples of all blocks of a recording, in order.
 pub fn samples(reader: &str, path: &Path) -> Vec<Vec<u16>> {
     samples_of(Channel::LowPower, reader, path).into_iter().map(|(_, samples)| samples).collect()
 }
 
-/// The samples of every block of one receiver that a reader finds, in order, with their shots.
+/// Samples and shots of all blocks of one channel, in order.
 pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<u16>)> {
     let spec = wavex::registry::find(reader).expect("a reader of the registry");
     let keys = toml::toml! { path = "unused" }.to_string();

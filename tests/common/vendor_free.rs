@@ -1,4 +1,5 @@
-//! Tests of a recording against itself: superposed echoes, halved samples, the residual behind echoes.
+//! Self-consistency tests of a recording: superposed echoes, halved samples, residuals after
+//! echoes.
 
 use std::path::Path;
 
@@ -13,7 +14,7 @@ use wavex::kernels::whitening::Whitener;
 
 use super::recordings::{robust, samples};
 
-/// A recording whose model was found from its first blocks and is tested on the others.
+/// A recording with a model from some of its blocks; the others are for testing.
 pub struct Recording {
     pub model: ChannelModel,
     pub blocks: Vec<Vec<u16>>,
@@ -27,7 +28,8 @@ pub struct Single<'a> {
 }
 
 impl Recording {
-    /// Every `of`-th block gives the model, the others are the test; with 1, all are both.
+    /// Every `of`-th block is for calibration, the others for testing; with 1, all blocks serve
+    /// both.
     pub fn of(path: &Path, of: usize) -> Recording {
         let (calibrated, rest): (Vec<_>, Vec<_>) =
             samples("read_pulsewaves", path).into_iter().enumerate().partition(|(i, _)| i % of == 0);
@@ -36,7 +38,7 @@ impl Recording {
         Recording { model: model_of(&calibrated, &CalibrationSettings::echoes(1.0, 255.0)), blocks: rest }
     }
 
-    /// The blocks in which one return is found.
+    /// Blocks in which exactly one return is found.
     pub fn singles(&self) -> Vec<Single<'_>> {
         let mut decomposer = Decomposer::new(&self.model, &DecomposeSettings::default(), 80).unwrap();
         let mut found = Vec::new();
@@ -54,7 +56,7 @@ impl Recording {
     }
 }
 
-/// The model with its response that blocks give.
+/// Calibrates a model with system response from blocks.
 pub fn model_of(blocks: &[Vec<u16>], settings: &CalibrationSettings) -> ChannelModel {
     let of_blocks = || blocks.iter().map(|samples| Block { samples, start_phase: 0 });
     let gaussian = calibrate(of_blocks(), settings).unwrap();
@@ -63,7 +65,7 @@ pub fn model_of(blocks: &[Vec<u16>], settings: &CalibrationSettings) -> ChannelM
     model
 }
 
-/// A return as the fit knows it.
+/// A return in the form of the fit.
 fn pulse(fitted: &Return) -> Pulse {
     Pulse {
         height_dn: fitted.amplitude_dn,
@@ -73,35 +75,37 @@ fn pulse(fitted: &Return) -> Pulse {
     }
 }
 
-/// What became of two recorded echoes in one block.
+/// Result for two recorded echoes in one block.
 struct Superposed {
     more: bool,
-    /// Where both are found: differences to the places told alone, ns, and over their standard deviations.
+    /// If both are found: position errors relative to the separate fits, ns, and normalised by
+    /// their SD.
     errors: Option<[(f64, f64); 2]>,
 }
 
-/// What became of many pairs of one separation.
+/// Result for many pairs of one separation.
 pub struct Told {
-    /// Parts of the pairs of which both are found, and in which more are.
+    /// Fractions of pairs with both found, and with more than two returns.
     pub both: f64,
     pub more: f64,
-    /// Of the first and of the second echoes: median error, ps, and robust spread of the normalised errors.
+    /// For the first and the second echoes: median error, ps, and robust SD of the normalised
+    /// errors.
     pub bias_ps: [f64; 2],
     pub z: [f64; 2],
 }
 
-/// Adds recorded echoes, two and two.
+/// Superposes pairs of recorded echoes.
 pub struct Superposition<'a> {
     recording: &'a Recording,
-    /// By the second block's shift modulo 4.
+    /// By the shift of the second block modulo 4.
     decomposers: Vec<Decomposer>,
 }
 
 impl<'a> Superposition<'a> {
-    /// Two blocks have twice the variance of noise of one, and the sum of both backgrounds.
+    /// The sum of two blocks has twice the noise variance and the sum of both backgrounds.
     pub fn new(recording: &'a Recording) -> Superposition<'a> {
         let model = &recording.model;
-        // No echo overdrove the receiver, however high their sum is.
+        // No echo overdrove the receiver, whatever the height of the sum.
         let settings = DecomposeSettings { overdriven_part: 1.0, ..DecomposeSettings::default() };
         let of_shift = |shift: usize| {
             let background =
@@ -118,7 +122,7 @@ impl<'a> Superposition<'a> {
         Superposition { recording, decomposers: (0..4).map(of_shift).collect() }
     }
 
-    /// So many pairs whose second echo stands this far behind the first, to a fifth of a sample.
+    /// Tests this many pairs with this separation, within a fifth of a sample.
     pub fn told(
         &mut self,
         first: &[Single<'_>],
@@ -128,7 +132,7 @@ impl<'a> Superposition<'a> {
     ) -> Told {
         let mut all = Vec::new();
         for i in 0.. {
-            // Strides without a common factor: partners are far from each other in the recording.
+            // Strides without a common factor: partners are far apart in the recording.
             let (a, b) = (&first[(7 * i) % first.len()], &second[(13 * i + 101) % second.len()]);
             let off = b.fitted.position_samples - a.fitted.position_samples - separation_ns;
             if (off - off.round()).abs() < 0.2 && !std::ptr::eq(a.samples, b.samples) {
@@ -150,7 +154,7 @@ impl<'a> Superposition<'a> {
         }
     }
 
-    /// The second echo so far behind the first as whole samples allow.
+    /// Superposes two echoes with the separation rounded to whole samples.
     fn of(&mut self, first: &Single<'_>, second: &Single<'_>, separation_ns: f64) -> Superposed {
         assert_eq!(self.recording.model.sampling_interval_ns, 1.0);
         let [at, behind] = [first, second].map(|single| single.fitted.position_samples);
@@ -175,8 +179,9 @@ impl<'a> Superposition<'a> {
             (Some(i), Some(j)) if i != j => {
                 let error = |k: usize, alone: &Single<'_>, place: f64| {
                     let error = returns[k].position_samples + start as f64 - place;
-                    // The place told alone is made of half of the same noise: as the best that the simpler model can
-                    // tell, its covariance with the other is its own variance (Hausman 1978).
+                    // The separate fit shares half of the noise. As the efficient estimate of the
+                    // simpler model, its covariance with the other equals its own variance (Hausman
+                    // 1978).
                     let variance =
                         returns[k].position_sd_samples.powi(2) - alone.fitted.position_sd_samples.powi(2);
                     (error, error / variance.sqrt())
@@ -191,9 +196,9 @@ impl<'a> Superposition<'a> {
 
 /// Scores of the even/odd test.
 pub struct EvenOddScores {
-    /// Of the recorded echoes: height and score.
+    /// Recorded echoes: amplitude and score.
     pub on: Vec<(f64, f64)>,
-    /// Of calculated echoes in recorded noise: height and score.
+    /// Computed echoes in recorded noise: amplitude and score.
     pub off: Vec<(f64, f64)>,
 }
 
@@ -206,7 +211,8 @@ impl EvenOddScores {
         for single in singles {
             let (fitted, target) = (pulse(&single.fitted), recording.target_dn(single.samples));
             on.extend(test.score(&target, fitted).map(|score| (fitted.height_dn, score)));
-            // What the echo leaves from 30 ns behind it on is noise; a calculated echo of the same height is put there.
+            // The residual from 30 ns after the echo is noise; a computed echo of the same
+            // amplitude is added to it.
             let mut rest = target;
             shape.add(&fitted, -1.0, &mut rest);
             let first = (fitted.position_samples + 30.0).ceil() as usize;
@@ -223,7 +229,8 @@ impl EvenOddScores {
     }
 }
 
-/// The matched filter's statistic of what single echoes leave, from `behind_ns` behind their peak on.
+/// Matched-filter statistics of the residuals of single echoes, from `behind_ns` after their peak
+/// on.
 pub fn tail_statistics(recording: &Recording, singles: &[Single<'_>], behind_ns: f64) -> Vec<f64> {
     let model = &recording.model;
     let shape = Shape::of(model).unwrap();
@@ -243,8 +250,10 @@ pub fn tail_statistics(recording: &Recording, singles: &[Single<'_>], behind_ns:
     found
 }
 
-/// Maxima and minima of the matched filter of what decomposition leaves, beyond `limit` and within `reach_ns` of the peak of
-/// an echo of at least 100 DN. Echoes that were not found make maxima; the noise and a wrong response make both.
+/// Extrema of the matched filter in decomposition residuals near strong echoes.
+///
+/// Counts extrema beyond `limit` within `reach_ns` of the peak of an echo of at least 100 DN.
+/// Missed echoes cause maxima; noise and response errors cause both.
 pub fn left_beside_strong_echoes(
     recording: &Recording,
     settings: &DecomposeSettings,

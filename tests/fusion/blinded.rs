@@ -1,18 +1,19 @@
-//! Where the sensitive receiver is blinded: its delay walks with the height of the echo, and echoes share a plateau.
+//! Saturated sensitive receiver: its delay depends on amplitude, and echoes share a plateau.
 
 use super::*;
 use wavex::kernels::sensor_model::ChannelModel;
 
-/// The table of returns of a recording, and what was found of the receivers.
+/// Table of returns of a recording, and the report.
 fn found(keys: &str) -> (Vec<Row>, InputReport) {
     let folder = tempfile::tempdir().unwrap();
-    // The emission is known without an error here, and the clock has none.
+    // Here the emission time has no error, and neither has the clock.
     let report = run(keys, Some(""), "timing_error_ns = 0.0", folder.path());
     println!("{:?}", report.channel_fusion);
     (rows(&folder.path().join("returns.csv")), report)
 }
 
-/// Errors of ranges, m, and the same over their standard deviations, of returns whose echoes are in `heights_dn`.
+/// Range errors, m, and errors normalised by their SD, of returns whose echoes have amplitudes in
+/// `heights_dn`.
 fn errors(config: &TwoReceivers, rows: &[Row], heights_dn: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let of_row = |row: &Row| {
         let all = truths(config, row.shot);
@@ -25,7 +26,7 @@ fn errors(config: &TwoReceivers, rows: &[Row], heights_dn: [f64; 2]) -> (Vec<f64
     rows.iter().filter_map(of_row).unzip()
 }
 
-/// From 210 digitiser steps on the sensitive receiver sees echoes early, by up to 0.2 ns: 30 mm.
+/// From 210 DN on, the sensitive receiver sees echoes early by up to 0.2 ns (30 mm).
 #[test]
 fn a_walk_by_amplitude_bends_no_range() {
     let keys = "lines = 2\nwalks = true\nheights_dn = [100.0, 1500.0]";
@@ -46,14 +47,18 @@ fn a_walk_by_amplitude_bends_no_range() {
             rms(&scores)
         );
         assert!(errors_m.len() > 40 && mean_m.abs() <= 0.003, "{heights_dn:?}: {mean_m}");
-        // The few echoes that both receivers see between 210 and 243 tell the walk there in steps: its errors are common.
+        // Only few echoes between 210 and 243 DN are seen by both receivers; they determine the
+        // walk in steps, whose errors are common to all returns.
         let most = if heights_dn[0] == 210.0 { 2.0 } else { 1.2 };
         assert!(rms(&scores) < most, "{heights_dn:?}: {}", rms(&scores));
     }
 }
 
-/// What is found of a recording in which every second shot has two echoes 6 to 9 ns apart, so strong that the sensitive
-/// receiver has one plateau of both; the others have one of these heights. Shots, returns and echoes are counted.
+/// Results for a recording with pairs of echoes.
+///
+/// Every second shot has two echoes 6 to 9 ns apart, strong enough to share one plateau in the
+/// sensitive receiver; the others have one echo with an amplitude in `heights_dn`. Returns also the
+/// counts of shots, returns and echoes.
 fn found_of_plateaus(seed: u64, heights_dn: [f64; 2]) -> (TwoReceivers, Vec<Row>, usize, InputReport) {
     let keys = format!("lines = 2\nseed = {seed}\nshares_plateau = true\nheights_dn = {heights_dn:?}");
     let config = TwoReceivers { lines: 2, seed, shares_plateau: true, heights_dn, ..TwoReceivers::default() };
@@ -63,7 +68,7 @@ fn found_of_plateaus(seed: u64, heights_dn: [f64; 2]) -> (TwoReceivers, Vec<Row>
     (config, rows, echoes, report)
 }
 
-/// Both come back, and next to nothing else.
+/// Both echoes are found, with almost no false returns.
 #[test]
 fn echoes_that_share_a_plateau_are_told_apart() {
     for seed in 1..=4 {
@@ -80,15 +85,17 @@ fn echoes_that_share_a_plateau_are_told_apart() {
         );
         assert_few_more(&rows, echoes, 100);
         assert!(errors_m.len() * 100 >= 99 * (config.lines * SHOTS_PER_LINE) as usize);
-        // A few strong echoes are told as two, with standard deviations of decimetres.
+        // A few strong echoes are reported as two, with SDs of decimetres.
         assert!(mean_m.abs() <= 0.005 && far * 100 <= errors_m.len() && rms(&scores) < 1.5, "{mean_m} {far}");
     }
 }
 
-/// One receiver has too few single echoes to tell its response: that of the other stands in, after-pulse and all.
+/// A receiver with too few single echoes uses the response of the other one, including its
+/// after-pulse.
 #[test]
 fn a_receiver_without_single_echoes_has_the_response_of_the_other() {
-    // Single echoes are weak in the first scene, where the receiver for strong ones sees pairs alone, and strong in the second.
+    // In the first scene single echoes are weak, so the high-power receiver sees only pairs; in the
+    // second they are strong.
     for (seed, heights_dn) in [(1, [60.0, 240.0]), (2, [60.0, 240.0]), (9, [60.0, 2400.0])] {
         let (_, rows, echoes, report) = found_of_plateaus(seed, heights_dn);
         let model = report.sensor_model.unwrap();

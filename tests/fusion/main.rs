@@ -1,9 +1,10 @@
-//! Two receivers, used together: ranges across the hand-over between them, against the bound that both set jointly, and
-//! without a step. The whole chain runs, with everything found from the recording itself.
+//! Joint use of two receivers: ranges across their transition reach the joint bound without a step.
+//!
+//! The whole chain runs, with all calibration from the recording itself.
 #![allow(
     clippy::unwrap_used,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells its figures"
+    reason = "a test fails by panicking and prints its figures"
 )]
 
 mod blinded;
@@ -31,24 +32,25 @@ const LOW_NOISE_DN: f64 = 2.0;
 const HIGH_NOISE_DN: f64 = 0.7;
 const AUTOCORRELATION: [f64; 4] = [0.63, 0.42, 0.22, 0.11];
 const GAIN: f64 = 10.0;
-/// The delay and the raster of the other receiver's samples, ns.
+/// Delay and sample raster of the other receiver, ns.
 const DELAY_NS: f64 = 0.52;
 const RASTER_NS: f64 = 1.43;
 const SPEED_M_PER_NS: f64 = 0.299_792_458;
 const SHOTS_PER_LINE: u32 = 500;
 
-/// One echo to a shot, of any height and phase, seen by two receivers. Nothing is wrong with the emission: the clock tells
-/// it, so that ranges show the echoes' errors alone.
+/// One echo per shot, of any amplitude and phase, seen by two receivers.
+///
+/// The clock gives the exact emission time, so range errors are errors of the echoes only.
 #[derive(Clone, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct TwoReceivers {
     lines: u32,
     seed: u64,
-    /// Heights in the sensitive receiver, spaced evenly in their logarithm.
+    /// Amplitudes in the sensitive receiver, evenly spaced in their logarithm.
     heights_dn: [f64; 2],
-    /// Whether the overdriven sensitive receiver sees echoes early.
+    /// Whether the saturated sensitive receiver sees echoes early.
     walks: bool,
-    /// Whether every second shot has two echoes whose plateaus in the sensitive receiver are one.
+    /// Whether every second shot has two echoes that share a plateau in the sensitive receiver.
     shares_plateau: bool,
 }
 
@@ -99,7 +101,7 @@ struct Recording {
     receiver: Receiver,
 }
 
-/// Height and time of the echo of a shot: its truth.
+/// Truth: amplitude and time of the echo of a shot.
 fn truth(config: &TwoReceivers, shot: u32) -> (f64, f64) {
     let mut random =
         Random::of_shot(config.seed, shot / SHOTS_PER_LINE, shot % SHOTS_PER_LINE, Purpose::FalseAlarms);
@@ -107,7 +109,7 @@ fn truth(config: &TwoReceivers, shot: u32) -> (f64, f64) {
     (least * (most / least).powf(random.uniform()), 4000.0 + 200.0 * random.uniform())
 }
 
-/// Height and time of all echoes of a shot.
+/// Amplitudes and times of all echoes of a shot.
 fn truths(config: &TwoReceivers, shot: u32) -> Vec<(f64, f64)> {
     let (height_dn, time_ns) = truth(config, shot);
     if !config.shares_plateau || shot % 2 == 1 {
@@ -120,19 +122,19 @@ fn truths(config: &TwoReceivers, shot: u32) -> Vec<(f64, f64)> {
     vec![(heights_dn[0], time_ns), (heights_dn[1], time_ns + 6.0 + 3.0 * random.uniform())]
 }
 
-/// How early the overdriven sensitive receiver sees an echo, ns.
+/// Advance of an echo in the saturated sensitive receiver, ns.
 fn early_ns(config: &TwoReceivers, height_dn: f64) -> f64 {
     if config.walks { 0.005 * (height_dn - 210.0).clamp(0.0, 40.0) } else { 0.0 }
 }
 
 impl Recording {
-    /// Adds what both receivers record of a shot.
+    /// Adds the blocks of both receivers for a shot.
     fn record(&mut self, index: u32, echoes: &[Echo], blocks: &mut Blocks) {
         let mut windows = Vec::new();
         self.receiver.windows(echoes, &mut windows);
         let mut random = [Purpose::Noise, Purpose::HighPowerNoise]
             .map(|p| Random::of_shot(self.config.seed, self.line, index, p));
-        // A block without samples says the time of the emission itself: it has no error.
+        // A block without samples gives the exact emission time.
         blocks.push(index, Channel::Reference, None, 0.0, 1.0, &[]);
         let early =
             |echo: &Echo| Echo { time_ns: echo.time_ns - early_ns(&self.config, echo.amplitude_dn), ..*echo };
@@ -208,7 +210,7 @@ fn rows(path: &Path) -> Vec<Row> {
     lines.map(row).collect()
 }
 
-/// Autocovariance of a receiver's recorded noise: a process of order 4 with the rounding's white noise upon it.
+/// Autocovariance of a receiver's recorded noise: a process of order 4 plus white rounding noise.
 fn autocovariance(sd_dn: f64, lags: usize) -> Vec<f64> {
     let (recorded, order) = (sd_dn * sd_dn, AUTOCORRELATION.len());
     let analog = recorded - 1.0 / 12.0;
@@ -225,8 +227,10 @@ fn autocovariance(sd_dn: f64, lags: usize) -> Vec<f64> {
     covariance
 }
 
-/// Fisher's information on the logarithm of the height, the time (ns) and the logarithm of the width, from the 60 samples
-/// of one receiver that do not reach the full scale; its first one is taken `first_ns` before the peak.
+/// Fisher information on log amplitude, time (ns) and log width from the unsaturated of 60 samples
+/// of one receiver.
+///
+/// The first sample is taken `first_ns` before the peak.
 fn information(height_dn: f64, first_ns: f64, sd_dn: f64) -> Matrix3<f64> {
     let shape = Shape::riegl();
     let times: Vec<f64> = (0..60).map(|k| f64::from(k) - first_ns).collect();
@@ -235,7 +239,8 @@ fn information(height_dn: f64, first_ns: f64, sd_dn: f64) -> Matrix3<f64> {
     let covariance = autocovariance(sd_dn, 60);
     let matrix = DMatrix::from_fn(used.len(), used.len(), |i, j| covariance[used[i].abs_diff(used[j])]);
     let solver = matrix.cholesky().unwrap();
-    // A width of e^u widens by the variance v0 (e^2u - 1) and keeps the height and the place of the peak.
+    // A width ratio e^u adds the variance v0 (e^2u - 1) and keeps amplitude and position of the
+    // peak.
     let step = 0.02_f64;
     let v0 = (shape.fwhm_ns() / 2.354_820_045).powi(2);
     let widened = |t: f64| {
@@ -251,7 +256,8 @@ fn information(height_dn: f64, first_ns: f64, sd_dn: f64) -> Matrix3<f64> {
     Matrix3::from_fn(|i, j| columns[i].dot(&solved[j]))
 }
 
-/// Bounds on the time of an echo, ns, over the phases of a sample: of the sensitive receiver, the other, and both.
+/// Bounds on the time of an echo, ns, averaged over sample phases: sensitive receiver, other
+/// receiver, both.
 fn bounds(height_dn: f64) -> [f64; 3] {
     const PHASES: u32 = 8;
     let mut variances = [0.0; 3];
@@ -278,13 +284,13 @@ fn run(keys: &str, fusion: Option<&str>, decompose: &str, folder: &Path) -> Inpu
     engine::run(&job, &into(&job, folder)).unwrap().inputs.remove(0)
 }
 
-/// One cell of the table: heights from `snr` times the noise on.
+/// One cell of the table: amplitudes from `snr` times the noise on.
 struct Cell {
     snr: [f64; 2],
-    /// Errors of the range, m, and the same over the joint bound.
+    /// Range errors, m, and errors normalised by the joint bound.
     errors_m: Vec<f64>,
     scores: Vec<f64>,
-    /// Errors of ranges and of widths over their own standard deviations.
+    /// Errors of ranges and widths, normalised by their own SD.
     own_scores: [Vec<f64>; 2],
     channels: [usize; 3],
 }
@@ -295,7 +301,7 @@ fn moments(values: &[f64]) -> (f64, f64) {
     (mean, (values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
 }
 
-/// With the mean: an error of the delay is one of all ranges, and their standard deviations hold it.
+/// RMS including the mean: an error of the delay affects all ranges, and is included in their SD.
 fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
 }
@@ -346,7 +352,9 @@ fn cells(config: &TwoReceivers, rows: &[Row]) -> Vec<Cell> {
     cells
 }
 
-/// At most one return in so many has no echo: at 4.5 sigma noise passes for one in ten thousand waveforms of each receiver.
+/// Asserts at most one extra return per `one_in` echoes.
+///
+/// At 4.5 sigma, noise causes one false return in 10 000 waveforms per receiver.
 fn assert_few_more(rows: &[Row], echoes: usize, one_in: usize) {
     assert!(rows.len() >= echoes && (rows.len() - echoes) * one_in <= echoes, "{} of {echoes}", rows.len());
 }
@@ -354,13 +362,13 @@ fn assert_few_more(rows: &[Row], echoes: usize, one_in: usize) {
 #[test]
 fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     let folder = tempfile::tempdir().unwrap();
-    // The emission is known without an error here, and the clock has none.
+    // Here the emission time has no error, and neither has the clock.
     let report = run("", Some(""), "timing_error_ns = 0.0", folder.path());
     let fusion = report.channel_fusion.as_ref().unwrap();
     println!("{fusion:?}");
     let count = |names: &[&str]| names.iter().map(|name| report.totals[name]).sum::<u64>();
     let kept_or_not = count(&["np", "np_filtered", "np_merged", "np_xtalk_dropped"]);
-    assert_eq!(count(&["n_candidates", "n_added"]), kept_or_not, "nothing is lost, nothing counts twice");
+    assert_eq!(count(&["n_candidates", "n_added"]), kept_or_not, "every block is counted exactly once");
     assert!(report.totals["np_merged"] > 0);
     let rows = rows(&folder.path().join("returns.csv"));
     let config = TwoReceivers::default();
@@ -371,7 +379,8 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
         let (_, ratio) = moments(&cell.scores);
         assert!(cell.errors_m.len() > 150 && ratio <= 1.15, "{:?}: {ratio}", cell.snr);
     }
-    // Above, errors of the calibrated response are no longer small against the noise: widths have no allowance for them.
+    // Above this, errors of the calibrated response are no longer small compared with the noise,
+    // and width SDs do not include them.
     let widths = cells.iter().take_while(|cell| cell.snr[1] <= 800.0).count();
     for (part, what, cells) in [(0, "range", &cells[..]), (1, "width", &cells[..widths])] {
         let all: Vec<f64> = cells.iter().flat_map(|cell| cell.own_scores[part].iter().copied()).collect();
@@ -382,7 +391,7 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
             assert!((0.85..=1.15).contains(&own), "{what}, {:?}: {own}", cell.snr);
         }
     }
-    // Cells of the sensitive receiver alone against those where both are used.
+    // Cells of the sensitive receiver alone against cells where both are used.
     let mean = |is_joint: bool| {
         let of_kind = cells.iter().filter(|cell| (cell.channels[2] > 0) == is_joint);
         moments(&of_kind.flat_map(|cell| cell.errors_m.iter().copied()).collect::<Vec<f64>>()).0
@@ -403,8 +412,8 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     assert!(delay_off.abs() < 4.0 && (fusion.gain_ratio / GAIN - 1.0).abs() < 0.01);
 }
 
-/// The errors of ranges and channels of a simulated flight over level ground, and how many true echoes had no return, or
-/// more than one.
+/// Results of a simulated flight over level ground: range errors, channels, and counts of true
+/// echoes with no or several returns.
 struct Flight {
     low_m: Vec<f64>,
     both_m: Vec<f64>,
@@ -486,7 +495,10 @@ fn a_flight_has_no_step_between_the_receivers() {
         let step_m = moments(&flight.both_m).0 - moments(&flight.low_m).0;
         println!("{detector}: step {:+.2} mm (3)", 1e3 * step_m);
         assert!(step_m.abs() <= 0.003, "{detector}: {step_m}");
-        assert!(flight.returns.abs_diff(flight.truths) * 500 <= flight.truths, "{detector}: doubles or gaps");
+        assert!(
+            flight.returns.abs_diff(flight.truths) * 500 <= flight.truths,
+            "{detector}: duplicate or missing returns"
+        );
     }
 }
 

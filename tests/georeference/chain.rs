@@ -37,7 +37,7 @@ pub struct Found {
     pub total_uncertainty_m: f64,
 }
 
-/// The returns that a run found.
+/// Returns of a run.
 pub fn returns(folder: &Path) -> Vec<Found> {
     let text = std::fs::read_to_string(folder.join("a_returns.csv")).unwrap();
     let mut lines = text.lines();
@@ -56,7 +56,7 @@ pub fn returns(folder: &Path) -> Vec<Found> {
     lines.map(of_row).collect()
 }
 
-/// Each return with the true one of its shot that it is nearest to.
+/// Pairs each return with the nearest true one of its shot.
 pub fn pairs<'t>(flight: &'t Flight, found: &'t [Found]) -> Vec<(&'t Found, &'t Truth)> {
     let mut by_shot: BTreeMap<u64, Vec<&Truth>> = BTreeMap::new();
     flight.truth.iter().for_each(|truth| by_shot.entry(truth.shot).or_default().push(truth));
@@ -67,13 +67,13 @@ pub fn pairs<'t>(flight: &'t Flight, found: &'t [Found]) -> Vec<(&'t Found, &'t 
     found.iter().filter_map(|found| nearest(found).map(|truth| (found, truth))).collect()
 }
 
-/// What georeferencing adds to the error of a range, m: a point is as far off its truth as its range is, along the beam.
+/// Point error beyond the range error, m: point distance minus range error.
 fn beyond_range_m((found, truth): &(&Found, &Truth)) -> f64 {
     (distance_m(found.point_m, truth.point_m) - (found.range_m - truth.range_m).abs()).abs()
 }
 
-/// Ranges that `decompose` finds in a recording without noise are off by more than a millimetre here and there, because the
-/// digitiser rounds: what the chain adds to them is not.
+/// `decompose` has range errors above 1 mm in places without noise, because the digitiser rounds;
+/// the chain must add none.
 #[test]
 fn points_are_off_by_what_their_ranges_are() {
     let flight = fly(&format!(
@@ -100,7 +100,7 @@ fn points_are_off_by_what_their_ranges_are() {
     assert_eq!(input.frame.as_deref(), Some("earth"));
 }
 
-/// A block that was recorded with a later shot gets the pose of the shot that caused it.
+/// A block recorded with a later shot gets the pose of the shot that caused it.
 #[test]
 fn echoes_have_the_pose_of_their_own_shot() {
     let flight = fly(&format!(
@@ -122,14 +122,14 @@ fn echoes_have_the_pose_of_their_own_shot() {
     assert!(worst_m < 1e-3, "{worst_m}");
 }
 
-/// As the map of the points a terrain model may stand for the missing variation of the pulse rate.
+/// A terrain model in the map of the points can replace the missing variation of the pulse rate.
 #[test]
 fn a_terrain_model_in_the_points_map_resolves_a_constant_rate() {
     let flight = fly(&format!(
         "lines = 30\nshots_per_line = 200\npulse_rate_hz = 400000\nflying_height_m = 1500\nas_recorded = true\n\
          canopy_height_m = 0.0\nresponse = 'gaussian'\n{INSTALLED}{SWAYING}"
     ));
-    // Level ground at 400 m all around.
+    // Level ground at 400 m in all cells.
     let level = "400 ".repeat(41);
     let rows = format!("{level}\n").repeat(41);
     let grid = format!("ncols 41\nnrows 41\nxllcorner 318000\nyllcorner 5298000\ncellsize 100\n{rows}");
@@ -148,10 +148,10 @@ fn the_bytes_do_not_depend_on_the_threads() {
         process(&flight, threads, GEOMETRY, "");
         files.map(|name| std::fs::read(flight.path(name)).unwrap())
     };
-    assert!(made(1) == made(2), "the same job, and other bytes");
+    assert!(made(1) == made(2), "the same job gave different bytes");
 }
 
-/// What the LAS file says of its coordinates, and the height above ground of each line.
+/// CRS of the LAS file, and height above ground of each line.
 #[test]
 fn files_tell_coordinates_and_height_above_ground() {
     let flight = fly(&format!(

@@ -1,4 +1,4 @@
-//! The same flight in every kind of coordinates.
+//! One flight in every kind of coordinate system.
 
 use wavex::formats::trajectory::sbet::RECORD_BYTES;
 use wavex::geo::crs::{Crs, Named};
@@ -17,7 +17,7 @@ fn flight() -> Flight {
     fly(&format!("{QUIET}{KEYS}"))
 }
 
-/// Where the true returns are: zone 10 north, in which the flight starts.
+/// Positions of the true returns: UTM zone 10 north, in which the flight starts.
 fn places(flight: &Flight) -> Vec<Geodetic> {
     let map = TransverseMercator::new(WGS84, Parameters::utm(10, true));
     let place = |[x, y, height_m]: [f64; 3]| {
@@ -44,7 +44,7 @@ fn worst(what: &str, placed: &Placed, expected: impl Iterator<Item = [f64; 3]>) 
 fn geodetic_coordinates_are_degrees() {
     let flight = flight();
     let placed = placed(&flight, "crs = 'geodetic'");
-    // A metre to the north, and to the east, in degrees.
+    // One metre north and east, in degrees.
     let metre = [1.0 / 84_300.0, 1.0 / 111_040.0, 1.0];
     let in_metres = |point: [f64; 3]| std::array::from_fn(|axis| point[axis] / metre[axis]);
     let expected = places(&flight).into_iter().map(|place| {
@@ -64,7 +64,7 @@ fn earth_centred_coordinates_are_metres() {
     assert!(placed.wkt.unwrap().starts_with("GEOCCS["));
 }
 
-/// A zone of one's own choice, in international feet.
+/// A user-defined zone, in international feet.
 #[test]
 fn a_zone_and_a_unit_can_be_chosen() {
     let flight = flight();
@@ -78,12 +78,12 @@ fn a_zone_and_a_unit_can_be_chosen() {
     assert!(placed.wkt.unwrap().contains("UNIT[\"foot\",0.3048"));
 }
 
-/// A geoid whose heights are a plane, which interpolation between its values gives back as it is.
+/// A planar geoid, which interpolation reproduces exactly.
 fn undulation_m(latitude: f64, longitude: f64) -> f64 {
     -25.0 + 0.5 * (latitude - 41.0) - 0.25 * (longitude + 122.0)
 }
 
-/// California's first zone: a conformal conic in US survey feet.
+/// California zone 1: a conformal conic in US survey feet.
 #[test]
 fn a_conic_in_feet_with_a_geoid() {
     let flight = flight();
@@ -103,8 +103,10 @@ fn a_conic_in_feet_with_a_geoid() {
     assert!(wkt.starts_with("COMPD_CS[") && wkt.contains("VERT_CS["), "{wkt}");
 }
 
-/// The trajectory as TRJ in UTM zone 10, on whose middle the flight begins, so that the grid's north is that of the earth
-/// within the length of a line.
+/// Writes the trajectory as TRJ in UTM zone 10.
+///
+/// The flight starts at the central meridian, so grid north equals true north within the length of
+/// a line.
 fn write_trj(flight: &Flight, name: &str, height_m: impl Fn(Geodetic) -> f64) {
     let bytes = std::fs::read(flight.path("a.out")).unwrap();
     let (records, _) = bytes.as_chunks::<RECORD_BYTES>();
@@ -130,7 +132,8 @@ fn write_trj(flight: &Flight, name: &str, height_m: impl Fn(Geodetic) -> f64) {
     std::fs::write(flight.path(name), trj).unwrap();
 }
 
-/// What heights of a trajectory count from is the job's to say: in a TRJ, which does not say it, and elsewhere.
+/// The job defines the height reference of a trajectory: for TRJ, which does not state it, and for
+/// other formats.
 #[test]
 fn heights_of_a_trajectory_count_from_what_the_job_says() {
     let flight = fly(&format!("{QUIET}start_deg = [-123.0, 41.0]\n"));
@@ -161,13 +164,13 @@ fn heights_of_a_trajectory_count_from_what_the_job_says() {
         ("a.out", "trajectory_heights = 'ellipsoid'"),
     ] {
         let placed = place(format!("trajectory = '{file}'\n{keys}{said}"));
-        // The TRJ's heading is that of the sphere's meridians: 0.1 mm at the edge of the swath.
+        // The TRJ heading refers to meridians of a sphere: 0.1 mm at the edge of the swath.
         let off = worst(&format!("{file} {said}"), &placed, above_geoid.iter().copied());
         assert!(off < 5e-3, "{file} {said}: {off} m");
         let is_said = notes(&placed).contains(&format!("{silent}the geoid plane; if that is wrong"));
         assert_eq!(is_said, said.is_empty(), "{file} {said}: {}", notes(&placed));
     }
-    // Another format's heights, above the geoid after all: the geoid's height more.
+    // Heights of another format, declared as above the geoid: the geoid height is added.
     let higher = place(format!("trajectory = 'a.out'\n{keys}trajectory_heights = 'geoid'"));
     let expected = flight.truth.iter().map(|truth| truth.point_m);
     let off = worst("SBET above the geoid", &higher, expected);
@@ -180,7 +183,7 @@ fn heights_of_a_trajectory_count_from_what_the_job_says() {
     );
 }
 
-/// The file of a text that cannot be used is named.
+/// The message names the WKT file that cannot be used.
 #[test]
 fn a_wkt_that_cannot_be_used_names_its_file() {
     let flight = fly(QUIET);

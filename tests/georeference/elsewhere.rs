@@ -1,4 +1,5 @@
-//! Recordings without a trajectory, recordings in a map, and what a calibration does to ranges and angles.
+//! Recordings without a trajectory or in a map, and effects of the calibration on ranges and
+//! angles.
 
 use wavex::formats::trajectory::sbet::RECORD_BYTES;
 
@@ -8,7 +9,7 @@ use super::made::{Flight, distance_m, fly, run};
 const GEOREFERENCE: &str = "[[stage]]\ntype = 'calibrate'\nwaveforms = 500\nresponse = 'gaussian'\n\
                             [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n";
 
-/// The flight in the map: no trajectory is written.
+/// The flight in map coordinates, without a trajectory.
 #[track_caller]
 fn in_map(geometry: &str) -> Result<(), String> {
     let folder = tempfile::tempdir().unwrap();
@@ -43,7 +44,7 @@ fn coordinates_need_a_trajectory() {
     );
 }
 
-/// Without a trajectory points are in the aircraft's axes as soon as something is said of the scanner's place there.
+/// Without a trajectory, points are in the aircraft's axes if any mounting or calibration is given.
 #[test]
 fn points_stand_in_the_aircraft() {
     let flight = fly(&format!("{QUIET}scan_angle_deg = [-20.0, 20.0]"));
@@ -85,7 +86,7 @@ fn a_dummy_velocity_lays_lines_side_by_side() {
     }
 }
 
-/// Ranges that were measured wrong by the inverse of the formula come out right.
+/// Ranges distorted by the inverse of the calibration formula are corrected.
 #[test]
 fn ranges_are_corrected_by_the_calibration() {
     let flight = fly(QUIET);
@@ -93,11 +94,11 @@ fn ranges_are_corrected_by_the_calibration() {
     let placed = flight.place(keys, |truth| (truth.range_m - 0.15) / (1.0 + 2e-4)).unwrap();
     for ((point, r), truth) in placed.points.iter().zip(&placed.returns).zip(&flight.truth) {
         assert!(distance_m(*point, truth.point_m) < 1e-3);
-        assert!((r.range_m - truth.range_m).abs() < 1e-9, "the table tells the range as it should be");
+        assert!((r.range_m - truth.range_m).abs() < 1e-9, "the table contains the corrected range");
     }
 }
 
-/// The file of the classic program does what the same numbers in the job do.
+/// A calibration file of the classic program is equivalent to inline keys.
 #[test]
 fn a_calibration_may_stand_in_a_file() {
     let keys = "roll_deg = 8.0\nlever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";
@@ -111,7 +112,7 @@ fn a_calibration_may_stand_in_a_file() {
     assert!(error.contains("none.txt: cannot open the calibration: "), "{error}");
 }
 
-/// Attitudes of a text in radians are those of the same text in degrees; read as degrees they are others.
+/// A text in radians gives the same attitudes as in degrees; read as degrees it gives others.
 #[test]
 fn a_text_with_angles_in_radians_gives_the_same_points() {
     let flight = fly(&format!("{QUIET}roll_deg = 8.0\npitch_deg = 5.0\nheading_deg = 70.0\n"));
@@ -148,7 +149,7 @@ fn a_text_with_angles_in_radians_gives_the_same_points() {
     assert!(right_m < 1e-3 && wrong_m > 10.0, "{right_m} {wrong_m}");
 }
 
-/// A recording that has its place already takes none from a trajectory, and says so.
+/// A recording with its own positions ignores a trajectory and says so.
 #[test]
 fn a_place_is_given_once() {
     let flight = fly(QUIET);
@@ -174,7 +175,7 @@ fn a_place_is_given_once() {
     );
 }
 
-/// What is in the aircraft's axes already cannot be mounted, and a map needs no trajectory.
+/// Beams already in the aircraft's axes cannot be mounted, and a map needs no trajectory.
 #[test]
 fn a_mount_is_for_scanners() {
     let flight = fly(QUIET).in_body();
@@ -187,7 +188,7 @@ fn a_mount_is_for_scanners() {
         "the beams of this recording are already in body axes, but `[job.geometry]` has a `mount`; remove \
          `mount`"
     );
-    // A mount that turns nothing is none.
+    // An identity mount has no effect.
     for placed in [flight.place("trajectory = 'a.out'", |truth| truth.range_m), mounted("level")] {
         let placed = placed.unwrap();
         let off =
@@ -196,7 +197,7 @@ fn a_mount_is_for_scanners() {
     }
 }
 
-/// Every file that cannot be read, and every system that is none, before the run begins.
+/// Unreadable files and invalid coordinate systems are reported before the run starts.
 #[test]
 fn what_the_table_names_must_be_there() {
     let flight = fly(QUIET);
@@ -223,7 +224,7 @@ fn what_the_table_names_must_be_there() {
     assert!(refused("geoid = 'egm96'").contains("there is no geoid `egm96` in this folder"));
 }
 
-/// `wavex explain` looks at the shots as a run of the job does.
+/// `wavex explain` uses the same poses as a run of the job.
 #[test]
 fn explain_reads_the_trajectory_of_the_job() {
     let flight = fly("lines = 12\nshots_per_line = 60\nresponse = 'gaussian'");

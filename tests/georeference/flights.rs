@@ -1,24 +1,24 @@
-//! Flights of every kind, without noise: what the stage computes against the truth.
+//! Noise-free flights of every kind: computed points against the truth.
 
 use wavex::geo::frames::{inverse, rotation_of_angles, then};
 use wavex::geometry::mount::{Mount, MountName};
 
 use super::made::{Flight, distance_m, fly};
 
-/// What all flights have in common: short, and without noise.
+/// Keys common to all flights: short and noise-free.
 pub const QUIET: &str = "lines = 40\nshots_per_line = 120\npulse_rate_hz = 20000\nnoise_sd_dn = 0.0\n\
                          noise_autocorrelation = []\nresponse = 'gaussian'\n";
 
-/// Lever arm and boresight in the simulator's keys, and in those of `[job.geometry]`.
+/// Lever arm and boresight as keys of the simulator and of `[job.geometry]`.
 const INSTALLED: &str = "lever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";
 const CALIBRATED: &str =
     "calibration = { lever_arm_m = [0.8, -0.35, 1.1], boresight_deg = [0.4, -0.7, 1.3] }\n";
 
-/// Sways by 15 degrees within seconds.
+/// Angles of up to 15 degrees that change within seconds.
 const SWAYING: &str =
     "roll_deg = 15.0\npitch_deg = 12.0\nyaw_deg = 8.0\nmotion_period_s = 4.0\nscan_angle_deg = [-25, 25]\n";
 
-/// The farthest that a point lies from its truth, m.
+/// Maximum point error, m.
 #[track_caller]
 fn worst_m(what: &str, flight: &Flight, geometry: &str) -> f64 {
     let placed = flight.place(&format!("trajectory = '*.out'\n{geometry}"), |truth| truth.range_m).unwrap();
@@ -31,7 +31,7 @@ fn worst_m(what: &str, flight: &Flight, geometry: &str) -> f64 {
     worst_m
 }
 
-/// Within a millimetre in the UTM zone of the start.
+/// Asserts errors within 1 mm in the UTM zone of the start.
 #[track_caller]
 fn comes_back(what: &str, keys: &str) {
     let flight = fly(&format!("{QUIET}{INSTALLED}{keys}"));
@@ -44,7 +44,7 @@ fn a_level_flight() {
     comes_back("level", "heading_deg = 30.0\n");
 }
 
-/// 500 shots a revolution of 20 degrees half angle, level and swaying in a turn.
+/// 500 shots per revolution at a half angle of 20 degrees, level and in a turn.
 #[test]
 fn a_circular_scanner() {
     let circular = "scanner = 'circular'\nrotation_hz = 40.0\nscan_angle_deg = [-20, 20]\n";
@@ -64,7 +64,7 @@ fn steep_roll_and_pitch() {
     comes_back("steep roll and pitch", SWAYING);
 }
 
-/// The heading goes through 180 degrees and back.
+/// The heading crosses 180 degrees and returns.
 #[test]
 fn a_flight_to_the_south() {
     comes_back("to the south", &format!("{SWAYING}heading_deg = 180.0\n"));
@@ -76,7 +76,7 @@ fn across_a_zone_border() {
     comes_back("a zone border", &format!("{SWAYING}heading_deg = 90.0\nstart_deg = [5.9999, 47.0]\n"));
 }
 
-/// Eastwards across the meridian of 180 degrees.
+/// Eastwards across the antimeridian.
 #[test]
 fn across_the_date_line() {
     comes_back("the date line", &format!("{SWAYING}heading_deg = 90.0\nstart_deg = [179.9999, -17.0]\n"));
@@ -96,7 +96,8 @@ fn at_a_high_latitude() {
     comes_back("near the pole", &format!("{SWAYING}start_deg = [100.0, 88.9]\nheading_deg = -45.0\n"));
 }
 
-/// The mount turns what boresight has turned: the same flight in the frame of a scanner that looks along its x axis.
+/// The mount compensates a boresight rotation: the same flight with a scanner that points along its
+/// x axis.
 #[test]
 fn a_scanner_mounted_in_another_way() {
     let simulated = rotation_of_angles([0.4, -0.7, 1.3].map(f64::to_radians));
@@ -108,7 +109,8 @@ fn a_scanner_mounted_in_another_way() {
         (Mount::Angles([3.0, -85.0, 178.0]), "[3.0, -85.0, 178.0]"),
     ];
     for (mount, key) in mounts {
-        // Boresight and mount lead from the new frame to the aircraft, as the simulator's boresight does from its own.
+        // Boresight and mount rotate from the new frame to the aircraft, as the simulator's
+        // boresight does from its own.
         let body_from_scanner = then(&boresight, &mount.body_from_scanner());
         let turned = then(&simulated, &inverse(&body_from_scanner));
         let flight = fly(&format!("{QUIET}{INSTALLED}{SWAYING}")).turned(turned);

@@ -1,4 +1,4 @@
-//! Simulated flights, and the stage fed with their true returns.
+//! Simulated flights, and the stage run on their true returns.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -19,21 +19,21 @@ use wavex::stage::{Context, Map, Plan, Site, Source};
 pub struct Flight {
     folder: tempfile::TempDir,
     pub truth: Vec<Truth>,
-    /// From the frame of the recording to that of a scanner that is mounted in another way.
+    /// Rotation from the recording's frame to that of a scanner with another mounting.
     turned: Rotation,
-    /// What the recording does not say.
+    /// Information missing from the recording.
     unsaid: Unsaid,
 }
 
-/// What a recording does not say.
+/// Information missing from a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Unsaid {
     Nothing,
-    /// The times of its shots.
+    /// Times of its shots.
     Times,
-    /// What they count from.
+    /// Time scale.
     Scale,
-    /// That its frame is the scanner's and not the aircraft's.
+    /// Whether its frame is the scanner's or the aircraft's.
     Scanner,
 }
 
@@ -42,11 +42,11 @@ enum Unsaid {
 pub struct Truth {
     pub shot: u64,
     pub range_m: f64,
-    /// Easting, northing (UTM in the zone of the start) and height above the ellipsoid, m.
+    /// Easting, northing (UTM zone of the start) and ellipsoidal height, m.
     pub point_m: [f64; 3],
 }
 
-/// A job that stands in `folder`, run there.
+/// Runs a job stored in `folder`.
 #[track_caller]
 pub fn run(folder: &Path, text: &str) -> Result<RunReport, String> {
     let job = Job::parse("job.toml", text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
@@ -77,7 +77,7 @@ fn truth_of(row: &str) -> Truth {
     Truth { shot: number(0) as u64, range_m: number(5), point_m: [number(8), number(9), number(10)] }
 }
 
-/// What the stage made of a flight: its points in the order of the truth, and the lines.
+/// Output of the stage for a flight: points in the order of the truth, and lines.
 pub struct Placed {
     pub points: Vec<[f64; 3]>,
     pub returns: Vec<Return>,
@@ -95,28 +95,31 @@ impl Flight {
         self.folder.path()
     }
 
-    /// The same flight, seen in a scanner's frame that the simulator's is turned to by this.
+    /// The same flight in a scanner frame rotated by `turned`.
     pub fn turned(self, turned: Rotation) -> Flight {
         Flight { turned, ..self }
     }
 
-    /// The same, whose shots have no GPS time.
+    /// The same flight, without GPS times of shots.
     pub fn without_times(self) -> Flight {
         Flight { unsaid: Unsaid::Times, ..self }
     }
 
-    /// The same, whose times count from nobody knows when.
+    /// The same flight, with an unknown time scale.
     pub fn of_no_scale(self) -> Flight {
         Flight { unsaid: Unsaid::Scale, ..self }
     }
 
-    /// The same, in the aircraft's axes, which are the scanner's.
+    /// The same flight in the aircraft's axes, which are parallel to the scanner's.
     pub fn in_body(self) -> Flight {
         Flight { unsaid: Unsaid::Scanner, ..self }
     }
 
-    /// The recording with its poses, then the stage with true ranges in place of those that `decompose` finds: what comes
-    /// out is off by georeferencing alone. `measured` says what range was measured of a true one.
+    /// Runs the stage on the recording with poses and with true ranges instead of those of
+    /// `decompose`.
+    ///
+    /// The errors are therefore those of georeferencing only. `measured` converts a true to a
+    /// measured range.
     pub fn place(&self, geometry: &str, measured: impl Fn(&Truth) -> f64) -> Result<Placed, String> {
         let text = |error: &dyn std::fmt::Display| error.to_string();
         let site = site(self, geometry)?;
@@ -139,7 +142,7 @@ impl Flight {
     }
 }
 
-/// A recording in another frame, which does not say everything.
+/// A recording in another frame, with information missing.
 struct Changed {
     source: Box<dyn Source>,
     turned: Rotation,
@@ -186,7 +189,7 @@ fn true_returns(
     batch.emissions.iter().enumerate().flat_map(of_shot).collect()
 }
 
-/// A return of which only the place matters.
+/// A return with a position only.
 pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
     Return {
         emission,
@@ -200,7 +203,7 @@ pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
     }
 }
 
-/// Where a run over the flight takes place, with the files of its geometry.
+/// Run context for the flight, with its geometry files loaded.
 pub fn site(flight: &Flight, geometry: &str) -> Result<Site, String> {
     let keys: GeometryKeys = toml::from_str(geometry).unwrap();
     keys.check().unwrap();
@@ -216,7 +219,7 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<Site, String> {
     })
 }
 
-/// The reader of the recording.
+/// Reader of the recording.
 pub fn source(site: &Site) -> Box<dyn Source> {
     match plan("read_arrow", "path = 'a.arrow'") {
         Plan::Source(plan) => plan.make(site).unwrap(),
@@ -237,12 +240,12 @@ fn plan(name: &str, keys: &str) -> Plan {
     (registry::find(name).unwrap().parse)(table).unwrap().plan
 }
 
-/// The distance of two points, m.
+/// Distance of two points, m.
 pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// Writes a geoid in the format of VDatum: steps of half a degree, five by five, north and east from a corner.
+/// Writes a geoid in VDatum format: 5 by 5 steps of half a degree, north and east from a corner.
 pub fn write_geoid(path: &Path, [south, west]: [f64; 2], height_m: impl Fn(f64, f64) -> f64) {
     let (step, n) = (0.5, 5);
     let mut bytes: Vec<u8> = [south, west, step, step].iter().flat_map(|v: &f64| v.to_be_bytes()).collect();
@@ -256,7 +259,7 @@ pub fn write_geoid(path: &Path, [south, west]: [f64; 2], height_m: impl Fn(f64, 
     std::fs::write(path, bytes).unwrap();
 }
 
-/// Writes the accuracies beside the trajectory as `smrmsg_a.out`: north, east, down, m, and roll, pitch, heading, degrees.
+/// Writes the accuracies as `smrmsg_a.out`: north, east, down, m; roll, pitch, heading, degrees.
 pub fn write_accuracy(flight: &Flight, position_sd_m: [f64; 3], attitude_sd_deg: [f64; 3]) {
     let bytes = std::fs::read(flight.path("a.out")).unwrap();
     let (records, _) = bytes.as_chunks::<RECORD_BYTES>();

@@ -1,9 +1,9 @@
-//! From recordings in the scanner's frame, with a trajectory, to points in coordinates.
+//! Georeferencing of recordings in the scanner's frame with a trajectory.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells its figures"
+    reason = "a test fails by panicking and prints its figures"
 )]
 
 mod chain;

@@ -1,4 +1,4 @@
-//! The times of recording and trajectory: ends of weeks, ranges that do not meet, and shots without a time.
+//! Times of recording and trajectory: week rollover, disjoint ranges, and shots without times.
 
 use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex::stage::Item;
@@ -7,7 +7,7 @@ use super::flights::QUIET;
 use super::made::{Flight, Placed, distance_m, fly};
 
 const SWAYING: &str = "roll_deg = 10.0\npitch_deg = 8.0\nmotion_period_s = 4.0\n";
-/// Half of this flight's 0.36 s lie behind the end of the week.
+/// Half of this flight's 0.36 s is after the end of the week.
 const LAST_OF_WEEK: &str = "start_time_s = 604799.8\n";
 
 fn worst_m(flight: &Flight, placed: &Placed) -> f64 {
@@ -16,7 +16,7 @@ fn worst_m(flight: &Flight, placed: &Placed) -> f64 {
     off.fold(0.0, f64::max)
 }
 
-/// Changes the records of the trajectory.
+/// Modifies the records of the trajectory.
 fn rewrite(flight: &Flight, change: impl Fn(SbetRecord) -> Option<SbetRecord>) {
     let bytes = std::fs::read(flight.path("a.out")).unwrap();
     let (records, rest) = bytes.as_chunks::<RECORD_BYTES>();
@@ -35,7 +35,7 @@ fn placed(flight: &Flight) -> Placed {
     flight.place("trajectory = '*.out'", |truth| truth.range_m).unwrap()
 }
 
-/// Both clocks go on counting, as POSPac and `read_sdf` have it.
+/// Both clocks continue past the rollover, as in POSPac and `read_sdf`.
 #[test]
 fn across_the_end_of_the_week() {
     let flight = fly(&format!("{QUIET}{SWAYING}{LAST_OF_WEEK}"));
@@ -45,7 +45,7 @@ fn across_the_end_of_the_week() {
     assert!(times[0] < 604_800.0 && times.is_sorted() && *times.last().unwrap() > 604_800.1, "{times:?}");
 }
 
-/// The trajectory begins anew with the week, or counts from a week or days before.
+/// The trajectory restarts with the week, or counts from an earlier week or day.
 #[test]
 fn trajectories_that_count_in_another_way() {
     type Count = fn(f64) -> f64;
@@ -78,11 +78,13 @@ fn a_trajectory_of_another_flight_is_refused() {
          10:59:59.0 to 11:00:01.4 GPS (212399.0 to 212401.4 s of the week); use the trajectory of this \
          flight, or set its time scale with `trajectory_time`"
     );
-    // Once the trajectory has ended no later shot can be covered: the recording is not read to its end.
+    // After the end of the trajectory no later shot can be covered, so the recording is not read to
+    // its end.
     assert!(refused(-3600.0).contains("the recording lasts from Tuesday 10:00:00.0 to 10:00:00.0 GPS"));
 }
 
-/// What lies before and behind the trajectory is left out, counted and told; the other points stay as they are.
+/// Shots before and after the trajectory are dropped, counted and reported; other points are
+/// unchanged.
 #[test]
 fn shots_outside_the_trajectory_are_counted() {
     let flight = fly(QUIET);

@@ -1,4 +1,4 @@
-//! How sure points are, against how far they are off.
+//! Reported uncertainties of points against their actual errors.
 
 use std::collections::BTreeMap;
 
@@ -8,14 +8,15 @@ use wavex::simulation::random::{Normal, Purpose, Random};
 use super::chain::{Found, SWAYING, pairs, process, returns};
 use super::made::{Flight, Truth, distance_m, fly, write_accuracy};
 
-/// Standard deviations of the trajectory: north, east, down, m; roll, pitch, heading, degrees.
+/// SD of the trajectory: north, east, down, m; roll, pitch, heading, degrees.
 const POSITION_SD_M: [f64; 3] = [0.008, 0.006, 0.012];
 const ATTITUDE_SD_DEG: [f64; 3] = [0.001, 0.0015, 0.003];
-/// So many records have the same errors: they then change at once, and few shots lie between.
+/// Number of consecutive records with the same errors: errors change in steps, and few shots lie
+/// between steps.
 const SAME_RECORDS: usize = 40;
 const METRES_PER_RAD: f64 = 6.38e6;
 
-/// Adds errors to the trajectory, and says beside it how large they are: `smrmsg.out`.
+/// Adds errors to the trajectory and writes their SD to `smrmsg.out`.
 fn disturb(flight: &Flight) {
     let bytes = std::fs::read(flight.path("a.out")).unwrap();
     let (records, _) = bytes.as_chunks::<RECORD_BYTES>();
@@ -44,8 +45,9 @@ fn disturb(flight: &Flight) {
 const NOISY: &str = "lines = 200\nshots_per_line = 40\npulse_rate_hz = 1000\nbuilding_height_m = 0\ncanopy_height_m = 0\n\
                      response = 'gaussian'\n";
 
-/// Each shot's only true return with the nearest of those found in its shot. What else was found there is a false return, and not off by
-/// its distance from the one that is true.
+/// Each shot's only true return with the nearest return found in its shot.
+///
+/// Other returns in the shot are false, so their distances are not errors.
 fn nearest_found<'t>(pairs: &[(&'t Found, &'t Truth)]) -> Vec<(&'t Found, &'t Truth)> {
     let mut of_shot: BTreeMap<u64, (&Found, &Truth)> = BTreeMap::new();
     for &(found, truth) in pairs {
@@ -58,8 +60,8 @@ fn nearest_found<'t>(pairs: &[(&'t Found, &'t Truth)]) -> Vec<(&'t Found, &'t Tr
     of_shot.into_values().collect()
 }
 
-/// Noise in the waveforms and errors in position and attitude: over all points the mean square of their distance from the
-/// truth is the one that is told.
+/// With noise in waveforms, positions and attitudes, the mean square error of all points equals the
+/// reported variance.
 #[test]
 fn total_uncertainty_is_what_points_are_off_by() {
     let flight = fly(&format!("{NOISY}{SWAYING}"));
@@ -84,7 +86,7 @@ fn total_uncertainty_is_what_points_are_off_by() {
     assert!((0.9..=1.1).contains(&normalised), "{normalised}");
 }
 
-/// Without a word about the trajectory's accuracy nothing is told.
+/// Without accuracies of the trajectory, no uncertainties are reported.
 #[test]
 fn what_is_not_known_is_null() {
     let flight = fly(&format!("lines = 20\nshots_per_line = 40\n{SWAYING}"));

@@ -1,4 +1,4 @@
-//! Every example of both documents, run on simulated inputs with the documents' names.
+//! Every example of both documents, run on simulated inputs with the documents' file names.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -13,25 +13,25 @@ use wavex::geo::crs::{Crs, Named};
 use wavex::geo::ellipsoid::Geodetic;
 use wavex::geo::frames::{Attitude, rotation_of_angles, then};
 
-/// How many pulses there are in each LAS file.
+/// Pulses per LAS file.
 const PULSES: usize = 300;
-/// How many there are in each flight: few more than a calibration needs.
+/// Pulses per flight: slightly more than calibration requires.
 const FLOWN: u64 = 2 * 120;
-/// Bytes of a record of an SBET, which begins with its time.
+/// Size of an SBET record, which starts with its time, bytes.
 const SBET_RECORD: usize = 136;
 
-/// Adjusted GPS time at the beginning of the flights' week, s.
+/// Adjusted GPS time at the start of the flights' week, s.
 const WEEK_BEGINS_S: f64 = 2365.0 * 604_800.0 - 1e9;
-/// What the clock of UTC is behind GPS time: leap seconds, and an error of the clock.
+/// Delay of the UTC clock relative to GPS time: leap seconds plus a clock error.
 const LATE_S: f64 = 18.0 + 0.72;
 
-/// A flight, as recorded, with its trajectory in two formats.
+/// A recorded flight with its trajectory in two formats.
 #[derive(Clone)]
 struct Flight {
     recording: Vec<u8>,
     sbet: Vec<u8>,
     pof: Vec<u8>,
-    /// The table of true returns.
+    /// Table of true returns.
     truth: String,
 }
 
@@ -51,13 +51,13 @@ impl Flight {
         Flight { recording, sbet, pof, truth: place.text("out/data.csv") }
     }
 
-    /// In Bavaria, on 6 May 2025 from 10 o'clock on.
+    /// A flight in Bavaria, from 10:00 on 6 May 2025.
     fn usual() -> &'static Flight {
         static FLIGHT: OnceLock<Flight> = OnceLock::new();
         FLIGHT.get_or_init(|| Flight::new("heading_deg = 110.0\npitch_deg = 2.0\nyaw_deg = 3.0"))
     }
 
-    /// The trajectory with its times so much later.
+    /// The trajectory with shifted times.
     fn sbet_later(&self, seconds: f64) -> Vec<u8> {
         let mut bytes = self.sbet.clone();
         for record in bytes.chunks_exact_mut(SBET_RECORD) {
@@ -81,7 +81,7 @@ impl Flight {
     }
 }
 
-/// UTM zone 33 north, spelled out.
+/// UTM zone 33 north as WKT.
 const PROJ: &str = r#"PROJCS["WGS 84 / UTM zone 33N",GEOGCS["WGS 84",DATUM["WGS_1984",
 SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],
 PROJECTION["Transverse_Mercator"],PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",15],
@@ -89,17 +89,17 @@ PARAMETER["scale_factor",0.9996],PARAMETER["false_easting",500000],PARAMETER["fa
 
 /// Lever arm, boresight, and e0 to e5.
 const CAL: &str = "0.1 -0.2 0.3\n0.01 0.02 -0.03\n0 0 0 0 0 0\n";
-/// The same as keys of the simulation, of an aircraft with a large roll, pitch and yaw.
+/// The same as keys of the simulation, for an aircraft with large roll, pitch and yaw.
 const INSTALLED: &str = "heading_deg = 110.0\nroll_deg = 15.0\npitch_deg = 15.0\nyaw_deg = 15.0\n\
                          motion_period_s = 1.0\n\
                          lever_arm_m = [0.1, -0.2, 0.3]\nboresight_deg = [0.01, 0.02, -0.03]\n";
-/// Mounting angles, in front of which the boresight turns.
+/// Mounting angles, applied after the boresight.
 const MOUNT_DEG: [f64; 3] = [0.5, -0.25, 0.0];
 const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
-/// The geoid above the ellipsoid.
+/// Height of the geoid above the ellipsoid.
 const GEOID_M: f64 = 46.0;
 
-/// A grid of NGS over the flight, 46 m above the ellipsoid.
+/// An NGS grid around the flight, 46 m above the ellipsoid.
 fn geoid() -> Vec<u8> {
     let mut bytes = Vec::new();
     [46.0f64, 11.0, 1.0, 1.0].iter().for_each(|value| bytes.extend(value.to_le_bytes()));
@@ -108,7 +108,7 @@ fn geoid() -> Vec<u8> {
     bytes
 }
 
-/// The flight of a line of version 1.1.
+/// Flight of an example of version 1.1.
 fn flight(name: &str) -> Cow<'static, Flight> {
     match name {
         "1.1-07" => Cow::Owned(Flight::new(INSTALLED)),
@@ -126,7 +126,7 @@ fn flight(name: &str) -> Cow<'static, Flight> {
     }
 }
 
-/// The inputs of a line, by its number, and the truth.
+/// Inputs of an example, by number, and the truth.
 fn inputs(name: &str) -> (Place, Vec<Truth>) {
     if name.starts_with("1.0") {
         return inputs_of_1_0(name);
@@ -154,7 +154,7 @@ fn inputs(name: &str) -> (Place, Vec<Truth>) {
             let mount = format!("{roll} {pitch} {yaw}\n");
             write(&[("sbet.out", &flight.sbet), ("cal.txt", CAL.as_bytes()), ("mnt.txt", mount.as_bytes())]);
         }
-        // Sunday, 22:52:30 of a clock that counts UTC and is 0.72 s late.
+        // Sunday 22:52:30 on a UTC clock that is 0.72 s slow.
         "1.1-09" => write(&[("sbet.out", &flight.sbet_later(LATE_S)), ("cal.txt", CAL.as_bytes())]),
         "1.1-10" | "1.1-11" => write(&[("file.txt", flight.text().as_bytes())]),
         _ => (),
@@ -162,16 +162,17 @@ fn inputs(name: &str) -> (Place, Vec<Truth>) {
     let in_scanner = matches!(name, "1.1-12" | "1.1-13");
     let mut truth = truth::of_flight(&flight.truth, &flight.recording, in_scanner);
     if name == "1.1-09" {
-        // The name tells the day, so that times are adjusted ones.
+        // The file name contains the date, so times are adjusted GPS times.
         truth.iter_mut().for_each(|truth| truth.time_s += WEEK_BEGINS_S + LATE_S);
     }
     (place, truth)
 }
 
-/// The same for version 1.0. The first line's points tell where they lie in their waveforms, to which ranges are tied then.
+/// The same for version 1.0. The points of the first example give their positions in the waveforms,
+/// to which ranges are tied.
 fn inputs_of_1_0(name: &str) -> (Place, Vec<Truth>) {
     let (path, odd_sample_shift) = match name {
-        // The path of Windows is a name elsewhere.
+        // On other systems, the Windows path is a plain name.
         "1.0-03" => (r"F:\indir/waveform.las", 0.0),
         "1.0-04" => ("titan_C3.las", -0.25),
         "1.0-05" => ("LDR100301_120340_4.LAS", 0.0),
@@ -187,7 +188,7 @@ fn inputs_of_1_0(name: &str) -> (Place, Vec<Truth>) {
     (place, truth::of_pulses(PULSES, has_locations))
 }
 
-/// From a line's coordinates to those of the truth, m.
+/// Conversion from an example's coordinates to those of the truth, m.
 fn in_map(name: &str) -> Box<dyn Fn([f64; 3]) -> [f64; 3]> {
     match name {
         "1.1-06" => Box::new(|[x, y, z]| [x, y, z + GEOID_M]),
@@ -205,7 +206,7 @@ fn in_map(name: &str) -> Box<dyn Fn([f64; 3]) -> [f64; 3]> {
     }
 }
 
-/// The files that a line leaves besides the log and the report; the first holds its points.
+/// Output files of an example besides log and report; the first one contains its points.
 fn outputs(name: &str) -> &'static [&'static str] {
     match name {
         "1.0-01" | "1.0-04" | "1.0-05" => &["points.laz"],
@@ -229,7 +230,7 @@ fn outputs(name: &str) -> &'static [&'static str] {
     }
 }
 
-/// Runs a line, which leaves its files, and points where the true returns are.
+/// Runs an example; asserts its files and that points lie at the true returns.
 #[track_caller]
 fn runs(name: &str) -> Place {
     let (place, truth) = inputs(name);
@@ -280,7 +281,7 @@ fn the_line_with_a_clock_of_utc() {
     assert!((first - expected).abs() < 1e-3, "{first} instead of {expected}");
 }
 
-/// Their columns, `xyztpk`, lack the roll: 0 is taken, and said.
+/// Their columns, `xyztpk`, lack the roll: it is set to 0, with a message.
 #[test]
 fn the_lines_with_a_trajectory_in_text() {
     for name in ["1.1-10", "1.1-11"] {
@@ -321,15 +322,14 @@ fn the_line_that_scans() {
             line.trim().strip_prefix(name).is_some_and(|rest| rest.trim_start().starts_with(value))
         })
     };
-    for (name, value) in
-        [("shots", "240"), ("scan lines", "2"), ("shots of a line", "120"), ("blocks", "240")]
+    for (name, value) in [("shots", "240"), ("scan lines", "2"), ("shots per line", "120"), ("blocks", "240")]
     {
         assert!(says(name, value), "{name} {value}: {out}");
     }
     assert!(says("pulse rate, measured", "299999.") || says("pulse rate, measured", "300000."), "{out}");
 }
 
-/// Every example is run by a test: those above, and in `runs` the three that ask for information.
+/// Every example has a test: those above, and three in `runs` that request information.
 #[test]
 fn no_example_is_forgotten() {
     let runs: BTreeSet<&str> = EXAMPLES.iter().map(|(name, _)| *name).collect();
@@ -339,7 +339,7 @@ fn no_example_is_forgotten() {
     assert_eq!(runs.into_iter().collect::<Vec<_>>(), known.iter().map(String::as_str).collect::<Vec<_>>());
 }
 
-/// The files of options that both documents print.
+/// The options files printed in both documents.
 #[test]
 fn the_example_of_a_file_of_options() {
     let options = b"mem=4096\ndet=5\nR=1000\n";

@@ -1,5 +1,7 @@
-//! Every example of both documents, with the job that it becomes. A test that finds a job out of date writes it anew, and
-//! fails, so that the new one is looked at and committed.
+//! Every example of both documents with its job.
+//!
+//! A test that finds an outdated job rewrites it and fails, so that the new one is reviewed and
+//! committed.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,7 +10,7 @@ use wavex::cli::import::draft::Known;
 
 use crate::{complete, files, here, in_version, words};
 
-/// Name of the file with the job, and the line.
+/// Name of the job file, and the command line.
 pub(crate) const EXAMPLES: &[(&str, &str)] = &[
     ("1.0-01", "wavex -i waveform.las -o points.laz -fastest"),
     ("1.0-02", "wavex -i waveform.las -o points.laz -fastsep -traj -stat"),
@@ -45,7 +47,7 @@ fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/import/jobs/{name}.toml"))
 }
 
-/// Whether a job is as it is written out; if not, it is written anew.
+/// Returns whether a stored job is up to date; rewrites it if not.
 fn is_up_to_date(name: &str, text: &str) -> bool {
     let found = fs::read_to_string(file(name)).unwrap_or_default().replace("\r\n", "\n");
     if found != text {
@@ -59,7 +61,7 @@ fn is_up_to_date(name: &str, text: &str) -> bool {
 fn check<'n>(jobs: impl IntoIterator<Item = (&'n str, String)>) {
     let old: Vec<&str> =
         jobs.into_iter().filter(|(name, text)| !is_up_to_date(name, text)).map(|(name, _)| name).collect();
-    assert!(old.is_empty(), "written anew in tests/import/jobs, to be looked at and committed: {old:?}");
+    assert!(old.is_empty(), "outdated jobs rewritten in tests/import/jobs; review and commit them: {old:?}");
 }
 
 #[test]
@@ -76,7 +78,7 @@ fn every_example_becomes_a_job_that_fits_this_build() {
     }
 }
 
-/// The files of options of both documents say the same; `R` is an option of version 1.0 in both.
+/// The options files of both documents are equivalent; `R` is an option of version 1.0 in both.
 #[test]
 fn the_example_of_a_file_of_options_is_read() {
     let job = |(classic, name, file, line): (&str, _, &str, &str)| {
@@ -90,7 +92,8 @@ fn the_example_of_a_file_of_options_is_read() {
     check(both.map(job));
 }
 
-/// Both documents also print lines that ask only for information: `wavex -h` and `wavex -v` in 1.0, too.
+/// Both documents also print command lines that request information only: `wavex -h`, and
+/// `wavex -v` in 1.0.
 #[test]
 fn information_is_asked_for_in_the_same_words_in_both_versions() {
     for line in ["wavex -h", "wavex -v"] {

@@ -1,20 +1,20 @@
-//! How options may be written, and what several say together.
+//! Notations of options, and combined effects of several options.
 
 use wavex::cli::import::draft::Known;
 use wavex::cli::import::{Import, Place, import};
 
 use crate::{complete, files, here, in_version, keys, read_with, stages, words};
 
-/// The keys of a line's job that another line's job does not have.
+/// Keys in a line's job that are not in the job of another line.
 #[track_caller]
 fn added(line: &str, to: &str) -> Vec<String> {
     let before = keys(&complete(to).text);
     keys(&complete(line).text).into_iter().filter(|key| !before.contains(key)).collect()
 }
 
-/// The notes of a line.
+/// Notes of a line.
 fn notes(import: &Import) -> Vec<String> {
-    let notes = import.text.lines().skip_while(|line| !line.starts_with("# Options that"));
+    let notes = import.text.lines().skip_while(|line| !line.starts_with("# Options without"));
     let notes = notes.skip(1).map_while(|line| line.strip_prefix("#   "));
     notes.map(str::to_owned).collect()
 }
@@ -74,11 +74,11 @@ fn the_input_tells_the_version() {
         ("-i a.pls", "1.1"),
         ("-v", "1.1"),
     ] {
-        let first = format!("# What BayesWavEx {version} does with this line:");
+        let first = format!("# Translation of this BayesWavEx {version} command line:");
         assert_eq!(complete(line).text.lines().next(), Some(first.as_str()), "{line}");
     }
     let forced = in_version(Some("1.1"), &words("-i a.las"), &Known::Everything, &files).unwrap();
-    assert!(forced.text.starts_with("# What BayesWavEx 1.1 does"), "{}", forced.text);
+    assert!(forced.text.starts_with("# Translation of this BayesWavEx 1.1 command"), "{}", forced.text);
     assert_eq!(
         stages(&forced.text)[..2],
         ["read_las", "calibrate"],
@@ -86,7 +86,7 @@ fn the_input_tells_the_version() {
     );
 }
 
-/// The same letter asks for different things.
+/// The same letter has different meanings in the two versions.
 #[test]
 fn a_is_what_it_is_in_its_version() {
     assert_eq!(added("-i a.las -A 0.2", "-i a.las"), ["correct.attenuation_db_per_km = 0.2"]);
@@ -114,7 +114,7 @@ fn several_inputs_are_one_list() {
 fn of_an_option_that_stands_twice_the_last_counts_and_the_other_is_noted() {
     let import = complete("-i data.sdf -det 5 -d 6");
     assert!(keys(&import.text).contains(&"decompose.detection_sigma = 6.0".to_owned()));
-    assert_eq!(notes(&import), ["-det 5: `-d 6` overrules it"]);
+    assert_eq!(notes(&import), ["-det 5: overridden by `-d 6`"]);
 }
 
 #[test]
@@ -139,9 +139,9 @@ fn the_line_overrules_the_file_of_options() {
         import.text
     );
     let expected = [
-        "wavex.opt.txt: i=file.sdf: `-i data.sdf` overrules it",
-        "wavex.opt.txt: det=5: `-det 6` overrules it",
-        "stripalign.opt: passed over: only one such file is read",
+        "wavex.opt.txt: i=file.sdf: overridden by `-i data.sdf`",
+        "wavex.opt.txt: det=5: overridden by `-det 6`",
+        "stripalign.opt: ignored: only the first file is read",
     ];
     assert_eq!(notes(&import), expected);
 }
@@ -162,7 +162,7 @@ fn zero_means_no_correction() {
     assert_eq!(added.len(), expected.len());
     assert_eq!(
         notes(&complete("-i data.sdf -n_ppm 0 -gps_date 0")),
-        ["-gps_date 0: so it is anyway", "-n_ppm 0: so it is anyway"]
+        ["-gps_date 0: already the default", "-n_ppm 0: already the default"]
     );
 }
 
@@ -184,9 +184,9 @@ fn speed_is_said_by_several_options() {
     assert_eq!(mode("-fastest 0 -slow"), ["decompose.mode = \"slow\""]);
     assert_eq!(mode("-f -auto"), ["decompose.mode = \"fastest\"", "decompose.refine_when_needed = true"]);
     assert_eq!(mode("-auto"), Vec::<String>::new());
-    assert_eq!(notes(&complete("-i a.sdf -auto")), ["-auto: without effect: every waveform is refined"]);
+    assert_eq!(notes(&complete("-i a.sdf -auto")), ["-auto: no effect: every waveform is refined"]);
     let fast_and_slow = complete("-i a.sdf -f -slow");
-    assert_eq!(notes(&fast_and_slow), ["-slow: what a fast mode refines gets the iterations of `refined`"]);
+    assert_eq!(notes(&fast_and_slow), ["-slow: refined waveforms get the iterations of `refined`"]);
 }
 
 #[test]
@@ -222,13 +222,10 @@ fn text_output_has_columns_and_no_attributes_of_las() {
     assert!(keys(&import.text).contains(&"write_ascii.columns = \"txyzi\"".to_owned()));
     assert_eq!(
         notes(&import),
-        [
-            "-olax: without effect: the job has no `write_las`",
-            "-ounc 0: without effect: the job has no `write_las`"
-        ]
+        ["-olax: no effect: the job has no `write_las`", "-ounc 0: no effect: the job has no `write_las`"]
     );
     let las = complete("-i a.sdf -oparse txyzi");
-    assert_eq!(notes(&las), ["-oparse txyzi: without effect: the job has no `write_ascii`"]);
+    assert_eq!(notes(&las), ["-oparse txyzi: no effect: the job has no `write_ascii`"]);
 }
 
 #[test]
@@ -243,7 +240,7 @@ fn an_index_lies_beside_the_points_or_within() {
 /// `write_las` refuses to append an index to LAS.
 #[test]
 fn an_index_of_las_is_a_file_of_its_own() {
-    let remark = "a file of its own, because only LAZ can hold an index";
+    let remark = "separate file, because only LAZ can contain an index";
     for (options, said) in
         [("-olas -lax_append", "-lax_append"), ("-o points.las -olax -lax_append", "-olax -lax_append")]
     {
@@ -260,9 +257,9 @@ fn coordinates_are_without_effect_where_there_is_no_trajectory() {
     assert_eq!(
         notes(&import),
         [
-            "-otraj: without effect: there is no `-po`",
-            "-utm 33: without effect: there is no `-po`",
-            "-feet: without effect: there is no `-po`",
+            "-otraj: no effect: `-po` is not given",
+            "-utm 33: no effect: `-po` is not given",
+            "-feet: no effect: `-po` is not given",
         ]
     );
     let las = complete("-i a.las -traj");
@@ -280,17 +277,23 @@ fn the_trajectory_tells_the_hemisphere_of_a_zone() {
         let line = text.lines().find(|line| line.starts_with("crs")).unwrap();
         line.split_whitespace().collect::<Vec<_>>().join(" ")
     };
-    assert_eq!(crs("-i a.sdf -po n.pof -utm 33"), "crs = \"utm:33N\" # -utm 33: N, as the trajectory begins");
-    assert_eq!(crs("-i a.sdf -po s.pof -utm55"), "crs = \"utm:55S\" # -utm55: S, as the trajectory begins");
-    let unknown = "crs = \"utm:33\" # -utm 33: add N or S: neither the line nor the trajectory says it";
+    assert_eq!(
+        crs("-i a.sdf -po n.pof -utm 33"),
+        "crs = \"utm:33N\" # -utm 33: N, from the start of the trajectory"
+    );
+    assert_eq!(
+        crs("-i a.sdf -po s.pof -utm55"),
+        "crs = \"utm:55S\" # -utm55: S, from the start of the trajectory"
+    );
+    let unknown = "crs = \"utm:33\" # -utm 33: add N or S: the hemisphere is unknown";
     assert_eq!(crs("-i a.sdf -po u.pof -utm 33"), unknown);
 }
 
-/// Examples of the documents leave out the roll.
+/// Examples of the documents omit the roll.
 #[test]
 fn columns_without_the_roll_are_enough() {
     let import = here("-i a.sdf -po a.txt -po_parse xyztpk");
-    let line = "trajectory_columns = \"xyztpk\"  # -po_parse xyztpk: no roll (`w`), so that 0 is taken\n";
+    let line = "trajectory_columns = \"xyztpk\"  # -po_parse xyztpk: no roll (`w`): set to 0\n";
     assert!(import.text.contains(line), "{}", import.text);
     assert_eq!((import.obstacles.len(), import.missing.len()), (0, 0));
 }
@@ -298,8 +301,8 @@ fn columns_without_the_roll_are_enough() {
 #[test]
 fn columns_of_a_trajectory_that_are_not_enough_are_told_and_not_run() {
     let import = here("-i a.sdf -po a.txt -po_parse xyztwk");
-    let told = "-po_parse xyztwk: the pitch (`p`) is missing, and no point has a place without it: give a trajectory \
-                that has it, or add such a column to the text and its letter here";
+    let told = "-po_parse xyztwk: the pitch (`p`) is missing, and points cannot be georeferenced without it: give a trajectory \
+                that has it, or add the column to the text file and its letter here";
     let line = format!("#trajectory_columns = \"xyztwk\"  # {told}\n");
     assert!(import.text.contains(&line), "{}", import.text);
     assert_eq!(import.obstacles, [told]);
@@ -308,13 +311,13 @@ fn columns_of_a_trajectory_that_are_not_enough_are_told_and_not_run() {
     assert_eq!(
         obstacles("txywk"),
         [
-            "-po_parse txywk: the height (`z`) and the pitch (`p`) are missing, and no point has a place without them: give a \
-          trajectory that has them, or add such columns to the text and their letters here"
+            "-po_parse txywk: the height (`z`) and the pitch (`p`) are missing, and points cannot be georeferenced without them: give a \
+          trajectory that has them, or add the columns to the text file and their letters here"
         ]
     );
-    assert_eq!(obstacles("txyzwpkz"), ["-po_parse txyzwpkz: the height (`z`) may stand in it only once"]);
+    assert_eq!(obstacles("txyzwpkz"), ["-po_parse txyzwpkz: the height (`z`) must not be repeated"]);
     assert_eq!(obstacles("xyz#wtpk"), [] as [&str; 0]);
-    assert_eq!(obstacles("xyztwpwk"), ["-po_parse xyztwpwk: the roll (`w`) may stand in it only once"]);
+    assert_eq!(obstacles("xyztwpwk"), ["-po_parse xyztwpwk: the roll (`w`) must not be repeated"]);
 }
 
 #[test]
@@ -322,7 +325,7 @@ fn statistics_of_the_recording_are_a_command() {
     let import = complete("-i a.sdf -osdfstat -I in -O out");
     assert_eq!(import.commands, [words("wavex scan in/a.sdf --name out/out")]);
     assert!(
-        import.text.contains("\n# Besides the job:\n#   wavex scan in/a.sdf --name out/out\n"),
+        import.text.contains("\n# In addition to the job:\n#   wavex scan in/a.sdf --name out/out\n"),
         "{}",
         import.text
     );
@@ -330,11 +333,11 @@ fn statistics_of_the_recording_are_a_command() {
     assert_eq!(two.commands, [words("wavex scan a.sdf b.sdf --name s")]);
     let fast = complete("-sdfscanfast -i a.sdf -det 5");
     assert_eq!(fast.commands, [words("wavex scan a.sdf --name out --fast")]);
-    assert_eq!(notes(&fast), ["-det 5: without effect: this line makes no points"]);
+    assert_eq!(notes(&fast), ["-det 5: no effect: this command line writes no points"]);
     let all = complete("-i a.sdf -po a.pof -ostat");
     assert_eq!(stages(&all.text)[8..], ["write_las", "write_trajectory", "write_lstat"]);
     assert_eq!(all.commands, [words("wavex scan a.sdf --name out")]);
-    assert_eq!(notes(&complete("-i a.sdf -name x")), ["-name x: without effect: there is no `-osdfstat`"]);
+    assert_eq!(notes(&complete("-i a.sdf -name x")), ["-name x: no effect: `-osdfstat` is not given"]);
 }
 
 #[test]
@@ -344,11 +347,11 @@ fn a_trajectory_can_be_projected_by_itself() {
     let expected = "wavex trajectory a.txt --crs geodetic --columns txyzwpk --time adjusted --angles rad --every 10 -o out/out.txt";
     assert_eq!(import.commands, [words(expected)]);
     assert!(!import.has_job);
-    assert_eq!(notes(&import), ["-feet: without effect: this line makes no points"]);
+    assert_eq!(notes(&import), ["-feet: no effect: this command line writes no points"]);
     let besides = complete("-i a.sdf -I in -po a.pof -plot_po b.txt");
     assert_eq!(besides.commands, [words("wavex trajectory in/a.pof -o b.txt")]);
     assert!(besides.has_job);
-    assert_eq!(notes(&complete("-i a.sdf -po_sub 5")), ["-po_sub 5: without effect: there is no `-plot_po`"]);
+    assert_eq!(notes(&complete("-i a.sdf -po_sub 5")), ["-po_sub 5: no effect: `-plot_po` is not given"]);
 }
 
 #[test]
@@ -375,7 +378,7 @@ fn files_with_folders_of_their_own_do_not_lie_in_the_folder_of_inputs() {
     let keys = keys(&import.text);
     assert!(keys.contains(&"read_sdf.path = \"in/a.sdf\"".to_owned()), "{}", import.text);
     assert!(keys.contains(&"geometry.trajectory = \"other/b.pof\"".to_owned()), "{}", import.text);
-    let note = "-I in: part of the paths below, because some files of the line have folders of their own";
+    let note = "-I in: part of the paths below, because some files contain a folder";
     assert_eq!(notes(&import), [note]);
 }
 
@@ -385,14 +388,14 @@ fn matters_of_the_run_are_none_of_the_job() {
     assert_eq!(
         notes(&import),
         [
-            "-q: a matter of the run: `wavex run --quiet`",
-            "-progress 0: a matter of the run: `wavex run --progress never`",
+            "-q: an option of the run: `wavex run --quiet`",
+            "-progress 0: an option of the run: `wavex run --progress never`",
         ]
     );
     assert!(keys(&import.text).contains(&"job.log = \"\"".to_owned()));
 }
 
-/// Times are options of every reader, not only of that of SDF.
+/// Time options apply to every reader, not only to that of SDF.
 #[test]
 fn options_for_times_are_keys_of_every_reader() {
     let line = "-t_min 82300 -t_max 82400 -t_adj -gps_date 2025-05-06 -utc -t_corr 0.72";

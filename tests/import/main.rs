@@ -1,4 +1,4 @@
-//! `wavex import`: lines of the classic program as jobs.
+//! `wavex import`: classic command lines as jobs.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 mod documents;
@@ -15,22 +15,23 @@ use wavex::cli::import::draft::Known;
 use wavex::cli::import::{Import, Place, import};
 use wavex::job::Job;
 
-/// The words of a line without blanks inside them.
+/// Words of a line without quoted blanks.
 fn words(line: &str) -> Vec<String> {
     line.split_whitespace().map(str::to_owned).collect()
 }
 
-/// Files beside the line: mounting angles.
+/// Files that the line may read: mounting angles.
 fn files(path: &str) -> Option<String> {
     (path == "mnt.txt").then(|| "0.5 -0.25 90\n".to_owned())
 }
 
-/// A line in the version that its input tells, with these files beside it.
+/// Translates a line in the version implied by its input, with these files.
 fn read_with(line: &str, known: &Known, read: &dyn Fn(&str) -> Option<String>) -> Result<Import, String> {
     in_version(None, &words(line), known, read)
 }
 
-/// Words in a version. Trajectories whose names begin with `s` begin in the south; those that begin with `u` cannot be read.
+/// Translates words in a version. Trajectories named `s*` start in the south; those named `u*`
+/// cannot be read.
 fn in_version(
     classic: Option<&str>,
     words: &[String],
@@ -45,13 +46,13 @@ fn in_version(
     import(words, classic, &Place { known, base: None, read, latitude: &latitude })
 }
 
-/// What a line becomes where every stage and every key is there.
+/// Translation with all stages and keys available.
 #[track_caller]
 fn complete(line: &str) -> Import {
     read_with(line, &Known::Everything, &files).unwrap_or_else(|problem| panic!("{problem}"))
 }
 
-/// What a line becomes in this build; its job must fit.
+/// Translation for this build; the job must be valid.
 #[track_caller]
 fn here(line: &str) -> Import {
     let import = read_with(line, &Known::this_build(), &files).unwrap_or_else(|problem| panic!("{problem}"));
@@ -62,7 +63,7 @@ fn here(line: &str) -> Import {
     import
 }
 
-/// The job without its comments: every key as `section.key = value`.
+/// The job without comments: every key as `section.key = value`.
 fn keys(text: &str) -> Vec<String> {
     let table: toml::Table = toml::from_str(text).unwrap_or_else(|error| panic!("{error}\n{text}"));
     let mut keys = Vec::new();
@@ -82,7 +83,7 @@ fn keys(text: &str) -> Vec<String> {
     keys
 }
 
-/// The stages of a job, in order.
+/// Stages of a job, in order.
 fn stages(text: &str) -> Vec<String> {
     let table: toml::Table = toml::from_str(text).unwrap();
     let stages = table["stage"].as_array().unwrap().iter();

@@ -1,4 +1,4 @@
-//! Lines of the documents, run on simulated inputs with the documents' names.
+//! Command lines of the documents, run on simulated inputs.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use crate::support::las::Las;
 use crate::support::{Outcome, Place};
 
-/// What a line leaves: exit code, standard output and standard error.
+/// Result of a command: exit code, standard output and standard error.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Ended {
     pub(crate) code: Option<i32>,
@@ -38,25 +38,27 @@ fn stand_in() -> PathBuf {
     library
 }
 
-/// The line runs without a word of complaint, and leaves these files besides the inputs, the log and the report.
+/// Asserts that the line runs without messages and leaves these files besides inputs, log and
+/// report.
 #[track_caller]
 pub(crate) fn leaves(place: &Place, line: &str, files: &[&str]) -> String {
     let ended = wavex(place, &format!("--run -- {line}"));
     assert_eq!(ended.code, Some(0), "{line}: {}", ended.err);
-    assert!(!ended.err.contains("this build cannot"), "{line}: {}", ended.err);
+    assert!(!ended.err.contains("not supported by this build"), "{line}: {}", ended.err);
     for file in files {
         assert!(place.path(file).is_file(), "{file} is missing: {}", ended.out);
     }
     ended.out
 }
 
-/// A recording as LAS, of 400 pulses straight down.
+/// A LAS recording of 400 pulses at nadir.
 fn waveform_las() -> Place {
     let recording = Las::new(400);
     Place::with(&[("waveform.las", &recording.las()), ("waveform.wdp", &recording.packets)])
 }
 
-/// A flight with two to three pulses in the air, as recorded, in a file that the stand-in serves as SDF, and its trajectory.
+/// A recorded flight with two to three pulses in the air, served as SDF by the stand-in, and its
+/// trajectory.
 fn data_sdf() -> Place {
     static FILES: OnceLock<[Vec<u8>; 2]> = OnceLock::new();
     let [recording, trajectory] = FILES.get_or_init(|| {
@@ -71,7 +73,7 @@ fn data_sdf() -> Place {
     Place::with(&[("data.sdf", recording), ("file.pof", trajectory)])
 }
 
-/// What the header of a LAS or LAZ file tells: its minor version, number of points, and least easting.
+/// From the header of a LAS or LAZ file: minor version, number of points, and minimum easting.
 pub(crate) fn header(place: &Place, file: &str) -> (u8, u64, f64) {
     let bytes = std::fs::read(place.path(file)).unwrap();
     let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
@@ -101,7 +103,7 @@ fn lines_of_version_1_1() {
     assert!((100_000.0..900_000.0).contains(&easting), "no easting of UTM: {easting}");
     leaves(&place, "wavex -i data.sdf -fastest -oext 0 -O nothing -nil", &["nothing/report.json"]);
     assert!(!place.path("nothing/data.laz").exists());
-    // An index can be a part of LAZ only.
+    // Only LAZ can contain an index.
     leaves(&place, "-i data.sdf -fastest -olas -lax_append", &["data.las", "data.lax", "data_stat.log"]);
     leaves(&place, "-i data.sdf -fastest -o flown.laz -lax_append", &["flown.laz", "flown_stat.log"]);
     assert!(!place.path("flown.lax").exists());
@@ -115,8 +117,8 @@ fn statistics_of_a_recording() {
     assert!(has_all, "{out}");
 }
 
-/// Recordings of a pattern are scanned one by one, and what the line asks for besides is done, too, even where one of them
-/// cannot be read.
+/// Recordings of a pattern are scanned one by one, and additional commands run even if one
+/// recording fails.
 #[test]
 fn statistics_of_each_recording_of_a_pattern() {
     let source = data_sdf();
@@ -139,7 +141,7 @@ fn statistics_of_each_recording_of_a_pattern() {
     ]);
     let wanted = files("out_two_scan.txt");
     leaves(&place, line, &wanted.each_ref().map(String::as_str));
-    // A name of one's own, and a single recording.
+    // A custom name, and a single recording.
     leaves(&place, "wavex -sdfscanfast -i indir/*.sdf -name n", &["n_one_scan.txt", "n_two_scan.txt"]);
     leaves(&place, "wavex -sdfscan -i indir/o*.sdf -name n", &["n_scan.txt"]);
 
@@ -151,7 +153,8 @@ fn statistics_of_each_recording_of_a_pattern() {
         assert!(place.path(file).is_file(), "{file} is missing: {}", ended.err);
     }
     let none = wavex(&place, "--run -- -sdfscan -i nowhere/*.sdf");
-    let expected = "error: no file matches `nowhere/*.sdf`; check the path, or `path` of the reader and `input_dir` of the job\n";
+    let expected =
+        "error: no file matches `nowhere/*.sdf`; check `path` of the reader and `input_dir` of the job\n";
     assert_eq!((none.code, none.err.as_str()), (Some(1), expected));
 }
 
@@ -164,7 +167,7 @@ fn a_line_that_asks_for_information_gets_it() {
     let help = wavex(&place, "--run -- -h").out;
     assert!(help.contains("Usage: wavex [OPTIONS] <COMMAND>"), "{help}");
     let cleared = wavex(&place, "--run -- -clear_log").out;
-    assert!(cleared.contains("-clear_log: logs lie beside the outputs"), "{cleared}");
+    assert!(cleared.contains("-clear_log: logs are next to the outputs"), "{cleared}");
 }
 
 #[test]
@@ -176,7 +179,7 @@ fn a_job_is_printed_or_written_and_what_is_there_is_left_alone() {
     assert_eq!(wavex(&place, &format!("-o job.toml {line}")).out, "");
     assert_eq!(place.text("job.toml"), printed.out);
     let again = wavex(&place, &format!("-o job.toml {line}"));
-    let expected = "error: job.toml: the file exists already; choose another name, or remove it\n";
+    let expected = "error: job.toml: the file already exists; choose another name or remove it\n";
     assert_eq!(again, Ended { code: Some(2), out: String::new(), err: expected.to_owned() });
     std::fs::create_dir(place.path("jobs")).unwrap();
     assert_eq!(wavex(&place, &format!("--run -o jobs/job.toml {line}")).code, Some(0));
@@ -188,7 +191,11 @@ fn a_line_without_a_job_is_not_written() {
     let place = Place::new();
     let ended = wavex(&place, "-o job.toml -- -v");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    assert!(ended.err.starts_with("error: this line makes no job to write:\n"), "{}", ended.err);
+    assert!(
+        ended.err.starts_with("error: this command line makes no job, so `-o` has nothing to write:\n"),
+        "{}",
+        ended.err
+    );
     assert!(!place.path("job.toml").exists());
 }
 
@@ -208,13 +215,12 @@ fn a_value_that_a_key_cannot_take_is_told_with_its_place_in_the_job() {
     assert!(ended.err.contains("# -mem 16"), "{}", ended.err);
 }
 
-/// A job that leaves out what changes its points is not run as if nothing were missing.
+/// A job without a part that changes its points is not run.
 #[test]
 fn a_line_with_columns_that_are_not_enough_is_not_run() {
     let place = data_sdf();
     let ended = wavex(&place, "--run -- -i data.sdf -po a.txt -po_parse xyztwk");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    let expected = "error: the line is not run: -po_parse xyztwk: the pitch (`p`) is missing, and no point has a place \
-                    without it: give a trajectory that has it, or add such a column to the text and its letter here\n";
+    let expected = "error: not run: -po_parse xyztwk: the pitch (`p`) is missing, and points cannot be georeferenced without it: give a trajectory that has it, or add the column to the text file and its letter here\n";
     assert!(ended.err.ends_with(expected), "{}", ended.err);
 }

@@ -1,4 +1,4 @@
-//! The tables of options: complete, and true to the build.
+//! The option tables are complete and match the build.
 
 use wavex::cli::import::Import;
 use wavex::cli::import::draft::Known;
@@ -7,7 +7,7 @@ use wavex::job::Job;
 
 use crate::{files, in_version, words};
 
-/// Every option that the two documents list or use, by version.
+/// All options that the two documents list or use, by version.
 const V10: &str = "I idir O odir mem N nthreads q quiet progress i input o out oext ounc nil log olog clear_log_history ostat \
                    stat otraj traj h help ? options v version f fastest s fastsep a auto slow d det min_width max_width \
                    out_min_a out_max_h F icorr_flat R icorr_range A icorr_atm dt odd_dt t_err";
@@ -33,19 +33,19 @@ fn every_option_of_the_documents_is_known_by_each_of_its_names() {
 
 #[test]
 fn no_name_stands_twice_and_none_is_made_up() {
-    // LAStools' spelling of the default, beside -olas and -otxt.
+    // LAStools' spelling of the default, next to -olas and -otxt.
     let spelled_out = ["olaz", "F"];
     for (name, all) in [("1.0", V10), ("1.1", V11)] {
         let names: Vec<&str> = version(name).names().collect();
         for (at, option) in names.iter().enumerate() {
-            assert!(!names[..at].contains(option), "{name}: -{option} stands twice");
+            assert!(!names[..at].contains(option), "{name}: -{option} is listed twice");
             let is_listed = all.split_whitespace().any(|listed| listed == *option);
             assert!(is_listed || spelled_out.contains(option), "{name}: -{option} is in no document");
         }
     }
 }
 
-/// The section of a job that a section of the table means.
+/// Section of the job for a section of the table.
 fn section(version: &Version, section: &'static str) -> &'static str {
     match (section, version.name) {
         ("reader", "1.0") => "read_las",
@@ -54,7 +54,7 @@ fn section(version: &Version, section: &'static str) -> &'static str {
     }
 }
 
-/// Every key that a version's table names.
+/// All keys in the table of a version.
 fn keys(version: &'static Version) -> Vec<(&'static str, &'static str)> {
     let of_option = |option: &Opt| match option.becomes {
         Becomes::Key(of, key, _) | Becomes::End(of, key, ..) => Some((section(version, of), key)),
@@ -77,7 +77,7 @@ fn every_stage_and_every_key_is_one_of_this_build() {
     }
 }
 
-/// A default that the table calls the same is that of the build: else jobs would silently differ.
+/// Defaults marked as the same must equal those of the build; otherwise jobs would silently differ.
 #[test]
 fn defaults_that_jobs_do_not_spell_out_are_those_of_this_build() {
     let build = Known::this_build();
@@ -102,7 +102,7 @@ fn defaults_that_jobs_do_not_spell_out_are_those_of_this_build() {
             if expected.is_empty() {
                 continue;
             }
-            // `4` and `4.0` are the same number, and different values of JSON.
+            // `4` and `4.0` are equal as numbers, but different JSON values.
             let expected: serde_json::Value = serde_json::from_str(&expected).unwrap();
             let same = match (default.as_f64(), expected.as_f64()) {
                 (Some(default), Some(expected)) => default == expected,
@@ -128,7 +128,7 @@ fn the_two_ends_of_a_range_begin_as_those_of_this_build() {
     }
 }
 
-/// A line with this option and what it needs, and the option as it is written there.
+/// A line with this option and its prerequisites, and the option as written in it.
 fn line_with(version: &Version, option: &Opt) -> (String, String) {
     let argument = match (option.name(), option.takes) {
         ("mount", _) => "mnt.txt",
@@ -166,7 +166,7 @@ fn imported(version: &Version, line: &str, known: &Known) -> Import {
         .unwrap_or_else(|problem| panic!("{line}: {problem}"))
 }
 
-/// Nothing is dropped in silence: below the line itself each option stands with a key, a note or a command.
+/// Every option leaves a key, a note or a command in the job, apart from the quoted line.
 #[test]
 fn every_option_leaves_its_mark_in_the_job() {
     for version in VERSIONS {
@@ -197,7 +197,7 @@ fn every_option_gives_a_job_that_fits_this_build() {
     }
 }
 
-/// A switch that is off asks for nothing, or says so; what it leaves fits, too.
+/// A switch that is off has no effect or a note; the resulting job is valid.
 #[test]
 fn every_switch_may_be_off() {
     for version in VERSIONS {

@@ -1,4 +1,4 @@
-//! Points of a LAS file against the truth of the simulation that they come from.
+//! Points of a LAS file against the simulated truth.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -9,23 +9,23 @@ use wavex::formats::las::RawPoints;
 
 use crate::support::{Place, shots};
 
-/// Seconds between the pulses of the fastest recording are more than three of these.
+/// Time tolerance of one pulse, s; the shortest pulse interval exceeds three of these.
 const SAME_PULSE_S: f64 = 1e-6;
-/// A point this far from every return of its pulse belongs to none, m. A wrong zone puts it 500 m off at 300 kHz.
+/// Maximum distance of a point from a return of its pulse, m; a wrong zone causes 500 m at 300 kHz.
 const MATCH_M: f64 = 0.3;
 
-/// A true return, in the coordinates of the output.
+/// A true return in the coordinates of the output.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Truth {
     /// Time of its pulse in the output.
     pub(crate) time_s: f64,
-    /// In metres.
+    /// Position, m.
     pub(crate) place: [f64; 3],
     zone: u16,
     intensity: f64,
 }
 
-/// A point, as far as it is compared.
+/// Compared attributes of a point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Point {
     place: [f64; 3],
@@ -34,9 +34,10 @@ pub(crate) struct Point {
     source_id: u16,
 }
 
-/// The returns of a flight 1000 m above level ground, with its recording: places in the map, or in the frame of the scanner.
+/// Returns of a flight 1000 m above level ground, in map coordinates or in the frame of the
+/// scanner.
 ///
-/// Intensities are those at 1000 m and, in the map, at normal incidence.
+/// Intensities refer to 1000 m and, in the map, to normal incidence.
 pub(crate) fn of_flight(csv: &str, recording: &[u8], in_scanner: bool) -> Vec<Truth> {
     let file = Box::new(Cursor::new(recording.to_vec()));
     let mut reader = ContainerReader::from_stream(Path::new("data.arrow"), file).unwrap();
@@ -59,8 +60,9 @@ pub(crate) fn of_flight(csv: &str, recording: &[u8], in_scanner: bool) -> Vec<Tr
     csv.lines().skip(1).map(truth).collect()
 }
 
-/// The returns of pulses straight down, 0.1 m apart and 60 DN high, at the height of the recording's own points or where
-/// their waveforms begin.
+/// Returns of pulses at nadir, 0.1 m apart and 60 DN high.
+///
+/// They are at the height of the recording's own points, or at the start of the waveforms.
 pub(crate) fn of_pulses(pulses: usize, has_locations: bool) -> Vec<Truth> {
     let truth = |pulse: usize| {
         let height_m = if has_locations { 0.0 } else { -shots::peak(pulse) * shots::METRES_PER_NS };
@@ -70,7 +72,7 @@ pub(crate) fn of_pulses(pulses: usize, has_locations: bool) -> Vec<Truth> {
     (0..pulses).map(truth).collect()
 }
 
-/// The points of a LAS or LAZ file of format 1 or 6.
+/// Points of a LAS or LAZ file of format 1 or 6.
 pub(crate) fn points(place: &Place, file: &str) -> Vec<Point> {
     let mut reader = RawPoints::open(&place.path(file)).unwrap();
     let header = reader.header().clone();
@@ -92,11 +94,11 @@ pub(crate) fn points(place: &Place, file: &str) -> Vec<Point> {
     points
 }
 
-/// Each point is a true return of the pulse of its time, and nearly each true return is a point.
+/// Asserts that each point is a true return of its pulse, and nearly each true return is a point.
 ///
-/// `in_map` takes a point's coordinates to those of the truth. Bounds: noise leaves ranges an SD of 3 to 4 mm and intensities
-/// one of 1 to 1.5 %, and coordinates are rounded to 1 mm or less; 99 % of errors stay below three SDs and the rounding, twice as
-/// much is allowed, and for single ones 3 cm and 10 %.
+/// `in_map` converts coordinates to those of the truth. Noise causes range SDs of 3 to 4 mm and
+/// intensity SDs of 1 to 1.5 %; coordinates are rounded to 1 mm or less. For 99 % of the points,
+/// errors must stay below twice (three SDs plus rounding); single errors below 3 cm and 10 %.
 #[track_caller]
 pub(crate) fn agrees_with_truth(
     name: &str,

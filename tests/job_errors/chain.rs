@@ -1,4 +1,4 @@
-//! The order of the stages, and the files they write.
+//! Order of the stages, and output files.
 
 use super::check;
 
@@ -10,13 +10,13 @@ fn a_chain_without_a_source() {
 type = "calibrate"
 "#,
         r#"
-error: `calibrate` cannot be the first stage: nothing makes lines for it
+error: `calibrate` cannot be the first stage: it has no input
  --> job.toml:2:8
   |
 2 | type = "calibrate"
   |        ^^^^^^^^^^^
   |
-  = help: begin with a source: `read_las` or `simulate`
+  = help: start with a source: `read_las` or `simulate`
 "#,
     );
 }
@@ -33,13 +33,13 @@ path = "flight.las"
 type = "simulate"
 "#,
         r#"
-error: `simulate` is a source, and only the first stage can be one
+error: `simulate` is a source, but only the first stage can be a source
  --> job.toml:6:8
   |
 6 | type = "simulate"
   |        ^^^^^^^^^^
   |
-  = help: name several inputs in the `path` of one source, or write two jobs
+  = help: list several inputs in the `path` of one source, or write two jobs
 "#,
     );
 }
@@ -56,7 +56,7 @@ path = "flight.las"
 type = "write_las"
 "#,
         r#"
-error: `write_las` takes Points, and the lines that come here are Shots
+error: `write_las` takes Points, but receives Shots
  --> job.toml:6:8
   |
 6 | type = "write_las"
@@ -85,7 +85,7 @@ type = "decompose"
 type = "write_las"
 "#,
         r#"
-error: `write_las` takes Points, and the lines that come here are Returns
+error: `write_las` takes Points, but receives Returns
   --> job.toml:12:8
    |
 12 | type = "write_las"
@@ -115,13 +115,13 @@ type = "write_shots"
 path="*.arrow"
 "#,
         r#"
-error: `write_shots` takes Shots, and the lines that come here are Returns
+error: `write_shots` takes Shots, but receives Returns
   --> job.toml:12:8
    |
 12 | type = "write_shots"
    |        ^^^^^^^^^^^^^
    |
-   = help: move it up, behind `calibrate`
+   = help: move it up, after `calibrate`
 "#,
     );
 }
@@ -138,7 +138,7 @@ path = "flight.las"
 type = "decompose"
 "#,
         r#"
-error: `decompose` needs `calibrate` before it
+error: `decompose` requires `calibrate` before it
  --> job.toml:6:8
   |
 6 | type = "decompose"
@@ -164,7 +164,7 @@ type = "decompose"
 type = "calibrate"
 "#,
         r#"
-error: `decompose` needs `calibrate` before it
+error: `decompose` requires `calibrate` before it
  --> job.toml:6:8
   |
 6 | type = "decompose"
@@ -172,13 +172,13 @@ error: `decompose` needs `calibrate` before it
   |
   = help: move `calibrate` up, before it
 
-error: `calibrate` takes Shots, and the lines that come here are Returns
+error: `calibrate` takes Shots, but receives Returns
  --> job.toml:9:8
   |
 9 | type = "calibrate"
   |        ^^^^^^^^^^^
   |
-  = help: move it up, behind `read_las`
+  = help: move it up, after `read_las`
 "#,
     );
 }
@@ -198,14 +198,14 @@ type = "calibrat"
 type = "decompose"
 "#,
         r#"
-error: there is no stage `calibrat`
+error: unknown stage `calibrat`
  --> job.toml:6:8
   |
 6 | type = "calibrat"
   |        ^^^^^^^^^^
   |
   = help: did you mean `calibrate`?
-  = help: the stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
+  = help: stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
 "#,
     );
 }
@@ -241,7 +241,7 @@ error: two outputs of this job are the same file, "./*.laz"
 19 | path = "./*.laz"
    |        ^^^^^^^^^
    |
-   = help: give this one a name of its own: `write_las` writes it already
+   = help: choose another name: `write_las` already writes this file
 "#,
     );
 }
@@ -276,7 +276,7 @@ error: two outputs of this job are the same file, "*.laz"
 18 | type = "write_las"
    |        ^^^^^^^^^^^
    |
-   = help: give this one a name of its own: `write_las-1` writes it already
+   = help: choose another name: `write_las-1` already writes this file
 "#,
     );
 }
@@ -312,7 +312,7 @@ error: two outputs of this job are the same file, "flight.laz"
 19 | path = "flight.laz"
    |        ^^^^^^^^^^^^
    |
-   = help: give this one a name of its own: `write_las` writes it already
+   = help: choose another name: `write_las` already writes this file
 "#,
     );
 }
@@ -336,7 +336,7 @@ error: every input of this job would write the same file, "out/lines.txt"
 7 | path = "out/lines.txt"
   |        ^^^^^^^^^^^^^^^
   |
-  = help: write `*` where the input's name belongs, as in "out/*_lines.txt"
+  = help: write `*` in place of the stem of the input, such as "out/*_lines.txt"
 "#,
     );
 }
@@ -360,7 +360,7 @@ error: every input of this job would write the same file, "lines.txt"
 7 | path = "lines.txt"
   |        ^^^^^^^^^^^
   |
-  = help: write `*` where the input's name belongs, as in "*_lines.txt"
+  = help: write `*` in place of the stem of the input, such as "*_lines.txt"
 "#,
     );
 }
@@ -384,7 +384,7 @@ error: "a/*.las" would replace the input
 7 | path = "a/*.las"
   |        ^^^^^^^^^
   |
-  = help: give the output another folder or another name, as in "out/*.laz" or "*_points.laz"
+  = help: give the output another folder or another name, such as "out/*.laz" or "*_points.laz"
 "#,
     );
 }

@@ -20,7 +20,7 @@ error: `geometry` of `[job]` has no key `trajectry`
   | ^^^^^^^^^
   |
   = help: did you mean `trajectory`?
-  = help: its keys: trajectory, trajectory_time, trajectory_angles, trajectory_columns, trajectory_heights, trajectory_accuracy, mount, calibration, crs, geoid, geoid_dir, unit
+  = help: keys: trajectory, trajectory_time, trajectory_angles, trajectory_columns, trajectory_heights, trajectory_accuracy, mount, calibration, crs, geoid, geoid_dir, unit
 "#,
     );
 }
@@ -36,7 +36,7 @@ unit = "feet"
 type = "simulate"
 "#,
         r#"
-error: `unit` must be "m", "us_ft" or "ft"; this is "feet"
+error: `unit` must be "m", "us_ft" or "ft", got "feet"
  --> job.toml:2:8
   |
 2 | unit = "feet"
@@ -63,12 +63,12 @@ error: `calibration` of `geometry` of `[job]` has no key `lever_arms_m`
   |                 ^^^^^^^^^^^^
   |
   = help: did you mean `lever_arm_m`?
-  = help: its keys: lever_arm_m, boresight_deg, e0, e1, e2, e3, e4, e5, e6, e7
+  = help: keys: lever_arm_m, boresight_deg, e0, e1, e2, e3, e4, e5, e6, e7
 "#,
     );
 }
 
-/// What only the table itself can say is shown at the key, too.
+/// Constraints checked by the table itself are also reported at the key.
 #[test]
 fn a_key_of_no_use_alone() {
     check(
@@ -105,7 +105,7 @@ error: `geometry.calibration`: `lever_arm_m` must be three lengths of at most 10
     );
 }
 
-/// What a shell leaves without quotation marks is text, also below a table.
+/// Values without quotation marks are text, also in the nested table.
 #[test]
 fn overrides_reach_into_the_table() {
     let set = ["job.geometry.crs=EPSG:2154", "job.geometry.trajectory=*.out", "job.geometry.mount=[1, 2, 3]"];
@@ -117,7 +117,7 @@ fn overrides_reach_into_the_table() {
         FULL,
         &["job.geometry.crs.name=EPSG:2154"],
         r#"
-error: `crs` must be text; this is a table
+error: `crs` must be text, got a table
  --> --set:1:18
   |
 1 | job.geometry.crs.name=EPSG:2154

@@ -20,7 +20,7 @@ error: `calibrate` has no key `waveform`
   | ^^^^^^^^
   |
   = help: did you mean `waveforms`?
-  = help: its keys: waveforms, background
+  = help: keys: waveforms, background
 "#,
     );
 }
@@ -33,13 +33,13 @@ fn an_included_file_that_is_not_toml() {
 threads = many
 ",
         r#"
-error: this is not TOML: string values must be quoted, expected literal string
+error: invalid TOML: string values must be quoted, expected literal string
  --> site.toml:2:11
   |
 2 | threads = many
   |           ^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -52,13 +52,13 @@ fn a_stage_of_its_own() {
 type = 'calibrate'
 ",
         r#"
-error: an included file has no stages of its own
+error: an included file cannot contain stages
  --> site.toml:1:3
   |
 1 | [[stage]]
   |   ^^^^^
   |
-  = help: name a table after a stage: `[decompose]` is for every stage of that type
+  = help: name a table after a stage type: `[decompose]` applies to every stage of that type
 "#,
     );
 }
@@ -68,7 +68,7 @@ fn a_table_that_is_no_stage() {
     check_included(
         "[decompos]\nmode = 'fast'\n",
         r#"
-error: `decompos` is neither `job` nor a stage
+error: `decompos` is neither `job` nor a stage type
  --> site.toml:1:2
   |
 1 | [decompos]
@@ -80,13 +80,13 @@ error: `decompos` is neither `job` nor a stage
     check_included(
         "mem = 4096\n",
         r#"
-error: `mem` is neither `job` nor a stage
+error: `mem` is neither `job` nor a stage type
  --> site.toml:1:1
   |
 1 | mem = 4096
   | ^^^
   |
-  = help: name a table after a stage, or `[job]`
+  = help: name a table after a stage type, or `[job]`
 "#,
     );
 }
@@ -112,7 +112,7 @@ fn what_only_the_job_itself_can_say() {
     check_included(
         "[job]\ninclude = 'other.toml'\n",
         r#"
-error: `include` cannot stand in an included file
+error: `include` is not allowed in an included file
  --> site.toml:2:1
   |
 2 | include = 'other.toml'
@@ -122,7 +122,7 @@ error: `include` cannot stand in an included file
     check_included(
         "[calibrate]\nid = 'c'\n",
         r#"
-error: `id` cannot stand in an included file
+error: `id` is not allowed in an included file
  --> site.toml:2:1
   |
 2 | id = 'c'
@@ -137,13 +137,13 @@ fn files_that_were_not_read() {
         FULL,
         &["job.include=site.toml"],
         r#"
-error: the files that `include` names have not been read
+error: the files named by `include` have not been read
  --> --set:1:13
   |
 1 | job.include=site.toml
   |             ^^^^^^^^^
   |
-  = help: `include` counts where it stands in the job's own text
+  = help: `include` must be set in the text of the job itself
 "#,
     );
 }
@@ -153,7 +153,7 @@ fn a_value_that_is_no_name() {
     check(
         &format!("[job]\ninclude = 5\n{FULL}"),
         r#"
-error: `include` must be text or a list of texts; this is the number 5
+error: `include` must be text or a list of texts, got the number 5
  --> job.toml:2:11
   |
 2 | include = 5

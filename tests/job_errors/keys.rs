@@ -25,7 +25,7 @@ error: `decompose` has no key `detection_sgima`
    | ^^^^^^^^^^^^^^^
    |
    = help: did you mean `detection_sigma`?
-   = help: its keys: detection_sigma, width_ratio, longest_ns, shortest_ns, split_evidence, start, refinements
+   = help: keys: detection_sigma, width_ratio, longest_ns, shortest_ns, split_evidence, start, refinements
 "#,
     );
 }
@@ -46,7 +46,7 @@ error: `read_las` has no key `speed`
 4 | speed = 5
   | ^^^^^
   |
-  = help: its keys: path, time_s
+  = help: keys: path, time_s
 "#,
     );
 }
@@ -69,7 +69,7 @@ error: `[job]` has no key `thread`
   | ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: its keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
 "#,
     );
 }
@@ -82,7 +82,7 @@ fn a_key_that_must_be_given() {
 type = "read_las"
 "#,
         r#"
-error: `read_las` needs the key `path`
+error: `read_las` requires the key `path`
  --> job.toml:1:1
   |
 1 | [[stage]]
@@ -109,7 +109,7 @@ type = "decompose"
 detection_sigma = "4.5"
 "#,
         r#"
-error: `detection_sigma` must be a number, at least 1 and at most 100; this is text
+error: `detection_sigma` must be a number, at least 1 and at most 100, got text
   --> job.toml:10:19
    |
 10 | detection_sigma = "4.5"
@@ -133,13 +133,13 @@ type = "write_lstat"
 path = 4
 "#,
         r#"
-error: `path` must be text; this is the number 4
+error: `path` must be text, got the number 4
  --> job.toml:7:8
   |
 7 | path = 4
   |        ^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -157,13 +157,13 @@ type = "write_lstat"
 path = 2018-11-14
 "#,
         r#"
-error: `path` must be text; this is a date or a time
+error: `path` must be text, got a date or a time
  --> job.toml:7:8
   |
 7 | path = 2018-11-14
   |        ^^^^^^^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -181,13 +181,13 @@ type = "calibrate"
 waveforms = 1e5
 "#,
         r#"
-error: `waveforms` must be a whole number, at least 200; this is the number 1e5
+error: `waveforms` must be a whole number, at least 200, got the number 1e5
  --> job.toml:7:13
   |
 7 | waveforms = 1e5
   |             ^^^
   |
-  = help: write it without point and exponent
+  = help: write it without decimal point and exponent
 "#,
     );
 }
@@ -203,7 +203,7 @@ type = "read_las"
 path = "flight.las"
 "#,
         r#"
-error: `memory_mb` must be at least 64 and at most 1000000000; this is 8
+error: `memory_mb` must be at least 64 and at most 1000000000, got 8
  --> job.toml:2:13
   |
 2 | memory_mb = 8
@@ -228,7 +228,7 @@ type = "decompose"
 detection_sigma = 1_000.0
 "#,
         r#"
-error: `detection_sigma` must be at least 1 and at most 100; this is 1000.0
+error: `detection_sigma` must be at least 1 and at most 100, got 1000.0
   --> job.toml:10:19
    |
 10 | detection_sigma = 1_000.0
@@ -253,7 +253,7 @@ type = "decompose"
 shortest_ns = nan
 "#,
         r#"
-error: `shortest_ns` must be a number; this is nan, which is no number
+error: `shortest_ns` must be a number, got nan, which is not a number
   --> job.toml:10:15
    |
 10 | shortest_ns = nan
@@ -275,7 +275,7 @@ type = "calibrate"
 waveforms = 99999999999999999999
 "#,
         r#"
-error: `waveforms` must be a whole number, at least 200; this is 99999999999999999999, which is too large
+error: `waveforms` must be a whole number, at least 200, got 99999999999999999999, which is too large
  --> job.toml:7:13
   |
 7 | waveforms = 99999999999999999999
@@ -297,7 +297,7 @@ type = "calibrate"
 waveforms = 5_000_000_000
 "#,
         r#"
-error: `waveforms`: this value cannot be used
+error: `waveforms`: invalid value
  --> job.toml:7:13
   |
 7 | waveforms = 5_000_000_000
@@ -321,7 +321,7 @@ type = "calibrate"
 background = "perwaveform"
 "#,
         r#"
-error: `background` must be "auto" or "per_waveform"; this is "perwaveform"
+error: `background` must be "auto" or "per_waveform", got "perwaveform"
  --> job.toml:7:14
   |
 7 | background = "perwaveform"
@@ -345,7 +345,7 @@ type = "calibrate"
 background = "fixed"
 "#,
         r#"
-error: `background` must be "auto" or "per_waveform"; this is "fixed"
+error: `background` must be "auto" or "per_waveform", got "fixed"
  --> job.toml:7:14
   |
 7 | background = "fixed"
@@ -376,19 +376,18 @@ type = "write_las"
 version = 1.4
 "#,
         r#"
-error: `version` must be "1.2" or "1.4"; this is the number 1.4
+error: `version` must be "1.2" or "1.4", got the number 1.4
   --> job.toml:16:11
    |
 16 | version = 1.4
    |           ^^^
    |
-   = help: write text between quotation marks: `"text"`
+   = help: put text in quotation marks: `"text"`
 "#,
     );
 }
 
-const REPORT_IS_A_NAME: &str = "it is the name of the report (JSON), \"\" for none; the report as a page is asked for by \
-                                `report_page = true`";
+const REPORT_IS_A_NAME: &str = "it is the name of the JSON report, or \"\" for none; to get the report as a page, set `report_page = true`";
 
 #[test]
 fn a_report_that_is_a_truth_value() {
@@ -397,14 +396,14 @@ fn a_report_that_is_a_truth_value() {
         check(
             &format!("[job]\nreport = {value}\n{FULL}"),
             &format!(
-                "error: `report` must be text; this is `{value}`\n --> job.toml:2:10\n  |\n2 | report = {value}\n  |          {marks}\n  |\n  \
+                "error: `report` must be text, got `{value}`\n --> job.toml:2:10\n  |\n2 | report = {value}\n  |          {marks}\n  |\n  \
                  = help: {REPORT_IS_A_NAME}\n"
             ),
         );
     }
 }
 
-/// From outside, text needs no quotation marks.
+/// In overrides, text needs no quotation marks.
 #[test]
 fn a_report_that_is_set_to_a_truth_value() {
     for value in ["true", "false"] {
@@ -436,7 +435,7 @@ fn a_page_that_is_a_number() {
     check(
         &format!("[job]\nreport_page = 1\n{FULL}"),
         r#"
-error: `report_page` must be `true` or `false` or text; this is the number 1
+error: `report_page` must be `true` or `false` or text, got the number 1
  --> job.toml:2:15
   |
 2 | report_page = 1

@@ -1,4 +1,4 @@
-//! What is wrong with a job, in the words and at the place that the user is shown: one test per message.
+//! Errors in jobs with the displayed text and position: one test per message.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use wavex::job::{Include, Job, JobErrors, Override};
@@ -17,7 +17,7 @@ mod stage_keys;
 mod stages_and_ids;
 mod syntax;
 
-/// A job that fits.
+/// A valid job.
 const FULL: &str = "\
 [[stage]]
 type = \"read_las\"
@@ -41,7 +41,7 @@ fn parse(text: &str, overrides: &[&str]) -> Result<Job, JobErrors> {
     Job::parse_with(stages::STAGES, "job.toml", text, &[], &overrides)
 }
 
-/// A job that includes `site.toml`, in which this stands, has exactly these errors.
+/// Asserts the errors of a job that includes `site.toml` with this content.
 fn check_included(site: &str, expected: &str) {
     let text = format!("[job]\ninclude = \"site.toml\"\n{FULL}");
     let site = Include { name: "site.toml".into(), text: site.strip_prefix('\n').unwrap_or(site).into() };
@@ -51,12 +51,12 @@ fn check_included(site: &str, expected: &str) {
     }
 }
 
-/// The job, which begins behind the first line feed of `text`, has exactly these errors.
+/// Asserts the errors of a job; it starts after the first line feed of `text`.
 fn check(text: &str, expected: &str) {
     check_set(text, &[], expected);
 }
 
-/// The same, with overrides.
+/// Asserts the errors of a job with overrides.
 fn check_set(text: &str, overrides: &[&str], expected: &str) {
     let text = text.strip_prefix('\n').unwrap_or(text);
     match parse(text, overrides) {

@@ -1,4 +1,4 @@
-//! Lists and tables among the keys, and what a stage itself refuses.
+//! Lists and tables among the keys, and values refused by stages.
 
 use super::check;
 
@@ -12,7 +12,7 @@ path = "flight.las"
 time_s = [1.0]
 "#,
         r#"
-error: `time_s` must be a list of 2 numbers; this is a list of 1
+error: `time_s` must be a list of 2 numbers, got a list of 1
  --> job.toml:4:10
   |
 4 | time_s = [1.0]
@@ -34,7 +34,7 @@ time_s = [
 ]
 "#,
         r#"
-error: an item of `time_s` must be a number; this is text
+error: an item of `time_s` must be a number, got text
  --> job.toml:6:3
   |
 6 |   "2",
@@ -61,7 +61,7 @@ type = "decompose"
 split_evidence = "no"
 "#,
         r#"
-error: `split_evidence` must be `true` or `false` or a number; this is text
+error: `split_evidence` must be `true` or `false` or a number, got text
   --> job.toml:10:18
    |
 10 | split_evidence = "no"
@@ -86,7 +86,7 @@ type = "decompose"
 start = "blok"
 "#,
         r#"
-error: `start` must be "pulse" or "block" or a number; this is "blok"
+error: `start` must be "pulse" or "block" or a number, got "blok"
   --> job.toml:10:9
    |
 10 | start = "blok"
@@ -104,13 +104,13 @@ type = "read_las"
 path = ["a.las", 3]
 "#,
         r#"
-error: an item of `path` must be text; this is the number 3
+error: an item of `path` must be text, got the number 3
  --> job.toml:3:18
   |
 3 | path = ["a.las", 3]
   |                  ^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -141,7 +141,7 @@ error: `mount` of `georeference` has no key `rigth_m`
    |                          ^^^^^^^
    |
    = help: did you mean `right_m`?
-   = help: its keys: forward_m, right_m
+   = help: keys: forward_m, right_m
 "#,
     );
 }
@@ -166,7 +166,7 @@ type = "georeference"
 right_m = 2
 "#,
         r#"
-error: `mount` of `georeference` needs the key `forward_m`
+error: `mount` of `georeference` requires the key `forward_m`
   --> job.toml:13:1
    |
 13 | [stage.mount]
@@ -196,7 +196,7 @@ type = "georeference"
 control = [{ forward_m = 1 }, { forward_m = "x" }]
 "#,
         r#"
-error: `forward_m` must be a number; this is text
+error: `forward_m` must be a number, got text
   --> job.toml:13:45
    |
 13 | control = [{ forward_m = 1 }, { forward_m = "x" }]
@@ -282,7 +282,7 @@ error: `longest_ns`: must be above `shortest_ns`
 8 | [[stage]]
   | ^^^^^^^^^
   |
-  = help: the job does not give `longest_ns`, and its default, 30.0, does not fit here
+  = help: the job does not set `longest_ns`, and its default, 30.0, is not valid here
 "#,
     );
 }

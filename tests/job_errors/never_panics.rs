@@ -1,10 +1,10 @@
-//! Whatever a job says, it is read or refused with a reason.
+//! Any job text is parsed or refused with a reason.
 
 use proptest::prelude::*;
 
 use super::{FULL, parse};
 
-/// Reads a job and shows its errors, and checks of each that it is shown with its place.
+/// Parses a job and asserts that each error is shown with its position.
 fn survives(text: &str, overrides: &[&str]) {
     if let Err(errors) = parse(text, overrides) {
         let shown = errors.to_string();
@@ -27,7 +27,7 @@ fn no_prefix_of_a_job_makes_it_panic() {
     }
 }
 
-/// Pieces that TOML and jobs are made of, in any order.
+/// Fragments of TOML and of jobs, in any order.
 fn pieces() -> impl Strategy<Value = String> {
     let text = r#"[[stage]]|[job]|[stage.mount]|type = |"read_las"|"decompose"|"write_las"|path = |id = |threads = "#;
     let more = r#"control = |"é*.las"|1|-0.5e9|nan|true|[|]|{|}|=|,|.| |'|"""|#|1979-05-27|0x|\u00e9|\"#;

@@ -1,4 +1,4 @@
-//! Values set from outside.
+//! Overrides.
 
 use super::{FULL, check_set};
 
@@ -8,13 +8,13 @@ fn an_override_without_a_value() {
         FULL,
         &["decompose.detection_sigma"],
         r#"
-error: this is not STAGE.KEY=VALUE
+error: expected STAGE.KEY=VALUE
  --> --set:1:1
   |
 1 | decompose.detection_sigma
   | ^^^^^^^^^^^^^^^^^^^^^^^^^
   |
-  = help: as in `--set decompose.detection_sigma=5` or `--set job.threads=2`
+  = help: for example `--set decompose.detection_sigma=5` or `--set job.threads=2`
 "#,
     );
 }
@@ -25,13 +25,13 @@ fn an_override_without_a_stage() {
         FULL,
         &["threads=3"],
         r#"
-error: this is not STAGE.KEY=VALUE
+error: expected STAGE.KEY=VALUE
  --> --set:1:1
   |
 1 | threads=3
   | ^^^^^^^^^
   |
-  = help: as in `--set decompose.detection_sigma=5` or `--set job.threads=2`
+  = help: for example `--set decompose.detection_sigma=5` or `--set job.threads=2`
 "#,
     );
 }
@@ -42,7 +42,7 @@ fn an_override_with_an_empty_value() {
         FULL,
         &["job.threads="],
         r#"
-error: there is no value behind the `=`
+error: missing value after `=`
  --> --set:1:1
   |
 1 | job.threads=
@@ -57,13 +57,13 @@ fn an_override_that_is_not_toml() {
         FULL,
         &["read_las.path=[\"a.las\", b]"],
         r#"
-error: this is not TOML: string values must be quoted, expected literal string
+error: invalid TOML: string values must be quoted, expected literal string
  --> --set:1:25
   |
 1 | read_las.path=["a.las", b]
   |                         ^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -81,7 +81,7 @@ error: the job has no stage `decompse`
   | ^^^^^^^^
   |
   = help: did you mean `decompose`?
-  = help: its stages: read_las, calibrate, decompose, georeference, write_las
+  = help: stages: read_las, calibrate, decompose, georeference, write_las
 "#,
     );
 }
@@ -118,7 +118,7 @@ error: the job has several stages `write_las`
 1 | write_las.version="1.2"
   | ^^^^^^^^^
   |
-  = help: name one of them by its `id`: write_las-1 or write_las-2
+  = help: select one by its `id`: write_las-1 or write_las-2
 "#,
     );
 }
@@ -129,7 +129,7 @@ fn an_override_of_the_type() {
         FULL,
         &["write_las.type=\"write_lstat\""],
         r#"
-error: `type` cannot be set from outside the job
+error: `type` cannot be overridden
  --> --set:1:11
   |
 1 | write_las.type="write_lstat"
@@ -151,7 +151,7 @@ error: `decompose` has no key `detection_sgima`
   |           ^^^^^^^^^^^^^^^
   |
   = help: did you mean `detection_sigma`?
-  = help: its keys: detection_sigma, width_ratio, longest_ns, shortest_ns, split_evidence, start, refinements
+  = help: keys: detection_sigma, width_ratio, longest_ns, shortest_ns, split_evidence, start, refinements
 "#,
     );
 }
@@ -162,7 +162,7 @@ fn an_override_of_the_wrong_type() {
         FULL,
         &["decompose.detection_sigma=high"],
         r#"
-error: `detection_sigma` must be a number, at least 1 and at most 100; this is text
+error: `detection_sigma` must be a number, at least 1 and at most 100, got text
  --> --set:1:27
   |
 1 | decompose.detection_sigma=high
@@ -177,7 +177,7 @@ fn the_second_of_two_overrides() {
         FULL,
         &["job.threads=2", "job.memory_mb=8"],
         r#"
-error: `memory_mb` must be at least 64 and at most 1000000000; this is 8
+error: `memory_mb` must be at least 64 and at most 1000000000, got 8
  --> --set:1:15
   |
 1 | job.memory_mb=8
@@ -209,7 +209,7 @@ type = "write_las"
 "#,
         &["decompose.detection_sigma=0.5"],
         r#"
-error: `detection_sigma` must be at least 1 and at most 100; this is 0.5
+error: `detection_sigma` must be at least 1 and at most 100, got 0.5
  --> --set:1:27
   |
 1 | decompose.detection_sigma=0.5
@@ -224,7 +224,7 @@ fn an_override_of_two_lines() {
         FULL,
         &["job.threads=4\nmemory_mb=100"],
         r#"
-error: `threads` must be a whole number, at least 0; this is text
+error: `threads` must be a whole number, at least 0, got text
  --> --set:1:13
   |
 1 | job.threads=4

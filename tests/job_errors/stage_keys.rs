@@ -1,8 +1,8 @@
-//! What the stages of the registry say of their own keys.
+//! Errors that registered stages report for their own keys.
 
 use wavex::job::Job;
 
-/// A job whose stage has this line among its keys is refused with this message at that line.
+/// Asserts that a stage with this key line is refused with this message at that line.
 #[track_caller]
 fn refused(stage: &str, line: &str, message: &str) {
     let keys = |of: &str| if of == stage { format!("{line}\n") } else { String::new() };
@@ -27,9 +27,9 @@ fn keys_of_decompose() {
     }
     let problem = "`split_evidence`: it must lie between 4 and 1000000, or be `false`";
     refused("decompose", "split_evidence = 3", problem);
-    let problem = "`drop_emission_crosstalk` must be `true` or `false`; this is the number 1";
+    let problem = "`drop_emission_crosstalk` must be `true` or `false`, got the number 1";
     refused("decompose", "drop_emission_crosstalk = 1", problem);
-    let problem = "`mode` must be \"fastest\", \"fast_separated\", \"refined\" or \"slow\"; this is \"fast\"";
+    let problem = "`mode` must be \"fastest\", \"fast_separated\", \"refined\" or \"slow\", got \"fast\"";
     refused("decompose", "mode = \"fast\"", problem);
     let problem = "`refine_when_needed`: it has no effect in this `mode`, which refines every waveform; \
                    leave it out, or choose `mode = \"fastest\"` or `\"fast_separated\"`";

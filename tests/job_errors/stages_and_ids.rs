@@ -16,7 +16,7 @@ error: this stage has no `type`
 1 | [[stage]]
   | ^^^^^^^^^
   |
-  = help: the stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
+  = help: stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
 "#,
     );
 }
@@ -29,7 +29,7 @@ fn a_type_that_is_no_text() {
 type = 3
 "#,
         r#"
-error: `type` must be text; this is the number 3
+error: `type` must be text, got the number 3
  --> job.toml:2:8
   |
 2 | type = 3
@@ -50,14 +50,14 @@ path = "flight.las"
 type = "decompos"
 "#,
         r#"
-error: there is no stage `decompos`
+error: unknown stage `decompos`
  --> job.toml:6:8
   |
 6 | type = "decompos"
   |        ^^^^^^^^^^
   |
   = help: did you mean `decompose`?
-  = help: the stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
+  = help: stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
 "#,
     );
 }
@@ -74,13 +74,13 @@ path = "flight.las"
 type = "fuse_channels"
 "#,
         r#"
-error: there is no stage `fuse_channels`
+error: unknown stage `fuse_channels`
  --> job.toml:6:8
   |
 6 | type = "fuse_channels"
   |        ^^^^^^^^^^^^^^^
   |
-  = help: the stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
+  = help: stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
 "#,
     );
 }
@@ -95,7 +95,7 @@ path = "flight.las"
 id = 3
 "#,
         r#"
-error: `id` must be text; this is the number 3
+error: `id` must be text, got the number 3
  --> job.toml:4:6
   |
 4 | id = 3
@@ -114,13 +114,13 @@ path = "flight.las"
 id = "a b"
 "#,
         r#"
-error: a stage cannot be called `a b`
+error: invalid stage name `a b`
  --> job.toml:4:6
   |
 4 | id = "a b"
   |      ^^^^^
   |
-  = help: an `id` has letters, digits, `_` and `-`, and is not `job`
+  = help: an `id` consists of letters, digits, `_` and `-`, and is not `job`
 "#,
     );
 }
@@ -135,13 +135,13 @@ path = "flight.las"
 id = "job"
 "#,
         r#"
-error: a stage cannot be called `job`
+error: invalid stage name `job`
  --> job.toml:4:6
   |
 4 | id = "job"
   |      ^^^^^
   |
-  = help: an `id` has letters, digits, `_` and `-`, and is not `job`
+  = help: an `id` consists of letters, digits, `_` and `-`, and is not `job`
 "#,
     );
 }
@@ -160,13 +160,13 @@ type = "write_lstat"
 id = "one"
 "#,
         r#"
-error: two stages are called `one`
+error: duplicate stage name `one`
  --> job.toml:8:6
   |
 8 | id = "one"
   |      ^^^^^
   |
-  = help: give one of them another `id`
+  = help: give one of them a different `id`
 "#,
     );
 }
@@ -184,13 +184,13 @@ id = "calibrate"
 type = "calibrate"
 "#,
         r#"
-error: two stages are called `calibrate`
+error: duplicate stage name `calibrate`
  --> job.toml:7:8
   |
 7 | type = "calibrate"
   |        ^^^^^^^^^^^
   |
-  = help: give one of them another `id`
+  = help: give one of them a different `id`
 "#,
     );
 }

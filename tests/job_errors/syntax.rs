@@ -1,4 +1,4 @@
-//! The text as TOML, its tables, and how an error is shown.
+//! TOML syntax, tables, and display of errors.
 
 use super::{check, parse};
 
@@ -10,7 +10,7 @@ fn an_empty_job() {
         r#"
 error: the job has no stage
  --> job.toml
- = help: `wavex init` writes one to start from; `wavex stages` lists the stages
+ = help: `wavex init` writes a starter job; `wavex stages` lists the stages
 "#,
     );
 }
@@ -23,13 +23,13 @@ fn text_without_quotation_marks() {
 type = read_las
 "#,
         r#"
-error: this is not TOML: string values must be quoted, expected literal string
+error: invalid TOML: string values must be quoted, expected literal string
  --> job.toml:2:8
   |
 2 | type = read_las
   |        ^^^^^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -43,7 +43,7 @@ type = read_las
 path = 
 "#,
         r#"
-error: this is not TOML: unclosed array table, expected `]`
+error: invalid TOML: unclosed array table, expected `]`
  --> job.toml:1:9
   |
 1 | [[stage]
@@ -63,21 +63,21 @@ type = read_las
 type = calibrate
 "#,
         r#"
-error: this is not TOML: string values must be quoted, expected literal string
+error: invalid TOML: string values must be quoted, expected literal string
  --> job.toml:2:8
   |
 2 | type = read_las
   |        ^^^^^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 
-error: this is not TOML: string values must be quoted, expected literal string
+error: invalid TOML: string values must be quoted, expected literal string
  --> job.toml:5:8
   |
 5 | type = calibrate
   |        ^^^^^^^^^
   |
-  = help: write text between quotation marks: `"text"`
+  = help: put text in quotation marks: `"text"`
 "#,
     );
 }
@@ -92,7 +92,7 @@ path = "flight.las"
 path = "other.las"
 "#,
         r#"
-error: this is not TOML: duplicate key
+error: invalid TOML: duplicate key
  --> job.toml:4:1
   |
 4 | path = "other.las"
@@ -113,13 +113,13 @@ type = "read_las"
 path = "flight.las"
 "#,
         r#"
-error: `engine` is no part of a job
+error: unknown top-level key `engine`
  --> job.toml:1:2
   |
 1 | [engine]
   |  ^^^^^^
   |
-  = help: a job has one table `[job]` and a `[[stage]]` for each of its stages
+  = help: a job has one table `[job]` and one `[[stage]]` per stage
 "#,
     );
 }
@@ -132,7 +132,7 @@ fn a_misspelt_stage_header() {
 type = "read_las"
 "#,
         r#"
-error: `stages` is no part of a job
+error: unknown top-level key `stages`
  --> job.toml:1:3
   |
 1 | [[stages]]
@@ -153,7 +153,7 @@ type = "read_las"
 path = "flight.las"
 "#,
         r#"
-error: `jobs` is no part of a job
+error: unknown top-level key `jobs`
  --> job.toml:1:2
   |
 1 | [jobs]
@@ -174,13 +174,13 @@ type = "read_las"
 path = "flight.las"
 "#,
         r#"
-error: `threads` is no part of a job
+error: unknown top-level key `threads`
  --> job.toml:1:1
   |
 1 | threads = 2
   | ^^^^^^^
   |
-  = help: `threads` belongs below `[job]`
+  = help: move `threads` to `[job]`
 "#,
     );
 }
@@ -271,15 +271,15 @@ error: `[job]` has no key `memory`
 2 | memory = 8
   | ^^^^^^
   |
-  = help: its keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
 
-error: `threads` must be a whole number, at least 0; this is text
+error: `threads` must be a whole number, at least 0, got text
  --> job.toml:3:11
   |
 3 | threads = "all"
   |           ^^^^^
 
-error: `read_las` needs the key `path`
+error: `read_las` requires the key `path`
  --> job.toml:5:1
   |
 5 | [[stage]]
@@ -293,9 +293,9 @@ error: `read_las` has no key `time`
 7 | time = 3
   | ^^^^
   |
-  = help: its keys: path, time_s
+  = help: keys: path, time_s
 
-error: `decompose` needs `calibrate` before it
+error: `decompose` requires `calibrate` before it
   --> job.toml:10:8
    |
 10 | type = "decompose"
@@ -303,25 +303,25 @@ error: `decompose` needs `calibrate` before it
    |
    = help: insert `calibrate` before it
 
-error: `detection_sigma` must be at least 1 and at most 100; this is 0
+error: `detection_sigma` must be at least 1 and at most 100, got 0
   --> job.toml:11:19
    |
 11 | detection_sigma = 0
    |                   ^
 
-error: `width_ratio` must be a list of 2 numbers; this is the number 3
+error: `width_ratio` must be a list of 2 numbers, got the number 3
   --> job.toml:12:15
    |
 12 | width_ratio = 3
    |               ^
 
-error: `refinements` must be at least 0 and at most 65535; this is -1
+error: `refinements` must be at least 0 and at most 65535, got -1
   --> job.toml:13:15
    |
 13 | refinements = -1
    |               ^^
 
-error: `write_las` takes Points, and the lines that come here are Returns
+error: `write_las` takes Points, but receives Returns
   --> job.toml:16:8
    |
 16 | type = "write_las"
@@ -343,7 +343,7 @@ error: `read_las` has no key `speed`
 4 |  speed = 5
   |  ^^^^^
   |
-  = help: its keys: path, time_s
+  = help: keys: path, time_s
 "#,
     );
 }
@@ -353,14 +353,14 @@ fn lines_may_end_as_on_windows() {
     check(
         "[[stage]]\r\ntype = \"read_lsa\"\r\n",
         r#"
-error: there is no stage `read_lsa`
+error: unknown stage `read_lsa`
  --> job.toml:2:8
   |
 2 | type = "read_lsa"
   |        ^^^^^^^^^^
   |
   = help: did you mean `read_las`?
-  = help: the stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
+  = help: stages: read_las, simulate, calibrate, decompose, georeference, write_las, write_lstat, write_shots
 "#,
     );
 }
@@ -388,7 +388,7 @@ error: `simulate` has no key `�[2J`
 3 | "\u001b[2J" = 1 # �2J
   | ^^^^^^^^^^^
   |
-  = help: its keys: lines
+  = help: keys: lines
 "#,
     );
 }

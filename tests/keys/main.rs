@@ -1,4 +1,4 @@
-//! Keys of readers, calibrate and decompose: what each changes of the results.
+//! Effects of the keys of readers, `calibrate` and `decompose` on the results.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 #[path = "../support/mod.rs"]
@@ -17,7 +17,7 @@ const SHOTS: usize = 320;
 /// Channel codes of the container.
 const LOW: u8 = 1;
 const REFERENCE: u8 = 3;
-/// Time from shot to shot.
+/// Interval between shots.
 const INTERVAL_NS: f64 = 5000.0;
 
 /// A row of a table of returns by column.
@@ -31,7 +31,7 @@ fn flags_of(row: &Row) -> u16 {
     row["flags"].parse().unwrap()
 }
 
-/// Reads a container with these keys of the stages: the table of returns, and the report of the input.
+/// Reads a container with these keys: table of returns, and report of the input.
 fn run(place: &Place, reader: &str, calibrate: &str, decompose: &str) -> (Vec<Row>, serde_json::Value) {
     let job = format!(
         "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{reader}\n[[stage]]\ntype = 'calibrate'\n{calibrate}\n\
@@ -46,12 +46,12 @@ fn run(place: &Place, reader: &str, calibrate: &str, decompose: &str) -> (Vec<Ro
     (rows, report["inputs"][0]["totals"].clone())
 }
 
-/// A waveform of pulses (sample of the peak, height), with noise of its own.
+/// A waveform of pulses (peak sample, amplitude) with its own noise.
 fn samples(shot: usize, pulses: &[(f64, f64)]) -> Vec<u16> {
     samples_at(shot, pulses, |k| k as f64)
 }
 
-/// The same where sample `k` is taken at another time.
+/// The same waveform with sample `k` taken at another time.
 fn samples_at(shot: usize, pulses: &[(f64, f64)], taken_at: impl Fn(usize) -> f64) -> Vec<u16> {
     let noise = shots::waveform(shot, 1e6, 0.0);
     let signal = |k: usize| {
@@ -68,7 +68,7 @@ fn samples_at(shot: usize, pulses: &[(f64, f64)], taken_at: impl Fn(usize) -> f6
         .collect()
 }
 
-/// Shots with an outgoing pulse that leaves at their clock and one echo 1024 ns later; some are different.
+/// Shots with an outgoing pulse at their clock and one echo 1024 ns later; `change` modifies some.
 fn recording(change: impl Fn(usize, &mut Shot)) -> Place {
     let shot = |number: usize| {
         let place = 0.1 * (number % 7) as f64;
@@ -91,8 +91,8 @@ fn of_shot(rows: &[Row], shot: usize) -> Vec<&Row> {
     rows.iter().filter(|row| row["shot"] == shot).collect()
 }
 
-/// Shot 50 is recorded while shot 51 leaves, close to its echo; shot 60 while shot 61 leaves, whose emission leaks in; on
-/// the outgoing pulse of shot 70 lies an echo.
+/// Shot 50 is recorded while shot 51 is emitted, close to its echo. Shot 60 is recorded while shot
+/// 61 is emitted, whose emission leaks in. An echo overlaps the outgoing pulse of shot 70.
 fn with_crosstalk() -> Place {
     recording(|number, shot| match number {
         50 => shot.blocks[1].1 = INTERVAL_NS - 20.0,
@@ -115,7 +115,8 @@ fn crosstalk_is_flagged_and_dropped_on_request() {
     assert!(others.flat_map(flags).all(|flags| flags == 0));
     assert_eq!((&totals["np_xtalk"], &totals["np_xtalk_dropped"]), (&4.into(), &0.into()));
 
-    // The joint fit of pulse and echo tells when the shot left; alone, the pulse was 0.1 m late.
+    // The joint fit of pulse and echo recovers the emission time; a separate fit of the pulse is
+    // 0.1 m late.
     let mixed = of_shot(&rows, 70)[0];
     let error_m = number(mixed, "range_m") - number(of_shot(&rows, 77)[0], "range_m");
     let sd_m = number(mixed, "range_sd_m");
@@ -134,7 +135,7 @@ fn crosstalk_is_flagged_and_dropped_on_request() {
     assert_eq!(total("nw"), total("nw_empty") + total("nw_deleted") + total("nw_with_points"));
 }
 
-/// Echoes 1.5 and 3.25 samples from the outgoing pulse, which widen it and leave no second maximum.
+/// Echoes 1.5 and 3.25 samples from the outgoing pulse widen it without a second maximum.
 #[test]
 fn echoes_that_merge_with_the_outgoing_pulse_are_flagged_and_their_ranges_hold() {
     let height = |number: usize| if number.is_multiple_of(20) { 75.0 } else { 15.0 };
@@ -157,7 +158,7 @@ fn echoes_that_merge_with_the_outgoing_pulse_are_flagged_and_their_ranges_hold()
     let (mixed, clean): (Vec<&Row>, Vec<&Row>) = rows.iter().partition(|row| is_mixed(row));
     let flagged = |rows: &[&Row]| rows.iter().filter(|row| flags_of(row) & ECHO_ON_OUTGOING != 0).count();
     assert_eq!((flagged(&mixed), flagged(&clean)), (mixed.len(), 0));
-    // Shots share a calibrated constant, which the others tell.
+    // Shots share a calibrated constant, estimated from the other shots.
     let constant = clean.iter().map(|row| error_ns(row)).sum::<f64>() / clean.len() as f64;
     let scores = mixed.iter().map(|row| (error_ns(row) - constant) / number(row, "time_of_flight_sd_ns"));
     let z = (scores.map(|score| score * score).sum::<f64>() / mixed.len() as f64).sqrt();
@@ -180,11 +181,11 @@ fn the_last_of_several_returns_may_have_its_own_threshold() {
     let (without, filtered) = counts("");
     assert_eq!(without, [2, 2, 1]);
     let (with, more_filtered) = counts("detection_sigma_last = 30");
-    assert_eq!(with, [1, 2, 1], "neither the first of two nor an only one is the last of several");
+    assert_eq!(with, [1, 2, 1], "only the last of several returns is affected");
     assert_eq!(more_filtered, filtered + 1);
 }
 
-/// Mean and standard deviation of the mean of `time_of_flight_ns` less the truth, of echoes at 24 + 0.1 (shot % 7).
+/// Mean error of `time_of_flight_ns` and its SD, for echoes at 24 + 0.1 (shot % 7).
 fn bias_ns(rows: &[Row]) -> (f64, f64) {
     let error = |row: &Row| {
         let place = 0.1 * ((number(row, "shot") as usize - 100) % 7) as f64;
@@ -198,8 +199,8 @@ fn bias_ns(rows: &[Row]) -> (f64, f64) {
     (mean, (variance / n).sqrt())
 }
 
-/// Odd samples are taken 0.1 samples late, but only by the echoes' digitiser does it show as a bias: the outgoing pulse is
-/// left out, and times count from the clock.
+/// Odd samples are taken 0.1 samples late. The bias appears only in the echo digitiser, because the
+/// outgoing pulse is omitted and times count from the clock.
 #[test]
 fn odd_samples_that_come_late_bias_no_range() {
     let late = |k: usize| k as f64 + if k % 2 == 1 { 0.1 } else { 0.0 };
@@ -216,7 +217,7 @@ fn odd_samples_that_come_late_bias_no_range() {
     let (bias, sd) = bias_ns(&with);
     assert!(bias.abs() < 4.0 * sd && sd < 0.004, "{bias} {sd}");
 
-    // With the response of the recording itself, the zero of time is the peak of the response.
+    // With a response calibrated on the recording itself, time zero is the peak of the response.
     let (with, _) = run(&place, "odd_sample_shift = 0.1", "save = 'model.json'", "");
     let (bias, sd) = bias_ns(&with);
     assert!(bias.abs() < 0.01 + 4.0 * sd, "{bias} {sd}");
@@ -224,7 +225,7 @@ fn odd_samples_that_come_late_bias_no_range() {
     assert_eq!(model["low_power"]["digitiser"]["odd_sample_shift"], 0.1);
 }
 
-/// Points of LAS move along their beams by what is added to their times of flight.
+/// Points of LAS move along their beams by the added time of flight.
 #[test]
 fn a_time_offset_moves_points_along_their_beams() {
     let las = support::las::Las::new(SHOTS);
@@ -252,8 +253,8 @@ fn a_time_offset_moves_points_along_their_beams() {
     }
 }
 
-/// Behind every echo hangs an exponential tail of 40 % of its area. Taken off, no return is found in it, and the widths and
-/// amplitudes are those of the echoes.
+/// Every echo has an exponential tail of 40 % of its area. After its removal, no return is found in
+/// it, and widths and amplitudes are those of the echoes.
 #[test]
 fn a_given_tail_is_taken_off_before_everything_else() {
     let (amplitude, time_ns) = (0.4, 12.0);
@@ -299,7 +300,7 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
     run(&place, "odd_sample_shift = 0.2", &load, "");
     assert_eq!(notes(&place), 1);
 
-    // A model that lacks the outgoing pulse serves, too: times then count from the clock.
+    // A model without the outgoing pulse also works: times then count from the clock.
     let mut part: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
     part.as_object_mut().unwrap().remove("reference");
     place.write("out/part.json", part.to_string().as_bytes());
@@ -307,11 +308,12 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
     assert_eq!(rows.len(), SHOTS);
     assert!(
         rows.iter().all(|row| number(row, "time_of_flight_sd_ns") > 0.28),
-        "a part of a sample is unknown"
+        "the sub-sample emission offset is unknown"
     );
 }
 
-/// A hundred waveforms tell no sensor; a RIEGL's tells these, which were made like it.
+/// 100 waveforms are too few for calibration; a RIEGL preset fits these, which were simulated like
+/// it.
 #[test]
 fn a_preset_serves_where_there_is_too_little_to_calibrate_from() {
     let place = Place::with(&[]);
@@ -331,7 +333,7 @@ fn a_preset_serves_where_there_is_too_little_to_calibrate_from() {
     assert_eq!(place.text("out/report.json").matches("the sensor model is a preset").count(), 1);
 }
 
-/// A job that loads `model.json`, with the keys of calibrate behind it.
+/// A job that loads `model.json`, with further keys of `calibrate`.
 fn load(place: &Place, keys: &str) -> Outcome {
     let path = place.path("model.json");
     place.read(
@@ -388,7 +390,7 @@ fn a_model_is_held_against_the_recording() {
 #[test]
 fn an_unknown_full_scale_is_said_and_can_be_given() {
     let place = recording(|_, _| {});
-    // A container whose key is another program's.
+    // A container with the key of another program.
     let (ours, theirs) = (b"wavex.full_scale_dn", b"other.full_scale_dn");
     let mut bytes = std::fs::read(place.path("a.arrow")).unwrap();
     while let Some(at) = bytes.windows(ours.len()).position(|window| window == ours) {
@@ -405,7 +407,7 @@ fn an_unknown_full_scale_is_said_and_can_be_given() {
     assert_eq!(model["low_power"]["full_scale_dn"], 255.0);
 }
 
-/// The returns of the same shots in two modes.
+/// Returns of the same shots in two modes.
 fn pairs<'a>(a: &'a [Row], b: &'a [Row], shots: &[usize]) -> Vec<(&'a Row, &'a Row)> {
     let of = |&shot: &usize| {
         let (a, b) = (of_shot(a, shot), of_shot(b, shot));
@@ -420,7 +422,7 @@ fn modes_agree_where_returns_stand_alone_and_refine_on_request_where_they_overla
     modes_differ_as_their_names_say("", 0);
 }
 
-/// With a background of each waveform's own, too, and few waveforms are left to the plain kernels.
+/// Also with a background per waveform, few waveforms are left to the plain kernels.
 #[test]
 fn modes_differ_where_each_waveform_has_a_background_of_its_own() {
     let place = modes_differ_as_their_names_say("background = 'per_waveform'", 3);
@@ -435,7 +437,8 @@ fn modes_differ_where_each_waveform_has_a_background_of_its_own() {
     }
 }
 
-/// Runs all modes with this key of `calibrate`, on waveforms whose levels differ by up to `levels - 1` DN.
+/// Runs all modes with this key of `calibrate`, on waveforms whose levels differ by up to
+/// `levels - 1` DN.
 fn modes_differ_as_their_names_say(calibrate: &str, levels: usize) -> Place {
     let place = recording(|number, shot| {
         if number % 5 == 3 {
@@ -474,7 +477,7 @@ fn modes_differ_as_their_names_say(calibrate: &str, levels: usize) -> Place {
         let found = (refined_of(&isolated), refined_of(&overlapping));
         let both = 2 * overlapping.len();
         match mode {
-            // What a step does not settle is fitted.
+            // Pulses that one step does not settle are fitted.
             "fastest" => assert!(found.0 == 0 && 4 * found.1 < both, "{found:?}"),
             "fast_separated" => {
                 let is = |row: &Row, flag: u16| flags_of(row) & flag != 0;

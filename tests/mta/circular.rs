@@ -1,4 +1,4 @@
-//! A circular scanner: its beam turns on a cone, and no line ends by facet, flag or jump.
+//! A circular scanner: the beam rotates on a cone, and no line ends by facet, flag or jump.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -7,17 +7,18 @@ use crate::flights::{Found, Table, fly, in_sdf, lines_of, resolve, stage};
 use crate::support::Place;
 use crate::support::pulsewaves::PulseWaves;
 
-/// 1500 shots a revolution in pieces of 700, two to four pulses in the air, from an aircraft that sways. Zones change with the
-/// azimuth.
+/// 1500 shots per revolution in pieces of 700, two to four pulses in the air, from a swaying
+/// aircraft; zones change with azimuth.
 const FLIGHT: &str = "seed = 3\nlandscape = 'country'\nscanner = 'circular'\nscan_angle_deg = [-20, 20]\n\
                       rotation_hz = 366.667\npulse_rate_hz = 550000\nmodulation_ns = 15\nlines = 48\nshots_per_line = 700\n\
                       flying_height_m = 800\nrelief_m = 120\nwater_ratio = 0.02\nfalse_alarm_rate = 0.002\n\
                       blind_gap_ns = 15\nroll_deg = 6\npitch_deg = 3\nyaw_deg = 3\nmotion_period_s = 4\nas_recorded = true\n";
-/// Near a change of zone: within this many shots.
+/// Distance to a change of zone, shots.
 const NEAR_SHOTS: usize = 25;
 const CLEAR_DN: f64 = 25.0;
 
-/// Clear true returns, and how many of them are not in their shot with their zone: away from changes of zone, and near.
+/// Clear true returns and those assigned to a wrong shot or zone: away from changes of zone, and
+/// near.
 #[derive(Debug, Default)]
 struct Wrong {
     away: [usize; 2],
@@ -63,12 +64,12 @@ fn zones_of_a_circular_scanner_are_right_near_their_changes_and_away() {
     assert!(wrong.away[1] * 1000 <= wrong.away[0] && wrong.near[1] * 1000 <= wrong.near[0], "{wrong:?}");
     let stage = stage(&found.report, "resolve_mta");
     assert_eq!(stage["notes"].as_array().unwrap().len(), 0, "{stage}");
-    // Lines come out as they went in.
+    // Output lines equal input lines.
     let sizes: Vec<usize> = lines_of(&flight.recording).iter().map(Vec::len).collect();
     assert_eq!(sizes, [700; 48]);
 }
 
-/// In the scanner's own frame, and in lines so short that the first of them do not show the cone.
+/// In the scanner's own frame, and with lines too short to show the cone.
 #[test]
 fn pieces_of_a_revolution_are_resolved_as_the_revolution() {
     let keys = FLIGHT.replace("lines = 48\nshots_per_line = 700", "lines = 336\nshots_per_line = 100");
@@ -99,7 +100,7 @@ fn a_slow_scanner_is_resolved_with_the_default_memory() {
     assert_eq!(sizes, [4096; 15]);
 }
 
-/// Over flat ground the method for comparisons goes around the cone, too.
+/// Over flat ground, the comparison method also works on a cone.
 #[test]
 fn the_least_variance_goes_around_the_cone() {
     let flat = "scanner = 'circular'\nscan_angle_deg = [-20, 20]\nrotation_hz = 366.667\npulse_rate_hz = 550000\n\
@@ -112,7 +113,8 @@ fn the_least_variance_goes_around_the_cone() {
     assert!(count > 8000 && wrong * 1000 <= count, "{wrong} of {count}");
 }
 
-/// 519.5 pulses a revolution, to either side: a file that ends no line itself has one for each.
+/// 519.5 pulses per revolution, in either direction: a file without line ends gets one line per
+/// revolution.
 #[test]
 fn a_revolution_is_a_line_where_the_file_has_none() {
     for sense in [1.0, -1.0] {
@@ -120,7 +122,7 @@ fn a_revolution_is_a_line_where_the_file_has_none() {
         for pulse in 0..1300 {
             let (sin, cos) = (sense * TAU * pulse as f64 / 519.5).sin_cos();
             let (away, down) = 20f64.to_radians().sin_cos();
-            // 150 m, a thousand nanoseconds, in millimetres from the anchor.
+            // 150 m, or 1000 ns, in millimetres from the anchor.
             let along = [away * cos, away * sin, -down].map(|part| (part * 149_896.0).round() as i32);
             let anchor = [100 * pulse, 0, 600_000];
             let target: Vec<u8> =

@@ -1,4 +1,4 @@
-//! Recordings that are not as they should be.
+//! Faulty recordings.
 
 use wavex::formats::container::{ContainerHeader, ContainerReader};
 
@@ -11,14 +11,14 @@ fn header() -> ContainerHeader {
     ContainerReader::open(&place.path("a.arrow")).unwrap().header().clone()
 }
 
-/// Resolves the flight after a change of its lines.
+/// Resolves the flight after a modification of its lines.
 fn changed(change: impl FnOnce(&mut Vec<Vec<Row>>)) -> Found {
     let mut lines = lines_of(&recorded().recording);
     change(&mut lines);
     resolve(&container(&header(), &lines), "")
 }
 
-/// What goes in comes out, or is rejected with a reason.
+/// Asserts that all input is passed on or rejected with a reason.
 fn nothing_is_lost(found: &Found) {
     let stage = stage(&found.report, "resolve_mta");
     let rejected: u64 = stage["rejected"].as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum();
@@ -54,14 +54,14 @@ fn a_recording_whose_lines_are_one_shot_long_is_resolved() {
     });
     nothing_is_lost(&found);
     assert_eq!(stage(&found.report, "resolve_mta")["lines_out"], SHOTS);
-    // The echoes of the last shots were received behind the end.
+    // The echoes of the last shots were received after the end of the recording.
     let score = score(&truth_before(SHOTS - 5), &found.returns);
     println!("{} of {} right, {} other zones", score.right, score.true_returns, score.other_zones);
     assert!(score.true_returns > 4000);
     assert!(score.part_right() >= 0.999, "{:?}", score.missed_shots);
 }
 
-/// The truth of the first shots.
+/// Truth of the first shots.
 fn truth_before(shots: u64) -> String {
     let shot = |row: &str| row.split(',').next().and_then(|cell| cell.parse::<u64>().ok());
     let rows = recorded().truth.lines().filter(|row| shot(row).is_none_or(|shot| shot < shots));
@@ -120,7 +120,7 @@ fn a_recording_that_ends_within_a_line_is_resolved_up_to_there() {
         lines[40].truncate(100);
     });
     nothing_is_lost(&found);
-    // The echoes of the last shots were received behind the end.
+    // The echoes of the last shots were received after the end of the recording.
     let score = score(&truth_before(40 * 240 + 95), &found.returns);
     assert!(score.part_right() >= 0.999, "{:?}", score.missed_shots);
 }

@@ -1,4 +1,4 @@
-//! Simulated flights, as an instrument records them, and what the program finds in them.
+//! Simulated flights as recorded by an instrument, and results of the program.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,12 +12,12 @@ use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
 use crate::made::{Row, container, header, rows};
 use crate::support::{Outcome, Place};
 
-/// The keys of a flight with three to five pulses in the air.
+/// Keys of a flight with three to five pulses in the air.
 pub const FLIGHT: &str = "seed = 5\nlandscape = 'country'\nlines = 64\nshots_per_line = 240\npulse_rate_hz = 400000\n\
                           modulation_ns = 15\nflying_height_m = 1500\nrelief_m = 120\nwater_ratio = 0.02\n\
                           false_alarm_rate = 0.002\nblind_gap_ns = 15\nroll_deg = 2\n";
 
-/// The end of a chain: points are not needed, and the fast mode will do.
+/// End of a chain without points, in the fast mode.
 pub const TO_RETURNS: &str = "\
 [[stage]]
 type = 'calibrate'
@@ -31,13 +31,13 @@ type = 'write_table'
 path = 'returns.csv'
 ";
 
-/// A simulated recording, and the truth of its returns.
+/// A simulated recording with the truth of its returns.
 pub struct Flight {
     pub recording: Vec<u8>,
     pub truth: String,
 }
 
-/// Simulates a flight with these keys; `recording.arrow` holds it.
+/// Simulates a flight with these keys into `recording.arrow`.
 pub fn fly(keys: &str) -> Flight {
     let place = Place::new();
     let job = format!(
@@ -51,26 +51,26 @@ pub fn fly(keys: &str) -> Flight {
     }
 }
 
-/// [`FLIGHT`] as recorded, in the map.
+/// [`FLIGHT`] as recorded, in map coordinates.
 pub fn recorded() -> &'static Flight {
     static FOUND: OnceLock<Flight> = OnceLock::new();
     FOUND.get_or_init(|| fly(&format!("{FLIGHT}as_recorded = true")))
 }
 
-/// The same in the scanner's frame, of which SDF holds all.
+/// The same in the scanner's frame, with the content that SDF can store.
 pub fn in_scanner_frame() -> &'static Flight {
     static FOUND: OnceLock<Flight> = OnceLock::new();
     FOUND.get_or_init(|| in_sdf(fly(&format!("{FLIGHT}as_recorded = true\nsbet = 'flight.sbet'"))))
 }
 
-/// The part of a flight that SDF has a place for.
+/// The part of a flight that SDF can store.
 pub fn in_sdf(flight: Flight) -> Flight {
     let mut lines = lines_of(&flight.recording);
     lines.iter_mut().flatten().for_each(as_sdf);
     Flight { recording: container(&header(), &lines), ..flight }
 }
 
-/// Leaves out what SDF has no place for.
+/// Removes content that SDF cannot store.
 fn as_sdf(row: &mut Row) {
     row.shot.scan_angle_deg = None;
     row.shot.frame_scale = None;
@@ -78,13 +78,13 @@ fn as_sdf(row: &mut Row) {
     row.blocks.iter_mut().for_each(|block| block.1 = (block.1 * 1e6).round() / 1e6);
 }
 
-/// The rows of a container by line.
+/// Rows of a container by line.
 pub fn lines_of(recording: &[u8]) -> Vec<Vec<Row>> {
     let place = Place::with(&[("a.arrow", recording)]);
     rows(&place.path("a.arrow"))
 }
 
-/// What a run left.
+/// Results of a run.
 pub struct Found {
     pub report: Value,
     pub returns: String,
@@ -104,12 +104,12 @@ pub fn resolve_in(place: &Place, keys: &str) -> Found {
     Found { report, returns: place.text("out/returns.csv") }
 }
 
-/// The stages behind a reader.
+/// The stages after a reader.
 pub fn chain(keys: &str) -> String {
     format!("[[stage]]\ntype = 'resolve_mta'\n{keys}\n{TO_RETURNS}")
 }
 
-/// Resolves a container that cannot be resolved, and says why.
+/// Asserts that a container cannot be resolved, with this message.
 #[track_caller]
 pub fn refused(recording: &[u8], keys: &str, message: &str) {
     let place = Place::with(&[("a.arrow", recording)]);
@@ -117,12 +117,12 @@ pub fn refused(recording: &[u8], keys: &str, message: &str) {
     place.left_nothing(outcome, &format!("stage resolve_mta: ./a.arrow: {message}"));
 }
 
-/// The stage's part of a report.
+/// Part of a report for one stage.
 pub fn stage<'r>(report: &'r Value, name: &str) -> &'r Value {
     report["stages"].as_array().unwrap().iter().find(|stage| stage["type"] == name).unwrap()
 }
 
-/// A table of text by column.
+/// A text table by column.
 pub struct Table {
     names: Vec<String>,
     rows: Vec<Vec<String>>,
@@ -145,27 +145,27 @@ impl Table {
     }
 }
 
-/// How the true returns of surfaces were found.
+/// Score for the true returns of surfaces.
 #[derive(Debug, Default)]
 pub struct Score {
-    /// True returns that are well above the threshold.
+    /// True returns well above the threshold.
     pub true_returns: usize,
     /// Of these, those with a return of their shot within [`NEAR_M`].
     pub right: usize,
-    /// Of these, how many have another zone than the truth.
+    /// Of these, those with a zone different from the truth.
     pub other_zones: usize,
-    /// Differences of range, m, in ascending order.
+    /// Range errors, m, ascending.
     pub errors_m: Vec<f64>,
-    /// How many were not found, by shot.
+    /// Shots of missed returns.
     pub missed_shots: Vec<u64>,
 }
 
-/// Zones are over 300 m apart, and nothing is nearer to another return than this by chance.
+/// Tolerance of a match, m: zones are over 300 m apart, so chance matches are excluded.
 const NEAR_M: f64 = 1.5;
-/// A true return of this height is found where it stands alone, digitiser steps.
+/// Amplitude at which an isolated true return is found, DN.
 const CLEAR_DN: f64 = 12.0;
 
-/// Compares returns with the truth, beginning with true returns: what is put to another shot is missed.
+/// Compares returns with the truth; a return assigned to another shot is missed.
 pub fn score(truth: &str, returns: &str) -> Score {
     let (truth, returns) = (Table::of(truth), Table::of(returns));
     let mut by_shot: BTreeMap<u64, Vec<(f64, i64)>> = BTreeMap::new();
@@ -197,29 +197,30 @@ pub fn score(truth: &str, returns: &str) -> Score {
 }
 
 impl Score {
-    /// The part of the true returns that were found where they are.
+    /// Fraction of the true returns found at their position.
     pub fn part_right(&self) -> f64 {
         self.right as f64 / self.true_returns as f64
     }
 
-    /// The error that so many percent of the returns found do not exceed, m.
+    /// Percentile of the range errors, m.
     pub fn error_m(&self, percent: usize) -> f64 {
         self.errors_m[self.errors_m.len() * percent / 100]
     }
 }
 
-/// The path of a file, as a job has it.
+/// Path of a file as text.
 pub fn text(path: &Path) -> String {
     path.display().to_string()
 }
 
-/// Runs a command to its end, and the most memory that it ever takes, kB; 0 where the system does not say.
+/// Runs a command to its end; also returns its peak memory, kB (0 if unknown).
 pub fn peak_kb(command: &mut Command) -> (Outcome, u64) {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let status = format!("/proc/{}/status", child.id());
     let mut peak_kb = 0;
     while child.try_wait().unwrap().is_none() {
-        // The peak only grows: what is read last counts, and a run's end takes less than its middle.
+        // The peak only grows, so the last reading counts; the end of a run takes less memory than
+        // its middle.
         let text = std::fs::read_to_string(&status).unwrap_or_default();
         let peak = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         let peak = peak.and_then(|peak| peak.trim().strip_suffix(" kB")?.parse().ok());

@@ -1,6 +1,8 @@
-//! Lines of any length are resolved at default settings, and the same by whatever memory suffices.
+//! Lines of any length are resolved at default settings, with the same result for any sufficient
+//! memory.
 //!
-//! `WAVEX_LONG_LINES=all cargo test --release --test mta long_lines -- --nocapture` prints the table of docs/mta.md.
+//! `WAVEX_LONG_LINES=all cargo test --release --test mta long_lines -- --nocapture` prints the
+//! table of docs/mta.md.
 
 use serde_json::Value;
 use wavex::formats::container::{ContainerShot, channel};
@@ -10,27 +12,27 @@ use crate::made::{NAME, Row, container, header, rows, stand_in};
 use crate::support::{Outcome, Place, notes};
 
 const INTERVAL_PS: f64 = 2.5e6;
-/// What an interval departs from its mean at most; half of it each pulse.
+/// Maximum deviation of an interval from its mean; half of it per pulse.
 const MODULATION_PS: f64 = 15e3;
 const GROUP_VELOCITY_MPS: f64 = 299_707_502.0;
 const HALF_SWATH_DEG: f64 = 25.0;
 const DEFAULT_MB: u64 = 1024;
 
-/// A number in [0, 1), by mixing the bits of another.
+/// A number in [0, 1), hashed from another.
 fn unit(of: u64) -> f64 {
     let mixed = (of ^ (of >> 31)).wrapping_mul(0x7fb5_d329_728e_a185).rotate_left(29);
     let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x81da_def4_bc2d_d44d);
     ((mixed ^ (mixed >> 33)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// A flight over gentle hills with four or five pulses in the air, one echo to a shot.
+/// A flight over gentle hills with four or five pulses in the air and one echo per shot.
 #[derive(Clone, Copy)]
 struct Flight {
     shots_per_line: usize,
     lines: usize,
-    /// Samples of a block.
+    /// Samples per block.
     samples: usize,
-    /// Whether the job finds returns; else it ends with the resolved shots.
+    /// Whether the job finds returns; otherwise it ends with the resolved shots.
     finds_returns: bool,
     has_high_power: bool,
 }
@@ -42,7 +44,7 @@ impl Flight {
     }
 
     fn clock_ps(&self, shot: usize) -> i64 {
-        // A polygon's pause of half a line.
+        // A polygon pauses for half a line.
         let line = (shot / self.shots_per_line) as f64;
         let even = (shot as f64 + 0.5 * line * self.shots_per_line as f64) * INTERVAL_PS;
         (even + (unit(shot as u64) - 0.5) * MODULATION_PS) as i64 + 5_000_000_000_000
@@ -54,7 +56,7 @@ impl Flight {
         (1700.0 - ground_m) / angle_rad.cos()
     }
 
-    /// The recording, its blocks in the records in which they came back.
+    /// The recording, with blocks in the records in which they were received.
     fn recording(&self) -> Vec<u8> {
         let count = self.lines * self.shots_per_line;
         let clocks: Vec<i64> = (0..count).map(|shot| self.clock_ps(shot)).collect();
@@ -98,7 +100,8 @@ impl Flight {
         }
     }
 
-    /// The job by this reader. Calibration takes few waveforms, so that the first lines are not the ones that need most.
+    /// The job with this reader. Calibration uses few waveforms, so the first lines do not need the
+    /// most memory.
     fn job(&self, reader: &str) -> String {
         let source = match reader {
             "read_sdf" => format!("type = 'read_sdf'\npath = '{NAME}'\nlibrary = '{}'", text(&stand_in())),
@@ -118,7 +121,7 @@ impl Flight {
         )
     }
 
-    /// The shots that have an echo, and its range, m.
+    /// Shots with an echo, and its range, m.
     fn ranges_m(&self, place: &Place) -> Vec<(usize, f64)> {
         if !self.finds_returns {
             let shots = rows(&place.path("out/made")).into_iter().flatten();
@@ -137,7 +140,7 @@ impl Flight {
         table.numbers("shot").into_iter().map(|shot| shot as usize).zip(table.numbers("range_m")).collect()
     }
 
-    /// That each echo has the range of the shot that it stands with.
+    /// Asserts that each echo has the range of its shot.
     fn is_right(&self, place: &Place) {
         let found = self.ranges_m(place);
         let is_wrong = |(shot, range_m): &&(usize, f64)| (range_m - self.range_m(*shot)).abs() > 0.5;
@@ -147,7 +150,7 @@ impl Flight {
     }
 }
 
-/// A Gaussian pulse with its peak at a position, above a background.
+/// A Gaussian pulse at a position, above a background.
 fn pulse(samples: usize, position: f64, height_dn: f64) -> Vec<u16> {
     let sample = |k: usize| match (k as f64 - position) / 1.9 {
         away if away.abs() < 5.0 => 3.0 + height_dn * (-0.5 * away * away).exp(),
@@ -156,7 +159,7 @@ fn pulse(samples: usize, position: f64, height_dn: f64) -> Vec<u16> {
     (0..samples).map(|k| sample(k).round() as u16).collect()
 }
 
-/// What a run with so much memory made, or the memory that it asks for, MB.
+/// Output of a run with this memory limit, or the memory that it requests, MB.
 fn run(place: &Place, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
     let mut command = place.command(job);
     if memory_mb != DEFAULT_MB {
@@ -164,7 +167,7 @@ fn run(place: &Place, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
     }
     let (outcome, peak_kb) = peak_kb(&mut command);
     if outcome.code == Some(1) {
-        let told = "memory_mb has no room for scan line ";
+        let told = " does not fit into memory_mb: stages hold back ";
         assert!(outcome.err.contains(told), "{}", outcome.err);
         assert!(outcome.err.contains(", and `resolve_mta` needs up to "), "{}", outcome.err);
         let needed = outcome.err.split("; set memory_mb to ").nth(1).unwrap().split(' ').next().unwrap();
@@ -181,7 +184,8 @@ fn run(place: &Place, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
     Ok(std::fs::read(place.path("out/made")).unwrap())
 }
 
-/// The flight by this reader with the default, and with other memories: the same, or told what it takes.
+/// Asserts that the flight gives the same output with the default and with other limits, or
+/// requests more memory.
 fn resolves(flight: &Flight, reader: &str, memories_mb: &[u64]) {
     let receivers = 1 + u32::from(flight.has_high_power);
     println!("{} lines of {} shots, {receivers} receivers, {reader}:", flight.lines, flight.shots_per_line);
@@ -191,8 +195,8 @@ fn resolves(flight: &Flight, reader: &str, memories_mb: &[u64]) {
     for &memory_mb in memories_mb {
         let found = run(&place, &job, memory_mb)
             .or_else(|needed_mb| run(&place, &job, needed_mb))
-            .expect("what it asks for suffices");
-        assert!(found == expected, "other results with {memory_mb} MB");
+            .expect("the requested memory suffices");
+        assert!(found == expected, "different results with {memory_mb} MB");
     }
 }
 
@@ -208,7 +212,7 @@ fn long_lines_are_resolved_at_default_settings_and_alike_with_any_memory() {
     if std::env::var_os("WAVEX_LONG_LINES").is_some() {
         for shots_per_line in [100, 300, 1000, 3000, 4000, 10_000] {
             for has_high_power in [false, true] {
-                // More than a window of 160 lines, or than one of 256 MB.
+                // More lines than a window of 160 lines or of 256 MB.
                 let lines = 200.min(400_000 / shots_per_line);
                 let flight =
                     Flight { finds_returns: false, ..flight(shots_per_line, lines, 60, has_high_power) };
@@ -217,7 +221,7 @@ fn long_lines_are_resolved_at_default_settings_and_alike_with_any_memory() {
         }
         return;
     }
-    // The whole chain; then long lines with long blocks, so that few lines take as much as many.
+    // The whole chain; then long lines with long blocks, so that few lines need much memory.
     resolves(&flight(100, 90, 60, false), "read_arrow", &[64, 4096]);
     resolves(&flight(1000, 20, 60, true), "read_sdf", &[64]);
     resolves(&flight(4000, 14, 150, true), "read_arrow", &[64]);

@@ -1,9 +1,9 @@
-//! From blocks as they were recorded to the pulses that caused them, through the whole chain.
+//! MTA resolution: from recorded blocks to their pulses, through the whole chain.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
-    reason = "a test fails by panicking, and tells its figures"
+    reason = "a test fails by panicking and prints its figures"
 )]
 
 #[path = "../sdf/made.rs"]

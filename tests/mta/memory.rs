@@ -1,10 +1,10 @@
-//! A longer file takes no more memory.
+//! A longer file needs no more memory.
 #![cfg(target_os = "linux")]
 
 use crate::flights::{self, fly};
 use crate::support::Place;
 
-/// The most memory that a run on this recording ever takes, kB.
+/// Peak memory of a run on this recording, kB.
 fn peak_kb(recording: &[u8]) -> u64 {
     let place = Place::with(&[("a.arrow", recording)]);
     let stages = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'resolve_mta'\n\

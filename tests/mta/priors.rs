@@ -1,4 +1,4 @@
-//! A constant pulse rate: what a prior, or a fixed zone, makes of it, and what is said without one.
+//! Constant pulse rate: results with a prior, with a fixed zone, and without either.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -32,8 +32,10 @@ fn a_constant_rate_without_a_prior_is_refused() {
     );
 }
 
-/// The flight's clocks moved by up to so much, ns, and its blocks against them: the stamps jitter, and not the pulses.
-/// Without their outgoing pulses, or with them.
+/// Adds clock jitter of up to this value, ns, with blocks shifted to match: the stamps jitter, but
+/// not the pulses.
+///
+/// Keeps or removes the outgoing pulses.
 fn with_jitter(flight: &Flight, jitter_ns: f64, keeps_outgoing: bool) -> Vec<u8> {
     let mut lines = lines_of(&flight.recording);
     for row in lines.iter_mut().flatten() {
@@ -54,7 +56,7 @@ fn with_jitter(flight: &Flight, jitter_ns: f64, keeps_outgoing: bool) -> Vec<u8>
 
 #[test]
 fn stamps_that_jitter_are_no_modulation() {
-    // 1.2 ns from stamp to stamp, rms, and 2.9.
+    // RMS jitter of 1.2 ns and 2.9 ns between stamps.
     for jitter_ns in [1.47, 3.6] {
         let recording = with_jitter(constant(), jitter_ns, true);
         let place = Place::with(&[("a.arrow", &recording)]);
@@ -63,7 +65,7 @@ fn stamps_that_jitter_are_no_modulation() {
         println!("{}", outcome.err);
         let told =
             "stage resolve_mta: ./a.arrow: the pulse rate is constant: intervals of 2500.000 ns vary by 0.";
-        assert!(outcome.err.contains(told), "outgoing pulses say when they left: {}", outcome.err);
+        assert!(outcome.err.contains(told), "outgoing pulses give the emission times: {}", outcome.err);
         let recording = with_jitter(constant(), jitter_ns, false);
         let place = Place::with(&[("a.arrow", &recording)]);
         let outcome = place.read("read_arrow", "a.arrow", &chain(""));
@@ -76,7 +78,7 @@ fn stamps_that_jitter_are_no_modulation() {
             "{}",
             outcome.err
         );
-        // A prior resolves it; ranges are exact where the outgoing pulses are there.
+        // A prior resolves it; with outgoing pulses, ranges are exact.
         let recording = with_jitter(constant(), jitter_ns, true);
         let score = score(&constant().truth, &resolve(&recording, "agl_m = 1450").returns);
         assert!(score.part_right() >= 0.99, "{:?}", score.missed_shots);
@@ -110,7 +112,7 @@ fn in_the_scanners_frame_level_flight_is_assumed() {
     assert!(score(&flight.truth, &found.returns).part_right() >= 0.999);
 }
 
-/// An ASCII grid of the ground in the truth, cells of 40 m, without heights where there is none.
+/// An ASCII grid of the true ground with cells of 40 m; cells without ground have no height.
 fn grid(truth: &str) -> String {
     let table = Table::of(truth);
     let mut cells: BTreeMap<(i64, i64), (f64, f64)> = BTreeMap::new();
@@ -135,7 +137,8 @@ fn grid(truth: &str) -> String {
     );
     for row in (south..=north).rev() {
         for column in west..=east {
-            // Cells around the swath have the height of the nearest one in their row, as a larger model would.
+            // Cells around the swath get the height of the nearest cell in their row, as in a
+            // larger model.
             let near = |by: i64| cells.get(&(column + by, row.clamp(south + 1, north - 1)));
             match (0..30).flat_map(|by| [near(by), near(-by)]).flatten().next() {
                 Some((sum, count)) => write!(text, "{:.1} ", sum / count).unwrap(),
@@ -194,7 +197,7 @@ fn a_fixed_zone_needs_nothing_else() {
     let wrong = resolve(&flight.recording, "zone = 1").report;
     let rejected =
         &stage(&wrong, "resolve_mta")["rejected"]["blocks: no emission at a distance within `range_m`"];
-    // Nothing was sent before the first shot of each line, and pauses are longer than pulses fly.
+    // No pulse precedes the first shot of each line, and pauses are longer than the time of flight.
     assert!(rejected.as_u64().unwrap() >= 1, "{wrong}");
 }
 

@@ -1,5 +1,7 @@
-//! The ten scenes of the bench `mta`, smaller, through the whole chain by both doors, against the truth.
-//! `cargo bench --bench mta -- chain` does the same with the whole ones.
+//! Smaller versions of the ten scenes of the bench `mta`, through the whole chain by both readers,
+//! against the truth.
+//!
+//! `cargo bench --bench mta -- chain` runs the full scenes.
 
 use std::path::Path;
 
@@ -18,14 +20,16 @@ mod waveforms;
 use chain::{Score, quantile};
 use scenes::{Recording, SCENES, Scene, Spec};
 
-/// Lines of each scene, and how much of the swath.
+/// Lines per scene, and fraction of the swath.
 const LINES: u32 = 16;
 const PART: f64 = 0.015;
 const HOW: Recording =
     Recording { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
 
-/// Runs a scene through both doors, which must lead to the same bytes. The first scene calibrates, the others take its sensor
-/// model: one receiver recorded all ten.
+/// Runs a scene through both readers, which must give the same bytes.
+///
+/// The first scene calibrates; the others use its sensor model, because all ten have the same
+/// receiver.
 fn through(spec: Spec, seed: u64, model: &Path) -> Score {
     let place = Place::new();
     let scene = Scene::new(spec, seed, LINES, PART);
@@ -36,7 +40,7 @@ fn through(spec: Spec, seed: u64, model: &Path) -> Score {
     };
     chain::run(&place.path(""), &stand_in(), &calibrate);
     let (are_same, score) = chain::compare(&place.path(""), &truth);
-    assert!(are_same, "{}: the doors differ", spec.name);
+    assert!(are_same, "{}: the readers give different bytes", spec.name);
     score
 }
 
@@ -49,7 +53,7 @@ fn ten_scenes_come_back_by_both_doors() {
         println!("{}: {score}", spec.name);
         // 1500 m are 4.003 intervals, and the highest flight is at 3000 m.
         assert!((4..=7).contains(&score.zone_most), "{}: {score}", spec.name);
-        // Pulses of 15 to 160 digitiser steps in a noise of one: a tenth of a nanosecond at the weakest.
+        // Pulses of 15 to 160 DN in noise of 1 DN: 0.1 ns for the weakest.
         assert!(quantile(&score.range_errors_m, 50) < 0.004, "{}: {score}", spec.name);
         assert!(quantile(&score.range_errors_m, 99) < 0.02, "{}: {score}", spec.name);
         let beyond_m = score.worst_beyond_range_m;

@@ -1,4 +1,4 @@
-//! The zones of varying pulse intervals, against the truth.
+//! Zones from varying pulse intervals, against the truth.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::flights::{
 use crate::made::{NAME, stand_in};
 use crate::support::{Outcome, Place};
 
-/// A return of this height is found whatever the noise, digitiser steps.
+/// Amplitude at which a return is found despite noise, DN.
 const CLEAR_DN: f64 = 25.0;
 
 #[test]
@@ -21,12 +21,13 @@ fn each_echo_gets_the_shot_that_caused_it() {
     assert!(score.true_returns > 15_000);
     assert!(score.part_right() >= 0.999, "{:?}", score.missed_shots);
     assert_eq!(score.other_zones, 0);
-    // Slant ground and leaves widen echoes: their ranges are not those of flat targets.
+    // Inclined ground and leaves widen echoes, so their ranges differ from those of flat targets.
     assert!(score.error_m(50) < 0.01 && score.error_m(95) < 0.06);
     let stage = stage(&found.report, "resolve_mta");
     assert_eq!(stage["rejected"].as_object().unwrap().len(), 0, "{stage}");
     let rms = stage["observed"]["pulse_interval_rms_ns"]["mean"].as_f64().unwrap();
-    // Each pulse is displaced by up to 7.5 ns, uniformly: an interval by the square root of 2 / 3 of that.
+    // Each pulse is displaced uniformly by up to 7.5 ns, so intervals have an RMS of sqrt(2 / 3)
+    // times that.
     assert!((rms - 7.5 * (2f64 / 3.0).sqrt()).abs() < 0.2, "{rms}");
     let found = stage["findings"][0].as_str().unwrap();
     assert!(found.starts_with("echoes by zone: ") && found.contains(" in 3, "), "{found}");
@@ -53,7 +54,8 @@ fn points_stand_where_the_echoes_came_from() {
     assert!(middle < 0.01 && most < 0.06);
 }
 
-/// The distance from each clear true return to the nearest point of its shot, m, in ascending order; infinite without one.
+/// Distance from each clear true return to the nearest point of its shot, m, ascending; infinite
+/// without one.
 fn distances_m(truth: &str, points: &str) -> Vec<f64> {
     let (truth, points) = (Table::of(truth), Table::of(points));
     let places = |table: &Table| {
@@ -87,7 +89,7 @@ fn first_and_last_lines_are_as_good_as_the_others() {
     let score = score(&flight.truth, &resolve(&flight.recording, "").returns);
     let line = |shot: &&u64| **shot / 240;
     let at_the_ends = score.missed_shots.iter().filter(|shot| line(shot) < 8 || line(shot) >= 56).count();
-    // A quarter of the lines; what comes back behind the end of the recording is not in the truth.
+    // A quarter of the lines; echoes received after the end of the recording are not in the truth.
     assert!(at_the_ends <= 5, "{:?}", score.missed_shots);
 }
 
@@ -123,7 +125,7 @@ fn a_resolved_recording_of_the_same_flight_has_the_same_returns() {
             .collect::<Vec<_>>()
     };
     let (direct, found) = (ranges(&direct), ranges(&found.returns));
-    // Noise differs, and so do blocks that overlap as recorded: weak returns and those in woods come and go.
+    // Noise and overlapping blocks differ, so weak returns and those in woods may differ.
     let clear = |of: &[(f64, f64, f64)]| of.iter().filter(|one| one.2 >= CLEAR_DN).count();
     let missing = |from: &[(f64, f64, f64)], of: &[(f64, f64, f64)]| {
         let of_shot = |shot: f64| {

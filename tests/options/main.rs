@@ -1,5 +1,7 @@
-//! `docs/reference/options.md`: every option of the classic command line with the tests that show its effect. A test that finds
-//! the page out of date writes it anew, and fails, so that the new one is looked at and committed.
+//! `docs/reference/options.md`: every classic option with the tests of its effect.
+//!
+//! A test that finds the page outdated rewrites it and fails, so that the new one is reviewed and
+//! committed.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use std::collections::BTreeSet;
@@ -18,7 +20,7 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The names of all test functions in a folder, at any depth.
+/// Names of all test functions in a folder, recursively.
 fn tests_in(folder: &Path, names: &mut BTreeSet<String>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -50,7 +52,7 @@ fn every_test_that_the_page_names_exists() {
     assert!(missing.is_empty(), "no such tests: {missing:?}");
 }
 
-/// The tests that show the effect of an option.
+/// Tests that show the effect of an option.
 fn tests_of(version: &str, name: &str) -> &'static [&'static str] {
     let of = |wanted: &str| OPTIONS.iter().find(|(names, _)| names.split(' ').any(|name| name == wanted));
     let found = of(&format!("{version}:{name}")).or_else(|| of(name));
@@ -113,8 +115,6 @@ fn the_page_on_options_is_up_to_date() {
     if found != expected {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, expected).unwrap();
-        panic!(
-            "docs/reference/options.md was out of date and has been written anew: look at it and commit it"
-        );
+        panic!("docs/reference/options.md was outdated and has been rewritten: review and commit it");
     }
 }

@@ -1,6 +1,6 @@
-//! Which tests show the effect of an option, or of a feature that has none.
+//! Tests that show the effect of each option and feature.
 
-/// Options by their first names, `1.0:` or `1.1:` before those of one version only, and tests.
+/// Options by first name (prefix `1.0:` or `1.1:` if specific to a version), and tests.
 pub const OPTIONS: &[(&str, &[&str])] = &[
     (
         "I O",
@@ -173,7 +173,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     ("dumv", &["a_dummy_velocity_lays_lines_side_by_side"]),
 ];
 
-/// Features that have no option: what, the key or command, and tests.
+/// Features without an option: description, key or command, and tests.
 pub const FEATURES: &[(&str, &str, &[&str])] = &[
     (
         "several inputs, outputs named after each",

@@ -1,15 +1,15 @@
-"""COPC, as laspy's reader of it finds points by place and by level, against the file that it was made of."""
+"""Compares COPC queries of laspy by area and by level with the source file."""
 
 import laspy
 import numpy as np
 from laspy.copc import Bounds
 
-# Formats with waveforms, and what they are without.
+# Point formats with waveforms, and the same formats without.
 WITHOUT_WAVEFORMS = {9: 6, 10: 8}
 
 
 def check_copc(checks, path, source):
-    """`source` is what laspy read of the other file."""
+    """Checks a COPC file; `source` is the source file as read by laspy."""
     before = source.header
     plain = laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
     by_laszip = laspy.read(path, laz_backend=laspy.LazBackend.Laszip)
@@ -43,7 +43,7 @@ def check_same_header(checks, header, before):
 
 
 def check_same_records(checks, what, found, expected):
-    """The same records in any order: every field of `found`, bit for bit."""
+    """Checks that records are equal in any order: every field of `found`, bit by bit."""
     fields = list(found.dtype.names)
     pick = lambda array: np.sort(np.array([row.tobytes() for row in packed(array, fields)]))
     checks.equal(f"{what}: their number", len(found), len(expected))
@@ -54,14 +54,14 @@ def packed(array, fields):
     out = np.empty(len(array), dtype=[(name, array.dtype[name]) for name in fields])
     for name in fields:
         out[name] = array[name]
-    # Not S: its trailing zeros would be lost.
+    # Not dtype S, which drops trailing zeros.
     return out.view(f"V{out.dtype.itemsize}")
 
 
 def check_places(checks, reader, source):
     header = source.header
     low, high = header.mins, header.maxs
-    # Beside a step of the coordinates, to which laspy rounds borders: on the step itself, rounding decides.
+    # Off the coordinate steps to which laspy rounds borders: on a step, rounding would decide.
     beside = lambda place, steps: header.offsets + (np.round((place - header.offsets) / header.scales) + steps) * header.scales
     for number, (start, end) in enumerate([(0.0, 0.5), (0.25, 0.4), (0.9, 1.0)]):
         bounds = Bounds(mins=beside(low + (high - low) * start, -0.25), maxs=beside(low + (high - low) * end, 0.25))
@@ -72,7 +72,7 @@ def check_places(checks, reader, source):
 
 
 def check_levels(checks, reader, everything):
-    """The levels share the points; the root shows at most one in each of its cells, unless it holds them all."""
+    """Checks that levels partition the points, and that the root has at most one per cell unless it has all."""
     info = reader.copc_info
     levels = [reader.query(level=range(level, level + 1)) for level in range(4)]
     checks.that("level 0 is not empty", len(levels[0]) > 0)

@@ -1,8 +1,8 @@
-"""Compares coordinates with PROJ: those that `examples/project.rs` prints, and what its WKT means to PROJ.
+"""Compares coordinates and WKT printed by `examples/project.rs` with PROJ.
 
     target/venv/bin/python tests/python/check_crs.py target/debug/examples/project
 
-Prints a line per check; exit code 1 where one fails.
+Prints a line per check; exit code 1 if one fails.
 """
 
 import math
@@ -16,9 +16,9 @@ from pyproj import CRS, Transformer
 
 from checks import Checks
 
-# Easting, northing and their inverse may differ from PROJ's by this much, m.
+# Tolerance of easting, northing and their inverse against PROJ, m.
 ALLOWED_M = 1e-6
-# The inverse of these by proj4rs ends its iteration of the latitude earlier, m.
+# Tolerance for systems whose inverse in proj4rs stops the latitude iteration earlier, m.
 ALLOWED_INVERSE_M = {3078: 1e-5, 3832: 1e-5}
 EARTH_M = 6378137.0
 US_FOOT = 1200 / 3937
@@ -70,7 +70,7 @@ def places(box, count=400):
 
 
 def of_proj(system):
-    """PROJ's transformation from the system's own longitude and latitude, so that no datum is shifted."""
+    """PROJ transformation from the system's own longitude and latitude, without a datum shift."""
     horizontal = system.sub_crs_list[0] if system.is_compound else system.to_2d()
     return Transformer.from_crs(horizontal.geodetic_crs, horizontal, always_xy=True)
 
@@ -80,7 +80,7 @@ def largest(differences):
 
 
 def on_ground(found, expected):
-    """Differences of longitude and latitude as lengths, m."""
+    """Differences of longitude and latitude, m."""
     turns = (found[:, 0] - expected[:, 0] + 180) % 360 - 180
     east = np.radians(turns) * np.cos(np.radians(expected[:, 1])) * EARTH_M
     return largest([east, np.radians(found[:, 1] - expected[:, 1]) * EARTH_M])
@@ -106,12 +106,12 @@ def check_projections(checks, program):
 
 
 def check_wkt(checks, program, name, system, points):
-    """The WKT is the same system to PROJ, by its parts and by its coordinates."""
+    """Checks that PROJ reads the WKT as the same system, by definition and by coordinates."""
     for unit, metres in [(None, system.axis_info[0].unit_conversion_factor), ("us_ft", US_FOOT), ("m", 1.0)]:
         options = [f"unit={unit}"] if unit else []
         written = CRS.from_wkt(program.wkt(name, *options))
         if unit is None and metres == 1.0:
-            # Systems whose axes EPSG has in another order differ by them alone.
+            # Systems with another axis order in EPSG differ in the axes only.
             in_order = system.axis_info[0].direction == "east"
             pair = (written, system) if in_order else (written.geodetic_crs, system.geodetic_crs)
             checks.that("writes a WKT that PROJ takes for the system", pair[0].equals(pair[1], ignore_axis_order=True))
@@ -127,12 +127,12 @@ def check_wkt(checks, program, name, system, points):
 
 
 def check_dialects(checks, program):
-    """A system as a file of any dialect of WKT."""
+    """Checks a system given as a file in any WKT dialect."""
     for code in [32633, 2193, 2154, 6576, 2913, 3035, 5070, 5880, 3078, 3832, 2953]:
         system = CRS.from_epsg(code)
         unit_m = system.axis_info[0].unit_conversion_factor
         area = system.area_of_use
-        # An area may cross the antimeridian.
+        # The area of use may cross the antimeridian.
         east = area.east + 360 * (area.east < area.west)
         points = places((area.west, max(area.south, -80), east, min(area.north, 84)))
         x, y = of_proj(system).transform(points[:, 0], points[:, 1])
@@ -150,7 +150,7 @@ def check_dialects(checks, program):
 
 
 def check_earth_centred(checks, program):
-    """Points in the horizon's frame of a sensor, through PROJ's topocentric to UTM, Lambert and geodetic coordinates."""
+    """Checks points in the local frame of a sensor against PROJ: topocentric to UTM, Lambert and geodetic."""
     rng = np.random.default_rng(11)
     offsets = rng.uniform(-2000, 2000, (300, 3))
     for name, longitude, latitude in [("utm:33N", 12.6, 47.8), ("utm:56S", 151.2, -33.9), ("EPSG:2154", 5.5, 45.2),
@@ -178,7 +178,7 @@ def check_earth_centred(checks, program):
 
 
 def write_geoid(folder, name):
-    """A made-up geoid around the earth, 10 degrees of step, in VDatum's format."""
+    """Writes a synthetic global geoid with a step of 10 degrees in VDatum format."""
     latitude, longitude = np.meshgrid(np.arange(-90, 91, 10), np.arange(0, 360, 10), indexing="ij")
     heights = 50 * np.sin(np.radians(latitude)) * np.cos(np.radians(longitude)) + 7
     header = np.array([-90, 0, 10, 10], ">f8").tobytes() + np.array(heights.shape, ">i4").tobytes()
@@ -194,7 +194,7 @@ def check_geoids(checks, program):
         shift = Transformer.from_pipeline(f"+proj=vgridshift +grids={folder / 'EGM96.gtx'} +multiplier=1")
         with checks.of("a geoid"):
             found = program.ask("geodetic", "forward", points, *options)
-            # PROJ's shift is the one from heights above the geoid, in radians.
+            # PROJ expects radians, and shifts from heights above the geoid.
             zeros = np.zeros(len(points))
             _, _, undulation = shift.transform(points[:, 0], points[:, 1], zeros, radians=False)
             apart = largest(points[:, 2] - np.abs(undulation) * np.sign(undulation) - found[:, 2])

@@ -1,4 +1,4 @@
-"""LAZ and its spatial index, as LASzip reads them: the library that all others follow, from the package `laszip`."""
+"""Checks LAZ and its spatial index with LASzip, the reference library, from the package `laszip`."""
 
 import ctypes
 import struct
@@ -7,20 +7,20 @@ import laspy
 import laszip
 import numpy as np
 
-# What the library calls its types: see laszip_api.h.
+# Types of the library, see laszip_api.h.
 INT, DOUBLE = ctypes.c_int32, ctypes.c_double
 RECTANGLES = [(0.0, 0.0, 1.0, 1.0), (0.4, 0.4, 0.6, 0.6), (0.0, 0.7, 0.2, 1.0), (0.9, 0.0, 1.0, 0.05)]
 
 
 def check_laszip(checks, path, las, index=None):
-    """`las` is what another program read; `index` says where the spatial index is: "file" or "appended"."""
+    """Checks a file; `las` is the result of another reader, `index` the location of the spatial index: "file" or "appended"."""
     if path.suffix == ".laz":
         laz = laspy.read(path, laz_backend=laspy.LazBackend.Laszip)
         checks.that("LASzip reads the same points", np.array_equal(laz.points.array, las.points.array))
     if index is None:
         return
     if index == "appended":
-        # The library's C interface looks for an index beside the points only: LAStools itself also finds the other.
+        # The C interface finds only an index in a separate file; LAStools also finds an appended one.
         path.with_suffix(".lax").write_bytes(appended_index(checks, path))
     with Reader(path) as reader:
         checks.that("LASzip finds the index", reader.has_index())
@@ -37,9 +37,9 @@ def check_laszip(checks, path, las, index=None):
 
 
 def appended_index(checks, path):
-    """The index behind the points, found as LAStools find it: by the LASzip record."""
+    """The appended index, found through the LASzip VLR as LAStools do."""
     laz = path.read_bytes()
-    # The record's header has 54 bytes, its name after the first two; 16 bytes of its data come before.
+    # The VLR header has 54 bytes, with the name after the first two; 16 bytes of the data come first.
     number, at = struct.unpack_from("<qq", laz, laz.index(b"laszip encoded\0") - 2 + 54 + 16)
     record = laz[at:]
     user, record_id, length = record[2:18].rstrip(b"\0"), *struct.unpack_from("<HQ", record, 18)
@@ -49,7 +49,7 @@ def appended_index(checks, path):
 
 
 class Reader:
-    """A file, read by the C interface of LASzip with its spatial index."""
+    """A file read through the C interface of LASzip with its spatial index."""
 
     library = ctypes.CDLL(laszip.laszip_core.__file__)
 
@@ -79,7 +79,7 @@ class Reader:
         return bool(found.value)
 
     def inside(self, x0, y0, x1, y1):
-        """The coordinates of the points inside, in the order of the file."""
+        """Coordinates of the points inside an area, in file order."""
         empty, done, place, points = INT(), INT(), (DOUBLE * 3)(), []
         self.call("inside_rectangle", DOUBLE(x0), DOUBLE(y0), DOUBLE(x1), DOUBLE(y1), ctypes.byref(empty))
         while not empty.value:

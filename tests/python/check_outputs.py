@@ -1,11 +1,11 @@
-"""Runs the program and reads what it wrote with other programs: pyarrow, DuckDB, laspy, LASzip, pyproj.
+"""Runs the program and reads its outputs with other programs: pyarrow, DuckDB, laspy, LASzip, pyproj.
 
     python3 -m venv venv
     venv/bin/pip install -r tests/python/requirements.txt
     venv/bin/python tests/python/check_outputs.py target/release/wavex target/debug/examples/write_container
 
-With WAVEX_DATA set to a folder of real recordings, those are checked, too. Prints a line per check; exit code 1 where one
-fails.
+With WAVEX_DATA set to a folder of real recordings, those are checked as well. Prints a line per check; exit code 1 if
+one fails.
 """
 
 import json
@@ -57,7 +57,7 @@ sbet = "*.sbet"
 [[stage]]
 type = "write_arrow"
 """
-# Every sink, behind whatever makes shots.
+# Every sink, after any source of shots.
 SINKS = """
 [[stage]]
 type = "write_arrow"
@@ -154,7 +154,7 @@ header = true
 type = "write_trajectory"
 every = 50
 """.replace("{columns}", COLUMNS)
-# The points among them: ending, version, layout of attributes, where the index is. "waves" come with waveforms.
+# Point outputs: extension, version, attribute layout, location of the index; "waves" includes waveforms.
 POINTS = [
     (".las", "1.4", "1.1", None),
     (".laz", "1.4", "1.1", "file"),
@@ -172,13 +172,13 @@ def reader(stage, path):
 
 
 def run(program, folder, job):
-    """Runs a job in a folder; its standard output."""
+    """Runs a job in a folder; returns its standard output."""
     (folder / "job.toml").write_text(job)
     return command([program, "--quiet", "run", folder / "job.toml"])
 
 
 def command(words, folder=None):
-    """Runs a program, in a folder where one is given; its standard output."""
+    """Runs a program, optionally in a folder; returns its standard output."""
     done = subprocess.run([str(word) for word in words], capture_output=True, cwd=folder)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(map(str, words))}: exit code {done.returncode}: {done.stderr.decode()}")
@@ -186,7 +186,7 @@ def command(words, folder=None):
 
 
 def check_survey(checks, name, program, source, tells_origins=True):
-    """A job with every sink, and all that it wrote. LAS does not tell where beams begin."""
+    """Checks all outputs of a job with every sink. LAS has no beam origins."""
     with checks.of(name), tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         run(program, folder, source + SINKS)
@@ -253,7 +253,7 @@ def check_report(checks, report, folder):
 
 
 def check_copies(checks, program, folder, path, container):
-    """What the program reads of its own containers, and writes to a pipe, is the same once more."""
+    """Checks that rereading own containers, and writing to a pipe, gives the same data."""
     copy = folder / "copy.arrow"
     with tempfile.TemporaryDirectory() as here:
         command([program, "--quiet", "convert", path, copy], here)
@@ -266,7 +266,7 @@ def check_copies(checks, program, folder, path, container):
 
 
 def check_tables(checks, output, report):
-    """The three formats hold the same; the table."""
+    """Checks that the three formats are equal; returns the table."""
     table = pa.ipc.open_file(output("_returns.arrow")).read_all()
     layout = json.loads((SCHEMAS / "return_table.json").read_text())["columns"]
     checks.equal("have the columns of their description", table.schema.names, [column["name"] for column in layout])
@@ -306,7 +306,7 @@ def check_line_statistics(checks, path, container, report):
 
 
 def check_flight(checks, program):
-    """The path of a flight with a trajectory, in coordinates that another program projects."""
+    """Checks the path of a flight with a trajectory against coordinates projected by another program."""
     with checks.of("a flight with a trajectory"), tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         run(program, folder, FLIGHT)
@@ -338,14 +338,14 @@ def check_systems(checks, program):
 
 
 def check_many_points(checks, program):
-    """Enough points that the octree of COPC has several levels."""
+    """Checks COPC with enough points for several octree levels."""
     with checks.of("COPC of many points"), tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         points = laspy.LasData(laspy.LasHeader(point_format=8, version="1.4"))
         points.header.scales = [0.01, 0.01, 0.001]
         random = np.random.default_rng(6)
         n = 400_000
-        # A steep sheet, denser towards a corner.
+        # A steep surface, denser towards a corner.
         x, y = 1000.0 * random.random(n) ** 2, 700.0 * random.random(n)
         points.x, points.y, points.z = x, y, 100.0 + 0.3 * x + 5.0 * random.random(n)
         points.gps_time = np.arange(n) * 1e-5
@@ -361,7 +361,7 @@ def check_many_points(checks, program):
 
 
 def check_example3(checks, program, data):
-    """A recording of RIEGL's, sample for sample as the format's own library reads it."""
+    """Compares a RIEGL recording sample by sample with the format's own library."""
     pls = data / "pulsewaves" / "riegl_example3.pls"
     with checks.of("riegl_example3"), tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.arrow"
@@ -371,7 +371,7 @@ def check_example3(checks, program, data):
 
 
 def check_made_up(checks, example):
-    """The files of the example `write_container`."""
+    """Checks the files of the example `write_container`."""
     with tempfile.TemporaryDirectory() as folder:
         command([example, folder])
         for path in sorted(Path(folder).iterdir()):

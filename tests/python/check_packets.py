@@ -1,4 +1,4 @@
-"""The waveforms of points in LAS and LAZ, byte by byte, against the recording that the points were found in."""
+"""Compares waveforms of points in LAS and LAZ byte by byte with the source recording."""
 
 import struct
 
@@ -29,12 +29,12 @@ def check_packets(checks, path, las, table, container):
 
 
 def descriptor(vlr):
-    """Bits, compression, number of samples, time between them in ps, gain and offset."""
+    """Descriptor: bits, compression, number of samples, interval in ps, gain and offset."""
     return struct.unpack("<BBIIdd", vlr.record_data_bytes())
 
 
 def differing(record, kinds, points, table, container):
-    """Points whose packet is not a block of the sensitive receiver, of its shot, that holds the point."""
+    """Points whose packet is not the low-power block of their shot that contains the point."""
     blocks = flat(container)
     first_block = np.concatenate([[0], np.cumsum(blocks["per_shot"])])
     first_sample = np.concatenate([[0], np.cumsum(blocks["lengths"])])

@@ -1,4 +1,4 @@
-"""LAS and LAZ, as laspy reads them, against the table of the same returns."""
+"""Compares LAS and LAZ read by laspy with the table of the same returns."""
 
 import json
 
@@ -37,12 +37,12 @@ LAYOUTS = {
         ("Thickness Error", "thickness_sd", "u1", 0.001, 0.0, 255),
     ],
 }
-# Bits of the table's flags, and what they are in the user data of layout 1.0.
+# Flag bits of the table, and their values in the user data of layout 1.0.
 USER_DATA_1_0 = {0: 0, 1: 6, 2: 7}
 
 
 def attribute_values(table):
-    """What each extra attribute stands for, in full precision."""
+    """Expected value of each extra attribute in full precision."""
     db, dn = numbers(table, "amplitude_db"), numbers(table, "amplitude_dn")
     return {
         "width": numbers(table, "width_ratio"),
@@ -59,7 +59,7 @@ def attribute_values(table):
 
 
 def power_channel(table):
-    """The receiver that gave the intensity: that of strong echoes where both were fitted."""
+    """Receiver of the intensity: high power if both were fitted."""
     return pc.not_equal(table.column("channel"), "low").to_numpy().astype(float)
 
 
@@ -73,7 +73,7 @@ def check_points(checks, path, table, container, version="1.4", layout="1.1"):
     check_header(checks, las)
     check_crs(checks, header, container.schema.metadata)
     for axis, step in zip("xyz", header.scales):
-        # Half a step, and what the doubles of a coordinate leave.
+        # Half a step, plus the rounding of coordinates as doubles.
         checks.within(f"{axis} is that of the table", las[axis], numbers(table, axis), step / 2 + 1e-8)
     check_fields(checks, las, table, layout)
     check_emissions(checks, las, table, container)
@@ -142,7 +142,7 @@ def check_fields(checks, las, table, layout):
 
 
 def check_emissions(checks, las, table, container):
-    """What points have from their emissions, by the shot that the table names."""
+    """Checks emission attributes of points by the shot in the table."""
     rows = np.searchsorted(numbers(container, "shot"), numbers(table, "shot"))
     flags = numbers(container, "flags").astype(int)[rows]
     checks.within("scan_direction_flag is that of the shot", las.scan_direction_flag, flags >> 8 & 1, 0)

@@ -1,4 +1,4 @@
-"""Texts of points and of the sensor's path, against the table of the same returns and the truth."""
+"""Compares text points and sensor paths with the table of the same returns and the truth."""
 
 import laspy
 import numpy as np
@@ -7,7 +7,7 @@ import pyproj
 from check_points import ADJUSTMENT_S, LAYOUTS, SCAN_ANGLE_STEP_DEG, WEEK_S, attribute_values, power_channel
 from checks import numbers
 
-# Every column that there is, and its name: the letters of LAStools, and the extra attributes by their number.
+# All columns with their names: letters of LAStools, and extra attributes by number.
 COLUMNS = "txyzXYZirncuaedphkgol0123456789"
 NAMES = ["gps_time", "x", "y", "z", "X", "Y", "Z", "intensity", "return_number", "number_of_returns", "classification",
          "user_data", "scan_angle", "edge_of_flight_line", "scan_direction", "point_source_id", "withheld", "key_point",
@@ -42,7 +42,7 @@ def check_ascii(checks, path, table, container):
 
 
 def check_shots(checks, column, table, container):
-    """What rows have from their shots."""
+    """Checks shot attributes of rows."""
     rows = np.searchsorted(numbers(container, "shot"), numbers(table, "shot"))
     flags = numbers(container, "flags").astype(int)[rows]
     checks.within("scan_direction is that of the shot", column["scan_direction"], flags >> 8 & 1, 0)
@@ -73,7 +73,7 @@ def read_path(path):
 
 
 def shots_with_rows(times, every):
-    """Every n-th shot, counted anew where the clock steps back behind the last of them; and the last shot."""
+    """Every n-th shot, restarting where the clock steps back; plus the last shot."""
     shots = [0]
     for shot, time in enumerate(times):
         if shot - shots[-1] >= every or time < times[shots[-1]]:
@@ -82,7 +82,7 @@ def shots_with_rows(times, every):
 
 
 def check_origins(checks, path, container, every):
-    """A path from where beams begin."""
+    """Checks a path from beam origins."""
     names, rows = read_path(path)
     checks.equal("names its columns", names, ["gps_time", "X", "Y", "Z"])
     origins = np.array(container.column("origin").to_pylist())
@@ -95,24 +95,24 @@ def check_origins(checks, path, container, every):
 
 
 def check_beams(checks, path):
-    """A path from where beams meet, which the input does not tell otherwise: a plausible one."""
+    """Checks that a path estimated from beam intersections is plausible."""
     names, rows = read_path(path)
     checks.equal("names its columns", names, ["gps_time", "X", "Y", "Z"])
     checks.that("runs forward in time", len(rows) > 0 and np.all(np.diff(rows[:, 0]) > 0.0))
 
 
 def check_flown(checks, path, sbet, epsg):
-    """A path with attitude, against the trajectory that was flown."""
+    """Checks a path with attitude against the flown trajectory."""
     names, rows = read_path(path)
     checks.equal("names its columns", names, ["gps_time", "X", "Y", "Z", "roll", "pitch", "heading"])
     flown = np.fromfile(sbet, dtype=SBET)
-    # The rows are in adjusted seconds, the trajectory is in those of the week.
+    # Rows are in adjusted GPS seconds, the trajectory in seconds of the week.
     rows[:, 0] = (rows[:, 0] + ADJUSTMENT_S) % WEEK_S
     checks.that("has rows between the first and last record",
                 len(rows) > 5 and flown[0, 0] <= rows[0, 0] and rows[-1, 0] <= flown[-1, 0])
     project = pyproj.Transformer.from_crs("EPSG:4979", epsg, always_xy=True)
     x, y = project.transform(np.degrees(flown[:, 2]), np.degrees(flown[:, 1]))
-    # 200 records a second: a straight line between two is within a millimetre and a thousandth of a degree.
+    # At 200 records per second, linear interpolation is accurate to 1 mm and 0.001 degrees.
     between = lambda values: np.interp(rows[:, 0], flown[:, 0], values)
     for column, values in [(1, x), (2, y), (3, flown[:, 3])]:
         checks.within(f"{names[column]} is where the aircraft was", rows[:, column], between(values), 2e-3)

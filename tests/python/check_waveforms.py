@@ -1,4 +1,4 @@
-"""The container, as pyarrow and DuckDB read it: against its description, and against a dump of the PulseWaves library."""
+"""Checks the container with pyarrow and DuckDB against its description and a dump of the PulseWaves library."""
 
 import gzip
 import json
@@ -45,7 +45,7 @@ def check_container(checks, path, table, report):
 
 
 def flat(table):
-    """The blocks of all shots one behind the other, and their samples one behind the other."""
+    """Concatenates the blocks of all shots, and their samples."""
     lists = table.column("blocks").combine_chunks()
     blocks = lists.flatten()
     samples = blocks.field("samples")
@@ -68,7 +68,7 @@ def equal_nested(a, b):
 
 
 def read_dump(path):
-    """The dump of a PulseWaves file: T of each pulse, and of each segment what `flat` has of a block."""
+    """Reads the dump of a PulseWaves file: T of each pulse, and for each segment the columns of `flat`."""
     ticks, per_shot, kinds, durations, lengths, samples, places = [], [], [], [], [], [], []
     for line in gzip.open(path, "rt"):
         words = line.split()
@@ -96,12 +96,12 @@ def read_dump(path):
 
 
 def check_against_dump(checks, table, dump, pls):
-    """Every sample, and all that is known of its segment."""
+    """Compares all samples and segment attributes."""
     blocks = flat(table)
     for what in ["per_shot", "channel", "lengths", "samples"]:
         same = np.array_equal(blocks[what], dump[what])
         checks.that(f"{len(dump[what])} {what.replace('_', ' ')} are those of the PulseWaves library", same)
-    # The library has durations as 32-bit floats.
+    # The library stores durations as 32-bit floats.
     start = dump["start_ns"]
     checks.within("segments begin when the library says", blocks["start_ns"], start, 1e-6 + start * 2e-7)
     (t_scale_s,) = struct.unpack_from("<d", pls.read_bytes(), 224)
@@ -112,7 +112,7 @@ def check_against_dump(checks, table, dump, pls):
 
 
 def check_places(checks, table, blocks, dump):
-    """Where segments begin: the library has each beam's own length, rounded to the grid, and we have their mean."""
+    """Compares segment positions: the library uses each beam's rounded length, wavex the mean length."""
     metadata = table.schema.metadata
     metres_per_ns = float(metadata[b"wavex.group_velocity_mps"]) * 0.5e-9
     shot = np.repeat(np.arange(table.num_rows), blocks["per_shot"])
@@ -121,7 +121,7 @@ def check_places(checks, table, blocks, dump):
     scale = numbers(table, "frame_scale", null=1.0).astype(float)[shot]
     reach = (blocks["start_ns"] * metres_per_ns * scale)[:, None]
     grid_m = json.loads(metadata[b"wavex.coordinate_grid"])["scale"][0]
-    # Two points a thousand nanoseconds apart, each rounded by up to half a step in three directions.
+    # Two points 1000 ns apart, each rounded by up to half a step in three directions.
     rounding_m = np.sqrt(3.0) * grid_m * blocks["start_ns"] / 1000.0 + 1e-3
     off = np.linalg.norm(origin + direction * reach - dump["places"], axis=1)
     checks.within("segments begin where the library says", off, np.zeros(len(off)), rounding_m)

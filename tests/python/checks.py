@@ -1,4 +1,4 @@
-"""Counting what holds and what does not, and comparing columns."""
+"""Counts passed and failed checks, and compares columns."""
 
 import traceback
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ import pyarrow as pa
 
 
 class Checks:
-    """Prints a line per check, under the name of what is being looked at."""
+    """Prints a line per check, with the current subject."""
 
     def __init__(self):
         self.passed = 0
@@ -27,7 +27,7 @@ class Checks:
         self.that(what, found == expected, f"{found!r} instead of {expected!r}")
 
     def within(self, what, found, expected, tolerance):
-        """Numbers, or arrays of them, that differ by no more than the tolerance."""
+        """Checks that numbers or arrays agree within the tolerance."""
         found, expected = np.asarray(found, dtype=np.float64), np.asarray(expected, dtype=np.float64)
         if found.shape != expected.shape:
             self.that(what, False, f"{found.shape} instead of {expected.shape}")
@@ -38,7 +38,7 @@ class Checks:
 
     @contextmanager
     def of(self, subject):
-        """What is checked inside is about `subject`; an exception there is a failed check, and the others go on."""
+        """Sets the subject of the checks inside; an exception counts as a failed check."""
         before, self.subject = self.subject, subject
         try:
             yield
@@ -49,13 +49,13 @@ class Checks:
             self.subject = before
 
     def end(self):
-        """The closing line; the exit code of the program."""
+        """Prints the summary; returns the exit code."""
         print(f"{self.passed} passed, {self.failed} failed")
         return 1 if self.failed else 0
 
 
 def numbers(table, name, null=np.nan):
-    """A column as an array, with something in place of nulls."""
+    """A column as an array, with a replacement for nulls."""
     column = table.column(name).combine_chunks()
     return column.to_numpy(zero_copy_only=False) if column.null_count == 0 else np.array(
         [null if value is None else value for value in column.to_pylist()]
@@ -63,7 +63,7 @@ def numbers(table, name, null=np.nan):
 
 
 def same_column(a, b):
-    """Whether two columns hold the same, bit for bit, where NaN is equal to NaN and null to null."""
+    """Whether two columns are equal bit by bit; NaN equals NaN and null equals null."""
     a, b = a.combine_chunks(), b.combine_chunks()
     if a.type != b.type or len(a) != len(b) or not a.is_null().equals(b.is_null()):
         return False

@@ -1,4 +1,4 @@
-"""Opens what `cargo run --example write_container -- FOLDER` wrote, with pyarrow and DuckDB, and checks it.
+"""Reads the files of `cargo run --example write_container -- FOLDER` with pyarrow and DuckDB and checks them.
 
     pip install pyarrow duckdb
     python tests/python/read_container.py FOLDER/*
@@ -78,7 +78,7 @@ def return_rows():
 
 
 def same(found, expected):
-    """Equality in which a NaN is equal to a NaN, and a list to its items."""
+    """Equality with NaN equal to NaN, and lists compared by item."""
     if isinstance(expected, float) and math.isnan(expected):
         return isinstance(found, float) and math.isnan(found)
     if isinstance(expected, list):
@@ -92,7 +92,7 @@ def expect(what, found, expected):
 
 
 def sql(query, **tables):
-    """The one row that a query of these tables gives."""
+    """The only row of a query on these tables."""
     connection = duckdb.connect()
     for name, table in tables.items():
         connection.register(name, table)
@@ -170,7 +170,7 @@ def check_table(path, table, is_csv):
 
 
 def read(path):
-    """Any of the files as a pyarrow table."""
+    """Reads any of the files as a pyarrow table."""
     if path.suffix == ".parquet":
         return pa.parquet.read_table(path)
     if path.suffix == ".csv":
@@ -189,7 +189,7 @@ def check(path):
 
 
 def write(folder):
-    """The container as pyarrow writes it: every field nullable, and a column that nobody knows."""
+    """Rewrites the container with pyarrow: all fields nullable, plus an unknown column."""
     layout = json.loads((SCHEMAS / "container.json").read_text())["columns"]
     fields = [pa.field(column["name"], arrow_type(column)) for column in layout]
     metadata = {

@@ -1,18 +1,18 @@
-//! A page in Chromium without a window: what its console says, what it loads, and whether it can be read.
+//! Shows a page in headless Chromium: console messages, loaded resources, readability.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-/// How a page is shown.
+/// Appearance settings.
 #[derive(Clone, Copy, Debug)]
 pub enum Look {
     Light,
     Dark,
 }
 
-/// The program; `None`, and a word about it, where there is none.
+/// Finds the browser; prints a notice if there is none.
 pub fn find() -> Option<PathBuf> {
     let named = std::env::var_os("WAVEX_CHROMIUM").map(PathBuf::from);
     let names = ["chromium", "chromium-browser", "google-chrome"];
@@ -26,7 +26,7 @@ pub fn find() -> Option<PathBuf> {
     found
 }
 
-/// Loads a page, and gives its elements as they are in the end, and what its console said.
+/// Loads a page; returns its final elements and console messages.
 pub fn show(browser: &Path, page: &Path, look: Look) -> (String, Vec<String>) {
     let profile = tempfile::tempdir().unwrap();
     let scheme = match look {
@@ -38,7 +38,7 @@ pub fn show(browser: &Path, page: &Path, look: Look) -> (String, Vec<String>) {
         .args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars"])
         .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
         .args(["--disable-extensions", "--disable-dev-shm-usage", "--window-size=1280,1600"])
-        // Whatever a page asks for, nothing leaves the machine.
+        // Blocks all network requests of the page.
         .arg("--host-resolver-rules=MAP * ~NOTFOUND")
         .args(["--virtual-time-budget=4000", "--enable-logging=stderr", "--log-level=0"])
         .arg(format!("--blink-settings=preferredColorScheme={scheme}"))
@@ -53,7 +53,7 @@ pub fn show(browser: &Path, page: &Path, look: Look) -> (String, Vec<String>) {
     (String::from_utf8(output.stdout).unwrap(), said)
 }
 
-/// What `measure.js` finds on a page, into which it is put for that.
+/// Measurements of a page by `measure.js`, which is inserted into it.
 pub fn measured(browser: &Path, page: &str, look: Look) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("measured.html");

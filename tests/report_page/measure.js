@@ -1,5 +1,5 @@
-// Measures what a reader needs of the page: pictures that are there, texts that are large and dark enough and do not
-// lie on each other. Leaves its findings as JSON at the end of the page.
+// Measures the readability of the page: visible pictures, and texts that are large enough, have
+// contrast and do not overlap. Appends the findings as JSON to the page.
 const channels = (colour) => (colour.match(/[\d.]+/g) || []).map(Number);
 const luminance = (colour) => {
   const linear = channels(colour).slice(0, 3).map((c) => c / 255)

@@ -1,9 +1,9 @@
-//! Each way in which the library can fail, and what it then says.
+//! All failures of the library and the resulting messages.
 
 use crate::made::{NAME, container, fails, header, lengths, place, plain_line, read};
 use crate::support::{Place, notes, rejected};
 
-/// Two lines of five shots: records 1 to 5, the end of the line, 7 to 11, and again.
+/// Two lines of five shots: records 1 to 5, end of line, 7 to 11, end of line.
 fn recording() -> Vec<u8> {
     container(&header(), &[plain_line(0..5, 0), plain_line(5..10, 1)])
 }

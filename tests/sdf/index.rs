@@ -1,4 +1,4 @@
-//! The index that the library wants: made once, where it can be written.
+//! The index required by the library: made once, in a writable folder.
 
 use crate::made::{NAME, container, copy, fails, header, lengths, place, plain_line, read};
 
@@ -19,7 +19,7 @@ fn a_missing_index_is_made_and_the_record_is_read_again() {
 fn a_file_without_an_index_is_read_from_its_beginning_without_one() {
     let place = place(&recording(), "index hidden");
     assert_eq!(lengths(&read(&place, "").1), [(0, 5), (1, 5)]);
-    assert!(!place.path(&format!("{NAME}.idx")).exists(), "nothing was sought");
+    assert!(!place.path(&format!("{NAME}.idx")).exists(), "no index was made");
     assert_eq!(lengths(&read(&place, WINDOW).1), [(0, 3), (1, 2)]);
     assert!(place.path(&format!("{NAME}.idx")).exists());
 }
@@ -46,7 +46,7 @@ fn an_index_may_lie_in_another_folder_and_stays_there() {
     let index = folders[0].join(format!("{NAME}.idx"));
     assert!(index.exists());
     assert!(!place.path(&format!("{NAME}.idx")).exists());
-    // The second run takes the same index: a library that can make none is enough.
+    // The second run uses the same index: a library that cannot make one suffices.
     std::fs::write(&index, "still there").unwrap();
     place.write(&format!("{NAME}.txt"), b"index needed\nfail fwifc_reindex 6");
     assert_eq!(read(&place, "index_dir = 'index'").1, lines);

@@ -1,4 +1,4 @@
-//! The library itself: found, not found, the wrong one.
+//! Loading of the library: found, not found, wrong library.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ fn library_file(stem: &str) -> String {
 const REMEDY: &str = "give the path of RIEGL's Waveform Extraction Library (sdfifc for `.sdf`, \
                       wfmifc-mt for `.wfm`), built for this system, or its folder";
 
-/// Runs without a library in the job, with this in the environment.
+/// Runs without a library in the job, with this environment variable.
 fn with_variable(place: &Place, value: Option<&Path>) -> Outcome {
     let mut command = place.command(&unnamed());
     match value {
@@ -91,7 +91,7 @@ fn a_folder_without_the_library_is_told() {
     );
 }
 
-/// The message where a named library cannot be used, up to the loader's own words.
+/// Start of the message for an unusable library, up to the loader's own text.
 #[track_caller]
 fn cannot_be_used(place: &Place, library: &str, words: &str) {
     let outcome = place.run(&copy("").replace(&stand_in().display().to_string(), library));

@@ -1,4 +1,4 @@
-//! Recordings that the stand-in can serve without a loss, and jobs that read them.
+//! Recordings that the stand-in can serve without loss, and jobs that read them.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -12,7 +12,7 @@ use wavex::formats::container::{
 
 use crate::support::{Outcome, Place};
 
-/// The name of a recording that began when the simulator's do, two hours into its tenth hour.
+/// Name of a recording with the start time of the simulator.
 pub const NAME: &str = "250506_100000.sdf";
 
 /// The stand-in, which cargo builds with the other examples before the tests.
@@ -33,7 +33,7 @@ pub struct Row {
     pub blocks: Vec<(u8, f64, Vec<u16>)>,
 }
 
-/// A container of such a recording as SDF can hold: nothing is known but what the interface says.
+/// Header of a recording as SDF can store it: only what the interface provides.
 pub fn header() -> ContainerHeader {
     ContainerHeader {
         instrument: Some("LMS-Q680i".into()),
@@ -51,7 +51,7 @@ pub fn header() -> ContainerHeader {
     }
 }
 
-/// The lines of a container, one record batch each.
+/// Lines of a container, one record batch each.
 pub fn container(header: &ContainerHeader, lines: &[Vec<Row>]) -> Vec<u8> {
     let mut writer = ContainerWriter::file(Vec::new(), Path::new("made"), header, Compression::None).unwrap();
     for rows in lines {
@@ -75,7 +75,7 @@ pub fn container(header: &ContainerHeader, lines: &[Vec<Row>]) -> Vec<u8> {
     writer.finish().unwrap()
 }
 
-/// The rows of a container by line.
+/// Rows of a container by line.
 pub fn rows(path: &Path) -> Vec<Vec<Row>> {
     let mut reader = ContainerReader::open(path).unwrap();
     let mut lines = Vec::new();
@@ -92,8 +92,10 @@ pub fn rows(path: &Path) -> Vec<Vec<Row>> {
     lines
 }
 
-/// A simulated flight of six lines of 200 shots, as an instrument of two receivers would record it: in the scanner's
-/// frame, its zones unknown, several blocks of a channel, and each echo seen by the high power receiver, too.
+/// A simulated flight of six lines of 200 shots, as an instrument with two receivers records it.
+///
+/// In the scanner's frame, with unknown zones, several blocks per channel, and each echo also in
+/// the high-power receiver.
 pub fn flight() -> &'static [Vec<Row>] {
     static FLIGHT: OnceLock<Vec<Vec<Row>>> = OnceLock::new();
     FLIGHT.get_or_init(|| {
@@ -107,7 +109,7 @@ pub fn flight() -> &'static [Vec<Row>] {
     })
 }
 
-/// Leaves out what SDF has no place for.
+/// Removes content that SDF cannot store.
 fn as_sdf(row: &mut Row) {
     row.shot.mta_zone = None;
     row.shot.scan_angle_deg = None;
@@ -118,7 +120,7 @@ fn as_sdf(row: &mut Row) {
     row.blocks.extend(
         echoes.into_iter().map(|(_, start, samples)| (channel::HIGH_POWER, start + 1.43, weak(samples))),
     );
-    // Millionths of a nanosecond: finer block times are not read.
+    // Block times are rounded to 1e-6 ns, the resolution at which they are read.
     row.blocks.iter_mut().for_each(|block| block.1 = (block.1 * 1e6).round() / 1e6);
 }
 
@@ -127,7 +129,7 @@ pub fn flight_container() -> Vec<u8> {
     container(&header(), flight())
 }
 
-/// A folder with a recording, and what the stand-in is told beside it.
+/// A folder with a recording and the control file of the stand-in.
 pub fn place(recording: &[u8], mischief: &str) -> Place {
     let place = Place::with(&[(NAME, recording)]);
     if !mischief.is_empty() {
@@ -136,7 +138,7 @@ pub fn place(recording: &[u8], mischief: &str) -> Place {
     place
 }
 
-/// The stages of a job that copies a recording, read with these keys, into `out/sdf.arrow`.
+/// Stages of a job that copies a recording, read with these keys, to `out/sdf.arrow`.
 pub fn copy(keys: &str) -> String {
     let library = stand_in();
     let library = library.display();
@@ -146,7 +148,7 @@ pub fn copy(keys: &str) -> String {
     )
 }
 
-/// Copies a recording, which must succeed, and gives the report of the input and the rows.
+/// Copies a recording successfully; returns the report of the input and the rows.
 #[track_caller]
 pub fn read(place: &Place, keys: &str) -> (Value, Vec<Vec<Row>>) {
     assert_eq!(place.run(&copy(keys)), Outcome { code: Some(0), err: String::new() });
@@ -154,7 +156,7 @@ pub fn read(place: &Place, keys: &str) -> (Value, Vec<Vec<Row>>) {
     (report["inputs"][0].clone(), rows(&place.path("out/sdf.arrow")))
 }
 
-/// Copies a recording, which must fail with this message about the file.
+/// Asserts that copying a recording fails with this message about the file.
 #[track_caller]
 pub fn fails(recording: &[u8], mischief: &str, keys: &str, message: &str) {
     let place = place(recording, mischief);
@@ -162,7 +164,7 @@ pub fn fails(recording: &[u8], mischief: &str, keys: &str, message: &str) {
     place.left_nothing(outcome, &format!("stage read_sdf: ./{NAME}: {message}"));
 }
 
-/// A shot straight down with an outgoing pulse and one echo, a tenth of a second after the other.
+/// A shot at nadir with an outgoing pulse and one echo, 0.1 s after the previous shot.
 pub fn plain(shot: u64, line: u32) -> Row {
     Row {
         shot: ContainerShot {

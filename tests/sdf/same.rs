@@ -1,4 +1,4 @@
-//! A recording read through the interface is what it is in its container.
+//! A recording read through the interface equals its container.
 
 use std::thread;
 
@@ -8,7 +8,7 @@ use wavex::job::Job;
 use crate::made::{NAME, container, copy, flight, flight_container, header, place, read, stand_in};
 use crate::support::{Place, notes, rejected};
 
-/// What `read_arrow` makes of the same file.
+/// Result of `read_arrow` for the same file.
 fn by_read_arrow(place: &Place) -> Vec<u8> {
     std::fs::copy(place.path(NAME), place.path("250506_100000.arrow")).unwrap();
     let copy = "[[stage]]\ntype = 'write_arrow'\npath = 'arrow.arrow'\ncompression = 'none'\n";

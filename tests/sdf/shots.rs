@@ -1,4 +1,4 @@
-//! Records that are no shots, lines, clocks, and emissions without samples.
+//! Records without shots, lines, clocks, and emissions without samples.
 
 use wavex::batch::emission_flags::EDGE_OF_FLIGHT_LINE;
 use wavex::formats::container::{ContainerHeader, EmissionReference, channel};
@@ -15,7 +15,7 @@ fn lines_of_one_shot_are_lines() {
 
 #[test]
 fn a_line_ends_with_the_shot_that_says_so() {
-    // One record batch: only the flags tell.
+    // One record batch: only the flags separate lines.
     let mut rows = plain_line(0..9, 0);
     for last in [2, 3, 8] {
         rows[last].shot.flags |= EDGE_OF_FLIGHT_LINE;

@@ -1,4 +1,5 @@
-//! The stand-in is as unkind as the interface allows, and the reader's functions that no stage uses yet.
+//! The stand-in exercises the full freedom of the interface; tests of reader functions that no
+//! stage uses yet.
 
 use std::ffi::{CString, c_char, c_void};
 use std::os::raw::c_int;
@@ -14,12 +15,13 @@ type Table = unsafe extern "C" fn(*mut c_void, u16, *mut u32, *mut *const f64, *
 
 #[test]
 fn what_it_points_to_is_gone_after_the_next_call() {
-    // A copy is a library of its own, with variables of its own: other tests do not call it.
+    // A copy is a separate library with its own variables, which no other test uses.
     let place = place(&container(&header(), &[plain_line(0..5, 0)]), "");
     let copy = place.path("a_copy_of_the_stand_in");
     std::fs::copy(stand_in(), &copy).unwrap();
     let path = CString::new(place.path(NAME).to_str().unwrap()).unwrap();
-    // SAFETY: the types are those of the interface, the handle is open, and a table's memory is kept to the next table.
+    // SAFETY: the types are those of the interface, the handle is open, and a table's memory is
+    // valid until the next table.
     unsafe {
         let library = libloading::Library::new(copy).unwrap();
         let open = library.get::<Open>(c"fwifc_open").unwrap();

@@ -1,4 +1,4 @@
-//! What times count, and reading a part of a recording by time.
+//! Time scales, and reading a time window of a recording.
 
 use wavex::formats::container::{ContainerHeader, ContainerReader, TimeScale};
 
@@ -20,7 +20,7 @@ fn header_of(place: &Place) -> ContainerHeader {
 #[test]
 fn a_window_is_sought_and_its_shots_are_those_of_the_whole() {
     let given = lines();
-    // Reading through from the beginning fails: the window can only be reached by seeking.
+    // Reading from the beginning fails: the window can only be reached by seeking.
     let place = place(&container(&header(), &given), "fail fwifc_read 6 3");
     let (report, part) = read(&place, "time_s = [208800.65, 208801.2]");
     assert_eq!(lengths(&part), [(0, 3), (1, 3)]);
@@ -104,7 +104,7 @@ fn seconds_that_begin_anew_are_counted_on() {
     for (index, row) in given.iter_mut().flatten().enumerate() {
         row.shot.gps_time_s = Some((604_799.0 + index as f64 / 4.0) % 604_800.0);
     }
-    // The name is of Saturday the 3rd: the week that ends within the recording.
+    // The name gives Saturday the 3rd: the week ends within the recording.
     let place = Place::with(&[("250503_235959.sdf", &container(&header(), &given))]);
     assert_eq!(place.run(&copy("").replace(NAME, "250503_235959.sdf")).err, "");
     let times: Vec<_> =
@@ -131,7 +131,7 @@ fn a_time_that_is_wrong_moves_no_other() {
 #[test]
 fn behind_the_window_nothing_more_is_read() {
     let long = vec![plain_line(0..200, 0)];
-    // Of the 200 shots, 100 behind the window are looked at.
+    // Of the 200 shots, at most 100 after the window are read.
     let place = place(&container(&header(), &long), "fail fwifc_read 6 112");
     assert_eq!(lengths(&read(&place, "time_s = [208800.0, 208801.05]").1), [(0, 11)]);
 }
@@ -160,7 +160,7 @@ fn leap_seconds_and_an_offset_are_added() {
     assert_eq!((times(&found), clocks(&found)), (expected, clocks(&lines())));
     assert_eq!(notes(&report), Vec::<String>::new());
     let (_, part) = read(&place, "time_offset_s = 100.0\ntime_s = [208900.65, 208901.2]");
-    assert_eq!(clocks(&part), clocks(&lines())[7..13], "a window asks for the sums");
+    assert_eq!(clocks(&part), clocks(&lines())[7..13], "the window applies to the shifted times");
 }
 
 #[test]
@@ -171,7 +171,7 @@ fn a_window_may_count_another_scale_than_the_recording() {
         format!("time_s = [{}, {}]\ntime_scale = 'adjusted'", week_s + 208_800.65, week_s + 208_801.25);
     let (_, part) = read(&in_weeks, &asked);
     assert_eq!(clocks(&part), clocks(&lines())[7..13]);
-    assert_eq!(times(&part)[0], 208_800.7, "what comes out counts what it did");
+    assert_eq!(times(&part)[0], 208_800.7, "times stay on the scale of the recording");
     let (_, part) = read(&in_weeks, "time_s = [208800.65, 208801.2]\ntime_scale = 'week'");
     assert_eq!(clocks(&part), clocks(&lines())[7..13]);
     let adjusted = place(&container(&header(), &lines()), "epoch 2025-05-04T00:00:00");

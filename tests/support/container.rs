@@ -1,4 +1,4 @@
-//! Containers made by hand: shots that look straight down, each with its blocks.
+//! Containers built by hand: shots at nadir, each with its blocks.
 
 use wavex::formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
@@ -7,13 +7,13 @@ use wavex::formats::container::{
 
 /// A shot of a container.
 pub struct Shot {
-    /// Its time on the instrument's clock, ps.
+    /// Time on the instrument's clock, ps.
     pub clock_ps: i64,
     /// Channel code, time of the first sample after the clock (ns), samples.
     pub blocks: Vec<(u8, f64, Vec<u16>)>,
 }
 
-/// A container of one line with these shots, numbered from 100 on; without times where `timed` is false.
+/// A container of one line with these shots, numbered from 100; without times unless `timed`.
 pub fn container(shots: &[Shot], reference: EmissionReference, timed: bool) -> Vec<u8> {
     let header = ContainerHeader {
         time_scale: TimeScale::Week,

@@ -1,4 +1,4 @@
-//! A small simulated flight with its sensor model, and a job that makes every kind of output of it within a moment.
+//! A small simulated flight with its sensor model, and a fast job with every kind of output.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,7 +23,7 @@ waveforms = 300
 save = '../in/model.json'
 ";
 
-/// The stages that make outputs of every kind.
+/// Stages with every kind of output.
 pub const STAGES: &str = "\
 [[stage]]
 type = 'read_arrow'
@@ -52,10 +52,10 @@ type = 'write_table'
 path = '*_points.arrow'
 ";
 
-/// The outputs of these stages.
+/// Outputs of these stages.
 pub const OUTPUTS: [&str; 5] = ["a.csv", "a.laz", "a.parquet", "a_lstat.txt", "a_points.arrow"];
 
-/// A folder with the recording and its sensor model in `in`, and nothing else.
+/// A folder with only the recording and its sensor model, in `in`.
 pub fn flight() -> Place {
     let place = Place::new();
     assert_eq!(place.run(MAKE), Outcome { code: Some(0), err: String::new() });
@@ -63,7 +63,7 @@ pub fn flight() -> Place {
     place
 }
 
-/// A run of the program in the folder, with everything that it says.
+/// Runs the program in the folder; returns exit code and all messages.
 pub fn wavex(place: &Place, arguments: &[&str]) -> (Option<i32>, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.args(arguments).current_dir(place.path("")).stdin(Stdio::null()).env_remove("RUST_LOG");
@@ -71,14 +71,14 @@ pub fn wavex(place: &Place, arguments: &[&str]) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8(output.stderr).unwrap())
 }
 
-/// Runs a job that is in its file already.
+/// Runs a job that is already in its file.
 pub fn run(place: &Place, arguments: &[&str]) -> Outcome {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.args(["--quiet", "run", "job.toml"]).args(arguments).current_dir(place.path(""));
     outcome(command.stdin(Stdio::null()).env_remove("RUST_LOG"))
 }
 
-/// The files of a folder by their names, those of folders in it left out.
+/// Files of a folder by name, without those in subfolders.
 pub fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let entries = fs::read_dir(folder).into_iter().flatten().map(Result::unwrap);
     let files = entries.filter(|entry| entry.path().is_file());

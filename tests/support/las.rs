@@ -1,30 +1,30 @@
-//! Full-waveform LAS 1.4, point format 9, made by hand.
+//! Full-waveform LAS 1.4, point format 9, built by hand.
 
 use std::io::{Cursor, Seek, SeekFrom};
 
 use super::shots::{METRES_PER_NS, SAMPLES, echo_with, peak, time_s};
 
-/// Length of the header, bytes.
+/// Size of the header, bytes.
 pub const HEADER: usize = 375;
-/// Length of a point, bytes.
+/// Size of a point, bytes.
 pub const POINT: usize = 59;
 
-/// A recording in the making.
+/// A recording under construction.
 pub struct Las {
-    /// Between the header and the points.
+    /// VLRs between the header and the points.
     pub vlrs: Vec<Vec<u8>>,
     pub points: Vec<Vec<u8>>,
-    /// The packets with their header.
+    /// The waveform packets with their header.
     pub packets: Vec<u8>,
 }
 
 impl Las {
-    /// So many pulses of one return each, every one with its own waveform.
+    /// This many pulses with one return and one waveform each.
     pub fn new(pulses: usize) -> Las {
         Las::with_odd_sample_shift(pulses, 0.0)
     }
 
-    /// The same, whose odd samples were taken so much later than their index says, in samples.
+    /// The same, with odd samples taken late by this fraction of a sample.
     pub fn with_odd_sample_shift(pulses: usize, odd_sample_shift: f64) -> Las {
         let mut packets = record_header("LASF_Spec", 65535, (pulses * SAMPLES) as u64, true);
         packets.extend((0..pulses).flat_map(|pulse| echo_with(pulse, odd_sample_shift)));
@@ -44,18 +44,19 @@ impl Las {
         self
     }
 
-    /// The same, whose points do not tell where they lie in their waveforms: they are where those begin.
+    /// The same without return locations in the waveforms: points are at the start of their
+    /// waveforms.
     pub fn without_locations(mut self) -> Las {
         self.points.iter_mut().for_each(|point| point[43..47].fill(0));
         self
     }
 
-    /// Where a point starts.
+    /// Offset of a point.
     pub fn offset_of(&self, point: usize) -> usize {
         HEADER + self.vlrs.iter().map(Vec::len).sum::<usize>() + point * POINT
     }
 
-    /// The points of a recording whose packets are in a file beside it.
+    /// The LAS file of a recording with packets in a separate file.
     pub fn las(&self) -> Vec<u8> {
         let mut bytes = header(&self.vlrs, self.points.len(), 9);
         bytes.extend(self.points.concat());
@@ -77,11 +78,11 @@ impl Las {
     }
 }
 
-/// The point of a pulse: straight below, where its echo is.
+/// Point of a pulse: at nadir, at the position of its echo.
 fn point(pulse: usize) -> Vec<u8> {
     let mut bytes = vec![0; POINT];
     let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
-    // 1 cm steps.
+    // Steps of 1 cm.
     put(0, &(10 * pulse as i32).to_le_bytes());
     put(12, &60u16.to_le_bytes());
     put(14, &[0x11]);
@@ -99,7 +100,7 @@ fn header(vlrs: &[Vec<u8>], points: usize, format: u8) -> Vec<u8> {
     let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
     let offset_to_points = HEADER + vlrs.iter().map(Vec::len).sum::<usize>();
     put(0, b"LASF");
-    // The packets are in a file beside this one.
+    // The packets are in a separate file.
     put(6, &4u16.to_le_bytes());
     put(24, &[1, 4]);
     put(26, b"made by hand");
@@ -131,7 +132,7 @@ fn record_header(user_id: &str, record_id: u16, length: u64, extended: bool) -> 
     bytes
 }
 
-/// How the samples of a packet are stored.
+/// Waveform packet descriptor.
 pub fn descriptor(bits: u8, samples: u32, spacing_ps: u32) -> Vec<u8> {
     let mut bytes = vec![bits, 0];
     bytes.extend(samples.to_le_bytes());

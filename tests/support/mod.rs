@@ -1,4 +1,4 @@
-//! A folder with inputs, a job in it, and what the program makes of both.
+//! A folder with inputs and a job, and the results of the program.
 #![allow(dead_code, missing_docs, reason = "each test binary uses its own part")]
 
 pub mod container;
@@ -14,7 +14,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-/// The end of a job that finds points, writes them as a table, and needs few waveforms.
+/// End of a job that finds points, writes them as a table, and needs few waveforms.
 pub const TO_TABLE: &str = "\
 [[stage]]
 type = 'calibrate'
@@ -28,17 +28,17 @@ type = 'write_table'
 path = '*.csv'
 ";
 
-/// A folder of inputs; outputs go into `out` in it.
+/// A folder of inputs; outputs go to `out` in it.
 pub struct Place {
     folder: tempfile::TempDir,
 }
 
-/// What a run of the program leaves.
+/// Result of a run of the program.
 #[derive(Debug, PartialEq)]
 pub struct Outcome {
-    /// `None` where a signal ended the program.
+    /// `None` if a signal ended the program.
     pub code: Option<i32>,
-    /// What it printed to standard error.
+    /// Text on standard error.
     pub err: String,
 }
 
@@ -68,10 +68,11 @@ impl Place {
         fs::read_to_string(self.path(name)).unwrap()
     }
 
-    /// Writes the job of these stages, and gives the command that runs it, in this folder and without a word.
+    /// Writes the job of these stages; returns the command that runs it quietly in this folder.
     pub fn command(&self, stages: &str) -> Command {
         self.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{stages}").as_bytes());
-        // Whoever believes a size that lies runs out of this memory. Where the shell knows no such limit, there is none.
+        // Limits memory, so that trusting a wrong size fails. If the shell does not support the
+        // limit, there is none.
         let mut command = Command::new("sh");
         command.args([
             "-c",
@@ -88,33 +89,35 @@ impl Place {
         outcome(&mut self.command(stages))
     }
 
-    /// Runs the job of a reader of `input` and the stages behind it.
+    /// Runs the job of a reader of `input` and the stages after it.
     pub fn read(&self, reader: &str, input: &str, stages: &str) -> Outcome {
         self.run(&format!("[[stage]]\ntype = '{reader}'\npath = '{input}'\n{stages}"))
     }
 
-    /// Runs a job that must fail with this message, and leave nothing but its log and its statistics.
+    /// Asserts that a job fails with this message and leaves only its log and statistics.
     #[track_caller]
     pub fn fails(&self, reader: &str, input: &str, message: &str) {
         let stages = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
         self.left_nothing(self.read(reader, input, stages), message);
     }
 
-    /// The run failed with this message, and left nothing but its log and its statistics, which tell why.
+    /// Asserts that the run failed with this message and left only its log and statistics.
+    ///
+    /// The statistics contain the message.
     #[track_caller]
     pub fn left_nothing(&self, outcome: Outcome, message: &str) {
         assert_eq!(outcome, Outcome { code: Some(1), err: format!("error: {message}\n") });
-        assert_eq!(self.products(), Vec::<String>::new(), "a failed run leaves nothing");
+        assert_eq!(self.products(), Vec::<String>::new(), "a failed run leaves no outputs");
         for name in self.outputs() {
             let statistics = self.text(&format!("out/{name}"));
             let failure = format!("{:<36} 1, failed\n{:<36} {message}\n", "exit status", "failure");
             assert!(statistics.contains(&failure), "{name}: {statistics}");
         }
         let log = self.text("out/wavex.log");
-        assert!(log.contains(message), "the log does not tell why the run failed:\n{log}");
+        assert!(log.contains(message), "the log lacks the cause of the failure:\n{log}");
     }
 
-    /// Runs a job that must succeed, and gives its report of the only input.
+    /// Runs a job successfully; returns its report of the only input.
     #[track_caller]
     pub fn succeeds(&self, reader: &str, input: &str, stages: &str) -> Value {
         let outcome = self.read(reader, input, stages);
@@ -124,7 +127,7 @@ impl Place {
         report["inputs"][0].clone()
     }
 
-    /// What lies in the folder of outputs besides the log, at any depth.
+    /// Files in the output folder except the log, recursively.
     pub fn outputs(&self) -> Vec<String> {
         let mut names = Vec::new();
         collect(&self.path("out"), "", &mut names);
@@ -133,12 +136,12 @@ impl Place {
         names
     }
 
-    /// The same without the statistics of inputs, which a failed run leaves, too.
+    /// Output files except statistics, which a failed run also leaves.
     pub fn products(&self) -> Vec<String> {
         self.outputs().into_iter().filter(|name| !name.ends_with("_stat.log")).collect()
     }
 
-    /// The times of the shots that have returns in a table, in its order, as it writes them.
+    /// Times of the shots with returns in a table, in its order and format.
     pub fn times(&self, table: &str) -> Vec<String> {
         let text = self.text(table);
         let times = text.lines().skip(1).map(|row| row.split(',').nth(1).unwrap().to_owned());
@@ -165,27 +168,27 @@ fn collect(folder: &Path, prefix: &str, names: &mut Vec<String>) {
     }
 }
 
-/// What the stages of an input rejected, all together.
+/// All rejections of the stages of an input.
 pub fn rejected(input: &Value) -> BTreeMap<String, u64> {
     let stages = input["stages"].as_array().unwrap();
     let rejected = stages.iter().flat_map(|stage| stage["rejected"].as_object().unwrap());
     rejected.map(|(what, n)| (what.clone(), n.as_u64().unwrap())).collect()
 }
 
-/// What the stages of an input had to say, all together.
+/// All notes of the stages of an input.
 pub fn notes(input: &Value) -> Vec<String> {
     let stages = input["stages"].as_array().unwrap();
     let notes = stages.iter().flat_map(|stage| stage["notes"].as_array().unwrap());
     notes.map(|note| note.as_str().unwrap().to_owned()).collect()
 }
 
-/// Says that a test was not run, and why.
+/// Prints that a test was skipped, and why.
 #[allow(clippy::print_stdout, reason = "a test that did nothing must not pass in silence")]
 pub fn skipped(why: &str) {
     println!("skipped: {why}");
 }
 
-/// The folder of real recordings; `None`, and a word about it, where there is none.
+/// Folder of real recordings; prints a notice if there is none.
 pub fn data() -> Option<PathBuf> {
     let data = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
     if data.is_none() {

@@ -1,19 +1,19 @@
-//! PulseWaves 0.3, made by hand: an outgoing segment and one of returns per pulse.
+//! PulseWaves 0.3, built by hand: an outgoing and a returning segment per pulse.
 
 use super::shots::{METRES_PER_NS, SAMPLES, echo, peak, time_s, waveform};
 
-/// Length of the header, bytes.
+/// Size of the header, bytes.
 pub const HEADER: usize = 352;
-/// Length of the waves file's header, bytes.
+/// Size of the waves file's header, bytes.
 pub const WAVES_HEADER: usize = 60;
-/// Length of a pulse, bytes.
+/// Size of a pulse, bytes.
 pub const PULSE: usize = 48;
-/// Length of the waves of a pulse, bytes: the durations of two segments, and their samples.
+/// Size of the waves of a pulse, bytes: durations of two segments and their samples.
 pub const WAVES: usize = 2 * (4 + SAMPLES);
-/// How long after the outgoing pulse the recording of returns begins, ns.
+/// Delay from the outgoing pulse to the recording of returns, ns.
 const LISTEN_AFTER_NS: i32 = 4000;
 
-/// A recording in the making.
+/// A recording under construction.
 pub struct PulseWaves {
     /// (record ID, payload) of records of `PulseWaves_Spec`.
     pub records: Vec<(u32, Vec<u8>)>,
@@ -22,7 +22,7 @@ pub struct PulseWaves {
 }
 
 impl PulseWaves {
-    /// So many pulses.
+    /// A recording of this many pulses.
     pub fn new(pulses: usize) -> PulseWaves {
         let mut waves = b"PulseWavesWaves\0".to_vec();
         waves.resize(WAVES_HEADER, 0);
@@ -45,12 +45,12 @@ impl PulseWaves {
         self
     }
 
-    /// Where a pulse starts.
+    /// Offset of a pulse.
     pub fn offset_of(&self, pulse: usize) -> usize {
         HEADER + self.records.iter().map(|(_, payload)| 96 + payload.len()).sum::<usize>() + pulse * PULSE
     }
 
-    /// The bytes of the pulse file.
+    /// Bytes of the pulse file.
     pub fn pls(&self) -> Vec<u8> {
         let mut bytes = vec![0; HEADER];
         let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
@@ -80,12 +80,12 @@ impl PulseWaves {
     }
 }
 
-/// The time of a shot, us.
+/// Time of a shot, us.
 fn ticks(shot: usize) -> i64 {
     (time_s(shot) * 1e6).round() as i64
 }
 
-/// A pulse straight down from 600 m, in millimetres.
+/// A pulse at nadir from 600 m, in millimetres.
 fn pulse(shot: usize) -> Vec<u8> {
     let mut bytes = ticks(shot).to_le_bytes().to_vec();
     bytes.extend(((WAVES_HEADER + shot * WAVES) as i64).to_le_bytes());
@@ -99,8 +99,9 @@ fn pulse(shot: usize) -> Vec<u8> {
     bytes
 }
 
-/// The payload of a descriptor: an outgoing and a returning segment of so many 8-bit samples, 1 ns apart, each with its
-/// duration from the anchor in 32 bits.
+/// Payload of a descriptor: an outgoing and a returning segment of 8-bit samples, 1 ns apart.
+///
+/// Each segment has its duration from the anchor in 32 bits.
 pub fn descriptor(samples: u32) -> Vec<u8> {
     let mut bytes = 92u32.to_le_bytes().to_vec();
     bytes.extend([0; 4]);

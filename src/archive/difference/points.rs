@@ -1,4 +1,4 @@
-//! The first difference of two LAS or LAZ files: a field of the header, a record, or the number of a point and its field.
+//! First difference of two LAS or LAZ files: point and field, header field, or VLR.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ pub(super) fn compare(then: &Path, now: &Path) -> Result<Option<String>> {
         };
         return Ok(Some(format!("its points have {}", instead(&names(&b), &names(&a)))));
     }
-    // Counts and bounds in the header follow from the points: those say more.
+    // Compare points first: counts and bounds in the header follow from them.
     match compare_points(&mut a, &mut b)? {
         None => Ok(compare_headers(&a, &b)),
         found => Ok(found),
@@ -29,7 +29,7 @@ fn compare_points(a: &mut RawPoints, b: &mut RawPoints) -> Result<Option<String>
         match (a.next_record()?, b.next_record()?) {
             (None, None) => return Ok(None),
             (Some(_), None) => return Ok(Some(format!("it ends before point {number}"))),
-            (None, Some(_)) => return Ok(Some(format!("it goes on with point {number}"))),
+            (None, Some(_)) => return Ok(Some(format!("it continues with point {number}"))),
             (Some(then), Some(now)) if then != now => {
                 let differs = |field: &&RawField| field.value(then) != field.value(now);
                 let found = fields.iter().find(differs).map(|field| {

@@ -1,4 +1,4 @@
-//! The first difference of two tables or containers of Arrow or Parquet: its row and its column.
+//! First difference of two Arrow or Parquet files: row and column.
 
 use std::fs::File;
 use std::path::Path;
@@ -11,10 +11,10 @@ use super::instead;
 use crate::formats::container::TableReader;
 use crate::formats::{Error, Result};
 
-const REMEDY: &str = "open it with another program to see what is wrong";
-/// How the library for Parquet begins what it says of a compression that it was built without.
+const REMEDY: &str = "open it with another program to find the problem";
+/// Start of the Parquet library's message for a compression that is not built in.
 const NOT_BUILT_IN: &str = "Disabled feature";
-/// So many rows of a Parquet file are decoded at once.
+/// Maximum number of Parquet rows decoded at once.
 const MOST_ROWS_AT_ONCE: usize = 1 << 16;
 
 pub(super) fn compare_parquet(then: &Path, now: &Path) -> Result<Option<String>> {
@@ -25,15 +25,15 @@ pub(super) fn compare_arrow(then: &Path, now: &Path) -> Result<Option<String>> {
     compare(arrow(then)?, arrow(now)?)
 }
 
-/// What keeps a Parquet file from being read, with a remedy.
+/// Error for a Parquet file that cannot be read.
 pub(super) fn unreadable(path: &Path, error: &dyn std::fmt::Display) -> Error {
     let error = error.to_string();
     if error.contains(NOT_BUILT_IN) {
-        let problem = "it is compressed in a way that wavex neither writes nor reads: rows are not compared";
+        let problem = "its compression method is not supported by wavex: rows are not compared";
         return Error::unusable(
             path,
             problem,
-            "save it with zstd, snappy or no compression, and compare again",
+            "save it with zstd, snappy or no compression and compare again",
         );
     }
     Error::unusable(path, error, REMEDY)
@@ -55,16 +55,16 @@ fn arrow(path: &Path) -> Result<Rows> {
     Ok(Rows { schema: reader.schema().clone(), next: Box::new(move || reader.next_batch()), batch: None })
 }
 
-/// The rows of a file, batch by batch.
+/// Rows of a file, read batch by batch.
 struct Rows {
     schema: Schema,
     next: Box<dyn FnMut() -> Result<Option<RecordBatch>>>,
-    /// What is left of the batch at hand.
+    /// Remaining rows of the current batch.
     batch: Option<RecordBatch>,
 }
 
 impl Rows {
-    /// How many rows are at hand; 0 at the end.
+    /// Number of available rows; 0 at the end.
     fn at_hand(&mut self) -> Result<usize> {
         while self.batch.as_ref().is_none_or(|batch| batch.num_rows() == 0) {
             match (self.next)()? {
@@ -75,7 +75,7 @@ impl Rows {
         Ok(self.batch.as_ref().map_or(0, RecordBatch::num_rows))
     }
 
-    /// The next rows, of which so many are at hand.
+    /// Takes the next rows, at most as many as are available.
     fn take(&mut self, rows: usize) -> Option<RecordBatch> {
         let batch = self.batch.take()?;
         let taken = batch.slice(0, rows);
@@ -100,7 +100,7 @@ fn compare(mut then: Rows, mut now: Rows) -> Result<Option<String>> {
         match (left, right) {
             (0, 0) => break,
             (_, 0) => return Ok(Some(format!("it ends before row {row}"))),
-            (0, _) => return Ok(Some(format!("it goes on with row {row}"))),
+            (0, _) => return Ok(Some(format!("it continues with row {row}"))),
             _ => {}
         }
         let rows = left.min(right);
@@ -116,14 +116,14 @@ fn compare(mut then: Rows, mut now: Rows) -> Result<Option<String>> {
     Ok(of_file.or_else(|| column_besides(&then.schema, &now.schema)))
 }
 
-/// The first column that differs in what a schema says of it besides its name and its type.
+/// First column whose schema differs in more than name and type.
 fn column_besides(then: &Schema, now: &Schema) -> Option<String> {
     let mut columns = then.fields().iter().zip(now.fields().iter());
     let (column, _) = columns.find(|(then, now)| then != now)?;
-    Some(format!("what the schema says of the column {}", column.name()))
+    Some(format!("schema of the column {}", column.name()))
 }
 
-/// The first row in which two batches of as many rows differ, and the first column in it: with both values.
+/// First row and column in which two batches of equal length differ, with both values.
 fn first_cell(then: &RecordBatch, now: &RecordBatch) -> Option<(usize, String, String, String)> {
     let schema = then.schema();
     let columns = schema.fields().iter().zip(then.columns().iter().zip(now.columns()));
@@ -132,7 +132,7 @@ fn first_cell(then: &RecordBatch, now: &RecordBatch) -> Option<(usize, String, S
     Some((row, name.clone(), value(a, row), value(b, row)))
 }
 
-/// The first row in which two columns differ: between rows that agree from the start and rows that do not.
+/// First row in which two columns differ, by bisection.
 fn first_row(a: &dyn Array, b: &dyn Array) -> Option<usize> {
     if a.to_data() == b.to_data() {
         return None;
@@ -150,7 +150,7 @@ fn first_row(a: &dyn Array, b: &dyn Array) -> Option<usize> {
     Some(same)
 }
 
-/// A value in words: what Arrow prints of an array that holds nothing else.
+/// Formats a value: the text that Arrow prints for a one-element array.
 fn value(column: &dyn Array, row: usize) -> String {
     let text = format!("{:?}", column.slice(row, 1));
     let inner = text

@@ -7,7 +7,7 @@ use parquet::file::properties::WriterProperties;
 
 use super::*;
 
-/// The first difference between two contents of a file of this name.
+/// First difference between two contents of a file of this name.
 fn between(name: &str, then: &[u8], now: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = |age: &str, content: &[u8]| {
@@ -22,7 +22,7 @@ fn between(name: &str, then: &[u8], now: &[u8]) -> String {
 fn texts_differ_in_a_line() {
     assert_eq!(between("a.txt", b"a\nb\nc\n", b"a\nB\nc\n"), "line 2: \"B\" instead of \"b\"");
     assert_eq!(between("a.txt", b"a\nb\n", b"a\n"), "it ends before line 2");
-    assert_eq!(between("a.json", b"a\n", b"a\nb"), "it goes on with line 2");
+    assert_eq!(between("a.json", b"a\n", b"a\nb"), "it continues with line 2");
     assert_eq!(between("a.txt", b"a\n", b"a"), "it ends before byte 1", "where no line differs, a byte does");
     let long = "x".repeat(200);
     assert_eq!(
@@ -113,7 +113,7 @@ fn tables_of_arrow_and_parquet_differ_in_a_row_and_a_column() {
     for (now, expected) in cases {
         assert_eq!(between("a.arrow", &arrow(&then), &arrow(&now)), expected);
         let found = between("a.parquet", &parquet(&then), &parquet(&now));
-        // Parquet keeps the whole schema of Arrow beside the metadata.
+        // Parquet also stores the whole Arrow schema in its metadata.
         assert!(
             found == expected || (expected.starts_with("metadata") && found.starts_with("metadata, key ")),
             "{found}"
@@ -129,7 +129,7 @@ fn tables_of_arrow_and_parquet_differ_in_a_row_and_a_column() {
     );
 }
 
-/// Other programs compress by another method, and say other things of the columns.
+/// Other programs use other compression methods and other column metadata.
 #[test]
 fn a_table_that_another_program_has_saved_is_compared_by_its_values() {
     let zstd = Compression::ZSTD(Default::default());
@@ -153,15 +153,15 @@ fn a_table_that_another_program_has_saved_is_compared_by_its_values() {
         arrow(&[RecordBatch::try_new(schema, batch.columns().to_vec()).unwrap()])
     };
     let found = between("a.arrow", &arrow_of(true), &arrow_of(false));
-    assert_eq!(found, "what the schema says of the column shot");
+    assert_eq!(found, "schema of the column shot");
 }
 
 #[test]
 fn a_table_compressed_in_an_unknown_way_says_so_with_a_remedy() {
     let error = parquet::errors::ParquetError::General("Disabled feature at compile time: flate2".into());
     let said = tables::unreadable(Path::new("a.parquet"), &error).to_string();
-    let expected = "a.parquet: it is compressed in a way that wavex neither writes nor reads: rows are not compared; save it \
-                    with zstd, snappy or no compression, and compare again";
+    let expected = "a.parquet: its compression method is not supported by wavex: rows are not compared; save it \
+                    with zstd, snappy or no compression and compare again";
     assert_eq!(said, expected);
 }
 
@@ -172,6 +172,6 @@ fn a_table_that_was_cut_off_is_compared_by_its_bytes() {
     {
         let cut = &bytes[..bytes.len() / 2];
         let found = between(name, cut, &bytes);
-        assert!(found.starts_with(&format!("it goes on with byte {} (", cut.len())), "{found}");
+        assert!(found.starts_with(&format!("it continues with byte {} (", cut.len())), "{found}");
     }
 }

@@ -1,27 +1,27 @@
-//! The panels of a shot's blocks: samples with their fit, and below them what the fit leaves.
+//! Panels of a shot's sample blocks: samples and fit above, residuals below.
 
 use crate::cli::svg::{Anchor, Scale, Svg};
 use crate::overview::{PER_SAMPLE, Samples, ShownBlock};
 
-/// Where the panels of a shot stand in a picture.
+/// Layout of the panels in a picture.
 pub(in crate::cli) struct Panels {
-    /// Left and right end of all of them.
+    /// Left and right edge of all panels.
     pub(in crate::cli) x: [f64; 2],
-    /// Room between two.
+    /// Gap between two panels.
     pub(in crate::cli) gap: f64,
-    /// Top and bottom of the samples.
+    /// Top and bottom of the sample panels.
     pub(in crate::cli) samples: [f64; 2],
-    /// Top and bottom of what the fit leaves.
+    /// Top and bottom of the residual panels.
     pub(in crate::cli) residual: [f64; 2],
 }
 
-/// What a sample's residual hardly exceeds by noise alone, standard deviations.
+/// Limit that residuals of pure noise rarely exceed, standard deviations.
 pub(in crate::cli) const FAR_SD: f64 = 3.0;
-/// What the lines there mean.
+/// Legend of the limit lines.
 pub(in crate::cli) const FAR_LABEL: &str = "± 3 standard deviations";
 
 impl Panels {
-    /// Draws the blocks side by side, on one scale of heights.
+    /// Draws the blocks side by side with a common amplitude axis.
     pub(in crate::cli) fn draw(&self, svg: &mut Svg, blocks: &[&ShownBlock]) {
         let total_ns: f64 = blocks.iter().map(|block| block.samples.span_ns()).sum();
         let room = self.x[1] - self.x[0] - self.gap * blocks.len().saturating_sub(1) as f64;
@@ -38,14 +38,16 @@ impl Panels {
         }
     }
 
-    /// The largest deviation to be shown, standard deviations.
+    /// Half range of the residual axis, standard deviations.
     fn largest_deviation(&self, blocks: &[&ShownBlock]) -> f64 {
         let all = blocks.iter().flat_map(|block| &block.samples.residual);
         all.fold(FAR_SD + 1.0, |largest, value| largest.max(1.1 * value.abs()))
     }
 }
 
-/// The heights that all samples and fits need, DN; a fit far beyond the digitiser's range does not press them flat.
+/// Amplitude range of all samples and fits, DN.
+///
+/// A fit is clipped at twice the digitiser's full scale, so that it does not flatten the samples.
 fn heights(blocks: &[&ShownBlock]) -> [f64; 2] {
     let mut range = [0.0f64, 10.0];
     for block in blocks {
@@ -55,11 +57,11 @@ fn heights(blocks: &[&ShownBlock]) -> [f64; 2] {
             range = [range[0].min(value), range[1].max(value.min(limit))];
         }
     }
-    // Room for the numbers of the returns.
+    // Headroom for the return numbers.
     [range[0] - 0.03 * (range[1] - range[0]), range[1] + 0.14 * (range[1] - range[0])]
 }
 
-/// The part of the picture that one block has.
+/// Panel of one block.
 struct Panel<'a> {
     block: &'a ShownBlock,
     x: Scale,
@@ -71,7 +73,7 @@ impl Panel<'_> {
         Panel { block, x: Scale { from: [begin, begin + block.samples.span_ns()], to } }
     }
 
-    /// Where a place in the block stands.
+    /// Horizontal position of a sample index.
     fn at(&self, position_samples: f64) -> f64 {
         self.x.at(self.block.first_ns + position_samples * self.block.samples.interval_ns)
     }
@@ -98,7 +100,7 @@ impl Panel<'_> {
         self.numbers(svg, y);
     }
 
-    /// The number of each return above its peak, one above the other where they are close.
+    /// Draws each return number above its peak; stacks numbers that are close.
     fn numbers(&self, svg: &mut Svg, y: &Scale) {
         let samples = &self.block.samples;
         let fit = samples.fit_dn();
@@ -141,7 +143,7 @@ impl Panel<'_> {
         }
     }
 
-    /// Frame, grid and the numbers at the axes.
+    /// Draws frame, grid and axis labels.
     fn frame(&self, svg: &mut Svg, y: &Scale, wanted: f64, is_first: bool, with_times: bool) {
         let ([left, right], [bottom, top]) = (self.x.to, y.to);
         let (values, digits) = y.ticks(wanted);
@@ -162,7 +164,7 @@ impl Panel<'_> {
     }
 }
 
-/// The part of a pulse's curve from where it first leaves the background to where it is back: a hundredth of its peak.
+/// Index range in which a pulse exceeds 1 % of its peak.
 fn visible(pulse: &[f64]) -> std::ops::Range<usize> {
     let least = 0.01 * pulse.iter().fold(0.0f64, |peak, value| peak.max(*value));
     let stands_out = |value: &f64| *value > least;
@@ -170,7 +172,7 @@ fn visible(pulse: &[f64]) -> std::ops::Range<usize> {
     first..pulse.iter().rposition(stands_out).map_or(first, |last| last + 1)
 }
 
-/// The samples of a block as dots; `window` is the sample to which the first of `used` belongs.
+/// Draws the samples of a block as dots; `window` is the sample index of `used[0]`.
 pub(super) fn dots(
     svg: &mut Svg,
     samples: &Samples,

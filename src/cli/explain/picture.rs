@@ -1,4 +1,4 @@
-//! The picture of a shot: its samples with their fit, what the fit leaves, and the outgoing pulse.
+//! Picture of a shot: samples with fit, residuals, and the outgoing pulse.
 
 use super::panel::{FAR_LABEL, Panels, dots};
 use super::{Explained, table};
@@ -6,7 +6,7 @@ use crate::cli::svg::{Anchor, Scale, Svg};
 use crate::overview::{PER_SAMPLE, ShownBlock};
 use crate::stages::decompose::SeenPulse;
 
-/// Places in the picture, in its own units.
+/// Layout in SVG units.
 const LEFT: f64 = 66.0;
 const RIGHT: f64 = 26.0;
 const GAP: f64 = 26.0;
@@ -15,11 +15,11 @@ const RESIDUAL: [f64; 2] = [398.0, 528.0];
 const BOTTOM: [f64; 2] = [622.0, 772.0];
 const HEIGHT: f64 = 824.0;
 const OUTGOING_WIDTH: f64 = 300.0;
-/// Width of all echo panels together: as 60 ns want it, within limits.
+/// Limits of the width of all echo panels together; [`PER_NS`] sets it in between.
 const WIDTHS: [f64; 2] = [900.0, 1700.0];
 const PER_NS: f64 = 12.0;
 
-/// The picture as SVG.
+/// Draws the picture as SVG.
 pub(super) fn draw(explained: &Explained) -> String {
     let mut svg = Svg::new();
     let blocks: Vec<&ShownBlock> = explained.blocks.iter().map(|block| &block.shown).collect();
@@ -53,13 +53,13 @@ fn header(svg: &mut Svg, explained: &Explained) {
     svg.text("note", [LEFT, 54.0], Anchor::Start, &fits.join(" · "));
 }
 
-/// The recording's name, without its folder.
+/// File name of the recording without its folder.
 fn name(explained: &Explained) -> String {
     let path = std::path::Path::new(&explained.file);
     path.file_name().map_or_else(|| explained.file.clone(), |name| name.to_string_lossy().into_owned())
 }
 
-/// The panel of the outgoing pulse.
+/// Draws the panel of the outgoing pulse.
 fn outgoing(svg: &mut Svg, pulse: &SeenPulse) {
     let samples = &pulse.samples;
     let peak_ns = pulse.start_ns + pulse.pulse.position_samples * samples.interval_ns;
@@ -107,7 +107,7 @@ fn frame_of(svg: &mut Svg, x: &Scale, y: &Scale) {
     svg.rect("frame", [left, top], [right, bottom]);
 }
 
-/// What each mark means.
+/// Draws the legend.
 fn legend(svg: &mut Svg, left: f64) {
     let lines =
         [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", FAR_LABEL)];
@@ -127,7 +127,7 @@ fn legend(svg: &mut Svg, left: f64) {
     }
 }
 
-/// The returns in short; the table has them all.
+/// Draws a short table of the first returns; the printed table has all of them.
 fn returns(svg: &mut Svg, explained: &Explained, left: f64) {
     const SHOWN: usize = 7;
     let columns = [12.0, 136.0, 246.0, 346.0];

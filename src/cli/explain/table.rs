@@ -1,4 +1,4 @@
-//! The table of a shot's returns, and what became of the rest.
+//! Text table of a shot's returns, with fit statistics of its blocks.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use crate::batch::{Return, flags};
 use crate::kernels::sensor_model::{Background, ChannelModel};
 use crate::stages::decompose::SeenBlock;
 
-/// The heads of the columns.
+/// Column heads.
 const HEADS: [&str; 9] = [
     "return",
     "channel",
@@ -20,7 +20,7 @@ const HEADS: [&str; 9] = [
     "flags",
 ];
 
-/// All that is printed of a shot.
+/// The complete text for a shot.
 pub(super) fn table(explained: &Explained) -> String {
     let mut text = format!("{}\n\n", title(explained, &explained.file));
     let rows: Vec<[String; 9]> = explained.returns.iter().map(row).collect();
@@ -46,7 +46,7 @@ pub(super) fn table(explained: &Explained) -> String {
     text
 }
 
-/// Which shot, and how much was found in it.
+/// Title with shot number, time, and counts of returns and blocks.
 pub(super) fn title(explained: &Explained, file: &str) -> String {
     let time = explained.emission.gps_time_s;
     let time = if time.is_nan() { String::new() } else { format!(", GPS time {time:.6} s") };
@@ -78,14 +78,14 @@ fn outgoing(explained: &Explained) -> String {
     let emission = &explained.emission;
     match &explained.outgoing {
         Some(seen) => format!(
-            "outgoing pulse: left {:.4} ± {:.4} ns after the shot's clock, height {:.1} DN, deviation ratio {:.2}\n",
+            "outgoing pulse: emitted {:.4} ± {:.4} ns after the shot's clock, amplitude {:.1} DN, deviation ratio {:.2}\n",
             emission.emission_ns,
             emission.emission_sd_ns,
             seen.pulse.amplitude_dn,
             seen.pulse.deviation_ratio
         ),
         None => format!(
-            "no outgoing pulse was fitted: the shot left {:.4} ± {:.4} ns after its clock\n",
+            "no outgoing pulse fitted: emission {:.4} ± {:.4} ns after the shot's clock\n",
             emission.emission_ns, emission.emission_sd_ns
         ),
     }
@@ -136,7 +136,7 @@ fn sensor(explained: &Explained) -> String {
     known.map(|(name, channel)| format!("sensor, {name}: {}\n", of_channel(channel))).collect()
 }
 
-/// The key numbers of a channel.
+/// Key parameters of a channel.
 fn of_channel(channel: &ChannelModel) -> String {
     let list =
         |values: &[f64]| values.iter().map(|value| format!("{value:.2}")).collect::<Vec<_>>().join(" ");
@@ -146,7 +146,7 @@ fn of_channel(channel: &ChannelModel) -> String {
     };
     let shape = match &channel.response {
         Some(response) => format!("response from {} single echoes", response.echoes),
-        None => "taken to be Gaussian".to_owned(),
+        None => "assumed Gaussian".to_owned(),
     };
     format!(
         "background {} DN ({background}), noise {:.3} DN with correlations {}, pulse {:.3} ns wide ({shape}), \

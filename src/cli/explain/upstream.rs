@@ -1,9 +1,9 @@
-//! The stages before `decompose`, one line after the other on this thread.
+//! Runs the stages before `decompose` on the current thread.
 
 use crate::batch::Batch;
 use crate::stage::{Context, Map, Output, Result, Source, StageError, Transform};
 
-/// A reader and the stages behind it.
+/// A reader and the stages that follow it.
 pub(super) struct Upstream {
     source: Box<dyn Source>,
     cx: Context,
@@ -33,12 +33,12 @@ impl Step {
 }
 
 impl Upstream {
-    /// `may_hold_bytes` is what each transform may hold back.
+    /// `may_hold_bytes`: memory that each transform may hold back, bytes.
     pub(super) fn new(source: Box<dyn Source>, steps: Vec<Step>, may_hold_bytes: usize) -> Upstream {
         Upstream { source, cx: Context::default(), steps, may_hold_bytes }
     }
 
-    /// The first line that is wanted; what comes behind it is not read.
+    /// Returns the first scan line that is wanted, and reads no further.
     pub(super) fn first(&mut self, mut wanted: impl FnMut(&Batch) -> bool) -> Result<Option<Batch>> {
         let mut found = None;
         let mut take = |batch: Batch| {
@@ -69,7 +69,7 @@ impl Upstream {
     }
 }
 
-/// Gives a line to the first of these stages, and what comes out of it to the next.
+/// Passes a line through these stages and each result to the next stage.
 fn push(
     steps: &mut [Step],
     batch: Batch,

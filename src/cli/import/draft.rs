@@ -1,4 +1,4 @@
-//! A job in the making: its keys, each with what it comes from, and its text in TOML.
+//! A job under construction: keys with their source, and its TOML text.
 
 use std::fmt::Write as _;
 
@@ -7,22 +7,22 @@ use serde_json::Value;
 use crate::job::job_schema;
 use crate::registry::STAGES;
 
-/// What a build can do: its stages and keys.
+/// Stages and keys that the translation may use.
 #[derive(Debug)]
 pub enum Known {
-    /// Every stage and every key that there may ever be.
+    /// Any stage and key.
     Everything,
-    /// Those of this schema of jobs.
+    /// The stages and keys of this job schema.
     Schema(Value),
 }
 
-/// A job in the making.
+/// A job under construction.
 #[derive(Debug, Default)]
 pub struct Draft {
     sections: Vec<Section>,
 }
 
-/// The keys of `[job]`, of `[job.geometry]`, or of a stage.
+/// Keys of `[job]`, of `[job.geometry]`, or of one stage.
 #[derive(Debug)]
 struct Section {
     name: String,
@@ -34,49 +34,51 @@ struct Section {
 struct Entry {
     key: &'static str,
     toml: String,
-    /// What it comes from.
+    /// Source of the key: an option or a default.
     why: String,
-    /// What one must know of it besides.
+    /// Additional remark for the user.
     remark: &'static str,
-    /// What keeps it from being a key of the job; empty: nothing.
+    /// Reason why the key must be commented out; empty if there is none.
     obstacle: String,
-    /// Whether the line asks for it, so that a build that cannot do it must not run the job.
+    /// Whether the command line requests it.
+    ///
+    /// A build that does not support a requested key must not run the job.
     is_asked: bool,
 }
 
-/// What became of a draft.
+/// Result of writing a draft.
 #[derive(Debug, Default, PartialEq)]
 pub struct Text {
     /// The job.
     pub toml: String,
-    /// What the line asks for and this build cannot do.
+    /// Requests that this build does not support.
     pub missing: Vec<String>,
-    /// What the line asks for in a way that cannot be used, and why.
+    /// Requests that cannot be met, each with the reason.
     pub obstacles: Vec<String>,
 }
 
 impl Known {
-    /// What this program can do.
+    /// Stages and keys of this program.
     pub fn this_build() -> Known {
         Known::Schema(job_schema(STAGES))
     }
 
-    /// Whether there is such a stage.
+    /// Returns whether the stage exists.
     pub fn has_stage(&self, name: &str) -> bool {
         matches!(self, Known::Everything) || self.keys_of(name).is_some()
     }
 
-    /// Whether there is such a key; the sections `job` and `geometry` are tables, all others stages.
+    /// Returns whether the key exists; `job` and `geometry` are tables, other sections are stages.
     pub fn has_key(&self, section: &str, key: &str) -> bool {
         matches!(self, Known::Everything) || self.keys_of(section).is_some_and(|keys| keys.get(key).is_some())
     }
 
-    /// The schema of a key.
+    /// Schema of a key.
     pub fn key(&self, section: &str, key: &str) -> Option<&Value> {
         self.keys_of(section)?.get(key)
     }
 
-    /// The keys of a section in the schema.
+    /// Schemas of all keys of a section.
     fn keys_of(&self, section: &str) -> Option<&Value> {
         let Known::Schema(schema) = self else { return None };
         let job = schema.pointer("/properties/job/properties");
@@ -94,7 +96,7 @@ impl Known {
 }
 
 impl Draft {
-    /// Sets a key; one that is there already gets another value, and what it comes from is told with it.
+    /// Sets a key; replaces an earlier value together with its source.
     pub fn set(&mut self, section: &str, key: &'static str, toml: String, why: &str, is_asked: bool) {
         let section = self.section(section);
         let entry = Entry { key, toml, why: why.to_owned(), remark: "", obstacle: String::new(), is_asked };
@@ -104,32 +106,32 @@ impl Draft {
         }
     }
 
-    /// What the line has set a key to, and by what.
+    /// Value and source of a key that the command line requests.
     pub fn asked(&self, section: &str, key: &str) -> Option<(&str, &str)> {
         let entry = self.entries(section).iter().find(|entry| entry.key == key && entry.is_asked)?;
         Some((&entry.toml, &entry.why))
     }
 
-    /// Says of a key what one must know besides.
+    /// Adds a remark to a key.
     pub fn remark(&mut self, section: &str, key: &str, remark: &'static str) {
         if let Some(entry) = self.section(section).entries.iter_mut().find(|entry| entry.key == key) {
             entry.remark = remark;
         }
     }
 
-    /// Makes a key a comment, because its value cannot be used.
+    /// Comments a key out because its value cannot be used.
     pub fn obstruct(&mut self, section: &str, key: &str, obstacle: String) {
         if let Some(entry) = self.section(section).entries.iter_mut().find(|entry| entry.key == key) {
             entry.obstacle = obstacle;
         }
     }
 
-    /// Takes a section out.
+    /// Removes a section.
     pub fn remove(&mut self, section: &str) {
         self.sections.retain(|other| other.name != section);
     }
 
-    /// What the line asks for in sections that are not among these: `-o12`.
+    /// Requested keys outside of these sections: section and source (such as `-o12`).
     pub fn asked_outside_of(&self, sections: &[&str]) -> Vec<(String, String)> {
         let outside = self.sections.iter().filter(|section| !sections.contains(&section.name.as_str()));
         let asked = |section: &Section| {
@@ -139,7 +141,7 @@ impl Draft {
         outside.flat_map(asked).collect()
     }
 
-    /// The job of these stages. What the build does not know stands there as a comment.
+    /// Writes the job of these stages; unsupported parts become comments.
     pub fn text(&self, stages: &[&str], known: &Known) -> Text {
         let mut text = Text::default();
         if !self.entries("job").is_empty() {
@@ -165,7 +167,7 @@ impl Draft {
         }
         let mut inner = Text { toml: format!("{header}\n"), ..Text::default() };
         self.write_entries(name, &Known::Everything, &mut inner);
-        let _ = writeln!(text.toml, "\n# This build cannot do this yet:");
+        let _ = writeln!(text.toml, "\n# Not supported by this build:");
         for line in inner.toml.lines() {
             let _ = writeln!(text.toml, "#{line}");
         }
@@ -184,7 +186,7 @@ impl Draft {
                 continue;
             }
             let is_usable = entry.obstacle.is_empty();
-            let obstacle = if is_usable { "this build cannot do this yet" } else { &entry.obstacle };
+            let obstacle = if is_usable { "not supported by this build" } else { &entry.obstacle };
             let told = format!("{why}: {obstacle}");
             match (entry.is_asked, is_usable) {
                 (true, true) => text.missing.push(format!("{} (`{}` of `{section}`)", entry.why, entry.key)),
@@ -217,12 +219,12 @@ impl Draft {
     }
 }
 
-/// A text in TOML.
+/// A TOML string.
 pub fn toml_text(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
 
-/// A number in TOML.
+/// A TOML number.
 pub fn toml_number(number: f64) -> String {
     format!("{number:?}")
 }

@@ -1,4 +1,4 @@
-//! A classic line taken apart: from words to options with their values.
+//! Parses a classic command line into options with values.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,20 +7,20 @@ use super::options::{Opt, Takes, VERSIONS, Version};
 use super::problem::{Place, Problem, Source};
 use crate::registry::nearest_of;
 
-/// An option as it was given.
+/// A parsed option.
 #[derive(Debug)]
 pub struct Given {
-    /// Which.
+    /// Definition of the option.
     pub option: &'static Opt,
-    /// Its value.
+    /// Value of the option.
     pub value: Value,
-    /// As it was written: `-det 6`, or `wavex.opt.txt: det=6`.
+    /// Text as written: `-det 6`, or `wavex.opt.txt: det=6`.
     pub written: String,
-    /// Where.
+    /// Position in its source.
     pub place: Place,
 }
 
-/// The value of an option.
+/// Value of an option.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
     /// On or off.
@@ -29,35 +29,35 @@ pub enum Value {
     Number(f64),
     /// A whole number.
     Whole(u64),
-    /// A word.
+    /// A single word.
     Text(String),
-    /// Words.
+    /// A list of words.
     Texts(Vec<String>),
 }
 
-/// A word, where it stands.
+/// A word with its position.
 struct Word {
     text: String,
     place: Place,
 }
 
-/// The line as one text: words with blanks in quotation marks, behind the name of the program.
+/// Joins the words into one command line that starts with `wavex`; quotes words with blanks.
 pub fn joined(words: &[String]) -> String {
     let words = words.iter().map(|word| quoted(word));
     std::iter::once("wavex".to_owned()).chain(words).collect::<Vec<_>>().join(" ")
 }
 
-/// A word as it would be typed, in quotation marks where it has blanks; control characters show as `?`.
+/// Quotes a word if it contains blanks; control characters become `?`.
 fn quoted(word: &str) -> String {
     let word = word.replace(char::is_control, "?");
     if word.is_empty() || word.contains(' ') { format!("\"{word}\"") } else { word }
 }
 
-/// The words without the program's name, which one may have copied along.
+/// Removes a leading program name, which the user may have copied.
 pub fn without_program(words: &[String]) -> &[String] {
     match words.split_first() {
         Some((first, rest)) if !first.starts_with('-') => {
-            // Windows' separator is none on other systems.
+            // Other systems do not treat Windows' separator as one.
             let name = first.rsplit(['/', '\\']).next().unwrap_or_default().to_lowercase();
             if matches!(name.as_str(), "wavex" | "wavex.exe") { rest } else { words }
         }
@@ -65,7 +65,7 @@ pub fn without_program(words: &[String]) -> &[String] {
     }
 }
 
-/// The options of the command line, and everything that is wrong with it.
+/// Parses the options of a command line; also returns all errors.
 pub fn read_line(version: &Version, words: &[String]) -> (Vec<Given>, Vec<Problem>) {
     let words = placed(words);
     let (mut given, mut problems) = (Vec::new(), Vec::new());
@@ -81,7 +81,7 @@ pub fn read_line(version: &Version, words: &[String]) -> (Vec<Given>, Vec<Proble
     (given, problems)
 }
 
-/// The words with their places in the line.
+/// The words with their positions in the line.
 fn placed(words: &[String]) -> Vec<Word> {
     let source = Arc::new(Source { name: None, text: joined(words) });
     let mut start = "wavex ".len();
@@ -93,15 +93,15 @@ fn placed(words: &[String]) -> Vec<Word> {
     words.iter().map(word).collect()
 }
 
-/// One option, and how many of the words behind it belong to it.
+/// Parses one option; also returns the number of following words it consumed.
 fn read_option(version: &Version, word: &Word, behind: &[Word]) -> (Result<Given, Problem>, usize) {
     let Some(body) = word.text.strip_prefix('-').filter(|body| !body.is_empty()) else {
-        let problem = Problem::at(&word.place, format!("`{}` belongs to no option", word.text));
-        return (Err(problem.help("put `-i` before an input, and text with blanks in quotation marks")), 0);
+        let problem = Problem::at(&word.place, format!("`{}` does not belong to an option", word.text));
+        return (Err(problem.help("put `-i` before an input, and quote text that contains blanks")), 0);
     };
     let (option, attached) = match find(version, body, &word.place) {
         Ok(found) => found,
-        // What follows is most likely its argument.
+        // The words that follow are most likely its argument.
         Err(problem) => return (Err(problem), behind.iter().take_while(|next| !is_option(next)).count()),
     };
     let used = if attached.is_some() { 0 } else { arguments(option.takes, behind) };
@@ -117,7 +117,7 @@ fn read_option(version: &Version, word: &Word, behind: &[Word]) -> (Result<Given
     (given, used)
 }
 
-/// How many of the words behind an option are its argument.
+/// Number of following words that are the argument of an option.
 fn arguments(takes: Takes, behind: &[Word]) -> usize {
     let Some(next) = behind.first() else { return 0 };
     match takes {
@@ -128,12 +128,14 @@ fn arguments(takes: Takes, behind: &[Word]) -> usize {
     }
 }
 
-/// Whether a word looks like an option; `-` alone is standard input.
+/// Returns whether a word looks like an option; a single `-` is standard input.
 fn is_option(word: &Word) -> bool {
     word.text.len() > 1 && word.text.starts_with('-')
 }
 
-/// The option that a word without its dash names, and the argument in the same word: `det`, `det=6`, `d6`, `o*_abc`.
+/// Finds the option that a word names, with an argument attached to it.
+///
+/// `body` is the word without its dash: `det`, `det=6`, `d6`, `o*_abc`.
 fn find(version: &Version, body: &str, place: &Place) -> Result<(&'static Opt, Option<String>), Problem> {
     if let Some(option) = version.option(body) {
         return Ok((option, None));
@@ -146,15 +148,17 @@ fn find(version: &Version, body: &str, place: &Place) -> Result<(&'static Opt, O
         [] => Err(unknown(version, name, place)),
         // `-awc10` is 10 for `-awc`, or 0 for `-awc1`.
         [(name, option, _), (other, ..), ..] if !is_text(option.takes) => {
-            let problem = format!("`-{body}` may mean `-{name}` or `-{other}`");
+            let problem = format!("`-{body}` is ambiguous: `-{name}` or `-{other}`");
             Err(Problem::at(place, problem).help("write a blank between the option and its argument"))
         }
         [(_, option, value), ..] => Ok((option, Some((*value).to_owned()))),
     }
 }
 
-/// The options that a word may begin with, with the argument that then follows in it; the longest name first. Arguments that
-/// are text count only behind the short name, and only where they have a character that no option has.
+/// Options with an attached argument that a word may stand for, longest name first.
+///
+/// A text argument counts only after the short name, and only if it contains a character that no
+/// option name has.
 fn attached<'b>(version: &Version, body: &'b str) -> Vec<(&'static str, &'static Opt, &'b str)> {
     let mut found = Vec::new();
     for option in version.options {
@@ -176,7 +180,7 @@ fn attached<'b>(version: &Version, body: &'b str) -> Vec<(&'static str, &'static
         }
     }
     found.sort_by_key(|(name, ..)| std::cmp::Reverse(name.len()));
-    // A number behind a longer name is no file behind a shorter one.
+    // A number after a longer name takes precedence over a file after a shorter one.
     let numbers: Vec<_> = found.iter().filter(|(_, option, _)| !is_text(option.takes)).copied().collect();
     if numbers.is_empty() { found } else { numbers }
 }
@@ -185,16 +189,16 @@ fn is_text(takes: Takes) -> bool {
     matches!(takes, Takes::Text(_) | Takes::Texts(_))
 }
 
-/// So many options that begin alike are named.
+/// Maximum number of similar options listed.
 const MOST_ALIKE: usize = 5;
 
-/// A name that the version does not have, with the one that was meant.
+/// Error for an unknown option, with the most likely intended one.
 fn unknown(version: &Version, name: &str, place: &Place) -> Problem {
     let problem = Problem::at(place, format!("version {} has no option `-{name}`", version.name));
     if let Some(other) = VERSIONS.iter().find(|other| other.option(name).is_some()) {
-        return problem.help(format!("version {0} has one: `--classic {0}`", other.name));
+        return problem.help(format!("version {0} has this option; use `--classic {0}`", other.name));
     }
-    // Any letter is one slip away from any other.
+    // Suggesting a one-letter option is useless: any other letter is one edit away.
     let nearest = || nearest_of(name, version.names()).filter(|_| name.chars().count() > 2);
     let same_letters = version.names().find(|other| other.eq_ignore_ascii_case(name));
     if let Some(meant) = same_letters.or_else(nearest) {
@@ -205,28 +209,28 @@ fn unknown(version: &Version, name: &str, place: &Place) -> Problem {
     match short.max_by_key(|option| option.name().len()) {
         Some(option) => {
             let rest = name.get(option.name().len()..).unwrap_or_default();
-            problem.help(format!("if you mean `-{} {rest}`, write it with the blank", option.name()))
+            problem.help(format!("if you mean `-{} {rest}`, write the blank", option.name()))
         }
-        None => problem.help(format!("{}docs/import.md lists them all", alike(version, name))),
+        None => problem.help(format!("{}docs/import.md lists all options", alike(version, name))),
     }
 }
 
-/// The options that begin with the same letter, in words that go before others; empty where there is none.
+/// Lists options with the same first letter, as a prefix of a help text; empty if there are none.
 fn alike(version: &Version, name: &str) -> String {
     let Some(first) = name.chars().next() else { return String::new() };
     let begins =
         |option: &&str| option.chars().next().is_some_and(|letter| letter.eq_ignore_ascii_case(&first));
     let names: Vec<String> =
         version.names().filter(begins).take(MOST_ALIKE).map(|name| format!("`-{name}`")).collect();
-    if names.is_empty() { String::new() } else { format!("some begin alike: {}; ", names.join(", ")) }
+    if names.is_empty() { String::new() } else { format!("similar options: {};  ", names.join(", ")) }
 }
 
-/// The value that words give an option.
+/// Converts the argument of an option to its value.
 fn value(option: &'static Opt, written: &str, texts: &[String], place: &Place) -> Result<Value, Problem> {
     let wrong = |text: &str| {
         let name = written.split_once('=').map_or(written, |(name, _)| name);
         let expected = option.takes.words();
-        Problem::at(place, format!("`{name}` takes {expected}; this is `{text}`"))
+        Problem::at(place, format!("`{name}` expects {expected}, got `{text}`"))
     };
     let first = texts.first().filter(|text| !text.is_empty());
     let Some(text) = first else {
@@ -234,7 +238,7 @@ fn value(option: &'static Opt, written: &str, texts: &[String], place: &Place) -
             return Ok(Value::Switch(true));
         }
         let expected = option.takes.words();
-        return Err(Problem::at(place, format!("behind `{written}` its argument is missing: {expected}")));
+        return Err(Problem::at(place, format!("`{written}` lacks its argument: {expected}")));
     };
     match option.takes {
         Takes::Switch => match text.as_str() {
@@ -256,14 +260,16 @@ fn value(option: &'static Opt, written: &str, texts: &[String], place: &Place) -
     }
 }
 
-/// Whether a text looks like `2018-11-14`.
+/// Returns whether a text has the form `2018-11-14`.
 fn is_day(text: &str) -> bool {
     let parts: Vec<&str> = text.split('-').collect();
     let digits = |part: &&str| part.bytes().all(|byte| byte.is_ascii_digit());
     parts.iter().map(|part| part.len()).eq([4, 2, 2]) && parts.iter().all(digits)
 }
 
-/// The options of a file of persistent options, one `name=argument` per line; lines that begin with `#` are passed over.
+/// Parses a file of persistent options.
+///
+/// One `name=argument` per line; lines that start with `#` are comments.
 pub fn read_file(version: &Version, path: &Path, text: &str) -> (Vec<Given>, Vec<Problem>) {
     let (mut given, mut problems) = (Vec::new(), Vec::new());
     for (number, line) in (1..).zip(text.trim_start_matches('\u{feff}').lines()) {
@@ -291,7 +297,7 @@ fn quoted_line(line: &str) -> String {
 fn read_file_line(version: &Version, line: &str, place: &Place) -> Result<Given, Problem> {
     let Some((name, argument)) = line.split_once('=') else {
         let problem = Problem::at(place, format!("`{line}` is not `name=argument`"));
-        return Err(problem.help("a file of options has one per line, as in `det=5`"));
+        return Err(problem.help("an options file has one option per line, such as `det=5`"));
     };
     let (name, argument) = (name.trim(), argument.trim());
     let option = version.option(name).ok_or_else(|| unknown(version, name, place))?;

@@ -1,4 +1,4 @@
-//! What an option of the classic command line is: its names, its argument, its default, and what it becomes.
+//! Definition of classic options: names, argument, default, and translation.
 
 use super::v10::V10;
 use super::v11::V11;
@@ -8,159 +8,159 @@ use super::v11::V11;
 pub struct Version {
     /// `1.0` or `1.1`.
     pub name: &'static str,
-    /// Every option, in the order of its document.
+    /// All options, in the order of its documentation.
     pub options: &'static [Opt],
-    /// The stages of its jobs behind the reader, in order; which of them a job has, the line decides.
+    /// Stages that follow the reader, in order; the command line selects among them.
     pub chain: &'static [&'static str],
-    /// What the version does without being asked and without an option to ask for it.
+    /// Keys for behaviour that the version has no option for.
     pub always: &'static [Always],
-    /// Names that its file of persistent options may have: the first that exists is read.
+    /// Possible names of its options file; the first that exists is read.
     pub option_files: &'static [&'static str],
-    /// What the output is called where the line does not say it.
+    /// Default name of the output.
     pub output: &'static str,
-    /// What the file of line statistics is called, behind the name of the output.
+    /// Suffix of the line-statistics file, after the stem of the output.
     pub line_stats: &'static str,
     /// Whether it writes `_stat.log`.
     pub has_stat_log: bool,
-    /// Whether it writes the trajectory without being asked, where there is one.
+    /// Whether it writes the trajectory by default, if there is one.
     pub writes_trajectory: bool,
 }
 
-/// A key that a version's jobs always have: section, key, value in TOML, and why.
+/// A key that all jobs of a version have: section, key, TOML value, reason.
 pub type Always = (&'static str, &'static str, &'static str, &'static str);
 
-/// Both versions, the older one first.
+/// Both versions, oldest first.
 pub const VERSIONS: [&Version; 2] = [&V10, &V11];
 
 /// One option.
 #[derive(Debug)]
 pub struct Opt {
-    /// Its names without the dash: the short one, the long one, and what examples and older files call it.
+    /// Names without the dash: short name, long name, and aliases of examples and older files.
     pub names: &'static [&'static str],
     /// Its argument.
     pub takes: Takes,
-    /// What counts without it.
+    /// Its default.
     pub standard: Standard,
-    /// What it becomes.
+    /// Its translation.
     pub becomes: Becomes,
-    /// What a reader of the table should know besides; empty where the key says it all.
+    /// Additional remark for the reference table; empty if the key is self-explanatory.
     pub remark: &'static str,
 }
 
 /// The argument of an option.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Takes {
-    /// 0 or 1; 1 where nothing follows.
+    /// 0 or 1; 1 if no argument follows.
     Switch,
     /// A number.
     Number,
-    /// A whole number from the first to the second.
+    /// A whole number within these inclusive bounds.
     Whole(u64, u64),
-    /// One word, and what it is.
+    /// One word, with its description.
     Text(&'static str),
-    /// A day as `2018-11-14`, or 0.
+    /// A date such as `2018-11-14`, or 0.
     Date,
-    /// One word or several, and what they are.
+    /// One or more words, with their description.
     Texts(&'static str),
 }
 
-/// What counts where an option is not given.
+/// Default of an option.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Standard {
-    /// The same as here: the job need not say it.
+    /// Same as the default of wavex; the job omits the key.
     Same(&'static str),
-    /// Something else than here: the job says it.
+    /// Differs from the default of wavex; the job writes the key.
     Written(&'static str),
-    /// In words: no key stands for it.
+    /// A description; no key represents it.
     Words(&'static str),
 }
 
-/// What an option becomes.
+/// Translation of an option.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Becomes {
-    /// A key: its section (`job`, `geometry`, `reader` or a stage), its name, and how its value is made.
+    /// A key: section (`job`, `geometry`, `reader` or a stage), name, and conversion of the value.
     Key(&'static str, &'static str, Form),
-    /// The first (0) or second (1) number of a key that is a list of two, and that list without the option.
+    /// One number (index 0 or 1) of a key that is a pair, with the default pair.
     End(&'static str, &'static str, usize, [f64; 2]),
-    /// A part of what several options say together.
+    /// A part of what several options define together.
     Part(Part),
-    /// An option of `wavex` itself, when the switch has this value.
+    /// An option of `wavex`, set if the switch has this value.
     Flag(Flag, bool),
-    /// A command instead of a job.
+    /// A command that replaces the job.
     Command(&'static [&'static str]),
-    /// Nothing, and why.
+    /// No translation, with the reason.
     Nothing(&'static str),
 }
 
-/// How the value of a key is made from the argument.
+/// Conversion of an argument to the value of a key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Form {
-    /// As it is.
+    /// Unchanged.
     Plain,
-    /// 0 means this value in TOML, anything else itself.
+    /// 0 becomes this TOML value; any other number is unchanged.
     ZeroIs(&'static str),
-    /// 0 means that the key is not given.
+    /// 0 omits the key.
     ZeroIsNothing,
-    /// A switch: these values in TOML when it is off and when it is on; empty: the key is not given.
+    /// TOML values for off and on; an empty one omits the key.
     Switch(&'static str, &'static str),
-    /// A zone of UTM; the trajectory tells the hemisphere.
+    /// A UTM zone; the trajectory defines the hemisphere.
     Zone,
-    /// As it is; the remark of the table stands in the job, too.
+    /// Unchanged; the remark of the table is also written to the job.
     Remarked,
-    /// A file in the folder of inputs.
+    /// A file in the input folder.
     File,
-    /// The columns of a trajectory, of which none may be missing.
+    /// Column letters of a trajectory; all columns except roll are required.
     TrajectoryColumns,
-    /// A file of three angles, which the job takes over.
+    /// A file of three angles, which are copied into the job.
     Angles,
 }
 
-/// What several options say together.
+/// Settings that several options define together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The files to read.
+    /// Input files.
     Input,
-    /// Where they are.
+    /// Input folder.
     InputDir,
-    /// Where outputs go.
+    /// Output folder.
     OutputDir,
-    /// What outputs are called.
+    /// Name of the outputs.
     Output,
-    /// The extension of the output.
+    /// Extension of the output.
     Extension(&'static str),
-    /// An index of the points beside them.
+    /// Point index in a separate file.
     Index,
-    /// An index of the points in their file.
+    /// Point index appended to the point file.
     IndexWithin,
-    /// The columns of a text.
+    /// Columns of a text output.
     Columns,
-    /// No points.
+    /// No point output.
     NoPoints,
     /// Line statistics.
     LineStats,
-    /// The trajectory as text.
+    /// Trajectory as text.
     Trajectory,
-    /// All texts.
+    /// All text outputs.
     AllTexts,
-    /// Statistics of the recording.
+    /// Recording statistics.
     Scan,
-    /// Only these.
+    /// Recording statistics only.
     OnlyScan,
-    /// Only these, without the samples.
+    /// Recording statistics only, without samples.
     OnlyScanFast,
-    /// What these are called.
+    /// Name prefix of the recording statistics.
     ScanName,
     /// More refinement.
     Slow,
-    /// Refinement on demand.
+    /// Refinement when needed.
     Auto,
-    /// The trajectory, thinned and projected, as a text of its own.
+    /// Projected and decimated trajectory as a separate text file.
     PlotTrajectory,
-    /// How much it is thinned.
+    /// Decimation factor of that trajectory.
     PlotEvery,
 }
 
-/// An option of `wavex` itself.
+/// An option of `wavex`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flag {
     /// `--quiet`.
@@ -170,7 +170,7 @@ pub enum Flag {
 }
 
 impl Flag {
-    /// As it stands on a command line.
+    /// Text on a command line.
     pub fn text(self) -> &'static str {
         match self {
             Flag::Quiet => "--quiet",
@@ -180,12 +180,12 @@ impl Flag {
 }
 
 impl Version {
-    /// The version of this name.
+    /// Returns the version of this name.
     pub fn find(name: &str) -> Option<&'static Version> {
         VERSIONS.into_iter().find(|version| version.name == name)
     }
 
-    /// The option of this name.
+    /// Returns the option of this name.
     pub fn option(&self, name: &str) -> Option<&'static Opt> {
         self.options.iter().find(|option| option.names.contains(&name))
     }
@@ -197,26 +197,26 @@ impl Version {
 }
 
 impl Opt {
-    /// The name that messages use.
+    /// Name used in messages.
     pub fn name(&self) -> &'static str {
         self.names.first().copied().unwrap_or_default()
     }
 }
 
 impl Takes {
-    /// What is expected, in words.
+    /// Description of the expected argument.
     pub fn words(self) -> String {
         match self {
             Takes::Switch => "0 or 1".to_owned(),
             Takes::Number => "a number".to_owned(),
-            Takes::Whole(least, u64::MAX) => format!("a whole number from {least} on"),
+            Takes::Whole(least, u64::MAX) => format!("a whole number of at least {least}"),
             Takes::Whole(least, most) => format!("a whole number from {least} to {most}"),
-            Takes::Date => "a day as in 2018-11-14".to_owned(),
+            Takes::Date => "a date such as 2018-11-14".to_owned(),
             Takes::Text(what) | Takes::Texts(what) => what.to_owned(),
         }
     }
 
-    /// As tables show it.
+    /// Description of the argument for tables.
     pub fn shown(self) -> String {
         match self {
             Takes::Switch => "0, 1".to_owned(),
@@ -225,7 +225,7 @@ impl Takes {
     }
 }
 
-/// A row of a version's table.
+/// One row of a version's table.
 pub const fn row(
     names: &'static [&'static str],
     takes: Takes,

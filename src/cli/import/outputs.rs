@@ -1,4 +1,4 @@
-//! The outputs of a line: sinks of the job, and commands besides or instead.
+//! Outputs of a classic line: sinks of the job, and additional commands.
 
 use super::draft::toml_text;
 use super::line::Value;
@@ -6,18 +6,18 @@ use super::options::Part;
 use super::problem::Problem;
 use super::translate::Translation;
 
-/// The extensions of outputs, as `-o` and `-olas` name them.
+/// Extensions of point outputs, for `-o` and `-olas`.
 const EXTENSIONS: [&str; 3] = ["las", "laz", "txt"];
 
 impl Translation<'_> {
-    /// Sets the keys of the sinks that the line asks for, and names these.
+    /// Sets the keys of the requested sinks and returns their names.
     pub(super) fn sinks(&mut self) -> Vec<&'static str> {
         let mut sinks = Vec::new();
         let (file, why) = self.output();
         let base = file.rsplit_once('.').map_or(file.clone(), |(base, _)| base.to_owned());
         let is_text = file.ends_with(".txt");
         if self.on(Part::NoPoints) {
-            self.note(self.written(Part::NoPoints), "the job has no sink for points");
+            self.note(self.written(Part::NoPoints), "the job writes no points");
         } else {
             let sink = if is_text { "write_ascii" } else { "write_las" };
             self.draft.set(sink, "path", toml_text(&file), &why, false);
@@ -44,16 +44,16 @@ impl Translation<'_> {
             sinks.push("write_lstat");
         }
         if self.version.has_stat_log {
-            // Each input has its own, whatever the output is called.
+            // Each input has its own statistics file, whatever the name of the output.
             let base = if base.contains('*') || self.has_one_input() { base.as_str() } else { "*" };
             let path = toml_text(&format!("{base}_stat.log"));
-            let why = format!("{} always writes it", self.version.name);
+            let why = format!("always written by {}", self.version.name);
             self.draft.set("job", "stat_log", path, &why, false);
         }
         sinks
     }
 
-    /// The file of the points, and where its name comes from.
+    /// Name of the point file and source of the name.
     fn output(&mut self) -> (String, String) {
         let on = |part: &Part| self.on(*part);
         let asked: Vec<Part> = EXTENSIONS.map(Part::Extension).into_iter().filter(on).collect();
@@ -63,7 +63,7 @@ impl Translation<'_> {
             self.problems.extend(self.part(*second).map(|given| Problem::at(&given.place, what)));
         }
         let asked = asked.first().map(|part| (*part, self.written(*part)));
-        let default = (self.version.output.to_owned(), format!("the default of {}", self.version.name));
+        let default = (self.version.output.to_owned(), format!("default of {}", self.version.name));
         let named = self.text(Part::Output).map(str::to_owned).map(|name| (name, self.written(Part::Output)));
         let is_default = named.is_none();
         let (name, why) = named.unwrap_or(default);
@@ -87,13 +87,13 @@ impl Translation<'_> {
             None if self.extensions().contains(&extension.as_str()) => (format!("{stem}.{extension}"), why),
             None => {
                 let known: Vec<String> = self.extensions().iter().map(|known| format!(".{known}")).collect();
-                self.wrong_output(format!("an output ends in {}; this is `{name}`", known.join(" or ")));
+                self.wrong_output(format!("an output must end in {}, got `{name}`", known.join(" or ")));
                 (name, why)
             }
         }
     }
 
-    /// The extensions that the version writes.
+    /// Extensions of points that the version writes.
     fn extensions(&self) -> &'static [&'static str] {
         let writes_text = self
             .version
@@ -113,7 +113,7 @@ impl Translation<'_> {
         }
     }
 
-    /// The index of the points in `file`: LAS has no room for it behind its points, as LAZ has.
+    /// Sets the index of the points in `file`; only LAZ can contain one.
     fn index(&mut self, file: &str) {
         let (beside, within) = (self.on(Part::Index), self.on(Part::IndexWithin));
         let why: Vec<String> = [(beside, Part::Index), (within, Part::IndexWithin)]
@@ -127,16 +127,16 @@ impl Translation<'_> {
             self.draft.set("write_las", "index", place.to_owned(), &why.join(" "), true);
         }
         if within && !fits {
-            self.draft.remark("write_las", "index", "a file of its own, because only LAZ can hold an index");
+            self.draft.remark("write_las", "index", "separate file, because only LAZ can contain an index");
         }
     }
 
-    /// Whether the line reads one file, as far as its words tell.
+    /// Returns whether the line names exactly one file without a pattern.
     fn has_one_input(&self) -> bool {
         matches!(self.inputs().as_slice(), [file] if !file.contains(['*', '?', '[']))
     }
 
-    /// Whether the job writes the trajectory; what keeps it from it is noted.
+    /// Returns whether the job writes the trajectory; notes why not.
     fn writes_trajectory(&mut self) -> bool {
         let has_file = self.of_key("geometry", "trajectory").is_some();
         let asked = self.part(Part::Trajectory).map(|given| given.value.clone());
@@ -146,7 +146,7 @@ impl Translation<'_> {
                 false
             }
             Some(_) if self.reader == "read_sdf" && !has_file => {
-                self.note(self.written(Part::Trajectory), "without effect: there is no `-po`");
+                self.note(self.written(Part::Trajectory), "no effect: `-po` is not given");
                 false
             }
             Some(_) => true,
@@ -154,23 +154,23 @@ impl Translation<'_> {
         }
     }
 
-    /// What a text comes from: its own option, the one for all texts, or the version.
+    /// Source of a text output: its own option, the option for all, or the version.
     fn why_text(&self, part: Part) -> String {
         if self.on(part) {
             self.written(part)
         } else if self.on(Part::AllTexts) {
             self.written(Part::AllTexts)
         } else {
-            format!("the default of {}", self.version.name)
+            format!("default of {}", self.version.name)
         }
     }
 
-    /// Statistics of the recording beside the job.
+    /// Adds the command for recording statistics.
     pub(super) fn scans(&mut self) {
         if self.on(Part::Scan) || self.on(Part::AllTexts) {
             self.scan(false);
         } else if self.part(Part::ScanName).is_some() {
-            self.note(self.written(Part::ScanName), "without effect: there is no `-osdfstat`");
+            self.note(self.written(Part::ScanName), "no effect: `-osdfstat` is not given");
         }
     }
 
@@ -183,19 +183,19 @@ impl Translation<'_> {
         self.command(words);
     }
 
-    /// The trajectory, projected and thinned, beside the job.
+    /// Adds the command that projects and decimates the trajectory.
     pub(super) fn plots(&mut self) {
         let Some(out) = self.text(Part::PlotTrajectory).map(str::to_owned) else {
             if self.part(Part::PlotEvery).is_some() {
-                self.note(self.written(Part::PlotEvery), "without effect: there is no `-plot_po`");
+                self.note(self.written(Part::PlotEvery), "no effect: `-plot_po` is not given");
             }
             return;
         };
         let Some(Value::Text(file)) = self.of_key("geometry", "trajectory").map(|given| given.value.clone())
         else {
             let place = self.part(Part::PlotTrajectory).map(|given| given.place.clone());
-            let what = "`-plot_po` needs a trajectory".to_owned();
-            self.problems.extend(place.map(|place| Problem::at(&place, what).help("say which with `-po`")));
+            let what = "`-plot_po` requires a trajectory".to_owned();
+            self.problems.extend(place.map(|place| Problem::at(&place, what).help("give one with `-po`")));
             return;
         };
         let file = self.paths.here(&self.paths.input(&file));
@@ -222,13 +222,13 @@ impl Translation<'_> {
         self.result.commands.push(words);
     }
 
-    /// A line that makes no points: commands only.
+    /// Translates a line without points into commands.
     pub(super) fn without_job(&mut self) {
         let is_fast = self.on(Part::OnlyScanFast);
         let is_scan = is_fast || self.on(Part::OnlyScan);
         let has_plot = self.part(Part::PlotTrajectory).is_some();
         if self.inputs().is_empty() && (is_scan || self.has_nothing_else_to_do(has_plot)) {
-            let help = "name it with `-i`, as in `-i data.sdf`";
+            let help = "add one with `-i`, such as `-i data.sdf`";
             self.problems.push(Problem::of_line("the line has no input", help));
             return;
         }
@@ -236,7 +236,7 @@ impl Translation<'_> {
             self.scan(is_fast);
         }
         if has_plot {
-            // The keys say which coordinates the table gets.
+            // The keys select the coordinates of the table.
             self.keys();
             self.plots();
         }
@@ -247,7 +247,7 @@ impl Translation<'_> {
         !has_plot && self.result.commands.is_empty() && self.result.notes.is_empty()
     }
 
-    /// Notes the options that only a job would need.
+    /// Notes options that only a job would use.
     fn not_needed(&mut self, is_scan: bool, has_plot: bool) {
         use super::options::Becomes;
         let is_used = |becomes: Becomes| match becomes {
@@ -266,7 +266,7 @@ impl Translation<'_> {
             .map(|given| given.written.clone())
             .collect();
         for written in unused {
-            self.note(written, "without effect: this line makes no points");
+            self.note(written, "no effect: this command line writes no points");
         }
     }
 }

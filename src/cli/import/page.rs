@@ -1,4 +1,4 @@
-//! `docs/import.md`: every option of both versions, and what it becomes.
+//! `docs/import.md`: all options of both versions with their translation.
 
 use std::fmt::Write as _;
 
@@ -7,41 +7,41 @@ use super::options::{Becomes, Opt, Standard, VERSIONS, Version};
 const INTRODUCTION: &str = "\
 # The classic command line
 
-`wavex import` translates a command line of the classic program BayesWavEx, version 1.0 (2016, full-waveform LAS) or 1.1
-(2018, SDF), into a job:
+`wavex import` translates a command line of the classic program BayesWavEx into a job. It supports version 1.0 (2016,
+full-waveform LAS) and version 1.1 (2018, SDF):
 
 ```sh
-wavex import -- wavex -i data.sdf -po file.pof -fastest     # prints the job; the word wavex may be left out
-wavex import -o job.toml -- -i data.sdf -po file.pof        # writes it into a file that does not exist yet
-wavex import --run -- -i waveform.las -o points.laz         # runs it
-wavex import --classic 1.1 -- -i data.laz                   # 1.0 is meant where the input is LAS or LAZ, else 1.1
+wavex import -- wavex -i data.sdf -po file.pof -fastest     # prints the job; the word wavex may be omitted
+wavex import -o job.toml -- -i data.sdf -po file.pof        # writes the job to a new file
+wavex import --run -- -i waveform.las -o points.laz         # runs the job
+wavex import --classic 1.1 -- -i data.laz                   # default version: 1.0 for LAS and LAZ inputs, else 1.1
 ```
 
-Each key of the job says which option it comes from. Defaults in which a version differs from wavex are written out. An option
-that is no key any more, has no effect in this line, or stands for a command stands as a comment above the job. What a build
-cannot do yet, and columns of a trajectory that are not enough for a pose, stand in it as comments, too, and `--run` refuses a
-line that asks for them.
+A comment at each key names its option. Defaults in which a version differs from wavex are written to the job. Options
+without a key, options without effect in this command line, and options that stand for a command become comments above the
+job. Options that this build does not support become comments in the job, and so do trajectory columns that do not suffice
+for a pose. `--run` refuses a command line that requests either.
 
-Options may be written `-d 6`, `-d6`, `-d=6`, `-det 6`, `-det=6`; a switch without its 0 or 1 is on; of an option that stands
-twice the last counts. Where a word can be read in two ways (`-awc10`), that is an error. Unknown options are errors in both
-versions (1.0 passed over them). A file of options in the current folder is read first, one `name=argument` per line; the
-line overrules it. A relative path starts in the current folder, or in the one of `-I` and `-O`.
+Options may be written `-d 6`, `-d6`, `-d=6`, `-det 6` or `-det=6`. A switch without 0 or 1 is on. If an option is repeated,
+the last one counts. An ambiguous word such as `-awc10` is an error. Unknown options are errors in both versions (1.0 ignored
+them). An options file in the current folder is read first, with one `name=argument` per line; the command line overrides it.
+Relative paths start at the current folder, or at the folders of `-I` and `-O`.
 
-This page is made from the code by `cargo test --test generated`.
+This page is generated from the code by `cargo test --test generated`.
 ";
 
-/// The page in Markdown.
+/// Renders the page in Markdown.
 pub fn page() -> String {
     let mut page = INTRODUCTION.to_owned();
     for version in VERSIONS {
         let files: Vec<String> = version.option_files.iter().map(|file| format!("`{file}`")).collect();
         let _ = write!(
             page,
-            "\n## Version {}\n\nFile of options, the first that exists: {}.\n\n",
+            "\n## Version {}\n\nOptions file, the first that exists: {}.\n\n",
             version.name,
             files.join(", ")
         );
-        page += "| option | argument | default there | becomes |\n|---|---|---|---|\n";
+        page += "| option | argument | classic default | becomes |\n|---|---|---|---|\n";
         for option in version.options {
             let names: Vec<String> = option.names.iter().map(|name| format!("`-{name}`")).collect();
             let _ = writeln!(
@@ -58,18 +58,18 @@ pub fn page() -> String {
     page
 }
 
-/// What a version's jobs have without an option.
+/// Describes keys that all jobs of a version have.
 fn besides(version: &Version) -> String {
     let mut text = String::new();
     if !version.always.is_empty() {
-        text += "\nBesides, jobs of this version always have\n\n| key | value | why |\n|---|---|---|\n";
+        text += "\nAll jobs of this version also have\n\n| key | value | why |\n|---|---|---|\n";
         for (section, key, value, why) in version.always {
             let _ = writeln!(text, "| {} | `{value}` | {why} |", key_name(section, key));
         }
     }
     if version.has_stat_log {
-        text += "\nBesides, jobs of this version always have `[job] stat_log`, named after the output, or, of several inputs, after \
-                 each.\n";
+        text += "\nAll jobs of this version also have `[job] stat_log`, named after the output, or after each input if there are \
+                 several.\n";
     }
     text
 }
@@ -77,12 +77,12 @@ fn besides(version: &Version) -> String {
 fn default(option: &Opt) -> String {
     match option.standard {
         Standard::Same(text) => text.to_owned(),
-        Standard::Written(text) => format!("**{text}**, written out"),
+        Standard::Written(text) => format!("**{text}**, written to the job"),
         Standard::Words(text) => text.to_owned(),
     }
 }
 
-/// What an option becomes, in Markdown.
+/// Describes the translation of an option in Markdown.
 pub fn becomes(option: &Opt) -> String {
     let becomes = match option.becomes {
         Becomes::Key(section, key, _) => key_name(section, key),
@@ -99,7 +99,7 @@ pub fn becomes(option: &Opt) -> String {
     parts.join("; ")
 }
 
-/// A key as a page names it.
+/// Name of a key in the page.
 fn key_name(section: &str, key: &str) -> String {
     match section {
         "job" => format!("`[job] {key}`"),

@@ -1,23 +1,23 @@
-//! Where the files of a line are, as a job says it.
+//! Paths of a classic command line, as the job writes them.
 
 use super::line::{Given, Value};
 use super::options::{Becomes, Form, Part};
 
-/// The folders of a line.
+/// Folders of a command line.
 #[derive(Debug, Default, PartialEq)]
 pub struct Paths {
     /// `-I`.
     input: Option<String>,
     /// `-O`.
     output: Option<String>,
-    /// Where the line's relative paths start, where the job stands elsewhere.
+    /// Folder at which relative paths of the line start, if the job is in another folder.
     base: Option<String>,
-    /// Whether files with folders of their own stand beside others, so that `-I` goes before each of those.
+    /// Whether some input files contain a folder; `-I` then prefixes each of the others.
     has_own_folders: bool,
 }
 
 impl Paths {
-    /// The folders that these options say.
+    /// Folders given by these options.
     pub fn of(given: &[Given], base: Option<&str>) -> Paths {
         let folder =
             |part| given.iter().find(|given| given.option.becomes == Becomes::Part(part)).and_then(text);
@@ -30,7 +30,7 @@ impl Paths {
         }
     }
 
-    /// An input file, as the job names it.
+    /// Path of an input file in the job.
     pub fn input(&self, file: &str) -> String {
         match &self.input {
             Some(folder) if self.has_own_folders && !has_folder(file) => joined(folder, file),
@@ -38,7 +38,9 @@ impl Paths {
         }
     }
 
-    /// A file that [`Paths::input`] has named, seen from the current folder.
+    /// Path of an input of the job, relative to the current folder.
+    ///
+    /// `file` is a result of [`Paths::input`].
     pub fn here(&self, file: &str) -> String {
         match &self.input {
             Some(folder) if !self.has_own_folders => joined(folder, file),
@@ -46,7 +48,7 @@ impl Paths {
         }
     }
 
-    /// An output, seen from the current folder.
+    /// Path of an output, relative to the current folder.
     pub fn output(&self, file: &str) -> String {
         self.output.as_ref().map_or(file.to_owned(), |folder| joined(folder, file))
     }
@@ -61,7 +63,7 @@ impl Paths {
         self.below_base(self.output.as_deref())
     }
 
-    /// Whether `-I` goes before single files.
+    /// Returns whether `-I` prefixes individual files.
     pub fn is_prefixed(&self) -> bool {
         self.input.is_some() && self.has_own_folders
     }
@@ -75,7 +77,7 @@ impl Paths {
     }
 }
 
-/// A path from a folder on.
+/// Joins a folder and a path.
 fn joined(folder: &str, path: &str) -> String {
     if is_absolute(path) || folder.is_empty() {
         return path.to_owned();
@@ -84,17 +86,17 @@ fn joined(folder: &str, path: &str) -> String {
     format!("{folder}{separator}{path}")
 }
 
-/// On any system.
+/// Returns whether a path is absolute on Unix or Windows.
 fn is_absolute(path: &str) -> bool {
     path.starts_with(['/', '\\']) || path.get(1..2) == Some(":")
 }
 
-/// Whether a path says more than a name.
+/// Returns whether a path contains a folder.
 fn has_folder(file: &str) -> bool {
     file.contains(['/', '\\'])
 }
 
-/// The input files that an option names.
+/// Input files named by an option.
 fn files(given: &Given) -> Vec<String> {
     match (given.option.becomes, &given.value) {
         (Becomes::Part(Part::Input), Value::Texts(files)) => files.clone(),

@@ -1,55 +1,55 @@
-//! What is wrong with a classic line, shown at its place.
+//! Errors in a classic command line, shown at their positions.
 
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A text that options stand in: the line itself, or a line of a file.
+/// Text that contains options: the command line or a line of a file.
 #[derive(Debug, PartialEq)]
 pub struct Source {
-    /// The file and the line's number in it; `None` for the command line.
+    /// File name and line number; `None` for the command line.
     pub name: Option<String>,
-    /// The whole line.
+    /// The complete line.
     pub text: String,
 }
 
-/// A place in a source, in bytes.
+/// Byte range in a source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
-    /// Which.
+    /// The source.
     pub source: Arc<Source>,
-    /// From where to where.
+    /// The range, bytes.
     pub range: Range<usize>,
 }
 
-/// One thing that is wrong with a line.
+/// One error in a command line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Problem {
-    /// What, in one sentence.
+    /// The error in one sentence.
     pub what: String,
-    /// What to do about it; empty where `what` says it.
+    /// Remedy; empty if `what` implies it.
     pub help: String,
-    /// Where; `None`: the line as a whole.
+    /// Position; `None` for the line as a whole.
     pub place: Option<Place>,
 }
 
 impl Problem {
-    /// Something wrong at a place.
+    /// An error at a position.
     pub fn at(place: &Place, what: String) -> Problem {
         Problem { what, help: String::new(), place: Some(place.clone()) }
     }
 
-    /// Something wrong with the whole.
+    /// An error of the whole line.
     pub fn of_line(what: impl Into<String>, help: impl Into<String>) -> Problem {
         Problem { what: what.into(), help: help.into(), place: None }
     }
 
-    /// The same, with what to do about it.
+    /// Adds the remedy.
     pub fn help(mut self, help: impl Into<String>) -> Problem {
         self.help = help.into();
         self
     }
 
-    /// As it is shown behind the word `error`: the sentence, the line, a mark under the place, the remedy.
+    /// Formats the error, without the leading `error`: sentence, line, marker, remedy.
     pub fn shown(&self) -> String {
         let mut lines = vec![self.what.clone()];
         if let Some(place) = &self.place {
@@ -67,7 +67,7 @@ impl Problem {
     }
 }
 
-/// All problems as one message, whose first word `error` the caller writes.
+/// Formats all errors as one message, without the first `error`.
 pub fn message(problems: &[Problem]) -> String {
     let shown: Vec<String> = problems.iter().map(Problem::shown).collect();
     shown.join("\n\nerror: ")

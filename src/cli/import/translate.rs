@@ -1,4 +1,4 @@
-//! From the options of a line to a job.
+//! Translates the options of a command line into a job.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,32 +11,33 @@ use super::problem::Problem;
 use crate::registry::reader_of;
 use crate::stage::listed;
 
-/// What a translation must know besides the line.
+/// Context of a translation.
 pub struct Place<'a> {
-    /// What the program can do.
+    /// Stages and keys of the program.
     pub known: &'a Known,
-    /// Where relative paths of the line start, where that is not where the job will stand.
+    /// Folder at which relative paths of the line start, if the job is written to another folder.
     pub base: Option<&'a str>,
-    /// The text of a file, by its path from the current folder on; `None` where it cannot be read.
+    /// Reads a file by its path relative to the current folder; `None` if it cannot be read.
     pub read: &'a dyn Fn(&str) -> Option<String>,
-    /// The latitude at which a trajectory begins, by its path and the letters of its columns; `None` where it cannot be told.
+    /// Latitude of the first trajectory record, degrees, by path and column letters; `None` if
+    /// unknown.
     pub latitude: &'a dyn Fn(&str, Option<&str>) -> Option<f64>,
 }
 
-/// What a line says.
+/// Result of a translation.
 #[derive(Debug, Default)]
 pub struct Imported {
-    /// The job; empty where the line asks for commands only.
+    /// The job; empty if the line requests commands only.
     pub job: Text,
-    /// What `wavex` is to do besides, or instead: each a command line.
+    /// Commands to run besides or instead of the job, each a `wavex` command line.
     pub commands: Vec<Vec<String>>,
-    /// Options without a key: as they were written, and what is said of them.
+    /// Options without a key: as written, and the explanation.
     pub notes: Vec<(String, String)>,
     /// Options of `wavex run`.
     pub flags: Vec<Flag>,
 }
 
-/// A line that is being translated.
+/// State of a translation.
 pub(super) struct Translation<'a> {
     pub(super) version: &'static Version,
     pub(super) place: &'a Place<'a>,
@@ -46,14 +47,14 @@ pub(super) struct Translation<'a> {
     pub(super) paths: Paths,
     pub(super) problems: Vec<Problem>,
     pub(super) result: Imported,
-    /// The stage that stands for the section `reader`.
+    /// The stage that replaces the section `reader`.
     pub(super) reader: &'static str,
 }
 
-/// The column of a trajectory that may be missing.
+/// The only optional column of a trajectory.
 const ROLL: char = 'w';
 
-/// The columns of a trajectory with their letters: without one of them, but for the roll, there is no pose.
+/// Columns of a trajectory with their letters; all except roll are required for a pose.
 const TRAJECTORY_COLUMNS: [(char, &str); 7] = [
     ('t', "time"),
     ('x', "longitude or easting"),
@@ -64,10 +65,10 @@ const TRAJECTORY_COLUMNS: [(char, &str); 7] = [
     ('k', "heading"),
 ];
 
-/// A list of two numbers that options give one by one.
+/// Keys that are pairs, of which each option sets one number.
 type Ends = BTreeMap<(&'static str, &'static str), ([f64; 2], Vec<String>)>;
 
-/// Translates the options of a line; later ones win.
+/// Translates the options of a line; later options override earlier ones.
 pub fn translate(
     version: &'static Version,
     given: Vec<Given>,
@@ -96,7 +97,9 @@ pub fn translate(
     if it.problems.is_empty() { Ok(it.result) } else { Err(it.problems) }
 }
 
-/// Each option once: several inputs of one line are one list; of others the last counts, and the rest is noted.
+/// Keeps each option once and notes overridden ones.
+///
+/// Several inputs of one line are joined. For other options the last one counts.
 fn latest(all: Vec<Given>, notes: &mut Vec<(String, String)>) -> Vec<Given> {
     let mut latest: Vec<Given> = Vec::new();
     for mut given in all {
@@ -109,7 +112,7 @@ fn latest(all: Vec<Given>, notes: &mut Vec<(String, String)>) -> Vec<Given> {
                     *more = first;
                     given.written = format!("{} {}", old.written, given.written);
                 }
-                _ => notes.push((old.written, format!("`{}` overrules it", given.written))),
+                _ => notes.push((old.written, format!("overridden by `{}`", given.written))),
             }
         }
         latest.push(given);
@@ -118,17 +121,17 @@ fn latest(all: Vec<Given>, notes: &mut Vec<(String, String)>) -> Vec<Given> {
 }
 
 impl Translation<'_> {
-    /// The option that is this part, where it is given.
+    /// The option of this part, if given.
     pub(super) fn part(&self, part: Part) -> Option<&Given> {
         self.given.iter().find(|given| given.option.becomes == Becomes::Part(part))
     }
 
-    /// Whether the switch of this part is given, and on.
+    /// Returns whether the switch of this part is given and on.
     pub(super) fn on(&self, part: Part) -> bool {
         self.part(part).is_some_and(|given| given.value == Value::Switch(true))
     }
 
-    /// The word that this part was given.
+    /// The word given for this part.
     pub(super) fn text(&self, part: Part) -> Option<&str> {
         match &self.part(part)?.value {
             Value::Text(text) => Some(text),
@@ -136,7 +139,7 @@ impl Translation<'_> {
         }
     }
 
-    /// How this part was written.
+    /// The option of this part as written.
     pub(super) fn written(&self, part: Part) -> String {
         self.part(part).map(|given| given.written.clone()).unwrap_or_default()
     }
@@ -147,7 +150,7 @@ impl Translation<'_> {
         self.given.iter().find(is_it)
     }
 
-    /// The files to read.
+    /// Input files.
     pub(super) fn inputs(&self) -> Vec<String> {
         match self.part(Part::Input).map(|given| &given.value) {
             Some(Value::Texts(files)) => files.iter().map(|file| self.paths.input(file)).collect(),
@@ -159,7 +162,7 @@ impl Translation<'_> {
         self.result.notes.push((written.into(), what.into()));
     }
 
-    /// Options that are `wavex`'s own, or nothing any more.
+    /// Handles options of `wavex` itself and options without translation.
     fn words_for_wavex(&mut self) {
         let mut said = Vec::new();
         for given in &self.given {
@@ -169,7 +172,7 @@ impl Translation<'_> {
                     self.result.flags.push(flag);
                     said.push((
                         given.written.clone(),
-                        format!("a matter of the run: `wavex run {}`", flag.text()),
+                        format!("an option of the run: `wavex run {}`", flag.text()),
                     ));
                 }
                 Becomes::Command(words) if is_on => {
@@ -183,7 +186,7 @@ impl Translation<'_> {
         self.result.notes.extend(said);
     }
 
-    /// The job.
+    /// Builds the job.
     fn job(&mut self) {
         let inputs = self.inputs();
         self.reader = match reader(&inputs) {
@@ -212,10 +215,10 @@ impl Translation<'_> {
         self.result.job = self.draft.text(&stages, self.place.known);
     }
 
-    /// The stages that the line asks for.
+    /// The stages that the line requests.
     fn stages(&self, sinks: &[&'static str]) -> Vec<&'static str> {
         let is_there = |stage: &&'static str| match *stage {
-            // Zones are open, and there may be two receivers, in what an instrument has recorded itself.
+            // Raw recordings have unresolved zones; all formats but LAS may have two receivers.
             "resolve_mta" => matches!(self.reader, "read_sdf" | "read_arrow"),
             "fuse_channels" => self.reader != "read_las",
             stage if stage.starts_with("write_") => sinks.contains(&stage),
@@ -224,7 +227,7 @@ impl Translation<'_> {
         std::iter::once(self.reader).chain(self.version.chain.iter().copied().filter(is_there)).collect()
     }
 
-    /// `[job]`: where files lie.
+    /// Sets the folders in `[job]`.
     fn folders(&mut self) {
         let (input, output) = (self.written(Part::InputDir), self.written(Part::OutputDir));
         for (key, dir, why) in
@@ -235,15 +238,15 @@ impl Translation<'_> {
             }
         }
         if self.paths.is_prefixed() {
-            let what = "part of the paths below, because some files of the line have folders of their own";
+            let what = "part of the paths below, because some files contain a folder";
             self.note(self.written(Part::InputDir), what);
         }
     }
 
-    /// The options that are keys, in the order of the table.
+    /// Sets the keys of all options, in the order of the table.
     pub(super) fn keys(&mut self) {
         let mut ends = Ends::new();
-        let default_of = format!("the default of {}", self.version.name);
+        let default_of = format!("default of {}", self.version.name);
         for option in self.version.options {
             let given = self.given.iter().find(|given| std::ptr::eq(given.option, option));
             let (value, why) = match (given, option.standard) {
@@ -287,7 +290,7 @@ impl Translation<'_> {
             _ => {}
         }
         let Some(toml) = toml_of(form, value, &self.paths) else {
-            self.note(why, "so it is anyway");
+            self.note(why, "already the default");
             return;
         };
         if !is_asked {
@@ -300,14 +303,14 @@ impl Translation<'_> {
                 if let Some(obstacle) = without_a_column(letters) {
                     self.draft.obstruct(section, key, obstacle);
                 } else if !letters.contains(ROLL) {
-                    self.draft.remark(section, key, "no roll (`w`), so that 0 is taken");
+                    self.draft.remark(section, key, "no roll (`w`): set to 0");
                 }
             }
             _ => {}
         }
     }
 
-    /// Sets a key that the line asks for, unless it has asked for something else before.
+    /// Sets a requested key; reports a conflict with an earlier request.
     fn set_or_refuse(&mut self, section: &str, key: &'static str, toml: String, why: &str) {
         match self.draft.asked(section, key) {
             Some((other, of)) if other != toml => {
@@ -319,7 +322,7 @@ impl Translation<'_> {
         }
     }
 
-    /// The mount: three angles out of a file.
+    /// Sets the mounting angles, read from a file.
     fn mount(&mut self, key: &'static str, value: &Value, why: &str) {
         let Value::Text(file) = value else { return };
         let path = self.paths.input(file);
@@ -327,18 +330,18 @@ impl Translation<'_> {
         match angles {
             Some([roll, pitch, yaw]) => {
                 let toml = format!("[{}, {}, {}]", toml_number(roll), toml_number(pitch), toml_number(yaw));
-                self.draft.set("geometry", key, toml, &format!("{why}: the angles in it"), true);
+                self.draft.set("geometry", key, toml, &format!("{why}: angles read from the file"), true);
             }
             None => {
-                let what = format!("`{path}` cannot be read, or does not hold three angles");
+                let what = format!("cannot read three angles from `{path}`");
                 let place = self.given.iter().find(|given| given.written == why).map(|given| &given.place);
-                let help = "a file of mounting angles has three numbers, in degrees: about x, y and z";
+                let help = "a file of mounting angles has three numbers in degrees: about x, y and z";
                 self.problems.extend(place.map(|place| Problem::at(place, what).help(help)));
             }
         }
     }
 
-    /// A zone of UTM, on the hemisphere where the trajectory begins.
+    /// Sets a UTM zone, on the hemisphere of the first trajectory record.
     fn zone(&mut self, zone: u64, why: &str) {
         let word = |of: &Self, key| match of.of_key("geometry", key).map(|given| &given.value) {
             Some(Value::Text(text)) => Some(text.clone()),
@@ -350,33 +353,33 @@ impl Translation<'_> {
             (self.place.latitude)(&file, columns.as_deref())
         });
         let (letter, remark) = match latitude {
-            Some(degrees) if degrees < 0.0 => ("S", "S, as the trajectory begins"),
-            Some(_) => ("N", "N, as the trajectory begins"),
-            None => ("", "add N or S: neither the line nor the trajectory says it"),
+            Some(degrees) if degrees < 0.0 => ("S", "S, from the start of the trajectory"),
+            Some(_) => ("N", "N, from the start of the trajectory"),
+            None => ("", "add N or S: the hemisphere is unknown"),
         };
         self.set_or_refuse("geometry", "crs", toml_text(&format!("utm:{zone}{letter}")), why);
         self.draft.remark("geometry", "crs", remark);
     }
 
-    /// How thoroughly waveforms are decomposed, as far as it takes more than one option to say it.
+    /// Sets the decomposition mode as far as several options define it.
     fn speed(&mut self) {
         let is_fast = self.draft.asked("decompose", "mode").is_some();
         let (slow, auto) = (self.written(Part::Slow), self.written(Part::Auto));
         match (self.on(Part::Slow), is_fast) {
             (true, false) => self.draft.set("decompose", "mode", "\"slow\"".to_owned(), &slow, true),
-            (true, true) => self.note(slow, "what a fast mode refines gets the iterations of `refined`"),
+            (true, true) => self.note(slow, "refined waveforms get the iterations of `refined`"),
             _ => {}
         }
         match (self.on(Part::Auto), is_fast) {
             (true, true) => {
                 self.draft.set("decompose", "refine_when_needed", "true".to_owned(), &auto, true);
             }
-            (true, false) => self.note(auto, "without effect: every waveform is refined"),
+            (true, false) => self.note(auto, "no effect: every waveform is refined"),
             _ => {}
         }
     }
 
-    /// What the line asks for and no stage of the job does, and switches that ask for nothing.
+    /// Notes requests that no stage of the job implements, and switches that request nothing.
     fn leftovers(&mut self, stages: &[&str]) {
         let has_trajectory = self.draft.asked("geometry", "trajectory").is_some();
         let mut sections = stages.to_vec();
@@ -386,8 +389,8 @@ impl Translation<'_> {
         }
         for (section, why) in self.draft.asked_outside_of(&sections) {
             let what = match section.as_str() {
-                "geometry" => "without effect: there is no `-po`".to_owned(),
-                stage => format!("without effect: the job has no `{stage}`"),
+                "geometry" => "no effect: `-po` is not given".to_owned(),
+                stage => format!("no effect: the job has no `{stage}`"),
             };
             self.note(why, what);
         }
@@ -403,40 +406,40 @@ impl Translation<'_> {
     }
 }
 
-/// The reader of these files.
+/// Returns the reader of these files.
 fn reader(files: &[String]) -> Result<&'static str, String> {
     let mut readers = files.iter().map(|file| reader_of(file));
-    let first = readers.next().unwrap_or(Err("there is no input".to_owned()))?;
+    let first = readers.next().unwrap_or(Err("no input".to_owned()))?;
     for (reader, file) in readers.zip(files.iter().skip(1)) {
         if reader? != first {
             return Err(format!(
-                "`{file}` is another kind of recording than the files before it; run them as two jobs"
+                "`{file}` has another format than the files before it; use one job per format"
             ));
         }
     }
     Ok(first)
 }
 
-/// What is said of an option that asks for what is the case without it.
+/// Note for an option that requests the default.
 fn so_anyway(given: &Given) -> (String, String) {
-    (given.written.clone(), "so it is anyway".to_owned())
+    (given.written.clone(), "already the default".to_owned())
 }
 
-/// The section of the job that a section of the table is.
+/// Section of the job for a section of the table.
 fn section_of(section: &'static str, reader: &'static str) -> &'static str {
     if section == "reader" { reader } else { section }
 }
 
-/// A default of the table as a value.
+/// Converts a default of the table to a value.
 fn written_default(option: &Opt, text: &str) -> Value {
     match option.takes {
         Takes::Switch => Value::Switch(text == "1"),
-        // The table is tested: its numbers are numbers.
+        // A test ensures that all other defaults in the table are numbers.
         _ => Value::Number(text.parse().unwrap_or_default()),
     }
 }
 
-/// A value in TOML; `None` where the key is not to be given.
+/// Converts a value to TOML; `None` omits the key.
 fn toml_of(form: Form, value: &Value, paths: &Paths) -> Option<String> {
     let is_zero = match value {
         Value::Number(number) => *number == 0.0,
@@ -461,7 +464,7 @@ fn toml_of(form: Form, value: &Value, paths: &Paths) -> Option<String> {
     }
 }
 
-/// What keeps columns of a trajectory from being enough, and what can be done.
+/// Describes missing or repeated trajectory columns, with the remedy.
 fn without_a_column(letters: &str) -> Option<String> {
     let of = |is_wrong: fn(usize) -> bool| -> Vec<String> {
         let count = |letter: char| letters.matches(letter).count();
@@ -471,33 +474,32 @@ fn without_a_column(letters: &str) -> Option<String> {
     };
     let (absent, repeated) = (of(|count| count == 0), of(|count| count > 1));
     if absent.is_empty() {
-        return (!repeated.is_empty())
-            .then(|| format!("{} may stand in it only once", listed(&repeated, "and")));
+        return (!repeated.is_empty()).then(|| format!("{} must not be repeated", listed(&repeated, "and")));
     }
     let (are, them, columns, letters) = match absent.len() {
-        1 => ("is", "it", "such a column", "its letter"),
-        _ => ("are", "them", "such columns", "their letters"),
+        1 => ("is", "it", "the column", "its letter"),
+        _ => ("are", "them", "the columns", "their letters"),
     };
     Some(format!(
-        "{} {are} missing, and no point has a place without {them}: give a trajectory that has {them}, or add {columns} \
-         to the text and {letters} here",
+        "{} {are} missing, and points cannot be georeferenced without {them}: give a trajectory that has {them}, or add {columns} \
+         to the text file and {letters} here",
         listed(&absent, "and")
     ))
 }
 
-/// What a folder comes from, with a word on folders of Windows where there are none.
+/// Adds a warning to the source of a folder if it has a Windows drive on another system.
 fn with_warning(why: String, folder: &str) -> String {
     let mut letters = folder.chars();
     let has_drive =
         letters.next().is_some_and(|letter| letter.is_ascii_alphabetic()) && letters.next() == Some(':');
     if has_drive && !cfg!(windows) {
-        format!("{why}: a folder of Windows, say where it is here")
+        format!("{why}: a Windows folder; replace it by a folder of this machine")
     } else {
         why
     }
 }
 
-/// The three numbers of a text.
+/// Parses the three numbers of a text.
 fn angles(text: &str) -> Option<[f64; 3]> {
     let separators = |letter: char| letter.is_whitespace() || matches!(letter, ',' | ';' | '{' | '}');
     let words = text.split(separators).filter(|word| !word.is_empty());

@@ -1,4 +1,6 @@
-//! Version 1.0 (2016): full-waveform LAS 1.3 in, LAS 1.2 out. The options of its document, in its order.
+//! Version 1.0 (2016): full-waveform LAS 1.3 to LAS 1.2.
+//!
+//! Options in the order of its documentation.
 
 use super::options::Becomes::{Command, End, Flag, Key, Nothing, Part};
 use super::options::Form::{Plain, Switch, ZeroIs};
@@ -6,7 +8,7 @@ use super::options::Standard::{Same, Words, Written};
 use super::options::Takes::{Number, Switch as OnOff, Text, Texts, Whole};
 use super::options::{Always, Flag as F, Opt, Part as P, Version, row};
 
-/// The version.
+/// Definition of the version.
 pub const V10: Version = Version {
     name: "1.0",
     options: OPTIONS,
@@ -30,13 +32,13 @@ pub const V10: Version = Version {
 
 const ALWAYS: &[Always] = &[
     ("job", "stat_log", "\"\"", "1.0 writes none"),
-    ("calibrate", "background", "\"per_waveform\"", "1.0 has no other"),
+    ("calibrate", "background", "\"per_waveform\"", "1.0 has no other mode"),
     ("correct", "range_table", "false", "1.0 has no tables"),
     ("correct", "amplitude_table", "false", "1.0 has no tables"),
     ("correct", "width_correction_low", "false", "1.0 has none"),
     ("correct", "width_correction_high", "false", "1.0 has none"),
     ("filter_outliers", "points", "false", "1.0 marks no points"),
-    ("write_las", "version", "\"1.2\"", "1.0 writes no other"),
+    ("write_las", "version", "\"1.2\"", "1.0 writes no other version"),
     ("write_las", "attribute_layout", "\"1.0\"", "1.0"),
     ("write_lstat", "layout", "\"1.0\"", "1.0"),
 ];
@@ -44,29 +46,29 @@ const ALWAYS: &[Always] = &[
 #[rustfmt::skip]
 const OPTIONS: &[Opt] = &[
     // Folders, machine, behaviour.
-    row(&["I", "idir"], Text("a folder"), Words("the current one"), Part(P::InputDir), "`[job] input_dir`; a file with a folder of its own does not lie in it"),
+    row(&["I", "idir"], Text("a folder"), Words("the current one"), Part(P::InputDir), "`[job] input_dir`; not applied to a file that contains a folder"),
     row(&["O", "odir"], Text("a folder"), Words("the current one"), Part(P::OutputDir), "`[job] output_dir`"),
     row(&["mem"], Whole(1, u64::MAX), Same("1024"), Key("job", "memory_mb", Plain), ""),
-    row(&["N", "nthreads"], Whole(0, u64::MAX), Words("as many as the machine has"), Key("job", "threads", Plain), ""),
+    row(&["N", "nthreads"], Whole(0, u64::MAX), Words("one per core"), Key("job", "threads", Plain), ""),
     row(&["q", "quiet"], OnOff, Same("0"), Flag(F::Quiet, true), ""),
     row(&["progress"], OnOff, Same("1"), Flag(F::NoProgress, false), ""),
     // Input and output.
-    row(&["i", "input"], Texts("a file"), Words("must be given"), Part(P::Input), "`path` of the reader that the extension names"),
-    row(&["o", "out"], Text("a name that ends in .las or .laz"), Words("out.laz"), Part(P::Output), "`path` of `write_las`; the other outputs are named after it"),
+    row(&["i", "input"], Texts("a file"), Words("required"), Part(P::Input), "`path` of the reader for the extension"),
+    row(&["o", "out"], Text("a name that ends in .las or .laz"), Words("out.laz"), Part(P::Output), "`path` of `write_las`; prefix of all other outputs"),
     row(&["oext"], OnOff, Same("1"), Key("write_las", "extra_attributes", Plain), ""),
     row(&["ounc"], OnOff, Same("1"), Key("write_las", "uncertainty", Plain), ""),
     row(&["nil"], OnOff, Same("0"), Part(P::NoPoints), "no sink for points"),
     // Logs and texts.
-    row(&["log"], OnOff, Same("1"), Key("job", "log", Switch("\"\"", "")), "no history is kept"),
+    row(&["log"], OnOff, Same("1"), Key("job", "log", Switch("\"\"", "")), "no log history"),
     row(&["olog"], OnOff, Same("1"), Key("job", "log", Switch("\"\"", "")), ""),
-    row(&["clear_log_history"], OnOff, Same("0"), Nothing("logs lie beside the outputs, and no history is kept: there is nothing to clear"), ""),
+    row(&["clear_log_history"], OnOff, Same("0"), Nothing("logs are next to the outputs and keep no history"), ""),
     row(&["ostat", "stat"], OnOff, Same("0"), Part(P::LineStats), "`write_lstat` in the layout of 1.0"),
     row(&["otraj", "traj"], OnOff, Same("0"), Part(P::Trajectory), "`write_trajectory`"),
     // Information.
     row(&["h", "help"], OnOff, Same("0"), Command(&["wavex", "help"]), ""),
     row(&["?", "options"], OnOff, Same("0"), Command(&["wavex", "stages"]), ""),
     row(&["v", "version"], OnOff, Same("0"), Command(&["wavex", "--version"]), ""),
-    // How thoroughly.
+    // Refinement.
     row(&["f", "fastest"], OnOff, Same("0"), Key("decompose", "mode", Switch("", "\"fastest\"")), ""),
     row(&["s", "fastsep"], OnOff, Same("0"), Key("decompose", "mode", Switch("", "\"fast_separated\"")), ""),
     row(&["a", "auto"], OnOff, Same("0"), Part(P::Auto), "`refine_when_needed` of `decompose`, with `-fastest` or `-fastsep`"),

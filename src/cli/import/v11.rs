@@ -1,4 +1,6 @@
-//! Version 1.1 (2018): SDF in, LAS 1.4 out. The options of its document, in its order.
+//! Version 1.1 (2018): SDF to LAS 1.4.
+//!
+//! Options in the order of its documentation.
 
 use super::options::Becomes::{Command, End, Flag, Key, Nothing, Part};
 use super::options::Form::{
@@ -8,7 +10,7 @@ use super::options::Standard::{Same, Words, Written};
 use super::options::Takes::{Date, Number, Switch as OnOff, Text, Texts, Whole};
 use super::options::{Flag as F, Opt, Part as P, Version, row};
 
-/// The version.
+/// Definition of the version.
 pub const V11: Version = Version {
     name: "1.1",
     options: OPTIONS,
@@ -36,47 +38,47 @@ pub const V11: Version = Version {
 #[rustfmt::skip]
 const OPTIONS: &[Opt] = &[
     // Folders, machine, behaviour.
-    row(&["I", "idir"], Text("a folder"), Words("the current one"), Part(P::InputDir), "`[job] input_dir`; a file with a folder of its own does not lie in it"),
+    row(&["I", "idir"], Text("a folder"), Words("the current one"), Part(P::InputDir), "`[job] input_dir`; not applied to a file that contains a folder"),
     row(&["O", "odir"], Text("a folder"), Words("the current one"), Part(P::OutputDir), "`[job] output_dir`"),
     row(&["mem"], Whole(1, u64::MAX), Same("1024"), Key("job", "memory_mb", Plain), ""),
-    row(&["N", "nthreads"], Whole(0, u64::MAX), Words("as many as the machine has"), Key("job", "threads", Plain), ""),
+    row(&["N", "nthreads"], Whole(0, u64::MAX), Words("one per core"), Key("job", "threads", Plain), ""),
     row(&["q", "quiet"], OnOff, Same("0"), Flag(F::Quiet, true), ""),
     row(&["progress"], OnOff, Same("1"), Flag(F::NoProgress, false), ""),
     // Input and output.
-    row(&["i", "input"], Texts("a file, several, or a pattern"), Words("must be given"), Part(P::Input), "`path` of the reader that the extension names"),
-    row(&["o", "out"], Text("a name, `*` for that of the input"), Words("*.laz"), Part(P::Output), "`path` of `write_las`, or of `write_ascii` where it ends in .txt; the other outputs are named after it"),
+    row(&["i", "input"], Texts("a file, several, or a pattern"), Words("required"), Part(P::Input), "`path` of the reader for the extension"),
+    row(&["o", "out"], Text("a name, `*` for the name of the input"), Words("*.laz"), Part(P::Output), "`path` of `write_las`, or of `write_ascii` if it ends in .txt; prefix of all other outputs"),
     row(&["olas"], OnOff, Same("0"), Part(P::Extension("las")), "the output ends in .las"),
     row(&["olaz"], OnOff, Same("0"), Part(P::Extension("laz")), "the output ends in .laz"),
-    row(&["otxt"], OnOff, Same("0"), Part(P::Extension("txt")), "`write_ascii` in the place of `write_las`"),
-    row(&["oparse"], Text("a letter for each column"), Words("not said"), Part(P::Columns), "`columns` of `write_ascii`"),
+    row(&["otxt"], OnOff, Same("0"), Part(P::Extension("txt")), "`write_ascii` instead of `write_las`"),
+    row(&["oparse"], Text("a letter for each column"), Words("none"), Part(P::Columns), "`columns` of `write_ascii`"),
     row(&["oext"], OnOff, Same("1"), Key("write_las", "extra_attributes", Plain), ""),
     row(&["ounc"], OnOff, Same("1"), Key("write_las", "uncertainty", Plain), ""),
     row(&["o12"], OnOff, Same("0"), Key("write_las", "version", Switch("\"1.4\"", "\"1.2\"")), ""),
     row(&["olax"], OnOff, Same("0"), Part(P::Index), "`index` of `write_las`: \"file\""),
-    row(&["lax_append"], OnOff, Same("0"), Part(P::IndexWithin), "`index` of `write_las`: \"appended\", with or without `-olax`; \"file\" where the output is LAS, which cannot hold one"),
+    row(&["lax_append"], OnOff, Same("0"), Part(P::IndexWithin), "`index` of `write_las`: \"appended\", with or without `-olax`; \"file\" if the output is LAS, which cannot contain an index"),
     row(&["nil"], OnOff, Same("0"), Part(P::NoPoints), "no sink for points"),
     // Logs and texts.
     row(&["log"], OnOff, Same("1"), Key("job", "log", Switch("\"\"", "")), ""),
-    row(&["log_flush"], OnOff, Same("0"), Nothing("every line of the log is written at once"), ""),
-    row(&["clear_log", "clear_log_history"], OnOff, Same("0"), Nothing("logs lie beside the outputs, and no history is kept: there is nothing to clear"), ""),
+    row(&["log_flush"], OnOff, Same("0"), Nothing("every log line is written immediately"), ""),
+    row(&["clear_log", "clear_log_history"], OnOff, Same("0"), Nothing("logs are next to the outputs and keep no history"), ""),
     row(&["olstat", "lstat"], OnOff, Same("0"), Part(P::LineStats), "`write_lstat`"),
-    row(&["otraj"], OnOff, Words("1"), Part(P::Trajectory), "`write_trajectory`, where there is a trajectory"),
-    row(&["ostat"], OnOff, Same("0"), Part(P::AllTexts), "all texts: as `-olstat -otraj -osdfstat`"),
-    row(&["osdfstat"], OnOff, Same("0"), Part(P::Scan), "`wavex scan FILE`, besides"),
+    row(&["otraj"], OnOff, Words("1"), Part(P::Trajectory), "`write_trajectory`, if there is a trajectory"),
+    row(&["ostat"], OnOff, Same("0"), Part(P::AllTexts), "all text outputs: same as `-olstat -otraj -osdfstat`"),
+    row(&["osdfstat"], OnOff, Same("0"), Part(P::Scan), "`wavex scan FILE`, in addition to the job"),
     row(&["name"], Text("a name"), Words("out"), Part(P::ScanName), "`--name` of `wavex scan`"),
-    row(&["sdfscan"], OnOff, Same("0"), Part(P::OnlyScan), "`wavex scan FILE` and no job"),
-    row(&["sdfscanfast"], OnOff, Same("0"), Part(P::OnlyScanFast), "`wavex scan FILE --fast` and no job"),
+    row(&["sdfscan"], OnOff, Same("0"), Part(P::OnlyScan), "`wavex scan FILE`, without a job"),
+    row(&["sdfscanfast"], OnOff, Same("0"), Part(P::OnlyScanFast), "`wavex scan FILE --fast`, without a job"),
     // Information.
     row(&["h", "help"], OnOff, Same("0"), Command(&["wavex", "help"]), ""),
     row(&["v", "version"], OnOff, Same("0"), Command(&["wavex", "--version"]), ""),
-    // How thoroughly.
+    // Refinement.
     row(&["f", "fastest"], OnOff, Same("0"), Key("decompose", "mode", Switch("", "\"fastest\"")), ""),
     row(&["s", "fastsep"], OnOff, Same("0"), Key("decompose", "mode", Switch("", "\"fast_separated\"")), ""),
     row(&["a", "auto"], OnOff, Same("0"), Part(P::Auto), "`refine_when_needed` of `decompose`, with `-fastest` or `-fastsep`"),
     row(&["slow"], OnOff, Same("0"), Part(P::Slow), "`mode` of `decompose`: \"slow\", without `-fastest` and `-fastsep`"),
     // Extraction.
     row(&["d", "det"], Number, Same("4.5"), Key("decompose", "detection_sigma", Plain), ""),
-    row(&["det_lm", "lm_det"], Number, Same("0"), Key("decompose", "detection_sigma_last", ZeroIs("false")), "0: none of its own"),
+    row(&["det_lm", "lm_det"], Number, Same("0"), Key("decompose", "detection_sigma_last", ZeroIs("false")), "0: same as `-d`"),
     row(&["outflt"], OnOff, Same("1"), Key("filter_outliers", "waves", Plain), ""),
     row(&["emflt"], OnOff, Same("0"), Key("decompose", "drop_emission_crosstalk", Plain), ""),
     row(&["min_width"], Number, Same("0.8"), End("decompose", "width_ratio", 0, [0.8, 10.0]), ""),
@@ -88,8 +90,8 @@ const OPTIONS: &[Opt] = &[
     row(&["decay_a"], Number, Words("auto"), Key("calibrate", "decay_amplitude", Plain), "together with `-decay_t`"),
     row(&["decay_t"], Number, Words("auto"), Key("calibrate", "decay_time_ns", Plain), "in nanoseconds; together with `-decay_a`"),
     // Times.
-    row(&["t_min"], Number, Words("from the beginning"), End("reader", "time_s", 0, [-1e10, 1e10]), ""),
-    row(&["t_max"], Number, Words("to the end"), End("reader", "time_s", 1, [-1e10, 1e10]), ""),
+    row(&["t_min"], Number, Words("first shot"), End("reader", "time_s", 0, [-1e10, 1e10]), ""),
+    row(&["t_max"], Number, Words("last shot"), End("reader", "time_s", 1, [-1e10, 1e10]), ""),
     row(&["t_adj"], OnOff, Same("0"), Key("reader", "time_scale", Switch("\"week\"", "\"adjusted\"")), ""),
     row(&["ibrc"], OnOff, Same("1"), Key("correct", "range_table", Plain), ""),
     row(&["utc"], OnOff, Same("0"), Key("reader", "utc", Plain), ""),
@@ -101,27 +103,27 @@ const OPTIONS: &[Opt] = &[
     row(&["ibrc_fit"], OnOff, Same("1"), Key("correct", "range_table_fit", Plain), ""),
     // Amplitude, intensity, width.
     row(&["ibic"], OnOff, Same("1"), Key("correct", "amplitude_table", Plain), ""),
-    row(&["icf", "F"], OnOff, Same("1"), Key("correct", "incidence", Switch("\"none\"", "\"flat\"")), "`F` in files of options"),
-    row(&["icr", "R"], Number, Same("1000.0"), Key("correct", "reference_range_m", ZeroIs("false")), "0: no correction; `R` in files of options"),
+    row(&["icf", "F"], OnOff, Same("1"), Key("correct", "incidence", Switch("\"none\"", "\"flat\"")), "`F` in options files"),
+    row(&["icr", "R"], Number, Same("1000.0"), Key("correct", "reference_range_m", ZeroIs("false")), "0: no correction; `R` in options files"),
     row(&["ica"], Number, Same("0"), Key("correct", "attenuation_db_per_km", ZeroIs("false")), "0: no correction"),
     row(&["awc"], Number, Words("auto"), Key("correct", "width_correction_low", Plain), ""),
     row(&["awc1"], Number, Words("auto"), Key("correct", "width_correction_high", Plain), ""),
     // Trajectory.
     row(&["po"], Text("a file"), Words("none"), Key("geometry", "trajectory", File), ""),
-    row(&["po_adj", "A"], OnOff, Words("by format"), Key("geometry", "trajectory_time", Switch("", "\"adjusted\"")), "`-A` in the examples of its document"),
+    row(&["po_adj", "A"], OnOff, Words("by format"), Key("geometry", "trajectory_time", Switch("", "\"adjusted\"")), "`-A` in the examples of its documentation"),
     row(&["po_day"], OnOff, Same("0"), Key("geometry", "trajectory_time", Switch("", "\"day\"")), ""),
     row(&["po_rad"], OnOff, Same("0"), Key("geometry", "trajectory_angles", Switch("\"deg\"", "\"rad\"")), ""),
-    row(&["po_parse"], Text("a letter for each column"), Words("none"), Key("geometry", "trajectory_columns", TrajectoryColumns), "t, x, y, z, p and k are needed; without the roll (w) 0 is taken, with a warning"),
-    row(&["plot_po"], Text("a file"), Words("none"), Part(P::PlotTrajectory), "`wavex trajectory FILE --crs ... -o ...`, besides"),
+    row(&["po_parse"], Text("a letter for each column"), Words("none"), Key("geometry", "trajectory_columns", TrajectoryColumns), "t, x, y, z, p and k are required; a missing roll (w) is set to 0, with a warning"),
+    row(&["plot_po"], Text("a file"), Words("none"), Part(P::PlotTrajectory), "`wavex trajectory FILE --crs ... -o ...`, in addition to the job"),
     row(&["po_sub"], Whole(1, u64::MAX), Words("1"), Part(P::PlotEvery), "`--every` of `wavex trajectory`"),
     // Geometry.
-    row(&["mount"], Text("a file"), Words("0 0 0"), Key("geometry", "mount", Angles), "its three angles, read when the line is imported"),
+    row(&["mount"], Text("a file"), Words("0 0 0"), Key("geometry", "mount", Angles), "its three angles, read at import"),
     row(&["calib_corr"], Text("a file"), Words("none"), Key("geometry", "calibration", File), ""),
     row(&["wkt"], Text("a file"), Words("none: UTM"), Key("geometry", "crs", File), ""),
-    row(&["utm"], Whole(1, 60), Words("by position"), Key("geometry", "crs", Zone), "with N or S as the trajectory begins, where it can be read when the line is imported; else one must add it"),
+    row(&["utm"], Whole(1, 60), Words("by position"), Key("geometry", "crs", Zone), "with N or S from the start of the trajectory, if it can be read at import; otherwise add the letter by hand"),
     row(&["geo"], OnOff, Same("0"), Key("geometry", "crs", Switch("", "\"geodetic\"")), ""),
     row(&["ecef"], OnOff, Same("0"), Key("geometry", "crs", Switch("", "\"ecef\"")), ""),
-    row(&["geoid"], Text("a name"), Words("none"), Key("geometry", "geoid", Remarked), "looked for among the inputs, or in `geoid_dir`"),
+    row(&["geoid"], Text("a name"), Words("none"), Key("geometry", "geoid", Remarked), "searched for in the input folder or in `geoid_dir`"),
     row(&["metre"], OnOff, Same("0"), Key("geometry", "unit", Switch("", "\"m\"")), ""),
     row(&["feet"], OnOff, Same("0"), Key("geometry", "unit", Switch("", "\"us_ft\"")), ""),
     row(&["int_feet"], OnOff, Same("0"), Key("geometry", "unit", Switch("", "\"ft\"")), ""),

@@ -1,16 +1,16 @@
-//! Pictures of what a run made: counts along the flight, histograms, the points from above.
+//! Figures of a run's results: counts along the flight, histograms, map views.
 
 use super::plot::{Plot, WIDTH, decades, label, short, ticks};
 use crate::cli::svg::{Anchor, Scale, Svg};
 use crate::overview::{Histogram, LineGroups, MapAxes, MapPicture, Picture, ScanLine, ZoneCloud, ZoneClouds};
 
-/// Waveforms, returns and points per scan line; `None` without lines.
+/// Draws waveforms, returns and points per scan line; `None` without lines.
 pub(super) fn along(groups: &LineGroups) -> Option<String> {
     let per_line = |counts: &[u64]| -> Vec<f64> {
         let each = counts.iter().zip(&groups.lines);
         each.map(|(count, lines)| *count as f64 / (*lines).max(1) as f64).collect()
     };
-    // Points where there are any: they are the returns that are not withheld.
+    // Show points only if there are any; they are the returns that are not withheld.
     let with_points = groups.points.iter().any(|points| *points > 0);
     let found = if with_points { ("points", &groups.points) } else { ("returns", &groups.returns) };
     let curves = [
@@ -39,10 +39,10 @@ pub(super) fn along(groups: &LineGroups) -> Option<String> {
     (!groups.lines.is_empty()).then(|| plot.finish(svg, title, "scan line", "per line"))
 }
 
-/// A part of this many of the values at either end may lie outside of a histogram's picture.
+/// Fraction of the values that a histogram may cut off at either end.
 const TAIL: f64 = 0.0005;
 
-/// A histogram, and its numbers in words; `None` where all values lie outside of its bins.
+/// Draws a histogram with its statistics as text; `None` if all values are outside its bins.
 pub(super) fn histogram(histogram: &Histogram) -> Option<(String, String)> {
     let on_axis = |value: f64| if histogram.logarithmic { value.log10() } else { value };
     let ends = [TAIL, 1.0 - TAIL].map(|part| histogram.quantile(part));
@@ -53,7 +53,7 @@ pub(super) fn histogram(histogram: &Histogram) -> Option<(String, String)> {
     let shown: Vec<([f64; 2], u64)> = histogram.bins().filter(is_shown).collect();
     let highest = shown.iter().map(|(_, count)| *count).max()?.max(1);
     let x = [on_axis(shown.first()?.0[0]), on_axis(shown.last()?.0[1])];
-    // A single value is no wall.
+    // Show at least 0.15 of the axis: a single value would fill the frame.
     let room = (0.15 - 0.5 * (x[1] - x[0])).max(0.0);
     let plot = Plot::new([x[0] - room, x[1] + room], [0.0, 1.06 * highest as f64]);
     let mut svg = Svg::new();
@@ -82,20 +82,18 @@ fn in_words(histogram: &Histogram) -> String {
         (Some(low), Some(median), Some(high)) => {
             let unit = format!(" {}", histogram.unit);
             let unit = unit.trim_end();
-            format!(
-                "{count} returns; half below {median}{unit} (dashed), nine in ten from {low} to {high}{unit}"
-            )
+            format!("{count} returns; median {median}{unit} (dashed), 90 % interval {low} to {high}{unit}")
         }
         _ => format!("{count} returns"),
     }
 }
 
-/// The most room that a picture from above takes.
+/// Maximum size of a map view, SVG units.
 const MAP: [f64; 2] = [460.0, 420.0];
 const MAP_LEFT: f64 = 86.0;
 const MAP_TOP: f64 = 10.0;
 
-/// What the axes of a picture from above show; `frame` is that of the input.
+/// Axis labels of a map view; `frame` is the frame of the input.
 pub(super) fn axes(map: &MapPicture, frame: Option<&str>) -> [String; 2] {
     let names = match (map.axes, frame) {
         (MapAxes::Degrees, _) => return ["longitude, degrees", "latitude, degrees"].map(str::to_owned),
@@ -105,7 +103,7 @@ pub(super) fn axes(map: &MapPicture, frame: Option<&str>) -> [String; 2] {
     names.map(|name| format!("{name}, {}", map.unit))
 }
 
-/// The frame of a picture from above, on the grid of its coordinates.
+/// Frame of a map view, with the grid of its coordinates.
 struct MapFrame<'m> {
     axes: &'m [String; 2],
     plot: Plot,
@@ -115,7 +113,7 @@ impl<'m> MapFrame<'m> {
     fn new(map: &MapPicture, axes: &'m [String; 2]) -> MapFrame<'m> {
         let [width, height] = [map.columns, map.rows].map(|cells| f64::from(cells.max(1)));
         let [east, north] = [map.west + width * map.cell, map.south + height * map.cell];
-        // A degree of longitude is shorter than one of latitude.
+        // A degree of longitude is shorter than a degree of latitude.
         let slimmer = match map.axes {
             MapAxes::Degrees => (0.5 * (map.south + north)).to_radians().cos().max(0.02),
             MapAxes::Coordinates | MapAxes::Plane => 1.0,
@@ -129,7 +127,7 @@ impl<'m> MapFrame<'m> {
         MapFrame { axes, plot }
     }
 
-    /// Lines of the map's grid, which lie above a picture.
+    /// Draws the grid lines above the image.
     fn grid(&self, svg: &mut Svg) {
         let [width, height] = [self.plot.x, self.plot.y].map(|scale| (scale.to[1] - scale.to[0]).abs());
         self.plot.grid_x(svg, ticks(&self.plot.x, (width / 95.0).max(1.0)));
@@ -142,7 +140,7 @@ impl<'m> MapFrame<'m> {
         svg.inline(WIDTH, self.plot.y.to[0] + 46.0 + below, title)
     }
 
-    /// What the colours stand for.
+    /// Draws the colour scale.
     fn colours(&self, svg: &mut Svg, colours: &[String], [low, high]: [f64; 2], name: &str) {
         let top = self.plot.y.to[0] + 52.0;
         let each = 180.0 / colours.len().max(1) as f64;
@@ -155,7 +153,7 @@ impl<'m> MapFrame<'m> {
     }
 }
 
-/// The points from above by one of their quantities.
+/// Draws a map view coloured by one attribute.
 fn coloured(
     frame: &MapFrame,
     id: &str,
@@ -172,7 +170,7 @@ fn coloured(
     frame.finish(svg, &format!("Points by {name}"), 34.0)
 }
 
-/// The points from above by height.
+/// Draws the map view coloured by height.
 pub(super) fn heights(map: &MapPicture, axes: &[String; 2], id: &str) -> String {
     coloured(
         &MapFrame::new(map, axes),
@@ -184,7 +182,7 @@ pub(super) fn heights(map: &MapPicture, axes: &[String; 2], id: &str) -> String 
     )
 }
 
-/// The points from above by intensity; `id` is what other pictures call that one.
+/// Draws the map view coloured by intensity; other figures reuse the image as `id`.
 pub(super) fn intensities(map: &MapPicture, axes: &[String; 2], id: &str) -> String {
     coloured(
         &MapFrame::new(map, axes),
@@ -196,19 +194,19 @@ pub(super) fn intensities(map: &MapPicture, axes: &[String; 2], id: &str) -> Str
     )
 }
 
-/// The points from above by multiple-time-around zone, where there is another than 0.
+/// Draws the map view coloured by MTA zone; `None` if all points are in zone 0.
 pub(super) fn zones(map: &MapPicture, axes: &[String; 2], id: &str) -> Option<String> {
     let (frame, colours) = (MapFrame::new(map, axes), MapPicture::height_colours());
     let picture = map.zones.as_ref()?;
     Some(coloured(&frame, id, picture, &colours, map.zone_range, "MTA zone"))
 }
 
-/// Room of one of the small pictures that show a cloud each.
+/// Cell size of one small scatter plot, SVG units.
 const CLOUD: [f64; 2] = [186.0, 132.0];
-/// Clouds in a row.
+/// Small scatter plots per row.
 const CLOUDS_ABREAST: usize = 3;
 
-/// The same shots computed with each zone in turn, as small pictures side by side.
+/// Draws the same shots with each MTA zone in turn, as small scatter plots.
 pub(super) fn clouds(clouds: &ZoneClouds) -> String {
     let mut svg = Svg::new();
     for (i, cloud) in clouds.clouds.iter().enumerate() {
@@ -246,10 +244,10 @@ fn one_cloud(svg: &mut Svg, cloud: &ZoneCloud, [left, top]: [f64; 2], [right, bo
     svg.rect("frame", [left, top], [right, bottom]);
 }
 
-/// The most scan lines that are drawn.
+/// Maximum number of scan lines drawn.
 const MOST_LINES: usize = 16;
 
-/// The swath: some scan lines on the map's grid, above the picture that is called so.
+/// Draws some scan lines over the image with the id `below`.
 pub(super) fn swath(map: &MapPicture, axes: &[String; 2], below: &str) -> Option<String> {
     let frame = MapFrame::new(map, axes);
     let place = |places: &[f64]| match places {
@@ -267,25 +265,25 @@ pub(super) fn swath(map: &MapPicture, axes: &[String; 2], below: &str) -> Option
     let middle = |line: &Vec<[f64; 2]>| line.get(line.len() / 2).copied();
     let first = lines.first().and_then(middle)?;
     svg.circle("begin", first, 5.0);
-    Some(frame.finish(svg, "Swath on the grid of the map", 0.0))
+    Some(frame.finish(svg, "Swath on the map grid", 0.0))
 }
 
-/// What a picture from above leaves unsaid.
+/// Caption of a map view: coordinates, cell size, density.
 pub(super) fn about(map: &MapPicture, coordinates: Option<&str>) -> String {
     let mut text = match (map.axes, coordinates) {
         (MapAxes::Plane, _) => {
-            "Points in geocentric coordinates, seen from above in a plane near the first".to_owned()
+            "Points in geocentric coordinates, projected onto a local plane at the first point".to_owned()
         }
         (_, Some(name)) => format!("Coordinates: {name}"),
-        (_, None) => "Coordinates: those of the input".to_owned(),
+        (_, None) => "Coordinates: as in the input".to_owned(),
     };
     let unit = &map.unit;
     text += &format!("; cells of {} {unit}", short(map.cell));
     if map.axes != MapAxes::Degrees {
-        text += &format!(", half of them with more than {} points per {unit}²", short(map.median_density));
+        text += &format!(", median density {} points per {unit}²", short(map.median_density));
     }
     if map.outside > 0 {
-        text += &format!("; points outside of the picture: {}", label(map.outside as f64, 0));
+        text += &format!("; points outside the picture: {}", label(map.outside as f64, 0));
     }
     text
 }

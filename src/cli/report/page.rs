@@ -1,4 +1,4 @@
-//! The page of a run: one file without scripts that needs no network.
+//! HTML page of a run; needs no network or scripts.
 
 use std::fmt::Write;
 
@@ -11,13 +11,13 @@ use crate::cli::scan::page::STYLE;
 use crate::cli::svg::escaped;
 use crate::overview::Overview;
 
-/// What a browser may load for the page: the style within it and pictures within it, and nothing else.
+/// Content security policy: only styles and pictures embedded in the page.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
 
-/// The page of a report, as HTML. What a report lacks is left out.
+/// Renders a report as HTML; omits what the report lacks.
 ///
 /// # Errors
-/// An overview that is none: which input's, and why.
+/// If the overview of an input is invalid: names the input and the reason.
 pub(super) fn page(report: &Value) -> Result<String, String> {
     let inputs = list(report, "inputs");
     let names: Vec<String> = inputs.iter().map(|input| plain(&input["stem"])).collect();
@@ -42,7 +42,7 @@ pub(super) fn page(report: &Value) -> Result<String, String> {
     Ok(page)
 }
 
-/// The job: its own keys, and those of its stages in their order.
+/// Lists the keys of the job and of its stages.
 fn what_was_run(page: &mut String, report: &Value) {
     let keys = |table: &Value| {
         let given = table.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
@@ -51,7 +51,7 @@ fn what_was_run(page: &mut String, report: &Value) {
     page.push_str("<div class=\"job\">\n");
     let stages = list(report, "stages").iter().map(|stage| (name(stage), keys(&stage["keys"])));
     let job = report["job"].is_object().then(|| ("job".to_owned(), keys(&report["job"])));
-    section(page, "What was run, with every key", job.into_iter().chain(stages));
+    section(page, "Job with all keys", job.into_iter().chain(stages));
     page.push_str("</div>\n");
 }
 
@@ -61,7 +61,7 @@ fn of_input(page: &mut String, input: &Value, number: usize) -> Result<(), Strin
         Value::Null => None,
         value => Some(
             serde_json::from_value(value.clone())
-                .map_err(|error| format!("the overview of {stem:?} is none: {error}"))?,
+                .map_err(|error| format!("the overview of {stem:?} is invalid: {error}"))?,
         ),
     };
     let _ = writeln!(page, "<h1 class=\"input\">{}</h1>", escaped(&stem));
@@ -79,7 +79,7 @@ fn of_input(page: &mut String, input: &Value, number: usize) -> Result<(), Strin
     Ok(())
 }
 
-/// The numbers that one looks for first.
+/// Shows the key figures of an input.
 fn key_figures(page: &mut String, input: &Value) {
     let total = |key: &str| input["totals"][key].as_u64();
     let wall_s = input["wall_s"].as_f64().filter(|wall_s| *wall_s > 0.0);
@@ -105,12 +105,12 @@ fn key_figures(page: &mut String, input: &Value) {
     page.push_str("</div>\n");
 }
 
-/// Working time of each of a stage's workers.
+/// Working time per worker of a stage.
 fn load(stage: &Value) -> f64 {
     stage["working_s"].as_f64().unwrap_or(0.0) / stage["workers"].as_f64().unwrap_or(1.0).max(1.0)
 }
 
-/// What stages had to say and what they rejected; apart from it, what is no reason to act.
+/// Lists warnings and rejections, then findings that need no action.
 fn notes(page: &mut String, input: &Value) {
     let (mut warnings, mut findings) = (String::new(), String::new());
     let add = |items: &mut String, stage: &Value, said: &str| {
@@ -127,13 +127,13 @@ fn notes(page: &mut String, input: &Value) {
         }
     }
     let body = match warnings.as_str() {
-        "" => "<p>None: no stage had anything to say, and nothing was rejected.</p>\n".to_owned(),
+        "" => "<p>None: no warnings and no rejected items.</p>\n".to_owned(),
         items => format!("<ul class=\"notes\">\n{items}</ul>\n"),
     };
     let _ = write!(page, "<section>\n<h2>Warnings</h2>\n{body}</section>\n");
     if !findings.is_empty() {
         let body = format!("<ul class=\"notes\">\n{findings}</ul>\n");
-        let _ = write!(page, "<section>\n<h2>Found</h2>\n{body}</section>\n");
+        let _ = write!(page, "<section>\n<h2>Findings</h2>\n{body}</section>\n");
     }
 }
 
@@ -151,19 +151,19 @@ fn from_above(page: &mut String, overview: &Overview, input: &Value, number: usi
         figures.push(figure("Points by intensity", &overview::intensities(map, &axes, &name), ""));
         let zones = overview::zones(map, &axes, &format!("zones-{number}"));
         figures.extend(zones.map(|svg| figure("Points by MTA zone", &svg, "")));
-        let words = "some scan lines, and the middle of the first (dot)";
+        let words = "some scan lines; dot: middle of the first line";
         figures.extend(
-            overview::swath(map, &axes, &name).map(|svg| figure("Swath on the grid of the map", &svg, words)),
+            overview::swath(map, &axes, &name).map(|svg| figure("Swath on the map grid", &svg, words)),
         );
         about = overview::about(map, input["coordinates"].as_str());
     }
     let along = overview::along(&overview.lines);
     let words = match overview.lines.lines_per_group {
         0 | 1 => String::new(),
-        lines => format!("means of {lines} lines"),
+        lines => format!("means over {lines} lines"),
     };
     figures.extend(along.map(|svg| figure("Waveforms and returns along the flight", &svg, &words)));
-    group(page, "Points from above", &about, &figures);
+    group(page, "Map views", &about, &figures);
 }
 
 fn of_returns(page: &mut String, overview: &Overview) {
@@ -174,7 +174,7 @@ fn of_returns(page: &mut String, overview: &Overview) {
     group(page, "Returns", "", &drawn.collect::<Vec<String>>());
 }
 
-/// Multiple time around: what each zone has, and what the recording looks like in each.
+/// Shows the share of each MTA zone, and the recording computed with each zone.
 fn of_zones(page: &mut String, overview: &Overview) {
     let Some(zones) = &overview.zones else { return };
     let all: u64 = zones.shares.iter().map(|share| share.returns).sum();
@@ -186,8 +186,8 @@ fn of_zones(page: &mut String, overview: &Overview) {
     });
     if let Some(clouds) = &zones.clouds {
         let words = format!(
-            "range (m) against shot: the middle of scan line {}, all echoes with one zone; above each the median difference of \
-             neighbouring ranges. It is least in the zone that is right, where intervals between pulses vary",
+            "range (m) against shot: the middle of scan line {}, with all echoes in one zone. Above each plot: median difference of \
+             neighbouring ranges, which is smallest for the correct zone if pulse intervals vary",
             clouds.line
         );
         let drawn = figure("Range with each MTA zone", &overview::clouds(clouds), &words);
@@ -205,14 +205,14 @@ fn of_waveforms(page: &mut String, overview: &Overview) {
 }
 
 fn of_run(page: &mut String, input: &Value) {
-    let words = "all workers of a stage together; waiting: for lines to come; blocked: by the stage behind";
-    let times = figure("Where the time went", &pictures::times(list(input, "stages")), words);
+    let words = "sum over all workers of a stage; waiting: for input lines; blocked: by the next stage";
+    let times = figure("Time per stage", &pictures::times(list(input, "stages")), words);
     group(page, "Run", "", &[times]);
     stages(page, input);
     observed(page, input);
 }
 
-/// The receivers of a sensor model that are shown, and what they are called.
+/// Channels of a sensor model that are shown, with their names.
 const CHANNELS: [(&str, &str); 3] =
     [("low_power", "low power"), ("high_power", "high power"), ("reference", "outgoing pulse")];
 
@@ -220,26 +220,27 @@ fn of_sensor(page: &mut String, model: &Value) {
     let mut figures = Vec::new();
     for (key, channel) in CHANNELS {
         let response = pictures::response(&model[key]["response"]);
-        figures.extend(response.map(|svg| {
-            figure(&format!("System response, {channel}"), &svg, "at each height that it is known for")
-        }));
+        figures.extend(
+            response.map(|svg| {
+                figure(&format!("System response, {channel}"), &svg, "at each calibrated amplitude")
+            }),
+        );
         let noise = pictures::noise(&model[key]);
         let sd = model[key]["noise_sd_dn"].as_f64().unwrap_or(0.0);
-        let words =
-            format!("of noise with a standard deviation of {} DN; bars: two standard deviations", short(sd));
+        let words = format!("noise SD {} DN; bars: two standard deviations", short(sd));
         figures.extend(noise.map(|svg| figure(&format!("Noise, {channel}"), &svg, &words)));
     }
     group(page, "Sensor model", "", &figures);
 }
 
-/// What the pictures leave out.
+/// Shows tables of the remaining values.
 fn tables(page: &mut String, input: &Value) {
     page.push_str("<div class=\"sections\">\n");
     let facts = ["path", "format", "instrument", "serial", "sampling_interval_ns", "time_scale", "frame"];
     let more = ["emission_reference", "ranges_count_from", "coordinates", "wall_s", "peak_in_flight_bytes"];
     let known = facts.iter().chain(&more).filter(|key| !input[**key].is_null());
     section(page, "Input", known.map(|key| (key.replace('_', " "), plain(&input[*key]))));
-    section(page, "Counts of all lines", entries(&input["totals"]));
+    section(page, "Totals", entries(&input["totals"]));
     section(page, "Trajectory", entries(&input["trajectory"]));
     for (key, channel) in CHANNELS {
         let model = &input["sensor_model"][key];
@@ -248,11 +249,11 @@ fn tables(page: &mut String, input: &Value) {
         let title = format!("Sensor model, {channel}");
         section(page, &title, rows.map(|key| (key.replace('_', " "), rounded(&model[*key]))));
     }
-    section(page, "Written", list(input, "outputs").iter().map(|file| ("file".to_owned(), plain(file))));
+    section(page, "Outputs", list(input, "outputs").iter().map(|file| ("file".to_owned(), plain(file))));
     page.push_str("</div>\n");
 }
 
-/// A titled group of figures, where there are any.
+/// Writes a titled group of figures; nothing if there are none.
 fn group(page: &mut String, title: &str, about: &str, figures: &[String]) {
     if figures.is_empty() {
         return;
@@ -264,7 +265,7 @@ fn group(page: &mut String, title: &str, about: &str, figures: &[String]) {
     let _ = write!(page, "<div class=\"figures\">\n{}</div>\n", figures.concat());
 }
 
-/// A picture with its title, and words below it.
+/// Formats a figure with title and caption.
 fn figure(title: &str, svg: &str, words: &str) -> String {
     let words = match words {
         "" => String::new(),
@@ -273,7 +274,7 @@ fn figure(title: &str, svg: &str, words: &str) -> String {
     format!("<figure>\n<h3>{}</h3>\n{svg}{words}</figure>\n", escaped(title))
 }
 
-/// A titled table of names and values, where there are any.
+/// Writes a titled table of names and values; nothing if it is empty.
 fn section(page: &mut String, title: &str, rows: impl Iterator<Item = (String, String)>) {
     let rows: Vec<String> = rows
         .map(|(name, value)| format!("<tr><td>{}</td><td>{}</td></tr>\n", escaped(&name), escaped(&value)))
@@ -304,7 +305,7 @@ fn stages(page: &mut String, input: &Value) {
 }
 
 fn observed(page: &mut String, input: &Value) {
-    let heads = ["quantity", "count", "mean", "half below", "90 % below", "99 % below", "largest"];
+    let heads = ["quantity", "count", "mean", "median", "90 % below", "99 % below", "maximum"];
     let of_stage = |stage: &Value| {
         let stage_name = name(stage);
         let observed = stage["observed"].as_object().into_iter().flatten();
@@ -319,7 +320,7 @@ fn observed(page: &mut String, input: &Value) {
     table(page, "Measured", &heads, list(input, "stages").iter().flat_map(of_stage));
 }
 
-/// A table of rows of numbers behind a name, where there are any.
+/// Writes a titled table with header; nothing if it has no rows.
 fn table(page: &mut String, title: &str, heads: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     let row = |cells: Vec<String>| {
         let cells: String = cells.iter().map(|cell| format!("<td>{}</td>", escaped(cell))).collect();
@@ -339,7 +340,7 @@ fn list<'v>(value: &'v Value, key: &str) -> &'v [Value] {
     value[key].as_array().map_or(&[], Vec::as_slice)
 }
 
-/// The entries of an object; none of anything else.
+/// Entries of an object; empty for any other value.
 fn entries(value: &Value) -> impl Iterator<Item = (String, String)> + '_ {
     value.as_object().into_iter().flatten().map(|(key, value)| (key.clone(), plain(value)))
 }
@@ -348,16 +349,16 @@ fn name(stage: &Value) -> String {
     plain(&stage["id"])
 }
 
-/// A value as one writes it.
+/// Formats a value as text.
 fn plain(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
-        Value::Null => "not known".into(),
+        Value::Null => "unknown".into(),
         other => other.to_string(),
     }
 }
 
-/// Numbers and lists of numbers with a few digits.
+/// Formats numbers and lists of numbers with about three significant digits.
 fn rounded(value: &Value) -> String {
     match value {
         Value::Array(items) => items.iter().map(rounded).collect::<Vec<String>>().join(", "),
@@ -375,7 +376,7 @@ fn capitalised(words: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// A value as HTML holds it.
+/// Formats a value as escaped HTML.
 fn text(value: &Value) -> String {
     escaped(&plain(value))
 }

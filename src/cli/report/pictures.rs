@@ -1,4 +1,4 @@
-//! Pictures of a run and of its sensor, from the report's own values.
+//! Figures of a run and its sensor model, from the values of the report.
 
 use serde_json::Value;
 
@@ -7,10 +7,10 @@ use crate::cli::svg::{Anchor, Scale, Svg};
 
 const LEFT: f64 = 110.0;
 const RIGHT: f64 = 546.0;
-/// Height of a stage's bar with the room around it.
+/// Height of a stage's row, SVG units.
 const ROW: f64 = 26.0;
 
-/// Working, waiting and blocked time of each stage, as bars side by side.
+/// Draws working, waiting and blocked time of each stage as stacked bars.
 pub(super) fn times(stages: &[Value]) -> String {
     let seconds = |stage: &Value, key: &str| stage[key].as_f64().unwrap_or(0.0).max(0.0);
     let parts = ["working", "waiting", "blocked"];
@@ -39,19 +39,21 @@ pub(super) fn times(stages: &[Value]) -> String {
             from = until;
         }
     }
-    svg.inline(WIDTH, bottom + 26.0, "time of each stage")
+    svg.inline(WIDTH, bottom + 26.0, "time per stage")
 }
 
-/// A response is shown as far as it exceeds this part of its height.
+/// A response is drawn as far as it exceeds this fraction of its peak.
 const TAIL: f64 = 0.004;
-/// Values of a response per sample.
+/// Tabulated values of a response per sample.
 const PER_SAMPLE: f64 = 8.0;
 
 fn numbers(list: &Value) -> Vec<f64> {
     list.as_array().into_iter().flatten().filter_map(Value::as_f64).collect()
 }
 
-/// The response of a receiver at each height that it is known for, and the error of its shape; `None` where there is none.
+/// Draws the system response at each calibrated amplitude, with its shape error.
+///
+/// `None` if there is no response.
 pub(super) fn response(response: &Value) -> Option<String> {
     let first = response["first_sample"].as_f64()?;
     let nodes: Vec<Vec<f64>> =
@@ -73,12 +75,13 @@ pub(super) fn response(response: &Value) -> Option<String> {
     svg.curve("returns", [[400.0, 28.0], [422.0, 28.0]].into_iter());
     svg.text("", [428.0, 32.0], Anchor::Start, "response");
     svg.curve("found", [[400.0, 46.0], [422.0, 46.0]].into_iter());
-    svg.text("", [428.0, 50.0], Anchor::Start, "error of its shape");
-    Some(plot.finish(svg, "system response", "samples from the peak", "part of the height"))
+    svg.text("", [428.0, 50.0], Anchor::Start, "shape error");
+    Some(plot.finish(svg, "system response", "samples from the peak", "fraction of the peak"))
 }
 
-/// The noise of a receiver: how it is correlated from sample to sample, with twice the standard deviation where that is
-/// known; `None` where the correlation was not measured.
+/// Draws the noise autocorrelation with bars of two standard deviations.
+///
+/// `None` if the autocorrelation was not measured.
 pub(super) fn noise(channel: &Value) -> Option<String> {
     let measured = numbers(&channel["autocorrelation"]);
     let errors = numbers(&channel["uncertainty"]["autocorrelation"]);
@@ -103,5 +106,5 @@ pub(super) fn noise(channel: &Value) -> Option<String> {
         }
         svg.circle("dot", [x, y], 3.0);
     }
-    Some(plot.finish(svg, "correlation of the noise", "lag, samples", "correlation"))
+    Some(plot.finish(svg, "noise autocorrelation", "lag, samples", "correlation"))
 }

@@ -1,21 +1,21 @@
-//! The frame that the pictures of a run have in common.
+//! Axes and frame common to the figures of a run.
 
 use crate::cli::svg::{Anchor, Scale, Svg};
 
-/// Width of a picture that stands beside another.
+/// Width of a figure, SVG units.
 pub(super) const WIDTH: f64 = 560.0;
 
-/// A framed area with its scales. Logarithmic ones count in decades.
+/// A framed area with its scales; logarithmic scales are in decades.
 pub(super) struct Plot {
     pub(super) x: Scale,
     pub(super) y: Scale,
 }
 
-/// A value at an axis and what is written there.
+/// Axis position and its label.
 pub(super) type Tick = (f64, String);
 
 impl Plot {
-    /// Of the usual size: what `x` and `y` show, from low to high.
+    /// Creates a plot of the usual size with these axis ranges.
     pub(super) fn new(x: [f64; 2], y: [f64; 2]) -> Plot {
         Plot { x: Scale { from: x, to: [70.0, 546.0] }, y: Scale { from: y, to: [214.0, 14.0] } }
     }
@@ -25,13 +25,13 @@ impl Plot {
         [within(self.x.at(x), self.x.to), within(self.y.at(y), self.y.to)]
     }
 
-    /// The points that lie between the ends of the horizontal axis.
+    /// Keeps points within the horizontal axis range and scales them.
     pub(super) fn inside(&self, points: impl Iterator<Item = [f64; 2]>) -> impl Iterator<Item = [f64; 2]> {
         let [low, high] = self.x.from;
         points.filter(move |[x, _]| (low..=high).contains(x)).map(|point| self.at(point))
     }
 
-    /// Lines and numbers at the horizontal axis.
+    /// Draws grid lines and labels of the horizontal axis.
     pub(super) fn grid_x(&self, svg: &mut Svg, ticks: Vec<Tick>) {
         let [bottom, top] = self.y.to;
         for (value, text) in ticks {
@@ -41,7 +41,7 @@ impl Plot {
         }
     }
 
-    /// Lines and numbers at the vertical axis.
+    /// Draws grid lines and labels of the vertical axis.
     pub(super) fn grid_y(&self, svg: &mut Svg, ticks: Vec<Tick>) {
         let [left, right] = self.x.to;
         for (value, text) in ticks {
@@ -51,13 +51,13 @@ impl Plot {
         }
     }
 
-    /// Lines and round numbers at both axes.
+    /// Draws grid lines at round values of both axes.
     pub(super) fn grid(&self, svg: &mut Svg) {
         self.grid_y(svg, ticks(&self.y, 5.0));
         self.grid_x(svg, ticks(&self.x, 6.0));
     }
 
-    /// The frame, and what the axes show.
+    /// Draws the frame and the axis titles.
     pub(super) fn frame(&self, svg: &mut Svg, x: &str, y: &str) {
         let ([left, right], [bottom, top]) = (self.x.to, self.y.to);
         svg.rect("frame", [left, top], [right, bottom]);
@@ -65,20 +65,22 @@ impl Plot {
         svg.upright_text("", [13.0, 0.5 * (top + bottom)], y);
     }
 
-    /// The frame, and the picture.
+    /// Draws the frame and returns the figure.
     pub(super) fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> String {
         self.frame(&mut svg, x, y);
         svg.inline(WIDTH, self.y.to[0] + 50.0, title)
     }
 }
 
-/// Round values on a scale, about so many.
+/// Round values on a scale, about `wanted`.
 pub(super) fn ticks(scale: &Scale, wanted: f64) -> Vec<Tick> {
     let (values, digits) = scale.ticks(wanted);
     values.into_iter().map(|value| (value, label(value, digits))).collect()
 }
 
-/// Powers of ten within these decades, and 2 and 5 times them where there are few.
+/// Powers of ten within these decades.
+///
+/// Short ranges also get 2 and 5 times each power.
 pub(super) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
     let steps: &[f64] = if high - low > 2.5 { &[1.0] } else { &[1.0, 2.0, 5.0] };
     let powers = (low.floor().max(-300.0) as i32)..=(high.ceil().min(300.0) as i32);
@@ -93,7 +95,7 @@ pub(super) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
     within.map(text).collect()
 }
 
-/// A number at an axis; thousands stand apart where there are many.
+/// Axis label; groups thousands from five digits on.
 pub(super) fn label(value: f64, digits: usize) -> String {
     let text = format!("{:.digits$}", value.abs());
     let is_zero = text.chars().all(|character| matches!(character, '0' | '.'));
@@ -110,7 +112,7 @@ pub(super) fn label(value: f64, digits: usize) -> String {
     rest.map_or_else(|| format!("{sign}{grouped}"), |rest| format!("{sign}{grouped}.{rest}"))
 }
 
-/// A value with three digits or so.
+/// Formats a value with about three significant digits.
 pub(super) fn short(value: f64) -> String {
     let size = value.abs().max(1e-12).log10().floor();
     let digits = (2.0 - size).clamp(0.0, 6.0) as usize;

@@ -1,7 +1,9 @@
-//! Looks of a run's page.
+//! Style sheet of a run's page.
 
-/// What the page of a run has besides the looks of a recording's. Colours stand for roles, and those that meet in one
-/// picture differ in lightness, so that they can be told apart in grey.
+/// Additions to the style sheet of a recording's page.
+///
+/// Colours represent roles. Colours within one figure differ in lightness, so they remain distinct
+/// in greyscale.
 pub(super) const MORE_STYLE: &str = "\
 :root{--work:#1d4f91;--wait:#eceff3;--block:#f0a45a;--first:#8a8f98;--second:#1565c0;--third:#c2590a;
 --sample:#1a1a1a;--fit:#1565c0;--pulse:#d97706;--limit:#b91c1c;--soft:#f5f7fa}

@@ -1,4 +1,4 @@
-//! The waveforms that a page shows.
+//! Waveform figures of a run's page.
 
 use std::fmt::Write;
 
@@ -7,10 +7,10 @@ use crate::cli::explain::panel::{FAR_LABEL, Panels};
 use crate::cli::svg::{Anchor, Svg, escaped};
 use crate::overview::{ShownBlock, ShownKind, ShownReturn, ShownShot};
 
-/// Returns of a shot that its table has at most.
+/// Maximum number of returns in the table of a shot.
 const MOST_RETURNS: usize = 6;
 
-/// A shot as a figure: samples with their fit, what the fit leaves, and the returns.
+/// Draws a shot: samples with fit, residuals, and a table of returns.
 pub(super) fn figure(shot: &ShownShot) -> String {
     let mut svg = Svg::new();
     let panels = Panels { x: [62.0, 548.0], gap: 16.0, samples: [10.0, 210.0], residual: [228.0, 308.0] };
@@ -18,7 +18,7 @@ pub(super) fn figure(shot: &ShownShot) -> String {
     panels.draw(&mut svg, &blocks);
     svg.text("", [305.0, 344.0], Anchor::Middle, "time of flight, ns");
     svg.upright_text("", [13.0, 110.0], "digitiser steps, DN");
-    svg.upright_text("", [13.0, 268.0], "residual, sd");
+    svg.upright_text("", [13.0, 268.0], "residual, SD");
     let title = title(shot);
     let picture = svg.inline(WIDTH, 352.0, &title);
     format!("<figure>\n<h3>{}</h3>\n{picture}{}</figure>\n", escaped(&title), returns(shot))
@@ -55,7 +55,7 @@ fn cells(found: &ShownReturn) -> [String; 5] {
     let known = |value: Option<f64>, digits: usize| value.map(|value| format!("{value:.digits$}"));
     let with_sd = |value: Option<String>, sd: Option<String>| match (value, sd) {
         (Some(value), Some(sd)) => format!("{value} ± {sd}"),
-        (value, _) => value.unwrap_or_else(|| "not known".to_owned()),
+        (value, _) => value.unwrap_or_else(|| "unknown".to_owned()),
     };
     [
         found.number.to_string(),
@@ -66,7 +66,7 @@ fn cells(found: &ShownReturn) -> [String; 5] {
     ]
 }
 
-/// What the marks of these pictures mean.
+/// Draws the legend of the waveform figures.
 pub(super) fn legend() -> String {
     let mut svg = Svg::new();
     let lines =
@@ -84,6 +84,6 @@ pub(super) fn legend() -> String {
     }
     svg.rect("one", [x, 7.0], [x + 24.0, 21.0]);
     svg.text("", [x + 31.0, 18.0], Anchor::Start, "± 1 standard deviation");
-    let picture = svg.inline(x + 190.0, 28.0, "marks in the pictures of waveforms");
+    let picture = svg.inline(x + 190.0, 28.0, "legend of the waveform figures");
     format!("<div class=\"legend\">\n{picture}</div>\n")
 }

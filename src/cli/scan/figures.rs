@@ -1,4 +1,4 @@
-//! The pictures of a recording: histograms, blocks and angles over time, a few waveforms.
+//! Figures of a recording: histograms, blocks and angles over time, some waveforms.
 
 use super::histograms::{Part, amplitudes, angles, name_of, noise, ranges};
 use super::summary::grouped;
@@ -12,19 +12,19 @@ pub(super) struct Figure {
     pub(super) svg: String,
 }
 
-/// Size of a picture and the frame in it.
+/// Size of a picture and of the frame in it, SVG units.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 270.0;
 const LEFT: f64 = 86.0;
 const RIGHT: f64 = 546.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 218.0;
-/// Waveforms that are shown.
+/// Maximum number of waveforms shown.
 const WAVEFORMS: usize = 6;
-/// A part of this many of the values at either end may lie outside of a histogram's picture.
+/// Fraction of the values that a histogram may cut off at either end.
 const TAIL: f64 = 0.0005;
 
-/// All pictures that there is something to show in.
+/// Draws all figures that have data.
 pub(super) fn figures(survey: &Survey) -> Vec<Figure> {
     let parts = [amplitudes(survey), ranges(survey), noise(survey), angles(survey)];
     let mut figures: Vec<Figure> = parts.iter().flatten().map(histogram).collect();
@@ -34,7 +34,7 @@ pub(super) fn figures(survey: &Survey) -> Vec<Figure> {
     figures
 }
 
-/// Scales of a picture: horizontal and vertical.
+/// Horizontal and vertical axis of a picture.
 struct Axes {
     x: Scale,
     y: Scale,
@@ -49,7 +49,7 @@ impl Axes {
         [self.x.at(x).clamp(LEFT, RIGHT), self.y.at(y).clamp(TOP, BOTTOM)]
     }
 
-    /// Grid and numbers, which lie below what is shown.
+    /// Draws grid lines and tick labels below the data.
     fn grid(&self, svg: &mut Svg) {
         let (values, digits) = self.y.ticks(5.0);
         for value in values {
@@ -63,7 +63,7 @@ impl Axes {
         }
     }
 
-    /// The frame, and what the axes show.
+    /// Draws frame and axis titles, and finishes the figure.
     fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> Figure {
         svg.rect("frame", [LEFT, TOP], [RIGHT, BOTTOM]);
         svg.text("", [0.5 * (LEFT + RIGHT), BOTTOM + 40.0], Anchor::Middle, x);
@@ -72,7 +72,7 @@ impl Axes {
     }
 }
 
-/// A number at an axis, with its thousands apart.
+/// Tick label, with grouped thousands from 10 000 on.
 fn label(value: f64, digits: usize) -> String {
     let value = if value == 0.0 { 0.0 } else { value };
     let is_large_whole = digits == 0 && value.abs() >= 10_000.0;
@@ -101,7 +101,7 @@ fn histogram(part: &Part) -> Figure {
     axes.finish(svg, &part.title, part.quantity, "count")
 }
 
-/// The bins but for the outermost of very few values.
+/// Range of the bins without the tails (see [`TAIL`]).
 fn bulk(part: &Part) -> [f64; 2] {
     let width = part.histogram.width();
     let most = (TAIL * part.histogram.total() as f64) as u64;
@@ -117,7 +117,7 @@ fn bulk(part: &Part) -> [f64; 2] {
     let low = first_beyond_tail(&bins);
     bins.reverse();
     let high = first_beyond_tail(&bins);
-    // At least five bins, so that a single value is no wall.
+    // Show at least five bins: a single value would fill the frame.
     let few = (2.0 * width - 0.5 * (high - low)).max(0.0);
     [low - 0.5 * width - few, high + 0.5 * width + few]
 }
@@ -158,7 +158,7 @@ fn angles_over_time(survey: &Survey) -> Option<Figure> {
     Some(axes.finish(svg, &title, "time since the first shot, s", "angle, degrees"))
 }
 
-/// The blocks of a shot, side by side where there is nothing between them.
+/// Draws the blocks of a shot over time.
 fn waveform(shown: &Waveform) -> Figure {
     let end_ns = |block: &ShownBlock| block.start_ns + block.samples_dn.len() as f64 * block.interval_ns;
     let first = shown.blocks.iter().map(|block| block.start_ns).fold(f64::INFINITY, f64::min);

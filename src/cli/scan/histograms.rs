@@ -1,11 +1,11 @@
-//! Histograms as text: a commented header, then the centre of a bin and its count per line.
+//! Histograms as text: commented header, then bin centre and count per line.
 
 use std::fmt::Write;
 
 use crate::batch::Channel;
 use crate::survey::{Angle, Histogram, Samples, Survey};
 
-/// The histograms that there is anything in: what their files' names end with, and their text.
+/// Non-empty histograms: suffix of the file name, and text.
 pub(super) fn files(survey: &Survey) -> Vec<(&'static str, String)> {
     let all = [
         ("amplitudes", amplitudes(survey)),
@@ -17,19 +17,19 @@ pub(super) fn files(survey: &Survey) -> Vec<(&'static str, String)> {
     all.into_iter().filter(|(_, parts)| !parts.is_empty()).map(|(what, parts)| (what, text(parts))).collect()
 }
 
-/// A histogram with what it is.
+/// A histogram with its labels.
 pub(super) struct Part<'a> {
-    /// What is counted.
+    /// Title of the histogram.
     pub(super) title: String,
-    /// The quantity with its unit.
+    /// Counted quantity with its unit.
     pub(super) quantity: &'static str,
     pub(super) histogram: &'a Histogram,
-    /// What the values count from.
+    /// Offset subtracted from the values.
     zero: f64,
 }
 
 impl Part<'_> {
-    /// The bins, counted from the part's zero: centre and count.
+    /// Bins as centre minus `zero`, and count.
     pub(super) fn bins(&self) -> impl ExactSizeIterator<Item = (f64, u64)> + Clone + '_ {
         self.histogram.bins().map(|(centre, count)| (centre - self.zero, count))
     }
@@ -46,18 +46,18 @@ impl Part<'_> {
     }
 }
 
-/// Six digits behind the point at most.
+/// Rounds to six decimal places.
 fn rounded(value: f64) -> f64 {
     let rounded = (value * 1e6).round() / 1e6;
-    // No minus before a zero.
+    // Turns -0 into 0.
     rounded + 0.0
 }
 
-/// All channels in the order of reports.
+/// All channels, in report order.
 pub(super) const CHANNELS: [Channel; 4] =
     [Channel::LowPower, Channel::HighPower, Channel::Saturation, Channel::Reference];
 
-/// A channel's name.
+/// Name of a channel in reports.
 pub(super) fn name_of(channel: Channel) -> &'static str {
     match channel {
         Channel::HighPower => "high power",
@@ -67,13 +67,13 @@ pub(super) fn name_of(channel: Channel) -> &'static str {
     }
 }
 
-/// The channels whose samples were looked at.
+/// Channels with inspected samples.
 pub(super) fn with_samples(survey: &Survey) -> impl Iterator<Item = (Channel, &Samples)> {
     let values = |channel| survey.channel(channel).values.as_ref().map(|values| (channel, values));
     CHANNELS.into_iter().filter_map(values).filter(|(_, values)| !values.peaks_dn().is_empty())
 }
 
-/// The highest sample of each block above the background, by channel.
+/// Histograms of the highest sample of each block above background, by channel.
 pub(super) fn amplitudes(survey: &Survey) -> Vec<Part<'_>> {
     let part = |(channel, values): (Channel, &'_ Samples)| {
         let level_dn = values.level_dn();
@@ -87,11 +87,11 @@ pub(super) fn amplitudes(survey: &Survey) -> Vec<Part<'_>> {
     parts.map(|((title, quantity, zero), histogram)| Part { title, quantity, histogram, zero }).collect()
 }
 
-/// Samples of the receivers of echoes that are free of signal, by channel.
+/// Histograms of signal-free samples of the echo receivers, by channel.
 pub(super) fn noise(survey: &Survey) -> Vec<Part<'_>> {
     let receivers = with_samples(survey).filter(|(channel, values)| channel.is_echo() && values.free() > 0);
     let part =
-        |(channel, values): (Channel, _)| (format!("samples free of signal, {}", name_of(channel)), values);
+        |(channel, values): (Channel, _)| (format!("signal-free samples, {}", name_of(channel)), values);
     let quantity = "sample, DN";
     receivers
         .map(part)
@@ -104,21 +104,21 @@ pub(super) fn noise(survey: &Survey) -> Vec<Part<'_>> {
         .collect()
 }
 
-/// Angles of the beams.
+/// Histogram of beam angles.
 pub(super) fn angles(survey: &Survey) -> Vec<Part<'_>> {
     let title = match survey.angle {
         Some(Angle::Scan) | None => "scan angles",
-        Some(Angle::FromNadir) => "angles of the beams from straight down",
+        Some(Angle::FromNadir) => "angles of the beams from nadir",
         Some(Angle::FromAxis) => "angles of the beams from the frame's third axis",
     };
     one(&survey.angles_deg, title, "angle of a shot, degrees")
 }
 
-/// Ranges of the highest peaks.
+/// Histogram of the range of each block's highest peak.
 pub(super) fn ranges(survey: &Survey) -> Vec<Part<'_>> {
     let title = match (survey.ranges_from_first_sample(), survey.zones.contains_key(&None)) {
         (true, _) => "ranges from the first sample of each shot",
-        (false, true) => "ranges from the emission before the reception",
+        (false, true) => "ranges from the latest emission before reception",
         (false, false) => "ranges",
     };
     one(&survey.ranges_m, title, "range of a block's highest peak, m")

@@ -1,4 +1,4 @@
-//! The page: summary and pictures in one file that needs no network and no script.
+//! HTML page with summary and pictures; needs no network or scripts.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use super::summary::Summary;
 use crate::cli::svg::escaped;
 use crate::survey::Survey;
 
-/// Light by default, dark where the reader's system is, and black on white on paper.
+/// Style sheet: follows the system's light or dark theme; prints black on white.
 pub(in crate::cli) const STYLE: &str = "\
 :root{color-scheme:light dark;--page:#fff;--card:#fff;--text:#222;--faint:#666;--rule:#d8d8d8;--grid:#e8e8e8;
 --frame:#888;--bar:#3f7fc1;--low:#1565c0;--high:#c2590a}
@@ -32,14 +32,14 @@ polyline.low{stroke:var(--low)}polyline.high{stroke:var(--high)}.high.dot{fill:v
 @media print{body{max-width:none;padding:0}.figures{grid-template-columns:1fr 1fr}}
 ";
 
-/// The page as HTML.
+/// Renders the page as HTML.
 pub(super) fn page(summary: &Summary, survey: &Survey) -> String {
     let name = escaped(&summary.file);
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{name}</title>\n\
          <style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{name}</h1>\n\
-         <p class=\"about\">What the recording holds, by wavex scan {}</p>\n<div class=\"sections\">\n",
+         <p class=\"about\">Summary of the recording, by wavex scan {}</p>\n<div class=\"sections\">\n",
         env!("CARGO_PKG_VERSION")
     );
     for section in &summary.sections {

@@ -1,4 +1,4 @@
-//! The summary of a recording: sections of lines, each with a name and what there is to say.
+//! Summary of a recording: sections of name-value rows.
 
 use std::path::Path;
 
@@ -8,22 +8,22 @@ use crate::geo::time;
 use crate::stage::Counters;
 use crate::survey::{Angle, ChannelSurvey, Histogram, Intervals, Samples, Survey};
 
-/// All that is told of a recording.
+/// Summary of one recording.
 pub(super) struct Summary {
-    /// The file's name, without its folder.
+    /// File name without its folder.
     pub(super) file: String,
     pub(super) sections: Vec<Section>,
 }
 
-/// Some lines that belong together.
+/// A titled group of rows.
 pub(super) struct Section {
     pub(super) title: String,
-    /// What is told, and what there is to say.
+    /// Pairs of name and value.
     pub(super) rows: Vec<(String, String)>,
 }
 
 impl Summary {
-    /// `cut` is why the recording could not be read to its end, if so.
+    /// `cut`: reason why the recording could not be read to its end.
     pub(super) fn of(file: &Path, survey: &Survey, counters: &Counters, cut: Option<&str>) -> Summary {
         let mut sections = vec![about_file(file, survey)];
         if survey.shots.count > 0 {
@@ -36,7 +36,7 @@ impl Summary {
         Summary { file: name, sections }
     }
 
-    /// The summary as text with aligned columns.
+    /// Summary as text with aligned columns.
     pub(super) fn text(&self) -> String {
         let rows = || self.sections.iter().flat_map(|section| &section.rows);
         let width = rows().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
@@ -83,10 +83,10 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
     section.say(
         "frame",
         match input.frame {
-            Frame::Scanner => "the scanner's",
-            Frame::Body => "the aircraft's",
-            Frame::Map => "a map's, or the earth's",
-            Frame::Earth => "the earth's",
+            Frame::Scanner => "scanner",
+            Frame::Body => "aircraft body",
+            Frame::Map => "map or earth-centred",
+            Frame::Earth => "earth-centred",
         },
     );
     if input.frame == Frame::Map {
@@ -95,7 +95,7 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
     section.say("time scale", time_scale(input));
     section.say("group velocity", format!("{:.0} m/s", input.group_velocity_mps));
     section.say("sampling interval", format!("{} ns", number(input.sampling_interval_ns, 6)));
-    let full = input.full_scale_dn.map_or("not known".into(), |full| format!("{full} DN"));
+    let full = input.full_scale_dn.map_or("unknown".into(), |full| format!("{full} DN"));
     section.say("largest sample", full);
     match input.gain_control {
         GainControl::Off => {}
@@ -106,11 +106,11 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
         ),
     }
     section.say(
-        "moment of emission",
+        "emission time from",
         match input.emission_reference {
             EmissionReference::OutgoingPulse => "outgoing pulse of each shot",
-            EmissionReference::OutgoingPulseFraction => "outgoing pulse of each shot, without its start time",
-            EmissionReference::ReturnLocations => "locations of the file's own returns",
+            EmissionReference::OutgoingPulseFraction => "outgoing pulse of each shot, without start time",
+            EmissionReference::ReturnLocations => "return locations in the file",
             EmissionReference::Clock => "the shot's clock",
         },
     );
@@ -123,9 +123,9 @@ fn recorded(input: &InputInfo) -> Option<String> {
     Some(format!("day {day} of {year}"))
 }
 
-/// The name of a coordinate system: the first text in its WKT.
+/// Name of a coordinate system: the first string in its WKT.
 fn crs_name(wkt: &str) -> String {
-    wkt.split('"').nth(1).filter(|name| !name.is_empty()).unwrap_or("without a name").to_owned()
+    wkt.split('"').nth(1).filter(|name| !name.is_empty()).unwrap_or("unnamed").to_owned()
 }
 
 fn time_scale(input: &InputInfo) -> String {
@@ -133,8 +133,8 @@ fn time_scale(input: &InputInfo) -> String {
     let scale = match input.time_scale {
         TimeScale::Week => "seconds of the GPS week",
         TimeScale::Day => "seconds of the day",
-        TimeScale::Adjusted => "GPS seconds less 1e9",
-        TimeScale::Unknown => "not known",
+        TimeScale::Adjusted => "GPS seconds minus 1e9",
+        TimeScale::Unknown => "unknown",
     };
     format!("{scale}{week}")
 }
@@ -168,7 +168,7 @@ fn times(survey: &Survey) -> Section {
         section.say("duration", format!("{:.6} s", largest_s - least_s));
     }
     if times.without > 0 {
-        section.say("shots without time", share(times.without, shots));
+        section.say("shots without a time", share(times.without, shots));
     }
     let backwards = match times.backwards {
         (count, Some(shot)) => format!("{}, first at shot {shot}", counted(count, "time")),
@@ -180,7 +180,7 @@ fn times(survey: &Survey) -> Section {
     section
 }
 
-/// Intervals of more than 2.5 usual ones, the longest and its place.
+/// Describes intervals longer than 2.5 typical ones, with the longest.
 fn gaps(intervals: &Intervals, unit: &str) -> String {
     let (Some(longest), Some([usual_ps, _])) = (intervals.longest_gap(), intervals.usual_ps()) else {
         return "none".into();
@@ -196,10 +196,11 @@ fn gaps(intervals: &Intervals, unit: &str) -> String {
     )
 }
 
-/// Times of LAS are doubles of up to a billion seconds, often written with microseconds: intervals that vary by less
-/// may not vary at all, ps.
+/// Jitter below which LAS times cannot show modulation, ps.
+///
+/// LAS times are doubles of up to 1e9 s, often written with microsecond resolution.
 const COARSE_LAS_PS: f64 = 1e6;
-/// Fewer line periods do not show which one is usual.
+/// Minimum number of line periods to determine the typical one.
 const LEAST_LINES: u64 = 3;
 
 fn rates(survey: &Survey) -> Section {
@@ -214,15 +215,15 @@ fn rates(survey: &Survey) -> Section {
         let step_ps = shots.step_ps().unwrap_or(0) as f64;
         let is_las = input.is_some_and(|input| input.format.starts_with("LAS "));
         let modulation = if sd_ps > 0.0 && step_ps > sd_ps {
-            format!("not to be told: the clock has steps of {} ns", number(step_ps * 1e-3, 3))
+            format!("cannot be determined: the clock resolution is {} ns", number(step_ps * 1e-3, 3))
         } else if is_las && sd_ps < COARSE_LAS_PS {
-            "not to be told: times of LAS are too coarse".to_owned()
+            "cannot be determined: LAS times are too coarse".to_owned()
         } else {
-            format!("{:.3} ns rms", sd_ps * 1e-3)
+            format!("{:.3} ns RMS", sd_ps * 1e-3)
         };
         section.say("modulation of the interval", modulation);
     } else {
-        section.say("pulse rate, measured", "not to be told");
+        section.say("pulse rate, measured", "cannot be determined");
     }
     let lines = &survey.times.lines;
     let line_ps = lines.usual_ps().filter(|[mean_ps, _]| *mean_ps > 0.0 && lines.count() >= LEAST_LINES);
@@ -234,7 +235,7 @@ fn lines(survey: &Survey) -> Section {
     const SHOWN: usize = 8;
     let mut section = Section::new("Lines");
     section.say("scan lines", grouped(survey.lines.count));
-    section.say("shots of a line", of(&survey.lines.shots, "", 0));
+    section.say("shots per line", of(&survey.lines.shots, "", 0));
     let facets = &survey.shots.by_facet;
     section.say("facets", facets.len().to_string());
     for (facet, shots) in facets.iter().take(SHOWN).filter(|_| facets.len() > 1) {
@@ -262,13 +263,13 @@ fn blocks(survey: &Survey) -> Section {
     section.say("shots by number of blocks", few.join("   "));
     let online = survey.shots.online;
     let told = || format!("{} in {} shots", grouped(online[0]), grouped(online[1]));
-    section.say("instrument's own returns", if online[0] > 0 { told() } else { "none".into() });
+    section.say("instrument returns", if online[0] > 0 { told() } else { "none".into() });
     section.say("pulses in the air", zones(survey));
     if let Some(range) = survey.ranges_m.range() {
         let from = if survey.ranges_from_first_sample() {
-            "; from the first sample of each shot: the recording does not give the position of the sensor"
+            "; from the first sample of each shot: the recording has no sensor position"
         } else if survey.zones.contains_key(&None) {
-            "; from the emission before the reception: zones are unresolved"
+            "; from the latest emission before reception: zones are unresolved"
         } else {
             ""
         };
@@ -297,7 +298,7 @@ fn receiver(survey: &Survey, channel: Channel) -> Option<Section> {
     }
     let mut section = Section::new(format!("Channel: {}", name_of(channel)));
     section.say("blocks", grouped(seen.blocks));
-    section.say("samples of a block", of(&seen.lengths, "", 0));
+    section.say("samples per block", of(&seen.lengths, "", 0));
     section.say("first sample after the clock", of(&seen.starts_ns, " ns", 2));
     if seen.gains != [1.0; 2] {
         let [least, greatest] = seen.gains;
@@ -309,7 +310,7 @@ fn receiver(survey: &Survey, channel: Channel) -> Option<Section> {
     Some(section)
 }
 
-/// Fewer samples say little of the noise.
+/// Minimum number of signal-free samples for noise statistics.
 const LEAST_FREE: u64 = 200;
 
 fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, channel: Channel) {
@@ -326,7 +327,7 @@ fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, ch
                     .say("noise autocorrelation", format!("{} at lags 1 to {}", lags.join(" "), lags.len()));
             }
             _ => {
-                section.say("noise", format!("not to be told: {} samples are free of signal", values.free()))
+                section.say("noise", format!("too few signal-free samples to measure it: {}", values.free()))
             }
         }
     }
@@ -339,7 +340,7 @@ fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, ch
     section.say(
         "saturated",
         match values.saturated() {
-            None => "the largest sample is not known".to_owned(),
+            None => "unknown: the full scale is unknown".to_owned(),
             Some([samples, blocks]) => {
                 format!(
                     "{} of the samples, {} of the blocks",
@@ -355,15 +356,15 @@ fn flight(survey: &Survey) -> Section {
     let mut section = Section::new("Beams");
     let title = match survey.angle {
         Some(Angle::Scan) | None => "scan angles",
-        Some(Angle::FromNadir) => "angles from straight down",
+        Some(Angle::FromNadir) => "angles from nadir",
         Some(Angle::FromAxis) => "angles from the third axis",
     };
     section.say(title, of(&survey.angles_deg, "°", 2));
     let shots = &survey.shots;
     let synchronised = match (shots.synchronised, shots.synchronised_within_last_second) {
-        (0, 0) => "no shot says so (LAS and PulseWaves cannot)".to_owned(),
+        (0, 0) => "not reported by any shot (LAS and PulseWaves cannot)".to_owned(),
         (ever, lately) => format!(
-            "{} of the shots; within the last second {}",
+            "{} of the shots; within the preceding second {}",
             share(ever, shots.count),
             share(lately, shots.count)
         ),
@@ -385,23 +386,23 @@ fn integrity(survey: &Survey, counters: &Counters, cut: Option<&str>) -> Section
         section.say("note", note.clone());
     }
     if survey.zones.contains_key(&None) {
-        section.say("note", "zones are unresolved: `resolve_mta` must come before `decompose`");
+        section.say("note", "zones are unresolved: put `resolve_mta` before `decompose`");
     }
     section
 }
 
-/// Smallest, median and largest value.
+/// Minimum, maximum and median as text.
 fn of(histogram: &Histogram, unit: &str, digits: usize) -> String {
     match (histogram.range(), histogram.median()) {
         (Some([least, largest]), Some(_)) if least == largest => format!("{least:.digits$}{unit}"),
         (Some([least, largest]), Some(median)) => {
             format!("{least:.digits$} to {largest:.digits$}{unit}, median {median:.digits$}{unit}")
         }
-        _ => "not known".into(),
+        _ => "unknown".into(),
     }
 }
 
-/// A whole number with its thousands apart.
+/// Formats a whole number with grouped thousands.
 pub(super) fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
@@ -419,20 +420,20 @@ fn counted(count: u64, what: &str) -> String {
     if count == 1 { format!("1 {what}") } else { format!("{} {what}s", grouped(count)) }
 }
 
-/// A number and its part of a whole.
+/// Formats a count with its percentage of a total.
 fn share(count: u64, of: u64) -> String {
     let percent = 100.0 * count as f64 / of.max(1) as f64;
     let digits = if percent == 0.0 || percent >= 10.0 { 1 } else { 3 };
     format!("{} ({percent:.digits$} %)", grouped(count))
 }
 
-/// A number without zeros at its end.
+/// Formats a number without trailing zeros.
 fn number(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// A duration in a fitting unit.
+/// Formats a duration with a suitable unit.
 fn seconds(duration_s: f64) -> String {
     let (factor, unit) = match duration_s {
         s if s >= 1.0 => (1.0, "s"),
@@ -474,6 +475,6 @@ mod tests {
     #[test]
     fn a_coordinate_system_is_called_by_its_name() {
         assert_eq!(crs_name("PROJCS[\"ETRS89 / UTM zone 32N\",GEOGCS[\"ETRS89\"]]"), "ETRS89 / UTM zone 32N");
-        assert_eq!(crs_name("EPSG:25832"), "without a name");
+        assert_eq!(crs_name("EPSG:25832"), "unnamed");
     }
 }

@@ -1,4 +1,4 @@
-//! The coordinates in which a trajectory is shown.
+//! Coordinate system in which a trajectory is written and drawn.
 
 use std::path::Path;
 
@@ -6,17 +6,19 @@ use crate::geo::crs::{Crs, Named};
 use crate::geo::ellipsoid::{Geodetic, WGS84};
 use crate::geo::trajectory::Sample;
 
-/// What places become.
+/// Projection of positions into a coordinate system.
 pub(super) struct Map {
     crs: Crs,
 }
 
-/// A place for systems that are the same everywhere.
+/// Placeholder position for systems that do not depend on one.
 const ANYWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };
 
 impl Map {
-    /// What the user names: `utm`, with the zone of a place, where one is known; `utm:33N`, `EPSG:2154`, `geodetic`, `ecef`,
-    /// or the path of a file with WKT.
+    /// Coordinate system named by the user; `None` for `utm` without a position.
+    ///
+    /// `word` is `utm` (zone of `place`), `utm:33N`, `EPSG:2154`, `geodetic`, `ecef`, or the path
+    /// of a WKT file.
     pub(super) fn of(word: &str, place: Option<Geodetic>) -> Result<Option<Map>, String> {
         let told = |problem: &dyn std::fmt::Display| format!("--crs {word}: {problem}");
         let named = match Named::parse(word).map_err(|error| told(&error))? {
@@ -24,7 +26,7 @@ impl Map {
             Some(named) => named,
             None => Named::Wkt(std::fs::read_to_string(Path::new(word)).map_err(|error| {
                 told(&format!(
-                    "no file of this name ({error}); say utm, utm:33N, EPSG:2154, geodetic, ecef or a file with WKT"
+                    "no such file ({error}); give utm, utm:33N, EPSG:2154, geodetic, ecef or a WKT file"
                 ))
             })?),
         };
@@ -32,38 +34,38 @@ impl Map {
         Ok(Some(Map { crs }))
     }
 
-    /// Geodetic coordinates: what needs no first place.
+    /// Geodetic coordinates, which need no first position.
     pub(super) fn geodetic() -> Result<Map, String> {
         Map::of("geodetic", None)?.ok_or_else(|| "no geodetic coordinates".into())
     }
 
-    /// In words.
+    /// Name for display.
     pub(super) fn name(&self) -> &str {
         self.crs.name()
     }
 
-    /// Digits behind the point that x and y take.
+    /// Decimal places of x and y.
     pub(super) fn digits(&self) -> usize {
         if self.crs.is_geodetic() { 10 } else { 4 }
     }
 
-    /// Whether x and y are metres of a map.
+    /// Returns whether x and y are map coordinates in metres.
     pub(super) fn is_plane(&self) -> bool {
         !self.crs.is_geodetic() && !self.crs.is_ecef() && self.crs.unit().metres == 1.0
     }
 
-    /// Whether all places have coordinates; the error names the first that has none.
+    /// Checks that all positions can be projected; the error names the first that cannot.
     pub(super) fn covers(&self, samples: &[Sample]) -> Result<(), String> {
         let projected = |sample: &Sample| self.crs.from_ecef(WGS84.ecef_of(sample.place)).map(drop);
         samples.iter().try_for_each(projected).map_err(|error| error.to_string())
     }
 
-    /// The coordinates of a place that the map covers.
+    /// Projects a position; NaN outside the domain of the projection.
     pub(super) fn project(&self, place: Geodetic) -> [f64; 3] {
         self.crs.from_ecef(WGS84.ecef_of(place)).unwrap_or([f64::NAN; 3])
     }
 
-    /// The way back from easting, northing and height; `None` where this is no map.
+    /// Inverse projection from easting, northing and height; `None` for non-map systems.
     pub(super) fn unproject(&self) -> Option<impl Fn([f64; 3]) -> Result<Geodetic, String>> {
         let is_map = !self.crs.is_geodetic() && !self.crs.is_ecef();
         is_map.then_some(|place| {
@@ -107,7 +109,7 @@ mod tests {
     #[test]
     fn a_word_that_names_nothing_is_told() {
         let told = Map::of("nowhere.wkt", None).err().unwrap();
-        assert!(told.starts_with("--crs nowhere.wkt: no file of this name ("), "{told}");
+        assert!(told.starts_with("--crs nowhere.wkt: no such file ("), "{told}");
         let told = Map::of("EPSG:1", None).err().unwrap();
         assert!(told.starts_with("--crs EPSG:1: "), "{told}");
     }

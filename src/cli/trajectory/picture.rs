@@ -1,4 +1,4 @@
-//! The picture of a trajectory: its plan with a scale, and its heights over time.
+//! Picture of a trajectory: plan view with scale bar, and height over time.
 
 use super::map::Map;
 use crate::cli::svg::{Anchor, Scale, Svg};
@@ -6,17 +6,17 @@ use crate::geo::ellipsoid::WGS84;
 use crate::geo::frames::LocalFrame;
 use crate::geo::trajectory::{Sample, Trajectory};
 
-/// Places in the picture, in its own units.
+/// Layout in SVG units.
 const WIDTH: f64 = 900.0;
 const HEIGHT: f64 = 860.0;
 const LEFT: f64 = 90.0;
 const RIGHT: f64 = 874.0;
 const PLAN: [f64; 2] = [70.0, 590.0];
 const HEIGHTS: [f64; 2] = [650.0, 800.0];
-/// Lines take no more points than this, about.
+/// Approximate maximum number of points per line.
 const POINTS: usize = 4000;
 
-/// The picture as SVG.
+/// Draws the picture as SVG.
 pub(super) fn draw(title: &str, note: &str, trajectory: &Trajectory, map: &Map) -> String {
     let mut svg = Svg::new();
     svg.text("title", [LEFT, 30.0], Anchor::Start, title);
@@ -27,7 +27,7 @@ pub(super) fn draw(title: &str, note: &str, trajectory: &Trajectory, map: &Map) 
     svg.finish(WIDTH, HEIGHT, title)
 }
 
-/// Stretches without open gaps, thinned.
+/// Parts of the trajectory between unbridged gaps, decimated.
 fn parts(trajectory: &Trajectory) -> Vec<Vec<Sample>> {
     let samples = trajectory.samples();
     let every = samples.len().div_ceil(POINTS).max(1);
@@ -44,7 +44,7 @@ fn parts(trajectory: &Trajectory) -> Vec<Vec<Sample>> {
     ends.into_iter().map(&mut part).collect()
 }
 
-/// Easting and northing, m: of the map, else of the horizon at the first place.
+/// Easting and northing, m: of the map, else local at the first position.
 fn on_plane(sample: &Sample, map: &Map, horizon: &LocalFrame) -> [f64; 2] {
     let [x, y, _] = if map.is_plane() { map.project(sample.place) } else { horizon.local_of(sample.place) };
     [x, y]
@@ -86,7 +86,7 @@ fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &Map) {
     svg.upright_text("", [16.0, 0.5 * (PLAN[0] + PLAN[1])], &format!("northing, {whose}"));
 }
 
-/// Ranges of x and y that hold all places, with a margin, at one scale.
+/// Equal-scale ranges of x and y that contain all positions, with a margin.
 fn fitted<'a>(places: impl Iterator<Item = &'a [f64; 2]>) -> [[f64; 2]; 2] {
     let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
     for place in places {
@@ -104,7 +104,7 @@ fn fitted<'a>(places: impl Iterator<Item = &'a [f64; 2]>) -> [[f64; 2]; 2] {
     })
 }
 
-/// A bar of a round length, at most a quarter of the width.
+/// Draws a bar of a round length, at most a quarter of the width.
 fn scale_bar(svg: &mut Svg, x: &Scale) {
     let span_m = x.from[1] - x.from[0];
     let unit_m = 10f64.powf((0.25 * span_m).log10().floor());

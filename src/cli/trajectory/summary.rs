@@ -1,4 +1,4 @@
-//! What a trajectory is, on a few lines.
+//! Text summary of a trajectory.
 
 use std::fmt::Write;
 
@@ -7,10 +7,10 @@ use crate::geo::ellipsoid::WGS84;
 use crate::geo::time_axis::{Clock, Times};
 use crate::geo::trajectory::{Accuracy, Sample, Trajectory};
 
-/// Gaps that are told one by one.
+/// Maximum number of gaps listed individually.
 const GAPS_TOLD: usize = 5;
 
-/// Of the file: name, format, what times count, the clock of the axis, and notes.
+/// Properties of the file: name, format, time scale, clock, accuracies, notes.
 pub(super) struct About<'a> {
     pub(super) file: String,
     pub(super) format: &'a str,
@@ -20,7 +20,7 @@ pub(super) struct About<'a> {
     pub(super) notes: &'a [String],
 }
 
-/// The summary; each line ends with a line feed.
+/// Returns the summary; each line ends with a line feed.
 pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String {
     let samples = trajectory.samples();
     let mut text = format!("{}: {}, {} records\n", about.file, about.format, samples.len());
@@ -30,12 +30,12 @@ pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String 
     let [first_s, last_s] = trajectory.span_s();
     row("clock", about.counts.to_owned());
     row("times", Times { clock: about.clock, first_s, last_s }.to_string());
-    row("lasts", format!("{:.3} s", last_s - first_s));
+    row("duration", format!("{:.3} s", last_s - first_s));
     let step_s = trajectory.median_step_s();
-    row("rate", format!("{:.2} Hz, a record every {:.3} ms", 1.0 / step_s, 1e3 * step_s));
+    row("rate", format!("{:.2} Hz, one record every {:.3} ms", 1.0 / step_s, 1e3 * step_s));
     row("gaps", gaps(trajectory));
     for gap in trajectory.gaps().iter().take(GAPS_TOLD) {
-        let bridged = if gap.is_bridged { "bridged" } else { "no poses inside" };
+        let bridged = if gap.is_bridged { "bridged" } else { "no poses in it" };
         row("", format!("{:.3} s after {:.3} s: {bridged}", gap.length_s(), gap.between_s[0]));
     }
     let degrees = |of: fn(&Sample) -> f64| range(samples.iter().map(|sample| of(sample).to_degrees()));
@@ -67,7 +67,7 @@ fn gaps(trajectory: &Trajectory) -> String {
     match gaps.len() {
         0 => "none".to_owned(),
         count => format!(
-            "{count}, the longest {longest_s:.3} s; {open} longer than the {:.3} s that are bridged",
+            "{count}, the longest {longest_s:.3} s; {open} exceed the {:.3} s limit of bridging",
             trajectory.longest_bridged_s()
         ),
     }
@@ -81,7 +81,9 @@ fn told([low, high]: [f64; 2], digits: usize) -> String {
     format!("{low:.digits$} to {high:.digits$}")
 }
 
-/// West and east end, degrees; the east end counts on where the path crosses 180 degrees.
+/// West and east end, degrees.
+///
+/// The east end exceeds 180 degrees if the path crosses the antimeridian.
 fn longitudes(samples: &[Sample]) -> [f64; 2] {
     let mut last_deg = samples.first().map_or(0.0, |sample| sample.place.longitude_rad.to_degrees());
     range(samples.iter().map(|sample| {
@@ -102,11 +104,11 @@ fn length_m(samples: &[Sample]) -> f64 {
     length_m
 }
 
-/// The largest deviations.
+/// Maximum standard deviations as text.
 fn accuracy(accuracies: &[Accuracy]) -> String {
     let largest = |of: fn(&Accuracy) -> f64| accuracies.iter().map(of).fold(0.0, f64::max);
     format!(
-        "{} records, at worst {:.3} m north, {:.3} m east, {:.3} m down, {:.4} roll, {:.4} pitch, {:.4} degrees heading",
+        "{} records, maximum SD {:.3} m north, {:.3} m east, {:.3} m down, {:.4} roll, {:.4} pitch, {:.4} degrees heading",
         accuracies.len(),
         largest(|a| a.position_sd_m[0]),
         largest(|a| a.position_sd_m[1]),

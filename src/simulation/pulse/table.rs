@@ -1,51 +1,52 @@
-//! A response ready to be added to samples: no exponential is evaluated per sample.
+//! Tabulated response, which avoids exponentials per sample.
 
 use std::cell::OnceCell;
 
 use super::super::whole_and_part;
 use super::{FWHM_OF_NORMAL, Shape};
 
-/// Steps of a response's table per sample. Linear interpolation between them errs by less than 1e-5 of the peak.
+/// Table steps per sample. The error of linear interpolation is below 1e-5 of the peak.
 const PHASES: usize = 64;
 /// Step of the logarithm of the width ratio.
 const WIDTH_STEP: f64 = 0.01;
-/// The widest that a target makes a response: 2.5 times.
+/// Index of the maximum width ratio, 2.5.
 const WIDTHS: usize = 92;
 
-/// A [`Shape`] sampled finely in time, for width ratios from 1 to 2.5 in steps of 1 %.
+/// A [`Shape`] tabulated finely in time, for width ratios from 1 to 2.5 in steps of 1 %.
 ///
-/// A target takes the nearest of these widths, and the truth says that one: what is recorded is exact for it. The table
-/// of a width is made when it is first needed.
+/// A target uses the nearest of these widths, and the ground truth reports that width, so the
+/// recorded pulse is exact for it. The table of a width is computed on first use.
 #[derive(Clone, Debug)]
 pub struct PulseTable {
     shape: Shape,
     interval_ns: f64,
-    /// Variance of a normal distribution of the shape's full width at half maximum, ns^2.
+    /// Variance of a normal distribution with the FWHM of the shape, ns².
     variance_ns2: f64,
-    /// What is left of the response after one sample, where nothing but its slow tail is there; 0: it has none.
+    /// Decay of the slow tail over one sample, where only the tail remains; 0: no tail.
     tail_factor: f64,
     rows: Vec<OnceCell<Row>>,
 }
 
-/// One width: for each phase of the first sample against the peak, the response at all samples.
+/// One width: the response at all samples, for each phase of the first sample relative to the peak.
 #[derive(Clone, Debug)]
 struct Row {
-    /// Samples before the one at or before the peak.
+    /// Number of samples before the one at or before the peak.
     lead: i64,
-    /// Samples in all.
+    /// Total number of samples.
     len: usize,
-    /// `PHASES + 1` runs of `len` samples: run p holds the response at `(k - lead - p / PHASES)` samples.
+    /// `PHASES + 1` runs of `len` samples: run p holds the response at `(k - lead - p / PHASES)`
+    /// samples.
     samples: Vec<f64>,
-    /// Height of the peak, of which that of a flat target is 1.
+    /// Peak amplitude relative to that of a flat target.
     peak: f64,
 }
 
-/// A width of a [`PulseTable`].
+/// Index of a width in a [`PulseTable`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Width(usize);
 
 impl PulseTable {
-    /// A response for samples at this interval, ns.
+    /// Tabulates a response for this sampling interval, ns.
     pub fn new(shape: Shape, interval_ns: f64) -> PulseTable {
         let sd_ns = shape.fwhm_ns() / FWHM_OF_NORMAL;
         let (decay_ns, _) = shape.end(0.0);
@@ -54,25 +55,29 @@ impl PulseTable {
         PulseTable { shape, interval_ns, variance_ns2: sd_ns * sd_ns, tail_factor, rows }
     }
 
-    /// The width nearest to that of a target which spreads the pulse by this standard deviation, ns.
+    /// Nearest width for a target that spreads the pulse by this standard deviation, ns.
     pub fn width(&self, spread_ns: f64) -> Width {
         let log_ratio = 0.5 * libm::log1p(spread_ns * spread_ns / self.variance_ns2);
         Width(((log_ratio / WIDTH_STEP + 0.5) as usize).min(WIDTHS))
     }
 
-    /// Width over that of a flat target: `sqrt(1 + v / v0)` with the target's variance `v` and the variance `v0` of a
-    /// normal distribution of the response's full width at half maximum.
+    /// Width ratio relative to a flat target.
+    ///
+    /// `sqrt(1 + v / v0)` with the variance `v` of the target and the variance `v0` of a normal
+    /// distribution with the FWHM of the response.
     pub fn width_ratio(&self, width: Width) -> f64 {
         libm::exp(WIDTH_STEP * width.0 as f64)
     }
 
-    /// Height of the peak over that of a flat target's echo of the same energy.
+    /// Peak amplitude relative to a flat target's echo of the same energy.
     pub fn peak(&self, width: Width) -> f64 {
         self.row(width).peak
     }
 
-    /// Adds a response of this energy (the height of its peak, were the target flat), whose time 0 lies at `position`,
-    /// counted in samples from the first one.
+    /// Adds a response to samples.
+    ///
+    /// `energy` is the peak amplitude for a flat target; `position` is time 0 of the response,
+    /// samples from the first one.
     pub fn add(&self, width: Width, position: f64, energy: f64, samples: &mut [f64]) {
         let row = self.row(width);
         let (whole, phase) = whole_and_part(position);
@@ -93,7 +98,8 @@ impl PulseTable {
         self.add_tail(start + row.len as i64, last, samples);
     }
 
-    /// Goes on behind a row that ended before sample `end` with the value `last`: the response is one exponential.
+    /// Continues after a row that ended before sample `end` with the value `last`: there the
+    /// response is one exponential.
     fn add_tail(&self, end: i64, last: f64, samples: &mut [f64]) {
         if end >= samples.len() as i64 || self.tail_factor == 0.0 {
             return;
@@ -131,7 +137,7 @@ impl PulseTable {
 mod tests {
     use super::*;
 
-    /// The table against the closed form, at any phase, width and place in a block.
+    /// The table agrees with the closed form at any phase, width and position in a block.
     #[test]
     fn what_is_added_is_the_response() {
         for shape in [Shape::riegl(), Shape::gaussian(4.5), Shape::riegl_reference()] {

@@ -2,22 +2,24 @@
 
 use super::Random;
 
-/// How many layers of equal area the density is cut into.
+/// Number of layers of equal area.
 const LAYERS: usize = 256;
-/// Where the lowest layer's tail begins, for 256 layers (Marsaglia and Tsang 2000, section 2).
+/// Start of the tail, for 256 layers (Marsaglia and Tsang 2000, section 2).
 const TAIL: f64 = 3.654_152_885_361_009;
 
-/// The standard normal distribution, ready to be drawn from.
+/// Sampler of the standard normal distribution.
 ///
-/// Marsaglia and Tsang 2000, "The ziggurat method for generating random variables", J. Stat. Softw. 5(8), in the form
-/// of Doornik 2005, "An improved ziggurat method to generate normal random samples": layer and place in the layer come
-/// from different bits, and the place has 53 of them.
+/// Marsaglia and Tsang 2000, "The ziggurat method for generating random variables", J. Stat. Softw.
+/// 5(8), in the form of Doornik 2005, "An improved ziggurat method to generate normal random
+/// samples": layer and position in the layer come from different bits, and the position has 53
+/// bits.
 #[derive(Clone, Debug)]
 pub struct Normal {
-    /// The right edge of each layer, from the lowest up; the last is 0. The first is that of a box with the area of the
-    /// lowest layer and its tail.
+    /// Right edge of each layer, from the lowest up; the last is 0.
+    ///
+    /// The first is the edge of a box with the area of the lowest layer and its tail.
     edge: [f64; LAYERS + 1],
-    /// The part of each layer that lies wholly under the density.
+    /// Fraction of each layer that is entirely below the density.
     inner: [f64; LAYERS],
 }
 
@@ -37,7 +39,7 @@ impl Default for Normal {
 }
 
 impl Normal {
-    /// A number of mean 0 and variance 1.
+    /// Draws a number of mean 0 and variance 1.
     #[inline]
     pub fn draw(&self, random: &mut Random) -> f64 {
         loop {
@@ -54,7 +56,7 @@ impl Normal {
         }
     }
 
-    /// Decides about a place in the part of a layer that the density cuts, which 1 in 100 numbers meet.
+    /// Accepts or rejects a position in the part of a layer cut by the density (1 in 100 draws).
     #[cold]
     fn draw_outside(&self, layer: usize, x: f64, random: &mut Random) -> Option<f64> {
         if layer == 0 {
@@ -66,10 +68,10 @@ impl Normal {
     }
 }
 
-/// A number beyond [`TAIL`] (Marsaglia 1964, as in Marsaglia and Tsang 2000, section 2).
+/// Draws a number beyond [`TAIL`] (Marsaglia 1964, as in Marsaglia and Tsang 2000, section 2).
 fn draw_tail(random: &mut Random, negative: bool) -> f64 {
     loop {
-        // 1 - u lies in (0, 1], where the logarithm is finite.
+        // 1 - u is in (0, 1], where the logarithm is finite.
         let beyond = -libm::log(1.0 - random.uniform()) / TAIL;
         let exponential = -libm::log(1.0 - random.uniform());
         if 2.0 * exponential > beyond * beyond {
@@ -79,12 +81,12 @@ fn draw_tail(random: &mut Random, negative: bool) -> f64 {
     }
 }
 
-/// The normal density, 1 at 0.
+/// Normal density, scaled to 1 at 0.
 fn density(x: f64) -> f64 {
     libm::exp(-0.5 * x * x)
 }
 
-/// The share of the distribution beyond `x` on both sides.
+/// Two-sided tail probability beyond `x`.
 fn upper_tail(x: f64) -> f64 {
     libm::erfc(x * core::f64::consts::FRAC_1_SQRT_2)
 }
@@ -98,7 +100,7 @@ mod tests {
         (0..n).map(move |_| normal.draw(&mut random))
     }
 
-    /// The top layer closes exactly: its area is that of the others.
+    /// The top layer closes exactly: it has the same area as the others.
     #[test]
     fn layers_have_equal_areas() {
         let normal = Normal::default();
@@ -123,7 +125,7 @@ mod tests {
         assert!((fourth - 3.0).abs() < 4.0 * sd * 96f64.sqrt(), "fourth moment {fourth}");
     }
 
-    /// The share beyond each place, the tail's included, against the error function.
+    /// Tail probabilities, including the tail beyond the layers, agree with the error function.
     #[test]
     fn each_part_of_the_distribution_has_its_share() {
         let n = 2_000_000;

@@ -2,7 +2,7 @@
 
 use super::{Area, Beam, Class, HALF_DIVERGENCE_RAD, Hit, LEAST_SHARE, Surface, Texture};
 
-/// A block with a flat roof, whose brightest spots overload a receiver that is set for the ground.
+/// A block with a flat roof, whose brightest spots saturate a receiver set for the ground.
 #[derive(Clone, Debug)]
 pub(super) struct Building {
     area: Area,
@@ -11,7 +11,7 @@ pub(super) struct Building {
     wall: Surface,
 }
 
-/// What blocks are made of.
+/// Materials of blocks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Materials {
     roof: Surface,
@@ -34,13 +34,15 @@ impl Materials {
 }
 
 impl Building {
-    /// A block that stands in an area and ends at this height of the scene.
+    /// A block on this area with this roof height in the scene.
     pub(super) fn new(area: Area, roof_height_m: f64, materials: &Materials) -> Building {
         Building { area, roof_height_m, roof: materials.roof, wall: materials.wall }
     }
 
-    /// Adds the echoes of a beam of which the share `left` arrives and that would reach the ground at `ground_m`, and says
-    /// what is left of it for the ground.
+    /// Adds the echoes of a beam and returns the fraction that reaches the ground.
+    ///
+    /// `left` is the fraction that arrives, `ground_m` the range at which the beam would reach the
+    /// ground.
     pub(super) fn hits(
         &self,
         beam: &Beam,
@@ -60,7 +62,8 @@ impl Building {
         match self.wall(beam, ground_m) {
             None => left,
             Some((range_m, cosine)) => {
-                // What slips past the edge of a roof below which the wall faces the beam grazes it, and is lost.
+                // The part of the footprint past the edge of a roof above a wall that faces the
+                // beam grazes the wall and is lost.
                 if depth_m < 0.0 && left >= LEAST_SHARE {
                     hits.push(self.wall.hit(beam, range_m, cosine, left, reference_range_m));
                 }
@@ -69,11 +72,13 @@ impl Building {
         }
     }
 
-    /// Where a beam comes through a wall: range, and the cosine of the angle to the wall's normal. It does so where it
-    /// would reach the ground below the block, or leaves the block before it comes to the ground.
+    /// Range at which a beam hits a wall, and the cosine of the angle to its normal.
+    ///
+    /// The beam hits a wall if it would reach the ground below the block, or leaves the block
+    /// before it reaches the ground.
     fn wall(&self, beam: &Beam, ground_m: f64) -> Option<(f64, f64)> {
-        // The beam enters the block through the wall that it reaches last of those which it comes towards, and leaves it
-        // through the first of those which it goes away from.
+        // The beam enters through the last of the walls that it approaches, and leaves through the
+        // first of those that it moves away from.
         let sides = [(self.area.x, 0), (self.area.y, 1)];
         let towards = sides.into_iter().filter(|&(_, axis)| beam.direction[axis] != 0.0);
         let ranges = towards.map(|([low, high], axis)| {
@@ -93,8 +98,9 @@ impl Building {
     }
 }
 
-/// The share of a footprint of this radius that lies on an area whose edge is `depth_m` away (negative: the axis passes
-/// outside).
+/// Fraction of a footprint of this radius on an area whose edge is `depth_m` away.
+///
+/// Negative if the axis passes outside.
 fn coverage(depth_m: f64, radius_m: f64) -> f64 {
     (0.5 + 0.5 * depth_m / radius_m).clamp(0.0, 1.0)
 }

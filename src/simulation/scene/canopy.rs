@@ -2,7 +2,7 @@
 
 use super::{Beam, Class, Hit, LEAST_SHARE, Surface, Texture};
 
-/// Layers of leaves, from the top down, each with gaps of its own.
+/// Layers of leaves from the top down, each with its own gaps.
 #[derive(Clone, Debug)]
 pub(super) struct Canopy {
     layers: [Layer; 3],
@@ -10,19 +10,19 @@ pub(super) struct Canopy {
 
 #[derive(Clone, Copy, Debug)]
 struct Layer {
-    /// Height of its highest place above the ground, m.
+    /// Maximum height above the ground, m.
     height_m: f64,
-    /// The most that it takes from a beam.
+    /// Maximum fraction that it takes from a beam.
     density: f64,
-    /// The value of the texture up to which there is a gap.
+    /// Texture value below which there is a gap.
     gap: f64,
     crowns: Texture,
     leaves: Surface,
 }
 
-/// How far the lowest place of a layer lies below its highest, over its height.
+/// Height range of a layer relative to its maximum height.
 const RELIEF: f64 = 0.25;
-/// Between gap and full density the texture rises by this much.
+/// Increase of the texture between a gap and full density.
 const RISE: f64 = 0.25;
 
 impl Canopy {
@@ -42,19 +42,21 @@ impl Canopy {
         let layers = [
             layer(10, 1.0, 0.75, 0.35, 0.30),
             layer(20, 0.6, 0.60, 0.45, 0.35),
-            // Undergrowth, whose echoes run into those of the ground.
+            // Undergrowth, whose echoes overlap those of the ground.
             layer(30, 0.1, 0.50, 0.45, 0.12),
         ];
         Canopy { layers }
     }
 
-    /// Height of the highest place above the ground, m.
+    /// Maximum height above the ground, m.
     pub(super) fn height_m(&self) -> f64 {
         self.layers[0].height_m
     }
 
-    /// Adds the echoes of a beam of which the share `left` arrives, and says what is left of it below. The wood grows
-    /// on ground of the height `ground_m(x, y)`, near the beam about `near_m`, and only where `is_wood(x, y)`.
+    /// Adds the echoes of a beam and returns the fraction below the canopy.
+    ///
+    /// `left` is the fraction that arrives. The wood grows where `is_wood(x, y)`, on ground of
+    /// height `ground_m(x, y)`, which is about `near_m` near the beam.
     #[allow(clippy::too_many_arguments, reason = "a beam, what it carries, and two fields of the land")]
     pub(super) fn hits(
         &self,
@@ -74,7 +76,7 @@ impl Canopy {
             }
             let taken = left * layer.cover(x, y);
             if taken >= LEAST_SHARE {
-                // Leaves look the same from all sides: no cosine.
+                // Leaves reflect equally in all directions: no cosine.
                 hits.push(layer.leaves.hit(beam, range_m, 1.0, taken, reference_range_m));
                 left -= taken;
             }
@@ -84,14 +86,14 @@ impl Canopy {
 }
 
 impl Layer {
-    /// The range at which a beam meets the layer, which is the highest in the middle of crowns.
+    /// Range at which a beam meets the layer, which is highest in the middle of crowns.
     fn range_m(&self, beam: &Beam, near_m: f64, ground_m: impl Fn(f64, f64) -> f64) -> f64 {
         let height = |ground_m: f64, relief: f64| ground_m + self.height_m * (1.0 - RELIEF * (1.0 - relief));
         let [x, y, _] = beam.at(beam.range_to(height(near_m, 0.5)));
         beam.range_to(height(ground_m(x, y), self.crowns.coarse(x, y)))
     }
 
-    /// The share of a beam that the layer takes at a place.
+    /// Fraction of a beam that the layer takes at a position.
     fn cover(&self, x: f64, y: f64) -> f64 {
         self.density * ((self.crowns.at(x, y) - self.gap) / RISE).clamp(0.0, 1.0)
     }

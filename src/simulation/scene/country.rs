@@ -1,4 +1,4 @@
-//! Land that has no end: hills, lakes, houses, woods and power lines.
+//! Unbounded land: hills, lakes, houses, woods and power lines.
 
 use super::super::random::cell;
 use super::building::{Building, Materials};
@@ -9,39 +9,39 @@ use super::{Area, Beam, Hit, LEAST_SHARE, Surface, Texture};
 
 /// Size of woods and clearings, m.
 const WOOD_M: f64 = 150.0;
-/// Side of a plot of land, of which each may carry one house, m.
+/// Side of a plot of land, which may carry one house, m.
 const PLOT_M: f64 = 40.0;
-/// Sides of houses, m; a house keeps within its plot.
+/// Minimum and maximum side of houses, m; a house stays within its plot.
 const HOUSE_M: [f64; 2] = [8.0, 28.0];
-/// The lowest house, over the highest.
+/// Height of the lowest house relative to the highest.
 const LOWEST_HOUSE: f64 = 0.4;
 
-/// What the land is like.
+/// Properties of the land.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CountrySettings {
     /// Height of the highest hill above the deepest hollow, m.
     pub relief_m: f64,
-    /// Share of the land under water.
+    /// Fraction of the land under water.
     pub water_ratio: f64,
-    /// Share of the land that woods cover.
+    /// Fraction of the land covered by woods.
     pub wood_ratio: f64,
     /// Height of the highest trees, m.
     pub wood_height_m: f64,
-    /// Share of the plots with a house.
+    /// Fraction of the plots with a house.
     pub house_ratio: f64,
     /// Height of the highest houses, m.
     pub house_height_m: f64,
-    /// Height of a power line's lowest wires above the ground at its pylons, m; 0: there are none.
+    /// Height of a power line's lowest wires above the ground at its pylons, m; 0: no power lines.
     pub wire_height_m: f64,
 }
 
-/// The land: a function of the place alone.
+/// The land as a function of position only.
 #[derive(Clone, Debug)]
 pub(super) struct Country {
     settings: CountrySettings,
     terrain: Terrain,
     ground: Surface,
-    /// Woods grow where this field lies below a value.
+    /// Woods grow where this field is below this value.
     woods: (Texture, f64),
     canopy: Canopy,
     plots: u64,
@@ -64,7 +64,7 @@ impl Country {
         }
     }
 
-    /// What a beam meets, in any order.
+    /// Finds the hits of a beam, in any order.
     pub(super) fn hits(&self, beam: &Beam, reference_range_m: f64, hits: &mut Vec<Hit>) {
         let ground_m = self.terrain.range_to(beam);
         let mut left = 1.0;
@@ -81,7 +81,7 @@ impl Country {
             left = self.houses(beam, ground_m, left, reference_range_m, hits);
         }
         let [x, y, _] = beam.at(ground_m);
-        // Still water throws everything away from the aircraft.
+        // Still water reflects all light away from the aircraft.
         if left >= LEAST_SHARE && !self.terrain.is_water(x, y) {
             let cosine = self.terrain.cosine(beam, ground_m);
             hits.push(self.ground.hit(beam, ground_m, cosine, left, reference_range_m));
@@ -93,7 +93,7 @@ impl Country {
         field.at(x, y) < *limit && !self.terrain.is_water(x, y)
     }
 
-    /// The houses on the plots that a beam crosses where houses can be, from its way down to the ground.
+    /// Adds the echoes of houses and returns the fraction that reaches the ground.
     fn houses(
         &self,
         beam: &Beam,
@@ -102,8 +102,8 @@ impl Country {
         reference_range_m: f64,
         hits: &mut Vec<Hit>,
     ) -> f64 {
-        // A roof stands so far above the ground at the beam's end at most: its own height, and a slope of one in one on
-        // the way there.
+        // Upper bound of roofs above the ground at the beam's end: the maximum house height plus a
+        // slope of 1:1 on the way there.
         let [x, y, z] = beam.at(ground_m);
         let [x_high, y_high, _] = beam.at(beam.range_to(z + 2.0 * self.settings.house_height_m).max(0.0));
         let plots = |a: f64, b: f64| (a.min(b) / PLOT_M).floor() as i64..=(a.max(b) / PLOT_M).floor() as i64;
@@ -176,7 +176,7 @@ mod tests {
         )
     }
 
-    /// What 40 000 beams at angles up to 35 degrees meet.
+    /// Hits of 40 000 beams at angles up to 35 degrees.
     fn flown(settings: CountrySettings) -> Vec<(Beam, Vec<Hit>)> {
         let country = country(settings);
         let beam = |k: u32| {

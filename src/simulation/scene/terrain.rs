@@ -3,13 +3,13 @@
 use super::super::world::GROUND_HEIGHT_M;
 use super::{Beam, Texture};
 
-/// Size of hills, m; a seventh of it is that of knolls.
+/// Size of hills, m; knolls are a seventh of it.
 const HILL_M: f64 = 400.0;
-/// A beam is followed in steps that go no further than this across the land: well below the size of knolls, m.
+/// Maximum horizontal step when tracing a beam, m; well below the size of knolls.
 const STEP_M: f64 = 12.0;
-/// Slopes are differences over this distance, m.
+/// Baseline of slopes, m.
 const SLOPE_M: f64 = 0.25;
-/// The range to the ground is found to this, m.
+/// Precision of the range to the ground, m.
 const PRECISION_M: f64 = 1e-7;
 
 /// Ground between [`GROUND_HEIGHT_M`] and `relief_m` above it.
@@ -17,19 +17,19 @@ const PRECISION_M: f64 = 1e-7;
 pub(super) struct Terrain {
     relief_m: f64,
     hills: Texture,
-    /// The field's value where the shores are.
+    /// Value of the field at the shores.
     shore: f64,
 }
 
 impl Terrain {
-    /// Hills of this height, of which the lowest share `water_ratio` of the land is under water.
+    /// Hills of this height; the lowest fraction `water_ratio` of the land is under water.
     pub(super) fn new(seed: u64, relief_m: f64, water_ratio: f64) -> Terrain {
         let hills = Texture::new(seed, 40, HILL_M);
         let shore = hills.quantile(water_ratio).max(0.0);
         Terrain { relief_m, hills, shore }
     }
 
-    /// Height of the ground, or of the water above it, m.
+    /// Height of the ground, or of the water surface, m.
     pub(super) fn height_m(&self, x: f64, y: f64) -> f64 {
         if self.relief_m == 0.0 {
             return GROUND_HEIGHT_M;
@@ -37,17 +37,17 @@ impl Terrain {
         GROUND_HEIGHT_M + self.relief_m * self.hills.at(x, y).max(self.shore)
     }
 
-    /// Whether there is water.
+    /// Returns whether there is water.
     pub(super) fn is_water(&self, x: f64, y: f64) -> bool {
         self.shore > 0.0 && self.hills.at(x, y) < self.shore
     }
 
-    /// The lowest and the highest that the ground can be, m.
+    /// Lower and upper bound of the ground height, m.
     pub(super) fn bounds_m(&self) -> [f64; 2] {
         [GROUND_HEIGHT_M, GROUND_HEIGHT_M + self.relief_m]
     }
 
-    /// The range at which a beam meets the ground for the first time, m.
+    /// Range at which a beam first meets the ground, m.
     pub(super) fn range_to(&self, beam: &Beam) -> f64 {
         let [lowest, highest] = self.bounds_m();
         if lowest == highest {
@@ -73,7 +73,7 @@ impl Terrain {
         end
     }
 
-    /// Cosine of the angle between a beam and the ground's normal where it meets the ground at a range.
+    /// Cosine of the angle between a beam and the ground's normal at a range.
     pub(super) fn cosine(&self, beam: &Beam, range_m: f64) -> f64 {
         if self.relief_m == 0.0 {
             return beam.cosine();
@@ -84,13 +84,14 @@ impl Terrain {
         let slope_y = (self.height_m(x, y + SLOPE_M) - here) / SLOPE_M;
         let [dx, dy, dz] = beam.direction;
         let along = dx * slope_x + dy * slope_y - dz;
-        // A grazing beam keeps a little: its echo is weak, and wide beyond what the tables hold.
+        // Lower bound for grazing beams: their echo is weak and wider than the tables allow.
         (along / (1.0 + slope_x * slope_x + slope_y * slope_y).sqrt()).clamp(0.05, 1.0)
     }
 }
 
-/// Where a function that is positive at the first place and not at the second passes through zero (regula falsi in the
-/// Illinois form: Dowell and Jarratt 1971, BIT 11:168-174).
+/// Root of a function that is positive at the first position and not at the second.
+///
+/// Regula falsi in the Illinois form: Dowell and Jarratt 1971, BIT 11:168-174.
 fn crossing(
     [mut low, mut high]: [f64; 2],
     [mut at_low, mut at_high]: [f64; 2],

@@ -1,34 +1,35 @@
-//! Irregularity that belongs to a place.
+//! Random variation as a function of position.
 
 use super::super::random::{Random, cell, hash};
 use super::super::whole_and_part;
 
-/// A smooth random field: values between 0 and 1 on a square lattice, blended between its points (value noise), in two
-/// sizes of grain.
+/// A smooth random field in [0, 1] (value noise with two grain sizes).
+///
+/// Values on a square lattice are interpolated.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texture {
     keys: [u64; 2],
     per_cell: [f64; 2],
 }
 
-/// Share of the coarse grain.
+/// Weight of the coarse grain.
 const COARSE: f64 = 0.6;
-/// How much smaller the fine grain is.
+/// Ratio of coarse to fine grain size.
 const FINENESS: f64 = 7.0;
 
 impl Texture {
-    /// A field of its own for each seed and `name`, whose coarse grain has this size, m.
+    /// Creates an independent field for each seed and `name`, with this coarse grain size, m.
     pub(super) fn new(seed: u64, name: u64, grain_m: f64) -> Texture {
         let keys = [0, 1].map(|octave| hash([seed, name, octave]));
         Texture { keys, per_cell: [1.0 / grain_m, FINENESS / grain_m] }
     }
 
-    /// The value at a place, between 0 and 1, 0.5 in the mean.
+    /// Value at a position, in [0, 1], mean 0.5.
     pub(super) fn at(&self, x: f64, y: f64) -> f64 {
         COARSE * self.coarse(x, y) + (1.0 - COARSE) * self.octave(1, x, y)
     }
 
-    /// The coarse grain alone, between 0 and 1, 0.5 in the mean.
+    /// Value of the coarse grain alone, in [0, 1], mean 0.5.
     pub(super) fn coarse(&self, x: f64, y: f64) -> f64 {
         self.octave(0, x, y)
     }
@@ -43,7 +44,7 @@ impl Texture {
         south + v * (north - south)
     }
 
-    /// The value below which the field lies in this share of all places.
+    /// Quantile of the field over all positions.
     pub(super) fn quantile(&self, share: f64) -> f64 {
         let mut random = Random::from_key(self.keys[0]);
         let reach_m = 1e4 / self.per_cell[0];
@@ -58,7 +59,7 @@ impl Texture {
     }
 }
 
-/// From 0 to 1 with level ends.
+/// Smooth step from 0 to 1 with zero slope at both ends.
 fn smooth(t: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }

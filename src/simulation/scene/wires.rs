@@ -1,17 +1,17 @@
-//! Power lines: wires that hang between pylons.
+//! Power lines: wires between pylons.
 
 use super::terrain::Terrain;
 use super::{Beam, Class, HALF_DIVERGENCE_RAD, Hit, LEAST_SHARE, Surface, Texture};
 
-/// Lines run along the track, this far from each other, m.
+/// Distance between power lines, which run along the track, m.
 const LINE_SPACING_M: f64 = 150.0;
-/// From pylon to pylon, m.
+/// Distance between pylons, m.
 const SPAN_M: f64 = 250.0;
-/// How far the wires hang down in the middle, m.
+/// Sag of the wires at mid-span, m.
 const SAG_M: f64 = 6.0;
-/// Where the wires hang: to the right of the line's middle, and above the lowest, m.
+/// Positions of the wires: right of the line's centre, and above the lowest wire, m.
 const WIRES_M: [[f64; 2]; 4] = [[-4.0, 0.0], [0.0, 0.0], [4.0, 0.0], [0.0, 4.0]];
-/// A wire is this thick, m.
+/// Diameter of a wire, m.
 const THICKNESS_M: f64 = 0.03;
 
 /// Power lines all over the land.
@@ -31,8 +31,9 @@ impl Wires {
         }
     }
 
-    /// Adds the echoes of a beam of which the share `left` arrives and that reaches the ground at `ground_m`, and says what
-    /// is left of it below.
+    /// Adds the echoes of a beam and returns the fraction below the wires.
+    ///
+    /// `left` is the fraction that arrives, `ground_m` the range to the ground.
     pub(super) fn hits(
         &self,
         beam: &Beam,
@@ -63,14 +64,15 @@ impl Wires {
         left
     }
 
-    /// Where a beam comes nearest to a wire, and how far it passes from it there, m; the wire hangs at `x` and, at its
-    /// pylons, at a height above the ground.
+    /// Range of closest approach of a beam to a wire, and their distance there, m.
+    ///
+    /// The wire is at `x` and, at its pylons, `above_m` above the ground.
     fn nearest(&self, beam: &Beam, terrain: &Terrain, x: f64, above_m: f64) -> Option<(f64, f64)> {
         let [dx, _, dz] = beam.direction;
         let across2 = dx * dx + dz * dz;
         let along = |z: f64| ((x - beam.origin_m[0]) * dx + (z - beam.origin_m[2]) * dz) / across2;
         let [lowest, highest] = terrain.bounds_m();
-        // A beam that passes far from the wire however high it hangs needs no terrain.
+        // A beam that misses the wire at any possible height needs no terrain.
         let off = |z: f64| {
             let [at_x, _, at_z] = beam.at(along(z));
             (at_x - x) * dz - (at_z - z) * dx
@@ -81,7 +83,8 @@ impl Wires {
             return None;
         }
         let mut z = 0.5 * (lowest + highest) + above_m;
-        // A wire rises and falls slowly along itself: the second place is right to a millimetre.
+        // The height of a wire changes slowly along it: the second iteration is accurate to a
+        // millimetre.
         for _ in 0..2 {
             z = hanging_m(terrain, x, beam.at(along(z))[1], above_m);
         }
@@ -90,7 +93,7 @@ impl Wires {
     }
 }
 
-/// The height of a wire at a place along it: a parabola between pylons on the ground.
+/// Height of a wire at a position along it: a parabola between pylons on the ground.
 fn hanging_m(terrain: &Terrain, x: f64, y: f64, above_m: f64) -> f64 {
     let span = (y / SPAN_M).floor();
     let part = y / SPAN_M - span;
@@ -99,13 +102,13 @@ fn hanging_m(terrain: &Terrain, x: f64, y: f64, above_m: f64) -> f64 {
     from + (to - from) * part - 4.0 * SAG_M * part * (1.0 - part)
 }
 
-/// The share of a round footprint of this radius that a wire takes which passes its centre at a distance.
+/// Fraction of a round footprint covered by a wire at this distance from its centre.
 fn covered(off_m: f64, radius_m: f64) -> f64 {
     let place = off_m / radius_m;
     if place >= 1.0 {
         return 0.0;
     }
-    // The length of the chord times the thickness, over the area.
+    // Chord length times diameter, divided by the area.
     let chord_m = 2.0 * radius_m * (1.0 - place * place).sqrt();
     (chord_m * THICKNESS_M / (core::f64::consts::PI * radius_m * radius_m)).min(1.0)
 }
@@ -126,7 +129,7 @@ mod tests {
     #[test]
     fn a_beam_through_a_wire_meets_it_there() {
         let (wires, terrain) = (Wires::new(1, 20.0), Terrain::new(1, 0.0, 0.0));
-        // A quarter of the span from a pylon the wire hangs three quarters of the sag below it.
+        // A quarter of the span from a pylon, the wire hangs three quarters of the sag lower.
         for (aside, z) in [(-4.0, 15.5), (0.0, 15.5), (4.0, 15.5), (0.0, 19.5)] {
             let point_m = [150.0 + aside, 62.5, GROUND_HEIGHT_M + z];
             let (beam, mut hits) = (through(point_m), Vec::new());
