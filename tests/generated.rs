@@ -66,7 +66,8 @@ fn the_manual_of_the_stages_is_up_to_date() {
 
 #[test]
 fn the_page_on_returns_names_every_flag() {
-    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/returns.md")).unwrap();
+    let page =
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/reference/returns.md")).unwrap();
     for (bit, (_, name)) in NAMES.iter().enumerate() {
         assert!(page.contains(&format!("| {bit} | {name} | ")), "bit {bit}, {name}");
     }

@@ -112,9 +112,9 @@ fn the_table_of_errors_names_tests_that_there_are() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |path: &str| {
         let text = std::fs::read_to_string(root.join(path));
-        text.unwrap_or_else(|error| panic!("docs/errors.md names {path}: {error}"))
+        text.unwrap_or_else(|error| panic!("docs/reference/errors.md names {path}: {error}"))
     };
-    let page = read("docs/errors.md");
+    let page = read("docs/reference/errors.md");
     let mut n = 0;
     for row in page.lines().filter(|line| line.starts_with("| 1.")) {
         let tests = row.trim_end_matches('|').rsplit(" | ").next().unwrap();
@@ -122,7 +122,10 @@ fn the_table_of_errors_names_tests_that_there_are() {
             let (path, names) = group.split_once(": ").unwrap_or_else(|| panic!("{row}"));
             let text = read(path.trim_matches([' ', '`']));
             for name in names.split(", ").map(|name| name.trim_matches([' ', '`'])) {
-                assert!(text.contains(&format!("fn {name}()")), "docs/errors.md: {path} has no test {name}");
+                assert!(
+                    text.contains(&format!("fn {name}()")),
+                    "docs/reference/errors.md: {path} has no test {name}"
+                );
                 n += 1;
             }
         }

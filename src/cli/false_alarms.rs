@@ -145,7 +145,7 @@ mod tests {
         };
         let noises: Vec<ArNoise> = args.correlation.iter().map(|text| noise(text).unwrap()).collect();
         let table = table(&args, &noises);
-        let manual = include_str!("../../docs/method.md");
+        let manual = include_str!("../../docs/explanation/method.md");
         assert!(table.lines().filter(|line| line.contains("e-")).all(|row| manual.contains(row)), "{table}");
     }
 }
