@@ -2,7 +2,7 @@
 //!
 //! With a trajectory each shot gets its pose as soon as the source has delivered it ([`posed`]): its beam then starts and
 //! points in the earth's own frame (ECEF), so that no later stage needs more than the emission. `georeference` turns what
-//! it finds there into coordinates ([`target`]). `docs/georeferencing.md` gives the formulas.
+//! it finds there into coordinates ([`target`]). `docs/explanation/georeferencing.md` gives the formulas.
 
 pub mod calibration;
 pub mod declared;

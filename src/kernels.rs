@@ -7,7 +7,7 @@
 //! [`mta`] finds the emission that caused an echo, where several pulses are in the air.
 //! [`radiometry`], [`penalised_spline`] and [`width_by_amplitude`] serve the corrections of returns, and [`outliers`]
 //! finds points that stand alone; [`sensor_path`] finds the sensor where beams meet.
-//! docs/method.md describes the method. Positions are in samples from the block's first, heights in digitiser steps
+//! docs/explanation/method.md describes the method. Positions are in samples from the block's first, heights in digitiser steps
 //! (DN), and a pulse stands where its peak stands.
 
 mod allowance;

@@ -1,4 +1,4 @@
-//! Decomposition against the truth, with the automatic calibration: the goals of docs/accuracy.md in a small run,
+//! Decomposition against the truth, with the automatic calibration: the goals of docs/explanation/accuracy.md in a small run,
 //! each beside its figure. `cargo bench --bench accuracy` prints all of them from 20 000 waveforms and more.
 //!
 //! So few waveforms as a test can afford leave a figure uncertain: every assertion allows three standard deviations of the

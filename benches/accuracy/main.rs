@@ -1,5 +1,5 @@
 //! How accurate decomposition is, on simulated waveforms and with the automatic calibration: every goal of
-//! docs/accuracy.md beside its figure.
+//! docs/explanation/accuracy.md beside its figure.
 //!
 //! `cargo bench --bench accuracy` prints the table; words behind it choose parts of it (`-- A6 A9`), and `count=2000`
 //! takes fewer waveforms than 20 000 for each figure. Seeds are fixed and belong to parts of a cell, so that the figures

@@ -1,7 +1,7 @@
 //! How many echoes get the emission that caused them, on ten simulated scenes, and what that costs: every goal beside its
 //! figure.
 //!
-//! `cargo bench --bench mta` prints the table of docs/mta.md; words behind it choose rows (`-- 17ns terrain`), and `seed=300`
+//! `cargo bench --bench mta` prints the table of docs/explanation/mta.md; words behind it choose rows (`-- 17ns terrain`), and `seed=300`
 //! takes other scenes of the same kind. A row's scenes hold about five million echoes. Times are CPU time of the thread, from the
 //! first line pushed to the last one popped.
 //!

@@ -1,5 +1,5 @@
 //! How many false returns `filter_outliers` tells and how many true ones it takes for them, on eight simulated scenes, and
-//! how fast: the table of docs/outliers.md.
+//! how fast: the table of docs/explanation/outliers.md.
 //!
 //! `cargo bench --bench outliers` prints it; `seed=300` behind it takes other scenes of the same kind.
 #![allow(missing_docs, reason = "no one imports a bench")]

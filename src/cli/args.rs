@@ -109,7 +109,7 @@ pub(super) enum Command {
     /// Calibrate from a recording, and save the sensor model for others
     ///
     /// Reads the whole recording, prints noise, background and pulse width of each receiver, and writes the model as JSON. Jobs use
-    /// it by `load` of `calibrate`. docs/presets.md says how to make and share one.
+    /// it by `load` of `calibrate`. docs/how-to/calibrate-once.md says how to make and share one.
     #[command(after_help = usage::CALIBRATE)]
     Calibrate(CalibrateArgs),
     /// Copy recorded waveforms into the open container (Arrow)

@@ -9,7 +9,7 @@ use crate::stage::{InvalidKey, Keys};
 
 /// The table `[job.geometry]`: where the scanner was, how it is mounted, and in which coordinates points come out.
 ///
-/// `docs/georeferencing.md` has the formulas. Relative paths start where inputs do.
+/// `docs/explanation/georeferencing.md` has the formulas. Relative paths start where inputs do.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GeometryKeys {

@@ -1,6 +1,6 @@
 //! From a beam in the scanner's frame to one in the earth's, and how surely.
 //!
-//! `X = X_nav + C_ecef_body (lever + R_mount R_boresight x_scanner)` (docs/georeferencing.md): the trajectory gives `X_nav`
+//! `X = X_nav + C_ecef_body (lever + R_mount R_boresight x_scanner)` (docs/explanation/georeferencing.md): the trajectory gives `X_nav`
 //! and `C_ecef_body`, the job the rest.
 
 use super::calibration::Calibration;

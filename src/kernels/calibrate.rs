@@ -1,6 +1,6 @@
 //! A channel's model from its waveforms alone: background, noise and its correlation, width of a pulse.
 //!
-//! With Gaussian pulses (docs/method.md, Calibration). A first look gives a level, a spread and a width; then twice blocks are
+//! With Gaussian pulses (docs/explanation/method.md, Calibration). A first look gives a level, a spread and a width; then twice blocks are
 //! decomposed with the model at hand, and a better one is made of the samples before the first pulse that was found
 //! (behind a pulse stands the receiver's slow tail) and of the widths of single pulses. What is signal is thus told by
 //! fitted pulses and never by a threshold on samples, which would cut the noise's own peaks away; where pulses too weak to be

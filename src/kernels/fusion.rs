@@ -1,7 +1,7 @@
 //! Two receivers that see the same echoes: how much more the sensitive one amplifies, and how much later the other sees
 //! them, from plain peaks; and the fit of one receiver's samples with what the other tells of the pulses ([`JointFit`]).
 //!
-//! Docs/method.md, Two receivers. The sensitive receiver is *low power*, the one for strong echoes *high power*.
+//! docs/explanation/fusion.md. The sensitive receiver is *low power*, the one for strong echoes *high power*.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

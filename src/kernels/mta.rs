@@ -2,7 +2,7 @@
 //!
 //! An echo received at time `T` may belong to any emission before it: emission `e` gives the range `c/2 (T − t_e)`. Lasers
 //! whose pulse intervals vary make this decidable, because only the true assignment gives a smooth surface; all others carry
-//! the known variation of the intervals. A constant pulse rate needs a [`Prior`]. docs/mta.md describes the methods and what
+//! the known variation of the intervals. A constant pulse rate needs a [`Prior`]. docs/explanation/mta.md describes the methods and what
 //! they reach.
 //!
 //! A [`Resolver`] takes scan lines and gives them back in order, each echo with its cause. It holds back at most

@@ -1,4 +1,4 @@
-//! Points that stand alone, and waveforms that jump off their line (docs/outliers.md).
+//! Points that stand alone, and waveforms that jump off their line (docs/explanation/outliers.md).
 //!
 //! A point belongs to something where enough others can be reached from it in steps of a limited length: wires are chains,
 //! roofs and ground are surfaces, and false returns have at most each other.

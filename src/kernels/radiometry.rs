@@ -1,4 +1,4 @@
-//! What a return's amplitude and width say of the target (docs/corrections.md, docs/returns.md).
+//! What a return's amplitude and width say of the target (docs/explanation/corrections.md, docs/reference/returns.md).
 
 /// Full width at half maximum of a target along the beam, m, and its standard deviation.
 ///

@@ -1,7 +1,7 @@
 //! The system response: what the digitiser records of an infinitely short echo from a flat target.
 //!
 //! It is laser pulse, receiver and digitiser in one, asymmetric, with an after-pulse and a slow tail
-//! (docs/method.md, Signal model). Its peak stands at time 0 and has the height 1. A receiver that compresses strong echoes
+//! (docs/explanation/method.md, Signal model). Its peak stands at time 0 and has the height 1. A receiver that compresses strong echoes
 //! has several, each for one height of the peak; between them shapes are interpolated linearly.
 
 use schemars::JsonSchema;

@@ -1,4 +1,4 @@
-//! A channel's system response from single echoes (docs/method.md, Calibration).
+//! A channel's system response from single echoes (docs/explanation/method.md, Calibration).
 //!
 //! Blocks are decomposed with the model at hand. Of the strong, unsaturated single echoes those of the narrow population
 //! are taken, their heights and places fitted with the width held; then one linear least-squares problem in the

@@ -1,7 +1,7 @@
 //! Tables of a response widened by a Gaussian, and their interpolation in time and width.
 //!
 //! `s(t, u) = h_v(t) / max h_v` with `h_v = h ⊗ N(0, v)`, `v = v0 (e^{2u} - 1)` and `v0` the variance of a Gaussian of
-//! the response's full width at half maximum: `e^u` is the width over the response's (docs/method.md, Signal model). By the heat
+//! the response's full width at half maximum: `e^u` is the width over the response's (docs/explanation/method.md, Signal model). By the heat
 //! equation all derivatives are derivatives in time, so one Fourier transform gives them for each width. Between the
 //! table's places a bicubic Hermite polynomial stands: values, slopes and mixed slope are exact there, and value and
 //! slopes are continuous everywhere, as a descent needs them.

@@ -1,5 +1,5 @@
 //! How the width of a flat target's pulse depends on its amplitude: the lower mode of the widths in bins of amplitude,
-//! smoothed (docs/corrections.md, Width).
+//! smoothed (docs/explanation/corrections.md, Width).
 //!
 //! Slopes, roughness and leaves only widen a pulse, so that flat targets make the lowest mode of the widths.
 

@@ -11,7 +11,7 @@ pub const FWHM_OF_NORMAL: f64 = 2.354_820_045_030_949_3;
 ///
 /// It is a sum of exponential decays, each convolved with one normal distribution. A target that spreads the pulse by a
 /// normal distribution of variance `v` only adds `v` to that distribution's variance: the widened response has a closed
-/// form, too (docs/method.md, Signal model: response convolved with a Gaussian).
+/// form, too (docs/explanation/method.md, Signal model: response convolved with a Gaussian).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
     /// Variance of the normal distribution, ns^2.

@@ -31,7 +31,7 @@ const WAVEFORMS: u64 = 50_000;
 
 /// Takes out of the returns what amplitude, range and direction did to them: ranges by the instrument's range table,
 /// intensities by its amplitude table, by range, incidence and air, widths by amplitude. Every correction carries its
-/// uncertainty into the standard deviations. Formulas and units stand in `docs/corrections.md`.
+/// uncertainty into the standard deviations. Formulas and units stand in `docs/explanation/corrections.md`.
 ///
 /// Tables are read where the peak stands in the receiver that gives the intensity: at background plus fitted height. A file
 /// of tables has columns (digitiser steps, value of the sensitive receiver and, where there are two, of the one for strong

@@ -54,7 +54,7 @@ pub const STAGE: StageSpec =
 ///
 /// Per return: `time_of_flight_ns`, `range_m`, `amplitude_dn`, `width_ratio`, `thickness_m`, `intensity`, each with its
 /// standard deviation, and `deviation_ratio` and `flags`. Their definitions, with formulas and units, stand in
-/// `docs/returns.md`, the method in `docs/method.md`.
+/// `docs/reference/returns.md`, the method in `docs/explanation/method.md`.
 ///
 /// A block that was being recorded when another shot of the line left holds what leaked in from that emission, as a pulse
 /// like any other. Returns within three widths of that moment have flag bit 3, the block's other returns bit 4. Where an

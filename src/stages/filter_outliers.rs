@@ -28,7 +28,7 @@ pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outl
 ///
 /// Where the vertical is not known (in the scanner's own frame, without a trajectory) lines do not tell of each other: only
 /// the line itself counts, heights are taken along the axis that the scanner looks along, and wires across the line are
-/// taken for outliers. The report says so. Method and figures stand in `docs/outliers.md`.
+/// taken for outliers. The report says so. Method and figures stand in `docs/explanation/outliers.md`.
 ///
 /// Holds back sixteen lines; fewer, with a note, where `memory_mb` does not hold them.
 ///

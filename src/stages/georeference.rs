@@ -28,7 +28,7 @@ pub const STAGE: StageSpec =
 /// **With a trajectory** (`[job.geometry]`) beams are known in the earth's own frame by now. A point is the origin of its
 /// beam + direction × range, in the coordinates that `crs`, `geoid` and `unit` of `[job.geometry]` say: UTM in the zone of
 /// the first shot and metres above the ellipsoid where they say nothing. Ranges are corrected by `e0`, `e1` and `e7` of the
-/// calibration before. `docs/georeferencing.md` has the formulas. Where the trajectory tells its accuracy
+/// calibration before. `docs/explanation/georeferencing.md` has the formulas. Where the trajectory tells its accuracy
 /// (`trajectory_accuracy`), each point has its total standard deviation.
 ///
 /// **In a map already** (LAS, PulseWaves, `simulate` without a trajectory): points come out in that map, and ranges are

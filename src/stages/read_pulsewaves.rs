@@ -41,7 +41,7 @@ with_time_keys! {
 /// sample: coordinates are right all the same, and `correct` does not correct intensities for range and attenuation.
 ///
 /// The format has no scan angles, and does not define which way of the mirror its flag means: both are computed from the beams
-/// and the course (`docs/las.md`). The last shot of each scan line gets the edge-of-flight-line flag.
+/// and the course (`docs/reference/las.md`). The last shot of each scan line gets the edge-of-flight-line flag.
 ///
 /// Rejects pulses whose waves cannot be read, and goes on with the next. A file that ends with such pulses is cut off:
 /// that is an error. Compressed files (`.plz`, `.wvz`) are refused.

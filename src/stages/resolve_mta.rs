@@ -37,7 +37,7 @@ const USUAL_AGL_SD_M: f64 = 100.0;
 ///
 /// A raw recording holds a block with the shot after whose emission it came back, several shots late. Lasers vary the
 /// intervals between their pulses, so that only the right shot makes a smooth surface of the ranges. Evidence is gathered
-/// over cells of neighbouring echoes and joined over the strip (`docs/mta.md`). Circular scanners are recognised by how
+/// over cells of neighbouring echoes and joined over the strip (`docs/explanation/mta.md`). Circular scanners are recognised by how
 /// their beams turn, and compared by azimuth. **Where the pulse rate is constant, nothing
 /// in the recording tells one shot from the next**: then a prior is needed (`agl_m` or `terrain`) or a fixed `zone`, and the
 /// run fails without one. Intervals are those of the outgoing pulses where these are recorded, else of the clock. Where the clock

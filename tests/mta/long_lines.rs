@@ -1,6 +1,6 @@
 //! Lines of any length are resolved at default settings, and the same by whatever memory suffices.
 //!
-//! `WAVEX_LONG_LINES=all cargo test --release --test mta long_lines -- --nocapture` prints the table of docs/mta.md.
+//! `WAVEX_LONG_LINES=all cargo test --release --test mta long_lines -- --nocapture` prints the table of docs/explanation/mta.md.
 
 use serde_json::Value;
 use wavex::formats::container::{ContainerShot, channel};

@@ -8,7 +8,7 @@ use crate::kernels::whitening::Whitener;
 /// Fits of one pulse to the even and to the odd samples of its block.
 ///
 /// Both tell the same place, so their difference is made of the noise alone, recorded noise and not simulated: no truth
-/// is needed, and no other program (docs/method.md, Calibration). To first order the places are weighted sums of
+/// is needed, and no other program (docs/explanation/method.md, Calibration). To first order the places are weighted sums of
 /// the samples, `w_e·y` and `w_o·y`; with `Σ` the covariance of the noise the difference has the variance
 /// `(w_e - w_o)ᵀ Σ (w_e - w_o)`, in which the correlation of even with odd samples is not left out.
 #[derive(Debug, Clone)]

@@ -15,7 +15,7 @@ use crate::kernels::mta::{
 };
 use crate::stage::{Item, Output, Result};
 
-/// What the kernel's cells take at most for each shot of the lines at hand, bytes (docs/mta.md, Memory and order).
+/// What the kernel's cells take at most for each shot of the lines at hand, bytes (docs/explanation/mta.md, Memory and order).
 const CELL_BYTES_PER_SHOT: usize = 48;
 /// What a shot, and a block or a return of the instrument's own, count in the kernel's window, bytes.
 const WINDOW_BYTES_PER_SHOT: usize = 256;
