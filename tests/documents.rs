@@ -169,14 +169,17 @@ fn links_lead_to_pages_and_headings() {
     }
 }
 
+/// The index and the table of contents for mdBook list every page of `docs`.
 #[test]
 fn the_index_lists_every_document() {
     let docs = root().join("docs");
-    let index = read(&docs.join("README.md"));
-    let listed: BTreeSet<String> = links(&index).into_iter().collect();
-    for path in files_below(&docs, &[".md"]) {
-        let name = path.strip_prefix(&docs).unwrap().to_str().unwrap().replace('\\', "/");
-        assert!(name == "README.md" || listed.contains(&name), "docs/README.md does not list {name}");
+    for index in ["README.md", "SUMMARY.md"] {
+        let listed: BTreeSet<String> = links(&read(&docs.join(index))).into_iter().collect();
+        for path in files_below(&docs, &[".md"]) {
+            let name = path.strip_prefix(&docs).unwrap().to_str().unwrap().replace('\\', "/");
+            let is_index = ["README.md", "SUMMARY.md"].contains(&name.as_str());
+            assert!(is_index || listed.contains(&name), "docs/{index} does not list {name}");
+        }
     }
 }
 
