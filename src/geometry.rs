@@ -2,7 +2,7 @@
 //!
 //! With a trajectory, each shot gets its pose as soon as the source delivers it ([`posed`]). Its
 //! beam is then given in the earth-centred frame (ECEF), so later stages need only the emission.
-//! `georeference` converts the result to output coordinates ([`target`]). `docs/georeferencing.md`
+//! `georeference` converts the result to output coordinates ([`target`]). `docs/explanation/georeferencing.md`
 //! gives the formulas.
 
 pub mod calibration;

@@ -14,7 +14,7 @@
 //! - [`outliers`] finds isolated points; [`sensor_path`] estimates the sensor position from its
 //!   beams.
 //!
-//! docs/method.md describes the method. Positions are in samples from the block's first, heights in
+//! docs/explanation/method.md describes the method. Positions are in samples from the block's first, heights in
 //! digitiser steps (DN). The position of a pulse is that of its peak.
 
 mod allowance;

@@ -1,6 +1,6 @@
 //! Accuracy of the decomposition against the truth, with automatic calibration.
 //!
-//! A small run of the goals of docs/accuracy.md. `cargo bench --bench accuracy` prints all of them
+//! A small run of the goals of docs/explanation/accuracy.md. `cargo bench --bench accuracy` prints all of them
 //! from at least 20 000 waveforms.
 //!
 //! The few waveforms of a test leave each figure uncertain. Every assertion therefore allows three

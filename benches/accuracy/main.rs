@@ -1,6 +1,6 @@
 //! Accuracy of decomposition on simulated waveforms with automatic calibration.
 //!
-//! `cargo bench --bench accuracy` prints every figure with its goal from docs/accuracy.md.
+//! `cargo bench --bench accuracy` prints every figure with its goal from docs/explanation/accuracy.md.
 //! Arguments select parts of the table (`-- A6 A9`); `count=2000` reduces the waveforms per figure
 //! from 20 000. Seeds are fixed for parts of a cell, so the figures do not depend on the number of
 //! threads.

@@ -1,6 +1,6 @@
 //! Accuracy and speed of MTA resolution on simulated scenes.
 //!
-//! There are ten scenes, with goals. `cargo bench --bench mta` prints the table of docs/mta.md.
+//! There are ten scenes, with goals. `cargo bench --bench mta` prints the table of docs/explanation/mta.md.
 //! Arguments select rows (`-- 17ns terrain`); `seed=300` selects other scenes of the same kind. The
 //! scenes of a row have about five million echoes. Times are CPU times of the thread, from the
 //! first line pushed to the last one popped.

@@ -1,6 +1,6 @@
 //! Detection rate, loss and speed of `filter_outliers` on eight simulated scenes.
 //!
-//! `cargo bench --bench outliers` prints the table of docs/outliers.md; `seed=300` selects other
+//! `cargo bench --bench outliers` prints the table of docs/explanation/outliers.md; `seed=300` selects other
 //! scenes of the same kind.
 #![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(clippy::print_stdout, clippy::expect_used, clippy::panic, reason = "a bench prints its figures")]

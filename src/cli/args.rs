@@ -110,7 +110,7 @@ pub(super) enum Command {
     /// Calibrate from a recording and save the sensor model
     ///
     /// Reads the whole recording, prints noise, background and pulse width of each receiver, and
-    /// writes the model as JSON. A job uses it with the key `load` of `calibrate`. docs/presets.md
+    /// writes the model as JSON. A job uses it with the key `load` of `calibrate`. docs/how-to/calibrate-once.md
     /// describes how to make and share presets.
     #[command(after_help = usage::CALIBRATE)]
     Calibrate(CalibrateArgs),

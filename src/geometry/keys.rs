@@ -9,7 +9,7 @@ use crate::stage::{InvalidKey, Keys};
 
 /// Table `[job.geometry]`: trajectory, mounting of the scanner, and output coordinates.
 ///
-/// `docs/georeferencing.md` gives the formulas. Relative paths start at the input folder.
+/// `docs/explanation/georeferencing.md` gives the formulas. Relative paths start at the input folder.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GeometryKeys {

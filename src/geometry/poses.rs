@@ -1,6 +1,6 @@
 //! Beams from the scanner frame to the earth-centred frame, with their variance.
 //!
-//! `X = X_nav + C_ecef_body (lever + R_mount R_boresight x_scanner)` (docs/georeferencing.md): the
+//! `X = X_nav + C_ecef_body (lever + R_mount R_boresight x_scanner)` (docs/explanation/georeferencing.md): the
 //! trajectory gives `X_nav` and `C_ecef_body`, the job the rest.
 
 use super::calibration::Calibration;

@@ -1,7 +1,7 @@
 //! Estimates a channel's model from its waveforms: background, noise, its correlation, and pulse
 //! width.
 //!
-//! Pulses are assumed Gaussian (docs/method.md, Calibration). An initial estimate gives a level, a
+//! Pulses are assumed Gaussian (docs/explanation/method.md, Calibration). An initial estimate gives a level, a
 //! spread and a width. Then, twice, blocks are decomposed with the current model, and a better one
 //! is estimated from the samples before the first detected pulse and from the widths of single
 //! pulses. Samples after a pulse are not used, because of the receiver's slow tail. Signal is

@@ -1,6 +1,6 @@
 //! One waveform to its returns: detection, joint fit, a second look at what the fit leaves, and what does not stand up.
 //!
-//! The plain form, in `f64` and a waveform at a time, of what docs/method.md describes from Detection to Uncertainties:
+//! The plain form, in `f64` and a waveform at a time, of what docs/explanation/method.md describes from Detection to Uncertainties:
 //! the oracle of [`super::lockstep`], and what decides where that is not made for a waveform.
 
 use super::allowance::Allowance;

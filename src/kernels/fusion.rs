@@ -1,7 +1,7 @@
 //! Relative gain and delay of two receivers that record the same echoes.
 //!
 //! Both are estimated from plain peaks. [`JointFit`] fits one receiver's samples with prior
-//! knowledge of the pulses from the other. See docs/method.md, Two receivers. The sensitive
+//! knowledge of the pulses from the other. See docs/explanation/fusion.md. The sensitive
 //! receiver is *low power*, the one for strong echoes *high power*.
 
 use schemars::JsonSchema;

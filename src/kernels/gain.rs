@@ -2,7 +2,7 @@
 //!
 //! A sample is `background + gain x (signal + receiver's noise) + digitiser's noise`. The receiver's noise follows the gain;
 //! the digitiser's is that of rounding, white with the variance 1/12 DN². The background is the digitiser's own offset and
-//! does not change; what a waveform's level adds to it follows the gain. See docs/method.md, Automatic gain control.
+//! does not change; what a waveform's level adds to it follows the gain. See docs/explanation/method.md, Automatic gain control.
 
 use super::noise::fit_by_bic;
 use super::sensor_model::{ChannelModel, ModelError};

@@ -3,7 +3,7 @@
 //! An echo received at time `T` may belong to any earlier emission: emission `e` gives the range
 //! `c/2 (T − t_e)`. If the pulse intervals vary, only the true assignment gives a smooth surface;
 //! every other one carries the known variation of the intervals. A constant pulse rate requires a
-//! [`Prior`]. docs/mta.md describes the methods and their accuracy.
+//! [`Prior`]. docs/explanation/mta.md describes the methods and their accuracy.
 //!
 //! A [`Resolver`] accepts scan lines and returns them in order, each echo with its cause. It holds
 //! back at most [`Resolver::look_ahead_lines`] lines. The output depends only on the lines and the

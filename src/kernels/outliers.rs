@@ -1,4 +1,4 @@
-//! Isolated points, and waveforms that jump off their line (docs/outliers.md).
+//! Isolated points, and waveforms that jump off their line (docs/explanation/outliers.md).
 //!
 //! A point is supported if enough others can be reached from it in steps of limited length. Wires
 //! are chains, roofs and ground are surfaces; false returns reach at most each other.

@@ -1,6 +1,6 @@
 //! Target properties from the amplitude and width of a return.
 //!
-//! See docs/corrections.md and docs/returns.md.
+//! See docs/explanation/corrections.md and docs/reference/returns.md.
 
 /// Full width at half maximum of a target along the beam, m, and its standard deviation.
 ///

@@ -1,7 +1,7 @@
 //! System response: the record of an infinitely short echo from a flat target.
 //!
 //! It combines laser pulse, receiver and digitiser, and is asymmetric, with an after-pulse and a
-//! slow tail (docs/method.md, Signal model). Its peak is at time 0 and has height 1. A receiver
+//! slow tail (docs/explanation/method.md, Signal model). Its peak is at time 0 and has height 1. A receiver
 //! that compresses strong echoes has several responses, each for one peak height; shapes in between
 //! are interpolated linearly.
 

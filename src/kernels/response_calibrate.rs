@@ -1,4 +1,4 @@
-//! Estimates a channel's system response from single echoes (docs/method.md, Calibration).
+//! Estimates a channel's system response from single echoes (docs/explanation/method.md, Calibration).
 //!
 //! Blocks are decomposed with the current model. From the strong, unsaturated single echoes those
 //! of the narrow population are selected, and their heights and positions are fitted with fixed

@@ -2,7 +2,7 @@
 //!
 //! `s(t, u) = h_v(t) / max h_v` with `h_v = h ⊗ N(0, v)`, `v = v0 (e^{2u} - 1)` and `v0` the
 //! variance of a Gaussian of the response's full width at half maximum: `e^u` is the width over the
-//! response's (docs/method.md, Signal model). By the heat equation all derivatives are derivatives
+//! response's (docs/explanation/method.md, Signal model). By the heat equation all derivatives are derivatives
 //! in time, so one Fourier transform per width gives them all. Between table nodes the
 //! interpolation is bicubic Hermite: values, slopes and mixed slope are exact at the nodes, and
 //! value and slopes are continuous everywhere, as the minimisation requires.

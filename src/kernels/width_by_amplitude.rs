@@ -1,4 +1,4 @@
-//! Pulse width of flat targets as a function of amplitude (docs/corrections.md, Width).
+//! Pulse width of flat targets as a function of amplitude (docs/explanation/corrections.md, Width).
 //!
 //! It is the lowest mode of the widths in amplitude bins, smoothed. Slopes, roughness and leaves
 //! only widen a pulse, so flat targets form the lowest mode.

@@ -11,7 +11,7 @@ pub const FWHM_OF_NORMAL: f64 = 2.354_820_045_030_949_3;
 ///
 /// It is a sum of exponential decays, each convolved with the same normal distribution. A target
 /// that spreads the pulse by a normal distribution of variance `v` adds `v` to the variance, so the
-/// widened response also has a closed form (docs/method.md, signal model: response convolved with a
+/// widened response also has a closed form (docs/explanation/method.md, signal model: response convolved with a
 /// Gaussian).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {

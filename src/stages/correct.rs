@@ -33,7 +33,7 @@ const WAVEFORMS: u64 = 50_000;
 ///
 /// Corrects ranges with the instrument's range table, intensities with its amplitude table and for
 /// range, incidence angle and attenuation, and widths for amplitude. Every correction propagates
-/// its uncertainty into the standard deviations. `docs/corrections.md` gives formulas and units.
+/// its uncertainty into the standard deviations. `docs/explanation/corrections.md` gives formulas and units.
 ///
 /// Tables are read at the level of the peak in the receiver that gives the intensity: background
 /// plus fitted height. A table file has columns (digitiser steps, value of the low-power receiver

@@ -56,7 +56,7 @@ pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Sh
 ///
 /// Per return: `time_of_flight_ns`, `range_m`, `amplitude_dn`, `width_ratio`, `thickness_m`, `intensity`, each with its
 /// standard deviation, and `deviation_ratio` and `flags`. Their definitions, with formulas and units, stand in
-/// `docs/returns.md`, the method in `docs/method.md`.
+/// `docs/reference/returns.md`, the method in `docs/explanation/method.md`.
 ///
 /// With `online_points = "only"` no waveform is decomposed, and `calibrate` is needed only where samples of the outgoing pulse
 /// are recorded, by which ranges count.

@@ -30,7 +30,7 @@ pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outl
 /// If the vertical is unknown (scanner frame, no trajectory), lines cannot be compared with their
 /// neighbours: only the line itself is searched, heights are taken along the main viewing axis of
 /// the scanner, and wires across the line are marked as outliers. The report says so.
-/// `docs/outliers.md` gives the method and measurements.
+/// `docs/explanation/outliers.md` gives the method and measurements.
 ///
 /// Holds back sixteen lines, or fewer, with a note, if `memory_mb` cannot hold them.
 ///

@@ -29,7 +29,7 @@ pub const STAGE: StageSpec =
 /// is beam origin + direction × range, converted to the coordinates set by `crs`, `geoid` and
 /// `unit` of `[job.geometry]`. Defaults are UTM in the zone of the first shot and ellipsoidal
 /// heights in metres. Ranges are first corrected by `e0`, `e1` and `e7` of the calibration.
-/// `docs/georeferencing.md` gives the formulas. If the trajectory has accuracies
+/// `docs/explanation/georeferencing.md` gives the formulas. If the trajectory has accuracies
 /// (`trajectory_accuracy`), each point gets its total standard deviation.
 ///
 /// **Already in a projected CRS** (LAS, PulseWaves, `simulate` without a trajectory): points stay

@@ -45,7 +45,7 @@ with_time_keys! {
 /// `correct` cannot correct intensities for range and attenuation.
 ///
 /// The format has no scan angles, and does not define the sense of its mirror direction flag: both
-/// are computed from the beams and the course (`docs/las.md`). The last shot of each scan line gets
+/// are computed from the beams and the course (`docs/reference/las.md`). The last shot of each scan line gets
 /// the edge-of-flight-line flag.
 ///
 /// Rejects pulses whose waveforms cannot be read, and continues with the next. A file that ends

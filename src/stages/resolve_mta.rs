@@ -40,7 +40,7 @@ const USUAL_AGL_SD_M: f64 = 100.0;
 /// A raw recording stores a block with the latest shot before its reception, several shots too
 /// late. Lasers vary the intervals between their pulses, so that only the correct shot turns the
 /// ranges into a smooth surface. Evidence is collected over cells of neighbouring echoes and
-/// combined over the line window (`docs/mta.md`). Circular scanners are recognised from the
+/// combined over the line window (`docs/explanation/mta.md`). Circular scanners are recognised from the
 /// rotation of their beams, and compared by azimuth. **If the pulse rate is constant, the recording
 /// cannot distinguish one shot from the next**: a prior (`agl_m` or `terrain`) or a fixed `zone` is
 /// then required, and the run fails without one. Intervals are those of the outgoing pulses if

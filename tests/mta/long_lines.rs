@@ -2,7 +2,7 @@
 //! memory.
 //!
 //! `WAVEX_LONG_LINES=all cargo test --release --test mta long_lines -- --nocapture` prints the
-//! table of docs/mta.md.
+//! table of docs/explanation/mta.md.
 
 use serde_json::Value;
 use wavex::formats::container::{ContainerShot, channel};

@@ -51,7 +51,7 @@ fn exact_lags() -> [f64; 6] {
     lags
 }
 
-/// docs/accuracy.md, A10: σ within 1.5 %, background within 0.1 DN, width within 0.6 %.
+/// docs/explanation/accuracy.md, A10: σ within 1.5 %, background within 0.1 DN, width within 0.6 %.
 #[test]
 fn a_channel_is_found_from_blocks_that_all_hold_pulses() {
     let blocks = blocks(31, 4000, 0.0);

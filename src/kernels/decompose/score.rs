@@ -3,7 +3,7 @@
 //! A pair moves what it leaves of the samples out of the plane that one pulse's height, place and width span. The first
 //! directions it takes are those of the third and the fourth derivative in time. By the heat equation the
 //! derivative in the width's logarithm is the second one in time, but for a part of the shape itself: so the mixed
-//! derivative in time and width, and the second one in width, stand for them (docs/method.md, Split test). `q = |P r|²`, the part
+//! derivative in time and width, and the second one in width, stand for them (docs/explanation/method.md, Split test). `q = |P r|²`, the part
 //! of the whitened residual in these directions once all fitted parameters are projected out, is chi-square with two
 //! degrees of freedom where there is one pulse (Rao 1948). Two equal pulses some way apart leave more than these two
 //! directions show: what they would leave is a third one, of known sign, and the greater of the two figures counts.

@@ -80,7 +80,7 @@ impl Scores {
     }
 }
 
-/// docs/accuracy.md, A3 and A4: standard deviations and deviation ratio are true, from SNR 10 to 100.
+/// docs/explanation/accuracy.md, A3 and A4: standard deviations and deviation ratio are true, from SNR 10 to 100.
 #[test]
 fn single_returns_have_true_standard_deviations() {
     for (snr, width) in [(10.0, 1.0), (20.0, 1.0), (50.0, 1.5), (100.0, 2.5), (100.0, 1.0)] {
@@ -124,7 +124,7 @@ fn single_returns_have_true_standard_deviations() {
     }
 }
 
-/// Two equal returns: found as two, in place, with true standard deviations (docs/accuracy.md, A3 and A7).
+/// Two equal returns: found as two, in place, with true standard deviations (docs/explanation/accuracy.md, A3 and A7).
 #[test]
 fn pairs_are_told_apart() {
     for (snr, separation, least) in
@@ -159,7 +159,7 @@ fn pairs_are_told_apart() {
     }
 }
 
-/// docs/accuracy.md, A11: two to eight saturated samples.
+/// docs/explanation/accuracy.md, A11: two to eight saturated samples.
 #[test]
 fn saturated_pulses_are_unbiased() {
     for snr in [150.0, 200.0, 400.0, 800.0] {
@@ -183,7 +183,7 @@ fn saturated_pulses_are_unbiased() {
     }
 }
 
-/// The complete chain makes fewer returns than Rice's formula has up-crossings (docs/accuracy.md, A6).
+/// The complete chain makes fewer returns than Rice's formula has up-crossings (docs/explanation/accuracy.md, A6).
 #[test]
 fn noise_alone_gives_as_few_returns_as_theory_says() {
     let mut simulation = Simulation::new(10, 255);

@@ -8,7 +8,7 @@ use crate::kernels::whitening::Whitener;
 /// Fits one pulse separately to even and odd samples.
 ///
 /// Both estimate the same position, so their difference contains only the recorded noise: neither a
-/// truth nor another program is needed (docs/method.md, Calibration). To first order the positions
+/// truth nor another program is needed (docs/explanation/method.md, Calibration). To first order the positions
 /// are weighted sums of the samples, `w_e·y` and `w_o·y`. With `Σ` the covariance of the noise, the
 /// difference has the variance `(w_e - w_o)ᵀ Σ (w_e - w_o)`, which includes the correlation between
 /// even and odd samples.

@@ -1,4 +1,4 @@
-//! What two receivers tell of the same echoes, put together (docs/method.md, Two receivers).
+//! What two receivers tell of the same echoes, put together (docs/explanation/fusion.md).
 
 use std::collections::BTreeMap;
 

@@ -15,7 +15,7 @@ use crate::kernels::mta::{
 };
 use crate::stage::{Item, Output, Result};
 
-/// Upper bound of the kernel's cell memory per shot of the pending lines, bytes (docs/mta.md,
+/// Upper bound of the kernel's cell memory per shot of the pending lines, bytes (docs/explanation/mta.md,
 /// Memory and order).
 const CELL_BYTES_PER_SHOT: usize = 48;
 /// Nominal size in the kernel's window of a shot, and of a block or online return, bytes.

@@ -100,7 +100,7 @@ fn standard_deviations_hold_the_uncertainty_of_the_level() {
     }
 }
 
-/// Noise reaches a threshold no more often than with a known background: at 4.5 as often (docs/performance.md), below that a
+/// Noise reaches a threshold no more often than with a known background: at 4.5 as often (docs/explanation/performance.md), below that a
 /// little less often.
 #[test]
 fn noise_alone_is_detected_no_more_often() {
