@@ -120,10 +120,10 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
     run_or_report(job, options).map_err(|failed| failed.error)
 }
 
-/// Runs the chain once per input, and reports failures, too.
+/// Runs the chain once per input and also reports failed runs.
 ///
 /// # Errors
-/// As [`run`], with what was done.
+/// As [`run`], with the work done before the failure.
 pub fn run_or_report(job: &Job, options: &Options) -> Result<RunReport, Box<FailedRun>> {
     failure::catch_panic_messages();
     let started = Instant::now();

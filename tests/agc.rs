@@ -1,4 +1,4 @@
-//! Automatic gain control: what is found does not depend on the gain that blocks were recorded with.
+//! Automatic gain control: results do not depend on the gain of the recorded blocks.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
 mod support;
@@ -11,7 +11,7 @@ use wavex::formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, GainControl, LineBuilder,
 };
 
-/// Level ground, which no echo of overdrives at gain 4; a background that noise never brings to 0.
+/// Level ground; no echo overdrives the receiver at gain 4, and noise never clips at 0.
 const FLIGHT: &str = "\
 [[stage]]
 type = 'simulate'
@@ -22,11 +22,11 @@ ground_amplitude_dn = 40
 building_height_m = 0
 canopy_height_m = 0
 ";
-/// From 0.5 to 4 and back 20 times a second.
+/// Gain from 0.5 to 4 and back, 20 times per second.
 const GAINS: &str = "gain_range = [0.5, 4.0]\ngain_period_s = 0.05\n";
 const TABLE: &str = "[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
 
-/// Rows of a table, by the names of its columns.
+/// Rows of a table by column name.
 fn rows(text: &str) -> Vec<BTreeMap<&str, &str>> {
     let mut lines = text.lines();
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
@@ -37,7 +37,7 @@ fn number(row: &BTreeMap<&str, &str>, name: &str) -> f64 {
     row[name].parse().unwrap()
 }
 
-/// A single true return and the single one found for its shot.
+/// A single true return and the only return found for its shot.
 #[derive(Clone, Copy)]
 struct Pair {
     gain: f64,
@@ -47,15 +47,15 @@ struct Pair {
     deviation_ratio: f64,
 }
 
-/// What a run found.
+/// Results of a run.
 struct Found {
     pairs: Vec<Pair>,
-    /// Returns beyond the true ones, and shots.
+    /// Returns beyond the true ones.
     false_returns: usize,
     shots: usize,
 }
 
-/// Runs a flight, and compares with its truth.
+/// Runs a flight and compares the results with its truth.
 fn fly(lines: u32, keys: &str, between: &str, decompose: &str) -> Found {
     let place = Place::new();
     let stages = format!(
@@ -92,7 +92,7 @@ fn rms(values: &[f64]) -> f64 {
     mean(&values.iter().map(|value| value * value).collect::<Vec<_>>()).sqrt()
 }
 
-/// Normalised errors of 0.95 to 1.05 and intensities without bias, to what so many returns tell, at every gain.
+/// Normalised errors are 0.95 to 1.05 and intensities unbiased at every gain, within chance.
 #[track_caller]
 fn is_right_at_every_gain(pairs: &[Pair]) {
     for (least, greatest) in [(0.5, 0.75), (0.75, 1.5), (1.5, 2.75), (2.75, 4.001)] {
@@ -153,12 +153,12 @@ fn noise_gives_as_many_false_returns_as_at_one_gain() {
         );
         assert_eq!(constant.shots, changing.shots);
         assert!(one > 50.0, "{one}");
-        // Noise levels lie within 2.2 % of the gains: on average 3 % more are found.
+        // Noise SDs are within 2.2 % of those at the gains: on average 3 % more are found.
         assert!((many - one).abs() < 4.0 * (one + many).sqrt() + 0.03 * one, "{one} {many}");
     }
 }
 
-/// Blocks that were recorded with other shots than those that caused them take their gains along.
+/// Blocks moved to the shots that caused them keep their gains.
 #[test]
 fn gains_move_with_their_blocks() {
     let keys = format!("{GAINS}as_recorded = true\npulse_rate_hz = 400000\nmodulation_ns = 60\n");
@@ -169,7 +169,7 @@ fn gains_move_with_their_blocks() {
     assert!(errors.len() > 10_000 && wrong * 200 < errors.len());
 }
 
-/// Echoes that overdrive the sensitive receiver at high gains are fitted in both.
+/// Echoes that overdrive the low-power receiver at high gains are fitted in both.
 #[test]
 fn two_receivers_go_together_at_every_gain() {
     let keys = format!("{GAINS}high_power = true\nhigh_power_from_dn = 20\ndetector = 'linear'\n");
@@ -186,7 +186,7 @@ fn two_receivers_go_together_at_every_gain() {
     let mut errors: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
     for row in rows(&found).iter().filter(|row| row["number_of_returns"] == "1") {
         let linear_dn = number(&truth[row["shot"]], "linear_dn");
-        // The tables say decibels above 7 DN.
+        // Tables are in decibels above 7 DN.
         let intensity = 7.0 * 10f64.powf(0.1 * number(row, "amplitude_db"));
         let range_z =
             (number(row, "range_m") - number(&truth[row["shot"]], "range_m")) / number(row, "range_sd_m");
@@ -227,7 +227,7 @@ fn a_recording_with_gains_is_the_same_through_a_container() {
 }
 
 const UNKNOWN: &str =
-    "the receiver's gain changes between shots and the recording does not say it block by block";
+    "the receiver gain varies between shots, but the recording does not contain the gain of each block";
 
 #[test]
 fn a_recording_that_does_not_say_its_gains_is_warned_of() {

@@ -305,7 +305,7 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
     assert_eq!(child.wait().unwrap().code(), Some(0));
 }
 
-/// A folder with a job whose `crs` is the WKT in `site.prj`, and the commands that are run there.
+/// Folder with a job whose `crs` is the WKT in `site.prj`.
 fn place_with_wkt(wkt: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let job = "[job]\noutput_dir = 'out'\ngeometry = { crs = 'site.prj' }\n\
@@ -322,7 +322,7 @@ fn wavex_in(folder: &std::path::Path, arguments: &[&str]) -> Outcome {
     Outcome { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
 }
 
-/// A missing parameter counts as 0 in the library of projections.
+/// The projection library takes missing parameters as 0.
 #[test]
 fn a_system_with_missing_parameters_is_a_wrong_job() {
     let parameters = |names: &[&str]| -> String {
@@ -355,7 +355,7 @@ fn a_system_with_missing_parameters_is_a_wrong_job() {
     }
 }
 
-/// A file that jobs share may hold the folder of geoids, also for jobs without a geoid.
+/// A shared file may set the geoid folder, also for jobs without a geoid.
 #[test]
 fn a_shared_file_may_name_the_folder_of_geoids() {
     let folder = tempfile::tempdir().unwrap();
@@ -365,7 +365,7 @@ fn a_shared_file_may_name_the_folder_of_geoids() {
     fs::write(folder.path().join("site.toml"), "[job.geometry]\ngeoid_dir = 'geoids'\n").unwrap();
     let checked = wavex_in(folder.path(), &["check", "job.toml"]);
     assert_eq!((checked.code, checked.err.as_str()), (Some(0), ""));
-    assert!(checked.out.starts_with("./job.toml fits\n") || checked.out.starts_with("job.toml fits\n"));
+    assert!(checked.out.starts_with("./job.toml is valid\n") || checked.out.starts_with("job.toml is valid\n"));
     assert!(!checked.out.contains("warning"), "{}", checked.out);
     let run = wavex_in(folder.path(), &["--quiet", "run", "job.toml"]);
     assert_eq!(run, Outcome { code: Some(0), out: String::new(), err: String::new() });

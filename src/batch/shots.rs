@@ -91,7 +91,9 @@ pub struct Block {
     pub start_ns: f64,
     /// Time between samples, ns.
     pub interval_ns: f64,
-    /// Gain of the receiver over its reference gain; positive, 1 without automatic gain control.
+    /// Gain relative to the reference gain.
+    ///
+    /// Positive; 1 without automatic gain control.
     pub gain: f64,
     /// The first sample's place in the arena; [`NOT_HELD`] where its samples were not read.
     first: u32,

@@ -223,9 +223,10 @@ fn write_stat_log(
     Ok(file.finish()?.publish()?)
 }
 
-/// Logs why a run failed, and writes it into the statistics of its inputs where their folder exists.
+/// Logs the error of a failed run and writes the statistics of its inputs.
 ///
-/// What keeps statistics from being written is logged only: the run has an error already.
+/// Statistics are written if their folder exists. Errors in writing them are only logged, because
+/// the run already has an error.
 fn ended_with(error: &dyn std::fmt::Display, report: &RunReport, output_dir: &Path) -> Failure {
     let failure = error.to_string();
     tracing::debug!("{failure}");
@@ -237,7 +238,7 @@ fn ended_with(error: &dyn std::fmt::Display, report: &RunReport, output_dir: &Pa
             continue;
         }
         if let Err(error) = write_stat_log(report, input, output_dir, log.as_slice(), Some(&failure)) {
-            tracing::warn!("no statistics of the failed run: {error}");
+            tracing::warn!("cannot write the statistics of the failed run: {error}");
         }
     }
     Failure::Run(failure)

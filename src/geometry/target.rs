@@ -113,7 +113,7 @@ impl Wanted {
     }
 }
 
-/// The system that the keys name, and its file where it is WKT.
+/// The coordinate system named by the keys, and its file if it is WKT.
 fn named(keys: &GeometryKeys, input_dir: &Path) -> Result<(Named, Option<PathBuf>)> {
     let Some(word) = &keys.crs else { return Ok((Named::Utm, None)) };
     match Named::parse(word).map_err(|error| failed(&error))? {
@@ -134,10 +134,10 @@ fn unusable(error: &CrsError, file: Option<&Path>) -> StageError {
 
 /// Checks the coordinate reference system of a job.
 ///
-/// A WKT file that does not exist passes: it may be there by the time of the run.
+/// A missing WKT file passes, because it may exist at the time of the run.
 ///
 /// # Errors
-/// A system that cannot be computed: the message names its file and what is missing or not understood.
+/// A system that cannot be computed. The message names its file and the missing or unsupported part.
 pub fn check_crs(keys: &GeometryKeys, input_dir: &Path) -> Result<()> {
     let is_missing =
         |word: &String| matches!(Named::parse(word), Ok(None)) && !input_dir.join(word).is_file();

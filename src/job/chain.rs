@@ -18,7 +18,7 @@ pub(super) struct Link {
     pub spec: Option<&'static StageSpec>,
     /// Position of its name in the job.
     pub named_at: Range<usize>,
-    /// Whether its keys say that it needs no stage before it.
+    /// Whether its keys remove the need for a preceding stage.
     needs_none: bool,
 }
 

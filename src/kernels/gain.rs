@@ -1,8 +1,9 @@
-//! A channel's model at other gains: what automatic gain control does to samples.
+//! Channel models at other gains, for automatic gain control.
 //!
-//! A sample is `background + gain x (signal + receiver's noise) + digitiser's noise`. The receiver's noise follows the gain;
-//! the digitiser's is that of rounding, white with the variance 1/12 DN². The background is the digitiser's own offset and
-//! does not change; what a waveform's level adds to it follows the gain. See docs/explanation/method.md, Automatic gain control.
+//! A sample is `background + gain x (signal + receiver noise) + quantisation noise`. Receiver noise
+//! scales with the gain. Quantisation noise is white with a variance of 1/12 DN². The background is
+//! the digitiser's offset and does not change; a waveform's deviation from it scales with the gain.
+//! See docs/explanation/method.md, Automatic gain control.
 
 use super::noise::fit_by_bic;
 use super::sensor_model::{ChannelModel, ModelError};
@@ -11,26 +12,28 @@ mod normalised;
 
 pub use normalised::{Recorded, calibrate_at_unit_gain};
 
-/// Variance of rounding to whole steps, DN².
+/// Quantisation variance, DN².
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
-/// Models are made for this many gains per octave: the noise's standard deviation is right to 2.2 %.
+/// Models per octave of gain.
+///
+/// The noise SD is within 2.2 % of that at the block's gain.
 const LEVELS_PER_OCTAVE: f64 = 16.0;
-/// Highest order of correlated noise at another gain, unless the channel's is higher.
+/// Minimum of the maximum AR order at another gain.
 const ORDER: usize = 4;
-/// More samples than any measurement has: the order is decided by the autocovariance alone.
+/// Sample count that makes the order depend on the autocovariance alone.
 const EXACT: u64 = 1 << 40;
 
-/// A step on the logarithmic raster of gains; 0 is gain 1.
+/// Index on the logarithmic grid of gains; 0 is gain 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct GainLevel(i16);
 
 impl GainLevel {
-    /// The reference gain.
+    /// Level of the reference gain.
     pub const UNIT: GainLevel = GainLevel(0);
 
-    /// The level nearest to a positive gain.
+    /// Returns the level nearest to a positive gain.
     pub fn of(gain: f64) -> GainLevel {
-        // A float converts to the nearest integer in range.
+        // The conversion saturates at the bounds of the integer type.
         if gain == 1.0 {
             GainLevel::UNIT
         } else {
@@ -38,20 +41,21 @@ impl GainLevel {
         }
     }
 
-    /// Its gain, dimensionless.
+    /// Returns the gain of the level, dimensionless.
     pub fn gain(self) -> f64 {
         libm::exp2(f64::from(self.0) / LEVELS_PER_OCTAVE)
     }
 }
 
 impl ChannelModel {
-    /// The model of what this channel, known at gain 1, records at another gain.
+    /// Returns the model of this channel at another gain.
     ///
-    /// Noise follows the gain but for rounding, and so do the heights that responses hold for. Background and full scale,
-    /// which are the digitiser's, stay.
+    /// `self` is the model at gain 1. Noise other than quantisation scales with the gain, and so do
+    /// the peak heights of the responses. Background and full scale belong to the digitiser and do
+    /// not change.
     ///
     /// # Errors
-    /// Where the model describes no channel.
+    /// The model is invalid.
     pub fn at_gain(&self, gain: f64) -> Result<ChannelModel, ModelError> {
         if gain == 1.0 {
             return Ok(self.clone());
@@ -65,7 +69,9 @@ impl ChannelModel {
         Ok(model)
     }
 
-    /// The same channel with other steps: what had the value 1 DN has the value `factor`. The full scale stays.
+    /// Returns the channel in other units: 1 DN becomes `factor`.
+    ///
+    /// The full scale does not change.
     pub fn in_steps(&self, factor: f64) -> ChannelModel {
         let mut model = self.clone();
         model.background_dn.iter_mut().for_each(|level| *level *= factor);
@@ -80,11 +86,13 @@ impl ChannelModel {
         model
     }
 
-    /// The same channel whose noise has white noise of the variance `before` added (taken off where negative, DN²), is
-    /// multiplied in variance by `factor`, and has white noise of the variance `after` added.
+    /// Adds white noise, scales the noise, and adds white noise again.
+    ///
+    /// The variance `before` is added first, or subtracted if negative, DN². The variance is then
+    /// multiplied by `factor`, and `after` is added.
     ///
     /// # Errors
-    /// Where the model describes no channel.
+    /// The model is invalid, or no noise is left.
     pub fn with_white_noise(&self, before: f64, factor: f64, after: f64) -> Result<ChannelModel, ModelError> {
         let noise = self.noise()?;
         let order = if self.ar.is_empty() { 0 } else { self.ar.len().max(ORDER) };
@@ -131,7 +139,7 @@ mod tests {
         assert_eq!([0.5, 2.0, 4.0].map(|gain| GainLevel::of(gain).gain()), [0.5, 2.0, 4.0]);
     }
 
-    /// Noise of a receiver, amplified and rounded, against the model at its gain.
+    /// Compares amplified and rounded receiver noise with the model at its gain.
     #[test]
     fn noise_is_that_of_amplified_and_rounded_samples() {
         let (background_dn, count) = (40.0, 200_000);

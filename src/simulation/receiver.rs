@@ -74,7 +74,7 @@ pub struct Receiver {
     response: PulseTable,
     reference: PulseTable,
     scratch: Scratch,
-    /// Of the echo receivers, for what is recorded next.
+    /// Gain of the echo receivers for the next recorded blocks.
     gain: f64,
 }
 

@@ -38,7 +38,7 @@ pub struct TrueReturn {
     pub class: Class,
     /// Peak amplitude in a sensitive receiver without limits, DN.
     pub linear_dn: f64,
-    /// Gain of the receivers when it was recorded.
+    /// Gain of the receivers for this echo.
     pub gain: f64,
 }
 
@@ -46,7 +46,7 @@ pub struct TrueReturn {
 pub const COLUMNS: &str = "shot,return_number,number_of_returns,emission_ns,time_of_flight_ns,range_m,amplitude_dn,\
                            width_ratio,x,y,z,zone,channel,class,linear_dn";
 
-/// What tables of recordings with automatic gain control have behind [`COLUMNS`].
+/// Column after [`COLUMNS`] for recordings with automatic gain control.
 pub const GAIN_COLUMN: &str = ",gain";
 
 impl TrueReturn {

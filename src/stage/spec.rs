@@ -405,7 +405,7 @@ impl StageSpec {
         self
     }
 
-    /// The same, but none must stand before it where its `key` is `word`.
+    /// Drops the requirement of a preceding stage if `key` is `word`.
     pub const fn unless(mut self, key: &'static str, word: &'static str) -> StageSpec {
         self.unless = Some((key, word));
         self

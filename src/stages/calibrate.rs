@@ -241,7 +241,7 @@ impl Calibrator {
             && let Some(mut file) = self.save.take()
         {
             let text = serde_json::to_string_pretty(&**model)
-                .map_err(|error| StageError::failed(error.to_string(), "report this as a defect of wavex"))?;
+                .map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))?;
             writeln!(file, "{text}").map_err(Error::io(file.path(), "write"))?;
             out.cx.keep(file.finish()?);
         }

@@ -209,7 +209,7 @@ fn add_pairs(blocks: &Blocks, of_shot: &[Block], full_scale_dn: f64, pairs: &mut
             continue;
         };
         let delay_ns = high_ns - low_ns;
-        // At other gains an overdriven receiver's delay belongs to another height.
+        // The delay of an overdriven receiver depends on the recorded height, which scales with the gain.
         let is_plain = low.gain == 1.0 || low_power_dn < OVERDRIVEN_PART * full_scale_dn;
         if delay_ns.abs() <= MOST_DELAY_NS && is_plain {
             let (low_power_dn, high_power_dn) = (low_power_dn / low.gain, high_power_dn / high.gain);

@@ -140,7 +140,7 @@ struct LasSource {
     lines: Lines,
     recent: Recent,
     broken: BrokenRun,
-    /// Points that have no waveform.
+    /// Number of points without a waveform.
     without_waveform: u64,
 }
 

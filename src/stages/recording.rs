@@ -187,10 +187,10 @@ struct Begun {
     window_s: Option<[f64; 2]>,
 }
 
-/// Said of recordings whose blocks do not say the gain that changes.
-const UNKNOWN_GAINS: &str = "the receiver's gain changes between shots and the recording does not say it block by block (LAS: \
-     digitizer gains of waveform packet descriptors that differ): amplitudes and intensities are not comparable, and thresholds \
-     and standard deviations are those of a mean gain; use a container whose blocks have a `gain`";
+/// Warning for recordings with a varying gain that is not recorded for each block.
+const UNKNOWN_GAINS: &str = "the receiver gain varies between shots, but the recording does not contain the gain of each block (LAS: \
+     different digitizer gains in waveform packet descriptors): amplitudes and intensities are not comparable, and \
+     thresholds and standard deviations are those of a mean gain; use a container whose blocks have a `gain`";
 
 impl<S: Source> AsDeclared<S> {
     pub(super) fn new(source: S, declared: Declared) -> AsDeclared<S> {

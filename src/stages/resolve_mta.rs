@@ -280,6 +280,6 @@ fn failed(error: &MtaError) -> StageError {
         MtaError::Settings(problem) => {
             StageError::failed(*problem, "correct the metadata of the recording, or the keys of the stage")
         }
-        other => StageError::failed(other.to_string(), "report this as a defect of wavex"),
+        other => StageError::failed(other.to_string(), "please report this bug in wavex"),
     }
 }

@@ -408,7 +408,7 @@ impl Sink for LasSink {
             return Err(StageError::Stopped);
         };
         if self.waves.is_some() && input.gain_control == GainControl::Recorded {
-            cx.note("waveform packets do not hold the gain of their blocks: who reads them cannot compare amplitudes; keep the container of the recording");
+            cx.note("waveform packets do not contain the gain of their blocks, so their amplitudes are not comparable; keep the container of the recording");
         }
         let blocks = self.waves.as_mut().map(|waves| waves.begin_line(batch)).transpose()?;
         let wave_of = |(waves, blocks): (&mut Waves, &_)| {

@@ -299,7 +299,7 @@ fn a_point_without_waveform_or_direction_is_counted_and_passed_over() {
     }
 }
 
-/// The instrument's own returns cannot stand in for a waveform that is not there: without it no beam is known.
+/// The instrument's own returns cannot replace a missing waveform: without it the beam is unknown.
 #[test]
 fn points_without_waveform_are_said_to_be_left_out() {
     for (skipped, said) in

@@ -1,9 +1,9 @@
-//! What the keys behind `-t_err`, `-bge`, `-min_width` and `-max_width` change of the returns.
+//! Effects on returns of the keys of `-t_err`, `-bge`, `-min_width` and `-max_width`.
 
 use super::support::shots;
 use super::{LOW, Row, SHOTS, number, of_shot, recording, run};
 
-/// Samples of an echo at sample 24 whose full width at half maximum is this much wider than that of the others.
+/// Samples of an echo at sample 24, with its FWHM relative to that of the others.
 fn wider(shot: usize, ratio: f64) -> Vec<u16> {
     let noise = shots::waveform(shot, 1e6, 0.0);
     let signal = |k: usize| {
@@ -13,7 +13,7 @@ fn wider(shot: usize, ratio: f64) -> Vec<u16> {
     noise.iter().enumerate().map(|(k, &n)| (f64::from(n) + signal(k)).round() as u16).collect()
 }
 
-/// What no fit can show is added to the variance of every time, and changes nothing else.
+/// The timing error is added to the variance of every time and changes nothing else.
 #[test]
 fn a_timing_error_widens_the_deviation_of_every_range() {
     let place = recording(|_, _| {});
@@ -32,7 +32,7 @@ fn a_timing_error_widens_the_deviation_of_every_range() {
     }
 }
 
-/// Every eighth waveform lies 2 DN higher than the others: only a background of its own takes that from its echo.
+/// Every eighth waveform is raised by 2 DN; only a background per waveform corrects its echo.
 #[test]
 fn a_background_per_waveform_keeps_its_level_out_of_the_amplitude() {
     const RAISED_DN: u16 = 2;
@@ -47,7 +47,7 @@ fn a_background_per_waveform_keeps_its_level_out_of_the_amplitude() {
         let mean = |rows: Vec<&Row>| {
             rows.iter().map(|row| number(row, "amplitude_dn")).sum::<f64>() / rows.len() as f64
         };
-        // Each shot has one echo of 120 DN; what else a raised level looks like is not its amplitude.
+        // Each shot has one echo of 120 DN; spurious returns of a raised level are ignored.
         let strong: Vec<&Row> = rows.iter().filter(|row| number(row, "amplitude_dn") > 60.0).collect();
         assert_eq!(strong.len(), SHOTS, "{background}");
         let (raised, others): (Vec<&Row>, Vec<&Row>) = strong.into_iter().partition(is_raised);
@@ -57,11 +57,11 @@ fn a_background_per_waveform_keeps_its_level_out_of_the_amplitude() {
     println!(
         "amplitudes of raised waveforms are {fixed:.2} DN higher, and {own:.2} DN with a background of their own"
     );
-    // Noise of 1 DN leaves a mean of 40 amplitudes some 0.1 DN.
+    // With noise of 1 DN, the mean of 40 amplitudes has an SD of about 0.1 DN.
     assert!(fixed > 1.0 && own.abs() < 0.4, "{fixed} {own}");
 }
 
-/// An echo that is wider, or narrower, than the range of widths is no return.
+/// Echoes outside the range of widths are no returns.
 #[test]
 fn returns_beyond_the_range_of_widths_are_dropped() {
     let place = recording(|number, shot| match number {

@@ -102,7 +102,7 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
         GainControl::Recorded => section.say("automatic gain control", "yes, with the gain of each block"),
         GainControl::NotRecorded => section.say(
             "automatic gain control",
-            "yes, but the gains are not known: intensities are not comparable",
+            "yes, but the gains are unknown: intensities are not comparable",
         ),
     }
     section.say(
@@ -302,7 +302,7 @@ fn receiver(survey: &Survey, channel: Channel) -> Option<Section> {
     section.say("first sample after the clock", of(&seen.starts_ns, " ns", 2));
     if seen.gains != [1.0; 2] {
         let [least, greatest] = seen.gains;
-        section.say("gain", format!("{least:.3} to {greatest:.3}; noise and peaks below are as recorded"));
+        section.say("gain", format!("{least:.3} to {greatest:.3}; noise and peaks below include the gain"));
     }
     if let Some(values) = &seen.values {
         sample_rows(&mut section, seen, values, channel);

@@ -155,7 +155,7 @@ mod tests {
     use crate::geo::ellipsoid::Geodetic;
     use crate::geo::frames::Attitude;
 
-    /// The labels of numbers along each edge of the picture: at the left of a frame, or below it.
+    /// Numeric labels along each edge of the picture: left of a frame, or below it.
     fn labels(svg: &str) -> BTreeMap<String, Vec<String>> {
         let mut labels: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for text in svg.lines().filter(|line| line.starts_with("<text class=\"\"")) {
@@ -165,7 +165,7 @@ mod tests {
             else {
                 continue;
             };
-            // Those at the left of the plan, of the heights, and below each.
+            // Edges: left of the plan, left of the heights, and below each.
             let is_of_plan = y.parse::<f64>().unwrap() < PLAN[1] + 30.0;
             let edge = format!("{anchor} {is_of_plan} {}", if anchor == "end" { x } else { y });
             labels.entry(edge).or_default().push(label.to_owned());
@@ -173,7 +173,7 @@ mod tests {
         labels
     }
 
-    /// A flight to the north-east: so many metres long, so many up, within a time.
+    /// Flight to the north-east of a given length, climb and duration.
     fn flight(length_m: f64, climb_m: f64, duration_s: f64) -> Trajectory {
         let sample = |step: u32| {
             let part = f64::from(step) / 20.0;

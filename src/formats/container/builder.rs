@@ -91,13 +91,16 @@ impl LineBuilder {
         self.shot.len()
     }
 
-    /// The record batch; an error where a list would pass 2^31 items, the most that Arrow's lists can have, or where a block
-    /// has a gain and the schema has no place for it.
+    /// Returns the record batch.
+    ///
+    /// # Errors
+    /// A list exceeds 2^31 items, the limit of Arrow lists, or a block has a gain and the schema has
+    /// no field for it.
     pub(super) fn finish(self, schema: SchemaRef) -> Result<RecordBatch, ArrowError> {
         let samples = list(Kind::Samples, &self.lengths, array(UInt16Array::from(self.samples)), None)?;
         let with_gain = has_gain(&schema);
         if !with_gain && self.gain.iter().any(Option::is_some) {
-            let problem = "a block with a gain in a container whose header says there is none";
+            let problem = "a block has a gain, but the container header declares none";
             return Err(ArrowError::InvalidArgumentError(problem.into()));
         }
         let mut of_blocks = vec![

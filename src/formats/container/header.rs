@@ -45,7 +45,7 @@ pub struct ContainerHeader {
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
     /// How the moment of emission is known; `None`: to be told from the blocks.
     pub emission_reference: Option<EmissionReference>,
-    /// Whether the receiver's gain changes; `None`: to be told from the blocks.
+    /// Automatic gain control; `None`: determined from the blocks.
     pub gain_control: Option<GainControl>,
     /// What `origin` is; `None`: the sensor's position, unless emissions are known by return locations.
     pub origin: Option<Origin>,
@@ -151,9 +151,9 @@ named! {
 named! {
     /// Automatic gain control.
     GainControl {
-        /// Each block says its gain.
+        /// Each block has its gain.
         Recorded = "recorded",
-        /// The gain changes, and blocks do not say it.
+        /// The gain varies but is not recorded.
         NotRecorded = "not_recorded",
     }
 }
@@ -195,7 +195,7 @@ struct Grid {
 const LIGHT_MPS: f64 = 299_792_458.0;
 
 impl ContainerHeader {
-    /// Whether blocks that are written have a gain.
+    /// Whether written blocks have a gain.
     pub(super) fn has_gain(&self) -> bool {
         self.gain_control == Some(GainControl::Recorded)
     }

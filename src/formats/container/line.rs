@@ -53,7 +53,7 @@ pub struct ContainerBlock<'a> {
     pub interval_ns: Option<f64>,
     /// Zone of this block; `None`: the row's.
     pub zone: Option<i16>,
-    /// Gain of the receiver over its reference gain; `None`: 1.
+    /// Gain relative to the reference gain; `None`: 1.
     pub gain: Option<f64>,
     /// Digitiser steps.
     pub samples: &'a [u16],
@@ -140,7 +140,7 @@ impl ContainerLine {
         self.line.value(row)
     }
 
-    /// Whether blocks have a column of gains.
+    /// Whether blocks have gains.
     pub fn has_gain(&self) -> bool {
         self.blocks.gain.is_some()
     }

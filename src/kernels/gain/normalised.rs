@@ -1,28 +1,31 @@
-//! Calibration from waveforms of many gains: they are brought to gain 1 first.
+//! Calibration from waveforms of different gains, converted to gain 1.
 //!
-//! `(sample - background) / gain` goes into 16-bit samples of finer steps, so that all waveforms tell of one receiver. Rounding,
-//! which weighs more at small gains, is taken off the noise that was found and put back at gain 1.
+//! `(sample - background) / gain` is stored in 16-bit samples of finer steps, so all waveforms have
+//! the model of one receiver. Quantisation noise, which is larger at small gains after this
+//! conversion, is subtracted from the estimated noise and added again at gain 1.
 
 use super::QUANTISATION_VARIANCE;
 use crate::kernels::calibrate::{Block, CalibrationError, CalibrationSettings, calibrate};
 use crate::kernels::response_calibrate::{Calibrated, calibrate_response};
 use crate::kernels::sensor_model::{ChannelModel, ModelError};
 
-/// Samples at a block's start that tell the background at first.
+/// Samples at the start of a block for the initial background estimate.
 const START_SAMPLES: usize = 8;
-/// The largest value of a sample in finer steps: the fast kernels know no larger one.
+/// Largest sample in finer steps, the limit of the fast kernels.
 const LARGEST: f64 = 32_766.0;
 
-/// A block of samples and its gain.
+/// Samples of a block and its gain.
 #[derive(Clone, Copy, Debug)]
 pub struct Recorded<'a> {
     /// Digitiser steps.
     pub samples: &'a [u16],
-    /// Over the reference gain; positive.
+    /// Relative to the reference gain; positive.
     pub gain: f64,
 }
 
-/// Calibrates a channel, at gain 1, from blocks of any gain; with its response, where that is wanted.
+/// Calibrates a channel at gain 1 from blocks of any gain.
+///
+/// `with_response` also estimates the system response.
 ///
 /// # Errors
 /// As [`calibrate`] and [`calibrate_response`].
@@ -31,7 +34,7 @@ pub fn calibrate_at_unit_gain<'a>(
     settings: &CalibrationSettings,
     with_response: bool,
 ) -> Result<Calibrated, CalibrationError> {
-    // A first round finds the background by phase, which the second one takes off exactly.
+    // The first round estimates the background by phase; the second subtracts it.
     let start_dn = start_level_dn(blocks.clone());
     let first = Normalised::of(blocks.clone(), [start_dn; 4], settings.full_scale_dn);
     let model = calibrate(first.blocks(), &first.settings(settings))?;
@@ -45,7 +48,7 @@ pub fn calibrate_at_unit_gain<'a>(
     Ok(Calibrated { model: second.at_unit_gain(&found.model)?, ..found })
 }
 
-/// The median of the blocks' first samples, DN.
+/// Median of the blocks' first samples, DN.
 fn start_level_dn<'a>(blocks: impl Iterator<Item = Recorded<'a>>) -> f64 {
     let mut starts: Vec<u16> =
         blocks.flat_map(|block| block.samples.iter().take(START_SAMPLES).copied()).collect();
@@ -59,13 +62,15 @@ struct Normalised {
     lengths: Vec<usize>,
     /// Finer steps per digitiser step at gain 1.
     scale: f64,
-    /// The background by sample number modulo 4 that was taken off, DN, and what stands for it, finer steps.
+    /// Subtracted background by sample number modulo 4, DN.
+    ///
+    /// It is stored as `level`, in finer steps.
     pivot_dn: [f64; 4],
     level: f64,
     full_scale_dn: f64,
-    /// The largest value that is not cut off at any gain, finer steps.
+    /// Largest value that is not clipped at any gain, finer steps.
     full_scale: f64,
-    /// Means over the blocks of 1 over the gain and over its square.
+    /// Mean of `1 / gain` and of `1 / gain²` over the blocks.
     mean_inverse: f64,
     mean_inverse_square: f64,
 }
@@ -109,7 +114,7 @@ impl Normalised {
             if dn >= self.full_scale_dn {
                 return u16::MAX;
             }
-            // A float converts to the nearest integer in range.
+            // The conversion saturates at the bounds of the integer type.
             (self.level + factor * (dn - self.pivot_dn[k % 4])).round().min(LARGEST) as u16
         };
         self.samples.extend(block.samples.iter().enumerate().map(finer));
@@ -131,13 +136,13 @@ impl Normalised {
         CalibrationSettings { full_scale_dn: self.full_scale, ..settings.clone() }
     }
 
-    /// The background as recorded, DN, by what was found in finer steps.
+    /// Converts the estimated background from finer steps to recorded DN.
     fn background_dn(&self, model: &ChannelModel) -> [f64; 4] {
         let per_dn = self.scale * self.mean_inverse;
         std::array::from_fn(|k| self.pivot_dn[k] + (model.background_dn[k] - self.level) / per_dn)
     }
 
-    /// The model in digitiser steps at gain 1.
+    /// Converts the model to digitiser steps at gain 1.
     fn at_unit_gain(&self, model: &ChannelModel) -> Result<ChannelModel, ModelError> {
         let rounding = QUANTISATION_VARIANCE * (self.mean_inverse_square + self.scale.powi(-2));
         let in_steps = model.in_steps(1.0 / self.scale);

@@ -28,7 +28,7 @@ impl Preset {
             Preset::RieglLmsQ680 => include_str!("presets/riegl_lms_q680.json"),
         };
         serde_json::from_str(text)
-            .map_err(|error| StageError::failed(error.to_string(), "report this as a defect of wavex"))
+            .map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))
     }
 }
 

@@ -299,7 +299,7 @@ impl ShotDecomposer {
         for shot in shots {
             match line.emissions.get(shot.index as usize).copied() {
                 Some(emission) => self.shot(&Turn { shot, emission, first_block }, line, cx, watch)?,
-                None => cx.reject(Item::Blocks, "its emission is not in the line", shot.of_shot.len() as u64),
+                None => cx.reject(Item::Blocks, "its shot is not in the line", shot.of_shot.len() as u64),
             }
             first_block += shot.of_shot.len();
         }

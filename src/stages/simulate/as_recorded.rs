@@ -27,7 +27,7 @@ struct Stream {
     /// What each echo comes from, and the place of its shot in `casts`.
     origins: Vec<(Hit, usize)>,
     windows: Vec<Window>,
-    /// The highest echo of each shot in `casts`, DN.
+    /// Highest echo of each shot in `casts`, DN.
     strongest: Vec<Option<f64>>,
 }
 
@@ -155,7 +155,7 @@ impl Stream {
         self.windows.iter().map(began).collect()
     }
 
-    /// The highest echo of the shot before one of the same line, DN.
+    /// Highest echo of the previous shot of the same line, DN.
     fn before(&self, place: usize) -> Option<f64> {
         let is_first = self.casts.get(place).is_none_or(|cast| cast.index == 0);
         if is_first { None } else { self.strongest.get(place.checked_sub(1)?).copied().flatten() }

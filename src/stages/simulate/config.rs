@@ -163,14 +163,16 @@ pub struct Simulate {
     /// How much later the second receiver sees an echo.
     #[schemars(range(min = -10.0, max = 10.0))]
     pub high_power_delay_ns: f64,
-    /// Automatic gain control: the least and the greatest gain of both echo receivers, 1/1024 to 1024, over that which the
-    /// other keys describe. Signal and noise follow the gain, background and rounding do not; each echo block says its gain,
-    /// and the truth has a column `gain`. `[1, 1]`: the gain is constant and not written.
+    /// Automatic gain control: smallest and largest gain of both echo receivers, 1/1024 to 1024,
+    /// relative to the gain described by the other keys. Signal and noise scale with the gain,
+    /// background and quantisation do not. Each echo block has its gain, and the truth has a column
+    /// `gain`. `[1, 1]`: the gain is constant and not written.
     pub gain_range: [f64; 2],
-    /// What the gain follows: the time of the flight (`time`), sinusoidal in its logarithm; or the strongest echo of the
-    /// shot before in the line (`echo`), which it would bring to 150 digitiser steps. Without one it is the greatest.
+    /// Control of the gain: `time` varies its logarithm sinusoidally with time; `echo` sets it so
+    /// that the strongest echo of the previous shot of the line would have 150 digitiser steps, or
+    /// to the largest gain if that shot has no echo.
     pub gain_follows: GainFollows,
-    /// Period of a gain that follows the time.
+    /// Period of the gain with `gain_follows = "time"`.
     #[schemars(range(min = 0.001, max = 1000.0))]
     pub gain_period_s: f64,
     /// Whether blocks stand with the shot after whose emission they were received, instead of with the one that caused
@@ -221,13 +223,13 @@ pub enum Response {
     Riegl,
 }
 
-/// What the receivers' gain follows.
+/// Control of the receiver gain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GainFollows {
-    /// The time of the flight.
+    /// Sinusoidal in time.
     Time,
-    /// The strongest echo of the shot before.
+    /// By the strongest echo of the previous shot.
     Echo,
 }
 
@@ -431,7 +433,7 @@ impl Simulate {
         scan + roll.abs() + pitch.abs() + self.roll_deg + self.pitch_deg
     }
 
-    /// Whether the gain changes.
+    /// Whether the gain varies.
     pub(super) fn has_gain_control(&self) -> bool {
         self.gain_range != [1.0, 1.0]
     }

@@ -22,7 +22,7 @@ use crate::stage::{Result, StageError};
 
 /// Standard deviation of a pulse's energy, over its mean.
 const ENERGY_SD: f64 = 0.01;
-/// Height to which automatic gain control would bring the last shot's strongest echo, DN.
+/// Target height of the strongest echo for automatic gain control, DN.
 const WANTED_DN: f64 = 150.0;
 /// False alarms come from as far as this, over the range of the lowest ground.
 const FALSE_ALARM_REACH: f64 = 1.25;
@@ -97,7 +97,7 @@ struct Agc {
 }
 
 impl Agc {
-    /// `None` where the gain is constant.
+    /// `None` if the gain is constant.
     fn of(config: &Simulate) -> Option<Agc> {
         let agc =
             Agc { range: config.gain_range, follows: config.gain_follows, period_s: config.gain_period_s };
@@ -116,7 +116,7 @@ impl Agc {
     }
 }
 
-/// The highest of some echoes at gain 1, DN.
+/// Highest of these echoes at gain 1, DN.
 pub(super) fn strongest(echoes: &[Echo]) -> Option<f64> {
     echoes.iter().map(|echo| echo.amplitude_dn).reduce(f64::max)
 }
@@ -198,7 +198,9 @@ impl Flight {
         emissions
     }
 
-    /// The gain of what is recorded with a shot; `before` is the strongest echo of the shot before it in its line, DN.
+    /// Gain of the blocks recorded with a shot.
+    ///
+    /// `before` is the strongest echo of the previous shot of the line, DN.
     pub(super) fn gain(&self, cast: &Cast, before: Option<f64>) -> f64 {
         self.agc.as_ref().map_or(1.0, |agc| agc.gain(cast.shot.since_start_s(), before))
     }

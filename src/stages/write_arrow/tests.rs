@@ -43,7 +43,7 @@ fn read(folder: &Path) -> Vec<Batch> {
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
     // Made-up times may be implausible for their time scale.
     let is_of_times = |note: &String| {
-        note.starts_with("the recording's times") || note.starts_with("the receiver's gain changes")
+        note.starts_with("the recording's times") || note.starts_with("the receiver gain varies")
     };
     assert!(cx.counters().rejected.is_empty(), "{:?}", cx.counters());
     assert!(cx.counters().notes.iter().all(is_of_times), "{:?}", cx.counters());
@@ -358,5 +358,5 @@ fn a_gain_that_the_header_does_not_announce_is_an_error() {
     let batch = Batch::of_shots(plain_info(), 0, vec![Emission::default()], blocks);
     let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
-    assert!(error.contains("a block with a gain in a container whose header says there is none"), "{error}");
+    assert!(error.contains("a block has a gain, but the container header declares none"), "{error}");
 }
