@@ -345,7 +345,7 @@ fn a_system_with_missing_parameters_is_a_wrong_job() {
         );
         let folder = place_with_wkt(&wkt);
         let expected = format!(
-            "error: ./site.prj: site: its projection has no {missing}; complete the parameters in its WKT, or give an EPSG \
+            "error: ./site.prj: site: its projection has no {missing}; complete the parameters in its WKT, or use an EPSG \
              code\n"
         );
         for command in ["check", "run"] {

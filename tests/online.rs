@@ -179,8 +179,8 @@ fn outgoing_pulses_need_a_calibration() {
     let place = Place::new();
     let simulate = "[[stage]]\ntype = 'simulate'\nlines = 2\nshots_per_line = 50\n";
     let stages = "[[stage]]\ntype = 'decompose'\nonline_points = 'only'\n[[stage]]\ntype = 'write_table'\n";
-    let problem = "stage decompose: ranges count from the outgoing pulses of this recording, which a sensor model is needed \
-                   to find; put calibrate before decompose";
+    let problem = "stage decompose: ranges count from the outgoing pulses of this recording, and fitting them \
+                   requires a sensor model; put calibrate before decompose";
     place.left_nothing(place.run(&format!("{simulate}{stages}")), problem);
 }
 

@@ -144,7 +144,7 @@ fn what_is_normal_is_no_warning() {
     let (_, rest) = page.split_once("<h2>Warnings</h2>").unwrap();
     let (warnings, found) = rest.split_once("<h2>Findings</h2>").unwrap();
     let found = found.split_once("</section>").unwrap().0;
-    let said = "blocks: the sensitive receiver recorded it as well</li>";
+    let said = "blocks: the low-power receiver recorded it as well</li>";
     assert!(found.contains("<li><b>decompose</b>: set aside ") && found.contains(said), "{found}");
     assert!(!warnings.contains(said), "{warnings}");
 }

@@ -1,11 +1,13 @@
 //! Emissions and the sample blocks recorded for them.
 
-/// The receivers of an instrument. Their codes in files live in `formats` only.
+/// Receiver channels of an instrument.
+///
+/// Their codes in files are defined in `formats` only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Channel {
-    /// The receiver for strong echoes (RIEGL's HI).
+    /// High-power receiver, for strong echoes (RIEGL: HI).
     HighPower,
-    /// The more sensitive receiver, for weak echoes (RIEGL's LO).
+    /// Low-power receiver, for weak echoes (RIEGL: LO).
     LowPower,
     /// A receiver that only tells of saturation.
     Saturation,
@@ -62,78 +64,80 @@ impl Default for Emission {
     }
 }
 
-/// Bits of [`Emission::flags`]; 0 to 2 as the container and RIEGL count them.
+/// Bits of [`Emission::flags`]; 0 to 2 as in the container and RIEGL files.
 pub mod emission_flags {
     /// The clock is synchronised with GPS.
     pub const SYNCHRONISED: u16 = 1;
-    /// It was synchronised within the last second.
+    /// The clock was synchronised within the last second.
     pub const SYNCHRONISED_WITHIN_LAST_SECOND: u16 = 1 << 1;
-    /// A record of the instrument's housekeeping.
+    /// Housekeeping record of the instrument.
     pub const HOUSEKEEPING: u16 = 1 << 2;
     /// The mirror moves in the positive direction (LAS: scan direction flag).
     pub const SCAN_DIRECTION_POSITIVE: u16 = 1 << 8;
-    /// The last shot of a scan line (LAS: edge of flight line).
+    /// Last shot of a scan line (LAS: edge of flight line).
     pub const EDGE_OF_FLIGHT_LINE: u16 = 1 << 9;
 }
 
-/// A run of samples that one receiver recorded.
+/// Contiguous samples of one receiver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Block {
-    /// Index of the emission, in the batch, that the block belongs to.
+    /// Index of the block's emission in the line.
     pub emission: u32,
     /// The receiver.
     pub channel: Channel,
-    /// The multiple-time-around zone of this block, where it differs from the emission's.
+    /// Multiple-time-around zone of the block, if different from the emission's.
     pub zone: Option<i16>,
-    /// The zone was decided against little evidence.
+    /// Whether the zone was assigned on weak evidence.
     pub is_zone_uncertain: bool,
     /// Time of the first sample after the emission's `clock_ps`, ns.
     pub start_ns: f64,
-    /// Time between samples, ns.
+    /// Sampling interval, ns.
     pub interval_ns: f64,
     /// Gain relative to the reference gain.
     ///
     /// Positive; 1 without automatic gain control.
     pub gain: f64,
-    /// The first sample's place in the arena; [`NOT_HELD`] where its samples were not read.
+    /// Index of the first sample in the arena; [`NOT_HELD`] if samples were not read.
     first: u32,
-    /// How many samples there are.
+    /// Number of samples.
     len: u32,
 }
 
-/// Place of the samples that were not read: behind any arena.
+/// Index for samples that were not read, beyond any arena.
 const NOT_HELD: u32 = u32::MAX;
 
-/// A return that the instrument itself computed.
+/// A return computed by the instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnlineReturn {
-    /// Index of the emission, in the batch.
+    /// Index of the emission in the line.
     pub emission: u32,
     /// Time after the emission's `clock_ps`, ns.
     pub time_ns: f64,
-    /// Amplitude in the instrument's own unit; NaN where it gave none.
+    /// Amplitude in the instrument's own unit; NaN if unknown.
     pub amplitude: f32,
 }
 
-/// The sample blocks of a line, ordered by emission, with their samples in one arena.
+/// Sample blocks of a line, ordered by emission, with a shared arena of samples.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Blocks {
     list: Vec<Block>,
     arena: Vec<u16>,
-    /// What the instrument itself found, ordered by emission.
+    /// The instrument's own returns, ordered by emission.
     pub online: Vec<OnlineReturn>,
 }
 
 impl Blocks {
-    /// None yet, with room for so many blocks, and for so many samples in all of them.
+    /// Creates an empty list with capacity for blocks and for samples.
     pub fn with_capacity(blocks: usize, samples: usize) -> Blocks {
         Blocks { list: Vec::with_capacity(blocks), arena: Vec::with_capacity(samples), online: Vec::new() }
     }
 
-    /// Adds a block of `samples` (digitiser steps). Blocks come in the order of their emissions.
+    /// Adds a block of `samples` (digitiser steps).
+    ///
+    /// Blocks must be added in order of their emissions.
     ///
     /// # Panics
-    /// Where the line's arena would pass 2^32 samples, which [`super::MAX_SHOTS_PER_LINE`] keeps out of reach.
+    /// The arena would exceed 2^32 samples; [`super::MAX_SHOTS_PER_LINE`] prevents this.
     pub fn push(
         &mut self,
         emission: u32,
@@ -161,7 +165,9 @@ impl Blocks {
         self.arena.extend_from_slice(samples);
     }
 
-    /// Adds a block of which only the number of samples is known: [`Blocks::samples`] gives none.
+    /// Adds a block with a known number of samples but no samples.
+    ///
+    /// [`Blocks::samples`] is empty for it.
     pub fn push_without_samples(
         &mut self,
         emission: u32,
@@ -190,49 +196,49 @@ impl Blocks {
         self.list.last_mut().into_iter().for_each(|last| last.gain = gain);
     }
 
-    /// Says that the zone of the last block was decided against little evidence.
+    /// Marks the zone of the last block as assigned on weak evidence.
     pub fn doubt_last_zone(&mut self) {
         self.list.last_mut().into_iter().for_each(|last| last.is_zone_uncertain = true);
     }
 
-    /// The block at a place in the list.
+    /// Returns the block at an index.
     pub fn get(&self, index: usize) -> Option<&Block> {
         self.list.get(index)
     }
 
-    /// The blocks, ordered by emission.
+    /// Iterates over the blocks, ordered by emission.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = &Block> + Clone + '_ {
         self.list.iter()
     }
 
-    /// How many blocks there are.
+    /// Number of blocks.
     pub fn len(&self) -> usize {
         self.list.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no blocks.
     pub fn is_empty(&self) -> bool {
         self.list.is_empty()
     }
 
-    /// Moves the times of a receiver's blocks by so much, ns.
+    /// Shifts the times of a receiver's blocks, ns.
     pub fn shift(&mut self, channel: Channel, by_ns: f64) {
         let of_channel = self.list.iter_mut().filter(|block| block.channel == channel);
         of_channel.for_each(|block| block.start_ns += by_ns);
     }
 
-    /// The samples of one of these blocks, digitiser steps; none where they were not read.
+    /// Samples of a block, digitiser steps; empty if they were not read.
     pub fn samples(&self, block: &Block) -> &[u16] {
         let held = self.arena.get(block.first as usize..);
         held.and_then(|samples| samples.get(..block.len as usize)).unwrap_or_default()
     }
 
-    /// The blocks of each emission that has any: `(emission, its blocks)`, in order.
+    /// Groups the blocks by emission: `(emission, its blocks)`, in order.
     pub fn by_emission(&self) -> impl Iterator<Item = (u32, &[Block])> + '_ {
         self.list.chunk_by(|a, b| a.emission == b.emission).map(|blocks| (blocks[0].emission, blocks))
     }
 
-    /// The blocks of one emission, each with its place in the list.
+    /// Blocks of one emission, each with its index.
     pub fn of_emission(&self, emission: u32) -> impl Iterator<Item = (usize, &Block)> + '_ {
         let from = self.list.partition_point(|block| block.emission < emission);
         let until = self.list.partition_point(|block| block.emission <= emission);
@@ -246,13 +252,15 @@ impl Blocks {
         &self.online[from..until]
     }
 
-    /// How many emissions have at least one echo block, which makes them waveforms: `nw`.
+    /// Number of waveforms: emissions with at least one echo block (`nw`).
     pub fn waveforms(&self) -> usize {
         self.by_emission().filter(|(_, blocks)| blocks.iter().any(|block| block.channel.is_echo())).count()
     }
 
-    /// Keeps what belongs to the emissions that have a place: where each stands now, by where it stood. The samples of
-    /// what goes stay in the arena until the line is dropped.
+    /// Keeps the blocks of the emissions that have a new index.
+    ///
+    /// `place` is the new index by old index. Samples of removed blocks stay in the arena until the
+    /// line is dropped.
     pub fn keep(&mut self, place: &[Option<u32>]) {
         let keep = |emission: &mut u32| match place.get(*emission as usize).copied().flatten() {
             Some(place) => {
@@ -265,7 +273,7 @@ impl Blocks {
         self.online.retain_mut(|online| keep(&mut online.emission));
     }
 
-    /// The memory taken, in bytes.
+    /// Memory used, bytes.
     pub fn bytes(&self) -> usize {
         self.list.capacity() * size_of::<Block>()
             + self.arena.capacity() * size_of::<u16>()
@@ -281,7 +289,7 @@ impl Channel {
 }
 
 impl Block {
-    /// How many samples the block has, whether they were read or not.
+    /// Number of samples, whether they were read or not.
     pub fn len(&self) -> usize {
         self.len as usize
     }
@@ -291,7 +299,9 @@ impl Block {
         self.len == 0
     }
 
-    /// The time of a position in the block (samples, fractions allowed) after the emission's clock, ns.
+    /// Time of a position in the block after the emission's clock, ns.
+    ///
+    /// The position is in samples, with fraction.
     pub fn time_ns(&self, position_samples: f64) -> f64 {
         self.start_ns + position_samples * self.interval_ns
     }

@@ -1,7 +1,8 @@
-//! One waveform to its returns: detection, joint fit, a second look at what the fit leaves, and what does not stand up.
+//! Decomposes one waveform: detection, joint fit, residual search, pruning.
 //!
-//! The plain form, in `f64` and a waveform at a time, of what docs/explanation/method.md describes from Detection to Uncertainties:
-//! the oracle of [`super::lockstep`], and what decides where that is not made for a waveform.
+//! The plain kernels, in `f64` and one waveform at a time, as docs/explanation/method.md describes
+//! from Detection to Uncertainties. They are the reference of [`super::lockstep`] and take the
+//! waveforms it cannot decompose.
 
 use super::allowance::Allowance;
 use super::detect::{Candidate, Detector, next_plateau, plateau_candidate};
@@ -17,42 +18,51 @@ mod score;
 mod tests;
 mod view;
 
-/// Pulses above this part of the full scale overdrive a RIEGL receiver (210 of 255 DN).
+/// Pulses above this fraction of full scale overdrive a RIEGL receiver (210 of 255 DN).
 pub const OVERDRIVEN_PART: f64 = 210.0 / 255.0;
 
-/// How waveforms are decomposed.
+/// Settings of the decomposition.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DecomposeSettings {
-    /// Threshold of detection and of what is kept, in standard deviations of the noise of the matched filter.
+    /// Threshold of detection and pruning, standard deviations of the filtered noise.
     pub detection_sigma: f64,
-    /// Threshold of the last of two or more returns instead: behind others it is most often false.
+    /// Threshold of the last of two or more returns, which is most often false.
     pub detection_sigma_last: Option<f64>,
-    /// Least and greatest width over the calibrated width; a return is dropped only when two standard deviations of
-    /// its width do not reach into the range.
+    /// Smallest and largest width relative to the calibrated width.
+    ///
+    /// A return is dropped only if its width is outside the range by more than two standard
+    /// deviations.
     pub width_ratio: [f64; 2],
-    /// Iterations of one fit at most.
+    /// Maximum number of iterations of one fit.
     pub iterations: usize,
-    /// Standard deviation of the prior on the logarithm of the width of pulses that overlap: the spread of the widths
-    /// of isolated pulses (empirical Bayes). Isolated pulses have no prior.
+    /// Prior SD of the logarithm of the width of overlapping pulses.
+    ///
+    /// The spread of the widths of isolated pulses (empirical Bayes). Isolated pulses have no
+    /// prior.
     pub overlap_ln_width_sd: f64,
-    /// How much two pulses must lower chi-square against one widened pulse to stand in its place; `None`: widened pulses
-    /// are not tried, but where the residual has a maximum.
+    /// Decrease of chi-square required to replace a widened pulse by two.
+    ///
+    /// `None`: widened pulses are not tried, except at maxima of the residual.
     pub split_evidence: Option<f64>,
-    /// Rao's score, chi-square with two degrees of freedom for one pulse, below which a widened pulse is not tried as
-    /// two; 0 tries all of them.
+    /// Rao's score below which a widened pulse is not tried as two.
+    ///
+    /// Chi-square with two degrees of freedom for one pulse; 0 tries all pulses.
     pub split_score: f64,
-    /// Pulses added to those detection finds, at most; 0 leaves it at those.
+    /// Maximum number of pulses added after detection; 0: none.
     pub max_added: u32,
-    /// How well the system response is known at least, as part of a pulse's height: thresholds beside a strong pulse are
-    /// raised by what an error of this size looks like. Gaussians have no such allowance.
+    /// Minimum relative error of the system response.
+    ///
+    /// Thresholds near a strong pulse are raised by this fraction of its height. Without effect for
+    /// Gaussians.
     pub template_error: f64,
-    /// Pulses higher than this part of the full scale overdrive the receiver though no sample is saturated: they are
-    /// flagged, not divided, and up to the after-pulse the response is known to 6 % of their height only. For models with a
-    /// response.
+    /// Fraction of full scale above which pulses overdrive the receiver.
+    ///
+    /// No sample needs to be saturated. Such pulses are flagged and not divided, and the response
+    /// error is 6 % of their height up to the after-pulse. Only for models with a response.
     pub overdriven_part: f64,
-    /// Samples that the receiver needs after saturation before they can be used.
+    /// Samples unusable after saturation, while the receiver recovers.
     pub recovery_samples: usize,
-    /// Returns of one waveform at most; of more candidates the strongest are kept.
+    /// Maximum number of returns per waveform; the strongest candidates are kept.
     pub max_returns: usize,
 }
 
@@ -76,49 +86,53 @@ impl Default for DecomposeSettings {
 }
 
 impl DecomposeSettings {
-    /// The lower one of the two thresholds.
+    /// Returns the lower of the two thresholds.
     pub(super) fn least_sigma(&self) -> f64 {
         self.detection_sigma_last.map_or(self.detection_sigma, |last| last.min(self.detection_sigma))
     }
 }
 
-/// One return of a waveform. Its place is that of the peak.
+/// One return of a waveform; its position is that of the peak.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Return {
-    /// Samples from the block's first, with fraction.
+    /// Position from the block's first sample, samples.
     pub position_samples: f64,
     /// Standard deviation of the position, samples.
     pub position_sd_samples: f64,
-    /// Height of the peak above the background, DN.
+    /// Peak height above the background, DN.
     pub amplitude_dn: f64,
     /// Standard deviation of the amplitude, DN.
     pub amplitude_sd_dn: f64,
-    /// Width over the calibrated width.
+    /// Width relative to the calibrated width.
     pub width_ratio: f64,
     /// Standard deviation of the width ratio.
     pub width_ratio_sd: f64,
     /// Full width at half maximum, ns.
     pub fwhm_ns: f64,
-    /// `(χ² - ν)/√(2ν)` of the waveform; 0 where no degree of freedom is left.
+    /// `(χ² - ν)/√(2ν)` of the waveform; 0 without a degree of freedom.
     pub deviation_ratio: f64,
     /// Bits of [`super::flags`].
     pub flags: u16,
 }
 
-/// What became of the candidates: `n_candidates + n_added = np + np_filtered + np_merged + np_xtalk_dropped`.
+/// Counts of candidates.
+///
+/// `n_candidates + n_added = np + np_filtered + np_merged + np_xtalk_dropped`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Maxima of the matched filter over the threshold, and saturated plateaus.
+    /// Maxima of the matched filter above the threshold, and saturated plateaus.
     pub n_candidates: u32,
-    /// Pulses found in what the first fit left.
+    /// Pulses added by the residual search.
     pub n_added: u32,
     /// Returns.
     pub np: u32,
-    /// Dropped: too weak, too narrow or wide, outside the block, not to be fitted, or beyond the greatest number.
+    /// Dropped: too weak, too narrow or wide, outside the block, not determined, or in excess.
     pub np_filtered: u32,
-    /// United with a neighbour they could not be told from.
+    /// Merged with a neighbour that could not be resolved.
     pub np_merged: u32,
-    /// Dropped as cross-talk of an emission; always 0 here, where emissions are not known.
+    /// Dropped as cross-talk of an emission.
+    ///
+    /// Always 0 here, because emissions are unknown.
     pub np_xtalk_dropped: u32,
 }
 
@@ -127,33 +141,35 @@ pub struct Counts {
 pub struct Decomposition<'a> {
     /// The returns, by position.
     pub returns: &'a [Return],
-    /// What became of the candidates.
+    /// Counts of candidates.
     pub counts: Counts,
-    /// `χ²` of what the returns and the background leave.
+    /// `χ²` of the residual.
     pub chi_square: f64,
-    /// What the pulses' own deviations from the response add to `χ²` on average; 0 where none were seen.
+    /// Expected contribution of the template error to `χ²`; 0 if unknown.
     pub expected_excess: f64,
     /// Samples used.
     pub samples: usize,
     /// Parameters fitted.
     pub parameters: usize,
-    /// Fitted offset from the channel's background, DN; 0 where the background is fixed.
+    /// Fitted offset from the channel's background, DN; 0 if the background is fixed.
     pub background_offset_dn: f64,
     /// Whether samples are saturated.
     pub saturated: bool,
     /// Whether a fit was made.
     pub refined_once: bool,
-    /// Whether a further fit was needed: pulses were added, or a fit went astray.
+    /// Whether a further fit was needed because pulses were added or a fit failed.
     pub refined_twice: bool,
 }
 
 impl Decomposition<'_> {
-    /// Samples less parameters.
+    /// Samples minus parameters.
     pub fn degrees_of_freedom(&self) -> usize {
         self.samples.saturating_sub(self.parameters)
     }
 
-    /// `(χ² - ν)/√(2ν)` with [`Decomposition::expected_excess`] added to `ν`; 0 where no degree of freedom is left.
+    /// `(χ² - ν)/√(2ν)` with [`Decomposition::expected_excess`] in `ν`.
+    ///
+    /// 0 without a degree of freedom.
     #[inline(always)]
     pub fn deviation_ratio(&self) -> f64 {
         match self.degrees_of_freedom() {
@@ -165,14 +181,14 @@ impl Decomposition<'_> {
         }
     }
 
-    /// `ν` and [`Decomposition::expected_excess`].
+    /// Sum of `ν` and [`Decomposition::expected_excess`].
     #[inline(always)]
     pub(super) fn expected_chi_square(&self) -> f64 {
         self.degrees_of_freedom() as f64 + self.expected_excess
     }
 }
 
-/// Decomposes the waveforms of one channel; keeps its memory from one to the next.
+/// Decomposes the waveforms of one channel; reuses its buffers.
 #[derive(Debug, Clone)]
 pub struct Decomposer {
     model: ChannelModel,
@@ -187,7 +203,9 @@ pub struct Decomposer {
 }
 
 impl Decomposer {
-    /// For blocks of up to `max_samples` samples of the channel; longer ones make it take more memory.
+    /// Creates a decomposer for blocks of up to `max_samples` samples.
+    ///
+    /// Longer blocks make it allocate more memory.
     pub fn new(
         model: &ChannelModel,
         settings: &DecomposeSettings,
@@ -213,7 +231,7 @@ impl Decomposer {
         })
     }
 
-    /// The channel it decomposes.
+    /// Returns the model of its channel.
     pub fn model(&self) -> &ChannelModel {
         &self.model
     }
@@ -235,8 +253,10 @@ impl Decomposer {
         self.report(samples)
     }
 
-    /// Chi-square of a waveform once pulses that start with these values (height, position, logarithm of the width ratio) are
-    /// fitted to it, and nothing is added or taken away.
+    /// Chi-square after fitting pulses from these start values.
+    ///
+    /// Start values are height, position and logarithm of the width ratio. No pulse is added or
+    /// removed.
     pub(super) fn chi_square_of(
         &mut self,
         samples: &[u16],
@@ -251,7 +271,7 @@ impl Decomposer {
         self.scene.chi_square()
     }
 
-    /// Candidates of the matched filter and of saturated plateaus become the first pulses.
+    /// Initialises pulses from matched filter maxima and saturated plateaus.
     fn find_candidates(&mut self, samples: &[u16]) {
         self.detector.filter(self.scene.whitener(), self.scene.target_dn());
         self.candidates.clear();
@@ -262,7 +282,7 @@ impl Decomposer {
         let mut from = 0;
         while let Some(plateau) = next_plateau(samples, self.model.full_scale_dn, from) {
             let near = plateau.start as f64 - width..plateau.end as f64 + width;
-            // What the filter makes of a plateau's flanks is the plateau's own pulse.
+            // Maxima on the flanks of a plateau belong to the plateau's pulse.
             self.candidates.retain(|c| c.statistic.is_infinite() || !near.contains(&c.position_samples));
             from = plateau.end;
             self.candidates.push(plateau_candidate(self.scene.target_dn(), plateau, width));
@@ -276,7 +296,7 @@ impl Decomposer {
         scene.found.extend(self.candidates.iter().take(kept).map(Found::from_candidate));
     }
 
-    /// Turns the pulses that are left into returns.
+    /// Converts the remaining pulses to returns.
     fn report(&mut self, samples: &[u16]) -> Decomposition<'_> {
         let found = &self.scene.found;
         self.counts.np = found.len() as u32;
@@ -327,14 +347,16 @@ impl Decomposer {
     }
 }
 
-/// Whether a block begins or ends on a pulse of this place and width, both in samples.
+/// Whether a block begins or ends on a pulse.
+///
+/// Position and width in samples.
 #[inline(always)]
 pub(super) fn truncation_flag(position: f64, width: f64, samples: usize) -> u16 {
     let is_whole = position >= 0.7 * width && position <= samples as f64 - 1.0 - 0.25 * width;
     if is_whole { 0 } else { flags::TRUNCATED }
 }
 
-/// The flags that saturation and the block's ends set.
+/// Flags of saturation and truncation.
 fn block_flags(samples: &[u16], model: &ChannelModel, position_samples: f64, ln_width_ratio: f64) -> u16 {
     let width = model.fwhm_samples() * ln_width_ratio.exp();
     let position = position_samples;

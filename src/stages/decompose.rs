@@ -1,4 +1,4 @@
-//! Waveforms to returns.
+//! Decomposes waveforms into returns.
 
 use std::sync::Arc;
 
@@ -29,90 +29,99 @@ pub(crate) use receivers::SensorTables;
 pub(crate) use seen::{Seen, SeenBlock, SeenPulse};
 pub(crate) use shots::{BlockFit, Line, Shot, ShotDecomposer, Watch};
 
-/// The stage's place in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Shots], Some(Kind::Returns))
     .after(&["calibrate"])
     .unless("online_points", "only");
 
-/// Finds the returns of every waveform, each with its standard deviations.
+/// Estimates the returns of every waveform, with standard deviations.
 ///
-/// Peaks above the detection threshold start a joint least-squares fit of pulses in noise that is correlated as
-/// `calibrate` found it; what the fit leaves is searched once more. The outgoing pulse of each shot is fitted by the same
-/// estimator, and ranges count from it: peak to peak. Times of a file that has no outgoing pulse but its own return
-/// locations (LAS) are tied to those, and where it has neither, the unknown part of a sample goes into the standard
+/// Peaks above the detection threshold are start values of a joint least-squares fit. The noise is
+/// correlated as estimated by `calibrate`. The residual is then searched for further pulses. The
+/// outgoing pulse of each shot is fitted with the same estimator; times of flight are from peak to
+/// peak. If a file has return locations but no outgoing pulse (LAS), times are tied to these
+/// locations. If it has neither, the unknown sub-sample emission offset is included in the standard
 /// deviations.
 ///
-/// Of two receivers the sensitive one is used; the other where the sensitive one is saturated or did not record. Behind
-/// `fuse_channels` both are fitted together where the sensitive one is saturated or overdriven and the other sees the same
-/// echo (channel `joint`), the other one's are used where the sensitive one contradicts it, and what both see counts once.
+/// With two receivers, the low-power receiver is used, and the high-power receiver where the first
+/// is saturated or did not record. After `fuse_channels`, both are fitted together if the low-power
+/// receiver is saturated or overdriven and the other has the same echo (channel `joint`). If the two
+/// contradict each other, the returns of the high-power receiver are used. Echoes recorded by both
+/// are reported once.
 ///
-/// The instrument's own returns, where the recording has them (the column `online` of a container, the points of LAS), become
-/// returns as `online_points` says, with flag bit 12. They have time and amplitude of the instrument, which is their
-/// intensity; the standard deviation of their range is 0.255 m, and what is not known is `nan` (in LAS: 0). SDF and
-/// PulseWaves have none. Where a shot has such returns and computed ones, the report compares them: `online_matched` and
-/// `computed_matched` (share of each that has a partner within a pulse width), `online_minus_computed_ns`,
-/// `online_computed_distance_ns` (times 1.4826, its median is a robust standard deviation) and
-/// `online_over_computed_amplitude`.
+/// The instrument's own returns (the column `online` of a container, the points of LAS) become
+/// returns as set by `online_points`, with flag bit 12. They have the time and amplitude of the
+/// instrument; the amplitude is also their intensity. The standard deviation of their range is
+/// 0.255 m, and unknown values are `nan` (in LAS: 0). SDF and PulseWaves have none. If a shot has
+/// both such returns and computed ones, the report compares them: `online_matched` and
+/// `computed_matched` (share of each with a partner within a pulse width),
+/// `online_minus_computed_ns`, `online_computed_distance_ns` (1.4826 times its median is a robust
+/// standard deviation) and `online_over_computed_amplitude`.
 ///
-/// Per return: `time_of_flight_ns`, `range_m`, `amplitude_dn`, `width_ratio`, `thickness_m`, `intensity`, each with its
-/// standard deviation, and `deviation_ratio` and `flags`. Their definitions, with formulas and units, stand in
-/// `docs/reference/returns.md`, the method in `docs/explanation/method.md`.
+/// Fields of each return: `time_of_flight_ns`, `range_m`, `amplitude_dn`, `width_ratio`,
+/// `thickness_m` and `intensity`, each with its standard deviation, and `deviation_ratio` and
+/// `flags`. `docs/reference/returns.md` defines them; `docs/explanation/method.md` describes the
+/// method.
 ///
-/// With `online_points = "only"` no waveform is decomposed, and `calibrate` is needed only where samples of the outgoing pulse
-/// are recorded, by which ranges count.
+/// With `online_points = "only"` no waveform is decomposed. `calibrate` is then required only if
+/// samples of outgoing pulses are recorded, because ranges count from them.
 ///
-/// A block that was being recorded when another shot of the line left holds what leaked in from that emission, as a pulse
-/// like any other. Returns within three widths of that moment have flag bit 3, the block's other returns bit 4. Where an
-/// echo lies on a shot's outgoing pulse, all its returns have bit 5. Their ranges count from a joint fit of pulse and echo, and
-/// the standard deviations include what it leaves unknown; they are at least 0.255 m where no such fit explains the samples.
+/// A block that was being recorded during the emission of another shot of the line may contain light
+/// of that emission, which is fitted as a pulse. Returns within three widths of that time have flag
+/// bit 3, the block's other returns bit 4. If an echo overlaps the outgoing pulse of a shot, all its
+/// returns have bit 5. Their ranges count from a joint fit of pulse and echo, and their standard
+/// deviations include its uncertainty; they are at least 0.255 m if no such fit explains the samples.
 ///
 /// Counts `np np_xtalk np_xtalk_dropped np_filtered np_merged np_online nw_empty nw_saturated nw_refined1x nw_refined2x nw_truncated nw_deleted`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Decompose {
-    /// How thoroughly waveforms are decomposed.
+    /// Thoroughness of the decomposition.
     pub mode: Mode,
-    /// Refine waveforms whose pulses overlap, weak ones that are dropped later included, or whose deviation ratio exceeds 3; for `fastest` and `fast_separated`, as the
-    /// other modes refine all.
+    /// Refine waveforms with overlapping pulses (including weak ones dropped later) or a deviation
+    /// ratio above 3. Only for `fastest` and `fast_separated`; the other modes refine all.
     pub refine_when_needed: bool,
     /// Detection threshold, in standard deviations of the noise after the matched filter.
     pub detection_sigma: f64,
-    /// The same for the last of two or more returns of a block, where it is to be higher: for receivers that ring behind
-    /// strong echoes. A last return below it is dropped, and the one before it becomes the last; `false`: no other threshold.
+    /// Higher threshold for the last of two or more returns of a block, for receivers that ring after
+    /// strong echoes. A last return below it is dropped, and the previous one becomes the last;
+    /// `false`: same threshold.
     pub detection_sigma_last: NumberOrFalse,
-    /// Smallest and largest width of a return over that of the calibrated pulse. A return is dropped only where two
-    /// standard deviations of its width do not reach into the range.
+    /// Smallest and largest width of a return relative to the calibrated pulse. A return is dropped
+    /// only if its width is outside the range by more than two standard deviations.
     pub width_ratio: [f64; 2],
-    /// The part of a range's standard deviation that no fit can show: clock and cabling, ns.
+    /// Timing error that the fit cannot estimate, such as clock and cables, ns. Added to the standard
+    /// deviation of ranges.
     pub timing_error_ns: f64,
-    /// How much two returns must lower chi-square against one widened return to stand in its place; `false`: widened returns
-    /// are not divided. At 16 at most one single return in a thousand is divided; at 11, four in a thousand, and closer
-    /// pairs are told apart. Without effect where pulses are taken to be Gaussians.
+    /// Decrease of chi-square required to replace a widened return by two; `false`: widened returns
+    /// are not divided. At most 0.1 % of single returns are divided at 16, and 0.4 % at 11, where
+    /// closer pairs are resolved. Without effect for Gaussian pulses.
     pub split_evidence: NumberOrFalse,
-    /// How well the system response is known at least, as part of a return's amplitude: what an error of this size looks
-    /// like is no return. Raise it where strong returns are followed by false ones.
+    /// Minimum relative error assumed for the system response. Residuals of strong returns up to this
+    /// fraction of their amplitude are not returns. Raise it if strong returns are followed by false
+    /// ones.
     pub template_error: f64,
-    /// Drop returns that overlap what leaks in from the emission of another shot (flag bit 3).
+    /// Drop returns that overlap leakage from the emission of another shot (flag bit 3).
     pub drop_emission_crosstalk: bool,
-    /// When the instrument's own returns become points: for shots without a recorded waveform, never, or instead of all
-    /// that could be computed.
+    /// Use of the instrument's own returns: for shots without a recorded waveform, never, or instead
+    /// of computed returns.
     pub online_points: OnlinePoints,
     #[serde(skip)]
     tables: SharedTables,
 }
 
-/// How thoroughly waveforms are decomposed.
+/// Thoroughness of the decomposition.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
-    /// One step for each detected pulse, as if it stood alone: for single returns as good as `refined`.
+    /// One step for each detected pulse, as if isolated; as accurate as `refined` for single returns.
     Fastest,
-    /// The same where returns do not overlap; those that do are fitted together.
+    /// One step for isolated returns; overlapping ones are fitted together.
     FastSeparated,
-    /// All pulses fitted to the optimum, what they leave searched, and widened ones tried as two.
+    /// All pulses fitted to the optimum, with residual search and split test.
     #[default]
     Refined,
-    /// The same by the plain kernels, and every widened pulse is tried as two.
+    /// As `refined` with the plain kernels; every widened pulse is tried as two.
     Slow,
 }
 
@@ -127,7 +136,7 @@ pub enum NumberOrFalse {
 }
 
 impl NumberOrFalse {
-    /// The number, where there is one.
+    /// Returns the number, if any.
     pub fn number(self) -> Option<f64> {
         match self {
             NumberOrFalse::Number(number) => Some(number),
@@ -135,7 +144,9 @@ impl NumberOrFalse {
         }
     }
 
-    /// Whether it is a number that is within, or `false` and not `true`.
+    /// Whether it is a number in `range`, or `false`.
+    ///
+    /// `true` is invalid.
     pub(super) fn is_within(self, range: std::ops::RangeInclusive<f64>) -> bool {
         match self {
             NumberOrFalse::Number(number) => range.contains(&number),
@@ -210,14 +221,14 @@ impl MapConfig for Decompose {
     }
 }
 
-/// One worker: its kernels are made when the first line brings the sensor model.
+/// One worker; its kernels are created when the first line brings the sensor model.
 struct DecomposeLine {
     config: Decompose,
     path: Path,
     worker: Option<Worker>,
 }
 
-/// A sensor's kernels, and what they share with those of the other workers.
+/// Kernels of a sensor, with tables shared by all workers.
 struct Worker {
     model: Arc<SensorModel>,
     fusion: Option<Arc<ChannelFusion>>,
@@ -249,7 +260,7 @@ impl Worker {
     }
 }
 
-/// A line that was decomposed.
+/// A decomposed line.
 struct Looked<'a> {
     line: u32,
     emissions: &'a [Emission],
@@ -257,7 +268,7 @@ struct Looked<'a> {
 }
 
 impl Worker {
-    /// Decomposes the shots that are worth showing once more, looking on.
+    /// Decomposes the shots chosen for display again, with an observer.
     fn show(&mut self, shots: &[Shot], looked: &Looked, gallery: &mut Gallery) -> Result<()> {
         for candidate in gallery.candidates(looked.line, looked.emissions, looked.returns) {
             let is_it = |shot: &&Shot| shot.index == candidate.emission;
@@ -290,14 +301,14 @@ impl Map for DecomposeLine {
         let model = batch.model.clone();
         if model.is_none() && choice != OnlinePoints::Only {
             return Err(StageError::failed(
-                "the line comes without a sensor model",
+                "the line has no sensor model",
                 "put calibrate before decompose",
             ));
         }
         let Content::Shots(blocks) = std::mem::replace(&mut batch.content, Content::Returns(Returns::new()))
         else {
             return Err(StageError::failed(
-                "decompose was given no waveforms",
+                "decompose received no waveforms",
                 "put it before the stages that use returns",
             ));
         };
@@ -322,7 +333,9 @@ impl Map for DecomposeLine {
 }
 
 impl DecomposeLine {
-    /// Decomposes the blocks of a line; those of outgoing pulses alone where the instrument's returns stand for all.
+    /// Decomposes the blocks of a line.
+    ///
+    /// With `online_points = "only"`, only the outgoing pulses.
     fn decompose(
         &mut self,
         model: &Arc<SensorModel>,

@@ -1,4 +1,4 @@
-//! The stage `simulate`: a flight over a scene whose truth is known.
+//! The stage `simulate`: a flight over a scene with known truth.
 
 use crate::batch::{Batch, Kind};
 use crate::stage::{Context, Paths, Result, Site, Source, SourceConfig, StageSpec};
@@ -15,12 +15,12 @@ pub use config::{DetectorKind, GainFollows, Landscape, Response, ScannerKind, Si
 use files::{TrajectoryFiles, TruthFile};
 use flight::Flight;
 
-/// The place of `simulate` in the registry.
+/// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<Simulate>("simulate", Kind::Shots);
 
-/// Time between samples, ns.
+/// Sampling interval, ns.
 const INTERVAL_NS: f64 = 1.0;
-/// The largest value of the 8-bit digitiser.
+/// Full scale of the 8-bit digitiser.
 const FULL_SCALE_DN: u16 = 255;
 
 impl SourceConfig for Simulate {
@@ -47,15 +47,15 @@ impl SourceConfig for Simulate {
     }
 }
 
-/// The source: one scan line after the other.
+/// Source that generates one scan line after the other.
 struct Simulator {
     flight: Flight,
-    /// The next line.
+    /// Number of the next line.
     line: u32,
     lines: u32,
-    /// The table of truth, until it is whole.
+    /// Truth table, until it is complete.
     truth: Option<TruthFile>,
-    /// The trajectory, until it is written.
+    /// Trajectory, until it is written.
     trajectory: Option<TrajectoryFiles>,
 }
 

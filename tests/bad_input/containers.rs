@@ -164,8 +164,8 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
     let expected: Vec<String> = (0..250).filter(|i| *i != 100).map(|i| format!("{:?}", time_s(i))).collect();
     assert_eq!(place.times("out/a.csv"), expected);
     let expected = [
-        "the input has neither outgoing pulses nor return locations: nothing tells which part of a sample the emissions \
-         miss their raster by, and the standard deviations of ranges include it",
+        "the input has neither outgoing pulses nor return locations: the sub-sample emission offset is \
+         unknown, and the standard deviations of ranges include it",
         "the input is not georeferenced: its points are in the scanner frame",
     ];
     assert_eq!(notes(&input), expected);
@@ -182,7 +182,7 @@ fn echoes_of_an_unknown_pulse_are_refused() {
         }
     });
     let place = Place::with(&[("a.arrow", &bytes)]);
-    let message = "stage decompose: ./a.arrow: it is not known which pulse caused the echoes of shot 100; \
+    let message = "stage decompose: ./a.arrow: the pulse that caused the echoes of shot 100 is unknown; \
                    put resolve_mta before decompose";
     place.left_nothing(place.read("read_arrow", "a.arrow", TO_TABLE), message);
 }

@@ -1,4 +1,4 @@
-//! The rows of a scan line, gathered to be written as one record batch.
+//! Builder of the record batch of a scan line.
 
 use std::sync::Arc;
 
@@ -12,7 +12,9 @@ use arrow_schema::{ArrowError, DataType, Field, FieldRef, SchemaRef};
 use super::layout::{Kind, ONLINE, block_fields, fields, has_gain};
 use super::{ContainerBlock, ContainerOnline, ContainerShot};
 
-/// The rows of a scan line, column by column. Blocks and online returns belong to the shot added last.
+/// Rows of a scan line by column.
+///
+/// Blocks and online returns belong to the last added shot.
 #[derive(Debug, Default)]
 pub struct LineBuilder {
     shot: Vec<u64>,
@@ -26,24 +28,24 @@ pub struct LineBuilder {
     mta_zone: Vec<Option<i16>>,
     scan_angle_deg: Vec<Option<f32>>,
     frame_scale: Vec<Option<f64>>,
-    /// How many blocks each shot has.
+    /// Number of blocks of each shot.
     blocks: Vec<usize>,
     channel: Vec<u8>,
     start_ns: Vec<f64>,
     zone: Vec<Option<i16>>,
     interval_ns: Vec<Option<f64>>,
     gain: Vec<Option<f64>>,
-    /// How many samples each block has.
+    /// Number of samples of each block.
     lengths: Vec<usize>,
     samples: Vec<u16>,
-    /// How many online returns each shot has.
+    /// Number of online returns of each shot.
     online: Vec<usize>,
     time_ns: Vec<f64>,
     amplitude: Vec<f32>,
 }
 
 impl LineBuilder {
-    /// No rows yet.
+    /// Creates a builder without rows.
     pub fn new() -> LineBuilder {
         LineBuilder::default()
     }
@@ -65,7 +67,7 @@ impl LineBuilder {
         self.online.push(0);
     }
 
-    /// Adds a block to the last row; before the first row, nothing.
+    /// Adds a block to the last row; does nothing before the first row.
     pub fn block(&mut self, block: &ContainerBlock) {
         let Some(blocks) = self.blocks.last_mut() else { return };
         *blocks += 1;
@@ -78,7 +80,7 @@ impl LineBuilder {
         self.samples.extend_from_slice(block.samples);
     }
 
-    /// Adds an online return to the last row; before the first row, nothing.
+    /// Adds an online return to the last row; does nothing before the first row.
     pub fn online(&mut self, online: &ContainerOnline) {
         let Some(count) = self.online.last_mut() else { return };
         *count += 1;
@@ -86,7 +88,7 @@ impl LineBuilder {
         self.amplitude.push(online.amplitude);
     }
 
-    /// How many rows there are.
+    /// Number of rows.
     pub fn rows(&self) -> usize {
         self.shot.len()
     }

@@ -1,4 +1,4 @@
-//! The schema's metadata: what a container says of the recording as a whole.
+//! Metadata of a container, which describes the whole recording.
 
 use arrow_schema::Metadata;
 use serde::{Deserialize, Serialize};
@@ -8,28 +8,28 @@ use super::place::Place;
 use super::{VERSION, layout};
 use crate::formats::{Error, Result};
 
-/// What a container says of the recording as a whole; see [`layout::KEYS`].
+/// Metadata of a recording; see [`layout::KEYS`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct ContainerHeader {
-    /// The instrument's name.
+    /// Name of the instrument.
     pub instrument: Option<String>,
-    /// The instrument's serial number.
+    /// Serial number of the instrument.
     pub serial: Option<String>,
-    /// Time between samples unless a block says another, ns; finite and above 0.
+    /// Default sampling interval, ns; finite and above 0.
     pub sampling_interval_ns: f64,
-    /// Speed of the pulse in air, m/s; above 0, at most that of light in vacuum.
+    /// Group velocity in air, m/s; above 0, at most the speed of light in vacuum.
     pub group_velocity_mps: f64,
-    /// The nominal pulse rate, Hz; finite and above 0.
+    /// Nominal pulse rate, Hz; finite and above 0.
     pub pulse_rate_hz: Option<f64>,
     /// What `gps_time_s` counts.
     pub time_scale: TimeScale,
     /// GPS week of the first shot.
     pub gps_week: Option<u32>,
-    /// The frame of origins and directions.
+    /// Frame of origins and directions.
     pub frame: Frame,
     /// Coordinate reference system of the frame, WKT.
     pub crs_wkt: Option<String>,
-    /// Digitiser steps to dB, low power; pairs that are not defined are left out when read.
+    /// Digitiser steps to dB, low power; undefined pairs are dropped when read.
     pub amplitude_low: Option<Vec<(f64, f64)>>,
     /// Digitiser steps to dB, high power.
     pub amplitude_high: Option<Vec<(f64, f64)>>,
@@ -39,20 +39,24 @@ pub struct ContainerHeader {
     pub range_high: Option<Vec<(f64, f64)>>,
     /// Day of the recording, as (day of the year from 1, year from 1 to 9999).
     pub recorded: Option<(u16, u16)>,
-    /// The largest value that the digitiser can give.
+    /// Largest value of the digitiser.
     pub full_scale_dn: Option<u16>,
     /// Scale and offset of the coordinates in the recording's own file.
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
-    /// How the moment of emission is known; `None`: to be told from the blocks.
+    /// Source of the emission time; `None`: determined from the blocks.
     pub emission_reference: Option<EmissionReference>,
     /// Automatic gain control; `None`: determined from the blocks.
     pub gain_control: Option<GainControl>,
-    /// What `origin` is; `None`: the sensor's position, unless emissions are known by return locations.
+    /// Meaning of `origin`.
+    ///
+    /// `None`: the sensor position, unless emission times are from return locations.
     pub origin: Option<Origin>,
 }
 
 impl ContainerHeader {
-    /// Of a recording in the scanner's frame of which nothing else is known. Units and bounds as of the fields.
+    /// Creates a header for the scanner frame without optional values.
+    ///
+    /// Units and bounds are those of the fields.
     pub fn new(sampling_interval_ns: f64, group_velocity_mps: f64) -> ContainerHeader {
         ContainerHeader {
             instrument: None,
@@ -114,7 +118,7 @@ named! {
         Day = "day",
         /// Seconds since 1980-01-06 minus 1e9.
         Adjusted = "adjusted",
-        /// Not known.
+        /// Unknown.
         Unknown = "unknown",
     }
 }
@@ -122,28 +126,29 @@ named! {
 named! {
     /// The frame of `origin` and `direction`.
     Frame {
-        /// The scanner's own.
+        /// Scanner.
         Scanner = "scanner",
-        /// The aircraft's: forward, right, down.
+        /// Aircraft: forward, right, down.
         Body = "body",
-        /// A map's, or the earth's in the coordinate reference system named.
+        /// Map, or another frame of the named coordinate reference system.
         Map = "map",
-        /// The earth's: geocentric (ECEF) metres.
+        /// Geocentric (ECEF), m.
         Earth = "earth",
     }
 }
 
 named! {
-    /// How the moment of emission is known.
+    /// Source of the emission time.
     EmissionReference {
-        /// From the outgoing pulse recorded with each shot.
+        /// Outgoing pulse recorded with each shot.
         OutgoingPulse = "outgoing_pulse",
-        /// From the outgoing pulse, recorded without the time of its first sample: the clock is the sample nearest to
-        /// its peak.
+        /// Outgoing pulse without the time of its first sample.
+        ///
+        /// The clock is the sample nearest to its peak.
         OutgoingPulseFraction = "outgoing_pulse_fraction",
-        /// From the return locations of the recording's own file.
+        /// Return locations of the recording's own file.
         ReturnLocations = "return_locations",
-        /// From the shot's clock alone.
+        /// Clock of the shot.
         Clock = "clock",
     }
 }
@@ -159,16 +164,18 @@ named! {
 }
 
 named! {
-    /// What the origins of shots are.
+    /// Meaning of the origins of shots.
     Origin {
-        /// Where the sensor was: ranges count from there.
+        /// Sensor position, from which ranges count.
         Sensor = "sensor",
-        /// A point on the beam near the waveform: the sensor's position is not known.
+        /// Point on the beam near the waveform; the sensor position is unknown.
         Waveform = "waveform",
     }
 }
 
-/// The value of `wavex.tables`. An undefined number is written as null, which is how JSON says NaN.
+/// The value of `wavex.tables`.
+///
+/// NaN is written as null.
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Tables {
@@ -191,7 +198,7 @@ struct Grid {
     offset: [f64; 3],
 }
 
-/// Speed of light in vacuum, m/s: no pulse is faster.
+/// Speed of light in vacuum, m/s, the upper limit of the group velocity.
 const LIGHT_MPS: f64 = 299_792_458.0;
 
 impl ContainerHeader {
@@ -200,7 +207,7 @@ impl ContainerHeader {
         self.gain_control == Some(GainControl::Recorded)
     }
 
-    /// The header as metadata.
+    /// Converts the header to metadata.
     pub(super) fn to_metadata(&self) -> Metadata {
         let number = |value: f64| value.to_string();
         let grid = self.coordinate_grid.map(|(scale, offset)| json(&Grid { scale, offset }));
@@ -242,7 +249,7 @@ impl ContainerHeader {
         (text != "{}").then_some(text)
     }
 
-    /// Reads the header out of the metadata; errors name the key.
+    /// Parses the header from metadata; errors name the key.
     pub(super) fn from_metadata(metadata: &Metadata, place: Place) -> Result<ContainerHeader> {
         let keys = Keys { metadata, place };
         keys.version()?;

@@ -1,4 +1,4 @@
-//! The columns and metadata keys of a container: the one list that reader, writer and description share.
+//! Columns and metadata keys of a container, for reader, writer and description.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ pub struct Column {
     pub nullable: bool,
     /// Whether a container without it is refused.
     pub required: bool,
-    /// What it means.
+    /// Meaning.
     pub meaning: &'static str,
 }
 
@@ -57,7 +57,7 @@ pub struct Key {
     pub name: &'static str,
     /// Whether a container without it is refused.
     pub required: bool,
-    /// What its value, a string, looks like.
+    /// Form of its value, a string.
     pub form: &'static str,
     /// What it means.
     pub meaning: &'static str,
@@ -76,21 +76,23 @@ const fn or_null(mut column: Column) -> Column {
     column
 }
 
-/// The columns. Those that are not required are extensions of this project: other programs may leave them out and
-/// pass them over, and a null says the same as their absence.
+/// The columns.
+///
+/// Optional columns are extensions of this project. Other programs may omit or ignore them, and a
+/// null means the same as a missing column.
 #[rustfmt::skip]
 pub static COLUMNS: &[Column] = &[
-    required("shot", Kind::U64, "running number of the emission, from 0"),
-    required("line", Kind::U32, "scan line, from 0; rows of one record batch with another number begin another line"),
+    required("shot", Kind::U64, "running number of the shot, from 0"),
+    required("line", Kind::U32, "scan line, from 0; a change within a record batch starts another line"),
     or_null(required("gps_time_s", Kind::F64, "time of the shot, s, on the scale of `wavex.time_scale`")),
-    required("clock_ps", Kind::I64, "the shot's time on the instrument's clock, ps from any origin; ranges are formed from this"),
-    required("origin", Kind::Triple, "where the beam starts, m, in `wavex.frame`"),
+    required("clock_ps", Kind::I64, "the shot's time on the instrument's clock, ps from any origin; ranges use this"),
+    required("origin", Kind::Triple, "origin of the beam, m, in `wavex.frame`"),
     required("direction", Kind::Triple, "unit vector along the outgoing beam, in `wavex.frame`"),
     required("facet", Kind::U16, "mirror facet"),
-    required("flags", Kind::U16, "bit 0 synchronised, 1 within the last second, 2 housekeeping, 8 the mirror moves in the positive direction, 9 last shot of a scan line"),
-    or_null(required("mta_zone", Kind::I16, "null: blocks stand with the shot in whose record they were stored; a number: with the one that caused them, so many emissions before their reception, unless a block has its own `zone`")),
-    required("blocks", Kind::Structs(BLOCK), "the recorded sample blocks"),
-    or_null(required("online", Kind::Structs(ONLINE), "returns that the instrument itself computed")),
+    required("flags", Kind::U16, "bit 0 synchronised, 1 within the last second, 2 housekeeping, 8 mirror moves in the positive direction, 9 last shot of a scan line"),
+    or_null(required("mta_zone", Kind::I16, "null: blocks are stored with the shot of their record; a number: with the shot that caused them, that many emissions before reception, unless a block has its own `zone`")),
+    required("blocks", Kind::Structs(BLOCK), "the sample blocks"),
+    or_null(required("online", Kind::Structs(ONLINE), "the instrument's own returns")),
     optional("scan_angle_deg", Kind::F32, "scan angle, degrees, positive to the right of the flight direction; null: unknown"),
     optional("frame_scale", Kind::F64, "metres in the frame per metre of range along the beam; null: 1"),
 ];
@@ -98,11 +100,11 @@ pub static COLUMNS: &[Column] = &[
 /// The fields of the column `blocks`.
 #[rustfmt::skip]
 pub static BLOCK: &[Column] = &[
-    required("channel", Kind::U8, "0 high power, 1 low power (the sensitive one), 2 saturation, 3 reference (outgoing pulse)"),
+    required("channel", Kind::U8, "0 high power, 1 low power, 2 saturation, 3 reference (outgoing pulse)"),
     required("start_ns", Kind::F64, "time of the first sample after the row's `clock_ps`, ns"),
     required("samples", Kind::Samples, "digitiser steps"),
     optional("zone", Kind::I16, "zone of this block; null: the row's `mta_zone`"),
-    optional("interval_ns", Kind::F64, "time between samples, ns; null: `wavex.sampling_interval_ns`"),
+    optional("interval_ns", Kind::F64, "sampling interval, ns; null: `wavex.sampling_interval_ns`"),
     optional(GAIN, Kind::F64, "gain relative to the reference gain, 1/1024 to 1024: samples are background + gain x (signal + receiver noise) + quantisation noise; null: 1. Written only with automatic gain control"),
 ];
 
@@ -113,33 +115,35 @@ pub(super) const GAIN: &str = "gain";
 #[rustfmt::skip]
 pub static ONLINE: &[Column] = &[
     required("time_ns", Kind::F64, "time after the row's `clock_ps`, ns"),
-    required("amplitude", Kind::F32, "in the instrument's own unit; NaN where it gave none"),
+    required("amplitude", Kind::F32, "in the instrument's unit; NaN if it gave none"),
 ];
 
 const fn key(name: &'static str, required: bool, form: &'static str, meaning: &'static str) -> Key {
     Key { name, required, form, meaning }
 }
 
-/// The keys of the schema's metadata. Numbers are written so that reading them gives the same bits.
+/// Metadata keys of the schema.
+///
+/// Numbers are written with enough digits to read back the same bits.
 #[rustfmt::skip]
 pub static KEYS: &[Key] = &[
     key("wavex.container", true, "`1`", "version of this layout"),
-    key("wavex.instrument", false, "text", "the instrument's name"),
-    key("wavex.serial", false, "text", "the instrument's serial number"),
-    key("wavex.sampling_interval_ns", true, "number > 0", "time between samples, ns, unless a block says another"),
-    key("wavex.group_velocity_mps", true, "number > 0, at most 299792458", "speed of the pulse in air, m/s"),
-    key("wavex.pulse_rate_hz", false, "number > 0", "the nominal pulse rate, Hz"),
-    key("wavex.time_scale", true, "`week`, `day`, `adjusted` or `unknown`", "what `gps_time_s` counts: seconds of the GPS week, of the day, since 1980-01-06 minus 1e9"),
+    key("wavex.instrument", false, "text", "name of the instrument"),
+    key("wavex.serial", false, "text", "serial number of the instrument"),
+    key("wavex.sampling_interval_ns", true, "number > 0", "sampling interval, ns, unless a block has its own"),
+    key("wavex.group_velocity_mps", true, "number > 0, at most 299792458", "group velocity in air, m/s"),
+    key("wavex.pulse_rate_hz", false, "number > 0", "nominal pulse rate, Hz"),
+    key("wavex.time_scale", true, "`week`, `day`, `adjusted` or `unknown`", "time scale of `gps_time_s`: seconds of the GPS week, of the day, or since 1980-01-06 minus 1e9"),
     key("wavex.gps_week", false, "whole number", "GPS week of the first shot"),
-    key("wavex.frame", true, "`scanner`, `body` or `map`", "the frame of `origin` and `direction`"),
+    key("wavex.frame", true, "`scanner`, `body` or `map`", "frame of `origin` and `direction`"),
     key("wavex.crs", false, "WKT", "coordinate reference system of the frame `map`"),
     key("wavex.tables", false, "JSON object of arrays of pairs", "`amplitude_low`, `amplitude_high`: [digitiser steps, dB]; `range_low`, `range_high`: [digitiser steps, seconds]"),
     key("wavex.recorded", false, "`YYYY-MM-DD`", "extension: day of the recording; dates outputs"),
-    key("wavex.full_scale_dn", false, "whole number up to 65535", "extension: the largest value that the digitiser can give"),
-    key("wavex.coordinate_grid", false, "JSON object {`scale`: [x, y, z], `offset`: [x, y, z]}", "extension: the grid on which the recording's own file stored coordinates; point outputs take the same"),
-    key("wavex.emission_reference", false, "`outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or `clock`", "extension: how the moment of emission is known; without it `outgoing_pulse` where the first scan line has blocks of channel 3, else `clock`"),
+    key("wavex.full_scale_dn", false, "whole number up to 65535", "extension: largest value of the digitiser"),
+    key("wavex.coordinate_grid", false, "JSON object {`scale`: [x, y, z], `offset`: [x, y, z]}", "extension: coordinate grid of the recording's own file; point outputs use the same"),
+    key("wavex.emission_reference", false, "`outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or `clock`", "extension: source of the emission time; default `outgoing_pulse` if the first scan line has blocks of channel 3, else `clock`"),
     key("wavex.gain_control", false, "`recorded` or `not_recorded`", "extension: the receiver gain varies, and blocks contain it or not; default `recorded` if blocks have a `gain`, else the gain is constant"),
-    key("wavex.origin", false, "`sensor` or `waveform`", "extension: what `origin` is: the sensor's position, or a point on the beam near the waveform where that is not known; without it `sensor`, unless `wavex.emission_reference` is `return_locations`"),
+    key("wavex.origin", false, "`sensor` or `waveform`", "extension: whether `origin` is the sensor position, or a point on the beam near the waveform; default `sensor`, unless `wavex.emission_reference` is `return_locations`"),
 ];
 
 impl Kind {
@@ -161,7 +165,7 @@ impl Kind {
         }
     }
 
-    /// The type in words.
+    /// Name of the type.
     pub fn name(&self) -> &'static str {
         match self {
             Kind::U8 => "u8",
@@ -214,9 +218,10 @@ pub(super) fn schema(metadata: Metadata, with_gain: bool) -> Schema {
     Schema::new_with_metadata(COLUMNS.iter().map(field).collect::<Fields>(), metadata)
 }
 
-/// Where the columns of [`COLUMNS`] stand in a schema, in their order; `None` for an optional one that is not there.
-/// An error names the column that is missing or has another type. Names of list items and the schema's own word on
-/// nullability do not matter: what the columns hold is checked instead.
+/// Indices of [`COLUMNS`] in a schema; `None` for a missing optional one.
+///
+/// Errors name the column that is missing or has another type. Names of list items and declared
+/// nullability are ignored; the contents of the columns are checked instead.
 pub(super) fn find(schema: &Schema, place: Place) -> Result<Vec<Option<usize>>> {
     find_in(schema.fields(), COLUMNS, "", place)
 }
@@ -254,7 +259,7 @@ fn find_one(found: &Fields, column: &Column, prefix: &str, place: Place) -> Resu
     Ok(Some(index))
 }
 
-/// The layout as JSON, for people and programs: what `schemas/container.json` holds.
+/// The layout as JSON, the content of `schemas/container.json`.
 pub fn description() -> Value {
     let keys: Vec<Value> = KEYS
         .iter()

@@ -1,4 +1,4 @@
-//! One record batch of a container, checked and ready to be walked over.
+//! A validated record batch of a container.
 
 use std::ops::Range;
 
@@ -15,10 +15,10 @@ use super::layout::GAIN;
 use super::place::{DAMAGED, Place};
 use crate::formats::Result;
 
-/// One row: a shot, without its blocks.
+/// One row: a shot without its blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContainerShot {
-    /// Running number of the emission, from 0.
+    /// Running number of the shot, from 0.
     pub shot: u64,
     /// Scan line, from 0.
     pub line: u32,
@@ -26,7 +26,7 @@ pub struct ContainerShot {
     pub gps_time_s: Option<f64>,
     /// The shot's time on the instrument's clock, ps.
     pub clock_ps: i64,
-    /// Where the beam starts, m.
+    /// Origin of the beam, m.
     pub origin_m: [f64; 3],
     /// Unit vector along the outgoing beam.
     pub direction: [f64; 3],
@@ -45,11 +45,11 @@ pub struct ContainerShot {
 /// One sample block of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContainerBlock<'a> {
-    /// See [`super::channel`]; any value may stand here.
+    /// See [`super::channel`]; may have any value.
     pub channel: u8,
     /// Time of the first sample after the row's `clock_ps`, ns.
     pub start_ns: f64,
-    /// Time between samples, ns; `None`: the header's.
+    /// Sampling interval, ns; `None`: that of the header.
     pub interval_ns: Option<f64>,
     /// Zone of this block; `None`: the row's.
     pub zone: Option<i16>,
@@ -59,17 +59,18 @@ pub struct ContainerBlock<'a> {
     pub samples: &'a [u16],
 }
 
-/// A return that the instrument itself computed.
+/// A return computed by the instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContainerOnline {
     /// Time after the row's `clock_ps`, ns.
     pub time_ns: f64,
-    /// In the instrument's own unit; NaN where it gave none.
+    /// In the instrument's own unit; NaN if it gave none.
     pub amplitude: f32,
 }
 
-/// A record batch whose columns have the right types, no null where none may be, and lists that lie in their buffers.
-/// What the numbers mean is not checked.
+/// A record batch with valid types, nulls and lists.
+///
+/// Values are not checked.
 #[derive(Debug)]
 pub struct ContainerLine {
     shot: UInt64Array,
@@ -127,7 +128,7 @@ impl ContainerLine {
         })
     }
 
-    /// How many rows there are.
+    /// Number of rows.
     pub fn rows(&self) -> usize {
         self.shot.len()
     }
@@ -135,7 +136,7 @@ impl ContainerLine {
     /// The scan line of a row.
     ///
     /// # Panics
-    /// Here and below, where `row` is not below [`ContainerLine::rows`].
+    /// `row` is not below [`ContainerLine::rows`]. This also applies to the methods below.
     pub fn line(&self, row: usize) -> u32 {
         self.line.value(row)
     }
@@ -145,7 +146,7 @@ impl ContainerLine {
         self.blocks.gain.is_some()
     }
 
-    /// A row without its blocks.
+    /// Returns a row without its blocks.
     pub fn shot(&self, row: usize) -> ContainerShot {
         ContainerShot {
             shot: self.shot.value(row),
@@ -162,21 +163,21 @@ impl ContainerLine {
         }
     }
 
-    /// How many blocks some of the rows have, and how many samples these.
+    /// Number of blocks of a range of rows, and number of their samples.
     ///
     /// # Panics
-    /// Where the rows pass [`ContainerLine::rows`].
+    /// The range exceeds [`ContainerLine::rows`].
     pub fn blocks_and_samples(&self, rows: Range<usize>) -> (usize, usize) {
         let blocks = items_of(&self.blocks.rows, &rows);
         (blocks.len(), items_of(&self.blocks.lists, &blocks).len())
     }
 
-    /// The blocks of a row, as they stand in the file.
+    /// Iterates over the blocks of a row, in the order of the file.
     pub fn blocks(&self, row: usize) -> impl ExactSizeIterator<Item = ContainerBlock<'_>> {
         items(&self.blocks.rows, row).map(|index| self.blocks.at(index))
     }
 
-    /// What the instrument itself found for a row.
+    /// The instrument's own returns of a row.
     pub fn online(&self, row: usize) -> impl ExactSizeIterator<Item = ContainerOnline> + '_ {
         let online = &self.online;
         items(&online.rows, row).map(|index| ContainerOnline {
@@ -203,7 +204,9 @@ fn value<T: ArrowPrimitiveType>(array: &PrimitiveArray<T>, index: usize) -> Opti
     array.is_valid(index).then(|| array.value(index))
 }
 
-/// Which items of the child belong to a row; none for a null. Arrow has checked that they lie in the child.
+/// Items of the child array that belong to a row; none for a null.
+///
+/// Arrow has checked that they are in the child array.
 fn items(lists: &ListArray, row: usize) -> Range<usize> {
     if lists.is_null(row) {
         return 0..0;
@@ -212,13 +215,13 @@ fn items(lists: &ListArray, row: usize) -> Range<usize> {
     offsets[row] as usize..offsets[row + 1] as usize
 }
 
-/// The row whose list holds the item `index`.
+/// Returns the row whose list contains the item `index`.
 fn row_of(lists: &ListArray, index: usize) -> usize {
     let offsets = lists.value_offsets();
     offsets.partition_point(|&offset| offset as usize <= index).saturating_sub(1)
 }
 
-/// The columns of a record batch, taken out by type.
+/// Columns of a record batch, accessed by type.
 struct Columns<'a> {
     columns: &'a [Option<ArrayRef>],
     place: Place<'a>,
@@ -299,7 +302,7 @@ impl Columns<'_> {
         Ok(structs)
     }
 
-    /// A field of such structs that may hold no null; `path` is `column.field`.
+    /// Field of such structs without nulls; `path` is `column.field`.
     fn inner<A: Array + Clone>(
         &self,
         rows: &ListArray,
@@ -313,13 +316,13 @@ impl Columns<'_> {
         Ok(array)
     }
 
-    /// The schema was checked: another type than wanted means that the record batch is not of this schema.
+    /// Error for a column of another type than the schema's.
     fn typed<A: Clone>(&self, name: &str, array: Option<&A>) -> Result<A> {
         let problem = "the type is not that of the schema";
         array.cloned().ok_or_else(|| self.place.bad_column(name, None, problem, DAMAGED))
     }
 
-    /// An error at the row of the first null that stands at `within`.
+    /// Returns an error at the row of the first null in `within`.
     fn no_null(
         &self,
         array: &dyn Array,
@@ -338,12 +341,12 @@ impl Columns<'_> {
     }
 }
 
-/// The items that the lists use.
+/// Range of items used by the lists.
 fn span(lists: &ListArray) -> Range<usize> {
     items_of(lists, &(0..lists.len()))
 }
 
-/// The items that the lists `which` use.
+/// Range of items used by the lists `which`.
 fn items_of(lists: &ListArray, which: &Range<usize>) -> Range<usize> {
     let offsets = lists.value_offsets();
     offsets[which.start] as usize..offsets[which.end] as usize

@@ -1,4 +1,4 @@
-//! Where in a container something is wrong.
+//! Locations in a container, for errors.
 
 use std::path::Path;
 
@@ -9,19 +9,19 @@ use crate::formats::Error;
 pub(super) struct Place<'a> {
     /// The file's name; `-` for standard input.
     pub(super) file: &'a Path,
-    /// Where the part starts, bytes from the beginning of the file.
+    /// Start of the part, bytes from the beginning of the file.
     pub(super) offset: u64,
-    /// The first row of the record batch, counted through the whole container from 0.
+    /// First row of the record batch, counted from the start of the container, from 0.
     pub(super) first_row: u64,
 }
 
 impl Place<'_> {
-    /// Something is wrong with a field of the part.
+    /// Error in a field of the part.
     pub(super) fn bad(&self, field: impl Into<String>, problem: impl Into<String>, remedy: &str) -> Error {
         Error::malformed(self.file, self.offset, field, problem, remedy)
     }
 
-    /// Something is wrong with a column in `row` of the record batch.
+    /// Error in a column in `row` of the record batch.
     pub(super) fn bad_row(
         &self,
         column: &str,
@@ -33,7 +33,7 @@ impl Place<'_> {
         self.bad(format!("column `{column}`, row {row}"), problem, remedy)
     }
 
-    /// Something is wrong with a column; the row is given where it is known.
+    /// Error in a column, with the row if known.
     pub(super) fn bad_column(
         &self,
         column: &str,
@@ -48,8 +48,8 @@ impl Place<'_> {
     }
 }
 
-/// What to do about a file whose bytes contradict themselves.
+/// Remedy for a file with inconsistent contents.
 pub(super) const DAMAGED: &str = "the file is damaged: copy it again from its source";
 
-/// What to do about a file that ends too early.
+/// Remedy for a file that ends too early.
 pub(super) const CUT_OFF: &str = "the file is cut off: copy it again from its source";

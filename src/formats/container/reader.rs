@@ -1,4 +1,4 @@
-//! Reading a container.
+//! Reader of containers.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -9,30 +9,34 @@ use super::place::Place;
 use super::{ContainerHeader, ContainerLine, layout};
 use crate::formats::Result;
 
-/// A container that is being read, one record batch after the other.
+/// Reader of a container, one record batch at a time.
 pub struct ContainerReader {
     file: PathBuf,
     header: ContainerHeader,
     messages: Messages,
     decoder: Decoder,
-    /// How many rows were read.
+    /// Number of rows read.
     rows: u64,
 }
 
 impl ContainerReader {
-    /// Opens a file of the file or of the stream format, as its first bytes say.
+    /// Opens a file in the file format or the stream format.
+    ///
+    /// The first bytes tell the format.
     pub fn open(path: &Path) -> Result<ContainerReader> {
         let (messages, schema) = Messages::open(path)?;
         ContainerReader::new(path, messages, &schema)
     }
 
-    /// Reads either format from beginning to end, without searching: standard input. `name` is for errors.
+    /// Reads either format sequentially, such as from standard input.
+    ///
+    /// `name` is for errors.
     pub fn from_stream(name: &Path, from: Box<dyn Read>) -> Result<ContainerReader> {
         let (messages, schema) = Messages::stream(name, from)?;
         ContainerReader::new(name, messages, &schema)
     }
 
-    /// Reads a container of either format in memory, as from a file.
+    /// Reads a container of either format from memory.
     #[cfg(test)]
     pub(super) fn from_bytes(name: &Path, bytes: Vec<u8>) -> Result<ContainerReader> {
         let len = bytes.len() as u64;
@@ -47,7 +51,7 @@ impl ContainerReader {
         Ok(ContainerReader { file: file.to_path_buf(), header, messages, decoder, rows: 0 })
     }
 
-    /// What the container says of the recording as a whole.
+    /// Metadata of the recording.
     pub fn header(&self) -> &ContainerHeader {
         &self.header
     }
@@ -60,8 +64,9 @@ impl ContainerReader {
         }
     }
 
-    /// The next record batch, or `None` at the end. An error names the column and the row, counted through the
-    /// container from 0.
+    /// Returns the next record batch, or `None` at the end.
+    ///
+    /// Errors name the column and the row, counted from the start of the container, from 0.
     pub fn next_line(&mut self) -> Result<Option<ContainerLine>> {
         while let Some(message) = self.messages.next()? {
             let place = Place { file: &self.file, offset: message.offset, first_row: self.rows };
@@ -73,12 +78,14 @@ impl ContainerReader {
         Ok(None)
     }
 
-    /// How far the container has been read, from 0 to 1, where its length is known.
+    /// Fraction of the container that was read, 0 to 1, if its length is known.
     pub fn progress(&self) -> Option<f64> {
         self.messages.progress()
     }
 
-    /// Whether a stream ended without the mark that says so: it may have been cut off between two lines.
+    /// Whether a stream ended without an end-of-stream marker.
+    ///
+    /// It may have been cut off between two lines.
     pub fn ended_without_mark(&self) -> bool {
         matches!(&self.messages, Messages::Stream(stream) if stream.stopped())
     }

@@ -1,4 +1,4 @@
-//! Reading any table of Arrow, with the same care as a container.
+//! Reader of Arrow tables, with the validation of containers.
 
 use std::path::{Path, PathBuf};
 
@@ -10,18 +10,18 @@ use super::messages::Messages;
 use super::place::Place;
 use crate::formats::Result;
 
-/// An Arrow file or stream of any columns that is being read, one record batch after the other.
+/// Reader of an Arrow file or stream with any columns, one record batch at a time.
 pub struct TableReader {
     file: PathBuf,
     schema: Schema,
     messages: Messages,
     decoder: Decoder,
-    /// How many rows were read.
+    /// Number of rows read.
     rows: u64,
 }
 
 impl TableReader {
-    /// Opens a file of the file or of the stream format, as its first bytes say.
+    /// Opens a file in the file format or the stream format.
     ///
     /// # Errors
     /// The file is not Arrow, or damaged.
@@ -32,15 +32,15 @@ impl TableReader {
         Ok(TableReader { file: path.to_path_buf(), schema, messages, decoder, rows: 0 })
     }
 
-    /// The columns and the metadata.
+    /// Schema: columns and metadata.
     pub fn schema(&self) -> &Schema {
         &self.schema
     }
 
-    /// The next record batch, or `None` at the end; each column may hold nulls there.
+    /// Returns the next record batch, or `None` at the end; columns may contain nulls.
     ///
     /// # Errors
-    /// The record batch is damaged, or has over [`MAX_BATCH_BYTES`](super::MAX_BATCH_BYTES).
+    /// The record batch is damaged, or exceeds [`MAX_BATCH_BYTES`](super::MAX_BATCH_BYTES).
     pub fn next_batch(&mut self) -> Result<Option<RecordBatch>> {
         while let Some(message) = self.messages.next()? {
             let place = Place { file: &self.file, offset: message.offset, first_row: self.rows };

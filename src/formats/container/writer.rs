@@ -1,4 +1,4 @@
-//! Writing a container.
+//! Writer of containers.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -11,18 +11,18 @@ use arrow_schema::{ArrowError, SchemaRef};
 use super::{ContainerHeader, LineBuilder, layout};
 use crate::formats::{Error, Result};
 
-/// How the buffers of a file are packed.
+/// Compression of the buffers of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Compression {
-    /// Not at all.
+    /// None.
     None,
-    /// As LZ4 frames.
+    /// LZ4 frames.
     Lz4,
-    /// With ZSTD, level 3.
+    /// ZSTD, level 3.
     Zstd,
 }
 
-/// A container that is being written to `W`, one record batch per scan line.
+/// Writer of a container, one record batch per scan line.
 pub struct ContainerWriter<W: Write> {
     form: Form<W>,
     schema: SchemaRef,
@@ -35,7 +35,7 @@ enum Form<W: Write> {
 }
 
 impl<W: Write> ContainerWriter<W> {
-    /// Begins a container in the file format; `file` is its name, for errors.
+    /// Starts a container in the file format; `file` is its name, for errors.
     pub fn file(
         to: W,
         file: &Path,
@@ -50,7 +50,9 @@ impl<W: Write> ContainerWriter<W> {
         Ok(ContainerWriter { form, schema, file: file.to_path_buf() })
     }
 
-    /// Begins a container in the stream format, which ends with a mark but has no list of its record batches.
+    /// Starts a container in the stream format.
+    ///
+    /// It has an end-of-stream marker but no list of record batches.
     pub fn stream(
         to: W,
         file: &Path,
@@ -76,7 +78,7 @@ impl<W: Write> ContainerWriter<W> {
             .map_err(|error| failed(&self.file, error))
     }
 
-    /// Writes what stands at the end, and gives back what was written to.
+    /// Writes the end of the container and returns the underlying writer.
     pub fn finish(self) -> Result<W> {
         match self.form {
             Form::File(writer) => writer.into_inner(),

@@ -412,7 +412,7 @@ fn what_would_be_left_out_is_refused() {
     let south = projected("Cassini_Soldner", &[NATURAL[0], NATURAL[1], FALSE[0], FALSE[1]])
         .replace(r#"UNIT["metre",1]]"#, r#"UNIT["metre",1],AXIS["y",SOUTH],AXIS["x",WEST]]"#);
     assert!(
-        error(&south).contains(": its axes do not point east and north; choose a system with"),
+        error(&south).contains(": its axes do not point east and north; choose a CRS with"),
         "{}",
         error(&south)
     );

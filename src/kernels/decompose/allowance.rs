@@ -1,11 +1,11 @@
-//! Thresholds beside strong pulses: what errors of the response look like is no echo.
+//! Thresholds near strong pulses, raised by the response error.
 
 use super::Decomposer;
 use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::rules::TOLD_WIDTHS;
 
 impl Decomposer {
-    /// What the response's errors add to chi-square on average.
+    /// Expected contribution of the response error to chi-square.
     pub(super) fn expected_excess(&self) -> f64 {
         let samples = self.scene.target_dn().len();
         let of =
@@ -13,13 +13,16 @@ impl Decomposer {
         self.scene.found.iter().map(|f| of(&f.pulse)).sum()
     }
 
-    /// The threshold of detection at a place, raised by what pulses higher than `height_dn` may leave there; an
-    /// infinite height means all pulses.
+    /// Detection threshold at a position.
+    ///
+    /// Raised by the response error of pulses higher than `height_dn`; infinity means all pulses.
     pub(super) fn threshold_at(&self, position_samples: f64, height_dn: f64) -> f64 {
         self.sigma_at(position_samples) * self.allowance_at(position_samples, height_dn)
     }
 
-    /// The threshold at a place without any allowance: another one behind all other pulses.
+    /// Detection threshold at a position without response errors.
+    ///
+    /// The last pulse of several can have its own threshold.
     fn sigma_at(&self, position_samples: f64) -> f64 {
         let found = &self.scene.found;
         let behind_others = |_: &f64| {
@@ -29,8 +32,9 @@ impl Decomposer {
         self.settings.detection_sigma_last.filter(behind_others).unwrap_or(self.settings.detection_sigma)
     }
 
-    /// Drops candidates below the threshold, but for the last one behind others where that may be weaker. The
-    /// candidates are sorted by position.
+    /// Drops candidates below the threshold, except the last of several with a lower threshold.
+    ///
+    /// Candidates are sorted by position.
     pub(super) fn drop_weak_candidates(&mut self) {
         let sigma = self.settings.detection_sigma;
         let others = self.candidates.iter().rev().skip(1).any(|c| c.statistic >= sigma);
@@ -41,16 +45,19 @@ impl Decomposer {
         });
     }
 
-    /// By what part thresholds are raised at a place by what pulses higher than `height_dn` may leave there; an
-    /// infinite height means all pulses.
+    /// Factor by which response errors raise the threshold at a position.
+    ///
+    /// Of pulses higher than `height_dn`; infinity means all pulses.
     pub(super) fn allowance_at(&self, position_samples: f64, height_dn: f64) -> f64 {
         let per_dn = self.detector.full_significance_per_dn();
         let pulses = self.scene.found.iter().map(|f| (f.pulse.position_samples, f.pulse.height_dn));
         self.allowance.raise(position_samples, height_dn, per_dn, pulses)
     }
 
-    /// Drops candidates that are no more than what stronger ones leave behind them. The candidates are sorted by
-    /// their statistic; what is dropped wrongly stands in the residual of the first fit.
+    /// Drops candidates within the response error of stronger ones.
+    ///
+    /// Candidates are sorted by their statistic. A candidate dropped wrongly appears in the
+    /// residual of the first fit.
     pub(super) fn screen_candidates(&mut self) {
         if self.model.response.is_none() {
             return;

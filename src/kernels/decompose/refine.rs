@@ -1,4 +1,4 @@
-//! A second look at what the first fit leaves, and what does not stand up.
+//! Residual search, split test and pruning.
 
 use super::scene::Found;
 use super::{Counts, Decomposer};
@@ -6,24 +6,26 @@ use crate::kernels::detect::Candidate;
 use crate::kernels::flags;
 use crate::kernels::rules::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, SD_OF_FWHM, TRIAL_PART};
 
-/// Trials on one residual at most.
+/// Maximum number of trials on one residual.
 const TRIALS: usize = 3;
 
-/// How the pulses of a cluster start, when one is added.
+/// Start values of a cluster with an added pulse.
 #[derive(Clone, Copy)]
 enum Start {
-    /// As they are.
+    /// Current values.
     AsFitted,
-    /// With the calibrated width, held for some iterations.
+    /// Calibrated width, fixed for some iterations.
     CalibratedWidth,
-    /// The nearest one in two of calibrated width, the first with this part of its energy, whose first moments are
-    /// its own.
+    /// The nearest pulse in two of calibrated width, with the same first moments.
+    ///
+    /// The first has this fraction of the energy.
     Apart(f64),
 }
 
 impl Decomposer {
-    /// Adds pulses where the residual has maxima or a widened pulse is better told by two, as long as one is worth its
-    /// parameters.
+    /// Adds pulses while they justify their parameters.
+    ///
+    /// At maxima of the residual, or by dividing widened pulses.
     pub(super) fn add_from_residual(&mut self) {
         let room = |d: &Decomposer| {
             d.scene.found.len() < d.settings.max_returns && d.counts.n_added < d.settings.max_added
@@ -37,7 +39,7 @@ impl Decomposer {
         }
     }
 
-    /// Adds a pulse at one of the residual's greatest maxima.
+    /// Adds a pulse at one of the largest maxima of the residual.
     fn add_one(&mut self) -> bool {
         self.detector.filter(self.scene.whitener(), self.scene.residual_dn());
         self.candidates.clear();
@@ -52,7 +54,7 @@ impl Decomposer {
         })
     }
 
-    /// Divides the first widened pulse that two pulses tell better.
+    /// Divides the first widened pulse that two pulses fit better.
     fn split_one(&mut self) -> bool {
         let Some(gain) = self.settings.split_evidence else { return false };
         let starts = DIVIDED_PARTS.map(Start::Apart);
@@ -67,13 +69,13 @@ impl Decomposer {
                 height_dn: p.height_dn,
                 ln_width_ratio: 0.0,
             };
-            // What an error of the response would look like is no evidence.
+            // A decrease within the response error is no evidence.
             let allowed = self.allowance_at(p.position_samples, f64::INFINITY);
             self.try_starts(&starts, &half, i, gain * allowed * allowed)
         })
     }
 
-    /// Whether a pulse is wide enough for two, and its residual looks like two.
+    /// Whether a pulse is wide enough for two, and its score indicates two.
     fn may_hide_two(&mut self, index: usize) -> bool {
         self.scene.found[index].pulse.ln_width_ratio.exp() > HIDING_WIDTH_RATIO
             && (self.settings.split_score <= 0.0 || self.scene.score(index) > self.settings.split_score)
@@ -84,7 +86,9 @@ impl Decomposer {
         (0..self.scene.found.len()).min_by(|&i, &j| distance(i).total_cmp(&distance(j)))
     }
 
-    /// Fits with one pulse more, from several starts, and keeps the best if it lowers chi-square enough.
+    /// Fits with one more pulse from several starts.
+    ///
+    /// Keeps the best if it lowers chi-square enough.
     fn try_starts(&mut self, starts: &[Start], candidate: &Candidate, nearest: usize, gain: f64) -> bool {
         self.scene.save();
         for &start in starts {
@@ -97,8 +101,9 @@ impl Decomposer {
         self.scene.settle(gain)
     }
 
-    /// Puts the start values of a trial in place and returns the new pulse's index; `None` where the pulse nearest to
-    /// the candidate is not one that may hide two, for the starts that are about it.
+    /// Sets the start values of a trial and returns the new pulse's index.
+    ///
+    /// `None` if the start divides the nearest pulse and that pulse cannot be divided.
     fn start_with(&mut self, candidate: &Candidate, nearest: usize, start: Start) -> Option<usize> {
         let width = self.scene.fwhm_samples();
         let neighbour = &mut self.scene.found[nearest];
@@ -127,7 +132,7 @@ impl Decomposer {
         }
     }
 
-    /// Removes what does not stand up, one after the other, the others being fitted anew each time.
+    /// Removes insignificant pulses one by one, refitting the others each time.
     pub(super) fn prune(&mut self) {
         while self.remove_failed() || self.merge_nearest() || self.remove_weakest() || self.remove_misshapen()
         {
@@ -143,7 +148,7 @@ impl Decomposer {
         index.is_some()
     }
 
-    /// The weakest of the pulses that could not be determined.
+    /// Returns the weakest undetermined pulse.
     fn remove_failed(&mut self) -> bool {
         let found = &mut self.scene.found;
         let failed = (0..found.len())
@@ -152,7 +157,7 @@ impl Decomposer {
         Self::filter_out(&mut self.counts, found, failed)
     }
 
-    /// The nearest two pulses, where they cannot be told apart.
+    /// Returns the nearest two pulses if they are below the minimum separation.
     fn merge_nearest(&mut self) -> bool {
         let least = self.scene.least_separation();
         let found = &mut self.scene.found;
@@ -172,7 +177,9 @@ impl Decomposer {
         true
     }
 
-    /// The weakest pulse, where a pulse of calibrated width and its energy does not reach the threshold.
+    /// Returns the weakest pulse below the threshold.
+    ///
+    /// Its significance is that of a pulse of calibrated width with the same energy.
     fn remove_weakest(&mut self) -> bool {
         let mut weakest = (1.0, None);
         for i in 0..self.scene.found.len() {
@@ -188,8 +195,9 @@ impl Decomposer {
         Self::filter_out(&mut self.counts, &mut self.scene.found, weakest.1)
     }
 
-    /// The first pulse whose width is out of range by more than two standard deviations, or that peaks outside the
-    /// block.
+    /// Returns the first pulse with an invalid width or a peak outside the block.
+    ///
+    /// The width must be out of range by more than two standard deviations.
     fn remove_misshapen(&mut self) -> bool {
         let [narrowest, widest] = self.settings.width_ratio.map(f64::ln);
         let last = self.scene.target_dn().len() as f64;

@@ -1,4 +1,4 @@
-//! The waveform at hand and the pulses that explain it so far.
+//! The current waveform and its pulses.
 
 use std::ops::Range;
 
@@ -13,19 +13,19 @@ use super::DecomposeSettings;
 use super::score::Score;
 use crate::kernels::rules::{CLEAR_OF_ZERO_SD, CLUSTER_WIDTHS, LEAST_SEPARATION_WIDTHS};
 
-/// Precision of a prior that holds a width in its place.
+/// Precision of the prior of a fixed width.
 const FROZEN: f64 = 1e8;
-/// Iterations with widths held, when pulses start from the calibrated width.
+/// Iterations with fixed width for pulses that start from the calibrated width.
 const FROZEN_ITERATIONS: usize = 8;
 
-/// A pulse, and what is known of it beside its parameters.
+/// A pulse with its uncertainties.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Found {
     pub(super) pulse: Pulse,
-    /// Standard deviations of height (DN), position (samples) and width's logarithm.
+    /// Standard deviations of height (DN), position (samples) and ln width.
     pub(super) sd: [f64; 3],
     pub(super) flags: u16,
-    /// Whether the last fit could not determine it.
+    /// Whether the last fit failed to determine it.
     pub(super) failed: bool,
 }
 
@@ -40,17 +40,17 @@ impl Found {
     }
 }
 
-/// What a trial changes and a refusal brings back.
+/// State that a trial changes and a rejected trial restores.
 #[derive(Debug, Clone, Default)]
 struct Saved {
     found: Vec<Found>,
     offset_dn: f64,
     chi_square: f64,
-    /// `chi_square` and the priors' part.
+    /// `chi_square` plus the priors' part.
     objective: f64,
 }
 
-/// Samples, pulses, and the workspace to fit the ones to the others.
+/// Samples, pulses and workspace of the fit.
 #[derive(Debug, Clone)]
 pub(super) struct Scene {
     pub(super) found: Vec<Found>,
@@ -63,7 +63,7 @@ pub(super) struct Scene {
     fitter: GaussFit,
     target_dn: Vec<f64>,
     used: Vec<bool>,
-    /// `target_dn` less pulses and offset.
+    /// `target_dn` minus pulses and offset.
     residual_dn: Vec<f64>,
     whitened: Vec<f64>,
     offset_dn: f64,
@@ -116,17 +116,17 @@ impl Scene {
         &self.whitener
     }
 
-    /// The samples less the channel's background.
+    /// Samples minus the channel's background.
     pub(super) fn target_dn(&self) -> &[f64] {
         &self.target_dn
     }
 
-    /// The samples less background and pulses, as of the last [`Scene::update_residual`].
+    /// Samples minus background and pulses, after the last [`Scene::update_residual`].
     pub(super) fn residual_dn(&self) -> &[f64] {
         &self.residual_dn
     }
 
-    /// The residual, whitened, as of the last [`Scene::update_residual`].
+    /// Whitened residual, after the last [`Scene::update_residual`].
     pub(super) fn whitened(&self) -> &[f64] {
         &self.whitened
     }
@@ -143,12 +143,14 @@ impl Scene {
         self.fwhm_samples
     }
 
-    /// Pulses nearer to each other than this are one.
+    /// Minimum separation of two pulses.
     pub(super) fn least_separation(&self) -> f64 {
         (LEAST_SEPARATION_WIDTHS * self.fwhm_samples).max(1.0)
     }
 
-    /// Takes up a new waveform. Returns whether its length or its choice of usable samples differ from the last one's.
+    /// Loads a new waveform.
+    ///
+    /// Returns whether its length or its usable samples differ from the last one's.
     pub(super) fn load(
         &mut self,
         model: &ChannelModel,
@@ -176,7 +178,7 @@ impl Scene {
         changed
     }
 
-    /// The waveform without any pulse.
+    /// Removes all pulses.
     fn fit_offset_alone(&mut self) {
         self.offset_dn = 0.0;
         if self.offset_is_free {
@@ -186,7 +188,7 @@ impl Scene {
         self.update_residual();
     }
 
-    /// Takes pulses and offset as they are given.
+    /// Sets pulses and offset.
     pub(super) fn show(&mut self, found: impl Iterator<Item = Found>, offset_dn: f64) {
         self.found.clear();
         self.found.extend(found);
@@ -194,7 +196,7 @@ impl Scene {
         self.update_residual();
     }
 
-    /// Brings residual and chi-square up to the pulses' present parameters.
+    /// Updates residual and chi-square for the current pulse parameters.
     pub(super) fn update_residual(&mut self) {
         self.residual_dn.clear();
         self.residual_dn.extend(self.target_dn.iter().map(|y| y - self.offset_dn));
@@ -207,7 +209,7 @@ impl Scene {
         self.chi_square = self.whitened.iter().map(|r| r * r).sum();
     }
 
-    /// Whether two pulses are near enough to bear on each other.
+    /// Whether two pulses overlap.
     pub(super) fn overlap(&self, i: usize, j: usize) -> bool {
         let (a, b) = (&self.found[i].pulse, &self.found[j].pulse);
         let width_ratio = a.ln_width_ratio.max(b.ln_width_ratio).max(0.0).exp();
@@ -215,8 +217,9 @@ impl Scene {
         (a.position_samples - b.position_samples).abs() < reach
     }
 
-    /// Pulses `i..` up to the returned index are one cluster, found being sorted; all are one where they share an
-    /// offset.
+    /// Returns the end of the cluster that starts at pulse `i`.
+    ///
+    /// Pulses are sorted. All pulses are one cluster if they share an offset.
     fn cluster_end(&self, start: usize) -> usize {
         let mut end = start + 1;
         while end < self.found.len() && (self.offset_is_free || self.overlap(end - 1, end)) {
@@ -225,7 +228,7 @@ impl Scene {
         end
     }
 
-    /// The cluster that holds pulse `index`.
+    /// Returns the cluster of pulse `index`.
     fn cluster_around(&self, index: usize) -> Range<usize> {
         let mut start = 0;
         loop {
@@ -241,12 +244,14 @@ impl Scene {
         self.found.sort_unstable_by(|a, b| a.pulse.position_samples.total_cmp(&b.pulse.position_samples));
     }
 
-    /// Fits all pulses, cluster by cluster; again where widths and places that came out make other clusters.
+    /// Fits all pulses, cluster by cluster.
+    ///
+    /// Repeats if the fitted widths and positions change the clusters.
     pub(super) fn fit_all(&mut self) {
         self.fit_clusters(self.limits);
     }
 
-    /// The same as far as chi-square is wanted.
+    /// As [`Scene::fit`], to the accuracy needed for chi-square.
     pub(super) fn fit_all_roughly(&mut self) {
         self.fit_clusters(Limits::rough(self.limits.iterations));
     }
@@ -283,8 +288,10 @@ impl Scene {
         self.update_residual();
     }
 
-    /// Fits the cluster around pulse `index` as far as a trial needs that must lower chi-square by `gain`; with
-    /// `from_calibrated_width` first with the widths held there.
+    /// Fits the cluster of pulse `index` as far as a trial requires.
+    ///
+    /// The trial must lower chi-square by `gain`. `from_calibrated_width` first keeps the widths at
+    /// that value.
     pub(super) fn fit_around(&mut self, index: usize, from_calibrated_width: bool, gain: f64) {
         let cluster = self.cluster_around(index);
         if from_calibrated_width {
@@ -300,7 +307,7 @@ impl Scene {
         self.update_residual();
     }
 
-    /// Sets the priors that overlap calls for, then fits.
+    /// Sets the width priors of overlapping pulses, then fits.
     fn fit_cluster(&mut self, cluster: Range<usize>, limits: Limits) {
         for i in cluster.clone() {
             let overlaps =
@@ -310,7 +317,7 @@ impl Scene {
         self.fit_as_is(cluster, limits);
     }
 
-    /// Fits the pulses of a cluster to what the others leave of the samples.
+    /// Fits the pulses of a cluster to the samples minus the other pulses.
     fn fit_as_is(&mut self, cluster: Range<usize>, limits: Limits) {
         self.residual_dn.clear();
         self.residual_dn.extend_from_slice(&self.target_dn);
@@ -343,7 +350,9 @@ impl Scene {
         }
     }
 
-    /// How much pulse `index` looks like two, by [`Score::statistic`]; the residual is up to date.
+    /// Evidence that pulse `index` is two, by [`Score::statistic`].
+    ///
+    /// The residual must be up to date.
     pub(super) fn score(&mut self, index: usize) -> f64 {
         let cluster = self.cluster_around(index);
         let pulses = self.found[cluster].iter().map(|f| f.pulse);
@@ -351,7 +360,7 @@ impl Scene {
         self.score.statistic(&self.shape, &self.whitener, self.offset_is_free, pulses, pulse, &self.whitened)
     }
 
-    /// Puts a pulse in its place in the order and returns its index.
+    /// Inserts a pulse in order and returns its index.
     pub(super) fn insert(&mut self, found: Found) -> usize {
         let position = found.pulse.position_samples;
         let index = self.found.partition_point(|f| f.pulse.position_samples < position);
@@ -359,22 +368,22 @@ impl Scene {
         index
     }
 
-    /// Remembers the present state, for [`Scene::restore`].
+    /// Saves the current state for [`Scene::restore`].
     pub(super) fn save(&mut self) {
         store(&mut self.before, &self.found, self.offset_dn, self.chi_square);
         self.best.chi_square = f64::INFINITY;
         self.best.objective = f64::INFINITY;
     }
 
-    /// Back to the state saved.
+    /// Restores the saved state.
     pub(super) fn restore(&mut self) {
         load(&self.before, &mut self.found, &mut self.offset_dn, &mut self.chi_square);
     }
 
-    /// Remembers the present state if it is the best since the last [`Scene::save`] by chi-square and priors, and does
-    /// not bring two pulses so near to each other that they would be one.
+    /// Saves the current state if it is the best since the last [`Scene::save`].
     ///
-    /// Without the priors a narrow pulse with a wide one often tells the samples as well as the true pair does.
+    /// By chi-square with priors, and only if no two pulses are closer than the minimum separation.
+    /// Without the priors, a narrow pulse with a wide one often fits as well as the true pair.
     pub(super) fn keep_if_best(&mut self) {
         let least = self.least_separation();
         let near = |found: &[Found]| {
@@ -389,7 +398,7 @@ impl Scene {
         }
     }
 
-    /// To the best state, when it lowers chi-square by at least `gain` against the state saved; else back to that.
+    /// Restores the best state if it lowers chi-square by at least `gain`, else the saved one.
     pub(super) fn settle(&mut self, gain: f64) -> bool {
         let accepted = self.before.chi_square - self.best.chi_square >= gain;
         let state = if accepted { &self.best } else { &self.before };
@@ -407,7 +416,7 @@ fn store(saved: &mut Saved, found: &[Found], offset_dn: f64, chi_square: f64) {
     saved.objective = objective(found, chi_square);
 }
 
-/// Chi-square with the priors' part.
+/// Chi-square plus the priors' part.
 fn objective(found: &[Found], chi_square: f64) -> f64 {
     let prior = |f: &Found| f.pulse.ln_width_precision * f.pulse.ln_width_ratio.powi(2);
     chi_square + found.iter().map(prior).sum::<f64>()

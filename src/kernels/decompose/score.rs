@@ -1,12 +1,16 @@
-//! Whether a widened pulse may hide two: Rao's score, before the pair itself is fitted.
+//! Rao's score test of two pulses against a widened one.
 //!
-//! A pair moves what it leaves of the samples out of the plane that one pulse's height, place and width span. The first
-//! directions it takes are those of the third and the fourth derivative in time. By the heat equation the
-//! derivative in the width's logarithm is the second one in time, but for a part of the shape itself: so the mixed
-//! derivative in time and width, and the second one in width, stand for them (docs/explanation/method.md, Split test). `q = |P r|²`, the part
-//! of the whitened residual in these directions once all fitted parameters are projected out, is chi-square with two
-//! degrees of freedom where there is one pulse (Rao 1948). Two equal pulses some way apart leave more than these two
-//! directions show: what they would leave is a third one, of known sign, and the greater of the two figures counts.
+//! The test runs before the pair is fitted. A pair leaves a residual outside the plane spanned by
+//! the derivatives in height, position and width. Its leading directions are the third and fourth
+//! derivative in time. By the heat equation the derivative in ln width is the second derivative in
+//! time plus a multiple of the shape. The mixed derivative in time and width and the second
+//! derivative in width therefore replace them (docs/explanation/method.md, Split test).
+//!
+//! Let `q = |P r|²` be the part of the whitened residual in these directions after projection on
+//! the complement of all fitted parameters. For one pulse `q` is chi-square with two degrees of
+//! freedom (Rao 1948). Two equal, well-separated pulses leave more than these two directions
+//! contain. Their expected residual is a third direction of known sign; the larger of the two
+//! statistics counts.
 
 use crate::kernels::gauss_fit::Pulse;
 use crate::kernels::rules::SD_OF_FWHM;
@@ -14,31 +18,34 @@ use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 use crate::kernels::wide::dot;
 
-/// Step of the differences in the width's logarithm, and in the place in widths.
+/// Step of differences in ln width, and in position in widths.
 const LN_WIDTH_STEP: f64 = 0.05;
-/// What is left of a direction once others are projected out must be more than this part of its square.
+/// Minimum relative square of a direction after projection.
 const LEAST_PART: f64 = 1e-9;
 
-/// Steps of second differences, as factor, step in the width and step in the place: what stands for the third
-/// derivative in time …
+/// Second difference that replaces the third derivative in time.
+///
+/// Factor, step in width, step in position.
 const MIXED: [[f64; 3]; 4] = [[1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0], [1.0, -1.0, -1.0]];
-/// … and for the fourth.
+/// Second difference that replaces the fourth derivative in time.
 const SECOND: [[f64; 3]; 3] = [[1.0, 1.0, 0.0], [-2.0, 0.0, 0.0], [1.0, -1.0, 0.0]];
 
-/// Workspace of the score.
+/// Workspace of the score test.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Score {
-    /// Whitened directions, one column of the block's length after the other, made orthonormal.
+    /// Whitened directions, orthonormalised, stored column by column.
     columns: Vec<f64>,
 }
 
 impl Score {
-    /// For blocks of up to `max_samples` and clusters of up to `max_pulses`.
+    /// Creates a workspace for blocks of up to `max_samples` and clusters of up to `max_pulses`.
     pub(super) fn new(max_samples: usize, max_pulses: usize) -> Score {
         Score { columns: Vec::with_capacity((3 * max_pulses + 4) * max_samples) }
     }
 
-    /// `q` of pulse `index` of a cluster; `residual` is what all pulses leave of the samples, whitened.
+    /// Returns `q` of pulse `index` of a cluster.
+    ///
+    /// `residual` is the whitened residual of all pulses.
     pub(super) fn statistic(
         &mut self,
         shape: &Shape,
@@ -82,7 +89,7 @@ impl Score {
         bent.max(along(fitted + 2).max(0.0).powi(2))
     }
 
-    /// Makes column `i` normal, and orthogonal to the first `others`.
+    /// Normalises column `i` and makes it orthogonal to the first `others`.
     fn project(&mut self, i: usize, others: usize, samples: usize) {
         let (before, rest) = self.columns.split_at_mut(i * samples);
         let column = &mut rest[..samples];
@@ -92,14 +99,15 @@ impl Score {
             column.iter_mut().zip(other).for_each(|(c, o)| *c -= part * o);
         }
         let left = dot(column, column);
-        // A direction that others tell already says nothing new.
+        // A direction spanned by the others adds no information.
         let scale = if left > LEAST_PART * whole { left.sqrt().recip() } else { 0.0 };
         column.iter_mut().for_each(|c| *c *= scale);
     }
 }
 
-/// Adds what a widened pulse would leave if it were two equal ones of calibrated width, of the same energy, centre and
-/// variance.
+/// Adds the residual expected of two equal pulses of calibrated width.
+///
+/// They have the same energy, centre and variance as the widened pulse.
 fn add_equal_pair(shape: &Shape, pulse: Pulse, column: &mut [f64]) {
     let ratio = pulse.ln_width_ratio.exp();
     let reach = SD_OF_FWHM * shape.fwhm_samples() * (ratio * ratio - 1.0).max(0.0).sqrt();

@@ -1,10 +1,10 @@
-//! What a decomposer holds of the waveform that it decomposed or was shown last, for those who want to see it.
+//! Read access to a decomposer's last waveform.
 
 use super::scene::Found;
 use super::{Decomposer, Decomposition, Return};
 
 impl Decomposer {
-    /// Takes up a block with returns that others found in it, the fast kernels for one.
+    /// Loads a block with returns from elsewhere, such as the fast kernels.
     pub fn show(&mut self, samples: &[u16], start_phase: u8, outcome: &Decomposition<'_>) {
         self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples);
         self.returns.clear();
@@ -13,29 +13,34 @@ impl Decomposer {
         self.scene.show(outcome.returns.iter().map(found), outcome.background_offset_dn);
     }
 
-    /// The returns of the last waveform, by position.
+    /// Returns of the last waveform, by position.
     pub fn returns(&self) -> &[Return] {
         &self.returns
     }
 
-    /// Which of its samples took part: saturated ones and those the receiver needs to recover did not.
+    /// Whether each sample was used.
+    ///
+    /// Saturated samples and those during recovery are not used.
     pub fn used(&self) -> &[bool] {
         self.scene.whitener().used()
     }
 
-    /// What its samples stand above the channel's background, DN, as it was fitted.
+    /// Fitted signal above the channel's background, DN.
     pub fn signal_dn(&self) -> &[f64] {
         self.scene.target_dn()
     }
 
-    /// What the fit leaves, whitened: in standard deviations, independent from sample to sample where the model is
-    /// right; 0 for samples that took no part.
+    /// Whitened residual, standard deviations.
+    ///
+    /// Independent between samples if the model is right; 0 for unused samples.
     pub fn standardised_residual(&self) -> &[f64] {
         self.scene.whitened()
     }
 
-    /// The pulse of return `index` above the background, DN, at every `1/per_sample` of a sample from the block's first to its
-    /// last; empty where there is no such return.
+    /// Pulse of return `index` above the background, DN.
+    ///
+    /// `per_sample` values per sample, from the block's first to its last; empty if there is no
+    /// such return.
     pub fn pulse_curve(&self, index: usize, per_sample: usize) -> Vec<f64> {
         let (Some(found), samples) = (self.scene.found.get(index), self.scene.target_dn().len()) else {
             return Vec::new();
@@ -44,7 +49,7 @@ impl Decomposer {
         let mut curve = vec![0.0; points];
         let shape = self.scene.shape().on_time();
         for phase in 0..per_sample {
-            // The shape knows whole samples: what lies between is seen by moving the pulse the other way.
+            // The shape is tabulated for whole samples; shifting the pulse gives values in between.
             let mut pulse = found.pulse;
             pulse.position_samples -= phase as f64 / per_sample as f64;
             let mut values = vec![0.0; samples];

@@ -1,28 +1,30 @@
-//! One receiver at the gains that its blocks were recorded with.
+//! Kernels of one receiver at the gains of its blocks.
 
 use std::collections::BTreeMap;
 
 use crate::kernels::gain::GainLevel;
 use crate::stage::Result;
 
-/// Gains other than 1 whose kernels are kept from line to line, each of a few MB.
+/// Maximum number of gains other than 1 kept between lines, a few MB each.
 const MOST_KEPT: usize = 32;
 
-/// Kernels by gain: those of gain 1, and others that are made when a block needs them.
+/// Kernels by gain.
+///
+/// Kernels of gains other than 1 are created when a block needs them.
 pub(super) struct AtGains<T> {
     unit: T,
     others: BTreeMap<GainLevel, (u64, T)>,
-    /// Lines so far.
+    /// Number of lines so far.
     now: u64,
 }
 
 impl<T> AtGains<T> {
-    /// With the kernels of gain 1.
+    /// Starts with the kernels of gain 1.
     pub(super) fn new(unit: T) -> AtGains<T> {
         AtGains { unit, others: BTreeMap::new(), now: 0 }
     }
 
-    /// Begins a line: kernels that were needed longest ago are dropped where there are too many.
+    /// Starts a line and drops the least recently used kernels beyond the limit.
     pub(super) fn begin_line(&mut self) {
         self.now += 1;
         while self.others.len() > MOST_KEPT {
@@ -32,7 +34,7 @@ impl<T> AtGains<T> {
         }
     }
 
-    /// The kernels of a gain, made where they are not there.
+    /// Returns the kernels of a gain; creates them if missing.
     pub(super) fn need(&mut self, level: GainLevel, make: impl FnOnce(&T) -> Result<T>) -> Result<&mut T> {
         if level == GainLevel::UNIT {
             return Ok(&mut self.unit);
@@ -50,7 +52,7 @@ impl<T> AtGains<T> {
         }
     }
 
-    /// The kernels of a gain that a block of this line has.
+    /// Returns the kernels of a gain that occurs in this line.
     pub(super) fn get(&self, level: GainLevel) -> Option<&T> {
         if level == GainLevel::UNIT {
             Some(&self.unit)
@@ -59,14 +61,14 @@ impl<T> AtGains<T> {
         }
     }
 
-    /// All of them, with their gains.
+    /// Iterates over all kernels with their gains.
     pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = (GainLevel, &mut T)> {
         let others = self.others.iter_mut().map(|(level, (_, kernels))| (*level, kernels));
         std::iter::once((GainLevel::UNIT, &mut self.unit)).chain(others)
     }
 }
 
-/// What is queued for each gain, in the order of the gains' first appearance.
+/// Queued items by gain, in order of first appearance of the gains.
 pub(super) struct ByGain<T>(Vec<(GainLevel, Vec<T>)>);
 
 impl<T> ByGain<T> {
@@ -74,7 +76,7 @@ impl<T> ByGain<T> {
         ByGain(Vec::new())
     }
 
-    /// Queues an item; its number among those of its gain.
+    /// Queues an item and returns its index among those of its gain.
     pub(super) fn push(&mut self, level: GainLevel, item: T) -> usize {
         let at = match self.0.iter().position(|(of, _)| *of == level) {
             Some(at) => at,
@@ -88,12 +90,12 @@ impl<T> ByGain<T> {
         queue.len() - 1
     }
 
-    /// What is queued for a gain.
+    /// Items of a gain.
     pub(super) fn of(&self, level: GainLevel) -> &[T] {
         self.0.iter().find(|(of, _)| *of == level).map_or(&[], |(_, items)| items)
     }
 
-    /// The gains with their items.
+    /// Iterates over the gains with their items.
     pub(super) fn iter(&self) -> impl Iterator<Item = (GainLevel, &[T])> {
         self.0.iter().map(|(level, items)| (*level, &items[..]))
     }

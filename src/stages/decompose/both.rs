@@ -1,4 +1,4 @@
-//! What two receivers tell of the same echoes, put together (docs/explanation/fusion.md).
+//! Combines the returns of two receivers (docs/explanation/fusion.md).
 
 use std::collections::BTreeMap;
 
@@ -11,74 +11,78 @@ use crate::kernels::gain::GainLevel;
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Result, StageError};
 
-/// One echo lies within so many standard deviations of its place in both receivers, or within a sample.
+/// Largest distance of one echo in both receivers, standard deviations, at least one sample.
 const SAME_SD: f64 = 3.0;
-/// Where the sensitive receiver is saturated or overdriven its own fit tells the place less surely: within so many widths.
+/// The same if the low-power receiver is saturated or overdriven, pulse widths.
 const SAME_WIDTHS: f64 = 0.5;
-/// An echo so many widths from a saturated sample is one that the sensitive receiver may not tell.
+/// Distance from a saturated sample within which the low-power receiver may miss an echo, widths.
 const NEAR_WIDTHS: f64 = 1.0;
-/// Flags of a return that the sensitive receiver alone does not tell.
+/// Flags of returns for which the low-power receiver is not sufficient.
 const BLINDED: u16 = flags::SATURATED | flags::EXTREMELY_SATURATED | flags::OVERDRIVEN;
-/// Squared distance, in standard deviations, of the joint fit from what the other receiver says, above which the
-/// receivers contradict each other: one in 100 000 by chance (three degrees of freedom).
+/// Squared distance of the joint fit from the high-power fit that counts as a contradiction.
+///
+/// In standard deviations, with three degrees of freedom; exceeded once in 100 000 by chance.
 const CONTRADICTION: f64 = 26.0;
-/// What stands so many standard deviations above the other receiver's noise it does not miss.
+/// Height above which the high-power receiver misses no echo, noise standard deviations.
 const SEEN_SIGMA: f64 = 8.0;
-/// Spread of widths of single pulses, as pulses that overlap are fitted with it.
+/// Prior SD of `ln` width for overlapping pulses: the spread of single pulses.
 const OVERLAP_LN_WIDTH_SD: f64 = 0.15;
 
-/// Two receivers whose gain and delay are known, at the gains that blocks were recorded with.
+/// Two receivers with known gain ratio and delay, at the gains of the blocks.
 pub(super) struct BothReceivers {
     unit: Both,
     model: SensorModel,
     fusion: ChannelFusion,
     template_error: f64,
-    /// For levels of the sensitive and of the other receiver that are not both 1.
+    /// Other gains, by level of the low-power and high-power receiver.
     others: BTreeMap<(GainLevel, GainLevel), Both>,
 }
 
-/// Pairs of gains that are kept, besides 1 and 1.
+/// Maximum number of pairs of gains kept, besides (1, 1).
 const MOST_PAIRS: usize = 64;
 
 /// Two receivers, each at one gain.
 struct Both {
-    /// Between pulses as the models' fits see them.
+    /// Gain and delay between pulses fitted with the models.
     between: ChannelFusion,
-    /// What alignment left: how much later the other receiver's fits lie on the common axis, ns.
+    /// Remaining delay of high-power fits on the common time axis, ns.
     left_ns: f64,
     low: JointFit,
     high: JointFit,
     overdriven_dn: f64,
     detection_sigma: f64,
-    /// Ratio of the heights of pulses as the fits see them over that of plain peaks.
+    /// Gain ratio of fitted pulses over that of plain peaks.
     over_plain_ratio: f64,
-    /// Gain of the receiver for strong echoes.
+    /// Gain of the high-power receiver.
     high_gain: f64,
 }
 
-/// A pulse of the sensitive receiver's block on its way through the joint fit.
+/// A pulse of the low-power block in the joint fit.
 struct Candidate {
-    /// The return that is to hold it.
+    /// Index of the return that receives the result.
     found: usize,
-    /// The return of the other receiver.
+    /// Index of the high-power return.
     high: Option<usize>,
     pulse: JointPulse,
-    /// Of the place that is expected, the part of the variance that is not the walk's.
+    /// Part of the variance of the expected position that is not due to the walk.
     sure_part: f64,
-    /// The delay's change with height, samples.
+    /// Walk: change of the delay with height, samples.
     walk_samples: f64,
 }
 
 impl Candidate {
-    /// A return that the other receiver does not see.
+    /// Candidate without a high-power return.
     fn alone(index: usize, found: &Found) -> Candidate {
         Candidate { found: index, high: None, pulse: start(found), sure_part: 1.0, walk_samples: 0.0 }
     }
 
-    /// The fitted pulse where it stands on the common axis of time, on which the overdriven receiver sees it early by the
-    /// walk. What the walk is not known by, the other receiver's place does not share: with `x` the place, `y = x - w` that
-    /// in the block, `m` and `S` what is expected of `y`, and `V` its variance after the fit, `x` is
-    /// `m + w + k (y - m)` with `k` the sure part of `S`, and its variance `k S - k² (S - V)`.
+    /// Converts the fitted pulse to the common time axis.
+    ///
+    /// The overdriven receiver records it early by the walk `w`. The error of the walk does not affect
+    /// the high-power position. Let `x` be the position, `y = x - w` that in the block, `m` and `S` the
+    /// prior mean and variance of `y`, and `V` its variance after the fit. Then `x` is
+    /// `m + w + k (y - m)`, where `k` is the part of `S` that is not due to the walk, and its variance
+    /// is `k S - k² (S - V)`.
     fn on_common_axis(&self, fitted: &JointFitted) -> JointFitted {
         let mut fitted = *fitted;
         let Some(expected) = &self.pulse.expected else { return fitted };
@@ -90,7 +94,7 @@ impl Candidate {
 }
 
 impl BothReceivers {
-    /// `None` where one of the receivers was not calibrated.
+    /// `None` if one of the receivers was not calibrated.
     pub(super) fn new(
         model: &SensorModel,
         fusion: &ChannelFusion,
@@ -107,21 +111,22 @@ impl BothReceivers {
         }))
     }
 
-    /// Whether the sensitive receiver is saturated or overdriven somewhere in a block.
+    /// Whether the low-power receiver is saturated or overdriven in a block.
     pub(super) fn is_blinded(&self, samples: &[u16]) -> bool {
         samples.iter().any(|&sample| f64::from(sample) >= self.unit.overdriven_dn)
     }
 
-    /// Puts a return where it lies on the common axis of time, with what is not known of that.
+    /// Converts the time of a return to the common axis and adds the uncertainty.
     pub(super) fn align(&self, found: &mut Found) {
         self.unit.align(found);
     }
 
-    /// Puts together what a shot's blocks hold of the same echoes. Returns of `all` from `first` on that are others' doubles
-    /// are taken out and counted.
+    /// Combines the returns of the same echoes in the blocks of a shot.
+    ///
+    /// Duplicates are removed from `all` and counted.
     ///
     /// # Errors
-    /// Where a receiver's model is none at the gain of a block.
+    /// A receiver's model is invalid at the gain of a block.
     pub(super) fn fuse(&mut self, shot: &Shot, all: &mut Vec<Found>, stats: &mut LineStats) -> Result<()> {
         let mut gone = vec![false; all.len()];
         for (h, high) in shot.of_shot.iter().enumerate() {
@@ -142,7 +147,7 @@ impl BothReceivers {
         Ok(())
     }
 
-    /// The receivers at the gains of two blocks.
+    /// Returns the receivers at the gains of two blocks.
     fn at_gains(&mut self, gains: [f64; 2]) -> Result<&mut Both> {
         let levels = gains.map(GainLevel::of);
         let [low, high] = levels;
@@ -158,7 +163,7 @@ impl BothReceivers {
         let BothReceivers { unit, others, fusion, .. } = self;
         let found = if is_unit { None } else { others.get_mut(&(low, high)) };
         let at_gains = found.unwrap_or(unit);
-        // Levels are near the gains; heights are compared by the gains themselves.
+        // Levels approximate the gains; heights are compared with the exact gains.
         if !is_unit {
             at_gains.set_gains(gains, fusion);
         }
@@ -167,7 +172,7 @@ impl BothReceivers {
 }
 
 impl Both {
-    /// `None` where one of the receivers was not calibrated.
+    /// `None` if one of the receivers was not calibrated.
     fn new(
         model: &SensorModel,
         fusion: &ChannelFusion,
@@ -196,7 +201,7 @@ impl Both {
         })
     }
 
-    /// Sets the gains of two blocks, which are near those of the models.
+    /// Sets the exact gains of two blocks.
     fn set_gains(&mut self, [low, high]: [f64; 2], fusion: &ChannelFusion) {
         let at_gains = fusion.at_gains(low, high);
         self.between.gain_ratio = self.over_plain_ratio * at_gains.gain_ratio;
@@ -204,7 +209,7 @@ impl Both {
         self.high_gain = high;
     }
 
-    /// Puts a return where it lies on the common axis of time, with what is not known of that.
+    /// Converts the time of a return to the common axis and adds the uncertainty.
     fn align(&self, found: &mut Found) {
         let (shift_ns, sd_ns) = match found.channel {
             ReturnChannel::Low => self.between.walk_ns(found.fitted.amplitude_dn),
@@ -253,13 +258,13 @@ impl Both {
             let reach_ns = NEAR_WIDTHS * self.low.model().pulse_fwhm_ns;
             joined.iter().any(|&(of_high, _)| (all[of_high].time_ns - all[i].time_ns).abs() <= reach_ns)
         };
-        // What the sensitive receiver makes of a plateau beside the echo that the other one sees there is the same echo.
+        // Returns of the low-power receiver on a plateau next to a high-power echo are that echo.
         let doubles: Vec<usize> = lows
             .iter()
             .copied()
             .filter(|&i| matched(i) || all[i].fitted.flags & BLINDED != 0 && explained(i))
             .collect();
-        // What the other receiver sees as well, if only roughly there, stands by that; an echo that is joined has its own.
+        // A high-power return nearby confirms a return, unless it is part of a joint fit itself.
         let wide_ns = self.wide_ns();
         let is_free = |h: usize| joined.iter().all(|&(of_high, _)| of_high != h);
         let is_near = |i: usize, h: usize| (all[i].time_ns - all[h].time_ns).abs() <= wide_ns;
@@ -279,8 +284,10 @@ impl Both {
         }
     }
 
-    /// Whether a return of the sensitive receiver that the other does not see stands out of what errors of the response leave
-    /// of the echoes that blind it, and is too weak for the other.
+    /// Whether a return of the low-power receiver alone is significant.
+    ///
+    /// It must exceed the residuals that response errors leave of the echoes that overdrive the
+    /// receiver, and be too weak for the high-power receiver.
     fn stands_out(
         &self,
         found: &Found,
@@ -303,7 +310,7 @@ impl Both {
         !is_recorded || height_dn < gain * seen_dn
     }
 
-    /// For each return of the other receiver the nearest one of the sensitive one's that may be the same echo.
+    /// Nearest low-power return of each high-power return that may be the same echo.
     fn partners(&self, all: &[Found], lows: &[usize], highs: &[usize], low: &Block) -> Vec<Option<usize>> {
         let mut taken: Vec<usize> = Vec::new();
         let wide_ns = self.wide_ns();
@@ -330,12 +337,12 @@ impl Both {
         partner
     }
 
-    /// How far apart two places of one echo may lie, ns, where one of them is not told surely.
+    /// Largest distance between two positions of one echo if one is uncertain, ns.
     fn wide_ns(&self) -> f64 {
         SAME_WIDTHS * self.low.model().pulse_fwhm_ns
     }
 
-    /// Whether a moment lies within a width of a saturated sample of a block.
+    /// Whether a time is within a width of a saturated sample of a block.
     fn is_near_saturation(&self, samples: &[u16], block: &Block, time_ns: f64) -> bool {
         let model = self.low.model();
         let place = (time_ns - block.start_ns) / block.interval_ns;
@@ -344,9 +351,11 @@ impl Both {
         samples.iter().enumerate().filter(saturated).any(|(k, _)| (k as f64 - place).abs() <= reach)
     }
 
-    /// Fits the sensitive receiver's block with what the other one's fit says of the echoes in `joined` (its return, and
-    /// the sensitive receiver's); `others` are the rest of the sensitive one's. The results stand in place of the other
-    /// receiver's returns. Where the receivers contradict each other, or no fit is found, those stay as they are.
+    /// Fits the low-power block with the high-power fit of the `joined` echoes as a prior.
+    ///
+    /// `joined` has the index of the high-power return and of the low-power one, if any; `others` are
+    /// the remaining low-power returns. Results replace the high-power returns. These remain unchanged
+    /// if the receivers contradict each other or the fit fails.
     fn fit_jointly(
         &mut self,
         shot: &Shot,
@@ -401,7 +410,7 @@ impl Both {
         }
     }
 
-    /// What the other receiver's fit of a pulse says of it in the sensitive one's block.
+    /// Prior of a pulse in the low-power block from its high-power fit.
     fn expected(
         &self,
         fitted: &JointFitted,
@@ -423,7 +432,7 @@ impl Both {
     }
 }
 
-/// A return as the start of a fit of its own block.
+/// Start values from a return for a fit of its own block.
 fn start(found: &Found) -> JointPulse {
     let fitted = &found.fitted;
     let overlaps = fitted.flags & flags::OVERLAP != 0;
@@ -434,14 +443,14 @@ fn start(found: &Found) -> JointPulse {
     }
 }
 
-/// Whether a block of the sensitive receiver has been recorded at the time of another one.
+/// Whether a block is of the low-power receiver and overlaps `other` in time.
 fn is_beside(block: &Block, other: &Block) -> bool {
     let end_ns = |block: &Block| block.time_ns(block.len() as f64);
     block.channel == Channel::LowPower && block.start_ns < end_ns(other) && other.start_ns < end_ns(block)
 }
 
 impl JointFit {
-    /// Puts a fitted pulse of a block of this receiver into a return.
+    /// Stores a fitted pulse of a block of this receiver in a return.
     fn write(&self, fitted: &JointFitted, block: &Block, found: &mut Found) {
         let [ln_height, position, ln_width] = fitted.value;
         let sd = |part: usize| fitted.covariance[part][part].sqrt();

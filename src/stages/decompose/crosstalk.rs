@@ -1,60 +1,65 @@
-//! What leaks from the emission of one shot into the block that another shot is being recorded in.
+//! Cross-talk from the emission of one shot into the block of another.
 
 use super::found::Found;
 use super::shots::Shot;
 use crate::batch::{Block, Emission, flags};
 
-/// A return so many widths of a pulse from an emission is on what leaks in from it.
+/// Largest distance of a return from an emission to be flagged, pulse widths.
 const NEAR_WIDTHS: f64 = 3.0;
 
-/// When the other shots of a line left, as seen from one of them.
+/// Emission times of the other shots of a line, relative to one shot.
 pub(super) struct Departures<'a> {
-    /// In order of their clocks; none where block times do not count from the clock.
+    /// In order of their clocks; empty if block times do not count from the clock.
     emissions: &'a [Emission],
-    /// The shot's own place among them.
+    /// Index of the shot itself.
     index: usize,
     clock_ps: i64,
-    /// How long after its clock a shot leaves: the shot's own delay stands for all.
+    /// Delay of the emission after the clock, ns.
+    ///
+    /// The shot's own delay is used for all.
     delay_ns: f64,
 }
 
 impl<'a> Departures<'a> {
-    /// `delay_ns` is how long after its clock the shot left.
+    /// `delay_ns` is the delay of the shot's emission after its clock.
     pub(super) fn of(emissions: &'a [Emission], shot: &Shot, delay_ns: f64) -> Departures<'a> {
-        // Where the sensor's position is not known, blocks count from their own first sample.
+        // Without a sensor position, block times count from their own first sample.
         let known = shot.input.origin_is_sensor;
         let index = shot.index as usize;
         let clock_ps = emissions.get(index).map_or(0, |emission| emission.clock_ps);
         Departures { emissions: if known { emissions } else { &[] }, index, clock_ps, delay_ns }
     }
 
-    /// Times between two moments at which other shots left, all after the shot's clock, ns.
+    /// Emission times of other shots between two times after the shot's clock, ns.
     fn within(&self, from_ns: f64, to_ns: f64) -> impl Iterator<Item = f64> + '_ {
         self.others_within(from_ns, to_ns).map(|(_, emission)| {
             emission.clock_ps.saturating_sub(self.clock_ps) as f64 / 1000.0 + self.delay_ns
         })
     }
 
-    /// The other shots that left between two moments after the shot's clock, ns, by their index in the line.
+    /// Other shots emitted between two times after the shot's clock, ns.
+    ///
+    /// With their index in the line.
     pub(super) fn others_within(
         &self,
         from_ns: f64,
         to_ns: f64,
     ) -> impl Iterator<Item = (usize, &'a Emission)> + '_ {
         let clock_at = |time_ns: f64| {
-            // A float converts to the nearest integer in range.
+            // The conversion saturates at the bounds of the integer type.
             self.clock_ps.saturating_add(((time_ns - self.delay_ns) * 1000.0) as i64)
         };
         let (from_ps, to_ps) = (clock_at(from_ns), clock_at(to_ns));
         let first = partition_near(self.emissions, self.index, |emission| emission.clock_ps < from_ps);
         let end = partition_near(self.emissions, first, |emission| emission.clock_ps <= to_ps);
         let others = (first..).zip(self.emissions.get(first..end).unwrap_or_default());
-        // Shots that share a clock cannot be told apart: their times are too coarse.
+        // Shots with the same clock are indistinguishable: the time resolution is too low.
         others.filter(|(_, emission)| emission.clock_ps != self.clock_ps)
     }
 
-    /// Flags what was found in a block, `found[first..]`, where another shot left during it, and drops what overlaps its
-    /// emission where that is wanted. Returns how many were dropped.
+    /// Flags the echoes `found[first..]` of a block for emissions of other shots.
+    ///
+    /// Drops echoes that overlap an emission if requested, and returns their number.
     pub(super) fn mark(
         &self,
         block: &Block,
@@ -84,8 +89,10 @@ impl<'a> Departures<'a> {
     }
 }
 
-/// How many of the emissions, from the first on, are `before`: what `partition_point` gives, sought outwards from the one
-/// at `near` in steps that double, since a block is mostly recorded a few emissions after its own.
+/// Number of emissions at the start for which `before` is true.
+///
+/// As `partition_point`, but searches outwards from `near` in doubling steps, because a block is
+/// mostly recorded a few emissions after its own.
 fn partition_near(emissions: &[Emission], near: usize, before: impl Fn(&Emission) -> bool) -> usize {
     let near = near.min(emissions.len());
     let (mut low, mut high, mut step) = (near, near, 1);

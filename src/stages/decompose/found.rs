@@ -1,40 +1,42 @@
-//! A pulse of a block as a return of its shot.
+//! Echoes: fitted pulses before they become returns of their shot.
 
 use super::shots::Departure;
 use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel};
 use crate::kernels::decompose::Return as Pulse;
 use crate::kernels::radiometry::target_thickness_m;
 
-/// Standard deviation of a range that cannot be relied upon, m: the largest that the LAS attribute `RangeErr` can hold.
+/// Standard deviation of an unreliable range, m.
+///
+/// The maximum of the LAS attribute `RangeErr`.
 pub(super) const UNRELIABLE_RANGE_SD_M: f64 = 0.255;
 
 /// A return before its range is known.
 #[derive(Clone, Copy)]
 pub(super) struct Found {
-    /// Peak of the echo after the shot's clock.
+    /// Time of the echo's peak after the shot's clock.
     pub(super) time_ns: f64,
     pub(super) time_sd_ns: f64,
     pub(super) channel: ReturnChannel,
-    /// The block among those of its shot.
+    /// Index of the block in its shot.
     pub(super) block: usize,
     pub(super) zone: i16,
-    /// At gain 1.
+    /// Background at gain 1.
     pub(super) background_dn: f64,
-    /// Gain with which the fitted pulse was recorded.
+    /// Gain of the recorded pulse.
     pub(super) gain: f64,
-    /// How it stands in the receiver for strong echoes, where both were fitted together.
+    /// Values of the high-power receiver, if both were fitted together.
     pub(super) high_power: Option<InHighPower>,
     pub(super) fitted: Pulse,
-    /// Bits beside those of the fit.
+    /// Flag bits besides those of the fit.
     pub(super) flags: u16,
 }
 
-/// What a joint return is in the receiver for strong echoes.
+/// Values of a joint return in the high-power receiver.
 #[derive(Clone, Copy)]
 pub(super) struct InHighPower {
-    /// Height in the sensitive receiver, as recorded, over that in the other at gain 1.
+    /// Recorded height in the low-power receiver over the high-power height at gain 1.
     pub(super) gain_ratio: f64,
-    /// The other's background at gain 1.
+    /// Background of the high-power receiver at gain 1.
     pub(super) background_dn: f64,
 }
 
@@ -85,8 +87,9 @@ impl Found {
         }
     }
 
-    /// Background and height of the peak at gain 1, with its standard deviation, where the instrument's tables are read: in
-    /// the receiver that gives the intensity, DN.
+    /// Background plus peak height at gain 1 and its standard deviation, DN.
+    ///
+    /// In the receiver that gives the intensity. Index into the instrument's tables.
     fn peak(&self) -> (f64, f64) {
         let (amplitude, sd) = (self.fitted.amplitude_dn, self.fitted.amplitude_sd_dn);
         match self.high_power {
@@ -95,7 +98,9 @@ impl Found {
         }
     }
 
-    /// Decibels by the instrument's table (NaN without one), the intensity, and its standard deviation.
+    /// Amplitude in dB, intensity, and standard deviation of the intensity.
+    ///
+    /// dB from the instrument's table; NaN without one.
     fn intensity(&self, table: Option<&AmplitudeTable>) -> (f64, f64, f64) {
         let (peak_dn, peak_sd_dn) = self.peak();
         match table.map(|table| table.amplitude(peak_dn, peak_sd_dn)) {

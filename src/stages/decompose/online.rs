@@ -1,4 +1,4 @@
-//! The instrument's own returns: as returns of shots, and against those that were computed.
+//! The instrument's own returns: conversion, and comparison with computed returns.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use crate::batch::{
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Context, Result, StageError};
 
-/// When the instrument's own returns become points.
+/// Use of the instrument's own returns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnlinePoints {
@@ -24,15 +24,15 @@ pub enum OnlinePoints {
     Only,
 }
 
-/// Why a zone is missing, and what to do.
+/// Error for a shot without a resolved zone.
 pub(super) fn unresolved(shot: u64) -> StageError {
     StageError::failed(
-        format!("it is not known which pulse caused the echoes of shot {shot}"),
+        format!("the pulse that caused the echoes of shot {shot} is unknown"),
         "put resolve_mta before decompose",
     )
 }
 
-/// Adds the instrument's own returns to a line's, ordered by emission, then by time.
+/// Adds the instrument's own returns to a line, by emission and time.
 ///
 /// # Errors
 /// The zone of a shot is not resolved.
@@ -73,7 +73,9 @@ pub(super) fn add(
     Ok(())
 }
 
-/// A return of the instrument: its time and amplitude, and nothing else that is known.
+/// Converts a return of the instrument.
+///
+/// Only time and amplitude are known.
 fn return_of(online: &OnlineReturn, emission: &Emission, zone: i16, input: &InputInfo) -> Return {
     let half_speed_m_per_ns = input.group_velocity_mps * 0.5e-9;
     let within_sample_sd_ns = input.sampling_interval_ns / 12f64.sqrt();
@@ -95,16 +97,17 @@ fn return_of(online: &OnlineReturn, emission: &Emission, zone: i16, input: &Inpu
     }
 }
 
-/// Sets the moments of emission without a sensor model: the clock's, or the time that an empty block of the outgoing pulse
-/// carries, ns after the clock.
+/// Sets emission times without a sensor model, ns after the clock.
+///
+/// 0, or the time stored in an empty block of the outgoing pulse.
 ///
 /// # Errors
-/// A recorded outgoing pulse: where its peak lies is known only by a fit.
+/// An outgoing pulse with samples: its peak requires a fit.
 pub(super) fn date_without_model(emissions: &mut [Emission], blocks: &Blocks) -> Result<()> {
     for block in blocks.iter().filter(|block| block.channel == Channel::Reference) {
         if !block.is_empty() {
             return Err(StageError::failed(
-                "ranges count from the outgoing pulses of this recording, which a sensor model is needed to find",
+                "ranges count from the outgoing pulses of this recording, and fitting them requires a sensor model",
                 "put calibrate before decompose",
             ));
         }
@@ -115,8 +118,9 @@ pub(super) fn date_without_model(emissions: &mut [Emission], blocks: &Blocks) ->
     Ok(())
 }
 
-/// Compares the instrument's own returns with those that were computed from the same waveforms. Returns of both belong
-/// together where neither has a nearer one, and they lie within a pulse width of each other.
+/// Compares the instrument's own returns with computed returns of the same waveforms.
+///
+/// Two returns match if each is the nearest to the other and they are within a pulse width.
 pub(super) fn compare(
     blocks: &Blocks,
     line: &Batch,
@@ -136,7 +140,7 @@ pub(super) fn compare(
         let from = returns.partition_point(|r| r.emission < index);
         let until = returns.partition_point(|r| r.emission <= index);
         let computed = &returns[from..until];
-        // Return locations count from the true departure, which `emission_ns` was found by.
+        // Return locations count from the true emission, and `emission_ns` is derived from them.
         let departure_ns = match line.input.emission_reference {
             EmissionReference::ReturnLocations => 0.0,
             _ => emission.emission_ns,
@@ -162,18 +166,18 @@ pub(super) fn compare(
     }
 }
 
-/// The amplitude in the instrument's unit; `NaN` where there is none (0 in LAS).
+/// Amplitude in the instrument's unit; NaN if unknown (0 in LAS).
 fn amplitude(online: &OnlineReturn) -> f64 {
     if online.amplitude > 0.0 { f64::from(online.amplitude) } else { f64::NAN }
 }
 
-/// The place of the time nearest to this one.
+/// Index of the nearest time.
 fn nearest(time_ns: f64, among_ns: &[f64]) -> Option<usize> {
     let distance = |i: &usize| (among_ns[*i] - time_ns).abs();
     (0..among_ns.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))
 }
 
-/// The blocks of outgoing pulses alone.
+/// Returns the blocks of outgoing pulses.
 pub(super) fn outgoing_only(blocks: &Blocks) -> Vec<Block> {
     blocks.iter().copied().filter(|block| block.channel == Channel::Reference).collect()
 }

@@ -1,4 +1,4 @@
-//! The receivers of a sensor: each decomposes at once what it recorded of a line.
+//! The receivers of a sensor; each decomposes all its blocks of a line at once.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -16,10 +16,10 @@ use crate::kernels::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
 use crate::kernels::sensor_model::{ChannelModel, ModelError, SensorModel};
 use crate::stage::{Result, StageError};
 
-/// Iterations of one fit at most where time is of no account.
+/// Maximum number of iterations of one fit in the mode `slow`.
 const SLOW_ITERATIONS: usize = 200;
 
-/// The tables of a sensor's channels; none where the plain kernels do the work.
+/// Tables of a sensor's channels; empty if only the plain kernels are used.
 #[derive(Default)]
 pub(crate) struct SensorTables {
     low: Option<Arc<Tables>>,
@@ -35,7 +35,9 @@ struct TablesAtGains(Arc<Mutex<ByChannelAndGain>>);
 type ByChannelAndGain = BTreeMap<(Channel, GainLevel), Weak<Tables>>;
 
 impl TablesAtGains {
-    /// The tables of a channel at a gain, whose model this is; made where no worker has them.
+    /// Returns the tables of a channel at a gain; creates them if no worker has them.
+    ///
+    /// `model` is the channel's model at that gain.
     fn of(&self, channel: Channel, level: GainLevel, model: &ChannelModel) -> Option<Arc<Tables>> {
         let mut made = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(tables) = made.get(&(channel, level)).and_then(Weak::upgrade) {
@@ -48,7 +50,7 @@ impl TablesAtGains {
 }
 
 impl SensorTables {
-    /// The tables of a sensor in this mode.
+    /// Creates the tables of a sensor for a mode.
     pub(crate) fn new(model: &SensorModel, mode: Mode) -> SensorTables {
         if mode == Mode::Slow {
             return SensorTables::default();
@@ -63,13 +65,14 @@ impl SensorTables {
     }
 }
 
-/// Where the workers of a stage find the tables that they have in common: the first one that needs them makes them, and
-/// they last as long as a worker holds them.
+/// Tables shared by the workers of a stage.
+///
+/// The first worker that needs them creates them. They are dropped with the last worker.
 #[derive(Clone, Default)]
 pub(super) struct SharedTables(Arc<Mutex<(Weak<SensorModel>, Weak<SensorTables>)>>);
 
 impl SharedTables {
-    /// The tables of this model.
+    /// Returns the tables of this model.
     pub(super) fn of(&self, model: &Arc<SensorModel>, mode: Mode) -> Arc<SensorTables> {
         let mut shared = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let is_theirs = std::ptr::eq(shared.0.as_ptr(), Arc::as_ptr(model));
@@ -88,24 +91,24 @@ impl std::fmt::Debug for SharedTables {
     }
 }
 
-/// What is to become of a block, or has become of it.
+/// Routing of a block and the index of its result.
 #[derive(Clone, Copy)]
 pub(super) enum Lot {
-    /// Decomposed by the sensitive receiver at a gain, as its block of this number.
+    /// Decomposed by the low-power receiver: gain and index.
     Low(GainLevel, usize),
-    /// The same by the coarse one.
+    /// Decomposed by the high-power receiver: gain and index.
     High(GainLevel, usize),
-    /// The shot's outgoing pulse, of this number at a gain.
+    /// Outgoing pulse of the shot: gain and index.
     Outgoing(GainLevel, usize),
-    /// Left out, and why.
+    /// Not used, with the reason.
     Unused(&'static str),
-    /// Echoes that the sensitive receiver recorded as well.
+    /// Echoes recorded by the low-power receiver as well.
     Covered,
     /// Neither an echo nor an outgoing pulse.
     Other,
 }
 
-/// A receiver at one gain, and what it found in its blocks of the line.
+/// A receiver at one gain and its results of the line.
 struct Receiver {
     kernels: Lockstep,
     outcomes: Outcomes,
@@ -115,7 +118,7 @@ struct Receiver {
 struct Reference {
     batch: OutgoingBatch,
     outgoing: Vec<Option<Outgoing>>,
-    /// What the outgoing pulses of the line have in common.
+    /// Common properties of the outgoing pulses of the line.
     usual: Option<Usual>,
 }
 
@@ -133,7 +136,8 @@ impl Receiver {
         path: Path,
     ) -> std::result::Result<Option<Receiver>, ModelError> {
         let Some(channel) = channel else { return Ok(None) };
-        // A receiver's response is no Gaussian: what a Gaussian leaves of a strong single echo looks like two.
+        // Real responses are not Gaussian: the residual of a strong echo would be taken for a
+        // second one.
         let split_evidence = channel.response.as_ref().and(config.split_evidence.number());
         let settings = DecomposeSettings { split_evidence, ..settings(config) };
         let mode = match config.mode {
@@ -147,7 +151,7 @@ impl Receiver {
     }
 }
 
-/// What the keys of the stage mean to the kernels.
+/// Converts the keys of the stage to settings of the kernels.
 fn settings(config: &Decompose) -> DecomposeSettings {
     let settings = DecomposeSettings {
         detection_sigma: config.detection_sigma,
@@ -162,17 +166,17 @@ fn settings(config: &Decompose) -> DecomposeSettings {
     }
 }
 
-/// The receivers that were calibrated, and what they found in the line.
+/// Calibrated receivers and their results of the line.
 pub(super) struct Receivers {
     low: Option<AtGains<Receiver>>,
     high: Option<AtGains<Receiver>>,
     reference: Option<AtGains<Reference>>,
     config: Decompose,
-    /// Tables of other gains; `None` where the plain kernels do the work.
+    /// Tables of other gains; `None` if only the plain kernels are used.
     tables: Option<TablesAtGains>,
     path: Path,
     left_to_plain: u64,
-    /// One for each block of the line's shots, in order.
+    /// Routing of each block of the line's shots, in order.
     lots: Vec<Lot>,
 }
 
@@ -200,16 +204,16 @@ impl Receivers {
         })
     }
 
-    /// Begins a line: kernels of gains that were needed longest ago are dropped where there are too many.
+    /// Starts a line and drops the least recently used kernels beyond the limit.
     pub(super) fn begin_line(&mut self) {
         [&mut self.low, &mut self.high].into_iter().flatten().for_each(AtGains::begin_line);
         self.reference.iter_mut().for_each(AtGains::begin_line);
     }
 
-    /// Decomposes all blocks of shots, receiver by receiver and gain by gain.
+    /// Decomposes all blocks of shots, by receiver and gain.
     ///
     /// # Errors
-    /// Where a channel's model is none at the gain of a block.
+    /// A channel's model is invalid at the gain of a block.
     pub(super) fn decompose(&mut self, shots: &[Shot], both: Option<&BothReceivers>) -> Result<()> {
         let (mut low, mut high, mut outgoing) = (ByGain::new(), ByGain::new(), ByGain::new());
         self.lots.clear();
@@ -276,15 +280,15 @@ impl Receivers {
         Ok(())
     }
 
-    /// Waveforms of echoes that the plain kernels decomposed since the start.
+    /// Number of echo waveforms decomposed by the plain kernels since the start.
     pub(super) fn left_to_plain(&self) -> u64 {
         self.left_to_plain
     }
 
-    /// Looks for echoes on the outgoing pulses of the shots that were decomposed last, gain by gain.
+    /// Detects echoes on the outgoing pulses of the shots decomposed last, by gain.
     ///
-    /// `is_line`: they are a whole line, and say what is usual; else the last line does. `is_expected` says whether an
-    /// echo was received while the emission of this index left.
+    /// With `is_line` the shots are a whole line, which gives the reference; otherwise the last line
+    /// does. `is_expected` returns whether an echo was received during the emission of an index.
     pub(super) fn judge_outgoing(
         &mut self,
         shots: &[Shot],
@@ -318,12 +322,12 @@ impl Receivers {
         }
     }
 
-    /// The lots of the blocks, from one on.
+    /// Routing of the blocks from an index on.
     pub(super) fn lots(&self, from: usize) -> &[Lot] {
         self.lots.get(from..).unwrap_or_default()
     }
 
-    /// What was found in a block of echoes, by which receiver, and that one's model.
+    /// Result of a block of echoes, with its receiver and the receiver's model.
     pub(super) fn found(&self, lot: Lot) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
         let (receiver, channel, level, number) = match lot {
             Lot::Low(level, number) => (&self.low, ReturnChannel::Low, level, number),
@@ -334,7 +338,7 @@ impl Receivers {
         Some((channel, receiver.outcomes.get(number)?, receiver.kernels.model()))
     }
 
-    /// The outgoing pulse that was found in a block, and the model of its channel.
+    /// Fitted outgoing pulse of a block, with the model of its channel.
     pub(super) fn outgoing(&self, lot: Lot) -> Option<(&Outgoing, &ChannelModel)> {
         let Lot::Outgoing(level, number) = lot else { return None };
         let reference = self.reference.as_ref()?.get(level)?;
@@ -342,10 +346,10 @@ impl Receivers {
     }
 }
 
-/// The lot of a block of echoes, where nothing speaks against its receiver.
+/// Routes a block of echoes to its receiver, if calibrated.
 fn echoes(receiver: &Option<AtGains<Receiver>>, block: &Block, lot: impl FnOnce() -> Lot) -> Lot {
     match receiver {
-        None => Lot::Unused("a receiver that the sensor model lacks"),
+        None => Lot::Unused("its receiver is not in the sensor model"),
         Some(_) if block.is_empty() => Lot::Unused("a block without samples"),
         Some(_) => lot(),
     }

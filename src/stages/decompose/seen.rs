@@ -1,4 +1,4 @@
-//! What is seen while a shot is decomposed: all that a picture of it tells.
+//! Observer that collects the data for a figure of a shot.
 
 use std::ops::Range;
 
@@ -15,28 +15,28 @@ pub(crate) struct SeenBlock {
     pub(crate) fit: BlockFit,
 }
 
-/// The outgoing pulse: the block's samples, of which a window was fitted.
+/// Outgoing pulse: the samples of the block and the fit of a window.
 pub(crate) struct SeenPulse {
     /// Time of the first sample after the shot's clock, ns.
     pub(crate) start_ns: f64,
     pub(crate) samples: Samples,
-    /// Its place counts from the block's first sample.
+    /// Pulse; its position counts from the block's first sample.
     pub(crate) pulse: Pulse,
-    /// The first sample of the window that was fitted.
+    /// First sample of the fitted window.
     pub(crate) window: usize,
 }
 
-/// A block of echoes before the shot's departure is known.
+/// A block of echoes before the emission time is known.
 struct Echoes {
     /// Time of the first sample after the shot's clock, ns.
     start_ns: f64,
     samples: Samples,
     fit: BlockFit,
-    /// Where its returns peak, samples after the first.
+    /// Positions of the returns' peaks, samples after the first.
     peaks: Vec<f64>,
 }
 
-/// Collects while a shot is decomposed.
+/// Collects the results of one shot.
 pub(crate) struct Seen<'a> {
     line: &'a Blocks,
     blocks: Vec<Echoes>,
@@ -44,13 +44,14 @@ pub(crate) struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    /// For a shot of the line with these blocks.
+    /// Creates an observer for a shot of the line with these blocks.
     pub(crate) fn new(line: &'a Blocks) -> Seen<'a> {
         Seen { line, blocks: Vec::new(), outgoing: None }
     }
 
-    /// What was seen of the shot, which left as `emission` tells and has these returns: its blocks in order of time, and
-    /// its outgoing pulse.
+    /// Returns the collected blocks in order of time, and the outgoing pulse.
+    ///
+    /// `emission` and `returns` are those of the shot.
     pub(crate) fn finish(
         mut self,
         emission: &Emission,
@@ -77,9 +78,9 @@ impl<'a> Seen<'a> {
         (self.blocks.into_iter().map(shown).collect(), self.outgoing)
     }
 
-    /// A block whose samples in `window` were decomposed; returns count their places from the window's first.
+    /// Samples and fit of a block of which `window` was decomposed.
     ///
-    /// `None` only for a model that describes no channel.
+    /// Positions of returns count from the start of the window. `None` only for an invalid model.
     fn samples(
         &self,
         block: &Block,
@@ -130,14 +131,14 @@ impl Watch for Seen<'_> {
     }
 }
 
-/// The number of the return that peaks after this time of flight.
+/// Number of the return whose peak has this time of flight.
 fn number_at(returns: &[Return], flight_ns: f64) -> Option<u8> {
     let distance = |found: &Return| (found.time_of_flight_ns - flight_ns).abs();
     let nearest = returns.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
     nearest.filter(|found| distance(found) < 1e-6).map(|found| found.return_number)
 }
 
-/// The mean of a channel's background over the phases of its samples, DN.
+/// Mean background of a channel over the sample phases, DN.
 fn mean_background_dn(model: &ChannelModel) -> f64 {
     model.background_dn.iter().sum::<f64>() / model.background_dn.len() as f64
 }

@@ -1,4 +1,4 @@
-//! One shot after another: from what the receivers found to its returns.
+//! Converts the results of the receivers to returns, shot by shot.
 
 use super::Decompose;
 use super::both::BothReceivers;
@@ -17,50 +17,53 @@ use crate::kernels::outgoing::Outgoing;
 use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{Context, Item, Result};
 
-/// Time of emission after the shot's clock, ns, the block of the outgoing pulse, and its fit where the block has samples.
+/// Outgoing pulse of a shot.
+///
+/// Emission time after the shot's clock, ns; block; fit if the block has samples.
 type OutgoingBlock<'a> = (f64, &'a Block, Option<(&'a Outgoing, &'a ChannelModel)>);
 
-/// An echo that was received so many widths of the outgoing pulse from an emission may lie on it.
+/// Largest distance of an emission from an echo of another shot to expect that echo on the outgoing
+/// pulse, widths.
 const EXPECTED_WIDTHS: f64 = 3.0;
 
-/// When a shot left, after its clock.
+/// Emission time of a shot after its clock.
 #[derive(Clone, Copy)]
 pub(super) struct Departure {
     pub(super) time_ns: f64,
     pub(super) sd_ns: f64,
-    /// Bits that all returns of the shot have.
+    /// Flag bits of all returns of the shot.
     pub(super) flags: u16,
 }
 
-/// The standard deviation of a position that may be anywhere within one sample: uniform.
+/// Standard deviation of a uniform distribution over one sample, ns.
 fn unknown_within_a_sample_ns(interval_ns: f64) -> f64 {
     interval_ns / 12f64.sqrt()
 }
 
-/// One shot's part of a line.
+/// One shot of a line.
 pub(crate) struct Shot<'a> {
-    /// The emission's index in its line.
+    /// Index of the emission in its line.
     pub(crate) index: u32,
-    /// The line's blocks.
+    /// Blocks of the line.
     pub(crate) blocks: &'a Blocks,
-    /// Those of the shot.
+    /// Blocks of the shot.
     pub(crate) of_shot: &'a [Block],
-    /// What is known of the recording.
+    /// Metadata of the recording.
     pub(crate) input: &'a InputInfo,
 }
 
-/// What became of one block, beside its returns.
+/// Fit statistics of one block.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BlockFit {
-    /// The receiver, as its returns name it.
+    /// Receiver, as named in returns.
     pub(crate) channel: ReturnChannel,
-    /// What became of the candidates.
+    /// Counts of candidates.
     pub(crate) counts: Counts,
     /// `χ²` of the fit.
     pub(crate) chi_square: f64,
-    /// Samples less parameters.
+    /// Samples minus parameters.
     pub(crate) degrees_of_freedom: usize,
-    /// What the calibrated error of the response is expected to add to `χ²`.
+    /// Expected contribution of the template error to `χ²`.
     pub(crate) expected_excess: f64,
     /// `(χ² - ν)/√(2ν)`, with the expected excess in `ν`.
     pub(crate) deviation_ratio: f64,
@@ -78,19 +81,21 @@ impl BlockFit {
         }
     }
 
-    /// So many of its returns were dropped as cross-talk.
+    /// Counts returns dropped as cross-talk.
     fn drop(&mut self, dropped: u64) {
         self.counts.np = self.counts.np.saturating_sub(dropped as u32);
         self.counts.np_xtalk_dropped += dropped as u32;
     }
 }
 
-/// Looks on while shots are decomposed; `()` looks away.
+/// Observes decomposition; `()` is the no-op observer.
 pub(crate) trait Watch {
-    /// The outgoing pulse was fitted.
+    /// Called after the outgoing pulse was fitted.
     fn outgoing(&mut self, _block: &Block, _outgoing: &Outgoing, _model: &ChannelModel) {}
 
-    /// A block of echoes was decomposed; returns that were dropped as cross-talk are still in `found`.
+    /// Called after a block of echoes was decomposed.
+    ///
+    /// `found` still has the returns dropped as cross-talk.
     fn echoes(&mut self, _block: &Block, _fit: BlockFit, _found: &Decomposition, _model: &ChannelModel) {}
 }
 
@@ -101,8 +106,9 @@ impl Shot<'_> {
         self.blocks.online_of(self.index)
     }
 
-    /// Whether a block of the sensitive receiver covers the time of this one and tells all that it holds: it is not
-    /// saturated, nor overdriven where both can be used together.
+    /// Whether a low-power block covers the time of this one and is sufficient.
+    ///
+    /// It must not be saturated, nor overdriven if both receivers can be combined.
     pub(super) fn is_covered(&self, block: &Block, both: Option<&BothReceivers>) -> bool {
         let end_ns = |block: &Block| block.time_ns(block.len() as f64);
         self.of_shot.iter().any(|other| {
@@ -121,10 +127,10 @@ impl Shot<'_> {
         self.blocks.samples(block).iter().any(|&sample| sample >= full_scale)
     }
 
-    /// The departure of a shot without an outgoing pulse.
+    /// Emission time of a shot without an outgoing pulse.
     ///
-    /// Where the file has return locations, they count from the true departure: their mean difference to the echoes found
-    /// is the part of a sample by which the departure misses the clock.
+    /// Return locations of the file count from the true emission. Their mean difference from the
+    /// echoes is the sub-sample emission offset.
     fn anchored_departure(&self, found: &[Found], cx: &mut Context) -> Departure {
         let interval_ns = self.input.sampling_interval_ns;
         let sd_ns = unknown_within_a_sample_ns(interval_ns);
@@ -132,11 +138,11 @@ impl Shot<'_> {
         match self.input.emission_reference {
             EmissionReference::ReturnLocations => {}
             EmissionReference::Clock => {
-                cx.note("the input has neither outgoing pulses nor return locations: nothing tells which part of a sample the emissions miss their raster by, and the standard deviations of ranges include it");
+                cx.note("the input has neither outgoing pulses nor return locations: the sub-sample emission offset is unknown, and the standard deviations of ranges include it");
                 return unknown;
             }
             EmissionReference::OutgoingPulse | EmissionReference::OutgoingPulseFraction => {
-                cx.note("shots whose outgoing pulse cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
+                cx.note("the outgoing pulse of some shots cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
                 return unknown;
             }
         }
@@ -152,10 +158,10 @@ impl Shot<'_> {
             }
         }
         if weights == 0.0 {
-            cx.note("waveforms whose own return locations match no return found: the part of a sample by which their emission misses the clock is unknown and stands in the standard deviations");
+            cx.note("the return locations of some waveforms match no computed return: their sub-sample emission offset is unknown, and the standard deviations of ranges include it");
             return unknown;
         }
-        // The anchor shares its error with the echoes that it was found from, so it adds none of its own.
+        // The offset is computed from the same echoes, so it adds no error of its own.
         Departure { time_ns: sum / weights, sd_ns: 0.0, flags: 0 }
     }
 }
@@ -165,21 +171,21 @@ fn is_set(marks: &[bool], index: u32) -> bool {
     marks.get(index as usize).copied().unwrap_or(false)
 }
 
-/// What becomes of a line while its shots are decomposed.
+/// Data of a line that decomposition changes.
 pub(crate) struct Line<'a> {
-    /// Each is told when it left.
+    /// Emissions, whose emission times are set.
     pub(crate) emissions: &'a mut [Emission],
-    /// The returns of the shots are appended, in order of time for each.
+    /// Returns; those of each shot are appended in order of time.
     pub(crate) returns: &'a mut Returns,
-    /// What became of the candidates is added.
+    /// Counts of candidates are added.
     pub(crate) stats: &'a mut LineStats,
 }
 
-/// A shot whose turn it is.
+/// The current shot.
 struct Turn<'a> {
     shot: &'a Shot<'a>,
     emission: Emission,
-    /// Its first block among those of the shots that are decomposed.
+    /// Index of its first block among those of all shots.
     first_block: usize,
 }
 
@@ -193,12 +199,12 @@ pub(crate) struct ShotDecomposer {
     timing_error_ns: f64,
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
-    /// By the emission's index in its line: an echo was received while it left.
+    /// By emission index: whether an echo was received during the emission.
     expected: Vec<bool>,
 }
 
 impl ShotDecomposer {
-    /// For the sensor of this model, with its tables.
+    /// Creates a decomposer for a sensor with its tables.
     pub(crate) fn new(
         model: &SensorModel,
         tables: &SensorTables,
@@ -218,7 +224,7 @@ impl ShotDecomposer {
         })
     }
 
-    /// The same, using both receivers as `fuse_channels` has found them to go together.
+    /// Combines both receivers with the fusion of `fuse_channels`, if any.
     pub(crate) fn fusing(mut self, fusion: Option<&ChannelFusion>) -> Result<ShotDecomposer> {
         if let Some(fusion) = fusion {
             self.both = BothReceivers::new(&self.model, fusion, self.detection_sigma, self.template_error)?;
@@ -243,7 +249,7 @@ impl ShotDecomposer {
         self.finish_shots(shots, line, cx, watch)
     }
 
-    /// Decomposes one shot of the line that was decomposed last once more, with the same result.
+    /// Decomposes one shot of the last line again, with the same result.
     pub(crate) fn decompose_again(
         &mut self,
         shot: &Shot,
@@ -257,7 +263,7 @@ impl ShotDecomposer {
         self.finish_shots(shots, line, cx, watch)
     }
 
-    /// Finds the emissions of the line during which recorded echoes were received.
+    /// Finds the emissions of the line during which echoes were received.
     fn expect_echoes_on_outgoing(&mut self, shots: &[Shot], emissions: &[Emission]) {
         self.expected.clear();
         self.expected.resize(emissions.len(), false);
@@ -287,7 +293,7 @@ impl ShotDecomposer {
         }
     }
 
-    /// Turns what the receivers found into returns, shot by shot.
+    /// Converts the results of the receivers to returns, shot by shot.
     fn finish_shots(
         &mut self,
         shots: &[Shot],
@@ -325,7 +331,7 @@ impl ShotDecomposer {
         Ok(())
     }
 
-    /// Turns what was found in a shot's blocks into its returns, in order of time.
+    /// Converts the echoes of a shot to returns, in order of time.
     fn finish(&mut self, shot: &Shot, departure: Departure, returns: &mut Returns) {
         self.found.sort_by(|a, b| a.time_ns.total_cmp(&b.time_ns));
         let number_of_returns = self.found.len().min(255) as u8;
@@ -338,18 +344,18 @@ impl ShotDecomposer {
         }
     }
 
-    /// When the shot left by its outgoing pulse, where it has one.
+    /// Emission time from the outgoing pulse, if the shot has one.
     fn departure(&self, turn: &Turn, cx: &mut Context, watch: &mut impl Watch) -> Option<Departure> {
         let shot = turn.shot;
         let (time_ns, block, outgoing) = self.outgoing(shot, self.receivers.lots(turn.first_block))?;
         let Some((outgoing, model)) = outgoing else {
-            // A block without samples carries the fitted time itself (RIEGL's files made from RXP).
+            // A block without samples contains the fitted time (RIEGL files made from RXP).
             return Some(Departure { time_ns, sd_ns: 0.0, flags: 0 });
         };
         let flags = outgoing.pulse.flags & flags::ECHO_ON_OUTGOING;
         let mut sd_ns = outgoing.pulse.position_sd_samples * block.interval_ns;
         if flags != 0 && !outgoing.is_explained {
-            // By how much the echo has moved the pulse is unknown.
+            // The shift of the pulse by the echo is unknown.
             sd_ns = sd_ns.max(UNRELIABLE_RANGE_SD_M / (shot.input.group_velocity_mps * 0.5e-9));
         }
         cx.observe("emission_sd_ns", sd_ns);
@@ -357,8 +363,9 @@ impl ShotDecomposer {
         Some(Departure { time_ns, sd_ns, flags })
     }
 
-    /// When a shot left after its clock, ns, by its block of the outgoing pulse, and what was fitted where the block has
-    /// samples.
+    /// Outgoing pulse of a shot, with its fit if the block has samples.
+    ///
+    /// Time after the clock, ns.
     fn outgoing<'a>(&'a self, shot: &Shot<'a>, lots: &[Lot]) -> Option<OutgoingBlock<'a>> {
         let mut with_lots = shot.of_shot.iter().zip(lots);
         let (block, &lot) = with_lots.find(|(block, _)| block.channel == Channel::Reference)?;
@@ -374,7 +381,7 @@ impl ShotDecomposer {
         Some((time_ns, block, Some(fitted)))
     }
 
-    /// Collects what was found in the echo blocks of a shot.
+    /// Collects the echoes of a shot's blocks.
     fn find(
         &mut self,
         turn: &Turn,
@@ -391,7 +398,7 @@ impl ShotDecomposer {
             waveform.recorded = true;
             match lot {
                 Lot::Unused(why) => cx.reject(Item::Blocks, why, 1),
-                Lot::Covered => cx.set_aside(Item::Blocks, "the sensitive receiver recorded it as well", 1),
+                Lot::Covered => cx.set_aside(Item::Blocks, "the low-power receiver recorded it as well", 1),
                 _ => {}
             }
             let Some((channel, result, model)) = self.receivers.found(lot) else { continue };
@@ -401,7 +408,7 @@ impl ShotDecomposer {
             waveform.used = true;
             waveform.add(&result, stats);
             let mut fit = BlockFit::of(channel, &result);
-            // What a waveform's own level adds to the digitiser's follows the gain.
+            // A waveform's deviation from the digitiser's background scales with the gain.
             let background_dn = mean(&model.background_dn) + result.background_offset_dn / block.gain;
             let in_block = self.found.len();
             let flags = if block.is_zone_uncertain { flags::ZONE_UNCERTAIN } else { 0 };
@@ -432,7 +439,7 @@ impl ShotDecomposer {
     }
 }
 
-/// What happened to one waveform, over all of its blocks.
+/// Outcome of one waveform, over all its blocks.
 #[derive(Default)]
 struct Waveform {
     recorded: bool,

@@ -1,4 +1,4 @@
-//! Lines as an instrument records them: a block stands with the shot after whose emission it was received.
+//! Lines as recorded: blocks are stored with the last shot emitted before their reception.
 
 use std::ops::Range;
 
@@ -9,22 +9,23 @@ use crate::simulation::receiver::{Echo, Window};
 use crate::simulation::scene::Hit;
 use crate::simulation::truth::TrueReturn;
 
-/// So long before the first echo that a line needs, echoes decide where blocks begin, ns: chains of echoes without a gap
-/// that are longer than this do not occur.
+/// Time before the first echo of a line from which echoes affect block starts, ns.
+///
+/// Longer chains of echoes without a gap do not occur.
 const CHAIN_NS: f64 = 4000.0;
-/// The light of an echo is in samples from so long before its peak, ns, until so long after it.
+/// Time before and after an echo's peak within which it contributes to samples, ns.
 const RISE_NS: f64 = 60.0;
 const DECAY_NS: f64 = 1000.0;
 
-/// What arrives during a line and around it, in order of time.
+/// Echoes received during a line and around it, in order of time.
 struct Stream {
     /// Running number of the first shot in `casts`.
     first: u64,
     casts: Vec<Cast>,
-    /// Times count from this tick, ns from the start of the flight.
+    /// Time origin of the stream, ns from the start of the flight.
     base_ns: i64,
     echoes: Vec<Echo>,
-    /// What each echo comes from, and the place of its shot in `casts`.
+    /// Hit of each echo and the index of its shot in `casts`.
     origins: Vec<(Hit, usize)>,
     windows: Vec<Window>,
     /// Highest echo of each shot in `casts`, DN.
@@ -32,7 +33,9 @@ struct Stream {
 }
 
 impl Flight {
-    /// A line with the blocks that were received during it, and the truth of the returns of its own shots.
+    /// Generates a line with the blocks received during it.
+    ///
+    /// The truth is that of the returns of its own shots.
     pub(super) fn recorded_line(
         &mut self,
         line: u32,
@@ -64,7 +67,7 @@ impl Flight {
         stream.casts[own].iter().map(|cast| self.emission(cast, None)).collect()
     }
 
-    /// Everything that decides about a line's blocks and the returns of its shots.
+    /// Collects the echoes that affect a line's blocks or the returns of its shots.
     fn stream(&mut self, line: u32) -> Stream {
         let shots = self.scanner.shots_per_line;
         let tick_ns = |number: u64| {
@@ -112,7 +115,7 @@ impl Flight {
         stream
     }
 
-    /// The truth of the returns of some shots, wherever they were recorded.
+    /// Adds the truth of the returns of some shots, wherever they were recorded.
     fn tell_stream(
         &self,
         stream: &Stream,
@@ -145,7 +148,9 @@ impl Flight {
 }
 
 impl Stream {
-    /// The place in `casts` of the shot that each window was recorded with: the last one that was out when it began.
+    /// Index in `casts` of the shot with which each window is stored.
+    ///
+    /// The last shot emitted before the window begins.
     fn received(&self, receiver: &crate::simulation::receiver::Receiver) -> Vec<usize> {
         let began = |window: &Window| {
             let start_ns = receiver.start_ns(window);
@@ -161,7 +166,7 @@ impl Stream {
         if is_first { None } else { self.strongest.get(place.checked_sub(1)?).copied().flatten() }
     }
 
-    /// The echoes whose light is in a window, with times from a clock that is so much ahead.
+    /// Echoes that contribute to a window, with times from a clock `ahead_ns` later.
     fn near(&self, window: &Window, ahead_ns: i64, near: &mut Vec<Echo>) {
         let [from_ns, to_ns] = window.limits_ns(INTERVAL_NS);
         let first = self.echoes.partition_point(|echo| echo.time_ns < from_ns - DECAY_NS);

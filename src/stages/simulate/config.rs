@@ -1,4 +1,4 @@
-//! The keys of `simulate`, and what they mean for the parts of the simulator.
+//! Keys of `simulate` and their conversion to parts of the simulator.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,54 +17,61 @@ use crate::stage::{Config, InvalidKey};
 
 /// Full width at half maximum of a Gaussian response, ns.
 const GAUSSIAN_FWHM_NS: f64 = 4.5;
-/// Beams further from straight down than this may never reach the ground, degrees.
+/// Largest beam angle from nadir, degrees.
+///
+/// Steeper beams may never reach the ground.
 const STEEPEST_DEG: f64 = 75.0;
 
-/// Makes the recording of a flight that never took place.
+/// Simulates the recording of an airborne scanner.
 ///
-/// A scanner flies over land whose every surface is known, and records it as an airborne instrument does. The truth of
-/// every return can be written beside it.
+/// The scanner flies over synthetic terrain and records it as an airborne instrument does. The
+/// truth of every return can be written as well.
 ///
-/// **Frame.** Without a trajectory (`sbet`, `pof`) the geometry is already in a map (UTM zone 33 north, metres), and the
-/// truth stands in the same map, in which beams are straight. With one, beams stand in the frame of the scanner (x
-/// forward, y right, z down; parallel to the aircraft's but for `boresight_deg`), and the truth's coordinates are UTM in
-/// the zone of the start with ellipsoidal heights on WGS 84, computed by closed formulas from the same scene placed on the
-/// earth: trajectory, lever arm, boresight and ranges lead to them within rounding.
+/// **Frame.** Without a trajectory (`sbet`, `pof`), recording and truth are in a map (UTM zone 33
+/// north, metres), in which beams are straight. With one, beams are in the frame of the scanner (x
+/// forward, y right, z down; parallel to the aircraft's except for `boresight_deg`). The truth is
+/// then in UTM in the zone of the start, with ellipsoidal heights on WGS 84, computed by closed
+/// formulas from the same scene placed on the earth. Trajectory, lever arm, boresight and ranges
+/// reproduce it within rounding.
 ///
-/// **As recorded.** With `as_recorded` blocks stand with the shot after whose emission they were received, and
-/// `mta_zone` is not set. The laser of a rotating polygon pauses between lines: what comes back meanwhile stands with the
-/// line's last shot. Without it, blocks stand with the shot that caused them, and zones are given.
+/// **As recorded.** With `as_recorded`, blocks are stored with the last shot emitted before their
+/// reception, and `mta_zone` is not set. The laser of a rotating polygon pauses between lines;
+/// echoes received during a pause are stored with the last shot of the line. Otherwise blocks are
+/// stored with the shot that caused them, with known zones.
 ///
-/// **Receivers.** The low-power receiver always records; `high_power` adds the one for strong echoes, whose blocks begin
-/// 1.43 ns later. The amplitude tables of both are in the recording.
+/// **Receivers.** The low-power receiver always records. `high_power` adds the high-power receiver,
+/// whose blocks begin 1.43 ns later. The recording contains the amplitude tables of both.
 ///
-/// The same keys give the same bytes on every machine, and a scan line does not depend on the others.
+/// The same keys give the same bytes on every machine, and scan lines are independent of each
+/// other.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Simulate {
-    /// What the outputs of the run are named after.
+    /// Base name of the outputs.
     pub stem: String,
-    /// Start of the random numbers: another one gives other noise and another grain of the scene.
+    /// Seed of the random numbers, which determine noise and details of the scene.
     pub seed: u64,
-    /// Scan lines.
+    /// Number of scan lines.
     #[schemars(range(min = 1))]
     pub lines: u32,
-    /// Shots of each scan line.
+    /// Number of shots per scan line.
     #[schemars(range(min = 1, max = 4096))]
     pub shots_per_line: u32,
-    /// What moves the beam: a polygon of four facets with a pause of half a line between lines; a mirror that swings
-    /// there and back; a row of fibres, whose spots are evenly spaced on level ground; or a beam that turns on a cone
-    /// around straight down (`circular`), whose lines are nothing but so many shots.
+    /// Scan mechanism: a rotating polygon of four facets with a pause of half a line between lines;
+    /// an oscillating mirror; parallel lines with spots evenly spaced on level ground; or a beam on
+    /// a cone around nadir (`circular`), whose lines are groups of consecutive shots.
     pub scanner: ScannerKind,
-    /// Pulses per second. Echoes that return after the next pulse are given to the pulse that caused them, unless
-    /// `as_recorded`.
+    /// Pulse rate. Echoes received after the next pulse are assigned to the pulse that caused them,
+    /// unless `as_recorded`.
     #[schemars(range(min = 1000.0, max = 2000000.0))]
     pub pulse_rate_hz: f64,
-    /// How far the interval between two pulses may be from its mean: each pulse leaves up to half of this early or late,
-    /// independently of the others; 0: the rate is constant. Below half the interval.
+    /// Modulation: largest deviation of the interval between two pulses from its mean. Each pulse
+    /// is emitted up to half of this early or late, independently of the others; 0: constant rate.
+    /// Below half the interval.
     #[schemars(range(min = 0.0))]
     pub modulation_ns: f64,
-    /// The first and the last shot's angle from straight down, positive to the right; the half angle of a cone to both sides.
+    /// Angles of the first and last shot from nadir, positive to the right; for a cone, its half
+    /// angle to both sides.
     pub scan_angle_deg: [f64; 2],
     /// Revolutions per second of a `circular` scanner.
     #[schemars(range(min = 1.0, max = 1000.0))]
@@ -75,92 +82,101 @@ pub struct Simulate {
     /// Speed over ground.
     #[schemars(range(min = 1.0, max = 1000.0))]
     pub speed_mps: f64,
-    /// Direction of the flight, clockwise from north.
+    /// Flight direction, clockwise from north.
     #[schemars(range(min = -360.0, max = 360.0))]
     pub heading_deg: f64,
-    /// Radius of the circle that the aircraft flies with level wings, positive to the right; 0: straight on. At least 100 m.
+    /// Radius of a circular flight with level wings, positive to the right; 0: straight. At least
+    /// 100 m.
     pub turn_radius_m: f64,
-    /// Longitude and latitude of the first position; without a trajectory, and when not given, 12.59489 and 47.82814, in UTM
-    /// zone 33 north.
+    /// Longitude and latitude of the first position. Default without a trajectory: 12.59489 and
+    /// 47.82814, in UTM zone 33 north.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_deg: Option<[f64; 2]>,
-    /// When the flight begins, seconds of GPS week 2365 (from 4 May 2025 on). Times count on where the week ends.
+    /// Start of the flight, seconds of GPS week 2365 (from 4 May 2025). Times continue past the end
+    /// of the week.
     #[schemars(range(min = 0.0, max = 604800.0))]
     pub start_time_s: f64,
-    /// The largest roll of the aircraft, which sways about level flight.
+    /// Largest roll of the aircraft, which oscillates around level flight.
     #[schemars(range(min = 0.0, max = 15.0))]
     pub roll_deg: f64,
-    /// The largest pitch.
+    /// Largest pitch.
     #[schemars(range(min = 0.0, max = 15.0))]
     pub pitch_deg: f64,
-    /// The largest deviation of the aircraft's heading from `heading_deg`.
+    /// Largest deviation of the heading from `heading_deg`.
     #[schemars(range(min = 0.0, max = 15.0))]
     pub yaw_deg: f64,
-    /// How long the slower part of the rolling takes; pitch and yaw are slower.
+    /// Period of the slower part of the roll; pitch and yaw are slower.
     #[schemars(range(min = 1.0, max = 1000.0))]
     pub motion_period_s: f64,
-    /// Where the scanner sits, from the place that the trajectory tells: forward, right, down.
+    /// Lever arm from the trajectory's reference point to the scanner: forward, right, down.
     pub lever_arm_m: [f64; 3],
-    /// How the scanner is turned against the aircraft: roll, pitch and yaw, `Rz(yaw) Ry(pitch) Rx(roll)`.
+    /// Boresight angles between scanner and aircraft: roll, pitch and yaw, `Rz(yaw) Ry(pitch)
+    /// Rx(roll)`.
     pub boresight_deg: [f64; 3],
-    /// What is flown over: `strips`, level ground with one long building and one long wood; or `country`, hills, lakes,
-    /// houses, woods and power lines without end.
+    /// Terrain: `strips`, level ground with one long building and one long forest; or `country`,
+    /// unlimited hills, lakes, houses, forests and power lines.
     pub landscape: Landscape,
     /// Height of the building, or of the highest houses; 0: none.
     #[schemars(range(min = 0.0, max = 200.0))]
     pub building_height_m: f64,
-    /// Height of the wood, or of the highest trees; 0: none.
+    /// Height of the forest, or of the highest trees; 0: none.
     #[schemars(range(min = 0.0, max = 200.0))]
     pub canopy_height_m: f64,
-    /// In the `country`: height of the highest hill above the deepest hollow; 0: level.
+    /// In the `country`: height difference between the highest hill and the lowest valley; 0:
+    /// level.
     #[schemars(range(min = 0.0, max = 2000.0))]
     pub relief_m: f64,
-    /// In the `country`: share of the land, the lowest, that is under water, from which nothing comes back.
+    /// In the `country`: fraction of the land covered by water, at the lowest heights. Water
+    /// returns no echoes.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub water_ratio: f64,
-    /// In the `country`: share of the land that woods cover.
+    /// In the `country`: fraction of the land covered by forest.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub wood_ratio: f64,
-    /// In the `country`: share of the plots, 40 m by 40 m, on which a house stands where neither wood nor water is.
+    /// In the `country`: fraction of the plots of 40 m by 40 m with a house, outside forest and
+    /// water.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub house_ratio: f64,
-    /// In the `country`: height of the lowest wires of power lines above the ground at their pylons; 0: none.
+    /// In the `country`: height of the lowest wires of power lines above the ground at the pylons;
+    /// 0: none.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub wire_height_m: f64,
-    /// Mean height of the echoes of level ground straight below the aircraft, above the background. The digitiser ends at
-    /// 255.
+    /// Mean echo amplitude of level ground at nadir, above the background. The full scale of the
+    /// digitiser is 255.
     #[schemars(range(min = 1.0, max = 10000.0))]
     pub ground_amplitude_dn: f64,
-    /// Share of the shots that nothing comes back from.
+    /// Fraction of shots without an echo.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub dropout_rate: f64,
-    /// Share of the shots with an echo, as weak as those that just open a block, where there is nothing.
+    /// Fraction of shots with a false echo, as weak as the weakest that trigger a block.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub false_alarm_rate: f64,
-    /// Echoes that arrive within so much time of an emission, before or after, are not recorded.
+    /// Echoes within this time of an emission, before or after, are not recorded.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub blind_gap_ns: f64,
-    /// What the echo of a flat target looks like.
+    /// Response to a flat target.
     pub response: Response,
-    /// How the height of an echo follows its strength: `linear`, or `riegl`, as the amplitude tables of a RIEGL
-    /// LMS-Q680i say (low power compresses above 68 digitiser steps, high power is nearly logarithmic).
+    /// Dependence of the echo amplitude on its strength: `linear`, or `riegl` as in the amplitude
+    /// tables of a RIEGL LMS-Q680i (low power compresses above 68 digitiser steps, high power is
+    /// nearly logarithmic).
     pub detector: DetectorKind,
-    /// Background of the even and of the odd samples of a block.
+    /// Background of the even and odd samples of a block.
     pub background_dn: [f64; 2],
-    /// Standard deviation of the recorded noise, the digitiser's rounding included; 0: rounding alone.
+    /// Standard deviation of the recorded noise, including quantisation; 0: quantisation only.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub noise_sd_dn: f64,
-    /// Autocorrelation of the recorded noise at 1, 2, ... samples; `[]`: none.
+    /// Autocorrelation of the recorded noise at lags of 1, 2, ... samples; `[]`: none.
     pub noise_autocorrelation: Vec<f64>,
-    /// A second receiver, for strong echoes, of about a tenth of the gain.
+    /// Add a high-power receiver with about a tenth of the gain.
     pub high_power: bool,
-    /// The second receiver's block is kept where an echo's peak has this height in the first, above the background.
+    /// Smallest peak of an echo in the low-power receiver, above the background, for which the
+    /// high-power block is kept.
     #[schemars(range(min = 0.0, max = 10000.0))]
     pub high_power_from_dn: f64,
-    /// Standard deviation of the second receiver's recorded noise, as `noise_sd_dn`.
+    /// Standard deviation of the recorded noise of the high-power receiver, as `noise_sd_dn`.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub high_power_noise_sd_dn: f64,
-    /// How much later the second receiver sees an echo.
+    /// Delay of the high-power receiver relative to the low-power one.
     #[schemars(range(min = -10.0, max = 10.0))]
     pub high_power_delay_ns: f64,
     /// Automatic gain control: smallest and largest gain of both echo receivers, 1/1024 to 1024,
@@ -175,51 +191,52 @@ pub struct Simulate {
     /// Period of the gain with `gain_follows = "time"`.
     #[schemars(range(min = 0.001, max = 1000.0))]
     pub gain_period_s: f64,
-    /// Whether blocks stand with the shot after whose emission they were received, instead of with the one that caused
-    /// them.
+    /// Store blocks with the last shot emitted before their reception instead of the shot that
+    /// caused them.
     pub as_recorded: bool,
-    /// A file of the trajectory in SBET format (`*` is the stem), 200 positions and attitudes per second, from a second
-    /// before the flight to a second after it; not written when not given. Times are seconds of the GPS week.
+    /// Trajectory file in SBET format (`*` is the stem), 200 positions and attitudes per second,
+    /// from one second before the flight to one second after it; not written by default. Times are
+    /// seconds of the GPS week.
     pub sbet: Option<String>,
     /// The same trajectory in RIEGL's POF format.
     pub pof: Option<String>,
-    /// A CSV file of what a perfect evaluation would find (`*` is the stem); not written when not given. A return stands
-    /// there when its peak lies in a recorded block, however weak it is.
+    /// CSV file of the true returns (`*` is the stem); not written by default. It contains each
+    /// return whose peak is in a recorded block, however weak.
     pub truth: Option<String>,
 }
 
-/// What moves the beam.
+/// Scan mechanism.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ScannerKind {
-    /// A polygon of four facets, with pauses between lines.
+    /// Rotating polygon of four facets, with pauses between lines.
     RotatingPolygon,
-    /// A mirror that swings there and back.
+    /// Oscillating mirror.
     Oscillating,
-    /// A row of fibres.
+    /// Parallel lines.
     ParallelLines,
-    /// A beam that turns on a cone.
+    /// Beam on a cone.
     Circular,
 }
 
-/// What is flown over.
+/// Simulated terrain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Landscape {
-    /// Level ground with one long building and one long wood.
+    /// Level ground with one long building and one long forest.
     Strips,
-    /// Hills, lakes, houses, woods and power lines without end.
+    /// Unlimited hills, lakes, houses, forests and power lines.
     Country,
 }
 
-/// What the echo of a flat target looks like.
+/// Response to a flat target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Response {
-    /// A Gaussian of 4.5 ns full width at half maximum, for comparisons with formulas.
+    /// Gaussian of 4.5 ns full width at half maximum, for comparisons with formulas.
     Gaussian,
-    /// As measured on a RIEGL LMS-Q680i: a skewed lobe of 4.5 ns, an after-pulse of 5 % 10.5 ns behind it, and a slow
-    /// tail. The default, because whoever takes this for a sum of Gaussians finds points that are not there.
+    /// As measured on a RIEGL LMS-Q680i: an asymmetric peak of 4.5 ns, an after-pulse of 5 % after
+    /// 10.5 ns, and a slow tail. Decomposition into Gaussians finds spurious points with it.
     Riegl,
 }
 
@@ -233,13 +250,13 @@ pub enum GainFollows {
     Echo,
 }
 
-/// How the height of an echo follows its strength.
+/// Dependence of the echo amplitude on its strength.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DetectorKind {
-    /// In proportion.
+    /// Proportional.
     Linear,
-    /// As a RIEGL LMS-Q680i's tables say.
+    /// As in the tables of a RIEGL LMS-Q680i.
     Riegl,
 }
 
@@ -397,7 +414,7 @@ impl Simulate {
         unless(within(self.blind_gap_ns, 0.0, 1000.0), "blind_gap_ns", "must lie between 0 and 1000")?;
         let background = self.background_dn.iter().all(|&dn| within(dn, 0.0, 100.0));
         unless(background, "background_dn", "must be two values between 0 and 100")?;
-        // Below half a step the rounding is no longer independent of the noise.
+        // Below half a step, quantisation is not independent of the noise.
         let noise = |sd_dn: f64| sd_dn == 0.0 || within(sd_dn, 0.5, 100.0);
         let spread = "must be 0, or lie between 0.5 and 100";
         unless(noise(self.noise_sd_dn), "noise_sd_dn", spread)?;
@@ -426,7 +443,7 @@ impl Simulate {
         )
     }
 
-    /// The largest angle between a beam and straight down, degrees.
+    /// Largest angle between a beam and nadir, degrees.
     pub(super) fn steepest_deg(&self) -> f64 {
         let [roll, pitch, _] = self.boresight_deg;
         let scan = self.scan_angle_deg.iter().fold(0.0, |most: f64, angle| most.max(angle.abs()));
@@ -438,7 +455,7 @@ impl Simulate {
         self.gain_range != [1.0, 1.0]
     }
 
-    /// Whether a trajectory is written, so that beams stand in the frame of the scanner.
+    /// Whether a trajectory is written; beams are then in the frame of the scanner.
     pub(super) fn has_trajectory(&self) -> bool {
         self.sbet.is_some() || self.pof.is_some()
     }
@@ -468,7 +485,7 @@ impl Simulate {
             .turning(self.turn_radius_m)
     }
 
-    /// The day of the year, and the year, of the flight.
+    /// Day of the year and year of the flight.
     pub(super) fn recorded(&self) -> Option<(u16, u16)> {
         let adjusted_s = f64::from(GPS_WEEK) * WEEK_S - ADJUSTMENT_S + self.start_time_s;
         day_of_year(adjusted_s).map(|(year, day)| (day, year))

@@ -1,4 +1,4 @@
-//! What the simulator writes beside its recording: the truth, and the trajectory.
+//! Additional outputs of the simulator: truth and trajectory.
 
 use std::io::Write;
 
@@ -11,17 +11,18 @@ use crate::simulation::truth::{COLUMNS, GAIN_COLUMN, TrueReturn};
 use crate::simulation::world::{Pose, World};
 use crate::stage::{Context, OutputFile, Result, Site, WholeFile};
 
-/// Records of a trajectory per second.
+/// Trajectory records per second.
 const RATE_HZ: f64 = 200.0;
-/// A trajectory begins so long before the first shot, and ends as long after the last, s.
+/// Time before the first and after the last shot covered by a trajectory, s.
 const MARGIN_S: f64 = 1.0;
-/// The angle from north to the axes in which an SBET says velocities and headings, rad: not 0, so that whoever leaves it out
-/// is found out.
+/// Wander angle of the SBET, rad.
+///
+/// Not 0, to detect readers that ignore it.
 const WANDER_ANGLE_RAD: f64 = 0.25;
-/// The Sunday that the flight's GPS week begins with.
+/// Sunday on which the GPS week of the flight begins.
 const WEEK_BEGINS: [u16; 3] = [2025, 5, 4];
 
-/// A table of truth that is being written.
+/// Truth table during writing.
 pub(super) struct TruthFile {
     file: OutputFile,
     rows: Vec<u8>,
@@ -55,16 +56,16 @@ impl TruthFile {
     }
 }
 
-/// The files of the trajectory, whose names are taken from the start on.
+/// Trajectory files, whose names are reserved from the start.
 pub(super) struct TrajectoryFiles {
     sbet: Option<OutputFile>,
     pof: Option<OutputFile>,
     trajectory: Trajectory,
 }
 
-/// Positions and attitudes at even times.
+/// Positions and attitudes at regular times.
 struct Trajectory {
-    /// When the flight begins, s of the GPS week.
+    /// Start of the flight, s of the GPS week.
     start_time_s: f64,
     platform: Platform,
     world: World,
@@ -85,7 +86,7 @@ impl TrajectoryFiles {
         Ok(TrajectoryFiles { sbet: create(&config.sbet)?, pof: create(&config.pof)?, trajectory })
     }
 
-    /// Writes the files and hands them over.
+    /// Writes and publishes the files.
     pub(super) fn finish(self, cx: &mut Context) -> Result<()> {
         let TrajectoryFiles { sbet, pof, trajectory } = self;
         if let Some(mut file) = sbet {
@@ -111,7 +112,7 @@ fn write(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
 }
 
 impl Trajectory {
-    /// Seconds since the start of the flight, and where the aircraft is then.
+    /// Times since the start of the flight, s, with the aircraft's pose.
     fn poses(&self) -> impl Iterator<Item = (f64, Pose)> + '_ {
         (0..self.records).map(|k| {
             let time_s = k as f64 / RATE_HZ - MARGIN_S;
@@ -158,7 +159,7 @@ impl Trajectory {
     }
 }
 
-/// Accelerations and angular rates are left at 0.
+/// Accelerations and angular rates are 0.
 fn sbet_record(time_s: f64, pose: &Pose) -> SbetRecord {
     let [north, east, down] = pose.velocity_mps;
     let (sine, cosine) = libm::sincos(WANDER_ANGLE_RAD);

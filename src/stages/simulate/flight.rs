@@ -1,4 +1,4 @@
-//! The scan lines of a simulated flight.
+//! Scan lines of a simulated flight.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -20,14 +20,14 @@ use crate::simulation::world::{self, World};
 use crate::simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
 use crate::stage::{Result, StageError};
 
-/// Standard deviation of a pulse's energy, over its mean.
+/// Relative standard deviation of the pulse energy.
 const ENERGY_SD: f64 = 0.01;
 /// Target height of the strongest echo for automatic gain control, DN.
 const WANTED_DN: f64 = 150.0;
-/// False alarms come from as far as this, over the range of the lowest ground.
+/// Largest range of false echoes, relative to the range of the lowest ground.
 const FALSE_ALARM_REACH: f64 = 1.25;
 
-/// A flight whose scan lines can be had one by one, in any order.
+/// A flight whose scan lines can be generated in any order.
 #[derive(Debug)]
 pub(super) struct Flight {
     input: Arc<InputInfo>,
@@ -37,12 +37,12 @@ pub(super) struct Flight {
     false_alarm_rate: f64,
     blind_gap_ns: f64,
     ground_amplitude_dn: f64,
-    /// s of the GPS week.
+    /// Start of the flight, s of the GPS week.
     start_time_s: f64,
     as_recorded: bool,
-    /// Whether anybody wants to know it.
+    /// Whether the truth is requested.
     pub(super) tells_truth: bool,
-    /// Echoes come from no further than this, ns.
+    /// Largest time of flight of an echo, ns.
     pub(super) longest_ns: f64,
     pub(super) scanner: Scanner,
     platform: Platform,
@@ -52,35 +52,35 @@ pub(super) struct Flight {
     pub(super) receiver: Receiver,
     normal: Normal,
     agc: Option<Agc>,
-    /// Room for one shot's hits and echoes (the same ones, in the same order) and its blocks.
+    /// Buffers for one shot: hits, echoes (in the same order) and blocks.
     pub(super) hits: Vec<Hit>,
     pub(super) echoes: Vec<Echo>,
     windows: Vec<Window>,
 }
 
-/// A pulse that has left.
+/// An emitted pulse.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cast {
     pub(super) line: u32,
     pub(super) index: u32,
     pub(super) shot: Shot,
-    /// Its way through the scene.
+    /// Its beam through the scene.
     beam: Beam,
     pub(super) pulse: Pulse,
 }
 
-/// What the laser does, beyond sending a pulse at the right moment.
+/// Random properties of a pulse.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pulse {
-    /// When the pulse leaves after the tick of the sample clock, ns.
+    /// Emission time after the tick of the sample clock, ns.
     pub(super) emission_ns: f64,
-    /// Its energy, over the mean.
+    /// Energy relative to the mean.
     pub(super) energy: f64,
-    /// Nothing of it comes back.
+    /// No echo is received.
     is_lost: bool,
 }
 
-/// Where an echo was recorded.
+/// Recording conditions of an echo.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Recorded {
     pub(super) zone: i16,
@@ -129,7 +129,7 @@ impl Flight {
                 "leave `noise_autocorrelation` out",
             )
         })?;
-        // The scanner can be higher than the aircraft's centre.
+        // The scanner can be higher than the aircraft's reference point.
         let furthest_m = (config.flying_height_m + 20.0) / libm::cos(config.steepest_deg().to_radians());
         Ok(Flight {
             input: Arc::new(input(config)),
@@ -157,12 +157,12 @@ impl Flight {
         })
     }
 
-    /// The same flight, whose lines come with their truth only where somebody wants it.
+    /// Sets whether lines are generated with their truth.
     pub(super) fn telling_truth(self, tells_truth: bool) -> Flight {
         Flight { tells_truth, ..self }
     }
 
-    /// A scan line, and the truth of the returns of its shots.
+    /// Generates a scan line and the truth of its returns.
     pub(super) fn line(&mut self, line: u32) -> (Batch, Vec<TrueReturn>) {
         let (mut blocks, mut truth) = (Blocks::default(), Vec::new());
         let emissions = match self.as_recorded {
@@ -172,7 +172,7 @@ impl Flight {
         (Batch::of_shots(Arc::clone(&self.input), line, emissions, blocks), truth)
     }
 
-    /// A line whose blocks stand with the shots that caused them.
+    /// Generates a line whose blocks are stored with the shots that caused them.
     fn resolved_line(
         &mut self,
         line: u32,
@@ -205,7 +205,7 @@ impl Flight {
         self.agc.as_ref().map_or(1.0, |agc| agc.gain(cast.shot.since_start_s(), before))
     }
 
-    /// Sends a pulse.
+    /// Emits a pulse.
     pub(super) fn cast(&self, line: u32, index: u32) -> Cast {
         let shot = self.scanner.shot(line, index);
         let mut random = Random::of_shot(self.seed, line, index, Purpose::Laser);
@@ -218,7 +218,9 @@ impl Flight {
         Cast { line, index, shot, beam, pulse }
     }
 
-    /// The hits and echoes of a pulse, in order of time: those that the receiver is open for.
+    /// Computes the hits and echoes of a pulse, in order of time.
+    ///
+    /// Only echoes received while the receiver is open.
     pub(super) fn receive(&mut self, cast: &Cast) {
         self.hits.clear();
         if !cast.pulse.is_lost {
@@ -239,7 +241,7 @@ impl Flight {
         }
     }
 
-    /// The echo of a target at a range whose peak has this linear amplitude.
+    /// Echo of a target at a range, with this linear peak amplitude.
     fn echo(&self, cast: &Cast, range_m: f64, linear_dn: f64, width: Width) -> Echo {
         Echo {
             time_ns: cast.pulse.emission_ns + time_of_flight_ns(range_m),
@@ -250,7 +252,7 @@ impl Flight {
         }
     }
 
-    /// Adds, to a share of the pulses, an echo of nothing.
+    /// Adds a false echo to a fraction of the pulses.
     fn raise_false_alarm(&mut self, cast: &Cast) {
         let mut random = Random::of_shot(self.seed, cast.line, cast.index, Purpose::FalseAlarms);
         if random.uniform() >= self.false_alarm_rate {
@@ -264,7 +266,7 @@ impl Flight {
         self.echoes.insert(at, echo);
     }
 
-    /// Takes out the echoes that arrive while the receiver is closed for an emission.
+    /// Removes echoes received in the gap around an emission.
     fn drop_blind_echoes(&mut self, cast: &Cast) {
         for k in (0..self.echoes.len()).rev() {
             if self.is_blind(cast.shot.since_start_ns as f64 + self.echoes[k].time_ns) {
@@ -274,20 +276,21 @@ impl Flight {
         }
     }
 
-    /// Whether a moment, ns from the start, lies in the gap around the tick of an emission.
+    /// Whether a time, ns from the start, is in the gap around an emission.
     fn is_blind(&self, time_ns: f64) -> bool {
         let pulses = 1e-9 * time_ns * self.scanner.pulse_rate_hz;
         let line = (pulses / self.scanner.pulses_per_line()).floor();
         let index = (pulses - line * self.scanner.pulses_per_line()).floor() as i64;
-        // The modulation moves an emission by less than a quarter of an interval.
+        // Modulation shifts an emission by less than a quarter of an interval.
         (index - 1..=index + 2).any(|index| {
             self.emission_at(line as u32, index)
                 .is_some_and(|tick_ns| (time_ns - tick_ns as f64).abs() <= self.blind_gap_ns)
         })
     }
 
-    /// The tick of an emission by its place in a line, ns from the start; before and behind the line those of its
-    /// neighbours, unless the laser pauses there.
+    /// Tick of an emission by its index in a line, ns from the start.
+    ///
+    /// Outside the line, ticks of the neighbouring lines, unless the laser pauses there.
     fn emission_at(&self, line: u32, index: i64) -> Option<i64> {
         let shots = i64::from(self.scanner.shots_per_line);
         if !(0..shots).contains(&index) && self.scanner.mirror == Mirror::RotatingPolygon {
@@ -298,7 +301,7 @@ impl Flight {
         (line < self.lines).then(|| self.scanner.tick_ns(line, index))
     }
 
-    /// Records outgoing pulse and echoes, and says in which zone the first echoes arrive.
+    /// Records outgoing pulse and echoes. Returns the zone of the first echoes.
     fn record(&mut self, cast: &Cast, blocks: &mut Blocks) -> i16 {
         let mut noise = Recorder::new(self.seed, cast);
         noise.emission(&mut self.receiver, cast.index, &cast.pulse, blocks);
@@ -311,7 +314,7 @@ impl Flight {
         first_zone.unwrap_or(0)
     }
 
-    /// The truth of the echoes that stand in a recorded block.
+    /// Adds the truth of the echoes in recorded blocks.
     fn tell(&self, cast: &Cast, zone: i16, truth: &mut Vec<TrueReturn>) {
         let first = truth.len();
         for (hit, echo) in self.hits.iter().zip(&self.echoes) {
@@ -333,7 +336,7 @@ impl Flight {
         number(&mut truth[first..]);
     }
 
-    /// The truth of an echo; its number and theirs are for [`number`].
+    /// Truth of an echo; [`number`] sets the return numbers.
     pub(super) fn true_return(&self, cast: &Cast, hit: &Hit, echo: &Echo, recorded: Recorded) -> TrueReturn {
         let point_m = cast.beam.at(hit.range_m);
         TrueReturn {
@@ -393,7 +396,7 @@ pub(super) fn number(returns: &mut [TrueReturn]) {
     }
 }
 
-/// How many emissions lie between a shot and a time after its clock, were there no pauses.
+/// Number of emissions between a shot and a time after its clock, without pauses.
 fn zone_of(scanner: &Scanner, cast: &Cast, time_ns: f64) -> i16 {
     let nominal = (time_ns / (1e9 / scanner.pulse_rate_hz)) as i16;
     if scanner.modulation_ns == 0.0 {
@@ -410,7 +413,7 @@ fn zone_of(scanner: &Scanner, cast: &Cast, time_ns: f64) -> i16 {
     (1..=nominal + 1).rev().find(|&zone| is_out(zone)).unwrap_or(0)
 }
 
-/// The random numbers of what is recorded with one shot.
+/// Random numbers for the samples recorded with one shot.
 pub(super) struct Recorder {
     low_power: Random,
     high_power: Random,

@@ -14,7 +14,7 @@ mod instrument;
 mod keys;
 mod trajectory;
 
-/// A flight over level ground without anything on it.
+/// Flight over empty level ground.
 fn bare() -> Simulate {
     Simulate { building_height_m: 0.0, canopy_height_m: 0.0, dropout_rate: 0.0, ..Simulate::default() }
 }
@@ -28,8 +28,10 @@ fn blocks_of(blocks: &Blocks, emission: usize, channel: Channel) -> impl Iterato
     blocks.iter().filter(move |block| block.emission as usize == emission && block.channel == channel)
 }
 
-/// Time of the highest sample, refined by the parabola through the logarithms of it and its neighbours (exact for a
-/// Gaussian), ns after the shot's clock.
+/// Time of the highest sample, ns after the shot's clock.
+///
+/// Refined by the parabola through the logarithms of the sample and its neighbours, which is exact
+/// for a Gaussian.
 fn gaussian_peak_ns(samples: &[u16], block: &Block, background_dn: f64) -> f64 {
     let top = (1..samples.len() - 1).max_by_key(|&k| samples[k]).unwrap();
     let [a, b, c] = [top - 1, top, top + 1].map(|k| (f64::from(samples[k]) - background_dn).ln());
@@ -60,13 +62,13 @@ fn the_first_shot_spelled_out() {
 
 #[test]
 fn signal_free_samples_have_the_spread_and_correlation_that_were_asked_for() {
-    // A background that keeps the noise off the digitiser's zero.
+    // A background that keeps the noise above 0.
     let config = Simulate { background_dn: [20.18, 20.41], ..bare() };
     let (mut n, mut mean, mut products) = (0.0, [0.0; 2], [0.0; 5]);
     for (batch, _) in lines(&config, 0..60) {
         let blocks = batch.blocks().unwrap();
         for block in blocks.iter().filter(|block| block.channel == Channel::LowPower) {
-            // The echo stands at sample 16 or later: 8 samples before it there is nothing of it.
+            // Echoes are at sample 16 or later, and contribute nothing 8 samples before.
             let noise: [f64; 8] =
                 core::array::from_fn(|k| f64::from(blocks.samples(block)[k]) - config.background_dn[k % 2]);
             n += 1.0;
@@ -88,7 +90,7 @@ fn signal_free_samples_have_the_spread_and_correlation_that_were_asked_for() {
     }
 }
 
-/// What is left of the samples after background and true echoes is nothing, at every distance from the echo.
+/// Samples minus background and true echoes have a mean of 0 at every distance from the echo.
 #[test]
 fn the_mean_of_many_echoes_is_the_response() {
     for (response, shape) in [(Response::Riegl, Shape::riegl()), (Response::Gaussian, Shape::gaussian(4.5))] {
@@ -222,8 +224,8 @@ fn a_line_alone_is_the_line_in_sequence() {
     assert_ne!(text(&other), text(&alone));
 }
 
-/// Everything at once: modulated pulses in the air, a swaying aircraft, hills, houses, woods, wires and water, two
-/// receivers, false alarms, a blind gap.
+/// All features together: modulated pulses in the air, moving aircraft, hills, houses, forests,
+/// wires, water, two receivers, false echoes, a blind gap.
 fn rich() -> Simulate {
     Simulate {
         lines: 6,
@@ -250,7 +252,7 @@ fn rich() -> Simulate {
     }
 }
 
-/// FNV-1a of a line's times, directions, samples and truth.
+/// FNV-1a hash of a line's times, directions, samples and truth.
 fn digest((batch, truth): &(Batch, Vec<TrueReturn>)) -> u64 {
     let mut bytes = Vec::new();
     for emission in &batch.emissions {
@@ -267,7 +269,7 @@ fn digest((batch, truth): &(Batch, Vec<TrueReturn>)) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
 }
 
-/// The bytes of every part of the simulator, the same on every machine.
+/// The bytes of every part of the simulator are the same on every machine.
 #[test]
 fn lines_of_everything_have_these_bytes() {
     let in_map = Simulate { as_recorded: false, ..rich() };
@@ -296,7 +298,8 @@ fn changing_the_noise_leaves_the_scene_as_it_was() {
     assert_eq!(lines(&quiet, 0..2)[1].1, lines(&Simulate::default(), 0..2)[1].1);
 }
 
-/// At 400 kHz and 2000 m several pulses are in the air: zones are those of the causing pulses, times count from them.
+/// At 400 kHz and 2000 m several pulses are in the air: zones and times are relative to the causing
+/// pulses.
 #[test]
 fn pulses_in_the_air_are_resolved() {
     let config = Simulate { flying_height_m: 2000.0, pulse_rate_hz: 400_000.0, ..Simulate::default() };
@@ -322,7 +325,8 @@ fn the_recording_says_what_it_is() {
         ("demo", Some(2365), Some((126, 2025)))
     );
     let table = input.amplitude_low.as_ref().unwrap();
-    // 70 DN above the background is ten times 7 DN; whole steps are exact, between them the table is linear.
+    // 70 DN above the background is ten times 7 DN. Whole steps are exact; between them the table
+    // is linear.
     assert!((table.at(2.295 + 70.0) - 10.0).abs() < 1e-3);
     assert!((table.at(9.0) - 10.0 * (6.705f64 / 7.0).log10()).abs() < 1e-12);
     let last = batch.emissions.last().unwrap();
@@ -375,7 +379,7 @@ fn a_run_that_ends_early_leaves_no_truth() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
-/// The demonstration's flight can be flown, and is small enough to be waited for.
+/// The demo's flight can be simulated in a short time.
 #[test]
 fn the_demonstration_starts_with_this_stage() {
     let job: toml::Table = include_str!("../../../jobs/demo.toml").parse().unwrap();
@@ -389,7 +393,7 @@ fn the_demonstration_starts_with_this_stage() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
-    /// Whatever may be asked for, a line is whole and its truth fits.
+    /// For any valid keys, a line is complete and consistent with its truth.
     #[test]
     fn any_flight_can_be_flown(
         seed: u64,
