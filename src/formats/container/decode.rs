@@ -1,4 +1,4 @@
-//! From a message to a line: the one place where `arrow-ipc` decodes.
+//! Decodes messages to lines; the only use of the decoder of `arrow-ipc`.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use super::unpack::{Found, Unpacker};
 use super::{ContainerLine, guard};
 use crate::formats::Result;
 
-/// The schema that a file or stream starts with.
+/// Reads the schema at the start of a file or stream.
 pub(super) fn schema_of(schema: arrow_ipc::Schema, place: Place) -> Result<Schema> {
     if schema.endianness() != Endianness::Little {
         return Err(place.bad("schema", "the numbers are big-endian", "write the file on a common machine"));
@@ -37,32 +37,35 @@ fn check_unions(field: FbField, place: Place) -> Result<()> {
     children.iter().try_for_each(|child| check_unions(child, place))
 }
 
-/// How the record batches of one container are decoded.
+/// Decoder of the record batches of one container.
 pub(super) struct Decoder {
-    /// The container's columns, each allowed to hold nulls: what they hold is checked with better words.
+    /// Columns of the container, all nullable, because nulls are reported with better messages
+    /// here.
     schema: SchemaRef,
-    /// Where the columns of the layout stand; see [`super::layout::find`].
+    /// Indices of the layout's columns; see [`super::layout::find`].
     columns: Vec<Option<usize>>,
-    /// Those that are there.
+    /// Indices of the layout's columns that exist.
     present: Vec<usize>,
     unpacker: Unpacker,
 }
 
 impl Decoder {
-    /// `columns` as [`super::layout::find`] gives them.
+    /// `columns` is the result of [`super::layout::find`].
     pub(super) fn new(schema: &Schema, columns: Vec<Option<usize>>) -> Decoder {
         let fields: Vec<FieldRef> = schema.fields().iter().map(nullable).collect();
         let present = columns.iter().flatten().copied().collect();
         Decoder { schema: Arc::new(Schema::new(fields)), columns, present, unpacker: Unpacker::default() }
     }
 
-    /// The line in a message; `None` where the message is none.
+    /// Decodes the line of a message; `None` if it is not a record batch.
     pub(super) fn line(&mut self, message: &Message, place: Place) -> Result<Option<ContainerLine>> {
         let batch = self.batch(message, place)?;
         batch.map(|batch| ContainerLine::try_new(&self.arrays(&batch), place)).transpose()
     }
 
-    /// The columns of the layout in a message, in the order of the file; `None` where the message is no record batch.
+    /// Decodes the layout's columns of a message, in the order of the file.
+    ///
+    /// `None` if the message is not a record batch.
     pub(super) fn batch(&mut self, message: &Message, place: Place) -> Result<Option<RecordBatch>> {
         let parsed = parsed(message, place)?;
         let Some(batch) = record_batch_of(&parsed, place)? else { return Ok(None) };
@@ -78,8 +81,9 @@ impl Decoder {
         self.unpacked(&unpacked, place)
     }
 
-    /// The same of a message that has just been unpacked. It is checked as if it came from the file: only now do the lists'
-    /// offsets lie open.
+    /// Checks a decompressed message as if it came from the file.
+    ///
+    /// Offsets of compressed lists are accessible only now.
     fn unpacked(&self, message: &Message, place: Place) -> Result<Option<RecordBatch>> {
         let parsed = parsed(message, place)?;
         let Some(batch) = record_batch_of(&parsed, place)? else { return Ok(None) };
@@ -100,7 +104,7 @@ impl Decoder {
         guard::check(batch, parsed.version(), &self.schema, &self.present, &message.body, place)
     }
 
-    /// Decodes a record batch without packed buffers.
+    /// Decodes a record batch without compressed buffers.
     fn plain(
         &self,
         message: &Message,
@@ -111,7 +115,7 @@ impl Decoder {
         let decode =
             |columns: &[usize]| decode(&message.body, batch, &self.schema, columns, parsed.version());
         decode(&self.present).map_err(|error| {
-            // The decoder does not say which column it was at: whichever fails by itself, too.
+            // The decoder does not name the column: find one that fails by itself.
             let culprit = self.present.iter().find_map(|&column| Some((column, decode(&[column]).err()?)));
             let (column, problem) = culprit
                 .map_or_else(|| ("record batch".into(), error), |(column, error)| (self.name(column), error));
@@ -119,18 +123,18 @@ impl Decoder {
         })
     }
 
-    /// A column in words.
+    /// Name of a column for messages.
     fn name(&self, column: usize) -> String {
         format!("column `{}`", self.schema.field(column).name())
     }
 
-    /// A column and the rows that a record batch has.
+    /// Builds a column with the number of rows of a record batch.
     fn rows(&self, column: &str, rows: i64, place: Place) -> String {
         let last = place.first_row + (rows.max(1) as u64 - 1);
         format!("{column}, rows {} to {last}", place.first_row)
     }
 
-    /// The columns of the layout.
+    /// Fields of the layout's columns.
     fn arrays(&self, decoded: &RecordBatch) -> Vec<Option<ArrayRef>> {
         let mut arrays = decoded.columns().iter();
         self.columns.iter().map(|column| column.and_then(|_| arrays.next().cloned())).collect()
@@ -141,14 +145,14 @@ fn parsed<'a>(message: &'a Message, place: Place) -> Result<arrow_ipc::Message<'
     root_as_message(&message.metadata).map_err(|e| place.bad("message", first_line(&e), DAMAGED))
 }
 
-/// The record batch that a message is; `None` for a dictionary.
+/// Returns the record batch of a message; `None` for a dictionary.
 fn record_batch_of<'a>(
     message: &arrow_ipc::Message<'a>,
     place: Place,
 ) -> Result<Option<arrow_ipc::RecordBatch<'a>>> {
     let Some(batch) = message.header_as_record_batch() else {
         return match message.header_type() {
-            // Only columns that are passed over can have a dictionary.
+            // Only ignored columns can have a dictionary.
             MessageHeader::DictionaryBatch | MessageHeader::NONE => Ok(None),
             _ => Err(place.bad("message", "neither a record batch nor a dictionary", DAMAGED)),
         };
@@ -161,7 +165,7 @@ fn record_batch_of<'a>(
     Ok(Some(batch))
 }
 
-/// A record batch with the columns `columns`, in that order.
+/// Selects the columns `columns` of a record batch, in that order.
 fn decode(
     body: &Buffer,
     batch: arrow_ipc::RecordBatch,
@@ -173,7 +177,7 @@ fn decode(
         .map_err(|error| error.to_string())
 }
 
-/// The same field, allowed to hold nulls, and so on inwards.
+/// Makes a field and its children nullable.
 fn nullable(field: &FieldRef) -> FieldRef {
     let data_type = match field.data_type() {
         DataType::List(item) => DataType::List(nullable(item)),

@@ -1,9 +1,10 @@
-//! What must hold of a record batch's metadata before its buffers are unpacked, and before `arrow-ipc` may see it.
+//! Validates the metadata of a record batch before decompression and decoding.
 //!
-//! Memory is taken by the unpacked length that stands before each packed buffer; the decoder slices the body by the
-//! offset and length of each buffer, and reads a list's offsets as whole numbers of 32 bits: lengths that lie make it
-//! abort or panic. This walk goes over the nodes and buffers in the order in which the decoder will (Arrow columnar
-//! format 1.5, "RecordBatch message"), and also finds the row of a list that points outside its items.
+//! Memory is allocated by the decompressed length stored before each compressed buffer. The decoder
+//! slices the body by the offset and length of each buffer and reads list offsets as 32-bit
+//! integers; invalid lengths make it abort or panic. The validation visits nodes and buffers in the
+//! order of the decoder (Arrow columnar format 1.5, "RecordBatch message"). It also finds the row
+//! of a list that refers to items out of bounds.
 
 use std::collections::VecDeque;
 
@@ -15,17 +16,20 @@ use super::place::{DAMAGED, Place};
 use super::unpack::Found;
 use crate::formats::{Error, Result};
 
-/// Unpacked bytes that a buffer may have over what its rows need: writers fill up, and may keep room to grow.
+/// Decompressed bytes that a buffer may have beyond the need of its rows.
+///
+/// Writers pad buffers and may reserve capacity.
 const SPARE_BYTES: u64 = 1 << 16;
 
-/// Bytes of the length before a packed buffer.
+/// Size of the length before a compressed buffer, bytes.
 const LENGTH_BYTES: usize = 8;
 
-/// Room is made for so many buffers at once; more are rare.
+/// Initial capacity for buffers; more are rare.
 const MOST_BUFFERS: usize = 128;
 
-/// An error unless `batch` can be decoded: see the module. `decoded` are the columns that will be, and the buffers given
-/// are theirs.
+/// Checks that `batch` can be decoded; see the module.
+///
+/// `decoded` are the columns to decode; the returned buffers belong to them.
 pub(super) fn check(
     batch: &RecordBatch,
     version: MetadataVersion,
@@ -63,30 +67,32 @@ pub(super) fn check(
     Ok(walk.found)
 }
 
-/// The rest of a record batch's nodes and buffers.
+/// Remaining nodes and buffers of a record batch.
 struct Walk<'a> {
     nodes: VecDeque<FieldNode>,
     buffers: VecDeque<arrow_ipc::Buffer>,
-    /// How many buffers the columns of views have.
+    /// Numbers of buffers of the view columns.
     views: VecDeque<i64>,
     codec: Option<CompressionType>,
     version: MetadataVersion,
     body: &'a [u8],
-    /// Bytes that the buffers so far unpack to.
+    /// Decompressed size of the buffers so far, bytes.
     unpacked: u64,
-    /// The number of the column at hand.
+    /// Index of the current column.
     column: usize,
-    /// How many buffers the record batch lists.
+    /// Number of buffers listed by the record batch.
     listed: usize,
     found: Vec<Found>,
     place: Place<'a>,
 }
 
-/// The offsets of the lists around a field, outermost first; `None` where they are packed.
+/// Offsets of the lists around a field, outermost first; `None` if compressed.
 type Around<'a> = Vec<Option<&'a [u8]>>;
 
 impl<'a> Walk<'a> {
-    /// A field that will be decoded. `len` is how many values it must have, where that is known.
+    /// Checks a field that will be decoded.
+    ///
+    /// `len` is its required number of values, if known.
     fn field(
         &mut self,
         field: &Field,
@@ -136,7 +142,7 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// A column that will be passed over: only how many nodes and buffers it has matters.
+    /// Checks an ignored column; only its numbers of nodes and buffers matter.
     fn pass(&mut self, data_type: &DataType, path: &str) -> Result<()> {
         use DataType as T;
         self.next_node(path)?;
@@ -184,12 +190,12 @@ impl<'a> Walk<'a> {
         self.nodes.pop_front().ok_or_else(|| self.missing(path))
     }
 
-    /// How many items the list at hand has: the next node's length.
+    /// Number of items of the current list: the length of the next node.
     fn peek(&self, path: &str) -> Result<i64> {
         self.nodes.front().map(FieldNode::length).ok_or_else(|| self.missing(path))
     }
 
-    /// A node whose numbers can be true.
+    /// Reads a node with plausible numbers.
     fn node(&mut self, path: &str, len: Option<usize>) -> Result<FieldNode> {
         let node = self.next_node(path)?;
         let (length, nulls) = (node.length(), node.null_count());
@@ -202,8 +208,10 @@ impl<'a> Walk<'a> {
         Ok(node)
     }
 
-    /// The next buffer: of at least `least` bytes unpacked, and of not many more than `most`, where that is known.
-    /// Gives how many it unpacks to, and the bytes where they are not packed.
+    /// Reads the next buffer.
+    ///
+    /// Its decompressed size must be at least `least` bytes and not much above `most`, if known.
+    /// Returns the size, and the bytes if uncompressed.
     fn buffer(&mut self, path: &str, least: usize, most: Option<usize>) -> Result<(u64, Option<&'a [u8]>)> {
         let entry = self.buffers.pop_front().ok_or_else(|| self.missing(path))?;
         let bad = |problem| Err(self.place.bad_column(path, None, problem, DAMAGED));
@@ -228,14 +236,14 @@ impl<'a> Walk<'a> {
         {
             return bad(format!("a buffer that unpacks to {size} bytes, where {most} are needed"));
         }
-        // Those that are not packed are copied with the others, and many columns may list the same one.
+        // Uncompressed buffers are copied as well, and many columns may list the same one.
         if self.codec.is_some() {
             self.unpacked += size;
         }
         if self.unpacked > MAX_BATCH_BYTES {
             return bad(format!("the record batch unpacks to over {MAX_BATCH_BYTES} bytes"));
         }
-        // The buffer lies in the body, and what precedes it when it is packed is a part of it.
+        // The buffer is in the body, and the length before compressed bytes is part of it.
         let end = entry.offset() as usize + bytes.len();
         let (start, unpacks_to) = match raw {
             Some(raw) => (end - raw.len(), None),
@@ -246,8 +254,10 @@ impl<'a> Walk<'a> {
         Ok((size, raw))
     }
 
-    /// How many bytes a buffer unpacks to, and its bytes where it is not packed. What a codec cannot reach is a lie:
-    /// LZ4 makes at most 255 bytes of one, ZSTD 128 KiB of four (a run-length block, RFC 8878, section 3.1.1.2).
+    /// Decompressed size of a buffer, and its bytes if uncompressed.
+    ///
+    /// Sizes beyond the codec's limit are invalid: LZ4 expands a byte to at most 255, ZSTD four
+    /// bytes to 128 KiB (a run-length block, RFC 8878, section 3.1.1.2).
     fn unpacked(&self, bytes: &'a [u8]) -> std::result::Result<(u64, Option<&'a [u8]>), String> {
         let Some(codec) = self.codec.filter(|_| !bytes.is_empty()) else {
             return Ok((bytes.len() as u64, Some(bytes)));
@@ -266,7 +276,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The buffer of a list's offsets, each of `width` bytes; its bytes where they are not packed.
+    /// Reads the offsets buffer of a list, `width` bytes each; returns its bytes if uncompressed.
     fn offsets(&mut self, path: &str, len: usize, width: usize) -> Result<Option<&'a [u8]>> {
         let need = if len == 0 { 0 } else { (len + 1) * width };
         let (size, raw) = self.buffer(path, need, Some((len + 1) * width))?;
@@ -277,7 +287,7 @@ impl<'a> Walk<'a> {
         Ok(raw.and_then(|raw| raw.get(..need)))
     }
 
-    /// An error at the row of the first list that does not lie in its `items`.
+    /// Returns an error at the row of the first list that is not within its `items`.
     fn check_offsets(&self, path: &str, offsets: &[u8], items: i64, around: &Around) -> Result<()> {
         let mut before = 0;
         for (index, offset) in numbers(offsets).enumerate() {
@@ -300,7 +310,9 @@ fn numbers(offsets: &[u8]) -> impl DoubleEndedIterator<Item = i32> + ExactSizeIt
     })
 }
 
-/// The row that holds item `index` of the innermost list; `None` where the lists around it are packed.
+/// Row that contains item `index` of the innermost list.
+///
+/// `None` if the lists around it are compressed.
 fn row_of(mut index: usize, around: &Around) -> Option<usize> {
     for offsets in around.iter().rev() {
         let until = numbers((*offsets)?).position(|offset| offset as usize > index)?;

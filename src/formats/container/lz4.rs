@@ -1,13 +1,13 @@
-//! Unpacking LZ4 frames into memory of known length (LZ4 Frame Format 1.6.4, LZ4 Block Format).
+//! Decompresses LZ4 frames to a known length (LZ4 Frame Format 1.6.4, LZ4 Block Format).
 //!
-//! Columns of one value are one match over all of their bytes, which repeats what it has just written: copying such runs
-//! in pieces that double is what this decoder is for.
+//! A column of one value is a single match that repeats the bytes just written. This decoder copies
+//! such runs in pieces of doubling size.
 
 use super::xxh32::xxh32;
 
 const MAGIC: [u8; 4] = [0x04, 0x22, 0x4d, 0x18];
 
-/// Bits of a frame's first byte (section "Frame Descriptor").
+/// Bits of the first byte of a frame (section "Frame Descriptor").
 mod flag {
     pub(super) const VERSION: u8 = 0b1100_0000;
     pub(super) const VERSION_1: u8 = 0b0100_0000;
@@ -19,16 +19,16 @@ mod flag {
     pub(super) const DICTIONARY: u8 = 1;
 }
 
-/// The bit of a block's length that says that it is not packed.
+/// Bit of a block's length for an uncompressed block.
 const PLAIN: u32 = 1 << 31;
 
-/// Matches are at least this long.
+/// Minimum length of a match.
 const MIN_MATCH: usize = 4;
 
-/// Unpacks the frame at the beginning of `packed`, which must fill `out` to the last byte.
+/// Decompresses the frame at the start of `packed`, which must fill `out` exactly.
 ///
 /// # Errors
-/// What is wrong with the frame.
+/// The problem of the frame.
 pub(super) fn unpack(packed: &[u8], out: &mut [u8]) -> Result<(), &'static str> {
     let (flags, mut rest) = descriptor(packed)?;
     let mut at = 0;
@@ -42,7 +42,7 @@ pub(super) fn unpack(packed: &[u8], out: &mut [u8]) -> Result<(), &'static str> 
         if flags & flag::BLOCK_CHECKSUMS != 0 {
             check(block, &mut rest)?;
         }
-        // Matches reach back into the blocks before unless these are independent.
+        // Matches refer to previous blocks unless blocks are independent.
         let first = if flags & flag::INDEPENDENT_BLOCKS != 0 { at } else { 0 };
         at = match length & PLAIN {
             0 => unpack_block(block, out, at, first)
@@ -62,7 +62,7 @@ pub(super) fn unpack(packed: &[u8], out: &mut [u8]) -> Result<(), &'static str> 
 const CUT_OFF: &str = "an LZ4 frame is cut off";
 const TOO_LONG: &str = "an LZ4 frame is longer than it is said to be";
 
-/// A frame's flags, and what follows its descriptor.
+/// Parses a frame's descriptor; returns its flags and the remaining bytes.
 fn descriptor(packed: &[u8]) -> Result<(u8, &[u8]), &'static str> {
     let mut rest = packed.strip_prefix(&MAGIC).ok_or("no LZ4 frame")?;
     let start = rest;
@@ -81,28 +81,30 @@ fn descriptor(packed: &[u8]) -> Result<(u8, &[u8]), &'static str> {
     Ok((flags, rest))
 }
 
-/// An error unless the next four bytes of `rest` are the checksum of `bytes`.
+/// Checks that the next four bytes of `rest` are the checksum of `bytes`.
 fn check(bytes: &[u8], rest: &mut &[u8]) -> Result<(), &'static str> {
     let checksum = u32::from_le_bytes(take(rest).ok_or(CUT_OFF)?);
     if checksum == xxh32(bytes) { Ok(()) } else { Err("a checksum of an LZ4 frame is wrong") }
 }
 
-/// The next `N` bytes, which are taken off.
+/// Removes and returns the next `N` bytes.
 fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
     let (taken, behind) = rest.split_first_chunk::<N>()?;
     *rest = behind;
     Some(*taken)
 }
 
-/// Copies a block that is not packed to `out[at..]`, and says where it ends.
+/// Copies an uncompressed block to `out[at..]` and returns its end.
 fn copy_plain(block: &[u8], out: &mut [u8], at: usize) -> Option<usize> {
     let end = at.checked_add(block.len())?;
     out.get_mut(at..end)?.copy_from_slice(block);
     Some(end)
 }
 
-/// Unpacks a block to `out[at..]`, and says where it ends: literals and a match, in turn, ending with literals. Matches
-/// reach back to `out[first]` at most. `None` where the block contradicts itself, or passes the end of `out`.
+/// Decompresses a block to `out[at..]` and returns its end.
+///
+/// Literals and matches alternate, ending with literals. Matches start at `out[first]` or later.
+/// `None` if the block is inconsistent or exceeds `out`.
 fn unpack_block(block: &[u8], out: &mut [u8], mut at: usize, first: usize) -> Option<usize> {
     let mut next = 0;
     loop {
@@ -125,8 +127,9 @@ fn unpack_block(block: &[u8], out: &mut [u8], mut at: usize, first: usize) -> Op
     }
 }
 
-/// A length whose first four bits are `start`: where they are all set, the bytes that follow are added, up to the first
-/// that is not 255.
+/// Reads a length with the first four bits `start`.
+///
+/// If all bits are set, the following bytes are added up to the first that is not 255.
 #[inline(always)]
 fn length(start: usize, block: &[u8], next: &mut usize) -> Option<usize> {
     let mut length = start;
@@ -143,7 +146,7 @@ fn length(start: usize, block: &[u8], next: &mut usize) -> Option<usize> {
     Some(length)
 }
 
-/// Bytes that are copied at once where so many are there, though fewer are wanted: what follows overwrites the others.
+/// Bytes copied at once if there is room; excess bytes are overwritten later.
 const PIECE: usize = 16;
 
 #[inline(always)]
@@ -160,7 +163,9 @@ fn copy_literals(block: &[u8], from: usize, out: &mut [u8], at: usize, count: us
     Some(())
 }
 
-/// Repeats at `out[at..]` what stands `back` bytes before; `back` is not 0, and at most `at`.
+/// Copies to `out[at..]` from `back` bytes before.
+///
+/// `back` is at least 1 and at most `at`.
 #[inline(always)]
 fn copy_match(out: &mut [u8], at: usize, back: usize, count: usize) -> Option<()> {
     let from = at - back;
@@ -180,7 +185,7 @@ fn copy_match(out: &mut [u8], at: usize, back: usize, count: usize) -> Option<()
         }
     }
     let end = at.checked_add(count).filter(|&end| end <= out.len())?;
-    // The run that has been written so far doubles with each piece.
+    // The run written so far doubles with each piece.
     let mut done = at;
     while done < end {
         let piece = (done - from).min(end - done);
@@ -190,7 +195,7 @@ fn copy_match(out: &mut [u8], at: usize, back: usize, count: usize) -> Option<()
     Some(())
 }
 
-/// Copies `N` bytes within `out`, where all of them lie.
+/// Copies `N` bytes within `out`, if all are in bounds.
 #[inline(always)]
 fn copy_piece<const N: usize>(out: &mut [u8], from: usize, to: usize) {
     let piece: Option<[u8; N]> = out.get(from..).and_then(|rest| rest.first_chunk()).copied();
@@ -206,7 +211,7 @@ mod tests {
 
     use super::*;
 
-    /// A frame of independent blocks without checksums, which stand as they are given.
+    /// Frame of independent, uncompressed blocks without checksums.
     fn frame(blocks: &[(u32, &[u8])]) -> Vec<u8> {
         let descriptor = [flag::VERSION_1 | flag::INDEPENDENT_BLOCKS, 0x40];
         let mut bytes = [&MAGIC[..], &descriptor, &[(xxh32(&descriptor) >> 8) as u8]].concat();
@@ -225,7 +230,8 @@ mod tests {
 
     #[test]
     fn literals_and_matches_alternate() {
-        // Three literals, a match of 4 from 3 before, a match of 5 from 1 before with one literal, two literals.
+        // Three literals, a match of 4 from 3 before, a match of 5 from 1 before with one literal,
+        // two literals.
         let block = [0x30, b'a', b'b', b'c', 3, 0, 0x11, b'd', 1, 0, 0x20, b'e', b'f'];
         assert_eq!(unpacked(&frame(&[(0, &block)]), 15).unwrap(), b"abcabcaddddddef");
         assert_eq!(unpacked(&frame(&[(PLAIN, b"plain"), (0, &block)]), 20).unwrap(), b"plainabcabcaddddddef");
@@ -298,19 +304,22 @@ mod tests {
             (frame(&[(PLAIN, b"plain")]), 4, TOO_LONG),
             (frame(&[(PLAIN, b"plain")]), 6, "an LZ4 frame is shorter than it is said to be"),
             (frame(&[(0, &[0x50, b'a'])]), 5, damaged),
-            // A match before the first byte, one from nowhere, one without its place, one past the end.
+            // A match before the first byte, one from nowhere, one without its offset, one past the
+            // end.
             (frame(&[(0, &[0x10, b'a', 2, 0, 0x10, b'b'])]), 6, damaged),
             (frame(&[(0, &[0x10, b'a', 0, 0, 0x10, b'b'])]), 6, damaged),
             (frame(&[(0, &[0x10, b'a', 1])]), 6, damaged),
             (frame(&[(0, &[0x1f, b'a', 1, 0, 100, 0x10, b'b'])]), 50, damaged),
-            // An independent block that reaches into the one before.
+            // An independent block that refers to the previous one.
             (frame(&[(PLAIN, b"plain"), (0, &[0x00, 5, 0, 0x10, b'b'])]), 10, damaged),
         ] {
             assert_eq!(unpacked(&packed, size).unwrap_err(), problem);
         }
     }
 
-    /// What a block unpacks to, byte by byte as the format's description has it; `None` where it contradicts itself.
+    /// Decompresses a block byte by byte, as in the format's description.
+    ///
+    /// `None` if the block is inconsistent.
     fn plainly(block: &[u8], size: usize) -> Option<Vec<u8>> {
         let mut bytes = block.iter().map(|&byte| usize::from(byte));
         let mut out = Vec::new();
@@ -341,7 +350,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
-        /// Sequences that mostly make sense: what the fast copies give is what the description says.
+        /// For mostly valid sequences, the fast copies give the result of the description.
         #[test]
         fn a_block_is_unpacked_as_described(
             sequences in prop::collection::vec((0usize..40, 1u16..60, 0usize..80), 0..30),

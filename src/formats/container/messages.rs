@@ -1,6 +1,7 @@
-//! The messages of an IPC file or stream, with every length checked before memory is taken for it.
+//! Messages of an IPC file or stream; lengths are checked before memory is allocated.
 //!
-//! Arrow columnar format 1.5, "Encapsulated message format", "IPC streaming format" and "IPC file format".
+//! Arrow columnar format 1.5, "Encapsulated message format", "IPC streaming format" and "IPC file
+//! format".
 
 use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
@@ -15,26 +16,28 @@ use super::place::{CUT_OFF, DAMAGED, Place};
 use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES};
 use crate::formats::{Error, Result};
 
-/// The first and the last bytes of the file format.
+/// First and last bytes of the file format.
 const MAGIC: &[u8; 6] = b"ARROW1";
 
-/// Stands before the length of a message, since format version 0.15.
+/// Marker before the length of a message, since format version 0.15.
 const CONTINUATION: [u8; 4] = [0xff; 4];
 
-/// The longest metadata of a message that is read, bytes: a thousand times what a scan line needs.
+/// Longest accepted metadata of a message, bytes.
+///
+/// A thousand times the size needed for a scan line.
 const MAX_METADATA_BYTES: usize = 1 << 24;
 
-/// Memory taken for a stream's message before its bytes have come, bytes.
+/// Memory allocated for a stream's message before its bytes arrive, bytes.
 const MAX_AHEAD: usize = 1 << 22;
 
-/// Bytes that can be read from anywhere.
+/// Bytes with random access.
 pub(super) trait Searchable: Read + Seek {}
 
 impl<T: Read + Seek> Searchable for T {}
 
 /// One message: a record batch, or a dictionary.
 pub(super) struct Message {
-    /// Where it starts, bytes from the beginning of the file.
+    /// Start of the message, bytes from the beginning of the file.
     pub(super) offset: u64,
     /// The flatbuffer.
     pub(super) metadata: Buffer,
@@ -42,16 +45,16 @@ pub(super) struct Message {
     pub(super) body: Buffer,
 }
 
-/// The messages of a container, in order.
+/// Messages of a container, in order.
 pub(super) enum Messages {
     /// By the list at the end of a file.
     File(FileMessages),
-    /// One after the other.
+    /// Sequentially.
     Stream(StreamMessages),
 }
 
 impl Messages {
-    /// Opens a file of either format, and reads its schema.
+    /// Opens a file of either format and reads its schema.
     pub(super) fn open(path: &Path) -> Result<(Messages, Schema)> {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let about = file.metadata().map_err(Error::io(path, "open"))?;
@@ -61,7 +64,7 @@ impl Messages {
         Messages::searchable(path, Box::new(file), about.len())
     }
 
-    /// Reads `len` bytes of either format that can be searched.
+    /// Reads `len` bytes of either format with random access.
     pub(super) fn searchable(
         name: &Path,
         mut from: Box<dyn Searchable>,
@@ -78,13 +81,13 @@ impl Messages {
         Ok((Messages::Stream(stream), schema))
     }
 
-    /// Reads a stream, or a file from beginning to end, and its schema.
+    /// Reads a stream, or a file sequentially, and its schema.
     pub(super) fn stream(name: &Path, from: Box<dyn Read>) -> Result<(Messages, Schema)> {
         let (messages, schema) = StreamMessages::open(name, from)?;
         Ok((Messages::Stream(messages), schema))
     }
 
-    /// The next message, or `None` at the end.
+    /// Returns the next message, or `None` at the end.
     pub(super) fn next(&mut self) -> Result<Option<Message>> {
         match self {
             Messages::File(messages) => messages.next(),
@@ -92,7 +95,7 @@ impl Messages {
         }
     }
 
-    /// How far the container has been read, from 0 to 1, where its length is known.
+    /// Fraction of the container that was read, 0 to 1, if its length is known.
     pub(super) fn progress(&self) -> Option<f64> {
         match self {
             Messages::File(messages) if messages.blocks.is_empty() => Some(1.0),
@@ -102,13 +105,13 @@ impl Messages {
     }
 }
 
-/// The record batches that the footer of a file lists.
+/// Record batches listed in the footer of a file.
 pub(super) struct FileMessages {
     name: PathBuf,
     file: Box<dyn Searchable>,
     blocks: Vec<Block>,
     next: usize,
-    /// The last message's bytes: their memory is free once nobody uses them.
+    /// Bytes of the last message; reused once nobody uses them.
     last: Option<Buffer>,
 }
 
@@ -128,7 +131,7 @@ impl FileMessages {
             return Ok(None);
         };
         self.next += 1;
-        // `blocks_of` has checked the signs, and that the block lies in the file.
+        // `blocks_of` has checked the signs and that the block is in the file.
         let (offset, head) = (block.offset() as u64, block.metaDataLength() as usize);
         let len = head + block.bodyLength() as usize;
         let io = Error::io(&self.name, "read a record batch of");
@@ -151,7 +154,7 @@ impl FileMessages {
     }
 }
 
-/// The footer of a file, and where it starts.
+/// Reads the footer of a file; returns it with its start.
 fn footer_bytes(name: &Path, file: &mut dyn Searchable, len: u64) -> Result<(u64, Vec<u8>)> {
     let place = Place { file: name, offset: len.saturating_sub(10), first_row: 0 };
     // `ARROW1` and two zeros at the beginning; the footer's length and `ARROW1` at the end.
@@ -176,7 +179,9 @@ fn footer_bytes(name: &Path, file: &mut dyn Searchable, len: u64) -> Result<(u64
     Ok((8 + start, bytes))
 }
 
-/// The footer's list of record batches; each lies between the magic and the footer, which starts at `end`.
+/// Record batches listed in the footer.
+///
+/// Each is between the magic and the footer, which starts at `end`.
 fn blocks_of(footer: &Footer, end: u64, place: Place) -> Result<Vec<Block>> {
     let blocks: Vec<Block> = footer.recordBatches().iter().flatten().copied().collect();
     for (index, block) in blocks.iter().enumerate() {
@@ -198,12 +203,12 @@ fn blocks_of(footer: &Footer, end: u64, place: Place) -> Result<Vec<Block>> {
     Ok(blocks)
 }
 
-/// Where a block of (offset, metadata, body) ends, where that can be said.
+/// End of a block of (offset, metadata, body), if it can be computed.
 fn block_end((offset, head, body): (i64, i64, i64)) -> Option<u64> {
     offset.checked_add(head)?.checked_add(body).and_then(|end| u64::try_from(end).ok())
 }
 
-/// Where the flatbuffer starts in a message, and how long it is said to be.
+/// Start of the flatbuffer in a message, and its declared length.
 fn prefix(bytes: &[u8]) -> (usize, usize) {
     let word = |at: usize| bytes.get(at..).and_then(|rest| rest.first_chunk::<4>()).copied();
     let (start, length) = match word(0) {
@@ -220,15 +225,15 @@ fn too_long(bytes: i64) -> String {
     format!("a record batch of {bytes} bytes, where at most {MAX_BATCH_BYTES} are read")
 }
 
-/// The messages of a stream, or of a file that cannot be searched.
+/// Messages of a stream, or of a file read sequentially.
 pub(super) struct StreamMessages {
     name: PathBuf,
     from: BufReader<Box<dyn Read>>,
-    /// How many bytes have been read.
+    /// Number of bytes read.
     at: u64,
-    /// How many there are, where that is known.
+    /// Total number of bytes, if known.
     len: Option<u64>,
-    /// Whether it is a file that began with the magic.
+    /// Whether it is a file, which starts with the magic.
     is_file: bool,
     state: State,
 }
@@ -236,7 +241,7 @@ pub(super) struct StreamMessages {
 #[derive(Clone, Copy, PartialEq)]
 enum State {
     Open,
-    /// The mark at the end was read.
+    /// The end marker was read.
     Ended,
     /// The bytes ended without it.
     Stopped,
@@ -263,7 +268,7 @@ impl StreamMessages {
         Ok((stream, schema))
     }
 
-    /// Passes over the zeros with which a file's writer may fill up the magic to 16, 32 or 64 bytes.
+    /// Skips the zeros with which a writer may pad the magic to 16, 32 or 64 bytes.
     fn skip_padding(&mut self) -> Result<()> {
         while self.at < 64 {
             let buffered = io::BufRead::fill_buf(&mut self.from).map_err(Error::io(&self.name, "read"))?;
@@ -312,7 +317,7 @@ impl StreamMessages {
         Ok(Some(Message { offset, metadata, body }))
     }
 
-    /// The length of the next message's metadata; `None` at the end.
+    /// Reads the length of the next message's metadata; `None` at the end.
     fn length(&mut self) -> Result<Option<usize>> {
         let start = self.at;
         let mut word = self.word()?;
@@ -343,7 +348,7 @@ impl StreamMessages {
         }
     }
 
-    /// The next four bytes; `None` where the bytes end before them.
+    /// Reads the next four bytes; `None` if the bytes end before them.
     fn word(&mut self) -> Result<Option<[u8; 4]>> {
         let bytes = read_up_to(&mut self.from, 4).map_err(Error::io(&self.name, "read"))?;
         let start = self.at;
@@ -367,20 +372,22 @@ impl StreamMessages {
         place.bad(field, format!("the bytes end at byte {}", self.at), CUT_OFF)
     }
 
-    /// Whether the bytes ended without the mark that writers put at the end of a stream.
+    /// Whether the bytes ended without the end-of-stream marker.
     pub(super) fn stopped(&self) -> bool {
         self.state == State::Stopped
     }
 }
 
-/// The next `n` bytes, or as many as there are. The memory grows with the bytes that have come.
+/// Reads the next `n` bytes, or as many as there are.
+///
+/// Memory grows with the bytes read.
 fn read_up_to(from: &mut (impl Read + ?Sized), n: usize) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     read_into(from, n, &mut bytes)?;
     Ok(bytes)
 }
 
-/// The same into the memory of `bytes`, which are dropped.
+/// As [`read_up_to`], into the memory of `bytes`, which are cleared.
 fn read_into(from: &mut (impl Read + ?Sized), n: usize, bytes: &mut Vec<u8>) -> io::Result<()> {
     bytes.clear();
     bytes.reserve_exact(n.min(MAX_AHEAD));
@@ -396,7 +403,7 @@ fn not_arrow(name: &Path) -> Error {
     )
 }
 
-/// The first line of a flatbuffer's complaint: the others trace the verifier's way.
+/// First line of a flatbuffer error; the others trace the verifier.
 pub(super) fn first_line(error: &impl std::fmt::Display) -> String {
     error.to_string().lines().next().unwrap_or("is not readable").trim_end_matches('.').to_string()
 }

@@ -1,8 +1,9 @@
-//! From a record batch with packed buffers to the same one with plain buffers.
+//! Decompresses the buffers of record batches.
 //!
-//! `arrow-ipc` could unpack them too, one allocation and two copies for each. Here they are unpacked into one body, whose
-//! memory serves again once the line before it has been dropped. The metadata is changed in place: the field
-//! `compression` goes, and each buffer's entry says where it lies now (FlatBuffers internals, "Tables" and "Vectors").
+//! `arrow-ipc` would need one allocation and two copies per buffer. Here all buffers are
+//! decompressed into one body, whose memory is reused once the previous line has been dropped. The
+//! metadata is changed in place: the field `compression` is removed, and each buffer entry gets its
+//! new location (FlatBuffers internals, "Tables" and "Vectors").
 
 use std::ops::Range;
 
@@ -12,34 +13,36 @@ use arrow_ipc::{CompressionType, RecordBatch};
 use super::messages::Message;
 use super::{MOST_KEPT_BYTES, lz4};
 
-/// A buffer of a column that will be decoded.
+/// A buffer of a column to decode.
 pub(super) struct Found {
-    /// Its number in the record batch.
+    /// Index of the buffer in the record batch.
     pub(super) number: usize,
-    /// The number of its column in the schema.
+    /// Index of its column in the schema.
     pub(super) column: usize,
-    /// Where its bytes lie in the body, without the length before them.
+    /// Range of its bytes in the body, without the preceding length.
     pub(super) bytes: Range<usize>,
-    /// How many bytes it unpacks to, where it is packed.
+    /// Decompressed size, if compressed, bytes.
     pub(super) unpacks_to: Option<usize>,
 }
 
-/// Why a record batch could not be unpacked: the column, where it is one's fault, and the problem.
+/// Error of decompression: the column, if known, and the problem.
 pub(super) type Failure = (Option<usize>, String);
 
-/// Where buffers begin in the new body: at multiples of so many bytes (Arrow columnar format, "Buffer Alignment").
+/// Alignment of buffers in the new body, bytes (Arrow columnar format, "Buffer Alignment").
 const ALIGNMENT: usize = 64;
 
-/// Unpacks record batches; keeps its memory from one to the next.
+/// Decompresses record batches; reuses its memory.
 #[derive(Default)]
 pub(super) struct Unpacker {
     zstd: Option<zstd::bulk::Decompressor<'static>>,
-    /// The last body: its memory is free once no line uses it.
+    /// The last body; reused once no line uses it.
     last: Option<Buffer>,
 }
 
 impl Unpacker {
-    /// The message with the buffers `found` unpacked; those of other columns are no longer in its body.
+    /// Decompresses the buffers `found` of a message.
+    ///
+    /// Buffers of other columns are removed from its body.
     pub(super) fn unpack(
         &mut self,
         message: &Message,
@@ -56,7 +59,7 @@ impl Unpacker {
             let from = message.body.get(buffer.bytes.clone()).unwrap_or_default();
             let size = buffer.unpacks_to.unwrap_or(from.len());
             let end = at + size;
-            // A step at a time: a buffer that cannot be unpacked ends this before others take memory.
+            // Grow step by step, so that a damaged buffer ends this before others take memory.
             if body.len() < end {
                 body.resize(end, 0);
             }
@@ -82,7 +85,7 @@ impl Unpacker {
         Ok(Message { offset: message.offset, metadata: Buffer::from_vec(metadata), body })
     }
 
-    /// Unpacks a buffer, which must fill `to` to the last byte.
+    /// Decompresses a buffer, which must fill `to` exactly.
     fn unpack_one(&mut self, codec: CompressionType, from: &[u8], to: &mut [u8]) -> Result<(), String> {
         match codec {
             CompressionType::LZ4_FRAME => lz4::unpack(from, to).map_err(str::to_owned),
@@ -108,7 +111,7 @@ impl Unpacker {
     }
 }
 
-/// Where the vtable of the table at `table` tells about a field, if it does.
+/// Position in the vtable of a field of the table at `table`, if present.
 fn entry_of(bytes: &[u8], table: usize, field: u16) -> Option<usize> {
     let back = i32::from_le_bytes(get(bytes, table)?);
     let vtable = usize::try_from(table as i64 - i64::from(back)).ok()?;
@@ -116,7 +119,7 @@ fn entry_of(bytes: &[u8], table: usize, field: u16) -> Option<usize> {
     (field + 2 <= size).then_some(vtable + usize::from(field))
 }
 
-/// Where the entries of a record batch's buffers begin: 16 bytes each, offset and length.
+/// Start of the buffer entries of a record batch: 16 bytes each, offset and length.
 fn buffer_entries(bytes: &[u8], table: usize) -> Option<usize> {
     let field = u16::from_le_bytes(get(bytes, entry_of(bytes, table, RecordBatch::VT_BUFFERS)?)?);
     let field = table + usize::from(field);
@@ -128,7 +131,7 @@ fn get<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
 }
 
-/// Writes where there is room.
+/// Writes if there is room.
 fn put<const N: usize>(bytes: &mut [u8], at: usize, value: [u8; N]) {
     if let Some(place) = bytes.get_mut(at..).and_then(|rest| rest.first_chunk_mut()) {
         *place = value;

@@ -2,7 +2,7 @@
 
 const PRIMES: [u32; 5] = [0x9e37_79b1, 0x85eb_ca77, 0xc2b2_ae3d, 0x27d4_eb2f, 0x1656_67b1];
 
-/// The checksum of some bytes.
+/// Checksum of bytes.
 pub(super) fn xxh32(bytes: &[u8]) -> u32 {
     let [p1, p2, p3, p4, p5] = PRIMES;
     let mut stripes = bytes.chunks_exact(16);
@@ -20,7 +20,7 @@ pub(super) fn xxh32(bytes: &[u8]) -> u32 {
             .zip([1, 7, 12, 18])
             .fold(0, |sum: u32, (lane, by)| sum.wrapping_add(lane.rotate_left(by))),
     };
-    // The length counts modulo 2^32.
+    // The length modulo 2^32.
     hash = hash.wrapping_add(bytes.len() as u32);
     let (words, rest) = stripes.remainder().as_chunks();
     for word in words {
