@@ -111,6 +111,7 @@ fn write_recording(path: &Path, lines: usize) {
                 start_ns,
                 interval_ns: None,
                 zone: None,
+                gain: None,
                 samples: &samples,
             };
             line.block(&block);

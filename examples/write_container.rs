@@ -97,6 +97,7 @@ fn add_shot(line: &mut LineBuilder, n: u64, number: u32) {
         start_ns: 0.25,
         interval_ns: None,
         zone: None,
+        gain: None,
         samples: &samples(6, 1),
     };
     line.block(&reference);
@@ -105,6 +106,7 @@ fn add_shot(line: &mut LineBuilder, n: u64, number: u32) {
         start_ns: 100.0 + x,
         interval_ns: (n == 3).then_some(0.5),
         zone: (n == 6).then_some(1),
+        gain: None,
         samples: &samples(8 + n, 10),
     };
     line.block(&echo);
@@ -138,6 +140,7 @@ fn found(n: u64, index: u8, count: u8) -> Return {
         range_sd_m: 0.0015,
         amplitude_dn: 0.1 + 0.2,
         amplitude_sd_dn: 0.9,
+        gain: 1.0,
         peak_dn: 2.0 + 0.1 + 0.2,
         peak_sd_dn: 0.9,
         amplitude_db: if index == 0 { 12.5 } else { f64::NAN },

@@ -16,7 +16,9 @@ mod points;
 mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
-pub use input::{AmplitudeTable, EmissionReference, Frame, InputInfo, LinearAmplitude, TimeScale};
+pub use input::{
+    AmplitudeTable, EmissionReference, Frame, GainControl, InputInfo, LinearAmplitude, TimeScale,
+};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
 pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};

@@ -98,16 +98,50 @@ pub fn inputs(job: &Job, input_dir: &Path) -> Result<Vec<Input>, RunError> {
     inputs::expand(source.paths(), source.stem(), input_dir)
 }
 
+/// A run that failed: why, and what it had done by then.
+#[derive(Debug)]
+pub struct FailedRun {
+    /// The first true cause, with its stage and input.
+    pub error: RunError,
+    /// The run, with the inputs that were finished before it failed; their outputs stay.
+    pub report: RunReport,
+    /// The input that it failed on; all inputs where it failed before the first one.
+    pub unfinished: Vec<InputReport>,
+}
+
 /// Runs the chain once per input, and says what happened.
 ///
 /// # Errors
 /// The first true cause, with its stage and input. The outputs of inputs that were finished before it stay; of the one
 /// that failed, no file is left.
 pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
+    run_or_report(job, options).map_err(|failed| failed.error)
+}
+
+/// Runs the chain once per input, and reports failures, too.
+///
+/// # Errors
+/// As [`run`], with what was done.
+pub fn run_or_report(job: &Job, options: &Options) -> Result<RunReport, Box<FailedRun>> {
     failure::catch_panic_messages();
     let started = Instant::now();
-    let inputs = inputs(job, &options.input_dir)?;
-    let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir).map_err(RunError::of_job)?;
+    let mut report = RunReport::new(job, options);
+    let mut unfinished = Vec::new();
+    let done = run_inputs(job, options, &mut report, &mut unfinished);
+    report.wall_s = started.elapsed().as_secs_f64();
+    match done {
+        Ok(()) => Ok(report),
+        Err(error) => Err(Box::new(FailedRun { error, report, unfinished })),
+    }
+}
+
+fn run_inputs(
+    job: &Job,
+    options: &Options,
+    report: &mut RunReport,
+    unfinished: &mut Vec<InputReport>,
+) -> Result<(), RunError> {
+    let started = Instant::now();
     let site = |input: inputs::Input| Site {
         input: input.path,
         stem: input.stem,
@@ -117,22 +151,40 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
         simd: options.simd,
         geometry: Arc::default(),
     };
-    let sites: Vec<Site> = inputs.into_iter().map(site).collect();
-    inputs::keep_from_outputs(job, &sites)?;
-    // Held until the end of the run.
-    let _lock = OutputLock::take(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
-    let mut report = RunReport::new(job, options);
+    let sites: Vec<Site> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
+    let begin = || {
+        let geometry = Loader::new(&job.settings.geometry, &options.input_dir).map_err(RunError::of_job)?;
+        inputs::keep_from_outputs(job, &sites)?;
+        let lock = OutputLock::take(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
+        Ok((geometry, lock))
+    };
+    // The lock is held until the end of the run.
+    let (mut geometry, _lock) = match begin() {
+        Ok(begun) => begun,
+        Err(error) => {
+            unfinished.extend(sites.iter().map(|site| InputReport::not_begun(site, started)));
+            return Err(error);
+        }
+    };
     let mut progress = Progress::new(options.progress, sites.len());
     let cx = Context::default();
     for mut site in sites {
-        let of_input =
-            |error| RunError { stage: None, input: Some(site.input.clone()), cause: Cause::Stage(error) };
-        site.geometry = Arc::new(geometry.load(&site.stem).map_err(of_input)?);
-        let result = chain::run(job, &Arc::new(site), options, &mut progress, &cx)?;
-        report.add(result);
+        match geometry.load(&site.stem) {
+            Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
+            Err(error) => {
+                unfinished.push(InputReport::not_begun(&site, started));
+                return Err(RunError { stage: None, input: Some(site.input), cause: Cause::Stage(error) });
+            }
+        }
+        match chain::run(job, &Arc::new(site), options, &mut progress, &cx) {
+            Ok(result) => report.add(result),
+            Err((error, result)) => {
+                unfinished.push(*result);
+                return Err(error);
+            }
+        }
     }
-    report.wall_s = started.elapsed().as_secs_f64();
-    Ok(report)
+    Ok(())
 }
 
 /// Writes the trace of a profiled run for Perfetto or chrome://tracing (the Trace Event Format, JSON).

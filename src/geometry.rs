@@ -17,3 +17,4 @@ mod track;
 
 pub use keys::GeometryKeys;
 pub use loaded::{Geometry, Loader};
+pub use target::check_crs;

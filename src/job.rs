@@ -105,7 +105,7 @@ pub struct JobSettings {
     #[schemars(with = "page::PageKey", extend("x-file" = "output"))]
     pub report_page: String,
     /// The statistics of each input in words, in the folder of the outputs; `*` is the input's stem, needed where
-    /// there are several inputs; empty: none.
+    /// there are several inputs; empty: none. A run that fails writes them, too, with the failure.
     #[schemars(extend("x-file" = "output"))]
     pub stat_log: String,
     /// The log of the run, in the folder of the outputs; empty: none.

@@ -19,6 +19,7 @@ pub mod false_alarms;
 pub mod flags;
 mod fourier;
 pub mod fusion;
+pub mod gain;
 pub mod gauss_fit;
 pub mod lockstep;
 pub mod mta;

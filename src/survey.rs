@@ -127,6 +127,8 @@ pub struct ChannelSurvey {
     pub lengths: Histogram,
     /// Time of a block's first sample after the shot's clock, ns.
     pub starts_ns: Histogram,
+    /// The least and the greatest gain of a block.
+    pub gains: [f64; 2],
     /// What the samples tell, where they were looked at.
     pub values: Option<Samples>,
 }
@@ -172,6 +174,7 @@ impl Survey {
             samples: 0,
             lengths: Histogram::of_whole_numbers(BINS),
             starts_ns: Histogram::new(0.125, BINS),
+            gains: [f64::INFINITY, f64::NEG_INFINITY],
             values: None,
         };
         Survey {
@@ -291,6 +294,7 @@ impl ChannelSurvey {
         self.samples += block.len() as u64;
         self.lengths.add(block.len() as f64);
         self.starts_ns.add(block.start_ns);
+        self.gains = [self.gains[0].min(block.gain), self.gains[1].max(block.gain)];
         self.values.as_mut().and_then(|values| values.add(samples))
     }
 }

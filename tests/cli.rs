@@ -306,3 +306,70 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
     drop(child.stdout.take());
     assert_eq!(child.wait().unwrap().code(), Some(0));
 }
+
+/// A folder with a job whose `crs` is the WKT in `site.prj`, and the commands that are run there.
+fn place_with_wkt(wkt: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let job = "[job]\noutput_dir = 'out'\ngeometry = { crs = 'site.prj' }\n\
+               [[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'write_arrow'\n";
+    fs::write(folder.path().join("job.toml"), job).unwrap();
+    fs::write(folder.path().join("site.prj"), wkt).unwrap();
+    folder
+}
+
+fn wavex_in(folder: &std::path::Path, arguments: &[&str]) -> Outcome {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_wavex")).args(arguments).current_dir(folder).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    Outcome { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+}
+
+/// A missing parameter counts as 0 in the library of projections.
+#[test]
+fn a_system_with_missing_parameters_is_a_wrong_job() {
+    let parameters = |names: &[&str]| -> String {
+        names.iter().map(|name| format!(r#"PARAMETER["{name}",1],"#)).collect::<String>()
+    };
+    let centred = ["latitude_of_center", "longitude_of_center"];
+    for (method, given, missing) in [
+        ("Krovak", &centred[..], "azimuth, scale_factor, false_easting, false_northing"),
+        ("Mercator_1SP", &["scale_factor", "false_easting"], "central_meridian, false_northing"),
+        (
+            "Stereographic",
+            &["latitude_of_origin", "false_easting", "false_northing"],
+            "central_meridian, scale_factor or standard_parallel_1",
+        ),
+        ("Polyconic", &["false_easting"], "latitude_of_origin, central_meridian, false_northing"),
+    ] {
+        let wkt = format!(
+            r#"PROJCS["site",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["{method}"],{}UNIT["metre",1]]"#,
+            parameters(given)
+        );
+        let folder = place_with_wkt(&wkt);
+        let expected = format!(
+            "error: ./site.prj: site: its projection has no {missing}; complete the parameters in its WKT, or give an EPSG \
+             code\n"
+        );
+        for command in ["check", "run"] {
+            refused(wavex_in(folder.path(), &[command, "job.toml"]), &expected);
+        }
+        assert!(!folder.path().join("out").exists(), "a wrong job makes nothing");
+    }
+}
+
+/// A file that jobs share may hold the folder of geoids, also for jobs without a geoid.
+#[test]
+fn a_shared_file_may_name_the_folder_of_geoids() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = "[job]\ninclude = 'site.toml'\noutput_dir = 'out'\n\
+               [[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'write_arrow'\n";
+    fs::write(folder.path().join("job.toml"), job).unwrap();
+    fs::write(folder.path().join("site.toml"), "[job.geometry]\ngeoid_dir = 'geoids'\n").unwrap();
+    let checked = wavex_in(folder.path(), &["check", "job.toml"]);
+    assert_eq!((checked.code, checked.err.as_str()), (Some(0), ""));
+    assert!(checked.out.starts_with("./job.toml fits\n") || checked.out.starts_with("job.toml fits\n"));
+    assert!(!checked.out.contains("warning"), "{}", checked.out);
+    let run = wavex_in(folder.path(), &["--quiet", "run", "job.toml"]);
+    assert_eq!(run, Outcome { code: Some(0), out: String::new(), err: String::new() });
+    assert!(folder.path().join("out/simulated.arrow").is_file());
+}

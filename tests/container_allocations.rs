@@ -64,6 +64,7 @@ fn container(compression: Compression) -> Result<Vec<u8>> {
         start_ns: 0.0,
         interval_ns: None,
         zone: None,
+        gain: None,
         samples: &[3; 200],
     });
     let mut writer = ContainerWriter::file(Vec::new(), Path::new("made.arrow"), &header, compression)?;

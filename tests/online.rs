@@ -6,6 +6,7 @@ mod support;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use support::container::{Shot, container};
 use support::shots::{echo, peak, time_s};
 use support::{Outcome, Place};
 use wavex::batch::flags::INSTRUMENT;
@@ -49,7 +50,14 @@ fn recording(zone: Option<i16>) -> Place {
         } else {
             let samples: Vec<u16> = echo(shot).into_iter().map(u16::from).collect();
             let (start_ns, zone, interval_ns) = (START_NS, None, None);
-            line.block(&ContainerBlock { channel: 1, start_ns, zone, interval_ns, samples: &samples });
+            line.block(&ContainerBlock {
+                channel: 1,
+                start_ns,
+                zone,
+                interval_ns,
+                gain: None,
+                samples: &samples,
+            });
         }
         line.online(&ContainerOnline { time_ns, amplitude: 120.0 });
     }
@@ -126,6 +134,53 @@ fn they_can_be_left_out_or_stand_in_for_all() {
         (&(SHOTS - WITHOUT).into(), &(SHOTS - WITHOUT).into())
     );
     assert_eq!((&totals["nw_empty"], &totals["n_candidates"]), (&0.into(), &0.into()));
+}
+
+/// Nothing is decomposed, so nothing needs to be calibrated.
+#[test]
+fn without_decomposition_there_is_no_need_to_calibrate() {
+    let calibrate = "[[stage]]\ntype = 'calibrate'\nwaveforms = 250\n";
+    let place = recording(Some(0));
+    let with = job("online_points = 'only'");
+    assert_eq!(place.run(&with), Outcome { code: Some(0), err: String::new() });
+    let expected = place.text("out/a.csv");
+    assert_eq!(expected.lines().count(), 1 + SHOTS + WITHOUT);
+    let without = with.replace(calibrate, "");
+    assert_eq!(place.run(&without), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.text("out/a.csv"), expected);
+    let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    assert_eq!(report["inputs"][0]["totals"]["nw_with_points"], SHOTS - WITHOUT);
+
+    for keys in ["", "online_points = 'fallback'"] {
+        let outcome = place.run(&job(keys).replace(calibrate, ""));
+        assert_eq!(outcome.code, Some(2));
+        assert!(outcome.err.contains("`decompose` needs `calibrate` before it"), "{outcome:?}");
+    }
+}
+
+/// Waveforms of a recording without the instrument's returns are accounted for as empty.
+#[test]
+fn waveforms_without_an_own_return_are_empty() {
+    let shot = |number: usize| Shot {
+        clock_ps: (time_s(number) * 1e12) as i64,
+        blocks: vec![(1, START_NS, echo(number).into_iter().map(u16::from).collect())],
+    };
+    let shots: Vec<Shot> = (0..40).map(shot).collect();
+    let place = Place::with(&[("a.arrow", &container(&shots, EmissionReference::Clock, true))]);
+    let stages = "[[stage]]\ntype = 'decompose'\nonline_points = 'only'\n";
+    let totals = place.succeeds("read_arrow", "a.arrow", stages)["totals"].clone();
+    assert_eq!((&totals["nw"], &totals["nw_empty"], &totals["np"]), (&40.into(), &40.into(), &0.into()));
+}
+
+/// Ranges count from outgoing pulses where they are recorded: those must be fitted.
+#[test]
+fn outgoing_pulses_need_a_calibration() {
+    let place = Place::new();
+    let simulate = "[[stage]]\ntype = 'simulate'\nlines = 2\nshots_per_line = 50\n";
+    let stages = "[[stage]]\ntype = 'decompose'\nonline_points = 'only'\n[[stage]]\ntype = 'write_table'\n";
+    let problem = "stage decompose: ranges count from the outgoing pulses of this recording, which a sensor model is needed \
+                   to find; put calibrate before decompose";
+    place.left_nothing(place.run(&format!("{simulate}{stages}")), problem);
 }
 
 #[test]

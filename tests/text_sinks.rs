@@ -249,7 +249,7 @@ fn the_statistics_in_words_have_every_part() {
     let folder = tempfile::tempdir().unwrap();
     let report = run(folder.path(), "[[stage]]\ntype = 'write_lstat'\n");
     let input = &report.inputs[0];
-    let text = engine::stat_log(&report, input, &["out/report.json".into()]);
+    let text = engine::stat_log(&report, input, &["out/report.json".into()], None);
     let titles = ["Run time", "Input", "Decoding", "Extraction", "Trajectory", "Georeferencing", "Output"];
     let place =
         |title: &&str| text.find(&format!("\n{title}\n---")).unwrap_or_else(|| panic!("{title}: {text}"));

@@ -167,7 +167,14 @@ fn block(rows: &mut LineBuilder, channel: u8, pulses: &[Pulse], random: &mut [u6
             (BACKGROUND_DN + signal_dn + noise_dn(random)).round().clamp(0.0, 255.0) as u16
         })
         .collect();
-    rows.block(&ContainerBlock { channel, start_ns, interval_ns: None, zone: None, samples: &samples });
+    rows.block(&ContainerBlock {
+        channel,
+        start_ns,
+        interval_ns: None,
+        zone: None,
+        gain: None,
+        samples: &samples,
+    });
 }
 
 /// The eight bytes of a random number, added: normal enough.

@@ -21,6 +21,8 @@ pub struct InputInfo {
     pub odd_sample_shift: f64,
     /// The largest value that the digitiser can give, where known: a sample there is saturated.
     pub full_scale_dn: Option<u16>,
+    /// What is known of automatic gain control.
+    pub gain_control: GainControl,
     /// Speed of the pulse in air, m/s.
     pub group_velocity_mps: f64,
     /// The nominal pulse rate, Hz.
@@ -65,6 +67,7 @@ impl Default for InputInfo {
             sampling_interval_ns: 1.0,
             odd_sample_shift: 0.0,
             full_scale_dn: None,
+            gain_control: GainControl::Off,
             group_velocity_mps: 299_792_458.0,
             pulse_rate_hz: None,
             time_scale: TimeScale::Unknown,
@@ -81,6 +84,18 @@ impl Default for InputInfo {
             range_high: None,
         }
     }
+}
+
+/// What a recording says of automatic gain control.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GainControl {
+    /// Nothing: the receivers have one gain.
+    #[default]
+    Off,
+    /// Each sample block says its gain.
+    Recorded,
+    /// The gain changes, and blocks do not say it: intensities are not comparable.
+    NotRecorded,
 }
 
 /// What GPS times count.

@@ -29,12 +29,14 @@ pub struct Return {
     /// Standard deviation of the point's place: the square root of the trace of its covariance, m; NaN where unknown, as
     /// before `georeference`.
     pub total_sd_m: f64,
-    /// Height of the fitted pulse's peak above the background, digitiser steps.
+    /// Height of the fitted pulse's peak above the background as recorded, digitiser steps.
     pub amplitude_dn: f64,
     /// Standard deviation of `amplitude_dn`, digitiser steps.
     pub amplitude_sd_dn: f64,
-    /// Background and height of the peak in the receiver that gives the intensity, digitiser steps: where the instrument's
-    /// tables are read.
+    /// Gain with which `amplitude_dn` was recorded over the reference gain; 1 without automatic gain control.
+    pub gain: f64,
+    /// Background and height of the peak at gain 1 in the receiver that gives the intensity, digitiser steps: where the
+    /// instrument's tables are read.
     pub peak_dn: f64,
     /// Standard deviation of `peak_dn`, digitiser steps.
     pub peak_sd_dn: f64,
@@ -62,6 +64,13 @@ pub struct Return {
     pub class: u8,
 }
 
+impl Return {
+    /// `amplitude_dn` and its standard deviation at gain 1: what can be compared between shots.
+    pub fn amplitude_at_unit_gain_dn(&self) -> (f64, f64) {
+        (self.amplitude_dn / self.gain, self.amplitude_sd_dn / self.gain)
+    }
+}
+
 impl Default for Return {
     /// A first and only return of the sensitive receiver, of which nothing is known.
     fn default() -> Return {
@@ -79,6 +88,7 @@ impl Default for Return {
             total_sd_m: f64::NAN,
             amplitude_dn: f64::NAN,
             amplitude_sd_dn: f64::NAN,
+            gain: 1.0,
             peak_dn: f64::NAN,
             peak_sd_dn: f64::NAN,
             amplitude_db: f64::NAN,

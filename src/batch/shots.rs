@@ -91,6 +91,8 @@ pub struct Block {
     pub start_ns: f64,
     /// Time between samples, ns.
     pub interval_ns: f64,
+    /// Gain of the receiver over its reference gain; positive, 1 without automatic gain control.
+    pub gain: f64,
     /// The first sample's place in the arena; [`NOT_HELD`] where its samples were not read.
     first: u32,
     /// How many samples there are.
@@ -150,6 +152,7 @@ impl Blocks {
             is_zone_uncertain,
             start_ns,
             interval_ns,
+            gain: 1.0,
             first,
             len,
         });
@@ -173,10 +176,16 @@ impl Blocks {
             zone,
             start_ns,
             interval_ns,
+            gain: 1.0,
             first: NOT_HELD,
             len,
             is_zone_uncertain: false,
         });
+    }
+
+    /// Sets the gain of the last block; dimensionless, positive.
+    pub fn set_last_gain(&mut self, gain: f64) {
+        self.list.last_mut().into_iter().for_each(|last| last.gain = gain);
     }
 
     /// Says that the zone of the last block was decided against little evidence.

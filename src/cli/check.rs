@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Failure, JobArgs, print, run};
 use crate::archive::missing_inputs;
+use crate::geometry::check_crs;
 use crate::job::Job;
 use crate::stage::fixed_folder;
 
@@ -19,6 +20,7 @@ pub(super) fn check(args: &JobArgs) -> Result<(), Failure> {
 /// What a job that stands in `folder` will do, or why it cannot.
 fn report(job: &Job, folder: &Path) -> Result<String, String> {
     let (input_dir, output_dir) = run::folders(job, folder);
+    check_crs(&job.settings.geometry, &input_dir).map_err(|error| error.to_string())?;
     let mut said = format!("{} fits\n  chain:  {}\n", job.name, job.chain());
     said += &format!("  inputs: {}\n", input_dir.display());
     for folder in output_folders(job, &output_dir) {

@@ -7,8 +7,11 @@ use std::path::{Path, PathBuf};
 use super::report::write_page;
 use super::{Failure, JobArgs, Machine, When, log, terminal};
 use crate::archive::{Recorder, check_destination};
-use crate::engine::{self, Cancel, Cause, Options, ProgressMode, RunError, RunReport};
+use crate::engine::{
+    self, Cancel, Cause, FailedRun, InputReport, Options, ProgressMode, RunError, RunReport,
+};
 use crate::formats::Error;
+use crate::geometry::check_crs;
 use crate::job::{Job, Override};
 use crate::stage::{
     OutputFile, OutputLock, Outputs, StageError, fixed_folder, give_up_claims, remove_unfinished_files,
@@ -47,6 +50,7 @@ fn run_archived(
         tracing::warn!("{note}");
     }
     let (input_dir, output_dir) = folders(job, folder);
+    check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
     // Before the log: another run's would be cut off.
     let own = own_outputs(job, [&input_dir, &output_dir], machine.profile, archive);
@@ -81,41 +85,67 @@ fn run_archived(
     let recorder = recorder.map_err(|error| logged(&error))?;
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
-    let mut report =
-        engine::run(archived.as_ref().unwrap_or(job), &options).map_err(|error| logged(&error))?;
+    let run = engine::run_or_report(archived.as_ref().unwrap_or(job), &options);
+    let mut report = run.map_err(|failed| {
+        let FailedRun { error, mut report, unfinished } = *failed;
+        report.inputs.extend(unfinished);
+        if let Some(recorder) = &recorder {
+            recorder.strip(&mut report);
+        }
+        ended_with(&error, &report, &output_dir)
+    })?;
     if let Some(recorder) = &recorder {
         recorder.strip(&mut report);
     }
-    let mut own = Vec::new();
-    if let Some(file) = report_file {
-        own.push(file.path().to_owned());
-        write_report(&report, file).map_err(|error| failed(&error))?;
-    }
-    if let Some(file) = page_file {
-        own.push(file.path().to_owned());
-        write_page(&report, file).map_err(|error| failed(&error))?;
-    }
-    if machine.profile {
-        own.push(output_dir.join(TRACE));
-        write_trace(&report, &output_dir.join(TRACE)).map_err(|error| failed(&error))?;
-    }
-    if !job.settings.log.is_empty() {
-        own.push(output_dir.join(&job.settings.log));
-    }
-    let stat_logs = write_stat_logs(&report, job, &output_dir, &own).map_err(|error| failed(&error))?;
-    own.extend(stat_logs);
-    for (note, inputs) in report.repeated_notes() {
-        tracing::warn!("{inputs} of {} inputs: {note}", report.inputs.len());
-    }
-    let mut said = summary(&report, &own, machine.profile);
-    if let (Some(recorder), Some(archive)) = (recorder, archive) {
-        let seal = recorder.finish(&report, &log::kept()).map_err(|error| logged(&error))?;
-        let _ = writeln!(said, "archived in {}; its seal is {seal}", archive.display());
-    }
+    let finish = || {
+        let own = write_own(&report, report_file, page_file, machine.profile, &output_dir)?;
+        for (note, inputs) in report.repeated_notes() {
+            tracing::warn!("{inputs} of {} inputs: {note}", report.inputs.len());
+        }
+        let mut said = summary(&report, &own, machine.profile);
+        if let (Some(recorder), Some(archive)) = (recorder, archive) {
+            let seal = recorder.finish(&report, &log::kept())?;
+            let _ = writeln!(said, "archived in {}; its seal is {seal}", archive.display());
+        }
+        Ok(said)
+    };
+    let said = finish().map_err(|error: StageError| ended_with(&error, &report, &output_dir))?;
     if !quiet {
         terminal::print(&said)?;
     }
     Ok(report)
+}
+
+/// Writes the files of the run as a whole and the statistics of each input, and gives their names.
+fn write_own(
+    report: &RunReport,
+    report_file: Option<OutputFile>,
+    page_file: Option<OutputFile>,
+    profile: bool,
+    output_dir: &Path,
+) -> Result<Vec<PathBuf>, StageError> {
+    let mut own = Vec::new();
+    if let Some(file) = report_file {
+        own.push(file.path().to_owned());
+        write_report(report, file)?;
+    }
+    if let Some(file) = page_file {
+        own.push(file.path().to_owned());
+        write_page(report, file)?;
+    }
+    if profile {
+        own.push(output_dir.join(TRACE));
+        write_trace(report, &output_dir.join(TRACE))?;
+    }
+    if !report.job.log.is_empty() {
+        own.push(output_dir.join(&report.job.log));
+    }
+    let mut stat_logs = Vec::new();
+    for input in report.inputs.iter().filter(|_| !report.job.stat_log.is_empty()) {
+        stat_logs.push(write_stat_log(report, input, output_dir, &own, None)?);
+    }
+    own.extend(stat_logs);
+    Ok(own)
 }
 
 /// What a run writes besides the outputs of its stages, which the engine claims.
@@ -172,22 +202,38 @@ fn write_report(report: &RunReport, mut file: OutputFile) -> Result<(), StageErr
     Ok(())
 }
 
-/// Writes the statistics of each input, and gives their names; `own` are the other files of the run.
-fn write_stat_logs(
+/// Writes the statistics of an input, and gives their name; `own` are the other files of the run.
+fn write_stat_log(
     report: &RunReport,
-    job: &Job,
+    input: &InputReport,
     output_dir: &Path,
     own: &[PathBuf],
-) -> Result<Vec<PathBuf>, StageError> {
-    let pattern = job.settings.stat_log.as_str();
-    let mut names = Vec::new();
-    for input in report.inputs.iter().filter(|_| !pattern.is_empty()) {
-        let mut file = OutputFile::create(&output_dir.join(pattern.replace('*', &input.stem)))?;
-        let written = file.write_all(engine::stat_log(report, input, own).as_bytes());
-        written.map_err(|error| Error::io(file.path(), "write the statistics")(error))?;
-        names.push(file.finish()?.publish()?);
+    failure: Option<&str>,
+) -> Result<PathBuf, StageError> {
+    let mut file = OutputFile::create(&output_dir.join(report.job.stat_log.replace('*', &input.stem)))?;
+    let written = file.write_all(engine::stat_log(report, input, own, failure).as_bytes());
+    written.map_err(|error| Error::io(file.path(), "write the statistics")(error))?;
+    Ok(file.finish()?.publish()?)
+}
+
+/// Logs why a run failed, and writes it into the statistics of its inputs where their folder exists.
+///
+/// What keeps statistics from being written is logged only: the run has an error already.
+fn ended_with(error: &dyn std::fmt::Display, report: &RunReport, output_dir: &Path) -> Failure {
+    let failure = error.to_string();
+    tracing::debug!("{failure}");
+    let job = &report.job;
+    let log = Some(&job.log).filter(|log| !log.is_empty()).map(|log| output_dir.join(log));
+    for input in report.inputs.iter().filter(|_| !job.stat_log.is_empty()) {
+        let path = output_dir.join(job.stat_log.replace('*', &input.stem));
+        if !path.parent().is_some_and(Path::is_dir) {
+            continue;
+        }
+        if let Err(error) = write_stat_log(report, input, output_dir, log.as_slice(), Some(&failure)) {
+            tracing::warn!("no statistics of the failed run: {error}");
+        }
     }
-    Ok(names)
+    Failure::Run(failure)
 }
 
 fn write_trace(report: &RunReport, path: &Path) -> Result<(), StageError> {

@@ -22,13 +22,16 @@ use crate::stage::{Context, Holds, Plan, Result, Site, StageError, WholeFile};
 type Leavings = Mutex<Vec<(Meter, Context)>>;
 
 /// Runs the chain over one input; `cx` is that of the run.
+///
+/// # Errors
+/// The first true cause, and what was done before it.
 pub(super) fn run(
     job: &Job,
     site: &Arc<Site>,
     options: &Options,
     progress: &mut Progress,
     cx: &Context,
-) -> std::result::Result<InputReport, RunError> {
+) -> std::result::Result<InputReport, (RunError, Box<InputReport>)> {
     let started = Instant::now();
     let shared = shared(job, options, cx);
     let leavings: Vec<Leavings> = job.stages.iter().map(|_| Leavings::default()).collect();
@@ -61,17 +64,21 @@ pub(super) fn run(
     progress.end(&shared.gauge);
     let budget_peak = shared.budget.peak();
     let totals = shared.totals.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
-    if let Some(error) = shared.failure.into_error(&site.input) {
-        return Err(error);
-    }
     let (stages, whole, gallery) = collect(job, leavings);
-    let outputs = publish(whole).map_err(|(stage, error)| RunError {
-        stage: Some(stage),
-        input: Some(site.input.clone()),
-        cause: Cause::Stage(error),
-    })?;
+    let published = match shared.failure.into_error(&site.input) {
+        Some(error) => Err(error),
+        None => publish(whole).map_err(|(stage, error)| RunError {
+            stage: Some(stage),
+            input: Some(site.input.clone()),
+            cause: Cause::Stage(error),
+        }),
+    };
     let totals = totals.with_gallery(gallery);
-    Ok(InputReport::new(site, started, totals, stages, outputs, budget_peak))
+    let report = |outputs| InputReport::new(site, started, totals, stages, outputs, budget_peak);
+    match published {
+        Ok(outputs) => Ok(report(outputs)),
+        Err(error) => Err((error, Box::new(report(Vec::new())))),
+    }
 }
 
 /// Every stage's workers, each with where its lines come from and where they go.

@@ -370,6 +370,11 @@ impl InputReport {
         }
     }
 
+    /// The report of an input that no stage has begun with.
+    pub(super) fn not_begun(site: &Site, started: Instant) -> InputReport {
+        InputReport::new(site, started, Totals::new(false), Vec::new(), Vec::new(), 0)
+    }
+
     /// The stage whose workers were busiest: where the time goes.
     pub fn bottleneck(&self) -> Option<&StageReport> {
         self.stages.iter().max_by(|a, b| a.load(self.wall_s).total_cmp(&b.load(self.wall_s)))

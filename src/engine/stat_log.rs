@@ -57,10 +57,10 @@ impl Text {
 }
 
 /// The statistics of one input of a run (`*_stat.log`): run time, input, decoding, extraction, trajectory,
-/// georeferencing, output. `own` are the files of the run as a whole.
-pub fn stat_log(run: &RunReport, input: &InputReport, own: &[PathBuf]) -> String {
+/// georeferencing, output. `own` are the files of the run as a whole, `failure` is the message of a run that failed.
+pub fn stat_log(run: &RunReport, input: &InputReport, own: &[PathBuf], failure: Option<&str>) -> String {
     let mut text = Text(format!("wavex {}: statistics of {}\n", run.wavex, input.stem));
-    run_time(&mut text, run, input);
+    run_time(&mut text, run, input, failure);
     about_input(&mut text, input);
     decoding(&mut text, input);
     extraction(&mut text, input);
@@ -74,11 +74,12 @@ fn total(input: &InputReport, name: &str) -> u64 {
     input.totals.get(name).copied().unwrap_or(0)
 }
 
-fn run_time(text: &mut Text, run: &RunReport, input: &InputReport) {
+fn run_time(text: &mut Text, run: &RunReport, input: &InputReport, failure: Option<&str>) {
     text.title("Run time");
     text.row("start", &input.started);
     text.row("end", &input.ended);
-    text.row("exit status", "0, done");
+    text.row("exit status", if failure.is_some() { "1, failed" } else { "0, done" });
+    text.known("failure", failure);
     text.row("duration", format_args!("{:.3} s", input.wall_s));
     let rate = total(input, "nw") as f64 / input.wall_s.max(1e-9);
     text.row("waveforms per second", format_args!("{rate:.0}"));
@@ -212,6 +213,9 @@ fn output(text: &mut Text, input: &InputReport, own: &[PathBuf]) {
     text.title("Output");
     for output in input.outputs.iter().chain(own) {
         text.row("file", output.display());
+    }
+    if input.outputs.is_empty() && own.is_empty() {
+        text.row("file", "none");
     }
     for stage in input.stages.iter().filter(|stage| stage.role == RoleName::Sink) {
         remarks(text, stage);

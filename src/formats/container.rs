@@ -33,7 +33,7 @@ mod writer;
 mod xxh32;
 
 pub use builder::LineBuilder;
-pub use header::{ContainerHeader, EmissionReference, Frame, Origin, TimeScale};
+pub use header::{ContainerHeader, EmissionReference, Frame, GainControl, Origin, TimeScale};
 pub use line::{ContainerBlock, ContainerLine, ContainerOnline, ContainerShot};
 pub use reader::ContainerReader;
 pub use table::TableReader;

@@ -1,6 +1,6 @@
 //! The coordinates that points get.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::keys::{GeometryKeys, UnitKey};
@@ -48,14 +48,7 @@ impl Default for Wanted {
 impl Wanted {
     /// What the keys say, with the files that they name; a system that is none is found here, and not after hours.
     pub(super) fn load(keys: &GeometryKeys, input_dir: &Path) -> Result<Wanted> {
-        let mut file = None;
-        let named = match &keys.crs {
-            None => Named::Utm,
-            Some(word) => match Named::parse(word).map_err(|error| failed(&error))? {
-                Some(named) => named,
-                None => Named::Wkt(read_wkt(file.insert(input_dir.join(word)))?),
-            },
-        };
+        let (named, file) = named(keys, input_dir)?;
         let geoid = match &keys.geoid {
             None => None,
             Some(name) => {
@@ -70,10 +63,7 @@ impl Wanted {
             UnitKey::Ft => Unit::foot(),
         });
         let wanted = Wanted { named, geoid, unit };
-        wanted.crs(ANYWHERE).map_err(|error| match &file {
-            Some(file) => failed(&format_args!("{}: {error}", file.display())),
-            None => failed(&error),
-        })?;
+        wanted.crs(ANYWHERE).map_err(|error| unusable(&error, file.as_deref()))?;
         Ok(wanted)
     }
 
@@ -121,6 +111,42 @@ impl Wanted {
         };
         same().is_ok_and(|found| found.iter().zip(point).all(|(a, b)| (a - b).abs() < SAME))
     }
+}
+
+/// The system that the keys name, and its file where it is WKT.
+fn named(keys: &GeometryKeys, input_dir: &Path) -> Result<(Named, Option<PathBuf>)> {
+    let Some(word) = &keys.crs else { return Ok((Named::Utm, None)) };
+    match Named::parse(word).map_err(|error| failed(&error))? {
+        Some(named) => Ok((named, None)),
+        None => {
+            let file = input_dir.join(word);
+            Ok((Named::Wkt(read_wkt(&file)?), Some(file)))
+        }
+    }
+}
+
+fn unusable(error: &CrsError, file: Option<&Path>) -> StageError {
+    match file {
+        Some(file) => failed(&format_args!("{}: {error}", file.display())),
+        None => failed(error),
+    }
+}
+
+/// Checks the coordinate reference system of a job.
+///
+/// A WKT file that does not exist passes: it may be there by the time of the run.
+///
+/// # Errors
+/// A system that cannot be computed: the message names its file and what is missing or not understood.
+pub fn check_crs(keys: &GeometryKeys, input_dir: &Path) -> Result<()> {
+    let is_missing =
+        |word: &String| matches!(Named::parse(word), Ok(None)) && !input_dir.join(word).is_file();
+    if keys.crs.as_ref().is_some_and(is_missing) {
+        return Ok(());
+    }
+    let (named, file) = named(keys, input_dir)?;
+    Crs::new(&named, ANYWHERE, None, None).map_err(|error| unusable(&error, file.as_deref()))?;
+    Ok(())
 }
 
 pub(super) fn read_wkt(path: &Path) -> Result<String> {

@@ -3,6 +3,9 @@
 use std::collections::VecDeque;
 use std::ops::Range;
 
+use toml::Spanned;
+use toml::de::DeValue;
+
 use super::JobError;
 use super::draft::DraftStage;
 use crate::batch::Kind;
@@ -15,11 +18,18 @@ pub(super) struct Link {
     pub spec: Option<&'static StageSpec>,
     /// Where the job names it.
     pub named_at: Range<usize>,
+    /// Whether its keys say that it needs no stage before it.
+    needs_none: bool,
 }
 
 impl Link {
     pub(super) fn of(stage: &DraftStage) -> Link {
-        Link { spec: stage.spec, named_at: stage.named_at.clone() }
+        let is_said = |(key, word): (&str, &str)| {
+            let value = stage.keys.get_ref().get(key).map(Spanned::get_ref);
+            matches!(value, Some(DeValue::String(text)) if text.as_ref() == word)
+        };
+        let needs_none = stage.spec.and_then(|spec| spec.unless).is_some_and(is_said);
+        Link { spec: stage.spec, named_at: stage.named_at.clone(), needs_none }
     }
 
     fn is(&self, name: &str) -> bool {
@@ -103,7 +113,8 @@ impl Chain<'_> {
         let after = self.spec.after;
         let is_one = |link: &&Link| after.iter().any(|name| link.is(name));
         // A stage that does not exist may be a slip of the pen for the one that is missing.
-        if after.is_empty() || before.iter().any(|link| is_one(&link) || link.spec.is_none()) {
+        let needs_none = after.is_empty() || self.links[self.at].needs_none;
+        if needs_none || before.iter().any(|link| is_one(&link) || link.spec.is_none()) {
             return None;
         }
         let names: Vec<String> = after.iter().map(|name| quoted(name)).collect();

@@ -120,8 +120,11 @@ fn place(spec: &StageSpec) -> String {
         (_, None) => format!("takes {takes} and keeps the kind"),
     };
     let after: Vec<String> = spec.after.iter().map(|name| format!("`{name}`")).collect();
-    let after =
-        if after.is_empty() { after.concat() } else { format!("; needs {} before it", listed(&after, "or")) };
+    let unless = spec.unless.map(|(key, word)| format!(", unless `{key} = \"{word}\"`")).unwrap_or_default();
+    let after = match after.is_empty() {
+        true => String::new(),
+        false => format!("; needs {} before it{unless}", listed(&after, "or")),
+    };
     let role = match spec.role {
         RoleName::Source => "A source",
         RoleName::Map => "A map",

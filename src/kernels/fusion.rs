@@ -191,6 +191,15 @@ impl ChannelFusion {
         }
     }
 
+    /// The same between receivers at other gains: of heights as they are recorded.
+    pub fn at_gains(&self, low: f64, high: f64) -> ChannelFusion {
+        let factor = low / high;
+        let mut fusion = self.clone();
+        fusion.gain_ratio *= factor;
+        fusion.gain_ratio_sd *= factor;
+        fusion
+    }
+
     /// The same between pulses fitted with these models: what plain peaks make of a model's own pulse is taken off.
     ///
     /// # Errors

@@ -72,6 +72,8 @@ pub struct Receiver {
     response: PulseTable,
     reference: PulseTable,
     scratch: Scratch,
+    /// Of the echo receivers, for what is recorded next.
+    gain: f64,
 }
 
 /// Room for one block: what arrives, its noise, and its samples.
@@ -87,7 +89,7 @@ struct Scratch {
 pub struct Echo {
     /// Time of its peak (of the response's, were the target flat) after the shot's clock, ns.
     pub time_ns: f64,
-    /// Height of its peak above the background, DN, before the digitiser's limits.
+    /// Height of its peak above the background at gain 1, DN, before the digitiser's limits.
     pub amplitude_dn: f64,
     /// The same in the receiver for strong echoes.
     pub high_power_dn: f64,
@@ -156,7 +158,18 @@ impl Receiver {
             response: PulseTable::new(settings.response.clone(), settings.interval_ns),
             reference: PulseTable::new(settings.reference.clone(), settings.interval_ns),
             scratch: Scratch::default(),
+            gain: 1.0,
         })
+    }
+
+    /// Sets the gain of the echo receivers: of signal and noise, not of background and rounding.
+    pub fn set_gain(&mut self, gain: f64) {
+        self.gain = gain;
+    }
+
+    /// Their gain.
+    pub fn gain(&self) -> f64 {
+        self.gain
     }
 
     /// The response to echoes, which knows widths and the height of peaks.
@@ -172,7 +185,7 @@ impl Receiver {
         let position = (emission_ns - start_ns) / self.interval_ns;
         let flat = self.reference.width(0.0);
         self.reference.add(flat, position, energy * REFERENCE_AMPLITUDE_DN, &mut self.scratch.signal);
-        (start_ns, digitise(self.noise.as_ref(), self.full_scale_dn, &mut self.scratch, random))
+        (start_ns, digitise(self.noise.as_ref(), 1.0, self.full_scale_dn, &mut self.scratch, random))
     }
 
     /// The blocks that these echoes (in order of time) let the instrument record, in order. Each begins on an even
@@ -202,10 +215,11 @@ impl Receiver {
         self.clear(window.len as usize);
         for echo in echoes {
             let position = self.position(echo.time_ns) - window.start as f64;
-            let energy = echo.amplitude_dn / self.response.peak(echo.width);
+            let energy = self.gain * echo.amplitude_dn / self.response.peak(echo.width);
             self.response.add(echo.width, position, energy, &mut self.scratch.signal);
         }
-        (self.start_ns(window), digitise(self.noise.as_ref(), self.full_scale_dn, &mut self.scratch, random))
+        let start_ns = self.start_ns(window);
+        (start_ns, digitise(self.noise.as_ref(), self.gain, self.full_scale_dn, &mut self.scratch, random))
     }
 
     /// Whether the receiver for strong echoes keeps its block of this window.
@@ -226,11 +240,12 @@ impl Receiver {
         let start_ns = self.start_ns(window) + HIGH_POWER_RASTER_NS;
         for echo in echoes {
             let position = (echo.time_ns + delay_ns - start_ns) / self.interval_ns;
-            let energy = echo.high_power_dn / self.response.peak(echo.width);
+            let energy = self.gain * echo.high_power_dn / self.response.peak(echo.width);
             self.response.add(echo.width, position, energy, &mut self.scratch.signal);
         }
         let (_, noise) = self.high_power.as_ref()?;
-        Some((start_ns, digitise(noise.as_ref(), self.full_scale_dn, &mut self.scratch, random)))
+        let samples = digitise(noise.as_ref(), self.gain, self.full_scale_dn, &mut self.scratch, random);
+        Some((start_ns, samples))
     }
 
     /// The time of a window's first sample after the shot's clock, ns.
@@ -252,9 +267,10 @@ impl Receiver {
     }
 }
 
-/// Adds noise to background and signal and rounds them to the digitiser's steps.
+/// Adds noise, amplified, to background and signal and rounds them to the digitiser's steps.
 fn digitise<'s>(
     noise: Option<&Noise>,
+    gain: f64,
     full_scale_dn: u16,
     scratch: &'s mut Scratch,
     random: &mut Random,
@@ -269,7 +285,7 @@ fn digitise<'s>(
     samples.clear();
     samples.extend(signal.iter().zip(noise_dn).map(|(signal, noise)| {
         // Below zero the conversion rounds towards zero, which the limit makes good.
-        ((*signal + *noise + 0.5) as i32).clamp(0, full_scale) as u16
+        ((*signal + gain * *noise + 0.5) as i32).clamp(0, full_scale) as u16
     }));
     samples
 }

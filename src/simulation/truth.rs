@@ -19,7 +19,7 @@ pub struct TrueReturn {
     pub time_of_flight_ns: f64,
     /// Distance along the beam, m.
     pub range_m: f64,
-    /// Height of the peak above the background, DN; beyond the digitiser's limits where the echo is saturated.
+    /// Height of the peak above the background as recorded, with the gain, DN; beyond the digitiser's limits where the echo is saturated.
     pub amplitude_dn: f64,
     /// Full width at half maximum over that of a flat target's echo (of Gaussians with the response's width).
     pub width_ratio: f64,
@@ -34,23 +34,32 @@ pub struct TrueReturn {
     pub class: Class,
     /// The height that its peak would have in a sensitive receiver without end, DN.
     pub linear_dn: f64,
+    /// Gain of the receivers when it was recorded.
+    pub gain: f64,
 }
 
 /// The columns of a table of truth.
 pub const COLUMNS: &str = "shot,return_number,number_of_returns,emission_ns,time_of_flight_ns,range_m,amplitude_dn,\
                            width_ratio,x,y,z,zone,channel,class,linear_dn";
 
+/// What tables of recordings with automatic gain control have behind [`COLUMNS`].
+pub const GAIN_COLUMN: &str = ",gain";
+
 impl TrueReturn {
     /// Adds a row of the table with these [`COLUMNS`] to `out`. Each number has as many digits as it takes to read the
-    /// same bits back.
-    pub fn write(&self, out: &mut Vec<u8>) {
+    /// same bits back. With [`GAIN_COLUMN`] where it is wanted.
+    pub fn write(&self, out: &mut Vec<u8>, with_gain: bool) {
         let [x, y, z] = self.point_m;
         // Writing to memory never fails.
         let _ = write!(out, "{},{},{},", self.shot, self.return_number, self.number_of_returns);
         let _ = write!(out, "{},{},{},", self.emission_ns, self.time_of_flight_ns, self.range_m);
         let _ = write!(out, "{},{},{x},{y},{z},", self.amplitude_dn, self.width_ratio);
         let channel = if self.in_high_power { "both" } else { "low" };
-        let _ = writeln!(out, "{},{channel},{},{}", self.zone, name_of(self.class), self.linear_dn);
+        let _ = write!(out, "{},{channel},{},{}", self.zone, name_of(self.class), self.linear_dn);
+        if with_gain {
+            let _ = write!(out, ",{}", self.gain);
+        }
+        out.push(b'\n');
     }
 }
 
@@ -86,9 +95,10 @@ mod tests {
             in_high_power: true,
             class: Class::Leaves,
             linear_dn: 0.5,
+            gain: 0.25,
         };
         let mut row = Vec::new();
-        truth.write(&mut row);
+        truth.write(&mut row, false);
         let row = String::from_utf8(row).unwrap();
         assert_eq!(
             row,
@@ -96,5 +106,8 @@ mod tests {
              3,both,leaves,0.5\n"
         );
         assert_eq!(row.split(',').count(), COLUMNS.split(',').count());
+        let mut with_gain = Vec::new();
+        truth.write(&mut with_gain, true);
+        assert_eq!(String::from_utf8(with_gain).unwrap(), row.replace('\n', ",0.25\n"));
     }
 }

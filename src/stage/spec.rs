@@ -314,6 +314,8 @@ pub struct StageSpec {
     pub makes: Option<Kind>,
     /// Stages of which one must stand before it.
     pub after: &'static [&'static str],
+    /// A key and its word with which the stage needs none of them.
+    pub unless: Option<(&'static str, &'static str)>,
     /// Its keys, for the schema and the manual.
     pub schema: fn(&mut SchemaGenerator) -> Schema,
     /// Reads its keys out of a job.
@@ -329,6 +331,7 @@ impl StageSpec {
             accepts: &[],
             makes: Some(makes),
             after: &[],
+            unless: None,
             schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Source(config)),
         }
@@ -346,6 +349,7 @@ impl StageSpec {
             accepts,
             makes,
             after: &[],
+            unless: None,
             schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Map(config)),
         }
@@ -359,6 +363,7 @@ impl StageSpec {
             accepts,
             makes: None,
             after: &[],
+            unless: None,
             schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Transform(config)),
         }
@@ -372,6 +377,7 @@ impl StageSpec {
             accepts,
             makes: None,
             after: &[],
+            unless: None,
             schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Sink(config)),
         }
@@ -390,6 +396,12 @@ impl StageSpec {
     /// The same, but one of `stages` must stand before it.
     pub const fn after(mut self, stages: &'static [&'static str]) -> StageSpec {
         self.after = stages;
+        self
+    }
+
+    /// The same, but none must stand before it where its `key` is `word`.
+    pub const fn unless(mut self, key: &'static str, word: &'static str) -> StageSpec {
+        self.unless = Some((key, word));
         self
     }
 }

@@ -2,6 +2,7 @@
 
 use super::Output;
 use crate::batch::{Batch, Channel};
+use crate::kernels::gain::Recorded;
 
 /// Lines that are held back until there are enough.
 #[derive(Debug)]
@@ -44,6 +45,14 @@ impl Survey {
         self.lines.iter().filter_map(Batch::blocks).flat_map(move |blocks| {
             let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
             of_channel.map(|block| blocks.samples(block))
+        })
+    }
+
+    /// The same with the gain of each block.
+    pub fn recorded(&self, channel: Channel) -> impl Iterator<Item = Recorded<'_>> + Clone {
+        self.lines.iter().filter_map(Batch::blocks).flat_map(move |blocks| {
+            let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
+            of_channel.map(|block| Recorded { samples: blocks.samples(block), gain: block.gain })
         })
     }
 

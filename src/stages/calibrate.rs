@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::batch::{Batch, Channel, InputInfo, Kind};
 use crate::formats::Error;
 use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
+use crate::kernels::gain::calibrate_at_unit_gain;
 use crate::kernels::response_calibrate::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
 use crate::kernels::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use crate::stage::{
@@ -307,13 +308,18 @@ impl Calibrator {
     /// report then says.
     fn channel(&self, channel: Channel, out: &mut Output) -> Result<Option<Calibrated>> {
         let settings = self.settings(channel);
-        match calibrate::calibrate(self.blocks(channel), &settings) {
-            Ok(model) if self.config.response == ResponseKey::Gaussian => {
-                Ok(Some(Calibrated { model, usable_echoes: 0 }))
-            }
-            Ok(model) => calibrate_response(self.blocks(channel), &model, &settings)
-                .map(Some)
-                .map_err(|error| failed(channel, &error)),
+        let with_response = self.config.response != ResponseKey::Gaussian;
+        let gain_changes = self.survey.recorded(channel).any(|block| block.gain != 1.0);
+        let found = if gain_changes {
+            calibrate_at_unit_gain(self.survey.recorded(channel), &settings, with_response)
+        } else {
+            calibrate::calibrate(self.blocks(channel), &settings).and_then(|model| match with_response {
+                true => calibrate_response(self.blocks(channel), &model, &settings),
+                false => Ok(Calibrated { model, usable_echoes: 0 }),
+            })
+        };
+        match found {
+            Ok(found) => Ok(Some(found)),
             Err(CalibrationError::TooFewBlocks { found: 0, .. }) => Ok(None),
             Err(error @ CalibrationError::TooFewBlocks { .. }) => {
                 out.cx.note(format!("{} was not calibrated and is not used: {error}", name(channel)));

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, InputInfo, TimeScale};
+use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 use crate::formats::container::{self, ContainerHeader, channel};
 
 /// The header of a container with these facts.
@@ -36,6 +36,11 @@ pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {
             EmissionReference::ReturnLocations => container::EmissionReference::ReturnLocations,
             EmissionReference::Clock => container::EmissionReference::Clock,
         }),
+        gain_control: match info.gain_control {
+            GainControl::Off => None,
+            GainControl::Recorded => Some(container::GainControl::Recorded),
+            GainControl::NotRecorded => Some(container::GainControl::NotRecorded),
+        },
         origin: match (info.origin_is_sensor, info.emission_reference) {
             (false, _) => Some(container::Origin::Waveform),
             (true, EmissionReference::ReturnLocations) => Some(container::Origin::Sensor),
@@ -74,6 +79,11 @@ pub(super) fn info_of(
         sampling_interval_ns: header.sampling_interval_ns,
         odd_sample_shift: 0.0,
         full_scale_dn: header.full_scale_dn,
+        gain_control: match header.gain_control {
+            None => GainControl::Off,
+            Some(container::GainControl::Recorded) => GainControl::Recorded,
+            Some(container::GainControl::NotRecorded) => GainControl::NotRecorded,
+        },
         group_velocity_mps: header.group_velocity_mps,
         pulse_rate_hz: header.pulse_rate_hz,
         time_scale: match header.time_scale {

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Content, Emission, Kind, LineStats, Return, Returns};
+use crate::batch::{Batch, Blocks, Content, Emission, Kind, LineStats, Return, Returns};
 use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::lockstep::Path;
 use crate::kernels::sensor_model::SensorModel;
 use crate::overview::{Gallery, ShownReturn, ShownShot};
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
 
+mod at_gains;
 mod both;
 mod crosstalk;
 mod found;
@@ -29,8 +30,9 @@ pub(crate) use seen::{Seen, SeenBlock, SeenPulse};
 pub(crate) use shots::{BlockFit, Line, Shot, ShotDecomposer, Watch};
 
 /// The stage's place in the registry.
-pub const STAGE: StageSpec =
-    StageSpec::map::<Decompose>("decompose", &[Kind::Shots], Some(Kind::Returns)).after(&["calibrate"]);
+pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Shots], Some(Kind::Returns))
+    .after(&["calibrate"])
+    .unless("online_points", "only");
 
 /// Finds the returns of every waveform, each with its standard deviations.
 ///
@@ -55,6 +57,9 @@ pub const STAGE: StageSpec =
 /// Per return: `time_of_flight_ns`, `range_m`, `amplitude_dn`, `width_ratio`, `thickness_m`, `intensity`, each with its
 /// standard deviation, and `deviation_ratio` and `flags`. Their definitions, with formulas and units, stand in
 /// `docs/returns.md`, the method in `docs/method.md`.
+///
+/// With `online_points = "only"` no waveform is decomposed, and `calibrate` is needed only where samples of the outgoing pulse
+/// are recorded, by which ranges count.
 ///
 /// A block that was being recorded when another shot of the line left holds what leaked in from that emission, as a pulse
 /// like any other. Returns within three widths of that moment have flag bit 3, the block's other returns bit 4. Where an
@@ -281,12 +286,14 @@ impl Worker {
 
 impl Map for DecomposeLine {
     fn map(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
-        let Some(model) = batch.model.clone() else {
+        let choice = self.config.online_points;
+        let model = batch.model.clone();
+        if model.is_none() && choice != OnlinePoints::Only {
             return Err(StageError::failed(
                 "the line comes without a sensor model",
                 "put calibrate before decompose",
             ));
-        };
+        }
         let Content::Shots(blocks) = std::mem::replace(&mut batch.content, Content::Returns(Returns::new()))
         else {
             return Err(StageError::failed(
@@ -294,40 +301,57 @@ impl Map for DecomposeLine {
                 "put it before the stages that use returns",
             ));
         };
-        let mut worker = match self.worker.take() {
-            Some(worker) if worker.is_for(&model, batch.fusion.as_ref()) => worker,
-            _ => Worker::new(&model, batch.fusion.as_ref(), &self.config, self.path)?,
-        };
         let mut returns = Returns::new();
-        let shot = |(index, of_shot)| Shot { index, blocks: &blocks, of_shot, input: &batch.input };
-        let choice = self.config.online_points;
-        let outgoing = if choice == OnlinePoints::Only { online::outgoing_only(&blocks) } else { Vec::new() };
-        let shots: Vec<Shot> = match choice {
-            OnlinePoints::Only => outgoing
-                .chunk_by(|a, b| a.emission == b.emission)
-                .map(|of_shot| shot((of_shot[0].emission, of_shot)))
-                .collect(),
-            OnlinePoints::Never | OnlinePoints::Fallback => blocks.by_emission().map(shot).collect(),
-        };
-        let (emissions, stats) = (&mut batch.emissions, &mut batch.stats);
-        let mut line = Line { emissions, returns: &mut returns, stats };
-        worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
-        if let Some(gallery) = cx.gallery() {
-            let looked = Looked { line: batch.line, emissions: &batch.emissions, returns: &returns };
-            worker.show(&shots, &looked, gallery)?;
+        match &model {
+            Some(model) => self.decompose(model, &mut batch, &blocks, &mut returns, cx)?,
+            None => online::date_without_model(&mut batch.emissions, &blocks)?,
         }
-        if !blocks.online.is_empty() {
-            if choice != OnlinePoints::Only {
-                online::compare(&blocks, &batch, &returns, &model, cx);
-            }
-            online::add(choice, &mut batch, &blocks, &mut returns)?;
+        if let Some(model) =
+            model.as_ref().filter(|_| choice != OnlinePoints::Only && !blocks.online.is_empty())
+        {
+            online::compare(&blocks, &batch, &returns, model, cx);
         }
+        online::add(choice, &mut batch, &blocks, &mut returns)?;
         batch.stats.np += returns.len() as u64;
         batch.content = Content::Returns(returns);
         if let Some(kept) = &mut batch.waveforms {
             *kept = blocks;
         }
-        self.worker = Some(worker);
         Ok(batch)
+    }
+}
+
+impl DecomposeLine {
+    /// Decomposes the blocks of a line; those of outgoing pulses alone where the instrument's returns stand for all.
+    fn decompose(
+        &mut self,
+        model: &Arc<SensorModel>,
+        batch: &mut Batch,
+        blocks: &Blocks,
+        returns: &mut Returns,
+        cx: &mut Context,
+    ) -> Result<()> {
+        let mut worker = match self.worker.take() {
+            Some(worker) if worker.is_for(model, batch.fusion.as_ref()) => worker,
+            _ => Worker::new(model, batch.fusion.as_ref(), &self.config, self.path)?,
+        };
+        let shot = |(index, of_shot)| Shot { index, blocks, of_shot, input: &batch.input };
+        let is_only = self.config.online_points == OnlinePoints::Only;
+        let outgoing = if is_only { online::outgoing_only(blocks) } else { Vec::new() };
+        let shots: Vec<Shot> = match is_only {
+            true => outgoing
+                .chunk_by(|a, b| a.emission == b.emission)
+                .map(|of_shot| shot((of_shot[0].emission, of_shot)))
+                .collect(),
+            false => blocks.by_emission().map(shot).collect(),
+        };
+        let mut line = Line { emissions: &mut batch.emissions, returns, stats: &mut batch.stats };
+        worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
+        if let Some(gallery) = cx.gallery() {
+            let looked = Looked { line: batch.line, emissions: &batch.emissions, returns };
+            worker.show(&shots, &looked, gallery)?;
+        }
+        self.worker = Some(worker);
+        Ok(())
     }
 }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::AutoOrNumber;
 use crate::batch::{Batch, Block, Blocks, Channel, Content, Kind};
+use crate::kernels::decompose::OVERDRIVEN_PART;
 use crate::kernels::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
 use crate::stage::{
     Config, Holds, InvalidKey, Output, Result, Site, StageSpec, Survey, Transform, TransformConfig,
@@ -200,7 +201,10 @@ fn add_pairs(blocks: &Blocks, of_shot: &[Block], full_scale_dn: f64, pairs: &mut
             continue;
         };
         let delay_ns = high_ns - low_ns;
-        if delay_ns.abs() <= MOST_DELAY_NS {
+        // At other gains an overdriven receiver's delay belongs to another height.
+        let is_plain = low.gain == 1.0 || low_power_dn < OVERDRIVEN_PART * full_scale_dn;
+        if delay_ns.abs() <= MOST_DELAY_NS && is_plain {
+            let (low_power_dn, high_power_dn) = (low_power_dn / low.gain, high_power_dn / high.gain);
             pairs.push(Pair { low_power_dn, high_power_dn, delay_ns });
         }
     }

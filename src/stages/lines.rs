@@ -129,6 +129,7 @@ impl Lines {
     /// Ends the current line where a record of the file says so, not its shots.
     pub(super) fn end(&mut self) -> Option<Batch> {
         self.has_ends = true;
+        self.is_complete = true;
         self.take()
     }
 

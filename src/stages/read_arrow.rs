@@ -10,7 +10,8 @@ use super::container_info::{channel_of, info_of};
 use super::lines::Sampling;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    Batch, Blocks, Emission, EmissionReference, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
+    Batch, Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE,
+    OnlineReturn,
 };
 use crate::formats::container::{
     self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
@@ -39,7 +40,7 @@ with_time_keys! {
 /// Rejected, and counted with their blocks, are shots with: an origin or a direction that is not finite, a direction
 /// that is not a unit vector (to 1e-6: 1 mm at 1 km), a time that is infinite, a clock that is earlier than that of
 /// the shot before it in its line, a frame scale that is not above 0, a block of an unknown channel, a block without a
-/// time or with an interval that is not above 0, an online return without a time. The line goes on without them.
+/// time, with an interval that is not above 0 or with a gain that is not between 1/1024 and 1024, an online return without a time. The line goes on without them.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -114,6 +115,8 @@ struct ReadArrow {
     at: Option<(ContainerLine, usize)>,
 }
 
+/// Gains of receivers over their reference gain.
+const GAINS: std::ops::RangeInclusive<f64> = 1.0 / 1024.0..=1024.0;
 /// By how much the length of a direction may differ from 1.
 const UNIT_TOLERANCE: f64 = 1e-6;
 
@@ -130,7 +133,11 @@ impl ReadArrow {
         };
         let format = format!("wavex container {} (Arrow IPC {})", container::VERSION, reader.form());
         let info = info_of(reader.header(), path.to_path_buf(), stem.to_string(), format, reference);
-        let info = Arc::new(sampling.with(info));
+        let mut info = sampling.with(info);
+        if first.as_ref().is_some_and(ContainerLine::has_gain) {
+            info.gain_control = GainControl::Recorded;
+        }
+        let info = Arc::new(info);
         Ok(ReadArrow { reader, with_samples: true, info, at: first.map(|line| (line, 0)) })
     }
 
@@ -180,6 +187,7 @@ impl ReadArrow {
                     let len = samples.len() as u32;
                     blocks.push_without_samples(emission, channel, zone, start_ns, interval_ns, len);
                 }
+                blocks.set_last_gain(block.gain.unwrap_or(1.0));
             }
         }
         for (emission, &row) in (0..).zip(kept) {
@@ -277,6 +285,8 @@ fn wrong_block(block: ContainerBlock) -> Option<&'static str> {
         Some("a block without a time")
     } else if block.interval_ns.is_some_and(|interval| !(interval.is_finite() && interval > 0.0)) {
         Some("a block whose interval is not above 0")
+    } else if block.gain.is_some_and(|gain| !GAINS.contains(&gain)) {
+        Some("a block whose gain is not between 1/1024 and 1024")
     } else {
         None
     }

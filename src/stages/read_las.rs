@@ -13,8 +13,8 @@ use super::broken::BrokenRun;
 use super::lines::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, OnlineReturn, TimeScale,
-    emission_flags,
+    Batch, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn,
+    TimeScale, emission_flags,
 };
 use crate::formats::geokeys;
 use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
@@ -39,9 +39,11 @@ with_time_keys! {
 /// there, times of flight are tied to them (see `decompose`); where a file gives none, the report says so.
 ///
 /// The format does not give the position of the scanner: ranges count from the first sample of a shot's first waveform.
-/// Coordinates are right all the same, and `correct` does not correct intensities for range and attenuation. All waveforms count as low power, those of a second receiver, too.
+/// Coordinates are right all the same, and `correct` does not correct intensities for range and attenuation. For the same
+/// reason the refractive index of air is that of the file: another one would scale ranges from the sensor. All waveforms count as low power, those of a second receiver, too.
 ///
-/// Rejects points without waveform, points whose waveform cannot be read, and waveforms that come again after other
+/// Rejects points without waveform (only waveforms have beams, so `online_points` does not bring them back, and the report
+/// gives their number), points whose waveform cannot be read, and waveforms that come again after other
 /// pulses (in files that are not ordered by time), and goes on with the next.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -132,6 +134,8 @@ struct LasSource {
     lines: Lines,
     recent: Recent,
     broken: BrokenRun,
+    /// Points that have no waveform.
+    without_waveform: u64,
 }
 
 /// A pulse put together again.
@@ -196,6 +200,7 @@ impl LasSource {
             lines: Lines::new(Arc::new(input)),
             recent: Recent::default(),
             broken: BrokenRun::default(),
+            without_waveform: 0,
             reader,
             geometry,
         })
@@ -213,6 +218,7 @@ impl LasSource {
             self.points_read += 1;
             if point.wave.descriptor == 0 {
                 cx.reject(Item::Returns, "a point without waveform", 1);
+                self.without_waveform += 1;
                 continue;
             }
             if !is_usable(&point) {
@@ -332,6 +338,9 @@ impl Source for LasSource {
                     return Ok(Some(line));
                 }
                 self.broken.check_at_end()?;
+                if self.without_waveform > 0 {
+                    cx.note(without_waveform(self.without_waveform));
+                }
                 return Ok(None);
             }
             let Some(shot) = self.shot(cx)? else { continue };
@@ -405,6 +414,15 @@ fn is_usable(point: &Point) -> bool {
     wave.location_ps.is_finite() && square.is_finite() && square > 0.0
 }
 
+/// What the user should know of points that are left out.
+fn without_waveform(n: u64) -> String {
+    let (points, have, are) = if n == 1 { ("point", "has", "is") } else { ("points", "have", "are") };
+    format!(
+        "{n} {points} of the file {have} no waveform, by which the beam is known, and {are} left out, whatever `online_points` is; \
+         take them from the file itself"
+    )
+}
+
 /// Seconds to whole picoseconds.
 fn clock_ps(time_s: f64) -> i64 {
     // Adjusted times of 1e9 s do not fit: the clock may count from any origin, so that whole days are left out.
@@ -435,6 +453,10 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
         instrument: Some(header.system_identifier.clone()).filter(|name| !name.is_empty()),
         sampling_interval_ns: interval_ns.unwrap_or(unknown.sampling_interval_ns),
         full_scale_dn: bits.map(|bits| (1 << bits) - 1),
+        gain_control: match reader.has_different_gains() {
+            true => GainControl::NotRecorded,
+            false => GainControl::Off,
+        },
         group_velocity_mps: geometry.group_velocity_mps,
         time_scale: match header.gps_time() {
             GpsTime::Standard { .. } => TimeScale::Adjusted,

@@ -11,8 +11,8 @@ use super::broken::BrokenRun;
 use super::lines::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind, TimeScale,
-    emission_flags,
+    AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
+    TimeScale, emission_flags,
 };
 use crate::formats::geokeys;
 use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
@@ -338,6 +338,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around
         odd_sample_shift: 0.0,
         sampling_interval_ns: samplings().map(|s| s.sample_units_ns).find(|ns| *ns > 0.0).unwrap_or(1.0),
         full_scale_dn: (bits == Some(8)).then_some(255),
+        gain_control: GainControl::Off,
         group_velocity_mps: beams.vertical().map_or(GROUP_VELOCITY_MPS, |metres_per_ns| metres_per_ns * 2e9),
         pulse_rate_hz: scanner.map(|s| s.pulse_frequency_khz * 1e3).filter(|hz| *hz > 0.0),
         time_scale: match header.time_axis() {

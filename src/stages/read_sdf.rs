@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 use super::lines::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
 use super::recording::{self, NO_TIME, with_time_keys};
-use crate::batch::{AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, InputInfo, Kind};
+use crate::batch::{
+    AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
+};
 use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
 
@@ -34,7 +36,8 @@ with_time_keys! {
 /// Blocks stand with the shot whose range gate was open when they came back, not with the shot that caused them: their
 /// zone is unresolved. Origins and directions are in the scanner's own frame. Shots are numbered as they are read.
 ///
-/// A scan line ends with a record that says so, besides where facet, sweep or clock end it. The shot's time on the
+/// A scan line ends with a record that says so, besides where facet, sweep or clock end it; its last shot has the
+/// edge-of-flight-line flag, except at the end of the file or where a line is cut because it is too long. The shot's time on the
 /// instrument's clock becomes whole picoseconds; the double that the library gives resolves 0.5 ps below 4096 s,
 /// 58 ps (9 mm) at 409 397 s. Ranges within a record do not suffer: block times are read relative to their record, to a
 /// millionth of a nanosecond. A reference block without samples (`.wfm`) carries the time of emission: it becomes the
@@ -195,7 +198,7 @@ impl ReadSdf {
         }
         Ok(ReadSdf {
             reader,
-            lines: Lines::new(Arc::new(input)),
+            lines: Lines::new(Arc::new(input)).marking_edges(),
             window,
             axis: times.axis(),
             ahead,
@@ -332,6 +335,7 @@ fn describe(
         sampling_interval_ns: fine_ns(info.sampling_interval_s),
         odd_sample_shift: config.odd_sample_shift,
         full_scale_dn: Some(FULL_SCALE_DN),
+        gain_control: GainControl::Off,
         group_velocity_mps: match config.refractive_index_ppm {
             Some(ppm) => recording::group_velocity_mps(ppm),
             None => info.group_velocity_mps,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Content, Emission, Frame, InputInfo};
+use crate::batch::{Batch, Content, Emission, Frame, GainControl, InputInfo};
 use crate::geo::time::WEEK_S;
 use crate::geometry::declared;
 use crate::stage::{Context, InvalidKey, Item, Result, Site, Source, StageError};
@@ -185,6 +185,11 @@ struct Begun {
     window_s: Option<[f64; 2]>,
 }
 
+/// Said of recordings whose blocks do not say the gain that changes.
+const UNKNOWN_GAINS: &str = "the receiver's gain changes between shots and the recording does not say it block by block (LAS: \
+     digitizer gains of waveform packet descriptors that differ): amplitudes and intensities are not comparable, and thresholds \
+     and standard deviations are those of a mean gain; use a container whose blocks have a `gain`";
+
 impl<S: Source> AsDeclared<S> {
     pub(super) fn new(source: S, declared: Declared) -> AsDeclared<S> {
         AsDeclared { source, declared, begun: None }
@@ -206,6 +211,9 @@ impl<S: Source> AsDeclared<S> {
                 return Err(StageError::failed(problem, time::SAY_SCALE));
             }
             cx.note(format!("{problem}; {}", time::SAY_SCALE));
+        }
+        if from.gain_control == GainControl::NotRecorded {
+            cx.note(UNKNOWN_GAINS);
         }
         let about = keys.gps_date.as_deref().and_then(time::noon);
         let times = match (keys.recording_time, about) {

@@ -10,7 +10,7 @@ mod flight;
 #[cfg(test)]
 mod tests;
 
-pub use config::{DetectorKind, Landscape, Response, ScannerKind, Simulate};
+pub use config::{DetectorKind, GainFollows, Landscape, Response, ScannerKind, Simulate};
 
 use files::{TrajectoryFiles, TruthFile};
 use flight::Flight;
@@ -38,7 +38,7 @@ impl SourceConfig for Simulate {
 
     fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
         let truth = match &self.truth {
-            Some(pattern) => Some(TruthFile::create(site, pattern)?),
+            Some(pattern) => Some(TruthFile::create(site, pattern, self.has_gain_control())?),
             None => None,
         };
         let trajectory = TrajectoryFiles::create(site, self)?;

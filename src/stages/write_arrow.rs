@@ -29,7 +29,7 @@ pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_arrow", &[Kind::Sh
 ///
 /// The columns `scan_angle_deg` and `frame_scale` and the fields `zone` and `interval_ns` of blocks are this program's
 /// extensions: they hold a null where there is nothing to say (no angle; a scale of 1; the row's zone; the recording's
-/// sampling interval).
+/// sampling interval). The field `gain` of blocks is written only for recordings with automatic gain control; a null is 1.
 ///
 /// Without a single shot no container is written, which is said in the report. Nothing is rejected.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -216,6 +216,7 @@ fn block_of<'a>(block: &Block, blocks: &'a Blocks, info: &InputInfo) -> Containe
         start_ns: block.start_ns,
         interval_ns: Some(block.interval_ns).filter(|&interval| interval != info.sampling_interval_ns),
         zone: block.zone,
+        gain: Some(block.gain).filter(|&gain| gain != 1.0),
         samples: blocks.samples(block),
     }
 }

@@ -12,7 +12,7 @@ use std::sync::{Arc, OnceLock};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Emission, Frame, InputInfo, Kind, Return, TimeScale, emission_flags};
+use crate::batch::{Batch, Emission, Frame, GainControl, InputInfo, Kind, Return, TimeScale, emission_flags};
 use crate::formats::Error;
 use crate::formats::geokeys;
 use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
@@ -402,6 +402,9 @@ impl Sink for LasSink {
         let State::Open(writer) = &mut self.state else {
             return Err(StageError::Stopped);
         };
+        if self.waves.is_some() && input.gain_control == GainControl::Recorded {
+            cx.note("waveform packets do not hold the gain of their blocks: who reads them cannot compare amplitudes; keep the container of the recording");
+        }
         let blocks = self.waves.as_mut().map(|waves| waves.begin_line(batch)).transpose()?;
         let wave_of = |(waves, blocks): (&mut Waves, &_)| {
             let points = returns.iter().zip(points);

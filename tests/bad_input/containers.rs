@@ -74,6 +74,7 @@ fn write<W: Write>(
                 start_ns: 4000.0,
                 interval_ns: None,
                 zone: None,
+                gain: None,
                 samples: &samples,
             };
             rows.block(&block);

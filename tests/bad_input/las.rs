@@ -285,6 +285,24 @@ fn a_point_without_waveform_or_direction_is_counted_and_passed_over() {
     }
 }
 
+/// The instrument's own returns cannot stand in for a waveform that is not there: without it no beam is known.
+#[test]
+fn points_without_waveform_are_said_to_be_left_out() {
+    for (skipped, said) in
+        [(1, "1 point of the file has no waveform"), (3, "3 points of the file have no waveform")]
+    {
+        let las = (0..skipped).fold(Las::new(250), |las, point| las.change(100 + point, 30, &[0]));
+        let stages = TO_TABLE.replace("type = 'decompose'", "type = 'decompose'\nonline_points = 'fallback'");
+        let input = place(&las, |_| {}).succeeds("read_las", "a.las", &stages);
+        let notes = notes(&input);
+        assert!(
+            notes.iter().any(|note| note.starts_with(said) && note.contains("`online_points`")),
+            "{notes:?}"
+        );
+        assert_eq!(json!(rejected(&input)), json!({ "returns: a point without waveform": skipped }));
+    }
+}
+
 #[test]
 fn a_point_at_an_impossible_place_does_not_cost_the_others() {
     let stages = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'\npath = '*_points.las'");

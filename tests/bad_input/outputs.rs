@@ -17,9 +17,9 @@ fn place(pulses: usize) -> Place {
 /// The run fails with this message, and leaves the folder as it was.
 #[track_caller]
 fn fails(place: &Place, command: &mut Command, message: &str) {
-    let before = place.outputs();
+    let before = place.products();
     assert_eq!(outcome(command), Outcome { code: Some(1), err: format!("error: {message}\n") });
-    assert_eq!(place.outputs(), before);
+    assert_eq!(place.products(), before);
 }
 
 #[test]
@@ -180,5 +180,5 @@ fn a_standard_output_that_is_full() {
         (output.status.code(), String::from_utf8(output.stderr).unwrap()),
         (Some(1), message.to_owned())
     );
-    assert_eq!(place.outputs(), Vec::<String>::new());
+    assert_eq!(place.products(), Vec::<String>::new());
 }

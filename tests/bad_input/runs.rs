@@ -85,7 +85,7 @@ fn ends(place: &Place, child: Child) {
     let err = String::from_utf8(output.stderr).unwrap();
     assert_eq!(err, "error: interrupted; no unfinished output was left behind\n");
     assert_eq!(output.status.code(), Some(1));
-    assert_eq!(place.outputs(), Vec::<String>::new());
+    assert_eq!(place.products(), Vec::<String>::new());
 }
 
 #[test]

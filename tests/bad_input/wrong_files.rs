@@ -101,7 +101,19 @@ fn the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun
     let message = "error: stage read_las: b.las: byte 4: file source ID: 2 bytes are needed and 0 are left; \
                    the file is cut off: copy it again from its source\n";
     assert_eq!(outcome, Outcome { code: Some(1), err: message.into() });
-    assert_eq!(place.outputs(), ["a.arrow"]);
+    assert_eq!(place.outputs(), ["a.arrow", "a_stat.log", "b_stat.log"]);
+    let row = |name: &str, value: &str| format!("{name:<36} {value}\n");
+    let message = message.strip_prefix("error: ").unwrap().trim_end();
+    for (name, file, lines) in [("a", "a.las", "1"), ("b", "b.las", "0")] {
+        let statistics = place.text(&format!("out/{name}_stat.log"));
+        let rows = [
+            row("exit status", "1, failed") + &row("failure", message),
+            row("file", file),
+            row("scan lines", lines),
+        ];
+        assert!(rows.iter().all(|row| statistics.contains(row)), "{rows:?} {statistics}");
+    }
+    assert!(place.text("out/a_stat.log").contains("./out/a.arrow\n"));
 }
 
 #[test]

@@ -61,7 +61,14 @@ pub fn to_container(folder: &Path, path: &Path) {
         for (channel, start_ns, samples) in
             [(channel::REFERENCE, 0.0, outgoing), (channel::LOW_POWER, START_NS, echo)]
         {
-            line.block(&ContainerBlock { channel, start_ns, interval_ns: None, zone: None, samples });
+            line.block(&ContainerBlock {
+                channel,
+                start_ns,
+                interval_ns: None,
+                zone: None,
+                gain: None,
+                samples,
+            });
         }
     }
     writer.write(line).unwrap();

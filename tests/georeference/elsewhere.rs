@@ -1,5 +1,7 @@
 //! Recordings without a trajectory, recordings in a map, and what a calibration does to ranges and angles.
 
+use wavex::formats::trajectory::sbet::RECORD_BYTES;
+
 use super::flights::QUIET;
 use super::made::{Flight, distance_m, fly, run};
 
@@ -107,6 +109,43 @@ fn a_calibration_may_stand_in_a_file() {
     assert!(off.fold(0.0, f64::max) < 1e-3);
     let error = flight.place("trajectory = 'a.out'\ncalibration = 'none.txt'", |t| t.range_m).err().unwrap();
     assert!(error.contains("none.txt: cannot open the calibration: "), "{error}");
+}
+
+/// Attitudes of a text in radians are those of the same text in degrees; read as degrees they are others.
+#[test]
+fn a_text_with_angles_in_radians_gives_the_same_points() {
+    let flight = fly(&format!("{QUIET}roll_deg = 8.0\npitch_deg = 5.0\nheading_deg = 70.0\n"));
+    let bytes = std::fs::read(flight.path("a.out")).unwrap();
+    let (records, _) = bytes.as_chunks::<RECORD_BYTES>();
+    let text = |angle: fn(f64) -> f64| -> String {
+        let row = |bytes: &[u8; RECORD_BYTES]| {
+            let value =
+                |index: usize| f64::from_le_bytes(bytes[8 * index..8 * index + 8].try_into().unwrap());
+            let [latitude, longitude] = [1, 2].map(|index| value(index).to_degrees());
+            let heading = value(9) - value(10);
+            let [roll, pitch, heading] = [value(7), value(8), heading].map(angle);
+            format!(
+                "{:.9} {longitude:.12} {latitude:.12} {:.6} {roll:.12} {pitch:.12} {heading:.12}\n",
+                value(0),
+                value(3)
+            )
+        };
+        records.iter().map(row).collect()
+    };
+    std::fs::write(flight.path("degrees.txt"), text(f64::to_degrees)).unwrap();
+    std::fs::write(flight.path("radians.txt"), text(|radians| radians)).unwrap();
+    let place = |keys: &str| {
+        let keys = format!("trajectory_columns = 'txyzwpk'\n{keys}");
+        flight.place(&keys, |truth| truth.range_m).unwrap().points
+    };
+    let degrees = place("trajectory = 'degrees.txt'");
+    let farthest_m = |points: &[[f64; 3]]| {
+        assert!(points.len() > 4000 && points.len() == degrees.len());
+        points.iter().zip(&degrees).map(|(a, b)| distance_m(*a, *b)).fold(0.0, f64::max)
+    };
+    let right_m = farthest_m(&place("trajectory = 'radians.txt'\ntrajectory_angles = 'rad'"));
+    let wrong_m = farthest_m(&place("trajectory = 'radians.txt'"));
+    assert!(right_m < 1e-3 && wrong_m > 10.0, "{right_m} {wrong_m}");
 }
 
 /// A recording that has its place already takes none from a trajectory, and says so.

@@ -80,6 +80,25 @@ fn pieces_of_a_revolution_are_resolved_as_the_revolution() {
     assert!(wrong.away[1] * 1000 <= wrong.away[0] && wrong.near[1] * 1000 <= wrong.near[0], "{wrong:?}");
 }
 
+/// A revolution of 19 643 shots, in lines of 4096, is resolved with the default `memory_mb`.
+#[test]
+fn a_slow_scanner_is_resolved_with_the_default_memory() {
+    let keys = FLIGHT
+        .replace("rotation_hz = 366.667", "rotation_hz = 28")
+        .replace("lines = 48\nshots_per_line = 700", "lines = 15\nshots_per_line = 4096");
+    let flight = fly(&keys);
+    let found = resolve(&flight.recording, "");
+    let wrong = Wrong::of(&flight.truth, &found);
+    let peak_bytes = found.report["peak_in_flight_bytes"].as_u64().unwrap();
+    println!("{wrong:?}, {} MB of 1024", peak_bytes / 1_000_000);
+    assert!(wrong.away[0] > 5000 && wrong.near[0] > 1000, "{wrong:?}");
+    assert!(wrong.away[1] * 1000 <= wrong.away[0] && wrong.near[1] * 1000 <= wrong.near[0], "{wrong:?}");
+    let stage = stage(&found.report, "resolve_mta");
+    assert_eq!(stage["notes"].as_array().unwrap().len(), 0, "{stage}");
+    let sizes: Vec<usize> = lines_of(&flight.recording).iter().map(Vec::len).collect();
+    assert_eq!(sizes, [4096; 15]);
+}
+
 /// Over flat ground the method for comparisons goes around the cone, too.
 #[test]
 fn the_least_variance_goes_around_the_cone() {

@@ -70,7 +70,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     ("d", &["noise_alone_gives_no_more_returns_than_theory", "lines_of_version_1_0"]),
     (
         "min_width max_width",
-        &["the_two_ends_of_a_range_begin_as_those_of_this_build", "one_end_of_a_range_leaves_the_other_open"],
+        &["returns_beyond_the_range_of_widths_are_dropped", "one_end_of_a_range_leaves_the_other_open"],
     ),
     (
         "out_min_a out_max_h",
@@ -82,8 +82,8 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     (
         "t_err",
         &[
+            "a_timing_error_widens_the_deviation_of_every_range",
             "single_returns_are_not_divided_and_pairs_have_true_uncertainties",
-            "every_option_leaves_its_mark_in_the_job",
         ],
     ),
     (
@@ -118,7 +118,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     (
         "bge",
         &[
-            "every_option_leaves_its_mark_in_the_job",
+            "a_background_per_waveform_keeps_its_level_out_of_the_amplitude",
             "long_pulses_without_free_samples_come_through_unattended",
         ],
     ),
@@ -150,7 +150,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
         ],
     ),
     ("po_adj po_day", &["trajectories_that_count_in_another_way", "the_lines_with_a_trajectory_in_text"]),
-    ("po_rad", &["every_option_leaves_its_mark_in_the_job"]),
+    ("po_rad", &["a_text_with_angles_in_radians_gives_the_same_points", "angles_of_a_text_may_be_radians"]),
     (
         "po_parse",
         &[
@@ -193,7 +193,11 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
     (
         "global statistics",
         "`[job] stat_log`",
-        &["the_statistics_in_words_have_every_part", "what_the_geometry_says_stands_in_the_statistics"],
+        &[
+            "the_statistics_in_words_have_every_part",
+            "what_the_geometry_says_stands_in_the_statistics",
+            "the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun",
+        ],
     ),
     ("errors of appendix A1", "messages", &["the_table_of_errors_names_tests_that_there_are"]),
     (
@@ -217,6 +221,24 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
         "open container",
         "`read_arrow`, `write_arrow`",
         &["what_pyarrow_writes_is_read", "what_is_written_comes_back"],
+    ),
+    (
+        "online points",
+        "`online_points` of `decompose`",
+        &[
+            "shots_without_a_waveform_have_the_instruments_returns",
+            "they_can_be_left_out_or_stand_in_for_all",
+            "the_report_compares_them_with_computed_ones",
+        ],
+    ),
+    (
+        "declared coordinate reference system",
+        "`crs_of_input` of the readers",
+        &[
+            "the_map_of_a_recording_can_be_declared",
+            "coordinates_may_be_asked_for_in_the_map_that_is_declared",
+            "a_declared_map_that_cannot_be_used_is_refused",
+        ],
     ),
     (
         "MTA zone",
@@ -270,6 +292,11 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
         "outliers: withheld, class 20",
         "`filter_outliers`",
         &["low_points_are_low_and_air_points_are_in_the_air"],
+    ),
+    (
+        "automatic gain control",
+        "`blocks.gain` of containers, `gain_range` of `simulate`",
+        &["fast_kernels_are_right_at_every_gain", "noise_gives_as_many_false_returns_as_at_one_gain"],
     ),
     ("export of waveforms", "`wave_packets` of `write_las`", &["decomposing_again_gives_the_same_returns"]),
     (

@@ -28,6 +28,7 @@ from check_laszip import check_laszip
 from check_packets import check_packets
 from check_points import check_points, check_same_points
 from check_text import COLUMNS, check_ascii, check_beams, check_flown, check_origins
+from check_units import SYSTEMS, check_units
 from check_waveforms import check_against_dump, check_container, check_same_waveforms, read_container, read_dump
 from checks import Checks, numbers, same_column
 from read_container import SCHEMAS, arrow_type, sql
@@ -315,6 +316,27 @@ def check_flight(checks, program):
         check_flown(checks, folder / "flown_traj.txt", folder / "flown.sbet", "EPSG:32633")
 
 
+def check_systems(checks, program):
+    """Points of a flight in feet and on the earth's own axes, in LAS 1.2."""
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        run(program, folder, FLIGHT.replace("heading_deg", "start_deg = [-122.0, 41.5]\nheading_deg"))
+        stages = reader("read_arrow", "flown.arrow") + (
+            "\n[[stage]]\ntype = \"calibrate\"\nwaveforms = 600\n\n[[stage]]\ntype = \"decompose\"\n"
+            "\n[[stage]]\ntype = \"georeference\"\n\n[[stage]]\ntype = \"write_las\"\n")
+        geometry = "[job.geometry]\ntrajectory = 'flown.sbet'\n"
+        with checks.of("a flight in several systems"):
+            run(program, folder, f"{geometry}crs = 'geodetic'\n{stages}path = 'geodetic.las'\n")
+            geodetic = laspy.read(folder / "geodetic.las").xyz
+            checks.that("has points where it was flown",
+                        len(geodetic) > 500 and np.all(np.abs(geodetic[:, :2] - [-122.0, 41.5]) < 0.1))
+        for number, (system, keys) in enumerate(SYSTEMS.items()):
+            with checks.of(f"LAS 1.2, {system.replace(chr(10), ', ')}"):
+                path = folder / f"{number}.las"
+                run(program, folder, f"{geometry}{system}\n{stages}path = '{path.name}'\nversion = '1.2'\n")
+                check_units(checks, path, keys, np.asarray(geodetic))
+
+
 def check_many_points(checks, program):
     """Enough points that the octree of COPC has several levels."""
     with checks.of("COPC of many points"), tempfile.TemporaryDirectory() as folder:
@@ -367,6 +389,7 @@ def main():
         print("skipped: the example write_container is not given")
     check_survey(checks, "simulated", program, SIMULATED)
     check_flight(checks, program)
+    check_systems(checks, program)
     check_many_points(checks, program)
     data = os.environ.get("WAVEX_DATA")
     if data is None:

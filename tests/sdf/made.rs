@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use serde_json::Value;
-use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
+use wavex::batch::emission_flags::{EDGE_OF_FLIGHT_LINE, SCAN_DIRECTION_POSITIVE};
 use wavex::formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale, channel,
@@ -64,6 +64,7 @@ pub fn container(header: &ContainerHeader, lines: &[Vec<Row>]) -> Vec<u8> {
                     start_ns: *start_ns,
                     interval_ns: None,
                     zone: None,
+                    gain: None,
                     samples,
                 };
                 line.block(&block);
@@ -187,6 +188,12 @@ pub fn plain(shot: u64, line: u32) -> Row {
 /// A line of such shots.
 pub fn plain_line(shots: impl IntoIterator<Item = u64>, line: u32) -> Vec<Row> {
     shots.into_iter().map(|shot| plain(shot, line)).collect()
+}
+
+/// The lines as they are read where records say that they end: the last shot of each is an edge of the flight line.
+pub fn with_edges(mut lines: Vec<Vec<Row>>) -> Vec<Vec<Row>> {
+    lines.iter_mut().filter_map(|rows| rows.last_mut()).for_each(|row| row.shot.flags |= EDGE_OF_FLIGHT_LINE);
+    lines
 }
 
 /// (line, number of shots) of each record batch.

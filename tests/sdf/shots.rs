@@ -3,14 +3,14 @@
 use wavex::batch::emission_flags::EDGE_OF_FLIGHT_LINE;
 use wavex::formats::container::{ContainerHeader, EmissionReference, channel};
 
-use crate::made::{Row, container, header, lengths, place, plain, plain_line, read};
+use crate::made::{Row, container, header, lengths, place, plain, plain_line, read, with_edges};
 use crate::support::{notes, rejected};
 
 #[test]
 fn lines_of_one_shot_are_lines() {
     let lines: Vec<Vec<Row>> = (0..4).map(|line| plain_line([u64::from(line)], line)).collect();
     let place = place(&container(&header(), &lines), "");
-    assert_eq!(read(&place, "").1, lines);
+    assert_eq!(read(&place, "").1, with_edges(lines));
 }
 
 #[test]
@@ -46,7 +46,7 @@ fn a_shot_that_recorded_nothing_is_a_shot_all_the_same() {
     rows[2].blocks.clear();
     rows[4].blocks.clear();
     let place = place(&container(&header(), std::slice::from_ref(&rows)), "");
-    assert_eq!(read(&place, "").1, [rows]);
+    assert_eq!(read(&place, "").1, with_edges(vec![rows]));
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn a_recording_without_outgoing_pulses_counts_from_the_clock() {
     rows.iter_mut().for_each(|row| drop(row.blocks.remove(0)));
     let header = ContainerHeader { emission_reference: Some(EmissionReference::Clock), ..header() };
     let place = place(&container(&header, std::slice::from_ref(&rows)), "");
-    assert_eq!(read(&place, "").1, [rows]);
+    assert_eq!(read(&place, "").1, with_edges(vec![rows]));
     let reader = wavex::formats::container::ContainerReader::open(&place.path("out/sdf.arrow")).unwrap();
     assert_eq!(reader.header(), &header);
 }

@@ -2,7 +2,7 @@
 
 use wavex::formats::container::{ContainerHeader, ContainerReader, TimeScale};
 
-use crate::made::{NAME, Row, container, copy, header, lengths, place, plain_line, read, rows};
+use crate::made::{NAME, Row, container, copy, header, lengths, place, plain_line, read, rows, with_edges};
 use crate::support::{Place, notes, rejected};
 
 fn lines() -> Vec<Vec<Row>> {
@@ -143,7 +143,7 @@ fn seconds_of_the_day_become_seconds_of_the_week() {
         row.shot.gps_time_s = row.shot.gps_time_s.map(|time_s| time_s - 2.0 * 86_400.0);
     }
     let place = place(&container(&header(), &given), "epoch DAYSEC");
-    assert_eq!(read(&place, "").1, lines().as_slice());
+    assert_eq!(read(&place, "").1, with_edges(lines()));
     assert_eq!(header_of(&place), header());
 }
 

@@ -44,6 +44,7 @@ pub fn container(shots: &[Shot], reference: EmissionReference, timed: bool) -> V
                 start_ns: *start_ns,
                 zone: None,
                 interval_ns: None,
+                gain: None,
                 samples,
             });
         }

@@ -116,7 +116,7 @@ fn header(vlrs: &[Vec<u8>], points: usize, format: u8) -> Vec<u8> {
 }
 
 /// A variable length record.
-fn vlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
+pub fn vlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
     let mut bytes = record_header(user_id, record_id, data.len() as u64, false);
     bytes.extend(data);
     bytes

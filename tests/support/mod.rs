@@ -93,18 +93,23 @@ impl Place {
         self.run(&format!("[[stage]]\ntype = '{reader}'\npath = '{input}'\n{stages}"))
     }
 
-    /// Runs a job that must fail with this message, and leave nothing but its log.
+    /// Runs a job that must fail with this message, and leave nothing but its log and its statistics.
     #[track_caller]
     pub fn fails(&self, reader: &str, input: &str, message: &str) {
         let stages = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
         self.left_nothing(self.read(reader, input, stages), message);
     }
 
-    /// The run failed with this message, and left nothing but its log.
+    /// The run failed with this message, and left nothing but its log and its statistics, which tell why.
     #[track_caller]
     pub fn left_nothing(&self, outcome: Outcome, message: &str) {
         assert_eq!(outcome, Outcome { code: Some(1), err: format!("error: {message}\n") });
-        assert_eq!(self.outputs(), Vec::<String>::new(), "a failed run leaves nothing");
+        assert_eq!(self.products(), Vec::<String>::new(), "a failed run leaves nothing");
+        for name in self.outputs() {
+            let statistics = self.text(&format!("out/{name}"));
+            let failure = format!("{:<36} 1, failed\n{:<36} {message}\n", "exit status", "failure");
+            assert!(statistics.contains(&failure), "{name}: {statistics}");
+        }
         let log = self.text("out/wavex.log");
         assert!(log.contains(message), "the log does not tell why the run failed:\n{log}");
     }
@@ -126,6 +131,11 @@ impl Place {
         names.retain(|name| name != "wavex.log");
         names.sort();
         names
+    }
+
+    /// The same without the statistics of inputs, which a failed run leaves, too.
+    pub fn products(&self) -> Vec<String> {
+        self.outputs().into_iter().filter(|name| !name.ends_with("_stat.log")).collect()
     }
 
     /// The times of the shots that have returns in a table, in its order, as it writes them.

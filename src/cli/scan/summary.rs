@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::histograms::{CHANNELS, name_of};
-use crate::batch::{Channel, EmissionReference, Frame, InputInfo, TimeScale};
+use crate::batch::{Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 use crate::geo::time;
 use crate::stage::Counters;
 use crate::survey::{Angle, ChannelSurvey, Histogram, Intervals, Samples, Survey};
@@ -97,6 +97,14 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
     section.say("sampling interval", format!("{} ns", number(input.sampling_interval_ns, 6)));
     let full = input.full_scale_dn.map_or("not known".into(), |full| format!("{full} DN"));
     section.say("largest sample", full);
+    match input.gain_control {
+        GainControl::Off => {}
+        GainControl::Recorded => section.say("automatic gain control", "yes, with the gain of each block"),
+        GainControl::NotRecorded => section.say(
+            "automatic gain control",
+            "yes, but the gains are not known: intensities are not comparable",
+        ),
+    }
     section.say(
         "moment of emission",
         match input.emission_reference {
@@ -291,6 +299,10 @@ fn receiver(survey: &Survey, channel: Channel) -> Option<Section> {
     section.say("blocks", grouped(seen.blocks));
     section.say("samples of a block", of(&seen.lengths, "", 0));
     section.say("first sample after the clock", of(&seen.starts_ns, " ns", 2));
+    if seen.gains != [1.0; 2] {
+        let [least, greatest] = seen.gains;
+        section.say("gain", format!("{least:.3} to {greatest:.3}; noise and peaks below are as recorded"));
+    }
     if let Some(values) = &seen.values {
         sample_rows(&mut section, seen, values, channel);
     }

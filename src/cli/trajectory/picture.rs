@@ -146,3 +146,70 @@ fn heights(svg: &mut Svg, parts: &[Vec<Sample>], [first_s, last_s]: [f64; 2]) {
     svg.text("", [0.5 * (LEFT + RIGHT), HEIGHTS[1] + 38.0], Anchor::Middle, "time since the first record, s");
     svg.upright_text("", [16.0, 0.5 * (HEIGHTS[0] + HEIGHTS[1])], "height, m");
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+
+    use super::*;
+    use crate::geo::ellipsoid::Geodetic;
+    use crate::geo::frames::Attitude;
+
+    /// The labels of numbers along each edge of the picture: at the left of a frame, or below it.
+    fn labels(svg: &str) -> BTreeMap<String, Vec<String>> {
+        let mut labels: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        for text in svg.lines().filter(|line| line.starts_with("<text class=\"\"")) {
+            let attribute = |name: &str| text.split(&format!("{name}=\"")).nth(1)?.split('"').next();
+            let [Some(x), Some(y), Some(anchor)] = ["x", "y", "text-anchor"].map(attribute) else { continue };
+            let Some(label) = text.split(['<', '>']).nth(2).filter(|label| label.parse::<f64>().is_ok())
+            else {
+                continue;
+            };
+            // Those at the left of the plan, of the heights, and below each.
+            let is_of_plan = y.parse::<f64>().unwrap() < PLAN[1] + 30.0;
+            let edge = format!("{anchor} {is_of_plan} {}", if anchor == "end" { x } else { y });
+            labels.entry(edge).or_default().push(label.to_owned());
+        }
+        labels
+    }
+
+    /// A flight to the north-east: so many metres long, so many up, within a time.
+    fn flight(length_m: f64, climb_m: f64, duration_s: f64) -> Trajectory {
+        let sample = |step: u32| {
+            let part = f64::from(step) / 20.0;
+            let angle_rad = part * length_m / 6.4e6;
+            let place = Geodetic {
+                latitude_rad: 0.8 + angle_rad,
+                longitude_rad: 0.26 + angle_rad,
+                height_m: 1234.5 + part * climb_m,
+            };
+            let attitude = Attitude { roll_rad: 0.0, pitch_rad: 0.0, heading_rad: 0.8 };
+            Sample { time_s: 345_678.9 + part * duration_s, place, attitude }
+        };
+        Trajectory::new((0..=20).map(sample).collect()).unwrap()
+    }
+
+    #[test]
+    fn no_axis_has_the_same_label_twice() {
+        for length_m in [0.0, 0.3, 7.0, 450.0, 3.3e4, 8e5] {
+            for climb_m in [0.0, 0.02, 0.7, 13.0, 2400.0] {
+                for duration_s in [0.01, 0.4, 3.0, 61.0, 7300.0] {
+                    let trajectory = flight(length_m, climb_m, duration_s);
+                    for map in ["utm:33N", "EPSG:2225", "geodetic", "ecef"] {
+                        let map = Map::of(map, None).unwrap().unwrap();
+                        let labels = labels(&draw("a", "b", &trajectory, &map));
+                        assert_eq!(labels.len(), 4, "{length_m} {climb_m} {duration_s}: {labels:?}");
+                        for labels in labels.values() {
+                            let distinct: BTreeSet<&String> = labels.iter().collect();
+                            assert_eq!(
+                                distinct.len(),
+                                labels.len(),
+                                "{length_m} {climb_m} {duration_s}: {labels:?}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -7,9 +7,9 @@ use arrow_array::{
     StructArray, UInt8Array, UInt16Array, UInt32Array, UInt64Array,
 };
 use arrow_buffer::{NullBuffer, OffsetBuffer, ScalarBuffer};
-use arrow_schema::{ArrowError, DataType, Field, SchemaRef};
+use arrow_schema::{ArrowError, DataType, Field, FieldRef, SchemaRef};
 
-use super::layout::{BLOCK, Kind, ONLINE, fields};
+use super::layout::{Kind, ONLINE, block_fields, fields, has_gain};
 use super::{ContainerBlock, ContainerOnline, ContainerShot};
 
 /// The rows of a scan line, column by column. Blocks and online returns belong to the shot added last.
@@ -32,6 +32,7 @@ pub struct LineBuilder {
     start_ns: Vec<f64>,
     zone: Vec<Option<i16>>,
     interval_ns: Vec<Option<f64>>,
+    gain: Vec<Option<f64>>,
     /// How many samples each block has.
     lengths: Vec<usize>,
     samples: Vec<u16>,
@@ -72,6 +73,7 @@ impl LineBuilder {
         self.start_ns.push(block.start_ns);
         self.zone.push(block.zone);
         self.interval_ns.push(block.interval_ns);
+        self.gain.push(block.gain);
         self.lengths.push(block.samples.len());
         self.samples.extend_from_slice(block.samples);
     }
@@ -89,20 +91,25 @@ impl LineBuilder {
         self.shot.len()
     }
 
-    /// The record batch; an error where a list would pass 2^31 items, the most that Arrow's lists can have.
+    /// The record batch; an error where a list would pass 2^31 items, the most that Arrow's lists can have, or where a block
+    /// has a gain and the schema has no place for it.
     pub(super) fn finish(self, schema: SchemaRef) -> Result<RecordBatch, ArrowError> {
         let samples = list(Kind::Samples, &self.lengths, array(UInt16Array::from(self.samples)), None)?;
-        let blocks = StructArray::try_new(
-            fields(BLOCK),
-            vec![
-                array(UInt8Array::from(self.channel)),
-                array(Float64Array::from(self.start_ns)),
-                array(samples),
-                array(Int16Array::from(self.zone)),
-                array(Float64Array::from(self.interval_ns)),
-            ],
-            None,
-        )?;
+        let with_gain = has_gain(&schema);
+        if !with_gain && self.gain.iter().any(Option::is_some) {
+            let problem = "a block with a gain in a container whose header says there is none";
+            return Err(ArrowError::InvalidArgumentError(problem.into()));
+        }
+        let mut of_blocks = vec![
+            array(UInt8Array::from(self.channel)),
+            array(Float64Array::from(self.start_ns)),
+            array(samples),
+            array(Int16Array::from(self.zone)),
+            array(Float64Array::from(self.interval_ns)),
+        ];
+        of_blocks.extend(with_gain.then(|| array(Float64Array::from(self.gain))));
+        let blocks = StructArray::try_new(block_fields(with_gain), of_blocks, None)?;
+        let block_list = Arc::new(Field::new("item", DataType::Struct(block_fields(with_gain)), false));
         let online = StructArray::try_new(
             fields(ONLINE),
             vec![array(Float64Array::from(self.time_ns)), array(Float32Array::from(self.amplitude))],
@@ -119,7 +126,7 @@ impl LineBuilder {
             array(UInt16Array::from(self.facet)),
             array(UInt16Array::from(self.flags)),
             array(Int16Array::from(self.mta_zone)),
-            array(list(Kind::Structs(BLOCK), &self.blocks, array(blocks), None)?),
+            array(list_of(block_list, &self.blocks, array(blocks), None)?),
             array(list(Kind::Structs(ONLINE), &self.online, array(online), Some(some_online))?),
             array(Float32Array::from(self.scan_angle_deg)),
             array(Float64Array::from(self.frame_scale)),
@@ -146,6 +153,15 @@ fn list(
     let DataType::List(item) = kind.data_type() else {
         return Err(ArrowError::SchemaError("not a list".into()));
     };
+    list_of(item, lengths, values, nulls)
+}
+
+fn list_of(
+    item: FieldRef,
+    lengths: &[usize],
+    values: ArrayRef,
+    nulls: Option<NullBuffer>,
+) -> Result<ListArray, ArrowError> {
     if i32::try_from(values.len()).is_err() {
         return Err(ArrowError::InvalidArgumentError("a scan line with a list of over 2^31 items".into()));
     }

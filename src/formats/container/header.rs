@@ -45,6 +45,8 @@ pub struct ContainerHeader {
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
     /// How the moment of emission is known; `None`: to be told from the blocks.
     pub emission_reference: Option<EmissionReference>,
+    /// Whether the receiver's gain changes; `None`: to be told from the blocks.
+    pub gain_control: Option<GainControl>,
     /// What `origin` is; `None`: the sensor's position, unless emissions are known by return locations.
     pub origin: Option<Origin>,
 }
@@ -70,6 +72,7 @@ impl ContainerHeader {
             full_scale_dn: None,
             coordinate_grid: None,
             emission_reference: None,
+            gain_control: None,
             origin: None,
         }
     }
@@ -146,6 +149,16 @@ named! {
 }
 
 named! {
+    /// Automatic gain control.
+    GainControl {
+        /// Each block says its gain.
+        Recorded = "recorded",
+        /// The gain changes, and blocks do not say it.
+        NotRecorded = "not_recorded",
+    }
+}
+
+named! {
     /// What the origins of shots are.
     Origin {
         /// Where the sensor was: ranges count from there.
@@ -182,6 +195,11 @@ struct Grid {
 const LIGHT_MPS: f64 = 299_792_458.0;
 
 impl ContainerHeader {
+    /// Whether blocks that are written have a gain.
+    pub(super) fn has_gain(&self) -> bool {
+        self.gain_control == Some(GainControl::Recorded)
+    }
+
     /// The header as metadata.
     pub(super) fn to_metadata(&self) -> Metadata {
         let number = |value: f64| value.to_string();
@@ -202,6 +220,7 @@ impl ContainerHeader {
             ("wavex.full_scale_dn", self.full_scale_dn.map(|dn| dn.to_string())),
             ("wavex.coordinate_grid", grid),
             ("wavex.emission_reference", self.emission_reference.map(|by| by.name().to_string())),
+            ("wavex.gain_control", self.gain_control.map(|control| control.name().to_string())),
             ("wavex.origin", self.origin.map(|origin| origin.name().to_string())),
         ];
         debug_assert!(values.iter().map(|value| value.0).eq(KEYS.iter().map(|key| key.name)));
@@ -249,6 +268,7 @@ impl ContainerHeader {
             full_scale_dn: keys.value("wavex.full_scale_dn", |text| text.parse().ok())?,
             coordinate_grid: grid.map(|grid| (grid.scale, grid.offset)),
             emission_reference: keys.value("wavex.emission_reference", EmissionReference::of)?,
+            gain_control: keys.value("wavex.gain_control", GainControl::of)?,
             origin: keys.value("wavex.origin", Origin::of)?,
         })
     }

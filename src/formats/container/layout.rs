@@ -103,7 +103,11 @@ pub static BLOCK: &[Column] = &[
     required("samples", Kind::Samples, "digitiser steps"),
     optional("zone", Kind::I16, "zone of this block; null: the row's `mta_zone`"),
     optional("interval_ns", Kind::F64, "time between samples, ns; null: `wavex.sampling_interval_ns`"),
+    optional(GAIN, Kind::F64, "gain of the receiver over its reference gain, 1/1024 to 1024: samples are background + gain x (signal + receiver's noise) + digitiser's noise; null: 1. Written only with automatic gain control"),
 ];
+
+/// The field of `blocks` that only recordings with automatic gain control have.
+pub(super) const GAIN: &str = "gain";
 
 /// The fields of the column `online`.
 #[rustfmt::skip]
@@ -134,6 +138,7 @@ pub static KEYS: &[Key] = &[
     key("wavex.full_scale_dn", false, "whole number up to 65535", "extension: the largest value that the digitiser can give"),
     key("wavex.coordinate_grid", false, "JSON object {`scale`: [x, y, z], `offset`: [x, y, z]}", "extension: the grid on which the recording's own file stored coordinates; point outputs take the same"),
     key("wavex.emission_reference", false, "`outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or `clock`", "extension: how the moment of emission is known; without it `outgoing_pulse` where the first scan line has blocks of channel 3, else `clock`"),
+    key("wavex.gain_control", false, "`recorded` or `not_recorded`", "extension: the receiver's gain changes, and blocks say it or do not; without it `recorded` where blocks have a `gain`, else the gain is constant"),
     key("wavex.origin", false, "`sensor` or `waveform`", "extension: what `origin` is: the sensor's position, or a point on the beam near the waveform where that is not known; without it `sensor`, unless `wavex.emission_reference` is `return_locations`"),
 ];
 
@@ -186,9 +191,27 @@ pub(super) fn fields(columns: &[Column]) -> Fields {
     columns.iter().map(Column::field).collect()
 }
 
+/// The fields of the column `blocks` that are written.
+pub(super) fn block_fields(with_gain: bool) -> Fields {
+    BLOCK.iter().filter(|column| with_gain || column.name != GAIN).map(Column::field).collect()
+}
+
+/// Whether blocks of a schema to be written have a gain.
+pub(super) fn has_gain(schema: &Schema) -> bool {
+    let blocks = schema.fields().find("blocks").map(|(_, field)| field.data_type());
+    let Some(DataType::List(item)) = blocks else { return false };
+    matches!(item.data_type(), DataType::Struct(fields) if fields.find(GAIN).is_some())
+}
+
 /// The schema of a container with this metadata.
-pub(super) fn schema(metadata: Metadata) -> Schema {
-    Schema::new_with_metadata(fields(COLUMNS), metadata)
+pub(super) fn schema(metadata: Metadata, with_gain: bool) -> Schema {
+    let blocks = DataType::Struct(block_fields(with_gain));
+    let blocks = DataType::List(Arc::new(Field::new("item", blocks, false)));
+    let field = |column: &Column| match column.name {
+        "blocks" => Field::new(column.name, blocks.clone(), column.nullable),
+        _ => column.field(),
+    };
+    Schema::new_with_metadata(COLUMNS.iter().map(field).collect::<Fields>(), metadata)
 }
 
 /// Where the columns of [`COLUMNS`] stand in a schema, in their order; `None` for an optional one that is not there.

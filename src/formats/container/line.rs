@@ -11,6 +11,7 @@ use arrow_array::{
     PrimitiveArray, StructArray, UInt8Array, UInt16Array, UInt32Array, UInt64Array,
 };
 
+use super::layout::GAIN;
 use super::place::{DAMAGED, Place};
 use crate::formats::Result;
 
@@ -52,6 +53,8 @@ pub struct ContainerBlock<'a> {
     pub interval_ns: Option<f64>,
     /// Zone of this block; `None`: the row's.
     pub zone: Option<i16>,
+    /// Gain of the receiver over its reference gain; `None`: 1.
+    pub gain: Option<f64>,
     /// Digitiser steps.
     pub samples: &'a [u16],
 }
@@ -93,6 +96,7 @@ struct Blocks {
     samples: UInt16Array,
     zone: Option<Int16Array>,
     interval_ns: Option<Float64Array>,
+    gain: Option<Float64Array>,
 }
 
 #[derive(Debug)]
@@ -134,6 +138,11 @@ impl ContainerLine {
     /// Here and below, where `row` is not below [`ContainerLine::rows`].
     pub fn line(&self, row: usize) -> u32 {
         self.line.value(row)
+    }
+
+    /// Whether blocks have a column of gains.
+    pub fn has_gain(&self) -> bool {
+        self.blocks.gain.is_some()
     }
 
     /// A row without its blocks.
@@ -184,6 +193,7 @@ impl Blocks {
             start_ns: self.start_ns.value(index),
             interval_ns: self.interval_ns.as_ref().and_then(|array| value(array, index)),
             zone: self.zone.as_ref().and_then(|array| value(array, index)),
+            gain: self.gain.as_ref().and_then(|array| value(array, index)),
             samples: &self.samples.values()[items(&self.lists, index)],
         }
     }
@@ -262,6 +272,9 @@ impl Columns<'_> {
                 .transpose()?,
             interval_ns: nullable("interval_ns")
                 .map(|array| self.typed("blocks.interval_ns", array.as_primitive_opt()))
+                .transpose()?,
+            gain: nullable(GAIN)
+                .map(|array| self.typed("blocks.gain", array.as_primitive_opt()))
                 .transpose()?,
             rows,
             lists,

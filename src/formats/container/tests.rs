@@ -67,7 +67,7 @@ fn builder(rows: &[Row]) -> LineBuilder {
         line.shot(&row.shot);
         for (channel, start_ns, interval_ns, zone, samples) in &row.blocks {
             let (channel, start_ns, interval_ns, zone) = (*channel, *start_ns, *interval_ns, *zone);
-            line.block(&ContainerBlock { channel, start_ns, interval_ns, zone, samples });
+            line.block(&ContainerBlock { channel, start_ns, interval_ns, zone, gain: None, samples });
         }
         row.online.iter().for_each(|online| line.online(online));
     }

@@ -42,7 +42,7 @@ impl<W: Write> ContainerWriter<W> {
         header: &ContainerHeader,
         compression: Compression,
     ) -> Result<ContainerWriter<W>> {
-        let schema = Arc::new(layout::schema(header.to_metadata()));
+        let schema = Arc::new(layout::schema(header.to_metadata(), header.has_gain()));
         let form = options(compression)
             .and_then(|options| FileWriter::try_new_with_options(to, &schema, options))
             .map(Form::File)
@@ -57,7 +57,7 @@ impl<W: Write> ContainerWriter<W> {
         header: &ContainerHeader,
         compression: Compression,
     ) -> Result<ContainerWriter<W>> {
-        let schema = Arc::new(layout::schema(header.to_metadata()));
+        let schema = Arc::new(layout::schema(header.to_metadata(), header.has_gain()));
         let form = options(compression)
             .and_then(|options| StreamWriter::try_new_with_options(to, &schema, options))
             .map(Form::Stream)

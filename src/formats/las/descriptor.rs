@@ -52,6 +52,13 @@ impl Descriptors {
         self.0.get(usize::from(index)).and_then(Option::as_ref)
     }
 
+    /// Whether descriptors that are not empty have different digitizer gains.
+    pub(super) fn have_different_gains(&self) -> bool {
+        let mut gains = self.0.iter().flatten().filter(|of| of.samples > 0).map(|of| of.gain.to_bits());
+        let first = gains.next();
+        gains.any(|gain| Some(gain) != first)
+    }
+
     /// The file has a descriptor that is not empty.
     pub(super) fn describe_anything(&self) -> bool {
         self.0.iter().flatten().any(|descriptor| descriptor.samples > 0)

@@ -87,6 +87,11 @@ impl Reader {
         self.vlrs.iter().chain(&self.evlrs).find(|vlr| vlr.is(PROJECTION, record_id))
     }
 
+    /// Whether waveform packet descriptors have different digitizer gains.
+    pub fn has_different_gains(&self) -> bool {
+        self.descriptors.have_different_gains()
+    }
+
     /// What the extra bytes of the points mean.
     pub fn extra_bytes_descriptors(&self) -> &[ExtraBytes] {
         &self.extra_bytes

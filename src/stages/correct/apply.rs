@@ -170,7 +170,7 @@ fn correct_width(r: &mut Return, [low, high]: [&WidthCorrection; 2], half_speed_
         ReturnChannel::High => high,
         ReturnChannel::Joint => return,
     };
-    let flat_target = correction.flat_target(r.amplitude_dn);
+    let flat_target = correction.flat_target(r.amplitude_at_unit_gain_dn().0);
     if *correction == WidthCorrection::None || !flat_target.is_finite() || flat_target <= 0.0 {
         return;
     }
@@ -191,7 +191,10 @@ fn take_amplitude(r: &mut Return, amplitudes: &Both, stats: &mut LineStats) {
                 (amplitude.db, amplitude.linear, amplitude.linear_sd);
             stats.np_ibic += 1;
         }
-        None => (r.amplitude_db, r.intensity, r.intensity_sd) = (f64::NAN, r.amplitude_dn, r.amplitude_sd_dn),
+        None => {
+            (r.intensity, r.intensity_sd) = r.amplitude_at_unit_gain_dn();
+            r.amplitude_db = f64::NAN;
+        }
     }
 }
 

@@ -70,7 +70,7 @@ impl WidthCorrection {
         }
         let plain = |r: &&&Return| r.number_of_returns == 1 && r.flags & NOT_PLAIN == 0;
         let pulse = |r: &&Return| Pulse {
-            ln_amplitude: r.amplitude_dn.ln(),
+            ln_amplitude: r.amplitude_at_unit_gain_dn().0.ln(),
             ln_width: r.width_ratio.ln(),
             ln_width_sd: r.width_ratio_sd / r.width_ratio,
         };

@@ -1,10 +1,13 @@
 //! What two receivers tell of the same echoes, put together (docs/method.md, Two receivers).
 
+use std::collections::BTreeMap;
+
 use super::found::{Found, InHighPower};
 use super::shots::Shot;
 use crate::batch::{Block, Channel, LineStats, ReturnChannel, flags};
 use crate::kernels::decompose::OVERDRIVEN_PART;
 use crate::kernels::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse};
+use crate::kernels::gain::GainLevel;
 use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Result, StageError};
 
@@ -24,8 +27,21 @@ const SEEN_SIGMA: f64 = 8.0;
 /// Spread of widths of single pulses, as pulses that overlap are fitted with it.
 const OVERLAP_LN_WIDTH_SD: f64 = 0.15;
 
-/// Two receivers whose gain and delay are known.
+/// Two receivers whose gain and delay are known, at the gains that blocks were recorded with.
 pub(super) struct BothReceivers {
+    unit: Both,
+    model: SensorModel,
+    fusion: ChannelFusion,
+    template_error: f64,
+    /// For levels of the sensitive and of the other receiver that are not both 1.
+    others: BTreeMap<(GainLevel, GainLevel), Both>,
+}
+
+/// Pairs of gains that are kept, besides 1 and 1.
+const MOST_PAIRS: usize = 64;
+
+/// Two receivers, each at one gain.
+struct Both {
     /// Between pulses as the models' fits see them.
     between: ChannelFusion,
     /// What alignment left: how much later the other receiver's fits lie on the common axis, ns.
@@ -34,6 +50,10 @@ pub(super) struct BothReceivers {
     high: JointFit,
     overdriven_dn: f64,
     detection_sigma: f64,
+    /// Ratio of the heights of pulses as the fits see them over that of plain peaks.
+    over_plain_ratio: f64,
+    /// Gain of the receiver for strong echoes.
+    high_gain: f64,
 }
 
 /// A pulse of the sensitive receiver's block on its way through the joint fit.
@@ -77,10 +97,92 @@ impl BothReceivers {
         detection_sigma: f64,
         template_error: f64,
     ) -> Result<Option<BothReceivers>> {
+        let unit = Both::new(model, fusion, [GainLevel::UNIT; 2], detection_sigma, template_error)?;
+        Ok(unit.map(|unit| BothReceivers {
+            unit,
+            model: model.clone(),
+            fusion: fusion.clone(),
+            template_error,
+            others: BTreeMap::new(),
+        }))
+    }
+
+    /// Whether the sensitive receiver is saturated or overdriven somewhere in a block.
+    pub(super) fn is_blinded(&self, samples: &[u16]) -> bool {
+        samples.iter().any(|&sample| f64::from(sample) >= self.unit.overdriven_dn)
+    }
+
+    /// Puts a return where it lies on the common axis of time, with what is not known of that.
+    pub(super) fn align(&self, found: &mut Found) {
+        self.unit.align(found);
+    }
+
+    /// Puts together what a shot's blocks hold of the same echoes. Returns of `all` from `first` on that are others' doubles
+    /// are taken out and counted.
+    ///
+    /// # Errors
+    /// Where a receiver's model is none at the gain of a block.
+    pub(super) fn fuse(&mut self, shot: &Shot, all: &mut Vec<Found>, stats: &mut LineStats) -> Result<()> {
+        let mut gone = vec![false; all.len()];
+        for (h, high) in shot.of_shot.iter().enumerate() {
+            let has_returns = all.iter().any(|found| found.block == h);
+            if high.channel != Channel::HighPower || !has_returns {
+                continue;
+            }
+            for (l, low) in shot.of_shot.iter().enumerate().filter(|(_, block)| is_beside(block, high)) {
+                let at_gains = self.at_gains([low.gain, high.gain])?;
+                at_gains.fuse_blocks(shot, [(l, low), (h, high)], all, &mut gone, stats);
+            }
+        }
+        let mut index = 0;
+        all.retain(|_| {
+            index += 1;
+            !gone[index - 1]
+        });
+        Ok(())
+    }
+
+    /// The receivers at the gains of two blocks.
+    fn at_gains(&mut self, gains: [f64; 2]) -> Result<&mut Both> {
+        let levels = gains.map(GainLevel::of);
+        let [low, high] = levels;
+        let is_unit = levels == [GainLevel::UNIT; 2];
+        if !is_unit && !self.others.contains_key(&(low, high)) {
+            if self.others.len() >= MOST_PAIRS {
+                self.others.clear();
+            }
+            let (sigma, error) = (self.unit.detection_sigma, self.template_error);
+            let made = Both::new(&self.model, &self.fusion, levels, sigma, error)?;
+            self.others.extend(made.map(|made| ((low, high), made)));
+        }
+        let BothReceivers { unit, others, fusion, .. } = self;
+        let found = if is_unit { None } else { others.get_mut(&(low, high)) };
+        let at_gains = found.unwrap_or(unit);
+        // Levels are near the gains; heights are compared by the gains themselves.
+        if !is_unit {
+            at_gains.set_gains(gains, fusion);
+        }
+        Ok(at_gains)
+    }
+}
+
+impl Both {
+    /// `None` where one of the receivers was not calibrated.
+    fn new(
+        model: &SensorModel,
+        fusion: &ChannelFusion,
+        [low_level, high_level]: [GainLevel; 2],
+        detection_sigma: f64,
+        template_error: f64,
+    ) -> Result<Option<Both>> {
         let (Some(low), Some(high)) = (&model.low_power, &model.high_power) else { return Ok(None) };
         let made = || {
-            let between = fusion.between_models(low, high)?;
-            Ok(BothReceivers {
+            let (low, high) = (&low.at_gain(low_level.gain())?, &high.at_gain(high_level.gain())?);
+            let between = fusion.at_gains(low_level.gain(), high_level.gain()).between_models(low, high)?;
+            Ok(Both {
+                over_plain_ratio: between.gain_ratio
+                    / fusion.at_gains(low_level.gain(), high_level.gain()).gain_ratio,
+                high_gain: high_level.gain(),
                 left_ns: between.delay_ns - fusion.delay_ns,
                 between,
                 low: JointFit::new(low, template_error)?,
@@ -94,39 +196,22 @@ impl BothReceivers {
         })
     }
 
-    /// Whether the sensitive receiver is saturated or overdriven somewhere in a block.
-    pub(super) fn is_blinded(&self, samples: &[u16]) -> bool {
-        samples.iter().any(|&sample| f64::from(sample) >= self.overdriven_dn)
+    /// Sets the gains of two blocks, which are near those of the models.
+    fn set_gains(&mut self, [low, high]: [f64; 2], fusion: &ChannelFusion) {
+        let at_gains = fusion.at_gains(low, high);
+        self.between.gain_ratio = self.over_plain_ratio * at_gains.gain_ratio;
+        self.between.gain_ratio_sd = self.over_plain_ratio * at_gains.gain_ratio_sd;
+        self.high_gain = high;
     }
 
     /// Puts a return where it lies on the common axis of time, with what is not known of that.
-    pub(super) fn align(&self, found: &mut Found) {
+    fn align(&self, found: &mut Found) {
         let (shift_ns, sd_ns) = match found.channel {
             ReturnChannel::Low => self.between.walk_ns(found.fitted.amplitude_dn),
             _ => (-self.left_ns, self.between.delay_sd_ns),
         };
         found.time_ns += shift_ns;
         found.time_sd_ns = found.time_sd_ns.hypot(sd_ns);
-    }
-
-    /// Puts together what a shot's blocks hold of the same echoes. Returns of `all` from `first` on that are others' doubles
-    /// are taken out and counted.
-    pub(super) fn fuse(&mut self, shot: &Shot, all: &mut Vec<Found>, stats: &mut LineStats) {
-        let mut gone = vec![false; all.len()];
-        for (h, high) in shot.of_shot.iter().enumerate() {
-            let has_returns = all.iter().any(|found| found.block == h);
-            if high.channel != Channel::HighPower || !has_returns {
-                continue;
-            }
-            for (l, low) in shot.of_shot.iter().enumerate().filter(|(_, block)| is_beside(block, high)) {
-                self.fuse_blocks(shot, [(l, low), (h, high)], all, &mut gone, stats);
-            }
-        }
-        let mut index = 0;
-        all.retain(|_| {
-            index += 1;
-            !gone[index - 1]
-        });
     }
 
     fn fuse_blocks(
@@ -304,10 +389,11 @@ impl BothReceivers {
             let found = &mut all[candidate.found];
             if candidate.high.is_some() {
                 found.high_power = Some(InHighPower {
-                    gain_ratio: self.between.gain_ratio,
+                    gain_ratio: self.between.gain_ratio * self.high_gain,
                     background_dn: found.background_dn,
                 });
                 found.channel = ReturnChannel::Joint;
+                found.gain = low.gain;
             }
             found.fitted.flags |= flags;
             found.fitted.deviation_ratio = deviation_ratio;

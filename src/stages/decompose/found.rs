@@ -18,7 +18,10 @@ pub(super) struct Found {
     /// The block among those of its shot.
     pub(super) block: usize,
     pub(super) zone: i16,
+    /// At gain 1.
     pub(super) background_dn: f64,
+    /// Gain with which the fitted pulse was recorded.
+    pub(super) gain: f64,
     /// How it stands in the receiver for strong echoes, where both were fitted together.
     pub(super) high_power: Option<InHighPower>,
     pub(super) fitted: Pulse,
@@ -29,9 +32,9 @@ pub(super) struct Found {
 /// What a joint return is in the receiver for strong echoes.
 #[derive(Clone, Copy)]
 pub(super) struct InHighPower {
-    /// Height in the sensitive receiver over that in the other.
+    /// Height in the sensitive receiver, as recorded, over that in the other at gain 1.
     pub(super) gain_ratio: f64,
-    /// The other's background.
+    /// The other's background at gain 1.
     pub(super) background_dn: f64,
 }
 
@@ -65,6 +68,7 @@ impl Found {
             total_sd_m: f64::NAN,
             amplitude_dn: fitted.amplitude_dn,
             amplitude_sd_dn: fitted.amplitude_sd_dn,
+            gain: self.gain,
             peak_dn,
             peak_sd_dn,
             amplitude_db,
@@ -81,13 +85,13 @@ impl Found {
         }
     }
 
-    /// Background and height of the peak, with its standard deviation, where the instrument's tables are read: in the
-    /// receiver that gives the intensity, DN.
+    /// Background and height of the peak at gain 1, with its standard deviation, where the instrument's tables are read: in
+    /// the receiver that gives the intensity, DN.
     fn peak(&self) -> (f64, f64) {
         let (amplitude, sd) = (self.fitted.amplitude_dn, self.fitted.amplitude_sd_dn);
         match self.high_power {
             Some(high) => (high.background_dn + amplitude / high.gain_ratio, sd / high.gain_ratio),
-            None => (self.background_dn + amplitude, sd),
+            None => (self.background_dn + amplitude / self.gain, sd / self.gain),
         }
     }
 
@@ -96,7 +100,10 @@ impl Found {
         let (peak_dn, peak_sd_dn) = self.peak();
         match table.map(|table| table.amplitude(peak_dn, peak_sd_dn)) {
             Some(amplitude) => (amplitude.db, amplitude.linear, amplitude.linear_sd),
-            None => (f64::NAN, self.fitted.amplitude_dn, self.fitted.amplitude_sd_dn),
+            None => {
+                let fitted = &self.fitted;
+                (f64::NAN, fitted.amplitude_dn / self.gain, fitted.amplitude_sd_dn / self.gain)
+            }
         }
     }
 }

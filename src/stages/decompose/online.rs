@@ -95,6 +95,26 @@ fn return_of(online: &OnlineReturn, emission: &Emission, zone: i16, input: &Inpu
     }
 }
 
+/// Sets the moments of emission without a sensor model: the clock's, or the time that an empty block of the outgoing pulse
+/// carries, ns after the clock.
+///
+/// # Errors
+/// A recorded outgoing pulse: where its peak lies is known only by a fit.
+pub(super) fn date_without_model(emissions: &mut [Emission], blocks: &Blocks) -> Result<()> {
+    for block in blocks.iter().filter(|block| block.channel == Channel::Reference) {
+        if !block.is_empty() {
+            return Err(StageError::failed(
+                "ranges count from the outgoing pulses of this recording, which a sensor model is needed to find",
+                "put calibrate before decompose",
+            ));
+        }
+        if let Some(emission) = emissions.get_mut(block.emission as usize) {
+            emission.emission_ns = block.start_ns;
+        }
+    }
+    Ok(())
+}
+
 /// Compares the instrument's own returns with those that were computed from the same waveforms. Returns of both belong
 /// together where neither has a nearer one, and they lie within a pulse width of each other.
 pub(super) fn compare(
@@ -133,7 +153,7 @@ pub(super) fn compare(
             matched += 1;
             cx.observe_signed("online_minus_computed_ns", time_ns - computed_ns[j]);
             cx.observe("online_computed_distance_ns", (time_ns - computed_ns[j]).abs());
-            let ratio = amplitude(&online[i]) / computed[j].amplitude_dn;
+            let ratio = amplitude(&online[i]) / computed[j].amplitude_at_unit_gain_dn().0;
             if ratio.is_finite() {
                 cx.observe("online_over_computed_amplitude", ratio);
             }

@@ -235,7 +235,8 @@ impl ShotDecomposer {
         watch: &mut impl Watch,
     ) -> Result<()> {
         let before = self.receivers.left_to_plain();
-        self.receivers.decompose(shots, self.both.as_ref());
+        self.receivers.begin_line();
+        self.receivers.decompose(shots, self.both.as_ref())?;
         cx.observe("left_to_plain_kernels", (self.receivers.left_to_plain() - before) as f64);
         self.expect_echoes_on_outgoing(shots, line.emissions);
         self.receivers.judge_outgoing(shots, true, |index| is_set(&self.expected, index));
@@ -251,7 +252,7 @@ impl ShotDecomposer {
         watch: &mut impl Watch,
     ) -> Result<()> {
         let shots = std::slice::from_ref(shot);
-        self.receivers.decompose(shots, self.both.as_ref());
+        self.receivers.decompose(shots, self.both.as_ref())?;
         self.receivers.judge_outgoing(shots, false, |index| is_set(&self.expected, index));
         self.finish_shots(shots, line, cx, watch)
     }
@@ -400,7 +401,8 @@ impl ShotDecomposer {
             waveform.used = true;
             waveform.add(&result, stats);
             let mut fit = BlockFit::of(channel, &result);
-            let background_dn = mean(&model.background_dn) + result.background_offset_dn;
+            // What a waveform's own level adds to the digitiser's follows the gain.
+            let background_dn = mean(&model.background_dn) + result.background_offset_dn / block.gain;
             let in_block = self.found.len();
             let flags = if block.is_zone_uncertain { flags::ZONE_UNCERTAIN } else { 0 };
             self.found.extend(result.returns.iter().map(|fitted| Found {
@@ -410,6 +412,7 @@ impl ShotDecomposer {
                 block: index,
                 zone,
                 background_dn,
+                gain: block.gain,
                 high_power: None,
                 fitted: *fitted,
                 flags,
@@ -422,7 +425,7 @@ impl ShotDecomposer {
         }
         if let Some(both) = &mut self.both {
             self.found.iter_mut().for_each(|found| both.align(found));
-            both.fuse(shot, &mut self.found, stats);
+            both.fuse(shot, &mut self.found, stats)?;
         }
         waveform.count(&self.found, stats, cx);
         Ok(())

@@ -33,6 +33,7 @@ fn echo<'a>() -> ContainerBlock<'a> {
         start_ns: 100.0,
         interval_ns: None,
         zone: None,
+        gain: None,
         samples: &[2, 9, 2],
     }
 }
@@ -138,9 +139,13 @@ fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
         });
         expect_rejected(line, reason, 2);
     }
-    let blocks: [(&str, ContainerBlock); 5] = [
+    const WRONG_GAIN: &str = "a block whose gain is not between 1/1024 and 1024";
+    let blocks: [(&str, ContainerBlock); 8] = [
         ("a block of an unknown channel", ContainerBlock { channel: 4, ..echo() }),
         ("a block without a time", ContainerBlock { start_ns: f64::NAN, ..echo() }),
+        (WRONG_GAIN, ContainerBlock { gain: Some(0.0), ..echo() }),
+        (WRONG_GAIN, ContainerBlock { gain: Some(1025.0), ..echo() }),
+        (WRONG_GAIN, ContainerBlock { gain: Some(f64::NAN), ..echo() }),
         ("a block whose interval is not above 0", ContainerBlock { interval_ns: Some(0.0), ..echo() }),
         ("a block whose interval is not above 0", ContainerBlock { interval_ns: Some(-1.0), ..echo() }),
         ("a block whose interval is not above 0", ContainerBlock { interval_ns: Some(f64::NAN), ..echo() }),
@@ -160,7 +165,8 @@ fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
 }
 
 fn expect_rejected(line: LineBuilder, reason: &'static str, blocks: u64) {
-    let (batches, cx) = read(&bytes(&header(), vec![line]));
+    let with_gain = ContainerHeader { gain_control: Some(container::GainControl::Recorded), ..header() };
+    let (batches, cx) = read(&bytes(&with_gain, vec![line]));
     let kept: Vec<u64> = batches[0].emissions.iter().map(|emission| emission.shot).collect();
     assert_eq!(kept, [0, 2], "{reason}");
     assert_eq!(batches[0].blocks().unwrap().len(), 2, "{reason}");

@@ -45,7 +45,7 @@ pub(super) struct Group {
 pub(super) struct Peak {
     /// Time after the clock of the emission in whose record it stands, ns.
     pub time_ns: f64,
-    /// Height above the background, digitiser steps.
+    /// Height above the background at gain 1, digitiser steps.
     pub height_dn: f64,
 }
 
@@ -199,7 +199,7 @@ fn peaks(block: &Block, samples: &[u16], echoes: &mut Vec<Peak>) {
                 }
                 _ => 0.5 * (from + until - 1) as f64,
             };
-            let height_dn = f64::from(level) - background_dn;
+            let height_dn = (f64::from(level) - background_dn) / block.gain;
             echoes.push(Peak { time_ns: block.time_ns(position), height_dn });
         }
         from = until;

@@ -232,6 +232,7 @@ impl Strip {
             let zone = moved.zone.filter(|_| moved.zone != of_shot);
             let samples = source.samples(block);
             blocks.push(moved.to, block.channel, zone, moved.start_ns, block.interval_ns, samples);
+            blocks.set_last_gain(block.gain);
             if moved.is_uncertain {
                 blocks.doubt_last_zone();
             }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::INTERVAL_NS;
-use super::flight::{Cast, Flight, Recorded, Recorder, number};
+use super::flight::{Cast, Flight, Recorded, Recorder, number, strongest};
 use crate::batch::{Blocks, Emission};
 use crate::simulation::receiver::{Echo, Window};
 use crate::simulation::scene::Hit;
@@ -27,6 +27,8 @@ struct Stream {
     /// What each echo comes from, and the place of its shot in `casts`.
     origins: Vec<(Hit, usize)>,
     windows: Vec<Window>,
+    /// The highest echo of each shot in `casts`, DN.
+    strongest: Vec<Option<f64>>,
 }
 
 impl Flight {
@@ -45,6 +47,8 @@ impl Flight {
         let mut near = Vec::new();
         for (place, cast) in stream.casts.iter().enumerate().take(own.end).skip(own.start) {
             let mut recorder = Recorder::new(self.seed, cast);
+            let gain = self.gain(cast, stream.before(place));
+            self.receiver.set_gain(gain);
             recorder.emission(&mut self.receiver, cast.index, &cast.pulse, blocks);
             while received.get(next) == Some(&place) {
                 let ahead_ns = cast.shot.since_start_ns - stream.base_ns;
@@ -84,6 +88,7 @@ impl Flight {
             echoes: Vec::new(),
             origins: Vec::new(),
             windows: Vec::new(),
+            strongest: Vec::new(),
         };
         let mut arrived: Vec<(Echo, Hit, usize)> = Vec::new();
         for number in first..end {
@@ -97,6 +102,7 @@ impl Flight {
                     (Echo { time_ns: echo.time_ns + after_base_ns, ..*echo }, *hit, place)
                 }),
             );
+            stream.strongest.push(strongest(&self.echoes));
             stream.casts.push(cast);
         }
         arrived.sort_by(|a, b| a.0.time_ns.total_cmp(&b.0.time_ns));
@@ -127,7 +133,8 @@ impl Flight {
                 stream.near(window, 0, &mut near);
                 let in_high_power = self.receiver.is_strong(window, &near);
                 let zone = (received[at] - place) as i16;
-                let recorded = Recorded { zone, in_high_power };
+                let gain = self.gain(&stream.casts[received[at]], stream.before(received[at]));
+                let recorded = Recorded { zone, in_high_power, gain };
                 truth.push(self.true_return(&stream.casts[*place], hit, echo, recorded));
             }
         }
@@ -146,6 +153,12 @@ impl Stream {
             self.casts.partition_point(out).saturating_sub(1)
         };
         self.windows.iter().map(began).collect()
+    }
+
+    /// The highest echo of the shot before one of the same line, DN.
+    fn before(&self, place: usize) -> Option<f64> {
+        let is_first = self.casts.get(place).is_none_or(|cast| cast.index == 0);
+        if is_first { None } else { self.strongest.get(place.checked_sub(1)?).copied().flatten() }
     }
 
     /// The echoes whose light is in a window, with times from a clock that is so much ahead.

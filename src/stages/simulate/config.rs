@@ -163,6 +163,16 @@ pub struct Simulate {
     /// How much later the second receiver sees an echo.
     #[schemars(range(min = -10.0, max = 10.0))]
     pub high_power_delay_ns: f64,
+    /// Automatic gain control: the least and the greatest gain of both echo receivers, 1/1024 to 1024, over that which the
+    /// other keys describe. Signal and noise follow the gain, background and rounding do not; each echo block says its gain,
+    /// and the truth has a column `gain`. `[1, 1]`: the gain is constant and not written.
+    pub gain_range: [f64; 2],
+    /// What the gain follows: the time of the flight (`time`), sinusoidal in its logarithm; or the strongest echo of the
+    /// shot before in the line (`echo`), which it would bring to 150 digitiser steps. Without one it is the greatest.
+    pub gain_follows: GainFollows,
+    /// Period of a gain that follows the time.
+    #[schemars(range(min = 0.001, max = 1000.0))]
+    pub gain_period_s: f64,
     /// Whether blocks stand with the shot after whose emission they were received, instead of with the one that caused
     /// them.
     pub as_recorded: bool,
@@ -209,6 +219,16 @@ pub enum Response {
     /// As measured on a RIEGL LMS-Q680i: a skewed lobe of 4.5 ns, an after-pulse of 5 % 10.5 ns behind it, and a slow
     /// tail. The default, because whoever takes this for a sum of Gaussians finds points that are not there.
     Riegl,
+}
+
+/// What the receivers' gain follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum GainFollows {
+    /// The time of the flight.
+    Time,
+    /// The strongest echo of the shot before.
+    Echo,
 }
 
 /// How the height of an echo follows its strength.
@@ -266,6 +286,9 @@ impl Default for Simulate {
             high_power_from_dn: 100.0,
             high_power_noise_sd_dn: 0.7,
             high_power_delay_ns: 0.52,
+            gain_range: [1.0, 1.0],
+            gain_follows: GainFollows::Time,
+            gain_period_s: 1.0,
             as_recorded: false,
             sbet: None,
             pof: None,
@@ -381,6 +404,11 @@ impl Simulate {
         unless(strong, "high_power_from_dn", "must lie between 0 and 10000")?;
         let delay = within(self.high_power_delay_ns, -10.0, 10.0);
         unless(delay, "high_power_delay_ns", "must lie between -10 and 10")?;
+        let [least, greatest] = self.gain_range;
+        let gains = within(least, 1.0 / 1024.0, greatest) && greatest <= 1024.0;
+        unless(gains, "gain_range", "must be two ascending gains between 1/1024 and 1024")?;
+        let period = within(self.gain_period_s, 0.001, 1000.0);
+        unless(period, "gain_period_s", "must lie between 0.001 and 1000")?;
         let few = self.noise_autocorrelation.len() <= 16;
         unless(few, "noise_autocorrelation", "must have at most 16 values")?;
         let settings = self.receiver();
@@ -401,6 +429,11 @@ impl Simulate {
         let [roll, pitch, _] = self.boresight_deg;
         let scan = self.scan_angle_deg.iter().fold(0.0, |most: f64, angle| most.max(angle.abs()));
         scan + roll.abs() + pitch.abs() + self.roll_deg + self.pitch_deg
+    }
+
+    /// Whether the gain changes.
+    pub(super) fn has_gain_control(&self) -> bool {
+        self.gain_range != [1.0, 1.0]
     }
 
     /// Whether a trajectory is written, so that beams stand in the frame of the scanner.

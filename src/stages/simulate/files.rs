@@ -7,7 +7,7 @@ use crate::formats::Error;
 use crate::formats::trajectory::pof::{PofHeader, PofRecord};
 use crate::formats::trajectory::sbet::SbetRecord;
 use crate::simulation::platform::Platform;
-use crate::simulation::truth::{COLUMNS, TrueReturn};
+use crate::simulation::truth::{COLUMNS, GAIN_COLUMN, TrueReturn};
 use crate::simulation::world::{Pose, World};
 use crate::stage::{Context, OutputFile, Result, Site, WholeFile};
 
@@ -25,18 +25,21 @@ const WEEK_BEGINS: [u16; 3] = [2025, 5, 4];
 pub(super) struct TruthFile {
     file: OutputFile,
     rows: Vec<u8>,
+    with_gain: bool,
 }
 
 impl TruthFile {
-    pub(super) fn create(site: &Site, pattern: &str) -> Result<TruthFile> {
-        let mut truth = TruthFile { file: site.create(pattern)?, rows: format!("{COLUMNS}\n").into_bytes() };
+    pub(super) fn create(site: &Site, pattern: &str, with_gain: bool) -> Result<TruthFile> {
+        let gain = if with_gain { GAIN_COLUMN } else { "" };
+        let rows = format!("{COLUMNS}{gain}\n").into_bytes();
+        let mut truth = TruthFile { file: site.create(pattern)?, rows, with_gain };
         truth.flush()?;
         Ok(truth)
     }
 
     pub(super) fn write(&mut self, returns: &[TrueReturn]) -> Result<()> {
         for truth in returns {
-            truth.write(&mut self.rows);
+            truth.write(&mut self.rows, self.with_gain);
         }
         self.flush()
     }

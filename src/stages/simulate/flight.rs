@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::{FULL_SCALE_DN, INTERVAL_NS, Simulate};
+use super::{FULL_SCALE_DN, GainFollows, INTERVAL_NS, Simulate};
 use crate::batch::{
-    AmplitudeTable, Batch, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, TimeScale,
-    emission_flags,
+    AmplitudeTable, Batch, Blocks, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo,
+    TimeScale, emission_flags,
 };
 use crate::simulation::detector::{Detector, Sensitivity};
 use crate::simulation::platform::Platform;
@@ -22,6 +22,8 @@ use crate::stage::{Result, StageError};
 
 /// Standard deviation of a pulse's energy, over its mean.
 const ENERGY_SD: f64 = 0.01;
+/// Height to which automatic gain control would bring the last shot's strongest echo, DN.
+const WANTED_DN: f64 = 150.0;
 /// False alarms come from as far as this, over the range of the lowest ground.
 const FALSE_ALARM_REACH: f64 = 1.25;
 
@@ -49,6 +51,7 @@ pub(super) struct Flight {
     detector: Detector,
     pub(super) receiver: Receiver,
     normal: Normal,
+    agc: Option<Agc>,
     /// Room for one shot's hits and echoes (the same ones, in the same order) and its blocks.
     pub(super) hits: Vec<Hit>,
     pub(super) echoes: Vec<Echo>,
@@ -82,6 +85,40 @@ pub(super) struct Pulse {
 pub(super) struct Recorded {
     pub(super) zone: i16,
     pub(super) in_high_power: bool,
+    pub(super) gain: f64,
+}
+
+/// Automatic gain control.
+#[derive(Clone, Copy, Debug)]
+struct Agc {
+    range: [f64; 2],
+    follows: GainFollows,
+    period_s: f64,
+}
+
+impl Agc {
+    /// `None` where the gain is constant.
+    fn of(config: &Simulate) -> Option<Agc> {
+        let agc =
+            Agc { range: config.gain_range, follows: config.gain_follows, period_s: config.gain_period_s };
+        config.has_gain_control().then_some(agc)
+    }
+
+    fn gain(&self, since_start_s: f64, before_dn: Option<f64>) -> f64 {
+        let [least, greatest] = self.range;
+        match self.follows {
+            GainFollows::Time => {
+                let turn = libm::cos(core::f64::consts::TAU * since_start_s / self.period_s);
+                (least * libm::pow(greatest / least, 0.5 - 0.5 * turn)).clamp(least, greatest)
+            }
+            GainFollows::Echo => before_dn.map_or(greatest, |dn| (WANTED_DN / dn).clamp(least, greatest)),
+        }
+    }
+}
+
+/// The highest of some echoes at gain 1, DN.
+pub(super) fn strongest(echoes: &[Echo]) -> Option<f64> {
+    echoes.iter().map(|echo| echo.amplitude_dn).reduce(f64::max)
 }
 
 impl Flight {
@@ -113,6 +150,7 @@ impl Flight {
             detector: config.detector(),
             receiver,
             normal: Normal::default(),
+            agc: Agc::of(config),
             hits: Vec::new(),
             echoes: Vec::new(),
             windows: Vec::new(),
@@ -143,9 +181,13 @@ impl Flight {
     ) -> Vec<Emission> {
         let shots = self.scanner.shots_per_line;
         let mut emissions = Vec::with_capacity(shots as usize);
+        let mut before = None;
         for index in 0..shots {
             let cast = self.cast(line, index);
             self.receive(&cast);
+            let gain = self.gain(&cast, before);
+            self.receiver.set_gain(gain);
+            before = strongest(&self.echoes);
             self.receiver.windows(&self.echoes, &mut self.windows);
             let zone = self.record(&cast, blocks);
             if self.tells_truth {
@@ -154,6 +196,11 @@ impl Flight {
             emissions.push(self.emission(&cast, Some(zone)));
         }
         emissions
+    }
+
+    /// The gain of what is recorded with a shot; `before` is the strongest echo of the shot before it in its line, DN.
+    pub(super) fn gain(&self, cast: &Cast, before: Option<f64>) -> f64 {
+        self.agc.as_ref().map_or(1.0, |agc| agc.gain(cast.shot.since_start_s(), before))
     }
 
     /// Sends a pulse.
@@ -274,7 +321,12 @@ impl Flight {
                 false => zone_of(&self.scanner, cast, self.receiver.start_ns(window)),
             };
             let in_high_power = self.receiver.is_strong(window, &self.echoes);
-            truth.push(self.true_return(cast, hit, echo, Recorded { zone, in_high_power }));
+            truth.push(self.true_return(
+                cast,
+                hit,
+                echo,
+                Recorded { zone, in_high_power, gain: self.receiver.gain() },
+            ));
         }
         number(&mut truth[first..]);
     }
@@ -289,7 +341,7 @@ impl Flight {
             emission_ns: cast.pulse.emission_ns,
             time_of_flight_ns: time_of_flight_ns(hit.range_m),
             range_m: hit.range_m,
-            amplitude_dn: echo.amplitude_dn,
+            amplitude_dn: recorded.gain * echo.amplitude_dn,
             width_ratio: self.receiver.response().width_ratio(echo.width),
             point_m: match self.input.frame {
                 Frame::Map => self.world.on_flat_map(point_m),
@@ -299,6 +351,7 @@ impl Flight {
             in_high_power: recorded.in_high_power,
             class: hit.class,
             linear_dn: echo.linear_dn,
+            gain: recorded.gain,
         }
     }
 
@@ -392,11 +445,13 @@ impl Recorder {
     ) {
         let (start_ns, samples) = receiver.record(window, echoes, &mut self.low_power);
         blocks.push(index, Channel::LowPower, zone, start_ns, INTERVAL_NS, samples);
+        blocks.set_last_gain(receiver.gain());
         if !receiver.is_strong(window, echoes) {
             return;
         }
         if let Some((start_ns, samples)) = receiver.record_high_power(window, echoes, &mut self.high_power) {
             blocks.push(index, Channel::HighPower, zone, start_ns, INTERVAL_NS, samples);
+            blocks.set_last_gain(receiver.gain());
         }
     }
 }
@@ -415,6 +470,7 @@ fn input(config: &Simulate) -> InputInfo {
         sampling_interval_ns: INTERVAL_NS,
         odd_sample_shift: 0.0,
         full_scale_dn: Some(FULL_SCALE_DN),
+        gain_control: if config.has_gain_control() { GainControl::Recorded } else { GainControl::Off },
         group_velocity_mps: GROUP_VELOCITY_MPS,
         pulse_rate_hz: Some(config.pulse_rate_hz),
         time_scale: TimeScale::Week,

@@ -262,7 +262,7 @@ fn digest((batch, truth): &(Batch, Vec<TrueReturn>)) -> u64 {
         bytes.extend(block.start_ns.to_le_bytes());
         blocks.samples(block).iter().for_each(|sample| bytes.extend(sample.to_le_bytes()));
     }
-    truth.iter().for_each(|row| row.write(&mut bytes));
+    truth.iter().for_each(|row| row.write(&mut bytes, false));
     let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
 }

@@ -8,7 +8,7 @@ use proptest::option;
 use proptest::prelude::*;
 
 use super::*;
-use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, OnlineReturn, TimeScale};
+use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, GainControl, OnlineReturn, TimeScale};
 use crate::stage::{Config as _, Source, SourceConfig};
 use crate::stages::read_arrow;
 
@@ -42,7 +42,9 @@ fn read(folder: &Path) -> Vec<Batch> {
     let mut cx = Context::default();
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
     // Made-up times fit their scale by chance only.
-    let is_of_times = |note: &String| note.starts_with("the recording's times");
+    let is_of_times = |note: &String| {
+        note.starts_with("the recording's times") || note.starts_with("the receiver's gain changes")
+    };
     assert!(cx.counters().rejected.is_empty(), "{:?}", cx.counters());
     assert!(cx.counters().notes.iter().all(is_of_times), "{:?}", cx.counters());
     batches
@@ -80,6 +82,9 @@ prop_compose! {
             EmissionReference::OutgoingPulse, EmissionReference::ReturnLocations, EmissionReference::Clock,
         ]),
         origin_is_sensor in any::<bool>(),
+        gain_control in prop::sample::select(vec![
+            GainControl::Off, GainControl::Recorded, GainControl::NotRecorded,
+        ]),
         tables in (table(), table(), table(), table()),
     ) -> InputInfo {
         InputInfo {
@@ -91,6 +96,7 @@ prop_compose! {
             odd_sample_shift: 0.0,
             sampling_interval_ns,
             full_scale_dn,
+            gain_control,
             group_velocity_mps,
             pulse_rate_hz,
             time_scale: TimeScale::Unknown,
@@ -153,13 +159,21 @@ prop_compose! {
     }
 }
 
-type MadeBlock = (Channel, f64, Option<f64>, Option<i16>, Vec<u16>);
+type MadeBlock = (Channel, f64, Option<f64>, Option<i16>, f64, Vec<u16>);
 type MadeShot = (Emission, u32, Vec<MadeBlock>, Vec<(f64, f32)>);
 
 fn block() -> impl Strategy<Value = MadeBlock> {
     let channels = vec![Channel::HighPower, Channel::LowPower, Channel::Saturation, Channel::Reference];
     let samples = vec(any::<u16>(), 0..30);
-    (prop::sample::select(channels), number(), option::of(positive()), option::of(any::<i16>()), samples)
+    let gain = prop_oneof![Just(1.0), 1.0 / 1024.0..1024.0_f64];
+    (
+        prop::sample::select(channels),
+        number(),
+        option::of(positive()),
+        option::of(any::<i16>()),
+        gain,
+        samples,
+    )
 }
 
 fn shot() -> impl Strategy<Value = MadeShot> {
@@ -175,9 +189,12 @@ fn batch(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> Batch {
         clock_ps += i64::from(later_ps);
         emission.clock_ps = clock_ps;
         emissions.push(emission);
-        for (channel, start_ns, interval_ns, zone, samples) in own {
+        for (channel, start_ns, interval_ns, zone, gain, samples) in own {
             let interval_ns = interval_ns.unwrap_or(info.sampling_interval_ns);
             blocks.push(index, channel, zone, start_ns, interval_ns, &samples);
+            if info.gain_control == GainControl::Recorded {
+                blocks.set_last_gain(gain);
+            }
         }
         let online = online.into_iter();
         blocks.online.extend(online.map(|(time_ns, amplitude)| OnlineReturn {
@@ -232,6 +249,7 @@ fn plain_info() -> Arc<InputInfo> {
         odd_sample_shift: 0.0,
         sampling_interval_ns: 1.0,
         full_scale_dn: None,
+        gain_control: GainControl::Off,
         group_velocity_mps: 299_707_502.0,
         pulse_rate_hz: None,
         time_scale: TimeScale::Week,
@@ -308,4 +326,36 @@ fn other_kinds_of_batches_are_refused() {
     batch.content = crate::batch::Content::Returns(vec![]);
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
     assert_eq!(error, "write_arrow was given Returns, and writes Shots; put it before `decompose`");
+}
+
+#[test]
+fn only_recordings_with_gain_control_have_a_field_for_the_gain() {
+    for (gain_control, has_field) in
+        [(GainControl::Off, false), (GainControl::NotRecorded, false), (GainControl::Recorded, true)]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        let info = Arc::new(InputInfo { gain_control, ..plain_info().as_ref().clone() });
+        let mut blocks = Blocks::default();
+        blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[1, 2]);
+        let emission = Emission { mta_zone: Some(0), ..Emission::default() };
+        write(folder.path(), &Config::default(), &[Batch::of_shots(info, 0, vec![emission], blocks)]);
+        let table = container::TableReader::open(&folder.path().join("made.arrow")).unwrap();
+        let fields = format!("{:?}", table.schema().field_with_name("blocks").unwrap());
+        assert_eq!(fields.contains("gain"), has_field, "{fields}");
+        let found = &read(folder.path())[0];
+        assert_eq!(found.input.gain_control, gain_control);
+        assert!(found.blocks().unwrap().iter().all(|block| block.gain == 1.0));
+    }
+}
+
+#[test]
+fn a_gain_that_the_header_does_not_announce_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut blocks = Blocks::default();
+    blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[1, 2]);
+    blocks.set_last_gain(2.0);
+    let batch = Batch::of_shots(plain_info(), 0, vec![Emission::default()], blocks);
+    let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
+    let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
+    assert!(error.contains("a block with a gain in a container whose header says there is none"), "{error}");
 }

@@ -151,7 +151,7 @@ fn linear_amplitudes(values: &mut [f64], returns: &[Return]) {
     power_ratios(&decibels[..values.len().min(TOGETHER)], &mut ratios);
     let mut is_uncertain = [false; TOGETHER];
     for (i, (value, r)) in (0..TOGETHER).zip(values.iter_mut().zip(returns)) {
-        *value = if ratios[i].is_nan() { r.amplitude_dn } else { 7.0 * ratios[i] };
+        *value = if ratios[i].is_nan() { r.amplitude_at_unit_gain_dn().0 } else { 7.0 * ratios[i] };
         let from_middle = *value - 0.5;
         let nearest_middle = (from_middle + ROUNDING) - ROUNDING;
         is_uncertain[i] = (from_middle - nearest_middle).abs() <= *value * UNCERTAIN;
@@ -163,9 +163,12 @@ fn linear_amplitudes(values: &mut [f64], returns: &[Return]) {
     }
 }
 
-/// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak's height.
+/// Linear amplitude: `7 × 10^(dB/10)` with the instrument's table, else the peak's height at gain 1.
 fn linear_amplitude(r: &Return) -> f64 {
-    if r.amplitude_db.is_nan() { r.amplitude_dn } else { 7.0 * 10f64.powf(r.amplitude_db / 10.0) }
+    match r.amplitude_db.is_nan() {
+        true => r.amplitude_at_unit_gain_dn().0,
+        false => 7.0 * 10f64.powf(r.amplitude_db / 10.0),
+    }
 }
 
 /// The receiver that gave the intensity: 0 low power, 1 high power.

@@ -22,6 +22,7 @@ const NAMES: &str = "shot,gps_time_s,return_number,number_of_returns,channel,mta
 
 fn info() -> Arc<InputInfo> {
     Arc::new(InputInfo {
+        gain_control: crate::batch::GainControl::Off,
         path: "made.sdf".into(),
         stem: "made".into(),
         format: "made".into(),
@@ -78,6 +79,7 @@ fn found(emission: u32, value: f64) -> Return {
         range_sd_m: 0.003,
         amplitude_dn: 0.1 + 0.2,
         amplitude_sd_dn: 0.9,
+        gain: 1.0,
         peak_dn: 2.5,
         peak_sd_dn: 0.9,
         amplitude_db: 12.5,

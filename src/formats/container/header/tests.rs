@@ -26,6 +26,7 @@ fn header() -> ContainerHeader {
         full_scale_dn: Some(255),
         coordinate_grid: Some(([0.001, 0.01, 0.1], [4e6, 0.0, -1.5])),
         emission_reference: Some(EmissionReference::ReturnLocations),
+        gain_control: Some(GainControl::NotRecorded),
         origin: Some(Origin::Waveform),
     }
 }
@@ -41,6 +42,7 @@ fn a_header_becomes_strings_and_comes_back() {
         ("wavex.emission_reference", "return_locations"),
         ("wavex.frame", "map"),
         ("wavex.full_scale_dn", "255"),
+        ("wavex.gain_control", "not_recorded"),
         ("wavex.gps_week", "1747"),
         ("wavex.group_velocity_mps", "299707502.1"),
         ("wavex.instrument", "LMS-Q680i"),

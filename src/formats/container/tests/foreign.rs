@@ -16,7 +16,7 @@ use super::*;
 
 /// The columns of [`lines`]' first line by name, to be changed and written as another program would.
 fn columns() -> BTreeMap<usize, (Field, ArrayRef)> {
-    let schema: SchemaRef = Arc::new(layout::schema(header().to_metadata()));
+    let schema: SchemaRef = Arc::new(layout::schema(header().to_metadata(), false));
     let batch = builder(&lines()[0]).finish(schema.clone()).unwrap();
     let fields = schema.fields().iter().map(|field| field.as_ref().clone());
     fields.zip(batch.columns().to_vec()).enumerate().collect()

@@ -1,7 +1,10 @@
 //! Keys of readers, calibrate and decompose: what each changes of the results.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+#[path = "../support/mod.rs"]
 mod support;
+
+mod effects;
 
 use std::collections::BTreeMap;
 
