@@ -25,7 +25,8 @@ const UNITS: [&str; 17] = [
     "_rate", "_step", "_per_km",
 ];
 /// Quantities without a unit, and whose name says so.
-const PLAIN_NUMBERS: [&str; 8] = [
+const PLAIN_NUMBERS: [&str; 9] = [
+    "gain_range",
     "noise_autocorrelation",
     "split_evidence",
     "template_error",

@@ -30,7 +30,9 @@ pub(crate) struct SensorTables {
 
 /// Tables of gains other than 1, shared by the workers that hold them.
 #[derive(Clone, Default)]
-struct TablesAtGains(Arc<Mutex<BTreeMap<(Channel, GainLevel), Weak<Tables>>>>);
+struct TablesAtGains(Arc<Mutex<ByChannelAndGain>>);
+
+type ByChannelAndGain = BTreeMap<(Channel, GainLevel), Weak<Tables>>;
 
 impl TablesAtGains {
     /// The tables of a channel at a gain, whose model this is; made where no worker has them.
@@ -248,7 +250,7 @@ impl Receivers {
                 let model = unit.kernels.model().at_gain(level.gain()).map_err(unusable)?;
                 let tables = tables.as_ref().and_then(|tables| tables.of(channel, level, &model));
                 let made = Receiver::new(Some(&model), tables.as_ref(), config, *path).map_err(unusable)?;
-                made.ok_or_else(|| StageError::Stopped)
+                made.ok_or(StageError::Stopped)
             })?;
             let before = kernels.left_to_plain();
             kernels.decompose(waveforms, outcomes);
