@@ -35,7 +35,7 @@ const LIKELY_SD: f32 = 5.0;
 const LEAST_INFORMATION: f32 = 0.05;
 /// A step calls for another fit where its second order, the square of the change over the pulse's own scale, is more than this
 /// part of a standard deviation of position or width; the height enters linearly.
-const SECOND_ORDER_SD: f32 = 0.1;
+const SECOND_ORDER_SD: f32 = 0.02;
 /// Least share of its height that the step leaves to a pulse, and its largest change of position, samples.
 const LIMITS: [f32; 2] = [0.5, 1.0];
 
