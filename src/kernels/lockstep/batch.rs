@@ -42,6 +42,8 @@ pub(super) struct Workspace {
     /// Waveforms by the number of pulses that detection gave them.
     by_count: ByCount,
     pub(super) squares: Vec<f32>,
+    /// Levels of trials, and the information on them that pulses take up.
+    pub(super) levels: Vec<[f32; 2]>,
     /// Rows to be summed.
     pub(super) which: Vec<usize>,
     /// Single pulses that begin with the width bank.
@@ -83,6 +85,7 @@ impl Workspace {
             candidates: Vec::with_capacity(BATCH),
             by_count: ByCount::new(),
             squares: Vec::with_capacity(BATCH),
+            levels: Vec::with_capacity(BATCH),
             which: Vec::with_capacity(BATCH),
             singles: Vec::with_capacity(BATCH),
             single_tags: Vec::with_capacity(BATCH),
@@ -142,10 +145,10 @@ impl Decompose<'_> {
         }
         if self.tables.level.is_some() {
             self.set_levels();
-            self.search_residuals();
-            self.fit_unlevelled();
-            self.set_levels();
-            widen(&mut self.work.scenes);
+            if self.mode == Mode::Refined {
+                self.search_residuals();
+                widen(&mut self.work.scenes);
+            }
             return;
         }
         let Workspace { scenes, which, .. } = &mut *self.work;
@@ -161,25 +164,22 @@ impl Decompose<'_> {
         self.search_residuals();
     }
 
-    /// Fits the clusters of waveforms again that a trial has changed: of trials it is not known how they go with the level.
-    fn fit_unlevelled(&mut self) {
-        let Workspace { due, scenes, .. } = &mut *self.work;
-        due.clear();
-        due.extend((0..scenes.len()).filter(|&row| !scenes[row].is_levelled));
-        self.keep_due(1);
-        self.fit_clusters(1);
+    /// Brings level and pulses of all waveforms to their joint optimum.
+    fn set_levels(&mut self) {
+        let Workspace { scenes, which, .. } = &mut *self.work;
+        which.clear();
+        which.extend(0..scenes.len());
+        self.set_levels_of_which();
     }
 
-    /// Brings level and pulses to their joint optimum where they are not; in the refined mode with another fit where pulses
-    /// had to move far.
-    fn set_levels(&mut self) {
+    /// Brings level and pulses to their joint optimum where they are not, of the waveforms in `which`; in the refined mode with
+    /// another fit where pulses had to move far.
+    pub(super) fn set_levels_of_which(&mut self) {
         let Some(level) = &self.tables.level else { return };
         let follows = self.mode == Mode::Refined;
         for round in 0..LEVEL_ROUNDS {
             let Workspace { rows, scenes, which, due: moved, .. } = &mut *self.work;
-            which.clear();
-            let is_due = |scene: &Scene| scene.way == Way::Fast && !scene.is_levelled;
-            which.extend((0..scenes.len()).filter(|&row| is_due(&scenes[row])));
+            which.retain(|&row| scenes[row].way == Way::Fast && !scenes[row].is_levelled);
             moved.clear();
             self.on.run(SetLevels { tables: self.tables, level, rows, scenes, which, follows, moved });
             if moved.is_empty() || round + 1 == LEVEL_ROUNDS {
@@ -187,10 +187,9 @@ impl Decompose<'_> {
             }
             self.keep_due(1);
             self.fit_clusters(1);
-            for i in 0..self.work.due.len() {
-                let row = self.work.due[i];
-                self.work.scenes[row].is_levelled = false;
-            }
+            let Workspace { scenes, which, due, .. } = &mut *self.work;
+            which.clone_from(due);
+            which.iter().for_each(|&row| scenes[row].is_levelled = false);
         }
     }
 
@@ -215,10 +214,14 @@ impl Decompose<'_> {
 
     /// Fits the waveforms of one pulse, but for so many that have been fitted before.
     fn fit_singles(&mut self, done: usize) {
-        let Workspace { rows, scenes, by_count, which, .. } = &mut *self.work;
+        let Workspace { rows, scenes, by_count, which, due: moved, .. } = &mut *self.work;
         which.clear();
         which.extend(by_count.rows(1).skip(done));
-        self.on.run(FitSingles { tables: self.tables, rows, scenes, which });
+        moved.clear();
+        self.on.run(FitSingles { tables: self.tables, rows, scenes, which, moved });
+        for &row in moved.iter() {
+            (scenes[row].is_settled, scenes[row].is_levelled) = (false, false);
+        }
     }
 
     /// The clusters of all waveforms are to be fitted that are not settled.

@@ -4,7 +4,7 @@
 //! Here whitening and the matched filter need no value twice from memory, and no shuffle. Every operation on a lane looks
 //! at that lane alone, and adds in the same order wherever the waveform stands.
 
-use super::filter::{Filter, HIGHEST, POSITIONS, sums};
+use super::filter::{HIGHEST, POSITIONS, sums};
 use super::rows::{CHUNK, Rows};
 use super::tables::{Aligned, FILTER_BEFORE, FILTER_LAGS, MAX_ORDER, TAPS, TAPS_BEFORE, Tables};
 use super::vector::{LANES, Simd, Sixteen};
@@ -198,14 +198,16 @@ impl Columns {
     pub(super) fn filter_samples<S: Simd>(&mut self, s: S, tables: &Tables) {
         // Noise of a low order leaves the first taps empty.
         if tables.order <= MAX_ORDER / 2 {
-            self.filter_pairs::<S, { TAPS - MAX_ORDER / 2 }>(s, &tables.filter);
+            self.filter_pairs::<S, { TAPS - MAX_ORDER / 2 }>(s, tables);
         } else {
-            self.filter_pairs::<S, TAPS>(s, &tables.filter);
+            self.filter_pairs::<S, TAPS>(s, tables);
         }
     }
 
     #[inline(always)]
-    fn filter_pairs<S: Simd, const N: usize>(&mut self, s: S, filter: &Filter) {
+    fn filter_pairs<S: Simd, const N: usize>(&mut self, s: S, tables: &Tables) {
+        let filter = &tables.filter;
+        let change = tables.level.as_ref().map(|level| self.statistic_change(s, level));
         let taps = filter.taps::<S, N>(s);
         let earlier = N - (TAPS - TAPS_BEFORE);
         let (lengths, shortest) = self.ends(s);
@@ -217,7 +219,11 @@ impl Columns {
             let sums = sums::<S, N>(s, &taps, window);
             unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
                 let [scale, level] = filter.scales_and_levels(s, at + i, lengths, shortest);
-                s.store(s.fma(s.float(sums[i]), scale, level), &mut to[i]);
+                let mut statistic = s.fma(s.float(sums[i]), scale, level);
+                if let Some(change) = &change {
+                    statistic = change.of(statistic, at + i);
+                }
+                s.store(statistic, &mut to[i]);
             });
             at += POSITIONS;
         }

@@ -70,9 +70,6 @@ fn detect<S: Simd>(
     out: &mut [Candidates],
 ) {
     columns.filter_samples(s, tables);
-    if let Some(level) = &tables.level {
-        columns.take_levels_off_statistic(s, level);
-    }
     columns.mark_maxima(s, threshold);
     for (lane, (extremes, found)) in extremes.into_iter().zip(out).enumerate() {
         found.find(s, columns, lane, threshold);

@@ -93,8 +93,6 @@ struct Group<'a, S: Simd, const P: usize, const N: usize, const C: usize, const 
     last: S::V,
     precision: f32,
     sums: &'a mut Sums<S::Half, D>,
-    /// Whether one of the fits is no trial.
-    is_whole: bool,
 }
 
 /// The products before their sums: per product half a vector of each row.
@@ -133,7 +131,6 @@ pub(super) fn fit<
         last: s.splat(0.0),
         precision,
         sums,
-        is_whole: jobs.iter().any(|job| job.aim.is_whole()),
     };
     let lengths: [f32; LANES] = std::array::from_fn(|w| rows.length(group.row[w]).saturating_sub(1) as f32);
     group.last = s.load(&lengths);
@@ -390,7 +387,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             fitted.may_go_on = active & (1 << w) != 0;
             fitted.beyond = beyonds[w];
         }
-        if let Some(level) = self.tables.level.as_ref().filter(|_| self.is_whole) {
+        if let Some(level) = &self.tables.level {
             self.tell_level::<STRONG>(pulses, &factors, level.steady, out);
         }
     }

@@ -109,11 +109,6 @@ impl Aim {
         Aim { enough, rivals: waveform }
     }
 
-    /// Whether the fit gives all results; a trial does not, because an accepted one is fitted once more.
-    pub(super) fn is_whole(&self) -> bool {
-        self.rivals == usize::MAX
-    }
-
     /// Whether a fit that has come to `objective` need not go on.
     fn is_out_of_reach(&self, objective: f32, promised: f32, race: &Race) -> bool {
         let reach = if promised < LITTLE { NEAR_REACH } else { REACH };

@@ -17,24 +17,25 @@ use super::rows::{EMPTY, Rows};
 use super::scene::{Pulse, Scene, Way};
 use super::tables::{MAX_ORDER, Tables, U_MAX, U_MIN};
 use super::template::Site;
-use super::vector::{Kernel, LANES, Simd};
+use super::vector::{Kernel, LANES, Simd, Sixteen};
 use crate::kernels::noise::ArNoise;
+use crate::kernels::rules::SD_OF_FWHM;
 use crate::kernels::whitening::Whitener;
 
 /// Samples farther from a level than this many standard deviations of the noise do not count for it; nearer ones count
 /// by Tukey's biweight (Beaton and Tukey 1974).
 const REACH_SD: f64 = 4.0;
 /// Free samples that a level is estimated from at least; a waveform with fewer is left to the plain kernels.
-pub(super) const LEAST_FREE: f32 = 10.0;
+pub(super) const LEAST_FREE: f32 = 6.0;
 /// The lowest mean of four samples lies below the level by about this many of its standard deviations.
 const LOWEST_OF_MEANS_SD: f64 = 1.4;
 /// A level farther from the prior's than this many standard deviations is left to the plain kernels.
 const LIKELY_SD: f32 = 5.0;
 /// Part of the information on a level that pulses must leave.
 const LEAST_INFORMATION: f32 = 0.05;
-/// A step that moves a pulse's place or width by more than this many standard deviations calls for another fit; the height
-/// enters linearly.
-const LINEAR_SD: f32 = 0.5;
+/// A step calls for another fit where its second order, the square of the change over the pulse's own scale, is more than this
+/// part of a standard deviation of position or width; the height enters linearly.
+const SECOND_ORDER_SD: f32 = 0.02;
 /// Least share of its height that the step leaves to a pulse, and its largest change of position, samples.
 const LIMITS: [f32; 2] = [0.5, 1.0];
 
@@ -45,6 +46,8 @@ pub(super) struct LevelTables {
     /// The whitened constant 1: of the first samples, as many as the noise's order, and of all others.
     begin: [f32; MAX_ORDER],
     pub(super) steady: f32,
+    /// The same of sixteen first samples less `steady`; 0 from the order on.
+    pub(super) begin_excess: Sixteen,
     /// What the matched filter makes of a constant 1, as its background.
     pub(super) filter: Filter,
     /// Half width of the window of the robust mean, DN.
@@ -76,6 +79,10 @@ impl LevelTables {
         LevelTables {
             precision: precision as f32,
             begin: std::array::from_fn(|k| ones[k] as f32),
+            begin_excess: std::array::from_fn(|k| {
+                let is_begin = k < noise.order();
+                if is_begin { (ones[k] - ones[2 * MAX_ORDER - 1]) as f32 } else { 0.0 }
+            }),
             steady: ones[2 * MAX_ORDER - 1] as f32,
             filter: Filter::NONE,
             reach_dn: (REACH_SD * noise.sd()) as f32,
@@ -95,12 +102,17 @@ impl LevelTables {
         self.whole.push([values[0], values[1], values[2], explained]);
     }
 
-    /// What a level of 1 DN adds to the values of a whole pulse, and the information that it takes up.
+    /// Effect of a level of 1 DN on the values of a whole pulse, and the information that the pulse takes up.
     #[inline(always)]
     pub(super) fn of_whole(&self, tables: &Tables, values: Values) -> (Values, f32) {
-        let entry = Site::of(tables, values).entry;
-        let [height, position, width, explained] = self.whole.get(entry).copied().unwrap_or([0.0; 4]);
+        let [height, position, width, explained] = self.of_entry(Site::of(tables, values).entry);
         ([height, position / values[0], width / values[0]], explained)
+    }
+
+    /// The same of a pulse of height 1, by its entry in the tables.
+    #[inline(always)]
+    pub(super) fn of_entry(&self, entry: usize) -> [f32; 4] {
+        self.whole.get(entry).copied().unwrap_or([0.0; 4])
     }
 
     /// The statistic of a constant 1 far from a block's ends.
@@ -108,10 +120,56 @@ impl LevelTables {
         -self.filter.scale_and_level(LANES, LANES - 1)[1]
     }
 
-    /// Whether a level is one that the prior lets expect, given the variance of its estimate, DN².
+    /// Whether the prior admits a level, given the variance of its estimate, DN².
     pub(super) fn is_likely(&self, level_dn: f32, variance: f32) -> bool {
         self.precision == 0.0
             || level_dn * level_dn <= LIKELY_SD * LIKELY_SD * (self.precision.recip() + variance)
+    }
+
+    /// `wᵀ w` of a whole block of each length.
+    #[inline(always)]
+    pub(super) fn information<S: Simd>(&self, s: S, lengths: S::V, order: usize) -> S::V {
+        let squares: f32 = self.begin[..order].iter().map(|one| one * one).sum();
+        let steady = self.steady * self.steady;
+        s.fma(lengths, s.splat(steady), s.splat(squares - steady * order as f32))
+    }
+
+    /// The joint step in sixteen lanes: the products of the residuals with the whitened constant, its information, and
+    /// the part of it that the pulses take up.
+    #[inline(always)]
+    pub(super) fn step<S: Simd>(
+        &self,
+        s: S,
+        level_dn: S::V,
+        product: S::V,
+        information: S::V,
+        explained: S::V,
+    ) -> LevelStep<S::V> {
+        let zero = s.splat(0.0);
+        let precision = s.splat(self.precision);
+        let left = s.sub(information, explained);
+        let all = s.add(left, precision);
+        let variance = s.div(s.splat(1.0), all);
+        let step = s.mul(s.fnma(precision, level_dn, product), variance);
+        let after = s.add(level_dn, step);
+        // Not a number is no more than anything.
+        let mut made = s.gt(left, s.mul(s.splat(LEAST_INFORMATION), information));
+        if self.precision > 0.0 {
+            let likely = s.add(s.splat(self.precision.recip()), variance);
+            made &= s.ge(s.mul(s.splat(LIKELY_SD * LIKELY_SD), likely), s.mul(after, after));
+        } else {
+            made &= s.gt(s.splat(f32::INFINITY), s.max(after, s.sub(zero, after)));
+        }
+        let prior = s.mul(precision, s.sub(s.mul(level_dn, level_dn), s.mul(after, after)));
+        let gain = s.mul(s.mul(step, step), all);
+        LevelStep {
+            made,
+            by_dn: step,
+            level_dn: after,
+            variance,
+            gain,
+            chi_square_change: s.sub(prior, gain),
+        }
     }
 
     /// `wᵀ r` of a row with this sum of residuals, and `wᵀ w`.
@@ -135,6 +193,72 @@ impl LevelTables {
     }
 }
 
+/// A step of sixteen levels.
+pub(super) struct LevelStep<V> {
+    /// Lanes in which enough information is left, and whose level the prior admits.
+    pub(super) made: u16,
+    /// The step, and the level and its variance after it.
+    pub(super) by_dn: V,
+    pub(super) level_dn: V,
+    pub(super) variance: V,
+    /// Decrease of the sum of chi-square and the prior's part, and change of chi-square alone.
+    gain: V,
+    pub(super) chi_square_change: V,
+}
+
+/// Steps from the levels of up to sixteen waveforms, given with the information that their pulses take up; the pulses have been
+/// taken off the rows. Also the rows' sums of squares.
+#[inline(always)]
+fn level_steps<S: Simd>(
+    s: S,
+    tables: &Tables,
+    level: &LevelTables,
+    rows: &Rows,
+    which: &[usize],
+    levels: impl Iterator<Item = [f32; 2]>,
+) -> (LevelStep<S::V>, S::V) {
+    let mut lanes = [EMPTY; LANES];
+    lanes[..which.len()].copy_from_slice(which);
+    let [sums, squares] = rows.sums_and_squares(s, &lanes);
+    let (mut products, mut information) = ([0.0; LANES], [1.0; LANES]);
+    let (mut level_dn, mut explained) = ([0.0; LANES], [0.0; LANES]);
+    for ((w, &row), of_row) in which.iter().enumerate().zip(levels) {
+        [products[w], information[w]] = level.products(rows, row, tables.order, sums[w]);
+        [level_dn[w], explained[w]] = of_row;
+    }
+    let [level_dn, products] = [s.load(&level_dn), s.load(&products)];
+    let step = level.step(s, level_dn, products, s.load(&information), s.load(&explained));
+    (step, s.load(&squares))
+}
+
+/// Chi-square of rows, with the decrease that a step of their levels brings.
+pub(super) struct JointSquares<'a> {
+    pub(super) tables: &'a Tables,
+    pub(super) level: &'a LevelTables,
+    pub(super) rows: &'a Rows,
+    pub(super) which: &'a [usize],
+    /// The level of each, DN, and the information on it that the pulses take up.
+    pub(super) levels: &'a [[f32; 2]],
+    pub(super) out: &'a mut Vec<f32>,
+}
+
+impl Kernel for JointSquares<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let JointSquares { tables, level, rows, out, .. } = self;
+        out.clear();
+        for (which, levels) in self.which.chunks(LANES).zip(self.levels.chunks(LANES)) {
+            let (step, squares) = level_steps(s, tables, level, rows, which, levels.iter().copied());
+            let joint = s.max(s.sub(squares, step.gain), s.splat(0.0));
+            let mut lanes = [0.0; LANES];
+            s.store(s.select(step.made, joint, squares), &mut lanes);
+            out.extend_from_slice(&lanes[..which.len()]);
+        }
+    }
+}
+
 /// The joint linear step of level and pulses for some waveforms; their pulses are taken off their rows where they are not yet.
 pub(super) struct SetLevels<'a> {
     pub(super) tables: &'a Tables,
@@ -155,9 +279,7 @@ impl Kernel for SetLevels<'_> {
     fn run<S: Simd>(self, s: S) {
         let SetLevels { tables, level, rows, scenes, follows, moved, .. } = self;
         for which in self.which.chunks(LANES) {
-            let mut lanes = [EMPTY; LANES];
-            for (lane, &row) in lanes.iter_mut().zip(which) {
-                *lane = row;
+            for &row in which {
                 let scene = &mut scenes[row];
                 if !std::mem::replace(&mut scene.taken_off, true) {
                     for pulse in scene.pulses() {
@@ -165,57 +287,114 @@ impl Kernel for SetLevels<'_> {
                     }
                 }
             }
-            let [sums, squares] = rows.sums_and_squares(s, &lanes);
-            for (w, &row) in which.iter().enumerate() {
-                let scene = &mut scenes[row];
-                let [product, information] = level.products(rows, row, tables.order, sums[w]);
-                let explained: f32 = scene.pulses().iter().map(|pulse| pulse.level_information).sum();
-                let left = information - explained;
-                // Not a number is no more than anything.
-                let is_enough = left > LEAST_INFORMATION * information;
-                let all = left + level.precision;
-                let step = (product - level.precision * scene.level_dn) / all;
-                if !(is_enough && step.is_finite() && level.is_likely(scene.level_dn + step, all.recip())) {
-                    scene.give_up();
-                    continue;
-                }
-                let before = scene.level_dn;
-                scene.set_level(before + step, all.recip());
-                scene.samples = rows.counted(row);
-                if follows {
-                    let mut is_linear = true;
-                    for pulse in scene.pulses_mut() {
-                        is_linear &= pulse.is_moved_little(step);
-                        add_pulse(s, tables, rows, row, pulse.values(), 1.0);
-                        pulse.follow_level(step);
-                        add_pulse(s, tables, rows, row, pulse.values(), -1.0);
-                    }
-                    rows.take_level_off(s, level, tables.order, row, step);
-                    if !is_linear {
-                        moved.push(row);
-                    }
-                } else {
-                    scene.pulses_mut().iter_mut().for_each(|pulse| pulse.follow_level(step));
-                    let prior = level.precision * (before * before - scene.level_dn * scene.level_dn);
-                    scene.chi_square = (squares[w] - step * step * all + prior).max(0.0);
-                }
-            }
-            if follows {
-                let squares = rows.chi_squares(s, &lanes);
-                for (square, &row) in squares.into_iter().zip(which) {
-                    (scenes[row].chi_square, scenes[row].samples) = (square, rows.counted(row));
-                }
-            }
+            set_levels(s, tables, level, rows, scenes, which, follows, moved);
         }
     }
 }
 
+/// The step for up to sixteen waveforms whose pulses have been taken off their rows. With `follows` the rows follow, and
+/// waveforms whose pulses moved so far that they are to be fitted anew are added to `moved`; without, the standard deviations
+/// are final.
+#[inline(always)]
+pub(super) fn set_levels<S: Simd>(
+    s: S,
+    tables: &Tables,
+    level: &LevelTables,
+    rows: &mut Rows,
+    scenes: &mut [Scene],
+    which: &[usize],
+    follows: bool,
+    moved: &mut Vec<usize>,
+) {
+    let levels = which.iter().map(|&row| [scenes[row].level_dn, scenes[row].level_information()]);
+    let (step, squares) = level_steps(s, tables, level, rows, which, levels);
+    let [mut by_dn, mut after, mut variances, mut changes] = [[0.0; LANES]; 4];
+    s.store(step.by_dn, &mut by_dn);
+    s.store(step.level_dn, &mut after);
+    s.store(step.variance, &mut variances);
+    s.store(s.max(s.add(squares, step.chi_square_change), s.splat(0.0)), &mut changes);
+    let mut sums = [s.halved(s.splat(0.0)); LANES];
+    let sd_samples = (SD_OF_FWHM * tables.fwhm_samples) as f32;
+    for (w, &row) in which.iter().enumerate() {
+        let scene = &mut scenes[row];
+        if step.made & (1 << w) == 0 {
+            scene.give_up();
+            continue;
+        }
+        scene.set_level(after[w], variances[w]);
+        scene.samples = rows.counted(row);
+        if !follows {
+            scene.chi_square = changes[w];
+            for pulse in scene.pulses_mut() {
+                pulse.follow_level(by_dn[w]);
+                pulse.widen(variances[w]);
+            }
+            continue;
+        }
+        let mut is_linear = true;
+        for pulse in scene.pulses_mut() {
+            let before = pulse.values();
+            let is_little = pulse.is_moved_little(by_dn[w], sd_samples);
+            pulse.follow_level(by_dn[w]);
+            if is_little {
+                let after = pulse.values();
+                let change = std::array::from_fn(|i| after[i] - before[i]);
+                take_change_off(s, tables, rows, row, before, change);
+            } else {
+                is_linear = false;
+                add_pulse(s, tables, rows, row, before, 1.0);
+                add_pulse(s, tables, rows, row, pulse.values(), -1.0);
+            }
+        }
+        sums[w] = rows.take_level_off(s, level, tables.order, row, by_dn[w]);
+        if !is_linear {
+            moved.push(row);
+        }
+    }
+    if follows {
+        let mut squares = [0.0; LANES];
+        s.store(s.sum_each(&sums), &mut squares);
+        for (square, &row) in squares.into_iter().zip(which) {
+            scenes[row].chi_square = square;
+        }
+    }
+}
+
+/// Takes a small change of a pulse's values off a row, to first order.
+#[inline(always)]
+fn take_change_off<S: Simd>(
+    s: S,
+    tables: &Tables,
+    rows: &mut Rows,
+    row: usize,
+    values: Values,
+    change: Values,
+) {
+    let site = Site::of(tables, values);
+    if site.height >= tables.strong_dn() {
+        rows.take_change_off::<S, true>(s, tables, row, &site, change);
+    } else {
+        rows.take_change_off::<S, false>(s, tables, row, &site, change);
+    }
+}
+
 impl Pulse {
-    /// Whether a change of the level moves place and width by little against their standard deviations.
+    /// Whether a change of the level moves position and width so little that the second order does not matter.
     #[inline(always)]
-    fn is_moved_little(&self, step_dn: f32) -> bool {
-        let little = |(by, sd): (&f32, &f32)| (by * step_dn).abs() <= LINEAR_SD * sd;
-        self.by_level.iter().zip(&self.sds).skip(1).all(little)
+    fn is_moved_little(&self, step_dn: f32, calibrated_sd_samples: f32) -> bool {
+        let [_, position, width] = self.by_level.map(|by| (by * step_dn).powi(2));
+        position <= SECOND_ORDER_SD * calibrated_sd_samples * self.width_ratio() * self.sds[1]
+            && width <= SECOND_ORDER_SD * self.sds[2]
+    }
+
+    /// Adds the uncertainty of the level to the standard deviations.
+    #[inline(always)]
+    fn widen(&mut self, level_variance: f32) {
+        if self.is_fitted() {
+            for (sd, by) in self.sds.iter_mut().zip(&self.by_level) {
+                *sd = (*sd * *sd + by * by * level_variance).sqrt();
+            }
+        }
     }
 
     /// Moves the pulse as the level's change asks for.
@@ -234,14 +413,10 @@ impl Pulse {
     }
 }
 
-/// Puts the uncertainty of the level into the standard deviations of the pulses.
+/// Adds the uncertainty of the level to the standard deviations of all pulses.
 pub(super) fn widen(scenes: &mut [Scene]) {
     for scene in scenes.iter_mut().filter(|scene| scene.way == Way::Fast) {
         let variance = scene.level_variance;
-        for pulse in scene.pulses_mut().iter_mut().filter(|pulse| pulse.is_fitted()) {
-            for (sd, by) in pulse.sds.iter_mut().zip(&pulse.by_level) {
-                *sd = (*sd * *sd + by * by * variance).sqrt();
-            }
-        }
+        scene.pulses_mut().iter_mut().for_each(|pulse| pulse.widen(variance));
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! A row belongs to one waveform, and every operation on it looks at that row alone.
 
+use super::fitted::Values;
 use super::level::LevelTables;
 use super::tables::{Aligned, ROW, Tables};
 use super::template::{Site, VECTORS, leaves_block, tail, template, weights};
@@ -201,7 +202,50 @@ impl Rows {
         }
     }
 
-    /// Takes so much of a constant, whitened, off a residual.
+    /// Takes a small change of a pulse's height, position and width off a residual, to first order. The pulse itself has been
+    /// taken off, so that samples that it does not count in are 0.
+    #[inline(always)]
+    pub(super) fn take_change_off<S: Simd, const STRONG: bool>(
+        &mut self,
+        s: S,
+        tables: &Tables,
+        row: usize,
+        site: &Site,
+        [height, position, width]: Values,
+    ) {
+        let n = self.lengths[row];
+        let to = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
+        let inside = !leaves_block(site.first, ROW, tables.order, n);
+        let [by_height, by_time, by_width] =
+            [height, -site.height * position, site.height * width].map(|change| s.splat(change));
+        for c in 0..VECTORS {
+            let first = site.first + (c * LANES) as i32;
+            let at = FRONT.saturating_add_signed(first as isize);
+            let shape = template::<S, STRONG>(s, tables, site, LANES + c * LANES);
+            let mut change = s.mul(by_height, shape.by_height);
+            change = s.fma(by_time, shape.by_time, change);
+            change = s.fma(by_width, shape.by_width, change);
+            if !inside {
+                change = s.mul(change, weights(s, first, tables.order, n));
+            }
+            put(s, s.sub(s.load(sixteen(to, at)), change), to, at);
+        }
+        let factor = s.splat(height / site.height);
+        let mut first = site.first + ROW as i32;
+        let mut from = 0;
+        while first < n as i32 {
+            let at = FRONT.saturating_add_signed(first as isize);
+            let mut values = s.mul(factor, tail::<S, STRONG>(s, tables, site, from));
+            if first < tables.order as i32 || first + LANES as i32 > n as i32 {
+                values = s.mul(values, weights(s, first, tables.order, n));
+            }
+            put(s, s.sub(s.load(sixteen(to, at)), values), to, at);
+            first += LANES as i32;
+            from += LANES as i32;
+        }
+    }
+
+    /// Takes so much of a constant, whitened, off a residual; returns its squares, to be summed.
     #[inline(always)]
     pub(super) fn take_level_off<S: Simd>(
         &mut self,
@@ -210,7 +254,7 @@ impl Rows {
         order: usize,
         row: usize,
         level_dn: f32,
-    ) {
+    ) -> S::Half {
         let n = self.lengths[row];
         let is_begun = self.counted[row] == n;
         let to = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
@@ -220,10 +264,18 @@ impl Rows {
             }
         }
         let constant = s.splat(level_dn * level.steady);
+        let mut sum = s.splat(0.0);
         for c in (0..n).step_by(LANES) {
-            let value = s.load(sixteen(to, FRONT + c));
-            put(s, s.fnma(constant, weights(s, c as i32, order, n), value), to, FRONT + c);
+            let mut value = s.load(sixteen(to, FRONT + c));
+            if c < order || c + LANES > n {
+                value = s.fnma(constant, weights(s, c as i32, order, n), value);
+            } else {
+                value = s.sub(value, constant);
+            }
+            sum = s.fma(value, value, sum);
+            put(s, value, to, FRONT + c);
         }
+        s.halved(sum)
     }
 
     /// Sums of sixteen residuals, and of their squares.

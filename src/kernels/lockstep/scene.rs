@@ -162,6 +162,12 @@ impl Scene {
         (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
     }
 
+    /// The information on the level that the pulses take up, 1/DN².
+    #[inline(always)]
+    pub(super) fn level_information(&self) -> f32 {
+        self.pulses().iter().map(|pulse| pulse.level_information).sum()
+    }
+
     /// Takes a level of the background, DN, and its variance, as those of the present pulses.
     #[inline(always)]
     pub(super) fn set_level(&mut self, level_dn: f32, variance: f32) {

@@ -3,6 +3,7 @@
 use super::fit::{Job, fit};
 use super::fitted::Fitted;
 use super::jobs::{Aim, ITERATIONS, add_pulse, is_strong};
+use super::level::set_levels;
 use super::rows::{EMPTY, Rows};
 use super::scene::Scene;
 use super::start::{BankSums, SOMEWHERE, from_bank};
@@ -16,6 +17,8 @@ pub(super) struct FitSingles<'a> {
     pub(super) rows: &'a mut Rows,
     pub(super) scenes: &'a mut [Scene],
     pub(super) which: &'a [usize],
+    /// Waveforms whose pulse moves far with its level, so that it is to be fitted anew.
+    pub(super) moved: &'a mut Vec<usize>,
 }
 
 impl Kernel for FitSingles<'_> {
@@ -23,7 +26,7 @@ impl Kernel for FitSingles<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let FitSingles { tables, rows, scenes, .. } = self;
+        let FitSingles { tables, rows, scenes, moved, .. } = self;
         let none = s.halved(s.splat(0.0));
         let mut bank: BankSums<S::Half> = [[none; LANES]; BANK];
         let mut sums = [[none; LANES]; 10];
@@ -55,6 +58,10 @@ impl Kernel for FitSingles<'_> {
                     settled[count] = job.row;
                     count += 1;
                 }
+            }
+            if let Some(level) = &tables.level {
+                set_levels(s, tables, level, rows, scenes, &settled[..count], true, moved);
+                continue;
             }
             for (square, &row) in rows.chi_squares(s, &settled).into_iter().zip(&settled[..count]) {
                 (scenes[row].chi_square, scenes[row].samples) = (square, rows.counted(row));

@@ -4,10 +4,11 @@ use super::detection::ByCount;
 use super::fit::Job;
 use super::fitted::FittedLanes;
 use super::jobs::add_pulse;
+use super::level::LevelTables;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::scene::{MAX_PULSES, Scene};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
-use super::template::{Pulses, Sites, VECTORS, bounded, template, weights};
+use super::template::{Pulses, Site, Sites, VECTORS, bounded, tail, template, weights};
 use super::vector::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
@@ -110,30 +111,40 @@ impl Kernel for OneStep<'_> {
     fn run<S: Simd>(self, s: S) {
         let OneStep { tables, rows, scenes, number, to_fit, .. } = self;
         let none = s.halved(s.splat(0.0));
-        let (mut bank, mut sums) = ([[none; LANES]; BANK], [[none; LANES]; 4]);
+        let (mut bank, mut sums) = ([[none; LANES]; BANK], [[none; LANES]; 6]);
         for which in self.which.chunks(LANES) {
-            let mut positions = SOMEWHERE;
-            for (position, &row) in positions.iter_mut().zip(which) {
-                *position = scenes[row].pulses()[number].position();
+            let (mut positions, mut levels, mut alone) = (SOMEWHERE, [0.0; LANES], 0);
+            for (w, &row) in which.iter().enumerate() {
+                let scene = &scenes[row];
+                (positions[w], levels[w]) = (scene.pulses()[number].position(), scene.level_dn);
+                alone |= u16::from(scene.pulses().len() == 1) << w;
             }
             let position = s.load(&positions);
             let (height, width) = from_bank(s, tables, rows, which, position, &mut bank);
-            let steps = one_step(s, tables, rows, which, Pulses { height, position, width }, &mut sums);
+            let start = Pulses { height, position, width };
+            let levels = tables.level.as_ref().map(|tables| StepLevels { tables, level_dn: &levels, alone });
+            let steps = one_step(s, tables, rows, which, start, levels.as_ref(), &mut sums);
             let (mut heights, mut widths) = ([0.0; LANES], [0.0; LANES]);
             s.store(height, &mut heights);
             s.store(width, &mut widths);
             for (w, &row) in which.iter().enumerate() {
                 let scene = &mut scenes[row];
                 let pulse = &mut scene.pulses_mut()[number];
-                if steps.made & (1 << w) == 0 {
+                let is_in = |lanes: u16| lanes & (1 << w) != 0;
+                if !is_in(steps.made) {
                     pulse.set_values([heights[w], positions[w], widths[w]]);
                     to_fit.push((row, number));
                 } else {
                     let mut stepped = steps.fitted.get(w);
                     if let Some(level) = &tables.level {
-                        (stepped.by_level, stepped.level_information) =
-                            level.of_whole(tables, stepped.values);
+                        if is_in(steps.levelled) {
+                            scene.set_level(steps.level_dn[w], steps.level_variance[w]);
+                        } else {
+                            (stepped.by_level, stepped.level_information) =
+                                level.of_whole(tables, stepped.values);
+                        }
                     }
+                    let pulse = &mut scene.pulses_mut()[number];
                     pulse.take(&stepped);
                     pulse.sds = stepped.sds;
                     (scene.chi_square, scene.samples) = (steps.chi_square[w], steps.samples[w]);
@@ -229,17 +240,33 @@ impl<V: Copy> Parabola<V> {
     }
 }
 
-/// Products of the step: the right side and the residual's square.
-type StepSums<H> = [[H; LANES]; 4];
+/// Products of the step: the right side, the residual's square, and for a level what the whole row's residuals add to the
+/// square and their product with the whitened constant.
+type StepSums<H> = [[H; LANES]; 6];
 
 /// Sixteen pulses after one step.
 struct Steps {
     fitted: FittedLanes,
     /// Lanes in which a step was made: of pulses that the block holds as good as whole, to what the tables hold.
     made: u16,
-    /// Sum of the squared whitened residuals over the block's samples in the pulse's row, and how many these are.
+    /// Sum of the squared whitened residuals over the block's samples in the pulse's row, and how many these are; over all of
+    /// the block's samples in levelled lanes.
     chi_square: Sixteen,
     samples: [usize; LANES],
+    /// Lanes in which a level has been estimated jointly, the level and its variance: values, standard deviations and
+    /// chi-square hold it.
+    levelled: u16,
+    level_dn: Sixteen,
+    level_variance: Sixteen,
+}
+
+/// A level's part in the step of sixteen pulses that are alone in their waveforms.
+struct StepLevels<'a> {
+    tables: &'a LevelTables,
+    /// Levels before the step.
+    level_dn: &'a Sixteen,
+    /// Lanes whose waveforms have one pulse.
+    alone: u16,
 }
 
 /// One step with the tabulated inverse Fisher matrix, whose diagonal also gives the standard deviations. Not whole
@@ -251,6 +278,7 @@ fn one_step<S: Simd>(
     rows: &Rows,
     which: &[usize],
     start: Pulses<S::V>,
+    levels: Option<&StepLevels<'_>>,
     sums: &mut StepSums<S::Half>,
 ) -> Steps {
     let row_of = |w: usize| which.get(w).copied().unwrap_or(EMPTY);
@@ -259,8 +287,8 @@ fn one_step<S: Simd>(
     let pulses = start.within(s, last);
     let mut sites = Sites::NONE;
     sites.set(s, &pulses);
-    let mut inverse = [[0.0; LANES]; 6];
-    let mut made = 0;
+    let (mut inverse, mut by_level) = ([[0.0; LANES]; 6], [[0.0; LANES]; 4]);
+    let (mut made, mut levelled) = (0, 0);
     let mut counted = [0; LANES];
     for w in 0..which.len().min(LANES) {
         let site = sites.get::<true>(tables, w);
@@ -275,6 +303,7 @@ fn one_step<S: Simd>(
         let is_whole = is_inside(tables.needed(site.entry));
         made |= u16::from(is_whole || is_inside(tables.telling(site.entry))) << w;
         let mut acc = [s.splat(0.0); 4];
+        let mut sum = s.splat(0.0);
         for c in 0..VECTORS {
             // The step's matrix is the first response's; the pulse that it corrects is the height's own.
             let shape = if site.height < tables.strong_dn() {
@@ -291,12 +320,27 @@ fn one_step<S: Simd>(
             acc[1] = s.fma(shape.by_time, residual, acc[1]);
             acc[2] = s.fma(shape.by_width, residual, acc[2]);
             acc[3] = s.fma(residual, residual, acc[3]);
+            sum = s.add(sum, residual);
         }
         for (sums, acc) in sums.iter_mut().zip(acc) {
             sums[w] = s.halved(acc);
         }
         let begin = if is_whole { 0 } else { order };
         counted[w] = ((site.first + ROW as i32).min(length) - site.first.max(begin)).max(0) as usize;
+        if let Some(levels) = levels
+            && is_whole
+            && levels.alone & (1 << w) != 0
+        {
+            levelled |= 1 << w;
+            let [square, rest] = beyond_row(s, tables, row, &site, length);
+            let product = s.mul(s.splat(levels.tables.steady), s.add(sum, rest));
+            let excess = s.load(&levels.tables.begin_excess);
+            sums[4][w] = s.halved(square);
+            sums[5][w] = s.halved(s.fma(excess, s.load(sixteen(row, FRONT)), product));
+            for (lanes, value) in by_level.iter_mut().zip(levels.tables.of_entry(site.entry)) {
+                lanes[w] = value;
+            }
+        }
     }
     let right = [s.sum_each(&sums[0]), s.sub(s.splat(0.0), s.sum_each(&sums[1])), s.sum_each(&sums[2])];
     let mut lanes = [s.splat(0.0); 6];
@@ -306,16 +350,77 @@ fn one_step<S: Simd>(
     let [aa, at, tt, au, tu, uu] = lanes;
     // In units of the height for position and width: the table is of a pulse of height 1.
     let row = |x, y, z| s.fma(x, right[0], s.fma(y, right[1], s.mul(z, right[2])));
-    let unit = [row(aa, at, au), row(at, tt, tu), row(au, tu, uu)];
+    let mut unit = [row(aa, at, au), row(at, tt, tu), row(au, tu, uu)];
     let told = s.fma(unit[0], right[0], s.fma(unit[1], right[1], s.mul(unit[2], right[2])));
+    let mut chi_square = s.sub(s.sum_each(&sums[3]), told);
+    let mut variances = [aa, tt, uu];
+    let (mut level_dn, mut level_variance) = ([0.0; LANES], [0.0; LANES]);
+    if let Some(levels) = levels {
+        let [height, position, width, explained] = by_level.map(|values| s.load(&values));
+        let effects = [height, position, width];
+        let mut product = s.sum_each(&sums[5]);
+        for (effect, right) in effects.into_iter().zip(right) {
+            product = s.fnma(effect, right, product);
+        }
+        let information = levels.tables.information(s, s.add(last, s.splat(1.0)), tables.order);
+        let step = levels.tables.step(s, s.load(levels.level_dn), product, information, explained);
+        levelled &= step.made;
+        let change = s.add(s.sum_each(&sums[4]), step.chi_square_change);
+        chi_square = s.select(levelled, s.max(s.add(chi_square, change), s.splat(0.0)), chi_square);
+        let by_dn = s.select(levelled, step.by_dn, s.splat(0.0));
+        let variance = s.select(levelled, step.variance, s.splat(0.0));
+        for i in 0..3 {
+            unit[i] = s.fnma(effects[i], by_dn, unit[i]);
+            variances[i] = s.fma(s.mul(effects[i], effects[i]), variance, variances[i]);
+        }
+        s.store(step.level_dn, &mut level_dn);
+        s.store(step.variance, &mut level_variance);
+    }
     let per_height = s.div(s.splat(1.0), pulses.height);
     let step = [unit[0], s.mul(unit[1], per_height), s.mul(unit[2], per_height)];
     let stepped = pulses.stepped(s, step, last);
     let per_height = s.div(s.splat(1.0), stepped.height);
     let squared = s.mul(per_height, per_height);
-    let variances = [aa, s.mul(tt, squared), s.mul(uu, squared)];
+    let variances = [variances[0], s.mul(variances[1], squared), s.mul(variances[2], squared)];
     let fitted = FittedLanes::of(s, &stepped, variances);
-    let mut chi_square = [0.0; LANES];
-    s.store(s.sub(s.sum_each(&sums[3]), told), &mut chi_square);
-    Steps { made: made & fitted.known_and_held(), fitted, chi_square, samples: counted }
+    for (w, counted) in counted.iter_mut().enumerate() {
+        if levelled & (1 << w) != 0 {
+            *counted = lengths[w] as usize + 1;
+        }
+    }
+    let mut squares = [0.0; LANES];
+    s.store(chi_square, &mut squares);
+    let made = made & fitted.known_and_held();
+    Steps { made, fitted, chi_square: squares, samples: counted, levelled, level_dn, level_variance }
+}
+
+/// Squares, and residuals, to be summed, of a block's samples outside a pulse's row: those before it, and those behind it less
+/// the pulse's tail.
+#[inline(always)]
+fn beyond_row<S: Simd>(s: S, tables: &Tables, row: &[f32], site: &Site, length: i32) -> [S::V; 2] {
+    let (mut squares, mut sum) = (s.splat(0.0), s.splat(0.0));
+    let mut first = site.first;
+    while first > 0 {
+        first -= LANES as i32;
+        let value = s.load(sixteen(row, FRONT.saturating_add_signed(first as isize)));
+        squares = s.fma(value, value, squares);
+        sum = s.add(sum, value);
+    }
+    first = site.first + ROW as i32;
+    while first < length {
+        let from = first - site.first - ROW as i32;
+        let mut behind = if site.height < tables.strong_dn() {
+            tail::<S, false>(s, tables, site, from)
+        } else {
+            tail::<S, true>(s, tables, site, from)
+        };
+        if first + LANES as i32 > length {
+            behind = s.mul(behind, weights(s, first, tables.order, length as usize));
+        }
+        let value = s.sub(s.load(sixteen(row, FRONT.saturating_add_signed(first as isize))), behind);
+        squares = s.fma(value, value, squares);
+        sum = s.add(sum, value);
+        first += LANES as i32;
+    }
+    [squares, sum]
 }

@@ -9,6 +9,7 @@ use super::detection::Search;
 use super::fitted::FittedPulse;
 use super::gate::Scores;
 use super::jobs::{Aim, add, take_off};
+use super::level::JointSquares;
 use super::rows::BATCH;
 use super::scene::{MAX_CLUSTER, Pulse, Scene, Way};
 use super::tables::U_MAX;
@@ -17,6 +18,8 @@ use crate::kernels::rules::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, SD_OF_
 
 /// Rounds of adding; a waveform that still changes is left to the plain kernels.
 const ROUNDS: usize = 4;
+/// Part of the decrease of chi-square with a free level that a trial with several pulses may show while the level is held.
+const HELD_PART: f32 = 0.5;
 /// A trial whose fit came to no end is open where it is so near to the gain that is asked for.
 const OPEN_GAIN: f32 = 4.0;
 
@@ -48,6 +51,13 @@ impl Trial {
 
     fn pulses(&self) -> &[Pulse] {
         &self.pulses[..self.count]
+    }
+
+    /// The information on the level that the waveform's pulses take up with the trial among them, 1/DN².
+    fn level_information(&self, scene: &Scene) -> f32 {
+        let others = &scene.pulses()[..self.old.0];
+        let others = others.iter().chain(&scene.pulses()[self.old.1..]);
+        others.chain(self.pulses()).map(|pulse| pulse.level_information).sum()
     }
 }
 
@@ -124,9 +134,15 @@ impl Decompose<'_> {
             }
         }
         self.fit_clusters(1);
-        self.work.which.clear();
-        self.work.which.extend_from_slice(&self.work.due);
-        self.sum_squares();
+        let Workspace { which, due, active, .. } = &mut *self.work;
+        which.clear();
+        if self.tables.level.is_some() {
+            which.extend_from_slice(active);
+            self.set_levels_of_which();
+        } else {
+            which.extend_from_slice(due);
+            self.sum_squares();
+        }
         let (scenes, settings) = (&self.work.scenes, self.settings);
         self.work.active.retain(|&row| {
             let scene = &scenes[row];
@@ -182,8 +198,7 @@ impl Decompose<'_> {
         let scene = self.work.scenes[row];
         let position = candidate.position_samples;
         let threshold = self.limits.threshold(&scene, position, f32::INFINITY);
-        // With the level held a pulse more lowers chi-square by less than with the level free.
-        let gain = (GAIN_PART * threshold * threshold * self.limits.left_by_level(&scene)) as f32;
+        let gain = (GAIN_PART * threshold * threshold) as f32;
         let whole = scene.cluster_around(position, self.fwhm());
         let old = part_of(&scene, whole.clone(), position);
         let is_part = old.len() < whole.len();
@@ -346,7 +361,13 @@ impl Decompose<'_> {
             for (values, pulse) in values.iter_mut().zip(trial.pulses()) {
                 *values = pulse.values();
             }
-            let aim = Aim::trial(work.scenes[trial.row].chi_square - trial.gain, trial.row);
+            let scene = &work.scenes[trial.row];
+            // The fit holds the level, and a pulse more lowers chi-square by less than with the level free.
+            let least_gain = match tables.level {
+                Some(_) => HELD_PART * trial.gain * self.limits.left_by_level(scene) as f32,
+                None => trial.gain,
+            };
+            let aim = Aim::trial(scene.chi_square - least_gain, trial.row);
             work.queues.push(tables, row, &values[..trial.count], aim, at);
         }
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
@@ -366,7 +387,17 @@ impl Decompose<'_> {
         let least = self.limits.least_separation;
         work.which.clear();
         work.which.extend(BATCH..BATCH + trials.len());
-        on.run(ChiSquares { rows: &work.rows, which: &work.which, out: &mut work.squares });
+        let Workspace { rows, which, squares: out, levels, scenes, trials: all, .. } = &mut *work;
+        if let Some(level) = &tables.level {
+            levels.clear();
+            levels.extend(all[trials.clone()].iter().map(|trial| {
+                let scene = &scenes[trial.row];
+                [scene.level_dn, trial.level_information(scene)]
+            }));
+            on.run(JointSquares { tables, level, rows, which, levels, out });
+        } else {
+            on.run(ChiSquares { rows, which, out });
+        }
         for (trial, square) in work.trials[trials].iter_mut().zip(&work.squares) {
             trial.chi_square = *square;
             if trial.has_ended {

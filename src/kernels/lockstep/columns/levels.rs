@@ -1,6 +1,6 @@
 //! The level of each waveform's own background, before any pulse is known.
 
-use super::{BEFORE, Columns, rows_from_mut};
+use super::{BEFORE, Columns};
 use crate::kernels::lockstep::level::{LEAST_FREE, LevelTables};
 use crate::kernels::lockstep::tables::Tables;
 use crate::kernels::lockstep::vector::{LANES, Simd};
@@ -80,28 +80,52 @@ impl Columns {
         (variance > 0.0).then_some([level_dn, variance])
     }
 
-    /// Takes the levels off the statistic, and scales it such that noise reaches thresholds as often as with a known level.
+    /// The change of the statistic that the levels of the lanes call for.
     #[inline(always)]
-    pub(in crate::kernels::lockstep) fn take_levels_off_statistic<S: Simd>(
-        &mut self,
+    pub(super) fn statistic_change<'a, S: Simd>(
+        &self,
         s: S,
-        level: &LevelTables,
-    ) {
-        let (lengths, shortest) = self.ends(s);
+        level: &'a LevelTables,
+    ) -> StatisticChange<'a, S> {
         let levels = s.load(&self.level_dn);
         let half = s.mul(s.load(&self.level_variance), s.splat(-0.5 * KEPT_VARIANCE));
-        let far = s.splat(-level.response());
-        let far = [s.mul(levels, far), s.fma(s.mul(far, far), half, s.splat(1.0))];
-        for at in 0..self.longest {
-            let mut of_position = far;
-            if at < LANES || at + LANES > shortest {
-                let [_, response] = level.filter.scales_and_levels(s, at, lengths, shortest);
-                of_position[0] = s.mul(levels, response);
-                of_position[1] = s.fma(s.mul(response, response), half, s.splat(1.0));
-            }
-            let [offset, gain] = of_position;
-            let Some([row]) = rows_from_mut::<1>(&mut self.statistic, 1 + at) else { return };
-            s.store(s.mul(s.add(s.load(row), offset), gain), row);
+        let (lengths, shortest) = self.ends(s);
+        let mut change = StatisticChange { s, level, levels, half, far: [levels; 2], lengths, shortest };
+        change.far = change.of_response(s.splat(-level.response()));
+        change
+    }
+}
+
+/// Takes the levels off the statistic, and scales it so that noise reaches thresholds as often as with a known level.
+pub(super) struct StatisticChange<'a, S: Simd> {
+    s: S,
+    level: &'a LevelTables,
+    levels: S::V,
+    half: S::V,
+    /// Offset and factor far from the blocks' ends.
+    far: [S::V; 2],
+    lengths: S::V,
+    shortest: usize,
+}
+
+impl<S: Simd> StatisticChange<'_, S> {
+    /// Offset and factor where a constant 1 has this statistic.
+    #[inline(always)]
+    fn of_response(&self, response: S::V) -> [S::V; 2] {
+        let s = self.s;
+        [s.mul(self.levels, response), s.fma(s.mul(response, response), self.half, s.splat(1.0))]
+    }
+
+    /// The changed statistic of a position.
+    #[inline(always)]
+    pub(super) fn of(&self, statistic: S::V, position: usize) -> S::V {
+        let s = self.s;
+        let mut change = self.far;
+        if position < LANES || position + LANES > self.shortest {
+            let filter = &self.level.filter;
+            let [_, response] = filter.scales_and_levels(s, position, self.lengths, self.shortest);
+            change = self.of_response(response);
         }
+        s.mul(s.add(statistic, change[0]), change[1])
     }
 }
