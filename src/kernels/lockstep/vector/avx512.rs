@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::{CACHE_LINE_SAMPLES, Kernel, LANES, Simd, Sixteen};
 
-/// Exists only where [`Avx512::detect`] has found the instructions.
+/// Proof that the processor has these instructions; created by [`Avx512::detect`].
 #[derive(Clone, Copy)]
 pub(in crate::kernels) struct Avx512(());
 
@@ -18,7 +18,7 @@ impl Avx512 {
         found.then_some(Avx512(()))
     }
 
-    /// Runs the kernel in a function that is compiled for these instructions.
+    /// Runs the kernel in a function compiled for these instructions.
     pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma")]
         fn inner<K: Kernel>(simd: Avx512, kernel: K) -> K::Output {
@@ -29,7 +29,7 @@ impl Avx512 {
     }
 }
 
-/// The operations on registers alone.
+/// Operations on registers only.
 macro_rules! register {
     ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
         #[inline(always)]
@@ -40,7 +40,7 @@ macro_rules! register {
     )*};
 }
 
-/// The same on whole numbers, as bits.
+/// Integer operations on registers, as bits.
 macro_rules! bits {
     ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
         #[inline(always)]
@@ -51,9 +51,9 @@ macro_rules! bits {
     )*};
 }
 
-/// Lanes 4 apart change places: from `a` what goes down, from `b` what goes up.
+/// Permutation that swaps lanes 4 apart: downwards from `a`, upwards from `b`.
 const SWAP_4: [i32; 16] = [4, 5, 6, 7, 16, 17, 18, 19, 12, 13, 14, 15, 24, 25, 26, 27];
-/// Neighbours change places.
+/// Permutation that swaps neighbouring lanes.
 const SWAP_1: [i32; 16] = [1, 16, 3, 18, 5, 20, 7, 22, 9, 24, 11, 26, 13, 28, 15, 30];
 
 impl Avx512 {
@@ -108,7 +108,7 @@ impl Simd for Avx512 {
                 pairs[2 * i] = _mm512_unpacklo_ps(v[2 * i], v[2 * i + 1]);
                 pairs[2 * i + 1] = _mm512_unpackhi_ps(v[2 * i], v[2 * i + 1]);
             }
-            // Of four rows the columns k, k + 4, k + 8 and k + 12, in the quarters of vector 4 i + k.
+            // Columns k, k + 4, k + 8 and k + 12 of four rows, in the quarters of vector 4 i + k.
             let mut fours = pairs;
             for i in 0..4 {
                 for k in 0..2 {
@@ -215,8 +215,8 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn to_i32(self, a: __m512, to: &mut [i32; LANES]) {
-        // SAFETY: `self` exists, so the processor has the instructions; the reference covers the sixteen values that are
-        // written, at any alignment.
+        // SAFETY: `self` exists, so the processor has the instructions; the reference covers the
+        // sixteen values that are written, at any alignment.
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), _mm512_cvtps_epi32(a)) }
     }
     #[inline(always)]
