@@ -93,7 +93,9 @@ pub enum Mode {
     Fastest,
     /// As `Fastest` for separate pulses; a joint fit for overlapping ones.
     FastSeparated,
-    /// Fits all pulses to the optimum, searches the residuals, and tests widened pulses for two.
+    /// Fits all pulses to the optimum.
+    ///
+    /// Searches the residuals, and tests widened pulses for two.
     Refined,
 }
 
@@ -108,7 +110,7 @@ pub struct Lockstep {
     limits: Limits,
     plain: Decomposer,
     work: Workspace,
-    /// Pulse models of a first pass in a fast mode while some of its waveforms are refined.
+    /// Pulse models of the fast pass while some waveforms are refined.
     first_look: Vec<Scene>,
     left_to_plain: u64,
 }

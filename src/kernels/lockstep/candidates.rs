@@ -113,7 +113,7 @@ impl Candidates {
         (self.count, self.found) = (kept, kept);
     }
 
-    /// Drops candidates explained by the filter echo of stronger ones.
+    /// Drops candidates explained by the filter response of stronger ones.
     ///
     /// `per_dn` is the statistic of a pulse of height 1 DN. Candidates must be in order of
     /// position.
@@ -167,11 +167,11 @@ impl Candidates {
     }
 }
 
-/// Filter echo: the statistic after a pulse of height 1 DN.
+/// Filter response after a pulse of height 1 DN: the statistic by lag.
 pub(super) struct LeftBehind {
     /// By whole samples after the peak.
     echo: Vec<f32>,
-    /// Lag from which the echo counts, samples. Closer candidates need their own maximum.
+    /// Lag from which it counts, samples; closer candidates are distinguished by their own maximum.
     from_samples: f32,
     /// Maximum from that lag on.
     most: f32,

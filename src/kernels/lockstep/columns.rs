@@ -469,6 +469,6 @@ mod tests {
             }
         }
         assert_eq!(rows.length(w), block.len());
-        assert_eq!(*rows.residual_sixteen(w, block.len()), [0.0; LANES], "nothing stands behind a block");
+        assert_eq!(*rows.residual_sixteen(w, block.len()), [0.0; LANES], "values after a block are 0");
     }
 }

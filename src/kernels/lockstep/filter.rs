@@ -40,9 +40,10 @@ pub(super) struct Filter {
     ///
     /// By position modulo 4 and by number of samples from the position to the end.
     background_met: [Sixteen; 4],
-    /// Factor on the sums far from the end of a block, and the offset added afterwards.
+    /// Factor and offset of the sums far from the end of a block.
     ///
-    /// By position; the last entries by position modulo 8.
+    /// The offset is added after the multiplication. By position; the last entries by position
+    /// modulo 8.
     far: [[f32; 2]; LANES + POSITIONS],
 }
 
@@ -97,9 +98,10 @@ impl Filter {
         filter
     }
 
-    /// Returns factor and offset of the sum at a position; the offset subtracts the background.
+    /// Returns factor and offset of the sum at a position.
     ///
-    /// `behind` is the number of samples from the position to the end of the block, at most 15.
+    /// The offset subtracts the background. `behind` is the number of samples from the position to
+    /// the end of the block, at most 15.
     pub(super) fn scale_and_level(&self, position: usize, behind: usize) -> [f32; 2] {
         let scale = self.scale * self.leading.get(position).copied().unwrap_or(1.0) * self.trailing[behind];
         [scale, -scale * (self.background_met[position % 4][behind] - self.background_missed(position))]

@@ -22,7 +22,7 @@ impl<const P: usize> Job<P> {
     pub(super) const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
 }
 
-/// A fit has converged if the next step promises a smaller decrease of chi-square.
+/// Promised decrease of chi-square below which a fit has converged.
 ///
 /// It is the square of the remaining distance in standard deviations. The step is still made.
 const DECREASE: f32 = 1e-2;

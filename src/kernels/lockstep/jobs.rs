@@ -261,7 +261,7 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     }
 }
 
-/// Adds `sign` times a pulse to a row, as a kernel of its own.
+/// Adds `sign` times a pulse to a row; a separate kernel.
 pub(super) fn add(on: Processor, tables: &Tables, rows: &mut Rows, row: usize, values: Values, sign: f32) {
     on.run(Add { tables, rows, row, values, sign });
 }

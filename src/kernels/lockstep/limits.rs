@@ -121,7 +121,9 @@ impl Limits {
         }
     }
 
-    /// Whether a row holds the rise of a pulse: the part outside is below the noise.
+    /// Whether a row holds the rise of a pulse.
+    ///
+    /// The part outside must be below the noise.
     #[inline(always)]
     pub(super) fn is_held(&self, pulse: &Pulse) -> bool {
         if pulse.width_ratio() <= self.held_width_ratio && pulse.height() <= self.held_height_dn {

@@ -19,7 +19,7 @@ pub(super) const CHUNK: usize = 64;
 pub(super) const BATCH: usize = 2048;
 /// Waveforms detected at a time; also the batch size without refinement.
 ///
-/// Without refinement few fits are queued. The data of so many waveforms stay in the cache.
+/// Without refinement few fits are queued. Their data stay in the cache.
 pub(super) const FAST_BATCH: usize = 512;
 /// Longest blocks in full batches, samples; longer ones use smaller batches to save memory.
 const WHOLE_BATCH_SAMPLES: usize = 256;

@@ -192,7 +192,9 @@ impl Scene {
         true
     }
 
-    /// Stores the fit of the only pulse, which the caller must subtract from the row.
+    /// Stores the fit of the only pulse.
+    ///
+    /// The caller must subtract the pulse from the row.
     #[inline(always)]
     pub(super) fn settle(&mut self, fitted: &FittedPulse) {
         (self.is_settled, self.taken_off) = (true, true);

@@ -21,7 +21,9 @@ pub(super) struct FitSingles<'a> {
     pub(super) rows: &'a mut Rows,
     pub(super) scenes: &'a mut [Scene],
     pub(super) which: &'a [usize],
-    /// Collects waveforms whose pulse moves so far with the level that it needs a new fit.
+    /// Collects waveforms that need a new fit.
+    ///
+    /// Their pulse moves far with the level.
     pub(super) moved: &'a mut Vec<usize>,
 }
 

@@ -320,7 +320,7 @@ fn one_step<S: Simd>(
         let mut sum = s.splat(0.0);
         for c in 0..VECTORS {
             // The matrix of the step is that of the first node's response. The pulse that it
-            // corrects has the response of its own height.
+            // corrects has the response for its height.
             let shape = if site.height < tables.strong_dn() {
                 template::<S, false>(s, tables, &site, LANES + c * LANES)
             } else {

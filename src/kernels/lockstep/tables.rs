@@ -10,7 +10,9 @@ use crate::kernels::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
 use crate::kernels::sensor_model::{ChannelModel, Digitiser};
 use crate::kernels::whitening::Whitener;
 
-/// Samples of a template row: from 11 before the peak to 20 after it, past the after-pulse.
+/// Samples of a template row.
+///
+/// From 11 before the peak to 20 after it, past the after-pulse.
 pub(super) const ROW: usize = 32;
 /// Samples of a row before that of the peak.
 pub(super) const BEFORE_PEAK: i32 = 11;

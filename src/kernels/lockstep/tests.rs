@@ -187,8 +187,9 @@ fn a_waveform_gets_the_same_in_batches_of_any_size() {
     }
 }
 
-/// A high background costs no accuracy; larger samples than signed 16 bits go to the scalar
-/// kernels.
+/// A high background costs no accuracy.
+///
+/// Samples that exceed signed 16 bits go to the scalar kernels.
 #[test]
 fn large_samples_are_decomposed_as_small_ones() {
     let waveforms = scenes(&model(), 3, 500);
@@ -391,7 +392,7 @@ fn near_the_ends_of_blocks_one_step_is_enough() {
     let rms = |z: &[f64]| (z.iter().map(|z| z * z).sum::<f64>() / z.len() as f64).sqrt();
     let mean = deviations.iter().sum::<f64>() / deviations.len() as f64;
     println!(
-        "{} of 4000: z {:.3}, plain {:.3}; deviation {mean:.3}, {:.3}",
+        "{} of 4000: z {:.3}, scalar {:.3}; deviation ratio {mean:.3}, {:.3}",
         ours.len(),
         rms(&ours),
         rms(&theirs),
@@ -402,7 +403,7 @@ fn near_the_ends_of_blocks_one_step_is_enough() {
     assert!(mean.abs() < 0.1 && (0.9..1.1).contains(&rms(&deviations)));
 }
 
-/// For pulses wider than the tables, `fastest` steps from their limit and flags the result.
+/// Beyond the tables `fastest` steps from their limit and flags the result.
 #[test]
 fn beyond_the_tables_a_step_tells_width_and_height() {
     let model = model();
@@ -429,6 +430,8 @@ fn beyond_the_tables_a_step_tells_width_and_height() {
     assert!(widths.iter().all(|error| error.abs() < 0.1));
 }
 
+/// Unsupported channels have no tables.
+///
 /// Without tables the scalar kernels decompose all waveforms.
 #[test]
 fn what_the_tables_cannot_hold_is_left_to_the_plain_kernels() {

@@ -18,9 +18,10 @@ use crate::kernels::rules::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, SD_OF_
 
 /// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
 const ROUNDS: usize = 4;
-/// Fraction of the decrease of chi-square that a trial must reach with a fixed level.
+/// Fraction of the required gain that a trial must reach with a fixed level.
 ///
-/// Relative to the decrease with a free level. For trials with several pulses.
+/// With several pulses, chi-square may decrease by only this fraction of the decrease with a free
+/// level.
 const HELD_PART: f32 = 0.5;
 /// Margin below the required gain within which an unfinished trial stays undecided.
 const OPEN_GAIN: f32 = 4.0;
@@ -315,7 +316,9 @@ impl Decompose<'_> {
         });
     }
 
-    /// Fits all trials on separate rows, and accepts the best of each waveform if justified.
+    /// Fits all trials and accepts the best of each waveform if justified.
+    ///
+    /// Each trial has its own row.
     fn run_trials(&mut self) {
         let batch = self.work.rows.batch();
         for first in (0..self.work.trials.len()).step_by(batch) {
@@ -479,9 +482,13 @@ fn least_beyond(scene: &Scene) -> Option<f32> {
 enum Change {
     /// Adds a pulse.
     Add(Pulse),
-    /// Adds a pulse; all start with the calibrated width. The index is of its nearest neighbour.
+    /// Adds a pulse; all start with the calibrated width.
+    ///
+    /// The index is that of its nearest neighbour.
     AddToNarrow(Pulse, usize),
-    /// Splits a pulse into two of the calibrated width, the first with this fraction of its energy.
+    /// Splits a pulse into two of the calibrated width.
+    ///
+    /// The first has this fraction of its energy.
     Divide(usize, f32),
 }
 

@@ -65,12 +65,12 @@ fn returns_are_those_of_the_plain_kernels_on_any_level() {
     }
     let (mean, sd) = moments(&offsets);
     println!("{same} of 1500 alike, {near} of {all} near, levels differ by {mean:.4} +- {sd:.4} DN");
-    println!("{} left to the plain kernels", kernels.left_to_plain());
+    println!("{} passed to the scalar kernels", kernels.left_to_plain());
     assert!(same >= 1470 && near * 100 >= 95 * all);
     assert!(mean.abs() < 0.02 && sd < 0.1 && kernels.left_to_plain() < 45);
 }
 
-/// Errors of isolated returns are 0.95 to 1.05 of their standard deviations in every mode.
+/// The SD of normalised errors of isolated returns is 0.95 to 1.05 in every mode.
 ///
 /// This holds for time, height and width. The bias is below a tenth of a standard deviation.
 #[test]
@@ -96,7 +96,10 @@ fn standard_deviations_hold_the_uncertainty_of_the_level() {
         let left = kernels.left_to_plain();
         for (scores, name) in scores.iter().zip(["position", "height", "width"]) {
             let (mean, sd) = moments(scores);
-            println!("{mode:?} {name}: {mean:.3} +- {sd:.3}, {} found, {left} left", scores.len());
+            println!(
+                "{mode:?} {name}: {mean:.3} +- {sd:.3}, {} found, {left} passed to the scalar kernels",
+                scores.len()
+            );
             assert!(scores.len() >= 5900 && left <= 60, "{mode:?} {name}");
             assert!(mean.abs() < 0.1 && (0.95..1.05).contains(&sd), "{mode:?} {name}: {mean} {sd}");
         }
@@ -128,7 +131,7 @@ fn noise_alone_is_detected_no_more_often() {
     assert!((0.6..1.1).contains(&(found / expected)));
 }
 
-/// Waveforms full of signal have no free samples; the prior excludes any level found there.
+/// Waveforms full of signal have no free samples, or a level that the prior excludes.
 #[test]
 fn waveforms_without_free_samples_are_left_to_the_plain_kernels() {
     let model = own();

@@ -179,8 +179,8 @@ impl Simd for Avx2 {
         let mut bits = 0;
         for (part, masks) in masks.as_chunks::<32>().0.iter().enumerate() {
             let (low, high) = masks.split_at(16);
-            // SAFETY: `self` exists, so the processor has the instructions; each half covers the 32 bytes that are read,
-            // at any alignment.
+            // SAFETY: `self` exists, so the processor has the instructions; each half covers the 32
+            // bytes that are read, at any alignment.
             unsafe {
                 let bit = _mm256_set1_epi16(1i16 << (lane & 15));
                 let low = _mm256_and_si256(_mm256_loadu_si256(low.as_ptr().cast()), bit);
@@ -196,7 +196,8 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn fetch(self, soon: &[u16]) {
         for line in [soon.first(), soon.get(CACHE_LINE_SAMPLES)].into_iter().flatten() {
-            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no address.
+            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no
+            // address.
             unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(line).cast()) }
         }
     }
@@ -297,8 +298,8 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn to_i32(self, a: Pair, to: &mut [i32; LANES]) {
         let (low, high) = to.split_at_mut(LANES / 2);
-        // SAFETY: `self` exists, so the processor has the instructions; each half covers the eight values that are
-        // written, at any alignment.
+        // SAFETY: `self` exists, so the processor has the instructions; each half covers the eight
+        // values that are written, at any alignment.
         unsafe {
             _mm256_storeu_si256(low.as_mut_ptr().cast(), _mm256_cvtps_epi32(a[0]));
             _mm256_storeu_si256(high.as_mut_ptr().cast(), _mm256_cvtps_epi32(a[1]));

@@ -90,12 +90,14 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn load(self, from: &Sixteen) -> __m512 {
-        // SAFETY: as above; the reference covers the sixteen values that are read, at any alignment.
+        // SAFETY: as above; the reference covers the sixteen values that are read, at any
+        // alignment.
         unsafe { _mm512_loadu_ps(from.as_ptr()) }
     }
     #[inline(always)]
     fn store(self, value: __m512, to: &mut Sixteen) {
-        // SAFETY: as above; the reference covers the sixteen values that are written, at any alignment.
+        // SAFETY: as above; the reference covers the sixteen values that are written, at any
+        // alignment.
         unsafe { _mm512_storeu_ps(to.as_mut_ptr(), value) }
     }
     #[inline(always)]
@@ -144,7 +146,8 @@ impl Simd for Avx512 {
     #[inline(always)]
     fn fetch(self, soon: &[u16]) {
         for line in [soon.first(), soon.get(CACHE_LINE_SAMPLES)].into_iter().flatten() {
-            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no address.
+            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no
+            // address.
             unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(line).cast()) }
         }
     }
@@ -226,7 +229,8 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn sum_each(self, of: &[__m256; LANES]) -> __m512 {
-        // SAFETY: `self` exists, so the processor has the instructions; the constants cover the 64 bytes that are read.
+        // SAFETY: `self` exists, so the processor has the instructions; the constants cover the 64
+        // bytes that are read.
         unsafe {
             let swap_4 = _mm512_loadu_si512(SWAP_4.as_ptr().cast());
             let swap_1 = _mm512_loadu_si512(SWAP_1.as_ptr().cast());
