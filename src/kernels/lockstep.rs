@@ -1,19 +1,22 @@
-//! The fast form of [`super::decompose`]: sixteen waveforms in lock-step, in `f32`.
+//! SIMD form of [`super::decompose`]: sixteen waveforms in lock-step, in `f32`.
 //!
-//! Samples lie along the vectors, and each waveform's dot products are sums over its own row; only the small systems that
-//! follow are solved with a waveform per lane. So templates are read in whole cache lines wherever each waveform's pulse
-//! stands, and a waveform's result has the same bits alone, among others, and on every [`Path`].
+//! Samples lie along the vectors, and each waveform's dot products are sums over its own row. Only
+//! the small linear systems are solved with one waveform per lane. Templates are therefore read in
+//! whole cache lines at any pulse position. The results of a waveform are identical to the bit
+//! alone, in any batch and on every [`Path`].
 //!
-//! A batch goes through detection ([`Candidate`]), the fit of all clusters of up to three pulses, a search of what they
-//! leave, and the score test of widened pulses. A background that is the waveform's own is estimated before detection, and
-//! brought to the joint optimum with the pulses behind their fits (`level`). What the fast kernels are not made for
-//! (saturation, a background without enough free samples, pulses wider than a row, large clusters, fits without an optimum,
-//! pulses that do not stand up) goes to the plain kernels, one waveform at a time: they decide, and are the oracle of the
-//! tests.
+//! A batch passes through detection ([`Candidate`]), the fit of all clusters of up to three pulses,
+//! a search of their residuals, and the score test of widened pulses. If each waveform has its own
+//! background, it is estimated before detection and brought to the joint optimum with the pulses
+//! after their fits (`level`). The scalar kernels take the waveforms that the SIMD kernels cannot
+//! decompose, one at a time: saturation, a background without enough free samples, pulses wider
+//! than a row, large clusters, fits without an optimum, and pulses that fail as returns. The scalar
+//! kernels are also the reference in the tests.
 //!
-//! The first samples of a block, as many as the noise's order, carry no weight in a fit, and count in chi-square as long as
-//! no pulse reaches them. After its start a [`Lockstep`] allocates nothing but room for more returns or longer blocks, two
-//! lists per batch of which a part is refined, and a little where pulses stand at the ends of blocks of changing length.
+//! The first samples of a block, as many as the order of the noise, have no weight in a fit. They
+//! count in chi-square if no pulse reaches them. After construction a [`Lockstep`] allocates only
+//! for more returns or longer blocks, two lists per batch of which a part is refined, and a little
+//! for pulses at the ends of blocks of varying length.
 
 #![allow(
     clippy::needless_range_loop,
@@ -24,7 +27,7 @@
     reason = "kernels are plain functions over tables, rows and scratch space"
 )]
 
-/// Straight code in the place of a short loop: what it runs over stays in registers.
+/// Unrolls a short loop, so that its arrays stay in registers.
 macro_rules! unrolled {
     ($i:ident in [$($n:literal)*] if $limit:expr => $body:block) => {
         $(if $n < $limit {
@@ -80,21 +83,23 @@ use outcome::{Finish, Give};
 use rows::{BATCH, FAST_BATCH};
 use scene::{Scene, Way};
 
-/// A deviation ratio beyond this calls for refinement.
+/// Deviation ratio above which a waveform is refined.
 const DEVIANT: f64 = 3.0;
 
-/// How thoroughly waveforms are decomposed.
+/// Thoroughness of the decomposition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mode {
     /// One step from the width bank for each detected pulse.
     Fastest,
-    /// The same where pulses do not overlap; a joint fit where they do.
+    /// As `Fastest` for separate pulses; a joint fit for overlapping ones.
     FastSeparated,
-    /// All pulses fitted to the optimum, what they leave searched, and widened pulses tested for two.
+    /// Fits all pulses to the optimum.
+    ///
+    /// Searches the residuals, and tests widened pulses for two.
     Refined,
 }
 
-/// Decomposes the waveforms of one channel; keeps its memory from one batch to the next.
+/// Decomposes the waveforms of one channel; reuses its memory between batches.
 pub struct Lockstep {
     model: ChannelModel,
     settings: DecomposeSettings,
@@ -105,14 +110,16 @@ pub struct Lockstep {
     limits: Limits,
     plain: Decomposer,
     work: Workspace,
-    /// The scenes of a first, fast look while some of its waveforms are refined.
+    /// Pulse models of the fast pass while some waveforms are refined.
     first_look: Vec<Scene>,
     left_to_plain: u64,
 }
 
 impl Lockstep {
-    /// For a channel and its tables: `None`, or what [`Tables::new`] gives for the same model. Without tables the plain
-    /// kernels do all the work.
+    /// Creates a decomposer for a channel and its tables.
+    ///
+    /// `tables` is `None` or the result of [`Tables::new`] for the same model. Without tables the
+    /// scalar kernels decompose all waveforms.
     pub fn new(
         model: &ChannelModel,
         tables: Option<Arc<Tables>>,
@@ -138,24 +145,28 @@ impl Lockstep {
         })
     }
 
-    /// Whether the fast modes refine waveforms whose pulses overlap or whose deviation ratio is beyond 3.
+    /// Enables refinement in the fast modes.
+    ///
+    /// Waveforms with overlapping pulses or a deviation ratio above 3 are refined.
     pub fn refine_when_needed(mut self, refine: bool) -> Lockstep {
         self.refine_when_needed = refine && self.mode != Mode::Refined;
         self
     }
 
-    /// The channel it decomposes.
+    /// Returns the model of its channel.
     pub fn model(&self) -> &ChannelModel {
         &self.model
     }
 
-    /// Waveforms that the plain kernels decomposed since the start.
+    /// Number of waveforms decomposed by the scalar kernels since construction.
     pub fn left_to_plain(&self) -> u64 {
         self.left_to_plain
     }
 
-    /// Finds the local maxima of the matched filter that reach the threshold, each with its block's index; `found` is
-    /// emptied first. Nothing without tables. Samples beyond 32 767 count as that.
+    /// Finds the matched-filter maxima that reach the threshold.
+    ///
+    /// Each maximum is stored in `found` with the index of its block; `found` is cleared first.
+    /// Without tables nothing is found. Samples above 32 767 count as 32 767.
     pub fn detect(&mut self, blocks: &[Block<'_>], found: &mut Vec<(u32, Candidate)>) {
         found.clear();
         let Some(tables) = self.tables.clone() else { return };
@@ -171,7 +182,9 @@ impl Lockstep {
         }
     }
 
-    /// Decomposes blocks; `outcomes` is emptied first, and then holds one outcome for each, in order.
+    /// Decomposes blocks into one outcome each, in order.
+    ///
+    /// `outcomes` is cleared first.
     pub fn decompose(&mut self, blocks: &[Block<'_>], outcomes: &mut Outcomes) {
         outcomes.clear();
         self.work.make_room(blocks);
@@ -221,7 +234,7 @@ impl Lockstep {
         }
     }
 
-    /// Refines the waveforms of a fast look that need it, and gives all in order.
+    /// Refines the waveforms of a fast pass that need it; outputs all in order.
     fn refine_some(&mut self, tables: &Tables, blocks: &[Block<'_>], outcomes: &mut Outcomes) {
         std::mem::swap(&mut self.first_look, &mut self.work.scenes);
         let (mut needy, mut which) = (Vec::with_capacity(blocks.len()), Vec::with_capacity(blocks.len()));
@@ -248,7 +261,8 @@ impl Lockstep {
             return false;
         }
         if scene.way == Way::Plain {
-            // One step on pulses that overlap leaves much of them to the level: what gave it up may do once it is refined.
+            // One step on overlapping pulses leaves much of their signal to the level. A waveform
+            // rejected for this reason may succeed once it is refined.
             return self.limits.level_response > 0.0;
         }
         let fwhm = self.model.fwhm_samples() as f32;

@@ -1,4 +1,4 @@
-//! A batch of waveforms from samples to fitted pulses.
+//! Processes a batch of waveforms from samples to fitted pulses.
 
 use super::Mode;
 use super::candidates::Candidates;
@@ -21,7 +21,7 @@ use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::{DecomposeSettings, Decomposer};
 use crate::kernels::flags;
 
-/// What a thread keeps from batch to batch.
+/// Buffers of one thread, reused from batch to batch.
 pub(super) struct Workspace {
     pub(super) rows: Rows,
     pub(super) columns: Columns,
@@ -29,33 +29,33 @@ pub(super) struct Workspace {
     pub(super) queues: Queues,
     pub(super) done: Results,
     pub(super) trials: Vec<Trial>,
-    /// Waveforms whose clusters are to be fitted.
+    /// Waveforms whose clusters need a fit.
     pub(super) due: Vec<usize>,
-    /// Those of them that have a cluster of the number at hand.
+    /// Waveforms of `due` that have a cluster of the current number.
     round: Vec<usize>,
-    /// Waveforms whose residual is still to be searched.
+    /// Waveforms whose residual still needs a search.
     pub(super) active: Vec<usize>,
-    /// Pulses that may be two: with their row, and their number in the waveform.
+    /// Rows and pulses that may be two; `suspect_numbers` holds their indices in the waveform.
     pub(super) suspects: Vec<(usize, Pulse)>,
     pub(super) suspect_numbers: Vec<usize>,
     pub(super) candidates: Vec<Candidates>,
-    /// Waveforms by the number of pulses that detection gave them.
+    /// Waveforms by number of detected pulses.
     by_count: ByCount,
     pub(super) squares: Vec<f32>,
-    /// Levels of trials, and the information on them that pulses take up.
+    /// Levels of trials, DN, and the information on them absorbed by the pulses, 1/DN².
     pub(super) levels: Vec<[f32; 2]>,
-    /// Rows to be summed.
+    /// Rows to sum over.
     pub(super) which: Vec<usize>,
-    /// Single pulses that begin with the width bank.
+    /// Single pulses that start from the width bank.
     singles: Vec<Job<1>>,
-    /// The numbers of these pulses in their waveforms.
+    /// Indices of these pulses in their waveforms.
     single_tags: Vec<usize>,
     pub(super) scores: Vec<(f32, bool)>,
-    /// Pulses that one step is not made for: rows and numbers.
+    /// Rows and indices of pulses that one step cannot handle.
     to_fit: Vec<(usize, usize)>,
 }
 
-/// Blocks up to so many samples are decomposed in lock-step.
+/// Largest block decomposed in lock-step, samples.
 const MAX_SAMPLES: usize = 4096;
 
 impl Workspace {
@@ -95,7 +95,7 @@ impl Workspace {
     }
 }
 
-/// The batch's work: at most [`BATCH`] blocks in, scenes in the workspace out.
+/// Processes at most [`BATCH`] blocks into pulse models in the workspace.
 pub(super) struct Decompose<'a> {
     pub(super) on: Processor,
     pub(super) tables: &'a Tables,
@@ -104,17 +104,19 @@ pub(super) struct Decompose<'a> {
     pub(super) settings: &'a DecomposeSettings,
     pub(super) mode: Mode,
     pub(super) full_scale_dn: f64,
-    /// Whether the background is so high that a sample of 0 has been cut off.
+    /// Whether the background is so high that a sample of 0 is clipped.
     pub(super) clear_of_zero: bool,
     pub(super) work: &'a mut Workspace,
     pub(super) blocks: &'a [Block<'a>],
 }
 
-/// Steps of level and pulses, with fits between them where pulses had to move far.
+/// Maximum number of joint steps of level and pulses.
+///
+/// Pulses that moved far are fitted between the steps.
 const LEVEL_ROUNDS: usize = 3;
 
 impl Decompose<'_> {
-    /// Does the work.
+    /// Processes the batch.
     pub(super) fn run(mut self) {
         self.work.scenes.resize_with(self.blocks.len(), Scene::default);
         self.work.by_count.clear();
@@ -135,10 +137,11 @@ impl Decompose<'_> {
             Mode::Refined => {
                 self.set_all_due();
                 self.fit_clusters(1);
-                // Again, to what the fitted neighbours leave.
+                // Repeated on the residuals of the fitted neighbours.
                 self.keep_due(2);
                 self.fit_clusters(1);
-                // Once more where places and widths now make other clusters than those that were fitted.
+                // Repeated if the new positions and widths result in other clusters than those
+                // fitted.
                 self.keep_due(MAX_PULSES + 1);
                 self.fit_clusters(1);
             }
@@ -152,7 +155,7 @@ impl Decompose<'_> {
             return;
         }
         let Workspace { scenes, which, .. } = &mut *self.work;
-        // Without a branch that depends on the waveform.
+        // Without branches that depend on the waveform.
         which.resize(scenes.len(), 0);
         let mut count = 0;
         for (row, scene) in scenes.iter().enumerate() {
@@ -172,8 +175,10 @@ impl Decompose<'_> {
         self.set_levels_of_which();
     }
 
-    /// Brings level and pulses to their joint optimum where they are not, of the waveforms in `which`; in the refined mode with
-    /// another fit where pulses had to move far.
+    /// Brings level and pulses of the waveforms in `which` to their joint optimum.
+    ///
+    /// Waveforms already there are skipped. In the refined mode, pulses that moved far are fitted
+    /// again.
     pub(super) fn set_levels_of_which(&mut self) {
         let Some(level) = &self.tables.level else { return };
         let follows = self.mode == Mode::Refined;
@@ -197,8 +202,10 @@ impl Decompose<'_> {
         self.tables.fwhm_samples as f32
     }
 
-    /// Loads, filters and whitens the blocks from one on, and starts a scene for each with its candidates: as many as stay in
-    /// the cache for what follows.
+    /// Loads, filters and whitens blocks and creates their pulse models.
+    ///
+    /// Processes [`FAST_BATCH`] blocks from `first` on, so that their data stay in the cache. The
+    /// pulse models start with the candidates.
     fn detect(&mut self, first: usize) {
         let some = first..(first + FAST_BATCH).min(self.blocks.len());
         let Workspace { rows, columns, scenes, by_count, .. } = &mut *self.work;
@@ -212,7 +219,7 @@ impl Decompose<'_> {
         self.on.run(DetectAll { tables, rows, columns, blocks, first, begin, scenes, by_count });
     }
 
-    /// Fits the waveforms of one pulse, but for so many that have been fitted before.
+    /// Fits the waveforms of one pulse, except the first `done` of them.
     fn fit_singles(&mut self, done: usize) {
         let Workspace { rows, scenes, by_count, which, due: moved, .. } = &mut *self.work;
         which.clear();
@@ -224,7 +231,7 @@ impl Decompose<'_> {
         }
     }
 
-    /// The clusters of all waveforms are to be fitted that are not settled.
+    /// Marks the clusters of all unsettled waveforms as due.
     fn set_all_due(&mut self) {
         let Workspace { due, scenes, .. } = &mut *self.work;
         due.clear();
@@ -232,7 +239,9 @@ impl Decompose<'_> {
         self.keep_due(1);
     }
 
-    /// Of the waveforms that are due those stay so that have at least so many clusters, or others than before.
+    /// Keeps the due waveforms with enough clusters or with changed clusters.
+    ///
+    /// `clusters` is the required number of clusters.
     fn keep_due(&mut self, clusters: usize) {
         let fwhm = self.fwhm();
         let Workspace { due, scenes, .. } = &mut *self.work;
@@ -244,7 +253,7 @@ impl Decompose<'_> {
         });
     }
 
-    /// Takes all pulses off their waveform's row, where they are not yet.
+    /// Subtracts all pulses from their waveform's row, unless already done.
     fn take_off_all(&mut self, row: usize) {
         let scene = &mut self.work.scenes[row];
         if !scene.taken_off {
@@ -255,8 +264,10 @@ impl Decompose<'_> {
         }
     }
 
-    /// One step on each pulse, or on those that overlap no other: the first of each waveform, then the second, and so on. Then
-    /// the few that one step is not made for are fitted, together.
+    /// Makes one step on each pulse, or on each pulse without overlap.
+    ///
+    /// Processes the first pulse of each waveform, then the second, and so on. Pulses that one step
+    /// cannot handle are few; they are fitted together at the end.
     fn step_each(&mut self, separated: bool) {
         let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
         let Workspace { rows, scenes, by_count, which, to_fit, .. } = &mut *self.work;
@@ -268,7 +279,7 @@ impl Decompose<'_> {
             }
         }
         let to_fit = std::mem::take(&mut self.work.to_fit);
-        // One of a waveform at a time: they are in the order of their numbers.
+        // One pulse per waveform at a time: `to_fit` is ordered by index.
         for to_fit in to_fit.chunk_by(|a, b| a.1 == b.1) {
             for &(row, number) in to_fit {
                 let Workspace { rows, scenes, queues, .. } = &mut *self.work;
@@ -283,8 +294,9 @@ impl Decompose<'_> {
         self.work.to_fit = to_fit;
     }
 
-    /// Fits the clusters of at least so many pulses in the waveforms that are due: the first of each waveform, then the
-    /// second, and so on.
+    /// Fits the clusters of at least `least` pulses in the due waveforms.
+    ///
+    /// Processes the first cluster of each waveform, then the second, and so on.
     pub(super) fn fit_clusters(&mut self, least: usize) {
         let mut singles = std::mem::take(&mut self.work.singles);
         let mut tags = std::mem::take(&mut self.work.single_tags);
@@ -321,8 +333,10 @@ impl Decompose<'_> {
         (self.work.singles, self.work.single_tags, self.work.round) = (singles, tags, round);
     }
 
-    /// Puts a cluster back on its row and in its queue; gives it back where it is one pulse that has never been fitted, and
-    /// whose start values the bank is to find.
+    /// Adds a cluster back to its row and queues its fit.
+    ///
+    /// Returns the job instead of queuing it for a single pulse that was never fitted: the width
+    /// bank must find its start values.
     fn queue_cluster(&mut self, row: usize, cluster: std::ops::Range<usize>) -> Option<Job<1>> {
         if self.work.scenes[row].taken_off || cluster.len() < self.work.scenes[row].pulses().len() {
             self.take_off_all(row);
@@ -345,7 +359,7 @@ impl Decompose<'_> {
         None
     }
 
-    /// Does the jobs that wait, and takes their pulses off the rows.
+    /// Runs the queued fits and subtracts their pulses from the rows.
     fn run_clusters(&mut self) {
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
         let work = &mut *self.work;
@@ -354,7 +368,8 @@ impl Decompose<'_> {
             let fitted = work.done.pulses(done);
             let scene = &mut work.scenes[done.row];
             scene.taken_off |= fitted.len() == scene.pulses().len();
-            // Without an optimum the pulse counts as not fitted: another may join it, or the plain kernels decide.
+            // Without an optimum the pulse counts as not fitted: another may join it, or the scalar
+            // kernels take the waveform.
             let settled = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
             if !fitted.iter().all(FittedPulse::is_held) {
                 scene.beyond += done.beyond;
@@ -366,7 +381,7 @@ impl Decompose<'_> {
                 if !settled {
                     pulse.flags |= flags::DIVERGED;
                 }
-                // The fast modes let it stand as it is.
+                // The fast modes accept the pulse as it is.
                 let stays = settled || (fitted.is_known() && self.mode != Mode::Refined);
                 pulse.sds = if stays { fitted.sds } else { [0.0; 3] };
             }
@@ -374,7 +389,7 @@ impl Decompose<'_> {
         take_off(self.on, self.tables, &mut work.rows, &work.done);
     }
 
-    /// Chi-square of the waveforms in `which`, whose pulses have been taken off.
+    /// Computes chi-square of the waveforms in `which`, whose pulses are subtracted.
     pub(super) fn sum_squares(&mut self) {
         let Workspace { rows, scenes, squares, which, .. } = &mut *self.work;
         self.on.run(ChiSquares { rows, which, out: squares });
@@ -385,7 +400,7 @@ impl Decompose<'_> {
     }
 }
 
-/// Chi-square of rows.
+/// Computes chi-square of rows.
 pub(super) struct ChiSquares<'a> {
     pub(super) rows: &'a Rows,
     pub(super) which: &'a [usize],

@@ -1,4 +1,4 @@
-//! Detection: local maxima of the matched filter, and which of them may be pulses.
+//! Detection: local maxima of the matched filter, and selection of pulse candidates.
 
 use std::ops::Range;
 
@@ -7,15 +7,16 @@ use super::scene::MAX_PULSES;
 use super::vector::Simd;
 use crate::kernels::rules::{DIP_PART, TOLD_WIDTHS};
 
-/// Candidates of one waveform that are held; a waveform with more is left to the plain kernels.
+/// Maximum number of candidates per waveform; waveforms with more go to the scalar kernels.
 const MAX_CANDIDATES: usize = MAX_PULSES;
 
 /// A local maximum of the matched filter.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Candidate {
-    /// Vertex of the parabola through the maximum and its neighbours, samples from the block's first.
+    /// Vertex of the parabola through the maximum and its neighbours, samples from the block's
+    /// first.
     pub position_samples: f32,
-    /// The statistic at the maximum's sample, in units of its own noise.
+    /// Statistic at the sample of the maximum, in standard deviations of its noise.
     pub statistic: f32,
 }
 
@@ -24,16 +25,16 @@ pub struct Candidate {
 pub(super) struct Candidates {
     all: [Candidate; MAX_CANDIDATES],
     count: usize,
-    /// Candidates that were found, those screened out later included.
+    /// Number of candidates found, including those screened out later.
     pub(super) found: usize,
-    /// Whether there were more than are held.
+    /// Whether more were found than fit.
     pub(super) too_many: bool,
-    /// The lowest and the highest sample of the block.
+    /// Lowest and highest sample of the block.
     pub(super) extremes: [u16; 2],
 }
 
 impl Candidate {
-    /// The maximum of a lane at a position.
+    /// Interpolates the maximum of a lane at a position.
     #[inline(always)]
     fn at(columns: &Columns, lane: usize, position: usize) -> Candidate {
         let [left, centre, right] = columns.around(lane, position);
@@ -59,7 +60,9 @@ impl Candidates {
         &self.all[..self.count]
     }
 
-    /// Takes the maxima of a lane, from left to right, those without a dip between them being one.
+    /// Finds the maxima of a lane from left to right.
+    ///
+    /// Maxima without a dip between them are merged.
     #[inline(always)]
     pub(super) fn find<S: Simd>(&mut self, s: S, columns: &Columns, lane: usize, threshold: f32) {
         (self.count, self.found, self.too_many) = (0, 0, false);
@@ -93,8 +96,10 @@ impl Candidates {
         self.found = self.count;
     }
 
-    /// Drops those below a threshold, but for the last one behind others, which may have another. They are in order of
-    /// position.
+    /// Drops candidates below a threshold.
+    ///
+    /// Keeps the last one if others reach the threshold, because the last return may have its own
+    /// threshold. Candidates must be in order of position.
     pub(super) fn drop_weak(&mut self, threshold: f32) {
         let last = self.count.saturating_sub(1);
         let others = self.all[..last].iter().any(|c| c.statistic >= threshold);
@@ -108,8 +113,10 @@ impl Candidates {
         (self.count, self.found) = (kept, kept);
     }
 
-    /// Drops what is no more than stronger candidates leave behind them; `per_dn` is the statistic of a pulse of height 1.
-    /// They are in order of position.
+    /// Drops candidates explained by the filter response of stronger ones.
+    ///
+    /// `per_dn` is the statistic of a pulse of height 1 DN. Candidates must be in order of
+    /// position.
     #[inline(always)]
     pub(super) fn screen(&mut self, threshold: f32, left: &LeftBehind, per_dn: f32) {
         if self.count < 2 {
@@ -141,7 +148,7 @@ impl Candidates {
         self.sort_by_position();
     }
 
-    /// Keeps the strongest where there are more than so many. They are in order of position.
+    /// Keeps the strongest `most` candidates, in order of position.
     #[inline(always)]
     pub(super) fn keep_strongest(&mut self, most: usize) {
         if self.count > most {
@@ -160,18 +167,18 @@ impl Candidates {
     }
 }
 
-/// The statistic that a pulse of height 1 leaves behind itself.
+/// Filter response after a pulse of height 1 DN: the statistic by lag.
 pub(super) struct LeftBehind {
-    /// By whole sample behind the peak.
+    /// By whole samples after the peak.
     echo: Vec<f32>,
-    /// From so many samples on; what is nearer is told by its own maximum.
+    /// Lag from which it counts, samples; closer candidates are distinguished by their own maximum.
     from_samples: f32,
-    /// The greatest value from there on.
+    /// Maximum from that lag on.
     most: f32,
 }
 
 impl LeftBehind {
-    /// `echo` is the statistic by whole sample behind the peak.
+    /// Creates it from the statistic by whole samples after the peak.
     pub(super) fn new(echo: Vec<f32>, fwhm_samples: f64) -> LeftBehind {
         let from_samples = TOLD_WIDTHS as f32 * fwhm_samples as f32;
         let behind = echo.get(from_samples as usize..).unwrap_or_default();
@@ -189,12 +196,12 @@ impl LeftBehind {
     }
 }
 
-/// Whether the statistic between two maxima falls so far below the lower one.
+/// Whether the statistic between two maxima falls `depth` below the lower one.
 #[inline(always)]
 fn dips(columns: &Columns, lane: usize, maxima: Range<usize>, depth: f32) -> bool {
     let at = |position| columns.statistic(lane, position);
     let least = at(maxima.start).min(at(maxima.end)) - depth;
-    // Mostly the middle tells already.
+    // Checks the middle first, because it usually decides.
     let middle = maxima.start.midpoint(maxima.end);
     at(middle) <= least || maxima.rev().any(|position| at(position) <= least)
 }

@@ -1,8 +1,8 @@
-//! Sixteen waveforms as columns, for what is done at every sample: a row of memory is one sample number, a lane one
-//! waveform.
+//! Sixteen waveforms as columns, for operations on every sample.
 //!
-//! Here whitening and the matched filter need no value twice from memory, and no shuffle. Every operation on a lane looks
-//! at that lane alone, and adds in the same order wherever the waveform stands.
+//! A row of memory is one sample number, a lane one waveform. Whitening and the matched filter
+//! therefore read each value from memory once and need no shuffle. Every operation on a lane uses
+//! that lane alone and adds in the same order in every lane.
 
 use super::filter::{HIGHEST, POSITIONS, sums};
 use super::rows::{CHUNK, Rows};
@@ -11,28 +11,30 @@ use super::vector::{LANES, Simd, Sixteen};
 
 mod levels;
 
-/// Empty rows before the first sample: what the filter reads there.
+/// Zero rows before the first sample, read by the filter.
 const BEFORE: usize = 16;
-/// Empty rows behind the last sample.
+/// Zero rows after the last sample.
 const BEHIND: usize = 32;
-/// Samples that are loaded at a time: two for each lane.
+/// Samples loaded at a time: two per lane.
 const PAIRS: usize = 2 * LANES;
 
-/// The scratch space of one thread for sixteen waveforms.
+/// Buffers of one thread for sixteen waveforms.
 pub(super) struct Columns {
     capacity: usize,
-    /// Two samples in each lane, up to [`HIGHEST`], the first two at half of `BEFORE`.
+    /// Two samples per lane, at most [`HIGHEST`]; the first two are at row `BEFORE / 2`.
     pairs: Aligned,
-    /// Residuals, that of sample 0 at `BEFORE`.
+    /// Residuals; that of sample 0 is at row `BEFORE`.
     residuals: Aligned,
-    /// Rows of both behind which there is nothing.
+    /// Number of rows of `pairs` and `residuals` that may be non-zero.
     filled_pairs: usize,
     filled_residuals: usize,
-    /// The statistic, position 0 at row 1.
+    /// Detection statistic; position 0 is at row 1.
     statistic: Aligned,
     lengths: [usize; LANES],
     longest: usize,
-    /// Background of the waveform minus that of the channel, DN, and its variance; both 0 for a fixed background.
+    /// Background of the waveform minus that of the channel, DN, and its variance, DN².
+    ///
+    /// Both are 0 for a fixed background.
     level_dn: Sixteen,
     level_variance: Sixteen,
     /// Lanes with a local maximum, by position.
@@ -40,7 +42,7 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// For blocks of up to `capacity` samples, a multiple of [`CHUNK`].
+    /// Creates buffers for blocks of up to `capacity` samples, a multiple of [`CHUNK`].
     pub(super) fn new(capacity: usize) -> Columns {
         Columns {
             capacity,
@@ -57,8 +59,9 @@ impl Columns {
         }
     }
 
-    /// Takes up to sixteen blocks, of each at most the capacity; missing blocks are empty. Gives the lowest and the highest
-    /// sample of each.
+    /// Loads up to sixteen blocks; returns the lowest and highest sample of each.
+    ///
+    /// Blocks are cut at the capacity. Missing blocks are empty.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&mut self, s: S, blocks: &[&[u16]]) -> [[u16; 2]; LANES] {
         let mut of_lane: [&[u16]; LANES] = [&[]; LANES];
@@ -74,7 +77,7 @@ impl Columns {
         let (mut lowest, mut highest) = (s.splat_pair([u16::MAX, u16::MAX]), nothing);
         let limit = s.splat_pair([HIGHEST, HIGHEST]);
         for start in (0..self.longest).step_by(PAIRS) {
-            // The last ones once more in part, rather than some with nothing behind.
+            // The last group overlaps the one before instead of reading past the end.
             let start = if alike { start.min(n - PAIRS) } else { start };
             let mut pairs =
                 if alike { whole_pairs(s, &of_lane, start) } else { padded_pairs(s, &of_lane, start) };
@@ -84,7 +87,7 @@ impl Columns {
                 let pair = pairs[k];
                 let mut least = pair;
                 if !alike {
-                    // What stands behind a block is no low sample.
+                    // The padding after a block must not count as low samples.
                     let first = s.gt(lengths, s.splat((start + 2 * k) as f32));
                     let second = s.gt(lengths, s.splat((start + 2 * k + 1) as f32));
                     let behind = s.select(second, nothing, s.splat_pair([0, u16::MAX]));
@@ -102,7 +105,7 @@ impl Columns {
         std::array::from_fn(|w| [low[w] as u16, high[w] as u16])
     }
 
-    /// Takes the residuals of sixteen rows.
+    /// Loads the residuals of sixteen rows.
     #[inline(always)]
     pub(super) fn load_residuals<S: Simd>(&mut self, s: S, rows: &Rows, which: &[usize; LANES]) {
         self.set_lengths(which.map(|row| rows.length(row)));
@@ -126,11 +129,13 @@ impl Columns {
         self.longest = lengths.into_iter().max().unwrap_or(0).min(self.capacity);
     }
 
-    /// Whitens the samples into the residuals from row `first` on. The first samples, as many as the noise's order, have a
-    /// whitening of their own, in which pulses are not taken off: they count as long as no pulse reaches them.
+    /// Whitens the samples into the residuals from row `first` on.
+    ///
+    /// The first samples, as many as the order of the noise, have their own whitening. Pulses are
+    /// not subtracted from them, so they count only if no pulse reaches them.
     #[inline(always)]
     pub(super) fn whiten<S: Simd>(&self, s: S, tables: &Tables, rows: &mut Rows, first: usize, count: usize) {
-        // Noise of a low order leaves the last taps empty.
+        // The last taps are zero for noise of low order.
         if tables.order <= MAX_ORDER / 2 {
             self.whiten_by::<S, { MAX_ORDER / 2 }>(s, tables, rows, first, count);
         } else {
@@ -193,10 +198,10 @@ impl Columns {
         rows.end_residuals(s, first, &self.lengths, count);
     }
 
-    /// Computes the statistic of every position of samples.
+    /// Computes the statistic at every position from the samples.
     #[inline(always)]
     pub(super) fn filter_samples<S: Simd>(&mut self, s: S, tables: &Tables) {
-        // Noise of a low order leaves the first taps empty.
+        // The first taps are zero for noise of low order.
         if tables.order <= MAX_ORDER / 2 {
             self.filter_pairs::<S, { TAPS - MAX_ORDER / 2 }>(s, tables);
         } else {
@@ -230,7 +235,7 @@ impl Columns {
         self.end_statistic(at);
     }
 
-    /// Computes the statistic of every position of whitened residuals.
+    /// Computes the statistic at every position from the whitened residuals.
     #[inline(always)]
     pub(super) fn filter_residuals<S: Simd>(&mut self, s: S, tables: &Tables) {
         const EARLIER: usize = FILTER_BEFORE as usize;
@@ -255,14 +260,14 @@ impl Columns {
         self.end_statistic(at);
     }
 
-    /// The lengths of the waveforms, and the least.
+    /// Returns the lengths of the waveforms and the shortest of them.
     #[inline(always)]
     fn ends<S: Simd>(&self, s: S) -> (S::V, usize) {
         let lengths: Sixteen = std::array::from_fn(|w| self.lengths[w] as f32);
         (s.load(&lengths), self.lengths.into_iter().min().unwrap_or(0))
     }
 
-    /// Nothing stands at the position behind those that have been filtered.
+    /// Clears the statistic at the position after the filtered ones.
     #[inline(always)]
     fn end_statistic(&mut self, at: usize) {
         if let Some(behind) = self.statistic.as_mut_slice().get_mut((1 + at) * LANES..) {
@@ -290,20 +295,22 @@ impl Columns {
         }
     }
 
-    /// The marked positions of a lane: the first position of sixty-four, and a bit for each.
+    /// Returns the marked positions of a lane.
+    ///
+    /// Each item is the first of 64 positions and one bit for each of them.
     #[inline(always)]
     pub(super) fn maxima<S: Simd>(&self, s: S, lane: usize) -> impl Iterator<Item = (usize, u64)> {
         let chunks = self.masks.iter().take(self.lengths[lane].div_ceil(CHUNK)).enumerate();
         chunks.map(move |(chunk, masks)| (chunk * CHUNK, s.lane_bits(masks, lane)))
     }
 
-    /// The statistic of a lane at a position; 0 outside.
+    /// Returns the statistic of a lane at a position; 0 outside.
     #[inline(always)]
     pub(super) fn statistic(&self, lane: usize, position: usize) -> f32 {
         self.statistic.as_slice().get((1 + position) * LANES + lane).copied().unwrap_or(0.0)
     }
 
-    /// The statistic of a lane before a position, at it and behind it.
+    /// Returns the statistic of a lane before, at and after a position.
     #[inline(always)]
     pub(super) fn around(&self, lane: usize, position: usize) -> [f32; 3] {
         match rows_from::<3>(&self.statistic, position) {
@@ -313,7 +320,9 @@ impl Columns {
     }
 }
 
-/// Empties the rows behind those that are kept, as far as they are filled. Then a load may fill up to sixteen more than kept.
+/// Clears the filled rows after `kept`.
+///
+/// The next load may fill up to sixteen rows more than `kept`.
 #[inline(always)]
 fn empty_behind(rows: &mut Aligned, kept: usize, filled: &mut usize) {
     if *filled > kept {
@@ -322,7 +331,9 @@ fn empty_behind(rows: &mut Aligned, kept: usize, filled: &mut usize) {
     *filled = kept + LANES;
 }
 
-/// Sums of the taps over eight windows, each a sample later. Every input is read once and meets the taps that it has to.
+/// Sums of the taps over eight windows, each one sample later.
+///
+/// Every input is read once and multiplied with all taps that need it.
 #[inline(always)]
 fn filtered<S: Simd>(
     s: S,
@@ -341,7 +352,7 @@ fn filtered<S: Simd>(
     sums
 }
 
-/// Consecutive rows of sixteen.
+/// Returns `N` consecutive rows of sixteen.
 #[inline(always)]
 fn rows_from<const N: usize>(of: &Aligned, row: usize) -> Option<&[Sixteen; N]> {
     of.as_slice().as_chunks::<LANES>().0.get(row..)?.first_chunk()
@@ -352,7 +363,7 @@ fn rows_from_mut<const N: usize>(of: &mut Aligned, row: usize) -> Option<&mut [S
     of.as_mut_slice().as_chunks_mut::<LANES>().0.get_mut(row..)?.first_chunk_mut()
 }
 
-/// Samples of each block from `start` on, of which there are enough.
+/// Loads the samples of each block from `start` on; all blocks must be long enough.
 #[inline(always)]
 fn whole_pairs<S: Simd>(s: S, blocks: &[&[u16]; LANES], start: usize) -> [S::V; LANES] {
     let mut pairs = [s.splat(0.0); LANES];
@@ -363,7 +374,7 @@ fn whole_pairs<S: Simd>(s: S, blocks: &[&[u16]; LANES], start: usize) -> [S::V; 
     pairs
 }
 
-/// The same of blocks that may end before; zeros behind the last sample.
+/// Loads the samples of blocks that may end earlier; zeros after the last sample.
 #[inline(always)]
 fn padded_pairs<S: Simd>(s: S, blocks: &[&[u16]; LANES], start: usize) -> [S::V; LANES] {
     let mut pairs = [s.splat(0.0); LANES];
@@ -399,8 +410,8 @@ mod tests {
         }
     }
 
-    /// Blocks of all lengths in one vector: extremes, whitening and statistic as their formulas say, in every lane and on
-    /// every path, whatever stood there before.
+    /// Blocks of all lengths in one vector: extremes, whitening and statistic follow their formulas
+    /// in every lane, on every path and with any previous contents.
     #[test]
     fn every_lane_is_filtered_by_itself() {
         for coefficients in [&[0.6][..], &[0.5, -0.2, 0.1, 0.05]] {
@@ -445,7 +456,7 @@ mod tests {
             let sum: f64 = matched.map(|(i, value)| f64::from(*value) * white(first + i as isize)).sum();
             let [scale, _] =
                 tables.filter.scale_and_level(k, (block.len() - k).min(LANES - 1)).map(f64::from);
-            // Each tap may be rounded by a half.
+            // Each tap may be rounded by 0.5.
             let samples = k as isize - TAPS_BEFORE as isize..(k + TAPS - TAPS_BEFORE) as isize;
             let rounding: f64 = samples.map(|i| 0.5 * scale * at(i).abs()).sum();
             let (found, expected) = (f64::from(columns.statistic(w, k)), scale * sum);
@@ -458,6 +469,6 @@ mod tests {
             }
         }
         assert_eq!(rows.length(w), block.len());
-        assert_eq!(*rows.residual_sixteen(w, block.len()), [0.0; LANES], "nothing stands behind a block");
+        assert_eq!(*rows.residual_sixteen(w, block.len()), [0.0; LANES], "values after a block are 0");
     }
 }

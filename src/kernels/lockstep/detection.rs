@@ -1,4 +1,4 @@
-//! Detection: sixteen waveforms at a time from samples to candidates, and to the scenes that begin with them.
+//! Detection of sixteen waveforms at a time, from samples to initial pulse models.
 
 use super::candidates::Candidates;
 use super::columns::Columns;
@@ -10,7 +10,7 @@ use super::vector::{Kernel, LANES, Simd};
 use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::{Counts, DecomposeSettings};
 
-/// Loads and filters blocks, and finds the candidates of each.
+/// Loads and filters blocks and finds the candidates of each.
 pub(super) struct Detect<'a> {
     pub(super) tables: &'a Tables,
     pub(super) columns: &'a mut Columns,
@@ -25,7 +25,7 @@ impl Kernel for Detect<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let Detect { tables, columns, threshold, out, .. } = self;
-        // In place: what is written value by value and read at once as a whole is slow.
+        // In place: reading a value as a whole right after writing it by parts is slow.
         out.resize_with(self.blocks.len(), Candidates::default);
         let groups = self.blocks.chunks(LANES).zip(out.chunks_mut(LANES));
         for (group, (blocks, out)) in groups.enumerate() {
@@ -36,7 +36,7 @@ impl Kernel for Detect<'_> {
     }
 }
 
-/// Asks for the samples of a group while another is worked on: they come as a stream, and once.
+/// Prefetches the samples of the next group, which are read once, in sequence.
 #[inline(always)]
 fn fetch<S: Simd>(s: S, blocks: &[Block<'_>], group: usize) {
     for block in blocks.iter().skip(group * LANES).take(LANES) {
@@ -44,8 +44,9 @@ fn fetch<S: Simd>(s: S, blocks: &[Block<'_>], group: usize) {
     }
 }
 
-/// Takes up to sixteen blocks, and gives the lowest and the highest sample of each; with the level of each where the
-/// background is the waveform's own.
+/// Loads up to sixteen blocks; returns the lowest and highest sample of each.
+///
+/// Also estimates the level of each block if waveforms have their own background.
 #[inline(always)]
 fn load<S: Simd>(s: S, tables: &Tables, columns: &mut Columns, blocks: &[Block<'_>]) -> [[u16; 2]; LANES] {
     let mut samples: [&[u16]; LANES] = [&[]; LANES];
@@ -59,7 +60,7 @@ fn load<S: Simd>(s: S, tables: &Tables, columns: &mut Columns, blocks: &[Block<'
     extremes
 }
 
-/// The candidates of blocks that are loaded.
+/// Finds the candidates of loaded blocks.
 #[inline(always)]
 fn detect<S: Simd>(
     s: S,
@@ -77,22 +78,24 @@ fn detect<S: Simd>(
     }
 }
 
-/// Detection on a batch's blocks, with a scene of its candidates for each.
+/// Detects pulses in the blocks of a batch and creates their pulse models.
 pub(super) struct DetectAll<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a mut Rows,
     pub(super) columns: &'a mut Columns,
-    /// Their rows are those from `first` on.
+    /// Blocks of the rows from `first` on.
     pub(super) blocks: &'a [Block<'a>],
     pub(super) first: usize,
     pub(super) begin: Begin<'a>,
     pub(super) scenes: &'a mut [Scene],
-    /// The waveforms by their number of pulses. What goes on with a number of them at a time loops as often for each: that
-    /// the processor foresees.
+    /// Waveforms by number of pulses.
+    ///
+    /// Later loops over waveforms with the same number of pulses have a constant trip count, which
+    /// the processor predicts.
     pub(super) by_count: &'a mut ByCount,
 }
 
-/// Waveforms of a batch by their number of pulses.
+/// Waveforms of a batch by number of pulses.
 pub(super) struct ByCount {
     rows: Vec<[u32; BATCH]>,
     lengths: [usize; MAX_PULSES + 1],
@@ -107,7 +110,7 @@ impl ByCount {
         self.lengths = [0; MAX_PULSES + 1];
     }
 
-    /// Adds a waveform of so many pulses.
+    /// Adds a waveform with `count` pulses.
     #[inline(always)]
     fn push(&mut self, count: usize, row: usize) {
         let (Some(rows), Some(length)) = (self.rows.get_mut(count), self.lengths.get_mut(count)) else {
@@ -119,12 +122,12 @@ impl ByCount {
         }
     }
 
-    /// How many waveforms have so many pulses.
+    /// Returns the number of waveforms with `count` pulses.
     pub(super) fn count(&self, count: usize) -> usize {
         self.lengths[count]
     }
 
-    /// The waveforms with so many pulses, in order.
+    /// Returns the waveforms with `count` pulses, in order.
     pub(super) fn rows(&self, count: usize) -> impl Iterator<Item = usize> {
         self.rows[count][..self.lengths[count]].iter().map(|&row| row as usize)
     }
@@ -161,18 +164,18 @@ impl Kernel for DetectAll<'_> {
     }
 }
 
-/// What candidates become pulses.
+/// Selects the candidates that become pulses.
 pub(super) struct Begin<'a> {
     pub(super) limits: &'a Limits,
     pub(super) settings: &'a DecomposeSettings,
-    /// Samples from this one on are cut off.
+    /// Samples from this value on are clipped.
     pub(super) saturated: u16,
-    /// Whether the background is so high that a sample of 0 has been cut off.
+    /// Whether the background is so high that a sample of 0 is clipped.
     pub(super) clear_of_zero: bool,
 }
 
 impl Begin<'_> {
-    /// The first pulses of a waveform: its candidates.
+    /// Initialises the pulses of a waveform from its candidates.
     #[inline(always)]
     fn begin(&self, block: &Block<'_>, capacity: usize, found: &mut Candidates, scene: &mut Scene) {
         let Begin { limits, settings, .. } = self;
@@ -202,7 +205,7 @@ impl Begin<'_> {
     }
 }
 
-/// The candidates in what the pulses of some waveforms leave.
+/// Finds the candidates in the residuals of some waveforms.
 pub(super) struct Search<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,

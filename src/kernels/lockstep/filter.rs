@@ -1,43 +1,54 @@
-//! Whitening and matched filter in one, on samples as they come: in whole numbers.
+//! Whitening and matched filter in one, on raw samples in integers.
 //!
-//! Two products of 16 bits and their sum are one instruction: half as many as in `f32`, and the sum is exact in any order.
-//! Scaled to the full range, the taps are rounded by less than 2e-4 of the largest.
+//! Two products of 16 bits and their sum take one instruction: half as many as in `f32`, and the
+//! sum is exact in any order. The taps are scaled to the full range and rounded by less than 2e-4
+//! of the largest.
 
 use std::ops::Range;
 
 use super::tables::{TAPS, TAPS_BEFORE};
 use super::vector::{LANES, Simd, Sixteen};
 
-/// Samples from here on are filtered as this one: the largest that 16 bits hold with a sign.
+/// Larger samples are filtered as this value: the largest signed number of 16 bits.
 pub(super) const HIGHEST: u16 = i16::MAX.cast_unsigned();
-/// The magnitudes of the taps add up to less than this: no sum of products with samples leaves 32 bits.
+/// Upper limit of the sum of the taps' magnitudes.
+///
+/// It keeps all sums of products with samples within 32 bits.
 const TAPS_SUM: f64 = 65_000.0;
-/// Positions that are filtered at a time: their sums and the taps are what registers hold.
+/// Positions filtered at a time: their sums and the taps fit into the registers.
 pub(super) const POSITIONS: usize = 8;
-/// Pairs of samples that these positions' windows reach over.
+/// Pairs of samples in the windows of these positions.
 pub(super) const WINDOW: usize = (TAPS + POSITIONS) / 2;
 
-/// The filter of unit output variance, and what stands for the background and for the samples that a block's edges leave out.
+/// Filter of unit output variance, with corrections for background and block edges.
 pub(super) struct Filter {
-    /// By tap, in units of `scale`.
+    /// Taps in units of `scale`.
     taps: [i16; TAPS],
-    /// The statistic of a sum of 1.
+    /// Statistic of a sum of 1.
     scale: f32,
-    /// What the statistic is multiplied with for the samples that are missing, by position, and by samples from the position to
-    /// the block's end.
+    /// Factors on the statistic for missing samples at the edges of the block.
+    ///
+    /// `leading` is by position, `trailing` by number of samples from the position to the end of
+    /// the block.
     leading: Sixteen,
     trailing: Sixteen,
-    /// The background's part in the sum of the first taps, by how many these are and by position modulo 4.
+    /// Contribution of the background to the sum of the first taps.
+    ///
+    /// By position modulo 4 and by number of taps.
     background: [[f32; TAPS + 1]; 4],
-    /// The same of the taps that meet samples before a block's end, by samples from the position to that.
+    /// The same for the taps on samples before the end of the block.
+    ///
+    /// By position modulo 4 and by number of samples from the position to the end.
     background_met: [Sixteen; 4],
-    /// What sums far from a block's end are multiplied with, and what is added then: by position, the last ones by position
+    /// Factor and offset of the sums far from the end of a block.
+    ///
+    /// The offset is added after the multiplication. By position; the last entries by position
     /// modulo 8.
     far: [[f32; 2]; LANES + POSITIONS],
 }
 
 impl Filter {
-    /// Without taps.
+    /// A filter without taps.
     pub(super) const NONE: Filter = Filter {
         taps: [0; TAPS],
         scale: 0.0,
@@ -48,8 +59,10 @@ impl Filter {
         far: [[0.0; 2]; LANES + POSITIONS],
     };
 
-    /// `gain` tells what the statistic of some of the taps is to be multiplied with: the inverse standard deviation, or 0 where
-    /// too little of a pulse is left.
+    /// Creates a filter.
+    ///
+    /// `gain` returns the factor on the statistic of a part of the taps: the inverse standard
+    /// deviation, or 0 if too little of a pulse is left.
     pub(super) fn new(
         taps: &[f64; TAPS],
         background_dn: &[f64; 4],
@@ -85,20 +98,22 @@ impl Filter {
         filter
     }
 
-    /// What the sum at a position is multiplied with, and what is added then to take off the background; `behind` is the number
-    /// of samples from the position to the block's end, at most 15.
+    /// Returns factor and offset of the sum at a position.
+    ///
+    /// The offset subtracts the background. `behind` is the number of samples from the position to
+    /// the end of the block, at most 15.
     pub(super) fn scale_and_level(&self, position: usize, behind: usize) -> [f32; 2] {
         let scale = self.scale * self.leading.get(position).copied().unwrap_or(1.0) * self.trailing[behind];
         [scale, -scale * (self.background_met[position % 4][behind] - self.background_missed(position))]
     }
 
-    /// The background's part in the sum of the taps that a block's begin leaves out.
+    /// Contribution of the background to the taps before the start of the block.
     #[inline(always)]
     fn background_missed(&self, position: usize) -> f32 {
         self.background[position % 4][TAPS_BEFORE.saturating_sub(position)]
     }
 
-    /// The same for sixteen blocks at once, of any lengths, the shortest of which is given as well.
+    /// Factors and offsets for sixteen blocks of any lengths; `shortest` is the least length.
     #[inline(always)]
     pub(super) fn scales_and_levels<S: Simd>(
         &self,
@@ -119,12 +134,14 @@ impl Filter {
         [scale, s.mul(scale, s.sub(s.splat(self.background_missed(position)), met))]
     }
 
-    /// The statistic per unit of the sums.
+    /// Returns the statistic per unit of the sums.
     pub(super) fn scale(&self) -> f32 {
         self.scale
     }
 
-    /// The last `N` taps in registers: for positions whose window begins with a pair, and for those between.
+    /// Loads the last `N` taps into registers.
+    ///
+    /// `even` is for positions whose window starts at a pair, `odd` for those in between.
     #[inline(always)]
     pub(super) fn taps<S: Simd, const N: usize>(&self, s: S) -> Taps<S::V> {
         let tap = |i: usize| if i < N { self.taps[TAPS - N + i].cast_unsigned() } else { 0 };
@@ -139,13 +156,15 @@ impl Filter {
     }
 }
 
-/// Pairs of taps in registers, and zeros behind.
+/// Pairs of taps in registers, followed by zeros.
 pub(super) struct Taps<V> {
     even: [V; WINDOW],
     odd: [V; WINDOW],
 }
 
-/// Sums of `N` taps over eight windows, each a sample later, as bits. Every pair of samples is read once.
+/// Sums of `N` taps over eight windows, each one sample later, as bits.
+///
+/// Every pair of samples is read once.
 #[inline(always)]
 pub(super) fn sums<S: Simd, const N: usize>(
     s: S,
@@ -172,14 +191,14 @@ pub(super) fn sums<S: Simd, const N: usize>(
 mod tests {
     use super::*;
 
-    /// One tap of all, which no rounding changes.
+    /// A filter with one tap, which is represented exactly.
     fn one_tap(at: usize) -> Filter {
         let mut taps = [0.0; TAPS];
         taps[at] = 0.25;
         Filter::new(&taps, &[2.0, 2.5, 3.0, 2.25], |_| 0.5)
     }
 
-    /// `value × tap`, the background taken off where the tap meets a sample of the block, and nothing where it does not.
+    /// `value × tap`; the background is subtracted only if the tap meets a sample of the block.
     #[test]
     fn the_background_counts_as_far_as_the_block_goes() {
         let (length, filter) = (40_usize, one_tap(3));
@@ -201,7 +220,7 @@ mod tests {
         assert_eq!(filter.scale_and_level(50, 0), [0.0, 0.0]);
     }
 
-    /// No sum of taps and samples leaves 32 bits, and no tap 16.
+    /// No sum of taps and samples exceeds 32 bits, and no tap 16.
     #[test]
     fn sums_stay_within_32_bits() {
         let alternating: [f64; TAPS] = std::array::from_fn(|i| if i % 2 == 0 { 0.3 } else { -0.2 });

@@ -1,4 +1,4 @@
-//! One, two or three pulses jointly, on sixteen rows at a time: Levenberg and Marquardt's descent.
+//! Joint Levenberg-Marquardt fits of one to three pulses, on sixteen rows at a time.
 
 use super::fitted::{Fitted, FittedLanes, FittedPulse, Values};
 use super::jobs::Aim;
@@ -8,7 +8,7 @@ use super::tables::{ROW, Tables, U_MAX};
 use super::template::{Pulses, Site, Sites, leaves_block, tail, template, weights};
 use super::vector::{Kernel, LANES, Simd};
 
-/// Pulses to be fitted to a row that holds them and nothing else.
+/// Pulses to fit to a row that contains no others.
 #[derive(Clone, Copy)]
 pub(super) struct Job<const P: usize> {
     pub(super) row: usize,
@@ -18,23 +18,26 @@ pub(super) struct Job<const P: usize> {
 }
 
 impl<const P: usize> Job<P> {
-    /// What a lane without work does.
+    /// Job of a lane without work.
     pub(super) const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
 }
 
-/// Converged is what the next step promises to lower chi-square by less than this: the square of what is left to go, in
-/// standard deviations. The step is still taken.
+/// Promised decrease of chi-square below which a fit has converged.
+///
+/// It is the square of the remaining distance in standard deviations. The step is still made.
 const DECREASE: f32 = 1e-2;
-/// Marquardt's factor at first, and the least and greatest one.
+/// Initial, smallest and largest damping factor of Marquardt.
 const DAMPING: [f32; 3] = [1e-3, 1e-6, 1e6];
-/// No step with this damping lowers the objective: the optimum, where the response's change with the height has a kink.
+/// Damping at which no step lowers the objective.
+///
+/// The fit is then at the optimum, at a kink of the response's dependence on height.
 const NO_DECREASE: f32 = 1e2;
-/// So much stands in the matrix of a value that is held.
+/// Diagonal of the matrix for a value held fixed.
 const HELD: f32 = 1e30;
-/// Damping up to which a small promise tells that the optimum is near.
+/// Largest damping at which a small promised decrease indicates convergence.
 const NEAR_NEWTON: f32 = 1e-2;
 
-/// The normal equations at a point, and what is to be made small there.
+/// The normal equations at a point, and the objective.
 #[derive(Clone, Copy)]
 struct Point<V, const N: usize> {
     matrix: [[V; N]; N],
@@ -57,7 +60,9 @@ impl<V: Copy, const N: usize> Point<V, N> {
     }
 }
 
-/// Fits all jobs of one kind. `precision` is that of the prior which draws `ln` widths to 0.
+/// Fits all jobs of one kind.
+///
+/// `precision` is that of the prior that draws `ln` widths to 0.
 pub(super) struct Fit<'a, const P: usize, const N: usize, const C: usize, const D: usize, const STRONG: bool>
 {
     pub(super) tables: &'a Tables,
@@ -84,7 +89,10 @@ impl<const P: usize, const N: usize, const C: usize, const D: usize, const STRON
     }
 }
 
-/// Sixteen rows with `P` pulses each. `N` is `3 P`, `C` the vectors of a frame, `D` the products of `N + 1` columns.
+/// Sixteen rows with `P` pulses each.
+///
+/// `N` is `3 P`, `C` the number of vectors in a frame, `D` the number of products of `N + 1`
+/// columns.
 struct Group<'a, S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> {
     s: S,
     tables: &'a Tables,
@@ -95,15 +103,19 @@ struct Group<'a, S: Simd, const P: usize, const N: usize, const C: usize, const 
     sums: &'a mut Sums<S::Half, D>,
 }
 
-/// The products before their sums: per product half a vector of each row.
+/// Products before summation: half a vector per product and row.
 type Sums<H, const D: usize> = [[H; LANES]; D];
 
-/// Frames that start with the first pulse's row; a later row starts at most this many samples on.
+/// Maximum offset of a pulse's row in a frame, samples.
+///
+/// A frame starts with the row of the first pulse.
 const fn farthest(vectors: usize) -> i32 {
     (vectors * LANES - ROW) as i32
 }
 
-/// Fits up to sixteen jobs. `precision` is that of the prior which draws `ln` widths to 0.
+/// Fits up to sixteen jobs.
+///
+/// `precision` is that of the prior that draws `ln` widths to 0.
 #[inline(always)]
 pub(super) fn fit<
     S: Simd,
@@ -163,7 +175,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         let zero = s.splat(0.0);
         let (mut pulses, mut trial) = (start, start);
         let (mut active, mut inside) = (lanes, lanes);
-        // The first point is taken whatever it is.
+        // The first point is always accepted.
         let mut point = Point { matrix: [[zero; N]; N], side: [zero; N], objective: s.splat(f32::MAX) };
         let mut promised = zero;
         let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
@@ -180,7 +192,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             for i in 0..N {
                 gain = s.fma(step[i], point.side[i], gain);
             }
-            // What a lane came to stays while others go on: it must not depend on them.
+            // The result of a lane stays while others continue: it must not depend on them.
             promised = s.select(active, gain, promised);
             let near = s.ge(s.splat(DECREASE), promised) & s.ge(s.splat(NEAR_NEWTON), damping);
             let done = active & near;
@@ -204,8 +216,9 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         }
     }
 
-    /// Less damping behind a step that lowered the objective, more behind one that did not. One pulse alone needs none at
-    /// first.
+    /// Lowers the damping after a successful step, raises it after others.
+    ///
+    /// A single pulse needs none at first.
     #[inline(always)]
     fn next_damping(&self, damping: S::V, better: u16) -> S::V {
         let s = self.s;
@@ -215,8 +228,10 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         s.select(better, less, more)
     }
 
-    /// Solves the damped equations, with the widths held that would leave the tables: what a step is cut short by would bend
-    /// its other values.
+    /// Solves the damped equations.
+    ///
+    /// Widths at the limit of the tables are held if they would leave it: truncating the step would
+    /// distort its other values.
     #[inline(always)]
     fn step(&self, point: &Point<S::V, N>, damping: S::V, pulses: &[Pulses<S::V>; P]) -> [S::V; N] {
         let s = self.s;
@@ -234,8 +249,10 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         step
     }
 
-    /// The equations at the points of some lanes, the other lanes' being what they happen to be; takes lanes whose pulses
-    /// are too far apart for the frame out of `inside`.
+    /// Computes the equations at the points of the lanes in `lanes`.
+    ///
+    /// The values of other lanes are undefined. Lanes with pulses too far apart for the frame are
+    /// removed from `inside`.
     #[inline(always)]
     fn evaluate<const STRONG: bool>(
         &mut self,
@@ -261,7 +278,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         self.equations(pulses)
     }
 
-    /// The products of one row's columns.
+    /// Computes the products of the columns of one row.
     #[inline(always)]
     fn products<const STRONG: bool>(&mut self, of_pulse: &[Site; P], first: i32, w: usize) {
         let columns = self.columns::<STRONG>(of_pulse, first, w);
@@ -277,7 +294,9 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         });
     }
 
-    /// Derivatives and residual of one row's frame. The array has room for three pulses, the residual, and four vectors.
+    /// Derivatives and residual in the frame of one row.
+    ///
+    /// The array has room for three pulses and the residual, and for four vectors.
     #[inline(always)]
     fn columns<const STRONG: bool>(&self, of_pulse: &[Site; P], first: i32, w: usize) -> [[S::V; 4]; 10] {
         let s = self.s;
@@ -315,7 +334,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         out
     }
 
-    /// Normal matrix (lower triangle), right side and objective out of the products.
+    /// Normal matrix (lower triangle), right side and objective from the products.
     #[inline(always)]
     fn equations(&self, pulses: &[Pulses<S::V>; P]) -> Point<S::V, N> {
         let s = self.s;
@@ -371,7 +390,8 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         let mut step = point.side;
         factors.solve(s, &mut step);
         for (p, pulses) in pulses.iter().enumerate() {
-            // Where the tables cut a width short, what a step from there tells of it is nearer than where they end.
+            // If the tables limit a width, a step from the limit is closer to the true values than
+            // the limit.
             let is_cut = s.ge(pulses.width, s.splat(U_MAX as f32));
             let free = pulses.moved(s, [step[3 * p], step[3 * p + 1], step[3 * p + 2]]);
             let pulses = free.select(s, is_cut, *pulses);
@@ -392,7 +412,9 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         }
     }
 
-    /// What a constant background takes off each pulse's values, and the information on it that the pulses take up.
+    /// Stores the effect of a constant background on each pulse's values.
+    ///
+    /// Also stores the information on the background that the pulses absorb.
     #[inline(always)]
     fn tell_level<const STRONG: bool>(
         &mut self,
@@ -444,7 +466,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         }
     }
 
-    /// The sites of a lane's pulses, and the first and the last one's first sample.
+    /// Returns the sites of a lane's pulses and their lowest and highest first sample.
     #[inline(always)]
     fn sites_of<const STRONG: bool>(&self, sites: &[Sites; P], w: usize) -> ([Site; P], i32, i32) {
         let mut of_pulse = [Site::default(); P];

@@ -1,10 +1,10 @@
-//! What fits come to: values, standard deviations, and whether they are an optimum.
+//! Fit results: values, standard deviations, and convergence.
 
 use super::tables::U_MAX;
 use super::template::Pulses;
 use super::vector::{LANES, Simd, Sixteen};
 
-/// Values of a pulse: height (DN), position (samples from the block's first), `ln` of the width ratio.
+/// Height (DN), position (samples from the block's first), `ln` of the width ratio.
 pub(super) type Values = [f32; 3];
 
 /// A fitted pulse.
@@ -14,8 +14,10 @@ pub(super) struct FittedPulse {
     /// Standard deviations of the values.
     pub(super) sds: Values,
     pub(super) width_ratio: f32,
-    /// What a background higher by 1 DN takes off the values, and the information on it that the pulse takes up, that of its
-    /// whole cluster with the first; 0 where the background is known.
+    /// Decrease of the values per DN of background; 0 for a known background.
+    ///
+    /// `level_information` is the information on the background that the pulse absorbs, 1/DN². The
+    /// first pulse of a cluster holds that of the whole cluster.
     pub(super) by_level: Values,
     pub(super) level_information: f32,
 }
@@ -34,21 +36,21 @@ impl FittedPulse {
         self.values[2] < U_MAX as f32
     }
 
-    /// Whether its standard deviations are known.
+    /// Whether the standard deviations are known.
     #[inline(always)]
     pub(super) fn is_known(&self) -> bool {
         self.sds.iter().all(|sd| sd.is_finite() && *sd > 0.0)
     }
 }
 
-/// Sixteen fitted pulses, lane by lane.
+/// Sixteen fitted pulses, one per lane.
 pub(super) struct FittedLanes {
     values: [Sixteen; 3],
     sds: [Sixteen; 3],
     width_ratios: Sixteen,
-    /// Lanes whose standard deviations are known.
+    /// Lanes with known standard deviations.
     known: u16,
-    /// Lanes whose width is inside the tables.
+    /// Lanes with a width inside the tables.
     held: u16,
 }
 
@@ -70,7 +72,7 @@ impl FittedLanes {
         FittedLanes { values, sds, width_ratios, known, held }
     }
 
-    /// Lanes whose standard deviations are known, and whose width is inside the tables.
+    /// Lanes with known standard deviations and a width inside the tables.
     pub(super) fn known_and_held(&self) -> u16 {
         self.known & self.held
     }
@@ -87,7 +89,9 @@ impl FittedLanes {
     }
 }
 
-/// `e` to the power of widths within the tables, to 5e-7 of it: the series for a quarter of the exponent, squared twice.
+/// Exponential of `ln` widths within the tables, relative error 5e-7.
+///
+/// Squares the series for a quarter of the exponent twice.
 #[inline(always)]
 fn exponential<S: Simd>(s: S, ln_width_ratio: S::V) -> S::V {
     let quarter = s.mul(ln_width_ratio, s.splat(0.25));
@@ -99,18 +103,18 @@ fn exponential<S: Simd>(s: S, ln_width_ratio: S::V) -> S::V {
     s.mul(half, half)
 }
 
-/// Fitted pulses.
+/// The fitted pulses of one job.
 #[derive(Clone, Copy)]
 pub(super) struct Fitted<const P: usize> {
     pub(super) pulses: [FittedPulse; P],
-    /// Whether the fit ended at an optimum inside what tables and frame hold.
+    /// Whether the fit ended at an optimum inside tables and frame.
     pub(super) is_optimum: bool,
-    /// Whether more iterations may bring it there.
+    /// Whether more iterations may reach the optimum.
     pub(super) may_go_on: bool,
-    /// Chi-square with the priors' part, and by how much the next step promises to lower it.
+    /// Chi-square with the prior terms, and the decrease promised by the next step.
     pub(super) objective: f32,
     pub(super) promised: f32,
-    /// The same of the undamped step, whatever the tables allow.
+    /// Decrease promised by the undamped step, regardless of the limits of the tables.
     pub(super) beyond: f32,
 }
 

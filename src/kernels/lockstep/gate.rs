@@ -1,10 +1,12 @@
-//! Rao's score test: whether the residual of one fitted pulse speaks for two.
+//! Rao's score test: does the residual of a fitted pulse indicate two pulses?
 //!
-//! Two pulses near each other differ from one of free height, place and width first by the third and fourth derivative in
-//! time. By the heat equation these are, but for what the fitted values explain, the mixed derivative `s_tu` and the second
-//! one `s_uu`. With `P` the projection beside the fitted values' directions, `q = ‖P r‖²` on the span of the two follows
-//! chi-square of two degrees of freedom under one pulse. Two equal pulses some way apart leave more than these directions
-//! show: what they would leave is a third one, of known sign, and the greater of the two figures counts.
+//! Two close pulses differ from one of free height, position and width first by the third and
+//! fourth derivative in time. By the heat equation, and apart from what the fitted values explain,
+//! these are the mixed derivative `s_tu` and the second derivative `s_uu`. Let `P` be the
+//! projection onto the complement of the fitted values' directions. For one pulse, `q = ‖P r‖²` on
+//! the span of the two derivatives follows chi-square with two degrees of freedom. Two equal pulses
+//! farther apart leave more than these directions show. Their expected residual is a third
+//! direction, of known sign, and the larger of the two scores counts.
 
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::scene::Pulse;
@@ -14,20 +16,20 @@ use super::template::{Site, VECTORS, leaves_block, template, weights};
 use super::vector::{Kernel, LANES, Simd};
 use crate::kernels::rules::SD_OF_FWHM;
 
-/// The fitted values' directions and the three of a division.
+/// Directions of the three fitted values and the three of a split.
 const N: usize = 6;
 /// Products of the columns with each other and with the residual.
 const PRODUCTS: usize = N * (N + 1) / 2 + N;
 
-/// Products before their sums.
+/// Products before summation.
 type GateSums<H> = [[H; LANES]; PRODUCTS];
 
-/// `q` of pulses, given with their rows, that have been taken off their rows.
+/// Computes `q` of pulses that are subtracted from their rows.
 pub(super) struct Scores<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
     pub(super) pulses: &'a [(usize, Pulse)],
-    /// The score, and whether the earlier of two pulses would be the stronger one.
+    /// Score, and whether the earlier of two pulses would be the stronger one.
     pub(super) out: &'a mut Vec<(f32, bool)>,
 }
 
@@ -70,7 +72,7 @@ fn scores<S: Simd>(
     let equal = s.select(s.gt(along, zero), equal, zero);
     let mut scores = [0.0; LANES];
     s.store(s.max(two, equal), &mut scores);
-    // A stronger pulse before a weaker one leaves less than nothing along the third derivative.
+    // A stronger pulse before a weaker one leaves a negative residual along the third derivative.
     let earlier = s.gt(zero, bent[3].1);
     let mut out = [(0.0, false); LANES];
     for (w, (score, is_earlier)) in out.iter_mut().enumerate() {
@@ -79,7 +81,9 @@ fn scores<S: Simd>(
     out
 }
 
-/// What each of some columns, beside those before it, explains of the residual's square, and the sign of its part.
+/// Part of the squared residual explained by each column in addition to earlier ones.
+///
+/// The second value has the sign of the column's coefficient.
 #[inline(always)]
 fn equations<S: Simd, const M: usize>(
     s: S,
@@ -93,7 +97,7 @@ fn equations<S: Simd, const M: usize>(
             let (a, b) = (columns[i], columns[j]);
             matrix[i][j] = products[a * (a + 1) / 2 + b];
         }
-        // A direction that the block does not hold tells nothing.
+        // A direction outside the block then explains nothing.
         matrix[i][i] = s.add(matrix[i][i], s.splat(1e-6));
         side[i] = products[N * (N + 1) / 2 + columns[i]];
     }
@@ -143,7 +147,9 @@ fn products<S: Simd>(
     });
 }
 
-/// The two equal pulses of calibrated width that have a widened pulse's energy, centre and variance.
+/// Two equal pulses of calibrated width in place of a widened one.
+///
+/// They have its energy, centre and variance.
 #[inline(always)]
 fn halves(tables: &Tables, pulse: &Pulse) -> [Site; 2] {
     let [height, position, _] = pulse.values();
@@ -153,7 +159,7 @@ fn halves(tables: &Tables, pulse: &Pulse) -> [Site; 2] {
     [half(position - reach), half(position + reach)]
 }
 
-/// Sixteen samples of two pulses, from a sample of the block on, as part of the pulse they are taken for.
+/// Sixteen samples of two pulses from `first` on, relative to the pulse that they replace.
 #[inline(always)]
 fn equal_pair<S: Simd>(s: S, tables: &Tables, pair: &[Site; 2], first: i32) -> S::V {
     let mut sum = s.splat(0.0);

@@ -1,4 +1,4 @@
-//! Fits that wait for others of their kind.
+//! Queues of fits, run in groups of the same kind.
 
 use super::fit::{Fit, Job};
 use super::fitted::{Fitted, FittedPulse, Values};
@@ -7,20 +7,26 @@ use super::tables::Tables;
 use super::template::Site;
 use super::vector::{Kernel, Processor, Simd};
 
-/// Iterations of one fit at most: most need fewer than the first number, the others go on together.
+/// Maximum number of iterations in each round of a fit.
+///
+/// Most fits need fewer than the first number. The others continue in groups.
 pub(super) const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
-/// Pulses farther apart than this, samples, have a frame of four vectors: three hold two pulses up to 16 apart.
+/// Separation above which two pulses get a frame of four vectors, samples.
+///
+/// Three vectors hold two pulses up to 16 samples apart.
 const FAR: f32 = 14.0;
-/// Heights from this part of the one where the response begins to follow the height: they may end above.
+/// Heights above this fraction of the first node's may end above it.
+///
+/// Above the first node the response depends on height.
 const NEARLY_STRONG: f32 = 0.93;
 
-/// Jobs of one size with what their results belong to.
+/// Jobs of one size, and the tags that assign their results.
 #[derive(Clone)]
 pub(super) struct Queue<const P: usize> {
     jobs: Vec<Job<P>>,
     tags: Vec<usize>,
     fitted: Vec<Fitted<P>>,
-    /// Fits at the front that want more iterations.
+    /// Number of fits at the front that need more iterations.
     unsettled: usize,
 }
 
@@ -51,7 +57,7 @@ impl<const P: usize> Queue<P> {
         }
     }
 
-    /// Gives a fit that is done, or keeps it for more iterations.
+    /// Outputs a finished fit, or keeps it for more iterations.
     #[inline]
     fn settle(&mut self, i: usize, iterations: usize, race: &Race, done: &mut Results) {
         let (fitted, tag) = (&self.fitted[i], self.tags[i]);
@@ -66,7 +72,7 @@ impl<const P: usize> Queue<P> {
         }
     }
 
-    /// Tells the rivals how far each fit has come.
+    /// Updates the lowest promised chi-square of each waveform.
     fn report(&self, race: &mut Race) {
         for (job, fitted) in self.jobs.iter().zip(&self.fitted) {
             if let Some(best) = race.best.get_mut(job.aim.rivals) {
@@ -75,51 +81,53 @@ impl<const P: usize> Queue<P> {
         }
     }
 
-    /// Leaves the fits that were kept for more iterations.
+    /// Removes all fits except those kept for more iterations.
     fn go_on(&mut self) {
         self.jobs.truncate(self.unsettled);
         self.tags.truncate(self.unsettled);
     }
 }
 
-/// What a fit is made for. Chi-square here is with the priors' part.
+/// Purpose of a fit. Chi-square here includes the prior terms.
 #[derive(Clone, Copy)]
 pub(super) struct Aim {
-    /// From this chi-square on down the fit is of use.
+    /// Largest chi-square at which the fit is useful.
     enough: f32,
-    /// The rivals that it is one of, by the waveform's row: one of them will be taken.
+    /// Row of the waveform whose trials it competes with; only one of them is accepted.
     rivals: usize,
 }
 
-/// What the next step promises is taken this many times for what a fit may still gain.
+/// Largest further decrease of a fit, in promised decreases of the next step.
 const REACH: f32 = 8.0;
-/// The same where the step promises little: near an optimum it keeps its promise.
+/// The same for a small promise, which is accurate near an optimum.
 const NEAR_REACH: f32 = 1.5;
-/// Promises below this are little.
+/// Promised decreases below this are small.
 const LITTLE: f32 = 4.0;
-/// A fit that cannot become better than a rival by this comes to the same optimum, or to a worse one.
+/// Minimum advantage over a rival.
+///
+/// A fit that cannot gain this much ends at the same optimum or at a worse one.
 const BETTER: f32 = 0.5;
 
 impl Aim {
-    /// The optimum, whatever it is.
+    /// The optimum, whatever its chi-square.
     pub(super) const OPTIMUM: Aim = Aim { enough: f32::INFINITY, rivals: usize::MAX };
 
-    /// At most so large a chi-square, and less than what the other trials on the waveform come to.
+    /// A fit that must reach `enough` and beat the other trials on the waveform.
     pub(super) fn trial(enough: f32, waveform: usize) -> Aim {
         Aim { enough, rivals: waveform }
     }
 
-    /// Whether a fit that has come to `objective` need not go on.
+    /// Whether a fit at `objective` need not continue.
     fn is_out_of_reach(&self, objective: f32, promised: f32, race: &Race) -> bool {
         let reach = if promised < LITTLE { NEAR_REACH } else { REACH };
         let best = race.best.get(self.rivals).copied().unwrap_or(f32::INFINITY);
-        // The one that leads has come to `best` itself.
+        // The leading fit has itself set `best`.
         let leads = objective - promised <= best;
         objective - REACH * promised > self.enough || (!leads && objective - reach * promised > best - BETTER)
     }
 }
 
-/// How far the trials on each waveform have come: the least chi-square that one of them promises.
+/// Lowest chi-square promised by any trial on each waveform.
 #[derive(Clone)]
 struct Race {
     best: Vec<f32>,
@@ -131,39 +139,39 @@ impl Default for Race {
     }
 }
 
-/// Jobs of each size, by whether the response follows the height.
+/// Jobs by size, and by whether the response depends on height.
 #[derive(Clone, Default)]
 pub(super) struct Queues {
     pub(super) one: [Queue<1>; 2],
     pub(super) two: [Queue<2>; 2],
-    /// Two pulses too far apart for the frame of the others.
+    /// Two pulses too far apart for the smaller frame.
     far: [Queue<2>; 2],
     pub(super) three: [Queue<3>; 2],
     race: Race,
 }
 
-/// Whether the response may follow the height of one of the pulses.
+/// Whether one of the pulses may reach heights that change the response.
 #[inline(always)]
 pub(super) fn is_strong(tables: &Tables, pulses: &[Values]) -> bool {
     pulses.iter().any(|pulse| pulse[0] > NEARLY_STRONG * tables.strong_dn())
 }
 
-/// What a job came to.
+/// Result of a job.
 #[derive(Clone, Copy)]
 pub(super) struct Done {
     pub(super) row: usize,
     pub(super) tag: usize,
     pub(super) is_optimum: bool,
-    /// Whether it was given up because it would have been of no use.
+    /// Whether it was stopped because it would have been useless.
     pub(super) is_dropped: bool,
-    /// By how much chi-square promises to fall beyond what the tables allow.
+    /// Decrease of chi-square promised beyond the limits of the tables.
     pub(super) beyond: f32,
-    /// Its pulses among those of all.
+    /// Range of its pulses in [`Results`].
     first: usize,
     count: usize,
 }
 
-/// What jobs came to.
+/// Results of jobs.
 #[derive(Default)]
 pub(super) struct Results {
     pub(super) list: Vec<Done>,
@@ -171,7 +179,7 @@ pub(super) struct Results {
 }
 
 impl Results {
-    /// The pulses of one of these jobs.
+    /// Returns the pulses of one of these jobs.
     pub(super) fn pulses(&self, done: &Done) -> &[FittedPulse] {
         &self.pulses[done.first..][..done.count]
     }
@@ -190,7 +198,7 @@ impl Results {
 }
 
 impl Queues {
-    /// Puts pulses, at most three, where they belong.
+    /// Queues a fit of at most three pulses.
     pub(super) fn push(&mut self, tables: &Tables, row: usize, pulses: &[Values], aim: Aim, tag: usize) {
         let strong = usize::from(is_strong(tables, pulses));
         match *pulses {
@@ -202,8 +210,9 @@ impl Queues {
         }
     }
 
-    /// Does all jobs; what they come to goes to `done`, which is emptied first. `precision` is that of the prior on the
-    /// widths of pulses that overlap.
+    /// Runs all jobs and stores their results in `done`, which is cleared first.
+    ///
+    /// `precision` is that of the prior on the widths of overlapping pulses.
     pub(super) fn run(
         &mut self,
         on: Processor,
@@ -252,12 +261,12 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     }
 }
 
-/// The same, as a computation of its own.
+/// Adds `sign` times a pulse to a row; a separate kernel.
 pub(super) fn add(on: Processor, tables: &Tables, rows: &mut Rows, row: usize, values: Values, sign: f32) {
     on.run(Add { tables, rows, row, values, sign });
 }
 
-/// Takes the pulses that fits came to off their rows.
+/// Subtracts the fitted pulses from their rows.
 pub(super) fn take_off(on: Processor, tables: &Tables, rows: &mut Rows, done: &Results) {
     on.run(TakeOff { tables, rows, done });
 }

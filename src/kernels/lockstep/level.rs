@@ -1,14 +1,15 @@
-//! A background that each waveform has of its own.
+//! Backgrounds that vary from waveform to waveform.
 //!
-//! A robust level is taken off before detection ([`super::columns::Columns::estimate_levels`]). Once pulses are fitted and
-//! taken off, one joint linear step of level and pulses brings both to their optimum: with `w` the whitened constant,
-//! `c_i = J_iᵀ w` and `A_i` the normal matrix of cluster `i`,
+//! A robust level is subtracted before detection ([`super::columns::Columns::estimate_levels`]).
+//! Once pulses are fitted and subtracted, one joint linear step of level and pulses brings both to
+//! their optimum. With `w` the whitened constant, `c_i = J_iᵀ w`, and `A_i` the normal matrix of
+//! cluster `i`:
 //!
 //! ```text
 //! v = 1 / (wᵀ w + q − Σ c_iᵀ A_i⁻¹ c_i),   δ = v (wᵀ r − q β),   θ_i −= g_i δ,   C_i = A_i⁻¹ + g_i g_iᵀ v,   g_i = A_i⁻¹ c_i
 //! ```
 //!
-//! with `q` the precision of the prior on the level `β`, and `r` the residual.
+//! Here `q` is the precision of the prior on the level `β`, and `r` is the residual.
 
 use super::filter::Filter;
 use super::fitted::Values;
@@ -22,49 +23,59 @@ use crate::kernels::noise::ArNoise;
 use crate::kernels::rules::SD_OF_FWHM;
 use crate::kernels::whitening::Whitener;
 
-/// Samples farther from a level than this many standard deviations of the noise do not count for it; nearer ones count
-/// by Tukey's biweight (Beaton and Tukey 1974).
+/// Half width of the robust mean's window, standard deviations of the noise.
+///
+/// Samples within it are weighted by Tukey's biweight (Beaton and Tukey 1974), others by 0.
 const REACH_SD: f64 = 4.0;
-/// Free samples that a level is estimated from at least; a waveform with fewer is left to the plain kernels.
+/// Minimum number of free samples for a level.
+///
+/// Waveforms with fewer go to the scalar kernels.
 pub(super) const LEAST_FREE: f32 = 6.0;
-/// The lowest mean of four samples lies below the level by about this many of its standard deviations.
+/// Average depth of the lowest mean of four samples below the level, in its own SDs.
 const LOWEST_OF_MEANS_SD: f64 = 1.4;
-/// A level farther from the prior's than this many standard deviations is left to the plain kernels.
+/// Largest deviation of a level from the prior, standard deviations.
+///
+/// Waveforms beyond it go to the scalar kernels.
 const LIKELY_SD: f32 = 5.0;
-/// Part of the information on a level that pulses must leave.
+/// Minimum fraction of the information on a level that pulses must leave.
 const LEAST_INFORMATION: f32 = 0.05;
-/// A step calls for another fit where its second order, the square of the change over the pulse's own scale, is more than this
-/// part of a standard deviation of position or width; the height enters linearly.
+/// Largest second-order effect of a step, standard deviations of position or width.
+///
+/// The second order is the square of the change over the pulse's own scale. Above the limit, the
+/// pulses are fitted again. The height enters linearly.
 const SECOND_ORDER_SD: f32 = 0.02;
-/// Least share of its height that the step leaves to a pulse, and its largest change of position, samples.
+/// Minimum fraction of its height that a step leaves, and maximum change of position, samples.
 const LIMITS: [f32; 2] = [0.5, 1.0];
 
-/// What depends on the channel.
+/// Tables that depend on the channel.
 pub(super) struct LevelTables {
     /// Precision of the prior on a level, 1/DN².
     pub(super) precision: f32,
-    /// The whitened constant 1: of the first samples, as many as the noise's order, and of all others.
+    /// The whitened constant 1 at the first samples, as many as the noise's order.
+    ///
+    /// `steady` is its value at all others.
     begin: [f32; MAX_ORDER],
     pub(super) steady: f32,
-    /// The same of sixteen first samples less `steady`; 0 from the order on.
+    /// The same at the first sixteen samples minus `steady`; 0 from the order on.
     pub(super) begin_excess: Sixteen,
-    /// What the matched filter makes of a constant 1, as its background.
+    /// Response of the matched filter to a constant 1, as its background.
     pub(super) filter: Filter,
     /// Half width of the window of the robust mean, DN.
     pub(super) reach_dn: f32,
-    /// The level less the lowest mean of four samples, on average, DN.
+    /// Average level above the lowest mean of four samples, DN.
     pub(super) above_lowest_dn: f32,
-    /// Mean of the weights of free samples.
+    /// Mean weight of free samples.
     pub(super) mean_weight: f32,
-    /// Newton's step over that of the weighted mean.
+    /// Ratio of the Newton step to that of the weighted mean.
     pub(super) newton: f32,
-    /// By entry, of a whole pulse of height 1: what a level of 1 DN adds to its values, and the information on the level that
-    /// the pulse takes up.
+    /// Effect of a level of 1 DN on a whole pulse of height 1, by entry.
+    ///
+    /// Three changes of its values, and the information on the level that the pulse absorbs.
     whole: Vec<[f32; 4]>,
 }
 
 impl LevelTables {
-    /// The tables but for those of pulses.
+    /// Creates the tables, without those of pulses.
     pub(super) fn new(noise: &ArNoise, precision: f64) -> LevelTables {
         let mut ones = [1.0; 2 * MAX_ORDER];
         let mut whitener = Whitener::new(noise.clone(), ones.len());
@@ -93,7 +104,9 @@ impl LevelTables {
         }
     }
 
-    /// Adds an entry: its inverse Fisher matrix, and the sums of its whitened pulse and derivatives by position and width.
+    /// Adds an entry.
+    ///
+    /// `sums` are those of its whitened pulse and of the derivatives by position and width.
     pub(super) fn push(&mut self, inverse_fisher: &[f32; 8], sums: [f32; 3]) {
         let [aa, at, tt, au, tu, uu, ..] = *inverse_fisher;
         let [a, t, u] = sums.map(|sum| self.steady * sum);
@@ -102,25 +115,27 @@ impl LevelTables {
         self.whole.push([values[0], values[1], values[2], explained]);
     }
 
-    /// Effect of a level of 1 DN on the values of a whole pulse, and the information that the pulse takes up.
+    /// Effect of a level of 1 DN on a whole pulse, and the information it absorbs.
     #[inline(always)]
     pub(super) fn of_whole(&self, tables: &Tables, values: Values) -> (Values, f32) {
         let [height, position, width, explained] = self.of_entry(Site::of(tables, values).entry);
         ([height, position / values[0], width / values[0]], explained)
     }
 
-    /// The same of a pulse of height 1, by its entry in the tables.
+    /// The same for a pulse of height 1, by its table entry.
     #[inline(always)]
     pub(super) fn of_entry(&self, entry: usize) -> [f32; 4] {
         self.whole.get(entry).copied().unwrap_or([0.0; 4])
     }
 
-    /// The statistic of a constant 1 far from a block's ends.
+    /// Statistic of a constant 1 far from the ends of a block.
     pub(super) fn response(&self) -> f32 {
         -self.filter.scale_and_level(LANES, LANES - 1)[1]
     }
 
-    /// Whether the prior admits a level, given the variance of its estimate, DN².
+    /// Whether a level is within the limit of the prior.
+    ///
+    /// `variance` is that of its estimate, DN².
     pub(super) fn is_likely(&self, level_dn: f32, variance: f32) -> bool {
         self.precision == 0.0
             || level_dn * level_dn <= LIKELY_SD * LIKELY_SD * (self.precision.recip() + variance)
@@ -134,8 +149,10 @@ impl LevelTables {
         s.fma(lengths, s.splat(steady), s.splat(squares - steady * order as f32))
     }
 
-    /// The joint step in sixteen lanes: the products of the residuals with the whitened constant, its information, and
-    /// the part of it that the pulses take up.
+    /// Computes the joint step in sixteen lanes.
+    ///
+    /// `product` is that of the residuals with the whitened constant, `information` that of the
+    /// constant, `explained` the part of it that the pulses absorb.
     #[inline(always)]
     pub(super) fn step<S: Simd>(
         &self,
@@ -152,7 +169,7 @@ impl LevelTables {
         let variance = s.div(s.splat(1.0), all);
         let step = s.mul(s.fnma(precision, level_dn, product), variance);
         let after = s.add(level_dn, step);
-        // Not a number is no more than anything.
+        // NaN fails this comparison.
         let mut made = s.gt(left, s.mul(s.splat(LEAST_INFORMATION), information));
         if self.precision > 0.0 {
             let likely = s.add(s.splat(self.precision.recip()), variance);
@@ -187,7 +204,7 @@ impl LevelTables {
         out
     }
 
-    /// The whitened constant of the first samples.
+    /// The whitened constant at the first samples.
     pub(super) fn begin(&self) -> &[f32; MAX_ORDER] {
         &self.begin
     }
@@ -195,19 +212,21 @@ impl LevelTables {
 
 /// A step of sixteen levels.
 pub(super) struct LevelStep<V> {
-    /// Lanes in which enough information is left, and whose level the prior admits.
+    /// Lanes with enough remaining information and a level within the limit of the prior.
     pub(super) made: u16,
-    /// The step, and the level and its variance after it.
+    /// The step, and the level and its variance after the step.
     pub(super) by_dn: V,
     pub(super) level_dn: V,
     pub(super) variance: V,
-    /// Decrease of the sum of chi-square and the prior's part, and change of chi-square alone.
+    /// Decrease of chi-square with the prior term, and change of chi-square alone.
     gain: V,
     pub(super) chi_square_change: V,
 }
 
-/// Steps from the levels of up to sixteen waveforms, given with the information that their pulses take up; the pulses have been
-/// taken off the rows. Also the rows' sums of squares.
+/// Computes the level steps of up to sixteen waveforms, and the rows' sums of squares.
+///
+/// Pulses must be subtracted from the rows. `levels` holds each level and the information on it
+/// that the pulses absorb.
 #[inline(always)]
 fn level_steps<S: Simd>(
     s: S,
@@ -231,13 +250,13 @@ fn level_steps<S: Simd>(
     (step, s.load(&squares))
 }
 
-/// Chi-square of rows, with the decrease that a step of their levels brings.
+/// Chi-square of rows, minus the decrease by a step of their levels.
 pub(super) struct JointSquares<'a> {
     pub(super) tables: &'a Tables,
     pub(super) level: &'a LevelTables,
     pub(super) rows: &'a Rows,
     pub(super) which: &'a [usize],
-    /// The level of each, DN, and the information on it that the pulses take up.
+    /// Level of each row, DN, and the information on it that the pulses absorb, 1/DN².
     pub(super) levels: &'a [[f32; 2]],
     pub(super) out: &'a mut Vec<f32>,
 }
@@ -259,16 +278,18 @@ impl Kernel for JointSquares<'_> {
     }
 }
 
-/// The joint linear step of level and pulses for some waveforms; their pulses are taken off their rows where they are not yet.
+/// Makes the joint linear step of level and pulses for some waveforms.
+///
+/// Subtracts their pulses from the rows first, unless already done.
 pub(super) struct SetLevels<'a> {
     pub(super) tables: &'a Tables,
     pub(super) level: &'a LevelTables,
     pub(super) rows: &'a mut Rows,
     pub(super) scenes: &'a mut [Scene],
     pub(super) which: &'a [usize],
-    /// Whether rows follow the step: they are searched afterwards.
+    /// Whether to update the rows for a later search.
     pub(super) follows: bool,
-    /// Waveforms whose pulses moved so far that they are to be fitted anew are added here.
+    /// Collects waveforms whose pulses moved so far that they need a new fit.
     pub(super) moved: &'a mut Vec<usize>,
 }
 
@@ -292,9 +313,10 @@ impl Kernel for SetLevels<'_> {
     }
 }
 
-/// The step for up to sixteen waveforms whose pulses have been taken off their rows. With `follows` the rows follow, and
-/// waveforms whose pulses moved so far that they are to be fitted anew are added to `moved`; without, the standard deviations
-/// are final.
+/// Makes the step for up to sixteen waveforms with subtracted pulses.
+///
+/// With `follows` the rows are updated, and waveforms whose pulses moved so far that they need a
+/// new fit are added to `moved`. Otherwise the standard deviations are final.
 #[inline(always)]
 pub(super) fn set_levels<S: Simd>(
     s: S,
@@ -360,7 +382,7 @@ pub(super) fn set_levels<S: Simd>(
     }
 }
 
-/// Takes a small change of a pulse's values off a row, to first order.
+/// Subtracts a small change of a pulse's values from a row, to first order.
 #[inline(always)]
 fn take_change_off<S: Simd>(
     s: S,
@@ -379,7 +401,7 @@ fn take_change_off<S: Simd>(
 }
 
 impl Pulse {
-    /// Whether a change of the level moves position and width so little that the second order does not matter.
+    /// Whether the second-order effect of a level change is negligible.
     #[inline(always)]
     fn is_moved_little(&self, step_dn: f32, calibrated_sd_samples: f32) -> bool {
         let [_, position, width] = self.by_level.map(|by| (by * step_dn).powi(2));
@@ -397,7 +419,7 @@ impl Pulse {
         }
     }
 
-    /// Moves the pulse as the level's change asks for.
+    /// Changes the pulse's values for a step of the level.
     #[inline(always)]
     fn follow_level(&mut self, step_dn: f32) {
         let [mut height, mut position, mut width] = self.values();
@@ -405,7 +427,7 @@ impl Pulse {
         height = (height - by_height * step_dn).max(LIMITS[0] * height);
         position -= (by_position * step_dn).clamp(-LIMITS[1], LIMITS[1]);
         if width < U_MAX as f32 {
-            // What ended below the tables' end is not to be taken for a pulse that they cut short.
+            // A width below the limit must not reach it: it would be taken for a truncated one.
             let widest = U_MAX as f32 - 1e-3;
             width = (width - by_width * step_dn).clamp(U_MIN as f32, widest.max(width));
         }

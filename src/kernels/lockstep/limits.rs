@@ -1,4 +1,4 @@
-//! What a pulse must reach to be a return.
+//! Criteria for accepting a pulse as a return.
 
 use super::candidates::LeftBehind;
 use super::scene::{Pulse, Scene};
@@ -12,33 +12,33 @@ use crate::kernels::sensor_model::{ChannelModel, ModelError};
 use crate::kernels::shape::Shape;
 use crate::kernels::whitening::Whitener;
 
-/// Pulses so many widths inside the block have the significance of whole ones.
+/// Distance from the ends of the block with full significance, widths: start, end.
 const WHOLE_WIDTHS: [f64; 2] = [2.0, 2.5];
 
-/// What of a pulse stands before its row may be so many standard deviations of the noise.
+/// Largest part of a pulse before its row, standard deviations of the noise.
 const LEFT_OUT_SD: f32 = 0.5;
 
 /// Thresholds of one channel.
 pub(super) struct Limits {
-    /// The matched filter's statistic behind a pulse of height 1.
+    /// Matched-filter statistic after a pulse of height 1 DN.
     pub(super) left_behind: LeftBehind,
-    /// The statistic of a whole pulse of height 1.
+    /// Statistic of a whole pulse of height 1 DN.
     pub(super) per_dn: f32,
-    /// The statistic of a background higher by 1 DN; 0 where it is known.
+    /// Statistic of 1 DN of background; 0 for a known background.
     pub(super) level_response: f32,
     pub(super) allowance: Allowance,
     detection_sigma: f64,
     detection_sigma_last: Option<f64>,
-    /// The lower one of the two.
+    /// The lower of the two thresholds.
     pub(super) least_sigma: f64,
     fwhm_samples: f64,
     noise_sd_dn: f64,
     ln_width_ratio: [f32; 2],
-    /// Pulses so many samples inside the block, from its begin and from its end, have the significance of whole ones.
+    /// Distance from the ends of the block with full significance, samples: start, end.
     whole_from_ends: [f32; 2],
-    /// Pulses nearer to each other than this are one, samples.
+    /// Minimum separation of two pulses, samples.
     pub(super) least_separation: f32,
-    /// Pulses up to this width and height are held by a row.
+    /// Largest width and height for which a row always holds a pulse.
     held_width_ratio: f32,
     held_height_dn: f32,
     pub(super) shape: Shape,
@@ -78,21 +78,24 @@ impl Limits {
         })
     }
 
-    /// By how much the threshold at a place rises for what pulses of a waveform higher than `height_dn` leave there; all
-    /// pulses, where that is infinite.
+    /// Factor on the threshold at a position due to response errors of other pulses.
+    ///
+    /// Counts pulses higher than `height_dn`, or all if it is infinite.
     #[inline(always)]
     pub(super) fn raise(&self, scene: &Scene, position: f32, height_dn: f32) -> f64 {
         let others = scene.pulses().iter().map(|p| (f64::from(p.position()), f64::from(p.height())));
         self.allowance.raise(f64::from(position), f64::from(height_dn), f64::from(self.per_dn), others)
     }
 
-    /// The threshold at a place, raised by what pulses higher than `height_dn` leave there; another one behind all others.
+    /// Threshold at a position, raised for response errors of pulses above `height_dn`.
+    ///
+    /// The last pulse may have its own threshold.
     #[inline(always)]
     pub(super) fn threshold(&self, scene: &Scene, position: f32, height_dn: f32) -> f64 {
         self.sigma(scene, position) * self.raise(scene, position, height_dn)
     }
 
-    /// The threshold at a place where no pulse leaves anything.
+    /// Threshold at a position without response errors.
     #[inline(always)]
     fn sigma(&self, scene: &Scene, position: f32) -> f64 {
         let Some(of_last) = self.detection_sigma_last else { return self.detection_sigma };
@@ -101,7 +104,7 @@ impl Limits {
         if is_last { of_last } else { self.detection_sigma }
     }
 
-    /// What became of a waveform, but for its returns.
+    /// Returns the decomposition of a waveform, without its returns.
     #[inline(always)]
     pub(super) fn outcome(&self, scene: &Scene, samples: usize) -> Decomposition<'static> {
         let of = |p: &Pulse| self.allowance.expected_excess(p.position().into(), p.height().into(), samples);
@@ -118,7 +121,9 @@ impl Limits {
         }
     }
 
-    /// Whether a row holds a pulse's rise: what it leaves out is less than the noise.
+    /// Whether a row holds the rise of a pulse.
+    ///
+    /// The part outside must be below the noise.
     #[inline(always)]
     pub(super) fn is_held(&self, pulse: &Pulse) -> bool {
         if pulse.width_ratio() <= self.held_width_ratio && pulse.height() <= self.held_height_dn {
@@ -129,8 +134,10 @@ impl Limits {
         pulse.height() * left_out < LEFT_OUT_SD * self.noise_sd_dn as f32
     }
 
-    /// Whether a fitted pulse stands up as a return: inside the block, of admissible width, and strong enough, taken with
-    /// the energy it has and the calibrated width.
+    /// Whether a fitted pulse is acceptable as a return.
+    ///
+    /// It must be inside the block, of permitted width, and strong enough when given the calibrated
+    /// width and its own energy.
     #[inline(always)]
     pub(super) fn is_return(&mut self, scene: &Scene, pulse: &Pulse, samples: usize) -> bool {
         let [_, position, u] = pulse.values();
@@ -153,7 +160,8 @@ impl Limits {
         let energy = f64::from(pulse.height() * pulse.width_ratio());
         let statistic = per_dn * energy;
         let sigma = self.sigma(scene, pulse.position());
-        // One alone, or a strong one among others: what others may leave need not be looked at.
+        // A single pulse, or a strong one among others, passes without computing the response
+        // errors of the others.
         let heights = scene.pulses().iter().map(|p| f64::from(p.height()));
         let most = if scene.pulses().len() == 1 {
             1.0
@@ -164,7 +172,7 @@ impl Limits {
             || (most > 1.0 && statistic >= sigma * self.raise(scene, pulse.position(), pulse.height()))
     }
 
-    /// Part of a pulse's significance, squared, that the uncertainty of the level leaves.
+    /// Fraction of a pulse's squared significance that remains with an uncertain level.
     #[inline(always)]
     pub(super) fn left_by_level(&self, scene: &Scene) -> f64 {
         let lost = self.level_response * self.level_response * scene.level_variance;

@@ -1,4 +1,4 @@
-//! From fitted pulses to returns.
+//! Converts fitted pulses to returns.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use crate::kernels::decompose::{Decomposer, Decomposition, Return, truncation_fl
 use crate::kernels::flags;
 use crate::kernels::sensor_model::ChannelModel;
 
-/// The returns of many waveforms; keeps its memory from one use to the next.
+/// Returns of many waveforms; reuses its memory.
 #[derive(Debug, Clone, Default)]
 pub struct Outcomes {
     returns: Vec<Return>,
@@ -18,23 +18,23 @@ pub struct Outcomes {
 }
 
 impl Outcomes {
-    /// Waveforms there are.
+    /// Number of waveforms.
     pub fn len(&self) -> usize {
         self.waveforms.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no waveforms.
     pub fn is_empty(&self) -> bool {
         self.waveforms.is_empty()
     }
 
-    /// What became of one waveform; `None` beyond the last.
+    /// Returns the decomposition of a waveform; `None` past the last.
     pub fn get(&self, index: usize) -> Option<Decomposition<'_>> {
         let (returns, rest) = self.waveforms.get(index)?;
         Some(Decomposition { returns: self.returns.get(returns.clone())?, ..*rest })
     }
 
-    /// What became of each waveform, in order.
+    /// Iterates over the decompositions in order.
     pub fn iter(&self) -> impl Iterator<Item = Decomposition<'_>> {
         self.waveforms
             .iter()
@@ -54,17 +54,21 @@ impl Outcomes {
     }
 }
 
-/// What makes returns of a waveform's pulses.
+/// Converts the pulses of waveforms to returns.
 pub(super) struct Finish<'a> {
     pub(super) model: &'a ChannelModel,
     pub(super) limits: &'a mut Limits,
     pub(super) plain: &'a mut Decomposer,
     pub(super) left_to_plain: &'a mut u64,
-    /// Whether neighbours are fitted anew where a pulse does not stand up: by the plain kernels. The fast modes just drop it.
+    /// Whether rejecting a pulse requires a new fit of its neighbours by the scalar kernels.
+    ///
+    /// The fast modes only drop the pulse.
     pub(super) is_refined: bool,
 }
 
-/// Gives the returns of a batch. Nothing in it runs in lanes, but compiled for the path it rounds without a call.
+/// Outputs the returns of a batch.
+///
+/// It uses no lanes, but compiled for the instruction set it rounds without a function call.
 pub(super) struct Give<'a> {
     pub(super) finish: Finish<'a>,
     pub(super) blocks: &'a [Block<'a>],
@@ -84,7 +88,7 @@ impl Kernel for Give<'_> {
 }
 
 impl Finish<'_> {
-    /// Gives the returns of a waveform.
+    /// Outputs the returns of a waveform.
     #[inline(always)]
     pub(super) fn give(
         &mut self,
@@ -133,13 +137,13 @@ impl Finish<'_> {
         outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
     }
 
-    /// Whether the pulse is fitted, and what is held of it is enough.
+    /// Whether the pulse is fitted, and its row holds enough of it.
     #[inline(always)]
     fn is_told(&self, pulse: &Pulse) -> bool {
         pulse.is_fitted() && (!self.is_refined || self.limits.is_held(pulse))
     }
 
-    /// Whether all pulses stand up as returns, apart from each other.
+    /// Whether all pulses are acceptable as returns and sufficiently separated.
     #[inline(always)]
     fn stands(&mut self, scene: &Scene, samples: usize) -> bool {
         let mut before = f32::NEG_INFINITY;
@@ -150,7 +154,9 @@ impl Finish<'_> {
         })
     }
 
-    /// Drops what does not stand up, where neighbours need not be fitted anew.
+    /// Drops unacceptable pulses if neighbours need no new fit.
+    ///
+    /// Returns `false` if the scalar kernels must decompose the waveform.
     #[inline(never)]
     fn drop(&mut self, scene: &mut Scene, samples: usize) -> bool {
         if self.is_refined || !scene.pulses().iter().all(|pulse| self.is_told(pulse)) {

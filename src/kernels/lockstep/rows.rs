@@ -1,6 +1,7 @@
-//! Waveforms as rows: what of the whitened samples the pulses found so far leave, for a whole batch.
+//! Waveforms as rows: the whitened residuals of a whole batch.
 //!
-//! A row belongs to one waveform, and every operation on it looks at that row alone.
+//! The pulses found so far are subtracted. A row belongs to one waveform, and every operation on it
+//! uses that row alone.
 
 use super::fitted::Values;
 use super::level::LevelTables;
@@ -10,25 +11,28 @@ use super::vector::{LANES, Simd, Sixteen};
 
 /// Zeros before the first sample.
 pub(super) const FRONT: usize = 32;
-/// Zeros behind the last sample: what a frame of a pulse at the block's end still reads.
+/// Zeros after the last sample, read by the frame of a pulse at the end of the block.
 const BACK: usize = 80;
-/// Samples that are filtered at a time.
+/// Samples filtered at a time.
 pub(super) const CHUNK: usize = 64;
-/// Waveforms of a batch: enough for full vectors of the rarer fits.
+/// Waveforms per batch: enough for full vectors in rare kinds of fits.
 pub(super) const BATCH: usize = 2048;
-/// Waveforms that are detected at a time, and a whole batch where nothing is refined and few fits wait for others: what these
-/// need stays in the cache.
+/// Waveforms detected at a time; also the batch size without refinement.
+///
+/// Without refinement few fits are queued. Their data stay in the cache.
 pub(super) const FAST_BATCH: usize = 512;
-/// Blocks up to so many samples come in whole batches, longer ones in smaller ones, for the memory's sake …
+/// Longest blocks in full batches, samples; longer ones use smaller batches to save memory.
 const WHOLE_BATCH_SAMPLES: usize = 256;
-/// … but not in smaller ones than this.
+/// Smallest batch of long blocks.
 const LEAST_BATCH: usize = 128;
-/// Rows of residuals: the batch's, as many for trials, and one that stays empty, for lanes without work.
+/// Rows of residuals: those of the batch, as many for trials, and an empty one.
+///
+/// The empty row is for lanes without work.
 const RESIDUALS: usize = 2 * BATCH + 1;
-/// The row that stays empty.
+/// Index of the empty row.
 pub(super) const EMPTY: usize = 2 * BATCH;
 
-/// The sixteen values from `at` on; zeros where the row has not that many.
+/// Returns the sixteen values from `at` on; zeros if the row is too short.
 #[inline(always)]
 pub(super) fn sixteen(row: &[f32], at: usize) -> &Sixteen {
     match row.get(at..) {
@@ -37,7 +41,7 @@ pub(super) fn sixteen(row: &[f32], at: usize) -> &Sixteen {
     }
 }
 
-/// Writes sixteen values where the row has room for them.
+/// Writes sixteen values if the row has room for them.
 #[inline(always)]
 fn put<S: Simd>(s: S, value: S::V, row: &mut [f32], at: usize) {
     if let Some(to) = row.get_mut(at..).and_then(|from| from.first_chunk_mut()) {
@@ -45,19 +49,19 @@ fn put<S: Simd>(s: S, value: S::V, row: &mut [f32], at: usize) {
     }
 }
 
-/// The scratch space of one thread.
+/// Buffers of one thread.
 pub(super) struct Rows {
     stride: usize,
     capacity: usize,
     residual: Aligned,
-    /// Samples of each row of `residual`.
+    /// Number of samples in each row of `residual`.
     lengths: Vec<usize>,
-    /// Those of them that chi-square is the sum over.
+    /// Number of samples that count in chi-square.
     counted: Vec<usize>,
 }
 
 impl Rows {
-    /// For blocks of up to `samples` samples.
+    /// Creates buffers for blocks of up to `samples` samples.
     pub(super) fn new(samples: usize) -> Rows {
         let capacity = samples.div_ceil(CHUNK).max(1) * CHUNK;
         let stride = FRONT + capacity + BACK;
@@ -72,29 +76,31 @@ impl Rows {
         }
     }
 
-    /// Samples that a row can hold.
+    /// Number of samples that a row can hold.
     pub(super) fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// Waveforms of a batch of blocks this long.
+    /// Batch size for blocks of this length.
     pub(super) fn batch(&self) -> usize {
         (BATCH * WHOLE_BATCH_SAMPLES / self.capacity.max(1)).clamp(LEAST_BATCH, BATCH)
     }
 
-    /// Samples of the waveform in a row.
+    /// Number of samples of the waveform in a row.
     #[inline(always)]
     pub(super) fn length(&self, row: usize) -> usize {
         self.lengths.get(row).copied().unwrap_or(0)
     }
 
-    /// Samples that chi-square of a row is the sum over.
+    /// Number of samples that count in chi-square of a row.
     #[inline(always)]
     pub(super) fn counted(&self, row: usize) -> usize {
         self.counted.get(row).copied().unwrap_or(0)
     }
 
-    /// Begins a waveform of so many samples, all of which are to be written, in a residual row: nothing stands behind them.
+    /// Starts a waveform of `length` samples in a row and clears the values after it.
+    ///
+    /// The caller must write all its samples.
     #[inline(always)]
     pub(super) fn begin(&mut self, row: usize, length: usize) {
         let before = std::mem::replace(&mut self.lengths[row], length);
@@ -105,7 +111,9 @@ impl Rows {
         self.counted[row] = length;
     }
 
-    /// Writes sixteen whitened samples of consecutive residuals, each from `sample` on, where they are that long.
+    /// Writes sixteen whitened samples from `sample` on in consecutive rows.
+    ///
+    /// Rows that end before `sample` are skipped.
     #[inline(always)]
     pub(super) fn put_residuals<S: Simd>(
         &mut self,
@@ -125,7 +133,7 @@ impl Rows {
         });
     }
 
-    /// Empties what stands behind the last sample of consecutive residuals.
+    /// Clears the values after the last sample in consecutive rows.
     #[inline(always)]
     pub(super) fn end_residuals<S: Simd>(
         &mut self,
@@ -140,19 +148,19 @@ impl Rows {
         }
     }
 
-    /// Sixteen samples of a residual from `sample` on; zeros behind the last.
+    /// Returns sixteen residuals from `sample` on; zeros after the last.
     #[inline(always)]
     pub(super) fn residual_sixteen(&self, row: usize, sample: usize) -> &Sixteen {
         sixteen(self.residual_row(row), FRONT + sample)
     }
 
-    /// What the pulses leave of a row, sample 0 at `FRONT`.
+    /// Returns the residuals of a row; sample 0 is at `FRONT`.
     #[inline(always)]
     pub(super) fn residual_row(&self, row: usize) -> &[f32] {
         &self.residual.as_slice()[row * self.stride..][..self.stride]
     }
 
-    /// Copies one residual to another row.
+    /// Copies the residuals of one row to another.
     #[inline(always)]
     pub(super) fn copy(&mut self, from: usize, to: usize) {
         let (from_at, to_at) = (from * self.stride, to * self.stride);
@@ -161,7 +169,7 @@ impl Rows {
         self.counted[to] = self.counted[from];
     }
 
-    /// Adds `sign` times a pulse, its tail included, to a residual.
+    /// Adds `sign` times a pulse, including its tail, to a row.
     #[inline(always)]
     pub(super) fn add<S: Simd, const STRONG: bool>(
         &mut self,
@@ -202,8 +210,10 @@ impl Rows {
         }
     }
 
-    /// Takes a small change of a pulse's height, position and width off a residual, to first order. The pulse itself has been
-    /// taken off, so that samples that it does not count in are 0.
+    /// Subtracts a small change of a pulse's values from a row, to first order.
+    ///
+    /// The pulse itself must already be subtracted, so that samples in which it does not count are
+    /// 0.
     #[inline(always)]
     pub(super) fn take_change_off<S: Simd, const STRONG: bool>(
         &mut self,
@@ -245,7 +255,9 @@ impl Rows {
         }
     }
 
-    /// Takes so much of a constant, whitened, off a residual; returns its squares, to be summed.
+    /// Subtracts `level_dn` times the whitened constant from a row.
+    ///
+    /// Returns the squares of the row, to be summed.
     #[inline(always)]
     pub(super) fn take_level_off<S: Simd>(
         &mut self,
@@ -278,7 +290,7 @@ impl Rows {
         s.halved(sum)
     }
 
-    /// Sums of sixteen residuals, and of their squares.
+    /// Sums of the residuals of sixteen rows, and of their squares.
     #[inline(always)]
     pub(super) fn sums_and_squares<S: Simd>(&self, s: S, rows: &[usize; LANES]) -> [Sixteen; 2] {
         let none = s.halved(s.splat(0.0));
@@ -299,7 +311,7 @@ impl Rows {
         out
     }
 
-    /// Sums of squares of sixteen residuals.
+    /// Sums of the squared residuals of sixteen rows.
     #[inline(always)]
     pub(super) fn chi_squares<S: Simd>(&self, s: S, rows: &[usize; LANES]) -> Sixteen {
         let mut sums = [s.halved(s.splat(0.0)); LANES];

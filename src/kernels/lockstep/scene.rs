@@ -1,4 +1,4 @@
-//! A waveform of the batch and the pulses that explain it so far.
+//! Pulse model of one waveform in the batch.
 
 use std::ops::Range;
 
@@ -7,20 +7,20 @@ use crate::kernels::decompose::Counts;
 use crate::kernels::flags;
 use crate::kernels::rules::CLUSTER_WIDTHS;
 
-/// Pulses of one waveform that the fast kernels hold; waveforms with more are decomposed by the plain ones.
+/// Maximum number of pulses per waveform; waveforms with more go to the scalar kernels.
 pub(super) const MAX_PULSES: usize = 8;
-/// Pulses that the fast kernels fit jointly.
+/// Maximum number of pulses in a joint fit.
 pub(super) const MAX_CLUSTER: usize = 3;
 
-/// A pulse, and what is known of it beside its values.
+/// A pulse: values, uncertainties and flags.
 #[derive(Clone, Copy)]
 pub(super) struct Pulse {
     values: Values,
-    /// `e` to the last value, which is asked for often.
+    /// Exponential of the third value, cached because it is used often.
     width_ratio: f32,
     pub(super) sds: Values,
     pub(super) flags: u16,
-    /// As [`FittedPulse`] has them.
+    /// See [`FittedPulse`].
     pub(super) by_level: Values,
     pub(super) level_information: f32,
 }
@@ -32,12 +32,12 @@ impl Default for Pulse {
 }
 
 impl Pulse {
-    /// A pulse that is not fitted.
+    /// Creates a pulse that is not fitted.
     pub(super) fn new(values: Values) -> Pulse {
         Pulse { values, width_ratio: values[2].exp(), ..Pulse::of_calibrated_width(0.0, 0.0) }
     }
 
-    /// A pulse of the calibrated width that is not fitted.
+    /// Creates a pulse of the calibrated width that is not fitted.
     pub(super) fn of_calibrated_width(height: f32, position: f32) -> Pulse {
         let values = [height, position, 0.0];
         Pulse {
@@ -50,7 +50,7 @@ impl Pulse {
         }
     }
 
-    /// The pulse with other flags.
+    /// Returns the pulse with other flags.
     pub(super) fn flagged(self, flags: u16) -> Pulse {
         Pulse { flags, ..self }
     }
@@ -64,7 +64,7 @@ impl Pulse {
         self.width_ratio = values[2].exp();
     }
 
-    /// Takes what a fit came to, but for the standard deviations.
+    /// Copies a fit result, except the standard deviations.
     pub(super) fn take(&mut self, fitted: &FittedPulse) {
         (self.values, self.width_ratio) = (fitted.values, fitted.width_ratio);
         (self.by_level, self.level_information) = (fitted.by_level, fitted.level_information);
@@ -78,7 +78,7 @@ impl Pulse {
         self.values[1]
     }
 
-    /// Whether it has been fitted, and its standard deviations are known.
+    /// Whether it is fitted, with known standard deviations.
     pub(super) fn is_fitted(&self) -> bool {
         self.sds[1] > 0.0
     }
@@ -88,41 +88,45 @@ impl Pulse {
     }
 }
 
-/// How a waveform is dealt with.
+/// Kernels that decompose a waveform.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 pub(super) enum Way {
-    /// By the fast kernels.
+    /// SIMD kernels.
     #[default]
     Fast,
-    /// By the plain ones: it is not what the fast ones are made for.
+    /// Scalar kernels, for waveforms that the SIMD kernels do not support.
     Plain,
 }
 
-/// One waveform. Most have one pulse: what is asked of these stands together at the front.
+/// Pulse model of one waveform.
+///
+/// Most waveforms have one pulse: the fields used for these are together at the front.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(super) struct Scene {
     count: usize,
     pub(super) way: Way,
-    /// Whether the pulses have been taken off the waveform's row.
+    /// Whether the pulses are subtracted from the waveform's row.
     pub(super) taken_off: bool,
-    /// Whether a trial has been taken up in the present round.
+    /// Whether a trial was accepted in this round.
     pub(super) has_changed: bool,
     pub(super) refined_twice: bool,
-    /// Whether its one pulse has been fitted and taken off, and chi-square summed.
+    /// Whether the only pulse is fitted and subtracted, and chi-square computed.
     pub(super) is_settled: bool,
     pub(super) chi_square: f32,
-    /// Samples that chi-square is the sum over.
+    /// Number of samples that count in chi-square.
     pub(super) samples: usize,
     pub(super) counts: Counts,
-    /// By how much chi-square promises to fall with pulses wider than the tables allow.
+    /// Decrease of chi-square promised by widths beyond the tables.
     pub(super) beyond: f32,
-    /// Background of the waveform minus that of the channel, DN, and its variance; both 0 for a fixed background.
+    /// Background of the waveform minus that of the channel, DN, and its variance, DN².
+    ///
+    /// Both are 0 for a fixed background.
     pub(super) level_dn: f32,
     pub(super) level_variance: f32,
-    /// Whether these are those of the present pulses.
+    /// Whether level and variance belong to the present pulses.
     pub(super) is_levelled: bool,
-    /// Ends of the clusters that are fitted jointly, in order; 0 behind the last.
+    /// Ends of the jointly fitted clusters, in order; 0 after the last.
     ends: [u8; MAX_PULSES],
     pulses: [Pulse; MAX_PULSES],
 }
@@ -136,7 +140,7 @@ impl Scene {
         &mut self.pulses[..self.count]
     }
 
-    /// A new waveform, without pulses.
+    /// Resets to a new waveform without pulses.
     #[inline(always)]
     pub(super) fn reset(&mut self) {
         let Scene {
@@ -162,24 +166,24 @@ impl Scene {
         (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
     }
 
-    /// The information on the level that the pulses take up, 1/DN².
+    /// Information on the level that the pulses absorb, 1/DN².
     #[inline(always)]
     pub(super) fn level_information(&self) -> f32 {
         self.pulses().iter().map(|pulse| pulse.level_information).sum()
     }
 
-    /// Takes a level of the background, DN, and its variance, as those of the present pulses.
+    /// Sets the level, DN, and variance, DN², for the present pulses.
     #[inline(always)]
     pub(super) fn set_level(&mut self, level_dn: f32, variance: f32) {
         (self.level_dn, self.level_variance, self.is_levelled) = (level_dn, variance, true);
     }
 
-    /// Leaves the waveform to the plain kernels.
+    /// Passes the waveform to the scalar kernels.
     pub(super) fn give_up(&mut self) {
         self.way = Way::Plain;
     }
 
-    /// Adds a pulse behind the others; `false` where there is no room.
+    /// Appends a pulse; `false` if there is no room.
     #[inline(always)]
     pub(super) fn push(&mut self, pulse: Pulse) -> bool {
         let Some(place) = self.pulses.get_mut(self.count) else { return false };
@@ -188,7 +192,9 @@ impl Scene {
         true
     }
 
-    /// Its one pulse is fitted, and to be taken off its row.
+    /// Stores the fit of the only pulse.
+    ///
+    /// The caller must subtract the pulse from the row.
     #[inline(always)]
     pub(super) fn settle(&mut self, fitted: &FittedPulse) {
         (self.is_settled, self.taken_off) = (true, true);
@@ -198,7 +204,7 @@ impl Scene {
         }
     }
 
-    /// Puts the given pulses in the place of some; `false` where there is no room.
+    /// Replaces some pulses by others; `false` if there is no room.
     pub(super) fn replace(&mut self, old: Range<usize>, new: &[Pulse]) -> bool {
         let count = self.count - old.len() + new.len();
         if count > MAX_PULSES {
@@ -217,13 +223,13 @@ impl Scene {
         self.pulses[..self.count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
     }
 
-    /// Whether two pulses are near enough to bear on each other.
+    /// Whether two pulses are close enough to influence each other.
     pub(super) fn overlap(&self, i: usize, j: usize, fwhm_samples: f32) -> bool {
         let (a, b) = (&self.pulses[i], &self.pulses[j]);
         (a.position() - b.position()).abs() < reach(a, fwhm_samples).max(reach(b, fwhm_samples))
     }
 
-    /// The end of the cluster that starts with a pulse, the pulses being sorted.
+    /// Returns the end of the cluster that starts at a pulse; pulses must be sorted.
     pub(super) fn cluster_end(&self, start: usize, fwhm_samples: f32) -> usize {
         let mut end = start + 1;
         while end < self.count && self.overlap(end - 1, end, fwhm_samples) {
@@ -232,7 +238,9 @@ impl Scene {
         end
     }
 
-    /// Divides the sorted pulses into the clusters that are fitted jointly; returns whether they are others than before.
+    /// Divides the sorted pulses into jointly fitted clusters.
+    ///
+    /// Returns whether the clusters have changed.
     pub(super) fn set_clusters(&mut self, fwhm_samples: f32) -> bool {
         if self.count < 2 {
             let end = self.count as u8;
@@ -252,14 +260,14 @@ impl Scene {
         self.ends != before
     }
 
-    /// The cluster of this number.
+    /// Returns a cluster by number.
     pub(super) fn cluster(&self, number: usize) -> Option<Range<usize>> {
         let end = usize::from(*self.ends.get(number)?);
         let start = number.checked_sub(1).map_or(0, |before| usize::from(self.ends[before]));
         (start < end).then_some(start..end)
     }
 
-    /// The pulses, the sorted ones, that a pulse at this place would be in one cluster with.
+    /// Returns the sorted pulses that form a cluster with a pulse at `position`.
     pub(super) fn cluster_around(&self, position: f32, fwhm_samples: f32) -> Range<usize> {
         let near = |p: &Pulse| (p.position() - position).abs() < reach(p, fwhm_samples);
         let Some(first) = self.pulses().iter().position(near) else {

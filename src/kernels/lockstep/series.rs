@@ -1,4 +1,6 @@
-//! A response as a Fourier series, widened by a Gaussian: its shapes and their derivatives at sixteen places per sample.
+//! System response as a Fourier series, widened by a Gaussian.
+//!
+//! Computes its shapes and their derivatives at sixteen positions per sample.
 
 use std::f64::consts::PI;
 
@@ -8,27 +10,27 @@ use crate::kernels::templates::widening_gain;
 
 use super::tables::{PHASES, TEMPLATES};
 
-/// Steps of the widened shapes for each step of the response.
+/// Steps of the widened shapes per step of the response.
 const FINER: usize = PHASES / STEPS_PER_SAMPLE;
 
-/// One response.
+/// Fourier series of one response.
 pub(super) struct Series {
     terms: Vec<Complex>,
-    /// Period in the response's steps, a power of two.
+    /// Period, a power of two, in steps of the response.
     steps: usize,
     /// Variance of a Gaussian of the response's width, samples².
     variance: f64,
 }
 
-/// The shapes of one width: the pulse of height 1 and its derivatives, as [`super::tables`] orders them.
+/// Shapes of one width: the pulse of height 1 and its derivatives, ordered as in [`super::tables`].
 pub(super) struct Widened {
     shapes: [Vec<f64>; TEMPLATES],
-    /// Greatest value before the pulse was scaled to the height 1.
+    /// Maximum before scaling to height 1.
     pub(super) top: f64,
 }
 
 impl Widened {
-    /// A shape's value so many steps of 1/16 sample behind the response's peak.
+    /// Value of a shape, `step` steps of 1/16 sample after the response's peak.
     pub(super) fn at(&self, shape: usize, step: i64) -> f64 {
         let values = &self.shapes[shape];
         values[step.rem_euclid(values.len() as i64) as usize]
@@ -36,8 +38,10 @@ impl Widened {
 }
 
 impl Series {
-    /// The series of a response as [`crate::kernels::response::SystemResponse`] holds it, with room for `reach` samples
-    /// on either side.
+    /// Creates the series of a response.
+    ///
+    /// `values` and `first_sample` are as in [`crate::kernels::response::SystemResponse`]. The
+    /// period leaves room for `reach` samples on either side.
     pub(super) fn new(values: &[f64], first_sample: i32, fwhm_samples: f64, reach: usize) -> Series {
         let steps = (values.len() + 2 * reach * STEPS_PER_SAMPLE).next_power_of_two();
         let first_step = i64::from(first_sample) * STEPS_PER_SAMPLE as i64;
@@ -45,9 +49,10 @@ impl Series {
         Series { terms, steps, variance: fwhm_samples * fwhm_samples / (8.0 * std::f64::consts::LN_2) }
     }
 
-    /// The pulse of a width, of height 1, with its first and second derivatives by time and the width's logarithm.
+    /// Pulse of a width and height 1, with first and second derivatives.
     ///
-    /// With `h = s T`, `T` the height: `s_u = (h_u - s T_u)/T` and `s_uu = (h_uu - 2 s_u T_u - s T_uu)/T`.
+    /// The derivatives are by time and by the logarithm of the width. With `h = s T`, `T` the
+    /// height: `s_u = (h_u - s T_u)/T` and `s_uu = (h_uu - 2 s_u T_u - s T_uu)/T`.
     pub(super) fn widened(&self, ln_width_ratio: f64) -> Widened {
         let [h, t, tt, u, uu, tu] = self.transformed(ln_width_ratio);
         let peak = (0..h.len()).fold(0, |best, k| if h[k] > h[best] { k } else { best });
@@ -64,7 +69,7 @@ impl Series {
         Widened { shapes: [s, s_t, s_tt, s_u, s_uu, s_tu], top }
     }
 
-    /// The widened response and its derivatives, not scaled: `h, h_t, h_tt, h_u, h_uu, h_tu`.
+    /// Unscaled widened response and derivatives: `h, h_t, h_tt, h_u, h_uu, h_tu`.
     fn transformed(&self, ln_width_ratio: f64) -> [Vec<f64>; TEMPLATES] {
         let length = self.steps * FINER;
         let mut spectra = [vec![[0.0, 0.0]; length], vec![[0.0, 0.0]; length], vec![[0.0, 0.0]; length]];
@@ -79,7 +84,7 @@ impl Series {
                 [scaled(by_uu), turned(by_u)],
             ];
             for (target, [a, b]) in spectra.iter_mut().zip(pairs) {
-                // f + i g as one transform: at j it is a + i b, at -j it is a* + i b*.
+                // f + i g in one transform: the term at j is a + i b, at -j it is a* + i b*.
                 target[j] = [a[0] - b[1], a[1] + b[0]];
                 if j > 0 {
                     target[length - j] = [a[0] + b[1], b[0] - a[1]];

@@ -1,4 +1,6 @@
-//! Waveforms of one pulse, as most are: from the width bank to chi-square while their rows are at hand.
+//! Fits waveforms of one pulse, the most frequent kind.
+//!
+//! Processes them from the width bank to chi-square while their rows are in the cache.
 
 use super::fit::{Job, fit};
 use super::fitted::Fitted;
@@ -10,14 +12,18 @@ use super::start::{BankSums, SOMEWHERE, from_bank};
 use super::tables::{BANK, Tables};
 use super::vector::{Kernel, LANES, Simd};
 
-/// Settles waveforms of one pulse that the first iterations bring to an optimum, and that the response does not change with.
-/// The others stay as they are: fits of their kind wait for them.
+/// Settles waveforms of one pulse that converge in the first iterations.
+///
+/// The response must not depend on the height of the pulse. Other waveforms stay unchanged for the
+/// queued fits.
 pub(super) struct FitSingles<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a mut Rows,
     pub(super) scenes: &'a mut [Scene],
     pub(super) which: &'a [usize],
-    /// Waveforms whose pulse moves far with its level, so that it is to be fitted anew.
+    /// Collects waveforms that need a new fit.
+    ///
+    /// Their pulse moves far with the level.
     pub(super) moved: &'a mut Vec<usize>,
 }
 

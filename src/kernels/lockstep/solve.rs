@@ -1,8 +1,10 @@
-//! Sixteen symmetric systems at once, factored as `L D Lᵀ`.
+//! Factors sixteen symmetric linear systems at once as `L D Lᵀ`.
 
 use super::vector::Simd;
 
-/// The factors of sixteen positive definite matrices of order `P`: the unit triangle below the diagonal.
+/// Factors of sixteen positive definite matrices of order `P`.
+///
+/// `lower` holds the unit triangle below the diagonal.
 pub(super) struct Factors<V, const P: usize> {
     lower: [[V; P]; P],
     inverse_pivots: [V; P],
@@ -14,7 +16,7 @@ pub(super) fn factor<S: Simd, const P: usize>(s: S, mut a: [[S::V; P]; P]) -> Fa
     let one = s.splat(1.0);
     let mut inverse_pivots = [one; P];
     for j in 0..P {
-        // Column by column: what the earlier columns tell is taken off when they are done.
+        // Right-looking: each finished column is eliminated from all later ones at once.
         let inverse = s.div(one, a[j][j]);
         inverse_pivots[j] = inverse;
         let mut scaled = [one; P];
@@ -44,8 +46,9 @@ impl<V: Copy, const P: usize> Factors<V, P> {
         }
     }
 
-    /// What each unknown, beside those before it, explains of the sum of squares whose equations these are, and a value of
-    /// its sign.
+    /// Part of the sum of squares explained by each unknown beyond earlier ones.
+    ///
+    /// The second value has the sign of the unknown's contribution.
     #[inline(always)]
     pub(super) fn explained<S: Simd<V = V>>(&self, s: S, mut b: [V; P]) -> [(V, V); P] {
         self.forward(s, &mut b);
@@ -70,13 +73,13 @@ impl<V: Copy, const P: usize> Factors<V, P> {
         }
     }
 
-    /// The diagonal of the inverse.
+    /// Returns the diagonal of the inverse.
     #[inline(always)]
     pub(super) fn inverse_diagonal<S: Simd<V = V>>(&self, s: S) -> [V; P] {
         let zero = s.splat(0.0);
         let mut diagonal = [zero; P];
         for c in 0..P {
-            // Column c of L⁻¹, whose squares over the pivots add up.
+            // Column c of L⁻¹: sums its squares divided by the pivots.
             let mut column = [zero; P];
             column[c] = s.splat(1.0);
             for j in c..P {

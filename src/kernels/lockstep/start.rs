@@ -1,4 +1,4 @@
-//! The width bank, and the one tabulated step of the mode `fastest`.
+//! Initial values from the width bank, and the tabulated step of the mode `fastest`.
 
 use super::detection::ByCount;
 use super::fit::Job;
@@ -14,7 +14,7 @@ use super::vector::{Kernel, LANES, Simd, Sixteen};
 /// Dot products of a row with the bank.
 pub(super) type BankSums<H> = [[H; LANES]; BANK];
 
-/// Replaces heights and widths of jobs by those of the bank at their positions.
+/// Replaces heights and widths of jobs by those of the bank.
 pub(super) struct FromBank<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
@@ -44,11 +44,12 @@ impl Kernel for FromBank<'_> {
     }
 }
 
-/// A place in a row for lanes without work.
+/// Position in a row for lanes without work.
 pub(super) const SOMEWHERE: Sixteen = [20.0; LANES];
 
-/// Gives the waveforms whose pulse of one number is to be stepped, that pulse standing on its row, and no other; not those
-/// where it overlaps another, when only separated ones are.
+/// Selects the waveforms whose pulse of index `number` gets a step.
+///
+/// Leaves only that pulse on the row. With `separated`, skips pulses that overlap another.
 pub(super) struct ClearForStep<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a mut Rows,
@@ -91,16 +92,18 @@ impl Kernel for ClearForStep<'_> {
     }
 }
 
-/// One step, from where the bank has it, on the pulse of one number in each of some waveforms. Where the pulses have been
-/// taken off the row, and this one put back, it is taken off once more.
+/// Makes one step from the bank's values on one pulse per waveform.
+///
+/// If the pulses were subtracted from the row and this one was added back, it is subtracted again.
 pub(super) struct OneStep<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a mut Rows,
     pub(super) scenes: &'a mut [Scene],
     pub(super) which: &'a [usize],
     pub(super) number: usize,
-    /// Rows and numbers of the pulses that are to be fitted instead, from where the bank has them, are added here: the step's
-    /// matrix is that of whole pulses.
+    /// Collects rows and indices of pulses that need a fit from the bank's values instead.
+    ///
+    /// The matrix of the step is only valid for whole pulses.
     pub(super) to_fit: &'a mut Vec<(usize, usize)>,
 }
 
@@ -158,8 +161,10 @@ impl Kernel for OneStep<'_> {
     }
 }
 
-/// Heights and widths of the bank at positions on up to sixteen rows: the width with the largest normalised matched filter,
-/// by a parabola through the best and its neighbours.
+/// Heights and widths from the bank for up to sixteen rows.
+///
+/// The width is that of the largest normalised matched filter, by a parabola through the best value
+/// and its neighbours.
 #[inline(always)]
 pub(super) fn from_bank<S: Simd>(
     s: S,
@@ -189,7 +194,9 @@ pub(super) fn from_bank<S: Simd>(
     vertex(s, tables, &statistic)
 }
 
-/// Height and width at the maximum of the parabola through the bank's best statistic and its neighbours.
+/// Height and width at the vertex of the parabola.
+///
+/// It passes through the bank's best statistic and its neighbours.
 #[inline(always)]
 fn vertex<S: Simd>(s: S, tables: &Tables, statistic: &[S::V; BANK]) -> (S::V, S::V) {
     let zero = s.splat(0.0);
@@ -209,7 +216,7 @@ fn vertex<S: Simd>(s: S, tables: &Tables, statistic: &[S::V; BANK]) -> (S::V, S:
         centre = s.select(better, s.splat(Tables::bank_width(k) as f32), centre);
     }
     let (best, scales) = (Parabola::through(s, best), Parabola::through(s, scales));
-    // A curvature that is no maximum's gives a bounded shift.
+    // If the curvature is not that of a maximum, the shift is still bounded.
     let shift = s.div(best.rise, s.max(s.sub(zero, best.bend), s.splat(1e-3)));
     let shift = bounded(s, shift, 1.2);
     let step = (Tables::bank_width(1) - Tables::bank_width(0)) as f32;
@@ -233,44 +240,51 @@ impl<V: Copy> Parabola<V> {
         }
     }
 
-    /// Its value so many steps from the centre.
+    /// Value at `steps` from the centre.
     #[inline(always)]
     fn at<S: Simd<V = V>>(&self, s: S, steps: V) -> V {
         s.fma(steps, s.fma(s.mul(s.splat(0.5), steps), self.bend, self.rise), self.centre)
     }
 }
 
-/// Products of the step: the right side, the residual's square, and for a level what the whole row's residuals add to the
-/// square and their product with the whitened constant.
+/// Products of the step.
+///
+/// Three of the right side, the square of the residual, and two of the whole row for a level: the
+/// additional square, and the product of the residuals with the whitened constant.
 type StepSums<H> = [[H; LANES]; 6];
 
 /// Sixteen pulses after one step.
 struct Steps {
     fitted: FittedLanes,
-    /// Lanes in which a step was made: of pulses that the block holds as good as whole, to what the tables hold.
+    /// Lanes in which the step is valid: the pulse is practically whole and inside the tables.
     made: u16,
-    /// Sum of the squared whitened residuals over the block's samples in the pulse's row, and how many these are; over all of
-    /// the block's samples in levelled lanes.
+    /// Sum of squared whitened residuals, and its number of samples.
+    ///
+    /// Over the samples of the block in the pulse's row, or over all samples of the block in
+    /// levelled lanes.
     chi_square: Sixteen,
     samples: [usize; LANES],
-    /// Lanes in which a level has been estimated jointly, the level and its variance: values, standard deviations and
-    /// chi-square hold it.
+    /// Lanes with a jointly estimated level, the level and its variance.
+    ///
+    /// Values, standard deviations and chi-square of these lanes include the level.
     levelled: u16,
     level_dn: Sixteen,
     level_variance: Sixteen,
 }
 
-/// A level's part in the step of sixteen pulses that are alone in their waveforms.
+/// Levels in the step of sixteen pulses that are alone in their waveforms.
 struct StepLevels<'a> {
     tables: &'a LevelTables,
-    /// Levels before the step.
+    /// Levels before the step, DN.
     level_dn: &'a Sixteen,
     /// Lanes whose waveforms have one pulse.
     alone: u16,
 }
 
-/// One step with the tabulated inverse Fisher matrix, whose diagonal also gives the standard deviations. Not whole
-/// are pulses that leave the block: the matrix is that of whole ones.
+/// Makes one step with the tabulated inverse Fisher matrix.
+///
+/// Its diagonal also provides the standard deviations. The matrix is that of whole pulses, which
+/// pulses that extend past the block are not.
 #[inline(always)]
 fn one_step<S: Simd>(
     s: S,
@@ -305,7 +319,8 @@ fn one_step<S: Simd>(
         let mut acc = [s.splat(0.0); 4];
         let mut sum = s.splat(0.0);
         for c in 0..VECTORS {
-            // The step's matrix is the first response's; the pulse that it corrects is the height's own.
+            // The matrix of the step is that of the first node's response. The pulse that it
+            // corrects has the response for its height.
             let shape = if site.height < tables.strong_dn() {
                 template::<S, false>(s, tables, &site, LANES + c * LANES)
             } else {
@@ -348,7 +363,7 @@ fn one_step<S: Simd>(
         *lane = s.load(values);
     }
     let [aa, at, tt, au, tu, uu] = lanes;
-    // In units of the height for position and width: the table is of a pulse of height 1.
+    // In units of the height for position and width: the table is for a pulse of height 1.
     let row = |x, y, z| s.fma(x, right[0], s.fma(y, right[1], s.mul(z, right[2])));
     let mut unit = [row(aa, at, au), row(at, tt, tu), row(au, tu, uu)];
     let told = s.fma(unit[0], right[0], s.fma(unit[1], right[1], s.mul(unit[2], right[2])));
@@ -394,8 +409,9 @@ fn one_step<S: Simd>(
     Steps { made, fitted, chi_square: squares, samples: counted, levelled, level_dn, level_variance }
 }
 
-/// Squares, and residuals, to be summed, of a block's samples outside a pulse's row: those before it, and those behind it less
-/// the pulse's tail.
+/// Squares and residuals outside a pulse's row, to be summed.
+///
+/// Covers the samples of the block before the row, and those after it minus the pulse's tail.
 #[inline(always)]
 fn beyond_row<S: Simd>(s: S, tables: &Tables, row: &[f32], site: &Site, length: i32) -> [S::V; 2] {
     let (mut squares, mut sum) = (s.splat(0.0), s.splat(0.0));

@@ -1,4 +1,4 @@
-//! What the kernels look up: whitened templates over height, width and phase, inverse Fisher matrices, the filters.
+//! Lookup tables: whitened templates by height, width and phase, inverse Fisher matrices, filters.
 
 use super::filter::Filter;
 use super::level::LevelTables;
@@ -10,49 +10,54 @@ use crate::kernels::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
 use crate::kernels::sensor_model::{ChannelModel, Digitiser};
 use crate::kernels::whitening::Whitener;
 
-/// Samples of a template row: from 11 before the peak's sample to 20 behind it, past the after-pulse.
+/// Samples of a template row.
+///
+/// From 11 before the peak to 20 after it, past the after-pulse.
 pub(super) const ROW: usize = 32;
-/// Row samples before the peak's.
+/// Samples of a row before that of the peak.
 pub(super) const BEFORE_PEAK: i32 = 11;
 /// Table positions per sample.
 pub(super) const PHASES: usize = 16;
-/// Widths of the table.
+/// Number of tabulated widths.
 pub(super) const KNOTS: usize = 52;
-/// `ln` of the narrowest width ratio, 0.6.
+/// `ln` of the smallest width ratio, 0.6.
 pub(super) const U_MIN: f64 = -0.510_825_623_765_990_7;
-/// Between knots.
+/// Spacing of the knots, `ln` width.
 pub(super) const U_STEP: f64 = 0.026_4;
-/// `ln` of the widest width ratio, 2.3.
+/// `ln` of the largest width ratio, 2.3.
 pub(super) const U_MAX: f64 = U_MIN + (KNOTS - 1) as f64 * U_STEP;
-/// Full widths at half maximum, samples, that rows and filters are made for.
+/// Supported full widths at half maximum, samples.
 const FWHM_RANGE: std::ops::RangeInclusive<f64> = 1.5..=6.0;
 /// Templates per entry: `s, s_t, s_tt, s_u, s_uu, s_tu`.
 pub(super) const TEMPLATES: usize = 6;
-/// A row and the zeros behind it; those before the first row open the entry.
+/// A row and the zeros after it; the entry starts with the zeros before the first row.
 pub(super) const ROW_STRIDE: usize = ROW + LANES;
 /// Values of one entry.
 pub(super) const ENTRY: usize = LANES + TEMPLATES * ROW_STRIDE;
-/// Highest order of the noise that the kernels whiten.
+/// Highest supported order of the noise.
 pub(super) const MAX_ORDER: usize = 4;
-/// Lags of the matched filter behind the whitening filter, from 6 before the peak.
+/// Lags of the matched filter after whitening, from 6 before the peak.
 pub(super) const FILTER_LAGS: usize = 14;
 pub(super) const FILTER_BEFORE: i32 = 6;
-/// Taps of whitening and matched filter in one.
+/// Taps of whitening and matched filter combined.
 pub(super) const TAPS: usize = FILTER_LAGS + MAX_ORDER;
-/// The first tap meets the sample this many before the position.
+/// Samples from the first tap's sample to the position.
 pub(super) const TAPS_BEFORE: usize = FILTER_BEFORE as usize + MAX_ORDER;
-/// Widths of the bank, as knots: `first + k stride`.
+/// Number of widths in the bank, at knots `first + k stride`.
 pub(super) const BANK: usize = 6;
 const BANK_FIRST: usize = 12;
 const BANK_STRIDE: usize = 7;
-/// Least share of a pulse's energy with which a position at the block's edge is searched.
+/// Minimum fraction of a pulse's energy for detection at the edge of a block.
 const LEAST_ENERGY: f64 = 0.3;
 
-/// Part of a pulse's energy that may be left out at either end of its row: at a signal-to-noise ratio of 100 a tenth of a
-/// standard deviation.
+/// Fraction of a pulse's energy that may be missing at either end of its row.
+///
+/// At a signal-to-noise ratio of 100 it is a tenth of a standard deviation.
 const NEGLIGIBLE_ENERGY: f32 = 1e-6;
-/// Part of what a pulse's samples tell of any of its values that may be missing at either end of its row, where the tables'
-/// Fisher matrix still is its own: standard deviations come out smaller by about half of it.
+/// Fraction of the information on any value that may be missing at either end.
+///
+/// Up to it the tabulated Fisher matrix is used. Standard deviations are then too small by about
+/// half of it.
 const NEGLIGIBLE_INFORMATION: f32 = 0.01;
 
 /// Values that start on a cache line.
@@ -64,7 +69,7 @@ pub(super) struct Aligned {
 impl Aligned {
     pub(super) fn zeros(length: usize) -> Aligned {
         let mut values = vec![0.0; length + LANES];
-        // A start that is not aligned costs time, nothing else.
+        // An unaligned start only costs time.
         let start = values.as_ptr().align_offset(64).min(LANES);
         values.truncate(start + length);
         Aligned { values, start }
@@ -81,55 +86,63 @@ impl Aligned {
     }
 }
 
-/// The templates of the response for one height of the peak.
+/// Templates of the response for one height of the peak.
 pub(super) struct Node {
     pub(super) peak_dn: f32,
     entries: Aligned,
-    /// Per phase the whitened response behind the row, sixteen zeros before and behind.
+    /// Whitened response after the row, by phase, with sixteen zeros before and after.
     tails: Aligned,
 }
 
-/// Everything that depends on one channel's response and noise, for all threads.
+/// Tables of one channel's response and noise, shared by all threads.
 ///
-/// 1 MB of templates for each height that has a response of its own; what one width uses, 19 KB, stays in the
-/// first-level cache.
+/// 1 MB of templates for each height with its own response. The part for one width, 19 KB, stays in
+/// the first-level cache.
 pub struct Tables {
     pub(super) nodes: Vec<Node>,
-    /// Per entry the inverse Fisher matrix of a pulse of height 1, lower triangle: aa, aτ, ττ, au, τu, uu.
+    /// Inverse Fisher matrix of a pulse of height 1, by entry.
+    ///
+    /// Lower triangle: aa, aτ, ττ, au, τu, uu.
     inverse_fisher: Vec<[f32; 8]>,
-    /// Per phase the six rows of the bank, each of unit energy.
+    /// The six rows of the bank, each of unit energy, by phase.
     bank: Aligned,
-    /// Inverse root of the energies of the bank's rows.
+    /// Inverse square root of the energies of the bank's rows.
     pub(super) bank_scale: [f32; BANK],
-    /// By knot what the tail of a pulse of height 1 is multiplied with: widening lowers the peak, not the tail.
+    /// Factor on the tail of a pulse of height 1, by knot.
+    ///
+    /// Widening lowers the peak but not the tail.
     tail_gain: [f32; KNOTS],
-    /// By knot the row's samples that hold a pulse: from one to before another.
+    /// First and end sample of the part of a row that holds a pulse, by knot.
     needed: [[i32; 2]; KNOTS],
-    /// The same for those that tell of it.
+    /// First and end sample of the part that holds its information, by knot.
     telling: [[i32; 2]; KNOTS],
-    /// Values of a tail, the zeros included.
+    /// Number of values of a tail, including the zeros.
     tail_stride: usize,
     pub(super) filter: Filter,
-    /// The matched filter on whitened samples, in the units of `filter`'s taps.
+    /// Matched filter on whitened samples, in the units of `filter`'s taps.
     pub(super) matched: [f32; FILTER_LAGS],
-    /// Whitening: what the sample is multiplied with, then those before it.
+    /// Whitening taps: for the sample, then for those before it.
     pub(super) whitening: [f32; MAX_ORDER + 1],
     pub(super) order: usize,
-    /// Whitening of the first samples, as many as the order: each with those before it, its own factor last.
+    /// Whitening of the first samples, as many as the order.
+    ///
+    /// Each row has the factors of the earlier samples, then that of the sample itself.
     pub(super) begin: [[f32; MAX_ORDER]; MAX_ORDER],
-    /// The background by sample number modulo 4, DN, and what whitening makes of it.
+    /// Background by sample number modulo 4, DN, and its whitened values.
     pub(super) background: [f32; 4],
     pub(super) whitened_background: [f32; 4],
-    /// For a background of each waveform's own; `None` where it is the channel's.
+    /// Tables for waveforms with their own background; `None` for the channel's.
     pub(super) level: Option<LevelTables>,
     /// Full width at half maximum of a pulse of width ratio 1, samples.
     pub(super) fwhm_samples: f64,
 }
 
 impl Tables {
-    /// Tables for a channel. `None` where the fast kernels are not made for it: a digitiser that shifts odd samples or leaves
-    /// a tail of its own, a background that is each waveform's own where no sample was free of signal to measure the noise on,
-    /// noise of an order above 4, a pulse narrower than 1.5 or wider than 6 samples, or a model that describes no channel.
+    /// Creates the tables for a channel, or `None` if it is unsupported.
+    ///
+    /// Unsupported: a digitiser that shifts odd samples or has its own tail; an own background of
+    /// each waveform if no sample was free of signal to measure the noise; noise of an order above
+    /// 4; a pulse narrower than 1.5 or wider than 6 samples; a model that fails its check.
     pub fn new(model: &ChannelModel) -> Option<Tables> {
         let fwhm = model.fwhm_samples();
         let noise = model.noise().ok()?;
@@ -196,7 +209,9 @@ impl Tables {
         }
     }
 
-    /// The templates of a height, knot and phase: zeros, then rows with zeros behind each.
+    /// Returns the templates of a height, knot and phase.
+    ///
+    /// The entry starts with zeros, and each row is followed by zeros.
     #[inline(always)]
     pub(super) fn entry(&self, node: usize, index: usize) -> &[f32; ENTRY] {
         const NOTHING: &[f32; ENTRY] = &[0.0; ENTRY];
@@ -206,13 +221,15 @@ impl Tables {
         }
     }
 
-    /// The inverse Fisher matrix of a pulse of height 1: aa, aτ, ττ, au, τu, uu; two values more make it a power of two.
+    /// Returns the inverse Fisher matrix of a pulse of height 1.
+    ///
+    /// In the order aa, aτ, ττ, au, τu, uu. Two more values pad it to a power of two.
     #[inline(always)]
     pub(super) fn inverse_fisher(&self, index: usize) -> [f32; 8] {
         self.inverse_fisher.get(index).copied().unwrap_or([0.0; 8])
     }
 
-    /// The bank's rows at a phase.
+    /// Returns the rows of the bank at a phase.
     #[inline(always)]
     pub(super) fn bank(&self, phase: usize) -> &[f32; BANK * ROW] {
         const NOTHING: &[f32; BANK * ROW] = &[0.0; BANK * ROW];
@@ -222,13 +239,14 @@ impl Tables {
         }
     }
 
-    /// `ln` of the bank's width ratios.
+    /// Returns `ln` of a width ratio of the bank.
     pub(super) fn bank_width(k: usize) -> f64 {
         U_MIN + (BANK_FIRST + k * BANK_STRIDE) as f64 * U_STEP
     }
 
-    /// The whitened response behind the row of an entry; sixteen zeros before and behind. Row and tail add up to the whole
-    /// response.
+    /// Returns the whitened response after the row of an entry.
+    ///
+    /// Sixteen zeros precede and follow it. Row and tail add up to the whole response.
     #[inline(always)]
     pub(super) fn tail(&self, node: usize, index: usize) -> &[f32] {
         let at = index % PHASES * self.tail_stride;
@@ -236,25 +254,27 @@ impl Tables {
         tails.and_then(|tails| tails.get(at..at + self.tail_stride)).unwrap_or(&[])
     }
 
-    /// What the tail of an entry's pulse is multiplied with, beside its height.
+    /// Returns the factor on the tail of an entry's pulse, in addition to its height.
     #[inline(always)]
     pub(super) fn tail_gain(&self, index: usize) -> f32 {
         self.tail_gain.get(index / PHASES).copied().unwrap_or(1.0)
     }
 
-    /// The samples of a row that hold an entry's pulse: from one to before another.
+    /// First and end sample of the part of a row that holds an entry's pulse.
     #[inline(always)]
     pub(super) fn needed(&self, index: usize) -> [i32; 2] {
         self.needed.get(index / PHASES).copied().unwrap_or([0, ROW as i32])
     }
 
-    /// The samples of a row that tell of an entry's pulse: from one to before another.
+    /// First and end sample of the part that holds an entry's information.
     #[inline(always)]
     pub(super) fn telling(&self, index: usize) -> [i32; 2] {
         self.telling.get(index / PHASES).copied().unwrap_or([0, ROW as i32])
     }
 
-    /// Height from which the response is not the first node's, DN; infinite with one node.
+    /// Height above which the response differs from the first node's, DN.
+    ///
+    /// Infinite with one node.
     pub(super) fn strong_dn(&self) -> f32 {
         if self.nodes.len() > 1 { self.nodes[0].peak_dn } else { f32::INFINITY }
     }
@@ -314,7 +334,7 @@ impl Tables {
                 for (out, &value) in self.bank.as_mut_slice()[at..at + ROW].iter_mut().zip(row) {
                     *out = (f64::from(value) * scale) as f32;
                 }
-                // The energy hardly depends on the phase: the middle one stands for all.
+                // The energy hardly depends on the phase: the middle one is used for all.
                 if phase == PHASES / 2 {
                     self.bank_scale[k] = scale as f32;
                 }
@@ -322,9 +342,10 @@ impl Tables {
         }
     }
 
-    /// Taps of whitening and matched filter in one, of unit output variance, and what makes it so at a block's edges,
-    /// where samples are missing (taken as background): the inverse standard deviation, or 0 where too little energy is
-    /// left.
+    /// Combines whitening and matched filter into taps of unit output variance.
+    ///
+    /// At the edges of a block missing samples are taken as background. The gain there is the
+    /// inverse standard deviation, or 0 if too little energy is left.
     fn set_filter(&mut self, pulse: &Widened, filter: &Whitening, noise: &ArNoise, background_dn: &[f64; 4]) {
         let template: [f64; FILTER_LAGS] =
             std::array::from_fn(|k| filter.at(pulse, 0, k as i64 - i64::from(FILTER_BEFORE), 0));
@@ -359,7 +380,7 @@ impl Tables {
     }
 }
 
-/// The samples of a row that hold all but this part of its energy at either end: from one to before another.
+/// First and end sample of a row without negligible energy at either end.
 fn holding(row: &[f32], negligible: f32) -> [i32; 2] {
     let whole: f32 = row.iter().map(|v| v * v).sum();
     let (mut energy, mut first) = (0.0, 0);
@@ -375,12 +396,12 @@ fn holding(row: &[f32], negligible: f32) -> [i32; 2] {
     [first as i32, end as i32]
 }
 
-/// The samples of two spans and what is between them.
+/// Returns the smallest span that contains two spans.
 fn both(a: [i32; 2], b: [i32; 2]) -> [i32; 2] {
     [a[0].min(b[0]), a[1].max(b[1])]
 }
 
-/// What exact whitening does to the first samples of a block, row by row.
+/// Returns the exact whitening of the first samples of a block, row by row.
 fn beginning(noise: &ArNoise) -> [[f32; MAX_ORDER]; MAX_ORDER] {
     let mut whitener = Whitener::new(noise.clone(), MAX_ORDER);
     whitener.set_used(&[true; MAX_ORDER]);
@@ -402,14 +423,18 @@ struct Whitening {
 }
 
 impl Whitening {
-    /// A whitened shape at a whole sample behind the peak's, the peak standing `phase` steps late.
+    /// Whitened shape at `sample` whole samples after that of the peak.
+    ///
+    /// The peak is `phase` steps late.
     fn at(&self, shapes: &Widened, shape: usize, sample: i64, phase: usize) -> f64 {
         let step = |lag: usize| (sample - lag as i64) * PHASES as i64 - phase as i64;
         self.taps.iter().enumerate().map(|(lag, tap)| tap * shapes.at(shape, step(lag))).sum()
     }
 }
 
-/// Fills the templates of a width and phase, and gives their Fisher matrix (height, position, width), lower triangle.
+/// Fills the templates of a width and phase; returns their Fisher matrix.
+///
+/// Of height, position and width, lower triangle.
 fn fill_entry(entry: &mut [f32], widened: &Widened, phase: usize, filter: &Whitening) -> [f64; 6] {
     let mut fisher = [0.0; 6];
     for k in 0..ROW {
@@ -447,7 +472,7 @@ fn inverse(m: [f64; 6]) -> [f32; 8] {
     out
 }
 
-/// A Gaussian of the calibrated width as a response.
+/// Creates a Gaussian response of the calibrated width.
 fn gaussian_response(fwhm_samples: f64) -> SystemResponse {
     let reach = (2.5 * fwhm_samples).ceil() as i32;
     let steps = STEPS_PER_SAMPLE as i32;

@@ -1,4 +1,4 @@
-//! A pulse's whitened template and its derivatives, out of the tables.
+//! Whitened template of a pulse and its derivatives, from the tables.
 
 use super::fitted::Values;
 use super::rows::sixteen;
@@ -13,21 +13,21 @@ pub(super) struct Pulses<V> {
     pub(super) width: V,
 }
 
-/// Positions are kept this many samples around the block.
+/// Range of positions outside the block, samples.
 const OUTSIDE: f32 = 8.0;
-/// Least share of its height that an iteration leaves to a pulse.
+/// Minimum fraction of its height that an iteration leaves to a pulse.
 const LEAST_LEFT: f32 = 0.2;
-/// Largest change of position (samples) and of `ln` width in one iteration.
+/// Maximum change of position (samples) and of `ln` width per iteration.
 const LIMITS: [f32; 2] = [1.5, 0.4];
 
 impl<V: Copy> Pulses<V> {
-    /// The pulses after a step, within the limits of one iteration and of the tables.
+    /// Makes a step within the limits of one iteration and of the tables.
     #[inline(always)]
     pub(super) fn stepped<S: Simd<V = V>>(self, s: S, step: [V; 3], last: V) -> Pulses<V> {
         self.moved(s, step).within(s, last)
     }
 
-    /// The pulses after a step, within the limits of one iteration.
+    /// Makes a step within the limits of one iteration.
     #[inline(always)]
     pub(super) fn moved<S: Simd<V = V>>(self, s: S, step: [V; 3]) -> Pulses<V> {
         Pulses {
@@ -37,7 +37,7 @@ impl<V: Copy> Pulses<V> {
         }
     }
 
-    /// The pulses within what the tables and rows hold; what is not a number becomes the lower bound.
+    /// Limits the pulses to the range of tables and rows; NaN becomes the lower bound.
     #[inline(always)]
     pub(super) fn within<S: Simd<V = V>>(self, s: S, last: V) -> Pulses<V> {
         let outside = s.splat(OUTSIDE);
@@ -48,7 +48,7 @@ impl<V: Copy> Pulses<V> {
         }
     }
 
-    /// `self` in the lanes of the mask, `other` in the rest.
+    /// Selects `self` in the lanes of the mask, `other` in the rest.
     #[inline(always)]
     pub(super) fn select<S: Simd<V = V>>(self, s: S, mask: u16, other: Pulses<V>) -> Pulses<V> {
         Pulses {
@@ -59,33 +59,35 @@ impl<V: Copy> Pulses<V> {
     }
 }
 
-/// The value, at most the limit either way.
+/// Clamps a value to `±limit`.
 #[inline(always)]
 pub(super) fn bounded<S: Simd>(s: S, value: S::V, limit: f32) -> S::V {
     s.min(s.max(value, s.splat(-limit)), s.splat(limit))
 }
 
-/// Where the tables hold a pulse, and how far the pulse is from there.
+/// Table entry of a pulse, and the pulse's distance from it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Site {
     /// Entry of knot and phase.
     pub(super) entry: usize,
-    /// Block sample of the row's first.
+    /// Block sample at the start of the row.
     pub(super) first: i32,
-    /// Table position minus the pulse's, samples.
+    /// Table position minus that of the pulse, samples.
     pub(super) late: f32,
-    /// The pulse's `ln` width minus the knot's.
+    /// `ln` width of the pulse minus that of the knot.
     pub(super) wider: f32,
     pub(super) height: f32,
-    /// The response's nodes around the height, and the part of the second.
+    /// Response nodes around the height, and the weight of the second.
     pub(super) nodes: [usize; 2],
     pub(super) share: f32,
-    /// Height over the distance of the nodes: what the response's change with the height adds to a derivative by it.
+    /// Height divided by the distance of the nodes.
+    ///
+    /// Factor of the response's change with height in the derivative by height.
     pub(super) change: f32,
 }
 
 impl Site {
-    /// The site of one pulse within the tables, its height followed by the response.
+    /// Finds the site of one pulse within the tables; the response depends on its height.
     #[inline(always)]
     pub(super) fn of(tables: &Tables, [height, position, width]: Values) -> Site {
         let above = width.clamp(U_MIN as f32, U_MAX as f32) - U_MIN as f32;
@@ -102,7 +104,7 @@ impl Site {
         site.with_nodes(tables)
     }
 
-    /// The response's nodes around the pulse's height.
+    /// Sets the response nodes around the pulse's height.
     #[inline(always)]
     fn with_nodes(mut self, tables: &Tables) -> Site {
         let nodes = &tables.nodes;
@@ -122,11 +124,11 @@ impl Site {
     }
 }
 
-/// The sites of sixteen pulses, lane by lane.
+/// Sites of sixteen pulses, one per lane.
 #[derive(Clone, Copy)]
 pub(super) struct Sites {
     knot: [i32; LANES],
-    /// Positions in phases.
+    /// Positions in units of a phase.
     step: [i32; LANES],
     late: Sixteen,
     wider: Sixteen,
@@ -134,7 +136,7 @@ pub(super) struct Sites {
 }
 
 impl Sites {
-    /// Before any are known.
+    /// Sites before any are set.
     pub(super) const NONE: Sites = Sites {
         knot: [0; LANES],
         step: [0; LANES],
@@ -143,7 +145,7 @@ impl Sites {
         height: [0.0; LANES],
     };
 
-    /// Those of pulses that are [`Pulses::within`] the tables.
+    /// Sets the sites of pulses that are [`Pulses::within`] the tables.
     #[inline(always)]
     pub(super) fn set<S: Simd>(&mut self, s: S, pulses: &Pulses<S::V>) {
         let above = s.sub(pulses.width, s.splat(U_MIN as f32));
@@ -157,13 +159,13 @@ impl Sites {
         s.store(pulses.height, &mut self.height);
     }
 
-    /// Block sample of a lane's first.
+    /// Block sample at the start of a lane's row.
     #[inline(always)]
     pub(super) fn first(&self, lane: usize) -> i32 {
         self.step[lane].div_euclid(PHASES as i32) - BEFORE_PEAK
     }
 
-    /// The site in a lane; with `STRONG` the response follows the height.
+    /// Returns the site in a lane; with `STRONG` the response depends on height.
     #[inline(always)]
     pub(super) fn get<const STRONG: bool>(&self, tables: &Tables, lane: usize) -> Site {
         let knot = (self.knot[lane].max(0) as usize).min(KNOTS - 1);
@@ -179,14 +181,16 @@ impl Sites {
     }
 }
 
-/// Whether a frame reaches beyond the samples that count: those from `order` to the length.
+/// Whether a frame extends past the samples that count, from `order` to `length`.
 #[inline(always)]
 pub(super) fn leaves_block(first: i32, frame: usize, order: usize, length: usize) -> bool {
     first < order as i32 || first + frame as i32 > length as i32
 }
 
-/// Sixteen samples of a pulse of height 1: the pulse, and its derivatives by height (times the height: the pulse
-/// itself where the response does not follow the height), time and width.
+/// Sixteen samples of a pulse of height 1 and its derivatives.
+///
+/// The derivatives are by height, time and width. That by height is multiplied with the height; it
+/// equals the pulse if the response does not depend on height.
 #[derive(Clone, Copy)]
 pub(super) struct Template<V> {
     pub(super) pulse: V,
@@ -195,7 +199,9 @@ pub(super) struct Template<V> {
     pub(super) by_width: V,
 }
 
-/// A site's template. `at` counts from the entry's first value, 16 before the row's; beyond the row all is 0.
+/// Returns the template of a site.
+///
+/// `at` counts from the first value of the entry, 16 before the row. Values outside the row are 0.
 #[inline(always)]
 pub(super) fn template<S: Simd, const STRONG: bool>(
     s: S,
@@ -219,8 +225,9 @@ pub(super) fn template<S: Simd, const STRONG: bool>(
     Template { pulse, by_height, by_time, by_width }
 }
 
-/// Second-order Taylor expansion from an entry. The error of the pulse is below 5e-5 of the peak from a width ratio of
-/// 0.9 up, below 4e-4 from 0.8 up.
+/// Second-order Taylor expansion from an entry.
+///
+/// The error of the pulse is below 5e-5 of the peak for width ratios from 0.9, below 4e-4 from 0.8.
 #[inline(always)]
 fn expanded<S: Simd>(s: S, entry: &[f32; ENTRY], at: usize, late: S::V, wider: S::V) -> [S::V; 3] {
     let [h, t, tt, u, uu, tu] = [
@@ -238,7 +245,9 @@ fn expanded<S: Simd>(s: S, entry: &[f32; ENTRY], at: usize, late: S::V, wider: S
     [s.fma(s.mul(half, wider), s.add(u, h_u), by_t), h_t, h_u]
 }
 
-/// Sixteen samples of a site's tail, from so many samples behind its row's end (negative: before), times its height.
+/// Sixteen samples of a site's tail, times its height.
+///
+/// `from` counts samples from the end of its row; it may be negative.
 #[inline(always)]
 pub(super) fn tail<S: Simd, const STRONG: bool>(s: S, tables: &Tables, site: &Site, from: i32) -> S::V {
     let at = usize::try_from(from + LANES as i32).unwrap_or(usize::MAX);
@@ -261,7 +270,7 @@ static STEP_UP_AND_DOWN: [f32; 3 * LANES] = {
     values
 };
 
-/// 1 for the samples of a window that count, those from `order` to the length, 0 for the others.
+/// Weights of a window's samples: 1 from `order` to `length`, 0 outside.
 #[inline(always)]
 pub(super) fn weights<S: Simd>(s: S, first: i32, order: usize, length: usize) -> S::V {
     let window = LANES as i32;
@@ -272,5 +281,5 @@ pub(super) fn weights<S: Simd>(s: S, first: i32, order: usize, length: usize) ->
     s.mul(from, to)
 }
 
-/// Vectors of a template's row.
+/// Vectors in a row of a template.
 pub(super) const VECTORS: usize = ROW / LANES;

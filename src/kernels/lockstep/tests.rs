@@ -1,4 +1,4 @@
-//! The fast kernels against the plain ones, which are their oracle, and against themselves on other paths.
+//! Tests of the SIMD kernels against the scalar kernels and between paths.
 
 use super::filter::HIGHEST;
 use super::*;
@@ -16,8 +16,10 @@ mod own_background;
 const SAMPLES: usize = 60;
 const FULL_SCALE: u16 = 255;
 
-/// A pulse with a ringing and a slow tail: a Gaussian of 1.65 ns behind a decay of 0.9 ns, 4 % at +11 ns, 1.5 % falling off
-/// over 40 ns. `tail` makes it stronger.
+/// A pulse with ringing and a slow tail.
+///
+/// A Gaussian of 1.65 ns followed by a decay of 0.9 ns, 4 % at +11 ns, and 1.5 % falling off over
+/// 40 ns. `tail` scales ringing and tail.
 fn response_values(tail: f64) -> Vec<f64> {
     let narrow = |t: f64| (-0.5 * (t / 1.65).powi(2)).exp();
     let main =
@@ -29,7 +31,7 @@ fn response_values(tail: f64) -> Vec<f64> {
     (-96..=640).map(|k| value(f64::from(k) / 8.0 + place) / peak).collect()
 }
 
-/// A channel whose response follows the height above 150 DN.
+/// A channel whose response depends on height above 150 DN.
 fn model() -> ChannelModel {
     let process = ArNoise::new(&[0.8, -0.25], 0.7).unwrap();
     let node = |peak_dn: f64, tail: f64| ResponseNode { peak_dn, values: response_values(tail) };
@@ -52,7 +54,7 @@ fn fast(model: &ChannelModel, mode: Mode, path: Path) -> Lockstep {
     Lockstep::new(model, tables, &DecomposeSettings::default(), mode, path).unwrap()
 }
 
-/// A block of these pulses in the model's noise.
+/// Simulates a block of these pulses in the model's noise.
 fn block(
     model: &ChannelModel,
     shape: &Shape,
@@ -68,7 +70,9 @@ fn block(
     digitised(&values, FULL_SCALE)
 }
 
-/// Waveforms as they come: 15 % empty, 55 % with one pulse, 20 % with two, 10 % with three, 3 to 20 samples apart.
+/// Simulates mixed waveforms.
+///
+/// 15 % are empty, 55 % have one pulse, 20 % two, and 10 % three, 3 to 20 samples apart.
 fn scenes(model: &ChannelModel, seed: u64, count: usize) -> Vec<Vec<u16>> {
     let shape = Shape::of(model).unwrap();
     let mut random = Random::new(seed);
@@ -94,9 +98,11 @@ fn decompose(fast: &mut Lockstep, waveforms: &[Vec<u16>]) -> Outcomes {
     outcomes
 }
 
-/// Against the plain kernels: the same number of returns in 99.5 % of the waveforms. Of those, values and standard
-/// deviations differ by less than 0.1 standard deviations (30 % for the standard deviations themselves) in 95 %, by less
-/// than half of one in 99 %: the fast kernels leave out what lies behind a pulse's row and the block's first samples.
+/// The number of returns equals that of the scalar kernels in 99.5 % of the waveforms.
+///
+/// For these, values differ by less than 0.1 standard deviations in 95 %, and by less than 0.5 in
+/// 99 %. For the standard deviations themselves the unit is 30 %. The differences are because the
+/// SIMD kernels omit the part of a pulse after its row and the first samples of a block.
 #[test]
 fn returns_are_those_of_the_plain_kernels() {
     let model = model();
@@ -125,7 +131,9 @@ fn returns_are_those_of_the_plain_kernels() {
     assert!(at(0.5) < 0.02 && at(0.95) < 0.1 && at(0.99) < 0.5);
 }
 
-/// The greatest difference of two returns in any value, in standard deviations; of those, in parts of 0.3.
+/// Largest difference of two returns in any value, in standard deviations.
+///
+/// For the standard deviations themselves, in units of 0.3 of their value.
 fn difference(a: &Return, b: &Return) -> f64 {
     let values = [
         (a.position_samples - b.position_samples) / a.position_sd_samples,
@@ -137,7 +145,7 @@ fn difference(a: &Return, b: &Return) -> f64 {
     values.into_iter().fold(0.0, |greatest, value| value.abs().max(greatest))
 }
 
-/// Everything that is told of a waveform, as text: `{:?}` tells every value apart.
+/// Formats all results of each waveform; `{:?}` distinguishes every value.
 fn everything(model: &ChannelModel, path: Path, waveforms: &[Vec<u16>]) -> Vec<String> {
     let mut told = vec![String::new(); waveforms.len()];
     for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
@@ -152,7 +160,7 @@ fn everything(model: &ChannelModel, path: Path, waveforms: &[Vec<u16>]) -> Vec<S
     told
 }
 
-/// Blocks of every kind: none, short, cut, saturated, long, and those of the mixed scene.
+/// Blocks of every kind: empty, short, truncated, saturated, long, and mixed.
 fn mixture(model: &ChannelModel) -> Vec<Vec<u16>> {
     let shape = Shape::of(model).unwrap();
     let mut random = Random::new(11);
@@ -167,7 +175,7 @@ fn mixture(model: &ChannelModel) -> Vec<Vec<u16>> {
     waveforms
 }
 
-/// More waveforms than a batch holds get what they get in small batches.
+/// More waveforms than a batch holds have the same results as in small batches.
 #[test]
 fn a_waveform_gets_the_same_in_batches_of_any_size() {
     let model = model();
@@ -179,7 +187,9 @@ fn a_waveform_gets_the_same_in_batches_of_any_size() {
     }
 }
 
-/// A high background costs no accuracy; what sixteen bits with a sign do not hold goes to the plain kernels.
+/// A high background costs no accuracy.
+///
+/// Samples that exceed signed 16 bits go to the scalar kernels.
 #[test]
 fn large_samples_are_decomposed_as_small_ones() {
     let waveforms = scenes(&model(), 3, 500);
@@ -213,7 +223,7 @@ fn large_samples_are_decomposed_as_small_ones() {
     assert!(left > 100, "{left}");
 }
 
-/// What overdrives the receiver bends nothing that came before it.
+/// An overdriven echo does not distort an earlier one.
 #[test]
 fn an_echo_before_an_overdriven_one_stays() {
     let model = model();
@@ -257,8 +267,9 @@ fn a_waveform_gives_the_same_bits_alone_and_among_others() {
     }
 }
 
-/// The tables' Taylor expansion against the plain templates: within 1e-4 of the height from a width ratio of 0.9 to 1.5,
-/// whatever the height.
+/// The tables' Taylor expansion agrees with the scalar templates to 1e-4 of the height.
+///
+/// For width ratios from 0.9 to 1.5 and any height.
 #[test]
 fn pulses_are_those_of_the_plain_templates() {
     let mut model = model();
@@ -283,7 +294,7 @@ fn pulses_are_those_of_the_plain_templates() {
             1.0,
             &mut exact,
         );
-        // Before and behind the row the tail is that of a pulse of calibrated width.
+        // Before and after the row the tail is that of a pulse of calibrated width.
         let first = place.round() as usize - 10;
         for (k, exact) in exact.iter().enumerate().skip(first).take(29) {
             let found = f64::from(rows.residual_row(0)[rows::FRONT + k] - before[rows::FRONT + k]);
@@ -292,7 +303,9 @@ fn pulses_are_those_of_the_plain_templates() {
     }
 }
 
-/// A lone pulse's tail is taken off to the end of the block: what is left is noise of unit variance.
+/// The tail of a single pulse is subtracted to the end of the block.
+///
+/// The residual is noise of unit variance.
 #[test]
 fn nothing_of_a_pulse_is_left_behind_its_row() {
     let model = model();
@@ -313,8 +326,9 @@ fn nothing_of_a_pulse_is_left_behind_its_row() {
     assert!(one >= 1990 && (mean - 1.0).abs() < 0.02);
 }
 
-/// The score of single pulses follows chi-square of two degrees of freedom, but for the third, one-sided direction:
-/// its mean is 2 to 2.4, and 5 to 7.5 % are above 6.
+/// The score of single pulses follows chi-square with two degrees of freedom.
+///
+/// Except for the third, one-sided direction: its mean is 2 to 2.4, and 5 to 7.5 % are above 6.
 #[test]
 fn the_score_of_one_pulse_is_that_of_noise() {
     let model = model();
@@ -346,8 +360,9 @@ fn the_score_of_one_pulse_is_that_of_noise() {
     assert!(scores.len() > 3500 && (1.9..2.4).contains(&mean) && (0.045..0.075).contains(&above));
 }
 
-/// A pulse that the block's ends cut off what tells nothing of: one step places it as well as the plain fit, and its deviation
-/// ratio is that of noise.
+/// One step is enough if the end of a block cuts off only negligible information.
+///
+/// It places the pulse as well as the scalar fit, and its deviation ratio is that of noise.
 #[test]
 fn near_the_ends_of_blocks_one_step_is_enough() {
     let model = model();
@@ -377,7 +392,7 @@ fn near_the_ends_of_blocks_one_step_is_enough() {
     let rms = |z: &[f64]| (z.iter().map(|z| z * z).sum::<f64>() / z.len() as f64).sqrt();
     let mean = deviations.iter().sum::<f64>() / deviations.len() as f64;
     println!(
-        "{} of 4000: z {:.3}, plain {:.3}; deviation {mean:.3}, {:.3}",
+        "{} of 4000: z {:.3}, scalar {:.3}; deviation ratio {mean:.3}, {:.3}",
         ours.len(),
         rms(&ours),
         rms(&theirs),
@@ -388,7 +403,7 @@ fn near_the_ends_of_blocks_one_step_is_enough() {
     assert!(mean.abs() < 0.1 && (0.9..1.1).contains(&rms(&deviations)));
 }
 
-/// Of pulses wider than the tables the mode `fastest` tells what a step from where the tables end does, and flags them.
+/// Beyond the tables `fastest` steps from their limit and flags the result.
 #[test]
 fn beyond_the_tables_a_step_tells_width_and_height() {
     let model = model();
@@ -415,13 +430,15 @@ fn beyond_the_tables_a_step_tells_width_and_height() {
     assert!(widths.iter().all(|error| error.abs() < 0.1));
 }
 
-/// Without tables the plain kernels do everything; with a response of its own for strong echoes heights above it count.
+/// Unsupported channels have no tables.
+///
+/// Without tables the scalar kernels decompose all waveforms.
 #[test]
 fn what_the_tables_cannot_hold_is_left_to_the_plain_kernels() {
     let model = model();
     assert!(Tables::new(&ChannelModel { ar: vec![0.1; 5], ..model.clone() }).is_none());
     assert!(Tables::new(&ChannelModel { pulse_fwhm_ns: 9.0, ..model.clone() }).is_none());
-    // Noise that was measured on no free sample has no correlation either.
+    // Noise measured on no free sample has no correlation either.
     let everywhere =
         ChannelModel { background: Background::PerWaveform, autocorrelation: Vec::new(), ..model.clone() };
     assert!(Tables::new(&everywhere).is_none());

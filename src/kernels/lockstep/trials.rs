@@ -1,4 +1,4 @@
-//! A second look at what the first fit leaves: pulses that were overlooked, and widened pulses that are two.
+//! Residual search after the first fit: overlooked pulses, and widened pulses that are two.
 
 use std::ops::Range;
 
@@ -16,31 +16,37 @@ use super::tables::U_MAX;
 use crate::kernels::flags;
 use crate::kernels::rules::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, SD_OF_FWHM, TRIAL_PART};
 
-/// Rounds of adding; a waveform that still changes is left to the plain kernels.
+/// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
 const ROUNDS: usize = 4;
-/// Part of the decrease of chi-square with a free level that a trial with several pulses may show while the level is held.
+/// Fraction of the required gain that a trial must reach with a fixed level.
+///
+/// With several pulses, chi-square may decrease by only this fraction of the decrease with a free
+/// level.
 const HELD_PART: f32 = 0.5;
-/// A trial whose fit came to no end is open where it is so near to the gain that is asked for.
+/// Margin below the required gain within which an unfinished trial stays undecided.
 const OPEN_GAIN: f32 = 4.0;
 
-/// A cluster that may take the place of another.
+/// A cluster that may replace another.
 #[derive(Clone, Copy)]
 pub(super) struct Trial {
     row: usize,
     old: (usize, usize),
     pulses: [Pulse; MAX_CLUSTER],
     count: usize,
-    /// Whether the cluster is part of one that is too large: what comes of it is left to the plain kernels.
+    /// Whether the cluster is part of one that is too large.
+    ///
+    /// If it is accepted, the scalar kernels take the waveform.
     is_part: bool,
-    /// By how much chi-square must fall.
+    /// Required decrease of chi-square.
     gain: f32,
     chi_square: f32,
-    /// Whether the fit came to an end at an optimum.
+    /// Whether the fit ended at an optimum.
     has_ended: bool,
-    /// Whether it was given up: it could not have been taken.
+    /// Whether the fit was stopped because it could not have been accepted.
     is_dropped: bool,
-    /// Chi-square and the priors' part: without it a narrow pulse with a wide one often tells the samples as well as the
-    /// true pair does.
+    /// Chi-square with the prior terms.
+    ///
+    /// Without priors a narrow pulse with a wide one often fits as well as the true pair.
     objective: f32,
 }
 
@@ -53,7 +59,7 @@ impl Trial {
         &self.pulses[..self.count]
     }
 
-    /// The information on the level that the waveform's pulses take up with the trial among them, 1/DN².
+    /// Information on the level that the pulses absorb if the trial is accepted, 1/DN².
     fn level_information(&self, scene: &Scene) -> f32 {
         let others = &scene.pulses()[..self.old.0];
         let others = others.iter().chain(&scene.pulses()[self.old.1..]);
@@ -62,7 +68,7 @@ impl Trial {
 }
 
 impl Decompose<'_> {
-    /// Adds and divides pulses as long as one is worth its values, where waveforms are refined.
+    /// Adds and splits pulses as long as chi-square decreases enough; refined mode only.
     pub(super) fn search_residuals(&mut self) {
         if self.mode != Mode::Refined || self.settings.max_added == 0 {
             return;
@@ -73,7 +79,7 @@ impl Decompose<'_> {
             if scene.way == Way::Fast && is_cut_short(scene) {
                 scene.chi_square = match least_beyond(scene) {
                     Some(least) => least,
-                    // Near a good fit only the plain form tells what pulses of any width come to.
+                    // Near a good fit, only the scalar form can evaluate pulses of any width.
                     None => {
                         let pulses = scene.pulses().iter().map(|p| p.values().map(f64::from));
                         let rival = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
@@ -121,7 +127,7 @@ impl Decompose<'_> {
         }
     }
 
-    /// Waveforms that changed stay active, as long as there is room for more; their clusters are fitted again.
+    /// Keeps the changed waveforms with room for more pulses; fits their clusters again.
     fn end_round(&mut self) {
         let fwhm = self.fwhm();
         let Workspace { active, due, scenes, .. } = &mut *self.work;
@@ -152,15 +158,17 @@ impl Decompose<'_> {
         });
     }
 
-    /// The candidates in what the pulses leave of each active waveform.
+    /// Finds the candidates in the residual of each active waveform.
     fn search(&mut self) {
         let least = TRIAL_PART as f32 * self.limits.least_sigma as f32;
         let Workspace { rows, columns, active: which, candidates: out, .. } = &mut *self.work;
         self.on.run(Search { tables: self.tables, rows, columns, which, threshold: least, out });
     }
 
-    /// Trials with one more pulse: at the greatest maximum of each residual at first, from what is most likely; for
-    /// waveforms that are not better told by it, from other start values and at the second maximum.
+    /// Plans trials with one more pulse.
+    ///
+    /// First at the largest maximum of each residual, from the most likely start values. Waveforms
+    /// not improved by it get other start values, and a trial at the second maximum.
     fn plan_additions(&mut self, is_first: bool) {
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
@@ -178,7 +186,7 @@ impl Decompose<'_> {
         }
     }
 
-    /// The two candidates that stand highest over their thresholds, where these are worth a trial.
+    /// Returns the two candidates highest above their thresholds, if worth a trial.
     fn greatest(&self, scene: &Scene, found: &Candidates) -> [Option<Candidate>; 2] {
         let least = TRIAL_PART * self.limits.least_sigma;
         let mut best: [(f64, Option<Candidate>); 2] = [(least, None); 2];
@@ -220,7 +228,7 @@ impl Decompose<'_> {
         }
     }
 
-    /// Trials with widened pulses divided, where the score of their residual speaks for it.
+    /// Plans trials that split widened pulses with a high score.
     fn plan_divisions(&mut self, evidence: f64) {
         self.work.suspects.clear();
         self.work.suspect_numbers.clear();
@@ -256,7 +264,7 @@ impl Decompose<'_> {
     fn plan_division(&mut self, row: usize, number: usize, parts: [f32; 2], evidence: f64) {
         let scene = self.work.scenes[row];
         let position = scene.pulses()[number].position();
-        // What an error of the response would look like is no evidence.
+        // An apparent split due to an error of the response is not evidence.
         let raise = self.limits.raise(&scene, position, f32::INFINITY);
         let gain = (evidence * raise * raise) as f32;
         let whole = scene.cluster_around(position, self.fwhm());
@@ -308,7 +316,9 @@ impl Decompose<'_> {
         });
     }
 
-    /// Fits all trials on rows of their own, and takes up the best of each waveform where it is worth it.
+    /// Fits all trials and accepts the best of each waveform if justified.
+    ///
+    /// Each trial has its own row.
     fn run_trials(&mut self) {
         let batch = self.work.rows.batch();
         for first in (0..self.work.trials.len()).step_by(batch) {
@@ -332,7 +342,7 @@ impl Decompose<'_> {
         self.work.trials.clear();
     }
 
-    /// Takes up the best of a waveform's trials, or leaves the waveform to the plain kernels.
+    /// Accepts the best of a waveform's trials, or passes the waveform to the scalar kernels.
     fn judge(&mut self, trials: Range<usize>, best: usize) {
         let trial = self.work.trials[best];
         let scene = &self.work.scenes[trial.row];
@@ -362,7 +372,8 @@ impl Decompose<'_> {
                 *values = pulse.values();
             }
             let scene = &work.scenes[trial.row];
-            // The fit holds the level, and a pulse more lowers chi-square by less than with the level free.
+            // The fit holds the level, so another pulse lowers chi-square by less than with a free
+            // level.
             let least_gain = match tables.level {
                 Some(_) => HELD_PART * trial.gain * self.limits.left_by_level(scene) as f32,
                 None => trial.gain,
@@ -402,7 +413,8 @@ impl Decompose<'_> {
             trial.chi_square = *square;
             if trial.has_ended {
                 let old = &work.scenes[trial.row].pulses()[trial.old()];
-                // What brings two pulses so near that they would be one is no improvement.
+                // A trial that brings two pulses closer than the minimum separation is no
+                // improvement.
                 if too_near(trial.pulses(), least) <= too_near(old, least) {
                     let widths: f32 = trial.pulses().iter().map(|p| p.values()[2].powi(2)).sum();
                     trial.objective = square + if trial.count > 1 { precision * widths } else { 0.0 };
@@ -421,7 +433,7 @@ impl Decompose<'_> {
         }
         let samples = work.rows.length(trial.row);
         if !trial.pulses().iter().all(|pulse| self.limits.is_return(scene, pulse, samples)) {
-            // It would not stand up as returns.
+            // Its pulses would be rejected as returns.
             *scene = before;
             return;
         }
@@ -440,37 +452,49 @@ impl Decompose<'_> {
     }
 }
 
-/// Whether a pulse is as wide as the tables allow, and may be wider.
+/// Whether a pulse is at the width limit of the tables.
 fn is_cut_short(scene: &Scene) -> bool {
     scene.pulses().iter().any(|p| p.values()[2] >= U_MAX as f32)
 }
 
-/// What wider pulses than the tables hold may lower chi-square by: so many times what the next step promises, and this part
-/// of it. Measured: at most 3 times and this part, in what two pulses made.
+/// Bound on the decrease of chi-square by widths beyond the tables.
+///
+/// The sum of this many promised decreases of the next step and this fraction of chi-square.
+/// Measured for pulses composed of two: at most 3 decreases and this fraction.
 const BEYOND_REACH: f32 = 4.0;
 const BEYOND_PART: f32 = 0.1;
-/// A chi-square higher than the number of samples by this is that of no good fit: six standard deviations for 60 samples.
+/// Chi-square in excess of the number of samples that excludes a good fit.
+///
+/// It is six standard deviations for 60 samples.
 const NO_GOOD_FIT: f32 = 64.0;
 
-/// A lower limit of what chi-square would come to with the widths that pulses ask for, where the tables cut these short, and
-/// where even that would be no good fit: who lowers it further is better than the pulses could be.
+/// Lower bound of chi-square with widths beyond the limit of the tables.
+///
+/// `None` if it could be a good fit. A trial below the bound is better than the wide pulses could
+/// be.
 fn least_beyond(scene: &Scene) -> Option<f32> {
     let least = (1.0 - BEYOND_PART) * scene.chi_square - BEYOND_REACH * scene.beyond;
     (least > scene.samples as f32 + NO_GOOD_FIT).then_some(least)
 }
 
-/// What a trial makes of a cluster.
+/// Change of a cluster in a trial.
 #[derive(Clone, Copy)]
 enum Change {
-    /// One pulse more.
+    /// Adds a pulse.
     Add(Pulse),
-    /// One pulse more, all starting with the calibrated width; this one is nearest to it.
+    /// Adds a pulse; all start with the calibrated width.
+    ///
+    /// The index is that of its nearest neighbour.
     AddToNarrow(Pulse, usize),
-    /// This pulse becomes two of the calibrated width, the first with this part of its energy.
+    /// Splits a pulse into two of the calibrated width.
+    ///
+    /// The first has this fraction of its energy.
     Divide(usize, f32),
 }
 
-/// The cluster, or of one that is too large the two pulses that are nearest to a place.
+/// Returns the cluster, or two pulses of one that is too large.
+///
+/// The two are the neighbours nearest to `position`.
 fn part_of(scene: &Scene, cluster: Range<usize>, position: f32) -> Range<usize> {
     if cluster.len() < MAX_CLUSTER {
         return cluster;
@@ -483,12 +507,12 @@ fn part_of(scene: &Scene, cluster: Range<usize>, position: f32) -> Range<usize> 
     start.map_or(cluster, |start| start..start + 2)
 }
 
-/// Neighbours nearer to each other than this.
+/// Number of neighbours closer than `least`.
 fn too_near(pulses: &[Pulse], least: f32) -> usize {
     pulses.windows(2).filter(|pair| pair[1].position() - pair[0].position() < least).count()
 }
 
-/// Two pulses of the calibrated width whose first moments are those of a widened one.
+/// Splits a widened pulse into two of the calibrated width with its first moments.
 fn divided(pulse: &Pulse, part: f32, fwhm_samples: f32) -> [Pulse; 2] {
     let [height, centre, _] = pulse.values();
     let ratio = pulse.width_ratio();

@@ -1,8 +1,10 @@
-//! Sixteen `f32` in lock-step: the one place of the fast kernels that knows instruction sets, and the only `unsafe`.
+//! Sixteen `f32` in lock-step, on the instruction sets of the processor.
 //!
-//! Every kernel is written once against [`Simd`] and compiled once per path. All paths hold sixteen lanes (AVX2 in two
-//! registers, the portable one in an array) and round alike: a multiplication that is added is fused everywhere, division
-//! and square root are IEEE 754's, and [`Simd::sum_each`] adds in one fixed tree. So the paths agree to the bit.
+//! In the SIMD kernels only this module knows instruction sets, and only it contains `unsafe`.
+//! Every kernel is written once against [`Simd`] and compiled once per path. All paths have sixteen
+//! lanes (AVX2 in two registers, the portable one in an array) and round alike: a multiplication
+//! followed by an addition is fused on every path, division and square root follow IEEE 754, and
+//! [`Simd::sum_each`] adds in a fixed tree. The paths therefore agree to the bit.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -13,16 +15,17 @@ mod portable;
 /// Lanes of a vector.
 pub(super) const LANES: usize = 16;
 
-/// Samples that a processor fetches at once.
+/// Samples per cache line.
 #[cfg(target_arch = "x86_64")]
 const CACHE_LINE_SAMPLES: usize = 32;
 
-/// What a register holds, as memory.
+/// Contents of a register in memory.
 pub(in crate::kernels) type Sixteen = [f32; LANES];
 
-/// The operations of one instruction set. A value of the type is the proof that the processor has it.
+/// Operations of one instruction set.
 ///
-/// Masks have bit `i` for lane `i`. `min` and `max` give the second operand where either is not a number, as SSE does.
+/// A value of the type proves that the processor supports it. Masks have bit `i` for lane `i`.
+/// `min` and `max` return the second operand if either is NaN, as SSE does.
 pub(in crate::kernels) trait Simd: Copy {
     /// Sixteen lanes.
     type V: Copy;
@@ -32,11 +35,15 @@ pub(in crate::kernels) trait Simd: Copy {
     fn splat(self, value: f32) -> Self::V;
     fn load(self, from: &Sixteen) -> Self::V;
     fn store(self, value: Self::V, to: &mut Sixteen);
-    /// Asks the memory for the first samples of what will soon be read; it foresees the next ones. No result depends on it.
+    /// Prefetches the first samples that will soon be read.
+    ///
+    /// The processor prefetches the next ones itself. Results do not depend on it.
     fn fetch(self, soon: &[u16]);
-    /// Two neighbours in each lane, as bits: for [`Simd::transpose`], [`Simd::select`] and what follows here.
+    /// Loads two neighbours into each lane, as bits.
+    ///
+    /// For [`Simd::transpose`], [`Simd::select`] and the operations that follow.
     fn pairs(self, from: &[u16; 2 * LANES]) -> Self::V;
-    /// The same of as many numbers as there are, up to thirty-two; zeros behind them.
+    /// Loads up to thirty-two numbers as pairs, padded with zeros.
     #[inline(always)]
     fn some_pairs(self, from: &[u16]) -> Self::V {
         let mut padded = [0; 2 * LANES];
@@ -45,16 +52,18 @@ pub(in crate::kernels) trait Simd: Copy {
         }
         self.pairs(&padded)
     }
-    /// The same pair in every lane.
+    /// Broadcasts a pair to every lane.
     fn splat_pair(self, pair: [u16; 2]) -> Self::V;
-    /// The lower one of each number in two vectors of pairs.
+    /// Minimum of each number in two vectors of pairs.
     fn min_pairs(self, a: Self::V, b: Self::V) -> Self::V;
-    /// The higher one of each number in two vectors of pairs.
+    /// Maximum of each number in two vectors of pairs.
     fn max_pairs(self, a: Self::V, b: Self::V) -> Self::V;
-    /// A whole number of 32 bits per lane, as bits: `sum` and the products of the two numbers of each pair, all of 16 bits and
-    /// signed. It wraps.
+    /// Adds the products of each pair's two numbers to `sum`.
+    ///
+    /// Numbers are signed, of 16 bits in `a` and `b` and of 32 bits in the result, as bits. It
+    /// wraps.
     fn dot(self, a: Self::V, b: Self::V, sum: Self::V) -> Self::V;
-    /// Whole numbers of 32 bits, given as bits, as `f32`, ties to even.
+    /// Converts integers of 32 bits, given as bits, to `f32`, ties to even.
     fn float(self, bits: Self::V) -> Self::V;
     /// The first number of each lane's pair as `f32`.
     fn first(self, pairs: Self::V) -> Self::V;
@@ -77,17 +86,19 @@ pub(in crate::kernels) trait Simd: Copy {
     fn gt(self, a: Self::V, b: Self::V) -> u16;
     /// `yes` in the lanes of the mask, `no` in the others.
     fn select(self, mask: u16, yes: Self::V, no: Self::V) -> Self::V;
-    /// The table's values at whole numbers from 0 to 15.
+    /// Looks up table values at integers from 0 to 15.
     fn look_up(self, table: &Sixteen, at: Self::V) -> Self::V;
-    /// To the nearest whole number, ties to even; magnitudes below 2²².
+    /// Rounds to the nearest integer, ties to even; magnitudes below 2²².
     fn round(self, a: Self::V) -> Self::V;
-    /// The nearest whole numbers, ties to even; magnitudes below 2²².
+    /// Converts to the nearest integers, ties to even; magnitudes below 2²².
     fn to_i32(self, a: Self::V, to: &mut [i32; LANES]);
-    /// Lane `j` of vector `i` and lane `i` of vector `j` change places.
+    /// Swaps lane `j` of vector `i` with lane `i` of vector `j`.
     fn transpose(self, of: &mut [Self::V; LANES]);
     /// Bit `i` is bit `lane` of the `i`-th mask.
     fn lane_bits(self, masks: &[u16; 64], lane: usize) -> u64;
-    /// The sums of lanes 8 apart: where vectors wait for [`Simd::sum_each`], their halves are half as much to keep.
+    /// Sums of lanes 8 apart.
+    ///
+    /// Vectors kept for [`Simd::sum_each`] take half the memory.
     fn halved(self, a: Self::V) -> Self::Half;
     /// Lane `i` is the sum of `of[i]`'s lanes: lanes 4 apart first, then 2, 1.
     fn sum_each(self, of: &[Self::Half; LANES]) -> Self::V;
@@ -99,7 +110,7 @@ pub(in crate::kernels) trait Kernel {
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// An instruction set that the kernels are compiled for.
+/// Instruction set of the SIMD kernels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Path {
@@ -107,16 +118,19 @@ pub enum Path {
     Avx512,
     /// AVX2 with FMA.
     Avx2,
-    /// Plain arrays. On aarch64 this is NEON, whose fused multiply-add every such processor has; on x86-64 without FMA
-    /// it is exact and slow, as each fused operation is then computed by the library.
+    /// Arrays, without intrinsics.
+    ///
+    /// On aarch64 they compile to NEON, with the fused multiply-add of all such processors. On
+    /// x86-64 without FMA this path is exact but slow, because the library computes each fused
+    /// operation.
     Portable,
 }
 
 impl Path {
-    /// Every path, fastest first.
+    /// All paths, fastest first.
     pub const ALL: [Path; 3] = [Path::Avx512, Path::Avx2, Path::Portable];
 
-    /// Whether this processor has it.
+    /// Whether this processor supports it.
     pub fn is_available(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -129,12 +143,12 @@ impl Path {
         }
     }
 
-    /// The fastest path that this processor has.
+    /// Returns the fastest path that this processor supports.
     pub fn best() -> Path {
         Path::ALL.into_iter().find(|path| path.is_available()).unwrap_or(Path::Portable)
     }
 
-    /// This path, or the portable one where the processor lacks it.
+    /// Returns this path, or the portable one if the processor lacks it.
     pub(in crate::kernels) fn processor(self) -> Processor {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -145,14 +159,14 @@ impl Path {
         }
     }
 
-    /// Runs a kernel on this path, or on the portable one where the processor lacks it.
+    /// Runs a kernel on this path, or on the portable one if the processor lacks it.
     #[cfg(test)]
     pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         self.processor().run(kernel)
     }
 }
 
-/// A path that the processor has been found to have.
+/// A path verified to be supported by the processor.
 #[derive(Clone, Copy)]
 pub(in crate::kernels) enum Processor {
     #[cfg(target_arch = "x86_64")]
@@ -163,7 +177,7 @@ pub(in crate::kernels) enum Processor {
 }
 
 impl Processor {
-    /// Runs a kernel in a function that is compiled for the path's instructions.
+    /// Runs a kernel in a function compiled for the path's instructions.
     #[inline]
     pub(in crate::kernels) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
@@ -180,7 +194,7 @@ impl Processor {
 mod tests {
     use super::*;
 
-    /// Every operation once, on values that no operation treats specially, and on the edges of rounding.
+    /// Every operation once, on ordinary values and on rounding edge cases.
     struct Everything;
 
     impl Kernel for Everything {

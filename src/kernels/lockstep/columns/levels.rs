@@ -1,19 +1,25 @@
-//! The level of each waveform's own background, before any pulse is known.
+//! Estimates the level of each waveform's own background before any pulse is known.
 
 use super::{BEFORE, Columns};
 use crate::kernels::lockstep::level::{LEAST_FREE, LevelTables};
 use crate::kernels::lockstep::tables::Tables;
 use crate::kernels::lockstep::vector::{LANES, Simd};
 
-/// Newton's steps of the robust mean: the first leaves some hundredths of the noise, the second nothing that matters.
+/// Newton steps of the robust mean.
+///
+/// The first leaves an error of some hundredths of the noise SD, the second a negligible one.
 const STEPS: usize = 2;
-/// Part of a level's variance that counts in the variance of the detection statistic near the threshold. Samples that noise
-/// raises this far have little weight in the level, so the level's error and theirs are nearly independent.
+/// Fraction of a level's variance in the variance of the statistic near the threshold.
+///
+/// Samples that noise raises this far have little weight in the level. The errors of the level and
+/// of these samples are therefore nearly independent.
 const KEPT_VARIANCE: f32 = 0.5;
 
 impl Columns {
-    /// Estimates the level of each block above the channel's background, DN: the biweight mean of the samples around the
-    /// lowest mean of four, drawn to the prior. Pulses only raise samples, so the lowest ones are the background's.
+    /// Estimates the level of each block above the channel's background, DN.
+    ///
+    /// It is the biweight mean of the samples around the lowest mean of four, shrunk towards the
+    /// prior. Pulses only raise samples, so the lowest samples belong to the background.
     #[inline(always)]
     pub(in crate::kernels::lockstep) fn estimate_levels<S: Simd>(
         &mut self,
@@ -73,14 +79,16 @@ impl Columns {
         s.store(s.select(enough, variance, zero), &mut self.level_variance);
     }
 
-    /// The level of a lane, DN, and its variance; `None` where too few samples are free of pulses.
+    /// Returns the level of a lane, DN, and its variance, DN².
+    ///
+    /// `None` if too few samples are free of pulses.
     #[inline(always)]
     pub(in crate::kernels::lockstep) fn level(&self, lane: usize) -> Option<[f32; 2]> {
         let [level_dn, variance] = [self.level_dn[lane], self.level_variance[lane]];
         (variance > 0.0).then_some([level_dn, variance])
     }
 
-    /// The change of the statistic that the levels of the lanes call for.
+    /// Returns the change of the statistic due to the levels of the lanes.
     #[inline(always)]
     pub(super) fn statistic_change<'a, S: Simd>(
         &self,
@@ -96,27 +104,29 @@ impl Columns {
     }
 }
 
-/// Takes the levels off the statistic, and scales it so that noise reaches thresholds as often as with a known level.
+/// Subtracts the levels from the statistic and rescales it.
+///
+/// After scaling, noise reaches thresholds as often as with a known level.
 pub(super) struct StatisticChange<'a, S: Simd> {
     s: S,
     level: &'a LevelTables,
     levels: S::V,
     half: S::V,
-    /// Offset and factor far from the blocks' ends.
+    /// Offset and factor far from the ends of the blocks.
     far: [S::V; 2],
     lengths: S::V,
     shortest: usize,
 }
 
 impl<S: Simd> StatisticChange<'_, S> {
-    /// Offset and factor where a constant 1 has this statistic.
+    /// Offset and factor at a position where a constant 1 has the statistic `response`.
     #[inline(always)]
     fn of_response(&self, response: S::V) -> [S::V; 2] {
         let s = self.s;
         [s.mul(self.levels, response), s.fma(s.mul(response, response), self.half, s.splat(1.0))]
     }
 
-    /// The changed statistic of a position.
+    /// Returns the changed statistic of a position.
     #[inline(always)]
     pub(super) fn of(&self, statistic: S::V, position: usize) -> S::V {
         let s = self.s;

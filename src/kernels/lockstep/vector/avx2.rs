@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::{CACHE_LINE_SAMPLES, Kernel, LANES, Simd, Sixteen};
 
-/// Exists only where [`Avx2::detect`] has found the instructions.
+/// Proof that the processor has these instructions; created by [`Avx2::detect`].
 #[derive(Clone, Copy)]
 pub(in crate::kernels) struct Avx2(());
 
@@ -16,7 +16,7 @@ impl Avx2 {
         (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Avx2(()))
     }
 
-    /// Runs the kernel in a function that is compiled for these instructions.
+    /// Runs the kernel in a function compiled for these instructions.
     pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         #[target_feature(enable = "avx2,fma")]
         fn inner<K: Kernel>(simd: Avx2, kernel: K) -> K::Output {
@@ -27,7 +27,7 @@ impl Avx2 {
     }
 }
 
-/// The operations on registers alone, half by half.
+/// Operations on registers only, by half.
 macro_rules! register {
     ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
         #[inline(always)]
@@ -38,7 +38,7 @@ macro_rules! register {
     )*};
 }
 
-/// The same on whole numbers, as bits.
+/// Integer operations on registers, as bits.
 macro_rules! bits {
     ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
         #[inline(always)]
@@ -54,7 +54,7 @@ macro_rules! bits {
     )*};
 }
 
-/// The halves of what a reference covers.
+/// Returns pointers to the two halves of an array.
 #[inline(always)]
 fn halves<T>(of: &[T; LANES]) -> [*const T; 2] {
     let (low, high) = of.split_at(LANES / 2);
@@ -67,14 +67,14 @@ impl Avx2 {
         add_i32(a, b) = _mm256_add_epi32;
     }
 
-    /// One bit per lane whose sign is set.
+    /// One bit per lane with the sign bit set.
     #[inline(always)]
     fn mask(self, of: Pair) -> u16 {
         // SAFETY: `self` exists, so the processor has the instruction; it touches no memory.
         unsafe { (_mm256_movemask_ps(of[0]) | (_mm256_movemask_ps(of[1]) << 8)) as u16 }
     }
 
-    /// Eight rows as eight columns.
+    /// Transposes eight rows into eight columns.
     #[inline(always)]
     fn transpose_eight(self, v: [__m256; 8]) -> [__m256; 8] {
         // SAFETY: `self` exists, so the processor has the instructions; they touch no memory.
@@ -179,14 +179,14 @@ impl Simd for Avx2 {
         let mut bits = 0;
         for (part, masks) in masks.as_chunks::<32>().0.iter().enumerate() {
             let (low, high) = masks.split_at(16);
-            // SAFETY: `self` exists, so the processor has the instructions; each half covers the 32 bytes that are read,
-            // at any alignment.
+            // SAFETY: `self` exists, so the processor has the instructions; each half covers the 32
+            // bytes that are read, at any alignment.
             unsafe {
                 let bit = _mm256_set1_epi16(1i16 << (lane & 15));
                 let low = _mm256_and_si256(_mm256_loadu_si256(low.as_ptr().cast()), bit);
                 let high = _mm256_and_si256(_mm256_loadu_si256(high.as_ptr().cast()), bit);
                 let (low, high) = (_mm256_cmpeq_epi16(low, bit), _mm256_cmpeq_epi16(high, bit));
-                // Packing works on quarters: the middle two change places.
+                // Packing works by quarters: the middle two must be swapped.
                 let packed = _mm256_permute4x64_epi64::<0xd8>(_mm256_packs_epi16(low, high));
                 bits |= u64::from(_mm256_movemask_epi8(packed) as u32) << (32 * part);
             }
@@ -196,7 +196,8 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn fetch(self, soon: &[u16]) {
         for line in [soon.first(), soon.get(CACHE_LINE_SAMPLES)].into_iter().flatten() {
-            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no address.
+            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no
+            // address.
             unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(line).cast()) }
         }
     }
@@ -279,7 +280,8 @@ impl Simd for Avx2 {
             let mut out = at;
             for out in &mut out {
                 let index = _mm256_cvtps_epi32(*out);
-                // Of an index the permutation sees the last three bits; the fourth, as sign, chooses between the halves.
+                // The permutation uses the last three bits of an index; the fourth, as sign,
+                // selects the half.
                 let is_high = _mm256_castsi256_ps(_mm256_slli_epi32::<28>(index));
                 let of_low = _mm256_permutevar8x32_ps(low, index);
                 *out = _mm256_blendv_ps(of_low, _mm256_permutevar8x32_ps(high, index), is_high);
@@ -296,8 +298,8 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn to_i32(self, a: Pair, to: &mut [i32; LANES]) {
         let (low, high) = to.split_at_mut(LANES / 2);
-        // SAFETY: `self` exists, so the processor has the instructions; each half covers the eight values that are
-        // written, at any alignment.
+        // SAFETY: `self` exists, so the processor has the instructions; each half covers the eight
+        // values that are written, at any alignment.
         unsafe {
             _mm256_storeu_si256(low.as_mut_ptr().cast(), _mm256_cvtps_epi32(a[0]));
             _mm256_storeu_si256(high.as_mut_ptr().cast(), _mm256_cvtps_epi32(a[1]));

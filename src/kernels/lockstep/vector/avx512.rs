@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use super::{CACHE_LINE_SAMPLES, Kernel, LANES, Simd, Sixteen};
 
-/// Exists only where [`Avx512::detect`] has found the instructions.
+/// Proof that the processor has these instructions; created by [`Avx512::detect`].
 #[derive(Clone, Copy)]
 pub(in crate::kernels) struct Avx512(());
 
@@ -18,7 +18,7 @@ impl Avx512 {
         found.then_some(Avx512(()))
     }
 
-    /// Runs the kernel in a function that is compiled for these instructions.
+    /// Runs the kernel in a function compiled for these instructions.
     pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma")]
         fn inner<K: Kernel>(simd: Avx512, kernel: K) -> K::Output {
@@ -29,7 +29,7 @@ impl Avx512 {
     }
 }
 
-/// The operations on registers alone.
+/// Operations on registers only.
 macro_rules! register {
     ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
         #[inline(always)]
@@ -40,7 +40,7 @@ macro_rules! register {
     )*};
 }
 
-/// The same on whole numbers, as bits.
+/// Integer operations on registers, as bits.
 macro_rules! bits {
     ($($name:ident($($a:ident),*) = $intrinsic:ident;)*) => {$(
         #[inline(always)]
@@ -51,9 +51,9 @@ macro_rules! bits {
     )*};
 }
 
-/// Lanes 4 apart change places: from `a` what goes down, from `b` what goes up.
+/// Permutation that swaps lanes 4 apart: downwards from `a`, upwards from `b`.
 const SWAP_4: [i32; 16] = [4, 5, 6, 7, 16, 17, 18, 19, 12, 13, 14, 15, 24, 25, 26, 27];
-/// Neighbours change places.
+/// Permutation that swaps neighbouring lanes.
 const SWAP_1: [i32; 16] = [1, 16, 3, 18, 5, 20, 7, 22, 9, 24, 11, 26, 13, 28, 15, 30];
 
 impl Avx512 {
@@ -90,12 +90,14 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn load(self, from: &Sixteen) -> __m512 {
-        // SAFETY: as above; the reference covers the sixteen values that are read, at any alignment.
+        // SAFETY: as above; the reference covers the sixteen values that are read, at any
+        // alignment.
         unsafe { _mm512_loadu_ps(from.as_ptr()) }
     }
     #[inline(always)]
     fn store(self, value: __m512, to: &mut Sixteen) {
-        // SAFETY: as above; the reference covers the sixteen values that are written, at any alignment.
+        // SAFETY: as above; the reference covers the sixteen values that are written, at any
+        // alignment.
         unsafe { _mm512_storeu_ps(to.as_mut_ptr(), value) }
     }
     #[inline(always)]
@@ -108,7 +110,7 @@ impl Simd for Avx512 {
                 pairs[2 * i] = _mm512_unpacklo_ps(v[2 * i], v[2 * i + 1]);
                 pairs[2 * i + 1] = _mm512_unpackhi_ps(v[2 * i], v[2 * i + 1]);
             }
-            // Of four rows the columns k, k + 4, k + 8 and k + 12, in the quarters of vector 4 i + k.
+            // Columns k, k + 4, k + 8 and k + 12 of four rows, in the quarters of vector 4 i + k.
             let mut fours = pairs;
             for i in 0..4 {
                 for k in 0..2 {
@@ -144,7 +146,8 @@ impl Simd for Avx512 {
     #[inline(always)]
     fn fetch(self, soon: &[u16]) {
         for line in [soon.first(), soon.get(CACHE_LINE_SAMPLES)].into_iter().flatten() {
-            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no address.
+            // SAFETY: every such processor has the instruction; it reads nothing, and faults at no
+            // address.
             unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(line).cast()) }
         }
     }
@@ -215,8 +218,8 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn to_i32(self, a: __m512, to: &mut [i32; LANES]) {
-        // SAFETY: `self` exists, so the processor has the instructions; the reference covers the sixteen values that are
-        // written, at any alignment.
+        // SAFETY: `self` exists, so the processor has the instructions; the reference covers the
+        // sixteen values that are written, at any alignment.
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), _mm512_cvtps_epi32(a)) }
     }
     #[inline(always)]
@@ -226,7 +229,8 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn sum_each(self, of: &[__m256; LANES]) -> __m512 {
-        // SAFETY: `self` exists, so the processor has the instructions; the constants cover the 64 bytes that are read.
+        // SAFETY: `self` exists, so the processor has the instructions; the constants cover the 64
+        // bytes that are read.
         unsafe {
             let swap_4 = _mm512_loadu_si512(SWAP_4.as_ptr().cast());
             let swap_1 = _mm512_loadu_si512(SWAP_1.as_ptr().cast());

@@ -2,11 +2,11 @@
 
 use super::{LANES, Simd, Sixteen};
 
-/// Needs nothing of the processor.
+/// The portable path, without requirements on the processor.
 #[derive(Clone, Copy)]
 pub(super) struct Portable;
 
-/// Lane by lane.
+/// Computes an array lane by lane.
 macro_rules! each {
     ($lane:ident => $value:expr) => {{
         let mut out = [Default::default(); LANES];
@@ -17,7 +17,7 @@ macro_rules! each {
     }};
 }
 
-/// One bit per lane.
+/// Computes a mask with one bit per lane.
 macro_rules! mask {
     ($lane:ident => $set:expr) => {{
         let mut bits = 0u16;
@@ -28,13 +28,13 @@ macro_rules! mask {
     }};
 }
 
-/// Two numbers as a lane's bits.
+/// Joins two numbers into the bits of a lane.
 #[inline(always)]
 fn join([first, second]: [u16; 2]) -> u32 {
     u32::from(first) | u32::from(second) << 16
 }
 
-/// The two numbers of a lane.
+/// Splits a lane into its two numbers.
 #[inline(always)]
 fn split(lane: f32) -> [u16; 2] {
     [lane.to_bits() as u16, (lane.to_bits() >> 16) as u16]
