@@ -106,14 +106,9 @@ fn standard_deviations_hold_the_uncertainty_of_the_level() {
     }
 }
 
-<<<<<<< HEAD
-/// Noise reaches a threshold no more often than with a known background: at 4.5 as often (docs/explanation/performance.md), below that a
-/// little less often.
-=======
 /// Noise reaches a threshold no more often than with a known background.
 ///
 /// At 4.5 it does so as often (docs/explanation/performance.md), below that a little less often.
->>>>>>> lang_lock
 #[test]
 fn noise_alone_is_detected_no_more_often() {
     let own = own();
