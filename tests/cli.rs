@@ -365,7 +365,9 @@ fn a_shared_file_may_name_the_folder_of_geoids() {
     fs::write(folder.path().join("site.toml"), "[job.geometry]\ngeoid_dir = 'geoids'\n").unwrap();
     let checked = wavex_in(folder.path(), &["check", "job.toml"]);
     assert_eq!((checked.code, checked.err.as_str()), (Some(0), ""));
-    assert!(checked.out.starts_with("./job.toml is valid\n") || checked.out.starts_with("job.toml is valid\n"));
+    assert!(
+        checked.out.starts_with("./job.toml is valid\n") || checked.out.starts_with("job.toml is valid\n")
+    );
     assert!(!checked.out.contains("warning"), "{}", checked.out);
     let run = wavex_in(folder.path(), &["--quiet", "run", "job.toml"]);
     assert_eq!(run, Outcome { code: Some(0), out: String::new(), err: String::new() });

@@ -300,10 +300,7 @@ impl Map for DecomposeLine {
         let choice = self.config.online_points;
         let model = batch.model.clone();
         if model.is_none() && choice != OnlinePoints::Only {
-            return Err(StageError::failed(
-                "the line has no sensor model",
-                "put calibrate before decompose",
-            ));
+            return Err(StageError::failed("the line has no sensor model", "put calibrate before decompose"));
         }
         let Content::Shots(blocks) = std::mem::replace(&mut batch.content, Content::Returns(Returns::new()))
         else {

@@ -100,10 +100,8 @@ fn about_file(file: &Path, survey: &Survey) -> Section {
     match input.gain_control {
         GainControl::Off => {}
         GainControl::Recorded => section.say("automatic gain control", "yes, with the gain of each block"),
-        GainControl::NotRecorded => section.say(
-            "automatic gain control",
-            "yes, but the gains are unknown: intensities are not comparable",
-        ),
+        GainControl::NotRecorded => section
+            .say("automatic gain control", "yes, but the gains are unknown: intensities are not comparable"),
     }
     section.say(
         "emission time from",
