@@ -12,20 +12,20 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use made::{Flight, fly, georeference, return_of, site, source};
-use wavex::batch::{Batch, Blocks, Content, Return};
+use wavex::batch::{ScanLine, Blocks, Content, Return};
 use wavex::geometry::posed::Posed;
-use wavex::stage::{Context, Site, Source};
+use wavex::stage::{Context, RunContext, Source};
 
 const GOAL_PER_S: f64 = 2e6;
 const RUNS: usize = 9;
 
 /// Shots of a line, with two returns each.
 struct Line {
-    batch: Batch,
+    batch: ScanLine,
     returns: Vec<Return>,
 }
 
-fn lines(site: &Site) -> Vec<Line> {
+fn lines(site: &RunContext) -> Vec<Line> {
     let mut posed = Posed::new(source(site), Arc::clone(&site.geometry));
     let mut cx = Context::default();
     let mut lines = Vec::new();
@@ -41,12 +41,12 @@ fn lines(site: &Site) -> Vec<Line> {
 }
 
 /// Returns the median rate of the stage, points per second.
-fn points_per_s(site: &Site) -> f64 {
+fn points_per_s(site: &RunContext) -> f64 {
     let lines = lines(site);
     let mut stage = georeference(site, "");
     let mut rates: Vec<f64> = (0..RUNS)
         .map(|_| {
-            let fresh: Vec<Batch> = lines.iter().map(fresh).collect();
+            let fresh: Vec<ScanLine> = lines.iter().map(fresh).collect();
             let (started, mut points) = (Instant::now(), 0);
             for batch in fresh {
                 let placed =
@@ -60,19 +60,19 @@ fn points_per_s(site: &Site) -> f64 {
     rates[RUNS / 2]
 }
 
-fn fresh(line: &Line) -> Batch {
+fn fresh(line: &Line) -> ScanLine {
     let Line { batch, returns } = line;
     let mut fresh =
-        Batch::of_shots(Arc::clone(&batch.input), batch.line, batch.emissions.clone(), Blocks::default());
+        ScanLine::of_shots(Arc::clone(&batch.input), batch.line, batch.emissions.clone(), Blocks::default());
     fresh.content = Content::Returns(returns.clone());
     fresh
 }
 
 /// Source of lines that were read before.
-struct Read(std::vec::IntoIter<Batch>);
+struct Read(std::vec::IntoIter<ScanLine>);
 
 impl Source for Read {
-    fn next(&mut self, _cx: &mut Context) -> wavex::stage::Result<Option<Batch>> {
+    fn next(&mut self, _cx: &mut Context) -> wavex::stage::Result<Option<ScanLine>> {
         Ok(self.0.next())
     }
 }
@@ -84,7 +84,7 @@ fn shots_per_s(flight: &Flight) -> f64 {
     let mut rates: Vec<f64> = (0..RUNS)
         .map(|_| {
             let site = site(flight, "trajectory = 'a.out'").unwrap_or_else(|error| panic!("{error}"));
-            let fresh: Vec<Batch> = lines.iter().map(fresh).collect();
+            let fresh: Vec<ScanLine> = lines.iter().map(fresh).collect();
             let mut posed = Posed::new(Box::new(Read(fresh.into_iter())), Arc::clone(&site.geometry));
             let (started, mut cx) = (Instant::now(), Context::default());
             while posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")).is_some() {}

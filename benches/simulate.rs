@@ -12,7 +12,7 @@ use clock::cpu_s;
 use common::{COUNT, WORK, WRITE_NUMBERS, job};
 use wavex::kernels::lockstep;
 use wavex::registry;
-use wavex::stage::{Context, Plan, Site};
+use wavex::stage::{Context, Plan, RunContext};
 
 /// Name and `simulate` keys of each case.
 const CASES: &[(&str, &str)] = &[
@@ -36,7 +36,7 @@ fn shots_per_second(keys: &str) -> f64 {
     let spec = registry::find("simulate").unwrap_or_else(|| panic!("there is a simulator"));
     let job = job(&[(spec, keys)]);
     let Plan::Source(source) = &job.stages[0].planned.plan else { panic!("simulate is a source") };
-    let site = Site {
+    let site = RunContext {
         input: "".into(),
         stem: "simulated".into(),
         input_dir: std::env::temp_dir(),

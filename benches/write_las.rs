@@ -14,9 +14,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use laz::{LasZipCompressor, LazVlr, LazVlrBuilder};
-use wavex::batch::{Batch, Blocks, Content, InputInfo, Return, TimeScale};
+use wavex::batch::{ScanLine, Blocks, Content, InputInfo, Return, TimeScale};
 use wavex::registry;
-use wavex::stage::{Context, Plan, Sink, Site};
+use wavex::stage::{Context, Plan, Sink, RunContext};
 
 const LINES: usize = 250;
 const SHOTS: usize = 2000;
@@ -40,14 +40,14 @@ impl Noise {
     }
 }
 
-fn lines() -> Vec<Batch> {
+fn lines() -> Vec<ScanLine> {
     let input = Arc::new(InputInfo { time_scale: TimeScale::Adjusted, ..common::input_info() });
     let mut noise = Noise(1);
     (0..LINES).map(|line| scan_line(&input, line, &mut noise)).collect()
 }
 
-fn scan_line(input: &Arc<InputInfo>, line: usize, noise: &mut Noise) -> Batch {
-    let mut batch = Batch::of_shots(Arc::clone(input), line as u32, Vec::new(), Blocks::default());
+fn scan_line(input: &Arc<InputInfo>, line: usize, noise: &mut Noise) -> ScanLine {
+    let mut batch = ScanLine::of_shots(Arc::clone(input), line as u32, Vec::new(), Blocks::default());
     let (mut returns, mut points) = (Vec::new(), Vec::new());
     for shot in 0..SHOTS {
         let number = line * SHOTS + shot;
@@ -86,7 +86,7 @@ fn found(emission: u32, return_number: u8, noise: &mut Noise) -> Return {
 }
 
 fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
-    let site = Site {
+    let site = RunContext {
         input: "made".into(),
         stem: "made".into(),
         input_dir: folder.into(),
@@ -105,7 +105,7 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
 /// Writes all lines to a sink.
 ///
 /// The file exists until the context is dropped.
-fn write(mut sink: Box<dyn Sink>, lines: &[Batch]) -> Context {
+fn write(mut sink: Box<dyn Sink>, lines: &[ScanLine]) -> Context {
     let mut cx = Context::default();
     for line in lines {
         sink.write(line, &mut cx).unwrap_or_else(|error| panic!("{error}"));
@@ -115,7 +115,7 @@ fn write(mut sink: Box<dyn Sink>, lines: &[Batch]) -> Context {
 }
 
 /// Returns the duration of the stage, s.
-fn write_laz(folder: &Path, threads: usize, lines: &[Batch]) -> f64 {
+fn write_laz(folder: &Path, threads: usize, lines: &[ScanLine]) -> f64 {
     let sink = sink(folder, "points.laz", threads);
     let started = Instant::now();
     let cx = write(sink, lines);
@@ -125,7 +125,7 @@ fn write_laz(folder: &Path, threads: usize, lines: &[Batch]) -> f64 {
 }
 
 /// Returns the records that the stage writes for the lines.
-fn records(folder: &Path, lines: &[Batch]) -> Vec<u8> {
+fn records(folder: &Path, lines: &[ScanLine]) -> Vec<u8> {
     let _cx = write(sink(folder, "points.las", 1), lines);
     // Only a complete run renames the file: here it has its temporary name.
     let mut files = std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{error}"));

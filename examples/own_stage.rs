@@ -6,11 +6,11 @@
 use anyhow::{Context as _, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{Batch, Content, Kind};
+use wavex::batch::{ScanLine, Content, Kind};
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::registry::STAGES;
-use wavex::stage::{self, Config, Context, Item, Map, MapConfig, Site, StageSpec};
+use wavex::stage::{self, Config, Context, Item, Map, MapConfig, RunContext, StageSpec};
 
 /// Name, role and accepted kinds of line of the stage.
 ///
@@ -36,7 +36,7 @@ impl Default for DropWeak {
 impl Config for DropWeak {}
 
 impl MapConfig for DropWeak {
-    fn make(&self, _site: &Site) -> stage::Result<Box<dyn Map>> {
+    fn make(&self, _site: &RunContext) -> stage::Result<Box<dyn Map>> {
         Ok(Box::new(self.clone()))
     }
 }
@@ -45,7 +45,7 @@ impl Map for DropWeak {
     /// Filters one line.
     ///
     /// The engine runs lines in parallel, so a map must keep no state between them.
-    fn map(&mut self, mut line: Batch, cx: &mut Context) -> stage::Result<Batch> {
+    fn map(&mut self, mut line: ScanLine, cx: &mut Context) -> stage::Result<ScanLine> {
         if let Content::Returns(returns) = &mut line.content {
             let before = returns.len();
             returns.retain(|found| found.amplitude_dn >= self.least_amplitude_dn);

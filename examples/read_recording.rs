@@ -10,7 +10,7 @@ use std::path::Path;
 use anyhow::{Context as _, Result, anyhow, bail};
 use wavex::job::Job;
 use wavex::registry::reader_of;
-use wavex::stage::{Context, Plan, Site};
+use wavex::stage::{Context, Plan, RunContext};
 
 fn main() -> Result<()> {
     let file = std::env::args()
@@ -23,7 +23,7 @@ fn main() -> Result<()> {
     let Plan::Source(source) = &job.stages.first().context("one stage")?.planned.plan else {
         bail!("{reader} is a reader");
     };
-    let mut source = source.make(&Site::alone(Path::new(&file)))?;
+    let mut source = source.make(&RunContext::alone(Path::new(&file)))?;
     // The context counts rejected items.
     let mut cx = Context::default();
     let (mut lines, mut shots, mut samples) = (0, 0, 0);

@@ -1,6 +1,6 @@
 //! Data that flows through a chain of stages.
 //!
-//! A [`Batch`] is one scan line. A batch always holds the shots of its line. Its [`Kind`]
+//! A [`ScanLine`] is one scan line. A batch always holds the shots of its line. Its [`Kind`]
 //! determines its other content: recorded sample blocks, returns found in them, or points computed
 //! from them. The samples of a line share one buffer, so a line needs few allocations, whatever its
 //! number of shots.
@@ -31,7 +31,7 @@ pub const MAX_SHOTS_PER_LINE: usize = 4096;
 
 /// Scan line with its data.
 #[derive(Debug)]
-pub struct Batch {
+pub struct ScanLine {
     /// Metadata of the recording.
     pub input: Arc<InputInfo>,
     /// Number of the scan line, from 0 in each input.
@@ -94,18 +94,18 @@ impl std::fmt::Display for Kind {
     }
 }
 
-impl Batch {
+impl ScanLine {
     /// Creates a line as delivered by a reader.
     ///
     /// Sets `nw` and the line's time.
-    pub fn of_shots(input: Arc<InputInfo>, line: u32, emissions: Vec<Emission>, blocks: Blocks) -> Batch {
+    pub fn of_shots(input: Arc<InputInfo>, line: u32, emissions: Vec<Emission>, blocks: Blocks) -> ScanLine {
         let stats = LineStats {
             gps_time_s: emissions.first().map_or(f64::NAN, |e| e.gps_time_s),
             nw: blocks.waveforms() as u64,
             ..LineStats::default()
         };
         let content = Content::Shots(blocks);
-        Batch {
+        ScanLine {
             input,
             line,
             stats,
@@ -168,7 +168,7 @@ impl Batch {
             }
         };
         let waveforms = self.waveforms.as_ref().map_or(0, Blocks::bytes);
-        size_of::<Batch>() + self.emissions.capacity() * size_of::<Emission>() + content + waveforms
+        size_of::<ScanLine>() + self.emissions.capacity() * size_of::<Emission>() + content + waveforms
     }
 
     /// Updates the share of the budget after a change.

@@ -13,7 +13,7 @@ use std::time::Instant;
 use crate::geometry::Loader;
 use crate::job::Job;
 use crate::kernels::lockstep;
-use crate::stage::{Context, OutputLock, Plan, Site, StageError};
+use crate::stage::{Context, OutputLock, Plan, RunContext, StageError};
 
 mod chain;
 mod failure;
@@ -144,7 +144,7 @@ fn run_inputs(
     unfinished: &mut Vec<InputReport>,
 ) -> Result<(), RunError> {
     let started = Instant::now();
-    let site = |input: inputs::Input| Site {
+    let site = |input: inputs::Input| RunContext {
         input: input.path,
         stem: input.stem,
         input_dir: options.input_dir.clone(),
@@ -153,7 +153,7 @@ fn run_inputs(
         simd: options.simd,
         geometry: Arc::default(),
     };
-    let sites: Vec<Site> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
+    let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
     let begin = || {
         let geometry = Loader::new(&job.settings.geometry, &options.input_dir).map_err(RunError::of_job)?;
         inputs::keep_from_outputs(job, &sites)?;

@@ -8,7 +8,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Return};
+use crate::batch::{ScanLine, Return};
 
 mod gallery;
 mod histogram;
@@ -23,7 +23,7 @@ mod zones;
 pub use gallery::{Gallery, ShownKind, ShownReturn, ShownShot};
 pub use histogram::Histogram;
 pub use lines::LineGroups;
-pub use map::{MapPicture, ScanLine};
+pub use map::{MapPicture, MapLine};
 pub use png::Picture;
 pub use samples::{PER_SAMPLE, Peak, Samples, ShownBlock};
 pub use view::MapAxes;
@@ -87,7 +87,7 @@ impl Default for Gathering {
 
 impl Gathering {
     /// Adds a line that leaves the chain.
-    pub fn add(&mut self, batch: &Batch) {
+    pub fn add(&mut self, batch: &ScanLine) {
         self.lines.add(batch);
         let Some(returns) = batch.returns() else { return };
         for quantity in &mut self.quantities {

@@ -3,7 +3,7 @@
 //! A stage sees no channels, threads or clocks. It drops items through [`Context::reject`], records
 //! measurements through [`Context::observe`], and warns the user through [`Context::note`].
 
-use crate::batch::Batch;
+use crate::batch::ScanLine;
 
 mod context;
 mod keys;
@@ -17,9 +17,9 @@ mod words;
 pub use context::{Context, Counters, Distribution, Item};
 pub use keys::{FileMark, Key, Keys};
 pub(crate) use output_file::partial_path;
-pub use output_file::{OutputFile, WholeFile, remove_unfinished_files};
+pub use output_file::{OutputFile, FinishedFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, give_up_claims};
-pub use site::{Paths, Site, fixed_folder};
+pub use site::{Paths, RunContext, fixed_folder};
 pub use spec::{
     Config, ConfigError, Holds, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
     SourcePlan, StageSpec, TransformConfig,
@@ -59,7 +59,7 @@ pub type Result<T> = std::result::Result<T, StageError>;
 /// Produces scan lines: a reader, or the simulator.
 pub trait Source {
     /// Returns the next line, or `None` at the end of the input.
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>>;
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>>;
 
     /// Fraction of the input read, 0 to 1, if known.
     fn progress(&self) -> Option<f64> {
@@ -72,13 +72,13 @@ pub trait Source {
 /// The engine may run several instances in parallel.
 pub trait Map {
     /// Processes a line. Keeps its emissions; rejects what it drops.
-    fn map(&mut self, batch: Batch, cx: &mut Context) -> Result<Batch>;
+    fn map(&mut self, batch: ScanLine, cx: &mut Context) -> Result<ScanLine>;
 }
 
 /// Holds lines back, for look-ahead or to learn from the first lines.
 pub trait Transform {
     /// Accepts a line and emits the lines that are ready.
-    fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()>;
+    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()>;
 
     /// Emits all lines held back.
     fn finish(&mut self, out: &mut Output) -> Result<()>;
@@ -87,7 +87,7 @@ pub trait Transform {
 /// Writes lines; the engine passes each on, so several sinks may follow each other.
 pub trait Sink {
     /// Writes a line.
-    fn write(&mut self, batch: &Batch, cx: &mut Context) -> Result<()>;
+    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()>;
 
     /// Completes the files.
     ///
@@ -100,7 +100,7 @@ pub trait Sink {
 pub struct Output<'a> {
     /// Counters and notes.
     pub cx: &'a mut Context,
-    emit: &'a mut dyn FnMut(Batch) -> Result<()>,
+    emit: &'a mut dyn FnMut(ScanLine) -> Result<()>,
     may_hold_bytes: usize,
     foreseen_bytes: usize,
 }
@@ -110,13 +110,13 @@ impl<'a> Output<'a> {
     pub fn new(
         cx: &'a mut Context,
         may_hold_bytes: usize,
-        emit: &'a mut dyn FnMut(Batch) -> Result<()>,
+        emit: &'a mut dyn FnMut(ScanLine) -> Result<()>,
     ) -> Output<'a> {
         Output { cx, emit, may_hold_bytes, foreseen_bytes: 0 }
     }
 
     /// Emits a line.
-    pub fn emit(&mut self, batch: Batch) -> Result<()> {
+    pub fn emit(&mut self, batch: ScanLine) -> Result<()> {
         (self.emit)(batch)
     }
 

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::batch::{
-    Batch, Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, emission_flags,
+    ScanLine, Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, emission_flags,
 };
 use crate::geo::vertical::down_at;
 
@@ -197,7 +197,7 @@ impl Survey {
     }
 
     /// Adds a line.
-    pub fn add(&mut self, batch: &Batch) {
+    pub fn add(&mut self, batch: &ScanLine) {
         if self.input.is_none() {
             let full_scale_dn = batch.input.full_scale_dn;
             for channel in self.channels.iter_mut().filter(|_| self.with_samples) {
@@ -237,7 +237,7 @@ impl Survey {
         self.input.as_ref().is_some_and(|input| !input.origin_is_sensor)
     }
 
-    fn add_shot(&mut self, batch: &Batch, emission: &Emission, begins_line: bool) {
+    fn add_shot(&mut self, batch: &ScanLine, emission: &Emission, begins_line: bool) {
         if begins_line {
             self.lines.begin(batch.line);
         }
@@ -259,7 +259,7 @@ impl Survey {
         }
     }
 
-    fn add_blocks(&mut self, batch: &Batch, emission: &Emission, blocks: &Blocks, of_shot: &[Block]) {
+    fn add_blocks(&mut self, batch: &ScanLine, emission: &Emission, blocks: &Blocks, of_shot: &[Block]) {
         let echoes = of_shot.iter().filter(|block| block.channel.is_echo()).count();
         self.blocks_per_shot.add(echoes as f64);
         self.shots.with_echoes += u64::from(echoes > 0);

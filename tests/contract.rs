@@ -11,12 +11,12 @@ use common::{into, stage};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use wavex::batch::{Batch, Blocks, InputInfo, Kind};
+use wavex::batch::{ScanLine, Blocks, InputInfo, Kind};
 use wavex::engine::{self, InputReport};
 use wavex::job::{Job, JobStage};
 use wavex::registry::{self, STAGES};
 use wavex::stage::{
-    Config, Context, Item, Key, Paths, Plan, Result, RoleName, Site, Source, SourceConfig, StageSpec, choices,
+    Config, Context, Item, Key, Paths, Plan, Result, RoleName, RunContext, Source, SourceConfig, StageSpec, choices,
 };
 
 /// Name suffixes that identify the unit of a quantity.
@@ -128,7 +128,7 @@ impl SourceConfig for Gaps {
         None
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         let keys = match self.unresolved {
             false => "lines = 4\nshots_per_line = 120\nseed = 7",
             true => UNRESOLVED,
@@ -153,10 +153,10 @@ struct GapSource {
 }
 
 impl Source for GapSource {
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         self.step += 1;
         let mut batch = match self.step {
-            1 | 4 | 7 => Some(Batch::of_shots(empty_input(), 0, Vec::new(), Blocks::default())),
+            1 | 4 | 7 => Some(ScanLine::of_shots(empty_input(), 0, Vec::new(), Blocks::default())),
             5 if !self.only_empty => self.lines.next(cx)?.map(without_blocks),
             2 | 3 | 6 if !self.only_empty => self.lines.next(cx)?,
             2..=7 => return self.next(cx),
@@ -171,8 +171,8 @@ fn empty_input() -> Arc<InputInfo> {
     Arc::new(common::input_info())
 }
 
-fn without_blocks(line: Batch) -> Batch {
-    Batch::of_shots(line.input, line.line, line.emissions, Blocks::default())
+fn without_blocks(line: ScanLine) -> ScanLine {
+    ScanLine::of_shots(line.input, line.line, line.emissions, Blocks::default())
 }
 
 const GAPS: StageSpec = StageSpec::source::<Gaps>("gaps", Kind::Shots);

@@ -5,7 +5,7 @@
 mod false_returns;
 
 use false_returns::{SCENES, copy, filtered, fly, score_of_stage};
-use wavex::batch::Batch;
+use wavex::batch::ScanLine;
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 
@@ -28,7 +28,7 @@ fn false_returns_are_told_and_true_ones_kept() {
         assert!(score.lost(Some("roof")) <= 0.1, "{}", scene.name);
         assert!(cx.counters().notes.is_empty());
         // Marked and rejected returns are counted, and no return is lost.
-        let total = |of: fn(&Batch) -> u64| lines.iter().map(of).sum::<u64>();
+        let total = |of: fn(&ScanLine) -> u64| lines.iter().map(of).sum::<u64>();
         let told: usize = [score.outliers, score.among].iter().map(|[_, told]| told).sum();
         let lost: usize = score.true_returns.values().map(|[_, lost]| lost).sum();
         assert_eq!(
@@ -37,7 +37,7 @@ fn false_returns_are_told_and_true_ones_kept() {
             "{}",
             scene.name
         );
-        assert_eq!(total(|line| line.stats.np), lines.iter().map(Batch::n_returns).sum::<usize>() as u64);
+        assert_eq!(total(|line| line.stats.np), lines.iter().map(ScanLine::n_returns).sum::<usize>() as u64);
         assert_eq!(total(|line| line.stats.np_filtered), score.rejected as u64);
         assert!(lines.iter().map(|line| line.line).eq(flight.lines.iter().map(|line| line.line)));
     }

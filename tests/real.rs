@@ -439,20 +439,20 @@ fn a_model_of_one_half_holds_for_the_other() {
 fn returns_agree_with_riegls_to_their_uncertainty() {
     let Some(data) = data() else { return };
     let pulses = agreement(&data, &[]);
-    let pairs: Vec<agreement::Told> =
+    let pairs: Vec<agreement::VendorReturn> =
         pulses.iter().enumerate().flat_map(|(index, pulse)| pulse.told(index)).collect();
     let raw: Vec<f64> = pairs.iter().map(|pair| 1000.0 * (pair.ours.time_ns - pair.vendor.time_ns)).collect();
     let left = agreement::without_trend(&pairs, &raw, |pulse| pulse % 10);
-    let of = |values: &[f64], wanted: &dyn Fn(&agreement::Told) -> bool| -> Vec<f64> {
+    let of = |values: &[f64], wanted: &dyn Fn(&agreement::VendorReturn) -> bool| -> Vec<f64> {
         values.iter().zip(&pairs).filter(|(_, pair)| wanted(pair)).map(|(value, _)| *value).collect()
     };
-    let single = |pair: &agreement::Told| pair.single;
-    let (multi, far) = (agreement::Told::is_multi, agreement::Told::is_far);
-    let far_for_riegl = |pair: &agreement::Told| multi(pair) && pair.vendor_separation_ns > 12.0;
+    let single = |pair: &agreement::VendorReturn| pair.single;
+    let (multi, far) = (agreement::VendorReturn::is_multi, agreement::VendorReturn::is_far);
+    let far_for_riegl = |pair: &agreement::VendorReturn| multi(pair) && pair.vendor_separation_ns > 12.0;
     let spread =
-        |values: &[f64], wanted: &dyn Fn(&agreement::Told) -> bool| agreement::spread(&of(values, wanted));
+        |values: &[f64], wanted: &dyn Fn(&agreement::VendorReturn) -> bool| agreement::spread(&of(values, wanted));
     for (name, wanted, goals) in [
-        ("singles", &single as &dyn Fn(&agreement::Told) -> bool, "20, 15"),
+        ("singles", &single as &dyn Fn(&agreement::VendorReturn) -> bool, "20, 15"),
         ("multi", &multi, "60"),
         ("multi, more than 12 ns apart", &far, "25"),
         ("multi, more than 12 ns from others of RIEGL's, but not of ours", &far_for_riegl, "none"),

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::{Failure, terminal};
 use crate::formats::Error;
 use crate::formats::las::{CopcSummary, indexes_beside, write_copc};
-use crate::stage::{OutputFile, OutputLock, Outputs, WholeFile};
+use crate::stage::{OutputFile, OutputLock, Outputs, FinishedFile};
 
 /// Maximum number of sorted runs, claimed in advance.
 ///
@@ -45,7 +45,7 @@ fn check_name(input: &Path, out: &Path) -> Result<(), String> {
 fn write(input: &Path, out: &Path) -> Result<CopcSummary, Error> {
     let mut file = OutputFile::create(out)?;
     // Runs are removed when dropped.
-    let mut runs: Vec<WholeFile> = Vec::new();
+    let mut runs: Vec<FinishedFile> = Vec::new();
     let mut keep = |run: &[u8]| {
         let path = run_path(out, runs.len());
         let mut file = OutputFile::create(&path)?;

@@ -7,14 +7,14 @@ use std::sync::Arc;
 use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, run, terminal};
-use crate::batch::{Batch, Emission, Returns};
+use crate::batch::{ScanLine, Emission, Returns};
 use crate::formats::Error;
 use crate::geometry::Loader;
 use crate::geometry::posed::Posed;
 use crate::job::{Job, JobStage, Override};
 use crate::kernels::sensor_model::SensorModel;
 use crate::registry::reader_of;
-use crate::stage::{Context, OutputFile, Plan, Site, Source, SourcePlan, TransformConfig};
+use crate::stage::{Context, OutputFile, Plan, RunContext, Source, SourcePlan, TransformConfig};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
     Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
@@ -58,7 +58,7 @@ fn write(path: &Path, picture: &str) -> crate::formats::Result<()> {
 /// A job's stages up to `decompose`, applied to one recording.
 struct Chain {
     job: Job,
-    site: Site,
+    site: RunContext,
     /// Keys of `calibrate`, with `save` removed.
     calibrate: Calibrate,
     decompose: Decompose,
@@ -102,7 +102,7 @@ impl Chain {
             Loader::new(&job.settings.geometry, &input_dir).and_then(|mut files| files.load(&stem));
         let geometry = Arc::new(geometry.map_err(|error| failed(&error))?);
         let input = args.file.clone();
-        let site = Site { input, stem, input_dir, output_dir, threads: 1, simd, geometry };
+        let site = RunContext { input, stem, input_dir, output_dir, threads: 1, simd, geometry };
         Ok(Chain { job, site, calibrate, decompose, source })
     }
 
@@ -135,11 +135,11 @@ impl Chain {
     }
 
     /// Returns the scan line that contains a shot, ready for decomposition.
-    fn line_of(&self, shot: u64) -> Result<Batch, Failure> {
+    fn line_of(&self, shot: u64) -> Result<ScanLine, Failure> {
         let source = self.posed()?;
         let mut upstream = Upstream::new(source, self.steps()?, crate::engine::may_hold_bytes(&self.job));
         let mut seen = Numbers::default();
-        let holds = |batch: &Batch| {
+        let holds = |batch: &ScanLine| {
             batch.emissions.iter().for_each(|emission| seen.add(emission.shot));
             batch.emissions.iter().any(|emission| emission.shot == shot)
         };
@@ -151,7 +151,7 @@ impl Chain {
     fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
         let source = self.posed()?;
         let mut nearest: Option<(f64, u64)> = None;
-        let mut look = |batch: &Batch| {
+        let mut look = |batch: &ScanLine| {
             for emission in &batch.emissions {
                 let distance_s = (emission.gps_time_s - time_s).abs();
                 if distance_s.is_finite() && nearest.is_none_or(|(least_s, _)| distance_s < least_s) {
@@ -210,7 +210,7 @@ struct Explained {
 }
 
 /// Decomposes one shot of a scan line and records the intermediate results.
-fn decompose(mut line: Batch, shot: u64, chain: &Chain) -> Result<Explained, Failure> {
+fn decompose(mut line: ScanLine, shot: u64, chain: &Chain) -> Result<Explained, Failure> {
     let without = |what: &str| {
         let file = chain.file().display();
         Failure::Wrong(format!("{file}: shot {shot} has {what}; choose another one"))

@@ -8,7 +8,7 @@ use crate::formats::Error;
 use crate::formats::trajectory::{self, Angles, Options, Records, Unproject};
 use crate::geo::time_axis::Clock;
 use crate::geo::trajectory::{Accuracy, Trajectory};
-use crate::stage::{OutputFile, WholeFile};
+use crate::stage::{OutputFile, FinishedFile};
 use map::Map;
 use summary::About;
 
@@ -72,7 +72,7 @@ fn write(
     trajectory: &Trajectory,
     map: &Map,
 ) -> Result<Vec<String>, Error> {
-    let mut whole: Vec<WholeFile> = Vec::new();
+    let mut whole: Vec<FinishedFile> = Vec::new();
     if let Some(path) = &args.out {
         whole.push(table(path, args.every, about.clock, trajectory, map)?);
     }
@@ -96,7 +96,7 @@ fn table(
     clock: Clock,
     trajectory: &Trajectory,
     map: &Map,
-) -> Result<WholeFile, Error> {
+) -> Result<FinishedFile, Error> {
     let mut file = OutputFile::create(path)?;
     let mut rows = format!(
         "# t lon lat h x y z w p k: {}; degrees; m; {}; roll, pitch and heading in degrees\n",

@@ -10,16 +10,16 @@ use super::failure::{Failure, RunError, THREAD_PREFIX, guarded};
 use super::link::{Inlet, Outlet, link};
 use super::meter::Meter;
 use super::report::{InputReport, StageReport, Totals};
-use super::worker::{Desk, Exit, Gauge, Shared, run_map, run_sink, run_source, run_transform};
+use super::worker::{WorkerContext, Downstream, Gauge, Shared, run_map, run_sink, run_source, run_transform};
 use super::{Cause, Options, Progress};
 use crate::batch::Budget;
 use crate::geometry::posed::Posed;
 use crate::job::{Job, JobStage};
 use crate::overview::Gallery;
-use crate::stage::{Context, Holds, Plan, Result, Site, StageError, WholeFile};
+use crate::stage::{Context, Holds, Plan, Result, RunContext, StageError, FinishedFile};
 
 /// Results of a stage's workers, one entry per worker.
-type Leavings = Mutex<Vec<(Meter, Context)>>;
+type WorkerResult = Mutex<Vec<(Meter, Context)>>;
 
 /// Runs the chain over one input; `cx` is the context of the whole run.
 ///
@@ -27,14 +27,14 @@ type Leavings = Mutex<Vec<(Meter, Context)>>;
 /// The first true cause, with the work done before it.
 pub(super) fn run(
     job: &Job,
-    site: &Arc<Site>,
+    site: &Arc<RunContext>,
     options: &Options,
     progress: &mut Progress,
     cx: &Context,
 ) -> std::result::Result<InputReport, (RunError, Box<InputReport>)> {
     let started = Instant::now();
     let shared = shared(job, options, cx);
-    let leavings: Vec<Leavings> = job.stages.iter().map(|_| Leavings::default()).collect();
+    let leavings: Vec<WorkerResult> = job.stages.iter().map(|_| WorkerResult::default()).collect();
     progress.begin(&site.stem);
     std::thread::scope(|scope| {
         let (alive, all_gone) = crossbeam_channel::bounded::<()>(0);
@@ -82,7 +82,7 @@ pub(super) fn run(
 }
 
 /// Input and output ends of all workers, by stage.
-fn plan(job: &Job, options: &Options) -> Vec<Vec<(Option<Inlet>, Exit)>> {
+fn plan(job: &Job, options: &Options) -> Vec<Vec<(Option<Inlet>, Downstream)>> {
     let workers = |stage: &JobStage| match stage.planned.plan {
         Plan::Map(_) => options.workers(),
         _ => 1,
@@ -93,7 +93,7 @@ fn plan(job: &Job, options: &Options) -> Vec<Vec<(Option<Inlet>, Exit)>> {
         let n = workers(stage);
         let next = job.stages.get(index + 1).map(|next| link(options.channel_capacity, n, workers(next)));
         let (outlet, next_inlet): (Option<Outlet>, Option<Inlet>) = next.unzip();
-        let exits = || outlet.as_ref().map_or(Exit::Out, |outlet| Exit::To(outlet.another()));
+        let exits = || outlet.as_ref().map_or(Downstream::Out, |outlet| Downstream::To(outlet.another()));
         plan.push((0..n).map(|_| (inlet.as_ref().map(Inlet::another), exits())).collect());
         inlet = next_inlet;
     }
@@ -145,24 +145,24 @@ fn shared(job: &Job, options: &Options, cx: &Context) -> Shared {
 /// Runs a worker from construction of its stage to its last counter.
 fn run_worker(
     stage: &JobStage,
-    site: &Arc<Site>,
+    site: &Arc<RunContext>,
     shared: &Shared,
     inlet: Option<Inlet>,
-    exit: Exit,
+    exit: Downstream,
     profile: bool,
-    leavings: &Leavings,
+    leavings: &WorkerResult,
 ) {
     let mut desk =
-        Desk { stage: &stage.id, shared, exit, meter: Meter::new(profile), cx: shared.cx.another() };
+        WorkerContext { stage: &stage.id, shared, exit, meter: Meter::new(profile), cx: shared.cx.another() };
     let result = guarded(|| work(stage, site, inlet, &mut desk));
     if let Err(cause) = result {
         shared.failure.fail(&stage.id, &site.input, cause);
     }
-    let Desk { meter, cx, .. } = desk;
+    let WorkerContext { meter, cx, .. } = desk;
     leavings.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push((meter, cx));
 }
 
-fn work(stage: &JobStage, site: &Site, inlet: Option<Inlet>, desk: &mut Desk) -> Result<()> {
+fn work(stage: &JobStage, site: &RunContext, inlet: Option<Inlet>, desk: &mut WorkerContext) -> Result<()> {
     match (&stage.planned.plan, inlet) {
         (Plan::Source(plan), None) => {
             let posed = Posed::new(plan.make(site)?, Arc::clone(&site.geometry));
@@ -179,7 +179,7 @@ fn work(stage: &JobStage, site: &Site, inlet: Option<Inlet>, desk: &mut Desk) ->
 }
 
 /// Merges the results of all workers: stage reports, finished files, shots to show.
-fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String, WholeFile)>, Gallery) {
+fn collect(job: &Job, leavings: Vec<WorkerResult>) -> (Vec<StageReport>, Vec<(String, FinishedFile)>, Gallery) {
     let mut whole = Vec::new();
     let mut gallery = Gallery::default();
     let mut reports = Vec::new();
@@ -200,7 +200,7 @@ fn collect(job: &Job, leavings: Vec<Leavings>) -> (Vec<StageReport>, Vec<(String
 }
 
 /// Gives every finished file its final name, in the order in which stages finished them.
-fn publish(mut whole: Vec<(String, WholeFile)>) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
+fn publish(mut whole: Vec<(String, FinishedFile)>) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
     for (stage, file) in &mut whole {
         file.make_way().map_err(|error| (stage.clone(), error.into()))?;
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::RunError;
 use crate::formats::{companions, unsupported};
 use crate::job::Job;
-use crate::stage::{Outputs, Paths, Site, StageError, fixed_folder};
+use crate::stage::{Outputs, Paths, RunContext, StageError, fixed_folder};
 
 /// Input of one run.
 #[derive(Debug, PartialEq)]
@@ -86,7 +86,7 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
 }
 
 /// Output files of all runs, by the folder in which they are claimed.
-pub(super) fn outputs(job: &Job, sites: &[Site]) -> Outputs {
+pub(super) fn outputs(job: &Job, sites: &[RunContext]) -> Outputs {
     let mut outputs = Outputs::new();
     for site in sites {
         for pattern in job.stages.iter().flat_map(|stage| stage.planned.plan.outputs()) {
@@ -100,9 +100,9 @@ pub(super) fn outputs(job: &Job, sites: &[Site]) -> Outputs {
 /// Checks that no output replaces an input or a companion file of one.
 ///
 /// `job` compares patterns; this compares actual files.
-pub(super) fn keep_from_outputs(job: &Job, sites: &[Site]) -> Result<(), RunError> {
+pub(super) fn keep_from_outputs(job: &Job, sites: &[RunContext]) -> Result<(), RunError> {
     let with_companions =
-        |site: &Site| companions(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>();
+        |site: &RunContext| companions(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>();
     let inputs: BTreeSet<PathBuf> =
         sites.iter().flat_map(with_companions).filter_map(|path| path.canonicalize().ok()).collect();
     let patterns = || job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use crate::batch::Batch;
+use crate::batch::ScanLine;
 use crate::stage::{Result, StageError};
 
 /// Message in a channel.
@@ -14,7 +14,7 @@ use crate::stage::{Result, StageError};
 )]
 pub(super) enum Message {
     /// A line with its position in the stream.
-    Line(u64, Batch),
+    Line(u64, ScanLine),
     /// The sender is finished.
     End,
 }
@@ -32,7 +32,7 @@ enum Order {
     /// As received: the worker belongs to a pool.
     Any,
     /// As sent into the stream; lines that arrive early wait, limited by `memory_mb`.
-    Sequence { next: u64, early: BTreeMap<u64, Batch> },
+    Sequence { next: u64, early: BTreeMap<u64, ScanLine> },
 }
 
 /// Sending end of a worker.
@@ -61,7 +61,7 @@ impl Inlet {
     }
 
     /// Receives the next line; `None` when every sender has finished.
-    pub(super) fn next(&mut self) -> Result<Option<(u64, Batch)>> {
+    pub(super) fn next(&mut self) -> Result<Option<(u64, ScanLine)>> {
         loop {
             if let Order::Sequence { next, early } = &mut self.order
                 && let Some(batch) = early.remove(next)
@@ -93,7 +93,7 @@ impl Outlet {
     }
 
     /// Sends a line; blocks while the channel is full.
-    pub(super) fn send(&self, place: u64, batch: Batch) -> Result<()> {
+    pub(super) fn send(&self, place: u64, batch: ScanLine) -> Result<()> {
         self.channel.send(Message::Line(place, batch)).map_err(|_| StageError::Stopped)
     }
 

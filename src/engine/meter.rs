@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 
-use crate::batch::Batch;
+use crate::batch::ScanLine;
 use crate::stage::Item;
 
 /// Time and items of one worker, or of all workers of a stage.
@@ -95,12 +95,12 @@ impl Meter {
         self.line_working = Duration::ZERO;
     }
 
-    pub(super) fn took(&mut self, batch: &Batch) {
+    pub(super) fn took(&mut self, batch: &ScanLine) {
         self.lines_in += 1;
         count(&mut self.items_in, batch);
     }
 
-    pub(super) fn gave(&mut self, batch: &Batch) {
+    pub(super) fn gave(&mut self, batch: &ScanLine) {
         self.lines_out += 1;
         count(&mut self.items_out, batch);
     }
@@ -122,7 +122,7 @@ impl Meter {
     }
 }
 
-fn count(items: &mut [u64; 3], batch: &Batch) {
+fn count(items: &mut [u64; 3], batch: &ScanLine) {
     for (count, item) in items.iter_mut().zip(Item::ALL) {
         *count += item.count(batch);
     }

@@ -11,14 +11,14 @@ use serde::{Serialize, Serializer};
 
 use super::Options;
 use super::meter::{Meter, Span};
-use crate::batch::{Batch, EmissionReference, Frame, InputInfo, TimeScale};
+use crate::batch::{ScanLine, EmissionReference, Frame, InputInfo, TimeScale};
 use crate::geo::time::utc;
 use crate::geo::trajectory::Trajectory;
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::sensor_model::SensorModel;
 use crate::overview::{Gallery, Gathering, Overview};
-use crate::stage::{Counters, Distribution, Item, RoleName, Site};
+use crate::stage::{Counters, Distribution, Item, RoleName, RunContext};
 
 /// Report of a run (`report.json`).
 #[derive(Clone, Debug, Serialize, JsonSchema)]
@@ -228,7 +228,7 @@ impl Totals {
         Totals { gallery: Some(gallery), ..self }
     }
 
-    pub(super) fn add(&mut self, batch: &Batch) {
+    pub(super) fn add(&mut self, batch: &ScanLine) {
         for (name, count) in batch.stats.counts() {
             *self.counts.entry(name).or_default() += count;
         }
@@ -332,7 +332,7 @@ impl StageReport {
 
 impl InputReport {
     pub(super) fn new(
-        site: &Site,
+        site: &RunContext,
         started: Instant,
         totals: Totals,
         stages: Vec<StageReport>,
@@ -371,7 +371,7 @@ impl InputReport {
     }
 
     /// Report of an input that no stage has started.
-    pub(super) fn not_begun(site: &Site, started: Instant) -> InputReport {
+    pub(super) fn not_begun(site: &RunContext, started: Instant) -> InputReport {
         InputReport::new(site, started, Totals::new(false), Vec::new(), Vec::new(), 0)
     }
 

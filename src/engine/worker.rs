@@ -8,7 +8,7 @@ use super::failure::Failure;
 use super::link::{Inlet, Outlet};
 use super::meter::Meter;
 use super::report::Totals;
-use crate::batch::{Batch, Blocks, Budget, NoRoom};
+use crate::batch::{ScanLine, Blocks, Budget, NoRoom};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 
 /// State shared by the threads of one chain.
@@ -41,31 +41,31 @@ pub(super) struct Gauge {
 }
 
 /// Destination of a worker's lines: the next stage, or the end of the chain.
-pub(super) enum Exit {
+pub(super) enum Downstream {
     To(Outlet),
     Out,
 }
 
 /// State of one worker.
-pub(super) struct Desk<'a> {
+pub(super) struct WorkerContext<'a> {
     /// Name of the stage in the job.
     pub(super) stage: &'a str,
     pub(super) shared: &'a Shared,
-    pub(super) exit: Exit,
+    pub(super) exit: Downstream,
     pub(super) meter: Meter,
     pub(super) cx: Context,
 }
 
-impl Desk<'_> {
+impl WorkerContext<'_> {
     /// Sends a line to the next stage or out of the chain.
-    fn send(&mut self, place: u64, mut batch: Batch) -> Result<()> {
+    fn send(&mut self, place: u64, mut batch: ScanLine) -> Result<()> {
         batch.recount();
         self.meter.gave(&batch);
         match &self.exit {
-            Exit::To(outlet) => outlet.send(place, batch)?,
-            Exit::Out => self.leave(&batch),
+            Downstream::To(outlet) => outlet.send(place, batch)?,
+            Downstream::Out => self.leave(&batch),
         }
-        if self.shared.overview && matches!(self.exit, Exit::Out) {
+        if self.shared.overview && matches!(self.exit, Downstream::Out) {
             // Collecting data of a line that leaves is work: no stage follows that could block.
             self.meter.worked();
         }
@@ -74,7 +74,7 @@ impl Desk<'_> {
     }
 
     /// Adds the counters of a line that leaves the chain to the totals.
-    fn leave(&self, batch: &Batch) {
+    fn leave(&self, batch: &ScanLine) {
         self.shared.gauge.lines.fetch_add(1, Ordering::Relaxed);
         self.shared.gauge.shots.fetch_add(batch.emissions.len() as u64, Ordering::Relaxed);
         self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(batch);
@@ -92,13 +92,13 @@ impl Desk<'_> {
 
     fn end(&mut self) -> Result<()> {
         match &self.exit {
-            Exit::To(outlet) => outlet.end(),
-            Exit::Out => Ok(()),
+            Downstream::To(outlet) => outlet.end(),
+            Downstream::Out => Ok(()),
         }
     }
 
     /// Receives the next line, unless the run is ending.
-    fn take(&mut self, inlet: &mut Inlet) -> Result<Option<(u64, Batch)>> {
+    fn take(&mut self, inlet: &mut Inlet) -> Result<Option<(u64, ScanLine)>> {
         let next = inlet.next()?;
         self.meter.waited();
         if self.shared.failure.stopping() {
@@ -112,7 +112,7 @@ impl Desk<'_> {
 }
 
 /// Reads the whole input; each line waits until it fits into the memory budget.
-pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut Desk) -> Result<()> {
+pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut WorkerContext) -> Result<()> {
     let mut place = 0;
     loop {
         let next = source.next(&mut desk.cx);
@@ -169,7 +169,7 @@ fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError 
 }
 
 /// Maps lines one by one; one of several workers.
-pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
+pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
     while let Some((place, batch)) = desk.take(inlet)? {
         let result = map.map(batch, &mut desk.cx);
         desk.meter.worked();
@@ -180,7 +180,7 @@ pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut Desk)
 }
 
 /// Passes lines to a transform, which emits lines when it is ready.
-pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
+pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
     let mut place = 0;
     loop {
         let mut next = desk.take(inlet)?;
@@ -191,7 +191,7 @@ pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, de
         // The stage borrows the context while it emits lines, so take it out of the worker's state.
         let mut cx = std::mem::take(&mut desk.cx);
         let may_hold_bytes = desk.shared.may_hold_bytes;
-        let mut emit = |mut batch: Batch| {
+        let mut emit = |mut batch: ScanLine| {
             desk.meter.worked();
             place += 1;
             set_inside(Some(&mut batch), false);
@@ -216,14 +216,14 @@ pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, de
 }
 
 /// Marks whether a transform holds a line.
-fn set_inside(batch: Option<&mut Batch>, is_inside: bool) {
+fn set_inside(batch: Option<&mut ScanLine>, is_inside: bool) {
     if let Some(ticket) = batch.and_then(|batch| batch.ticket.as_mut()) {
         ticket.set_inside(is_inside);
     }
 }
 
 /// Writes lines and passes them on.
-pub(super) fn run_sink(mut sink: Box<dyn Sink>, inlet: &mut Inlet, desk: &mut Desk) -> Result<()> {
+pub(super) fn run_sink(mut sink: Box<dyn Sink>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
     while let Some((place, batch)) = desk.take(inlet)? {
         let result = sink.write(&batch, &mut desk.cx);
         desk.meter.worked();

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::target::{ANYWHERE, Wanted, failed, read_wkt};
+use super::target::{ANYWHERE, CrsRequest, failed, read_wkt};
 use crate::geo::crs::{Crs, CrsError, Named};
 use crate::geo::frames::Vector;
 use crate::stage::Result;
@@ -52,5 +52,5 @@ pub fn wkt(word: &str, input_dir: &Path) -> Result<String> {
 /// Whether a point has different coordinates in two WKT CRSs; `false` if the first is unusable.
 pub fn differ(first: &str, second: &str, point: Vector) -> bool {
     let is_usable = Crs::new(&Named::Wkt(first.to_owned()), ANYWHERE, None, None).is_ok();
-    is_usable && first != second && !Wanted::of(Named::Wkt(second.to_owned())).is_map(first, point)
+    is_usable && first != second && !CrsRequest::of(Named::Wkt(second.to_owned())).is_map(first, point)
 }

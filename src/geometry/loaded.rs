@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use super::calibration::Calibration;
 use super::keys::{CalibrationKey, GeometryKeys};
 use super::poses::Installation;
-use super::target::{Target, Wanted, failed};
+use super::target::{Target, CrsRequest, failed};
 use super::track::Track;
 use crate::batch::{Emission, Frame, InputInfo};
 use crate::geo::frames::Vector;
@@ -20,7 +20,7 @@ pub struct Geometry {
     keys: GeometryKeys,
     installation: Installation,
     track: Option<Arc<Track>>,
-    wanted: Wanted,
+    wanted: CrsRequest,
     /// Maps times of the recording to those of the trajectory.
     alignment: OnceLock<Alignment>,
     /// First shot of the recording.
@@ -48,7 +48,7 @@ pub struct Loader {
     keys: GeometryKeys,
     input_dir: PathBuf,
     installation: Installation,
-    wanted: Wanted,
+    wanted: CrsRequest,
     last: Option<Arc<Track>>,
 }
 
@@ -56,7 +56,7 @@ impl Default for Geometry {
     /// No trajectory and no corrections.
     fn default() -> Geometry {
         let installation = Installation::new(&Default::default(), &Calibration::default());
-        Geometry::of(GeometryKeys::default(), installation, Wanted::default(), None)
+        Geometry::of(GeometryKeys::default(), installation, CrsRequest::default(), None)
     }
 }
 
@@ -73,7 +73,7 @@ impl Loader {
         };
         Ok(Loader {
             installation: Installation::new(&keys.mount.unwrap_or_default(), &calibration),
-            wanted: Wanted::load(keys, input_dir)?,
+            wanted: CrsRequest::load(keys, input_dir)?,
             keys: keys.clone(),
             input_dir: input_dir.to_path_buf(),
             last: None,
@@ -122,7 +122,7 @@ impl Geometry {
     fn of(
         keys: GeometryKeys,
         installation: Installation,
-        wanted: Wanted,
+        wanted: CrsRequest,
         track: Option<Arc<Track>>,
     ) -> Geometry {
         Geometry {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::loaded::Geometry;
 use super::poses::{scan_angle_deg, to_earth};
 use super::scan_angles::{ScanAngles, are_unknown, set_directions};
-use crate::batch::{Batch, Content, Emission, Frame, InputInfo};
+use crate::batch::{ScanLine, Content, Emission, Frame, InputInfo};
 use crate::geo::time_axis::{Clock, Unwrap};
 use crate::geo::trajectory::Pose;
 use crate::geo::vertical::down_at;
@@ -35,7 +35,7 @@ impl Posed {
 }
 
 impl Source for Posed {
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             if let Some(batch) = self.angles.pop() {
                 return Ok(Some(batch));
@@ -72,7 +72,7 @@ impl Posed {
         self.coverage.finish(&self.geometry, cx)
     }
 
-    fn place(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
+    fn place(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
         match batch.input.frame {
             Frame::Map if self.geometry.keys().places_scanners() => {
                 cx.note("the recording is already in a projected CRS: trajectory, mount and calibration are not used");
@@ -111,7 +111,7 @@ impl Posed {
     }
 
     /// Applies the pose to every shot of a line; shots without a pose are rejected.
-    fn pose(&mut self, batch: &mut Batch, cx: &mut Context) -> Result<()> {
+    fn pose(&mut self, batch: &mut ScanLine, cx: &mut Context) -> Result<()> {
         unwrap_times(&mut self.times, batch)?;
         let Some(first) = batch.emissions.first() else {
             batch.input = self.info(batch, Frame::Earth);
@@ -150,7 +150,7 @@ impl Posed {
     }
 
     /// Metadata of the recording, changed to another frame.
-    fn info(&mut self, batch: &Batch, frame: Frame) -> Arc<InputInfo> {
+    fn info(&mut self, batch: &ScanLine, frame: Frame) -> Arc<InputInfo> {
         if let Some([from, to]) = &self.input
             && Arc::ptr_eq(from, &batch.input)
         {
@@ -179,7 +179,7 @@ fn pose_one(geometry: &Geometry, emission: &mut Emission, pose: &Pose, down: &mu
 const OUTSIDE: &str = "outside the trajectory";
 
 /// Removes the shots without a pose and their blocks; `place` gives the new indices of the others.
-fn reject(batch: &mut Batch, place: &[Option<u32>], cx: &mut Context) {
+fn reject(batch: &mut ScanLine, place: &[Option<u32>], cx: &mut Context) {
     cx.reject(Item::Shots, OUTSIDE, place.iter().filter(|place| place.is_none()).count() as u64);
     if let Content::Shots(blocks) = &mut batch.content {
         let before = blocks.len();
@@ -190,7 +190,7 @@ fn reject(batch: &mut Batch, place: &[Option<u32>], cx: &mut Context) {
 }
 
 /// Unwraps the times of a line, continuing from earlier lines.
-fn unwrap_times(times: &mut Option<Unwrap>, batch: &mut Batch) -> Result<()> {
+fn unwrap_times(times: &mut Option<Unwrap>, batch: &mut ScanLine) -> Result<()> {
     let clock = Clock::of(batch.input.time_scale).unwrap_or(Clock::Adjusted);
     let times = times.get_or_insert(Unwrap::new(clock));
     for emission in &mut batch.emissions {

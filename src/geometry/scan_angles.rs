@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 
 use super::poses::{cross, dot};
-use crate::batch::{Batch, Emission, Frame, InputInfo, emission_flags};
+use crate::batch::{ScanLine, Emission, Frame, InputInfo, emission_flags};
 use crate::geo::frames::Vector;
 use crate::geo::vertical::{down_at, main_axis};
 use crate::kernels::sensor_path::{Beam, Window};
@@ -89,17 +89,17 @@ const MOST_HELD_LINES: usize = 256;
 #[derive(Debug, Default)]
 pub(super) struct ScanAngles {
     course: Course,
-    held: VecDeque<Batch>,
+    held: VecDeque<ScanLine>,
     held_bytes: usize,
     /// Lines ready to be emitted.
-    ready: VecDeque<Batch>,
+    ready: VecDeque<ScanLine>,
     /// Whether lines were emitted without scan angles.
     gave_up: bool,
 }
 
 impl ScanAngles {
     /// Adds a line.
-    pub(super) fn push(&mut self, batch: Batch) {
+    pub(super) fn push(&mut self, batch: ScanLine) {
         let is_placed = matches!(batch.input.frame, Frame::Map | Frame::Earth);
         if !is_placed || !are_unknown(&batch.emissions) {
             self.release();
@@ -116,7 +116,7 @@ impl ScanAngles {
     }
 
     /// The next line to emit.
-    pub(super) fn pop(&mut self) -> Option<Batch> {
+    pub(super) fn pop(&mut self) -> Option<ScanLine> {
         self.ready.pop_front()
     }
 
@@ -173,7 +173,7 @@ const LEAST_WINDOW_S: f64 = 0.1;
 const DEGREES_FINER: f64 = 1000.0;
 
 impl Course {
-    fn add(&mut self, batch: &Batch) {
+    fn add(&mut self, batch: &ScanLine) {
         let time_s = |emission: &Emission| 1e-12 * emission.clock_ps as f64;
         let Some(grid_m) = grid_m(&batch.input) else { return };
         if !batch.input.origin_is_sensor {
@@ -294,7 +294,7 @@ mod tests {
                 }
             };
             let emissions: Vec<Emission> = (0..1000).map(shot).collect();
-            angles.push(Batch::of_shots(input.clone(), line, emissions, crate::batch::Blocks::default()));
+            angles.push(ScanLine::of_shots(input.clone(), line, emissions, crate::batch::Blocks::default()));
             held = held.max(angles.held.len());
             while let Some(batch) = angles.pop() {
                 let expected: Vec<(f32, bool)> =

@@ -13,7 +13,7 @@ use crate::stage::{Result, StageError};
 
 /// The requested CRS, as far as it does not depend on the position.
 #[derive(Clone, Debug)]
-pub struct Wanted {
+pub struct CrsRequest {
     named: Named,
     geoid: Option<Arc<Geoid>>,
     unit: Option<Unit>,
@@ -38,16 +38,16 @@ const SAME: f64 = 1e-3;
 /// Position for CRSs that do not depend on it.
 pub(super) const ANYWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };
 
-impl Default for Wanted {
+impl Default for CrsRequest {
     /// UTM in the zone of the first shot, metres, ellipsoidal heights.
-    fn default() -> Wanted {
-        Wanted { named: Named::Utm, geoid: None, unit: None }
+    fn default() -> CrsRequest {
+        CrsRequest { named: Named::Utm, geoid: None, unit: None }
     }
 }
 
-impl Wanted {
+impl CrsRequest {
     /// Reads the keys and the files they name; reports an unusable CRS before the run starts.
-    pub(super) fn load(keys: &GeometryKeys, input_dir: &Path) -> Result<Wanted> {
+    pub(super) fn load(keys: &GeometryKeys, input_dir: &Path) -> Result<CrsRequest> {
         let (named, file) = named(keys, input_dir)?;
         let geoid = match &keys.geoid {
             None => None,
@@ -62,14 +62,14 @@ impl Wanted {
             UnitKey::UsFt => Unit::us_survey_foot(),
             UnitKey::Ft => Unit::foot(),
         });
-        let wanted = Wanted { named, geoid, unit };
+        let wanted = CrsRequest { named, geoid, unit };
         wanted.crs(ANYWHERE).map_err(|error| unusable(&error, file.as_deref()))?;
         Ok(wanted)
     }
 
     /// This CRS with ellipsoidal heights.
-    pub(super) fn of(named: Named) -> Wanted {
-        Wanted { named, ..Wanted::default() }
+    pub(super) fn of(named: Named) -> CrsRequest {
+        CrsRequest { named, ..CrsRequest::default() }
     }
 
     /// Geoid height above the ellipsoid, m; 0 without a geoid.
@@ -91,8 +91,8 @@ impl Wanted {
     }
 
     /// The CRS of an EPSG code, with the same height reference.
-    pub(super) fn in_map(&self, code: u16) -> Wanted {
-        Wanted { named: Named::Epsg(code.into()), geoid: self.geoid.clone(), unit: None }
+    pub(super) fn in_map(&self, code: u16) -> CrsRequest {
+        CrsRequest { named: Named::Epsg(code.into()), geoid: self.geoid.clone(), unit: None }
     }
 
     /// The CRS for a recording whose first shot is at this earth-centred position, m.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::keys::{AnglesKey, GeometryKeys, HeightsKey, TimeKey};
-use super::target::{Wanted, failed};
+use super::target::{CrsRequest, failed};
 use crate::formats::trajectory::{self, Angles, Options, Records, Unproject};
 use crate::geo::ellipsoid::Geodetic;
 use crate::geo::time_axis::{Clock, Times};
@@ -42,7 +42,7 @@ impl Track {
         file: &Path,
         accuracy: Option<&Path>,
         keys: &GeometryKeys,
-        wanted: &Wanted,
+        wanted: &CrsRequest,
     ) -> Result<Track> {
         let accuracy = accuracy.map(Path::to_path_buf);
         let mut recorded = trajectory::read(file, &options(keys, accuracy.clone()))?;

@@ -48,12 +48,12 @@ pub struct MapPicture {
     /// Median density of the cells with points, points per square unit.
     pub median_density: f64,
     /// Some scan lines, in order.
-    pub lines: Vec<ScanLine>,
+    pub lines: Vec<MapLine>,
 }
 
 /// A scan line in the map.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
-pub struct ScanLine {
+pub struct MapLine {
     /// Scan line number.
     pub line: u32,
     /// Points along it, in cells east of `west` and north of `south`, as space-separated pairs.
@@ -275,7 +275,7 @@ impl Grid {
         let all: u64 = self.cells.iter().map(|cell| cell.points).sum();
         let edge = edge_of(self.size);
         let (west, south) = (x[0] as f64 * edge, y[0] as f64 * edge);
-        let scan_line = |(line, places): (u32, Vec<[f64; 2]>)| ScanLine {
+        let scan_line = |(line, places): (u32, Vec<[f64; 2]>)| MapLine {
             line,
             places: places.into_iter().flat_map(|[x, y]| [(x - west) / edge, (y - south) / edge]).collect(),
         };

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::packed;
-use crate::batch::{Batch, Emission, Return, flags::ZONE_UNCERTAIN};
+use crate::batch::{ScanLine, Emission, Return, flags::ZONE_UNCERTAIN};
 
 /// Returns by MTA zone.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -80,7 +80,7 @@ struct Window {
 }
 
 impl Counted {
-    pub(super) fn add(&mut self, batch: &Batch, returns: &[Return]) {
+    pub(super) fn add(&mut self, batch: &ScanLine, returns: &[Return]) {
         for found in returns {
             let share = self.shares.entry(found.mta_zone).or_default();
             share[0] += 1;
@@ -110,7 +110,7 @@ impl Counted {
 }
 
 impl Window {
-    fn of(batch: &Batch, returns: &[Return]) -> Window {
+    fn of(batch: &ScanLine, returns: &[Return]) -> Window {
         let emissions = &batch.emissions;
         let from = emissions.len().saturating_sub(SHOTS) / 2;
         let until = (from + SHOTS).min(emissions.len());

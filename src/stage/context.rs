@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 
 use hdrhistogram::Histogram;
 
-use super::WholeFile;
-use crate::batch::Batch;
+use super::FinishedFile;
+use crate::batch::ScanLine;
 use crate::overview::Gallery;
 
 /// Items counted by stages.
@@ -34,7 +34,7 @@ impl Item {
     }
 
     /// Number of such items in a scan line.
-    pub fn count(self, batch: &Batch) -> u64 {
+    pub fn count(self, batch: &ScanLine) -> u64 {
         match self {
             Item::Shots => batch.emissions.len() as u64,
             Item::Blocks => batch.blocks().map_or(0, |blocks| blocks.len()) as u64,
@@ -49,7 +49,7 @@ pub struct Context {
     /// Counters of the stage so far.
     pub(crate) counters: Counters,
     /// Finished files that get their final names at the end of the run.
-    pub(crate) whole: Vec<WholeFile>,
+    pub(crate) whole: Vec<FinishedFile>,
     /// Messages of all workers and inputs of the run, so that each is logged once.
     said: Arc<Mutex<BTreeSet<String>>>,
     /// Shots to show on the report page, if there is one.
@@ -150,7 +150,7 @@ impl Context {
     }
 
     /// Keeps a finished file until every stage has succeeded; it then gets its final name.
-    pub fn keep(&mut self, file: WholeFile) {
+    pub fn keep(&mut self, file: FinishedFile) {
         self.whole.push(file);
     }
 

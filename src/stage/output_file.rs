@@ -12,20 +12,20 @@ use crate::formats::{Error, Result};
 #[derive(Debug)]
 pub struct OutputFile {
     writer: BufWriter<File>,
-    partial: Partial,
+    partial: TempFile,
 }
 
-/// A complete file under a temporary name; removed if dropped before [`WholeFile::publish`].
+/// A complete file under a temporary name; removed if dropped before [`FinishedFile::publish`].
 #[derive(Debug)]
-pub struct WholeFile {
-    partial: Partial,
+pub struct FinishedFile {
+    partial: TempFile,
     /// Files to remove before this one gets its final name.
     stale: Vec<PathBuf>,
 }
 
 /// A file under a temporary name; removed when dropped unless renamed.
 #[derive(Debug)]
-struct Partial {
+struct TempFile {
     temporary: PathBuf,
     path: PathBuf,
     renamed: bool,
@@ -68,7 +68,7 @@ impl OutputFile {
         }
         let temporary = partial_path(path, std::process::id());
         let file = File::create(&temporary).map_err(Error::io(path, "create"))?;
-        let partial = Partial::new(temporary, path);
+        let partial = TempFile::new(temporary, path);
         Ok(OutputFile { writer: BufWriter::with_capacity(1 << 18, file), partial })
     }
 
@@ -78,11 +78,11 @@ impl OutputFile {
     }
 
     /// Flushes and syncs the file to disk; it is then complete.
-    pub fn finish(self) -> Result<WholeFile> {
+    pub fn finish(self) -> Result<FinishedFile> {
         let path = self.partial.path.clone();
         let file = self.writer.into_inner().map_err(|e| Error::io(&path, "write")(e.into_error()))?;
         file.sync_all().map_err(Error::io(&path, "write"))?;
-        Ok(WholeFile { partial: self.partial, stale: Vec::new() })
+        Ok(FinishedFile { partial: self.partial, stale: Vec::new() })
     }
 }
 
@@ -102,7 +102,7 @@ impl Seek for OutputFile {
     }
 }
 
-impl WholeFile {
+impl FinishedFile {
     /// Final path.
     pub fn path(&self) -> &Path {
         &self.partial.path
@@ -116,11 +116,11 @@ impl WholeFile {
     /// Names companion files of the earlier output, such as its index.
     ///
     /// They are removed before this file gets its final name, so they never appear next to it.
-    pub fn instead_of(self, stale: impl IntoIterator<Item = PathBuf>) -> WholeFile {
-        WholeFile { stale: stale.into_iter().collect(), ..self }
+    pub fn instead_of(self, stale: impl IntoIterator<Item = PathBuf>) -> FinishedFile {
+        FinishedFile { stale: stale.into_iter().collect(), ..self }
     }
 
-    /// Removes the stale companion files; [`WholeFile::publish`] does this as well.
+    /// Removes the stale companion files; [`FinishedFile::publish`] does this as well.
     ///
     /// If several files are published together, call this for all of them first: a file removed for
     /// one may be an output of another.
@@ -154,14 +154,14 @@ impl WholeFile {
     }
 }
 
-impl Partial {
-    fn new(path_now: PathBuf, path: &Path) -> Partial {
+impl TempFile {
+    fn new(path_now: PathBuf, path: &Path) -> TempFile {
         unfinished().insert(path_now.clone());
-        Partial { temporary: path_now, path: path.to_path_buf(), renamed: false }
+        TempFile { temporary: path_now, path: path.to_path_buf(), renamed: false }
     }
 }
 
-impl Drop for Partial {
+impl Drop for TempFile {
     fn drop(&mut self) {
         unfinished().remove(&self.temporary);
         if !self.renamed {

@@ -12,7 +12,7 @@ use crate::kernels::lockstep;
 
 /// Per-run context of a stage.
 #[derive(Clone, Debug)]
-pub struct Site {
+pub struct RunContext {
     /// Input of this run: a file, or `-` for standard input; empty if the source generates its
     /// data.
     pub input: PathBuf,
@@ -30,12 +30,12 @@ pub struct Site {
     pub geometry: Arc<Geometry>,
 }
 
-impl Site {
+impl RunContext {
     /// Context for one input outside of a run.
     ///
     /// Paths start at the current folder; one thread; no geometry.
-    pub fn alone(input: &Path) -> Site {
-        Site {
+    pub fn alone(input: &Path) -> RunContext {
+        RunContext {
             input: input.to_owned(),
             stem: input.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
             input_dir: ".".into(),
@@ -98,7 +98,7 @@ mod tests {
 
     #[test]
     fn a_star_is_the_stem_of_the_input() {
-        let site = Site {
+        let site = RunContext {
             input: "in/flight7.pls".into(),
             stem: "flight7".into(),
             input_dir: "in".into(),

@@ -6,7 +6,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Keys, Map, Paths, Result, Sink, Site, Source, Transform};
+use super::{Keys, Map, Paths, Result, Sink, RunContext, Source, Transform};
 use crate::batch::Kind;
 
 /// Keys of a stage.
@@ -74,13 +74,13 @@ pub trait SourceConfig: Config {
     }
 
     /// Opens the input of a run.
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>>;
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>>;
 
     /// Opens the input for inspection.
     ///
     /// Unless `with_samples`, blocks may lack their samples or be missing, as the format permits. A
     /// truncated file may yield its readable part before the error.
-    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let _ = with_samples;
         self.make(site)
     }
@@ -89,7 +89,7 @@ pub trait SourceConfig: Config {
 /// Keys of a [`Map`].
 pub trait MapConfig: Config {
     /// Creates one worker.
-    fn make(&self, site: &Site) -> Result<Box<dyn Map>>;
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>>;
 }
 
 /// Keys of a [`Transform`].
@@ -105,7 +105,7 @@ pub trait TransformConfig: Config {
     }
 
     /// Creates the stage.
-    fn make(&self, site: &Site) -> Result<Box<dyn Transform>>;
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>>;
 }
 
 /// Lines that a transform holds back.
@@ -128,7 +128,7 @@ pub trait SinkConfig: Config {
     }
 
     /// Creates the files of a run.
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>>;
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>>;
 }
 
 /// Role of a stage.
@@ -219,15 +219,15 @@ pub trait SourcePlan: Send + Sync {
     /// See [`SourceConfig::outputs`].
     fn outputs(&self) -> Vec<&str>;
     /// See [`SourceConfig::make`].
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>>;
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>>;
     /// See [`SourceConfig::make_survey`].
-    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>>;
+    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>>;
 }
 
 /// The object-safe part of [`MapConfig`].
 pub trait MakeMap: Send + Sync {
     /// See [`MapConfig::make`].
-    fn make(&self, site: &Site) -> Result<Box<dyn Map>>;
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>>;
 }
 
 /// The object-safe part of [`TransformConfig`].
@@ -237,7 +237,7 @@ pub trait MakeTransform: Send + Sync {
     /// See [`TransformConfig::holds`].
     fn holds(&self) -> Holds;
     /// See [`TransformConfig::make`].
-    fn make(&self, site: &Site) -> Result<Box<dyn Transform>>;
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>>;
 }
 
 /// The object-safe part of [`SinkConfig`].
@@ -247,7 +247,7 @@ pub trait SinkPlan: Send + Sync {
     /// See [`SinkConfig::needs_waveforms`].
     fn needs_waveforms(&self) -> bool;
     /// See [`SinkConfig::make`].
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>>;
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>>;
 }
 
 impl<C: SourceConfig> SourcePlan for C {
@@ -260,16 +260,16 @@ impl<C: SourceConfig> SourcePlan for C {
     fn outputs(&self) -> Vec<&str> {
         SourceConfig::outputs(self)
     }
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         SourceConfig::make(self, site)
     }
-    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         SourceConfig::make_survey(self, site, with_samples)
     }
 }
 
 impl<C: MapConfig> MakeMap for C {
-    fn make(&self, site: &Site) -> Result<Box<dyn Map>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
         MapConfig::make(self, site)
     }
 }
@@ -281,7 +281,7 @@ impl<C: TransformConfig> MakeTransform for C {
     fn holds(&self) -> Holds {
         TransformConfig::holds(self)
     }
-    fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
         TransformConfig::make(self, site)
     }
 }
@@ -293,7 +293,7 @@ impl<C: SinkConfig> SinkPlan for C {
     fn needs_waveforms(&self) -> bool {
         SinkConfig::needs_waveforms(self)
     }
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         SinkConfig::make(self, site)
     }
 }

@@ -1,13 +1,13 @@
 //! Holds back the first lines of a recording for a transform that learns from them.
 
 use super::Output;
-use crate::batch::{Batch, Channel};
+use crate::batch::{ScanLine, Channel};
 use crate::kernels::gain::Recorded;
 
 /// Lines held back until they contain enough waveforms.
 #[derive(Debug)]
 pub struct Survey {
-    lines: Vec<Batch>,
+    lines: Vec<ScanLine>,
     bytes: usize,
     waveforms: u64,
     wanted: u64,
@@ -23,7 +23,7 @@ impl Survey {
     ///
     /// It is full when it contains enough waveforms or has reached its memory limit. In the second
     /// case, notes that `done` was based on fewer waveforms.
-    pub fn hold(&mut self, batch: Batch, done: &str, out: &mut Output) -> bool {
+    pub fn hold(&mut self, batch: ScanLine, done: &str, out: &mut Output) -> bool {
         self.waveforms += batch.stats.nw;
         self.bytes += batch.bytes();
         self.lines.push(batch);
@@ -38,13 +38,13 @@ impl Survey {
     }
 
     /// Lines held back.
-    pub fn lines(&self) -> &[Batch] {
+    pub fn lines(&self) -> &[ScanLine] {
         &self.lines
     }
 
     /// Samples of a channel, one slice per non-empty block.
     pub fn samples(&self, channel: Channel) -> impl Iterator<Item = &[u16]> + Clone {
-        self.lines.iter().filter_map(Batch::blocks).flat_map(move |blocks| {
+        self.lines.iter().filter_map(ScanLine::blocks).flat_map(move |blocks| {
             let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
             of_channel.map(|block| blocks.samples(block))
         })
@@ -52,14 +52,14 @@ impl Survey {
 
     /// Returns the samples of each block with its gain.
     pub fn recorded(&self, channel: Channel) -> impl Iterator<Item = Recorded<'_>> + Clone {
-        self.lines.iter().filter_map(Batch::blocks).flat_map(move |blocks| {
+        self.lines.iter().filter_map(ScanLine::blocks).flat_map(move |blocks| {
             let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
             of_channel.map(|block| Recorded { samples: blocks.samples(block), gain: block.gain })
         })
     }
 
     /// Removes and returns the lines, in order.
-    pub fn release(&mut self) -> Vec<Batch> {
+    pub fn release(&mut self) -> Vec<ScanLine> {
         self.bytes = 0;
         std::mem::take(&mut self.lines)
     }

@@ -7,14 +7,14 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Channel, InputInfo, Kind};
+use crate::batch::{ScanLine, Channel, InputInfo, Kind};
 use crate::formats::Error;
 use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
 use crate::kernels::gain::calibrate_at_unit_gain;
 use crate::kernels::response_calibrate::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
 use crate::kernels::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, OutputFile, Result, Site, StageError, StageSpec, Survey, Transform,
+    Config, Holds, InvalidKey, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey, Transform,
     TransformConfig,
 };
 pub use presets::Preset;
@@ -186,7 +186,7 @@ impl TransformConfig for Calibrate {
         Holds::First
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
         let model = match (&self.load, self.preset) {
             (Some(path), _) => Some(Arc::new(load(&site.input_path(path))?)),
             (None, Some(preset)) => Some(Arc::new(preset.model()?)),
@@ -206,7 +206,7 @@ struct Calibrator {
 }
 
 impl Transform for Calibrator {
-    fn process(&mut self, mut batch: Batch, out: &mut Output) -> Result<()> {
+    fn process(&mut self, mut batch: ScanLine, out: &mut Output) -> Result<()> {
         self.save(out)?;
         if let Some(model) = &self.model {
             self.compare(model, &batch, out)?;
@@ -371,7 +371,7 @@ impl Calibrator {
     /// Compares a loaded model with a line.
     ///
     /// A different sampling interval is an error; other differences are noted.
-    fn compare(&self, model: &SensorModel, batch: &Batch, out: &mut Output) -> Result<()> {
+    fn compare(&self, model: &SensorModel, batch: &ScanLine, out: &mut Output) -> Result<()> {
         if self.config.load.is_none() && self.config.preset.is_none() {
             return Ok(());
         }
@@ -481,11 +481,11 @@ mod tests {
     use crate::stage::Context;
 
     /// A line of noise-like samples, too few to calibrate from.
-    fn line(line: u32, shots: u32) -> Batch {
+    fn line(line: u32, shots: u32) -> ScanLine {
         let mut blocks = Blocks::default();
         (0..shots).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 0.0, 1.0, &[2, 3, 2, 1, 2, 3]));
         let emissions = vec![Emission::default(); shots as usize];
-        Batch::of_shots(Arc::new(InputInfo::default()), line, emissions, blocks)
+        ScanLine::of_shots(Arc::new(InputInfo::default()), line, emissions, blocks)
     }
 
     #[test]
@@ -497,7 +497,7 @@ mod tests {
             save: None,
         };
         let mut cx = Context::default();
-        let mut emit = |_: Batch| Ok(());
+        let mut emit = |_: ScanLine| Ok(());
         let mut out = Output::new(&mut cx, usize::MAX, &mut emit);
         calibrator.process(line(0, 70), &mut out).unwrap();
         calibrator.process(line(1, 53), &mut out).unwrap();

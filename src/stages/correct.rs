@@ -6,11 +6,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
-use super::decompose::NumberOrFalse;
-use crate::batch::{Batch, Content, Kind};
+use super::decompose::Threshold;
+use crate::batch::{ScanLine, Content, Kind};
 use crate::formats::lookup_tables::LookupTables;
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, Result, Site, StageError, StageSpec, Survey, Transform,
+    Config, Holds, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Survey, Transform,
     TransformConfig,
 };
 
@@ -72,10 +72,10 @@ pub struct Correct {
     /// Reference range to which intensities are normalised, m: 1 to 100000; `false`: no range
     /// correction. Recordings without the sensor position (LAS) are corrected neither for range nor
     /// for attenuation, and the report says so.
-    pub reference_range_m: NumberOrFalse,
+    pub reference_range_m: Threshold,
     /// One-way atmospheric attenuation, dB/km: 0 to 100. Intensities are corrected for the two-way
     /// attenuation beyond `reference_range_m`; `false`: no correction.
-    pub attenuation_db_per_km: NumberOrFalse,
+    pub attenuation_db_per_km: Threshold,
 }
 
 /// Source of a table: the recording, none, or a file.
@@ -121,8 +121,8 @@ impl Default for Correct {
             width_correction_low: WidthKey::Auto(Auto::Auto),
             width_correction_high: WidthKey::Auto(Auto::Auto),
             incidence: Incidence::Flat,
-            reference_range_m: NumberOrFalse::Number(1000.0),
-            attenuation_db_per_km: NumberOrFalse::Without(false),
+            reference_range_m: Threshold::Number(1000.0),
+            attenuation_db_per_km: Threshold::Without(false),
         }
     }
 }
@@ -162,7 +162,7 @@ impl TransformConfig for Correct {
         Holds::First
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
         let open = |key: &TableKey| match key {
             TableKey::File(path) => LookupTables::open(&site.input_path(path)).map(Some),
             TableKey::Own(_) => Ok(None),
@@ -182,7 +182,7 @@ struct Correcting {
 }
 
 impl Transform for Correcting {
-    fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
+    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         if let [Some(low), Some(high)] = &self.widths {
             return correct(&mut self.corrections, [low, high], batch, out);
         }
@@ -214,7 +214,7 @@ impl Correcting {
 fn correct(
     corrections: &mut Corrections,
     widths: [&WidthCorrection; 2],
-    mut batch: Batch,
+    mut batch: ScanLine,
     out: &mut Output,
 ) -> Result<()> {
     let Content::Returns(mut returns) = std::mem::replace(&mut batch.content, Content::Returns(Vec::new()))

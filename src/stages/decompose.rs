@@ -5,12 +5,12 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Blocks, Content, Emission, Kind, LineStats, Return, Returns};
+use crate::batch::{ScanLine, Blocks, Content, Emission, Kind, LineStats, Return, Returns};
 use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::lockstep::Path;
 use crate::kernels::sensor_model::SensorModel;
 use crate::overview::{Gallery, ShownReturn, ShownShot};
-use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
+use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 
 mod at_gains;
 mod both;
@@ -27,7 +27,7 @@ pub use online::OnlinePoints;
 
 pub(crate) use receivers::SensorTables;
 pub(crate) use seen::{Seen, SeenBlock, SeenPulse};
-pub(crate) use shots::{BlockFit, Line, Shot, ShotDecomposer, Watch};
+pub(crate) use shots::{BlockFit, Line, Shot, ShotDecomposer, Observer};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Shots], Some(Kind::Returns))
@@ -86,7 +86,7 @@ pub struct Decompose {
     /// Higher threshold for the last of two or more returns of a block, for receivers that ring after
     /// strong echoes. A last return below it is dropped, and the previous one becomes the last;
     /// `false`: same threshold.
-    pub detection_sigma_last: NumberOrFalse,
+    pub detection_sigma_last: Threshold,
     /// Smallest and largest width of a return relative to the calibrated pulse. A return is dropped
     /// only if its width is outside the range by more than two standard deviations.
     pub width_ratio: [f64; 2],
@@ -96,7 +96,7 @@ pub struct Decompose {
     /// Decrease of chi-square required to replace a widened return by two; `false`: widened returns
     /// are not divided. At most 0.1 % of single returns are divided at 16, and 0.4 % at 11, where
     /// closer pairs are resolved. Without effect for Gaussian pulses.
-    pub split_evidence: NumberOrFalse,
+    pub split_evidence: Threshold,
     /// Minimum relative error assumed for the system response. Residuals of strong returns up to this
     /// fraction of their amplitude are not returns. Raise it if strong returns are followed by false
     /// ones.
@@ -128,19 +128,19 @@ pub enum Mode {
 /// A number, or `false` for none.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
-pub enum NumberOrFalse {
+pub enum Threshold {
     /// The number.
     Number(f64),
     /// `false`.
     Without(bool),
 }
 
-impl NumberOrFalse {
+impl Threshold {
     /// Returns the number, if any.
     pub fn number(self) -> Option<f64> {
         match self {
-            NumberOrFalse::Number(number) => Some(number),
-            NumberOrFalse::Without(_) => None,
+            Threshold::Number(number) => Some(number),
+            Threshold::Without(_) => None,
         }
     }
 
@@ -149,8 +149,8 @@ impl NumberOrFalse {
     /// `true` is invalid.
     pub(super) fn is_within(self, range: std::ops::RangeInclusive<f64>) -> bool {
         match self {
-            NumberOrFalse::Number(number) => range.contains(&number),
-            NumberOrFalse::Without(with) => !with,
+            Threshold::Number(number) => range.contains(&number),
+            Threshold::Without(with) => !with,
         }
     }
 }
@@ -161,10 +161,10 @@ impl Default for Decompose {
             mode: Mode::Refined,
             refine_when_needed: false,
             detection_sigma: 4.5,
-            detection_sigma_last: NumberOrFalse::Without(false),
+            detection_sigma_last: Threshold::Without(false),
             width_ratio: [0.8, 10.0],
             timing_error_ns: 0.004,
-            split_evidence: NumberOrFalse::Number(16.0),
+            split_evidence: Threshold::Number(16.0),
             template_error: 0.005,
             drop_emission_crosstalk: false,
             online_points: OnlinePoints::default(),
@@ -216,7 +216,7 @@ impl Config for Decompose {
 }
 
 impl MapConfig for Decompose {
-    fn make(&self, site: &Site) -> Result<Box<dyn Map>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(DecomposeLine { config: self.clone(), path: site.simd, worker: None }))
     }
 }
@@ -296,7 +296,7 @@ impl Worker {
 }
 
 impl Map for DecomposeLine {
-    fn map(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
+    fn map(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
         let choice = self.config.online_points;
         let model = batch.model.clone();
         if model.is_none() && choice != OnlinePoints::Only {
@@ -336,7 +336,7 @@ impl DecomposeLine {
     fn decompose(
         &mut self,
         model: &Arc<SensorModel>,
-        batch: &mut Batch,
+        batch: &mut ScanLine,
         blocks: &Blocks,
         returns: &mut Returns,
         cx: &mut Context,

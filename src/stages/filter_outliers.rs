@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Kind};
-use crate::stage::{Config, InvalidKey, Output, Result, Site, StageSpec, Transform, TransformConfig};
+use crate::batch::{ScanLine, Kind};
+use crate::stage::{Config, InvalidKey, Output, Result, RunContext, StageSpec, Transform, TransformConfig};
 
 mod geometry;
 mod strip;
@@ -79,7 +79,7 @@ impl Config for FilterOutliers {
 }
 
 impl TransformConfig for FilterOutliers {
-    fn make(&self, _site: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
         Ok(Box::new(Filter { strip: Strip::new(self.clone()) }))
     }
 }
@@ -89,7 +89,7 @@ struct Filter {
 }
 
 impl Transform for Filter {
-    fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
+    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         self.strip.push(batch, out)
     }
 

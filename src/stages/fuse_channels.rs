@@ -6,11 +6,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::AutoOrNumber;
-use crate::batch::{Batch, Block, Blocks, Channel, Content, Kind};
+use crate::batch::{ScanLine, Block, Blocks, Channel, Content, Kind};
 use crate::kernels::decompose::OVERDRIVEN_PART;
 use crate::kernels::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, Result, Site, StageSpec, Survey, Transform, TransformConfig,
+    Config, Holds, InvalidKey, Output, Result, RunContext, StageSpec, Survey, Transform, TransformConfig,
 };
 
 /// Registry entry of the stage.
@@ -93,7 +93,7 @@ impl TransformConfig for FuseChannels {
         Holds::First
     }
 
-    fn make(&self, _site: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
         let state = self.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion)));
         Ok(Box::new(Fuser { config: self.clone(), survey: Survey::new(self.waveforms), state }))
     }
@@ -114,7 +114,7 @@ enum State {
 }
 
 impl Transform for Fuser {
-    fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
+    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         if !matches!(self.state, State::Surveying) {
             return out.emit(self.fused(batch));
         }
@@ -138,7 +138,7 @@ impl Fuser {
     }
 
     /// Shifts the times of the high-power blocks of a line.
-    fn fused(&self, mut batch: Batch) -> Batch {
+    fn fused(&self, mut batch: ScanLine) -> ScanLine {
         if let State::Known(fusion) = &self.state {
             if let Content::Shots(blocks) = &mut batch.content {
                 blocks.shift(Channel::HighPower, -fusion.delay_ns);
@@ -158,7 +158,7 @@ impl Fuser {
         let lines = self.survey.lines();
         let full_scale_dn = lines.first().and_then(|batch| batch.input.full_scale_dn).unwrap_or(u16::MAX);
         let mut pairs = Vec::new();
-        for blocks in lines.iter().filter_map(Batch::blocks) {
+        for blocks in lines.iter().filter_map(ScanLine::blocks) {
             blocks.by_emission().for_each(|(_, of_shot)| {
                 add_pairs(blocks, of_shot, f64::from(full_scale_dn), &mut pairs);
             });
@@ -234,7 +234,7 @@ mod tests {
     }
 
     /// Shots seen by one receiver or both: gain 5, delay 0.5 ns, block of the second 1.25 ns later.
-    fn line(line: u32, shots: u32, both: bool) -> Batch {
+    fn line(line: u32, shots: u32, both: bool) -> ScanLine {
         let mut blocks = Blocks::default();
         for shot in 0..shots {
             let (height_dn, place) = (120.0 + f64::from(shot), 20.0 + 0.37 * f64::from(shot) % 1.0);
@@ -245,18 +245,18 @@ mod tests {
             }
         }
         let input = InputInfo { full_scale_dn: Some(255), ..InputInfo::default() };
-        Batch::of_shots(Arc::new(input), line, vec![Emission::default(); shots as usize], blocks)
+        ScanLine::of_shots(Arc::new(input), line, vec![Emission::default(); shots as usize], blocks)
     }
 
     /// The lines that the stage emits, and its notes.
-    fn run(config: &FuseChannels, lines: Vec<Batch>) -> (Vec<Batch>, Vec<String>) {
+    fn run(config: &FuseChannels, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         let mut stage = Fuser {
             config: config.clone(),
             survey: Survey::new(config.waveforms),
             state: config.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion))),
         };
         let (mut cx, mut given_on) = (Context::default(), Vec::new());
-        let mut emit = |batch: Batch| {
+        let mut emit = |batch: ScanLine| {
             given_on.push(batch);
             Ok(())
         };
@@ -266,7 +266,7 @@ mod tests {
         (given_on, cx.counters().notes.clone())
     }
 
-    fn start_ns(batch: &Batch, channel: Channel) -> f64 {
+    fn start_ns(batch: &ScanLine, channel: Channel) -> f64 {
         batch.blocks().unwrap().iter().find(|block| block.channel == channel).unwrap().start_ns
     }
 

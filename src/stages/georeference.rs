@@ -5,13 +5,13 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Content, Emission, Frame, InputInfo, Kind, Return};
+use crate::batch::{ScanLine, Content, Emission, Frame, InputInfo, Kind, Return};
 use crate::geo::frames::Vector;
 use crate::geometry::Geometry;
 use crate::geometry::calibration::is_on_low_power_scale;
 use crate::geometry::scan_angles::complete_in_own_axes;
 use crate::geometry::target::Target;
-use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, Site, StageError, StageSpec};
+use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 
 mod above_ground;
 mod uncertainty;
@@ -61,7 +61,7 @@ impl Config for Georeference {
 }
 
 impl MapConfig for Georeference {
-    fn make(&self, site: &Site) -> Result<Box<dyn Map>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(Georeferencer {
             geometry: Arc::clone(&site.geometry),
             dummy_velocity_mps: self.dummy_velocity_mps,
@@ -78,7 +78,7 @@ struct Georeferencer {
 }
 
 impl Map for Georeferencer {
-    fn map(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
+    fn map(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
         let Content::Returns(mut returns) = batch.content else {
             return Err(StageError::failed("georeference received no returns", "put decompose before it"));
         };

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use crate::batch::{Batch, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emission_flags};
+use crate::batch::{ScanLine, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emission_flags};
 use crate::geo::cone::{Cone, Turning};
 use crate::stage::InvalidKey;
 
@@ -129,7 +129,7 @@ impl Lines {
     }
 
     /// Ends the current line at an end-of-line record of the file.
-    pub(super) fn end(&mut self) -> Option<Batch> {
+    pub(super) fn end(&mut self) -> Option<ScanLine> {
         self.has_ends = true;
         self.is_complete = true;
         self.take()
@@ -159,7 +159,7 @@ impl Lines {
     }
 
     /// Takes the current line, if it has any shots.
-    pub(super) fn take(&mut self) -> Option<Batch> {
+    pub(super) fn take(&mut self) -> Option<ScanLine> {
         if self.emissions.is_empty() {
             return None;
         }
@@ -171,7 +171,7 @@ impl Lines {
         let line = self.next_line;
         self.next_line += 1;
         let emissions = std::mem::take(&mut self.emissions);
-        Some(Batch::of_shots(Arc::clone(&self.input), line, emissions, std::mem::take(&mut self.blocks)))
+        Some(ScanLine::of_shots(Arc::clone(&self.input), line, emissions, std::mem::take(&mut self.blocks)))
     }
 }
 
@@ -300,7 +300,7 @@ mod tests {
         let facets = [0, 0, 1, 1, 1, 2].map(with).into_iter().chain((0..4999).map(|_| with(2)));
         let edges = |mut lines: Lines| {
             let (mut edges, mut n) = (Vec::new(), 0);
-            let mut look = |line: Option<Batch>| {
+            let mut look = |line: Option<ScanLine>| {
                 let emissions = line.map_or(Vec::new(), |line| line.emissions);
                 let is_edge = |e: &Emission| e.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0;
                 edges.extend(emissions.iter().enumerate().filter(|(_, e)| is_edge(e)).map(|(i, _)| n + i));

@@ -10,13 +10,13 @@ use super::container_info::{channel_of, info_of};
 use super::lines::Sampling;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    Batch, Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE,
+    ScanLine, Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE,
     OnlineReturn,
 };
 use crate::formats::container::{
     self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
 };
-use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Shots);
@@ -96,11 +96,11 @@ impl SourceConfig for Config {
         Some(&self.path)
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         self.make_survey(site, true)
     }
 
-    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let source = ReadArrow::open(&site.input, &site.stem, self.sampling())?;
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
         let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
@@ -146,7 +146,7 @@ impl ReadArrow {
     }
 
     /// Takes the next rows that form a line from the current record batch.
-    fn part(&mut self, cx: &mut Context) -> Option<Batch> {
+    fn part(&mut self, cx: &mut Context) -> Option<ScanLine> {
         let (line, from) = self.at.take()?;
         if from >= line.rows() {
             return None;
@@ -172,7 +172,7 @@ impl ReadArrow {
         }
         let blocks = self.blocks(&line, &rows);
         self.at = Some((line, row));
-        Some(Batch::of_shots(Arc::clone(&self.info), number, emissions, blocks))
+        Some(ScanLine::of_shots(Arc::clone(&self.info), number, emissions, blocks))
     }
 
     /// Blocks and online returns of the rows `kept`.
@@ -204,7 +204,7 @@ impl ReadArrow {
 }
 
 impl Source for ReadArrow {
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             match self.part(cx) {
                 Some(batch) if !batch.emissions.is_empty() => return Ok(Some(batch)),

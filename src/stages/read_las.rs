@@ -13,13 +13,13 @@ use super::broken::BrokenRun;
 use super::lines::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    Batch, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn,
+    ScanLine, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn,
     TimeScale, emission_flags,
 };
 use crate::formats::geokeys;
 use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
 use crate::geo::beam_length::BeamLength;
-use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 use pulse::same_pulse;
 
 /// Registry entry of the stage.
@@ -104,11 +104,11 @@ impl SourceConfig for ReadLas {
         Some(&self.path)
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         self.make_survey(site, true)
     }
 
-    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let mut source = LasSource::open(&site.input, &site.stem, self.sampling())?;
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
         if self.recording_time.is_some() {
@@ -334,7 +334,7 @@ impl LasSource {
 }
 
 impl Source for LasSource {
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             if let Some(shot) = self.waiting.take() {
                 self.add(shot);

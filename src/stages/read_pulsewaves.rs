@@ -11,13 +11,13 @@ use super::broken::BrokenRun;
 use super::lines::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
+    AmplitudeTable, ScanLine, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
     TimeScale, emission_flags,
 };
 use crate::formats::geokeys;
 use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
 use crate::geo::beam_length::BeamLength;
-use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
@@ -100,19 +100,19 @@ impl SourceConfig for ReadPulseWaves {
         Some(&self.path)
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         let source = self.open(site)?;
         source.reader.check_complete()?;
         self.declare(source, site)
     }
 
-    fn make_survey(&self, site: &Site, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         self.declare(PulseWavesSource { with_samples, ..self.open(site)? }, site)
     }
 }
 
 impl ReadPulseWaves {
-    fn open(&self, site: &Site) -> Result<PulseWavesSource> {
+    fn open(&self, site: &RunContext) -> Result<PulseWavesSource> {
         let mut source = PulseWavesSource::open(&site.input, &site.stem, self.sampling())?;
         if self.recording_time.is_some() {
             source.time_shift_s = 0.0;
@@ -120,7 +120,7 @@ impl ReadPulseWaves {
         Ok(source)
     }
 
-    fn declare(&self, source: PulseWavesSource, site: &Site) -> Result<Box<dyn Source>> {
+    fn declare(&self, source: PulseWavesSource, site: &RunContext) -> Result<Box<dyn Source>> {
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
         let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
         Ok(Box::new(AsDeclared::new(source, declared)))
@@ -240,7 +240,7 @@ impl PulseWavesSource {
 }
 
 impl Source for PulseWavesSource {
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             if let Some(shot) = self.last_seen.take() {
                 self.add(shot, cx);

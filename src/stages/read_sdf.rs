@@ -11,10 +11,10 @@ use super::lines::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
 use super::recording::{self, NO_TIME, with_time_keys};
 use crate::batch::{
-    AmplitudeTable, Batch, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
+    AmplitudeTable, ScanLine, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
 };
 use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
-use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 
 mod shot;
 
@@ -116,7 +116,7 @@ impl SourceConfig for Config {
         Some(&self.path)
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         Ok(Box::new(ReadSdf::open(self, site)?))
     }
 }
@@ -163,7 +163,7 @@ const SAMPLES_LOOKED_AT: usize = 1 << 22;
 const LATE_SHOTS: u32 = 100;
 
 impl ReadSdf {
-    fn open(config: &Config, site: &Site) -> Result<ReadSdf> {
+    fn open(config: &Config, site: &RunContext) -> Result<ReadSdf> {
         let path = &site.input;
         let library = config.library.as_ref().map(|library| {
             let in_folder = site.input_path(Path::new(library));
@@ -286,7 +286,7 @@ impl ReadSdf {
     }
 
     /// The last line, with a note if it seems truncated.
-    fn last_line(&mut self, cx: &mut Context) -> Option<Batch> {
+    fn last_line(&mut self, cx: &mut Context) -> Option<ScanLine> {
         let line = self.lines.take();
         if line.is_some() && self.ends_are_marked && self.window.is_none() {
             cx.note("the file ends within a scan line: it may be truncated");
@@ -320,7 +320,7 @@ const FULL_SCALE_DN: u16 = 255;
 
 fn describe(
     config: &Config,
-    site: &Site,
+    site: &RunContext,
     reader: &SdfReader,
     times: &Times,
     tables: CalibrationTables,
@@ -368,7 +368,7 @@ fn describe(
 }
 
 impl Source for ReadSdf {
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         self.remarks.drain(..).for_each(|remark| cx.note(remark));
         loop {
             if let Some(emission) = self.waiting.take() {

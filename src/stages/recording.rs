@@ -6,10 +6,10 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Content, Emission, Frame, GainControl, InputInfo};
+use crate::batch::{ScanLine, Content, Emission, Frame, GainControl, InputInfo};
 use crate::geo::time::WEEK_S;
 use crate::geometry::declared;
-use crate::stage::{Context, InvalidKey, Item, Result, Site, Source, StageError};
+use crate::stage::{Context, InvalidKey, Item, Result, RunContext, Source, StageError};
 
 pub(super) mod time;
 
@@ -163,7 +163,7 @@ impl Declared {
         times: TimeKeys,
         crs_of_input: Option<&str>,
         refractive_index_ppm: Option<f64>,
-        site: &Site,
+        site: &RunContext,
     ) -> Result<Declared> {
         let crs_wkt = crs_of_input.map(|word| declared::wkt(word, &site.input_dir)).transpose()?;
         Ok(Declared { times, crs_wkt, group_velocity_mps: refractive_index_ppm.map(group_velocity_mps) })
@@ -198,7 +198,7 @@ impl<S: Source> AsDeclared<S> {
     }
 
     /// Determines the time scale from the first line.
-    fn begin(&self, first: &Batch, cx: &mut Context) -> Result<Begun> {
+    fn begin(&self, first: &ScanLine, cx: &mut Context) -> Result<Begun> {
         let (keys, from) = (&self.declared.times, &first.input);
         let mut times_s: Vec<f64> =
             first.emissions.iter().map(|shot| shot.gps_time_s).filter(|time_s| time_s.is_finite()).collect();
@@ -245,7 +245,7 @@ impl<S: Source> AsDeclared<S> {
     }
 
     /// The output coordinate reference system.
-    fn crs(&self, first: &Batch, cx: &mut Context) -> Result<Option<String>> {
+    fn crs(&self, first: &ScanLine, cx: &mut Context) -> Result<Option<String>> {
         let of_file = &first.input.crs_wkt;
         let Some(declared) = &self.declared.crs_wkt else { return Ok(of_file.clone()) };
         let frame = match first.input.frame {
@@ -285,7 +285,7 @@ impl TimeKeys {
 
 impl Begun {
     /// Converts the times of a line; returns an empty line if no shot is inside the window.
-    fn line(&mut self, mut line: Batch, cx: &mut Context) -> Batch {
+    fn line(&mut self, mut line: ScanLine, cx: &mut Context) -> ScanLine {
         line.input = Arc::clone(&self.info[1]);
         if let Some(axis) = &mut self.axis {
             line.emissions.iter_mut().for_each(|shot| shot.gps_time_s = axis.next(shot.gps_time_s));
@@ -299,7 +299,7 @@ impl Begun {
 }
 
 /// Keeps the shots of a line fired between two times, s.
-fn within(line: Batch, from_s: f64, to_s: f64, cx: &mut Context) -> Batch {
+fn within(line: ScanLine, from_s: f64, to_s: f64, cx: &mut Context) -> ScanLine {
     let is_inside = |shot: &Emission| (from_s..=to_s).contains(&shot.gps_time_s);
     if line.emissions.iter().all(is_inside) {
         return line;
@@ -319,11 +319,11 @@ fn within(line: Batch, from_s: f64, to_s: f64, cx: &mut Context) -> Batch {
     cx.reject(Item::Shots, NO_TIME, without_time[0]);
     cx.reject(Item::Blocks, NO_TIME, without_time[1]);
     blocks.keep(&place);
-    Batch::of_shots(line.input, line.line, emissions, blocks)
+    ScanLine::of_shots(line.input, line.line, emissions, blocks)
 }
 
 impl<S: Source> Source for AsDeclared<S> {
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             let Some(line) = self.source.next(cx)? else { return Ok(None) };
             let is_known = self.begun.as_ref().is_some_and(|begun| Arc::ptr_eq(&begun.info[0], &line.input));

@@ -7,12 +7,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
-use crate::batch::{Batch, Kind};
+use crate::batch::{ScanLine, Kind};
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry;
 use crate::kernels::mta::{Method, MtaError, Prior, Settings};
 use crate::stage::{
-    Config, InvalidKey, Output, Result, Site, StageError, StageSpec, Transform, TransformConfig,
+    Config, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
 };
 
 mod echoes;
@@ -213,7 +213,7 @@ impl ResolveMta {
 }
 
 impl TransformConfig for ResolveMta {
-    fn make(&self, site: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
         let terrain = match &self.terrain {
             Some(path) => Some(Terrain::open(&site.input_path(path))?),
             None => None,
@@ -233,7 +233,7 @@ struct Resolving {
 }
 
 impl Transform for Resolving {
-    fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
+    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         let is_unresolved = batch.emissions.iter().any(|emission| emission.mta_zone.is_none());
         if !is_unresolved && !batch.emissions.is_empty() {
             out.cx.note("lines with known zones pass through unchanged");

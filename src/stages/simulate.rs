@@ -1,7 +1,7 @@
 //! The stage `simulate`: a flight over a scene with known truth.
 
-use crate::batch::{Batch, Kind};
-use crate::stage::{Context, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use crate::batch::{ScanLine, Kind};
+use crate::stage::{Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 
 mod as_recorded;
 mod config;
@@ -36,7 +36,7 @@ impl SourceConfig for Simulate {
         [&self.truth, &self.sbet, &self.pof].into_iter().flatten().map(String::as_str).collect()
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         let truth = match &self.truth {
             Some(pattern) => Some(TruthFile::create(site, pattern, self.has_gain_control())?),
             None => None,
@@ -60,7 +60,7 @@ struct Simulator {
 }
 
 impl Source for Simulator {
-    fn next(&mut self, cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         if self.line == self.lines {
             if let Some(truth) = self.truth.take() {
                 cx.keep(truth.finish()?);

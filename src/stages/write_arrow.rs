@@ -7,12 +7,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{code_of, header_of};
-use crate::batch::{Batch, Block, Blocks, Emission, InputInfo, Kind};
+use crate::batch::{ScanLine, Block, Blocks, Emission, InputInfo, Kind};
 use crate::formats::container::{
     self, ContainerBlock, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
 };
 use crate::stage::{
-    self, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
+    self, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, RunContext, StageError, StageSpec,
 };
 
 /// Registry entry of the stage.
@@ -77,7 +77,7 @@ impl SinkConfig for Config {
         if self.path == STANDARD_OUTPUT { vec![] } else { vec![&self.path] }
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         let to = match self.path == STANDARD_OUTPUT {
             true => Target::Stream(io::stdout()),
             false => Target::File(site.create(&self.path)?),
@@ -153,7 +153,7 @@ impl WriteArrow {
 }
 
 impl Sink for WriteArrow {
-    fn write(&mut self, batch: &Batch, _cx: &mut Context) -> Result<()> {
+    fn write(&mut self, batch: &ScanLine, _cx: &mut Context) -> Result<()> {
         let Some(blocks) = batch.blocks() else {
             return Err(StageError::failed(
                 format!("write_arrow received {}, but writes Shots", batch.kind()),
@@ -181,7 +181,7 @@ impl Sink for WriteArrow {
     }
 }
 
-fn line_of(batch: &Batch, blocks: &Blocks) -> LineBuilder {
+fn line_of(batch: &ScanLine, blocks: &Blocks) -> LineBuilder {
     let mut line = LineBuilder::new();
     let mut rest = blocks.iter().peekable();
     let mut online = blocks.online.iter().peekable();

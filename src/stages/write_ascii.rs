@@ -6,9 +6,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::write_las::{AttributeLayout, WriteLas, offsets, point};
-use crate::batch::{Batch, InputInfo, Kind};
+use crate::batch::{ScanLine, InputInfo, Kind};
 use crate::formats::Error;
-use crate::stage::{Config, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, Site, StageSpec};
+use crate::stage::{Config, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, RunContext, StageSpec};
 
 mod columns;
 mod steps;
@@ -107,7 +107,7 @@ impl SinkConfig for WriteAscii {
         vec![&self.path]
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         // The keys have already been checked.
         let columns = columns(&self.columns).unwrap_or_default();
         let separator = self.separator.text();
@@ -153,7 +153,7 @@ impl AsciiWriter {
 }
 
 impl Sink for AsciiWriter {
-    fn write(&mut self, batch: &Batch, cx: &mut Context) -> Result<()> {
+    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
         let (Some(returns), Some(points)) = (batch.returns(), batch.points()) else {
             return Ok(());
         };
@@ -194,7 +194,7 @@ mod tests {
     use std::sync::Arc;
 
     /// Two points of one shot.
-    fn line() -> Batch {
+    fn line() -> ScanLine {
         let input = Arc::new(InputInfo { time_scale: TimeScale::Adjusted, ..InputInfo::default() });
         let emission = Emission {
             gps_time_s: 101_238_765.000_010_1,
@@ -221,7 +221,7 @@ mod tests {
             class: 20,
             ..found
         };
-        let mut batch = Batch::of_shots(input, 0, vec![emission], Blocks::default());
+        let mut batch = ScanLine::of_shots(input, 0, vec![emission], Blocks::default());
         let points = vec![[540_123.456_7, 5_200_001.0, -0.000_2], [540_124.0, 5_200_001.999_6, f64::NAN]];
         batch.content = Content::Points(vec![found, second], points);
         batch
@@ -232,9 +232,9 @@ mod tests {
         written_of(config, &[line()])
     }
 
-    fn written_of(config: &WriteAscii, lines: &[Batch]) -> String {
+    fn written_of(config: &WriteAscii, lines: &[ScanLine]) -> String {
         let folder = tempfile::tempdir().unwrap();
-        let site = Site {
+        let site = RunContext {
             input: "a.las".into(),
             stem: "a".into(),
             input_dir: folder.path().into(),

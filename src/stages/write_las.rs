@@ -12,13 +12,13 @@ use std::sync::{Arc, OnceLock};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Emission, Frame, GainControl, InputInfo, Kind, Return, TimeScale, emission_flags};
+use crate::batch::{ScanLine, Emission, Frame, GainControl, InputInfo, Kind, Return, TimeScale, emission_flags};
 use crate::formats::Error;
 use crate::formats::geokeys;
 use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
 use crate::geo::time::{adjusted_gps_time, day_of_year};
 use crate::stage::{
-    Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
+    Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, RunContext, StageError, StageSpec,
 };
 use attributes::Attributes;
 use files::Files;
@@ -202,7 +202,7 @@ impl SinkConfig for WriteLas {
         self.wave_packets != WavePacketsKey::None
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         let file = site.create(&self.path)?;
         Ok(Box::new(LasSink {
             attributes: self.attributes(),
@@ -244,7 +244,7 @@ impl WriteLas {
         })
     }
 
-    fn waves(&self, site: &Site) -> Result<Option<Waves>> {
+    fn waves(&self, site: &RunContext) -> Result<Option<Waves>> {
         let pattern = match self.wave_packets {
             WavePacketsKey::None => return Ok(None),
             WavePacketsKey::External => &self.beside().packets,
@@ -389,7 +389,7 @@ impl LasSink {
 }
 
 impl Sink for LasSink {
-    fn write(&mut self, batch: &Batch, cx: &mut Context) -> Result<()> {
+    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
         let (Some(returns), Some(points)) = (batch.returns(), batch.points()) else {
             return Ok(());
         };

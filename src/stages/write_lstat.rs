@@ -6,10 +6,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::batch::{Batch, Kind, LineStats, Return, flags};
+use crate::batch::{ScanLine, Kind, LineStats, Return, flags};
 use crate::formats::Error;
 use crate::geo::time::adjusted_gps_time;
-use crate::stage::{Config, Context, OutputFile, Result, Sink, SinkConfig, Site, StageSpec};
+use crate::stage::{Config, Context, OutputFile, Result, Sink, SinkConfig, RunContext, StageSpec};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =
@@ -140,7 +140,7 @@ impl SinkConfig for WriteLstat {
         vec![&self.path]
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         let mut file = site.create(&self.path)?;
         if self.header {
             let names: Vec<&str> = self.layout.columns().iter().map(|column| column.0).collect();
@@ -157,7 +157,7 @@ struct LstatWriter {
 }
 
 impl Sink for LstatWriter {
-    fn write(&mut self, batch: &Batch, _cx: &mut Context) -> Result<()> {
+    fn write(&mut self, batch: &ScanLine, _cx: &mut Context) -> Result<()> {
         let time = batch.stats.gps_time_s;
         let time = adjusted_gps_time(&batch.input, time).unwrap_or(time);
         let refined = |found: &&Return| found.flags & flags::REFINED != 0;

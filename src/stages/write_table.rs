@@ -4,9 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::time_scale_of;
-use crate::batch::{Batch, Kind, TimeScale};
+use crate::batch::{ScanLine, Kind, TimeScale};
 use crate::stage::{
-    self, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, Site, StageError, StageSpec,
+    self, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, RunContext, StageError, StageSpec,
 };
 
 mod columns;
@@ -70,7 +70,7 @@ impl SinkConfig for Config {
         vec![&self.path]
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         let format = self.format().unwrap_or(Format::Parquet);
         Ok(Box::new(WriteTable { state: State::Waiting(site.create(&self.path)?), format }))
     }
@@ -107,7 +107,7 @@ impl WriteTable {
 }
 
 impl Sink for WriteTable {
-    fn write(&mut self, batch: &Batch, cx: &mut Context) -> Result<()> {
+    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
         let Some(returns) = batch.returns() else {
             return Err(StageError::failed(
                 format!("write_table received {}, but writes Returns or Points", batch.kind()),

@@ -6,13 +6,13 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Batch, Emission, Frame, InputInfo, Kind};
+use crate::batch::{ScanLine, Emission, Frame, InputInfo, Kind};
 use crate::formats::Error;
 use crate::geo::ellipsoid::WGS84;
 use crate::geo::frames::{Attitude, ecef_from_ned, inverse, then};
 use crate::geo::time::adjusted_gps_time;
 use crate::geometry::Geometry;
-use crate::stage::{Config, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, Site, StageSpec};
+use crate::stage::{Config, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, RunContext, StageSpec};
 
 mod met;
 mod pace;
@@ -102,7 +102,7 @@ impl SinkConfig for WriteTrajectory {
         vec![&self.path]
     }
 
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         let pace = Pace::new(self.every, self.interval_s);
         Ok(Box::new(TrajectoryWriter {
             file: site.create(&self.path)?,
@@ -132,7 +132,7 @@ struct TrajectoryWriter {
 }
 
 impl Sink for TrajectoryWriter {
-    fn write(&mut self, batch: &Batch, cx: &mut Context) -> Result<()> {
+    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
         self.frame = batch.input.frame;
         if batch.emissions.is_empty() {
             return Ok(());

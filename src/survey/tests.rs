@@ -7,7 +7,7 @@ fn line(
     shots: std::ops::Range<u64>,
     start_ps: i64,
     blocks: Blocks,
-) -> Batch {
+) -> ScanLine {
     let emission = |shot: u64| {
         let clock_ps = start_ps + (shot - shots.start) as i64 * 2_500_000;
         Emission {
@@ -21,7 +21,7 @@ fn line(
             ..Emission::default()
         }
     };
-    Batch::of_shots(Arc::clone(input), number, shots.clone().map(emission).collect(), blocks)
+    ScanLine::of_shots(Arc::clone(input), number, shots.clone().map(emission).collect(), blocks)
 }
 
 fn input() -> Arc<InputInfo> {

@@ -63,8 +63,8 @@ impl Pulse {
     }
 
     /// The pairs; `index` is that of the pulse.
-    pub fn told(&self, index: usize) -> impl Iterator<Item = Told> {
-        self.pairs.iter().map(move |&(i, j)| Told {
+    pub fn told(&self, index: usize) -> impl Iterator<Item = VendorReturn> {
+        self.pairs.iter().map(move |&(i, j)| VendorReturn {
             pulse: index,
             vendor: self.vendor[i],
             ours: self.ours[j],
@@ -76,7 +76,7 @@ impl Pulse {
 }
 
 /// A return that both report.
-pub struct Told {
+pub struct VendorReturn {
     pub pulse: usize,
     pub vendor: Echo,
     pub ours: Echo,
@@ -87,7 +87,7 @@ pub struct Told {
     pub single: bool,
 }
 
-impl Told {
+impl VendorReturn {
     /// Returns whether the vendor reports other returns of the pulse.
     pub fn is_multi(&self) -> bool {
         !self.single && self.vendor_separation_ns.is_finite()
@@ -151,7 +151,7 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
 /// The trend is a cubic in the logarithm of the amplitude (receiver tables are in dB), weighted by
 /// the standard deviations. Each tenth of the pulses is corrected with the trend of the others;
 /// `tenth_of` gives the tenth of a pulse.
-pub fn without_trend(pairs: &[Told], differences: &[f64], tenth_of: impl Fn(usize) -> usize) -> Vec<f64> {
+pub fn without_trend(pairs: &[VendorReturn], differences: &[f64], tenth_of: impl Fn(usize) -> usize) -> Vec<f64> {
     let points: Vec<Point> = pairs
         .iter()
         .zip(differences)

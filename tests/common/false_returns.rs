@@ -4,11 +4,11 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use wavex::batch::{Batch, Content, Return};
+use wavex::batch::{ScanLine, Content, Return};
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::registry;
-use wavex::stage::{Context, Output, Plan, Site};
+use wavex::stage::{Context, Output, Plan, RunContext};
 
 /// A scene: name, keys of `simulate`, and minimum distance of a false return from every true one to
 /// count as an outlier, m.
@@ -85,7 +85,7 @@ pub struct True {
 
 /// A flight: lines with true returns, and the type of each return by line.
 pub struct Flight {
-    pub lines: Vec<Batch>,
+    pub lines: Vec<ScanLine>,
     pub truth: Vec<Vec<True>>,
 }
 
@@ -130,8 +130,8 @@ pub fn fly(scene: &Scene, seed: u64) -> Flight {
     flight
 }
 
-fn site() -> Site {
-    Site {
+fn site() -> RunContext {
+    RunContext {
         input: PathBuf::new(),
         stem: String::new(),
         input_dir: PathBuf::new(),
@@ -181,19 +181,19 @@ pub fn found(emission: u32, return_number: u8, number_of_returns: u8, range_m: f
 }
 
 /// Copies a line for a second filter.
-pub fn copy(line: &Batch) -> Batch {
-    let mut copy = Batch::of_shots(line.input.clone(), line.line, line.emissions.clone(), Default::default());
+pub fn copy(line: &ScanLine) -> ScanLine {
+    let mut copy = ScanLine::of_shots(line.input.clone(), line.line, line.emissions.clone(), Default::default());
     copy.stats = line.stats.clone();
     copy.content = Content::Returns(line.returns().expect("returns").clone());
     copy
 }
 
 /// Lines after `filter_outliers` with these keys, and the run time in seconds.
-pub fn filtered(lines: Vec<Batch>, keys: &str, may_hold_bytes: usize) -> (Vec<Batch>, Context, f64) {
+pub fn filtered(lines: Vec<ScanLine>, keys: &str, may_hold_bytes: usize) -> (Vec<ScanLine>, Context, f64) {
     let Plan::Transform(filter) = planned("filter_outliers", keys) else { panic!("a transform") };
     let mut filter = filter.make(&site()).expect("a filter");
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
-    let mut emit = |batch: Batch| {
+    let mut emit = |batch: ScanLine| {
         given_on.push(batch);
         Ok(())
     };
@@ -273,7 +273,7 @@ pub fn score(flight: &Flight, margin_m: f64, is_out: impl Fn(usize, usize) -> bo
 }
 
 /// Scores `filter_outliers` on a flight.
-pub fn score_of_stage(flight: &Flight, lines: &[Batch], margin_m: f64) -> Score {
+pub fn score_of_stage(flight: &Flight, lines: &[ScanLine], margin_m: f64) -> Score {
     let key = |line: usize, r: &Return| (line, r.emission, r.range_m.to_bits());
     let mut kept = HashSet::new();
     for (at, line) in lines.iter().enumerate() {
@@ -281,7 +281,7 @@ pub fn score_of_stage(flight: &Flight, lines: &[Batch], margin_m: f64) -> Score 
     }
     let before = |line: usize, index: usize| flight.lines[line].returns().expect("returns")[index];
     let mut score = score(flight, margin_m, |line, index| !kept.contains(&key(line, &before(line, index))));
-    let n = |lines: &[Batch]| lines.iter().map(Batch::n_returns).sum::<usize>();
+    let n = |lines: &[ScanLine]| lines.iter().map(ScanLine::n_returns).sum::<usize>();
     score.rejected = n(&flight.lines) - n(lines);
     score
 }

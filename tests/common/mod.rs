@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{Batch, Blocks, Channel, Emission, Frame, InputInfo, Kind};
+use wavex::batch::{ScanLine, Blocks, Channel, Emission, Frame, InputInfo, Kind};
 use wavex::engine::Options;
 use wavex::job::{Job, JobStage};
 use wavex::stage::{
-    Config, Context, Item, Map, MapConfig, Output, Paths, Result, Sink, SinkConfig, Site, Source,
+    Config, Context, Item, Map, MapConfig, Output, Paths, Result, Sink, SinkConfig, RunContext, Source,
     SourceConfig, StageError, StageSpec, Transform, TransformConfig,
 };
 
@@ -31,13 +31,13 @@ pub fn emission(shot: u64) -> Emission {
     }
 }
 
-pub fn line_of_shots(input: &Arc<InputInfo>, line: u32, shots: usize) -> Batch {
+pub fn line_of_shots(input: &Arc<InputInfo>, line: u32, shots: usize) -> ScanLine {
     let emissions = (0..shots).map(|i| emission(u64::from(line) * shots as u64 + i as u64)).collect();
     let mut blocks = Blocks::default();
     for i in 0..shots {
         blocks.push(i as u32, Channel::LowPower, None, 6000.0, 1.0, &[2, 2, 3, (line % 200) as u16]);
     }
-    Batch::of_shots(Arc::clone(input), line, emissions, blocks)
+    ScanLine::of_shots(Arc::clone(input), line, emissions, blocks)
 }
 
 /// A source of lines of shots.
@@ -64,7 +64,7 @@ impl SourceConfig for Count {
     fn paths(&self) -> Option<&Paths> {
         None
     }
-    fn make(&self, _site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, _site: &RunContext) -> Result<Box<dyn Source>> {
         Ok(Box::new(Counting { config: self.clone(), next: 0, input: Arc::new(input_info()) }))
     }
 }
@@ -76,7 +76,7 @@ struct Counting {
 }
 
 impl Source for Counting {
-    fn next(&mut self, _cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, _cx: &mut Context) -> Result<Option<ScanLine>> {
         if i64::from(self.next) == self.config.fail_at {
             return Err(StageError::failed("byte 77 is wrong", "copy the file again"));
         }
@@ -105,13 +105,13 @@ pub struct Work {
 impl Config for Work {}
 
 impl MapConfig for Work {
-    fn make(&self, _site: &Site) -> Result<Box<dyn Map>> {
+    fn make(&self, _site: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(self.clone()))
     }
 }
 
 impl Map for Work {
-    fn map(&mut self, mut batch: Batch, cx: &mut Context) -> Result<Batch> {
+    fn map(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
         assert!(self.panic_at == 0 || batch.line != self.panic_at, "line {} is a bug", batch.line);
         if self.longest_us > 0 {
             let pseudo_random = u64::from(batch.line).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
@@ -141,24 +141,24 @@ impl Default for Hold {
 impl Config for Hold {}
 
 impl TransformConfig for Hold {
-    fn make(&self, _site: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
         Ok(Box::new(Holding { lines: self.lines, held: Vec::new(), released: false }))
     }
 }
 
 struct Holding {
     lines: usize,
-    held: Vec<Batch>,
+    held: Vec<ScanLine>,
     released: bool,
 }
 
 impl Transform for Holding {
-    fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
+    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         if self.released {
             return out.emit(batch);
         }
         self.held.push(batch);
-        let bytes: usize = self.held.iter().map(Batch::bytes).sum();
+        let bytes: usize = self.held.iter().map(ScanLine::bytes).sum();
         if self.held.len() >= self.lines || bytes > out.may_hold_bytes() {
             self.released = true;
             return self.finish(out);
@@ -195,7 +195,7 @@ impl SinkConfig for WriteNumbers {
     fn outputs(&self) -> Vec<&str> {
         vec![&self.path]
     }
-    fn make(&self, site: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         Ok(Box::new(Numbers { config: self.clone(), file: site.create(&self.path)? }))
     }
 }
@@ -206,7 +206,7 @@ struct Numbers {
 }
 
 impl Sink for Numbers {
-    fn write(&mut self, batch: &Batch, _cx: &mut Context) -> Result<()> {
+    fn write(&mut self, batch: &ScanLine, _cx: &mut Context) -> Result<()> {
         use std::io::Write;
         std::thread::sleep(Duration::from_micros(self.config.slow_us));
         if self.config.fail_at > 0 && batch.line == self.config.fail_at {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use wavex::batch::Channel;
 use wavex::engine::{self, InputReport, Options};
 use wavex::job::{Job, Override};
-use wavex::stage::{Context, Plan, Planned, Site};
+use wavex::stage::{Context, Plan, Planned, RunContext};
 
 /// Folder of real recordings; prints a notice if it is not set.
 pub fn data() -> Option<PathBuf> {
@@ -89,7 +89,7 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
     let Ok(Planned { plan: Plan::Source(source), .. }) = (spec.parse)(table) else {
         panic!("{reader} is a source")
     };
-    let site = Site {
+    let site = RunContext {
         input: path.to_path_buf(),
         stem: String::new(),
         input_dir: PathBuf::new(),

@@ -84,7 +84,7 @@ struct Superposed {
 }
 
 /// Result for many pairs of one separation.
-pub struct Told {
+pub struct VendorReturn {
     /// Fractions of pairs with both found, and with more than two returns.
     pub both: f64,
     pub more: f64,
@@ -129,7 +129,7 @@ impl<'a> Superposition<'a> {
         second: &[Single<'_>],
         separation_ns: f64,
         pairs: usize,
-    ) -> Told {
+    ) -> VendorReturn {
         let mut all = Vec::new();
         for i in 0.. {
             // Strides without a common factor: partners are far apart in the recording.
@@ -146,7 +146,7 @@ impl<'a> Superposition<'a> {
             all.iter().filter(|pair| test(pair)).count() as f64 / pairs as f64
         };
         let errors = |k: usize| all.iter().filter_map(move |pair| pair.errors.map(|errors| errors[k]));
-        Told {
+        VendorReturn {
             both: part(&|pair| pair.errors.is_some()),
             more: part(&|pair| pair.more),
             bias_ps: [0, 1].map(|k| robust(&errors(k).map(|e| 1000.0 * e.0).collect::<Vec<_>>()).0),

@@ -18,13 +18,13 @@ use common::{into, job};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{Batch, Blocks, Channel, Emission, EmissionReference, InputInfo, Kind};
+use wavex::batch::{ScanLine, Blocks, Channel, Emission, EmissionReference, InputInfo, Kind};
 use wavex::engine::{self, InputReport};
 use wavex::registry;
 use wavex::simulation::pulse::Shape;
 use wavex::simulation::random::{Purpose, Random};
 use wavex::simulation::receiver::{Echo, HighPower, Receiver, Settings};
-use wavex::stage::{Config, Context, Paths, Result, Site, Source, SourceConfig, StageSpec};
+use wavex::stage::{Config, Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 
 const FULL_SCALE_DN: f64 = 255.0;
 const BACKGROUND_DN: [f64; 2] = [12.0, 12.4];
@@ -67,7 +67,7 @@ impl SourceConfig for TwoReceivers {
         None
     }
 
-    fn make(&self, _site: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, _site: &RunContext) -> Result<Box<dyn Source>> {
         let input = InputInfo {
             stem: "two".into(),
             full_scale_dn: Some(FULL_SCALE_DN as u16),
@@ -150,7 +150,7 @@ impl Recording {
 }
 
 impl Source for Recording {
-    fn next(&mut self, _cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, _cx: &mut Context) -> Result<Option<ScanLine>> {
         if self.line == self.config.lines {
             return Ok(None);
         }
@@ -175,7 +175,7 @@ impl Source for Recording {
             });
         }
         self.line += 1;
-        Ok(Some(Batch::of_shots(Arc::clone(&self.input), self.line - 1, emissions, blocks)))
+        Ok(Some(ScanLine::of_shots(Arc::clone(&self.input), self.line - 1, emissions, blocks)))
     }
 }
 

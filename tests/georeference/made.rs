@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use wavex::batch::{Batch, Content, Emission, Frame, InputInfo, LineStats, Return, TimeScale};
+use wavex::batch::{ScanLine, Content, Emission, Frame, InputInfo, LineStats, Return, TimeScale};
 use wavex::engine::{self, Options, RunReport};
 use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex::geo::frames::{IDENTITY, Rotation, rotate};
@@ -13,7 +13,7 @@ use wavex::geometry::{GeometryKeys, Loader};
 use wavex::job::Job;
 use wavex::kernels::lockstep;
 use wavex::registry;
-use wavex::stage::{Context, Map, Plan, Site, Source};
+use wavex::stage::{Context, Map, Plan, RunContext, Source};
 
 /// A folder with a recording, its trajectory and its truth.
 pub struct Flight {
@@ -150,7 +150,7 @@ struct Changed {
 }
 
 impl Source for Changed {
-    fn next(&mut self, cx: &mut Context) -> wavex::stage::Result<Option<Batch>> {
+    fn next(&mut self, cx: &mut Context) -> wavex::stage::Result<Option<ScanLine>> {
         let mut next = self.source.next(cx)?;
         for emission in next.iter_mut().flat_map(|batch| &mut batch.emissions) {
             emission.origin_m = rotate(&self.turned, emission.origin_m);
@@ -173,7 +173,7 @@ impl Source for Changed {
 }
 
 fn true_returns(
-    batch: &Batch,
+    batch: &ScanLine,
     truth: &BTreeMap<u64, Vec<&Truth>>,
     measured: &impl Fn(&Truth) -> f64,
 ) -> Vec<Return> {
@@ -204,11 +204,11 @@ pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
 }
 
 /// Run context for the flight, with its geometry files loaded.
-pub fn site(flight: &Flight, geometry: &str) -> Result<Site, String> {
+pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
     let keys: GeometryKeys = toml::from_str(geometry).unwrap();
     keys.check().unwrap();
     let loaded = Loader::new(&keys, flight.folder()).and_then(|mut loader| loader.load("a"));
-    Ok(Site {
+    Ok(RunContext {
         input: flight.path("a.arrow"),
         stem: "a".into(),
         input_dir: flight.folder().into(),
@@ -220,7 +220,7 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<Site, String> {
 }
 
 /// Reader of the recording.
-pub fn source(site: &Site) -> Box<dyn Source> {
+pub fn source(site: &RunContext) -> Box<dyn Source> {
     match plan("read_arrow", "path = 'a.arrow'") {
         Plan::Source(plan) => plan.make(site).unwrap(),
         other => panic!("{other:?}"),
@@ -228,7 +228,7 @@ pub fn source(site: &Site) -> Box<dyn Source> {
 }
 
 /// The stage with these keys.
-pub fn georeference(site: &Site, keys: &str) -> Box<dyn Map> {
+pub fn georeference(site: &RunContext, keys: &str) -> Box<dyn Map> {
     match plan("georeference", keys) {
         Plan::Map(plan) => plan.make(site).unwrap(),
         other => panic!("{other:?}"),

@@ -3,9 +3,9 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{Batch, Kind};
+use wavex::batch::{ScanLine, Kind};
 use wavex::stage::{
-    Config, Context, InvalidKey, Map, MapConfig, Output, Paths, Result, Sink, SinkConfig, Site, Source,
+    Config, Context, InvalidKey, Map, MapConfig, Output, Paths, Result, Sink, SinkConfig, RunContext, Source,
     SourceConfig, StageSpec, Transform, TransformConfig,
 };
 
@@ -254,19 +254,19 @@ impl Config for Decompose {
 pub(crate) struct Nothing;
 
 impl Source for Nothing {
-    fn next(&mut self, _: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, _: &mut Context) -> Result<Option<ScanLine>> {
         Ok(None)
     }
 }
 
 impl Map for Nothing {
-    fn map(&mut self, batch: Batch, _: &mut Context) -> Result<Batch> {
+    fn map(&mut self, batch: ScanLine, _: &mut Context) -> Result<ScanLine> {
         Ok(batch)
     }
 }
 
 impl Transform for Nothing {
-    fn process(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
+    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         out.emit(batch)
     }
     fn finish(&mut self, _: &mut Output) -> Result<()> {
@@ -275,7 +275,7 @@ impl Transform for Nothing {
 }
 
 impl Sink for Nothing {
-    fn write(&mut self, _: &Batch, _: &mut Context) -> Result<()> {
+    fn write(&mut self, _: &ScanLine, _: &mut Context) -> Result<()> {
         Ok(())
     }
     fn finish(self: Box<Self>, _: &mut Context) -> Result<()> {
@@ -287,7 +287,7 @@ impl SourceConfig for ReadLas {
     fn paths(&self) -> Option<&Paths> {
         Some(&self.path)
     }
-    fn make(&self, _: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Source>> {
         Ok(Box::new(Nothing))
     }
 }
@@ -299,25 +299,25 @@ impl SourceConfig for Simulate {
     fn stem(&self) -> &str {
         "scene"
     }
-    fn make(&self, _: &Site) -> Result<Box<dyn Source>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Source>> {
         Ok(Box::new(Nothing))
     }
 }
 
 impl TransformConfig for Calibrate {
-    fn make(&self, _: &Site) -> Result<Box<dyn Transform>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Transform>> {
         Ok(Box::new(Nothing))
     }
 }
 
 impl MapConfig for Decompose {
-    fn make(&self, _: &Site) -> Result<Box<dyn Map>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(Nothing))
     }
 }
 
 impl MapConfig for Georeference {
-    fn make(&self, _: &Site) -> Result<Box<dyn Map>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(Nothing))
     }
 }
@@ -326,7 +326,7 @@ impl SinkConfig for WriteLas {
     fn outputs(&self) -> Vec<&str> {
         vec![&self.path]
     }
-    fn make(&self, _: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Sink>> {
         Ok(Box::new(Nothing))
     }
 }
@@ -335,7 +335,7 @@ impl SinkConfig for WriteLstat {
     fn outputs(&self) -> Vec<&str> {
         vec![&self.path]
     }
-    fn make(&self, _: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Sink>> {
         Ok(Box::new(Nothing))
     }
 }
@@ -344,7 +344,7 @@ impl SinkConfig for WriteShots {
     fn outputs(&self) -> Vec<&str> {
         vec![&self.path]
     }
-    fn make(&self, _: &Site) -> Result<Box<dyn Sink>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Sink>> {
         Ok(Box::new(Nothing))
     }
 }

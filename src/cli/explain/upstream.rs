@@ -1,6 +1,6 @@
 //! Runs the stages before `decompose` on the current thread.
 
-use crate::batch::Batch;
+use crate::batch::ScanLine;
 use crate::stage::{Context, Map, Output, Result, Source, StageError, Transform};
 
 /// A reader and the stages that follow it.
@@ -39,9 +39,9 @@ impl Upstream {
     }
 
     /// Returns the first scan line that is wanted, and reads no further.
-    pub(super) fn first(&mut self, mut wanted: impl FnMut(&Batch) -> bool) -> Result<Option<Batch>> {
+    pub(super) fn first(&mut self, mut wanted: impl FnMut(&ScanLine) -> bool) -> Result<Option<ScanLine>> {
         let mut found = None;
-        let mut take = |batch: Batch| {
+        let mut take = |batch: ScanLine| {
             if !wanted(&batch) {
                 return Ok(());
             }
@@ -54,7 +54,7 @@ impl Upstream {
         }
     }
 
-    fn run(&mut self, take: &mut dyn FnMut(Batch) -> Result<()>) -> Result<()> {
+    fn run(&mut self, take: &mut dyn FnMut(ScanLine) -> Result<()>) -> Result<()> {
         while let Some(batch) = self.source.next(&mut self.cx)? {
             push(&mut self.steps, batch, self.may_hold_bytes, take)?;
         }
@@ -72,9 +72,9 @@ impl Upstream {
 /// Passes a line through these stages and each result to the next stage.
 fn push(
     steps: &mut [Step],
-    batch: Batch,
+    batch: ScanLine,
     may_hold_bytes: usize,
-    take: &mut dyn FnMut(Batch) -> Result<()>,
+    take: &mut dyn FnMut(ScanLine) -> Result<()>,
 ) -> Result<()> {
     let Some((step, behind)) = steps.split_first_mut() else {
         return take(batch);

@@ -2,7 +2,7 @@
 
 use super::plot::{Plot, WIDTH, decades, label, short, ticks};
 use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::overview::{Histogram, LineGroups, MapAxes, MapPicture, Picture, ScanLine, ZoneCloud, ZoneClouds};
+use crate::overview::{Histogram, LineGroups, MapAxes, MapPicture, Picture, MapLine, ZoneCloud, ZoneClouds};
 
 /// Draws waveforms, returns and points per scan line; `None` without lines.
 pub(super) fn along(groups: &LineGroups) -> Option<String> {
@@ -254,7 +254,7 @@ pub(super) fn swath(map: &MapPicture, axes: &[String; 2], below: &str) -> Option
         [x, y] => Some(frame.plot.at([map.west + x * map.cell, map.south + y * map.cell])),
         _ => None,
     };
-    let places = |line: &ScanLine| line.places.chunks(2).filter_map(place).collect::<Vec<[f64; 2]>>();
+    let places = |line: &MapLine| line.places.chunks(2).filter_map(place).collect::<Vec<[f64; 2]>>();
     let lines: Vec<Vec<[f64; 2]>> = map.lines.iter().map(places).collect();
     let mut svg = Svg::new();
     svg.again("under", below);

@@ -19,7 +19,7 @@ struct Sums {
 
 /// Background and noise.
 #[derive(Debug, Clone)]
-pub(super) struct Told {
+pub(super) struct NoiseEstimate {
     /// By phase, DN.
     pub(super) background_dn: [f64; 4],
     /// Autocovariance at lags from 0, DN², without the variance taken up by a free background.
@@ -51,8 +51,8 @@ impl Sums {
         self
     }
 
-    fn told(&self, background: Background) -> Told {
-        let all = |autocovariance| Told { background_dn: self.all.background_dn(), autocovariance };
+    fn told(&self, background: Background) -> NoiseEstimate {
+        let all = |autocovariance| NoiseEstimate { background_dn: self.all.background_dn(), autocovariance };
         if background == Background::PerWaveform {
             // The free background removes the drift, so it does not count as noise.
             let without = self.all.autocovariance_without_drift();
@@ -66,7 +66,7 @@ impl Sums {
         // Both truncations reduce all lags by nearly the same fraction.
         let part = part_left(autocovariance[0], background_dn.iter().sum::<f64>() / 4.0);
         autocovariance.iter_mut().for_each(|value| *value /= part);
-        Told { background_dn, autocovariance }
+        NoiseEstimate { background_dn, autocovariance }
     }
 }
 
@@ -116,7 +116,7 @@ impl FreeSamples {
     }
 
     /// Background and noise from all groups.
-    pub(super) fn told(&self) -> Told {
+    pub(super) fn told(&self) -> NoiseEstimate {
         self.sums_but(None).told(self.background)
     }
 
@@ -132,13 +132,13 @@ impl FreeSamples {
     /// Changes along the recording count as well as chance.
     pub(super) fn uncertainty(&self) -> ModelUncertainty {
         let seen = (0..self.groups.len()).filter(|&i| self.groups[i].all.samples() > 0);
-        let without: Vec<Told> = seen.map(|i| self.sums_but(Some(i)).told(self.background)).collect();
+        let without: Vec<NoiseEstimate> = seen.map(|i| self.sums_but(Some(i)).told(self.background)).collect();
         let spread =
-            |value: &dyn Fn(&Told) -> f64| jackknife_sd(&without.iter().map(value).collect::<Vec<_>>());
+            |value: &dyn Fn(&NoiseEstimate) -> f64| jackknife_sd(&without.iter().map(value).collect::<Vec<_>>());
         let of_phases: f64 = (0..4).map(|phase| spread(&|told| told.background_dn[phase]).powi(2)).sum();
         let lags = without.iter().map(|told| told.autocovariance.len()).min().unwrap_or(1);
-        let variance = |told: &Told| told.autocovariance[0].max(QUANTISATION_VARIANCE);
-        let correlation = |told: &Told, lag: usize| told.autocovariance[lag] / variance(told);
+        let variance = |told: &NoiseEstimate| told.autocovariance[0].max(QUANTISATION_VARIANCE);
+        let correlation = |told: &NoiseEstimate, lag: usize| told.autocovariance[lag] / variance(told);
         ModelUncertainty {
             background_dn: (of_phases / 4.0).sqrt(),
             noise_sd_dn: spread(&|told| variance(told).sqrt()),

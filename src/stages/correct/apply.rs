@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::tables::{Both, Sources, receiver_of, told_by_fusion_s};
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
-use crate::batch::{Batch, Emission, InputInfo, LineStats, Return, ReturnChannel, flags};
+use crate::batch::{ScanLine, Emission, InputInfo, LineStats, Return, ReturnChannel, flags};
 use crate::formats::lookup_tables::LookupTables;
 use crate::geo::vertical::down_at;
 use crate::kernels::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};
@@ -45,7 +45,7 @@ impl Corrections {
     /// Corrects the returns of a line.
     pub(super) fn apply(
         &mut self,
-        batch: &mut Batch,
+        batch: &mut ScanLine,
         returns: &mut [Return],
         widths: [&WidthCorrection; 2],
         cx: &mut Context,
@@ -76,7 +76,7 @@ impl Corrections {
     }
 
     /// Corrects intensities for range, attenuation and incidence.
-    fn correct_intensities(&self, batch: &mut Batch, returns: &mut [Return], cx: &mut Context) {
+    fn correct_intensities(&self, batch: &mut ScanLine, returns: &mut [Return], cx: &mut Context) {
         let frame = batch.input.frame;
         let range_and_air = self.range_and_air(&batch.input, cx);
         for of_shot in returns.chunk_by_mut(|a, b| a.emission == b.emission) {

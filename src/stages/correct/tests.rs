@@ -34,10 +34,10 @@ fn found(channel: ReturnChannel, time_of_flight_ns: f64, amplitude_dn: f64) -> R
 }
 
 /// A line that points straight down, in a projected CRS.
-fn line_of(input: InputInfo, returns: Vec<Return>) -> Batch {
+fn line_of(input: InputInfo, returns: Vec<Return>) -> ScanLine {
     let emissions =
         vec![emission([0.0, 0.0, -1.0]); returns.iter().map(|r| r.emission as usize + 1).max().unwrap_or(1)];
-    let mut batch = Batch::of_shots(Arc::new(input), 0, emissions, Blocks::default());
+    let mut batch = ScanLine::of_shots(Arc::new(input), 0, emissions, Blocks::default());
     batch.stats.nw = returns.len() as u64;
     batch.content = Content::Returns(returns);
     batch
@@ -55,14 +55,14 @@ fn nothing() -> Correct {
         width_correction_low: WidthKey::Without(false),
         width_correction_high: WidthKey::Without(false),
         incidence: Incidence::None,
-        reference_range_m: NumberOrFalse::Without(false),
+        reference_range_m: Threshold::Without(false),
         ..Correct::default()
     }
 }
 
 /// Runs the stage; returns its lines and notes.
-fn run(keys: &Correct, lines: Vec<Batch>) -> (Vec<Batch>, Vec<String>) {
-    let site = Site {
+fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
+    let site = RunContext {
         input: PathBuf::new(),
         stem: String::new(),
         input_dir: PathBuf::new(),
@@ -73,7 +73,7 @@ fn run(keys: &Correct, lines: Vec<Batch>) -> (Vec<Batch>, Vec<String>) {
     };
     let mut stage = keys.make(&site).unwrap();
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
-    let mut emit = |batch: Batch| {
+    let mut emit = |batch: ScanLine| {
         given_on.push(batch);
         Ok(())
     };
@@ -83,7 +83,7 @@ fn run(keys: &Correct, lines: Vec<Batch>) -> (Vec<Batch>, Vec<String>) {
     (given_on, cx.counters().notes.clone())
 }
 
-fn first(lines: &[Batch]) -> Return {
+fn first(lines: &[ScanLine]) -> Return {
     lines[0].returns().unwrap()[0]
 }
 
@@ -180,8 +180,8 @@ fn intensities_follow_their_closed_forms() {
     let keys = Correct {
         amplitude_table: TableKey::Own(true),
         incidence: Incidence::Flat,
-        reference_range_m: NumberOrFalse::Number(1000.0),
-        attenuation_db_per_km: NumberOrFalse::Number(0.3),
+        reference_range_m: Threshold::Number(1000.0),
+        attenuation_db_per_km: Threshold::Number(0.3),
         ..nothing()
     };
     let mut r = found(ReturnChannel::Low, 1500.0 / HALF_SPEED, 80.0);
@@ -250,7 +250,7 @@ fn given_widths_change_thickness_and_deviations_with_them() {
 }
 
 /// Flat targets, wider by 6 % from 20 to 200 DN, and as many sloped ones.
-fn survey_line(line: u32) -> Batch {
+fn survey_line(line: u32) -> ScanLine {
     let one = |k: u32| {
         let amplitude_dn = 20.0 * 10f64.powf(f64::from(k % 997) / 997.0);
         let widened = if k.is_multiple_of(2) { 1.1 + 0.2 * f64::from(k % 53) / 53.0 } else { 1.0 };
@@ -319,12 +319,12 @@ fn keys_that_cannot_be_used_say_why() {
     };
     let cases: [(Change, &str, &str); 6] = [
         (
-            |keys| keys.reference_range_m = NumberOrFalse::Number(0.0),
+            |keys| keys.reference_range_m = Threshold::Number(0.0),
             "reference_range_m",
             "it must lie between 1 and 100000, or be `false`",
         ),
         (
-            |keys| keys.attenuation_db_per_km = NumberOrFalse::Number(-1.0),
+            |keys| keys.attenuation_db_per_km = Threshold::Number(-1.0),
             "attenuation_db_per_km",
             "it must lie between 0 and 100, or be `false`",
         ),

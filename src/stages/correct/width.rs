@@ -1,7 +1,7 @@
 //! Correction of widths for amplitude.
 
 use super::WidthKey;
-use crate::batch::{Batch, Return, ReturnChannel, flags};
+use crate::batch::{ScanLine, Return, ReturnChannel, flags};
 use crate::kernels::width_by_amplitude::{Node, Pulse, width_by_amplitude};
 use crate::stage::{Context, InvalidKey};
 
@@ -62,8 +62,8 @@ impl WidthCorrection {
     }
 
     /// Estimates the correction from single returns; none, with a note, if they are insufficient.
-    pub(super) fn learnt(lines: &[Batch], channel: ReturnChannel, cx: &mut Context) -> WidthCorrection {
-        let returns = lines.iter().filter_map(Batch::returns).flatten();
+    pub(super) fn learnt(lines: &[ScanLine], channel: ReturnChannel, cx: &mut Context) -> WidthCorrection {
+        let returns = lines.iter().filter_map(ScanLine::returns).flatten();
         let of_channel: Vec<&Return> = returns.filter(|r| r.channel == channel).collect();
         if of_channel.is_empty() {
             return WidthCorrection::None;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::found::{Found, InHighPower};
+use super::found::{Found, HighPowerView};
 use super::shots::Shot;
 use crate::batch::{Block, Channel, LineStats, ReturnChannel, flags};
 use crate::kernels::decompose::OVERDRIVEN_PART;
@@ -397,7 +397,7 @@ impl Both {
             let flags = was_low.and_then(|(_, of_low)| *of_low).map_or(0, |i| all[i].fitted.flags);
             let found = &mut all[candidate.found];
             if candidate.high.is_some() {
-                found.high_power = Some(InHighPower {
+                found.high_power = Some(HighPowerView {
                     gain_ratio: self.between.gain_ratio * self.high_gain,
                     background_dn: found.background_dn,
                 });

@@ -1,6 +1,6 @@
 //! Echoes: fitted pulses before they become returns of their shot.
 
-use super::shots::Departure;
+use super::shots::EmissionTime;
 use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel};
 use crate::kernels::decompose::Return as Pulse;
 use crate::kernels::radiometry::target_thickness_m;
@@ -25,7 +25,7 @@ pub(super) struct Found {
     /// Gain of the recorded pulse.
     pub(super) gain: f64,
     /// Values of the high-power receiver, if both were fitted together.
-    pub(super) high_power: Option<InHighPower>,
+    pub(super) high_power: Option<HighPowerView>,
     pub(super) fitted: Pulse,
     /// Flag bits besides those of the fit.
     pub(super) flags: u16,
@@ -33,7 +33,7 @@ pub(super) struct Found {
 
 /// Values of a joint return in the high-power receiver.
 #[derive(Clone, Copy)]
-pub(super) struct InHighPower {
+pub(super) struct HighPowerView {
     /// Recorded height in the low-power receiver over the high-power height at gain 1.
     pub(super) gain_ratio: f64,
     /// Background of the high-power receiver at gain 1.
@@ -41,7 +41,7 @@ pub(super) struct InHighPower {
 }
 
 impl Found {
-    pub(super) fn into_return(self, departure: Departure, timing_error_ns: f64, input: &InputInfo) -> Return {
+    pub(super) fn into_return(self, departure: EmissionTime, timing_error_ns: f64, input: &InputInfo) -> Return {
         let half_speed_m_per_ns = input.group_velocity_mps * 0.5e-9;
         let fitted = self.fitted;
         let time_of_flight_ns = self.time_ns - departure.time_ns;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::found::UNRELIABLE_RANGE_SD_M;
 use crate::batch::{
-    Batch, Block, Blocks, Channel, Emission, EmissionReference, InputInfo, OnlineReturn, Return, Returns,
+    ScanLine, Block, Blocks, Channel, Emission, EmissionReference, InputInfo, OnlineReturn, Return, Returns,
     flags,
 };
 use crate::kernels::sensor_model::SensorModel;
@@ -38,7 +38,7 @@ pub(super) fn unresolved(shot: u64) -> StageError {
 /// The zone of a shot is not resolved.
 pub(super) fn add(
     choice: OnlinePoints,
-    line: &mut Batch,
+    line: &mut ScanLine,
     blocks: &Blocks,
     returns: &mut Returns,
 ) -> Result<()> {
@@ -123,7 +123,7 @@ pub(super) fn date_without_model(emissions: &mut [Emission], blocks: &Blocks) ->
 /// Two returns match if each is the nearest to the other and they are within a pulse width.
 pub(super) fn compare(
     blocks: &Blocks,
-    line: &Batch,
+    line: &ScanLine,
     returns: &[Return],
     model: &SensorModel,
     cx: &mut Context,

@@ -93,7 +93,7 @@ impl std::fmt::Debug for SharedTables {
 
 /// Routing of a block and the index of its result.
 #[derive(Clone, Copy)]
-pub(super) enum Lot {
+pub(super) enum BlockRoute {
     /// Decomposed by the low-power receiver: gain and index.
     Low(GainLevel, usize),
     /// Decomposed by the high-power receiver: gain and index.
@@ -177,7 +177,7 @@ pub(super) struct Receivers {
     path: Path,
     left_to_plain: u64,
     /// Routing of each block of the line's shots, in order.
-    lots: Vec<Lot>,
+    lots: Vec<BlockRoute>,
 }
 
 impl Receivers {
@@ -225,16 +225,16 @@ impl Receivers {
                 let lot = match block.channel {
                     Channel::Reference if !has_left => {
                         has_left = true;
-                        Lot::Outgoing(level, outgoing.push(level, waveform))
+                        BlockRoute::Outgoing(level, outgoing.push(level, waveform))
                     }
                     Channel::LowPower => {
-                        echoes(&self.low, block, || Lot::Low(level, low.push(level, waveform)))
+                        echoes(&self.low, block, || BlockRoute::Low(level, low.push(level, waveform)))
                     }
-                    Channel::HighPower if shot.is_covered(block, both) => Lot::Covered,
+                    Channel::HighPower if shot.is_covered(block, both) => BlockRoute::Covered,
                     Channel::HighPower => {
-                        echoes(&self.high, block, || Lot::High(level, high.push(level, waveform)))
+                        echoes(&self.high, block, || BlockRoute::High(level, high.push(level, waveform)))
                     }
-                    _ => Lot::Other,
+                    _ => BlockRoute::Other,
                 };
                 self.lots.push(lot);
             }
@@ -299,7 +299,7 @@ impl Receivers {
         let all = shots.iter().flat_map(|shot| shot.of_shot.iter().map(move |block| (shot, block)));
         let mut recorded = ByGain::new();
         for ((shot, block), lot) in all.zip(&self.lots) {
-            let Lot::Outgoing(level, _) = *lot else { continue };
+            let BlockRoute::Outgoing(level, _) = *lot else { continue };
             let start_samples = block.start_ns / block.interval_ns;
             let start_samples = if start_samples.is_finite() { start_samples } else { 0.0 };
             recorded.push(
@@ -323,34 +323,34 @@ impl Receivers {
     }
 
     /// Routing of the blocks from an index on.
-    pub(super) fn lots(&self, from: usize) -> &[Lot] {
+    pub(super) fn lots(&self, from: usize) -> &[BlockRoute] {
         self.lots.get(from..).unwrap_or_default()
     }
 
     /// Result of a block of echoes, with its receiver and the receiver's model.
-    pub(super) fn found(&self, lot: Lot) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
+    pub(super) fn found(&self, lot: BlockRoute) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
         let (receiver, channel, level, number) = match lot {
-            Lot::Low(level, number) => (&self.low, ReturnChannel::Low, level, number),
-            Lot::High(level, number) => (&self.high, ReturnChannel::High, level, number),
-            Lot::Outgoing(..) | Lot::Unused(_) | Lot::Covered | Lot::Other => return None,
+            BlockRoute::Low(level, number) => (&self.low, ReturnChannel::Low, level, number),
+            BlockRoute::High(level, number) => (&self.high, ReturnChannel::High, level, number),
+            BlockRoute::Outgoing(..) | BlockRoute::Unused(_) | BlockRoute::Covered | BlockRoute::Other => return None,
         };
         let receiver = receiver.as_ref()?.get(level)?;
         Some((channel, receiver.outcomes.get(number)?, receiver.kernels.model()))
     }
 
     /// Fitted outgoing pulse of a block, with the model of its channel.
-    pub(super) fn outgoing(&self, lot: Lot) -> Option<(&Outgoing, &ChannelModel)> {
-        let Lot::Outgoing(level, number) = lot else { return None };
+    pub(super) fn outgoing(&self, lot: BlockRoute) -> Option<(&Outgoing, &ChannelModel)> {
+        let BlockRoute::Outgoing(level, number) = lot else { return None };
         let reference = self.reference.as_ref()?.get(level)?;
         Some((reference.outgoing.get(number)?.as_ref()?, reference.batch.model()))
     }
 }
 
 /// Routes a block of echoes to its receiver, if calibrated.
-fn echoes(receiver: &Option<AtGains<Receiver>>, block: &Block, lot: impl FnOnce() -> Lot) -> Lot {
+fn echoes(receiver: &Option<AtGains<Receiver>>, block: &Block, lot: impl FnOnce() -> BlockRoute) -> BlockRoute {
     match receiver {
-        None => Lot::Unused("its receiver is not in the sensor model"),
-        Some(_) if block.is_empty() => Lot::Unused("a block without samples"),
+        None => BlockRoute::Unused("its receiver is not in the sensor model"),
+        Some(_) if block.is_empty() => BlockRoute::Unused("a block without samples"),
         Some(_) => lot(),
     }
 }

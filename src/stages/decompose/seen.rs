@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{BlockFit, Watch};
+use super::{BlockFit, Observer};
 use crate::batch::{Block, Blocks, Emission, Return};
 use crate::kernels::decompose::{DecomposeSettings, Decomposer, Decomposition, Return as Pulse};
 use crate::kernels::outgoing::Outgoing;
@@ -113,7 +113,7 @@ impl<'a> Seen<'a> {
     }
 }
 
-impl Watch for Seen<'_> {
+impl Observer for Seen<'_> {
     fn outgoing(&mut self, block: &Block, outgoing: &Outgoing, model: &ChannelModel) {
         let Outgoing { pulse, window, .. } = outgoing.clone();
         let position_samples = pulse.position_samples - window.start as f64;

@@ -5,7 +5,7 @@ use super::both::BothReceivers;
 use super::crosstalk::Departures;
 use super::found::{Found, UNRELIABLE_RANGE_SD_M};
 use super::online::unresolved;
-use super::receivers::{Lot, Receivers, SensorTables};
+use super::receivers::{BlockRoute, Receivers, SensorTables};
 use crate::batch::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
     Returns, flags,
@@ -28,7 +28,7 @@ const EXPECTED_WIDTHS: f64 = 3.0;
 
 /// Emission time of a shot after its clock.
 #[derive(Clone, Copy)]
-pub(super) struct Departure {
+pub(super) struct EmissionTime {
     pub(super) time_ns: f64,
     pub(super) sd_ns: f64,
     /// Flag bits of all returns of the shot.
@@ -89,7 +89,7 @@ impl BlockFit {
 }
 
 /// Observes decomposition; `()` is the no-op observer.
-pub(crate) trait Watch {
+pub(crate) trait Observer {
     /// Called after the outgoing pulse was fitted.
     fn outgoing(&mut self, _block: &Block, _outgoing: &Outgoing, _model: &ChannelModel) {}
 
@@ -99,7 +99,7 @@ pub(crate) trait Watch {
     fn echoes(&mut self, _block: &Block, _fit: BlockFit, _found: &Decomposition, _model: &ChannelModel) {}
 }
 
-impl Watch for () {}
+impl Observer for () {}
 
 impl Shot<'_> {
     fn online(&self) -> &[OnlineReturn] {
@@ -131,10 +131,10 @@ impl Shot<'_> {
     ///
     /// Return locations of the file count from the true emission. Their mean difference from the
     /// echoes is the sub-sample emission offset.
-    fn anchored_departure(&self, found: &[Found], cx: &mut Context) -> Departure {
+    fn anchored_departure(&self, found: &[Found], cx: &mut Context) -> EmissionTime {
         let interval_ns = self.input.sampling_interval_ns;
         let sd_ns = unknown_within_a_sample_ns(interval_ns);
-        let unknown = Departure { time_ns: 0.0, sd_ns, flags: 0 };
+        let unknown = EmissionTime { time_ns: 0.0, sd_ns, flags: 0 };
         match self.input.emission_reference {
             EmissionReference::ReturnLocations => {}
             EmissionReference::Clock => {
@@ -162,7 +162,7 @@ impl Shot<'_> {
             return unknown;
         }
         // The offset is computed from the same echoes, so it adds no error of its own.
-        Departure { time_ns: sum / weights, sd_ns: 0.0, flags: 0 }
+        EmissionTime { time_ns: sum / weights, sd_ns: 0.0, flags: 0 }
     }
 }
 
@@ -182,7 +182,7 @@ pub(crate) struct Line<'a> {
 }
 
 /// The current shot.
-struct Turn<'a> {
+struct CurrentShot<'a> {
     shot: &'a Shot<'a>,
     emission: Emission,
     /// Index of its first block among those of all shots.
@@ -238,7 +238,7 @@ impl ShotDecomposer {
         shots: &[Shot],
         line: &mut Line,
         cx: &mut Context,
-        watch: &mut impl Watch,
+        watch: &mut impl Observer,
     ) -> Result<()> {
         let before = self.receivers.left_to_plain();
         self.receivers.begin_line();
@@ -255,7 +255,7 @@ impl ShotDecomposer {
         shot: &Shot,
         line: &mut Line,
         cx: &mut Context,
-        watch: &mut impl Watch,
+        watch: &mut impl Observer,
     ) -> Result<()> {
         let shots = std::slice::from_ref(shot);
         self.receivers.decompose(shots, self.both.as_ref())?;
@@ -299,12 +299,12 @@ impl ShotDecomposer {
         shots: &[Shot],
         line: &mut Line,
         cx: &mut Context,
-        watch: &mut impl Watch,
+        watch: &mut impl Observer,
     ) -> Result<()> {
         let mut first_block = 0;
         for shot in shots {
             match line.emissions.get(shot.index as usize).copied() {
-                Some(emission) => self.shot(&Turn { shot, emission, first_block }, line, cx, watch)?,
+                Some(emission) => self.shot(&CurrentShot { shot, emission, first_block }, line, cx, watch)?,
                 None => cx.reject(Item::Blocks, "its shot is not in the line", shot.of_shot.len() as u64),
             }
             first_block += shot.of_shot.len();
@@ -312,7 +312,7 @@ impl ShotDecomposer {
         Ok(())
     }
 
-    fn shot(&mut self, turn: &Turn, line: &mut Line, cx: &mut Context, watch: &mut impl Watch) -> Result<()> {
+    fn shot(&mut self, turn: &CurrentShot, line: &mut Line, cx: &mut Context, watch: &mut impl Observer) -> Result<()> {
         let shot = turn.shot;
         let departure = self.departure(turn, cx, watch);
         let others =
@@ -332,7 +332,7 @@ impl ShotDecomposer {
     }
 
     /// Converts the echoes of a shot to returns, in order of time.
-    fn finish(&mut self, shot: &Shot, departure: Departure, returns: &mut Returns) {
+    fn finish(&mut self, shot: &Shot, departure: EmissionTime, returns: &mut Returns) {
         self.found.sort_by(|a, b| a.time_ns.total_cmp(&b.time_ns));
         let number_of_returns = self.found.len().min(255) as u8;
         for (i, found) in self.found.iter().enumerate() {
@@ -345,12 +345,12 @@ impl ShotDecomposer {
     }
 
     /// Emission time from the outgoing pulse, if the shot has one.
-    fn departure(&self, turn: &Turn, cx: &mut Context, watch: &mut impl Watch) -> Option<Departure> {
+    fn departure(&self, turn: &CurrentShot, cx: &mut Context, watch: &mut impl Observer) -> Option<EmissionTime> {
         let shot = turn.shot;
         let (time_ns, block, outgoing) = self.outgoing(shot, self.receivers.lots(turn.first_block))?;
         let Some((outgoing, model)) = outgoing else {
             // A block without samples contains the fitted time (RIEGL files made from RXP).
-            return Some(Departure { time_ns, sd_ns: 0.0, flags: 0 });
+            return Some(EmissionTime { time_ns, sd_ns: 0.0, flags: 0 });
         };
         let flags = outgoing.pulse.flags & flags::ECHO_ON_OUTGOING;
         let mut sd_ns = outgoing.pulse.position_sd_samples * block.interval_ns;
@@ -360,13 +360,13 @@ impl ShotDecomposer {
         }
         cx.observe("emission_sd_ns", sd_ns);
         watch.outgoing(block, outgoing, model);
-        Some(Departure { time_ns, sd_ns, flags })
+        Some(EmissionTime { time_ns, sd_ns, flags })
     }
 
     /// Outgoing pulse of a shot, with its fit if the block has samples.
     ///
     /// Time after the clock, ns.
-    fn outgoing<'a>(&'a self, shot: &Shot<'a>, lots: &[Lot]) -> Option<OutgoingBlock<'a>> {
+    fn outgoing<'a>(&'a self, shot: &Shot<'a>, lots: &[BlockRoute]) -> Option<OutgoingBlock<'a>> {
         let mut with_lots = shot.of_shot.iter().zip(lots);
         let (block, &lot) = with_lots.find(|(block, _)| block.channel == Channel::Reference)?;
         if block.is_empty() {
@@ -384,21 +384,21 @@ impl ShotDecomposer {
     /// Collects the echoes of a shot's blocks.
     fn find(
         &mut self,
-        turn: &Turn,
+        turn: &CurrentShot,
         others: &Departures,
         stats: &mut LineStats,
         cx: &mut Context,
-        watch: &mut impl Watch,
+        watch: &mut impl Observer,
     ) -> Result<()> {
-        let Turn { shot, emission, first_block } = turn;
+        let CurrentShot { shot, emission, first_block } = turn;
         let mut waveform = Waveform::default();
         let lots = self.receivers.lots(*first_block);
         let blocks = shot.of_shot.iter().zip(lots).enumerate();
         for (index, (block, &lot)) in blocks.filter(|(_, (block, _))| block.channel.is_echo()) {
             waveform.recorded = true;
             match lot {
-                Lot::Unused(why) => cx.reject(Item::Blocks, why, 1),
-                Lot::Covered => cx.set_aside(Item::Blocks, "the low-power receiver recorded it as well", 1),
+                BlockRoute::Unused(why) => cx.reject(Item::Blocks, why, 1),
+                BlockRoute::Covered => cx.set_aside(Item::Blocks, "the low-power receiver recorded it as well", 1),
                 _ => {}
             }
             let Some((channel, result, model)) = self.receivers.found(lot) else { continue };

@@ -1,6 +1,6 @@
 //! Positions of a line's returns for the outlier search.
 
-use crate::batch::{Batch, Emission, Frame};
+use crate::batch::{ScanLine, Emission, Frame};
 use crate::geo::vertical::{down_at, main_axis};
 use crate::kernels::outliers::{Extent, Line, Point};
 
@@ -26,7 +26,7 @@ pub(super) fn has_vertical(frame: Frame) -> bool {
 }
 
 impl Places {
-    pub(super) fn of(batch: &Batch) -> Places {
+    pub(super) fn of(batch: &ScanLine) -> Places {
         let emissions = &batch.emissions;
         let down = emissions.first().and_then(|first| down_at(batch.input.frame, first.origin_m));
         let down = down.unwrap_or_else(|| main_axis(emissions.iter().map(|emission| emission.direction)));
@@ -127,7 +127,7 @@ mod tests {
             let found = |emission| Return { emission, range_m: 1000.0 - before_m, ..Return::default() };
             let input = InputInfo { frame: Frame::Map, origin_is_sensor, ..InputInfo::default() };
             let emissions = (0..3).map(emission).collect();
-            let mut batch = Batch::of_shots(Arc::new(input), 0, emissions, Blocks::default());
+            let mut batch = ScanLine::of_shots(Arc::new(input), 0, emissions, Blocks::default());
             batch.content = Content::Returns((0..3).map(found).collect());
             Places::of(&batch).spacing_m
         };

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::FilterOutliers;
 use super::geometry::{Places, dot, has_vertical};
-use crate::batch::{Batch, Content, Return, flags};
+use crate::batch::{ScanLine, Content, Return, flags};
 use crate::kernels::outliers::{Line, Search, Side, jump};
 use crate::stage::{Item, Output, Result};
 
@@ -30,7 +30,7 @@ pub(super) struct Strip {
 
 /// A line; its batch is taken when it is emitted.
 struct Held {
-    batch: Option<Batch>,
+    batch: Option<ScanLine>,
     places: Places,
     bytes: usize,
 }
@@ -52,7 +52,7 @@ impl Strip {
     }
 
     /// Adds the next line and emits those that can be classified.
-    pub(super) fn push(&mut self, batch: Batch, out: &mut Output) -> Result<()> {
+    pub(super) fn push(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         let places = Places::of(&batch);
         let apart = self.lines_apart(&batch, out);
         let bytes = batch.bytes() + places.bytes();
@@ -82,7 +82,7 @@ impl Strip {
         Ok(())
     }
 
-    fn lines_apart(&self, batch: &Batch, out: &mut Output) -> usize {
+    fn lines_apart(&self, batch: &ScanLine, out: &mut Output) -> usize {
         if has_vertical(batch.input.frame) {
             return LINES_APART;
         }
@@ -205,7 +205,7 @@ fn reject_jumps(places: &Places, verdicts: &mut Verdicts, config: &FilterOutlier
 }
 
 /// Rejects and marks the returns of a line, and counts them.
-fn apply(batch: &mut Batch, verdicts: &Verdicts, config: &FilterOutliers, out: &mut Output) {
+fn apply(batch: &mut ScanLine, verdicts: &Verdicts, config: &FilterOutliers, out: &mut Output) {
     let stats = &mut batch.stats;
     let Content::Returns(returns) = &mut batch.content else { return };
     let is_out = |index: usize| verdicts.rejected[index] || (config.points && verdicts.outliers[index]);

@@ -27,7 +27,7 @@ const MAP: Lying = Lying {
 
 /// Line `line` over level ground, with 1 m line and shot spacing; `other` replaces the ranges of
 /// shots.
-fn line(lying: &Lying, line: u32, other: impl Fn(u32) -> Option<Vec<f64>>) -> Batch {
+fn line(lying: &Lying, line: u32, other: impl Fn(u32) -> Option<Vec<f64>>) -> ScanLine {
     let turned = |v: [f64; 3]| -> [f64; 3] {
         std::array::from_fn(|k| (0..3).map(|axis| lying.axes[axis][k] * v[axis]).sum())
     };
@@ -49,7 +49,7 @@ fn line(lying: &Lying, line: u32, other: impl Fn(u32) -> Option<Vec<f64>>) -> Ba
         returns.extend(ranges.into_iter().map(|range_m| found(shot, range_m)));
     }
     let input = Arc::new(InputInfo { frame: lying.frame, ..InputInfo::default() });
-    let mut batch = Batch::of_shots(input, line, emissions, Blocks::default());
+    let mut batch = ScanLine::of_shots(input, line, emissions, Blocks::default());
     batch.stats.nw = u64::from(SHOTS);
     batch.stats.nw_with_points =
         (0..SHOTS).filter(|shot| returns.iter().any(|r| r.emission == *shot)).count() as u64;
@@ -61,7 +61,7 @@ fn line(lying: &Lying, line: u32, other: impl Fn(u32) -> Option<Vec<f64>>) -> Ba
 
 /// A false return 30 m above the ground in line 4, one 20 m below it in line 9, a wire across all
 /// lines 20 m above it, and a waveform 100 m above it in line 6.
-fn scene(lying: &Lying) -> Vec<Batch> {
+fn scene(lying: &Lying) -> Vec<ScanLine> {
     let other = |at: u32, shot: u32| match (at, shot) {
         (4, 10) => Some(vec![HEIGHT_M - 30.0, HEIGHT_M.hypot(20.0)]),
         (9, 30) => Some(vec![HEIGHT_M + 20.0]),
@@ -73,10 +73,10 @@ fn scene(lying: &Lying) -> Vec<Batch> {
 }
 
 /// Runs the stage; returns its lines, counters and notes.
-fn run(keys: &FilterOutliers, lines: Vec<Batch>, may_hold_bytes: usize) -> (Vec<Batch>, Context) {
+fn run(keys: &FilterOutliers, lines: Vec<ScanLine>, may_hold_bytes: usize) -> (Vec<ScanLine>, Context) {
     let mut stage = Filter { strip: Strip::new(keys.clone()) };
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
-    let mut emit = |batch: Batch| {
+    let mut emit = |batch: ScanLine| {
         given_on.push(batch);
         Ok(())
     };
@@ -87,8 +87,8 @@ fn run(keys: &FilterOutliers, lines: Vec<Batch>, may_hold_bytes: usize) -> (Vec<
 }
 
 /// Line and shot of every marked return.
-fn marked(lines: &[Batch]) -> Vec<(u32, u32)> {
-    let of_line = |batch: &Batch| {
+fn marked(lines: &[ScanLine]) -> Vec<(u32, u32)> {
+    let of_line = |batch: &ScanLine| {
         let marked = batch.returns().unwrap().iter().filter(|r| r.withheld && r.class == 20);
         marked.map(|r| (batch.line, r.emission)).collect::<Vec<_>>()
     };
@@ -177,14 +177,14 @@ fn the_first_and_the_last_lines_are_judged_as_the_others_are() {
         assert_eq!(marked(&lines), [(at, 7)]);
     }
     let empty = || {
-        Batch::of_shots(
+        ScanLine::of_shots(
             Arc::new(InputInfo { frame: Frame::Map, ..InputInfo::default() }),
             0,
             Vec::new(),
             Blocks::default(),
         )
     };
-    let no_returns = || Batch { content: Content::Returns(Vec::new()), ..empty() };
+    let no_returns = || ScanLine { content: Content::Returns(Vec::new()), ..empty() };
     let (lines, _) = run(&keys, (0..40).map(|_| no_returns()).collect(), usize::MAX);
     assert_eq!(lines.len(), 40);
 }

@@ -56,7 +56,7 @@ fn bytes(header: &ContainerHeader, lines: Vec<LineBuilder>) -> Vec<u8> {
 }
 
 /// Reads these bytes as a job does; returns the lines and the counters.
-fn read(bytes: &[u8]) -> (Vec<Batch>, Context) {
+fn read(bytes: &[u8]) -> (Vec<ScanLine>, Context) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("made.arrow");
     std::fs::write(&path, bytes).unwrap();
@@ -68,7 +68,7 @@ fn read(bytes: &[u8]) -> (Vec<Batch>, Context) {
 }
 
 /// (line, first shot, number of shots) of each batch.
-fn lines(batches: &[Batch]) -> Vec<(u32, u64, usize)> {
+fn lines(batches: &[ScanLine]) -> Vec<(u32, u64, usize)> {
     batches.iter().map(|batch| (batch.line, batch.emissions[0].shot, batch.emissions.len())).collect()
 }
 

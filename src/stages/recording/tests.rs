@@ -7,18 +7,18 @@ use crate::batch::{Blocks, Channel, TimeScale};
 struct Lines(std::vec::IntoIter<Vec<f64>>, Arc<InputInfo>);
 
 impl Source for Lines {
-    fn next(&mut self, _cx: &mut Context) -> Result<Option<Batch>> {
+    fn next(&mut self, _cx: &mut Context) -> Result<Option<ScanLine>> {
         let Some(times_s) = self.0.next() else { return Ok(None) };
         let mut blocks = Blocks::default();
         (0..times_s.len() as u32)
             .for_each(|shot| blocks.push(shot, Channel::LowPower, None, 0.0, 1.0, &[2, 3]));
         let shot = |gps_time_s| Emission { gps_time_s, ..Emission::default() };
         let emissions = times_s.into_iter().map(shot).collect();
-        Ok(Some(Batch::of_shots(Arc::clone(&self.1), 0, emissions, blocks)))
+        Ok(Some(ScanLine::of_shots(Arc::clone(&self.1), 0, emissions, blocks)))
     }
 }
 
-fn read(scale: TimeScale, lines: Vec<Vec<f64>>, times: TimeKeys) -> Result<(Vec<Batch>, Context)> {
+fn read(scale: TimeScale, lines: Vec<Vec<f64>>, times: TimeKeys) -> Result<(Vec<ScanLine>, Context)> {
     let info = InputInfo { time_scale: scale, frame: Frame::Map, ..InputInfo::default() };
     let declared = Declared { times, ..Declared::default() };
     let mut source = AsDeclared::new(Lines(lines.into_iter(), Arc::new(info)), declared);
@@ -30,7 +30,7 @@ fn read(scale: TimeScale, lines: Vec<Vec<f64>>, times: TimeKeys) -> Result<(Vec<
     Ok((read, cx))
 }
 
-fn times(lines: &[Batch]) -> Vec<Vec<f64>> {
+fn times(lines: &[ScanLine]) -> Vec<Vec<f64>> {
     lines.iter().map(|line| line.emissions.iter().map(|shot| shot.gps_time_s).collect()).collect()
 }
 

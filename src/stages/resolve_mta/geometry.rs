@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::batch::{Batch, Emission, Frame};
+use crate::batch::{ScanLine, Emission, Frame};
 use crate::formats::terrain::Terrain;
 use crate::geo::cone::Turning;
 use crate::geo::vertical::{down_at, main_axis};
@@ -44,7 +44,7 @@ impl Geometry {
     ///
     /// In the scanner frame, down is the axis nearest to the mean direction of the line.
     pub fn of(
-        batch: &Batch,
+        batch: &ScanLine,
         range_m: [f64; 2],
         terrain: Option<&Terrain>,
         placed: &Placed,

@@ -4,9 +4,9 @@ use std::collections::VecDeque;
 
 use super::echoes::{Group, Peak, Place, Received};
 use super::geometry::Geometry;
-use super::summary::Tally;
+use super::summary::MtaCounts;
 use super::{ResolveMta, failed};
-use crate::batch::{Batch, Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, Ticket};
+use crate::batch::{ScanLine, Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, Ticket};
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry as Placed;
 use crate::kernels::mta::{
@@ -31,7 +31,7 @@ pub(super) struct Strip {
     settings: Settings,
     geometry: Geometry,
     /// The first lines, until it is known whether the scanner is circular.
-    first_lines: Vec<Batch>,
+    first_lines: Vec<ScanLine>,
     held: VecDeque<HeldLine>,
     /// Number of the first line in `held`, in the resolver's count.
     first: u64,
@@ -47,25 +47,25 @@ pub(super) struct Strip {
     terrain_bytes: usize,
     /// Budget share of the terrain model; released with the strip.
     _terrain_ticket: Option<Ticket>,
-    tally: Tally,
+    tally: MtaCounts,
 }
 
 /// A pending line.
 struct HeldLine {
-    batch: Batch,
+    batch: ScanLine,
     received: Received,
     /// Index in the line of each emission known to the resolver.
     known: Vec<u32>,
     /// Group of each echo known to the resolver.
     group_of_echo: Vec<u32>,
     /// Blocks, of this line and of later ones, caused by this line's shots.
-    incoming: Vec<Moved>,
+    incoming: Vec<Relocation>,
     online: Vec<OnlineReturn>,
     bytes: usize,
 }
 
 /// A block on its way to the shot that caused it.
-struct Moved {
+struct Relocation {
     /// Index of that shot in its line.
     to: u32,
     /// Time relative to the clock of that shot, ns.
@@ -79,7 +79,7 @@ struct Moved {
 
 /// Assignment of a group to a shot.
 #[derive(Clone, Copy)]
-struct Verdict {
+struct Assignment {
     line: u64,
     emission: u32,
     zone: i16,
@@ -92,7 +92,7 @@ impl Strip {
     /// Starts with the first line of a recording.
     pub fn new(
         config: &ResolveMta,
-        first: &Batch,
+        first: &ScanLine,
         terrain: Option<&Terrain>,
         placed: &Placed,
         out: &mut Output,
@@ -119,15 +119,15 @@ impl Strip {
             pushed_bytes: 0,
             terrain_bytes,
             _terrain_ticket: first.ticket.as_ref().map(|ticket| ticket.beside(terrain_bytes)),
-            tally: Tally::new(settings.blind_gap_ns),
+            tally: MtaCounts::new(settings.blind_gap_ns),
         })
     }
 
     /// Adds the next line and emits complete ones.
-    pub fn push(&mut self, batch: Batch, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
+    pub fn push(&mut self, batch: ScanLine, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
         let is_known = self.geometry.follow(&batch.emissions);
         self.first_lines.push(batch);
-        let bytes: usize = self.first_lines.iter().map(Batch::bytes).sum();
+        let bytes: usize = self.first_lines.iter().map(ScanLine::bytes).sum();
         match is_known || bytes > out.may_hold_bytes() / 2 {
             true => self.take_first_lines(terrain, out),
             false => Ok(()),
@@ -143,7 +143,7 @@ impl Strip {
         std::mem::take(&mut self.first_lines).into_iter().try_for_each(|line| self.take(line, terrain, out))
     }
 
-    fn take(&mut self, batch: Batch, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
+    fn take(&mut self, batch: ScanLine, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
         self.geometry.learn(&batch.emissions);
         let empty = Blocks::default();
         let received = Received::of(&batch.emissions, batch.blocks().unwrap_or(&empty));
@@ -247,7 +247,7 @@ impl Strip {
     fn assign(&mut self, resolved: &Resolved, out: &mut Output) {
         let Some(at) = resolved.line.checked_sub(self.first).map(|at| at as usize) else { return };
         let Some(line) = self.held.get(at) else { return };
-        let mut verdicts: Vec<Option<Verdict>> = vec![None; line.received.groups.len()];
+        let mut verdicts: Vec<Option<Assignment>> = vec![None; line.received.groups.len()];
         let mut from = 0;
         let of_group = |a: &u32, b: &u32| a == b;
         for run in line.group_of_echo.chunk_by(of_group) {
@@ -271,7 +271,7 @@ impl Strip {
     }
 
     /// The cause with the largest total echo height in a group, and its margin.
-    fn verdict(&self, line: &HeldLine, group: &Group, echoes: &[Assigned]) -> Option<(Verdict, f32)> {
+    fn verdict(&self, line: &HeldLine, group: &Group, echoes: &[Assigned]) -> Option<(Assignment, f32)> {
         let peaks = line.received.echoes.get(group.echoes.start as usize..group.echoes.end as usize)?;
         let votes = || echoes.iter().zip(peaks).filter(|(echo, _)| echo.cause.is_some());
         let mut best: Option<(f64, &Assigned)> = None;
@@ -291,7 +291,7 @@ impl Strip {
         let record = line.batch.emissions.get(group.record as usize)?;
         let zone = line.received_with(group).saturating_sub(causing.shot).min(i16::MAX as u64) as i16;
         let is_split = votes().any(|(echo, _)| echo.cause != best.cause);
-        let verdict = Verdict {
+        let verdict = Assignment {
             line: cause.line,
             emission,
             zone,
@@ -372,8 +372,8 @@ impl HeldLine {
         self.bytes = self.batch.bytes()
             + shots * (BYTES_PER_SHOT + CELL_BYTES_PER_SHOT + size_of::<u32>() + size_of::<f64>())
             + received.echoes.len() * (BYTES_PER_ECHO + size_of::<Peak>() + size_of::<u32>())
-            + received.groups.len() * (size_of::<Group>() + size_of::<Option<Verdict>>())
-            + received.blocks.len() * (size_of::<Place>() + 2 * size_of::<Moved>())
+            + received.groups.len() * (size_of::<Group>() + size_of::<Option<Assignment>>())
+            + received.blocks.len() * (size_of::<Place>() + 2 * size_of::<Relocation>())
             + received.online.len() * (size_of::<Place>() + 2 * size_of::<OnlineReturn>());
         if let Some(ticket) = &mut self.batch.ticket {
             ticket.resize(self.bytes);
@@ -400,9 +400,9 @@ impl HeldLine {
     fn moves(
         &self,
         number: u64,
-        verdicts: &[Option<Verdict>],
+        verdicts: &[Option<Assignment>],
         out: &mut Output,
-    ) -> (Vec<(u64, Moved)>, Vec<(u64, OnlineReturn)>) {
+    ) -> (Vec<(u64, Relocation)>, Vec<(u64, OnlineReturn)>) {
         let Some(blocks) = self.batch.blocks() else { return (Vec::new(), Vec::new()) };
         let verdict = |place: Place| match place {
             Place::Group(group) => verdicts.get(group as usize).copied().flatten(),
@@ -410,7 +410,7 @@ impl HeldLine {
         };
         let mut moves = Vec::with_capacity(blocks.len());
         for ((index, block), &place) in (0u32..).zip(blocks.iter()).zip(&self.received.blocks) {
-            let mut moved = Moved {
+            let mut moved = Relocation {
                 to: block.emission,
                 start_ns: block.start_ns,
                 line: number,
@@ -452,7 +452,7 @@ impl HeldLine {
     fn online_moves(
         &self,
         number: u64,
-        verdict: impl Fn(Place) -> Option<Verdict>,
+        verdict: impl Fn(Place) -> Option<Assignment>,
         out: &mut Output,
     ) -> Vec<(u64, OnlineReturn)> {
         let online = self.batch.blocks().map_or(&[][..], |blocks| &blocks.online);
@@ -460,7 +460,7 @@ impl HeldLine {
         for (&returned, &place) in online.iter().zip(&self.received.online) {
             match (place, verdict(place)) {
                 (Place::Stays, _) => moves.push((number, returned)),
-                (_, Some(Verdict { line, emission, later_ns, .. })) => {
+                (_, Some(Assignment { line, emission, later_ns, .. })) => {
                     let time_ns = returned.time_ns + later_ns;
                     moves.push((line, OnlineReturn { emission, time_ns, ..returned }));
                 }
@@ -472,7 +472,7 @@ impl HeldLine {
 }
 
 /// Notes if the terrain model and the recording name different CRSs.
-fn terrain_elsewhere(terrain: &Terrain, first: &Batch, out: &mut Output) {
+fn terrain_elsewhere(terrain: &Terrain, first: &ScanLine, out: &mut Output) {
     let name = |wkt: &str| wkt.split('"').nth(1).map(str::to_owned);
     let of_terrain = terrain.epsg().and_then(crate::formats::geokeys::wkt_of_epsg).and_then(|wkt| name(&wkt));
     let of_recording = first.input.crs_wkt.as_deref().and_then(name);

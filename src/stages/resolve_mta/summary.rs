@@ -4,13 +4,13 @@ use crate::kernels::mta::Resolver;
 use crate::stage::Context;
 
 /// Counts echoes per zone.
-pub(super) struct Tally {
+pub(super) struct MtaCounts {
     blind_gap_ns: f64,
 }
 
-impl Tally {
-    pub fn new(blind_gap_ns: f64) -> Tally {
-        Tally { blind_gap_ns }
+impl MtaCounts {
+    pub fn new(blind_gap_ns: f64) -> MtaCounts {
+        MtaCounts { blind_gap_ns }
     }
 
     /// Records the assignment of a group of blocks.

@@ -18,11 +18,11 @@ fn shots(first: u64, count: u64) -> Vec<Emission> {
 const PULSE: [u16; 9] = [2, 2, 2, 12, 40, 12, 2, 2, 2];
 
 /// Runs the stage on these lines; returns its result, lines and counters.
-fn run(config: &ResolveMta, lines: Vec<Batch>, may_hold_bytes: usize) -> (Result<()>, Vec<Batch>, Context) {
+fn run(config: &ResolveMta, lines: Vec<ScanLine>, may_hold_bytes: usize) -> (Result<()>, Vec<ScanLine>, Context) {
     let terrain = config.terrain.as_ref().map(|path| Terrain::open(path).unwrap());
     let mut stage = Resolving { config: config.clone(), terrain, placed: Arc::default(), strip: None };
     let (mut cx, mut given) = (Context::default(), Vec::new());
-    let mut emit = |batch: Batch| {
+    let mut emit = |batch: ScanLine| {
         given.push(batch);
         Ok(())
     };
@@ -39,7 +39,7 @@ fn fixed(zone: u16) -> ResolveMta {
 }
 
 /// Shot, channel, zone and start of each block.
-fn blocks_of(batch: &Batch) -> Vec<(u64, Channel, Option<i16>, f64)> {
+fn blocks_of(batch: &ScanLine) -> Vec<(u64, Channel, Option<i16>, f64)> {
     let shot = |block: &crate::batch::Block| batch.emissions[block.emission as usize].shot;
     batch
         .blocks()
@@ -60,8 +60,8 @@ fn blocks_go_to_the_shot_before_even_in_the_line_before() {
     second.push(2, Channel::LowPower, None, 300.0, 1.0, &PULSE);
     second.online = vec![OnlineReturn { emission: 2, time_ns: 904.0, amplitude: 3.0 }];
     let lines = vec![
-        Batch::of_shots(input(), 0, shots(0, 3), first),
-        Batch::of_shots(input(), 1, shots(3, 3), second),
+        ScanLine::of_shots(input(), 0, shots(0, 3), first),
+        ScanLine::of_shots(input(), 1, shots(3, 3), second),
     ];
     let (outcome, given, cx) = run(&fixed(2), lines, usize::MAX);
     outcome.unwrap();
@@ -73,7 +73,7 @@ fn blocks_go_to_the_shot_before_even_in_the_line_before() {
     );
     assert_eq!(blocks_of(&given[1]), [(3, low, None, 5300.0), (3, low, None, 5900.0)]);
     assert_eq!(given.iter().map(|line| line.stats.nw).collect::<Vec<_>>(), [2, 1]);
-    let zones = |line: &Batch| line.emissions.iter().map(|shot| shot.mta_zone).collect::<Vec<_>>();
+    let zones = |line: &ScanLine| line.emissions.iter().map(|shot| shot.mta_zone).collect::<Vec<_>>();
     assert_eq!(zones(&given[0]), [Some(0), Some(2), Some(2)]);
     assert_eq!(zones(&given[1]), [Some(2), Some(0), Some(0)]);
     let online = &given[1].blocks().unwrap().online;
@@ -86,7 +86,7 @@ fn a_zone_counts_to_the_begin_of_the_block() {
     // An emission between the first sample of the block and its peak.
     let mut blocks = Blocks::default();
     blocks.push(1, Channel::LowPower, None, 2497.0, 1.0, &PULSE);
-    let lines = vec![Batch::of_shots(input(), 0, shots(0, 3), blocks)];
+    let lines = vec![ScanLine::of_shots(input(), 0, shots(0, 3), blocks)];
     let (outcome, given, _) = run(&fixed(1), lines, usize::MAX);
     outcome.unwrap();
     assert_eq!(blocks_of(&given[0]), [(1, Channel::LowPower, None, 2497.0)]);
@@ -100,7 +100,7 @@ fn what_has_no_cause_is_rejected() {
     blocks.push(0, Channel::LowPower, None, 3e9, 1.0, &PULSE);
     blocks.online = vec![OnlineReturn { emission: 0, time_ns: 900.0, amplitude: 3.0 }];
     let (outcome, given, cx) =
-        run(&fixed(4), vec![Batch::of_shots(input(), 0, shots(0, 3), blocks)], usize::MAX);
+        run(&fixed(4), vec![ScanLine::of_shots(input(), 0, shots(0, 3), blocks)], usize::MAX);
     outcome.unwrap();
     assert_eq!((given[0].blocks().unwrap().len(), given[0].stats.nw), (0, 0));
     let rejected: Vec<_> = cx.counters().rejected.iter().map(|((_, why), n)| (*why, *n)).collect();
@@ -116,7 +116,7 @@ fn a_block_whose_zone_is_known_stays() {
     let mut blocks = Blocks::default();
     blocks.push(1, Channel::LowPower, Some(3), 9000.0, 1.0, &PULSE);
     blocks.push(2, Channel::LowPower, None, 700.0, 1.0, &PULSE);
-    let lines = vec![Batch::of_shots(input(), 0, shots(0, 3), blocks)];
+    let lines = vec![ScanLine::of_shots(input(), 0, shots(0, 3), blocks)];
     let (outcome, given, _) = run(&fixed(1), lines, usize::MAX);
     outcome.unwrap();
     let low = Channel::LowPower;
@@ -146,7 +146,7 @@ fn what_is_held_back_is_foreseen_with_the_terrain_model() {
     let line = |number: u32| {
         let mut blocks = Blocks::default();
         (0..50).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 700.0, 1.0, &PULSE));
-        Batch::of_shots(input(), number, shots(u64::from(number) * 50, 50), blocks)
+        ScanLine::of_shots(input(), number, shots(u64::from(number) * 50, 50), blocks)
     };
     let mut stage = Resolving {
         terrain: Some(Terrain::open(config.terrain.as_deref().unwrap()).unwrap()),
@@ -174,7 +174,7 @@ fn lines_without_shots_keep_their_place() {
         if count > 0 {
             blocks.push(0, Channel::LowPower, None, 700.0, 1.0, &PULSE);
         }
-        Batch::of_shots(input(), number, shots(u64::from(number) * 50, count), blocks)
+        ScanLine::of_shots(input(), number, shots(u64::from(number) * 50, count), blocks)
     };
     let lines = vec![line(0, 0), line(1, 5), line(2, 0), line(3, 5), line(4, 0)];
     let (outcome, given, _) = run(&fixed(0), lines, usize::MAX);

@@ -9,7 +9,7 @@ use crate::formats::trajectory::sbet::SbetRecord;
 use crate::simulation::platform::Platform;
 use crate::simulation::truth::{COLUMNS, GAIN_COLUMN, TrueReturn};
 use crate::simulation::world::{Pose, World};
-use crate::stage::{Context, OutputFile, Result, Site, WholeFile};
+use crate::stage::{Context, OutputFile, Result, RunContext, FinishedFile};
 
 /// Trajectory records per second.
 const RATE_HZ: f64 = 200.0;
@@ -30,7 +30,7 @@ pub(super) struct TruthFile {
 }
 
 impl TruthFile {
-    pub(super) fn create(site: &Site, pattern: &str, with_gain: bool) -> Result<TruthFile> {
+    pub(super) fn create(site: &RunContext, pattern: &str, with_gain: bool) -> Result<TruthFile> {
         let gain = if with_gain { GAIN_COLUMN } else { "" };
         let rows = format!("{COLUMNS}{gain}\n").into_bytes();
         let mut truth = TruthFile { file: site.create(pattern)?, rows, with_gain };
@@ -45,7 +45,7 @@ impl TruthFile {
         self.flush()
     }
 
-    pub(super) fn finish(self) -> Result<WholeFile> {
+    pub(super) fn finish(self) -> Result<FinishedFile> {
         Ok(self.file.finish()?)
     }
 
@@ -73,7 +73,7 @@ struct Trajectory {
 }
 
 impl TrajectoryFiles {
-    pub(super) fn create(site: &Site, config: &Simulate) -> Result<TrajectoryFiles> {
+    pub(super) fn create(site: &RunContext, config: &Simulate) -> Result<TrajectoryFiles> {
         let create = |pattern: &Option<String>| match pattern {
             Some(pattern) => site.create(pattern).map(Some),
             None => Ok(None),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{FULL_SCALE_DN, GainFollows, INTERVAL_NS, Simulate};
 use crate::batch::{
-    AmplitudeTable, Batch, Blocks, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo,
+    AmplitudeTable, ScanLine, Blocks, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo,
     TimeScale, emission_flags,
 };
 use crate::simulation::detector::{Detector, Sensitivity};
@@ -163,13 +163,13 @@ impl Flight {
     }
 
     /// Generates a scan line and the truth of its returns.
-    pub(super) fn line(&mut self, line: u32) -> (Batch, Vec<TrueReturn>) {
+    pub(super) fn line(&mut self, line: u32) -> (ScanLine, Vec<TrueReturn>) {
         let (mut blocks, mut truth) = (Blocks::default(), Vec::new());
         let emissions = match self.as_recorded {
             false => self.resolved_line(line, &mut blocks, &mut truth),
             true => self.recorded_line(line, &mut blocks, &mut truth),
         };
-        (Batch::of_shots(Arc::clone(&self.input), line, emissions, blocks), truth)
+        (ScanLine::of_shots(Arc::clone(&self.input), line, emissions, blocks), truth)
     }
 
     /// Generates a line whose blocks are stored with the shots that caused them.

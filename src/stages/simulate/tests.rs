@@ -19,7 +19,7 @@ fn bare() -> Simulate {
     Simulate { building_height_m: 0.0, canopy_height_m: 0.0, dropout_rate: 0.0, ..Simulate::default() }
 }
 
-fn lines(config: &Simulate, lines: std::ops::Range<u32>) -> Vec<(Batch, Vec<TrueReturn>)> {
+fn lines(config: &Simulate, lines: std::ops::Range<u32>) -> Vec<(ScanLine, Vec<TrueReturn>)> {
     let mut flight = Flight::new(config).unwrap();
     lines.map(|line| flight.line(line)).collect()
 }
@@ -215,7 +215,7 @@ fn the_emission_lies_anywhere_between_two_samples() {
 #[test]
 fn a_line_alone_is_the_line_in_sequence() {
     let config = Simulate::default();
-    let text = |line: &(Batch, Vec<TrueReturn>)| format!("{:?} {:?}", line.0, line.1);
+    let text = |line: &(ScanLine, Vec<TrueReturn>)| format!("{:?} {:?}", line.0, line.1);
     let sequence = lines(&config, 0..6);
     let alone = Flight::new(&config).unwrap().line(5);
     assert_eq!(text(&sequence[5]), text(&alone));
@@ -253,7 +253,7 @@ fn rich() -> Simulate {
 }
 
 /// FNV-1a hash of a line's times, directions, samples and truth.
-fn digest((batch, truth): &(Batch, Vec<TrueReturn>)) -> u64 {
+fn digest((batch, truth): &(ScanLine, Vec<TrueReturn>)) -> u64 {
     let mut bytes = Vec::new();
     for emission in &batch.emissions {
         bytes.extend(emission.clock_ps.to_le_bytes());
@@ -335,8 +335,8 @@ fn the_recording_says_what_it_is() {
     assert_eq!(last.scan_angle_deg, 30.0);
 }
 
-fn site(folder: &std::path::Path) -> Site {
-    Site {
+fn site(folder: &std::path::Path) -> RunContext {
+    RunContext {
         input: PathBuf::new(),
         stem: "simulated".to_owned(),
         input_dir: folder.to_path_buf(),

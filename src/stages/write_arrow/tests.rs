@@ -12,8 +12,8 @@ use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, GainContro
 use crate::stage::{Config as _, Source, SourceConfig};
 use crate::stages::read_arrow;
 
-fn site(folder: &Path, input: &str) -> Site {
-    Site {
+fn site(folder: &Path, input: &str) -> RunContext {
+    RunContext {
         input: folder.join(input),
         stem: "made".into(),
         input_dir: folder.to_path_buf(),
@@ -25,7 +25,7 @@ fn site(folder: &Path, input: &str) -> Site {
 }
 
 /// Writes batches as a job does; returns the notes and counters.
-fn write(folder: &Path, config: &Config, batches: &[Batch]) -> Context {
+fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
     let mut cx = Context::default();
     let mut sink = config.make(&site(folder, "")).unwrap();
     batches.iter().for_each(|batch| sink.write(batch, &mut cx).unwrap());
@@ -36,7 +36,7 @@ fn write(folder: &Path, config: &Config, batches: &[Batch]) -> Context {
     cx
 }
 
-fn read(folder: &Path) -> Vec<Batch> {
+fn read(folder: &Path) -> Vec<ScanLine> {
     let config: read_arrow::Config = toml::from_str("path = \"made.arrow\"").unwrap();
     let mut source: Box<dyn Source> = config.make(&site(folder, "made.arrow")).unwrap();
     let mut cx = Context::default();
@@ -181,7 +181,7 @@ fn shot() -> impl Strategy<Value = MadeShot> {
     (emission(), any::<u32>(), vec(block(), 0..4), vec((number(), amplitude), 0..3))
 }
 
-fn batch(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> Batch {
+fn batch(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> ScanLine {
     let mut emissions = Vec::new();
     let mut blocks = Blocks::default();
     let mut clock_ps = i64::from(line) - 7_000_000_000;
@@ -203,12 +203,12 @@ fn batch(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> Batch {
             amplitude,
         }));
     }
-    Batch::of_shots(Arc::clone(info), line, emissions, blocks)
+    ScanLine::of_shots(Arc::clone(info), line, emissions, blocks)
 }
 
 /// All contents of a batch as text, with every bit of its numbers: NaN equals NaN, and -0 differs
 /// from 0.
-fn words(batch: &Batch) -> String {
+fn words(batch: &ScanLine) -> String {
     format!("{} {:?} {:?} {:?}", batch.line, batch.emissions, batch.content, batch.stats)
 }
 
@@ -222,7 +222,7 @@ proptest! {
         compression in prop::sample::select(vec![Compression::None, Compression::Lz4, Compression::Zstd]),
     ) {
         let info = Arc::new(info);
-        let batches: Vec<Batch> =
+        let batches: Vec<ScanLine> =
             lines.into_iter().map(|(line, shots)| batch(&info, line, shots)).collect();
         let folder = tempfile::tempdir().unwrap();
         let cx = write(folder.path(), &Config { compression, ..Config::default() }, &batches);
@@ -271,7 +271,7 @@ fn plain_info() -> Arc<InputInfo> {
 #[test]
 fn without_a_shot_there_is_no_file_but_a_note() {
     let folder = tempfile::tempdir().unwrap();
-    let empty = Batch::of_shots(plain_info(), 0, vec![], Blocks::default());
+    let empty = ScanLine::of_shots(plain_info(), 0, vec![], Blocks::default());
     for batches in [&[][..], &[empty][..]] {
         let cx = write(folder.path(), &Config::default(), batches);
         assert_eq!(cx.counters().notes, ["no container is written: there were no shots"]);
@@ -297,7 +297,7 @@ fn an_abandoned_container_leaves_no_file() {
         mta_zone: None,
         scan_angle_deg: 0.0,
     };
-    let batch = Batch::of_shots(plain_info(), 0, vec![shot], Blocks::default());
+    let batch = ScanLine::of_shots(plain_info(), 0, vec![shot], Blocks::default());
     sink.write(&batch, &mut Context::default()).unwrap();
     drop(sink);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
@@ -323,7 +323,7 @@ fn keys_have_defaults_and_limits() {
 fn other_kinds_of_batches_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
-    let mut batch = Batch::of_shots(plain_info(), 0, vec![], Blocks::default());
+    let mut batch = ScanLine::of_shots(plain_info(), 0, vec![], Blocks::default());
     batch.content = crate::batch::Content::Returns(vec![]);
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
     assert_eq!(error, "write_arrow received Returns, but writes Shots; put it before `decompose`");
@@ -339,7 +339,7 @@ fn only_recordings_with_gain_control_have_a_field_for_the_gain() {
         let mut blocks = Blocks::default();
         blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[1, 2]);
         let emission = Emission { mta_zone: Some(0), ..Emission::default() };
-        write(folder.path(), &Config::default(), &[Batch::of_shots(info, 0, vec![emission], blocks)]);
+        write(folder.path(), &Config::default(), &[ScanLine::of_shots(info, 0, vec![emission], blocks)]);
         let table = container::TableReader::open(&folder.path().join("made.arrow")).unwrap();
         let fields = format!("{:?}", table.schema().field_with_name("blocks").unwrap());
         assert_eq!(fields.contains("gain"), has_field, "{fields}");
@@ -355,7 +355,7 @@ fn a_gain_that_the_header_does_not_announce_is_an_error() {
     let mut blocks = Blocks::default();
     blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[1, 2]);
     blocks.set_last_gain(2.0);
-    let batch = Batch::of_shots(plain_info(), 0, vec![Emission::default()], blocks);
+    let batch = ScanLine::of_shots(plain_info(), 0, vec![Emission::default()], blocks);
     let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
     assert!(error.contains("a block has a gain, but the container header declares none"), "{error}");

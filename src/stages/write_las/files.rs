@@ -12,7 +12,7 @@ use super::WavePacketsKey;
 use super::waves::{self, Waves};
 use crate::formats::Error;
 use crate::formats::las::{Writer, indexes_beside};
-use crate::stage::{Context, Item, OutputFile, Result, WholeFile};
+use crate::stage::{Context, Item, OutputFile, Result, FinishedFile};
 
 /// Companion files of the points, or data appended to them.
 pub(super) struct Files {
@@ -40,7 +40,7 @@ impl Files {
 }
 
 /// Completes the index file; `None` if the index format cannot address this many points.
-fn finish_index(mut file: OutputFile, writer: &mut Writer<OutputFile>) -> Result<Option<WholeFile>> {
+fn finish_index(mut file: OutputFile, writer: &mut Writer<OutputFile>) -> Result<Option<FinishedFile>> {
     let Some(index) = writer.take_index() else { return Ok(None) };
     let path = file.path().to_path_buf();
     file.write_all(&index).map_err(Error::io(&path, "write"))?;

@@ -43,17 +43,17 @@ fn info(crs_wkt: Option<&str>) -> InputInfo {
     }
 }
 
-fn line(input: InputInfo, returns: Vec<Return>) -> Batch {
+fn line(input: InputInfo, returns: Vec<Return>) -> ScanLine {
     let flags = emission_flags::SCAN_DIRECTION_POSITIVE | emission_flags::EDGE_OF_FLIGHT_LINE;
     let emission = Emission { gps_time_s: 2e8, flags, scan_angle_deg: -12.6, ..Emission::default() };
-    let mut batch = Batch::of_shots(Arc::new(input), 0, vec![emission], Blocks::default());
+    let mut batch = ScanLine::of_shots(Arc::new(input), 0, vec![emission], Blocks::default());
     let points = returns.iter().map(|r| [1.0, 2.0, f64::from(r.return_number)]).collect();
     batch.content = Content::Points(returns, points);
     batch
 }
 
-fn site(folder: &Path) -> Site {
-    Site {
+fn site(folder: &Path) -> RunContext {
+    RunContext {
         input: "made.sdf".into(),
         stem: "made".into(),
         input_dir: folder.into(),
@@ -65,7 +65,7 @@ fn site(folder: &Path) -> Site {
 }
 
 /// Runs the stage; its files do not yet have their final names.
-fn run(keys: &WriteLas, site: &Site, lines: &[Batch]) -> Context {
+fn run(keys: &WriteLas, site: &RunContext, lines: &[ScanLine]) -> Context {
     let mut cx = Context::default();
     let mut sink = keys.make(site).unwrap();
     lines.iter().for_each(|line| sink.write(line, &mut cx).unwrap());
@@ -74,7 +74,7 @@ fn run(keys: &WriteLas, site: &Site, lines: &[Batch]) -> Context {
 }
 
 /// The file written for these lines, and the notes of the stage.
-fn write(keys: &WriteLas, lines: &[Batch]) -> (Vec<u8>, Vec<String>) {
+fn write(keys: &WriteLas, lines: &[ScanLine]) -> (Vec<u8>, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     let site = site(folder.path());
     let mut cx = run(keys, &site, lines);
@@ -230,7 +230,7 @@ fn points_never_stand_beside_what_belongs_to_others() {
         WriteLas { wave_packets: WavePacketsKey::External, index: IndexKey::File, ..keys("*.las") };
     let names = ["made.wdp", "made.las", "made.lax"];
     names.iter().for_each(|name| std::fs::write(folder.path().join(name), b"old").unwrap());
-    let line = Batch { waveforms: Some(Blocks::default()), ..line(info(None), vec![found(1)]) };
+    let line = ScanLine { waveforms: Some(Blocks::default()), ..line(info(None), vec![found(1)]) };
     let mut cx = run(&external, &site(folder.path()), &[line]);
     // State of each file: o is old, n new, - missing.
     let state = || {

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use crate::batch::{Batch, Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel};
+use crate::batch::{ScanLine, Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel};
 use crate::formats::Error;
 use crate::formats::las::{Descriptor, Packet, PacketWriter, Wave};
 use crate::geo::frames::Vector;
 use crate::geometry::Geometry;
-use crate::stage::{OutputFile, Result, StageError, WholeFile};
+use crate::stage::{OutputFile, Result, StageError, FinishedFile};
 
 /// Length over which beams are treated as straight in any projection, m.
 const BEAM_M: f64 = 10.0;
@@ -31,7 +31,7 @@ impl Waves {
     }
 
     /// Returns the recorded blocks of a line.
-    pub(super) fn begin_line<'a>(&mut self, batch: &'a Batch) -> Result<&'a Blocks> {
+    pub(super) fn begin_line<'a>(&mut self, batch: &'a ScanLine) -> Result<&'a Blocks> {
         let Some(blocks) = &batch.waveforms else {
             return Err(StageError::failed(
                 "the line has no waveforms",
@@ -44,7 +44,7 @@ impl Waves {
     }
 
     /// The waveform of a return at `point`; written with the first return that uses it.
-    pub(super) fn of(&mut self, batch: &Batch, blocks: &Blocks, r: &Return, point: Vector) -> Result<Wave> {
+    pub(super) fn of(&mut self, batch: &ScanLine, blocks: &Blocks, r: &Return, point: Vector) -> Result<Wave> {
         let emission = &batch.emissions[r.emission as usize];
         let time_ns = emission.emission_ns + r.time_of_flight_ns;
         let Some((index, block)) = block_of(blocks, r, time_ns) else { return Ok(Wave::default()) };
@@ -88,14 +88,14 @@ impl Waves {
     }
 
     /// Completes the packet file; returns it with its descriptors.
-    pub(super) fn finish(self) -> Result<(WholeFile, Vec<Descriptor>)> {
+    pub(super) fn finish(self) -> Result<(FinishedFile, Vec<Descriptor>)> {
         let (file, kinds) = self.packets.finish()?;
         Ok((file.finish()?, kinds))
     }
 }
 
 /// Opens the packets, to be copied into another file.
-pub(super) fn open(packets: &WholeFile) -> Result<std::fs::File> {
+pub(super) fn open(packets: &FinishedFile) -> Result<std::fs::File> {
     Ok(packets.open().map_err(Error::io(packets.path(), "read the waveform packets"))?)
 }
 

@@ -98,7 +98,7 @@ fn found(emission: u32, value: f64) -> Return {
 }
 
 /// A line of three emissions from `shot` on, with three returns and optional coordinates.
-fn line(shot: u64, with_points: bool) -> Batch {
+fn line(shot: u64, with_points: bool) -> ScanLine {
     let emissions = (shot..shot + 3).map(emission).collect();
     let mut returns = vec![found(0, 1000.0), found(1, 2000.0), found(1, 3000.5)];
     returns[1].channel = ReturnChannel::High;
@@ -106,7 +106,7 @@ fn line(shot: u64, with_points: bool) -> Batch {
     returns[2].channel = ReturnChannel::Joint;
     returns[2].mta_zone = -1;
     returns[2].total_sd_m = 0.0625;
-    let mut batch = Batch::of_shots(info(), 0, emissions, Blocks::default());
+    let mut batch = ScanLine::of_shots(info(), 0, emissions, Blocks::default());
     batch.content = match with_points {
         true => Content::Points(returns, vec![[1.5, 2.5, 3.5], [4.0, 5.0, 6.0], [7.0, 8.0, -9.125]]),
         false => Content::Returns(returns),
@@ -114,8 +114,8 @@ fn line(shot: u64, with_points: bool) -> Batch {
     batch
 }
 
-fn write(folder: &Path, config: &Config, batches: &[Batch]) -> Context {
-    let site = Site {
+fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
+    let site = RunContext {
         input: "made.sdf".into(),
         stem: "made".into(),
         input_dir: folder.into(),
@@ -217,7 +217,7 @@ fn a_table_without_returns_has_its_columns() {
 fn rows_are_grouped_by_their_number_whatever_the_lines_and_the_bytes_repeat() {
     let emissions: Vec<Emission> = (0..4).map(emission).collect();
     let batch = |n: usize| {
-        let mut batch = Batch::of_shots(info(), 0, emissions.clone(), Blocks::default());
+        let mut batch = ScanLine::of_shots(info(), 0, emissions.clone(), Blocks::default());
         batch.content = Content::Returns((0..n).map(|i| found((i % 4) as u32, 7.0)).collect());
         batch
     };
@@ -227,7 +227,7 @@ fn rows_are_grouped_by_their_number_whatever_the_lines_and_the_bytes_repeat() {
     for (path, name) in [("*.arrow", "made.arrow"), ("*.parquet", "made.parquet"), ("*.csv", "made.csv")] {
         let bytes = cuts.clone().map(|sizes| {
             let folder = tempfile::tempdir().unwrap();
-            let batches: Vec<Batch> = sizes.into_iter().map(batch).collect();
+            let batches: Vec<ScanLine> = sizes.into_iter().map(batch).collect();
             write(folder.path(), &config(path), &batches);
             let path = folder.path().join(name);
             let groups: Vec<usize> = match name {
@@ -295,7 +295,7 @@ fn the_extension_or_the_key_names_the_format() {
 #[test]
 fn shots_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let site = Site {
+    let site = RunContext {
         input: "made.sdf".into(),
         stem: "made".into(),
         input_dir: folder.path().into(),
@@ -305,7 +305,7 @@ fn shots_are_refused() {
         geometry: Default::default(),
     };
     let mut sink = config("*.csv").make(&site).unwrap();
-    let batch = Batch::of_shots(info(), 0, vec![], Blocks::default());
+    let batch = ScanLine::of_shots(info(), 0, vec![], Blocks::default());
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
     assert_eq!(error, "write_table received Shots, but writes Returns or Points; put it after `decompose`");
     drop(sink);

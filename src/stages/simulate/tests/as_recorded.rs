@@ -6,7 +6,7 @@ use super::*;
 use crate::simulation::scene::Class;
 
 /// Times of a line's blocks, ns on the instrument's clock, by channel.
-fn starts_ns(batch: &Batch) -> Vec<(Channel, f64)> {
+fn starts_ns(batch: &ScanLine) -> Vec<(Channel, f64)> {
     let absolute =
         |block: &Block| batch.emissions[block.emission as usize].clock_ps as f64 / 1000.0 + block.start_ns;
     batch.blocks().unwrap().iter().map(|block| (block.channel, absolute(block))).collect()
@@ -66,7 +66,7 @@ fn recorded_and_resolved_are_the_same_flight() {
     let config = Simulate { false_alarm_rate: 0.0, ..rich() };
     let (recorded, resolved) =
         (lines(&Simulate { as_recorded: true, ..config.clone() }, 0..6), lines(&config, 0..6));
-    let rows = |flown: &[(Batch, Vec<TrueReturn>)]| -> BTreeSet<(u64, u64)> {
+    let rows = |flown: &[(ScanLine, Vec<TrueReturn>)]| -> BTreeSet<(u64, u64)> {
         let rows = flown.iter().flat_map(|(_, truth)| truth);
         rows.map(|row| (row.shot, row.range_m.to_bits())).collect()
     };
@@ -74,7 +74,7 @@ fn recorded_and_resolved_are_the_same_flight() {
     let (differ, n) = (a.symmetric_difference(&b).count(), a.len());
     assert!(n > 3000 && differ < n / 200, "{differ} of {n}");
 
-    let blocks = |flown: &[(Batch, Vec<TrueReturn>)]| {
+    let blocks = |flown: &[(ScanLine, Vec<TrueReturn>)]| {
         let mut all: Vec<f64> = Vec::new();
         for (batch, _) in flown {
             let low = starts_ns(batch).into_iter().filter(|block| block.0 == Channel::LowPower);
@@ -98,7 +98,7 @@ fn lines_of_one_shot_are_lines_like_others() {
     let config = Simulate { shots_per_line: 1, lines: 300, as_recorded: true, blind_gap_ns: 0.0, ..rich() };
     let short = lines(&config, 0..300);
     let long = lines(&Simulate { shots_per_line: 1, lines: 300, blind_gap_ns: 0.0, ..rich() }, 0..300);
-    let count = |flown: &[(Batch, Vec<TrueReturn>)]| {
+    let count = |flown: &[(ScanLine, Vec<TrueReturn>)]| {
         let blocks = flown.iter().flat_map(|(batch, _)| batch.blocks().unwrap().iter());
         let echoes = blocks.filter(|block| block.channel == Channel::LowPower).count();
         (echoes, flown.iter().map(|(_, truth)| truth.len()).sum::<usize>())

@@ -8,7 +8,7 @@ use crate::geo::frames::{Attitude, ecef_from_ned, rotate, rotation_of_angles};
 use crate::geo::transverse_mercator::{Parameters, TransverseMercator};
 
 /// Flies to the end and gives the lines, and the files by their names.
-fn flown(config: &Simulate) -> (Vec<Batch>, std::collections::BTreeMap<String, Vec<u8>>) {
+fn flown(config: &Simulate) -> (Vec<ScanLine>, std::collections::BTreeMap<String, Vec<u8>>) {
     let folder = tempfile::tempdir().unwrap();
     let (mut source, mut cx) = (config.make(&site(folder.path())).unwrap(), Context::default());
     let mut batches = Vec::new();
