@@ -12,8 +12,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use made::{Flight, fly, georeference, return_of, site, source};
-use wavex::batch::{ScanLine, Blocks, Content, Return};
-use wavex::geometry::posed::Posed;
+use wavex::batch::{Blocks, Content, Return, ScanLine};
+use wavex::geometry::pose_source::Posed;
 use wavex::stage::{Context, RunContext, Source};
 
 const GOAL_PER_S: f64 = 2e6;

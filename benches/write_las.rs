@@ -14,9 +14,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use laz::{LasZipCompressor, LazVlr, LazVlrBuilder};
-use wavex::batch::{ScanLine, Blocks, Content, InputInfo, Return, TimeScale};
+use wavex::batch::{Blocks, Content, InputInfo, Return, ScanLine, TimeScale};
 use wavex::registry;
-use wavex::stage::{Context, Plan, Sink, RunContext};
+use wavex::stage::{Context, Plan, RunContext, Sink};
 
 const LINES: usize = 250;
 const SHOTS: usize = 2000;

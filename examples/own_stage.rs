@@ -6,7 +6,7 @@
 use anyhow::{Context as _, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{ScanLine, Content, Kind};
+use wavex::batch::{Content, Kind, ScanLine};
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::registry::STAGES;

@@ -6,16 +6,16 @@
 //! gives the formulas.
 
 pub mod calibration;
+mod context;
 pub mod declared;
 pub mod keys;
-mod loaded;
 pub mod mount;
-pub mod posed;
-pub mod poses;
+pub mod output_crs;
+pub mod pose_source;
 pub mod scan_angles;
-pub mod target;
-mod track;
+mod trajectory_file;
+pub mod transform;
 
+pub use context::{Geometry, Loader};
 pub use keys::GeometryKeys;
-pub use loaded::{Geometry, Loader};
-pub use target::check_crs;
+pub use output_crs::check_crs;

@@ -8,7 +8,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{ScanLine, Return};
+use crate::batch::{Return, ScanLine};
 
 mod gallery;
 mod histogram;
@@ -23,7 +23,7 @@ mod zones;
 pub use gallery::{Gallery, ShownKind, ShownReturn, ShownShot};
 pub use histogram::Histogram;
 pub use lines::LineGroups;
-pub use map::{MapPicture, MapLine};
+pub use map::{MapLine, MapPicture};
 pub use png::Picture;
 pub use samples::{PER_SAMPLE, Peak, Samples, ShownBlock};
 pub use view::MapAxes;

@@ -7,25 +7,25 @@ use crate::batch::ScanLine;
 
 mod context;
 mod keys;
+mod lookahead;
 mod output_file;
 mod output_lock;
+mod schema_prose;
 mod site;
 mod spec;
-mod survey;
-mod words;
 
 pub use context::{Context, Counters, Distribution, Item};
 pub use keys::{FileMark, Key, Keys};
+pub use lookahead::Survey;
 pub(crate) use output_file::partial_path;
-pub use output_file::{OutputFile, FinishedFile, remove_unfinished_files};
+pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, give_up_claims};
+pub use schema_prose::{bounds, choices, listed, takes};
 pub use site::{Paths, RunContext, fixed_folder};
 pub use spec::{
     Config, ConfigError, Holds, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
     SourcePlan, StageSpec, TransformConfig,
 };
-pub use survey::Survey;
-pub use words::{bounds, choices, listed, takes};
 
 /// Failure of a stage.
 #[derive(Debug, thiserror::Error)]

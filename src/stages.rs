@@ -1,6 +1,6 @@
 //! Pipeline stages, one file each; `registry.rs` lists them.
 
-mod broken;
+mod bad_records;
 pub mod calibrate;
 mod container_info;
 pub mod correct;
@@ -8,7 +8,7 @@ pub mod decompose;
 pub mod filter_outliers;
 pub mod fuse_channels;
 pub mod georeference;
-mod lines;
+mod line_splitter;
 pub mod read_arrow;
 pub mod read_las;
 pub mod read_pulsewaves;

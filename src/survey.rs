@@ -8,21 +8,21 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::batch::{
-    ScanLine, Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, emission_flags,
+    Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, ScanLine, emission_flags,
 };
 use crate::geo::vertical::down_at;
 
 mod histogram;
 mod intervals;
+mod reservoir;
 mod samples;
 #[cfg(test)]
 mod tests;
-mod thinned;
 
 pub use histogram::Histogram;
 pub use intervals::{Intervals, LongInterval};
+pub use reservoir::Thinned;
 pub use samples::{Peak, Samples, peak_of};
-pub use thinned::Thinned;
 
 /// Maximum number of bins of a histogram.
 const BINS: usize = 400;

@@ -11,12 +11,13 @@ use common::{into, stage};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use wavex::batch::{ScanLine, Blocks, InputInfo, Kind};
+use wavex::batch::{Blocks, InputInfo, Kind, ScanLine};
 use wavex::engine::{self, InputReport};
 use wavex::job::{Job, JobStage};
 use wavex::registry::{self, STAGES};
 use wavex::stage::{
-    Config, Context, Item, Key, Paths, Plan, Result, RoleName, RunContext, Source, SourceConfig, StageSpec, choices,
+    Config, Context, Item, Key, Paths, Plan, Result, RoleName, RunContext, Source, SourceConfig, StageSpec,
+    choices,
 };
 
 /// Name suffixes that identify the unit of a quantity.

@@ -449,8 +449,9 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
     let single = |pair: &agreement::VendorReturn| pair.single;
     let (multi, far) = (agreement::VendorReturn::is_multi, agreement::VendorReturn::is_far);
     let far_for_riegl = |pair: &agreement::VendorReturn| multi(pair) && pair.vendor_separation_ns > 12.0;
-    let spread =
-        |values: &[f64], wanted: &dyn Fn(&agreement::VendorReturn) -> bool| agreement::spread(&of(values, wanted));
+    let spread = |values: &[f64], wanted: &dyn Fn(&agreement::VendorReturn) -> bool| {
+        agreement::spread(&of(values, wanted))
+    };
     for (name, wanted, goals) in [
         ("singles", &single as &dyn Fn(&agreement::VendorReturn) -> bool, "20, 15"),
         ("multi", &multi, "60"),

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::{Failure, terminal};
 use crate::formats::Error;
 use crate::formats::las::{CopcSummary, indexes_beside, write_copc};
-use crate::stage::{OutputFile, OutputLock, Outputs, FinishedFile};
+use crate::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
 
 /// Maximum number of sorted runs, claimed in advance.
 ///

@@ -7,10 +7,10 @@ use std::sync::Arc;
 use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, run, terminal};
-use crate::batch::{ScanLine, Emission, Returns};
+use crate::batch::{Emission, Returns, ScanLine};
 use crate::formats::Error;
 use crate::geometry::Loader;
-use crate::geometry::posed::Posed;
+use crate::geometry::pose_source::Posed;
 use crate::job::{Job, JobStage, Override};
 use crate::kernels::sensor_model::SensorModel;
 use crate::registry::reader_of;

@@ -8,7 +8,7 @@ use crate::engine::{self, Input};
 use crate::formats::Error;
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
-use crate::stage::{Context, OutputFile, Paths, Plan, RunContext, StageError, FinishedFile};
+use crate::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
 use crate::survey::Survey;
 use summary::Summary;
 
@@ -79,7 +79,8 @@ pub(super) fn look_at(
     let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
         return Err(Failure::Run("the job has no source; please report this bug in wavex".into()));
     };
-    let mut source = source.make_survey(&RunContext::alone(file), with_samples).map_err(|error| failed(&error))?;
+    let mut source =
+        source.make_survey(&RunContext::alone(file), with_samples).map_err(|error| failed(&error))?;
     let (mut survey, mut cx) = (Survey::new(with_samples), Context::default());
     let ended = loop {
         match source.next(&mut cx) {

@@ -8,7 +8,7 @@ use crate::formats::Error;
 use crate::formats::trajectory::{self, Angles, Options, Records, Unproject};
 use crate::geo::time_axis::Clock;
 use crate::geo::trajectory::{Accuracy, Trajectory};
-use crate::stage::{OutputFile, FinishedFile};
+use crate::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
 

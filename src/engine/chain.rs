@@ -10,13 +10,13 @@ use super::failure::{Failure, RunError, THREAD_PREFIX, guarded};
 use super::link::{Inlet, Outlet, link};
 use super::meter::Meter;
 use super::report::{InputReport, StageReport, Totals};
-use super::worker::{WorkerContext, Downstream, Gauge, Shared, run_map, run_sink, run_source, run_transform};
+use super::worker::{Downstream, Gauge, Shared, WorkerContext, run_map, run_sink, run_source, run_transform};
 use super::{Cause, Options, Progress};
 use crate::batch::Budget;
-use crate::geometry::posed::Posed;
+use crate::geometry::pose_source::Posed;
 use crate::job::{Job, JobStage};
 use crate::overview::Gallery;
-use crate::stage::{Context, Holds, Plan, Result, RunContext, StageError, FinishedFile};
+use crate::stage::{Context, FinishedFile, Holds, Plan, Result, RunContext, StageError};
 
 /// Results of a stage's workers, one entry per worker.
 type WorkerResult = Mutex<Vec<(Meter, Context)>>;
@@ -179,7 +179,10 @@ fn work(stage: &JobStage, site: &RunContext, inlet: Option<Inlet>, desk: &mut Wo
 }
 
 /// Merges the results of all workers: stage reports, finished files, shots to show.
-fn collect(job: &Job, leavings: Vec<WorkerResult>) -> (Vec<StageReport>, Vec<(String, FinishedFile)>, Gallery) {
+fn collect(
+    job: &Job,
+    leavings: Vec<WorkerResult>,
+) -> (Vec<StageReport>, Vec<(String, FinishedFile)>, Gallery) {
     let mut whole = Vec::new();
     let mut gallery = Gallery::default();
     let mut reports = Vec::new();
@@ -200,7 +203,9 @@ fn collect(job: &Job, leavings: Vec<WorkerResult>) -> (Vec<StageReport>, Vec<(St
 }
 
 /// Gives every finished file its final name, in the order in which stages finished them.
-fn publish(mut whole: Vec<(String, FinishedFile)>) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
+fn publish(
+    mut whole: Vec<(String, FinishedFile)>,
+) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
     for (stage, file) in &mut whole {
         file.make_way().map_err(|error| (stage.clone(), error.into()))?;
     }

@@ -11,7 +11,7 @@ use serde::{Serialize, Serializer};
 
 use super::Options;
 use super::meter::{Meter, Span};
-use crate::batch::{ScanLine, EmissionReference, Frame, InputInfo, TimeScale};
+use crate::batch::{EmissionReference, Frame, InputInfo, ScanLine, TimeScale};
 use crate::geo::time::utc;
 use crate::geo::trajectory::Trajectory;
 use crate::job::{Job, JobSettings, JobStage, Simd};

@@ -8,7 +8,7 @@ use super::failure::Failure;
 use super::link::{Inlet, Outlet};
 use super::meter::Meter;
 use super::report::Totals;
-use crate::batch::{ScanLine, Blocks, Budget, NoRoom};
+use crate::batch::{Blocks, Budget, NoRoom, ScanLine};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 
 /// State shared by the threads of one chain.
@@ -180,7 +180,11 @@ pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut Worke
 }
 
 /// Passes lines to a transform, which emits lines when it is ready.
-pub(super) fn run_transform(mut stage: Box<dyn Transform>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
+pub(super) fn run_transform(
+    mut stage: Box<dyn Transform>,
+    inlet: &mut Inlet,
+    desk: &mut WorkerContext,
+) -> Result<()> {
     let mut place = 0;
     loop {
         let mut next = desk.take(inlet)?;

@@ -23,9 +23,9 @@ mod guard;
 mod header;
 pub mod layout;
 mod line;
+mod location;
 mod lz4;
 mod messages;
-mod place;
 mod reader;
 mod table;
 #[cfg(test)]

@@ -1,10 +1,10 @@
 //! GeoTIFF keys: the CRS of older LAS and PulseWaves files.
 
-mod of_wkt;
+mod from_wkt;
 
 use crate::geo::crs::{GeoKeys, geotiff_keys_of_wkt};
 
-pub use of_wkt::directory_of_wkt;
+pub use from_wkt::directory_of_wkt;
 
 /// Converts WKT 1 or 2 to GeoTIFF keys with units.
 ///

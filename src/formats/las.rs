@@ -15,7 +15,6 @@ mod descriptor;
 mod extra_bytes;
 mod header;
 mod lax;
-mod nearest;
 mod packet_writer;
 mod packets;
 mod point;
@@ -23,6 +22,7 @@ mod point_out;
 mod raw;
 mod reader;
 mod records;
+mod round;
 mod vlr;
 mod writer;
 
@@ -34,12 +34,12 @@ pub use extra_bytes::{
 };
 pub use header::{GpsTime, Header};
 pub use lax::beside as indexes_beside;
-pub(crate) use nearest::nearest;
 pub use packet_writer::{Packet, PacketWriter};
 pub use point::{Point, Wave};
 pub use point_out::PointOut;
 pub use raw::{RawField, RawPoints};
 pub use reader::Reader;
+pub(crate) use round::nearest;
 pub use vlr::Vlr;
 pub use writer::{ExtraColumns, IndexPlace, TOGETHER, Version, WavePlace, Writer, WriterOptions};
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::target::{ANYWHERE, CrsRequest, failed, read_wkt};
+use super::output_crs::{ANYWHERE, CrsRequest, failed, read_wkt};
 use crate::geo::crs::{Crs, CrsError, Named};
 use crate::geo::frames::Vector;
 use crate::stage::Result;

@@ -1,14 +1,14 @@
 //! Scan angles and mirror directions for recordings that lack them.
 //!
 //! The scan angle is that of LAS: off the vertical, across the flight, positive to the right,
-//! including roll. With a trajectory, the heading defines right ([`super::poses::scan_angle_deg`]).
+//! including roll. With a trajectory, the heading defines right ([`super::transform::scan_angle_deg`]).
 //! Otherwise, in a projected CRS or on the earth, the course defines it, which is derived from the
 //! origins of the beams. The mirror direction is the sign of the change of the angle.
 
 use std::collections::VecDeque;
 
-use super::poses::{cross, dot};
-use crate::batch::{ScanLine, Emission, Frame, InputInfo, emission_flags};
+use super::transform::{cross, dot};
+use crate::batch::{Emission, Frame, InputInfo, ScanLine, emission_flags};
 use crate::geo::frames::Vector;
 use crate::geo::vertical::{down_at, main_axis};
 use crate::kernels::sensor_path::{Beam, Window};

@@ -12,16 +12,16 @@
 use super::decompose::DecomposeSettings;
 use super::noise::{ArNoise, fit_by_bic};
 use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
-use first_look::FirstLook;
-use free_samples::Told;
-use survey::Survey;
+use free_samples::NoiseEstimate;
+use initial_estimate::FirstLook;
+use pass_stats::Survey;
 
 mod batches;
-mod first_look;
 mod free_samples;
-mod mirror;
+mod initial_estimate;
 mod noise_statistics;
-mod survey;
+mod pass_stats;
+mod sign_flip;
 #[cfg(test)]
 mod tests;
 mod uncertainty;
@@ -302,7 +302,7 @@ fn better_model(
 /// Estimates background and noise from samples before the first pulse.
 fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &CalibrationSettings) {
     let drift_sd = survey.free.variance_and_drift().1.sqrt();
-    let Told { background_dn, mut autocovariance } = survey.free.told();
+    let NoiseEstimate { background_dn, mut autocovariance } = survey.free.told();
     autocovariance[0] = autocovariance[0].max(QUANTISATION_VARIANCE);
     let noise = fit_by_bic(&autocovariance, survey.free.samples(), settings.max_ar_order);
     model.background_dn = background_dn;

@@ -37,27 +37,27 @@ macro_rules! unrolled {
     };
 }
 
+mod acceptance;
 mod batch;
 mod candidates;
 mod columns;
 mod detection;
 mod filter;
 mod fit;
+mod fit_queue;
 mod fitted;
-mod gate;
-mod jobs;
+mod fourier_response;
+mod initial_guess;
 mod level;
-mod limits;
 mod outcome;
+mod pulse_model;
+mod residual_search;
 mod rows;
-mod scene;
-mod series;
-mod singles;
+mod score_test;
+mod single_pulse;
 mod solve;
-mod start;
 mod tables;
 mod template;
-mod trials;
 mod vector;
 
 #[cfg(test)]
@@ -76,12 +76,12 @@ pub use tables::Tables;
 pub use vector::Path;
 pub(super) use vector::{Kernel, Simd};
 
+use acceptance::Limits;
 use batch::{Decompose, Workspace};
 use detection::Detect;
-use limits::Limits;
 use outcome::{Finish, Give};
+use pulse_model::{Scene, Way};
 use rows::{BATCH, FAST_BATCH};
-use scene::{Scene, Way};
 
 /// Deviation ratio above which a waveform is refined.
 const DEVIANT: f64 = 3.0;

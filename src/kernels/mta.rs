@@ -12,8 +12,8 @@
 mod blocks;
 mod cells;
 mod grid;
-mod held;
 mod joined;
+mod pending;
 mod pulses;
 mod summary;
 #[cfg(test)]
@@ -27,8 +27,8 @@ pub use cells::BAND_LINES;
 pub use summary::{Summary, Warning};
 
 use blocks::Blocks;
-use held::{Held, Places};
 use joined::Joined;
+use pending::{Held, Places};
 use variance::Variance;
 
 /// One emission of a scan line.
@@ -437,7 +437,7 @@ fn fixed(
         let cause = line.pulses.of_shot(last.shot.checked_sub(u64::from(zone)), echo.last);
         (echo.input, line.assigned(echo, cause, f32::INFINITY, cause.is_none(), &last, settings))
     });
-    held::finish(line, assigned, next, settings, summary)
+    pending::finish(line, assigned, next, settings, summary)
 }
 
 /// Checks the preconditions of a line.

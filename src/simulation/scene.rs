@@ -4,16 +4,16 @@
 
 mod building;
 mod canopy;
-mod country;
+mod landscape;
 mod terrain;
 mod texture;
 mod wires;
 
-pub use country::CountrySettings;
+pub use landscape::CountrySettings;
 
 use building::{Building, Materials};
 use canopy::Canopy;
-use country::Country;
+use landscape::Country;
 use texture::Texture;
 
 use super::world::GROUND_HEIGHT_M;

@@ -8,7 +8,7 @@ use schemars::{Schema, SchemaGenerator};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::words;
+use super::schema_prose;
 
 /// The keys of a stage, or of the table `[job]`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -88,7 +88,7 @@ impl<'k> Key<'k> {
 
     /// Description of accepted values: `a number, at least 0.5`.
     pub fn takes(&self) -> String {
-        words::takes(self.schema)
+        schema_prose::takes(self.schema)
     }
 
     /// File that the key's text names, if declared.

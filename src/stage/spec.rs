@@ -6,7 +6,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Keys, Map, Paths, Result, Sink, RunContext, Source, Transform};
+use super::{Keys, Map, Paths, Result, RunContext, Sink, Source, Transform};
 use crate::batch::Kind;
 
 /// Keys of a stage.

@@ -7,15 +7,15 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{ScanLine, Channel, InputInfo, Kind};
+use crate::batch::{Channel, InputInfo, Kind, ScanLine};
 use crate::formats::Error;
 use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
 use crate::kernels::gain::calibrate_at_unit_gain;
 use crate::kernels::response_calibrate::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
 use crate::kernels::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey, Transform,
-    TransformConfig,
+    Config, Holds, InvalidKey, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey,
+    Transform, TransformConfig,
 };
 pub use presets::Preset;
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{ScanLine, Blocks, Content, Emission, Kind, LineStats, Return, Returns};
+use crate::batch::{Blocks, Content, Emission, Kind, LineStats, Return, Returns, ScanLine};
 use crate::kernels::fusion::ChannelFusion;
 use crate::kernels::lockstep::Path;
 use crate::kernels::sensor_model::SensorModel;
@@ -13,21 +13,21 @@ use crate::overview::{Gallery, ShownReturn, ShownShot};
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 
 mod at_gains;
-mod both;
 mod crosstalk;
-mod found;
+mod dual_channel;
+mod echo;
+mod observer;
 mod online;
 mod receivers;
-mod seen;
 mod shots;
 
 use receivers::SharedTables;
 
 pub use online::OnlinePoints;
 
+pub(crate) use observer::{Seen, SeenBlock, SeenPulse};
 pub(crate) use receivers::SensorTables;
-pub(crate) use seen::{Seen, SeenBlock, SeenPulse};
-pub(crate) use shots::{BlockFit, Line, Shot, ShotDecomposer, Observer};
+pub(crate) use shots::{BlockFit, Line, Observer, Shot, ShotDecomposer};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Shots], Some(Kind::Returns))

@@ -3,15 +3,15 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{ScanLine, Kind};
+use crate::batch::{Kind, ScanLine};
 use crate::stage::{Config, InvalidKey, Output, Result, RunContext, StageSpec, Transform, TransformConfig};
 
 mod geometry;
-mod strip;
+mod line_window;
 #[cfg(test)]
 mod tests;
 
-use strip::Strip;
+use line_window::Strip;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outliers", &[Kind::Returns]);

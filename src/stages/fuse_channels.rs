@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::AutoOrNumber;
-use crate::batch::{ScanLine, Block, Blocks, Channel, Content, Kind};
+use crate::batch::{Block, Blocks, Channel, Content, Kind, ScanLine};
 use crate::kernels::decompose::OVERDRIVEN_PART;
 use crate::kernels::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
 use crate::stage::{

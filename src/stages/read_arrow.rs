@@ -7,16 +7,18 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{channel_of, info_of};
-use super::lines::Sampling;
+use super::line_splitter::Sampling;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    ScanLine, Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE,
-    OnlineReturn,
+    Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
+    ScanLine,
 };
 use crate::formats::container::{
     self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
 };
-use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Shots);

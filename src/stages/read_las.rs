@@ -9,17 +9,19 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::broken::BrokenRun;
-use super::lines::{Lines, Sampling};
+use super::bad_records::BrokenRun;
+use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    ScanLine, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn,
+    Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn, ScanLine,
     TimeScale, emission_flags,
 };
 use crate::formats::geokeys;
 use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
 use crate::geo::beam_length::BeamLength;
-use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 use pulse::same_pulse;
 
 /// Registry entry of the stage.

@@ -7,17 +7,19 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::broken::BrokenRun;
-use super::lines::{Lines, Sampling};
+use super::bad_records::BrokenRun;
+use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::batch::{
-    AmplitudeTable, ScanLine, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
+    AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
     TimeScale, emission_flags,
 };
 use crate::formats::geokeys;
 use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
 use crate::geo::beam_length::BeamLength;
-use crate::stage::{Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);

@@ -7,14 +7,16 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::lines::{Lines, check_odd_sample_shift};
+use super::line_splitter::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
 use super::recording::{self, NO_TIME, with_time_keys};
 use crate::batch::{
-    AmplitudeTable, ScanLine, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind,
+    AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
 };
 use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
-use crate::stage::{self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 
 mod shot;
 

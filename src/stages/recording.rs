@@ -6,7 +6,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{ScanLine, Content, Emission, Frame, GainControl, InputInfo};
+use crate::batch::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
 use crate::geo::time::WEEK_S;
 use crate::geometry::declared;
 use crate::stage::{Context, InvalidKey, Item, Result, RunContext, Source, StageError};

@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
-use crate::batch::{ScanLine, Kind};
+use crate::batch::{Kind, ScanLine};
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry;
 use crate::kernels::mta::{Method, MtaError, Prior, Settings};
@@ -17,12 +17,12 @@ use crate::stage::{
 
 mod echoes;
 mod geometry;
-mod strip;
+mod line_window;
 mod summary;
 #[cfg(test)]
 mod tests;
 
-use strip::Strip;
+use line_window::Strip;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<ResolveMta>("resolve_mta", &[Kind::Shots]);

@@ -1,12 +1,12 @@
 //! The stage `simulate`: a flight over a scene with known truth.
 
-use crate::batch::{ScanLine, Kind};
+use crate::batch::{Kind, ScanLine};
 use crate::stage::{Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 
-mod as_recorded;
 mod config;
 mod files;
 mod flight;
+mod mta_ordering;
 #[cfg(test)]
 mod tests;
 

@@ -7,12 +7,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{code_of, header_of};
-use crate::batch::{ScanLine, Block, Blocks, Emission, InputInfo, Kind};
+use crate::batch::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
 use crate::formats::container::{
     self, ContainerBlock, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
 };
 use crate::stage::{
-    self, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, RunContext, StageError, StageSpec,
+    self, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 
 /// Registry entry of the stage.

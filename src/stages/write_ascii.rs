@@ -6,9 +6,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::write_las::{AttributeLayout, WriteLas, offsets, point};
-use crate::batch::{ScanLine, InputInfo, Kind};
+use crate::batch::{InputInfo, Kind, ScanLine};
 use crate::formats::Error;
-use crate::stage::{Config, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, RunContext, StageSpec};
+use crate::stage::{
+    Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
+};
 
 mod columns;
 mod steps;

@@ -12,13 +12,16 @@ use std::sync::{Arc, OnceLock};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{ScanLine, Emission, Frame, GainControl, InputInfo, Kind, Return, TimeScale, emission_flags};
+use crate::batch::{
+    Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
+};
 use crate::formats::Error;
 use crate::formats::geokeys;
 use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
 use crate::geo::time::{adjusted_gps_time, day_of_year};
 use crate::stage::{
-    Config, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, RunContext, StageError, StageSpec,
+    Config, Context, InvalidKey, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError,
+    StageSpec,
 };
 use attributes::Attributes;
 use files::Files;

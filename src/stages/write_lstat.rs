@@ -6,10 +6,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::batch::{ScanLine, Kind, LineStats, Return, flags};
+use crate::batch::{Kind, LineStats, Return, ScanLine, flags};
 use crate::formats::Error;
 use crate::geo::time::adjusted_gps_time;
-use crate::stage::{Config, Context, OutputFile, Result, Sink, SinkConfig, RunContext, StageSpec};
+use crate::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =

@@ -4,9 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::time_scale_of;
-use crate::batch::{ScanLine, Kind, TimeScale};
+use crate::batch::{Kind, ScanLine, TimeScale};
 use crate::stage::{
-    self, Context, InvalidKey, Item, OutputFile, Result, Sink, SinkConfig, RunContext, StageError, StageSpec,
+    self, Context, InvalidKey, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 
 mod columns;

@@ -6,19 +6,21 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{ScanLine, Emission, Frame, InputInfo, Kind};
+use crate::batch::{Emission, Frame, InputInfo, Kind, ScanLine};
 use crate::formats::Error;
 use crate::geo::ellipsoid::WGS84;
 use crate::geo::frames::{Attitude, ecef_from_ned, inverse, then};
 use crate::geo::time::adjusted_gps_time;
 use crate::geometry::Geometry;
-use crate::stage::{Config, Context, InvalidKey, OutputFile, Result, Sink, SinkConfig, RunContext, StageSpec};
+use crate::stage::{
+    Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
+};
 
-mod met;
-mod pace;
+mod beam_intersection;
+mod decimation;
 
-use met::Met;
-use pace::Pace;
+use beam_intersection::Met;
+use decimation::Pace;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =
@@ -92,7 +94,7 @@ impl Config for WriteTrajectory {
 
     fn spell_out(&mut self) {
         if self.every.is_none() {
-            self.interval_s.get_or_insert(pace::INTERVAL_S);
+            self.interval_s.get_or_insert(decimation::INTERVAL_S);
         }
     }
 }

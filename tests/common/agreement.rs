@@ -151,7 +151,11 @@ pub fn pulses(vendor: &Table, ours: &Table) -> Vec<Pulse> {
 /// The trend is a cubic in the logarithm of the amplitude (receiver tables are in dB), weighted by
 /// the standard deviations. Each tenth of the pulses is corrected with the trend of the others;
 /// `tenth_of` gives the tenth of a pulse.
-pub fn without_trend(pairs: &[VendorReturn], differences: &[f64], tenth_of: impl Fn(usize) -> usize) -> Vec<f64> {
+pub fn without_trend(
+    pairs: &[VendorReturn],
+    differences: &[f64],
+    tenth_of: impl Fn(usize) -> usize,
+) -> Vec<f64> {
     let points: Vec<Point> = pairs
         .iter()
         .zip(differences)

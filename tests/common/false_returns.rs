@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use wavex::batch::{ScanLine, Content, Return};
+use wavex::batch::{Content, Return, ScanLine};
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::registry;
@@ -182,7 +182,8 @@ pub fn found(emission: u32, return_number: u8, number_of_returns: u8, range_m: f
 
 /// Copies a line for a second filter.
 pub fn copy(line: &ScanLine) -> ScanLine {
-    let mut copy = ScanLine::of_shots(line.input.clone(), line.line, line.emissions.clone(), Default::default());
+    let mut copy =
+        ScanLine::of_shots(line.input.clone(), line.line, line.emissions.clone(), Default::default());
     copy.stats = line.stats.clone();
     copy.content = Content::Returns(line.returns().expect("returns").clone());
     copy

@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{ScanLine, Blocks, Channel, Emission, Frame, InputInfo, Kind};
+use wavex::batch::{Blocks, Channel, Emission, Frame, InputInfo, Kind, ScanLine};
 use wavex::engine::Options;
 use wavex::job::{Job, JobStage};
 use wavex::stage::{
-    Config, Context, Item, Map, MapConfig, Output, Paths, Result, Sink, SinkConfig, RunContext, Source,
+    Config, Context, Item, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
     SourceConfig, StageError, StageSpec, Transform, TransformConfig,
 };
 

@@ -18,7 +18,7 @@ use common::{into, job};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{ScanLine, Blocks, Channel, Emission, EmissionReference, InputInfo, Kind};
+use wavex::batch::{Blocks, Channel, Emission, EmissionReference, InputInfo, Kind, ScanLine};
 use wavex::engine::{self, InputReport};
 use wavex::registry;
 use wavex::simulation::pulse::Shape;

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use wavex::batch::{ScanLine, Content, Emission, Frame, InputInfo, LineStats, Return, TimeScale};
+use wavex::batch::{Content, Emission, Frame, InputInfo, LineStats, Return, ScanLine, TimeScale};
 use wavex::engine::{self, Options, RunReport};
 use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex::geo::frames::{IDENTITY, Rotation, rotate};
-use wavex::geometry::posed::Posed;
+use wavex::geometry::pose_source::Posed;
 use wavex::geometry::{GeometryKeys, Loader};
 use wavex::job::Job;
 use wavex::kernels::lockstep;

@@ -3,9 +3,9 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{ScanLine, Kind};
+use wavex::batch::{Kind, ScanLine};
 use wavex::stage::{
-    Config, Context, InvalidKey, Map, MapConfig, Output, Paths, Result, Sink, SinkConfig, RunContext, Source,
+    Config, Context, InvalidKey, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
     SourceConfig, StageSpec, Transform, TransformConfig,
 };
 

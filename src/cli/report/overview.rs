@@ -2,7 +2,7 @@
 
 use super::plot::{Plot, WIDTH, decades, label, short, ticks};
 use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::overview::{Histogram, LineGroups, MapAxes, MapPicture, Picture, MapLine, ZoneCloud, ZoneClouds};
+use crate::overview::{Histogram, LineGroups, MapAxes, MapLine, MapPicture, Picture, ZoneCloud, ZoneClouds};
 
 /// Draws waveforms, returns and points per scan line; `None` without lines.
 pub(super) fn along(groups: &LineGroups) -> Option<String> {

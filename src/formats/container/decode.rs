@@ -10,8 +10,8 @@ use arrow_ipc::reader::read_record_batch;
 use arrow_ipc::{Endianness, Field as FbField, MessageHeader, MetadataVersion, root_as_message};
 use arrow_schema::{DataType, Field, FieldRef, Schema, SchemaRef};
 
+use super::location::{DAMAGED, Place};
 use super::messages::{Message, first_line};
-use super::place::{DAMAGED, Place};
 use super::unpack::{Found, Unpacker};
 use super::{ContainerLine, guard};
 use crate::formats::Result;

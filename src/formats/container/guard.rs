@@ -12,7 +12,7 @@ use arrow_ipc::{CompressionType, FieldNode, MetadataVersion, RecordBatch};
 use arrow_schema::{DataType, Field, Schema, UnionMode};
 
 use super::MAX_BATCH_BYTES;
-use super::place::{DAMAGED, Place};
+use super::location::{DAMAGED, Place};
 use super::unpack::Found;
 use crate::formats::{Error, Result};
 

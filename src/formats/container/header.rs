@@ -4,7 +4,7 @@ use arrow_schema::Metadata;
 use serde::{Deserialize, Serialize};
 
 use super::layout::KEYS;
-use super::place::Place;
+use super::location::Place;
 use super::{VERSION, layout};
 use crate::formats::{Error, Result};
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use arrow_schema::{DataType, Field, Fields, Metadata, Schema};
 use serde_json::{Value, json};
 
-use super::place::Place;
+use super::location::Place;
 use crate::formats::Result;
 
 /// A column, or a field of a column that is a list of structs.

@@ -12,7 +12,7 @@ use arrow_array::{
 };
 
 use super::layout::GAIN;
-use super::place::{DAMAGED, Place};
+use super::location::{DAMAGED, Place};
 use crate::formats::Result;
 
 /// One row: a shot without its blocks.

@@ -12,7 +12,7 @@ use arrow_ipc::{Block, Footer, MessageHeader, root_as_footer, root_as_message};
 use arrow_schema::Schema;
 
 use super::decode::schema_of;
-use super::place::{CUT_OFF, DAMAGED, Place};
+use super::location::{CUT_OFF, DAMAGED, Place};
 use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES};
 use crate::formats::{Error, Result};
 

@@ -4,8 +4,8 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::decode::Decoder;
+use super::location::Place;
 use super::messages::Messages;
-use super::place::Place;
 use super::{ContainerHeader, ContainerLine, layout};
 use crate::formats::Result;
 

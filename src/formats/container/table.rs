@@ -6,8 +6,8 @@ use arrow_array::RecordBatch;
 use arrow_schema::Schema;
 
 use super::decode::Decoder;
+use super::location::Place;
 use super::messages::Messages;
-use super::place::Place;
 use crate::formats::Result;
 
 /// Reader of an Arrow file or stream with any columns, one record batch at a time.

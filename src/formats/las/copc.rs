@@ -10,9 +10,9 @@
 //! are sorted in runs that the caller stores, and nodes are written as soon as they are complete.
 
 mod cube;
+mod header;
 mod octree;
 mod sort;
-mod start;
 
 use std::io::{self, Cursor, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -28,9 +28,9 @@ use super::vlr::{SPEC, Vlr, WAVEFORM_PACKETS};
 use super::{descriptor::FIRST_DESCRIPTOR, lax};
 use crate::formats::{Error, Result};
 use cube::Cube;
+use header::{Entry, Start};
 use octree::{Node, Octree};
 use sort::Sorter;
-use start::{Entry, Start};
 
 pub use sort::Keep;
 
@@ -316,7 +316,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         let failed = Error::io(self.path, "write");
         self.table.write_to(&mut self.sink, &self.laz).map_err(&failed)?;
         let evlrs_at = self.sink.stream_position().map_err(&failed)?;
-        let hierarchy = start::hierarchy(evlrs_at, &self.entries);
+        let hierarchy = header::hierarchy(evlrs_at, &self.entries);
         let before = self.start.before_points(self.path, Some((cube, &hierarchy)))?;
         let mut write = || {
             self.sink.write_all(&hierarchy.record)?;

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use super::nearest::nearest;
+use super::round::nearest;
 use super::vlr::Vlr;
 use crate::formats::Result;
 use crate::formats::bytes::Fields;

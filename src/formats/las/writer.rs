@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 
 use super::descriptor::Descriptor;
 use super::lax::Lax;
-use super::nearest::nearest;
 use super::point::Layout;
 use super::point_out::PointOut;
+use super::round::nearest;
 use crate::formats::{Error, Result};
 use compression::Compression;
 use header::{Shape, Totals};

@@ -1,7 +1,7 @@
 //! Background and noise from samples free of pulses, and their uncertainty.
 
-use super::mirror::{Lean, Mirror, part_left};
 use super::noise_statistics::NoiseStatistics;
+use super::sign_flip::{Lean, Mirror, part_left};
 use super::{GROUPS, QUANTISATION_VARIANCE, jackknife_sd};
 use crate::kernels::sensor_model::{Background, ChannelModel, ModelError, ModelUncertainty};
 
@@ -132,9 +132,11 @@ impl FreeSamples {
     /// Changes along the recording count as well as chance.
     pub(super) fn uncertainty(&self) -> ModelUncertainty {
         let seen = (0..self.groups.len()).filter(|&i| self.groups[i].all.samples() > 0);
-        let without: Vec<NoiseEstimate> = seen.map(|i| self.sums_but(Some(i)).told(self.background)).collect();
-        let spread =
-            |value: &dyn Fn(&NoiseEstimate) -> f64| jackknife_sd(&without.iter().map(value).collect::<Vec<_>>());
+        let without: Vec<NoiseEstimate> =
+            seen.map(|i| self.sums_but(Some(i)).told(self.background)).collect();
+        let spread = |value: &dyn Fn(&NoiseEstimate) -> f64| {
+            jackknife_sd(&without.iter().map(value).collect::<Vec<_>>())
+        };
         let of_phases: f64 = (0..4).map(|phase| spread(&|told| told.background_dn[phase]).powi(2)).sum();
         let lags = without.iter().map(|told| told.autocovariance.len()).min().unwrap_or(1);
         let variance = |told: &NoiseEstimate| told.autocovariance[0].max(QUANTISATION_VARIANCE);

@@ -1,6 +1,6 @@
 //! Uncertainty of a model from the amount of data.
 
-use super::survey::Survey;
+use super::pass_stats::Survey;
 use crate::kernels::sensor_model::{ChannelModel, ModelUncertainty};
 
 /// SD of the median of normal values, times the root of the count, in their SD: `√(π/2)`.

@@ -1,21 +1,21 @@
 //! Processes a batch of waveforms from samples to fitted pulses.
 
 use super::Mode;
+use super::acceptance::Limits;
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::detection::{Begin, ByCount, DetectAll};
 use super::filter::HIGHEST;
 use super::fit::Job;
+use super::fit_queue::{Aim, Queues, Results, add, take_off};
 use super::fitted::FittedPulse;
-use super::jobs::{Aim, Queues, Results, add, take_off};
+use super::initial_guess::{ClearForStep, FromBank, OneStep};
 use super::level::{SetLevels, widen};
-use super::limits::Limits;
+use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
+use super::residual_search::Trial;
 use super::rows::{BATCH, EMPTY, FAST_BATCH, Rows};
-use super::scene::{MAX_CLUSTER, MAX_PULSES, Pulse, Scene, Way};
-use super::singles::FitSingles;
-use super::start::{ClearForStep, FromBank, OneStep};
+use super::single_pulse::FitSingles;
 use super::tables::Tables;
-use super::trials::Trial;
 use super::vector::{Kernel, LANES, Processor, Simd};
 use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::{DecomposeSettings, Decomposer};

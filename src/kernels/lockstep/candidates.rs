@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::columns::Columns;
-use super::scene::MAX_PULSES;
+use super::pulse_model::MAX_PULSES;
 use super::vector::Simd;
 use crate::kernels::rules::{DIP_PART, TOLD_WIDTHS};
 

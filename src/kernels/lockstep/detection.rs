@@ -1,10 +1,10 @@
 //! Detection of sixteen waveforms at a time, from samples to initial pulse models.
 
+use super::acceptance::Limits;
 use super::candidates::Candidates;
 use super::columns::Columns;
-use super::limits::Limits;
+use super::pulse_model::{MAX_PULSES, Pulse, Scene};
 use super::rows::{BATCH, Rows};
-use super::scene::{MAX_PULSES, Pulse, Scene};
 use super::tables::Tables;
 use super::vector::{Kernel, LANES, Simd};
 use crate::kernels::calibrate::Block;

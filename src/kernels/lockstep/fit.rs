@@ -1,7 +1,7 @@
 //! Joint Levenberg-Marquardt fits of one to three pulses, on sixteen rows at a time.
 
+use super::fit_queue::Aim;
 use super::fitted::{Fitted, FittedLanes, FittedPulse, Values};
-use super::jobs::Aim;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::{Factors, factor};
 use super::tables::{ROW, Tables, U_MAX};

@@ -12,10 +12,10 @@
 //! Here `q` is the precision of the prior on the level `β`, and `r` is the residual.
 
 use super::filter::Filter;
+use super::fit_queue::add_pulse;
 use super::fitted::Values;
-use super::jobs::add_pulse;
+use super::pulse_model::{Pulse, Scene, Way};
 use super::rows::{EMPTY, Rows};
-use super::scene::{Pulse, Scene, Way};
 use super::tables::{MAX_ORDER, Tables, U_MAX, U_MIN};
 use super::template::Site;
 use super::vector::{Kernel, LANES, Simd, Sixteen};

@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::limits::Limits;
-use super::scene::{Pulse, Scene, Way};
+use super::acceptance::Limits;
+use super::pulse_model::{Pulse, Scene, Way};
 use super::vector::{Kernel, Simd};
 use crate::kernels::calibrate::Block;
 use crate::kernels::decompose::{Decomposer, Decomposition, Return, truncation_flag};

@@ -1,8 +1,8 @@
 //! Lookup tables: whitened templates by height, width and phase, inverse Fisher matrices, filters.
 
 use super::filter::Filter;
+use super::fourier_response::{Series, Widened};
 use super::level::LevelTables;
-use super::series::{Series, Widened};
 use super::vector::LANES;
 use crate::kernels::gauss_fit::FOUR_LN_2;
 use crate::kernels::noise::ArNoise;

@@ -287,7 +287,7 @@ fn pulses_are_those_of_the_plain_templates() {
         let on = Path::best().processor();
         rows.begin(0, SAMPLES);
         let before = rows.residual_row(0).to_vec();
-        jobs::add(on, &tables, &mut rows, 0, values, 1.0);
+        fit_queue::add(on, &tables, &mut rows, 0, values, 1.0);
         let mut exact = vec![0.0; SAMPLES];
         shape.add(
             &pulse(f64::from(values[0]), f64::from(values[1]), f64::from(values[2]).exp()),
@@ -351,7 +351,12 @@ fn the_score_of_one_pulse_is_that_of_noise() {
         let pulses: Vec<_> = found.map(|(row, scene)| (row, scene.pulses()[0])).collect();
         let mut out = Vec::new();
         let rows = &kernels.work.rows;
-        Path::best().processor().run(gate::Scores { tables: &tables, rows, pulses: &pulses, out: &mut out });
+        Path::best().processor().run(score_test::Scores {
+            tables: &tables,
+            rows,
+            pulses: &pulses,
+            out: &mut out,
+        });
         scores.extend(out.iter().map(|score| score.0));
     }
     let mean = scores.iter().sum::<f32>() / scores.len() as f32;

@@ -5,7 +5,7 @@
 use std::collections::VecDeque;
 
 use super::cells::{BAND_LINES, Band, Cell, Slope};
-use super::held::{self, Held, HeldEcho};
+use super::pending::{self, Held, HeldEcho};
 use super::summary::Summary;
 use super::{MtaError, Prior, Resolved, Settings, grid};
 
@@ -141,7 +141,7 @@ impl Blocks {
                     line.assigned(echo, found.cause, found.margin_nats, uncertain, &last, &self.settings),
                 )
             });
-            ready.push_back(held::finish(line, assigned, next, &self.settings, summary));
+            ready.push_back(pending::finish(line, assigned, next, &self.settings, summary));
         }
         summary.check_clock(&self.settings)?;
         self.lines.drain(..lines);

@@ -5,7 +5,7 @@
 //! therefore found first, and zones are counted from it. Each cell then has one unknown: the zone
 //! of its surface.
 
-use super::held::{Held, HeldEcho};
+use super::pending::{Held, HeldEcho};
 use super::{Prior, Settings};
 
 /// Number of scan lines in a band.

@@ -12,7 +12,7 @@
 
 use std::collections::VecDeque;
 
-use super::held::{self, Held, HeldEcho};
+use super::pending::{self, Held, HeldEcho};
 use super::summary::Summary;
 use super::{MtaError, Prior, Resolved, Settings};
 
@@ -214,7 +214,7 @@ impl Variance {
             let uncertain = place.is_none() || margin < LEAST_MARGIN_NATS;
             (echo.input, line.assigned(echo, place, margin, uncertain, &last, &self.settings))
         });
-        ready.push_back(held::finish(&line, assigned, next, &self.settings, summary));
+        ready.push_back(pending::finish(&line, assigned, next, &self.settings, summary));
         Ok(())
     }
 }

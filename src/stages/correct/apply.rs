@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::tables::{Both, Sources, receiver_of, told_by_fusion_s};
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
-use crate::batch::{ScanLine, Emission, InputInfo, LineStats, Return, ReturnChannel, flags};
+use crate::batch::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
 use crate::formats::lookup_tables::LookupTables;
 use crate::geo::vertical::down_at;
 use crate::kernels::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};

@@ -1,7 +1,7 @@
 //! Correction of widths for amplitude.
 
 use super::WidthKey;
-use crate::batch::{ScanLine, Return, ReturnChannel, flags};
+use crate::batch::{Return, ReturnChannel, ScanLine, flags};
 use crate::kernels::width_by_amplitude::{Node, Pulse, width_by_amplitude};
 use crate::stage::{Context, InvalidKey};
 

@@ -1,6 +1,6 @@
 //! Cross-talk from the emission of one shot into the block of another.
 
-use super::found::Found;
+use super::echo::Found;
 use super::shots::Shot;
 use crate::batch::{Block, Emission, flags};
 

@@ -3,9 +3,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::found::UNRELIABLE_RANGE_SD_M;
+use super::echo::UNRELIABLE_RANGE_SD_M;
 use crate::batch::{
-    ScanLine, Block, Blocks, Channel, Emission, EmissionReference, InputInfo, OnlineReturn, Return, Returns,
+    Block, Blocks, Channel, Emission, EmissionReference, InputInfo, OnlineReturn, Return, Returns, ScanLine,
     flags,
 };
 use crate::kernels::sensor_model::SensorModel;

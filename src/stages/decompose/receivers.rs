@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use super::at_gains::{AtGains, ByGain};
-use super::both::BothReceivers;
+use super::dual_channel::BothReceivers;
 use super::shots::Shot;
 use super::{Decompose, Mode};
 use crate::batch::{Block, Channel, ReturnChannel};
@@ -332,7 +332,9 @@ impl Receivers {
         let (receiver, channel, level, number) = match lot {
             BlockRoute::Low(level, number) => (&self.low, ReturnChannel::Low, level, number),
             BlockRoute::High(level, number) => (&self.high, ReturnChannel::High, level, number),
-            BlockRoute::Outgoing(..) | BlockRoute::Unused(_) | BlockRoute::Covered | BlockRoute::Other => return None,
+            BlockRoute::Outgoing(..) | BlockRoute::Unused(_) | BlockRoute::Covered | BlockRoute::Other => {
+                return None;
+            }
         };
         let receiver = receiver.as_ref()?.get(level)?;
         Some((channel, receiver.outcomes.get(number)?, receiver.kernels.model()))
@@ -347,7 +349,11 @@ impl Receivers {
 }
 
 /// Routes a block of echoes to its receiver, if calibrated.
-fn echoes(receiver: &Option<AtGains<Receiver>>, block: &Block, lot: impl FnOnce() -> BlockRoute) -> BlockRoute {
+fn echoes(
+    receiver: &Option<AtGains<Receiver>>,
+    block: &Block,
+    lot: impl FnOnce() -> BlockRoute,
+) -> BlockRoute {
     match receiver {
         None => BlockRoute::Unused("its receiver is not in the sensor model"),
         Some(_) if block.is_empty() => BlockRoute::Unused("a block without samples"),

@@ -1,9 +1,9 @@
 //! Converts the results of the receivers to returns, shot by shot.
 
 use super::Decompose;
-use super::both::BothReceivers;
 use super::crosstalk::Departures;
-use super::found::{Found, UNRELIABLE_RANGE_SD_M};
+use super::dual_channel::BothReceivers;
+use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
 use super::online::unresolved;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
 use crate::batch::{
@@ -312,7 +312,13 @@ impl ShotDecomposer {
         Ok(())
     }
 
-    fn shot(&mut self, turn: &CurrentShot, line: &mut Line, cx: &mut Context, watch: &mut impl Observer) -> Result<()> {
+    fn shot(
+        &mut self,
+        turn: &CurrentShot,
+        line: &mut Line,
+        cx: &mut Context,
+        watch: &mut impl Observer,
+    ) -> Result<()> {
         let shot = turn.shot;
         let departure = self.departure(turn, cx, watch);
         let others =
@@ -345,7 +351,12 @@ impl ShotDecomposer {
     }
 
     /// Emission time from the outgoing pulse, if the shot has one.
-    fn departure(&self, turn: &CurrentShot, cx: &mut Context, watch: &mut impl Observer) -> Option<EmissionTime> {
+    fn departure(
+        &self,
+        turn: &CurrentShot,
+        cx: &mut Context,
+        watch: &mut impl Observer,
+    ) -> Option<EmissionTime> {
         let shot = turn.shot;
         let (time_ns, block, outgoing) = self.outgoing(shot, self.receivers.lots(turn.first_block))?;
         let Some((outgoing, model)) = outgoing else {
@@ -398,7 +409,9 @@ impl ShotDecomposer {
             waveform.recorded = true;
             match lot {
                 BlockRoute::Unused(why) => cx.reject(Item::Blocks, why, 1),
-                BlockRoute::Covered => cx.set_aside(Item::Blocks, "the low-power receiver recorded it as well", 1),
+                BlockRoute::Covered => {
+                    cx.set_aside(Item::Blocks, "the low-power receiver recorded it as well", 1)
+                }
                 _ => {}
             }
             let Some((channel, result, model)) = self.receivers.found(lot) else { continue };

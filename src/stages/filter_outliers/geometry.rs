@@ -1,6 +1,6 @@
 //! Positions of a line's returns for the outlier search.
 
-use crate::batch::{ScanLine, Emission, Frame};
+use crate::batch::{Emission, Frame, ScanLine};
 use crate::geo::vertical::{down_at, main_axis};
 use crate::kernels::outliers::{Extent, Line, Point};
 

@@ -5,7 +5,7 @@ use crate::geo::frames::Vector;
 use crate::geo::trajectory::{Accuracy, Pose};
 use crate::geo::vertical::down_at;
 use crate::geometry::Geometry;
-use crate::geometry::poses::variance_m2;
+use crate::geometry::transform::variance_m2;
 
 /// Computes the uncertainties of a line.
 pub(super) struct Uncertainty<'g> {

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use crate::batch::{ScanLine, Emission, Frame};
+use crate::batch::{Emission, Frame, ScanLine};
 use crate::formats::terrain::Terrain;
 use crate::geo::cone::Turning;
 use crate::geo::vertical::{down_at, main_axis};
 use crate::geometry::Geometry as Placed;
-use crate::geometry::target::Target;
+use crate::geometry::output_crs::Target;
 use crate::kernels::mta;
 use crate::stage::{Result, StageError};
 

@@ -18,7 +18,11 @@ fn shots(first: u64, count: u64) -> Vec<Emission> {
 const PULSE: [u16; 9] = [2, 2, 2, 12, 40, 12, 2, 2, 2];
 
 /// Runs the stage on these lines; returns its result, lines and counters.
-fn run(config: &ResolveMta, lines: Vec<ScanLine>, may_hold_bytes: usize) -> (Result<()>, Vec<ScanLine>, Context) {
+fn run(
+    config: &ResolveMta,
+    lines: Vec<ScanLine>,
+    may_hold_bytes: usize,
+) -> (Result<()>, Vec<ScanLine>, Context) {
     let terrain = config.terrain.as_ref().map(|path| Terrain::open(path).unwrap());
     let mut stage = Resolving { config: config.clone(), terrain, placed: Arc::default(), strip: None };
     let (mut cx, mut given) = (Context::default(), Vec::new());

@@ -9,7 +9,7 @@ use crate::formats::trajectory::sbet::SbetRecord;
 use crate::simulation::platform::Platform;
 use crate::simulation::truth::{COLUMNS, GAIN_COLUMN, TrueReturn};
 use crate::simulation::world::{Pose, World};
-use crate::stage::{Context, OutputFile, Result, RunContext, FinishedFile};
+use crate::stage::{Context, FinishedFile, OutputFile, Result, RunContext};
 
 /// Trajectory records per second.
 const RATE_HZ: f64 = 200.0;

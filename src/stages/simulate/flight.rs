@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{FULL_SCALE_DN, GainFollows, INTERVAL_NS, Simulate};
 use crate::batch::{
-    AmplitudeTable, ScanLine, Blocks, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo,
+    AmplitudeTable, Blocks, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, ScanLine,
     TimeScale, emission_flags,
 };
 use crate::simulation::detector::{Detector, Sensitivity};

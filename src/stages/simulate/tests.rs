@@ -9,9 +9,9 @@ use crate::simulation::truth::{COLUMNS, TrueReturn};
 use crate::simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
 use crate::stage::Config;
 
-mod as_recorded;
 mod instrument;
 mod keys;
+mod mta_ordering;
 mod trajectory;
 
 /// Flight over empty level ground.

@@ -12,7 +12,7 @@ use super::WavePacketsKey;
 use super::waves::{self, Waves};
 use crate::formats::Error;
 use crate::formats::las::{Writer, indexes_beside};
-use crate::stage::{Context, Item, OutputFile, Result, FinishedFile};
+use crate::stage::{Context, FinishedFile, Item, OutputFile, Result};
 
 /// Companion files of the points, or data appended to them.
 pub(super) struct Files {

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use crate::batch::{ScanLine, Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel};
+use crate::batch::{Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel, ScanLine};
 use crate::formats::Error;
 use crate::formats::las::{Descriptor, Packet, PacketWriter, Wave};
 use crate::geo::frames::Vector;
 use crate::geometry::Geometry;
-use crate::stage::{OutputFile, Result, StageError, FinishedFile};
+use crate::stage::{FinishedFile, OutputFile, Result, StageError};
 
 /// Length over which beams are treated as straight in any projection, m.
 const BEAM_M: f64 = 10.0;
@@ -44,7 +44,13 @@ impl Waves {
     }
 
     /// The waveform of a return at `point`; written with the first return that uses it.
-    pub(super) fn of(&mut self, batch: &ScanLine, blocks: &Blocks, r: &Return, point: Vector) -> Result<Wave> {
+    pub(super) fn of(
+        &mut self,
+        batch: &ScanLine,
+        blocks: &Blocks,
+        r: &Return,
+        point: Vector,
+    ) -> Result<Wave> {
         let emission = &batch.emissions[r.emission as usize];
         let time_ns = emission.emission_ns + r.time_of_flight_ns;
         let Some((index, block)) = block_of(blocks, r, time_ns) else { return Ok(Wave::default()) };

@@ -312,7 +312,7 @@ fn big_endian_numbers_are_refused() {
     let root = schema.finish();
     made.finish(root, None);
     let schema = arrow_ipc::root_as_schema(made.finished_data()).unwrap();
-    let place = place::Place { file: Path::new("a.arrow"), offset: 0, first_row: 0 };
+    let place = location::Place { file: Path::new("a.arrow"), offset: 0, first_row: 0 };
     let error = decode::schema_of(schema, place).unwrap_err().to_string();
     assert_eq!(
         error,

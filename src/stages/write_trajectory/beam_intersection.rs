@@ -1,6 +1,6 @@
 //! Sensor positions from beam intersections, section by section.
 
-use super::pace::{Pace, time_s};
+use super::decimation::{Pace, time_s};
 use crate::batch::Emission;
 use crate::kernels::sensor_path::{Beam, Window};
 

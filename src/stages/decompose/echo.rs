@@ -41,7 +41,12 @@ pub(super) struct HighPowerView {
 }
 
 impl Found {
-    pub(super) fn into_return(self, departure: EmissionTime, timing_error_ns: f64, input: &InputInfo) -> Return {
+    pub(super) fn into_return(
+        self,
+        departure: EmissionTime,
+        timing_error_ns: f64,
+        input: &InputInfo,
+    ) -> Return {
         let half_speed_m_per_ns = input.group_velocity_mps * 0.5e-9;
         let fitted = self.fitted;
         let time_of_flight_ns = self.time_ns - departure.time_ns;

@@ -1,7 +1,7 @@
 //! Holds back the first lines of a recording for a transform that learns from them.
 
 use super::Output;
-use crate::batch::{ScanLine, Channel};
+use crate::batch::{Channel, ScanLine};
 use crate::kernels::gain::Recorded;
 
 /// Lines held back until they contain enough waveforms.

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::FilterOutliers;
 use super::geometry::{Places, dot, has_vertical};
-use crate::batch::{ScanLine, Content, Return, flags};
+use crate::batch::{Content, Return, ScanLine, flags};
 use crate::kernels::outliers::{Line, Search, Side, jump};
 use crate::stage::{Item, Output, Result};
 

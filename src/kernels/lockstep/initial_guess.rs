@@ -2,11 +2,11 @@
 
 use super::detection::ByCount;
 use super::fit::Job;
+use super::fit_queue::add_pulse;
 use super::fitted::FittedLanes;
-use super::jobs::add_pulse;
 use super::level::LevelTables;
+use super::pulse_model::{MAX_PULSES, Scene};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
-use super::scene::{MAX_PULSES, Scene};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
 use super::template::{Pulses, Site, Sites, VECTORS, bounded, tail, template, weights};
 use super::vector::{Kernel, LANES, Simd, Sixteen};

@@ -1,7 +1,7 @@
 //! Criteria for accepting a pulse as a return.
 
 use super::candidates::LeftBehind;
-use super::scene::{Pulse, Scene};
+use super::pulse_model::{Pulse, Scene};
 use super::tables::BEFORE_PEAK;
 use crate::kernels::allowance::Allowance;
 use crate::kernels::decompose::{Counts, DecomposeSettings, Decomposition};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::found::{Found, HighPowerView};
+use super::echo::{Found, HighPowerView};
 use super::shots::Shot;
 use crate::batch::{Block, Channel, LineStats, ReturnChannel, flags};
 use crate::kernels::decompose::OVERDRIVEN_PART;

@@ -3,12 +3,12 @@
 //! Processes them from the width bank to chi-square while their rows are in the cache.
 
 use super::fit::{Job, fit};
+use super::fit_queue::{Aim, ITERATIONS, add_pulse, is_strong};
 use super::fitted::Fitted;
-use super::jobs::{Aim, ITERATIONS, add_pulse, is_strong};
+use super::initial_guess::{BankSums, SOMEWHERE, from_bank};
 use super::level::set_levels;
+use super::pulse_model::Scene;
 use super::rows::{EMPTY, Rows};
-use super::scene::Scene;
-use super::start::{BankSums, SOMEWHERE, from_bank};
 use super::tables::{BANK, Tables};
 use super::vector::{Kernel, LANES, Simd};
 

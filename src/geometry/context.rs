@@ -5,9 +5,9 @@ use std::sync::{Arc, OnceLock};
 
 use super::calibration::Calibration;
 use super::keys::{CalibrationKey, GeometryKeys};
-use super::poses::Installation;
-use super::target::{Target, CrsRequest, failed};
-use super::track::Track;
+use super::output_crs::{CrsRequest, Target, failed};
+use super::trajectory_file::Track;
+use super::transform::Installation;
 use crate::batch::{Emission, Frame, InputInfo};
 use crate::geo::frames::Vector;
 use crate::geo::time_axis::{Alignment, Clock, Misaligned, Times};

@@ -6,7 +6,7 @@ use super::echoes::{Group, Peak, Place, Received};
 use super::geometry::Geometry;
 use super::summary::MtaCounts;
 use super::{ResolveMta, failed};
-use crate::batch::{ScanLine, Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, Ticket};
+use crate::batch::{Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, ScanLine, Ticket};
 use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry as Placed;
 use crate::kernels::mta::{

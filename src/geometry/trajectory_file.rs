@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::keys::{AnglesKey, GeometryKeys, HeightsKey, TimeKey};
-use super::target::{CrsRequest, failed};
+use super::output_crs::{CrsRequest, failed};
 use crate::formats::trajectory::{self, Angles, Options, Records, Unproject};
 use crate::geo::ellipsoid::Geodetic;
 use crate::geo::time_axis::{Clock, Times};

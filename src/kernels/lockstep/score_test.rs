@@ -8,8 +8,8 @@
 //! farther apart leave more than these directions show. Their expected residual is a third
 //! direction, of known sign, and the larger of the two scores counts.
 
+use super::pulse_model::Pulse;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
-use super::scene::Pulse;
 use super::solve::factor;
 use super::tables::{ROW, ROW_STRIDE, Tables};
 use super::template::{Site, VECTORS, leaves_block, template, weights};

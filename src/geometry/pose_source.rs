@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::loaded::Geometry;
-use super::poses::{scan_angle_deg, to_earth};
+use super::context::Geometry;
 use super::scan_angles::{ScanAngles, are_unknown, set_directions};
-use crate::batch::{ScanLine, Content, Emission, Frame, InputInfo};
+use super::transform::{scan_angle_deg, to_earth};
+use crate::batch::{Content, Emission, Frame, InputInfo, ScanLine};
 use crate::geo::time_axis::{Clock, Unwrap};
 use crate::geo::trajectory::Pose;
 use crate::geo::vertical::down_at;

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use crate::batch::{ScanLine, Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, emission_flags};
+use crate::batch::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine, emission_flags};
 use crate::geo::cone::{Cone, Turning};
 use crate::stage::InvalidKey;
 
