@@ -434,7 +434,7 @@ fn a_resolved_job_spells_out_defaults_that_hang_on_other_keys() {
     let job = place.path("job.toml");
     holds(&place, &["run", job.to_str().unwrap(), "--archive", "archive"]);
     let text = place.text("archive/job.resolved.toml");
-    let begin = "# The job \"job.toml\" as wavex ";
+    let begin = "# Job \"job.toml\" as run by wavex ";
     assert!(text.starts_with(begin), "{text}");
     let job: toml::Table = text.parse().unwrap();
     let geometry = &job["job"]["geometry"];

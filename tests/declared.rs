@@ -195,7 +195,7 @@ fn a_declared_map_that_cannot_be_used_is_refused() {
     for (reader, input, word, said) in [
         ("read_las", "a.las", "none.wkt", "none.wkt"),
         ("read_las", "a.las", "no.wkt", "the WKT cannot be read"),
-        ("read_las", "a.las", "EPSG:1", "EPSG:1 is not in the table of systems"),
+        ("read_las", "a.las", "EPSG:1", "EPSG:1 is not in the table of coordinate reference systems"),
         (
             "read_arrow",
             "a.arrow",

@@ -155,7 +155,7 @@ fn without_decomposition_there_is_no_need_to_calibrate() {
     for keys in ["", "online_points = 'fallback'"] {
         let outcome = place.run(&job(keys).replace(calibrate, ""));
         assert_eq!(outcome.code, Some(2));
-        assert!(outcome.err.contains("`decompose` needs `calibrate` before it"), "{outcome:?}");
+        assert!(outcome.err.contains("`decompose` requires `calibrate` before it"), "{outcome:?}");
     }
 }
 
