@@ -24,7 +24,7 @@ fn printed(name: &str, arguments: &[&Path]) -> String {
 fn an_array_of_samples_is_decomposed() {
     let out = printed("decompose_samples", &[]);
     let mut lines = out.lines();
-    assert!(lines.next().unwrap().starts_with("noise 1.0"), "{out}");
+    assert!(lines.next().unwrap().starts_with("noise SD 1.0"), "{out}");
     for (line, at) in lines.zip([25.3, 31.3]) {
         let position: f64 =
             line.strip_prefix("echo at ").unwrap().split(' ').next().unwrap().parse().unwrap();

@@ -222,7 +222,7 @@ fn alike(version: &Version, name: &str) -> String {
         |option: &&str| option.chars().next().is_some_and(|letter| letter.eq_ignore_ascii_case(&first));
     let names: Vec<String> =
         version.names().filter(begins).take(MOST_ALIKE).map(|name| format!("`-{name}`")).collect();
-    if names.is_empty() { String::new() } else { format!("similar options: {};  ", names.join(", ")) }
+    if names.is_empty() { String::new() } else { format!("similar options: {}; ", names.join(", ")) }
 }
 
 /// Converts the argument of an option to its value.
