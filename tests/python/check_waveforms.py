@@ -24,7 +24,7 @@ def check_container(checks, path, table, report):
     for column in layout["columns"]:
         field = table.schema.field(column["name"])
         found = (str(field.type).replace(" not null", ""), field.nullable)
-        checks.equal(f"{field.name} has its type", found, (str(arrow_type(column)), column["nullable"]))
+        checks.equal(f"{field.name} has its type", found, (str(arrow_type(column, field.type)), column["nullable"]))
     metadata = {key.decode() for key in table.schema.metadata}
     required = {key["key"] for key in layout["metadata"] if key["required"]}
     checks.equal("has all metadata that are required", sorted(required - metadata), [])
