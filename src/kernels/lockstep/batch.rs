@@ -154,25 +154,28 @@ impl Decompose<'_> {
             }
             return;
         }
-        let Workspace { scenes, which, .. } = &mut *self.work;
-        // Without branches that depend on the waveform.
-        which.resize(scenes.len(), 0);
-        let mut count = 0;
-        for (row, scene) in scenes.iter().enumerate() {
-            which[count] = row;
-            count += usize::from((scene.taken_off | scene.pulses().is_empty()) & !scene.is_settled);
-        }
-        which.truncate(count);
+        self.select(|scene| (scene.taken_off | scene.pulses().is_empty()) & !scene.is_settled);
         self.sum_squares();
         self.search_residuals();
     }
 
     /// Brings level and pulses of all waveforms to their joint optimum.
     fn set_levels(&mut self) {
-        let Workspace { scenes, which, .. } = &mut *self.work;
-        which.clear();
-        which.extend(0..scenes.len());
+        self.select(|scene| (scene.way == Way::Fast) & !scene.is_levelled);
         self.set_levels_of_which();
+    }
+
+    /// Lists the waveforms with a property in `which`, without a branch that depends on the waveform.
+    #[inline(always)]
+    fn select(&mut self, is_selected: impl Fn(&Scene) -> bool) {
+        let Workspace { scenes, which, .. } = &mut *self.work;
+        which.resize(scenes.len(), 0);
+        let mut count = 0;
+        for (row, scene) in scenes.iter().enumerate() {
+            which[count] = row;
+            count += usize::from(is_selected(scene));
+        }
+        which.truncate(count);
     }
 
     /// Brings level and pulses of the waveforms in `which` to their joint optimum.
