@@ -1,9 +1,9 @@
 //! Georeferencing: the table `[job.geometry]` with trajectory, mounting and output coordinates.
 //!
-//! With a trajectory, each shot gets its pose as soon as the source delivers it ([`pose_source`]). Its
-//! beam is then given in the earth-centred frame (ECEF), so later stages need only the emission.
-//! `georeference` converts the result to output coordinates ([`output_crs`]). `docs/explanation/georeferencing.md`
-//! gives the formulas.
+//! With a trajectory, each shot gets its pose as soon as the source delivers it
+//! ([`pose_source`]). Its beam is then given in the earth-centred frame (ECEF), so later stages need
+//! only the emission. `georeference` converts the result to output coordinates ([`output_crs`]).
+//! `docs/explanation/georeferencing.md` gives the formulas.
 
 pub mod calibration;
 mod context;
