@@ -14,9 +14,9 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
 
-use wavex::geo::crs::{Crs, Named};
-use wavex::geo::ellipsoid::{Geodetic, WGS84};
-use wavex::geo::geoid::{Geoid, Grid};
+use wavex_geodesy::crs::{Crs, Named};
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+use wavex_geodesy::geoid::{Geoid, Grid};
 
 const POINTS: usize = 100_000;
 const ROUNDS: usize = 15;

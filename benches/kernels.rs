@@ -13,11 +13,11 @@ mod scenes;
 
 use std::sync::Arc;
 
-use wavex::kernels::calibrate::Block;
-use wavex::kernels::decompose::{DecomposeSettings, Decomposer};
-use wavex::kernels::lockstep::{Candidate, Lockstep, Mode, Outcomes, Path, Tables};
-use wavex::kernels::noise::ArNoise;
-use wavex::kernels::sensor_model::{Background, ChannelModel};
+use wavex_signal::calibrate::Block;
+use wavex_signal::decompose::{DecomposeSettings, Decomposer};
+use wavex_signal::lockstep::{Candidate, Lockstep, Mode, Outcomes, SimdLevel, Tables};
+use wavex_signal::noise::ArNoise;
+use wavex_signal::sensor_model::{Background, ChannelModel};
 
 use clock::cpu_s;
 use scenes::{Random, SAMPLES, Scene, Waveforms, model};
@@ -120,7 +120,13 @@ fn detection(blocks: &[Block<'_>], mut detector: Lockstep, shows: bool) -> Rate 
 /// In order: detection; one return in modes `refined` and `fastest`; two returns fitted jointly;
 /// the mixed scene in modes `refined`, `fast_separated` and `fastest`; one return in mode `fastest`
 /// with blocks of varying length. With `shows`, prints the results of the fits.
-fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets, shows: bool) -> [Rate; 8] {
+fn measure(
+    path: SimdLevel,
+    model: &ChannelModel,
+    tables: &Arc<Tables>,
+    sets: &Sets,
+    shows: bool,
+) -> [Rate; 8] {
     let settings = DecomposeSettings::default();
     let plain_settings = DecomposeSettings { max_added: 0, ..settings.clone() };
     let kernels = |settings: &DecomposeSettings, mode: Mode| {
@@ -174,7 +180,12 @@ fn measure(path: Path, model: &ChannelModel, tables: &Arc<Tables>, sets: &Sets, 
 ///
 /// Prints rates, and their ratio to those with a known background on the same waveforms without the
 /// varying level.
-fn own_background(path: Path, fixed: &ChannelModel, tables: &Arc<Tables>, mixed: &(Vec<u16>, Vec<Vec<f64>>)) {
+fn own_background(
+    path: SimdLevel,
+    fixed: &ChannelModel,
+    tables: &Arc<Tables>,
+    mixed: &(Vec<u16>, Vec<Vec<f64>>),
+) {
     let own = ChannelModel {
         background: Background::PerWaveform,
         background_sd_dn: LEVEL_SD_DN,
@@ -344,23 +355,26 @@ fn main() {
     let tables = Arc::new(Tables::new(&model).expect("tables"));
     let sets = [Scene::One, Scene::Two, Scene::Mixed].map(|scene| waveforms(&model, &noise, scene));
     let mut has_yardstick = true;
-    for path in [Path::Avx512, Path::Avx2, Path::Portable].into_iter().filter(|path| path.is_available()) {
+    for path in [SimdLevel::Avx512, SimdLevel::Avx2, SimdLevel::Portable]
+        .into_iter()
+        .filter(|path| path.is_available())
+    {
         // Without FMA instructions the portable level is exact but slow; measuring it would only
         // cost time.
-        if path == Path::Portable
-            && path != Path::best()
+        if path == SimdLevel::Portable
+            && path != SimdLevel::best()
             && std::env::var_os("WAVEX_BENCH_PORTABLE").is_none()
         {
             continue;
         }
-        println!("{path:?}{}", if path == Path::best() { ", the SIMD level in use" } else { "" });
+        println!("{path:?}{}", if path == SimdLevel::best() { ", the SIMD level in use" } else { "" });
         let (mut rounds, mut yards) = (Vec::new(), Vec::new());
-        for round in 0..if path == Path::best() { ROUNDS } else { 3 } {
+        for round in 0..if path == SimdLevel::best() { ROUNDS } else { 3 } {
             yards.extend(yardstick());
             rounds.push(measure(path, &model, &tables, &sets, round == 0));
         }
         has_yardstick = yards.len() == rounds.len();
-        if path == Path::best() {
+        if path == SimdLevel::best() {
             own_background(path, &model, &tables, &sets[2]);
         }
         report(&rounds, if has_yardstick { &yards } else { &[] });

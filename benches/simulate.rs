@@ -10,9 +10,9 @@ mod common;
 
 use clock::cpu_s;
 use common::{COUNT, WORK, WRITE_NUMBERS, job};
-use wavex::kernels::lockstep;
 use wavex::registry;
 use wavex::stage::{Context, Plan, RunContext};
+use wavex_signal::lockstep;
 
 /// Name and `simulate` keys of each case.
 const CASES: &[(&str, &str)] = &[
@@ -42,7 +42,7 @@ fn shots_per_second(keys: &str) -> f64 {
         input_dir: std::env::temp_dir(),
         output_dir: std::env::temp_dir(),
         threads: 1,
-        simd: lockstep::Path::best(),
+        simd: lockstep::SimdLevel::best(),
         geometry: Default::default(),
     };
     let mut rates: Vec<f64> = (0..5)

@@ -24,14 +24,14 @@ use std::time::{Duration, Instant};
 
 use laz::{LasZipCompressor, LasZipDecompressor, LazVlr};
 use scenes::{SAMPLES, Scene, Waveforms, model, noise};
-use wavex::formats::container::{
+use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale, channel,
 };
-use wavex::formats::trajectory::sbet::SbetRecord;
-use wavex::kernels::calibrate::Block;
-use wavex::kernels::decompose::DecomposeSettings;
-use wavex::kernels::lockstep::{self, Lockstep, Mode, Outcomes, Tables};
+use wavex_formats::trajectory::sbet::SbetRecord;
+use wavex_signal::calibrate::Block;
+use wavex_signal::decompose::DecomposeSettings;
+use wavex_signal::lockstep::{self, Lockstep, Mode, Outcomes, Tables};
 
 const WAVEFORMS: usize = 3_000_000;
 const SHOTS_PER_LINE: usize = 2000;
@@ -233,7 +233,7 @@ fn kernels_ns() -> f64 {
     }
     let blocks: Vec<_> = samples.chunks(SAMPLES).map(|samples| Block { samples, start_phase: 0 }).collect();
     let tables = Tables::new(&model).map(Arc::new);
-    let (settings, path) = (DecomposeSettings::default(), lockstep::Path::best());
+    let (settings, path) = (DecomposeSettings::default(), lockstep::SimdLevel::best());
     let mut kernels = Lockstep::new(&model, tables, &settings, Mode::Refined, path).unwrap();
     let mut outcomes = Outcomes::default();
     let mut run = || {

@@ -6,8 +6,8 @@
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
 
 use anyhow::{Context, Result};
-use wavex::kernels::calibrate::{Block, CalibrationSettings, calibrate};
-use wavex::kernels::decompose::{DecomposeSettings, Decomposer};
+use wavex_signal::calibrate::{Block, CalibrationSettings, calibrate};
+use wavex_signal::decompose::{DecomposeSettings, Decomposer};
 
 /// Samples per waveform, at 1 ns.
 const SAMPLES: usize = 60;

@@ -14,8 +14,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use wavex::geo::crs::{Crs, Named, Unit};
-use wavex::geo::ellipsoid::Geodetic;
+use wavex_geodesy::crs::{Crs, Named, Unit};
+use wavex_geodesy::ellipsoid::Geodetic;
 
 fn main() -> Result<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -47,7 +47,7 @@ fn system_of(word: &str, options: &[String]) -> Result<Crs> {
     };
     let geoid = match option("geoid") {
         Some(name) => {
-            Some(Arc::new(wavex::formats::geoid::find(Path::new(option("geoid_dir").unwrap_or(".")), name)?))
+            Some(Arc::new(wavex_formats::geoid::find(Path::new(option("geoid_dir").unwrap_or(".")), name)?))
         }
         None => None,
     };

@@ -14,11 +14,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use wavex::batch::{Return, ReturnChannel};
-use wavex::formats::container::{
+use wavex::stages::write_table::{Format, Row, TableWriter};
+use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale, channel,
 };
-use wavex::stages::write_table::{Format, Row, TableWriter};
 
 const LINES: u64 = 3;
 const SHOTS_PER_LINE: u64 = 4;

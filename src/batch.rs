@@ -7,8 +7,8 @@
 
 use std::sync::Arc;
 
-use crate::kernels::fusion::ChannelFusion;
-use crate::kernels::sensor_model::SensorModel;
+use wavex_signal::fusion::ChannelFusion;
+use wavex_signal::sensor_model::SensorModel;
 
 mod budget;
 mod input;
@@ -17,12 +17,11 @@ mod points;
 mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
-pub use input::{
-    AmplitudeTable, EmissionReference, Frame, GainControl, InputInfo, LinearAmplitude, TimeScale,
-};
+pub use input::{AmplitudeTable, EmissionReference, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
 pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};
+pub use wavex_geodesy::{time::TimeScale, vertical::Frame};
 
 /// Maximum length of a scan line, shots.
 ///

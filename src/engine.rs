@@ -12,8 +12,8 @@ use std::time::Instant;
 
 use crate::geometry::Loader;
 use crate::job::Job;
-use crate::kernels::lockstep;
 use crate::stage::{Context, OutputLock, Plan, RunContext, StageError};
+use wavex_signal::lockstep;
 
 mod chain;
 mod failure;
@@ -46,7 +46,7 @@ pub struct Options {
     /// Maximum number of lines that wait between two stages.
     pub channel_capacity: usize,
     /// SIMD instructions of the kernels; results do not depend on them.
-    pub simd: lockstep::Path,
+    pub simd: lockstep::SimdLevel,
     /// Whether to record spans for a trace.
     pub profile: bool,
     /// Ends the run early when set.

@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::batch::Kind;
 use crate::geometry::GeometryKeys;
-use crate::kernels::lockstep;
 use crate::registry;
 use crate::stage::{InvalidKey, Keys, Paths, Planned, StageSpec};
+use wavex_signal::lockstep;
 
 mod chain;
 mod draft;
@@ -147,7 +147,9 @@ impl JobSettings {
 
     /// Checks constraints that the types cannot express.
     fn check(&self) -> Result<(), InvalidKey> {
-        self.simd.check(lockstep::Path::is_available).map_err(|problem| InvalidKey::new("simd", problem))?;
+        self.simd
+            .check(lockstep::SimdLevel::is_available)
+            .map_err(|problem| InvalidKey::new("simd", problem))?;
         let fits = self.stat_log.is_empty() || self.stat_log.ends_with(".log");
         InvalidKey::unless(fits, "stat_log", "it must end in .log, such as \"*_stat.log\"")?;
         // The command line sets a key as text if the key accepts only text.

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use crate::formats::unsupported;
 use crate::stage::StageSpec;
 use crate::stages::{
     calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, read_arrow, read_las,
     read_pulsewaves, read_sdf, resolve_mta, simulate, write_arrow, write_ascii, write_las, write_lstat,
     write_table, write_trajectory,
 };
+use wavex_formats::unsupported;
 
 /// All stages that a job can use, in the order of the manual.
 pub const STAGES: &[&StageSpec] = &[

@@ -32,7 +32,7 @@ pub use spec::{
 pub enum StageError {
     /// A file is invalid.
     #[error(transparent)]
-    Format(#[from] crate::formats::Error),
+    Format(#[from] wavex_formats::Error),
     /// Any other problem, with its remedy.
     #[error("{problem}; {remedy}")]
     Failed {

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use crate::batch::{
     Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, ScanLine, emission_flags,
 };
-use crate::geo::vertical::down_at;
+use wavex_geodesy::vertical::down_at;
 
 mod histogram;
 mod intervals;

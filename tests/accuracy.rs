@@ -15,11 +15,11 @@
 
 use std::sync::{Arc, OnceLock};
 
-use wavex::kernels::calibrate::{Block, CalibrationSettings, calibrate};
-use wavex::kernels::decompose::{DecomposeSettings, Return};
-use wavex::kernels::lockstep::Mode;
-use wavex::kernels::response_calibrate::calibrate_response;
-use wavex::kernels::sensor_model::ChannelModel;
+use wavex_signal::calibrate::{Block, CalibrationSettings, calibrate};
+use wavex_signal::decompose::{DecomposeSettings, Return};
+use wavex_signal::lockstep::Mode;
+use wavex_signal::response_calibrate::calibrate_response;
+use wavex_signal::sensor_model::ChannelModel;
 
 #[path = "common/engine.rs"]
 mod engine;

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use support::las::{HEADER, Las, descriptor, vlr};
 use support::{Outcome, Place, notes};
-use wavex::formats::container::{
+use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, GainControl, LineBuilder,
 };
 

@@ -9,9 +9,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 
-use wavex::kernels::calibrate::Block;
-use wavex::kernels::decompose::DecomposeSettings;
-use wavex::kernels::lockstep::{Lockstep, Mode, Outcomes, Path, Tables};
+use wavex_signal::calibrate::Block;
+use wavex_signal::decompose::DecomposeSettings;
+use wavex_signal::lockstep::{Lockstep, Mode, Outcomes, SimdLevel, Tables};
 
 #[allow(dead_code, reason = "the benches use all of it")]
 #[path = "../benches/scenes/mod.rs"]
@@ -65,7 +65,7 @@ fn decomposition_allocates_nothing_per_waveform() {
     let (first, then) = blocks.split_at(WARM_UP);
     for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
         let settings = DecomposeSettings::default();
-        let mut kernels = Lockstep::new(&model, tables.clone(), &settings, mode, Path::best()).unwrap();
+        let mut kernels = Lockstep::new(&model, tables.clone(), &settings, mode, SimdLevel::best()).unwrap();
         let mut outcomes = Outcomes::default();
         kernels.decompose(first, &mut outcomes);
         let (before, plain) = (REQUESTS.get(), kernels.left_to_plain());

@@ -6,8 +6,8 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use wavex::formats::Result;
-use wavex::formats::container::{
+use wavex_formats::Result;
+use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
     LineBuilder, TimeScale, channel,
 };

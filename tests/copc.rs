@@ -6,7 +6,7 @@ mod support;
 use std::process::{Command, Stdio};
 
 use support::Place;
-use wavex::formats::las::RawPoints;
+use wavex_formats::las::RawPoints;
 
 const POINTS: &str = "\
 [[stage]]

@@ -10,8 +10,8 @@ use support::las::Las;
 use support::pulsewaves::PulseWaves;
 use support::shots::time_s;
 use support::{Place, TO_TABLE, notes};
-use wavex::formats::container::{ContainerHeader, ContainerReader, EmissionReference, TimeScale};
-use wavex::formats::las::{GpsTime, Point, Reader};
+use wavex_formats::container::{ContainerHeader, ContainerReader, EmissionReference, TimeScale};
+use wavex_formats::las::{GpsTime, Point, Reader};
 
 const COPY: &str = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
 /// Midnight before 2025-05-06 in adjusted GPS time, and in seconds of its week.

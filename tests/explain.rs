@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 
 use support::container::{Shot, container};
 use support::{Outcome, Place, shots};
-use wavex::formats::container::EmissionReference;
+use wavex_formats::container::EmissionReference;
 
 /// Runs `wavex explain` in a folder: exit code, standard output, standard error.
 fn explain(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {

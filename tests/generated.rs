@@ -12,9 +12,9 @@ use wavex::archive::Archive;
 use wavex::batch::flags::NAMES;
 use wavex::engine::RunReport;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
-use wavex::kernels::sensor_model::SensorModel;
 use wavex::registry::{STAGES, find};
 use wavex::stages::write_lstat;
+use wavex_signal::sensor_model::SensorModel;
 
 /// Rewrites an outdated file of the repository and reports it.
 fn check(name: &str, expected: &str) {

@@ -10,7 +10,7 @@ use support::container::{Shot, container};
 use support::shots::{echo, peak, time_s};
 use support::{Outcome, Place};
 use wavex::batch::flags::INSTRUMENT;
-use wavex::formats::container::{
+use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale,
 };

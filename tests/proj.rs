@@ -4,8 +4,8 @@
 
 use std::sync::Arc;
 
-use wavex::geo::crs::{Crs, Named, Unit};
-use wavex::geo::ellipsoid::{Geodetic, WGS84};
+use wavex_geodesy::crs::{Crs, Named, Unit};
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 
 fn place(longitude_deg: f64, latitude_deg: f64, height_m: f64) -> Geodetic {
     Geodetic { latitude_rad: latitude_deg.to_radians(), longitude_rad: longitude_deg.to_radians(), height_m }

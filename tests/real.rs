@@ -23,10 +23,10 @@ use std::sync::OnceLock;
 use recordings::{Table, data, median, robust, run_job, samples};
 use wavex::batch::Channel;
 use wavex::engine;
-use wavex::kernels::calibrate::CalibrationSettings;
-use wavex::kernels::decompose::DecomposeSettings;
-use wavex::kernels::outgoing::OutgoingFitter;
-use wavex::kernels::sensor_model::SensorModel;
+use wavex_signal::calibrate::CalibrationSettings;
+use wavex_signal::decompose::DecomposeSettings;
+use wavex_signal::outgoing::OutgoingFitter;
+use wavex_signal::sensor_model::SensorModel;
 
 use vendor_free::{
     EvenOddScores, Recording, Single, Superposition, left_beside_strong_echoes, tail_statistics,

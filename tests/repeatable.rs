@@ -12,7 +12,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use wavex::engine::{self, Options};
 use wavex::job::{Job, Override, Simd};
-use wavex::kernels::lockstep::Path;
+use wavex_signal::lockstep::SimdLevel;
 
 const JOB: &str = r#"
 [[stage]]
@@ -88,7 +88,7 @@ fn the_instructions_change_no_byte() {
     for mode in ["refined", "fastest"] {
         let mode = format!("decompose.mode='{mode}'");
         let first = digests_with(2, 16, &[&mode]);
-        for path in Path::ALL.into_iter().filter(|path| path.is_available()) {
+        for path in SimdLevel::ALL.into_iter().filter(|path| path.is_available()) {
             let simd = serde_json::to_value(Simd::from(path)).unwrap();
             let set = [&mode, &format!("job.simd={simd}")];
             assert_eq!(digests_with(3, 2, &set.map(String::as_str)), first, "{mode} {path:?}");
@@ -99,7 +99,8 @@ fn the_instructions_change_no_byte() {
 #[test]
 fn the_instructions_in_use_are_reported() {
     let folder = tempfile::tempdir().unwrap();
-    for (set, used) in [("job.simd='portable'", Path::Portable), ("job.simd='auto'", Path::best())] {
+    for (set, used) in [("job.simd='portable'", SimdLevel::Portable), ("job.simd='auto'", SimdLevel::best())]
+    {
         let job = Job::parse("repeat.toml", JOB, &[Override::new(set)]).unwrap();
         let report = engine::run(&job, &Options::of_job(&job, folder.path(), folder.path())).unwrap();
         assert_eq!(report.simd, used.into());

@@ -10,7 +10,7 @@ use support::container::{Shot, container};
 use support::las::Las;
 use support::pulsewaves::PulseWaves;
 use support::{Outcome, Place, data};
-use wavex::formats::container::EmissionReference;
+use wavex_formats::container::EmissionReference;
 
 /// Runs `wavex scan` in a folder: exit code, standard output, standard error.
 fn scan(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {

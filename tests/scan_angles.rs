@@ -14,7 +14,7 @@ use support::las::Las;
 use support::pulsewaves::PulseWaves;
 use support::{Outcome, Place};
 use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
-use wavex::formats::container::{Compression, ContainerReader, ContainerWriter, LineBuilder};
+use wavex_formats::container::{Compression, ContainerReader, ContainerWriter, LineBuilder};
 
 /// Stages from samples to points as text: time, position, angle, direction, edge.
 const TO_TEXT: &str = "\

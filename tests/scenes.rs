@@ -11,9 +11,9 @@ use std::path::Path;
 
 use common::{into, job};
 use wavex::engine;
-use wavex::kernels::sensor_model::ChannelModel;
 use wavex::registry;
-use wavex::simulation::pulse::Shape;
+use wavex_signal::sensor_model::ChannelModel;
+use wavex_simulation::pulse::Shape;
 
 const NOISE_DN: f64 = 0.93;
 /// Minimum distance of separate echoes (two pulse widths), and minimum signal-to-noise ratio of

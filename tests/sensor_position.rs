@@ -14,7 +14,7 @@ use serde_json::Value;
 use support::las::Las;
 use support::pulsewaves::PulseWaves;
 use support::{Outcome, Place};
-use wavex::formats::container::{
+use wavex_formats::container::{
     Compression, ContainerHeader, ContainerReader, ContainerWriter, LineBuilder, Origin,
 };
 

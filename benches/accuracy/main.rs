@@ -17,15 +17,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
-use wavex::kernels::calibrate::{Block, CalibrationSettings, calibrate};
-use wavex::kernels::decompose::{DecomposeSettings, Return};
-use wavex::kernels::detect::Detector;
-use wavex::kernels::gauss_fit::Pulse;
-use wavex::kernels::lockstep::Mode;
-use wavex::kernels::response_calibrate::calibrate_response;
-use wavex::kernels::sensor_model::ChannelModel;
-use wavex::kernels::shape::Shape;
-use wavex::kernels::whitening::Whitener;
+use wavex_signal::calibrate::{Block, CalibrationSettings, calibrate};
+use wavex_signal::decompose::{DecomposeSettings, Return};
+use wavex_signal::detect::Detector;
+use wavex_signal::gauss_fit::Pulse;
+use wavex_signal::lockstep::Mode;
+use wavex_signal::response_calibrate::calibrate_response;
+use wavex_signal::sensor_model::ChannelModel;
+use wavex_signal::shape::Shape;
+use wavex_signal::whitening::Whitener;
 
 #[path = "../../tests/common/engine.rs"]
 mod engine;

@@ -14,14 +14,13 @@
 #[path = "../clock/mod.rs"]
 mod clock;
 
-use wavex::kernels::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
+use wavex_signal::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
 
 mod chain;
-mod scenes;
 mod waveforms;
 
 use clock::cpu_s;
-use scenes::{Class, RecordedLine, Recording, SCENES, Scene};
+use wavex_simulation::mta_scenes::{Class, RecordedEcho, RecordedLine, Recording, SCENES, Scene};
 
 const LINES: u32 = 120;
 const SEED: u64 = 100;
@@ -129,7 +128,7 @@ fn lines(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
             ..Emission::default()
         }
     };
-    let echo = |echo: &scenes::RecordedEcho| Echo { emission: echo.emission, time_ns: echo.time_ns };
+    let echo = |echo: &RecordedEcho| Echo { emission: echo.emission, time_ns: echo.time_ns };
     let line = |(number, recorded): (usize, &RecordedLine)| Line {
         emissions: (0..recorded.clocks_ps.len()).map(|index| emission(number, index, recorded)).collect(),
         echoes: recorded.echoes.iter().map(echo).collect(),

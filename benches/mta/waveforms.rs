@@ -7,13 +7,13 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use wavex::batch::emission_flags::{SYNCHRONISED, SYNCHRONISED_WITHIN_LAST_SECOND};
-use wavex::formats::container::{
+use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale, channel,
 };
-use wavex::formats::trajectory::sbet::SbetRecord;
+use wavex_formats::trajectory::sbet::SbetRecord;
 
-use super::scenes::{Class, METRES_PER_NS, RecordedEcho, RecordedLine, Scene, hash};
+use wavex_simulation::mta_scenes::{Class, METRES_PER_NS, RecordedEcho, RecordedLine, Scene, hash};
 
 /// Name of a recording that began on 6 May 2025, a Tuesday, at 10:00:00.
 pub const NAME: &str = "250506_100000.sdf";

@@ -4,11 +4,11 @@
 
 use std::f64::consts::TAU;
 
-use wavex::kernels::gauss_fit::Pulse;
-use wavex::kernels::noise::ArNoise;
-use wavex::kernels::response::{ResponseNode, SystemResponse};
-use wavex::kernels::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
-use wavex::kernels::shape::Shape;
+use wavex_signal::gauss_fit::Pulse;
+use wavex_signal::noise::ArNoise;
+use wavex_signal::response::{ResponseNode, SystemResponse};
+use wavex_signal::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
+use wavex_signal::shape::Shape;
 
 /// Samples per block.
 pub const SAMPLES: usize = 60;

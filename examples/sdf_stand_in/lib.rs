@@ -25,7 +25,7 @@ use std::time::Duration;
 
 use mischief::Mischief;
 use recording::{Record, Recording};
-use wavex::formats::container::TimeScale;
+use wavex_formats::container::TimeScale;
 
 const END_OF_FILE: i32 = -1;
 const DONE: i32 = 0;
@@ -143,7 +143,7 @@ impl File {
 unsafe fn navigate(
     name: &str,
     file: *mut c_void,
-    go: impl FnOnce(&mut Recording) -> wavex::formats::Result<bool>,
+    go: impl FnOnce(&mut Recording) -> wavex_formats::Result<bool>,
 ) -> i32 {
     let run = |file: &mut File, call: &mut Call| {
         if file.lacks_index() {

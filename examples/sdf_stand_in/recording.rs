@@ -4,9 +4,9 @@
 
 use std::path::{Path, PathBuf};
 
-use wavex::formats::Result;
-use wavex::formats::container::{ContainerHeader, ContainerLine, ContainerReader, ContainerShot};
-use wavex::formats::sdf::record_flags::END_OF_LINE;
+use wavex_formats::Result;
+use wavex_formats::container::{ContainerHeader, ContainerLine, ContainerReader, ContainerShot};
+use wavex_formats::sdf::record_flags::END_OF_LINE;
 
 /// Container flag of the last shot of a line.
 const EDGE: u16 = wavex::batch::emission_flags::EDGE_OF_FLIGHT_LINE;

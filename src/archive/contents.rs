@@ -8,7 +8,7 @@ use std::path::{Component, Path, PathBuf};
 use super::digest;
 use super::paths::plain;
 use super::{ARCHIVE, Archive, FORMAT, JOB, RESOLVED, SEAL};
-use crate::formats::{Error, Result};
+use wavex_formats::{Error, Result};
 
 /// Extension of a packed archive.
 const PACKED: &str = ".tar.zst";

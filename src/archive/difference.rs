@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-use crate::formats::{Error, Result};
+use wavex_formats::{Error, Result};
 
 mod points;
 mod tables;

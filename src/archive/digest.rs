@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::Path;
 use std::time::SystemTime;
 
-use crate::formats::{Error, Result};
+use wavex_formats::{Error, Result};
 
 /// Buffer size, bytes.
 const BUFFER: usize = 1 << 20;

@@ -9,10 +9,10 @@ use serde_json::Value;
 
 use super::paths::plain;
 use crate::engine::{self, Input};
-use crate::formats::companions;
-use crate::geo::crs::Named;
 use crate::job::{Job, JobSettings};
 use crate::stage::{FileMark, Key, Keys};
+use wavex_formats::companions;
+use wavex_geodesy::crs::Named;
 
 /// JSON pointers of the keys in `[job]` with this mark.
 pub(super) fn marked(mark: FileMark) -> Vec<String> {

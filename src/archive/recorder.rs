@@ -14,11 +14,11 @@ use super::{
     ARCHIVE, Archive, DigestedFile, FORMAT, Files, INCLUDED, JOB, LINES, LOG, MODELS, REPORT, RESOLVED, SEAL,
 };
 use crate::engine::{Options, RunReport};
-use crate::formats::Error;
-use crate::geo::time::utc;
 use crate::job::{Include, Job, JobStage};
 use crate::stage::{ConfigError, OutputFile, Result, StageError, partial_path};
 use crate::stages::write_lstat;
+use wavex_formats::Error;
+use wavex_geodesy::time::utc;
 
 /// Id of the stage that writes scan-line statistics for the archive.
 const STAGE_ID: &str = "archive";

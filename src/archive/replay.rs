@@ -12,9 +12,9 @@ use super::paths::relative;
 use super::verify::{self, Folders};
 use super::{Archive, DigestedFile, RESOLVED, digest};
 use crate::engine::{self, Cancel, Options, ProgressMode, RunReport};
-use crate::formats::Error;
 use crate::job::{Job, Override, Simd};
 use crate::stage::{Result, StageError};
+use wavex_formats::Error;
 
 /// Options of a replay.
 #[derive(Clone, Debug)]

@@ -9,9 +9,9 @@ use serde_json::{Map, Value, json};
 use super::inputs;
 use super::paths::{common, plain, relative};
 use crate::engine::{self, Input, Options};
-use crate::formats::Error;
 use crate::job::{Job, JobStage, Simd};
 use crate::stage::{FileMark, Paths, Plan, Result, StageError};
+use wavex_formats::Error;
 
 /// A portable job with its files.
 #[derive(Debug)]

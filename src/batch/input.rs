@@ -2,6 +2,9 @@
 
 use std::path::PathBuf;
 
+use wavex_geodesy::time::TimeScale;
+use wavex_geodesy::vertical::Frame;
+
 /// Metadata of an input, shared by all stages of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputInfo {
@@ -65,6 +68,13 @@ pub struct InputInfo {
     pub range_high: Option<AmplitudeTable>,
 }
 
+impl InputInfo {
+    /// Converts a time of the recording to adjusted GPS time, s; `None` if the week is unknown.
+    pub fn adjusted_gps_time(&self, gps_time_s: f64) -> Option<f64> {
+        self.time_scale.adjusted_s(self.gps_week, gps_time_s)
+    }
+}
+
 impl Default for InputInfo {
     /// Unknown recording, sampled every nanosecond, in vacuum.
     fn default() -> InputInfo {
@@ -106,32 +116,6 @@ pub enum GainControl {
     Recorded,
     /// The gain varies but is not recorded: intensities are not comparable.
     NotRecorded,
-}
-
-/// Time scale of GPS times.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TimeScale {
-    /// Seconds of the GPS week.
-    Week,
-    /// Seconds of the day.
-    Day,
-    /// Seconds since 1980-01-06 minus 1e9.
-    Adjusted,
-    /// Not specified by the file.
-    Unknown,
-}
-
-/// Coordinate frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Frame {
-    /// Scanner frame.
-    Scanner,
-    /// Body frame of the aircraft: forward, right, down.
-    Body,
-    /// Projected coordinates in the coordinate reference system of the input.
-    Map,
-    /// Geocentric (ECEF) metres; used for shots with a trajectory.
-    Earth,
 }
 
 /// Source of the emission time.

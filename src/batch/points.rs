@@ -153,5 +153,5 @@ impl ReturnChannel {
 ///
 /// The low byte is the LAS user data of BayesWavEx 1.1, section 3.
 pub mod flags {
-    pub use crate::kernels::flags::*;
+    pub use wavex_signal::flags::*;
 }

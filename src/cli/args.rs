@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 
 use super::usage;
-use crate::formats::trajectory::Angles;
-use crate::geo::time_axis::Clock;
+use wavex_formats::trajectory::Angles;
+use wavex_geodesy::time_axis::Clock;
 
 /// Turn full-waveform lidar recordings into point clouds
 #[derive(Parser)]

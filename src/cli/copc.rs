@@ -5,9 +5,9 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use super::{Failure, terminal};
-use crate::formats::Error;
-use crate::formats::las::{CopcSummary, indexes_beside, write_copc};
 use crate::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
+use wavex_formats::Error;
+use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
 
 /// Maximum number of sorted runs, claimed in advance.
 ///

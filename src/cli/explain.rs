@@ -8,11 +8,9 @@ use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, run, terminal};
 use crate::batch::{Emission, Returns, ScanLine};
-use crate::formats::Error;
 use crate::geometry::Loader;
 use crate::geometry::pose_source::Posed;
 use crate::job::{Job, JobStage, Override};
-use crate::kernels::sensor_model::SensorModel;
 use crate::registry::reader_of;
 use crate::stage::{Context, OutputFile, Plan, RunContext, Source, SourcePlan, TransformConfig};
 use crate::stages::calibrate::Calibrate;
@@ -20,6 +18,8 @@ use crate::stages::decompose::{
     Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
 };
 use upstream::{Step, Upstream};
+use wavex_formats::Error;
+use wavex_signal::sensor_model::SensorModel;
 
 pub(super) mod panel;
 mod picture;
@@ -48,7 +48,7 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
 }
 
 /// Writes a picture, which gets its final name only when complete.
-fn write(path: &Path, picture: &str) -> crate::formats::Result<()> {
+fn write(path: &Path, picture: &str) -> wavex_formats::Result<()> {
     let mut file = OutputFile::create(path)?;
     file.write_all(picture.as_bytes()).map_err(Error::io(path, "write"))?;
     file.finish()?.publish()?;

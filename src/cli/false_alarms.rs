@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use super::terminal::print;
 use super::{Failure, FalseAlarmArgs};
-use crate::kernels::false_alarms::FilteredNoise;
-use crate::kernels::noise::{ArNoise, fit_by_bic};
+use wavex_signal::false_alarms::FilteredNoise;
+use wavex_signal::noise::{ArNoise, fit_by_bic};
 
 /// Tolerance for equal correlations.
 const SAME_CORRELATION: f64 = 1e-3;

@@ -10,8 +10,8 @@ use std::path::Path;
 use clap::{CommandFactory, Parser};
 
 use super::{Cli, Failure, ImportArgs, Machine, When, dispatch, run, terminal};
-use crate::formats::trajectory::{self, Records};
 use crate::job::Job;
+use wavex_formats::trajectory::{self, Records};
 
 pub mod draft;
 pub mod line;

@@ -12,7 +12,7 @@ use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer, fmt};
 
 use super::terminal;
-use crate::formats::{Error, Result};
+use wavex_formats::{Error, Result};
 
 /// The log file of the run, opened after logging has started.
 static FILE: Mutex<Option<File>> = Mutex::new(None);

@@ -7,8 +7,8 @@ use serde_json::Value;
 
 use super::{Failure, terminal};
 use crate::engine::RunReport;
-use crate::formats::Error;
 use crate::stage::OutputFile;
+use wavex_formats::Error;
 
 mod overview;
 mod page;

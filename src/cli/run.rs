@@ -10,12 +10,12 @@ use crate::archive::{Recorder, check_destination};
 use crate::engine::{
     self, Cancel, Cause, FailedRun, InputReport, Options, ProgressMode, RunError, RunReport,
 };
-use crate::formats::Error;
 use crate::geometry::check_crs;
 use crate::job::{Job, Override};
 use crate::stage::{
     OutputFile, OutputLock, Outputs, StageError, fixed_folder, give_up_claims, remove_unfinished_files,
 };
+use wavex_formats::Error;
 
 /// Trace that `--profile` writes to the output folder.
 const TRACE: &str = "trace.json";

@@ -4,13 +4,13 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Failure, TrajectoryArgs, terminal};
-use crate::formats::Error;
-use crate::formats::trajectory::{self, Angles, Options, Records, Unproject};
-use crate::geo::time_axis::Clock;
-use crate::geo::trajectory::{Accuracy, Trajectory};
 use crate::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
+use wavex_formats::Error;
+use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
+use wavex_geodesy::time_axis::Clock;
+use wavex_geodesy::trajectory::{Accuracy, Trajectory};
 
 mod map;
 mod picture;

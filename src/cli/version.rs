@@ -1,7 +1,7 @@
 //! `wavex --version --verbose`: build details.
 
 use crate::archive::Program;
-use crate::kernels::lockstep;
+use wavex_signal::lockstep;
 
 /// Lines with version, commit, compiler, target, licence and features.
 pub(super) fn details() -> String {
@@ -20,6 +20,6 @@ pub(super) fn details() -> String {
         program.target,
         program.profile,
         env!("CARGO_PKG_LICENSE"),
-        lockstep::Path::best(),
+        lockstep::SimdLevel::best(),
     )
 }

@@ -4,9 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::RunError;
-use crate::formats::{companions, unsupported};
 use crate::job::Job;
 use crate::stage::{Outputs, Paths, RunContext, StageError, fixed_folder};
+use wavex_formats::{companions, unsupported};
 
 /// Input of one run.
 #[derive(Debug, PartialEq)]

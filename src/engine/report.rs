@@ -12,13 +12,13 @@ use serde::{Serialize, Serializer};
 use super::Options;
 use super::meter::{Meter, Span};
 use crate::batch::{EmissionReference, Frame, InputInfo, ScanLine, TimeScale};
-use crate::geo::time::utc;
-use crate::geo::trajectory::Trajectory;
 use crate::job::{Job, JobSettings, JobStage, Simd};
-use crate::kernels::fusion::ChannelFusion;
-use crate::kernels::sensor_model::SensorModel;
 use crate::overview::{Gallery, Gathering, Overview};
 use crate::stage::{Counters, Distribution, Item, RoleName, RunContext};
+use wavex_geodesy::time::utc;
+use wavex_geodesy::trajectory::Trajectory;
+use wavex_signal::fusion::ChannelFusion;
+use wavex_signal::sensor_model::SensorModel;
 
 /// Report of a run (`report.json`).
 #[derive(Clone, Debug, Serialize, JsonSchema)]

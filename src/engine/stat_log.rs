@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use super::report::{InputReport, RunReport, StageReport, TrajectoryReport};
 use crate::geometry::keys::{CalibrationKey, GeometryKeys};
-use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::RoleName;
+use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
 /// Descriptions of the line counters, in output order.
 const COUNTS: [(&str, &str); 23] = [

@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::ReturnChannel;
-use crate::formats::{Error, Result};
+use wavex_formats::{Error, Result};
 
 /// Calibration; all zero means none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]

@@ -9,10 +9,10 @@ use super::output_crs::{CrsRequest, Target, failed};
 use super::trajectory_file::Track;
 use super::transform::Installation;
 use crate::batch::{Emission, Frame, InputInfo};
-use crate::geo::frames::Vector;
-use crate::geo::time_axis::{Alignment, Clock, Misaligned, Times};
-use crate::geo::trajectory::{Pose, Poses, Trajectory};
 use crate::stage::{Result, StageError};
+use wavex_geodesy::frames::Vector;
+use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, Times};
+use wavex_geodesy::trajectory::{Pose, Poses, Trajectory};
 
 /// Georeferencing context of a run.
 #[derive(Debug)]

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::output_crs::{ANYWHERE, CrsRequest, failed, read_wkt};
-use crate::geo::crs::{Crs, CrsError, Named};
-use crate::geo::frames::Vector;
 use crate::stage::Result;
+use wavex_geodesy::crs::{Crs, CrsError, Named};
+use wavex_geodesy::frames::Vector;
 
 /// Requirement for names of the CRS of a recording.
 const MUST_BE: &str = "it must name a projected CRS: `utm:33N`, `EPSG:2154`, or a file with WKT";

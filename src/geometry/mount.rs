@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::geo::frames::{IDENTITY, Rotation, rotation_of_angles};
+use wavex_geodesy::frames::{IDENTITY, Rotation, rotation_of_angles};
 
 /// Rotation from the scanner frame to the body frame (forward, right, down): a name, or three
 /// angles.
@@ -55,7 +55,7 @@ impl Mount {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geo::frames::{inverse, rotate, then};
+    use wavex_geodesy::frames::{inverse, rotate, then};
 
     #[test]
     fn names_say_which_way_the_axes_look() {

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::keys::{GeometryKeys, UnitKey};
-use crate::formats::{Error, geoid};
-use crate::geo::crs::{Crs, CrsError, Named, Unit};
-use crate::geo::ellipsoid::{Geodetic, WGS84};
-use crate::geo::frames::Vector;
-use crate::geo::geoid::{Geoid, GeoidError};
 use crate::stage::{Result, StageError};
+use wavex_formats::{Error, geoid};
+use wavex_geodesy::crs::{Crs, CrsError, Named, Unit};
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+use wavex_geodesy::frames::Vector;
+use wavex_geodesy::geoid::{Geoid, GeoidError};
 
 /// The requested CRS, as far as it does not depend on the position.
 #[derive(Clone, Debug)]

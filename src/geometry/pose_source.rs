@@ -6,10 +6,10 @@ use super::context::Geometry;
 use super::scan_angles::{ScanAngles, are_unknown, set_directions};
 use super::transform::{scan_angle_deg, to_earth};
 use crate::batch::{Content, Emission, Frame, InputInfo, ScanLine};
-use crate::geo::time_axis::{Clock, Unwrap};
-use crate::geo::trajectory::Pose;
-use crate::geo::vertical::down_at;
 use crate::stage::{Context, Item, Result, Source, StageError};
+use wavex_geodesy::time_axis::{Clock, Unwrap};
+use wavex_geodesy::trajectory::Pose;
+use wavex_geodesy::vertical::down_at;
 
 /// A source whose shots are converted to the earth-centred frame, given a trajectory.
 ///

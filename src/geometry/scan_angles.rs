@@ -9,9 +9,9 @@ use std::collections::VecDeque;
 
 use super::transform::{cross, dot};
 use crate::batch::{Emission, Frame, InputInfo, ScanLine, emission_flags};
-use crate::geo::frames::Vector;
-use crate::geo::vertical::{down_at, main_axis};
-use crate::kernels::sensor_path::{Beam, Window};
+use wavex_geodesy::frames::Vector;
+use wavex_geodesy::vertical::{down_at, main_axis};
+use wavex_signal::sensor_path::{Beam, Window};
 
 /// Number of angle steps on each side that decide a direction.
 ///

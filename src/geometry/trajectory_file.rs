@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use super::keys::{AnglesKey, GeometryKeys, HeightsKey, TimeKey};
 use super::output_crs::{CrsRequest, failed};
-use crate::formats::trajectory::{self, Angles, Options, Records, Unproject};
-use crate::geo::ellipsoid::Geodetic;
-use crate::geo::time_axis::{Clock, Times};
-use crate::geo::trajectory::{Gap, Trajectory};
 use crate::stage::Result;
+use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
+use wavex_geodesy::ellipsoid::Geodetic;
+use wavex_geodesy::time_axis::{Clock, Times};
+use wavex_geodesy::trajectory::{Gap, Trajectory};
 
 /// A trajectory and its files.
 #[derive(Debug)]

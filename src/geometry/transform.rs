@@ -6,8 +6,8 @@
 use super::calibration::Calibration;
 use super::mount::Mount;
 use crate::batch::Emission;
-use crate::geo::frames::{IDENTITY, Rotation, Vector, inverse, rotate, rotation_of_angles, then};
-use crate::geo::trajectory::{Accuracy, Pose};
+use wavex_geodesy::frames::{IDENTITY, Rotation, Vector, inverse, rotate, rotation_of_angles, then};
+use wavex_geodesy::trajectory::{Accuracy, Pose};
 
 /// Mounting and calibration of a scanner in the aircraft.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,9 +135,9 @@ pub(super) fn cross(a: Vector, b: Vector) -> Vector {
 mod tests {
     use super::super::mount::MountName;
     use super::*;
-    use crate::geo::ellipsoid::{Geodetic, WGS84};
-    use crate::geo::frames::{Attitude, ecef_from_ned};
     use proptest::prelude::*;
+    use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+    use wavex_geodesy::frames::{Attitude, ecef_from_ned};
 
     fn beam(origin_m: Vector, direction: Vector) -> Emission {
         Emission { origin_m, direction, ..Emission::default() }

@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::kernels::lockstep::Path;
 use crate::stage::listed;
+use wavex_signal::lockstep::SimdLevel;
 
 /// SIMD instruction set of a processor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
@@ -21,24 +21,24 @@ pub enum Simd {
     Portable,
 }
 
-impl From<Path> for Simd {
-    fn from(path: Path) -> Simd {
+impl From<SimdLevel> for Simd {
+    fn from(path: SimdLevel) -> Simd {
         match path {
-            Path::Avx512 => Simd::Avx512,
-            Path::Avx2 => Simd::Avx2,
-            Path::Portable => Simd::Portable,
+            SimdLevel::Avx512 => Simd::Avx512,
+            SimdLevel::Avx2 => Simd::Avx2,
+            SimdLevel::Portable => Simd::Portable,
         }
     }
 }
 
 impl Simd {
     /// Instruction set of the kernels on this processor.
-    pub fn path(self) -> Path {
+    pub fn path(self) -> SimdLevel {
         match self {
-            Simd::Auto => Path::best(),
-            Simd::Avx512 => Path::Avx512,
-            Simd::Avx2 => Path::Avx2,
-            Simd::Portable => Path::Portable,
+            Simd::Auto => SimdLevel::best(),
+            Simd::Avx512 => SimdLevel::Avx512,
+            Simd::Avx2 => SimdLevel::Avx2,
+            Simd::Portable => SimdLevel::Portable,
         }
     }
 
@@ -55,11 +55,11 @@ impl Simd {
     /// Checks that the processor supports the instruction set.
     ///
     /// `has` returns whether it supports a given one.
-    pub(super) fn check(self, has: impl Fn(Path) -> bool) -> Result<(), String> {
+    pub(super) fn check(self, has: impl Fn(SimdLevel) -> bool) -> Result<(), String> {
         if self == Simd::Auto || has(self.path()) {
             return Ok(());
         }
-        let available = Path::ALL.into_iter().filter(|&path| has(path));
+        let available = SimdLevel::ALL.into_iter().filter(|&path| has(path));
         let names: Vec<String> = available.map(|path| format!("`{}`", Simd::from(path).name())).collect();
         let (asked, has) = (self.name(), listed(&names, "and"));
         Err(format!(
@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn what_the_processor_lacks_is_an_error() {
-        let without_avx512 = |path: Path| path != Path::Avx512;
+        let without_avx512 = |path: SimdLevel| path != SimdLevel::Avx512;
         let message = "this processor does not support `avx512`; it supports `avx2` and `portable`; `auto` selects the fastest";
         assert_eq!(Simd::Avx512.check(without_avx512).unwrap_err(), message);
         for simd in [Simd::Auto, Simd::Avx2, Simd::Portable] {
@@ -82,15 +82,15 @@ mod tests {
         }
         let message =
             "this processor does not support `avx2`; it supports `portable`; `auto` selects the fastest";
-        assert_eq!(Simd::Avx2.check(|path| path == Path::Portable).unwrap_err(), message);
+        assert_eq!(Simd::Avx2.check(|path| path == SimdLevel::Portable).unwrap_err(), message);
     }
 
     #[test]
     fn every_path_has_its_name_and_back() {
-        for path in Path::ALL {
+        for path in SimdLevel::ALL {
             assert_eq!(Simd::from(path).path(), path);
             assert_eq!(serde_json::to_value(Simd::from(path)).unwrap(), Simd::from(path).name());
         }
-        assert_eq!(Simd::Auto.path(), Path::best());
+        assert_eq!(Simd::Auto.path(), SimdLevel::best());
     }
 }

@@ -2,7 +2,7 @@
 
 use super::Output;
 use crate::batch::{Channel, ScanLine};
-use crate::kernels::gain::Recorded;
+use wavex_signal::gain::Recorded;
 
 /// Lines held back until they contain enough waveforms.
 #[derive(Debug)]

@@ -6,7 +6,7 @@ use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
-use crate::formats::{Error, Result};
+use wavex_formats::{Error, Result};
 
 /// A file being written under a temporary name; removed if dropped before [`OutputFile::finish`].
 #[derive(Debug)]

@@ -13,7 +13,7 @@ use std::sync::{Mutex, MutexGuard};
 
 use super::output_file::partial_path;
 use super::{Result, StageError};
-use crate::formats::Error;
+use wavex_formats::Error;
 
 /// Prefix and suffix of claim names; the process id and the claim number are in between.
 const CLAIM: (&str, &str) = (".wavex-", ".run");

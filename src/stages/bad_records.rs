@@ -1,8 +1,8 @@
 //! Handling of malformed items: a single one is counted and skipped; a file that ends with them is
 //! truncated.
 
-use crate::formats::{Error, Result};
 use crate::stage::{Context, Item};
+use wavex_formats::{Error, Result};
 
 /// The malformed items since the last good one.
 #[derive(Debug, Default)]

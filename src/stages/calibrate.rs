@@ -8,16 +8,16 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Channel, InputInfo, Kind, ScanLine};
-use crate::formats::Error;
-use crate::kernels::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
-use crate::kernels::gain::calibrate_at_unit_gain;
-use crate::kernels::response_calibrate::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
-use crate::kernels::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use crate::stage::{
     Config, Holds, InvalidKey, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey,
     Transform, TransformConfig,
 };
 pub use presets::Preset;
+use wavex_formats::Error;
+use wavex_signal::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
+use wavex_signal::gain::calibrate_at_unit_gain;
+use wavex_signal::response_calibrate::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
+use wavex_signal::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 
 mod presets;
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
-use crate::formats::container::{self, ContainerHeader, channel};
+use wavex_formats::container::{self, ContainerHeader, channel};
 
 /// Container header with the metadata of a recording.
 pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {

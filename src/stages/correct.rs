@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 use super::calibrate::Auto;
 use super::decompose::Threshold;
 use crate::batch::{Content, Kind, ScanLine};
-use crate::formats::lookup_tables::LookupTables;
 use crate::stage::{
     Config, Holds, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Survey, Transform,
     TransformConfig,
 };
+use wavex_formats::lookup_tables::LookupTables;
 
 mod apply;
 mod tables;

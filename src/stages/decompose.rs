@@ -6,11 +6,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Blocks, Content, Emission, Kind, LineStats, Return, Returns, ScanLine};
-use crate::kernels::fusion::ChannelFusion;
-use crate::kernels::lockstep::Path;
-use crate::kernels::sensor_model::SensorModel;
 use crate::overview::{Gallery, ShownReturn, ShownShot};
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
+use wavex_signal::fusion::ChannelFusion;
+use wavex_signal::lockstep::SimdLevel;
+use wavex_signal::sensor_model::SensorModel;
 
 mod at_gains;
 mod crosstalk;
@@ -224,7 +224,7 @@ impl MapConfig for Decompose {
 /// One worker; its kernels are created when the first line brings the sensor model.
 struct DecomposeLine {
     config: Decompose,
-    path: Path,
+    path: SimdLevel,
     worker: Option<Worker>,
 }
 
@@ -241,7 +241,7 @@ impl Worker {
         model: &Arc<SensorModel>,
         fusion: Option<&Arc<ChannelFusion>>,
         config: &Decompose,
-        path: Path,
+        path: SimdLevel,
     ) -> Result<Worker> {
         let tables = config.tables.of(model, config.mode);
         let shots =

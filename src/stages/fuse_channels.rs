@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::AutoOrNumber;
 use crate::batch::{Block, Blocks, Channel, Content, Kind, ScanLine};
-use crate::kernels::decompose::OVERDRIVEN_PART;
-use crate::kernels::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
 use crate::stage::{
     Config, Holds, InvalidKey, Output, Result, RunContext, StageSpec, Survey, Transform, TransformConfig,
 };
+use wavex_signal::decompose::OVERDRIVEN_PART;
+use wavex_signal::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<FuseChannels>("fuse_channels", &[Kind::Shots]);

@@ -6,12 +6,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Content, Emission, Frame, InputInfo, Kind, Return, ScanLine};
-use crate::geo::frames::Vector;
 use crate::geometry::Geometry;
 use crate::geometry::calibration::is_on_low_power_scale;
 use crate::geometry::output_crs::Target;
 use crate::geometry::scan_angles::complete_in_own_axes;
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
+use wavex_geodesy::frames::Vector;
 
 mod above_ground;
 mod uncertainty;

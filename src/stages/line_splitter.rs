@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use crate::batch::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine, emission_flags};
-use crate::geo::cone::{Cone, Turning};
 use crate::stage::InvalidKey;
+use wavex_geodesy::cone::{Cone, Turning};
 
 /// Checks the reader key `odd_sample_shift`.
 pub(super) fn check_odd_sample_shift(shift: f64) -> Result<(), InvalidKey> {

@@ -13,11 +13,11 @@ use crate::batch::{
     Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
     ScanLine,
 };
-use crate::formats::container::{
-    self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
-};
 use crate::stage::{
     self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
+use wavex_formats::container::{
+    self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
 };
 
 /// Registry entry of the stage.

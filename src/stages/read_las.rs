@@ -16,13 +16,13 @@ use crate::batch::{
     Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn, ScanLine,
     TimeScale, emission_flags,
 };
-use crate::formats::geokeys;
-use crate::formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
-use crate::geo::beam_length::BeamLength;
 use crate::stage::{
     Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
 use pulse::same_pulse;
+use wavex_formats::geokeys;
+use wavex_formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
+use wavex_geodesy::beam_length::BeamLength;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
@@ -444,7 +444,7 @@ fn clock_ps(time_s: f64) -> i64 {
 /// Offset from point times to adjusted GPS times, s; 0 for GPS week times.
 fn time_shift_s(reader: &Reader) -> f64 {
     match reader.header().gps_time() {
-        GpsTime::Standard { offset_s } => offset_s - crate::geo::time::ADJUSTMENT_S,
+        GpsTime::Standard { offset_s } => offset_s - wavex_geodesy::time::ADJUSTMENT_S,
         GpsTime::Week => 0.0,
     }
 }

@@ -14,12 +14,12 @@ use crate::batch::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
     TimeScale, emission_flags,
 };
-use crate::formats::geokeys;
-use crate::formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
-use crate::geo::beam_length::BeamLength;
 use crate::stage::{
     Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
+use wavex_formats::geokeys;
+use wavex_formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
+use wavex_geodesy::beam_length::BeamLength;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
@@ -183,7 +183,7 @@ impl PulseWavesSource {
         let input = Arc::new(input);
         let first_t = reader.header().min_t;
         let time_shift_s = match reader.header().time_axis() {
-            TimeAxis::Standard => -crate::geo::time::ADJUSTMENT_S,
+            TimeAxis::Standard => -wavex_geodesy::time::ADJUSTMENT_S,
             TimeAxis::WeekSeconds | TimeAxis::Undecided => 0.0,
         };
         Ok(PulseWavesSource {
@@ -390,7 +390,7 @@ const GROUP_VELOCITY_MPS: f64 = 299_707_502.0;
 /// Amplitude table of a returning channel.
 fn amplitude_table(reader: &Reader, channel: u8) -> Option<AmplitudeTable> {
     let mut samplings = reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
-    let of_channel = |s: &&crate::formats::pulsewaves::Sampling| {
+    let of_channel = |s: &&wavex_formats::pulsewaves::Sampling| {
         s.kind == SegmentKind::Returning && s.channel == channel && s.lookup_table_index > 0
     };
     let index = u8::try_from(samplings.find(of_channel)?.lookup_table_index).ok()?;

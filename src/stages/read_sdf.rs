@@ -13,10 +13,10 @@ use super::recording::{self, NO_TIME, with_time_keys};
 use crate::batch::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
 };
-use crate::formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 use crate::stage::{
     self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
+use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 
 mod shot;
 

@@ -7,9 +7,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
-use crate::geo::time::WEEK_S;
 use crate::geometry::declared;
 use crate::stage::{Context, InvalidKey, Item, Result, RunContext, Source, StageError};
+use wavex_geodesy::time::WEEK_S;
 
 pub(super) mod time;
 

@@ -8,12 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
 use crate::batch::{Kind, ScanLine};
-use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry;
-use crate::kernels::mta::{Method, MtaError, Prior, Settings};
 use crate::stage::{
     Config, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
 };
+use wavex_formats::terrain::Terrain;
+use wavex_signal::mta::{Method, MtaError, Prior, Settings};
 
 mod echoes;
 mod geometry;

@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 
 use super::container_info::{code_of, header_of};
 use crate::batch::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
-use crate::formats::container::{
-    self, ContainerBlock, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
-};
 use crate::stage::{
     self, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
+};
+use wavex_formats::container::{
+    self, ContainerBlock, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
 };
 
 /// Registry entry of the stage.

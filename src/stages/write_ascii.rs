@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use super::write_las::{AttributeLayout, WriteLas, offsets, point};
 use crate::batch::{InputInfo, Kind, ScanLine};
-use crate::formats::Error;
 use crate::stage::{
     Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
 };
+use wavex_formats::Error;
 
 mod columns;
 mod steps;
@@ -192,8 +192,8 @@ mod tests {
     use super::*;
     use crate::batch::{Blocks, Content, Emission, Return, ReturnChannel, TimeScale, emission_flags};
     use crate::geometry::Geometry;
-    use crate::kernels::lockstep::Path;
     use std::sync::Arc;
+    use wavex_signal::lockstep::SimdLevel;
 
     /// Two points of one shot.
     fn line() -> ScanLine {
@@ -242,7 +242,7 @@ mod tests {
             input_dir: folder.path().into(),
             output_dir: folder.path().into(),
             threads: 1,
-            simd: Path::Portable,
+            simd: SimdLevel::Portable,
             geometry: Arc::new(Geometry::default()),
         };
         let mut sink = config.make(&site).unwrap();

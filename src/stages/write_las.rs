@@ -15,10 +15,6 @@ use serde::{Deserialize, Serialize};
 use crate::batch::{
     Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
 };
-use crate::formats::Error;
-use crate::formats::geokeys;
-use crate::formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
-use crate::geo::time::{adjusted_gps_time, day_of_year};
 use crate::stage::{
     Config, Context, InvalidKey, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError,
     StageSpec,
@@ -26,6 +22,10 @@ use crate::stage::{
 use attributes::Attributes;
 use files::Files;
 use waves::Waves;
+use wavex_formats::Error;
+use wavex_formats::geokeys;
+use wavex_formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
+use wavex_geodesy::time::day_of_year;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =
@@ -274,7 +274,7 @@ impl WriteLas {
         attributes: &Attributes,
         threads: usize,
     ) -> Result<Writer<OutputFile>> {
-        let adjusted = adjusted_gps_time(input, time_s);
+        let adjusted = input.adjusted_gps_time(time_s);
         let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
         let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
         let options = WriterOptions {
@@ -503,5 +503,5 @@ pub(super) fn point(
 
 fn gps_time(input: &InputInfo, emission: &Emission) -> f64 {
     let time_s = emission.gps_time_s;
-    adjusted_gps_time(input, time_s).unwrap_or(if time_s.is_nan() { 0.0 } else { time_s })
+    input.adjusted_gps_time(time_s).unwrap_or(if time_s.is_nan() { 0.0 } else { time_s })
 }

@@ -7,9 +7,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::batch::{Kind, LineStats, Return, ScanLine, flags};
-use crate::formats::Error;
-use crate::geo::time::adjusted_gps_time;
 use crate::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
+use wavex_formats::Error;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =
@@ -159,7 +158,7 @@ struct LstatWriter {
 impl Sink for LstatWriter {
     fn write(&mut self, batch: &ScanLine, _cx: &mut Context) -> Result<()> {
         let time = batch.stats.gps_time_s;
-        let time = adjusted_gps_time(&batch.input, time).unwrap_or(time);
+        let time = batch.input.adjusted_gps_time(time).unwrap_or(time);
         let refined = |found: &&Return| found.flags & flags::REFINED != 0;
         let n_refined = batch.returns().map_or(0, |returns| returns.iter().filter(refined).count());
         let row = row(self.columns, &batch.stats, time, n_refined as u64);

@@ -7,14 +7,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::batch::{Emission, Frame, InputInfo, Kind, ScanLine};
-use crate::formats::Error;
-use crate::geo::ellipsoid::WGS84;
-use crate::geo::frames::{Attitude, ecef_from_ned, inverse, then};
-use crate::geo::time::adjusted_gps_time;
 use crate::geometry::Geometry;
 use crate::stage::{
     Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
 };
+use wavex_formats::Error;
+use wavex_geodesy::ellipsoid::WGS84;
+use wavex_geodesy::frames::{Attitude, ecef_from_ned, inverse, then};
 
 mod beam_intersection;
 mod decimation;
@@ -197,7 +196,7 @@ impl TrajectoryWriter {
 
     /// Writes a row for an input time and a position in the input frame.
     fn row(&mut self, input: &InputInfo, gps_time_s: f64, place_m: [f64; 3]) -> Result<()> {
-        let mut text = number(adjusted_gps_time(input, gps_time_s).unwrap_or(gps_time_s), 6);
+        let mut text = number(input.adjusted_gps_time(gps_time_s).unwrap_or(gps_time_s), 6);
         let (place, grid) = match input.frame {
             Frame::Earth => match self.geometry.target()? {
                 Some(target) => (target.coordinates(place_m)?, target.grid()),

@@ -6,7 +6,7 @@
 //! simpler: no pulses are fitted.
 
 use super::histogram::Histogram;
-use crate::kernels::calibrate::NoiseStatistics;
+use wavex_signal::calibrate::NoiseStatistics;
 
 /// Number of blocks used to determine level and spread.
 const LOOKED_AT: usize = 500;
@@ -195,8 +195,8 @@ fn quantile_of_rounded(rounded: &Histogram, part: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kernels::noise::ArNoise;
-    use crate::kernels::simulated::{Random, digitised, noise};
+    use wavex_signal::noise::ArNoise;
+    use wavex_signal::simulated::{Random, digitised, noise};
 
     #[test]
     fn the_peak_of_a_parabola_is_its_vertex() {

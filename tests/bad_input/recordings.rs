@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::json;
-use wavex::formats::container::ContainerReader;
+use wavex_formats::container::ContainerReader;
 
 use crate::support::{Place, data, rejected};
 

@@ -3,10 +3,10 @@
 
 use std::sync::Arc;
 
-use wavex::kernels::calibrate::Block;
-use wavex::kernels::decompose::{DecomposeSettings, Return};
-use wavex::kernels::lockstep::{Lockstep, Mode, Outcomes, Path, Tables};
-use wavex::kernels::sensor_model::ChannelModel;
+use wavex_signal::calibrate::Block;
+use wavex_signal::decompose::{DecomposeSettings, Return};
+use wavex_signal::lockstep::{Lockstep, Mode, Outcomes, SimdLevel, Tables};
+use wavex_signal::sensor_model::ChannelModel;
 
 /// Decomposes one waveform at a time.
 pub struct Engine {
@@ -18,7 +18,7 @@ impl Engine {
     /// Creates the engine for a channel.
     pub fn new(model: &ChannelModel, settings: &DecomposeSettings, mode: Mode) -> Engine {
         let tables = Tables::new(model).map(Arc::new);
-        let kernels = Lockstep::new(model, tables, settings, mode, Path::best()).expect("a model");
+        let kernels = Lockstep::new(model, tables, settings, mode, SimdLevel::best()).expect("a model");
         Engine { kernels, outcomes: Outcomes::default() }
     }
 

@@ -10,8 +10,8 @@ use std::f64::consts::TAU;
 use std::sync::{Arc, OnceLock};
 
 use nalgebra::{DMatrix, DVector, Matrix3};
-use wavex::simulation::noise::Noise;
-use wavex::simulation::random::{Normal, Purpose, Random};
+use wavex_simulation::noise::Noise;
+use wavex_simulation::random::{Normal, Purpose, Random};
 
 /// Samples per waveform, 1 ns apart.
 pub const SAMPLES: usize = 60;

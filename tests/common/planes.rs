@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use wavex::formats::pulsewaves::Reader;
+use wavex_formats::pulsewaves::Reader;
 
 use super::recordings::{Table, median};
 

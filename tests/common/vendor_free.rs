@@ -3,14 +3,14 @@
 
 use std::path::Path;
 
-use wavex::kernels::calibrate::{Block, CalibrationSettings, calibrate};
-use wavex::kernels::decompose::{DecomposeSettings, Decomposer, Return};
-use wavex::kernels::detect::Detector;
-use wavex::kernels::gauss_fit::Pulse;
-use wavex::kernels::response_calibrate::{EvenOdd, calibrate_response};
-use wavex::kernels::sensor_model::ChannelModel;
-use wavex::kernels::shape::Shape;
-use wavex::kernels::whitening::Whitener;
+use wavex_signal::calibrate::{Block, CalibrationSettings, calibrate};
+use wavex_signal::decompose::{DecomposeSettings, Decomposer, Return};
+use wavex_signal::detect::Detector;
+use wavex_signal::gauss_fit::Pulse;
+use wavex_signal::response_calibrate::{EvenOdd, calibrate_response};
+use wavex_signal::sensor_model::ChannelModel;
+use wavex_signal::shape::Shape;
+use wavex_signal::whitening::Whitener;
 
 use super::recordings::{robust, samples};
 

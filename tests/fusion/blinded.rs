@@ -1,7 +1,7 @@
 //! Saturated sensitive receiver: its delay depends on amplitude, and echoes share a plateau.
 
 use super::*;
-use wavex::kernels::sensor_model::ChannelModel;
+use wavex_signal::sensor_model::ChannelModel;
 
 /// Table of returns of a recording, and the report.
 fn found(keys: &str) -> (Vec<Row>, InputReport) {

@@ -21,10 +21,10 @@ use serde::{Deserialize, Serialize};
 use wavex::batch::{Blocks, Channel, Emission, EmissionReference, InputInfo, Kind, ScanLine};
 use wavex::engine::{self, InputReport};
 use wavex::registry;
-use wavex::simulation::pulse::Shape;
-use wavex::simulation::random::{Purpose, Random};
-use wavex::simulation::receiver::{Echo, HighPower, Receiver, Settings};
 use wavex::stage::{Config, Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use wavex_simulation::pulse::Shape;
+use wavex_simulation::random::{Purpose, Random};
+use wavex_simulation::receiver::{Echo, HighPower, Receiver, Settings};
 
 const FULL_SCALE_DN: f64 = 255.0;
 const BACKGROUND_DN: [f64; 2] = [12.0, 12.4];

@@ -1,9 +1,9 @@
 //! One flight in every kind of coordinate system.
 
-use wavex::formats::trajectory::sbet::RECORD_BYTES;
-use wavex::geo::crs::{Crs, Named};
-use wavex::geo::ellipsoid::{Geodetic, WGS84};
-use wavex::geo::transverse_mercator::{Parameters, TransverseMercator};
+use wavex_formats::trajectory::sbet::RECORD_BYTES;
+use wavex_geodesy::crs::{Crs, Named};
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+use wavex_geodesy::transverse_mercator::{Parameters, TransverseMercator};
 
 use super::flights::QUIET;
 use super::made::{Flight, Placed, distance_m, fly, write_geoid};

@@ -1,7 +1,7 @@
 //! Recordings without a trajectory or in a map, and effects of the calibration on ranges and
 //! angles.
 
-use wavex::formats::trajectory::sbet::RECORD_BYTES;
+use wavex_formats::trajectory::sbet::RECORD_BYTES;
 
 use super::flights::QUIET;
 use super::made::{Flight, distance_m, fly, run};

@@ -1,7 +1,7 @@
 //! Noise-free flights of every kind: computed points against the truth.
 
-use wavex::geo::frames::{inverse, rotation_of_angles, then};
 use wavex::geometry::mount::{Mount, MountName};
+use wavex_geodesy::frames::{inverse, rotation_of_angles, then};
 
 use super::made::{Flight, distance_m, fly};
 

@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use wavex::batch::{Content, Emission, Frame, InputInfo, LineStats, Return, ScanLine, TimeScale};
 use wavex::engine::{self, Options, RunReport};
-use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
-use wavex::geo::frames::{IDENTITY, Rotation, rotate};
 use wavex::geometry::pose_source::Posed;
 use wavex::geometry::{GeometryKeys, Loader};
 use wavex::job::Job;
-use wavex::kernels::lockstep;
 use wavex::registry;
 use wavex::stage::{Context, Map, Plan, RunContext, Source};
+use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
+use wavex_geodesy::frames::{IDENTITY, Rotation, rotate};
+use wavex_signal::lockstep;
 
 /// A folder with a recording, its trajectory and its truth.
 pub struct Flight {
@@ -214,7 +214,7 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
         input_dir: flight.folder().into(),
         output_dir: flight.folder().into(),
         threads: 1,
-        simd: lockstep::Path::best(),
+        simd: lockstep::SimdLevel::best(),
         geometry: Arc::new(loaded.map_err(|error| error.to_string())?),
     })
 }

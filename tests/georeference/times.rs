@@ -1,7 +1,7 @@
 //! Times of recording and trajectory: week rollover, disjoint ranges, and shots without times.
 
-use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex::stage::Item;
+use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 
 use super::flights::QUIET;
 use super::made::{Flight, Placed, distance_m, fly};

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use wavex::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
-use wavex::simulation::random::{Normal, Purpose, Random};
+use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
+use wavex_simulation::random::{Normal, Purpose, Random};
 
 use super::chain::{Found, SWAYING, pairs, process, returns};
 use super::made::{Flight, Truth, distance_m, fly, write_accuracy};

@@ -9,9 +9,9 @@ use crate::runs::{leaves, wavex};
 use crate::support::las::Las;
 use crate::support::{Outcome, Place};
 use crate::truth::{self, Truth, agrees_with_truth};
-use wavex::geo::crs::{Crs, Named};
-use wavex::geo::ellipsoid::Geodetic;
-use wavex::geo::frames::{Attitude, rotation_of_angles, then};
+use wavex_geodesy::crs::{Crs, Named};
+use wavex_geodesy::ellipsoid::Geodetic;
+use wavex_geodesy::frames::{Attitude, rotation_of_angles, then};
 
 /// Pulses per LAS file.
 const PULSES: usize = 300;

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::Path;
 
-use wavex::formats::container::ContainerReader;
-use wavex::formats::las::RawPoints;
+use wavex_formats::container::ContainerReader;
+use wavex_formats::las::RawPoints;
 
 use crate::support::{Place, shots};
 

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use support::container::{Shot, container};
 use support::{Outcome, Place, shots};
 use wavex::batch::flags::{ECHO_ON_OUTGOING, EMISSION_IN_BLOCK, EMISSION_ON_ECHO, OVERLAP, REFINED};
-use wavex::formats::container::EmissionReference;
+use wavex_formats::container::EmissionReference;
 
 const SHOTS: usize = 320;
 /// Channel codes of the container.

@@ -1,6 +1,6 @@
 //! Faulty recordings.
 
-use wavex::formats::container::{ContainerHeader, ContainerReader};
+use wavex_formats::container::{ContainerHeader, ContainerReader};
 
 use crate::flights::{Found, lines_of, recorded, refused, resolve, score, stage};
 use crate::made::{Row, container};

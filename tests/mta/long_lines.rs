@@ -5,7 +5,7 @@
 //! table of docs/explanation/mta.md.
 
 use serde_json::Value;
-use wavex::formats::container::{ContainerShot, channel};
+use wavex_formats::container::{ContainerShot, channel};
 
 use crate::flights::{Table, peak_kb, text};
 use crate::made::{NAME, Row, container, header, rows, stand_in};

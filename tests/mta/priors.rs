@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::OnceLock;
 
-use wavex::formats::container::{ContainerHeader, EmissionReference, channel};
+use wavex_formats::container::{ContainerHeader, EmissionReference, channel};
 
 use crate::flights::{
     FLIGHT, Flight, Table, chain, fly, in_scanner_frame, lines_of, recorded, refused, resolve, resolve_in,

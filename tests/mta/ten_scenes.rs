@@ -11,14 +11,11 @@ use crate::support::Place;
 
 #[path = "../../benches/mta/chain.rs"]
 mod chain;
-#[path = "../../benches/mta/scenes.rs"]
-#[allow(dead_code, reason = "shared with the bench, which uses all of it")]
-mod scenes;
 #[path = "../../benches/mta/waveforms.rs"]
 mod waveforms;
 
 use chain::{Score, quantile};
-use scenes::{Recording, SCENES, Scene, Spec};
+use wavex_simulation::mta_scenes::{Recording, SCENES, Scene, Spec};
 
 /// Lines per scene, and fraction of the swath.
 const LINES: u32 = 16;

@@ -167,7 +167,7 @@ fn resolved_and_unresolved_lines_may_follow_one_another() {
     for row in lines[20..30].iter_mut().flatten() {
         row.shot.mta_zone = Some(0);
     }
-    let header = wavex::formats::container::ContainerReader::open(
+    let header = wavex_formats::container::ContainerReader::open(
         &Place::with(&[("a.arrow", &flight.recording)]).path("a.arrow"),
     )
     .unwrap()

@@ -1,7 +1,7 @@
 //! Records without shots, lines, clocks, and emissions without samples.
 
 use wavex::batch::emission_flags::EDGE_OF_FLIGHT_LINE;
-use wavex::formats::container::{ContainerHeader, EmissionReference, channel};
+use wavex_formats::container::{ContainerHeader, EmissionReference, channel};
 
 use crate::made::{Row, container, header, lengths, place, plain, plain_line, read, with_edges};
 use crate::support::{notes, rejected};
@@ -91,7 +91,7 @@ fn an_outgoing_pulse_without_samples_is_the_moment_of_emission() {
         assert_eq!(row.shot.clock_ps, given.shot.clock_ps + 12_000, "to a picosecond");
         assert_eq!(row.blocks, [(channel::LOW_POWER, 3_988.499_75, vec![2, 9, 30, 9, 2])]);
     }
-    let reader = wavex::formats::container::ContainerReader::open(&place.path("out/sdf.arrow")).unwrap();
+    let reader = wavex_formats::container::ContainerReader::open(&place.path("out/sdf.arrow")).unwrap();
     let said: &ContainerHeader = reader.header();
     assert_eq!(said.emission_reference, Some(EmissionReference::Clock));
 }
@@ -103,7 +103,7 @@ fn a_recording_without_outgoing_pulses_counts_from_the_clock() {
     let header = ContainerHeader { emission_reference: Some(EmissionReference::Clock), ..header() };
     let place = place(&container(&header, std::slice::from_ref(&rows)), "");
     assert_eq!(read(&place, "").1, with_edges(vec![rows]));
-    let reader = wavex::formats::container::ContainerReader::open(&place.path("out/sdf.arrow")).unwrap();
+    let reader = wavex_formats::container::ContainerReader::open(&place.path("out/sdf.arrow")).unwrap();
     assert_eq!(reader.header(), &header);
 }
 

@@ -4,7 +4,7 @@
 use std::ffi::{CString, c_char, c_void};
 use std::os::raw::c_int;
 
-use wavex::formats::sdf::{SdfReader, SdfRecord};
+use wavex_formats::sdf::{SdfReader, SdfRecord};
 
 use crate::made::{NAME, container, header, place, plain_line, stand_in};
 

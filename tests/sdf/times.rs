@@ -1,6 +1,6 @@
 //! Time scales, and reading a time window of a recording.
 
-use wavex::formats::container::{ContainerHeader, ContainerReader, TimeScale};
+use wavex_formats::container::{ContainerHeader, ContainerReader, TimeScale};
 
 use crate::made::{NAME, Row, container, copy, header, lengths, place, plain_line, read, rows, with_edges};
 use crate::support::{Place, notes, rejected};

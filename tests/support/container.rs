@@ -1,6 +1,6 @@
 //! Containers built by hand: shots at nadir, each with its blocks.
 
-use wavex::formats::container::{
+use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale,
 };

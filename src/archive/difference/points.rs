@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::instead;
-use crate::formats::Result;
-use crate::formats::las::{RawField, RawPoints};
+use wavex_formats::Result;
+use wavex_formats::las::{RawField, RawPoints};
 
 pub(super) fn compare(then: &Path, now: &Path) -> Result<Option<String>> {
     let (mut a, mut b) = (RawPoints::open(then)?, RawPoints::open(now)?);

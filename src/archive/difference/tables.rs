@@ -8,8 +8,8 @@ use arrow_schema::Schema;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 use super::instead;
-use crate::formats::container::TableReader;
-use crate::formats::{Error, Result};
+use wavex_formats::container::TableReader;
+use wavex_formats::{Error, Result};
 
 const REMEDY: &str = "open it with another program to find the problem";
 /// Start of the Parquet library's message for a compression that is not built in.

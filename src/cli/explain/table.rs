@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use super::Explained;
 use crate::batch::{Return, flags};
-use crate::kernels::sensor_model::{Background, ChannelModel};
 use crate::stages::decompose::SeenBlock;
+use wavex_signal::sensor_model::{Background, ChannelModel};
 
 /// Column heads.
 const HEADS: [&str; 9] = [

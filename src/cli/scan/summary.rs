@@ -4,9 +4,9 @@ use std::path::Path;
 
 use super::histograms::{CHANNELS, name_of};
 use crate::batch::{Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
-use crate::geo::time;
 use crate::stage::Counters;
 use crate::survey::{Angle, ChannelSurvey, Histogram, Intervals, Samples, Survey};
+use wavex_geodesy::time;
 
 /// Summary of one recording.
 pub(super) struct Summary {
@@ -157,7 +157,7 @@ fn times(survey: &Survey) -> Section {
     section.say("shots", grouped(shots));
     if let (Some([first_s, last_s]), Some([least_s, largest_s])) = (times.first_last_s, times.range_s) {
         let date = |time_s: f64| {
-            let adjusted = survey.input.as_ref().and_then(|input| time::adjusted_gps_time(input, time_s));
+            let adjusted = survey.input.as_ref().and_then(|input| input.adjusted_gps_time(time_s));
             let day = adjusted.and_then(time::day_of_year);
             day.map_or(String::new(), |(year, day)| format!(" (day {day} of {year})"))
         };

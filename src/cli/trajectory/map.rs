@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use crate::geo::crs::{Crs, Named};
-use crate::geo::ellipsoid::{Geodetic, WGS84};
-use crate::geo::trajectory::Sample;
+use wavex_geodesy::crs::{Crs, Named};
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+use wavex_geodesy::trajectory::Sample;
 
 /// Projection of positions into a coordinate system.
 pub(super) struct Map {

@@ -2,9 +2,9 @@
 
 use super::map::Map;
 use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::geo::ellipsoid::WGS84;
-use crate::geo::frames::LocalFrame;
-use crate::geo::trajectory::{Sample, Trajectory};
+use wavex_geodesy::ellipsoid::WGS84;
+use wavex_geodesy::frames::LocalFrame;
+use wavex_geodesy::trajectory::{Sample, Trajectory};
 
 /// Layout in SVG units.
 const WIDTH: f64 = 900.0;
@@ -152,8 +152,8 @@ mod tests {
     use std::collections::{BTreeMap, BTreeSet};
 
     use super::*;
-    use crate::geo::ellipsoid::Geodetic;
-    use crate::geo::frames::Attitude;
+    use wavex_geodesy::ellipsoid::Geodetic;
+    use wavex_geodesy::frames::Attitude;
 
     /// Numeric labels along each edge of the picture: left of a frame, or below it.
     fn labels(svg: &str) -> BTreeMap<String, Vec<String>> {

@@ -3,9 +3,9 @@
 use std::fmt::Write;
 
 use super::map::Map;
-use crate::geo::ellipsoid::WGS84;
-use crate::geo::time_axis::{Clock, Times};
-use crate::geo::trajectory::{Accuracy, Sample, Trajectory};
+use wavex_geodesy::ellipsoid::WGS84;
+use wavex_geodesy::time_axis::{Clock, Times};
+use wavex_geodesy::trajectory::{Accuracy, Sample, Trajectory};
 
 /// Maximum number of gaps listed individually.
 const GAPS_TOLD: usize = 5;

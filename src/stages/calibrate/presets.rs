@@ -6,8 +6,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Result, StageError};
+use wavex_signal::sensor_model::SensorModel;
 
 /// Instrument type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]

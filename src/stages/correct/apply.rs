@@ -6,10 +6,10 @@ use super::tables::{Both, Sources, receiver_of, told_by_fusion_s};
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
 use crate::batch::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
-use crate::formats::lookup_tables::LookupTables;
-use crate::geo::vertical::down_at;
-use crate::kernels::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};
 use crate::stage::{Context, Result};
+use wavex_formats::lookup_tables::LookupTables;
+use wavex_geodesy::vertical::down_at;
+use wavex_signal::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};
 
 /// Corrections applied to every return of a run.
 pub(super) struct Corrections {

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use super::{Correct, TableKey};
 use crate::batch::{AmplitudeTable, InputInfo, ReturnChannel};
-use crate::formats::lookup_tables::{LookupTables, Row};
-use crate::kernels::decompose::OVERDRIVEN_PART;
-use crate::kernels::penalised_spline::{Point, smooth};
-use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{Result, StageError};
+use wavex_formats::lookup_tables::{LookupTables, Row};
+use wavex_signal::decompose::OVERDRIVEN_PART;
+use wavex_signal::penalised_spline::{Point, smooth};
+use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
 /// Largest plausible range correction, s (150 m); larger values are not seconds.
 const MOST_RANGE_CORRECTION_S: f64 = 1e-6;

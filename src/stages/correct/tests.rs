@@ -2,8 +2,8 @@ use std::sync::Arc;
 
 use super::*;
 use crate::batch::{AmplitudeTable, Blocks, Emission, Frame, InputInfo, Return, ReturnChannel};
-use crate::kernels::fusion::ChannelFusion;
 use crate::stage::Context;
+use wavex_signal::fusion::ChannelFusion;
 
 /// Half the speed of light, m/ns.
 const HALF_SPEED: f64 = 0.149896229;
@@ -68,7 +68,7 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
         threads: 1,
-        simd: crate::kernels::lockstep::Path::Portable,
+        simd: wavex_signal::lockstep::SimdLevel::Portable,
         geometry: Arc::default(),
     };
     let mut stage = keys.make(&site).unwrap();
@@ -136,10 +136,10 @@ fn a_noisy_range_table_is_smoothed_unless_told_otherwise() {
 
 #[test]
 fn what_fusion_has_told_of_the_tables_is_not_told_twice() {
-    use crate::kernels::noise::ArNoise;
-    use crate::kernels::simulated::channel;
+    use wavex_signal::noise::ArNoise;
+    use wavex_signal::simulated::channel;
     let low = channel(&ArNoise::new(&[], 0.5).unwrap(), 4.5, 2.0);
-    let model = crate::kernels::sensor_model::SensorModel {
+    let model = wavex_signal::sensor_model::SensorModel {
         high_power: Some(low.clone()),
         low_power: Some(low),
         ..Default::default()

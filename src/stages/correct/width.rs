@@ -2,8 +2,8 @@
 
 use super::WidthKey;
 use crate::batch::{Return, ReturnChannel, ScanLine, flags};
-use crate::kernels::width_by_amplitude::{Node, Pulse, width_by_amplitude};
 use crate::stage::{Context, InvalidKey};
+use wavex_signal::width_by_amplitude::{Node, Pulse, width_by_amplitude};
 
 /// Receivers with a width correction, in the order of the keys.
 pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChannel::High];

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use crate::kernels::gain::GainLevel;
 use crate::stage::Result;
+use wavex_signal::gain::GainLevel;
 
 /// Maximum number of gains other than 1 kept between lines, a few MB each.
 const MOST_KEPT: usize = 32;

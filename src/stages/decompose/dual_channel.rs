@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use super::echo::{Found, HighPowerView};
 use super::shots::Shot;
 use crate::batch::{Block, Channel, LineStats, ReturnChannel, flags};
-use crate::kernels::decompose::OVERDRIVEN_PART;
-use crate::kernels::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse};
-use crate::kernels::gain::GainLevel;
-use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Result, StageError};
+use wavex_signal::decompose::OVERDRIVEN_PART;
+use wavex_signal::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse};
+use wavex_signal::gain::GainLevel;
+use wavex_signal::sensor_model::SensorModel;
 
 /// Largest distance of one echo in both receivers, standard deviations, at least one sample.
 const SAME_SD: f64 = 3.0;
@@ -196,7 +196,7 @@ impl Both {
                 detection_sigma,
             })
         };
-        made().map(Some).map_err(|error: crate::kernels::sensor_model::ModelError| {
+        made().map(Some).map_err(|error: wavex_signal::sensor_model::ModelError| {
             StageError::failed(error.to_string(), "calibrate on a longer part of the recording")
         })
     }
@@ -406,7 +406,7 @@ impl Both {
             }
             found.fitted.flags |= flags;
             found.fitted.deviation_ratio = deviation_ratio;
-            self.low.write(&candidate.on_common_axis(fitted), low, found);
+            write(&self.low, &candidate.on_common_axis(fitted), low, found);
         }
     }
 
@@ -449,18 +449,16 @@ fn is_beside(block: &Block, other: &Block) -> bool {
     block.channel == Channel::LowPower && block.start_ns < end_ns(other) && other.start_ns < end_ns(block)
 }
 
-impl JointFit {
-    /// Stores a fitted pulse of a block of this receiver in a return.
-    fn write(&self, fitted: &JointFitted, block: &Block, found: &mut Found) {
-        let [ln_height, position, ln_width] = fitted.value;
-        let sd = |part: usize| fitted.covariance[part][part].sqrt();
-        let (amplitude_dn, width_ratio) = (ln_height.exp(), ln_width.exp());
-        found.time_ns = block.time_ns(position);
-        found.time_sd_ns = sd(1) * block.interval_ns;
-        let pulse = &mut found.fitted;
-        (pulse.position_samples, pulse.position_sd_samples) = (position, sd(1));
-        (pulse.amplitude_dn, pulse.amplitude_sd_dn) = (amplitude_dn, amplitude_dn * sd(0));
-        (pulse.width_ratio, pulse.width_ratio_sd) = (width_ratio, width_ratio * sd(2));
-        pulse.fwhm_ns = width_ratio * self.fwhm_samples_at(amplitude_dn) * self.model().sampling_interval_ns;
-    }
+/// Stores a fitted pulse of a block of the fit's receiver in a return.
+fn write(fit: &JointFit, fitted: &JointFitted, block: &Block, found: &mut Found) {
+    let [ln_height, position, ln_width] = fitted.value;
+    let sd = |part: usize| fitted.covariance[part][part].sqrt();
+    let (amplitude_dn, width_ratio) = (ln_height.exp(), ln_width.exp());
+    found.time_ns = block.time_ns(position);
+    found.time_sd_ns = sd(1) * block.interval_ns;
+    let pulse = &mut found.fitted;
+    (pulse.position_samples, pulse.position_sd_samples) = (position, sd(1));
+    (pulse.amplitude_dn, pulse.amplitude_sd_dn) = (amplitude_dn, amplitude_dn * sd(0));
+    (pulse.width_ratio, pulse.width_ratio_sd) = (width_ratio, width_ratio * sd(2));
+    pulse.fwhm_ns = width_ratio * fit.fwhm_samples_at(amplitude_dn) * fit.model().sampling_interval_ns;
 }

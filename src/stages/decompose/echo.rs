@@ -2,8 +2,8 @@
 
 use super::shots::EmissionTime;
 use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel};
-use crate::kernels::decompose::Return as Pulse;
-use crate::kernels::radiometry::target_thickness_m;
+use wavex_signal::decompose::Return as Pulse;
+use wavex_signal::radiometry::target_thickness_m;
 
 /// Standard deviation of an unreliable range, m.
 ///

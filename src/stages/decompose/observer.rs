@@ -4,10 +4,10 @@ use std::ops::Range;
 
 use super::{BlockFit, Observer};
 use crate::batch::{Block, Blocks, Emission, Return};
-use crate::kernels::decompose::{DecomposeSettings, Decomposer, Decomposition, Return as Pulse};
-use crate::kernels::outgoing::Outgoing;
-use crate::kernels::sensor_model::ChannelModel;
 use crate::overview::{PER_SAMPLE, Peak, Samples, ShownBlock};
+use wavex_signal::decompose::{DecomposeSettings, Decomposer, Decomposition, Return as Pulse};
+use wavex_signal::outgoing::Outgoing;
+use wavex_signal::sensor_model::ChannelModel;
 
 /// A block of echoes with its fit.
 pub(crate) struct SeenBlock {

@@ -8,8 +8,8 @@ use crate::batch::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, OnlineReturn, Return, Returns, ScanLine,
     flags,
 };
-use crate::kernels::sensor_model::SensorModel;
 use crate::stage::{Context, Result, StageError};
+use wavex_signal::sensor_model::SensorModel;
 
 /// Use of the instrument's own returns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]

@@ -8,13 +8,13 @@ use super::dual_channel::BothReceivers;
 use super::shots::Shot;
 use super::{Decompose, Mode};
 use crate::batch::{Block, Channel, ReturnChannel};
-use crate::kernels::calibrate::Block as Waveform;
-use crate::kernels::decompose::{DecomposeSettings, Decomposition};
-use crate::kernels::gain::GainLevel;
-use crate::kernels::lockstep::{self, Lockstep, Outcomes, Path, Tables};
-use crate::kernels::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
-use crate::kernels::sensor_model::{ChannelModel, ModelError, SensorModel};
 use crate::stage::{Result, StageError};
+use wavex_signal::calibrate::Block as Waveform;
+use wavex_signal::decompose::{DecomposeSettings, Decomposition};
+use wavex_signal::gain::GainLevel;
+use wavex_signal::lockstep::{self, Lockstep, Outcomes, SimdLevel, Tables};
+use wavex_signal::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
+use wavex_signal::sensor_model::{ChannelModel, ModelError, SensorModel};
 
 /// Maximum number of iterations of one fit in the mode `slow`.
 const SLOW_ITERATIONS: usize = 200;
@@ -133,7 +133,7 @@ impl Receiver {
         channel: Option<&ChannelModel>,
         tables: Option<&Arc<Tables>>,
         config: &Decompose,
-        path: Path,
+        path: SimdLevel,
     ) -> std::result::Result<Option<Receiver>, ModelError> {
         let Some(channel) = channel else { return Ok(None) };
         // Real responses are not Gaussian: the residual of a strong echo would be taken for a
@@ -174,7 +174,7 @@ pub(super) struct Receivers {
     config: Decompose,
     /// Tables of other gains; `None` if only the plain kernels are used.
     tables: Option<TablesAtGains>,
-    path: Path,
+    path: SimdLevel,
     left_to_plain: u64,
     /// Routing of each block of the line's shots, in order.
     lots: Vec<BlockRoute>,
@@ -185,7 +185,7 @@ impl Receivers {
         model: &SensorModel,
         tables: &SensorTables,
         config: &Decompose,
-        path: Path,
+        path: SimdLevel,
     ) -> Result<Receivers> {
         let make = |channel: &Option<ChannelModel>, tables: &Option<Arc<Tables>>| {
             Receiver::new(channel.as_ref(), tables.as_ref(), config, path).map_err(unusable)

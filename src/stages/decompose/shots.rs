@@ -10,12 +10,12 @@ use crate::batch::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
     Returns, flags,
 };
-use crate::kernels::decompose::{Counts, Decomposition};
-use crate::kernels::fusion::ChannelFusion;
-use crate::kernels::lockstep::Path;
-use crate::kernels::outgoing::Outgoing;
-use crate::kernels::sensor_model::{ChannelModel, SensorModel};
 use crate::stage::{Context, Item, Result};
+use wavex_signal::decompose::{Counts, Decomposition};
+use wavex_signal::fusion::ChannelFusion;
+use wavex_signal::lockstep::SimdLevel;
+use wavex_signal::outgoing::Outgoing;
+use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
 /// Outgoing pulse of a shot.
 ///
@@ -209,7 +209,7 @@ impl ShotDecomposer {
         model: &SensorModel,
         tables: &SensorTables,
         config: &Decompose,
-        path: Path,
+        path: SimdLevel,
     ) -> Result<ShotDecomposer> {
         Ok(ShotDecomposer {
             model: model.clone(),

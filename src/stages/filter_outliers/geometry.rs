@@ -1,8 +1,8 @@
 //! Positions of a line's returns for the outlier search.
 
 use crate::batch::{Emission, Frame, ScanLine};
-use crate::geo::vertical::{down_at, main_axis};
-use crate::kernels::outliers::{Extent, Line, Point};
+use wavex_geodesy::vertical::{down_at, main_axis};
+use wavex_signal::outliers::{Extent, Line, Point};
 
 /// Smallest change of direction, m per m, that defines a sweep direction.
 const LEAST_SWEEP: f64 = 1e-9;

@@ -6,8 +6,8 @@ use std::ops::Range;
 use super::FilterOutliers;
 use super::geometry::{Places, dot, has_vertical};
 use crate::batch::{Content, Return, ScanLine, flags};
-use crate::kernels::outliers::{Line, Search, Side, jump};
 use crate::stage::{Item, Output, Result};
+use wavex_signal::outliers::{Line, Search, Side, jump};
 
 /// Number of lines on each side used to classify a line.
 const LINES_APART: usize = 16;

@@ -2,8 +2,8 @@ use std::sync::Arc;
 
 use super::*;
 use crate::batch::{Blocks, Content, Emission, Frame, InputInfo, Return};
-use crate::geo::ellipsoid::{Geodetic, WGS84};
 use crate::stage::{Context, Item};
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 
 const SHOTS: u32 = 60;
 const HEIGHT_M: f64 = 500.0;

@@ -1,8 +1,8 @@
 //! Height of the sensor above the ground of its line.
 
 use crate::batch::{Emission, Frame, Return};
-use crate::geo::frames::Vector;
-use crate::geo::vertical::down_at;
+use wavex_geodesy::frames::Vector;
+use wavex_geodesy::vertical::down_at;
 
 /// Mean radius of the earth (IUGG 1980), m.
 const RADIUS_M: f64 = 6_371_008.8;
@@ -51,7 +51,7 @@ impl Level {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geo::ellipsoid::{Geodetic, WGS84};
+    use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 
     fn emission(origin_m: Vector) -> Emission {
         Emission { origin_m, ..Emission::default() }

@@ -1,11 +1,11 @@
 //! Total uncertainty of point positions.
 
 use crate::batch::{Emission, Frame, Return};
-use crate::geo::frames::Vector;
-use crate::geo::trajectory::{Accuracy, Pose};
-use crate::geo::vertical::down_at;
 use crate::geometry::Geometry;
 use crate::geometry::transform::variance_m2;
+use wavex_geodesy::frames::Vector;
+use wavex_geodesy::trajectory::{Accuracy, Pose};
+use wavex_geodesy::vertical::down_at;
 
 /// Computes the uncertainties of a line.
 pub(super) struct Uncertainty<'g> {

@@ -1,8 +1,8 @@
 //! Conversion of rows to lines, and rejection of rows.
 
 use super::*;
-use crate::formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
 use crate::stage::Config as _;
+use wavex_formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
 
 /// A job without declarations about the samples.
 const NO_WORD: Sampling = Sampling { odd_sample_shift: 0.0, full_scale_dn: None };

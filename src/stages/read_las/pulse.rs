@@ -1,6 +1,6 @@
 //! Grouping of LAS points into pulses.
 
-use crate::formats::las::Point;
+use wavex_formats::las::Point;
 
 /// Maximum of 1 - cos between directions of points of one pulse.
 const SAME_BEAM: f64 = 1e-9;
@@ -28,7 +28,7 @@ fn is_one_series(pulse: &[Point], b: &Point) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::las::Wave;
+    use wavex_formats::las::Wave;
 
     fn point(gps_time: f64, return_number: u8, offset: u64) -> Point {
         let wave =

@@ -1,7 +1,7 @@
 //! Classification of SDF records: a shot, an end of line, or neither.
 
 use crate::batch::{Channel, Emission, emission_flags};
-use crate::formats::sdf::{SdfBlock, SdfRecord, channel, record_flags};
+use wavex_formats::sdf::{SdfBlock, SdfRecord, channel, record_flags};
 
 /// Kind of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

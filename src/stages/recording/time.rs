@@ -6,10 +6,10 @@ use std::path::Path;
 
 use super::{RecordingTime, ScaleKey};
 use crate::batch::{InputInfo, TimeScale};
-use crate::formats::Error;
-use crate::geo::time::{ADJUSTMENT_S, WEEK_S, day_of_year, gps_week};
-use crate::geo::time_axis::{date, leap_seconds};
 use crate::stage::Result;
+use wavex_formats::Error;
+use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year, gps_week};
+use wavex_geodesy::time_axis::{date, leap_seconds};
 
 const DAY_S: f64 = 86_400.0;
 

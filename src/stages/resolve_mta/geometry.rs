@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use crate::batch::{Emission, Frame, ScanLine};
-use crate::formats::terrain::Terrain;
-use crate::geo::cone::Turning;
-use crate::geo::vertical::{down_at, main_axis};
 use crate::geometry::Geometry as Placed;
 use crate::geometry::output_crs::Target;
-use crate::kernels::mta;
 use crate::stage::{Result, StageError};
+use wavex_formats::terrain::Terrain;
+use wavex_geodesy::cone::Turning;
+use wavex_geodesy::vertical::{down_at, main_axis};
+use wavex_signal::mta;
 
 /// Smallest change of direction, m per m, that defines a sweep direction.
 const LEAST_SWEEP: f64 = 1e-6;

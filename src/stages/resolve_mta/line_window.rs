@@ -7,13 +7,13 @@ use super::geometry::Geometry;
 use super::summary::MtaCounts;
 use super::{ResolveMta, failed};
 use crate::batch::{Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, ScanLine, Ticket};
-use crate::formats::terrain::Terrain;
 use crate::geometry::Geometry as Placed;
-use crate::kernels::mta::{
+use crate::stage::{Item, Output, Result};
+use wavex_formats::terrain::Terrain;
+use wavex_signal::mta::{
     self, Assigned, BAND_LINES, BYTES_PER_ECHO, BYTES_PER_SHOT, LOOK_AHEAD_BYTES, Resolved, Resolver,
     Settings,
 };
-use crate::stage::{Item, Output, Result};
 
 /// Upper bound of the kernel's cell memory per shot of the pending lines, bytes (docs/explanation/mta.md,
 /// Memory and order).
@@ -474,7 +474,7 @@ impl HeldLine {
 /// Notes if the terrain model and the recording name different CRSs.
 fn terrain_elsewhere(terrain: &Terrain, first: &ScanLine, out: &mut Output) {
     let name = |wkt: &str| wkt.split('"').nth(1).map(str::to_owned);
-    let of_terrain = terrain.epsg().and_then(crate::formats::geokeys::wkt_of_epsg).and_then(|wkt| name(&wkt));
+    let of_terrain = terrain.epsg().and_then(wavex_geodesy::crs::wkt_of_epsg).and_then(|wkt| name(&wkt));
     let of_recording = first.input.crs_wkt.as_deref().and_then(name);
     if let (Some(terrain), Some(recording)) = (of_terrain, of_recording)
         && terrain != recording

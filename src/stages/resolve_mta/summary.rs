@@ -1,7 +1,7 @@
 //! Zone statistics for the report.
 
-use crate::kernels::mta::Resolver;
 use crate::stage::Context;
+use wavex_signal::mta::Resolver;
 
 /// Counts echoes per zone.
 pub(super) struct MtaCounts {

@@ -5,15 +5,15 @@ use serde::{Deserialize, Serialize};
 
 use super::{FULL_SCALE_DN, INTERVAL_NS};
 use crate::batch::MAX_SHOTS_PER_LINE;
-use crate::geo::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
-use crate::simulation::detector::Detector;
-use crate::simulation::platform::{Motion, Platform};
-use crate::simulation::pulse::Shape;
-use crate::simulation::receiver::{HighPower, Settings};
-use crate::simulation::scanner::{GPS_WEEK, Mirror, START_S, Scanner};
-use crate::simulation::scene::{CountrySettings, Scene};
-use crate::simulation::world::World;
 use crate::stage::{Config, InvalidKey};
+use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
+use wavex_simulation::detector::Detector;
+use wavex_simulation::platform::{Motion, Platform};
+use wavex_simulation::pulse::Shape;
+use wavex_simulation::receiver::{HighPower, Settings};
+use wavex_simulation::scanner::{GPS_WEEK, Mirror, START_S, Scanner};
+use wavex_simulation::scene::{CountrySettings, Scene};
+use wavex_simulation::world::World;
 
 /// Full width at half maximum of a Gaussian response, ns.
 const GAUSSIAN_FWHM_NS: f64 = 4.5;

@@ -3,13 +3,13 @@
 use std::io::Write;
 
 use super::Simulate;
-use crate::formats::Error;
-use crate::formats::trajectory::pof::{PofHeader, PofRecord};
-use crate::formats::trajectory::sbet::SbetRecord;
-use crate::simulation::platform::Platform;
-use crate::simulation::truth::{COLUMNS, GAIN_COLUMN, TrueReturn};
-use crate::simulation::world::{Pose, World};
 use crate::stage::{Context, FinishedFile, OutputFile, Result, RunContext};
+use wavex_formats::Error;
+use wavex_formats::trajectory::pof::{PofHeader, PofRecord};
+use wavex_formats::trajectory::sbet::SbetRecord;
+use wavex_simulation::platform::Platform;
+use wavex_simulation::truth::{COLUMNS, GAIN_COLUMN, TrueReturn};
+use wavex_simulation::world::{Pose, World};
 
 /// Trajectory records per second.
 const RATE_HZ: f64 = 200.0;

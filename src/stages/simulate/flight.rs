@@ -8,17 +8,17 @@ use crate::batch::{
     AmplitudeTable, Blocks, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, ScanLine,
     TimeScale, emission_flags,
 };
-use crate::simulation::detector::{Detector, Sensitivity};
-use crate::simulation::platform::Platform;
-use crate::simulation::pulse::Width;
-use crate::simulation::random::{Normal, Purpose, Random};
-use crate::simulation::receiver::{Echo, Receiver, TRIGGER_DN, Window};
-use crate::simulation::scanner::{self, Mirror, Scanner, Shot};
-use crate::simulation::scene::{Beam, Class, Hit, Scene};
-use crate::simulation::truth::TrueReturn;
-use crate::simulation::world::{self, World};
-use crate::simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
 use crate::stage::{Result, StageError};
+use wavex_simulation::detector::{Detector, Sensitivity};
+use wavex_simulation::platform::Platform;
+use wavex_simulation::pulse::Width;
+use wavex_simulation::random::{Normal, Purpose, Random};
+use wavex_simulation::receiver::{Echo, Receiver, TRIGGER_DN, Window};
+use wavex_simulation::scanner::{self, Mirror, Scanner, Shot};
+use wavex_simulation::scene::{Beam, Class, Hit, Scene};
+use wavex_simulation::truth::TrueReturn;
+use wavex_simulation::world::{self, World};
+use wavex_simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
 
 /// Relative standard deviation of the pulse energy.
 const ENERGY_SD: f64 = 0.01;

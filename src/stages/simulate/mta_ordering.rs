@@ -5,9 +5,9 @@ use std::ops::Range;
 use super::INTERVAL_NS;
 use super::flight::{Cast, Flight, Recorded, Recorder, number, strongest};
 use crate::batch::{Blocks, Emission};
-use crate::simulation::receiver::{Echo, Window};
-use crate::simulation::scene::Hit;
-use crate::simulation::truth::TrueReturn;
+use wavex_simulation::receiver::{Echo, Window};
+use wavex_simulation::scene::Hit;
+use wavex_simulation::truth::TrueReturn;
 
 /// Time before the first echo of a line from which echoes affect block starts, ns.
 ///
@@ -151,7 +151,7 @@ impl Stream {
     /// Index in `casts` of the shot with which each window is stored.
     ///
     /// The last shot emitted before the window begins.
-    fn received(&self, receiver: &crate::simulation::receiver::Receiver) -> Vec<usize> {
+    fn received(&self, receiver: &wavex_simulation::receiver::Receiver) -> Vec<usize> {
         let began = |window: &Window| {
             let start_ns = receiver.start_ns(window);
             let out = |cast: &Cast| (cast.shot.since_start_ns - self.base_ns) as f64 <= start_ns;

@@ -4,10 +4,10 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::batch::{Block, Blocks, Channel, emission_flags};
-use crate::simulation::pulse::{FWHM_OF_NORMAL, Shape};
-use crate::simulation::truth::{COLUMNS, TrueReturn};
-use crate::simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
 use crate::stage::Config;
+use wavex_simulation::pulse::{FWHM_OF_NORMAL, Shape};
+use wavex_simulation::truth::{COLUMNS, TrueReturn};
+use wavex_simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
 
 mod instrument;
 mod keys;
@@ -342,7 +342,7 @@ fn site(folder: &std::path::Path) -> RunContext {
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
         threads: 1,
-        simd: crate::kernels::lockstep::Path::best(),
+        simd: wavex_signal::lockstep::SimdLevel::best(),
         geometry: Default::default(),
     }
 }

@@ -19,7 +19,7 @@ fn site(folder: &Path, input: &str) -> RunContext {
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
         threads: 1,
-        simd: crate::kernels::lockstep::Path::best(),
+        simd: wavex_signal::lockstep::SimdLevel::best(),
         geometry: Default::default(),
     }
 }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::super::write_las::attributes::value;
 use super::steps::Steps;
 use crate::batch::Return;
-use crate::formats::las::{ATTRIBUTES_1_1, ExtraAttribute, PointOut, RAW_AMP, quantise};
+use wavex_formats::las::{ATTRIBUTES_1_1, ExtraAttribute, PointOut, RAW_AMP, quantise};
 
 /// A point, and the other sources of its row.
 pub(super) struct Row<'a> {

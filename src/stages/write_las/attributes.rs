@@ -1,8 +1,8 @@
 //! Extra attributes, class and user data of points, in both layouts.
 
 use crate::batch::{Return, ReturnChannel, flags};
-use crate::formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER};
-use crate::kernels::steps::{ROUNDING, power_ratios};
+use wavex_formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER};
+use wavex_signal::steps::{ROUNDING, power_ratios};
 
 use super::AttributeLayout;
 
@@ -200,8 +200,8 @@ pub(super) fn class(layout: AttributeLayout, r: &Return) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::las::quantise;
     use proptest::prelude::*;
+    use wavex_formats::las::quantise;
 
     /// Stored amplitudes for these decibels and heights, computed by column and individually.
     fn stored(amplitudes: &[(f64, f64)]) -> (Vec<i64>, Vec<i64>) {

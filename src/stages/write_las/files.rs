@@ -10,9 +10,9 @@ use std::io::Write;
 
 use super::WavePacketsKey;
 use super::waves::{self, Waves};
-use crate::formats::Error;
-use crate::formats::las::{Writer, indexes_beside};
 use crate::stage::{Context, FinishedFile, Item, OutputFile, Result};
+use wavex_formats::Error;
+use wavex_formats::las::{Writer, indexes_beside};
 
 /// Companion files of the points, or data appended to them.
 pub(super) struct Files {

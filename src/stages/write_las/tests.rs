@@ -59,7 +59,7 @@ fn site(folder: &Path) -> RunContext {
         input_dir: folder.into(),
         output_dir: folder.into(),
         threads: 1,
-        simd: crate::kernels::lockstep::Path::best(),
+        simd: wavex_signal::lockstep::SimdLevel::best(),
         geometry: Arc::default(),
     }
 }
@@ -100,7 +100,7 @@ fn keys(path: &str) -> WriteLas {
 fn stored(point: &las::Point, layout: AttributeLayout) -> Vec<u16> {
     let mut rest = point.extra_bytes.as_slice();
     let stored = Attributes::of(layout, true).stored;
-    let next = |attribute: &crate::formats::las::ExtraAttribute| {
+    let next = |attribute: &wavex_formats::las::ExtraAttribute| {
         let (now, later) = rest.split_at(attribute.data_type.bytes());
         rest = later;
         u16::from(now[0]) | now.get(1).map_or(0, |high| u16::from(*high) << 8)
@@ -132,7 +132,7 @@ fn a_point_tells_of_its_return_in_version_1_4() {
 
 #[test]
 fn version_1_2_clamps_what_its_fields_cannot_hold() {
-    let utm_33 = geokeys::wkt_of_epsg(32633).unwrap();
+    let utm_33 = wavex_geodesy::crs::wkt_of_epsg(32633).unwrap();
     let keys = WriteLas { version: VersionKey::V1_2, ..keys("*.las") };
     let (bytes, notes) = write(&keys, &[line(info(Some(&utm_33)), vec![found(1), found(9)])]);
     assert!(notes.is_empty(), "{notes:?}");

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use crate::batch::{Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel, ScanLine};
-use crate::formats::Error;
-use crate::formats::las::{Descriptor, Packet, PacketWriter, Wave};
-use crate::geo::frames::Vector;
 use crate::geometry::Geometry;
 use crate::stage::{FinishedFile, OutputFile, Result, StageError};
+use wavex_formats::Error;
+use wavex_formats::las::{Descriptor, Packet, PacketWriter, Wave};
+use wavex_geodesy::frames::Vector;
 
 /// Length over which beams are treated as straight in any projection, m.
 const BEAM_M: f64 = 10.0;

@@ -121,7 +121,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
         input_dir: folder.into(),
         output_dir: folder.into(),
         threads: 1,
-        simd: crate::kernels::lockstep::Path::best(),
+        simd: wavex_signal::lockstep::SimdLevel::best(),
         geometry: Default::default(),
     };
     let mut cx = Context::default();
@@ -301,7 +301,7 @@ fn shots_are_refused() {
         input_dir: folder.path().into(),
         output_dir: folder.path().into(),
         threads: 1,
-        simd: crate::kernels::lockstep::Path::best(),
+        simd: wavex_signal::lockstep::SimdLevel::best(),
         geometry: Default::default(),
     };
     let mut sink = config("*.csv").make(&site).unwrap();

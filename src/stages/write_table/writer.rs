@@ -17,7 +17,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::columns::{self, Row};
-use crate::formats::{Error, Result};
+use wavex_formats::{Error, Result};
 
 /// Rows buffered before writing: a Parquet row group, or an Arrow record batch.
 pub const ROWS_PER_GROUP: usize = 1 << 16;

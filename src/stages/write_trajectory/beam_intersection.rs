@@ -2,7 +2,7 @@
 
 use super::decimation::{Pace, time_s};
 use crate::batch::Emission;
-use crate::kernels::sensor_path::{Beam, Window};
+use wavex_signal::sensor_path::{Beam, Window};
 
 /// Collects beams until a section is long enough.
 pub(super) struct Met {

@@ -1,7 +1,7 @@
 //! Two receivers, false alarms, modulated pulses and the gap around emissions.
 
 use super::*;
-use crate::simulation::scene::Class;
+use wavex_simulation::scene::Class;
 
 #[test]
 fn the_second_receiver_begins_later_by_a_constant_and_changes_nothing_in_the_first() {

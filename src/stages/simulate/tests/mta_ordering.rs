@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::*;
-use crate::simulation::scene::Class;
+use wavex_simulation::scene::Class;
 
 /// Times of a line's blocks, ns on the instrument's clock, by channel.
 fn starts_ns(batch: &ScanLine) -> Vec<(Channel, f64)> {

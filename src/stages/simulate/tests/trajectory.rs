@@ -2,10 +2,10 @@
 
 use super::*;
 use crate::batch::Frame;
-use crate::formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
-use crate::geo::ellipsoid::{Geodetic, WGS84};
-use crate::geo::frames::{Attitude, ecef_from_ned, rotate, rotation_of_angles};
-use crate::geo::transverse_mercator::{Parameters, TransverseMercator};
+use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+use wavex_geodesy::frames::{Attitude, ecef_from_ned, rotate, rotation_of_angles};
+use wavex_geodesy::transverse_mercator::{Parameters, TransverseMercator};
 
 /// Flies to the end and gives the lines, and the files by their names.
 fn flown(config: &Simulate) -> (Vec<ScanLine>, std::collections::BTreeMap<String, Vec<u8>>) {

@@ -1,0 +1,294 @@
+//! Columns and metadata keys of a container, for reader, writer and description.
+
+use std::sync::Arc;
+
+use arrow_schema::{DataType, Field, Fields, Metadata, Schema};
+use serde_json::{Value, json};
+
+use super::location::Place;
+use crate::Result;
+
+/// A column, or a field of a column that is a list of structs.
+#[derive(Debug)]
+pub struct Column {
+    /// Its name.
+    pub name: &'static str,
+    /// Its type.
+    pub kind: Kind,
+    /// Whether it may hold nulls.
+    pub nullable: bool,
+    /// Whether a container without it is refused.
+    pub required: bool,
+    /// Meaning.
+    pub meaning: &'static str,
+}
+
+/// The type of a [`Column`].
+#[derive(Debug)]
+pub enum Kind {
+    /// Unsigned, 8 bits.
+    U8,
+    /// Unsigned, 16 bits.
+    U16,
+    /// Unsigned, 32 bits.
+    U32,
+    /// Unsigned, 64 bits.
+    U64,
+    /// Signed, 16 bits.
+    I16,
+    /// Signed, 64 bits.
+    I64,
+    /// IEEE 754 single.
+    F32,
+    /// IEEE 754 double.
+    F64,
+    /// Fixed-size list of three doubles.
+    Triple,
+    /// List of unsigned 16-bit numbers.
+    Samples,
+    /// List of structs.
+    Structs(&'static [Column]),
+}
+
+/// A key of the schema's metadata.
+#[derive(Debug)]
+pub struct Key {
+    /// Its name.
+    pub name: &'static str,
+    /// Whether a container without it is refused.
+    pub required: bool,
+    /// Form of its value, a string.
+    pub form: &'static str,
+    /// What it means.
+    pub meaning: &'static str,
+}
+
+const fn required(name: &'static str, kind: Kind, meaning: &'static str) -> Column {
+    Column { name, kind, nullable: false, required: true, meaning }
+}
+
+const fn optional(name: &'static str, kind: Kind, meaning: &'static str) -> Column {
+    Column { name, kind, nullable: true, required: false, meaning }
+}
+
+const fn or_null(mut column: Column) -> Column {
+    column.nullable = true;
+    column
+}
+
+/// The columns.
+///
+/// Optional columns are extensions of this project. Other programs may omit or ignore them, and a
+/// null means the same as a missing column.
+#[rustfmt::skip]
+pub static COLUMNS: &[Column] = &[
+    required("shot", Kind::U64, "running number of the shot, from 0"),
+    required("line", Kind::U32, "scan line, from 0; a change within a record batch starts another line"),
+    or_null(required("gps_time_s", Kind::F64, "time of the shot, s, on the scale of `wavex.time_scale`")),
+    required("clock_ps", Kind::I64, "the shot's time on the instrument's clock, ps from any origin; ranges use this"),
+    required("origin", Kind::Triple, "origin of the beam, m, in `wavex.frame`"),
+    required("direction", Kind::Triple, "unit vector along the outgoing beam, in `wavex.frame`"),
+    required("facet", Kind::U16, "mirror facet"),
+    required("flags", Kind::U16, "bit 0 synchronised, 1 within the last second, 2 housekeeping, 8 mirror moves in the positive direction, 9 last shot of a scan line"),
+    or_null(required("mta_zone", Kind::I16, "null: blocks are stored with the shot of their record; a number: with the shot that caused them, that many emissions before reception, unless a block has its own `zone`")),
+    required("blocks", Kind::Structs(BLOCK), "the sample blocks"),
+    or_null(required("online", Kind::Structs(ONLINE), "the instrument's own returns")),
+    optional("scan_angle_deg", Kind::F32, "scan angle, degrees, positive to the right of the flight direction; null: unknown"),
+    optional("frame_scale", Kind::F64, "metres in the frame per metre of range along the beam; null: 1"),
+];
+
+/// The fields of the column `blocks`.
+#[rustfmt::skip]
+pub static BLOCK: &[Column] = &[
+    required("channel", Kind::U8, "0 high power, 1 low power, 2 saturation, 3 reference (outgoing pulse)"),
+    required("start_ns", Kind::F64, "time of the first sample after the row's `clock_ps`, ns"),
+    required("samples", Kind::Samples, "digitiser steps"),
+    optional("zone", Kind::I16, "zone of this block; null: the row's `mta_zone`"),
+    optional("interval_ns", Kind::F64, "sampling interval, ns; null: `wavex.sampling_interval_ns`"),
+    optional(GAIN, Kind::F64, "gain relative to the reference gain, 1/1024 to 1024: samples are background + gain x (signal + receiver noise) + quantisation noise; null: 1. Written only with automatic gain control"),
+];
+
+/// Field of `blocks` in recordings with automatic gain control.
+pub(super) const GAIN: &str = "gain";
+
+/// The fields of the column `online`.
+#[rustfmt::skip]
+pub static ONLINE: &[Column] = &[
+    required("time_ns", Kind::F64, "time after the row's `clock_ps`, ns"),
+    required("amplitude", Kind::F32, "in the instrument's unit; NaN if it gave none"),
+];
+
+const fn key(name: &'static str, required: bool, form: &'static str, meaning: &'static str) -> Key {
+    Key { name, required, form, meaning }
+}
+
+/// Metadata keys of the schema.
+///
+/// Numbers are written with enough digits to read back the same bits.
+#[rustfmt::skip]
+pub static KEYS: &[Key] = &[
+    key("wavex.container", true, "`1`", "version of this layout"),
+    key("wavex.instrument", false, "text", "name of the instrument"),
+    key("wavex.serial", false, "text", "serial number of the instrument"),
+    key("wavex.sampling_interval_ns", true, "number > 0", "sampling interval, ns, unless a block has its own"),
+    key("wavex.group_velocity_mps", true, "number > 0, at most 299792458", "group velocity in air, m/s"),
+    key("wavex.pulse_rate_hz", false, "number > 0", "nominal pulse rate, Hz"),
+    key("wavex.time_scale", true, "`week`, `day`, `adjusted` or `unknown`", "time scale of `gps_time_s`: seconds of the GPS week, of the day, or since 1980-01-06 minus 1e9"),
+    key("wavex.gps_week", false, "whole number", "GPS week of the first shot"),
+    key("wavex.frame", true, "`scanner`, `body` or `map`", "frame of `origin` and `direction`"),
+    key("wavex.crs", false, "WKT", "coordinate reference system of the frame `map`"),
+    key("wavex.tables", false, "JSON object of arrays of pairs", "`amplitude_low`, `amplitude_high`: [digitiser steps, dB]; `range_low`, `range_high`: [digitiser steps, seconds]"),
+    key("wavex.recorded", false, "`YYYY-MM-DD`", "extension: day of the recording; dates outputs"),
+    key("wavex.full_scale_dn", false, "whole number up to 65535", "extension: largest value of the digitiser"),
+    key("wavex.coordinate_grid", false, "JSON object {`scale`: [x, y, z], `offset`: [x, y, z]}", "extension: coordinate grid of the recording's own file; point outputs use the same"),
+    key("wavex.emission_reference", false, "`outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or `clock`", "extension: source of the emission time; default `outgoing_pulse` if the first scan line has blocks of channel 3, else `clock`"),
+    key("wavex.gain_control", false, "`recorded` or `not_recorded`", "extension: the receiver gain varies, and blocks contain it or not; default `recorded` if blocks have a `gain`, else the gain is constant"),
+    key("wavex.origin", false, "`sensor` or `waveform`", "extension: whether `origin` is the sensor position, or a point on the beam near the waveform; default `sensor`, unless `wavex.emission_reference` is `return_locations`"),
+];
+
+impl Kind {
+    /// The Arrow type.
+    pub fn data_type(&self) -> DataType {
+        let item = |data_type| Arc::new(Field::new("item", data_type, false));
+        match self {
+            Kind::U8 => DataType::UInt8,
+            Kind::U16 => DataType::UInt16,
+            Kind::U32 => DataType::UInt32,
+            Kind::U64 => DataType::UInt64,
+            Kind::I16 => DataType::Int16,
+            Kind::I64 => DataType::Int64,
+            Kind::F32 => DataType::Float32,
+            Kind::F64 => DataType::Float64,
+            Kind::Triple => DataType::FixedSizeList(item(DataType::Float64), 3),
+            Kind::Samples => DataType::List(item(DataType::UInt16)),
+            Kind::Structs(columns) => DataType::List(item(DataType::Struct(fields(columns)))),
+        }
+    }
+
+    /// Name of the type.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Kind::U8 => "u8",
+            Kind::U16 => "u16",
+            Kind::U32 => "u32",
+            Kind::U64 => "u64",
+            Kind::I16 => "i16",
+            Kind::I64 => "i64",
+            Kind::F32 => "f32",
+            Kind::F64 => "f64",
+            Kind::Triple => "fixed-size list of 3 f64",
+            Kind::Samples => "list of u16",
+            Kind::Structs(_) => "list of struct",
+        }
+    }
+}
+
+impl Column {
+    /// The Arrow field.
+    pub fn field(&self) -> Field {
+        Field::new(self.name, self.kind.data_type(), self.nullable)
+    }
+}
+
+/// The fields of some columns.
+pub(super) fn fields(columns: &[Column]) -> Fields {
+    columns.iter().map(Column::field).collect()
+}
+
+/// Fields of the column `blocks` to write.
+pub(super) fn block_fields(with_gain: bool) -> Fields {
+    BLOCK.iter().filter(|column| with_gain || column.name != GAIN).map(Column::field).collect()
+}
+
+/// Whether the blocks of a schema have a gain.
+pub(super) fn has_gain(schema: &Schema) -> bool {
+    let blocks = schema.fields().find("blocks").map(|(_, field)| field.data_type());
+    let Some(DataType::List(item)) = blocks else { return false };
+    matches!(item.data_type(), DataType::Struct(fields) if fields.find(GAIN).is_some())
+}
+
+/// The schema of a container with this metadata.
+pub(super) fn schema(metadata: Metadata, with_gain: bool) -> Schema {
+    let blocks = DataType::Struct(block_fields(with_gain));
+    let blocks = DataType::List(Arc::new(Field::new("item", blocks, false)));
+    let field = |column: &Column| match column.name {
+        "blocks" => Field::new(column.name, blocks.clone(), column.nullable),
+        _ => column.field(),
+    };
+    Schema::new_with_metadata(COLUMNS.iter().map(field).collect::<Fields>(), metadata)
+}
+
+/// Indices of [`COLUMNS`] in a schema; `None` for a missing optional one.
+///
+/// Errors name the column that is missing or has another type. Names of list items and declared
+/// nullability are ignored; the contents of the columns are checked instead.
+pub(super) fn find(schema: &Schema, place: Place) -> Result<Vec<Option<usize>>> {
+    find_in(schema.fields(), COLUMNS, "", place)
+}
+
+fn find_in(found: &Fields, columns: &[Column], prefix: &str, place: Place) -> Result<Vec<Option<usize>>> {
+    columns.iter().map(|column| find_one(found, column, prefix, place)).collect()
+}
+
+fn find_one(found: &Fields, column: &Column, prefix: &str, place: Place) -> Result<Option<usize>> {
+    let path = format!("{prefix}{}", column.name);
+    let Some((index, field)) = found.find(column.name) else {
+        if !column.required {
+            return Ok(None);
+        }
+        let problem = format!("there is no such column, a {} is expected", column.kind.name());
+        return Err(place.bad(
+            format!("column `{path}`"),
+            problem,
+            "write it as schemas/container.json says",
+        ));
+    };
+    let same = match (&column.kind, field.data_type()) {
+        (Kind::Triple, DataType::FixedSizeList(item, 3)) => *item.data_type() == DataType::Float64,
+        (Kind::Samples, DataType::List(item)) => *item.data_type() == DataType::UInt16,
+        (Kind::Structs(inner), DataType::List(item)) => match item.data_type() {
+            DataType::Struct(found) => find_in(found, inner, &format!("{path}."), place).map(|_| true)?,
+            _ => false,
+        },
+        (kind, found) => kind.data_type() == *found,
+    };
+    if !same {
+        let problem = format!("the type is {} and should be {}", field.data_type(), column.kind.name());
+        return Err(place.bad(format!("column `{path}`"), problem, "cast it before writing the container"));
+    }
+    Ok(Some(index))
+}
+
+/// The layout as JSON, the content of `schemas/container.json`.
+pub fn description() -> Value {
+    let keys: Vec<Value> = KEYS
+        .iter()
+        .map(|key| json!({"key": key.name, "required": key.required, "form": key.form, "meaning": key.meaning}))
+        .collect();
+    json!({
+        "title": "wavex open waveform container, version 1",
+        "format": "Apache Arrow IPC, file or stream; buffers plain, LZ4_FRAME or ZSTD",
+        "record_batch": "one scan line",
+        "row": "one shot",
+        "columns": describe(COLUMNS),
+        "metadata": keys,
+    })
+}
+
+fn describe(columns: &[Column]) -> Vec<Value> {
+    columns.iter().map(describe_one).collect()
+}
+
+fn describe_one(column: &Column) -> Value {
+    let mut value = json!({
+        "name": column.name,
+        "type": column.kind.name(),
+        "nullable": column.nullable,
+        "required": column.required,
+        "meaning": column.meaning,
+    });
+    if let (Kind::Structs(inner), Some(object)) = (&column.kind, value.as_object_mut()) {
+        object.insert("fields".into(), describe(inner).into());
+    }
+    value
+}

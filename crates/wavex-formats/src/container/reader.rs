@@ -1,0 +1,92 @@
+//! Reader of containers.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use super::decode::Decoder;
+use super::location::Place;
+use super::messages::Messages;
+use super::{ContainerHeader, ContainerLine, layout};
+use crate::Result;
+
+/// Reader of a container, one record batch at a time.
+pub struct ContainerReader {
+    file: PathBuf,
+    header: ContainerHeader,
+    messages: Messages,
+    decoder: Decoder,
+    /// Number of rows read.
+    rows: u64,
+}
+
+impl ContainerReader {
+    /// Opens a file in the file format or the stream format.
+    ///
+    /// The first bytes tell the format.
+    pub fn open(path: &Path) -> Result<ContainerReader> {
+        let (messages, schema) = Messages::open(path)?;
+        ContainerReader::new(path, messages, &schema)
+    }
+
+    /// Reads either format sequentially, such as from standard input.
+    ///
+    /// `name` is for errors.
+    pub fn from_stream(name: &Path, from: Box<dyn Read>) -> Result<ContainerReader> {
+        let (messages, schema) = Messages::stream(name, from)?;
+        ContainerReader::new(name, messages, &schema)
+    }
+
+    /// Reads a container of either format from memory.
+    #[cfg(test)]
+    pub(super) fn from_bytes(name: &Path, bytes: Vec<u8>) -> Result<ContainerReader> {
+        let len = bytes.len() as u64;
+        let (messages, schema) = Messages::searchable(name, Box::new(std::io::Cursor::new(bytes)), len)?;
+        ContainerReader::new(name, messages, &schema)
+    }
+
+    fn new(file: &Path, messages: Messages, schema: &arrow_schema::Schema) -> Result<ContainerReader> {
+        let place = Place { file, offset: 0, first_row: 0 };
+        let header = ContainerHeader::from_metadata(schema.metadata(), place)?;
+        let decoder = Decoder::new(schema, layout::find(schema, place)?);
+        Ok(ContainerReader { file: file.to_path_buf(), header, messages, decoder, rows: 0 })
+    }
+
+    /// Metadata of the recording.
+    pub fn header(&self) -> &ContainerHeader {
+        &self.header
+    }
+
+    /// `file` or `stream`.
+    pub fn form(&self) -> &'static str {
+        match &self.messages {
+            Messages::File(_) => "file",
+            Messages::Stream(_) => "stream",
+        }
+    }
+
+    /// Returns the next record batch, or `None` at the end.
+    ///
+    /// Errors name the column and the row, counted from the start of the container, from 0.
+    pub fn next_line(&mut self) -> Result<Option<ContainerLine>> {
+        while let Some(message) = self.messages.next()? {
+            let place = Place { file: &self.file, offset: message.offset, first_row: self.rows };
+            if let Some(line) = self.decoder.line(&message, place)? {
+                self.rows += line.rows() as u64;
+                return Ok(Some(line));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Fraction of the container that was read, 0 to 1, if its length is known.
+    pub fn progress(&self) -> Option<f64> {
+        self.messages.progress()
+    }
+
+    /// Whether a stream ended without an end-of-stream marker.
+    ///
+    /// It may have been cut off between two lines.
+    pub fn ended_without_mark(&self) -> bool {
+        matches!(&self.messages, Messages::Stream(stream) if stream.stopped())
+    }
+}

@@ -1,0 +1,301 @@
+//! Compressed points: LASzip chunks, decoded by the `laz` crate.
+//!
+//! The crate trusts the sizes in a file and panics on some damaged streams. The chunk table and
+//! layer sizes are therefore checked against the file first, and a panic of the decoder becomes an
+//! error.
+
+use std::fs::File;
+use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+
+use laz::laszip::ChunkTable;
+use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
+use laz::{LazItemRecordBuilder, LazItemType, LazVlr};
+
+use super::header::Header;
+use super::point::Layout;
+use super::vlr::Vlr;
+use crate::bytes::Fields;
+use crate::{Error, Result};
+
+type Decoder = Box<dyn RecordDecompressor<Cursor<Vec<u8>>> + Send + Sync>;
+
+/// LASzip compressor type: points in chunks, field by field.
+const CHUNKED: u16 = 2;
+/// LASzip compressor type: points in chunks, one layer per field.
+///
+/// Formats 6 to 10.
+const LAYERED: u16 = 3;
+/// Maximum number of extra bytes per compressed point.
+///
+/// The decoder needs 10 kB for each.
+const EXTRA_BYTES_LIMIT: u16 = 4096;
+const CUT: &str = "the file is cut off or damaged: copy it again from its source";
+
+/// Compressed points of a file.
+pub(super) struct Chunks {
+    file: File,
+    path: PathBuf,
+    laz: LazVlr,
+    record_length: usize,
+    /// Number of layers per chunk.
+    ///
+    /// `None` if points are not layered.
+    layers: Option<usize>,
+    /// Chunks after the current one.
+    table: std::vec::IntoIter<Chunk>,
+    /// Offset of the current chunk in the file.
+    at: u64,
+    /// Offset of the next chunk in the file.
+    next_at: u64,
+    /// Number of points of the current chunk not yet decoded.
+    left: u64,
+    decoder: Option<Decoder>,
+}
+
+struct Chunk {
+    bytes: u64,
+    points: u64,
+}
+
+impl Chunks {
+    /// Starts at the first chunk.
+    ///
+    /// # Errors
+    /// The LASzip record is missing or does not match the header, or the chunk table contradicts
+    /// the file.
+    pub(super) fn open(
+        file: File,
+        path: &Path,
+        header: &Header,
+        vlrs: &[Vlr],
+        file_length: u64,
+    ) -> Result<Chunks> {
+        let Some(vlr) = vlrs.iter().find(|vlr| vlr.is(LazVlr::USER_ID, LazVlr::RECORD_ID)) else {
+            let problem = "the points are marked as compressed, but the LASzip record is missing";
+            return Err(Error::malformed(path, 104, "point data record format", problem, CUT));
+        };
+        let laz = parse_vlr(path, header, vlr)?;
+        let layered = Fields::new(path, vlr.offset, &vlr.data).u16("compressor")? == LAYERED;
+        let layers = layered.then(|| laz.items().iter().map(|item| n_layers(item.item_type())).sum());
+        let table = if header.n_points == 0 {
+            Vec::new()
+        } else {
+            read_table(&file, path, header, &laz, file_length)?
+        };
+        let start = u64::from(header.offset_to_points) + ChunkTable::OFFSET_SIZE as u64;
+        Ok(Chunks {
+            file,
+            path: path.to_path_buf(),
+            laz,
+            record_length: header.record_length.into(),
+            layers,
+            table: table.into_iter(),
+            at: start,
+            next_at: start,
+            left: 0,
+            decoder: None,
+        })
+    }
+
+    /// Decodes records until `out` is full.
+    pub(super) fn fill(&mut self, mut out: &mut [u8]) -> Result<()> {
+        while !out.is_empty() {
+            if self.left == 0 {
+                self.start_chunk()?;
+                continue;
+            }
+            let count = self.left.min((out.len() / self.record_length) as u64);
+            let (now, later) = out.split_at_mut(count as usize * self.record_length);
+            self.decode(now)?;
+            self.left -= count;
+            out = later;
+        }
+        Ok(())
+    }
+
+    fn start_chunk(&mut self) -> Result<()> {
+        let Some(chunk) = self.table.next() else {
+            return Err(self.damaged("the chunks hold fewer points than the header declares"));
+        };
+        self.at = self.next_at;
+        self.next_at += chunk.bytes;
+        self.left = chunk.points;
+        if chunk.points == 0 {
+            return Ok(());
+        }
+        // One buffer serves all chunks; the sizes in the table add up to less than the file.
+        let mut bytes = self.decoder.take().map(|old| old.box_into_inner().into_inner()).unwrap_or_default();
+        bytes.resize(chunk.bytes as usize, 0);
+        let read = self.file.seek(SeekFrom::Start(self.at)).and_then(|_| self.file.read_exact(&mut bytes));
+        read.map_err(Error::io(&self.path, "read the compressed points"))?;
+        if let Some(layers) = self.layers {
+            self.check_layers(&bytes, layers)?;
+        }
+        let input = Cursor::new(bytes);
+        let mut decoder: Decoder = match self.layers {
+            Some(_) => Box::new(LayeredPointRecordDecompressor::new(input)),
+            None => Box::new(SequentialPointRecordDecompressor::new(input)),
+        };
+        decoder.set_fields_from(self.laz.items()).map_err(|error| self.damaged(&error.to_string()))?;
+        self.decoder = Some(decoder);
+        Ok(())
+    }
+
+    /// Checks a layered chunk.
+    ///
+    /// First point, number of points, size of each layer, layers.
+    fn check_layers(&self, bytes: &[u8], layers: usize) -> Result<()> {
+        let mut fields = Fields::new(&self.path, self.at, bytes);
+        fields.skip(self.record_length, "first point of a chunk")?;
+        fields.skip(4, "number of points of a chunk")?;
+        let mut sum = 0;
+        for _ in 0..layers {
+            sum += u64::from(fields.u32("size of a layer")?);
+        }
+        if sum > fields.left() as u64 {
+            let problem = format!("{sum} bytes are declared, but the chunk has {}", fields.left());
+            return Err(fields.bad("layers of a chunk", problem, CUT));
+        }
+        Ok(())
+    }
+
+    fn decode(&mut self, out: &mut [u8]) -> Result<()> {
+        let Some(decoder) = &mut self.decoder else {
+            return Err(self.damaged("the chunks hold fewer points than the header declares"));
+        };
+        let decoded = guarded(|| decoder.decompress_many(out));
+        if decoded.is_err() {
+            // A decoder that failed within a point must not be used again.
+            self.decoder = None;
+        }
+        decoded.map_err(|problem| self.damaged(&problem))
+    }
+
+    fn damaged(&self, problem: &str) -> Error {
+        Error::malformed(&self.path, self.at, "compressed points", problem, CUT)
+    }
+}
+
+/// Runs a decoder; converts its error or panic to text.
+fn guarded<T>(decode: impl FnOnce() -> io::Result<T>) -> std::result::Result<T, String> {
+    match catch_unwind(AssertUnwindSafe(decode)) {
+        Ok(result) => result.map_err(|error| format!("they cannot be decoded ({error})")),
+        Err(_) => Err("they cannot be decoded".into()),
+    }
+}
+
+/// Parses the LASzip record and checks that it matches the header.
+fn parse_vlr(path: &Path, header: &Header, vlr: &Vlr) -> Result<LazVlr> {
+    let bad = |problem: String, remedy| Error::malformed(path, vlr.offset, "LASzip record", problem, remedy);
+    let compressor = Fields::new(path, vlr.offset, &vlr.data).u16("compressor")?;
+    if !(CHUNKED..=LAYERED).contains(&compressor) {
+        let problem = format!("compressor {compressor} is not supported, only 2 and 3 (chunked)");
+        return Err(bad(problem, "compress the file again with a LASzip of version 2 or later"));
+    }
+    let laz = LazVlr::from_buffer(&vlr.data).map_err(|error| bad(error.to_string(), CUT))?;
+    let extra = header.record_length.saturating_sub(Layout::of(header.point_format).length as u16);
+    if extra > EXTRA_BYTES_LIMIT {
+        let problem = format!("{extra} extra bytes per point, but at most {EXTRA_BYTES_LIMIT} are supported");
+        return Err(bad(problem, "remove extra attributes from the file"));
+    }
+    let expected = LazItemRecordBuilder::default_for_point_format_id(header.point_format, extra)
+        .map_err(|error| bad(error.to_string(), CUT))?;
+    let fields =
+        |items: &[laz::LazItem]| items.iter().map(|item| (item.item_type(), item.size())).collect::<Vec<_>>();
+    if fields(laz.items()) != fields(&expected) {
+        let problem =
+            format!("its fields do not match format {} with {extra} extra bytes", header.point_format);
+        return Err(bad(problem, CUT));
+    }
+    Ok(laz)
+}
+
+fn n_layers(item: LazItemType) -> usize {
+    match item {
+        LazItemType::Point14 => 9,
+        LazItemType::RGBNIR14 => 2,
+        LazItemType::Byte14(bytes) => bytes.into(),
+        _ => 1,
+    }
+}
+
+/// Reads the chunk sizes and checks them against the file.
+///
+/// The chunks must fit between the start of the points and the table, and hold as many points as
+/// the header declares.
+fn read_table(
+    file: &File,
+    path: &Path,
+    header: &Header,
+    laz: &LazVlr,
+    file_length: u64,
+) -> Result<Vec<Chunk>> {
+    let mut input = BufReader::new(file);
+    let start = u64::from(header.offset_to_points) + ChunkTable::OFFSET_SIZE as u64;
+    let table_at = find_table(&mut input, path, header, file_length)?;
+    let bad = |problem: String| Error::malformed(path, table_at, "chunk table", problem, CUT);
+    let room = table_at - start;
+    let head = read_8(&mut input, path, table_at)?;
+    let mut fields = Fields::new(path, table_at, &head);
+    fields.skip(4, "version of the chunk table")?;
+    let count = fields.u32("number of chunks")?;
+    // Each chunk begins with an uncompressed point.
+    if u64::from(count) > room / u64::from(header.record_length) {
+        return Err(bad(format!("{count} chunks do not fit into {room} bytes")));
+    }
+    input.seek(SeekFrom::Start(table_at)).map_err(Error::io(path, "seek to the chunk table"))?;
+    let table =
+        guarded(|| ChunkTable::read(&mut &mut input, laz.uses_variable_size_chunks())).map_err(bad)?;
+    let mut chunks = Vec::with_capacity(table.len());
+    let (mut bytes, mut points) = (0u64, 0u64);
+    for entry in &table {
+        let fixed = u64::from(laz.chunk_size());
+        let n = if laz.uses_variable_size_chunks() { entry.point_count } else { fixed };
+        (bytes, points) = (bytes.saturating_add(entry.byte_count), points.saturating_add(n));
+        chunks.push(Chunk { bytes: entry.byte_count, points: n });
+    }
+    if bytes > room {
+        return Err(bad(format!("the table declares {bytes} bytes of chunks, but {room} bytes precede it")));
+    }
+    if points < header.n_points {
+        let problem =
+            format!("the header declares {} points, but the chunks hold at most {points}", header.n_points);
+        return Err(bad(problem));
+    }
+    Ok(chunks)
+}
+
+/// Finds the chunk table.
+///
+/// Its offset precedes the first chunk; writers that cannot seek back put it in the last 8 bytes of
+/// the file.
+fn find_table(input: &mut (impl Read + Seek), path: &Path, header: &Header, file_length: u64) -> Result<u64> {
+    let start = u64::from(header.offset_to_points);
+    let first = start + ChunkTable::OFFSET_SIZE as u64;
+    let fits = |at: &u64| (first..=file_length.saturating_sub(8)).contains(at);
+    if first > file_length {
+        let problem = "the file ends before it";
+        return Err(Error::malformed(path, start, "offset to the chunk table", problem, CUT));
+    }
+    let named = u64::from_le_bytes(read_8(input, path, start)?);
+    // The field is signed: writers that cannot seek back leave -1, or the offset of the field
+    // itself.
+    let at = if named > start && named <= i64::MAX as u64 {
+        named
+    } else {
+        u64::from_le_bytes(read_8(input, path, file_length - 8)?)
+    };
+    if fits(&at) {
+        return Ok(at);
+    }
+    let problem = format!("{at} is not between the points and the end of the file ({file_length} bytes)");
+    Err(Error::malformed(path, start, "offset to the chunk table", problem, CUT))
+}
+
+fn read_8(input: &mut (impl Read + Seek), path: &Path, at: u64) -> Result<[u8; 8]> {
+    let mut bytes = [0; 8];
+    let read = input.seek(SeekFrom::Start(at)).and_then(|_| input.read_exact(&mut bytes));
+    read.map_err(Error::io(path, "read the chunk table")).map(|()| bytes)
+}

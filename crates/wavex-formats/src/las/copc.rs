@@ -1,0 +1,364 @@
+//! Cloud-optimised point clouds (COPC).
+//!
+//! LAZ with one chunk per octree node. Viewers fetch only the parts they show. The specification is
+//! COPC 1.0 (<https://copc.io>): LAS 1.4 in point format 6, 7 or 8, LASzip chunks of variable size,
+//! the record `copc`/1 first, and the octree as extended record `copc`/1000. Points are copied as
+//! records, bit by bit. Records with waveforms (formats 9 and 10) lose the reference to their
+//! packet, which COPC cannot store.
+//!
+//! The source is read twice: for the bounding cube, and for the points. Memory is bounded: points
+//! are sorted in runs that the caller stores, and nodes are written as soon as they are complete.
+
+mod cube;
+mod header;
+mod octree;
+mod sort;
+
+use std::io::{self, Cursor, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use laz::laszip::{ChunkTable, ChunkTableEntry};
+use laz::record::{LayeredPointRecordCompressor, RecordCompressor};
+use laz::{LasZipError, LazVlr, LazVlrBuilder};
+
+use super::header::{Header, encoding};
+use super::point::Layout;
+use super::raw::RawPoints;
+use super::vlr::{SPEC, Vlr, WAVEFORM_PACKETS};
+use super::{descriptor::FIRST_DESCRIPTOR, lax};
+use crate::{Error, Result};
+use cube::Cube;
+use header::{Entry, Start};
+use octree::{Node, Octree};
+use sort::Sorter;
+
+pub use sort::Keep;
+
+/// User ID of the records defined by COPC.
+const COPC: &str = "copc";
+/// Maximum number of points of an octree leaf.
+const LEAF_POINTS: u64 = 50_000;
+/// Memory for sorting points, bytes.
+const SORT_BYTES: usize = 512 << 20;
+
+/// Summary of a written COPC file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CopcSummary {
+    /// Number of points, as in the source.
+    pub n_points: u64,
+    /// Number of octree nodes; each is a chunk.
+    pub n_nodes: usize,
+    /// Number of octree levels.
+    pub n_levels: u32,
+    /// Whether waveforms of formats 9 and 10 were dropped.
+    pub is_without_waveforms: bool,
+}
+
+/// Memory limits.
+#[derive(Debug, Clone, Copy)]
+struct Limits {
+    leaf_points: u64,
+    sort_bytes: usize,
+}
+
+/// Copies the points of a LAS or LAZ file as COPC.
+///
+/// `sink` starts at the first byte of the file; `path` names it in errors. `keep` stores sorted
+/// runs that exceed the memory limit. Needs about 512 MiB plus the nodes on the path to a point,
+/// about 50 000 points each. More points than that within 1 / 2^14 of the cube's edge form one
+/// node, which is held in memory.
+///
+/// # Errors
+/// The source is not LAS, is damaged, has no points, or has content that COPC cannot store: point
+/// formats 0 to 5, or LAS 1.5 times with another offset. Or writing or `keep` fails.
+pub fn write_copc(source: &Path, sink: impl Write + Seek, path: &Path, keep: Keep) -> Result<CopcSummary> {
+    write_within(source, sink, path, keep, Limits { leaf_points: LEAF_POINTS, sort_bytes: SORT_BYTES })
+}
+
+fn write_within(
+    source: &Path,
+    sink: impl Write + Seek,
+    path: &Path,
+    keep: Keep,
+    limits: Limits,
+) -> Result<CopcSummary> {
+    let extent = Extent::of(source)?;
+    let mut points = RawPoints::open(source)?;
+    let records = Reshape::of(source, points.header())?;
+    let header = points.header().clone();
+    let cube = extent.cube(&header);
+    let mut sorter = Sorter::new(records.length(), limits.sort_bytes, keep);
+    let mut out = Vec::with_capacity(records.length());
+    while let Some(record) = points.next_record()? {
+        records.reshape(record, &mut out);
+        sorter.push(cube.key(place(&header, raw(record))), &out)?;
+    }
+    let start = Start::new(source, &header, (points.vlrs(), &records), &extent)?;
+    drop(points);
+    let mut writer = Writer::new(sink, path, &records, start)?;
+    let mut octree = Octree::new(limits.leaf_points);
+    let mut done = |node: Node| writer.write_node(&node);
+    sorter.finish(path, |key, record| octree.push(key, record, &mut done))?;
+    octree.finish(&mut done)?;
+    let (n_nodes, n_levels) = (writer.entries.len(), writer.n_levels());
+    writer.finish(&cube)?;
+    let is_without_waveforms = records.format != header.point_format;
+    Ok(CopcSummary { n_points: extent.n_points, n_nodes, n_levels, is_without_waveforms })
+}
+
+/// Sums over all points, for the header and the `copc` record.
+#[derive(Debug)]
+struct Extent {
+    n_points: u64,
+    by_return: [u64; 15],
+    min: [i32; 3],
+    max: [i32; 3],
+    /// Smallest and largest finite time; both 0 without any.
+    times: [f64; 2],
+}
+
+impl Extent {
+    /// Reads all points of a file.
+    fn of(source: &Path) -> Result<Extent> {
+        let mut points = RawPoints::open(source)?;
+        check(source, points.header())?;
+        let mut extent = Extent {
+            n_points: 0,
+            by_return: [0; 15],
+            min: [i32::MAX; 3],
+            max: [i32::MIN; 3],
+            times: [0.0; 2],
+        };
+        let mut times = [f64::INFINITY, f64::NEG_INFINITY];
+        while let Some(record) = points.next_record()? {
+            extent.n_points += 1;
+            for (axis, value) in raw(record).into_iter().enumerate() {
+                extent.min[axis] = extent.min[axis].min(value);
+                extent.max[axis] = extent.max[axis].max(value);
+            }
+            // The return number is in the lowest four bits; 0 has no count.
+            let column = usize::from(record.get(14).map_or(0, |byte| byte & 15)).checked_sub(1);
+            if let Some(count) = column.and_then(|column| extent.by_return.get_mut(column)) {
+                *count += 1;
+            }
+            let time = gps_time(record);
+            if time.is_finite() {
+                times = [times[0].min(time), times[1].max(time)];
+            }
+        }
+        if extent.n_points == 0 {
+            return Err(Error::unusable(source, "it has no points", "give a file with points"));
+        }
+        if times[0] <= times[1] {
+            extent.times = times;
+        }
+        Ok(extent)
+    }
+
+    /// Returns the bounding box in units of the coordinate system.
+    ///
+    /// Scales may be negative.
+    fn bounds(&self, header: &Header) -> [[f64; 3]; 2] {
+        let (one, other) = (place(header, self.min), place(header, self.max));
+        let of = |choose: fn(f64, f64) -> f64| std::array::from_fn(|axis| choose(one[axis], other[axis]));
+        [of(f64::min), of(f64::max)]
+    }
+
+    /// Returns the octree's cube.
+    ///
+    /// Its edge is at least one coordinate step.
+    fn cube(&self, header: &Header) -> Cube {
+        let [min, max] = self.bounds(header);
+        Cube::around(min, max, header.scale.into_iter().map(f64::abs).fold(0.0, f64::max))
+    }
+}
+
+fn check(source: &Path, header: &Header) -> Result<()> {
+    if header.point_format <= 5 {
+        let problem = format!("COPC needs point format 6 to 10, but this is format {}", header.point_format);
+        return Err(Error::unusable(source, problem, "write the points with `version = \"1.4\"`"));
+    }
+    if header.time_offset_megaseconds != 0 && header.time_offset_megaseconds != 1000 {
+        let problem = format!(
+            "its times have an offset of {} million seconds, which LAS 1.4 cannot store",
+            header.time_offset_megaseconds
+        );
+        return Err(Error::unusable(source, problem, "convert the file to LAS 1.4"));
+    }
+    Ok(())
+}
+
+/// Returns the stored coordinates of a record.
+fn raw(record: &[u8]) -> [i32; 3] {
+    std::array::from_fn(|axis| {
+        record
+            .get(4 * axis..)
+            .and_then(|rest| rest.first_chunk())
+            .map_or(0, |bytes| i32::from_le_bytes(*bytes))
+    })
+}
+
+/// Returns the GPS time of a record of formats 6 to 10.
+fn gps_time(record: &[u8]) -> f64 {
+    record.get(22..).and_then(|rest| rest.first_chunk()).map_or(0.0, |bytes| f64::from_le_bytes(*bytes))
+}
+
+fn place(header: &Header, raw: [i32; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| f64::from(raw[axis]) * header.scale[axis] + header.offset[axis])
+}
+
+/// Conversion of source records to COPC records, without waveform bytes.
+#[derive(Debug)]
+struct Reshape {
+    format: u8,
+    /// Number of bytes before the waveform bytes.
+    head: usize,
+    /// Offset of the extra bytes in the source.
+    extra: usize,
+    extra_length: u16,
+}
+
+impl Reshape {
+    fn of(source: &Path, header: &Header) -> Result<Reshape> {
+        let format = match header.point_format {
+            9 => 6,
+            10 => 8,
+            format => format,
+        };
+        let extra = Layout::of(header.point_format).length;
+        let extra_length = usize::from(header.record_length).checked_sub(extra);
+        let extra_length = extra_length.and_then(|length| u16::try_from(length).ok()).ok_or_else(|| {
+            let problem = format!("{} bytes are too few for its point format", header.record_length);
+            Error::malformed(source, 105, "point data record length", problem, "export the file again")
+        })?;
+        Ok(Reshape { format, head: Layout::of(format).length, extra, extra_length })
+    }
+
+    /// Returns the length of a COPC record, bytes.
+    fn length(&self) -> usize {
+        self.head + usize::from(self.extra_length)
+    }
+
+    fn reshape(&self, record: &[u8], out: &mut Vec<u8>) {
+        out.clear();
+        out.extend_from_slice(record.get(..self.head).unwrap_or_default());
+        out.extend_from_slice(record.get(self.extra..).unwrap_or_default());
+    }
+
+    fn laz(&self) -> laz::Result<LazVlr> {
+        let builder = LazVlrBuilder::default().with_point_format(self.format, self.extra_length)?;
+        Ok(builder.with_variable_chunk_size().build())
+    }
+}
+
+/// COPC file being written.
+struct Writer<'a, W> {
+    sink: W,
+    path: &'a Path,
+    start: Start,
+    laz: LazVlr,
+    table: ChunkTable,
+    entries: Vec<Entry>,
+    /// Offset of the field for the offset of the chunk table.
+    table_offset_at: u64,
+    /// Offset of the next chunk.
+    at: u64,
+}
+
+impl<'a, W: Write + Seek> Writer<'a, W> {
+    fn new(mut sink: W, path: &'a Path, records: &Reshape, start: Start) -> Result<Writer<'a, W>> {
+        let laz = records.laz().map_err(into_io).map_err(Error::io(path, "prepare the compression"))?;
+        let before = start.before_points(path, None)?;
+        // LASzip data begin with the offset of the chunk table: -1 until it is known.
+        let written = sink.write_all(&before).and_then(|()| sink.write_all(&(-1i64).to_le_bytes()));
+        written.map_err(Error::io(path, "write"))?;
+        let table_offset_at = before.len() as u64;
+        let at = table_offset_at + ChunkTable::OFFSET_SIZE as u64;
+        Ok(Writer {
+            sink,
+            path,
+            start,
+            laz,
+            table: ChunkTable::default(),
+            entries: Vec::new(),
+            table_offset_at,
+            at,
+        })
+    }
+
+    /// Compresses a node as one chunk, sorted by time.
+    fn write_node(&mut self, node: &Node) -> Result<()> {
+        let length = self.laz.items_size() as usize;
+        let mut records: Vec<&[u8]> = node.records.chunks_exact(length).collect();
+        records.sort_by(|one, other| gps_time(one).total_cmp(&gps_time(other)));
+        let chunk = compress(&self.laz, &records.concat()).map_err(Error::io(self.path, "compress"))?;
+        let too_many = || {
+            let problem = format!("{} points share one position", records.len());
+            Error::unusable(self.path, problem, "thin the points first")
+        };
+        let points = i32::try_from(records.len()).map_err(|_| too_many())?;
+        let bytes = i32::try_from(chunk.len()).map_err(|_| too_many())?;
+        self.sink.write_all(&chunk).map_err(Error::io(self.path, "write"))?;
+        self.table
+            .push(ChunkTableEntry { point_count: records.len() as u64, byte_count: chunk.len() as u64 });
+        self.entries.push(Entry { level: node.level, prefix: node.prefix, at: self.at, bytes, points });
+        self.at += chunk.len() as u64;
+        Ok(())
+    }
+
+    fn n_levels(&self) -> u32 {
+        self.entries.iter().map(|entry| entry.level + 1).max().unwrap_or(0)
+    }
+
+    /// Writes chunk table and EVLRs; rewrites header and VLRs.
+    fn finish(mut self, cube: &Cube) -> Result<()> {
+        self.entries.sort_by_key(|entry| (entry.level, entry.prefix));
+        let failed = Error::io(self.path, "write");
+        self.table.write_to(&mut self.sink, &self.laz).map_err(&failed)?;
+        let evlrs_at = self.sink.stream_position().map_err(&failed)?;
+        let hierarchy = header::hierarchy(evlrs_at, &self.entries);
+        let before = self.start.before_points(self.path, Some((cube, &hierarchy)))?;
+        let mut write = || {
+            self.sink.write_all(&hierarchy.record)?;
+            self.sink.write_all(&self.start.evlrs)?;
+            self.sink.seek(SeekFrom::Start(0))?;
+            self.sink.write_all(&before)?;
+            self.sink.seek(SeekFrom::Start(self.table_offset_at))?;
+            self.sink.write_all(&self.at.to_le_bytes())?;
+            self.sink.seek(SeekFrom::End(0))?;
+            self.sink.flush()
+        };
+        write().map_err(&failed)
+    }
+}
+
+/// Compresses records as one chunk of LASzip's layered compression.
+fn compress(laz: &LazVlr, records: &[u8]) -> io::Result<Vec<u8>> {
+    let mut chunk = Cursor::new(Vec::new());
+    let mut compressor = LayeredPointRecordCompressor::new(&mut chunk);
+    compressor.set_fields_from(laz.items()).map_err(into_io)?;
+    compressor.compress_many(records)?;
+    compressor.done()?;
+    drop(compressor);
+    Ok(chunk.into_inner())
+}
+
+fn into_io(error: LasZipError) -> io::Error {
+    match error {
+        LasZipError::IoError(error) => error,
+        other => io::Error::other(other),
+    }
+}
+
+/// Returns whether a record is invalid for reordered points without waveforms.
+fn is_left_out(vlr: &Vlr) -> bool {
+    let descriptors = FIRST_DESCRIPTOR..FIRST_DESCRIPTOR + 255;
+    vlr.user_id == COPC
+        || vlr.user_id == LazVlr::USER_ID
+        || vlr.is(lax::USER_ID, lax::RECORD_ID)
+        || vlr.is(SPEC, WAVEFORM_PACKETS)
+        || vlr.user_id == SPEC && descriptors.contains(&vlr.record_id)
+}
+
+#[cfg(test)]
+mod tests;

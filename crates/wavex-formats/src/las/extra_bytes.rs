@@ -1,0 +1,463 @@
+//! Extra attributes after the standard fields of a point.
+//!
+//! LAS 1.4 R15, section "Extra Bytes".
+
+use std::path::Path;
+
+use super::round::nearest;
+use super::vlr::Vlr;
+use crate::Result;
+use crate::bytes::Fields;
+use wavex_signal::steps::Steps;
+
+/// Length of an attribute's descriptor, bytes.
+pub(super) const DESCRIPTOR: usize = 192;
+const HAS_NO_DATA: u8 = 1;
+const HAS_SCALE: u8 = 1 << 3;
+const HAS_OFFSET: u8 = 1 << 4;
+
+/// Integer types of written attributes, with their codes in the specification.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum DataType {
+    /// Unsigned, one byte.
+    U8 = 1,
+    /// Signed, one byte.
+    I8 = 2,
+    /// Unsigned, two bytes.
+    U16 = 3,
+    /// Signed, two bytes.
+    I16 = 4,
+    /// Unsigned, four bytes.
+    U32 = 5,
+    /// Signed, four bytes.
+    I32 = 6,
+}
+
+impl DataType {
+    /// Returns the length of a value, bytes.
+    pub const fn bytes(self) -> usize {
+        match self {
+            DataType::U8 | DataType::I8 => 1,
+            DataType::U16 | DataType::I16 => 2,
+            DataType::U32 | DataType::I32 => 4,
+        }
+    }
+
+    /// Returns the smallest and largest value.
+    const fn range(self) -> (i64, i64) {
+        match self {
+            DataType::U8 => (0, u8::MAX as i64),
+            DataType::I8 => (i8::MIN as i64, i8::MAX as i64),
+            DataType::U16 => (0, u16::MAX as i64),
+            DataType::I16 => (i16::MIN as i64, i16::MAX as i64),
+            DataType::U32 => (0, u32::MAX as i64),
+            DataType::I32 => (i32::MIN as i64, i32::MAX as i64),
+        }
+    }
+}
+
+/// Extra attribute for output.
+///
+/// Value = stored integer * scale + offset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExtraAttribute {
+    /// Unique name, at most 32 bytes.
+    pub name: &'static str,
+    /// Quantity and unit, at most 32 bytes.
+    pub description: &'static str,
+    /// Type of the stored integer.
+    pub data_type: DataType,
+    /// Step size; `None` means 1, not declared in the file.
+    pub scale: Option<f64>,
+    /// Value of a stored 0.
+    ///
+    /// `None` means 0, not declared in the file.
+    pub offset: Option<f64>,
+    /// Stored integer for NaN, within the range of the type.
+    pub nan: i64,
+    /// Whether the file declares [`ExtraAttribute::nan`] as its no-data value.
+    pub nan_is_no_data: bool,
+}
+
+/// Quantises a value to the nearest step.
+///
+/// Clamped to the range of the type. NaN becomes [`ExtraAttribute::nan`].
+pub fn quantise(value: f64, attribute: &ExtraAttribute) -> i64 {
+    let (least, largest) = attribute.data_type.range();
+    if value.is_nan() {
+        return attribute.nan.clamp(least, largest);
+    }
+    let steps = (value - attribute.offset.unwrap_or(0.0)) / attribute.scale.unwrap_or(1.0);
+    nearest(steps).clamp(least, largest)
+}
+
+impl ExtraAttribute {
+    /// Appends the stored bytes of `value` to a point's extra bytes.
+    pub fn push(&self, value: f64, extra: &mut Vec<u8>) {
+        let bytes = quantise(value, self).to_le_bytes();
+        extra.extend_from_slice(&bytes[..self.data_type.bytes()]);
+    }
+
+    /// Quantises a column of values like [`quantise`].
+    ///
+    /// Stops at the end of the shorter slice. Values of [`DataType::U32`] are stored as their bits.
+    pub(super) fn quantise_column(&self, values: &[f64], stored: &mut [i32]) {
+        let (least, largest) = self.data_type.range();
+        let (Ok(least), Ok(largest)) = (i32::try_from(least), i32::try_from(largest)) else {
+            for (stored, value) in stored.iter_mut().zip(values) {
+                *stored = quantise(*value, self) as i32;
+            }
+            return;
+        };
+        // The cast is lossless: the range of this type fits 32 bits.
+        let nan = quantise(f64::NAN, self) as i32;
+        let (offset, scale) = (self.offset.unwrap_or(0.0), self.scale.unwrap_or(1.0));
+        Steps { offset, scale, least, largest, nan }.count(values, stored);
+    }
+
+    /// Encodes the attribute's descriptor for the Extra Bytes record.
+    pub(super) fn descriptor(&self) -> [u8; DESCRIPTOR] {
+        let mut out = [0; DESCRIPTOR];
+        let mut put = |at: usize, bytes: &[u8]| out[at..at + bytes.len()].copy_from_slice(bytes);
+        let text = |text: &'static str| &text.as_bytes()[..text.len().min(32)];
+        let bit = |set: bool, bit: u8| if set { bit } else { 0 };
+        let options = bit(self.nan_is_no_data, HAS_NO_DATA)
+            | bit(self.scale.is_some(), HAS_SCALE)
+            | bit(self.offset.is_some(), HAS_OFFSET);
+        put(2, &[self.data_type as u8, options]);
+        put(4, text(self.name));
+        if self.nan_is_no_data {
+            put(40, &quantise(f64::NAN, self).to_le_bytes());
+        }
+        put(112, &self.scale.unwrap_or(0.0).to_le_bytes());
+        put(136, &self.offset.unwrap_or(0.0).to_le_bytes());
+        put(160, text(self.description));
+        out
+    }
+}
+
+/// Attribute declared by a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExtraBytes {
+    /// Unique name.
+    pub name: String,
+    /// Free text.
+    pub description: String,
+    /// Type code.
+    ///
+    /// 1 to 10 are `u8`, `i8`, `u16`, ... `i64`, `f32`, `f64`; 0 is undocumented bytes.
+    pub data_type: u8,
+    /// Offset of the value in the extra bytes of a point.
+    pub start: usize,
+    /// Length of the value, bytes.
+    pub bytes: usize,
+    /// Step size.
+    pub scale: Option<f64>,
+    /// Value of a stored 0.
+    pub offset: Option<f64>,
+    /// Stored no-data value.
+    ///
+    /// 8 bytes, an integer or an `f64` according to the type.
+    pub no_data: Option<[u8; 8]>,
+}
+
+/// Parses the attributes of record `vlr`.
+///
+/// Stops at the first of unknown length.
+pub(super) fn parse(file: &Path, vlr: &Vlr) -> Result<Vec<ExtraBytes>> {
+    let mut attributes = Vec::new();
+    let mut start = 0;
+    for (number, bytes) in vlr.data.chunks_exact(DESCRIPTOR).enumerate() {
+        let mut fields = Fields::new(file, vlr.offset + (number * DESCRIPTOR) as u64, bytes);
+        let Some(attribute) = parse_one(&mut fields, start)? else { break };
+        start += attribute.bytes;
+        attributes.push(attribute);
+    }
+    Ok(attributes)
+}
+
+fn parse_one(fields: &mut Fields, start: usize) -> Result<Option<ExtraBytes>> {
+    fields.skip(2, "reserved")?;
+    let (data_type, options) = (fields.u8("data type")?, fields.u8("options")?);
+    let Some(bytes) = length(data_type, options) else { return Ok(None) };
+    let name = fields.text(32, "name")?;
+    fields.skip(4, "unused")?;
+    let no_data = fields.array("no data")?;
+    fields.skip(16 + 24 + 24, "minimum and maximum")?;
+    let scale = fields.f64("scale")?;
+    fields.skip(16, "deprecated")?;
+    let offset = fields.f64("offset")?;
+    fields.skip(16, "deprecated")?;
+    let description = fields.text(32, "description")?;
+    let has = |bit| data_type != 0 && options & bit != 0;
+    Ok(Some(ExtraBytes {
+        name,
+        description,
+        data_type,
+        start,
+        bytes,
+        scale: has(HAS_SCALE).then_some(scale),
+        offset: has(HAS_OFFSET).then_some(offset),
+        no_data: has(HAS_NO_DATA).then_some(no_data),
+    }))
+}
+
+/// Returns the length of a type.
+///
+/// Deprecated types 11 to 30 are pairs and triples of 1 to 10.
+fn length(data_type: u8, options: u8) -> Option<usize> {
+    const SIZES: [usize; 10] = [1, 1, 2, 2, 4, 4, 8, 8, 4, 8];
+    match data_type {
+        0 => Some(options.into()),
+        1..=30 => {
+            let index = usize::from(data_type) - 1;
+            SIZES.get(index % 10).map(|size| size * (index / 10 + 1))
+        }
+        _ => None,
+    }
+}
+
+const fn attribute(
+    name: &'static str,
+    description: &'static str,
+    data_type: DataType,
+    scale: Option<f64>,
+    offset: Option<f64>,
+    nan: i64,
+) -> ExtraAttribute {
+    ExtraAttribute { name, description, data_type, scale, offset, nan, nan_is_no_data: false }
+}
+
+/// Stored NaN of a measured quantity: the smallest value.
+const UNKNOWN: i64 = 0;
+/// Stored NaN of a standard deviation.
+///
+/// The largest value marks an unreliable quantity.
+const UNRELIABLE: i64 = u8::MAX as i64;
+
+/// Width of the return relative to the system response.
+///
+/// Source of this and the following attributes: BayesWavEx 1.1, section 3.
+pub const WIDE_RATIO: ExtraAttribute =
+    attribute("WideRatio", "Pulse widening ratio", DataType::U8, Some(0.025), Some(0.5), UNKNOWN);
+/// Extent of the target along the beam, m.
+pub const TARGET_THICK: ExtraAttribute =
+    attribute("TargetThick", "Target thickness (m)", DataType::U8, Some(0.008), Some(0.0), UNKNOWN);
+/// Linear amplitude of the target.
+pub const AMP: ExtraAttribute =
+    attribute("Amp", "Target amplitude", DataType::U16, Some(1.0), Some(0.0), UNKNOWN);
+/// Deviation ratio: residuals beyond the noise, in SDs of chi-square.
+///
+/// Negative values clamp at 0.
+pub const DEV_RATIO: ExtraAttribute =
+    attribute("DevRatio", "Residual against noise (sigma)", DataType::U8, Some(0.1), Some(0.0), UNKNOWN);
+/// Standard deviation of the range, m.
+pub const RANGE_ERR: ExtraAttribute =
+    attribute("RangeErr", "Range std. dev. (m)", DataType::U8, Some(0.001), Some(0.0), UNRELIABLE);
+/// Standard deviation of the corrected intensity.
+pub const INT_ERR: ExtraAttribute =
+    attribute("IntErr", "Corrected intensity std. dev.", DataType::U8, Some(0.2), Some(0.0), UNRELIABLE);
+/// Standard deviation of the widening ratio.
+pub const WIDE_ERR: ExtraAttribute =
+    attribute("WideErr", "Pulse widening std. dev.", DataType::U8, Some(0.002), Some(0.0), UNRELIABLE);
+/// Standard deviation of the target thickness, m.
+pub const THICK_ERR: ExtraAttribute =
+    attribute("ThickErr", "Target thickness std. dev. (m)", DataType::U8, Some(0.001), Some(0.0), UNRELIABLE);
+/// Channel that gave the intensity.
+///
+/// 0 low power, 1 high power.
+pub const CHANNEL: ExtraAttribute =
+    attribute("Channel", "Power channel (0 low, 1 high)", DataType::U8, None, None, UNKNOWN);
+/// Height of the fitted pulse, digitiser steps (BayesWavEx 1.0, section 2).
+pub const RAW_AMP: ExtraAttribute =
+    attribute("RawAmp", "Raw pulse amplitude", DataType::U16, Some(1.0), Some(0.0), UNKNOWN);
+
+/// Attributes of layout 1.1, in order (BayesWavEx 1.1, section 3).
+pub const ATTRIBUTES_1_1: [ExtraAttribute; 9] =
+    [WIDE_RATIO, TARGET_THICK, AMP, DEV_RATIO, RANGE_ERR, INT_ERR, WIDE_ERR, THICK_ERR, CHANNEL];
+
+/// Attributes of layout 1.0, in order (BayesWavEx 1.0, section 2).
+///
+/// Names differ from layout 1.1, and so do the steps of widening and deviation ratio.
+pub const ATTRIBUTES_1_0: [ExtraAttribute; 9] = [
+    ExtraAttribute { name: "Widening", scale: Some(0.02), offset: Some(1.0), ..WIDE_RATIO },
+    ExtraAttribute { name: "Target Thickness", ..TARGET_THICK },
+    ExtraAttribute { name: "Amplitude", ..AMP },
+    ExtraAttribute { name: "Raw Amplitude", ..RAW_AMP },
+    ExtraAttribute { name: "Deviation Ratio", scale: Some(0.05), ..DEV_RATIO },
+    ExtraAttribute { name: "Range Error", ..RANGE_ERR },
+    ExtraAttribute { name: "Intensity Error", ..INT_ERR },
+    ExtraAttribute { name: "Widening Error", ..WIDE_ERR },
+    ExtraAttribute { name: "Thickness Error", ..THICK_ERR },
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_descriptor_is_spelled_out() {
+        let bytes = WIDE_RATIO.descriptor();
+        assert_eq!(bytes[..4], [0, 0, 1, 0b11000]);
+        assert_eq!(&bytes[4..14], b"WideRatio\0");
+        assert_eq!(bytes[14..112], [0; 98]);
+        assert_eq!(bytes[112..120], 0.025f64.to_le_bytes());
+        assert_eq!(bytes[120..136], [0; 16]);
+        assert_eq!(bytes[136..144], 0.5f64.to_le_bytes());
+        assert_eq!(bytes[144..160], [0; 16]);
+        assert_eq!(&bytes[160..181], b"Pulse widening ratio\0");
+        assert_eq!(bytes[181..], [0; 11]);
+
+        assert_eq!(CHANNEL.descriptor()[..4], [0, 0, 1, 0]);
+        let signed = ExtraAttribute { data_type: DataType::I16, nan: -1, nan_is_no_data: true, ..CHANNEL }
+            .descriptor();
+        assert_eq!(signed[..4], [0, 0, 4, 1]);
+        assert_eq!(signed[40..48], [0xff; 8]);
+    }
+
+    #[test]
+    fn layout_1_1_has_the_names_steps_and_types_of_its_manual() {
+        let table = [
+            ("WideRatio", Some(0.025), Some(0.5), 1),
+            ("TargetThick", Some(0.008), Some(0.0), 1),
+            ("Amp", Some(1.0), Some(0.0), 2),
+            ("DevRatio", Some(0.1), Some(0.0), 1),
+            ("RangeErr", Some(0.001), Some(0.0), 1),
+            ("IntErr", Some(0.2), Some(0.0), 1),
+            ("WideErr", Some(0.002), Some(0.0), 1),
+            ("ThickErr", Some(0.001), Some(0.0), 1),
+            ("Channel", None, None, 1),
+        ];
+        for (attribute, row) in ATTRIBUTES_1_1.iter().zip(table) {
+            assert_eq!((attribute.name, attribute.scale, attribute.offset, attribute.data_type.bytes()), row);
+        }
+    }
+
+    #[test]
+    fn layout_1_0_has_the_names_steps_and_types_of_its_manual() {
+        let table = [
+            ("Widening", Some(0.02), Some(1.0), 1),
+            ("Target Thickness", Some(0.008), Some(0.0), 1),
+            ("Amplitude", Some(1.0), Some(0.0), 2),
+            ("Raw Amplitude", Some(1.0), Some(0.0), 2),
+            ("Deviation Ratio", Some(0.05), Some(0.0), 1),
+            ("Range Error", Some(0.001), Some(0.0), 1),
+            ("Intensity Error", Some(0.2), Some(0.0), 1),
+            ("Widening Error", Some(0.002), Some(0.0), 1),
+            ("Thickness Error", Some(0.001), Some(0.0), 1),
+        ];
+        for (attribute, row) in ATTRIBUTES_1_0.iter().zip(table) {
+            assert_eq!((attribute.name, attribute.scale, attribute.offset, attribute.data_type.bytes()), row);
+        }
+    }
+
+    #[test]
+    fn names_fit_and_no_value_is_negative() {
+        for attribute in ATTRIBUTES_1_1.iter().chain(&ATTRIBUTES_1_0) {
+            assert!(attribute.name.len() < 32 && attribute.description.len() < 32);
+            assert_eq!(attribute.data_type.range().0, 0);
+        }
+    }
+
+    #[test]
+    fn values_are_rounded_and_clamped() {
+        assert_eq!(quantise(1.0, &WIDE_RATIO), 20);
+        assert_eq!(quantise(0.4, &WIDE_RATIO), 0);
+        assert_eq!(quantise(100.0, &WIDE_RATIO), 255);
+        assert_eq!(quantise(-3.0, &DEV_RATIO), 0);
+        assert_eq!(quantise(70_000.0, &AMP), 65_535);
+        assert_eq!(quantise(f64::INFINITY, &AMP), 65_535);
+        assert_eq!(quantise(f64::NEG_INFINITY, &AMP), 0);
+        assert_eq!(quantise(f64::NAN, &AMP), 0);
+        assert_eq!(quantise(f64::NAN, &RANGE_ERR), 255);
+        let wide = ExtraAttribute { data_type: DataType::I8, nan: -1000, ..CHANNEL };
+        assert_eq!(quantise(f64::NAN, &wide), -128);
+        assert_eq!(quantise(-1e300, &wide), -128);
+    }
+
+    proptest! {
+        #[test]
+        fn a_column_is_stored_as_its_values(
+            values in prop::collection::vec(prop_oneof![-10.0..10.0f64, -1e5..1e5f64, any::<f64>()], 0..40),
+            attribute in prop::sample::select([ATTRIBUTES_1_1, ATTRIBUTES_1_0].concat()),
+            data_type in prop::sample::select(vec![
+                DataType::U8, DataType::I8, DataType::U16, DataType::I16, DataType::U32, DataType::I32,
+            ]),
+            is_as_declared in any::<bool>(),
+        ) {
+            let data_type = if is_as_declared { attribute.data_type } else { data_type };
+            let attribute = ExtraAttribute { data_type, ..attribute };
+            let mut stored = vec![0; values.len()];
+            attribute.quantise_column(&values, &mut stored);
+            for (stored, value) in stored.into_iter().zip(values) {
+                prop_assert_eq!(stored, quantise(value, &attribute) as i32, "{}", value);
+            }
+        }
+    }
+
+    #[test]
+    fn values_stand_behind_each_other_little_endian() {
+        let mut extra = Vec::new();
+        AMP.push(258.4, &mut extra);
+        CHANNEL.push(1.0, &mut extra);
+        ExtraAttribute { data_type: DataType::I32, ..CHANNEL }.push(-2.0, &mut extra);
+        assert_eq!(extra, [2, 1, 1, 0xfe, 0xff, 0xff, 0xff]);
+    }
+
+    fn record(data: Vec<u8>) -> Vlr {
+        let length = data.len() as u64;
+        Vlr {
+            user_id: "LASF_Spec".into(),
+            record_id: 4,
+            description: String::new(),
+            offset: 429,
+            length,
+            data,
+        }
+    }
+
+    #[test]
+    fn written_descriptors_read_back() {
+        let data: Vec<u8> = ATTRIBUTES_1_1.iter().flat_map(ExtraAttribute::descriptor).collect();
+        let read = parse(Path::new("f"), &record(data)).unwrap();
+        assert_eq!(read.len(), ATTRIBUTES_1_1.len());
+        let mut start = 0;
+        for (read, written) in read.iter().zip(&ATTRIBUTES_1_1) {
+            assert_eq!((read.name.as_str(), read.description.as_str()), (written.name, written.description));
+            assert_eq!((read.scale, read.offset, read.no_data), (written.scale, written.offset, None));
+            assert_eq!((read.start, read.bytes), (start, written.data_type.bytes()));
+            start += read.bytes;
+        }
+        assert_eq!(start, 10);
+    }
+
+    #[test]
+    fn types_that_are_not_written_are_read() {
+        let mut data = vec![0; 4 * DESCRIPTOR];
+        for (number, (data_type, options)) in [(0, 7), (25, 0), (10, 1), (31, 0)].into_iter().enumerate() {
+            data[number * DESCRIPTOR + 2] = data_type;
+            data[number * DESCRIPTOR + 3] = options;
+        }
+        let read = parse(Path::new("f"), &record(data)).unwrap();
+        let places: Vec<_> = read.iter().map(|a| (a.start, a.bytes, a.no_data)).collect();
+        assert_eq!(places, [(0, 7, None), (7, 12, None), (19, 8, Some([0; 8]))]);
+    }
+
+    proptest! {
+        #[test]
+        fn a_value_in_range_is_off_by_half_a_step_at_most(value in 0.5..6.8f64) {
+            let back = quantise(value, &WIDE_RATIO) as f64 * 0.025 + 0.5;
+            prop_assert!((back - value).abs() <= 0.0125 + 1e-12);
+        }
+
+        #[test]
+        fn nothing_leaves_the_range_of_its_type(value in any::<f64>()) {
+            for attribute in ATTRIBUTES_1_1.into_iter().chain(ATTRIBUTES_1_0) {
+                let (least, largest) = attribute.data_type.range();
+                prop_assert!((least..=largest).contains(&quantise(value, &attribute)));
+            }
+        }
+    }
+}

@@ -1,0 +1,364 @@
+//! Public header block.
+//!
+//! LAS 1.4 R15, section "Public Header Block", and LAS 1.5. LAS 1.5 appends three fields.
+
+use std::path::Path;
+
+use super::point::Layout;
+use crate::bytes::Fields;
+use crate::{Error, Result};
+
+/// Length of the header of LAS 1.4, bytes.
+pub(super) const HEADER_1_4: u16 = 375;
+/// Length of the header of LAS 1.5, bytes.
+///
+/// The longest of all versions.
+pub(super) const HEADER_1_5: u16 = 393;
+
+/// Bits of the field "global encoding".
+pub(super) mod encoding {
+    /// GPS time is adjusted standard GPS time, not seconds of the week.
+    pub const ADJUSTED_TIME: u16 = 1;
+    /// Waveform packets are inside the file.
+    pub const WAVES_INSIDE: u16 = 1 << 1;
+    /// Waveform packets are in a separate file.
+    pub const WAVES_BESIDE: u16 = 1 << 2;
+    /// Return numbers are synthetic.
+    pub const SYNTHETIC_RETURNS: u16 = 1 << 3;
+    /// The coordinate system is given as WKT.
+    pub const WKT: u16 = 1 << 4;
+    /// With [`ADJUSTED_TIME`], from LAS 1.5 on.
+    ///
+    /// The header gives the offset of GPS time.
+    pub const TIME_OFFSET: u16 = 1 << 6;
+}
+
+/// Time system of the points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum GpsTime {
+    /// Seconds of the GPS week.
+    Week,
+    /// Standard GPS time minus an offset, s.
+    ///
+    /// The offset is 1e9 for adjusted standard GPS time; other offsets exist from LAS 1.5 on.
+    Standard {
+        /// Offset subtracted from standard GPS time, s.
+        offset_s: f64,
+    },
+}
+
+/// Public header block.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Header {
+    /// File source ID (flight line), 0 if unassigned.
+    pub file_source_id: u16,
+    /// Field "global encoding" as stored.
+    pub global_encoding: u16,
+    /// Project GUID as stored.
+    pub guid: [u8; 16],
+    /// Major and minor version: (1, 0) to (1, 5).
+    pub version: (u8, u8),
+    /// System that created the data.
+    pub system_identifier: String,
+    /// Software that wrote the file.
+    pub generating_software: String,
+    /// Day of the year of file creation, from 1.
+    pub creation_day: u16,
+    /// Year of file creation.
+    pub creation_year: u16,
+    /// Length of the header, bytes.
+    pub header_size: u16,
+    /// File offset of the first point or the LAZ data, bytes.
+    pub offset_to_points: u32,
+    /// Number of variable length records (VLRs) before the points.
+    pub n_vlrs: u32,
+    /// Point data record format, 0 to 10.
+    pub point_format: u8,
+    /// Whether the points are compressed (LAZ).
+    pub compressed: bool,
+    /// Length of an uncompressed point, bytes.
+    ///
+    /// Beyond the format's fields are extra bytes.
+    pub record_length: u16,
+    /// Number of points.
+    pub n_points: u64,
+    /// Number of points by return number, from 1.
+    ///
+    /// Five counts before LAS 1.4.
+    pub n_points_by_return: [u64; 15],
+    /// Scale factors of x, y, z.
+    pub scale: [f64; 3],
+    /// Offsets of x, y, z, in units of the coordinate system.
+    pub offset: [f64; 3],
+    /// Smallest x, y, z according to the header.
+    pub min: [f64; 3],
+    /// Largest x, y, z according to the header.
+    pub max: [f64; 3],
+    /// Offset of the waveform packet record.
+    ///
+    /// 0 if there is none or the version lacks the field.
+    pub start_of_waveforms: u64,
+    /// Offset of the first extended variable length record (EVLR).
+    ///
+    /// 0 before LAS 1.4.
+    pub start_of_evlrs: u64,
+    /// Number of extended variable length records; 0 before LAS 1.4.
+    pub n_evlrs: u32,
+    /// LAS 1.5: offset of GPS time, millions of seconds; else 0.
+    pub time_offset_megaseconds: u16,
+}
+
+impl Header {
+    /// Parses the header of `file`, which has `file_length` bytes.
+    ///
+    /// `bytes` holds the first 393 bytes of the file (the longest header), or all of a shorter
+    /// file.
+    ///
+    /// # Errors
+    /// The file is empty, is not LAS, has an unknown version or point format, or contradictory
+    /// sizes.
+    pub fn parse(file: &Path, bytes: &[u8], file_length: u64) -> Result<Header> {
+        let mut fields = Fields::new(file, 0, bytes);
+        check_signature(file, bytes)?;
+        fields.skip(4, "file signature")?;
+        let file_source_id = fields.u16("file source ID")?;
+        let global_encoding = fields.u16("global encoding")?;
+        let guid = fields.array("project ID")?;
+        let version = version(&mut fields)?;
+        let system_identifier = fields.text(32, "system identifier")?;
+        let generating_software = fields.text(32, "generating software")?;
+        let creation_day = fields.u16("file creation day of year")?;
+        let creation_year = fields.u16("file creation year")?;
+        let header_size = header_size(&mut fields, version)?;
+        let offset_to_points = offset_to_points(&mut fields, header_size, file_length)?;
+        let n_vlrs = fields.u32("number of variable length records")?;
+        let (point_format, compressed) = point_format(&mut fields)?;
+        let record_length = record_length(&mut fields, point_format)?;
+        let legacy = (fields.u32("legacy number of point records")?, legacy_by_return(&mut fields)?);
+        let scale = scale(&mut fields)?;
+        let offset = three(&mut fields, "offset")?;
+        let (min, max) = bounds(&mut fields)?;
+        let mut header = Header {
+            file_source_id,
+            global_encoding,
+            guid,
+            version,
+            system_identifier,
+            generating_software,
+            creation_day,
+            creation_year,
+            header_size,
+            offset_to_points,
+            n_vlrs,
+            point_format,
+            compressed,
+            record_length,
+            n_points: legacy.0.into(),
+            n_points_by_return: legacy.1,
+            scale,
+            offset,
+            min,
+            max,
+            start_of_waveforms: 0,
+            start_of_evlrs: 0,
+            n_evlrs: 0,
+            time_offset_megaseconds: 0,
+        };
+        header.later_fields(&mut fields)?;
+        header.check_points_fit(file, file_length)?;
+        Ok(header)
+    }
+
+    /// Reads the fields appended by LAS 1.3, 1.4 and 1.5.
+    fn later_fields(&mut self, fields: &mut Fields) -> Result<()> {
+        let minor = self.version.1;
+        if minor >= 3 {
+            self.start_of_waveforms = fields.u64("start of waveform data packet record")?;
+        }
+        if minor >= 4 {
+            self.start_of_evlrs = fields.u64("start of first extended variable length record")?;
+            self.n_evlrs = fields.u32("number of extended variable length records")?;
+            let n_points = fields.u64("number of point records")?;
+            let mut by_return = [0; 15];
+            for count in &mut by_return {
+                *count = fields.u64("number of points by return")?;
+            }
+            // LAS 1.4 files with old point formats sometimes fill only the legacy counts, which LAS
+            // 1.5 lacks.
+            if n_points > 0 || minor >= 5 {
+                (self.n_points, self.n_points_by_return) = (n_points, by_return);
+            }
+        }
+        if minor >= 5 {
+            fields.skip(16, "GPS time bounds")?;
+            self.time_offset_megaseconds = fields.u16("time offset")?;
+        }
+        Ok(())
+    }
+
+    fn check_points_fit(&self, file: &Path, file_length: u64) -> Result<()> {
+        let room = (file_length - u64::from(self.offset_to_points)) / u64::from(self.record_length);
+        if self.compressed || self.n_points <= room {
+            return Ok(());
+        }
+        let at = if self.version.1 >= 4 { 247 } else { 107 };
+        let problem = format!(
+            "the header declares {} points of {} bytes, but only {room} fit into the file",
+            self.n_points, self.record_length
+        );
+        Err(Error::malformed(
+            file,
+            at,
+            "number of point records",
+            problem,
+            "the file is cut off: copy it again from its source",
+        ))
+    }
+
+    /// Returns the time system of the points.
+    ///
+    /// LAS 1.4 R15, "Global Encoding", bit 0; LAS 1.5, bit 6.
+    pub fn gps_time(&self) -> GpsTime {
+        let has = |bit| self.global_encoding & bit != 0;
+        match (has(encoding::ADJUSTED_TIME), has(encoding::TIME_OFFSET) && self.version.1 >= 5) {
+            (false, _) => GpsTime::Week,
+            (true, false) => GpsTime::Standard { offset_s: 1e9 },
+            (true, true) => GpsTime::Standard { offset_s: f64::from(self.time_offset_megaseconds) * 1e6 },
+        }
+    }
+
+    /// Returns whether the header declares a WKT coordinate system.
+    ///
+    /// Some files of formats 6 and above do not, although the specification requires it.
+    pub fn says_wkt(&self) -> bool {
+        self.global_encoding & encoding::WKT != 0
+    }
+}
+
+fn check_signature(file: &Path, bytes: &[u8]) -> Result<()> {
+    if bytes.is_empty() {
+        return Err(Error::unusable(file, "the file is empty", "copy it again from its source"));
+    }
+    if bytes.starts_with(b"LASF") {
+        return Ok(());
+    }
+    Err(Error::malformed(file, 0, "file signature", "expected `LASF`", "give a LAS or LAZ file"))
+}
+
+fn version(fields: &mut Fields) -> Result<(u8, u8)> {
+    let start = fields.clone();
+    let version = (fields.u8("version major")?, fields.u8("version minor")?);
+    if version.0 == 1 && version.1 <= 5 {
+        return Ok(version);
+    }
+    let problem = format!("LAS {}.{} is not supported", version.0, version.1);
+    Err(start.bad("version", problem, "convert the file to LAS 1.4"))
+}
+
+fn header_size(fields: &mut Fields, version: (u8, u8)) -> Result<u16> {
+    let start = fields.clone();
+    let size = fields.u16("header size")?;
+    let least = match version.1 {
+        0..=2 => 227,
+        3 => 235,
+        4 => HEADER_1_4,
+        _ => HEADER_1_5,
+    };
+    if size >= least {
+        return Ok(size);
+    }
+    let problem = format!("{size} bytes, but LAS {}.{} needs {least}", version.0, version.1);
+    Err(start.bad("header size", problem, "the header is damaged: export the file again"))
+}
+
+fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> Result<u32> {
+    let start = fields.clone();
+    let offset = fields.u32("offset to point data")?;
+    if offset < u32::from(header_size) {
+        let problem = format!("{offset} lies inside the header of {header_size} bytes");
+        return Err(start.bad(
+            "offset to point data",
+            problem,
+            "the header is damaged: export the file again",
+        ));
+    }
+    if u64::from(offset) > file_length {
+        let problem = format!("{offset} is beyond the end of the file ({file_length} bytes)");
+        return Err(start.bad(
+            "offset to point data",
+            problem,
+            "the file is cut off: copy it again from its source",
+        ));
+    }
+    Ok(offset)
+}
+
+/// Reads point format and compression.
+///
+/// LASzip marks compressed points with bit 7.
+fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
+    let start = fields.clone();
+    let byte = fields.u8("point data record format")?;
+    let format = byte & 0x7f;
+    if format > 10 {
+        let problem = format!("format {format} is unknown");
+        return Err(start.bad(
+            "point data record format",
+            problem,
+            "convert the file to LAS 1.4, format 9 or 10",
+        ));
+    }
+    Ok((format, byte & 0x80 != 0))
+}
+
+fn record_length(fields: &mut Fields, format: u8) -> Result<u16> {
+    let start = fields.clone();
+    let length = fields.u16("point data record length")?;
+    let least = Layout::of(format).length;
+    if usize::from(length) >= least {
+        return Ok(length);
+    }
+    let problem = format!("{length} bytes, but format {format} needs {least}");
+    Err(start.bad("point data record length", problem, "the header is damaged: export the file again"))
+}
+
+fn legacy_by_return(fields: &mut Fields) -> Result<[u64; 15]> {
+    let mut counts = [0; 15];
+    for count in counts.iter_mut().take(5) {
+        *count = fields.u32("legacy number of points by return")?.into();
+    }
+    Ok(counts)
+}
+
+fn scale(fields: &mut Fields) -> Result<[f64; 3]> {
+    let start = fields.clone();
+    let scale = three(fields, "scale factor")?;
+    if scale.contains(&0.0) {
+        let problem = format!("{scale:?} has a zero, so that all points coincide");
+        return Err(start.bad("scale factor", problem, "the header is damaged: export the file again"));
+    }
+    Ok(scale)
+}
+
+/// Reads three finite numbers.
+fn three(fields: &mut Fields, name: &str) -> Result<[f64; 3]> {
+    let start = fields.clone();
+    let values = [fields.f64(name)?, fields.f64(name)?, fields.f64(name)?];
+    if values.iter().all(|value| value.is_finite()) {
+        return Ok(values);
+    }
+    let problem = format!("{values:?} is not finite");
+    Err(start.bad(name, problem, "the header is damaged: export the file again"))
+}
+
+/// Reads the bounding box.
+///
+/// Stored as max x, min x, max y, min y, max z, min z.
+fn bounds(fields: &mut Fields) -> Result<([f64; 3], [f64; 3])> {
+    let (mut min, mut max) = ([0.0; 3], [0.0; 3]);
+    for axis in 0..3 {
+        max[axis] = fields.f64("bounding box")?;
+        min[axis] = fields.f64("bounding box")?;
+    }
+    Ok((min, max))
+}

@@ -1,0 +1,183 @@
+//! Point-by-point reader of full-waveform LAS and LAZ files.
+
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use super::descriptor::{Descriptor, Descriptors};
+use super::extra_bytes::{self, ExtraBytes};
+use super::header::{HEADER_1_5, Header};
+use super::packets::{self, Packets};
+use super::point::{Layout, Point, Wave};
+use super::records::Records;
+use super::vlr::{self, PROJECTION, SPEC, Vlr};
+use crate::{Error, Result};
+
+/// Full-waveform LAS or LAZ file.
+///
+/// Supports versions 1.0 to 1.5 and point formats 4, 5, 9 and 10. For these formats LAS 1.5 changes
+/// only the header.
+pub struct Reader {
+    path: PathBuf,
+    header: Header,
+    vlrs: Vec<Vlr>,
+    evlrs: Vec<Vlr>,
+    descriptors: Descriptors,
+    extra_bytes: Vec<ExtraBytes>,
+    layout: Layout,
+    records: Records,
+    packets: Option<Packets>,
+}
+
+impl Reader {
+    /// Opens a file and reads everything but its points and waveforms.
+    ///
+    /// # Errors
+    /// The file is not LAS, has points without waveforms, is cut off, or has contradictory sizes;
+    /// or declared waveforms are neither inside nor next to it.
+    pub fn open(path: &Path) -> Result<Reader> {
+        let file = File::open(path).map_err(Error::io(path, "open"))?;
+        let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
+        let mut input = BufReader::new(file);
+        let header = read_header(&mut input, path, file_length)?;
+        let layout = Layout::of(header.point_format);
+        if layout.wave.is_none() {
+            let problem = format!("no waveforms in point data format {}", header.point_format);
+            let remedy = "export the flight with waveforms, as LAS point format 4, 5, 9 or 10";
+            return Err(Error::malformed(path, 104, "point data record format", problem, remedy));
+        }
+        let vlrs = vlr::read_vlrs(&mut input, path, &header)?;
+        let evlrs = vlr::read_evlrs(&mut input, path, &header, file_length)?;
+        let descriptors = Descriptors::collect(path, vlrs.iter().chain(&evlrs));
+        let extra_bytes = match vlrs.iter().chain(&evlrs).find(|vlr| vlr.is(SPEC, vlr::EXTRA_BYTES)) {
+            Some(vlr) => extra_bytes::parse(path, vlr)?,
+            None => Vec::new(),
+        };
+        let packets = packets::find(path, &header, &evlrs, &mut input, file_length)?;
+        if packets.is_none() && descriptors.describe_anything() {
+            return Err(packets::missing(path));
+        }
+        let records = Records::open(path, &header, &vlrs, file_length)?;
+        let path = path.to_path_buf();
+        Ok(Reader { path, header, vlrs, evlrs, descriptors, extra_bytes, layout, records, packets })
+    }
+
+    /// Returns the public header block.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// Returns the VLRs between the header and the points.
+    pub fn vlrs(&self) -> &[Vlr] {
+        &self.vlrs
+    }
+
+    /// Returns the EVLRs after the points.
+    ///
+    /// Waveform packets without their data.
+    pub fn evlrs(&self) -> &[Vlr] {
+        &self.evlrs
+    }
+
+    /// Returns the coordinate system as WKT, if present.
+    pub fn wkt(&self) -> Option<String> {
+        self.projection(vlr::WKT).map(Vlr::text)
+    }
+
+    /// Returns a record of `LASF_Projection`.
+    ///
+    /// 2112 is WKT; 34735, 34736 and 34737 are the GeoTIFF keys, their numbers and their texts.
+    pub fn projection(&self, record_id: u16) -> Option<&Vlr> {
+        self.vlrs.iter().chain(&self.evlrs).find(|vlr| vlr.is(PROJECTION, record_id))
+    }
+
+    /// Returns whether the gains of waveform packet descriptors differ.
+    pub fn has_different_gains(&self) -> bool {
+        self.descriptors.have_different_gains()
+    }
+
+    /// Returns the descriptors of the extra bytes.
+    pub fn extra_bytes_descriptors(&self) -> &[ExtraBytes] {
+        &self.extra_bytes
+    }
+
+    /// Reads the next point.
+    ///
+    /// `false` at the end, with `point` unchanged.
+    ///
+    /// # Errors
+    /// The file cannot be read or its compressed points are damaged. No point follows after an
+    /// error.
+    pub fn next_point(&mut self, point: &mut Point) -> Result<bool> {
+        let found = self.records.advance()?;
+        if found {
+            self.layout.decode(self.records.record(), &self.header.scale, &self.header.offset, point);
+        }
+        Ok(found)
+    }
+
+    /// Returns the extra bytes of the last point.
+    ///
+    /// All bytes after the format's fields.
+    pub fn extra_bytes(&self) -> &[u8] {
+        self.records.record().get(self.layout.length..).unwrap_or_default()
+    }
+
+    /// Returns the storage descriptor of a point's waveform.
+    ///
+    /// # Errors
+    /// The point has no waveform, or its descriptor is missing or unsupported. Other points may be
+    /// valid.
+    pub fn descriptor(&self, wave: &Wave) -> Result<&Descriptor> {
+        let index = wave.descriptor;
+        let bad = |problem: String, remedy| Error::unusable(&self.path, problem, remedy);
+        if index == 0 {
+            let problem = "a point has no waveform (descriptor 0)";
+            return Err(bad(problem.into(), "leave the point out"));
+        }
+        let id = 99 + u16::from(index);
+        let Some(descriptor) = self.descriptors.get(index) else {
+            let problem =
+                format!("a point refers to waveform descriptor {index}, but LASF_Spec/{id} is missing");
+            return Err(bad(problem, "the point or the header is damaged: export the file again"));
+        };
+        match descriptor.obstacle() {
+            None => Ok(descriptor),
+            Some((problem, remedy)) => {
+                Err(bad(format!("waveform descriptor {index} (LASF_Spec/{id}): {problem}"), remedy))
+            }
+        }
+    }
+
+    /// Reads the waveform of a point, replacing `samples`.
+    ///
+    /// A packet may be longer than its samples (padding), never shorter. Consecutive packets are
+    /// read from a window, not one by one.
+    ///
+    /// # Errors
+    /// As [`Reader::descriptor`]; or the packet is too short or outside the waveform data. Other
+    /// points may be valid.
+    pub fn packet(&mut self, wave: &Wave, samples: &mut Vec<u16>) -> Result<Descriptor> {
+        samples.clear();
+        let descriptor = *self.descriptor(wave)?;
+        let length = descriptor.packet_bytes();
+        if length > u64::from(wave.size) {
+            let problem = format!(
+                "the waveform packet at byte {} has {} bytes, but {} samples of {} bits need \
+                 {length}",
+                wave.offset, wave.size, descriptor.samples, descriptor.bits
+            );
+            let remedy = "the point or its descriptor is damaged: export the file again";
+            return Err(Error::unusable(&self.path, problem, remedy));
+        }
+        let Some(packets) = &mut self.packets else { return Err(packets::missing(&self.path)) };
+        descriptor.unpack(packets.bytes(wave.offset, length)?, samples);
+        Ok(descriptor)
+    }
+}
+
+fn read_header(input: &mut impl Read, path: &Path, file_length: u64) -> Result<Header> {
+    let mut bytes = Vec::with_capacity(HEADER_1_5.into());
+    input.take(HEADER_1_5.into()).read_to_end(&mut bytes).map_err(Error::io(path, "read the header"))?;
+    Header::parse(path, &bytes, file_length)
+}

@@ -1,0 +1,84 @@
+//! Point records in slabs, read directly (LAS) or decompressed (LAZ).
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use super::chunks::Chunks;
+use super::header::Header;
+use super::vlr::Vlr;
+use crate::{Error, Result};
+
+/// Records per slab.
+const SLAB: u64 = 1024;
+
+/// Iterator over the records of a file.
+pub(super) struct Records {
+    source: Source,
+    record_length: usize,
+    /// Number of records not yet in a slab.
+    left: u64,
+    slab: Vec<u8>,
+    /// Offset of the current record in the slab.
+    at: usize,
+}
+
+enum Source {
+    Plain(File, PathBuf),
+    Compressed(Box<Chunks>),
+}
+
+impl Records {
+    /// Starts at the first point of the file `path`.
+    ///
+    /// # Errors
+    /// The LASzip record is missing or contradicts the header.
+    pub(super) fn open(path: &Path, header: &Header, vlrs: &[Vlr], file_length: u64) -> Result<Records> {
+        let mut file = File::open(path).map_err(Error::io(path, "open"))?;
+        let source = if header.compressed {
+            Source::Compressed(Box::new(Chunks::open(file, path, header, vlrs, file_length)?))
+        } else {
+            let start = SeekFrom::Start(header.offset_to_points.into());
+            file.seek(start).map_err(Error::io(path, "seek to the points"))?;
+            Source::Plain(file, path.to_path_buf())
+        };
+        let record_length = header.record_length.into();
+        Ok(Records { source, record_length, left: header.n_points, slab: Vec::new(), at: 0 })
+    }
+
+    /// Advances to the next record.
+    ///
+    /// `false` at the end or after an error.
+    ///
+    /// # Errors
+    /// The file cannot be read, or its compressed points are damaged. Iteration then ends, because
+    /// later compressed data depend on earlier data.
+    pub(super) fn advance(&mut self) -> Result<bool> {
+        self.at += self.record_length;
+        if self.at < self.slab.len() {
+            return Ok(true);
+        }
+        let count = self.left.min(SLAB);
+        self.at = 0;
+        self.slab.resize(count as usize * self.record_length, 0);
+        self.left -= count;
+        let filled = match &mut self.source {
+            Source::Plain(file, path) => {
+                file.read_exact(&mut self.slab).map_err(Error::io(path, "read the points"))
+            }
+            Source::Compressed(chunks) => chunks.fill(&mut self.slab),
+        };
+        if filled.is_err() {
+            self.slab.clear();
+            self.left = 0;
+        }
+        filled.map(|()| count > 0)
+    }
+
+    /// Returns the current record.
+    ///
+    /// Empty before the first and after the last.
+    pub(super) fn record(&self) -> &[u8] {
+        self.slab.get(self.at..self.at + self.record_length).unwrap_or_default()
+    }
+}

@@ -1,0 +1,163 @@
+//! Locates RIEGL's library.
+//!
+//! The job's key comes first, then the environment variable [`VARIABLE`], then the usual places:
+//! the folder of the program, the system's search path, and a few common folders.
+
+use std::path::{Path, PathBuf};
+
+use super::fault::Fault;
+use super::interface::{Functions, Version};
+use crate::{Error, Result};
+
+/// Environment variable that may name the library or its folder.
+pub const VARIABLE: &str = "WAVEX_RIWAVELIB";
+
+/// Major version of the declared interface.
+pub const MAJOR: u16 = 1;
+
+/// Common folders of the library, searched after the program's folder.
+#[cfg(not(windows))]
+const FOLDERS: &[&str] =
+    &["/usr/local/lib", "/opt/riwavelib/lib", "/opt/riegl/lib", "/opt/riegl/riwavelib/lib"];
+/// Common folders of the library, searched after the program's folder.
+#[cfg(windows)]
+const FOLDERS: &[&str] = &["C:\\Program Files\\RIEGL\\RiWAVELib\\lib", "C:\\riwavelib\\lib"];
+
+/// Source of a library path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Said {
+    ByKey,
+    ByVariable,
+}
+
+/// Returns the library's file names for a data file.
+///
+/// The usual one is first. As in the library, the extension of the file decides.
+fn names(data: &Path) -> [String; 2] {
+    let is_wfm = data.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
+    let stem = if is_wfm { "wfmifc-mt" } else { "sdfifc" };
+    let suffix = if is_wfm { "-s" } else { "-mt" };
+    let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+    [format!("{before}{stem}{after}"), format!("{before}{stem}{suffix}{after}")]
+}
+
+/// Finds, loads and checks the library for a file.
+///
+/// `key` is the library or its folder, as given by the job.
+pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, Version)> {
+    let functions = match (key, std::env::var_os(VARIABLE)) {
+        (Some(key), _) => named(data, key, Said::ByKey)?,
+        (None, Some(variable)) if !variable.is_empty() => {
+            named(data, Path::new(&variable), Said::ByVariable)?
+        }
+        _ => in_usual_places(data)?,
+    };
+    let version = functions.version().map_err(|fault: Fault| fault.of_file(data))?;
+    match version.major {
+        MAJOR => Ok((functions, version)),
+        other => Err(Error::unusable(
+            data,
+            format!("RIEGL's library has version {other}.{}, but wavex supports {MAJOR}.x", version.minor),
+            format!("set a library of version {MAJOR} with the key `library`, or use a newer wavex"),
+        )),
+    }
+}
+
+/// Loads the library named by the user.
+fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
+    let whose = match said {
+        Said::ByKey => "the key `library`".to_owned(),
+        Said::ByVariable => format!("the environment variable {VARIABLE}"),
+    };
+    let file = match path.is_dir() {
+        false => path.to_path_buf(),
+        true => {
+            let [usual, other] = names(data).map(|name| path.join(name));
+            match [&usual, &other].into_iter().find(|file| file.is_file()) {
+                Some(file) => file.clone(),
+                None => {
+                    let problem = format!(
+                        "{whose} names the folder {}, which has no {}",
+                        path.display(),
+                        file_name(&usual)
+                    );
+                    return Err(Error::unusable(data, problem, WHOSE));
+                }
+            }
+        }
+    };
+    Functions::load(&file).map_err(|error| {
+        let problem = format!(
+            "the library {}, which {whose} names, cannot be loaded: {}",
+            file.display(),
+            reason(&error)
+        );
+        Error::unusable(data, problem, WHOSE)
+    })
+}
+
+fn in_usual_places(data: &Path) -> Result<Functions> {
+    let names = names(data);
+    let beside = std::env::current_exe().ok().and_then(|program| program.parent().map(Path::to_path_buf));
+    let folders = || beside.clone().into_iter().chain(FOLDERS.iter().map(PathBuf::from));
+    for file in folders().flat_map(|folder| names.clone().map(|name| folder.join(name))) {
+        if file.is_file() {
+            return Functions::load(&file).map_err(|error| {
+                let problem = format!("the library {} cannot be loaded: {}", file.display(), reason(&error));
+                Error::unusable(data, problem, WHOSE)
+            });
+        }
+    }
+    for name in &names {
+        if let Ok(functions) = Functions::load(Path::new(name)) {
+            return Ok(functions);
+        }
+    }
+    let looked: Vec<String> = folders().map(|folder| folder.display().to_string()).collect();
+    Err(Error::unusable(
+        data,
+        format!(
+            "this format needs RIEGL's Waveform Extraction Library (RiWAVELib), but {} was found \
+             neither where the system looks for libraries nor in {}",
+            names[0],
+            looked.join(", ")
+        ),
+        format!(
+            "its licence forbids shipping it, but owners of a RIEGL instrument can download it \
+             from RIEGL: then set the library or its folder with the key `library` or in the \
+             environment variable {VARIABLE}"
+        ),
+    ))
+}
+
+const WHOSE: &str = "give the path of RIEGL's Waveform Extraction Library (sdfifc for `.sdf`, \
+                     wfmifc-mt for `.wfm`), built for this system, or its folder";
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Returns the loader's error message.
+///
+/// It includes that of the system, if present.
+fn reason(error: &libloading::Error) -> String {
+    match std::error::Error::source(error) {
+        Some(source) => format!("{error}: {source}"),
+        None => error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_extension_chooses_the_library() {
+        let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
+        for (data, stem) in
+            [("a.sdf", "sdfifc"), ("a.wfm", "wfmifc-mt"), ("A.WFM", "wfmifc-mt"), ("a", "sdfifc")]
+        {
+            assert_eq!(names(Path::new(data))[0], format!("{before}{stem}{after}"));
+        }
+    }
+}

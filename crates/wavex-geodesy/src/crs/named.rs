@@ -1,0 +1,128 @@
+//! Coordinate reference systems as named in jobs.
+
+use super::CrsError;
+
+/// A coordinate reference system as named by the user.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Named {
+    /// WGS 84 / UTM in the zone of the first position: `utm`.
+    Utm,
+    /// WGS 84 / UTM in a given zone: `utm:33N`, `utm:55S`.
+    UtmZone {
+        /// Zone, 1 to 60.
+        zone: u8,
+        /// Northern hemisphere, with northings from the equator.
+        north: bool,
+    },
+    /// EPSG code: `EPSG:2154`.
+    Epsg(u32),
+    /// WKT 1, ESRI WKT, or WKT 2.
+    Wkt(String),
+    /// Longitude and latitude of WGS 84 in degrees, and height: `geodetic`.
+    Geodetic,
+    /// Earth-centred, earth-fixed frame: `ecef`.
+    Ecef,
+}
+
+impl Named {
+    /// Parses a name, case-insensitive; `None` for anything else, which is the path of a WKT file.
+    ///
+    /// # Errors
+    /// An invalid UTM zone or EPSG code.
+    pub fn parse(word: &str) -> Result<Option<Named>, CrsError> {
+        let error = |problem| CrsError::Word { word: word.into(), problem };
+        let lower = word.trim().to_lowercase();
+        let named = match lower.as_str() {
+            "utm" => Named::Utm,
+            "geodetic" => Named::Geodetic,
+            "ecef" => Named::Ecef,
+            _ => match lower.split_once(':') {
+                Some(("utm", zone)) => utm_zone(zone).ok_or_else(|| {
+                    error("a zone is a number from 1 to 60 and the hemisphere's letter N or S")
+                })?,
+                Some(("epsg", code)) => code
+                    .trim()
+                    .parse()
+                    .map(Named::Epsg)
+                    .map_err(|_| error("an EPSG code is a whole number"))?,
+                _ => return Ok(None),
+            },
+        };
+        Ok(Some(named))
+    }
+}
+
+/// Parses a zone such as `33n` or `55s`.
+fn utm_zone(text: &str) -> Option<Named> {
+    let (zone, north) = match text.trim().strip_suffix('n') {
+        Some(zone) => (zone, true),
+        None => (text.trim().strip_suffix('s')?, false),
+    };
+    let zone = zone.trim().parse().ok().filter(|zone| (1..=60).contains(zone))?;
+    Some(Named::UtmZone { zone, north })
+}
+
+/// Returns the CRS of an EPSG code as WKT 1; `None` if the table lacks it.
+pub fn wkt_of_epsg(code: u16) -> Option<String> {
+    crs_definitions::from_code(code).map(|definition| definition.wkt.to_string())
+}
+
+/// UTM zone, 1 to 60, of a longitude, rad.
+///
+/// Zones are 6 degrees wide everywhere: the wider zones of Norway and Svalbard belong to the
+/// military grid reference system, not to the projection.
+pub fn utm_zone_at(longitude_rad: f64) -> u8 {
+    let zone = ((longitude_rad.to_degrees() + 180.0) / 6.0).floor().rem_euclid(60.0);
+    zone as u8 + 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_name_systems() {
+        let parse = |word| Named::parse(word).unwrap();
+        assert_eq!(parse("utm"), Some(Named::Utm));
+        assert_eq!(parse("UTM:33N"), Some(Named::UtmZone { zone: 33, north: true }));
+        assert_eq!(parse("utm:5s"), Some(Named::UtmZone { zone: 5, north: false }));
+        assert_eq!(parse("epsg:2154"), Some(Named::Epsg(2154)));
+        assert_eq!(parse("geodetic"), Some(Named::Geodetic));
+        assert_eq!(parse("ECEF"), Some(Named::Ecef));
+        assert_eq!(parse("site.wkt"), None);
+        assert_eq!(parse(r"C:\site.wkt"), None);
+    }
+
+    #[test]
+    fn words_that_almost_name_a_system_are_errors() {
+        for word in ["utm:0N", "utm:61S", "utm:33", "utm:", "utm:N"] {
+            assert_eq!(
+                Named::parse(word).unwrap_err().to_string(),
+                format!(
+                    "crs `{word}`: a zone is a number from 1 to 60 and the hemisphere's letter N or S; write `utm`, \
+                     `utm:33N`, `EPSG:2154`, `geodetic`, `ecef` or the path of a WKT file"
+                )
+            );
+        }
+        assert!(
+            Named::parse("epsg:lambert").unwrap_err().to_string().contains("an EPSG code is a whole number")
+        );
+    }
+
+    #[test]
+    fn zones_are_six_degrees_wide() {
+        for (longitude, zone) in [
+            (-180.0, 1),
+            (-174.001, 1),
+            (-174.0, 2),
+            (-0.1, 30),
+            (0.0, 31),
+            (5.9, 31),
+            (12.6, 33),
+            (179.9, 60),
+        ] {
+            assert_eq!(utm_zone_at(f64::to_radians(longitude)), zone, "{longitude}");
+        }
+        assert_eq!((utm_zone_at(core::f64::consts::PI), utm_zone_at(f64::NAN)), (1, 1));
+    }
+}

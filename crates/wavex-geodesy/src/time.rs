@@ -1,0 +1,127 @@
+//! GPS time scales.
+
+use std::time::{Duration, SystemTime};
+
+/// Seconds per GPS week.
+pub const WEEK_S: f64 = 604_800.0;
+
+/// Offset subtracted in "adjusted" GPS time, s (ASPRS LAS 1.4 R15, section 2.4, global encoding).
+pub const ADJUSTMENT_S: f64 = 1e9;
+
+/// Time scale of GPS times.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeScale {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds of the day.
+    Day,
+    /// Seconds since 1980-01-06 minus 1e9.
+    Adjusted,
+    /// Not specified by the file.
+    Unknown,
+}
+
+impl TimeScale {
+    /// Converts a time to adjusted GPS time, s; `None` if the week is unknown.
+    pub fn adjusted_s(self, gps_week: Option<u32>, gps_time_s: f64) -> Option<f64> {
+        match (self, gps_week) {
+            (TimeScale::Adjusted, _) => Some(gps_time_s),
+            // The difference is a whole number below 2^53, so the fraction of a second is exact.
+            (TimeScale::Week, Some(week)) => Some(f64::from(week) * WEEK_S - ADJUSTMENT_S + gps_time_s),
+            _ => None,
+        }
+    }
+}
+
+/// GPS week of a Gregorian date, and day of the week from Sunday; `None` before 1980-01-06.
+pub fn gps_week(year: i32, month: u32, day: u32) -> Option<(u32, u32)> {
+    let days = days_since_epoch(year, month, day) - days_since_epoch(1980, 1, 6);
+    let days = u32::try_from(days).ok()?;
+    Some((days / 7, days % 7))
+}
+
+/// Gregorian date of an adjusted GPS time, without leap seconds: (year, day of the year from 1).
+pub fn day_of_year(adjusted_s: f64) -> Option<(u16, u16)> {
+    let days = ((adjusted_s + ADJUSTMENT_S) / 86_400.0).floor();
+    if !(0.0..1e6).contains(&days) {
+        return None;
+    }
+    let day = days as i64 + days_since_epoch(1980, 1, 6);
+    let mut year = 1980;
+    while days_since_epoch(year + 1, 1, 1) <= day {
+        year += 1;
+    }
+    Some((year as u16, (day - days_since_epoch(year, 1, 1) + 1) as u16))
+}
+
+/// Days since 0000-03-01 in the Gregorian calendar, with years starting in March.
+fn days_since_epoch(year: i32, month: u32, day: u32) -> i64 {
+    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
+    let year = i64::from(year);
+    365 * year + year.div_euclid(4) - year.div_euclid(100)
+        + year.div_euclid(400)
+        + i64::from((153 * month + 2) / 5)
+        + i64::from(day)
+        - 1
+}
+
+/// Formats a time as ISO 8601, UTC, to a second.
+pub fn utc(time: SystemTime) -> String {
+    let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
+    let (days, second) = (since / 86_400, since % 86_400);
+    let (mut year, mut day) = (1970, days);
+    while day >= days_of(year) {
+        day -= days_of(year);
+        year += 1;
+    }
+    let february = days_of(year) - 337;
+    let months = [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
+    let mut month = 1;
+    for length in months {
+        if day < length {
+            break;
+        }
+        day -= length;
+        month += 1;
+    }
+    let (hour, minute) = (second / 3600, second / 60 % 60);
+    format!("{year:04}-{month:02}-{:02}T{hour:02}:{minute:02}:{:02}Z", day + 1, second % 60)
+}
+
+/// Number of days of a Gregorian year.
+fn days_of(year: u64) -> u64 {
+    let is_leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
+    if is_leap { 366 } else { 365 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_those_of_the_calendar() {
+        let at = |seconds| utc(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds));
+        assert_eq!(at(0), "1970-01-01T00:00:00Z");
+        assert_eq!(at(951_782_400), "2000-02-29T00:00:00Z");
+        assert_eq!(at(1_735_689_599), "2024-12-31T23:59:59Z");
+        assert_eq!(at(4_107_542_400), "2100-03-01T00:00:00Z");
+    }
+
+    #[test]
+    fn weeks_begin_on_sundays() {
+        assert_eq!(gps_week(1980, 1, 6), Some((0, 0)));
+        assert_eq!(gps_week(1980, 1, 13), Some((1, 0)));
+        assert_eq!(gps_week(2015, 8, 31), Some((1860, 1)));
+        assert_eq!(gps_week(2019, 4, 7), Some((2048, 0)), "the second rollover");
+        assert_eq!(gps_week(1980, 1, 5), None);
+    }
+
+    #[test]
+    fn adjusted_time_has_a_date() {
+        // 2011-09-14 01:46:40 GPS is 1e9 seconds after the epoch.
+        assert_eq!(day_of_year(0.0), Some((2011, 257)));
+        assert_eq!(day_of_year(-1e9), Some((1980, 6)));
+        assert_eq!(day_of_year(-2e9), None);
+        assert_eq!(day_of_year(f64::NAN), None);
+    }
+}

@@ -1,0 +1,493 @@
+//! Common time axis of a recording and its trajectory.
+//!
+//! Both count GPS seconds, but from different origins: 1980-01-06 ("adjusted", minus 1e9), Sunday's
+//! midnight, or any midnight. [`Unwrap`] continues seconds across the end of the week or day;
+//! [`align`] finds the week or day in which both overlap.
+
+use core::fmt;
+
+use super::time::{ADJUSTMENT_S, TimeScale, WEEK_S, day_of_year, gps_week};
+
+/// Seconds of a day.
+pub const DAY_S: f64 = 86_400.0;
+
+/// Origin of a time scale.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clock {
+    /// 1980-01-06, minus 1e9 s.
+    Adjusted,
+    /// The midnight before Sunday.
+    Week,
+    /// Any midnight.
+    Day,
+}
+
+impl Clock {
+    /// The clock of a recording; `None` if its time scale is unknown.
+    pub fn of(scale: TimeScale) -> Option<Clock> {
+        match scale {
+            TimeScale::Adjusted => Some(Clock::Adjusted),
+            TimeScale::Week => Some(Clock::Week),
+            TimeScale::Day => Some(Clock::Day),
+            TimeScale::Unknown => None,
+        }
+    }
+
+    /// Period after which the clock wraps around, s; `None` if it does not.
+    pub fn period_s(self) -> Option<f64> {
+        match self {
+            Clock::Adjusted => None,
+            Clock::Week => Some(WEEK_S),
+            Clock::Day => Some(DAY_S),
+        }
+    }
+
+    /// Name in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Clock::Adjusted => "adjusted seconds",
+            Clock::Week => "seconds of the week",
+            Clock::Day => "seconds of the day",
+        }
+    }
+
+    /// Offset from this clock to adjusted time, s, up to whole periods.
+    fn base_s(self) -> f64 {
+        if self == Clock::Adjusted { 0.0 } else { -ADJUSTMENT_S }
+    }
+}
+
+/// Largest disorder of times, s.
+const OUT_OF_ORDER_S: f64 = 60.0;
+
+/// Unwraps a sequence of times across the ends of weeks or days.
+///
+/// A backward step by over half a period is a wrap-around. For times out of order around it, a
+/// forward step by more than a period minus one minute undoes it. Other steps are kept. A NaN stays
+/// NaN and has no effect on other times.
+#[derive(Clone, Copy, Debug)]
+pub struct Unwrap {
+    period_s: Option<f64>,
+    /// NaN before the first time.
+    last_s: f64,
+    periods: f64,
+}
+
+impl Unwrap {
+    /// Starts; the first time is unchanged.
+    pub fn new(clock: Clock) -> Unwrap {
+        Unwrap { period_s: clock.period_s(), last_s: f64::NAN, periods: 0.0 }
+    }
+
+    /// Converts the next time, s, to the axis of the first.
+    pub fn next(&mut self, time_s: f64) -> f64 {
+        let Some(period_s) = self.period_s else { return time_s };
+        if !time_s.is_finite() {
+            return time_s;
+        }
+        let step_s = time_s - self.last_s;
+        if step_s < -0.5 * period_s {
+            self.periods += 1.0;
+        } else if step_s > period_s - OUT_OF_ORDER_S {
+            self.periods -= 1.0;
+        }
+        self.last_s = time_s;
+        time_s + self.periods * period_s
+    }
+}
+
+/// Time span; its last time may lie after the end of the clock's week or day.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Times {
+    /// Origin of the times.
+    pub clock: Clock,
+    /// The first time, s.
+    pub first_s: f64,
+    /// The last time, s.
+    pub last_s: f64,
+}
+
+/// Formats as dates and seconds: `2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430560800.0 to
+/// 430562612.5 s, adjusted)`.
+impl fmt::Display for Times {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Times { clock, first_s, last_s } = *self;
+        let (first, last) = (moment(clock, first_s), moment(clock, last_s));
+        let same_day = |(day, _): &&(String, String)| *day == first.0 && !day.is_empty();
+        let until = match Some(&last).filter(same_day) {
+            Some((_, time)) => time.clone(),
+            None => format!("{} {}", last.0, last.1),
+        };
+        let counted = match clock {
+            Clock::Adjusted => "s, adjusted",
+            Clock::Week => "s of the week",
+            Clock::Day => "s of the day",
+        };
+        let text = format!("{} {} to {} GPS", first.0, first.1, until.trim_start());
+        write!(f, "{} ({first_s:.1} to {last_s:.1} {counted})", text.trim_start())
+    }
+}
+
+/// Day, if the clock defines it, and time of day.
+fn moment(clock: Clock, time_s: f64) -> (String, String) {
+    const DAYS: [&str; 7] = ["Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday"];
+    let tenths = (10.0 * (time_s + ADJUSTMENT_S + clock.base_s())).round();
+    let of_day = tenths.rem_euclid(10.0 * DAY_S);
+    let seconds = of_day / 10.0;
+    let (hours, minutes) = ((seconds / 3600.0).floor(), (seconds / 60.0).floor() % 60.0);
+    let time = format!("{hours:02.0}:{minutes:02.0}:{:04.1}", (of_day % 600.0) / 10.0);
+    let day = match clock {
+        Clock::Adjusted => date(tenths / 10.0 - ADJUSTMENT_S)
+            .map_or_else(|| "no date".to_owned(), |[year, month, day]| format!("{year}-{month:02}-{day:02}")),
+        // The cast saturates.
+        Clock::Week => DAYS[((tenths / (10.0 * DAY_S)).floor().rem_euclid(7.0) as usize).min(6)].to_owned(),
+        Clock::Day => String::new(),
+    };
+    (day, time)
+}
+
+/// Year, month and day of an adjusted GPS time; `None` before 1980-01-06 and after about 2700
+/// years.
+pub fn date(adjusted_s: f64) -> Option<[u16; 3]> {
+    let (year, mut day) = day_of_year(adjusted_s)?;
+    let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+    let february = if is_leap { 29 } else { 28 };
+    for (month, days) in (1..).zip([31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31]) {
+        if day <= days {
+            return Some([year, month, day]);
+        }
+        day -= days;
+    }
+    None
+}
+
+/// Adjusted GPS time at midnight of a date; `None` for invalid dates and before 1980-01-06.
+pub fn adjusted_of_date([year, month, day]: [u16; 3]) -> Option<f64> {
+    if !(1..=12).contains(&month) || !(1..=31).contains(&day) {
+        return None;
+    }
+    let (week, day_of_week) = gps_week(year.into(), month.into(), day.into())?;
+    let adjusted_s = f64::from(week) * WEEK_S + f64::from(day_of_week) * DAY_S - ADJUSTMENT_S;
+    (date(adjusted_s) == Some([year, month, day])).then_some(adjusted_s)
+}
+
+/// Start of the months with a new leap second, as year and month (IERS Bulletin C).
+///
+/// From each one on, UTC is one second further behind GPS time. None has been announced since.
+const LEAPS: [(u16, u16); 18] = [
+    (1981, 7),
+    (1982, 7),
+    (1983, 7),
+    (1985, 7),
+    (1988, 1),
+    (1990, 1),
+    (1991, 1),
+    (1992, 7),
+    (1993, 7),
+    (1994, 7),
+    (1996, 1),
+    (1997, 7),
+    (1999, 1),
+    (2006, 1),
+    (2009, 1),
+    (2012, 7),
+    (2015, 7),
+    (2017, 1),
+];
+
+/// GPS time minus UTC, s, at a UTC moment given as adjusted seconds of UTC days.
+pub fn leap_seconds(adjusted_utc_s: f64) -> f64 {
+    let begun = |&&(year, month): &&(u16, u16)| {
+        adjusted_of_date([year, month, 1]).is_some_and(|begin_s| begin_s <= adjusted_utc_s)
+    };
+    LEAPS.iter().filter(begun).count() as f64
+}
+
+/// Conversion of recording times to the axis of a trajectory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment {
+    /// Time span of the recording on its own clock.
+    pub recording: Times,
+    /// Time span of the trajectory.
+    pub trajectory: Times,
+    base_s: f64,
+    period_s: Option<f64>,
+}
+
+impl Alignment {
+    /// As [`align`], without requiring an overlap, for recordings of which only the start is known.
+    ///
+    /// # Errors
+    /// A time of the recording may match more than one moment of the trajectory.
+    pub fn between(recording: Times, trajectory: Times) -> Result<Alignment, Misaligned> {
+        let shared = match (recording.clock, trajectory.clock) {
+            (Clock::Adjusted, Clock::Adjusted) => Clock::Adjusted,
+            (Clock::Day, _) | (_, Clock::Day) => Clock::Day,
+            _ => Clock::Week,
+        };
+        let period_s = shared.period_s();
+        if period_s.is_some_and(|period_s| trajectory.last_s - trajectory.first_s >= period_s) {
+            return Err(Misaligned::Ambiguous { recording, trajectory, shared });
+        }
+        let base_s = recording.clock.base_s() - trajectory.clock.base_s();
+        Ok(Alignment { recording, trajectory, base_s, period_s })
+    }
+
+    /// Converts a recording time, s, to the axis of the trajectory.
+    ///
+    /// The result is within half a period of the middle of the trajectory, so wrap-arounds of the
+    /// recording's clock do not matter.
+    pub fn on_trajectory(&self, time_s: f64) -> f64 {
+        let middle_s = 0.5 * (self.trajectory.first_s + self.trajectory.last_s);
+        let periods_s = self
+            .period_s
+            .map_or(0.0, |period_s| period_s * ((middle_s - (time_s + self.base_s)) / period_s).round());
+        // Both are whole numbers, so the sum added to the time is exact.
+        time_s + (self.base_s + periods_s)
+    }
+
+    /// Whether the trajectory covers the whole recording.
+    pub fn is_whole(&self) -> bool {
+        let ends = [self.recording.first_s, self.recording.last_s].map(|time_s| self.on_trajectory(time_s));
+        ends.iter().all(|time_s| (self.trajectory.first_s..=self.trajectory.last_s).contains(time_s))
+    }
+}
+
+/// Reason why a recording and a trajectory do not match.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Misaligned {
+    /// They have no time in common.
+    #[error(
+        "the recording and the trajectory have no time in common: the recording lasts from {recording}, the trajectory \
+         from {trajectory}; use the trajectory of this flight, or set its time scale with `trajectory_time`"
+    )]
+    NoOverlap {
+        /// Time span of the recording.
+        recording: Times,
+        /// Time span of the trajectory.
+        trajectory: Times,
+    },
+    /// The trajectory is longer than the period of the clock, so times are ambiguous.
+    #[error(
+        "the trajectory lasts from {trajectory}, longer than the period of the clock: {} of the recording, which lasts from \
+         {recording}, are ambiguous; cut the trajectory to the flight", shared.name()
+    )]
+    Ambiguous {
+        /// Time span of the recording.
+        recording: Times,
+        /// Time span of the trajectory.
+        trajectory: Times,
+        /// The clock with the shorter period.
+        shared: Clock,
+    },
+}
+
+/// Aligns a recording with a trajectory by whole weeks or days, so that they overlap.
+///
+/// If the clock of the recording wraps around, its last time may precede its first.
+///
+/// # Errors
+/// No such week or day, or more than one.
+pub fn align(recording: Times, trajectory: Times) -> Result<Alignment, Misaligned> {
+    let alignment = Alignment::between(recording, trajectory)?;
+    let [first_s, last_s] = [recording.first_s, recording.last_s].map(|t| alignment.on_trajectory(t));
+    let within = |time_s: f64| (trajectory.first_s..=trajectory.last_s).contains(&time_s);
+    let around = first_s <= trajectory.first_s && trajectory.last_s <= last_s;
+    if within(first_s) || within(last_s) || around {
+        Ok(alignment)
+    } else {
+        Err(Misaligned::NoOverlap { recording, trajectory })
+    }
+}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn times(clock: Clock, first_s: f64, last_s: f64) -> Times {
+        Times { clock, first_s, last_s }
+    }
+
+    /// 2025-05-06: Tuesday of GPS week 2365.
+    const MIDNIGHT_S: f64 = 2365.0 * WEEK_S + 2.0 * DAY_S - 1e9;
+
+    #[test]
+    fn clocks_are_those_of_recordings() {
+        let scales = [TimeScale::Adjusted, TimeScale::Week, TimeScale::Day, TimeScale::Unknown];
+        let clocks = scales.map(Clock::of);
+        assert_eq!(clocks, [Some(Clock::Adjusted), Some(Clock::Week), Some(Clock::Day), None]);
+    }
+
+    #[test]
+    fn dates_come_and_go() {
+        assert_eq!(adjusted_of_date([2025, 5, 6]), Some(MIDNIGHT_S));
+        assert_eq!(date(MIDNIGHT_S - 0.1), Some([2025, 5, 5]));
+        assert_eq!(date(MIDNIGHT_S), Some([2025, 5, 6]));
+        assert_eq!(adjusted_of_date([1980, 1, 6]), Some(-1e9));
+        assert_eq!(date(adjusted_of_date([2024, 2, 29]).unwrap() + DAY_S), Some([2024, 3, 1]));
+        for wrong in [[2025, 2, 29], [2025, 13, 1], [2025, 0, 1], [2025, 1, 0], [1979, 12, 31], [0, 0, 0]] {
+            assert_eq!(adjusted_of_date(wrong), None, "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn utc_falls_behind() {
+        let at = |date: [u16; 3], seconds: f64| leap_seconds(adjusted_of_date(date).unwrap() + seconds);
+        assert_eq!(at([1980, 1, 6], 0.0), 0.0);
+        assert_eq!(at([1981, 7, 1], 0.0), 1.0);
+        assert_eq!(at([1999, 6, 1], 0.0), 13.0);
+        assert_eq!(at([2012, 6, 30], 86_399.0), 15.0);
+        assert_eq!(at([2012, 7, 1], 0.0), 16.0);
+        assert_eq!(at([2016, 12, 31], 86_399.0), 17.0);
+        assert_eq!(at([2017, 1, 1], 0.0), 18.0);
+        assert_eq!(at([2025, 5, 6], 0.0), 18.0);
+    }
+
+    #[test]
+    fn times_run_on_across_midnights() {
+        let run_on = |clock, times: [f64; 4]| {
+            let mut unwrap = Unwrap::new(clock);
+            times.map(|time_s| unwrap.next(time_s))
+        };
+        assert_eq!(
+            run_on(Clock::Week, [604_799.5, 0.5, 302_000.0, 1.0]),
+            [604_799.5, 604_800.5, 906_800.0, 604_801.0],
+            "a step back by less than half a week is kept"
+        );
+        assert_eq!(
+            run_on(Clock::Day, [86_399.0, 1.0, 86_000.0, 2.0]),
+            [86_399.0, 86_401.0, 172_400.0, 172_802.0]
+        );
+        assert_eq!(run_on(Clock::Adjusted, [1e8, 0.0, 2e8, 1.0]), [1e8, 0.0, 2e8, 1.0]);
+        assert!(run_on(Clock::Day, [1.0, f64::NAN, 2.0, 3.0])[1].is_nan());
+    }
+
+    #[test]
+    fn times_out_of_order_about_midnight_belong_to_their_own_day() {
+        for (clock, period_s) in [(Clock::Week, WEEK_S), (Clock::Day, DAY_S)] {
+            let mut unwrap = Unwrap::new(clock);
+            for off_s in [-1.0, 0.25, -0.5, 1.0, -30.0, f64::NAN, 0.5, 2.0] {
+                let found_s = unwrap.next(f64::rem_euclid(off_s, period_s));
+                assert!(
+                    found_s == period_s + off_s || off_s.is_nan() && found_s.is_nan(),
+                    "{off_s}: {found_s}"
+                );
+            }
+            // The first time is the one after midnight.
+            let mut unwrap = Unwrap::new(clock);
+            assert_eq!([0.5, period_s - 0.5, 1.0].map(|time_s| unwrap.next(time_s)), [0.5, -0.5, 1.0]);
+            // A NaN does not hide a midnight.
+            let mut unwrap = Unwrap::new(clock);
+            unwrap.next(period_s - 1.0);
+            unwrap.next(f64::NAN);
+            assert_eq!(unwrap.next(1.0), period_s + 1.0);
+        }
+    }
+
+    #[test]
+    fn times_are_told_as_people_say_them() {
+        let told = |clock, first_s, last_s| times(clock, first_s, last_s).to_string();
+        assert_eq!(
+            told(Clock::Adjusted, MIDNIGHT_S + 36_000.0, MIDNIGHT_S + 37_812.46),
+            "2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430560800.0 to 430562612.5 s, adjusted)"
+        );
+        assert_eq!(
+            told(Clock::Adjusted, MIDNIGHT_S - 1.0, MIDNIGHT_S + 59.96),
+            "2025-05-05 23:59:59.0 to 2025-05-06 00:01:00.0 GPS (430524799.0 to 430524860.0 s, adjusted)"
+        );
+        assert_eq!(
+            told(Clock::Week, 604_790.0, 604_810.0),
+            "Saturday 23:59:50.0 to Sunday 00:00:10.0 GPS (604790.0 to 604810.0 s of the week)"
+        );
+        assert_eq!(
+            told(Clock::Day, 36_000.0, 36_001.0),
+            "10:00:00.0 to 10:00:01.0 GPS (36000.0 to 36001.0 s of the day)"
+        );
+        assert_eq!(
+            told(Clock::Adjusted, -2e9, -2e9 + 1.0),
+            "no date 22:13:20.0 to 22:13:21.0 GPS (-2000000000.0 to -1999999999.0 s, adjusted)"
+        );
+    }
+
+    #[test]
+    fn a_recording_finds_its_week_and_its_day() {
+        let flight = times(Clock::Adjusted, MIDNIGHT_S + 36_000.0, MIDNIGHT_S + 40_000.0);
+        let day = times(Clock::Day, 36_500.0, 37_000.0);
+        let week = times(Clock::Week, 2.0 * DAY_S + 36_500.0, 2.0 * DAY_S + 37_000.0);
+        let adjusted = times(Clock::Adjusted, MIDNIGHT_S + 36_500.0, MIDNIGHT_S + 37_000.0);
+        for recording in [day, week, adjusted] {
+            let alignment = align(recording, flight).unwrap();
+            assert_eq!(alignment.on_trajectory(recording.first_s), MIDNIGHT_S + 36_500.0, "{recording:?}");
+            assert!(alignment.is_whole());
+        }
+        // Vice versa, and with a trajectory clock of shorter period than that of the recording.
+        for trajectory in [times(Clock::Week, 208_800.0, 212_800.0), times(Clock::Day, 36_000.0, 40_000.0)] {
+            for recording in [day, week, adjusted] {
+                let time_s = align(recording, trajectory).unwrap().on_trajectory(recording.last_s);
+                assert_eq!(time_s - trajectory.first_s, 1000.0, "{recording:?} {trajectory:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_end_of_week_and_day_may_lie_anywhere() {
+        let trajectory = times(Clock::Week, 604_000.0, 605_600.0);
+        for (first_s, last_s) in
+            [(604_100.0, 604_200.0), (604_700.0, 100.0), (604_700.0, 604_900.0), (10.0, 20.0)]
+        {
+            let alignment = align(times(Clock::Week, first_s, last_s), trajectory).unwrap();
+            assert_eq!(alignment.on_trajectory(604_799.0), 604_799.0);
+            assert_eq!(alignment.on_trajectory(1.0), 604_801.0);
+            assert_eq!(alignment.on_trajectory(604_801.0), 604_801.0);
+            assert!(alignment.is_whole());
+        }
+    }
+
+    #[test]
+    fn part_of_a_recording_is_enough() {
+        let trajectory = times(Clock::Week, 1000.0, 2000.0);
+        for (first_s, last_s) in [(500.0, 1500.0), (1500.0, 2500.0), (500.0, 2500.0)] {
+            let alignment = align(times(Clock::Week, first_s, last_s), trajectory).unwrap();
+            assert!(!alignment.is_whole());
+        }
+    }
+
+    #[test]
+    fn what_does_not_belong_together_is_refused() {
+        let told = |recording, trajectory| align(recording, trajectory).unwrap_err().to_string();
+        assert_eq!(
+            told(times(Clock::Day, 100.0, 200.0), times(Clock::Week, 36_000.0, 37_000.0)),
+            "the recording and the trajectory have no time in common: the recording lasts from 00:01:40.0 to 00:03:20.0 GPS \
+             (100.0 to 200.0 s of the day), the trajectory from Sunday 10:00:00.0 to 10:16:40.0 GPS (36000.0 to 37000.0 s \
+             of the week); use the trajectory of this flight, or set its time scale with `trajectory_time`"
+        );
+        assert_eq!(
+            told(times(Clock::Day, 100.0, 200.0), times(Clock::Week, 0.0, 90_000.0)),
+            "the trajectory lasts from Sunday 00:00:00.0 to Monday 01:00:00.0 GPS (0.0 to 90000.0 s of the week), longer than \
+             the period of the clock: seconds of the day of the recording, which lasts from 00:01:40.0 to 00:03:20.0 GPS \
+             (100.0 to 200.0 s of the day), are ambiguous; cut the trajectory to the flight"
+        );
+        let week = times(Clock::Adjusted, MIDNIGHT_S, MIDNIGHT_S + WEEK_S);
+        assert!(align(week, week).is_ok(), "dates are never ambiguous");
+    }
+
+    proptest! {
+        /// A flight time is recovered from its value on the recording's clock.
+        #[test]
+        fn moments_are_found_again(start in 0.0..2e9f64, flight in 1.0..80_000.0f64, part in 0.0..=1.0f64, clocks in 0..9usize) {
+            let all = [Clock::Adjusted, Clock::Week, Clock::Day];
+            let (recorder, navigator) = (all[clocks / 3], all[clocks % 3]);
+            let first_s = (start - 1e9).floor();
+            let count = |clock: Clock, time_s: f64| match clock.period_s() {
+                Some(period_s) => (time_s + 1e9).rem_euclid(period_s),
+                None => time_s,
+            };
+            let begin_s = count(navigator, first_s);
+            let trajectory = times(navigator, begin_s, begin_s + flight.floor());
+            let moment_s = (part * flight.floor()).floor();
+            let recorded_s = count(recorder, first_s + moment_s);
+            let alignment = align(times(recorder, recorded_s, recorded_s), trajectory).unwrap();
+            prop_assert_eq!(alignment.on_trajectory(recorded_s), begin_s + moment_s);
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! Uncertainty of a model from the amount of data.
+
+use super::pass_stats::Survey;
+use crate::sensor_model::{ChannelModel, ModelUncertainty};
+
+/// SD of the median of normal values, times the root of the count, in their SD: `√(π/2)`.
+const SPREAD_OF_MEDIAN: f64 = 1.253_314_137_315_500_3;
+
+/// Uncertainty of background and noise estimated from residuals: medians over the blocks.
+pub(super) fn of_residuals(model: &ChannelModel, survey: &Survey) -> ModelUncertainty {
+    let of_median = |spread: f64| SPREAD_OF_MEDIAN * spread / (survey.blocks.max(1) as f64).sqrt();
+    ModelUncertainty {
+        background_dn: of_median(model.background_sd_dn),
+        noise_sd_dn: of_median(survey.residual_spread() * model.noise_sd_dn),
+        ..ModelUncertainty::default()
+    }
+}
+
+/// Jackknife standard deviation (Tukey 1958) from leave-one-out values.
+///
+/// Each value omits one of as many equal parts of the recording, so that changes along the
+/// recording count as well as chance.
+pub(crate) fn jackknife_sd(without_one: &[f64]) -> f64 {
+    let n = without_one.len().max(1) as f64;
+    let mean = without_one.iter().sum::<f64>() / n;
+    ((n - 1.0) / n * without_one.iter().map(|value| (value - mean).powi(2)).sum::<f64>()).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::calibrate::{Block, CalibrationSettings, calibrate};
+    use crate::noise::ArNoise;
+    use crate::simulated::{Random, analogue, digitised, moments, pulse};
+
+    /// For a mean it is the standard error of the mean.
+    #[test]
+    fn the_jackknife_of_a_mean_is_its_standard_error() {
+        let values = [3.0, 5.0, 4.0, 9.0];
+        let without: Vec<f64> = values.iter().map(|value| (21.0 - value) / 3.0).collect();
+        assert!((super::jackknife_sd(&without) - moments(&values).1 / 2.0).abs() < 1e-12);
+        assert_eq!(super::jackknife_sd(&[]), 0.0);
+    }
+
+    /// Sixty recordings of one sensor: the spread of the estimates equals the reported uncertainty.
+    #[test]
+    fn models_of_repeated_recordings_spread_as_they_say() {
+        let mut random = Random::new(77);
+        let process = ArNoise::new(&[0.6], 0.7).unwrap();
+        let mut values: [Vec<f64>; 5] = Default::default();
+        let mut told: [Vec<f64>; 5] = Default::default();
+        for _ in 0..60 {
+            let blocks: Vec<Vec<u16>> = (0..250)
+                .map(|_| {
+                    let echo = pulse(40.0 + 100.0 * random.uniform(), 24.0 + 4.0 * random.uniform(), 1.0);
+                    digitised(&analogue(&mut random, &process, 44, 20.3, 4.4, &[echo]), 255)
+                })
+                .collect();
+            let blocks = blocks.iter().map(|samples| Block { samples, start_phase: 0 });
+            let model = calibrate(blocks, &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
+            let known = &model.uncertainty;
+            let pairs = [
+                (model.background_dn[1], known.background_dn),
+                (model.noise_sd_dn, known.noise_sd_dn),
+                (model.autocorrelation[0], known.autocorrelation[0]),
+                (model.autocorrelation[2], known.autocorrelation[2]),
+                (model.pulse_fwhm_ns, known.pulse_fwhm_ns),
+            ];
+            for (k, (value, sd)) in pairs.into_iter().enumerate() {
+                values[k].push(value);
+                told[k].push(sd);
+            }
+        }
+        for (k, (values, told)) in values.iter().zip(&told).enumerate() {
+            let (spread, told) = (moments(values).1, moments(told).0);
+            println!("{k}: spread {spread:.5}, reported {told:.5}");
+            // The relative uncertainty of an SD of sixty values is 9 %.
+            assert!((0.7..1.35).contains(&(spread / told)), "{k}: {spread} {told}");
+        }
+    }
+}

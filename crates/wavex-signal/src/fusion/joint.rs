@@ -1,0 +1,406 @@
+//! Fits pulses to one receiver's block with prior knowledge from another receiver.
+//!
+//! Minimises `‖L⁻¹(y − model)‖²/f² + Σ (θ_i − m_i)ᵀ P_i (θ_i − m_i)`. The first term is the
+//! whitened residual of the used samples, with the calibrated error factor `f`. The second
+//! compares, for each pulse in the other receiver, the parameters `θ = (ln height, position, ln
+//! width)` with that receiver's fit `m`; its precision `P` includes the uncertainties of gain and
+//! delay. If the other fit is an optimum, this is the joint fit of both blocks, to second order in
+//! the other's residual. The method is Levenberg–Marquardt.
+
+use crate::allowance::Allowance;
+use crate::cholesky;
+use crate::decompose::OVERDRIVEN_PART;
+use crate::gauss_fit::Pulse;
+use crate::rules::CLEAR_OF_ZERO_SD;
+use crate::sensor_model::{ChannelModel, ModelError};
+use crate::shape::Shape;
+use crate::whitening::Whitener;
+
+/// Parameters per pulse.
+const PARTS: usize = 3;
+/// Number of samples excluded after a saturated one during recovery.
+///
+/// Used only if the fit shows that the receiver needs to recover.
+const RECOVERY_SAMPLES: usize = 1;
+const ITERATIONS: usize = 40;
+/// Convergence: predicted decrease of the objective by the next step.
+const DECREASE: f64 = 1e-8;
+/// Largest steps of log height, position in widths, and log width.
+const LONGEST: [f64; PARTS] = [0.7, 0.35, 0.3];
+/// Excess of chi-square over its degrees of freedom, in standard deviations, above which the model
+/// does not describe the receiver. The weight of its samples is then reduced accordingly.
+const ASTRAY_SD: f64 = 3.0;
+
+/// Prior knowledge of a pulse.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    /// Log height (ln DN), position (samples), log width ratio.
+    pub mean: [f64; 3],
+    /// Covariance of the mean.
+    pub covariance: [[f64; 3]; 3],
+}
+
+/// A pulse to be fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointPulse {
+    /// Start values: log height (ln DN), position (samples), log width ratio.
+    pub start: [f64; 3],
+    /// Prior knowledge from another receiver.
+    pub expected: Option<Expected>,
+    /// Precision `1/s²` of a prior on the log width about 0; 0 for none.
+    pub ln_width_precision: f64,
+}
+
+/// A fitted pulse.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointFitted {
+    /// Log height (ln DN), position (samples), log width ratio.
+    pub value: [f64; 3],
+    /// Covariance of the values.
+    pub covariance: [[f64; 3]; 3],
+    /// `(θ − m)ᵀ P (θ − m)`; 0 without prior knowledge.
+    pub distance: f64,
+}
+
+/// Goodness of fit of a block.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outcome {
+    /// `‖L⁻¹(y − model)‖²`.
+    pub chi_square: f64,
+    /// Used samples minus parameters.
+    pub degrees_of_freedom: usize,
+}
+
+impl Outcome {
+    /// Variance factor from the samples, or `calibrated` if that explains them.
+    fn variance_factor(&self, calibrated: f64) -> f64 {
+        let nu = self.degrees_of_freedom.max(1) as f64;
+        let found = self.chi_square / nu;
+        if found > calibrated * (1.0 + ASTRAY_SD * (2.0 / nu).sqrt()) { found } else { calibrated }
+    }
+}
+
+/// Workspace for the blocks of one receiver.
+#[derive(Debug, Clone)]
+pub struct JointFit {
+    model: ChannelModel,
+    shape: Shape,
+    whitener: Whitener,
+    allowance: Allowance,
+    /// Significance of a pulse of height 1 with all samples used.
+    per_dn: f64,
+    target_dn: Vec<f64>,
+    used: Vec<bool>,
+    pulses: Vec<JointPulse>,
+    /// Inverse of each prior covariance.
+    precisions: Vec<[[f64; PARTS]; PARTS]>,
+    /// Parameters by pulse, then the background offset if it is free.
+    values: Vec<f64>,
+    residual: Vec<f64>,
+    columns: Vec<f64>,
+    normal: Vec<f64>,
+    gradient: Vec<f64>,
+    fitted: Vec<JointFitted>,
+}
+
+impl JointFit {
+    /// Creates a workspace for a channel; `template_error` is the smallest relative error of its
+    /// response.
+    ///
+    /// # Errors
+    /// Fails if the model describes no channel.
+    pub fn new(model: &ChannelModel, template_error: f64) -> Result<JointFit, ModelError> {
+        let (shape, mut whitener) = (Shape::of(model)?, Whitener::new(model.noise()?, 0));
+        let allowance = Allowance::new(model, template_error, OVERDRIVEN_PART * model.full_scale_dn);
+        let per_dn = significance_per_dn(&shape, &mut whitener);
+        Ok(JointFit {
+            shape,
+            whitener,
+            allowance,
+            per_dn,
+            model: model.clone(),
+            target_dn: Vec::new(),
+            used: Vec::new(),
+            pulses: Vec::new(),
+            precisions: Vec::new(),
+            values: Vec::new(),
+            residual: Vec::new(),
+            columns: Vec::new(),
+            normal: Vec::new(),
+            gradient: Vec::new(),
+            fitted: Vec::new(),
+        })
+    }
+
+    /// Model of the channel.
+    pub fn model(&self) -> &ChannelModel {
+        &self.model
+    }
+
+    /// FWHM of a pulse of this height and width ratio 1, samples.
+    pub fn fwhm_samples_at(&self, height_dn: f64) -> f64 {
+        self.shape.fwhm_samples_at(height_dn)
+    }
+
+    /// Smallest height of a pulse with significance `sigma`, DN.
+    ///
+    /// `position_samples` is its position; `beside` gives positions and heights of other pulses,
+    /// whose response errors raise the threshold.
+    pub fn least_height_dn(
+        &self,
+        sigma: f64,
+        position_samples: f64,
+        beside: impl Iterator<Item = (f64, f64)>,
+    ) -> f64 {
+        sigma * self.allowance.raise(position_samples, f64::INFINITY, self.per_dn, beside) / self.per_dn
+    }
+
+    /// Pulses of the last fit, in input order.
+    pub fn fitted(&self) -> &[JointFitted] {
+        &self.fitted
+    }
+
+    /// Fits pulses to a block. `None` without an optimum, or if a prior covariance is not positive
+    /// definite.
+    pub fn fit(&mut self, samples: &[u16], pulses: impl Iterator<Item = JointPulse>) -> Option<Outcome> {
+        self.fitted.clear();
+        self.pulses.clear();
+        self.pulses.extend(pulses);
+        self.precisions.clear();
+        for pulse in &self.pulses {
+            self.precisions.push(match &pulse.expected {
+                Some(expected) => inverse(&expected.covariance)?,
+                None => [[0.0; PARTS]; PARTS],
+            });
+        }
+        self.values.clear();
+        self.values.extend(self.pulses.iter().flat_map(|pulse| pulse.start));
+        self.values.extend(self.model.offset_precision().map(|_| 0.0));
+        let calibrated = self.model.pulse_error_factor.powi(2);
+        self.load(samples, 0);
+        let mut first = self.minimise(1.0 / calibrated)?;
+        let mut factor = first.variance_factor(calibrated);
+        if factor > calibrated && self.used.contains(&false) {
+            self.load(samples, RECOVERY_SAMPLES);
+            first = self.minimise(1.0 / calibrated)?;
+            factor = first.variance_factor(calibrated);
+        }
+        let outcome = if factor > calibrated { self.minimise(1.0 / factor)? } else { first };
+        self.conclude(1.0 / factor)?;
+        Some(outcome)
+    }
+
+    /// Loads the samples and marks the used ones; excludes `recovery_samples` after a saturated
+    /// one.
+    fn load(&mut self, samples: &[u16], recovery_samples: usize) {
+        self.target_dn.clear();
+        self.model.signal_into(samples, 0, &mut self.target_dn);
+        self.used.clear();
+        let clear_dn = CLEAR_OF_ZERO_SD * self.model.noise_sd_dn;
+        let mut recovering = 0;
+        for (k, &sample) in samples.iter().enumerate() {
+            if f64::from(sample) >= self.model.full_scale_dn {
+                recovering = recovery_samples + 1;
+            }
+            self.used.push(recovering == 0 && (sample > 0 || self.model.background_at(0, k) < clear_dn));
+            recovering = recovering.saturating_sub(1);
+        }
+        self.whitener.set_used(&self.used);
+    }
+
+    fn pulse(&self, i: usize) -> Pulse {
+        let at = |part: usize| self.values[PARTS * i + part];
+        Pulse {
+            height_dn: at(0).exp(),
+            position_samples: at(1),
+            ln_width_ratio: at(2),
+            ln_width_precision: 0.0,
+        }
+    }
+
+    /// Updates the whitened residual to the parameters; returns chi-square.
+    fn residual(&mut self) -> f64 {
+        let offset = self.values.get(PARTS * self.pulses.len()).copied().unwrap_or(0.0);
+        let mut residual = std::mem::take(&mut self.residual);
+        residual.clear();
+        residual.extend(self.target_dn.iter().map(|y| y - offset));
+        (0..self.pulses.len()).for_each(|i| self.shape.add(&self.pulse(i), -1.0, &mut residual));
+        self.whitener.whiten(&mut residual);
+        self.residual = residual;
+        self.residual.iter().map(|r| r * r).sum()
+    }
+
+    /// Prior part of the objective.
+    fn prior(&self) -> f64 {
+        let pulses = (0..self.pulses.len()).map(|i| {
+            let width = self.values[PARTS * i + 2];
+            self.distance(i) + self.pulses[i].ln_width_precision * width * width
+        });
+        let offset = self.values.get(PARTS * self.pulses.len()).map_or(0.0, |b| b * b);
+        pulses.sum::<f64>() + offset * self.model.offset_precision().unwrap_or(0.0)
+    }
+
+    fn off(&self, i: usize) -> [f64; PARTS] {
+        let mean = self.pulses[i].expected.map(|expected| expected.mean);
+        std::array::from_fn(|part| mean.map_or(0.0, |mean| self.values[PARTS * i + part] - mean[part]))
+    }
+
+    fn distance(&self, i: usize) -> f64 {
+        let off = self.off(i);
+        let rows = off.iter().zip(&self.precisions[i]);
+        rows.map(|(x, row)| x * row.iter().zip(&off).map(|(p, y)| p * y).sum::<f64>()).sum()
+    }
+
+    /// Computes the normal matrix and descent direction at the last residual.
+    ///
+    /// The direction is half the negative gradient of the objective.
+    fn linearise(&mut self, weight: f64) {
+        let (n, m) = (self.values.len(), self.target_dn.len());
+        self.columns.clear();
+        self.columns.resize(n * m, 0.0);
+        for i in 0..self.pulses.len() {
+            let pulse = self.pulse(i);
+            let columns = &mut self.columns[PARTS * i * m..PARTS * (i + 1) * m];
+            let (by_height, rest) = columns.split_at_mut(m);
+            let (by_position, by_width) = rest.split_at_mut(m);
+            self.shape.add_derivatives(&pulse, [&mut *by_height, by_position, by_width]);
+            by_height.iter_mut().for_each(|value| *value *= pulse.height_dn);
+        }
+        self.columns[PARTS * self.pulses.len() * m..].fill(1.0);
+        if m > 0 {
+            self.columns.chunks_exact_mut(m).for_each(|column| self.whitener.whiten(column));
+        }
+        self.normal.clear();
+        self.normal.resize(n * n, 0.0);
+        self.gradient.clear();
+        self.gradient.resize(n, 0.0);
+        let column = |i: usize| &self.columns[i * m..(i + 1) * m];
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        for i in 0..n {
+            self.gradient[i] = weight * dot(column(i), &self.residual);
+            for j in 0..=i {
+                let value = weight * dot(column(i), column(j));
+                (self.normal[i * n + j], self.normal[j * n + i]) = (value, value);
+            }
+        }
+        self.add_priors();
+    }
+
+    fn add_priors(&mut self) {
+        let n = self.values.len();
+        for i in 0..self.pulses.len() {
+            let off = self.off(i);
+            for (a, row) in self.precisions[i].iter().enumerate() {
+                for (b, precision) in row.iter().enumerate() {
+                    self.normal[(PARTS * i + a) * n + PARTS * i + b] += precision;
+                    self.gradient[PARTS * i + a] -= precision * off[b];
+                }
+            }
+            let width = PARTS * i + 2;
+            self.normal[width * n + width] += self.pulses[i].ln_width_precision;
+            self.gradient[width] -= self.pulses[i].ln_width_precision * self.values[width];
+        }
+        if let Some(precision) = self.model.offset_precision() {
+            self.normal[n * n - 1] += precision;
+            self.gradient[n - 1] -= precision * self.values[n - 1];
+        }
+    }
+
+    fn minimise(&mut self, weight: f64) -> Option<Outcome> {
+        let n = self.values.len();
+        let mut chi_square = self.residual();
+        let mut objective = weight * chi_square + self.prior();
+        let mut damping = 1e-4;
+        let mut best = self.values.clone();
+        let mut converged = false;
+        for _ in 0..ITERATIONS {
+            self.linearise(weight);
+            let mut damped = self.normal.clone();
+            (0..n).for_each(|i| damped[i * n + i] *= 1.0 + damping);
+            if !objective.is_finite() || !cholesky::factor(&mut damped, n) {
+                return None;
+            }
+            let mut step = self.gradient.clone();
+            cholesky::solve(&damped, n, &mut step);
+            let promised: f64 = step.iter().zip(&self.gradient).map(|(s, g)| s * g).sum();
+            self.limit(&mut step);
+            self.values.iter_mut().zip(&step).for_each(|(value, step)| *value += step);
+            let trial_chi_square = self.residual();
+            let trial = weight * trial_chi_square + self.prior();
+            if trial <= objective {
+                best.clone_from(&self.values);
+                (objective, chi_square) = (trial, trial_chi_square);
+                damping = (0.1 * damping).max(1e-12);
+            } else {
+                self.values.clone_from(&best);
+                self.residual();
+                damping *= 10.0;
+            }
+            if promised < DECREASE || (trial > objective && damping > 1e8) {
+                converged = true;
+                break;
+            }
+        }
+        let degrees_of_freedom = self.whitener.used_count().saturating_sub(n);
+        converged.then_some(Outcome { chi_square, degrees_of_freedom })
+    }
+
+    /// Limits the components of a step.
+    ///
+    /// They must stay within the validity of the linear model, and widths within the templates.
+    fn limit(&self, step: &mut [f64]) {
+        let longest = [LONGEST[0], LONGEST[1] * self.shape.fwhm_samples(), LONGEST[2]];
+        let [least, most] = self.shape.ln_width_bounds();
+        for (i, step) in step.iter_mut().enumerate().take(PARTS * self.pulses.len()) {
+            let part = i % PARTS;
+            *step = step.clamp(-longest[part], longest[part]);
+            if part == 2 {
+                *step = (self.values[i] + *step).clamp(least, most) - self.values[i];
+            }
+        }
+    }
+
+    /// Computes the covariances at the optimum.
+    fn conclude(&mut self, weight: f64) -> Option<()> {
+        let n = self.values.len();
+        self.residual();
+        self.linearise(weight);
+        if !cholesky::factor(&mut self.normal, n) {
+            return None;
+        }
+        let mut covariance = vec![0.0; n * n];
+        cholesky::invert(&self.normal, n, &mut covariance);
+        for i in 0..self.pulses.len() {
+            let at = |part: usize| PARTS * i + part;
+            self.fitted.push(JointFitted {
+                value: std::array::from_fn(|part| self.values[at(part)]),
+                covariance: std::array::from_fn(|a| std::array::from_fn(|b| covariance[at(a) * n + at(b)])),
+                distance: self.distance(i),
+            });
+        }
+        Some(())
+    }
+}
+
+/// Root of the chi-square of a pulse of height 1.
+fn significance_per_dn(shape: &Shape, whitener: &mut Whitener) -> f64 {
+    let samples = (12.0 * shape.fwhm_samples()).ceil().clamp(8.0, 4096.0) as usize;
+    let position_samples = 0.5 * samples as f64;
+    let mut pulse = vec![0.0; samples];
+    let unit = Pulse { height_dn: 1.0, position_samples, ln_width_ratio: 0.0, ln_width_precision: 0.0 };
+    shape.add(&unit, 1.0, &mut pulse);
+    whitener.set_used(&vec![true; samples]);
+    whitener.whiten(&mut pulse);
+    pulse.iter().map(|value| value * value).sum::<f64>().sqrt()
+}
+
+/// Inverse of a covariance; `None` if it is not positive definite.
+fn inverse(covariance: &[[f64; PARTS]; PARTS]) -> Option<[[f64; PARTS]; PARTS]> {
+    let mut factor: Vec<f64> = covariance.iter().flatten().copied().collect();
+    if !cholesky::factor(&mut factor, PARTS) {
+        return None;
+    }
+    let mut inverse = [0.0; PARTS * PARTS];
+    cholesky::invert(&factor, PARTS, &mut inverse);
+    Some(std::array::from_fn(|a| std::array::from_fn(|b| inverse[PARTS * a + b])))
+}
