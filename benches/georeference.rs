@@ -12,8 +12,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use made::{Flight, fly, georeference, return_of, site, source};
-use wavex::batch::{Blocks, Content, Return, ScanLine};
-use wavex::geometry::pose_source::Posed;
+use wavex::georef::pose_source::Posed;
+use wavex::scan_line::{Blocks, Content, Return, ScanLine};
 use wavex::stage::{Context, RunContext, Source};
 
 const GOAL_PER_S: f64 = 2e6;

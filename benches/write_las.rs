@@ -14,8 +14,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use laz::{LasZipCompressor, LazVlr, LazVlrBuilder};
-use wavex::batch::{Blocks, Content, InputInfo, Return, ScanLine, TimeScale};
 use wavex::registry;
+use wavex::scan_line::{Blocks, Content, InputInfo, Return, ScanLine, TimeScale};
 use wavex::stage::{Context, Plan, RunContext, Sink};
 
 const LINES: usize = 250;

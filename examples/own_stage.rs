@@ -6,10 +6,10 @@
 use anyhow::{Context as _, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{Content, Kind, ScanLine};
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::registry::STAGES;
+use wavex::scan_line::{Content, Kind, ScanLine};
 use wavex::stage::{self, Config, Context, Item, Map, MapConfig, RunContext, StageSpec};
 
 /// Name, role and accepted kinds of line of the stage.

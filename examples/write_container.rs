@@ -13,7 +13,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use wavex::batch::{Return, ReturnChannel};
+use wavex::scan_line::{Return, ReturnChannel};
 use wavex::stages::write_table::{Format, Row, TableWriter};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,

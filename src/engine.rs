@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::geometry::Loader;
+use crate::georef::Loader;
 use crate::job::Job;
 use crate::stage::{Context, OutputLock, Plan, RunContext, StageError};
 use wavex_signal::lockstep;

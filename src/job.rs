@@ -8,9 +8,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::Kind;
-use crate::geometry::GeometryKeys;
+use crate::georef::GeometryKeys;
 use crate::registry;
+use crate::scan_line::Kind;
 use crate::stage::{InvalidKey, Keys, Paths, Planned, StageSpec};
 use wavex_signal::lockstep;
 

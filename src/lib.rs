@@ -4,16 +4,16 @@
 //! document the stages.
 
 pub mod archive;
-pub mod batch;
 pub mod cli;
 pub mod engine;
-pub mod geometry;
+pub mod georef;
+pub mod inspect;
 pub mod job;
 pub mod overview;
 pub mod registry;
+pub mod scan_line;
 pub mod stage;
 pub mod stages;
-pub mod survey;
 
 // Unit tests share the stages of the integration tests, which name the crate `wavex`.
 #[cfg(test)]

@@ -8,7 +8,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Return, ScanLine};
+use crate::scan_line::{Return, ScanLine};
 
 mod gallery;
 mod histogram;

@@ -3,7 +3,7 @@
 //! A stage sees no channels, threads or clocks. It drops items through [`Context::reject`], records
 //! measurements through [`Context::observe`], and warns the user through [`Context::note`].
 
-use crate::batch::ScanLine;
+use crate::scan_line::ScanLine;
 
 mod context;
 mod keys;

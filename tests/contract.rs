@@ -11,10 +11,10 @@ use common::{into, stage};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use wavex::batch::{Blocks, InputInfo, Kind, ScanLine};
 use wavex::engine::{self, InputReport};
 use wavex::job::{Job, JobStage};
 use wavex::registry::{self, STAGES};
+use wavex::scan_line::{Blocks, InputInfo, Kind, ScanLine};
 use wavex::stage::{
     Config, Context, Item, Key, Paths, Plan, Result, RoleName, RunContext, Source, SourceConfig, StageSpec,
     choices,

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use wavex::geometry::GeometryKeys;
+use wavex::georef::GeometryKeys;
 use wavex::job::JobSettings;
 use wavex::registry;
 

@@ -102,7 +102,7 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
             };
             format!("{:.digits$} ± {:.digits$}", number(value), number(&sd))
         };
-        let flags = wavex::batch::flags::words(row["flags"].parse().unwrap());
+        let flags = wavex::scan_line::flags::words(row["flags"].parse().unwrap());
         let expected = [
             row["return_number"].clone(),
             row["channel"].clone(),

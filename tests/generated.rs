@@ -9,10 +9,10 @@ use std::path::Path;
 
 use schemars::generate::SchemaSettings;
 use wavex::archive::Archive;
-use wavex::batch::flags::NAMES;
 use wavex::engine::RunReport;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
 use wavex::registry::{STAGES, find};
+use wavex::scan_line::flags::NAMES;
 use wavex::stages::write_lstat;
 use wavex_signal::sensor_model::SensorModel;
 

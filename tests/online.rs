@@ -9,7 +9,7 @@ use std::path::Path;
 use support::container::{Shot, container};
 use support::shots::{echo, peak, time_s};
 use support::{Outcome, Place};
-use wavex::batch::flags::INSTRUMENT;
+use wavex::scan_line::flags::INSTRUMENT;
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale,

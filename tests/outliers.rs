@@ -5,9 +5,9 @@
 mod false_returns;
 
 use false_returns::{SCENES, copy, filtered, fly, score_of_stage};
-use wavex::batch::ScanLine;
 use wavex::engine::{self, Options};
 use wavex::job::Job;
+use wavex::scan_line::ScanLine;
 
 #[test]
 fn false_returns_are_told_and_true_ones_kept() {

@@ -21,8 +21,8 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use recordings::{Table, data, median, robust, run_job, samples};
-use wavex::batch::Channel;
 use wavex::engine;
+use wavex::scan_line::Channel;
 use wavex_signal::calibrate::CalibrationSettings;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::outgoing::OutgoingFitter;

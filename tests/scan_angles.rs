@@ -13,7 +13,7 @@ use recordings::data;
 use support::las::Las;
 use support::pulsewaves::PulseWaves;
 use support::{Outcome, Place};
-use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
+use wavex::scan_line::emission_flags::SCAN_DIRECTION_POSITIVE;
 use wavex_formats::container::{Compression, ContainerReader, ContainerWriter, LineBuilder};
 
 /// Stages from samples to points as text: time, position, angle, direction, edge.

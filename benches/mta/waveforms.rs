@@ -6,7 +6,7 @@
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use wavex::batch::emission_flags::{SYNCHRONISED, SYNCHRONISED_WITHIN_LAST_SECOND};
+use wavex::scan_line::emission_flags::{SYNCHRONISED, SYNCHRONISED_WITHIN_LAST_SECOND};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale, channel,

@@ -65,7 +65,7 @@ fn main() {
 /// Returns the filtered lines and the speed.
 ///
 /// The speed is that of the fastest of five runs, million returns per second.
-fn fastest(flight: &Flight) -> (Vec<wavex::batch::ScanLine>, f64) {
+fn fastest(flight: &Flight) -> (Vec<wavex::scan_line::ScanLine>, f64) {
     let n: usize = flight.truth.iter().map(Vec::len).sum();
     let mut best = f64::INFINITY;
     let mut lines = Vec::new();

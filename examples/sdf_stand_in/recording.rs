@@ -9,7 +9,7 @@ use wavex_formats::container::{ContainerHeader, ContainerLine, ContainerReader, 
 use wavex_formats::sdf::record_flags::END_OF_LINE;
 
 /// Container flag of the last shot of a line.
-const EDGE: u16 = wavex::batch::emission_flags::EDGE_OF_FLIGHT_LINE;
+const EDGE: u16 = wavex::scan_line::emission_flags::EDGE_OF_FLIGHT_LINE;
 
 /// Record as returned by the interface.
 pub(crate) struct Record {

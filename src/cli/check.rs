@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Failure, JobArgs, print, run};
 use crate::archive::missing_inputs;
-use crate::geometry::check_crs;
+use crate::georef::check_crs;
 use crate::job::Job;
 use crate::stage::fixed_folder;
 

@@ -7,11 +7,11 @@ use std::sync::Arc;
 use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, run, terminal};
-use crate::batch::{Emission, Returns, ScanLine};
-use crate::geometry::Loader;
-use crate::geometry::pose_source::Posed;
+use crate::georef::Loader;
+use crate::georef::pose_source::Posed;
 use crate::job::{Job, JobStage, Override};
 use crate::registry::reader_of;
+use crate::scan_line::{Emission, Returns, ScanLine};
 use crate::stage::{Context, OutputFile, Plan, RunContext, Source, SourcePlan, TransformConfig};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
@@ -217,7 +217,7 @@ fn decompose(mut line: ScanLine, shot: u64, chain: &Chain) -> Result<Explained, 
     };
     let model = line.model.clone().ok_or_else(|| without("no sensor model"))?;
     let index = line.emissions.iter().position(|emission| emission.shot == shot).unwrap_or_default();
-    let crate::batch::Content::Shots(blocks) = line.content else {
+    let crate::scan_line::Content::Shots(blocks) = line.content else {
         return Err(without("no samples"));
     };
     let of_shot = blocks.by_emission().find(|(emission, _)| *emission as usize == index);

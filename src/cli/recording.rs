@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::{Failure, scan};
-use crate::batch::{Channel, Frame};
+use crate::inspect::Survey;
 use crate::registry::reader_of;
-use crate::survey::Survey;
+use crate::scan_line::{Channel, Frame};
 
 /// Number of shots read to recognise a recording.
 const LOOKED_AT: u64 = 20_000;

@@ -10,7 +10,7 @@ use crate::archive::{Recorder, check_destination};
 use crate::engine::{
     self, Cancel, Cause, FailedRun, InputReport, Options, ProgressMode, RunError, RunReport,
 };
-use crate::geometry::check_crs;
+use crate::georef::check_crs;
 use crate::job::{Job, Override};
 use crate::stage::{
     OutputFile, OutputLock, Outputs, StageError, fixed_folder, give_up_claims, remove_unfinished_files,

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use super::{Failure, ScanArgs, terminal};
 use crate::engine::{self, Input};
+use crate::inspect::Survey;
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
 use crate::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
-use crate::survey::Survey;
 use summary::Summary;
 use wavex_formats::Error;
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use crate::batch::ScanLine;
+use crate::scan_line::ScanLine;
 use crate::stage::{Result, StageError};
 
 /// Message in a channel.

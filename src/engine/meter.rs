@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 
-use crate::batch::ScanLine;
+use crate::scan_line::ScanLine;
 use crate::stage::Item;
 
 /// Time and items of one worker, or of all workers of a stage.

@@ -11,9 +11,9 @@ use serde::{Serialize, Serializer};
 
 use super::Options;
 use super::meter::{Meter, Span};
-use crate::batch::{EmissionReference, Frame, InputInfo, ScanLine, TimeScale};
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::overview::{Gallery, Gathering, Overview};
+use crate::scan_line::{EmissionReference, Frame, InputInfo, ScanLine, TimeScale};
 use crate::stage::{Counters, Distribution, Item, RoleName, RunContext};
 use wavex_geodesy::time::utc;
 use wavex_geodesy::trajectory::Trajectory;

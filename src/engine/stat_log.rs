@@ -4,7 +4,7 @@ use std::fmt::{Display, Write as _};
 use std::path::PathBuf;
 
 use super::report::{InputReport, RunReport, StageReport, TrajectoryReport};
-use crate::geometry::keys::{CalibrationKey, GeometryKeys};
+use crate::georef::keys::{CalibrationKey, GeometryKeys};
 use crate::stage::RoleName;
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
@@ -237,7 +237,7 @@ fn remarks(text: &mut Text, stage: &StageReport) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::LineStats;
+    use crate::scan_line::LineStats;
 
     #[test]
     fn every_counter_has_its_words() {

@@ -8,7 +8,7 @@ use super::failure::Failure;
 use super::link::{Inlet, Outlet};
 use super::meter::Meter;
 use super::report::Totals;
-use crate::batch::{Blocks, Budget, NoRoom, ScanLine};
+use crate::scan_line::{Blocks, Budget, NoRoom, ScanLine};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 
 /// State shared by the threads of one chain.

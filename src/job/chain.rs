@@ -8,8 +8,8 @@ use toml::de::DeValue;
 
 use super::JobError;
 use super::draft::DraftStage;
-use crate::batch::Kind;
 use crate::registry::find_in;
+use crate::scan_line::Kind;
 use crate::stage::{RoleName, StageSpec, listed};
 
 /// A stage as far as the check of the chain needs it.

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use serde_json::Value;
 
 use super::JobSettings;
-use crate::geometry::GeometryKeys;
+use crate::georef::GeometryKeys;
 use crate::stage::{Key, Keys, RoleName, StageSpec, listed};
 
 /// Renders the manual of these stages in Markdown (`docs/stages.md`).

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::ShownBlock;
-use crate::batch::{Emission, Return, flags};
+use crate::scan_line::{Emission, Return, flags};
 
 /// Reason why a shot is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize, JsonSchema)]

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::packed;
-use crate::batch::ScanLine;
+use crate::scan_line::ScanLine;
 
 /// Maximum number of groups.
 const MOST_GROUPS: usize = 512;
@@ -47,7 +47,8 @@ impl Default for Groups {
 
 impl Groups {
     pub(super) fn add(&mut self, batch: &ScanLine) {
-        let kept = |returns: &[crate::batch::Return]| returns.iter().filter(|found| !found.withheld).count();
+        let kept =
+            |returns: &[crate::scan_line::Return]| returns.iter().filter(|found| !found.withheld).count();
         let points = batch.points().and(batch.returns()).map_or(0, |returns| kept(returns));
         self.count(batch.line, [1, batch.stats.nw, batch.n_returns() as u64, points as u64]);
     }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::packed;
 use super::png::{HEIGHTS, INTENSITIES, Picture, css};
 use super::view::{MapAxes, View};
-use crate::batch::{InputInfo, Return};
+use crate::scan_line::{InputInfo, Return};
 
 /// Points in cells of a grid; rows from north to south, columns from west to east.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::packed;
-use crate::batch::{Emission, Return, ScanLine, flags::ZONE_UNCERTAIN};
+use crate::scan_line::{Emission, Return, ScanLine, flags::ZONE_UNCERTAIN};
 
 /// Returns by MTA zone.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use hdrhistogram::Histogram;
 
 use super::FinishedFile;
-use crate::batch::ScanLine;
 use crate::overview::Gallery;
+use crate::scan_line::ScanLine;
 
 /// Items counted by stages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

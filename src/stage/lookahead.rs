@@ -1,7 +1,7 @@
 //! Holds back the first lines of a recording for a transform that learns from them.
 
 use super::Output;
-use crate::batch::{Channel, ScanLine};
+use crate::scan_line::{Channel, ScanLine};
 use wavex_signal::gain::Recorded;
 
 /// Lines held back until they contain enough waveforms.

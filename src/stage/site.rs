@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{OutputFile, Result};
-use crate::geometry::Geometry;
+use crate::georef::Geometry;
 use wavex_signal::lockstep;
 
 /// Per-run context of a stage.

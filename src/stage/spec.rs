@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::{Keys, Map, Paths, Result, RunContext, Sink, Source, Transform};
-use crate::batch::Kind;
+use crate::scan_line::Kind;
 
 /// Keys of a stage.
 ///

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Channel, InputInfo, Kind, ScanLine};
+use crate::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use crate::stage::{
     Config, Holds, InvalidKey, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey,
     Transform, TransformConfig,
@@ -477,7 +477,7 @@ fn failed(channel: Channel, error: &CalibrationError) -> StageError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::{Blocks, Emission};
+    use crate::scan_line::{Blocks, Emission};
     use crate::stage::Context;
 
     /// A line of noise-like samples, too few to calibrate from.

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
+use crate::scan_line::{
+    AmplitudeTable, Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale,
+};
 use wavex_formats::container::{self, ContainerHeader, channel};
 
 /// Container header with the metadata of a recording.

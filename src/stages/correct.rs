@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
 use super::decompose::Threshold;
-use crate::batch::{Content, Kind, ScanLine};
+use crate::scan_line::{Content, Kind, ScanLine};
 use crate::stage::{
     Config, Holds, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Survey, Transform,
     TransformConfig,

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Blocks, Content, Emission, Kind, LineStats, Return, Returns, ScanLine};
 use crate::overview::{Gallery, ShownReturn, ShownShot};
+use crate::scan_line::{Blocks, Content, Emission, Kind, LineStats, Return, Returns, ScanLine};
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::lockstep::SimdLevel;

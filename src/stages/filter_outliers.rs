@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Kind, ScanLine};
+use crate::scan_line::{Kind, ScanLine};
 use crate::stage::{Config, InvalidKey, Output, Result, RunContext, StageSpec, Transform, TransformConfig};
 
 mod geometry;

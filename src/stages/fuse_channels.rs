@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::AutoOrNumber;
-use crate::batch::{Block, Blocks, Channel, Content, Kind, ScanLine};
+use crate::scan_line::{Block, Blocks, Channel, Content, Kind, ScanLine};
 use crate::stage::{
     Config, Holds, InvalidKey, Output, Result, RunContext, StageSpec, Survey, Transform, TransformConfig,
 };
@@ -221,7 +221,7 @@ fn add_pairs(blocks: &Blocks, of_shot: &[Block], full_scale_dn: f64, pairs: &mut
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::{Emission, InputInfo};
+    use crate::scan_line::{Emission, InputInfo};
     use crate::stage::Context;
 
     const INTERVAL_NS: f64 = 1.0;

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Content, Emission, Frame, InputInfo, Kind, Return, ScanLine};
-use crate::geometry::Geometry;
-use crate::geometry::calibration::is_on_low_power_scale;
-use crate::geometry::output_crs::Target;
-use crate::geometry::scan_angles::complete_in_own_axes;
+use crate::georef::Geometry;
+use crate::georef::calibration::is_on_low_power_scale;
+use crate::georef::output_crs::Target;
+use crate::georef::scan_angles::complete_in_own_axes;
+use crate::scan_line::{Content, Emission, Frame, InputInfo, Kind, Return, ScanLine};
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 use wavex_geodesy::frames::Vector;
 

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use crate::batch::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine, emission_flags};
+use crate::scan_line::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine, emission_flags};
 use crate::stage::InvalidKey;
 use wavex_geodesy::cone::{Cone, Turning};
 
@@ -207,7 +207,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::Channel;
+    use crate::scan_line::Channel;
 
     fn shot(angle_deg: f64) -> Emission {
         let (sin, cos) = angle_deg.to_radians().sin_cos();

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::container_info::{channel_of, info_of};
 use super::line_splitter::Sampling;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
-use crate::batch::{
+use crate::scan_line::{
     Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
     ScanLine,
 };

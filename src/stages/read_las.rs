@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::bad_records::BrokenRun;
 use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
-use crate::batch::{
+use crate::scan_line::{
     Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn, ScanLine,
     TimeScale, emission_flags,
 };

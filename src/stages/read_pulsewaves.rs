@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::bad_records::BrokenRun;
 use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
-use crate::batch::{
+use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
     TimeScale, emission_flags,
 };

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::line_splitter::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
 use super::recording::{self, NO_TIME, with_time_keys};
-use crate::batch::{
+use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
 };
 use crate::stage::{

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
-use crate::geometry::declared;
+use crate::georef::declared;
+use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
 use crate::stage::{Context, InvalidKey, Item, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 

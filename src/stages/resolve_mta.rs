@@ -7,8 +7,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
-use crate::batch::{Kind, ScanLine};
-use crate::geometry::Geometry;
+use crate::georef::Geometry;
+use crate::scan_line::{Kind, ScanLine};
 use crate::stage::{
     Config, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
 };

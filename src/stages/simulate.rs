@@ -1,6 +1,6 @@
 //! The stage `simulate`: a flight over a scene with known truth.
 
-use crate::batch::{Kind, ScanLine};
+use crate::scan_line::{Kind, ScanLine};
 use crate::stage::{Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 
 mod config;

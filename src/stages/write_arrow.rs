@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{code_of, header_of};
-use crate::batch::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
+use crate::scan_line::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
 use crate::stage::{
     self, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };

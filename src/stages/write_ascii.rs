@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::write_las::{AttributeLayout, WriteLas, offsets, point};
-use crate::batch::{InputInfo, Kind, ScanLine};
+use crate::scan_line::{InputInfo, Kind, ScanLine};
 use crate::stage::{
     Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
 };
@@ -190,8 +190,8 @@ impl Sink for AsciiWriter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::{Blocks, Content, Emission, Return, ReturnChannel, TimeScale, emission_flags};
-    use crate::geometry::Geometry;
+    use crate::georef::Geometry;
+    use crate::scan_line::{Blocks, Content, Emission, Return, ReturnChannel, TimeScale, emission_flags};
     use std::sync::Arc;
     use wavex_signal::lockstep::SimdLevel;
 

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::batch::{Kind, LineStats, Return, ScanLine, flags};
+use crate::scan_line::{Kind, LineStats, Return, ScanLine, flags};
 use crate::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
 use wavex_formats::Error;
 

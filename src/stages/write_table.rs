@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::time_scale_of;
-use crate::batch::{Kind, ScanLine, TimeScale};
+use crate::scan_line::{Kind, ScanLine, TimeScale};
 use crate::stage::{
     self, Context, InvalidKey, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };

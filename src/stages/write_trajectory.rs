@@ -6,8 +6,8 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::{Emission, Frame, InputInfo, Kind, ScanLine};
-use crate::geometry::Geometry;
+use crate::georef::Geometry;
+use crate::scan_line::{Emission, Frame, InputInfo, Kind, ScanLine};
 use crate::stage::{
     Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
 };

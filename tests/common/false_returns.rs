@@ -4,10 +4,10 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use wavex::batch::{Content, Return, ScanLine};
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::registry;
+use wavex::scan_line::{Content, Return, ScanLine};
 use wavex::stage::{Context, Output, Plan, RunContext};
 
 /// A scene: name, keys of `simulate`, and minimum distance of a false return from every true one to

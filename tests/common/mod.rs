@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{Blocks, Channel, Emission, Frame, InputInfo, Kind, ScanLine};
 use wavex::engine::Options;
 use wavex::job::{Job, JobStage};
+use wavex::scan_line::{Blocks, Channel, Emission, Frame, InputInfo, Kind, ScanLine};
 use wavex::stage::{
     Config, Context, Item, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
     SourceConfig, StageError, StageSpec, Transform, TransformConfig,

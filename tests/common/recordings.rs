@@ -3,9 +3,9 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use wavex::batch::Channel;
 use wavex::engine::{self, InputReport, Options};
 use wavex::job::{Job, Override};
+use wavex::scan_line::Channel;
 use wavex::stage::{Context, Plan, Planned, RunContext};
 
 /// Folder of real recordings; prints a notice if it is not set.

@@ -1,6 +1,6 @@
 //! Noise-free flights of every kind: computed points against the truth.
 
-use wavex::geometry::mount::{Mount, MountName};
+use wavex::georef::mount::{Mount, MountName};
 use wavex_geodesy::frames::{inverse, rotation_of_angles, then};
 
 use super::made::{Flight, distance_m, fly};

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use wavex::batch::{Content, Emission, Frame, InputInfo, LineStats, Return, ScanLine, TimeScale};
 use wavex::engine::{self, Options, RunReport};
-use wavex::geometry::pose_source::Posed;
-use wavex::geometry::{GeometryKeys, Loader};
+use wavex::georef::pose_source::Posed;
+use wavex::georef::{GeometryKeys, Loader};
 use wavex::job::Job;
 use wavex::registry;
+use wavex::scan_line::{Content, Emission, Frame, InputInfo, LineStats, Return, ScanLine, TimeScale};
 use wavex::stage::{Context, Map, Plan, RunContext, Source};
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::frames::{IDENTITY, Rotation, rotate};

@@ -112,7 +112,7 @@ fn overrides_reach_into_the_table() {
     let job = parse(FULL, &set).unwrap();
     let keys = &job.settings.geometry;
     assert_eq!((keys.crs.as_deref(), keys.trajectory.as_deref()), (Some("EPSG:2154"), Some("*.out")));
-    assert_eq!(keys.mount, Some(wavex::geometry::mount::Mount::Angles([1.0, 2.0, 3.0])));
+    assert_eq!(keys.mount, Some(wavex::georef::mount::Mount::Angles([1.0, 2.0, 3.0])));
     check_set(
         FULL,
         &["job.geometry.crs.name=EPSG:2154"],

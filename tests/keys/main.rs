@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use support::container::{Shot, container};
 use support::{Outcome, Place, shots};
-use wavex::batch::flags::{ECHO_ON_OUTGOING, EMISSION_IN_BLOCK, EMISSION_ON_ECHO, OVERLAP, REFINED};
+use wavex::scan_line::flags::{ECHO_ON_OUTGOING, EMISSION_IN_BLOCK, EMISSION_ON_ECHO, OVERLAP, REFINED};
 use wavex_formats::container::EmissionReference;
 
 const SHOTS: usize = 320;

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use serde_json::Value;
-use wavex::batch::emission_flags::SCAN_DIRECTION_POSITIVE;
+use wavex::scan_line::emission_flags::SCAN_DIRECTION_POSITIVE;
 
 use crate::made::{Row, container, header, rows};
 use crate::support::{Outcome, Place};

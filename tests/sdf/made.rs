@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use serde_json::Value;
-use wavex::batch::emission_flags::{EDGE_OF_FLIGHT_LINE, SCAN_DIRECTION_POSITIVE};
+use wavex::scan_line::emission_flags::{EDGE_OF_FLIGHT_LINE, SCAN_DIRECTION_POSITIVE};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale, channel,

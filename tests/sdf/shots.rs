@@ -1,6 +1,6 @@
 //! Records without shots, lines, clocks, and emissions without samples.
 
-use wavex::batch::emission_flags::EDGE_OF_FLIGHT_LINE;
+use wavex::scan_line::emission_flags::EDGE_OF_FLIGHT_LINE;
 use wavex_formats::container::{ContainerHeader, EmissionReference, channel};
 
 use crate::made::{Row, container, header, lengths, place, plain, plain_line, read, with_edges};

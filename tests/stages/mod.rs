@@ -3,7 +3,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::batch::{Kind, ScanLine};
+use wavex::scan_line::{Kind, ScanLine};
 use wavex::stage::{
     Config, Context, InvalidKey, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
     SourceConfig, StageSpec, Transform, TransformConfig,

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::Explained;
-use crate::batch::{Return, flags};
+use crate::scan_line::{Return, flags};
 use crate::stages::decompose::SeenBlock;
 use wavex_signal::sensor_model::{Background, ChannelModel};
 

@@ -1,6 +1,6 @@
 //! Runs the stages before `decompose` on the current thread.
 
-use crate::batch::ScanLine;
+use crate::scan_line::ScanLine;
 use crate::stage::{Context, Map, Output, Result, Source, StageError, Transform};
 
 /// A reader and the stages that follow it.

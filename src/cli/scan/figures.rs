@@ -2,9 +2,9 @@
 
 use super::histograms::{Part, amplitudes, angles, name_of, noise, ranges};
 use super::summary::grouped;
-use crate::batch::Channel;
 use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::survey::{Histogram, ShownBlock, Survey, Waveform};
+use crate::inspect::{Histogram, ShownBlock, Survey, Waveform};
+use crate::scan_line::Channel;
 
 /// A picture with its title.
 pub(super) struct Figure {

@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use crate::batch::Channel;
-use crate::survey::{Angle, Histogram, Samples, Survey};
+use crate::inspect::{Angle, Histogram, Samples, Survey};
+use crate::scan_line::Channel;
 
 /// Non-empty histograms: suffix of the file name, and text.
 pub(super) fn files(survey: &Survey) -> Vec<(&'static str, String)> {

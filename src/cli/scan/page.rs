@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::figures::figures;
 use super::summary::Summary;
 use crate::cli::svg::escaped;
-use crate::survey::Survey;
+use crate::inspect::Survey;
 
 /// Style sheet: follows the system's light or dark theme; prints black on white.
 pub(in crate::cli) const STYLE: &str = "\

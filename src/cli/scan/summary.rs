@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::histograms::{CHANNELS, name_of};
-use crate::batch::{Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
+use crate::inspect::{Angle, ChannelSurvey, Histogram, Intervals, Samples, Survey};
+use crate::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 use crate::stage::Counters;
-use crate::survey::{Angle, ChannelSurvey, Histogram, Intervals, Samples, Survey};
 use wavex_geodesy::time;
 
 /// Summary of one recording.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::tables::{Both, Sources, receiver_of, told_by_fusion_s};
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
-use crate::batch::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
+use crate::scan_line::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
 use crate::stage::{Context, Result};
 use wavex_formats::lookup_tables::LookupTables;
 use wavex_geodesy::vertical::down_at;
@@ -138,7 +138,7 @@ fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], 
 }
 
 /// Cosine of the angle between a beam and straight down; `None` if the frame has no vertical.
-fn cos_to_vertical(frame: crate::batch::Frame, emission: &Emission) -> Option<f64> {
+fn cos_to_vertical(frame: crate::scan_line::Frame, emission: &Emission) -> Option<f64> {
     let down = down_at(frame, emission.origin_m)?;
     Some(emission.direction.iter().zip(down).map(|(a, b)| a * b).sum())
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{Correct, TableKey};
-use crate::batch::{AmplitudeTable, InputInfo, ReturnChannel};
+use crate::scan_line::{AmplitudeTable, InputInfo, ReturnChannel};
 use crate::stage::{Result, StageError};
 use wavex_formats::lookup_tables::{LookupTables, Row};
 use wavex_signal::decompose::OVERDRIVEN_PART;

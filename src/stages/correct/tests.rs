@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use super::*;
-use crate::batch::{AmplitudeTable, Blocks, Emission, Frame, InputInfo, Return, ReturnChannel};
+use crate::scan_line::{AmplitudeTable, Blocks, Emission, Frame, InputInfo, Return, ReturnChannel};
 use crate::stage::Context;
 use wavex_signal::fusion::ChannelFusion;
 

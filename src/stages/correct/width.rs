@@ -1,7 +1,7 @@
 //! Correction of widths for amplitude.
 
 use super::WidthKey;
-use crate::batch::{Return, ReturnChannel, ScanLine, flags};
+use crate::scan_line::{Return, ReturnChannel, ScanLine, flags};
 use crate::stage::{Context, InvalidKey};
 use wavex_signal::width_by_amplitude::{Node, Pulse, width_by_amplitude};
 

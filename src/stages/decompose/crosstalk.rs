@@ -2,7 +2,7 @@
 
 use super::echo::Found;
 use super::shots::Shot;
-use crate::batch::{Block, Emission, flags};
+use crate::scan_line::{Block, Emission, flags};
 
 /// Largest distance of a return from an emission to be flagged, pulse widths.
 const NEAR_WIDTHS: f64 = 3.0;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::echo::{Found, HighPowerView};
 use super::shots::Shot;
-use crate::batch::{Block, Channel, LineStats, ReturnChannel, flags};
+use crate::scan_line::{Block, Channel, LineStats, ReturnChannel, flags};
 use crate::stage::{Result, StageError};
 use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_signal::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse};

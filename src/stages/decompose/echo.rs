@@ -1,7 +1,7 @@
 //! Echoes: fitted pulses before they become returns of their shot.
 
 use super::shots::EmissionTime;
-use crate::batch::{AmplitudeTable, InputInfo, Return, ReturnChannel};
+use crate::scan_line::{AmplitudeTable, InputInfo, Return, ReturnChannel};
 use wavex_signal::decompose::Return as Pulse;
 use wavex_signal::radiometry::target_thickness_m;
 

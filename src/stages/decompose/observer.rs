@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use super::{BlockFit, Observer};
-use crate::batch::{Block, Blocks, Emission, Return};
 use crate::overview::{PER_SAMPLE, Peak, Samples, ShownBlock};
+use crate::scan_line::{Block, Blocks, Emission, Return};
 use wavex_signal::decompose::{DecomposeSettings, Decomposer, Decomposition, Return as Pulse};
 use wavex_signal::outgoing::Outgoing;
 use wavex_signal::sensor_model::ChannelModel;

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::echo::UNRELIABLE_RANGE_SD_M;
-use crate::batch::{
+use crate::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, OnlineReturn, Return, Returns, ScanLine,
     flags,
 };

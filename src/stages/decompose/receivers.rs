@@ -7,7 +7,7 @@ use super::at_gains::{AtGains, ByGain};
 use super::dual_channel::BothReceivers;
 use super::shots::Shot;
 use super::{Decompose, Mode};
-use crate::batch::{Block, Channel, ReturnChannel};
+use crate::scan_line::{Block, Channel, ReturnChannel};
 use crate::stage::{Result, StageError};
 use wavex_signal::calibrate::Block as Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Decomposition};

@@ -6,7 +6,7 @@ use super::dual_channel::BothReceivers;
 use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
 use super::online::unresolved;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
-use crate::batch::{
+use crate::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
     Returns, flags,
 };

@@ -1,6 +1,6 @@
 //! Positions of a line's returns for the outlier search.
 
-use crate::batch::{Emission, Frame, ScanLine};
+use crate::scan_line::{Emission, Frame, ScanLine};
 use wavex_geodesy::vertical::{down_at, main_axis};
 use wavex_signal::outliers::{Extent, Line, Point};
 
@@ -112,7 +112,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::batch::{Blocks, Content, InputInfo, Return};
+    use crate::scan_line::{Blocks, Content, InputInfo, Return};
 
     /// Beams 0.01 rad apart from 1000 m, with the sensor or points 5 m above the ground as origins.
     #[test]

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::FilterOutliers;
 use super::geometry::{Places, dot, has_vertical};
-use crate::batch::{Content, Return, ScanLine, flags};
+use crate::scan_line::{Content, Return, ScanLine, flags};
 use crate::stage::{Item, Output, Result};
 use wavex_signal::outliers::{Line, Search, Side, jump};
 

@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use super::*;
-use crate::batch::{Blocks, Content, Emission, Frame, InputInfo, Return};
+use crate::scan_line::{Blocks, Content, Emission, Frame, InputInfo, Return};
 use crate::stage::{Context, Item};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 

@@ -1,6 +1,6 @@
 //! Height of the sensor above the ground of its line.
 
-use crate::batch::{Emission, Frame, Return};
+use crate::scan_line::{Emission, Frame, Return};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::vertical::down_at;
 

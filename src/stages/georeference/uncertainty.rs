@@ -1,8 +1,8 @@
 //! Total uncertainty of point positions.
 
-use crate::batch::{Emission, Frame, Return};
-use crate::geometry::Geometry;
-use crate::geometry::transform::variance_m2;
+use crate::georef::Geometry;
+use crate::georef::transform::variance_m2;
+use crate::scan_line::{Emission, Frame, Return};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::trajectory::{Accuracy, Pose};
 use wavex_geodesy::vertical::down_at;

@@ -1,6 +1,6 @@
 //! Classification of SDF records: a shot, an end of line, or neither.
 
-use crate::batch::{Channel, Emission, emission_flags};
+use crate::scan_line::{Channel, Emission, emission_flags};
 use wavex_formats::sdf::{SdfBlock, SdfRecord, channel, record_flags};
 
 /// Kind of a record.

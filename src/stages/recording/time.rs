@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use super::{RecordingTime, ScaleKey};
-use crate::batch::{InputInfo, TimeScale};
+use crate::scan_line::{InputInfo, TimeScale};
 use crate::stage::Result;
 use wavex_formats::Error;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year, gps_week};

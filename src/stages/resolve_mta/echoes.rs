@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::batch::{Block, Blocks, Channel, Emission};
+use crate::scan_line::{Block, Blocks, Channel, Emission};
 
 /// Number of strongest pulses used per group.
 const MOST_ECHOES: usize = 4;
@@ -320,7 +320,7 @@ mod tests {
     fn what_the_instrument_computed_goes_with_its_block() {
         let mut blocks = Blocks::default();
         blocks.push(0, Channel::LowPower, None, 100.0, 1.0, &[2, 2, 30, 2, 2]);
-        let online = |time_ns| crate::batch::OnlineReturn { emission: 0, time_ns, amplitude: 1.0 };
+        let online = |time_ns| crate::scan_line::OnlineReturn { emission: 0, time_ns, amplitude: 1.0 };
         blocks.online = vec![online(102.1), online(700.0), online(f64::NAN)];
         let received = Received::of(&unresolved(1), &blocks);
         assert_eq!(received.online, [Place::Group(0), Place::Group(1), Place::Nowhere]);

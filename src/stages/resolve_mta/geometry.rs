@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::batch::{Emission, Frame, ScanLine};
-use crate::geometry::Geometry as Placed;
-use crate::geometry::output_crs::Target;
+use crate::georef::Geometry as Placed;
+use crate::georef::output_crs::Target;
+use crate::scan_line::{Emission, Frame, ScanLine};
 use crate::stage::{Result, StageError};
 use wavex_formats::terrain::Terrain;
 use wavex_geodesy::cone::Turning;

@@ -6,8 +6,8 @@ use super::echoes::{Group, Peak, Place, Received};
 use super::geometry::Geometry;
 use super::summary::MtaCounts;
 use super::{ResolveMta, failed};
-use crate::batch::{Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, ScanLine, Ticket};
-use crate::geometry::Geometry as Placed;
+use crate::georef::Geometry as Placed;
+use crate::scan_line::{Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, ScanLine, Ticket};
 use crate::stage::{Item, Output, Result};
 use wavex_formats::terrain::Terrain;
 use wavex_signal::mta::{

@@ -1,5 +1,5 @@
 use super::*;
-use crate::batch::{Blocks, Channel, Emission, Frame, InputInfo, OnlineReturn};
+use crate::scan_line::{Blocks, Channel, Emission, Frame, InputInfo, OnlineReturn};
 use crate::stage::{Context, Item};
 
 /// Mean time between pulses, ps.
@@ -44,7 +44,7 @@ fn fixed(zone: u16) -> ResolveMta {
 
 /// Shot, channel, zone and start of each block.
 fn blocks_of(batch: &ScanLine) -> Vec<(u64, Channel, Option<i16>, f64)> {
-    let shot = |block: &crate::batch::Block| batch.emissions[block.emission as usize].shot;
+    let shot = |block: &crate::scan_line::Block| batch.emissions[block.emission as usize].shot;
     batch
         .blocks()
         .unwrap()

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FULL_SCALE_DN, INTERVAL_NS};
-use crate::batch::MAX_SHOTS_PER_LINE;
+use crate::scan_line::MAX_SHOTS_PER_LINE;
 use crate::stage::{Config, InvalidKey};
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_simulation::detector::Detector;

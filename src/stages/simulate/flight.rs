@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::{FULL_SCALE_DN, GainFollows, INTERVAL_NS, Simulate};
-use crate::batch::{
+use crate::scan_line::{
     AmplitudeTable, Blocks, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, ScanLine,
     TimeScale, emission_flags,
 };

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::INTERVAL_NS;
 use super::flight::{Cast, Flight, Recorded, Recorder, number, strongest};
-use crate::batch::{Blocks, Emission};
+use crate::scan_line::{Blocks, Emission};
 use wavex_simulation::receiver::{Echo, Window};
 use wavex_simulation::scene::Hit;
 use wavex_simulation::truth::TrueReturn;

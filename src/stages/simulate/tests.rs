@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use proptest::prelude::*;
 
 use super::*;
-use crate::batch::{Block, Blocks, Channel, emission_flags};
+use crate::scan_line::{Block, Blocks, Channel, emission_flags};
 use crate::stage::Config;
 use wavex_simulation::pulse::{FWHM_OF_NORMAL, Shape};
 use wavex_simulation::truth::{COLUMNS, TrueReturn};

@@ -8,7 +8,9 @@ use proptest::option;
 use proptest::prelude::*;
 
 use super::*;
-use crate::batch::{AmplitudeTable, Channel, EmissionReference, Frame, GainControl, OnlineReturn, TimeScale};
+use crate::scan_line::{
+    AmplitudeTable, Channel, EmissionReference, Frame, GainControl, OnlineReturn, TimeScale,
+};
 use crate::stage::{Config as _, Source, SourceConfig};
 use crate::stages::read_arrow;
 
@@ -324,7 +326,7 @@ fn other_kinds_of_batches_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
     let mut batch = ScanLine::of_shots(plain_info(), 0, vec![], Blocks::default());
-    batch.content = crate::batch::Content::Returns(vec![]);
+    batch.content = crate::scan_line::Content::Returns(vec![]);
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
     assert_eq!(error, "write_arrow received Returns, but writes Shots; put it before `decompose`");
 }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::super::write_las::attributes::value;
 use super::steps::Steps;
-use crate::batch::Return;
+use crate::scan_line::Return;
 use wavex_formats::las::{ATTRIBUTES_1_1, ExtraAttribute, PointOut, RAW_AMP, quantise};
 
 /// A point, and the other sources of its row.

@@ -1,6 +1,6 @@
 //! Extra attributes, class and user data of points, in both layouts.
 
-use crate::batch::{Return, ReturnChannel, flags};
+use crate::scan_line::{Return, ReturnChannel, flags};
 use wavex_formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER};
 use wavex_signal::steps::{ROUNDING, power_ratios};
 

@@ -3,7 +3,7 @@
 use las::point::Classification;
 
 use super::*;
-use crate::batch::{Blocks, Content, ReturnChannel, TimeScale, flags};
+use crate::scan_line::{Blocks, Content, ReturnChannel, TimeScale, flags};
 
 fn found(return_number: u8) -> Return {
     Return {

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::batch::{Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel, ScanLine};
-use crate::geometry::Geometry;
+use crate::georef::Geometry;
+use crate::scan_line::{Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel, ScanLine};
 use crate::stage::{FinishedFile, OutputFile, Result, StageError};
 use wavex_formats::Error;
 use wavex_formats::las::{Descriptor, Packet, PacketWriter, Wave};

@@ -9,7 +9,7 @@ use arrow_array::{
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
 use serde_json::{Value, json};
 
-use crate::batch::Return;
+use crate::scan_line::Return;
 
 /// One return, with the fields of its shot that the table needs.
 #[derive(Clone, Copy, Debug)]

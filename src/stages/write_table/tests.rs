@@ -12,7 +12,9 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::file::reader::{FileReader as _, SerializedFileReader};
 
 use super::*;
-use crate::batch::{Blocks, Content, Emission, EmissionReference, Frame, InputInfo, Return, ReturnChannel};
+use crate::scan_line::{
+    Blocks, Content, Emission, EmissionReference, Frame, InputInfo, Return, ReturnChannel,
+};
 use crate::stage::Config as _;
 
 const NAMES: &str = "shot,gps_time_s,return_number,number_of_returns,channel,mta_zone,range_m,range_sd_m,\
@@ -22,7 +24,7 @@ const NAMES: &str = "shot,gps_time_s,return_number,number_of_returns,channel,mta
 
 fn info() -> Arc<InputInfo> {
     Arc::new(InputInfo {
-        gain_control: crate::batch::GainControl::Off,
+        gain_control: crate::scan_line::GainControl::Off,
         path: "made.sdf".into(),
         stem: "made".into(),
         format: "made".into(),

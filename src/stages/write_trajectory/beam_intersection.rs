@@ -1,7 +1,7 @@
 //! Sensor positions from beam intersections, section by section.
 
 use super::decimation::{Pace, time_s};
-use crate::batch::Emission;
+use crate::scan_line::Emission;
 use wavex_signal::sensor_path::{Beam, Window};
 
 /// Collects beams until a section is long enough.

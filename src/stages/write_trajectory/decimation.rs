@@ -1,6 +1,6 @@
 //! Decimation: selects the shots that get a row.
 
-use crate::batch::Emission;
+use crate::scan_line::Emission;
 
 /// Counts shots or time since the last row.
 #[derive(Clone, Copy, Debug)]

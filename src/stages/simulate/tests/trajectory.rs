@@ -1,7 +1,7 @@
 //! From the trajectory to the truth, by the chain that a user's own georeferencing goes.
 
 use super::*;
-use crate::batch::Frame;
+use crate::scan_line::Frame;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::frames::{Attitude, ecef_from_ned, rotate, rotation_of_angles};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::context::Geometry;
 use super::scan_angles::{ScanAngles, are_unknown, set_directions};
 use super::transform::{scan_angle_deg, to_earth};
-use crate::batch::{Content, Emission, Frame, InputInfo, ScanLine};
+use crate::scan_line::{Content, Emission, Frame, InputInfo, ScanLine};
 use crate::stage::{Context, Item, Result, Source, StageError};
 use wavex_geodesy::time_axis::{Clock, Unwrap};
 use wavex_geodesy::trajectory::Pose;

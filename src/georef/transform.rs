@@ -5,7 +5,7 @@
 
 use super::calibration::Calibration;
 use super::mount::Mount;
-use crate::batch::Emission;
+use crate::scan_line::Emission;
 use wavex_geodesy::frames::{IDENTITY, Rotation, Vector, inverse, rotate, rotation_of_angles, then};
 use wavex_geodesy::trajectory::{Accuracy, Pose};
 

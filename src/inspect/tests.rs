@@ -40,7 +40,7 @@ fn surveyed(with_samples: bool) -> Survey {
     first.push(0, Channel::Reference, None, -2.0, 1.0, &[0, 10, 40, 30, 5]);
     first.push(0, Channel::LowPower, None, 1000.0, 1.0, &[1, 2, 20, 2, 1, 0]);
     first.push(0, Channel::HighPower, None, 1001.5, 1.0, &[1, 3, 9, 3]);
-    first.online.push(crate::batch::OnlineReturn { emission: 0, time_ns: 1002.0, amplitude: 3.0 });
+    first.online.push(crate::scan_line::OnlineReturn { emission: 0, time_ns: 1002.0, amplitude: 3.0 });
     let mut second = Blocks::default();
     second.push(0, Channel::LowPower, Some(1), 2000.0, 1.0, &[7, 255, 255, 7]);
     let mut survey = Survey::new(with_samples);

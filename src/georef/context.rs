@@ -8,7 +8,7 @@ use super::keys::{CalibrationKey, GeometryKeys};
 use super::output_crs::{CrsRequest, Target, failed};
 use super::trajectory_file::Track;
 use super::transform::Installation;
-use crate::batch::{Emission, Frame, InputInfo};
+use crate::scan_line::{Emission, Frame, InputInfo};
 use crate::stage::{Result, StageError};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, Times};

@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 
 use super::transform::{cross, dot};
-use crate::batch::{Emission, Frame, InputInfo, ScanLine, emission_flags};
+use crate::scan_line::{Emission, Frame, InputInfo, ScanLine, emission_flags};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::vertical::{down_at, main_axis};
 use wavex_signal::sensor_path::{Beam, Window};
@@ -294,7 +294,12 @@ mod tests {
                 }
             };
             let emissions: Vec<Emission> = (0..1000).map(shot).collect();
-            angles.push(ScanLine::of_shots(input.clone(), line, emissions, crate::batch::Blocks::default()));
+            angles.push(ScanLine::of_shots(
+                input.clone(),
+                line,
+                emissions,
+                crate::scan_line::Blocks::default(),
+            ));
             held = held.max(angles.held.len());
             while let Some(batch) = angles.pop() {
                 let expected: Vec<(f32, bool)> =

@@ -8,7 +8,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::batch::ReturnChannel;
+use crate::scan_line::ReturnChannel;
 use wavex_formats::{Error, Result};
 
 /// Calibration; all zero means none.
