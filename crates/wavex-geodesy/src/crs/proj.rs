@@ -6,7 +6,8 @@
 //! whose grids it finds. Heights stay above the WGS 84 ellipsoid, or above the geoid: on another
 //! datum's ellipsoid they would be meaningless.
 //!
-//! PROJ objects belong to one thread, so each thread has its own.
+//! PROJ objects belong to one thread, so each thread has its own. The crate `proj` takes every
+//! height as 0, which shifts positions on other datums; hence the bindings of `proj-sys`.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
